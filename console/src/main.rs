@@ -1,0 +1,3 @@
+//! The `mrroc` command.
+
+fn main() {}

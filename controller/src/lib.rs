@@ -1,0 +1,1 @@
+//! Robots, generators, the effector control process and the cell file.

@@ -1,0 +1,14 @@
+//! CAN as the rest of the stack sees it: frames, identifiers, ports, recordings and bus time.
+//!
+//! Read [`Frame`] and [`Port`] first. Nothing here interprets a payload; that is `canopen`'s work.
+//! Only the SocketCAN port touches the operating system.
+
+mod frame;
+mod id;
+mod instant;
+mod port;
+
+pub use frame::Frame;
+pub use id::{ExtendedId, Id, StandardId};
+pub use instant::Instant;
+pub use port::{ControllerState, Counters, Port, PortError, Received};

@@ -1,0 +1,159 @@
+use can::Instant;
+use thiserror::Error;
+
+/// The most axes one effector can have.
+pub const MAX_AXES: usize = 8;
+
+/// One macrostep: where the motors are to be some servo periods from now.
+///
+/// Between the end of the last macrostep and this one the servo interpolates each motor by the cubic
+/// that meets position and velocity at both ends.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Macrostep {
+    /// Its number; each is one more than the one before, so that replies can be told apart.
+    pub number: u64,
+    /// Servo periods it lasts, at least 1.
+    pub steps: u16,
+    /// The period, 1 ..= `steps`, after which the servo reports the measured state back.
+    pub report_at: u16,
+    /// Motor positions at its end, rad.
+    pub position: [f64; MAX_AXES],
+    /// Motor velocities at its end, rad/s; all zero means the effector may rest there.
+    pub velocity: [f64; MAX_AXES],
+}
+
+/// What the controller asks of one effector.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Order {
+    /// Switch the drives on and stand.
+    Enable,
+    /// Home the axes in the configured order; those that kept their reference are skipped.
+    Home,
+    /// Move. Queued behind the macrosteps sent before.
+    Move(Macrostep),
+    /// Brake to a stand within the acceleration limits, drop what is queued, keep power on
+    /// (category 2). A moving effector whose queue runs dry brakes likewise, and that is a fault.
+    Stop,
+    /// Brake as [`Order::Stop`] does, then switch the drives off (category 1).
+    Disable,
+    /// Clear latched faults; the drives stay off.
+    ResetFault,
+}
+
+/// What an effector is doing, as its servo sees it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Phase {
+    /// Drives off.
+    #[default]
+    Off,
+    /// Drives on their way to on.
+    Enabling,
+    /// Homing.
+    Homing,
+    /// On and still.
+    Standing,
+    /// Following macrosteps.
+    Moving,
+    /// Braking.
+    Stopping,
+    /// Stopped by a fault, latched until [`Order::ResetFault`].
+    Faulted,
+}
+
+/// What the servo tells the controller: at every change of phase and at `report_at` of a macrostep.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Report {
+    /// The cycle's time.
+    pub at: Instant,
+    /// What the effector does.
+    pub phase: Phase,
+    /// Whether every axis is homed.
+    pub homed: bool,
+    /// The number of the macrostep this is the report of, or of the last one begun; 0 before any.
+    pub macrostep: u64,
+    /// Motor positions commanded in this cycle, rad.
+    pub commanded: [f64; MAX_AXES],
+    /// Motor positions measured, rad.
+    pub measured: [f64; MAX_AXES],
+    /// Motor velocities measured, rad/s.
+    pub velocity: [f64; MAX_AXES],
+    /// The fault that stopped it, if one did.
+    pub fault: Option<ServoFault>,
+}
+
+/// Why the servo stopped an effector.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[error("axis {axis}: {cause}")]
+pub struct ServoFault {
+    /// Index of the axis within its effector.
+    pub axis: u8,
+    /// What happened.
+    pub cause: StopCause,
+}
+
+/// What a servo stops for. Positions in motor rad.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+pub enum StopCause {
+    /// The drive.
+    #[error("{0}")]
+    Drive(drive::Fault),
+    /// The motor is further from where it was told to be than the cell allows.
+    #[error("following error {error:.4} rad exceeds {limit:.4} rad")]
+    FollowingError {
+        /// Commanded minus measured.
+        error: f64,
+        /// The cell's limit.
+        limit: f64,
+    },
+    /// A set-point beyond a position limit; it was not sent.
+    #[error("set-point {position:.4} rad is beyond the limit {limit:.4} rad")]
+    PositionLimit {
+        /// The set-point.
+        position: f64,
+        /// The limit it passes.
+        limit: f64,
+    },
+    /// A set-point that needs more speed than allowed; it was not sent.
+    #[error("set-point needs {velocity:.3} rad/s, the limit is {limit:.3} rad/s")]
+    VelocityLimit {
+        /// Needed.
+        velocity: f64,
+        /// Allowed.
+        limit: f64,
+    },
+    /// A set-point that needs more acceleration than allowed; it was not sent.
+    #[error("set-point needs {acceleration:.2} rad/s², the limit is {limit:.2} rad/s²")]
+    AccelerationLimit {
+        /// Needed.
+        acceleration: f64,
+        /// Allowed.
+        limit: f64,
+    },
+    /// A set-point that is NaN or infinite; it was not sent.
+    #[error("set-point is not a finite number")]
+    NotFinite,
+    /// The macrostep queue ran dry while the effector moved.
+    #[error("no macrostep in time after number {last}")]
+    Starved {
+        /// The last macrostep that was executed.
+        last: u64,
+    },
+    /// Homing failed or took too long.
+    #[error("homing failed")]
+    HomingFailed,
+    /// More cycles in a row missed their deadline than the cell allows.
+    #[error("{missed} cycles in a row missed their deadline")]
+    Overrun {
+        /// Cycles missed.
+        missed: u32,
+    },
+}
+
+/// The controller's end of one effector: orders out, reports in, both wait-free and bounded.
+#[derive(Debug)]
+pub struct EffectorLink {
+    /// Orders to the servo. Full means the servo is ahead; offer again later.
+    pub orders: rtrb::Producer<Order>,
+    /// Reports from the servo. The servo drops and counts what does not fit.
+    pub reports: rtrb::Consumer<Report>,
+}

@@ -1,0 +1,1 @@
+//! System tests: whole cells, on the bench that `HIL_CAN` names.
