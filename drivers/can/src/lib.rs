@@ -7,8 +7,10 @@ mod frame;
 mod id;
 mod instant;
 mod port;
+mod virtual_port;
 
 pub use frame::Frame;
 pub use id::{ExtendedId, Id, StandardId};
 pub use instant::Instant;
 pub use port::{ControllerState, Counters, Port, PortError, Received};
+pub use virtual_port::{VirtualPeer, VirtualPort, virtual_port};
