@@ -1,1 +1,3 @@
 //! System tests: whole cells, on the bench that `HIL_CAN` names.
+
+mod architecture;

@@ -7,6 +7,7 @@ mod frame;
 mod id;
 mod instant;
 mod port;
+pub mod schedule;
 pub mod timing;
 mod virtual_port;
 

@@ -1,0 +1,106 @@
+//! Where a key stands in the text of a cell file.
+
+use std::fmt;
+
+use toml::de::{DeTable, DeValue};
+
+/// One step from a table into what it holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Step {
+    /// Into the value of a key.
+    Key(&'static str),
+    /// Into an element of an array, from 0.
+    At(usize),
+}
+
+impl From<&'static str> for Step {
+    fn from(key: &'static str) -> Self {
+        Self::Key(key)
+    }
+}
+
+impl From<usize> for Step {
+    fn from(index: usize) -> Self {
+        Self::At(index)
+    }
+}
+
+/// The way from the top of the file to a value, written `robot[0].axis[2].node`.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Path(Vec<Step>);
+
+impl Path {
+    /// This path, one step longer.
+    pub fn then(&self, step: impl Into<Step>) -> Self {
+        let mut steps = self.0.clone();
+        steps.push(step.into());
+        Self(steps)
+    }
+}
+
+impl fmt::Display for Path {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (position, step) in self.0.iter().enumerate() {
+            match step {
+                Step::Key(key) if position == 0 => write!(f, "{key}")?,
+                Step::Key(key) => write!(f, ".{key}")?,
+                Step::At(index) => write!(f, "[{index}]")?,
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The line, from 1, that the byte at `offset` of `text` stands on.
+pub(super) fn line_at(text: &str, offset: usize) -> usize {
+    let upto = offset.min(text.len());
+    text.as_bytes()[..upto].iter().filter(|&&byte| byte == b'\n').count() + 1
+}
+
+/// The line of the value at `path`, or of the nearest table around it that is in the file.
+pub(super) fn line_of(text: &str, path: &Path) -> usize {
+    let Ok(document) = DeTable::parse(text) else { return 1 };
+    let mut offset = document.span().start;
+    let mut steps = path.0.iter();
+    let mut value = match steps.next() {
+        Some(Step::Key(key)) => match document.get_ref().get(*key) {
+            Some(value) => value,
+            None => return 1,
+        },
+        _ => return 1,
+    };
+    loop {
+        offset = if value.span().is_empty() { offset } else { value.span().start };
+        let Some(step) = steps.next() else { return line_at(text, offset) };
+        let inner = match step {
+            Step::Key(key) => value.get_ref().get(*key),
+            Step::At(index) => value.get_ref().get(*index),
+        };
+        match inner {
+            Some(inner) => value = inner,
+            None => return line_at(text, offset),
+        }
+    }
+}
+
+/// The first float in the document that is NaN or infinite: its dotted key and its line.
+pub(super) fn first_not_finite(text: &str) -> Option<(String, usize)> {
+    fn search(text: &str, key: &str, value: &DeValue<'_>, start: usize) -> Option<(String, usize)> {
+        match value {
+            DeValue::Float(float) => {
+                let number: f64 = float.as_str().parse().unwrap_or(f64::NAN);
+                (!number.is_finite()).then(|| (key.to_owned(), line_at(text, start)))
+            }
+            DeValue::Array(array) => array.iter().enumerate().find_map(|(index, inner)| {
+                search(text, &format!("{key}[{index}]"), inner.get_ref(), inner.span().start)
+            }),
+            DeValue::Table(table) => table.iter().find_map(|(name, inner)| {
+                let key = if key.is_empty() { name.get_ref().to_string() } else { format!("{key}.{}", name.get_ref()) };
+                search(text, &key, inner.get_ref(), inner.span().start)
+            }),
+            _ => None,
+        }
+    }
+    let document = DeTable::parse(text).ok()?;
+    search(text, "", &DeValue::Table(document.into_inner()), 0)
+}

@@ -1,0 +1,349 @@
+//! The cell file: robots, buses and drives of one controller, in TOML.
+//!
+//! These structs are the file, key for key; the JSON schema beside the example cells is generated
+//! from them. [`Cell::parse`] is the only way to get one: what it returns has been checked whole,
+//! so the rest of the program does not check again. Units are SI at the **motor shaft** for an
+//! axis (rad, rad/s, rad/s²) and joint rad or metres for a program; a key that holds something
+//! else says so in its name.
+
+mod check;
+mod locate;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+pub use check::{CellError, Problem};
+pub use locate::{Path, Step};
+
+/// One controller: everything that is stepped on one tick grid.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Cell {
+    /// What the reports call it.
+    pub name: String,
+    /// Period of the servo cycle and of SYNC, µs: a whole number of milliseconds.
+    pub period_us: u32,
+    /// Servo periods in one macrostep, the step of the generators.
+    #[serde(default = "defaults::macrostep")]
+    pub macrostep: u16,
+    /// Deadlines missed in a row before the cell stops with category 1.
+    #[serde(default = "defaults::max_missed_in_row")]
+    pub max_missed_in_row: u32,
+    /// Seed of everything that is random in the emulators.
+    #[serde(default = "defaults::seed")]
+    pub seed: u64,
+    /// What the servo thread asks of the host.
+    #[serde(default)]
+    pub realtime: Realtime,
+    /// The CAN buses.
+    pub bus: Vec<Bus>,
+    /// The robots.
+    pub robot: Vec<Robot>,
+}
+
+/// What the servo thread asks of the host.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Realtime {
+    /// Whether a denied request is reported or refuses the start.
+    pub policy: Policy,
+    /// Priority under SCHED_FIFO, 1 to 99.
+    pub priority: u8,
+    /// The CPU to pin the servo thread to; none leaves it to the scheduler.
+    pub cpu: Option<usize>,
+    /// Whether to lock the process's memory.
+    pub lock_memory: bool,
+}
+
+impl Default for Realtime {
+    fn default() -> Self {
+        Self { policy: Policy::BestEffort, priority: 80, cpu: None, lock_memory: true }
+    }
+}
+
+/// What happens when the host denies a real-time request.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Policy {
+    /// The run does not start.
+    Require,
+    /// The run starts and its report says what was denied.
+    BestEffort,
+}
+
+/// One CAN bus and the host's behaviour on it.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Bus {
+    /// What axes and reports call it.
+    pub name: String,
+    /// Bit rate, kbit/s.
+    #[serde(default = "defaults::bitrate_kbps")]
+    pub bitrate_kbps: u32,
+    /// The network interface, on the benches that have one.
+    pub interface: String,
+    /// Node-ID of the host, whose heartbeat the drives watch.
+    #[serde(default = "defaults::host_node")]
+    pub host_node: u8,
+    /// Period of every heartbeat on the bus, ms; silence of three periods is a fault.
+    #[serde(default = "defaults::heartbeat_ms")]
+    pub heartbeat_ms: u16,
+    /// Cycles in a row that a drive's answer may be missing before it is a fault.
+    #[serde(default = "defaults::tolerated_missing")]
+    pub tolerated_missing: u32,
+    /// Deadline of one SDO answer, ms.
+    #[serde(default = "defaults::sdo_timeout_ms")]
+    pub sdo_timeout_ms: u32,
+    /// Deadline of a node's boot, ms.
+    #[serde(default = "defaults::boot_timeout_ms")]
+    pub boot_timeout_ms: u32,
+}
+
+/// One effector: its kinematics, its axes and what it is to do.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Robot {
+    /// What reports call it.
+    pub name: String,
+    /// Which robot it is.
+    pub model: Model,
+    /// Geometry and synchronisation values, where they differ from the model's nominal ones.
+    #[serde(default)]
+    pub parameters: Option<crate::robot::Parameters>,
+    /// The axes, base first.
+    pub axis: Vec<Axis>,
+    /// What it does after homing, in order.
+    #[serde(default)]
+    pub program: Vec<Instruction>,
+}
+
+/// The robots whose kinematics are known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Model {
+    /// ASEA IRb-6, five axes.
+    Irb6,
+    /// WUT IRp-6 on its pedestal, six axes.
+    Irp6,
+}
+
+impl Model {
+    /// How many axes it has.
+    pub const fn axes(self) -> usize {
+        match self {
+            Self::Irb6 => 5,
+            Self::Irp6 => 6,
+        }
+    }
+}
+
+/// One axis: a drive, its scale, its limits.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Axis {
+    /// What reports call it.
+    pub name: String,
+    /// The bus its drive hangs on.
+    pub bus: String,
+    /// Node-ID of its drive.
+    pub node: u8,
+    /// The drive.
+    pub drive: Drive,
+    /// Greatest motor velocity, rad/s.
+    pub max_velocity: f64,
+    /// Greatest motor acceleration, rad/s².
+    pub max_acceleration: f64,
+    /// Lowest motor position, rad; the model's own limit where absent.
+    #[serde(default)]
+    pub min_position: Option<f64>,
+    /// Highest motor position, rad; the model's own limit where absent.
+    #[serde(default)]
+    pub max_position: Option<f64>,
+    /// Greatest distance between commanded and measured motor position, rad.
+    pub following_error: f64,
+    /// How it finds its reference.
+    pub homing: Homing,
+    /// What stands in for it on the benches without hardware.
+    #[serde(default)]
+    pub emulator: Emulator,
+}
+
+/// A CiA 402 drive on CAN.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Drive {
+    /// Vendor-ID, object 0x1018:01.
+    pub vendor: u32,
+    /// Product code, object 0x1018:02; not checked where absent.
+    #[serde(default)]
+    pub product: Option<u32>,
+    /// Quadrature counts per motor revolution.
+    pub counts_per_revolution: u32,
+    /// Whether the counter falls while the motor turns in its positive direction.
+    #[serde(default)]
+    pub reversed: bool,
+    /// Rated torque of the motor, N·m: the unit of the drive's torque values is a thousandth of it.
+    pub rated_torque: f64,
+    /// Further objects to write before operation.
+    #[serde(default)]
+    pub parameter: Vec<Parameter>,
+}
+
+/// An object written to a drive before operation and read back.
+#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Parameter {
+    /// Index.
+    pub index: u16,
+    /// Sub-index.
+    #[serde(default)]
+    pub subindex: u8,
+    /// Value.
+    pub value: u32,
+    /// Its size in the dictionary, bytes: 1, 2 or 4.
+    pub bytes: u8,
+}
+
+/// Homing by the drive (CiA 402 mode HM).
+#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Homing {
+    /// Homing method, object 0x6098.
+    pub method: i8,
+    /// Axes home in ascending order of this; equal ones together.
+    #[serde(default)]
+    pub order: u8,
+    /// Motor velocity while searching for the switch, rad/s.
+    pub search_velocity: f64,
+    /// Motor velocity while searching for the index pulse, rad/s.
+    pub zero_velocity: f64,
+    /// Motor acceleration, rad/s².
+    pub acceleration: f64,
+}
+
+/// What stands in for an axis on the benches without hardware.
+#[derive(Clone, Copy, Debug, Default, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Emulator {
+    /// The plant behind the emulated drive.
+    pub plant: Plant,
+    /// Motor angle at which the emulated axis stands when it is switched on, rad.
+    pub start: f64,
+}
+
+/// The plants an emulated axis can have.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Plant {
+    /// Friction, gravity, current limit, switches; masses and friction are nominal.
+    #[default]
+    Physical,
+    /// The inertia and viscous friction of WUT's own emulator, and nothing else.
+    Wut,
+}
+
+/// One instruction of a program.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub enum Instruction {
+    /// Move through joint poses.
+    Joints(Joints),
+    /// Move the tool along a straight line.
+    Line(Line),
+}
+
+/// A motion through joint poses.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Joints {
+    /// The poses, each as many joint values as the robot has axes, rad.
+    pub poses: Vec<Vec<f64>>,
+    /// The generator.
+    #[serde(default)]
+    pub generator: JointGenerator,
+    /// Fraction of the greatest joint velocity to use.
+    #[serde(default = "defaults::fraction")]
+    pub velocity: f64,
+    /// Fraction of the greatest joint acceleration to use.
+    #[serde(default = "defaults::fraction")]
+    pub acceleration: f64,
+}
+
+/// The generators of joint motions.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum JointGenerator {
+    /// Time-synchronised trapezoid of velocity, continuous through the poses.
+    #[default]
+    Newsmooth,
+    /// Jerk-limited, at rest in each pose.
+    JerkLimited,
+}
+
+/// A straight line of the tool from where it is.
+#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Line {
+    /// Where the tool is to go, m, in the robot's base frame.
+    pub position: [f64; 3],
+    /// Its orientation there as w, x, y, z; unchanged where absent.
+    #[serde(default)]
+    pub quaternion: Option<[f64; 4]>,
+    /// Greatest tool velocity, m/s.
+    #[serde(default = "defaults::line_velocity")]
+    pub velocity: f64,
+    /// Greatest tool acceleration, m/s².
+    #[serde(default = "defaults::line_acceleration")]
+    pub acceleration: f64,
+}
+
+impl Cell {
+    /// The JSON schema of a cell file.
+    pub fn schema() -> schemars::Schema {
+        schemars::schema_for!(Self)
+    }
+
+    /// Reads and checks the text of a cell file.
+    pub fn parse(text: &str) -> Result<Self, CellError> {
+        check::parse(text)
+    }
+}
+
+mod defaults {
+    pub(super) fn macrostep() -> u16 {
+        10
+    }
+    pub(super) fn max_missed_in_row() -> u32 {
+        100
+    }
+    pub(super) fn seed() -> u64 {
+        1
+    }
+    pub(super) fn bitrate_kbps() -> u32 {
+        1000
+    }
+    pub(super) fn host_node() -> u8 {
+        127
+    }
+    pub(super) fn heartbeat_ms() -> u16 {
+        100
+    }
+    pub(super) fn tolerated_missing() -> u32 {
+        5
+    }
+    pub(super) fn sdo_timeout_ms() -> u32 {
+        500
+    }
+    pub(super) fn boot_timeout_ms() -> u32 {
+        2000
+    }
+    pub(super) fn fraction() -> f64 {
+        0.5
+    }
+    pub(super) fn line_velocity() -> f64 {
+        0.2
+    }
+    pub(super) fn line_acceleration() -> f64 {
+        0.5
+    }
+}

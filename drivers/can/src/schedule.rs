@@ -1,0 +1,197 @@
+//! Worst-case bus load and response times of a cyclic traffic pattern.
+//!
+//! The pattern is that of a SYNC-driven bus: at the start of a cycle the host queues a batch, the
+//! nodes answer, and everything of a cycle must have left the bus before the next one begins. A
+//! message waits for one frame that is already on the wire, for what stands before it in its
+//! sender's queue, and for what wins arbitration against it. Every frame is counted with as many
+//! stuff bits as any content can need. Error frames, retransmissions and frames that only faults
+//! cause are left out: the drivers ride through those.
+
+use std::time::Duration;
+
+use crate::StandardId;
+use crate::timing::{Bitrate, Format, worst_case_bits};
+
+/// A recurring message. The order of a slice of them is the order of each sender's queue.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Message {
+    /// Identifier, and so priority.
+    pub id: StandardId,
+    /// Payload bytes.
+    pub bytes: u8,
+    /// Who sends it. Messages of one sender leave in queue order.
+    pub sender: Sender,
+    /// How often.
+    pub every: Every,
+}
+
+/// The sender of a message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sender {
+    /// The controller's host.
+    Host,
+    /// The node of this node-ID.
+    Node(u8),
+}
+
+/// How often a message is sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Every {
+    /// Once in each cycle, before its end.
+    Cycle,
+    /// At most once in this time, and never urgent.
+    Interval(Duration),
+}
+
+/// What [`analyse`] found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Analysis {
+    /// Share of the bus's time that all messages need in the long run, 1 being all of it.
+    pub load: f64,
+    /// Worst response time of each message, from the start of the cycle to its last bit. That of an
+    /// [`Every::Interval`] message is only a bound on its own transmission.
+    pub responses: Vec<Duration>,
+    /// When the last message of a cycle has left the bus at the latest, after the cycle's start.
+    pub busy: Duration,
+}
+
+/// Worst-case load and response times of `messages` on a bus whose cycle is `cycle`.
+pub fn analyse(bitrate: Bitrate, cycle: Duration, messages: &[Message]) -> Analysis {
+    let time =
+        |message: &Message| bitrate.duration(worst_case_bits(Format::Standard, message.bytes));
+    let rate = |message: &Message| match message.every {
+        Every::Cycle => 1.0 / cycle.as_secs_f64(),
+        Every::Interval(interval) => 1.0 / interval.as_secs_f64(),
+    };
+    let responses: Vec<Duration> = (0..messages.len())
+        .map(|index| {
+            before(messages, index).map(time).sum::<Duration>() + blocking(messages, index, time)
+        })
+        .collect();
+    let cyclic = messages
+        .iter()
+        .zip(&responses)
+        .filter(|(message, _)| message.every == Every::Cycle);
+    Analysis {
+        load: messages
+            .iter()
+            .map(|message| time(message).as_secs_f64() * rate(message))
+            .sum(),
+        busy: cyclic
+            .map(|(_, response)| *response)
+            .max()
+            .unwrap_or_default(),
+        responses,
+    }
+}
+
+/// The messages that can leave before the one at `index`, and that one.
+fn before(messages: &[Message], index: usize) -> impl Iterator<Item = &Message> {
+    let own = messages[index];
+    let queued =
+        move |position: usize, message: &Message| message.sender == own.sender && position <= index;
+    // What is queued before it must win arbitration first, and so may be overtaken in its stead.
+    let weakest = messages
+        .iter()
+        .enumerate()
+        .filter(|(position, message)| queued(*position, message))
+        .map(|(_, message)| message.id)
+        .max();
+    let weakest = weakest.unwrap_or(own.id);
+    let wins = move |message: &Message| message.sender != own.sender && message.id < weakest;
+    messages
+        .iter()
+        .enumerate()
+        .filter(move |(position, message)| queued(*position, message) || wins(message))
+        .map(|(_, message)| message)
+}
+
+/// The longest frame that may be on the wire when the message at `index` becomes ready.
+fn blocking(messages: &[Message], index: usize, time: impl Fn(&Message) -> Duration) -> Duration {
+    let ahead: Vec<StandardId> = before(messages, index).map(|message| message.id).collect();
+    messages
+        .iter()
+        .filter(|message| !ahead.contains(&message.id))
+        .map(time)
+        .max()
+        .unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// SYNC, an RPDO of 6 bytes and a TPDO of 8 for each axis, and a heartbeat of each node.
+    fn axes(count: u8) -> Vec<Message> {
+        let id = |raw| StandardId::new(raw).unwrap();
+        let cyclic = |raw, bytes, sender| Message {
+            id: id(raw),
+            bytes,
+            sender,
+            every: Every::Cycle,
+        };
+        let mut messages = vec![cyclic(0x080, 0, Sender::Host)];
+        for node in 1..=count {
+            messages.push(cyclic(0x200 + u16::from(node), 6, Sender::Host));
+            messages.push(cyclic(0x180 + u16::from(node), 8, Sender::Node(node)));
+        }
+        for node in 1..=count {
+            let every = Every::Interval(Duration::from_millis(100));
+            messages.push(Message {
+                id: id(0x700 + u16::from(node)),
+                bytes: 1,
+                sender: Sender::Node(node),
+                every,
+            });
+        }
+        messages
+    }
+
+    #[test]
+    fn a_cycle_is_busy_for_its_frames_and_one_that_blocks() {
+        let microseconds = |axes: u64| 55 + 250 * axes + 65;
+        for count in [1, 2, 3, 6, 7] {
+            let analysis = analyse(Bitrate::KBPS_1000, Duration::from_millis(2), &axes(count));
+            assert_eq!(
+                analysis.busy,
+                Duration::from_micros(microseconds(u64::from(count))),
+                "{count} axes"
+            );
+        }
+    }
+
+    #[test]
+    fn load_is_the_share_of_the_cycle() {
+        let analysis = analyse(Bitrate::KBPS_1000, Duration::from_millis(2), &axes(6));
+        let heartbeats = 6.0 * 65e-6 / 0.1;
+        assert!(
+            (analysis.load - (1555e-6 / 2e-3 + heartbeats)).abs() < 1e-12,
+            "{}",
+            analysis.load
+        );
+    }
+
+    #[test]
+    fn sync_waits_for_one_frame_only() {
+        let analysis = analyse(Bitrate::KBPS_1000, Duration::from_millis(2), &axes(6));
+        assert_eq!(analysis.responses[0], Duration::from_micros(55 + 135));
+    }
+
+    #[test]
+    fn a_message_behind_a_weaker_one_in_its_queue_is_overtaken_with_it() {
+        let id = |raw| StandardId::new(raw).unwrap();
+        let cyclic = |raw, bytes, sender| Message {
+            id: id(raw),
+            bytes,
+            sender,
+            every: Every::Cycle,
+        };
+        let messages = [
+            cyclic(0x300, 0, Sender::Host),
+            cyclic(0x100, 0, Sender::Host),
+            cyclic(0x200, 8, Sender::Node(1)),
+        ];
+        let analysis = analyse(Bitrate::KBPS_1000, Duration::from_millis(1), &messages);
+        assert_eq!(analysis.responses[1], Duration::from_micros(55 + 55 + 135));
+    }
+}
