@@ -1,0 +1,455 @@
+//! The effector control process: walks a [`Task`] for one effector over its servo link.
+//!
+//! [`Ecp::poll`] is called again and again, by a thread at macrostep rate or by a lockstep bench in each
+//! cycle. It takes in reports, keeps the effector's image, turns the flow chart of the generator under way
+//! (see [`generator`](crate::generator)), converts what it asks for to motors and offers orders to the
+//! servo. It never waits, allocates only what a generator's first step does, and bounds everything: the
+//! macrosteps ahead of the servo, the one order that did not fit, the time it listens to silence.
+//!
+//! An instruction is over when the effector stands again, whatever ended it: the terminal condition, an
+//! error of the generator, [`Ecp::stop`] or the servo. If a generator ends while the effector moves, it is
+//! braked ([`Order::Stop`]). The first failure ends the task.
+//!
+//! Motor velocities are carried through the drive train by numeric central differences.
+//!
+//! Read [`Task`] first, then [`Ecp::poll`].
+
+mod error;
+mod image;
+mod task;
+#[cfg(test)]
+mod tests;
+
+use std::time::Duration;
+
+use can::Instant;
+use servo::{EffectorLink, Macrostep, Order, Phase, Report};
+
+use crate::generator::{
+    Arm, AxesState, EffectorImage, Execution, GeneratorError, ImageSource, Setpoint, Step,
+};
+
+pub use error::EcpError;
+use image::Effector;
+use task::Instruction;
+pub use task::Task;
+
+/// How an ECP paces its effector and how long it is patient.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct EcpConfig {
+    /// Servo period.
+    pub period: Duration,
+    /// Periods per macrostep, at least 1.
+    pub steps: u16,
+    /// The period of a macrostep after which the servo reports, 1 ..= `steps`; what is left of the macrostep
+    /// is the time in which the next one must be computed by a generator that reads images.
+    pub report_at: u16,
+    /// Macrosteps, at least 1, that a generator whose next steps read no images may be ahead of the one
+    /// being executed. Others compute the next macrostep from the report of the one before.
+    pub lead: u16,
+    /// How long the servo may neither report nor take an order while something is under way.
+    pub silence: Duration,
+    /// How long switching on or off and braking may take.
+    pub switching: Duration,
+    /// How long homing may take.
+    pub homing: Duration,
+}
+
+impl EcpConfig {
+    /// 10 periods of 2 ms, reported 2 periods before their end, 4 macrosteps ahead.
+    pub const fn usual() -> Self {
+        Self {
+            period: Duration::from_millis(2),
+            steps: 10,
+            report_at: 8,
+            lead: 4,
+            silence: Duration::from_millis(500),
+            switching: Duration::from_secs(5),
+            homing: Duration::from_secs(120),
+        }
+    }
+
+    /// How long a macrostep lasts.
+    pub fn macrostep(&self) -> Duration {
+        self.period * u32::from(self.steps)
+    }
+}
+
+/// An instruction has ended.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Event {
+    /// Its index in the task.
+    pub instruction: usize,
+    /// How it ended. After an error, the instructions behind it were dropped.
+    pub outcome: Result<(), EcpError>,
+}
+
+/// What an ECP knows at a glance.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Status {
+    /// What the effector does, as last reported; `Off` before any report.
+    pub phase: Phase,
+    /// Whether every axis is homed.
+    pub homed: bool,
+    /// Index of the instruction under way, if one is.
+    pub instruction: Option<usize>,
+    /// Instructions waiting behind it.
+    pub waiting: usize,
+    /// Number of the last macrostep sent.
+    pub sent: u64,
+    /// Number of the last macrostep reported.
+    pub executed: u64,
+}
+
+/// The task that an ECP was given while it has another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("instruction {instruction} is under way")]
+pub struct Busy {
+    /// Its index in its task.
+    pub instruction: usize,
+}
+
+/// What is under way. Every state but the first ends by a report or by its deadline.
+enum Activity {
+    Idle,
+    /// An order was sent; the effector is to get to `until`, homed if `homed`.
+    Switching {
+        until: Phase,
+        homed: bool,
+        since: Instant,
+        patience: Duration,
+    },
+    /// The generator is asked for macrosteps.
+    Running {
+        run: Box<dyn Execution + Send>,
+    },
+    /// The last macrostep was sent; it leads to a stand.
+    Arriving,
+    /// A stop is offered (`since` is `None`) or sent; `outcome` is what it will have ended with.
+    Stopping {
+        since: Option<Instant>,
+        outcome: Result<(), EcpError>,
+    },
+}
+
+/// One effector's subcontroller. See the [module](self).
+pub struct Ecp<A> {
+    effector: Effector<A>,
+    link: EffectorLink,
+    config: EcpConfig,
+    task: Task,
+    instruction: usize,
+    activity: Activity,
+    report: Option<Report>,
+    /// The order that waits for room in the queue.
+    outbox: Option<Order>,
+    /// Numbers of the last macrostep sent, of the last one reported, and of the last one before this motion.
+    sent: u64,
+    executed: u64,
+    base: u64,
+    /// When the servo last reported or took an order.
+    heard: Instant,
+}
+
+impl<A: Arm> Ecp<A> {
+    /// A subcontroller that has nothing to do yet.
+    pub fn new(arm: A, link: EffectorLink, config: EcpConfig) -> Self {
+        Self {
+            effector: Effector::new(arm),
+            link,
+            config,
+            task: Task::new(),
+            instruction: 0,
+            activity: Activity::Idle,
+            report: None,
+            outbox: None,
+            sent: 0,
+            executed: 0,
+            base: 0,
+            heard: Instant::ZERO,
+        }
+    }
+
+    /// Takes a task; it begins with the next poll. Refused while another is under way.
+    pub fn execute(&mut self, task: Task) -> Result<(), Busy> {
+        if let Some(instruction) = self.status().instruction {
+            return Err(Busy { instruction });
+        }
+        self.task = task;
+        self.instruction = 0;
+        Ok(())
+    }
+
+    /// Brakes and drops the rest of the task. The instruction under way ends with [`EcpError::Stopped`].
+    pub fn stop(&mut self) {
+        match self.activity {
+            Activity::Stopping { .. } => {}
+            Activity::Idle if self.task.is_empty() => {}
+            _ => self.brake(Err(EcpError::Stopped)),
+        }
+    }
+
+    /// What is going on.
+    pub fn status(&self) -> Status {
+        let busy = !matches!(self.activity, Activity::Idle) || !self.task.is_empty();
+        Status {
+            phase: self.phase(),
+            homed: self.homed(),
+            instruction: busy.then_some(self.instruction),
+            waiting: self.task.len(),
+            sent: self.sent,
+            executed: self.executed,
+        }
+    }
+
+    /// The effector's image, as generators see it.
+    pub fn image(&self) -> Result<EffectorImage, GeneratorError> {
+        self.effector.effector()
+    }
+
+    /// Takes in what the servo reported, does what is due at `now` and tells if an instruction ended.
+    ///
+    /// Call it again while it returns an event, and often enough: generators that read the effector need it
+    /// within the periods that `report_at` leaves of a macrostep, others within `lead` macrosteps. The servo
+    /// brakes an effector that it finds moving without a macrostep.
+    pub fn poll(&mut self, now: Instant) -> Option<Event> {
+        while let Ok(report) = self.link.reports.pop() {
+            self.heard = now;
+            self.executed = report.macrostep;
+            self.effector.measure(&report);
+            self.report = Some(report);
+        }
+        if matches!(self.activity, Activity::Idle) {
+            let instruction = self.task.instructions.pop_front()?;
+            self.heard = now;
+            if let Some(outcome) = self.begin(instruction, now) {
+                return Some(self.end(outcome));
+            }
+        }
+        self.offer(now);
+        let outcome = self.advance(now)?;
+        Some(self.end(outcome))
+    }
+
+    fn phase(&self) -> Phase {
+        self.report.map_or(Phase::Off, |report| report.phase)
+    }
+
+    fn homed(&self) -> bool {
+        self.report.is_some_and(|report| report.homed)
+    }
+
+    fn fault(&self) -> EcpError {
+        self.report
+            .and_then(|report| report.fault)
+            .map_or(EcpError::Faulted, EcpError::Servo)
+    }
+
+    fn end(&mut self, outcome: Result<(), EcpError>) -> Event {
+        self.activity = Activity::Idle;
+        let event = Event {
+            instruction: self.instruction,
+            outcome,
+        };
+        self.instruction += 1;
+        if outcome.is_err() {
+            self.task.instructions.clear();
+        }
+        event
+    }
+
+    /// Sends the order waiting, if there is one and the queue takes it.
+    fn offer(&mut self, now: Instant) {
+        let Some(order) = self.outbox else { return };
+        if self.link.orders.push(order).is_err() {
+            return;
+        }
+        self.outbox = None;
+        self.heard = now;
+        match (order, &mut self.activity) {
+            (Order::Move(macrostep), _) => self.sent = macrostep.number,
+            (Order::Stop, Activity::Stopping { since, .. }) => *since = Some(now),
+            _ => {}
+        }
+    }
+
+    fn begin(&mut self, instruction: Instruction, now: Instant) -> Option<Result<(), EcpError>> {
+        let phase = self.phase();
+        let switching = self.config.switching;
+        let (order, until, homed, patience) = match instruction {
+            Instruction::Disable if phase == Phase::Off => return Some(Ok(())),
+            Instruction::Disable => (Order::Disable, Phase::Off, false, switching),
+            Instruction::ResetFault if phase != Phase::Faulted => return Some(Ok(())),
+            Instruction::ResetFault => (Order::ResetFault, Phase::Off, false, switching),
+            _ if phase == Phase::Faulted => return Some(Err(self.fault())),
+            Instruction::Enable if phase == Phase::Standing => return Some(Ok(())),
+            Instruction::Enable => (Order::Enable, Phase::Standing, false, switching),
+            _ if phase != Phase::Standing => return Some(Err(EcpError::NotStanding { phase })),
+            Instruction::Home if self.homed() => return Some(Ok(())),
+            Instruction::Home => (Order::Home, Phase::Standing, true, self.config.homing),
+            Instruction::Run(_) if !self.homed() => return Some(Err(EcpError::NotHomed)),
+            Instruction::Run(run) => return self.begin_run(run),
+        };
+        self.outbox = Some(order);
+        self.activity = Activity::Switching {
+            until,
+            homed,
+            since: now,
+            patience,
+        };
+        None
+    }
+
+    fn begin_run(&mut self, mut run: Box<dyn Execution + Send>) -> Option<Result<(), EcpError>> {
+        let report = self.report?;
+        self.effector.commanded = AxesState::at_rest(report.commanded);
+        // Macrosteps that a stop has dropped keep their numbers.
+        self.sent = self.sent.max(report.macrostep);
+        self.base = self.sent;
+        let first = run.first_step(&self.effector, self.config.macrostep());
+        self.activity = Activity::Running { run };
+        match first {
+            Ok(Step::Ended) => Some(Ok(())),
+            Ok(Step::Continue(None)) => None,
+            Ok(Step::Continue(setpoint)) => self.command(setpoint).err().map(Err),
+            Err(error) => Some(Err(EcpError::Generator { step: 0, error })),
+        }
+    }
+
+    fn advance(&mut self, now: Instant) -> Option<Result<(), EcpError>> {
+        let phase = self.phase();
+        if phase == Phase::Faulted
+            && !matches!(
+                self.activity,
+                Activity::Switching {
+                    until: Phase::Off,
+                    ..
+                }
+            )
+        {
+            self.outbox = None;
+            return Some(Err(self.fault()));
+        }
+        match &self.activity {
+            Activity::Idle => None,
+            Activity::Switching {
+                until,
+                homed,
+                since,
+                patience,
+            } => {
+                let waited = now.since(*since);
+                if phase == *until && (!homed || self.homed()) && self.outbox.is_none() {
+                    Some(Ok(()))
+                } else {
+                    (waited > *patience).then_some(Err(EcpError::TimedOut { phase, waited }))
+                }
+            }
+            Activity::Running { .. } | Activity::Arriving => self.advance_motion(now),
+            Activity::Stopping { since: None, .. } => {
+                let waited = now.since(self.heard);
+                (waited > self.config.switching).then_some(Err(EcpError::Silent { waited }))
+            }
+            Activity::Stopping {
+                since: Some(since),
+                outcome,
+            } => {
+                let waited = now.since(*since);
+                // A stand that was reported before the stop does not count: the servo may just be about to
+                // begin with what it was sent. It takes orders each period and tells of each change.
+                let settled = waited > self.config.macrostep() * 2;
+                if settled && matches!(phase, Phase::Standing | Phase::Off) {
+                    Some(*outcome)
+                } else {
+                    (waited > self.config.switching)
+                        .then_some(Err(EcpError::TimedOut { phase, waited }))
+                }
+            }
+        }
+    }
+
+    fn advance_motion(&mut self, now: Instant) -> Option<Result<(), EcpError>> {
+        let phase = self.phase();
+        let waited = now.since(self.heard);
+        if !matches!(phase, Phase::Standing | Phase::Moving) {
+            let fault = self.report.and_then(|report| report.fault);
+            let outcome = Err(fault.map_or(EcpError::BrokenOff { phase }, EcpError::Servo));
+            self.outbox = None;
+            self.activity = Activity::Stopping {
+                since: Some(now),
+                outcome,
+            };
+        } else if waited > self.config.silence + self.config.macrostep() {
+            self.brake(Err(EcpError::Silent { waited }));
+        } else if matches!(self.activity, Activity::Arriving) {
+            let arrived = phase == Phase::Standing && self.executed.max(self.base) >= self.sent;
+            return arrived.then_some(Ok(()));
+        } else {
+            for _ in 0..self.config.lead.max(1) {
+                self.step();
+                self.offer(now);
+            }
+        }
+        None
+    }
+
+    /// Asks the generator for the next macrostep if one is due and the one before is on its way.
+    fn step(&mut self) {
+        let Activity::Running { run } = &mut self.activity else {
+            return;
+        };
+        let lead = if run.runs_ahead() {
+            u64::from(self.config.lead.max(1))
+        } else {
+            1
+        };
+        if self.outbox.is_some() || self.sent - self.executed.max(self.base) >= lead {
+            return;
+        }
+        match run.next_step(&self.effector) {
+            Ok(Step::Continue(setpoint)) => {
+                if let Err(error) = self.command(setpoint) {
+                    self.brake(Err(error));
+                }
+            }
+            Ok(Step::Ended) if self.effector.commanded.velocity.iter().any(|v| *v != 0.0) => {
+                self.brake(Ok(()));
+            }
+            Ok(Step::Ended) => self.activity = Activity::Arriving,
+            Err(error) => self.brake(Err(EcpError::Generator {
+                step: self.sent - self.base,
+                error,
+            })),
+        }
+    }
+
+    /// Makes a macrostep of what the generator asked for and puts it into the outbox.
+    fn command(&mut self, setpoint: Option<Setpoint>) -> Result<(), EcpError> {
+        let step = self.sent - self.base;
+        if let Some(axis) = setpoint.and_then(|setpoint| setpoint.not_finite()) {
+            return Err(EcpError::NotFinite { step, axis });
+        }
+        let motors = self
+            .effector
+            .motors(setpoint)
+            .map_err(|error| EcpError::OutOfReach { step, error })?;
+        self.effector.commanded = motors;
+        self.outbox = Some(Order::Move(Macrostep {
+            number: self.sent + 1,
+            steps: self.config.steps,
+            report_at: self.config.report_at,
+            position: motors.position,
+            velocity: motors.velocity,
+        }));
+        Ok(())
+    }
+
+    /// Drops the generator and what it wanted next, and stops the effector.
+    fn brake(&mut self, outcome: Result<(), EcpError>) {
+        self.outbox = Some(Order::Stop);
+        self.activity = Activity::Stopping {
+            since: None,
+            outcome,
+        };
+    }
+}

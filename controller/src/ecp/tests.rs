@@ -1,0 +1,627 @@
+//! The ECP against a scripted servo end, in virtual time.
+
+use std::collections::VecDeque;
+
+use nalgebra::Vector3;
+use servo::{MAX_AXES, ServoFault, StopCause};
+
+use super::*;
+use crate::generator::{
+    ArmError, Axes, Generator, JerkLimited, MotionLimits, Newsmooth, Next, Pose, SmoothPose, Space,
+    Wait,
+};
+
+const PERIOD: Duration = Duration::from_millis(2);
+
+/// Three sliding joints along x, y and z, motors geared 100:1, the second one by a bent lever.
+#[derive(Debug)]
+struct Gantry;
+
+impl Arm for Gantry {
+    fn axes(&self) -> usize {
+        3
+    }
+    fn forward(&self, joints: &Axes) -> Result<Pose, ArmError> {
+        Ok(Pose::translation(joints[0], joints[1], joints[2]))
+    }
+    fn inverse(&self, pose: &Pose, _: &Axes) -> Result<Axes, ArmError> {
+        let (x, y, z) = (pose.translation.x, pose.translation.y, pose.translation.z);
+        if x > 5.0 {
+            return Err(ArmError::JointLimit {
+                axis: 0,
+                position: x,
+                limit: 5.0,
+            });
+        }
+        Ok([x, y, z, 0.0, 0.0, 0.0, 0.0, 0.0])
+    }
+    fn motors(&self, joints: &Axes) -> Result<Axes, ArmError> {
+        if joints[0] > 5.0 {
+            return Err(ArmError::JointLimit {
+                axis: 0,
+                position: joints[0],
+                limit: 5.0,
+            });
+        }
+        Ok([
+            100.0 * joints[0],
+            100.0 * joints[1].sinh(),
+            100.0 * joints[2],
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+        ])
+    }
+    fn joints(&self, motors: &Axes) -> Result<Axes, ArmError> {
+        Ok([
+            motors[0] / 100.0,
+            (motors[1] / 100.0).asinh(),
+            motors[2] / 100.0,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+        ])
+    }
+}
+
+/// The servo's end of the link: does what it is told, a period at a time, and jumps to the end of each macrostep.
+struct Script {
+    orders: rtrb::Consumer<Order>,
+    reports: rtrb::Producer<Report>,
+    report: Report,
+    queue: VecDeque<Macrostep>,
+    done: u16,
+    moving: [f64; MAX_AXES],
+    log: Vec<Order>,
+    /// Whether it takes orders at all.
+    deaf: bool,
+    fault: Option<ServoFault>,
+}
+
+impl Script {
+    fn phase(&mut self, phase: Phase) {
+        self.report.phase = phase;
+        self.say();
+    }
+
+    fn say(&mut self) {
+        self.report.measured = self.report.commanded;
+        self.reports
+            .push(self.report)
+            .expect("the ECP reads reports");
+    }
+
+    fn fail(&mut self, fault: ServoFault) {
+        self.queue.clear();
+        self.done = 0;
+        self.moving = [0.0; MAX_AXES];
+        self.report.fault = Some(fault);
+        self.phase(Phase::Faulted);
+    }
+
+    fn period(&mut self, now: Instant) {
+        self.report.at = now;
+        if let Some(fault) = self.fault.take() {
+            self.fail(fault);
+        }
+        while !self.deaf
+            && let Ok(order) = self.orders.pop()
+        {
+            self.log.push(order);
+            match order {
+                Order::Enable => self.phase(Phase::Standing),
+                Order::Home => {
+                    self.phase(Phase::Homing);
+                    self.report.homed = true;
+                    self.phase(Phase::Standing);
+                }
+                Order::Move(_) if !matches!(self.report.phase, Phase::Standing | Phase::Moving) => {
+                }
+                Order::Move(macrostep) => self.queue.push_back(macrostep),
+                Order::Stop => {
+                    self.queue.clear();
+                    self.done = 0;
+                    self.moving = [0.0; MAX_AXES];
+                    if self.report.phase == Phase::Moving {
+                        self.phase(Phase::Stopping);
+                        self.phase(Phase::Standing);
+                    }
+                }
+                Order::Disable => self.phase(Phase::Off),
+                Order::ResetFault => {
+                    self.report.fault = None;
+                    self.phase(Phase::Off);
+                }
+            }
+        }
+        let Some(macrostep) = self.queue.front().copied() else {
+            if self.moving != [0.0; MAX_AXES] {
+                self.fail(ServoFault {
+                    axis: 0,
+                    cause: StopCause::Starved {
+                        last: self.report.macrostep,
+                    },
+                });
+            } else if self.report.phase == Phase::Moving {
+                self.phase(Phase::Standing);
+            }
+            return;
+        };
+        if self.done == 0 {
+            self.report.macrostep = macrostep.number;
+            if self.report.phase != Phase::Moving {
+                self.phase(Phase::Moving);
+            }
+        }
+        self.done += 1;
+        if self.done == macrostep.report_at {
+            self.say();
+        }
+        if self.done == macrostep.steps {
+            self.report.commanded = macrostep.position;
+            self.moving = macrostep.velocity;
+            self.queue.pop_front();
+            self.done = 0;
+        }
+    }
+
+    fn moves(&self) -> impl Iterator<Item = &Macrostep> {
+        self.log.iter().filter_map(|order| {
+            if let Order::Move(macrostep) = order {
+                Some(macrostep)
+            } else {
+                None
+            }
+        })
+    }
+}
+
+struct Bench {
+    ecp: Ecp<Gantry>,
+    servo: Script,
+    now: Instant,
+    /// The ECP is polled every so many periods.
+    poll_every: u32,
+}
+
+impl Bench {
+    fn new(room: usize) -> Self {
+        let (orders, servo_orders) = rtrb::RingBuffer::new(room);
+        let (servo_reports, reports) = rtrb::RingBuffer::new(64);
+        let report = Report {
+            at: Instant::ZERO,
+            phase: Phase::Off,
+            homed: false,
+            macrostep: 0,
+            commanded: [0.0; MAX_AXES],
+            measured: [0.0; MAX_AXES],
+            velocity: [0.0; MAX_AXES],
+            fault: None,
+        };
+        let servo = Script {
+            orders: servo_orders,
+            reports: servo_reports,
+            report,
+            queue: VecDeque::new(),
+            done: 0,
+            moving: [0.0; MAX_AXES],
+            log: Vec::new(),
+            deaf: false,
+            fault: None,
+        };
+        let ecp = Ecp::new(Gantry, EffectorLink { orders, reports }, EcpConfig::usual());
+        Self {
+            ecp,
+            servo,
+            now: Instant::ZERO,
+            poll_every: 1,
+        }
+    }
+
+    /// Runs until the task is over, 100 s at most, and returns its events.
+    fn run(&mut self, task: Task) -> Vec<Event> {
+        self.ecp.execute(task).unwrap();
+        self.go_on(|_| {})
+    }
+
+    fn go_on(&mut self, mut each_period: impl FnMut(&mut Self)) -> Vec<Event> {
+        let mut events = Vec::new();
+        for period in 0..50_000 {
+            if period % self.poll_every == 0 {
+                while let Some(event) = self.ecp.poll(self.now) {
+                    events.push(event);
+                }
+                if self.ecp.status().instruction.is_none() {
+                    return events;
+                }
+            }
+            each_period(self);
+            self.servo.period(self.now);
+            self.now += PERIOD;
+        }
+        panic!("still busy: {:?} after {events:?}", self.ecp.status());
+    }
+
+    fn ready() -> Self {
+        let mut bench = Self::new(16);
+        assert_eq!(bench.run(Task::new().enable().home()), finished(2));
+        bench
+    }
+}
+
+fn finished(count: usize) -> Vec<Event> {
+    (0..count)
+        .map(|instruction| Event {
+            instruction,
+            outcome: Ok(()),
+        })
+        .collect()
+}
+
+fn failed(error: EcpError) -> Vec<Event> {
+    vec![Event {
+        instruction: 0,
+        outcome: Err(error),
+    }]
+}
+
+fn limits() -> MotionLimits {
+    MotionLimits::uniform(1.0, 5.0, 50.0)
+}
+
+fn to(x: f64, y: f64, z: f64) -> Newsmooth {
+    let pose = SmoothPose::fast([x, y, z, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    Newsmooth::new(Space::Joints, 3, limits(), vec![pose]).unwrap()
+}
+
+/// Pushes axis 0 at 0.5 m/s until the measured joint is past `until`. Class 1, continuous feedback.
+struct Push {
+    until: f64,
+}
+
+impl Generator for Push {
+    type First = ();
+    type Every = EffectorImage;
+    type Memory = u32;
+    fn first_step(&mut self, _: &(), _: Duration) -> Result<Next<u32>, GeneratorError> {
+        Ok(Next::remember(0))
+    }
+    fn terminal(&self, _: &u32, e: &EffectorImage) -> bool {
+        e.measured.joints.position[0] > self.until
+    }
+    fn next_step(&self, steps: &u32, _: &EffectorImage) -> Result<Next<u32>, GeneratorError> {
+        let by = AxesState {
+            position: axis_0(0.01),
+            velocity: axis_0(0.5),
+        };
+        Ok(Next::command(Setpoint::JointsBy(by), steps + 1))
+    }
+}
+
+/// Asks for the same set-point three times, then gives up.
+struct Ask(Setpoint);
+
+impl Generator for Ask {
+    type First = ();
+    type Every = ();
+    type Memory = u16;
+    fn first_step(&mut self, _: &(), _: Duration) -> Result<Next<u16>, GeneratorError> {
+        Ok(Next::remember(0))
+    }
+    fn terminal(&self, _: &u16, _: &()) -> bool {
+        false
+    }
+    fn next_step(&self, step: &u16, _: &()) -> Result<Next<u16>, GeneratorError> {
+        if *step == 3 {
+            Err(GeneratorError::User(7))
+        } else {
+            Ok(Next::command(self.0, step + 1))
+        }
+    }
+}
+
+fn axis_0(value: f64) -> Axes {
+    [value, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+}
+
+#[test]
+fn a_task_runs_in_order_and_each_motion_begins_where_the_last_one_ended() {
+    let mut bench = Bench::new(16);
+    let back = JerkLimited::new(Space::Joints, 3, limits(), &[[0.0; MAX_AXES]]).unwrap();
+    let wait = Wait {
+        duration: Duration::from_millis(50),
+    };
+    let task = Task::new()
+        .enable()
+        .home()
+        .run(to(0.5, 0.3, -0.2))
+        .run(wait)
+        .run(back)
+        .disable();
+    assert_eq!(bench.run(task), finished(6));
+
+    let moves: Vec<_> = bench.servo.moves().copied().collect();
+    assert!(
+        moves
+            .windows(2)
+            .all(|pair| pair[1].number == pair[0].number + 1)
+    );
+    let turn = moves
+        .iter()
+        .position(|m| (m.position[0] - 50.0).abs() < 1e-9)
+        .unwrap();
+    for standing in &moves[turn..turn + 4] {
+        assert_eq!(
+            (standing.position, standing.velocity),
+            (moves[turn].position, [0.0; MAX_AXES])
+        );
+    }
+    assert_eq!(moves.last().unwrap().position, [0.0; MAX_AXES]);
+    assert_eq!(bench.ecp.status().phase, Phase::Off);
+}
+
+#[test]
+fn homing_is_skipped_when_every_axis_is_homed() {
+    let mut bench = Bench::ready();
+    bench.servo.log.clear();
+    assert_eq!(bench.run(Task::new().enable().home()), finished(2));
+    assert_eq!(bench.servo.log, []);
+}
+
+#[test]
+fn motor_velocities_are_the_derivative_of_motor_positions() {
+    let mut bench = Bench::ready();
+    assert_eq!(bench.run(Task::new().run(to(0.1, 1.5, 1.5))), finished(1));
+    for macrostep in bench.servo.moves() {
+        // d/dt 100 sinh y = 100 cosh y · dy/dt, and y goes along with z.
+        let ratio = (macrostep.position[1] / 100.0).hypot(1.0);
+        let (y, z) = (macrostep.velocity[1], macrostep.velocity[2]);
+        assert!(
+            (y - ratio * z).abs() < 1e-8 * y.abs() + 1e-9,
+            "{y} {z} {ratio}"
+        );
+    }
+}
+
+#[test]
+fn an_open_loop_generator_survives_a_controller_that_is_three_macrosteps_late() {
+    let mut bench = Bench::ready();
+    bench.poll_every = 30;
+    assert_eq!(bench.run(Task::new().run(to(1.0, 0.0, 0.0))), finished(1));
+}
+
+#[test]
+fn nothing_is_sent_further_ahead_than_the_lead() {
+    let mut bench = Bench::ready();
+    bench
+        .ecp
+        .execute(Task::new().run(to(1.0, 0.0, 0.0)))
+        .unwrap();
+    let mut most = 0;
+    let events = bench.go_on(|bench| {
+        let Status { sent, executed, .. } = bench.ecp.status();
+        most = most.max(sent - executed);
+    });
+    assert_eq!(events, finished(1));
+    assert_eq!(most, 4);
+}
+
+#[test]
+fn a_generator_that_reads_the_effector_gets_one_macrostep_per_report_and_stops_on_it() {
+    let mut bench = Bench::ready();
+    bench
+        .ecp
+        .execute(Task::new().run(Push { until: 0.1 }))
+        .unwrap();
+    let mut most = 0;
+    let events = bench.go_on(|bench| {
+        let Status { sent, executed, .. } = bench.ecp.status();
+        most = most.max(sent - executed);
+    });
+    assert_eq!(events, finished(1));
+    assert_eq!(most, 1);
+    assert_eq!(
+        bench.servo.log.last(),
+        Some(&Order::Stop),
+        "it ended in motion, so it was braked"
+    );
+    let measured = bench.ecp.image().unwrap().measured.joints.position[0];
+    assert!((0.1..0.13).contains(&measured), "{measured}");
+}
+
+#[test]
+fn a_full_queue_delays_orders_and_loses_none() {
+    let mut bench = Bench::new(1);
+    assert_eq!(
+        bench.run(Task::new().enable().home().run(to(1.0, 0.0, 0.0))),
+        finished(3)
+    );
+    let numbers: Vec<u64> = bench.servo.moves().map(|m| m.number).collect();
+    assert_eq!(numbers, (1..=numbers.len() as u64).collect::<Vec<_>>());
+    assert_eq!(bench.servo.report.commanded[0], 100.0);
+}
+
+#[test]
+fn what_a_generator_must_not_ask_for_is_refused_with_everything_at_rest() {
+    let there = |x: f64, v: f64| AxesState {
+        position: axis_0(x),
+        velocity: axis_0(v),
+    };
+    let pose = |x: f64| Setpoint::Pose {
+        pose: Pose::translation(x, 0.0, 0.0),
+        linear: Vector3::x(),
+        angular: Vector3::zeros(),
+    };
+    let limit = ArmError::JointLimit {
+        axis: 0,
+        position: 6.0,
+        limit: 5.0,
+    };
+    let cases = [
+        (
+            Setpoint::Joints(there(6.0, 0.0)),
+            EcpError::OutOfReach {
+                step: 0,
+                error: limit,
+            },
+        ),
+        (
+            pose(6.0),
+            EcpError::OutOfReach {
+                step: 0,
+                error: limit,
+            },
+        ),
+        (
+            Setpoint::Motors(there(f64::NAN, 0.0)),
+            EcpError::NotFinite { step: 0, axis: 0 },
+        ),
+        (
+            Setpoint::Joints(there(0.0, f64::INFINITY)),
+            EcpError::NotFinite { step: 0, axis: 0 },
+        ),
+        (
+            Setpoint::Joints(there(1.0, 1.0)),
+            EcpError::Generator {
+                step: 3,
+                error: GeneratorError::User(7),
+            },
+        ),
+        (
+            pose(1.0),
+            EcpError::Generator {
+                step: 3,
+                error: GeneratorError::User(7),
+            },
+        ),
+    ];
+    for (setpoint, error) in cases {
+        let mut bench = Bench::ready();
+        let task = Task::new().run(Ask(setpoint)).run(to(1.0, 0.0, 0.0));
+        assert_eq!(bench.run(task), failed(error), "{setpoint:?}");
+        assert_eq!(bench.servo.log.last(), Some(&Order::Stop), "{setpoint:?}");
+        assert_eq!(bench.ecp.status().phase, Phase::Standing, "{setpoint:?}");
+        assert_eq!(
+            bench.run(Task::new().run(to(0.5, 0.0, 0.0))),
+            finished(1),
+            "{setpoint:?}"
+        );
+    }
+}
+
+#[test]
+fn a_servo_fault_ends_the_task_and_is_passed_on() {
+    let fault = ServoFault {
+        axis: 1,
+        cause: StopCause::FollowingError {
+            error: 2.0,
+            limit: 1.5,
+        },
+    };
+    let mut bench = Bench::ready();
+    bench
+        .ecp
+        .execute(Task::new().run(to(1.0, 0.0, 0.0)).run(to(0.0, 0.0, 0.0)))
+        .unwrap();
+    let events = bench.go_on(|bench| {
+        if bench.ecp.status().executed == 10 {
+            bench.servo.fault.get_or_insert(fault);
+        }
+    });
+    assert_eq!(events, failed(EcpError::Servo(fault)));
+    bench.servo.fault = None;
+    assert_eq!(
+        bench.run(Task::new().enable()),
+        failed(EcpError::Servo(fault)),
+        "latched"
+    );
+    assert_eq!(
+        bench.run(Task::new().reset_fault().enable().run(to(0.0, 0.0, 0.0))),
+        finished(3)
+    );
+}
+
+#[test]
+fn stop_brakes_and_drops_the_rest() {
+    let mut bench = Bench::ready();
+    bench
+        .ecp
+        .execute(Task::new().run(to(1.0, 0.0, 0.0)).run(to(0.0, 0.0, 0.0)))
+        .unwrap();
+    let events = bench.go_on(|bench| {
+        if bench.ecp.status().executed == 10 {
+            bench.ecp.stop();
+        }
+    });
+    assert_eq!(events, failed(EcpError::Stopped));
+    assert_eq!(bench.servo.log.last(), Some(&Order::Stop));
+    let stood = bench.servo.report.commanded[0];
+    assert!(stood > 0.0 && stood < 100.0);
+    assert_eq!(
+        bench.run(Task::new().run(to(1.0, 0.0, 0.0))),
+        finished(1),
+        "goes on from where it stands"
+    );
+    assert_eq!(bench.servo.report.commanded[0], 100.0);
+}
+
+#[test]
+fn a_motion_needs_drives_on_and_homed_axes() {
+    let mut bench = Bench::new(16);
+    assert_eq!(
+        bench.run(Task::new().run(to(1.0, 0.0, 0.0))),
+        failed(EcpError::NotStanding { phase: Phase::Off })
+    );
+    assert_eq!(
+        bench.run(Task::new().home()),
+        failed(EcpError::NotStanding { phase: Phase::Off })
+    );
+    assert_eq!(bench.run(Task::new().enable()), finished(1));
+    assert_eq!(
+        bench.run(Task::new().run(to(1.0, 0.0, 0.0))),
+        failed(EcpError::NotHomed)
+    );
+    assert_eq!(bench.servo.moves().count(), 0);
+}
+
+#[test]
+fn a_servo_that_takes_no_orders_is_reported_in_time() {
+    let mut bench = Bench::new(16);
+    bench.servo.deaf = true;
+    let waited = EcpConfig::usual().switching + PERIOD;
+    assert_eq!(
+        bench.run(Task::new().enable()),
+        failed(EcpError::TimedOut {
+            phase: Phase::Off,
+            waited
+        })
+    );
+
+    let mut bench = Bench::ready();
+    bench.servo.deaf = true;
+    let events = bench.run(Task::new().run(to(1.0, 0.0, 0.0)));
+    assert!(
+        matches!(
+            events[..],
+            [Event {
+                instruction: 0,
+                outcome: Err(EcpError::Silent { .. })
+            }]
+        ),
+        "{events:?}"
+    );
+}
+
+#[test]
+fn a_second_task_is_refused_while_one_is_under_way() {
+    let mut bench = Bench::new(16);
+    bench.ecp.execute(Task::new().enable()).unwrap();
+    assert_eq!(
+        bench.ecp.execute(Task::new().disable()),
+        Err(Busy { instruction: 0 })
+    );
+}

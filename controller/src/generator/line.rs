@@ -1,0 +1,344 @@
+use std::time::Duration;
+
+use nalgebra::{Translation3, UnitQuaternion, Vector3};
+use rsruckig::prelude::{
+    DataArrayOrVec, InputParameter, Ruckig, RuckigResult, ThrowErrorHandler, Trajectory,
+};
+
+use super::newsmooth::whole_macrosteps;
+use super::{
+    Arm, Axes, AxesState, EffectorImage, Generator, GeneratorError, MotionLimits, Next, Pose,
+    Setpoint,
+};
+
+/// Spacing of the poses that are checked beforehand: at most 5 mm and 10 mrad apart.
+const CHECK_DISTANCE: f64 = 0.005;
+const CHECK_ANGLE: f64 = 0.01;
+/// The fewest and the most poses checked beforehand.
+const CHECKS: (usize, usize) = (32, 2_000);
+/// An axis that moves further than this, rad, between two neighbouring checks has changed its branch.
+const JUMP: f64 = 0.35;
+/// A line that would have to be walked this many times slower for one axis is refused.
+const SLOWEST: f64 = 50.0;
+/// Half the path parameter over which joint positions are differentiated. The error of the difference is
+/// q‴ ε² / 6, about 1e-9 relative, and rounding adds 1e-11 / ε of it.
+const EPSILON: f64 = 1e-5;
+
+/// Limits of the tool on a line.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LineLimits {
+    /// m/s.
+    pub max_velocity: f64,
+    /// m/s².
+    pub max_acceleration: f64,
+    /// m/s³.
+    pub max_jerk: f64,
+    /// rad/s.
+    pub max_angular_velocity: f64,
+    /// rad/s².
+    pub max_angular_acceleration: f64,
+    /// rad/s³.
+    pub max_angular_jerk: f64,
+}
+
+/// A straight line of the tool's origin with the shortest turn of the tool, both in one jerk-limited
+/// profile. Class 1, sporadic feedback.
+///
+/// Before it begins, every pose of it is checked, at most 5 mm and 10 mrad apart: reach, joint limits,
+/// and no jump from one branch of the inverse kinematics to another; the refusal names the place and the
+/// axis. Where a joint would have to exceed its velocity or acceleration limit, near a singularity
+/// for instance, the whole line is walked slower.
+///
+/// Poses are on the line at the ends of macrosteps. Between them motors follow cubics, which leave the
+/// line by the fourth derivative of the joint path times macrostep⁴ / 384.
+///
+/// The first step makes two inverse kinematics per checked pose, each next step three; neither allocates.
+#[derive(Debug)]
+pub struct Line<A> {
+    arm: A,
+    target: Pose,
+    limits: LineLimits,
+    joint_limits: MotionLimits,
+    path: Path,
+    solver: Ruckig<1, ThrowErrorHandler>,
+    input: InputParameter<1>,
+    trajectory: Trajectory<1>,
+    macrosteps: u32,
+    /// Trajectory seconds per macrostep.
+    step: f64,
+    /// Trajectory seconds per second, at most 1.
+    pace: f64,
+}
+
+/// The geometry: tool poses over the path parameter `s`, 0 to 1.
+#[derive(Clone, Copy, Debug)]
+struct Path {
+    from: Pose,
+    to: Pose,
+    /// Base frame, m.
+    displacement: Vector3<f64>,
+    /// Rotation vector in the frame of the first pose, rad, no longer than π.
+    turn: Vector3<f64>,
+}
+
+impl Path {
+    fn between(from: &Pose, to: &Pose) -> Self {
+        let displacement = to.translation.vector - from.translation.vector;
+        let turn = (from.rotation.inverse() * to.rotation).scaled_axis();
+        Self {
+            from: *from,
+            to: *to,
+            displacement,
+            turn,
+        }
+    }
+
+    fn at(&self, s: f64) -> Pose {
+        if s >= 1.0 {
+            return self.to;
+        }
+        let position = self.from.translation.vector + self.displacement * s;
+        let rotation = self.from.rotation * UnitQuaternion::from_scaled_axis(self.turn * s);
+        Pose::from_parts(Translation3::from(position), rotation)
+    }
+
+    /// Checks needed so that neighbours are close.
+    fn checks(&self) -> usize {
+        let count = (self.displacement.norm() / CHECK_DISTANCE)
+            .max(self.turn.norm() / CHECK_ANGLE)
+            .ceil();
+        (count as usize).clamp(CHECKS.0, CHECKS.1)
+    }
+}
+
+/// Velocity, acceleration and jerk of the path parameter, 1/s and so on.
+#[derive(Clone, Copy, Debug)]
+struct Rates {
+    velocity: f64,
+    acceleration: f64,
+    jerk: f64,
+}
+
+/// Where a line has come to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LineMemory {
+    /// Macrosteps done.
+    done: u32,
+    /// Joints there, which choose the branch of the next inverse kinematics.
+    joints: Axes,
+}
+
+impl<A: Arm> Line<A> {
+    /// From where the effector stands to `target`, base from tool.
+    pub fn new(
+        arm: A,
+        target: Pose,
+        limits: LineLimits,
+        joint_limits: MotionLimits,
+    ) -> Result<Self, GeneratorError> {
+        joint_limits.check(arm.axes())?;
+        let LineLimits {
+            max_velocity,
+            max_acceleration,
+            max_jerk,
+            max_angular_velocity,
+            max_angular_acceleration,
+            max_angular_jerk,
+        } = limits;
+        for limit in [
+            max_velocity,
+            max_acceleration,
+            max_jerk,
+            max_angular_velocity,
+            max_angular_acceleration,
+            max_angular_jerk,
+        ] {
+            if !(limit.is_finite() && limit > 0.0) {
+                return Err(GeneratorError::PathLimit);
+            }
+        }
+        let coordinates = target
+            .translation
+            .vector
+            .iter()
+            .chain(target.rotation.coords.iter());
+        if let Some(axis) = coordinates.into_iter().position(|c| !c.is_finite()) {
+            return Err(GeneratorError::NotFinite {
+                pose: 0,
+                axis: axis as u8,
+            });
+        }
+        Ok(Self {
+            arm,
+            target,
+            limits,
+            joint_limits,
+            path: Path::between(&target, &target),
+            solver: Ruckig::new(None, 1.0),
+            input: InputParameter::new(None),
+            trajectory: Trajectory::new(None),
+            macrosteps: 0,
+            step: 0.0,
+            pace: 1.0,
+        })
+    }
+
+    /// Macrosteps the planned line takes; 0 before its first step.
+    pub const fn macrosteps(&self) -> u32 {
+        self.macrosteps
+    }
+
+    /// What the tool's limits allow; `None` if the line has no length.
+    fn tool_rates(&self) -> Option<Rates> {
+        let length = self.path.displacement.norm();
+        let angle = self.path.turn.norm();
+        let rate = |linear: f64, angular: f64| (linear / length).min(angular / angle);
+        (length > 1e-12 || angle > 1e-12).then(|| Rates {
+            velocity: rate(self.limits.max_velocity, self.limits.max_angular_velocity),
+            acceleration: rate(
+                self.limits.max_acceleration,
+                self.limits.max_angular_acceleration,
+            ),
+            jerk: rate(self.limits.max_jerk, self.limits.max_angular_jerk),
+        })
+    }
+
+    /// Walks the whole line and returns by how much it must be slowed, at least 1.
+    fn slowdown(&self, start: &Axes, rates: &Rates) -> Result<f64, GeneratorError> {
+        let checks = self.path.checks();
+        let ds = 1.0 / checks as f64;
+        let axes = self.arm.axes();
+        let mut slowdown: f64 = 1.0;
+        let mut joints = *start;
+        let mut slopes: Option<Axes> = None;
+        for check in 1..=checks {
+            let s = if check == checks {
+                1.0
+            } else {
+                check as f64 * ds
+            };
+            let ahead = self.inverse(s, &joints)?;
+            let mut slope = [0.0; servo::MAX_AXES];
+            // The profile can be no faster here than what it gained since, or loses until, the ends.
+            let reach = (s - ds / 2.0).min(1.0 - s + ds / 2.0);
+            let velocity = rates
+                .velocity
+                .min((2.0 * rates.acceleration * reach).sqrt());
+            for axis in 0..axes {
+                if (ahead[axis] - joints[axis]).abs() > JUMP {
+                    return Err(GeneratorError::Jump {
+                        s,
+                        axis: axis as u8,
+                    });
+                }
+                slope[axis] = (ahead[axis] - joints[axis]) / ds;
+                let bend = slopes.map_or(0.0, |last| (slope[axis] - last[axis]) / ds);
+                let speed = slope[axis].abs() * velocity / self.joint_limits.max_velocity[axis];
+                let push = (slope[axis].abs() * rates.acceleration
+                    + bend.abs() * velocity * velocity)
+                    / self.joint_limits.max_acceleration[axis];
+                let times = speed.max(push.sqrt());
+                if times > SLOWEST {
+                    return Err(GeneratorError::Singular {
+                        s,
+                        axis: axis as u8,
+                        times,
+                    });
+                }
+                slowdown = slowdown.max(times);
+            }
+            joints = ahead;
+            slopes = Some(slope);
+        }
+        Ok(slowdown)
+    }
+
+    fn inverse(&self, s: f64, near: &Axes) -> Result<Axes, GeneratorError> {
+        self.arm
+            .inverse(&self.path.at(s), near)
+            .map_err(|cause| GeneratorError::Path { s, cause })
+    }
+}
+
+impl<A: Arm> Generator for Line<A> {
+    type First = EffectorImage;
+    type Every = ();
+    type Memory = LineMemory;
+
+    fn first_step(
+        &mut self,
+        e: &EffectorImage,
+        macrostep: Duration,
+    ) -> Result<Next<LineMemory>, GeneratorError> {
+        if macrostep.is_zero() {
+            return Err(GeneratorError::NoMacrostep);
+        }
+        let memory = LineMemory {
+            done: 0,
+            joints: e.commanded.joints.position,
+        };
+        self.path = Path::between(&e.commanded.pose, &self.target);
+        self.macrosteps = 0;
+        let Some(rates) = self.tool_rates() else {
+            return Ok(Next::remember(memory));
+        };
+        let slowdown = self.slowdown(&memory.joints, &rates)?;
+        self.input.target_position[0] = 1.0;
+        self.input.max_velocity[0] = rates.velocity / slowdown;
+        self.input.max_acceleration[0] = rates.acceleration / slowdown.powi(2);
+        self.input.max_jerk[0] = rates.jerk / slowdown.powi(3);
+        match self.solver.calculate(&self.input, &mut self.trajectory) {
+            Ok(RuckigResult::Working | RuckigResult::Finished) => {}
+            Ok(_) | Err(_) => return Err(GeneratorError::NoProfile),
+        }
+        let macrostep = macrostep.as_secs_f64();
+        let duration = self.trajectory.get_duration();
+        self.macrosteps = whole_macrosteps(duration, macrostep)?;
+        self.step = duration / f64::from(self.macrosteps.max(1));
+        self.pace = self.step / macrostep;
+        Ok(Next::remember(memory))
+    }
+
+    fn terminal(&self, memory: &LineMemory, _: &()) -> bool {
+        memory.done == self.macrosteps
+    }
+
+    fn next_step(&self, memory: &LineMemory, _: &()) -> Result<Next<LineMemory>, GeneratorError> {
+        let done = memory.done + 1;
+        if done == self.macrosteps {
+            let joints = self.inverse(1.0, &memory.joints)?;
+            return Ok(Next::command(
+                Setpoint::Joints(AxesState::at_rest(joints)),
+                LineMemory { done, joints },
+            ));
+        }
+        let mut position = DataArrayOrVec::Stack([0.0]);
+        let mut velocity = DataArrayOrVec::Stack([0.0]);
+        let t = f64::from(done) * self.step;
+        self.trajectory.at_time(
+            t,
+            &mut Some(&mut position),
+            &mut Some(&mut velocity),
+            &mut None,
+            &mut None,
+            &mut None,
+        );
+        let s = position[0].clamp(0.0, 1.0);
+        let rate = velocity[0] * self.pace;
+
+        let joints = self.inverse(s, &memory.joints)?;
+        let (before, after) = ((s - EPSILON).max(0.0), (s + EPSILON).min(1.0));
+        let (behind, ahead) = (
+            self.inverse(before, &joints)?,
+            self.inverse(after, &joints)?,
+        );
+        let mut state = AxesState::at_rest(joints);
+        for axis in 0..self.arm.axes() {
+            state.velocity[axis] = (ahead[axis] - behind[axis]) / (after - before) * rate;
+        }
+        Ok(Next::command(
+            Setpoint::Joints(state),
+            LineMemory { done, joints },
+        ))
+    }
+}

@@ -1,0 +1,214 @@
+//! Motion generators: what decides, macrostep after macrostep, where an effector goes next.
+//!
+//! A subcontroller `Cj` knows the world by *images*: of its effector `e`, of its virtual sensors `V`
+//! and of the coordinator's command `a0`; `c` is its own memory. In each step `i` a generator
+//! computes from one snapshot of them (Zieliński, RoManSy 2002, equations 5 to 8)
+//!
+//! ```text
+//! (5) e(i+1)   = fe (c, e, V, a0)      the effector's next state
+//! (6) V(i+1)   = fv (c, e, V, a0)      what the sensors are told
+//! (7) aj0(i+1) = fa (c, e, V, a0)      what the coordinator is answered
+//! (8) c(i+1)   = fc (c, e, V, a0)      its own memory
+//! ```
+//!
+//! and, before it does so, the *terminal condition* `fT(c, e, V, a0)`. [`Generator`] is that contract;
+//! [`Execution`] walks the flow chart of the paper's figure 3: first step, then, on every new snapshot,
+//! terminal condition and next step.
+//!
+//! # What a generator may read
+//! It declares the images it reads as types, those of its [first step](Generator::First) (sporadic
+//! feedback) and those of [every next step](Generator::Every) (continuous feedback), and is handed
+//! nothing else. The paper's eight classes follow: *q* = `e` + 2 `V` + 4 `a0` (the numbering is ours).
+//! A generator whose next steps read nothing but its own memory may run ahead of the servo by a few
+//! macrosteps, so that a late controller thread does not starve the motion.
+//!
+//! Effector images are complete today; `V` and `a0` join as further [`Images`] and as further
+//! optional parts of [`Next`], which no generator written before needs to know.
+//!
+//! # A generator of one's own
+//! This one swings joint 0 out and back, once. It reads the effector only to learn where it begins.
+//!
+//! ```
+//! use std::f64::consts::TAU;
+//! use std::time::Duration;
+//! use mrroc_controller::generator::{AxesState, EffectorImage, Generator, GeneratorError, Next, Setpoint};
+//!
+//! struct Swing { amplitude: f64, steps: u32, start: AxesState, dt: f64 }
+//!
+//! impl Generator for Swing {
+//!     type First = EffectorImage;
+//!     type Every = ();
+//!     type Memory = u32;
+//!
+//!     fn first_step(&mut self, e: &EffectorImage, macrostep: Duration) -> Result<Next<u32>, GeneratorError> {
+//!         self.start = e.commanded.joints;
+//!         self.dt = macrostep.as_secs_f64();
+//!         Ok(Next::remember(0))
+//!     }
+//!     fn terminal(&self, step: &u32, _: &()) -> bool {
+//!         *step == self.steps
+//!     }
+//!     fn next_step(&self, step: &u32, _: &()) -> Result<Next<u32>, GeneratorError> {
+//!         let omega = TAU / f64::from(self.steps);
+//!         let phase = omega * f64::from(step + 1);
+//!         let mut joints = self.start;
+//!         joints.position[0] += self.amplitude * (1.0 - phase.cos()) / 2.0;
+//!         joints.velocity[0] = self.amplitude * omega / self.dt * phase.sin() / 2.0;
+//!         Ok(Next::command(Setpoint::Joints(joints), step + 1))
+//!     }
+//! }
+//! ```
+//!
+//! A step that names an image it did not declare does not compile:
+//!
+//! ```compile_fail
+//! # use std::time::Duration;
+//! # use mrroc_controller::generator::{EffectorImage, Generator, GeneratorError, Next};
+//! struct Blind;
+//! impl Generator for Blind {
+//!     type First = ();
+//!     type Every = ();
+//!     type Memory = ();
+//!     fn first_step(&mut self, _: &(), _: Duration) -> Result<Next<()>, GeneratorError> { Ok(Next::remember(())) }
+//!     fn terminal(&self, _: &(), e: &EffectorImage) -> bool { e.macrostep > 10 }
+//!     fn next_step(&self, _: &(), _: &()) -> Result<Next<()>, GeneratorError> { Ok(Next::remember(())) }
+//! }
+//! ```
+//!
+//! Read [`Generator`] first, then [`Wait`] for the smallest one and [`Newsmooth`] for a planned one.
+
+mod arm;
+mod error;
+mod execution;
+mod image;
+mod jerk_limited;
+mod line;
+mod newsmooth;
+mod profile;
+#[cfg(test)]
+mod tests;
+mod wait;
+
+use std::time::Duration;
+
+pub use arm::{Arm, ArmError};
+pub use error::GeneratorError;
+pub(crate) use execution::Run;
+pub use execution::{Execution, Step};
+pub use image::{
+    Axes, AxesState, EffectorImage, EffectorState, ImageSource, Images, Pose, Setpoint,
+};
+pub use jerk_limited::JerkLimited;
+pub use line::{Line, LineLimits, LineMemory};
+pub use newsmooth::{Newsmooth, Progress, SmoothPose, Space};
+pub use wait::Wait;
+
+/// Per-axis limits that a generator plans within; entries beyond the robot's axes are not looked at.
+///
+/// The servo checks its own limits on the cubics it draws between macrosteps. A cubic through samples
+/// of a trapezoid needs up to 5/3 of the trapezoid's acceleration in the macrostep in which full
+/// acceleration turns into full braking, so the servo's acceleration limit must leave that room.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MotionLimits {
+    /// rad/s, or m/s for a linear axis.
+    pub max_velocity: Axes,
+    /// rad/s² or m/s².
+    pub max_acceleration: Axes,
+    /// rad/s³ or m/s³; only jerk-limited generators look at it.
+    pub max_jerk: Axes,
+}
+
+impl MotionLimits {
+    /// The same limits for every axis.
+    pub const fn uniform(max_velocity: f64, max_acceleration: f64, max_jerk: f64) -> Self {
+        Self {
+            max_velocity: [max_velocity; servo::MAX_AXES],
+            max_acceleration: [max_acceleration; servo::MAX_AXES],
+            max_jerk: [max_jerk; servo::MAX_AXES],
+        }
+    }
+
+    /// Refuses limits that are not positive and finite for one of the first `axes` axes.
+    fn check(&self, axes: usize) -> Result<(), GeneratorError> {
+        let positive = |v: f64| v.is_finite() && v > 0.0;
+        for axis in 0..axes {
+            if ![
+                self.max_velocity[axis],
+                self.max_acceleration[axis],
+                self.max_jerk[axis],
+            ]
+            .iter()
+            .all(|&v| positive(v))
+            {
+                return Err(GeneratorError::Limit { axis: axis as u8 });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The functions (5) to (8) and the terminal condition of one motion instruction.
+///
+/// Next steps take `&self`, the old memory and one snapshot, and return what follows; the runner
+/// commits it as a whole. What a plan needs is laid down in `self` by the first step. Next steps must
+/// not allocate or block: each has one macrostep, less the report's lead, until the servo needs it.
+pub trait Generator {
+    /// Images the first step reads: sporadic feedback.
+    type First: Images;
+    /// Images that the terminal condition and every next step read: continuous feedback.
+    type Every: Images;
+    /// Its own memory, `c`.
+    type Memory: Copy;
+
+    /// Plans the motion and gives the first outputs and memory. The effector stands. Here, and only
+    /// here, a generator may take longer than a macrostep.
+    fn first_step(
+        &mut self,
+        images: &Self::First,
+        macrostep: Duration,
+    ) -> Result<Next<Self::Memory>, GeneratorError>;
+
+    /// `fT`: whether the instruction ends. Asked on each new snapshot before [`next_step`](Self::next_step).
+    fn terminal(&self, memory: &Self::Memory, images: &Self::Every) -> bool;
+
+    /// (5) to (8): the outputs and the memory of the next step.
+    fn next_step(
+        &self,
+        memory: &Self::Memory,
+        images: &Self::Every,
+    ) -> Result<Next<Self::Memory>, GeneratorError>;
+}
+
+/// The class of a generator, *q* = `e` + 2 `V` + 4 `a0`, 0 to 7.
+pub const fn class<G: Generator>() -> u8 {
+    G::First::CLASS | G::Every::CLASS
+}
+
+/// What one step computes, committed as a whole.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct Next<M> {
+    /// (5) Where the effector is to be at the end of the next macrostep. `None` asks nothing of it: after
+    /// a first step no macrostep is sent, after a next step the effector stands through one.
+    pub effector: Option<Setpoint>,
+    /// (8) The memory of the next step.
+    pub memory: M,
+}
+
+impl<M> Next<M> {
+    /// Commands the effector.
+    pub const fn command(effector: Setpoint, memory: M) -> Self {
+        Self {
+            effector: Some(effector),
+            memory,
+        }
+    }
+
+    /// Asks nothing of the effector.
+    pub const fn remember(memory: M) -> Self {
+        Self {
+            effector: None,
+            memory,
+        }
+    }
+}

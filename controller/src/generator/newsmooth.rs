@@ -1,0 +1,328 @@
+use std::time::Duration;
+
+use servo::MAX_AXES;
+
+use super::profile::{Course, Trapezoid};
+use super::{
+    Axes, AxesState, EffectorImage, Generator, GeneratorError, MotionLimits, Next, Setpoint,
+};
+
+/// The most macrosteps one motion may take: almost six hours at 20 ms.
+pub(super) const MAX_MACROSTEPS: u32 = 1 << 20;
+
+/// Whether coordinates mean joints or motors.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Space {
+    /// Joints, rad or m.
+    Joints,
+    /// Motors, rad.
+    Motors,
+}
+
+impl Space {
+    pub(super) const fn commanded(self, image: &EffectorImage) -> AxesState {
+        match self {
+            Self::Joints => image.commanded.joints,
+            Self::Motors => image.commanded.motors,
+        }
+    }
+
+    pub(super) const fn setpoint(self, state: AxesState) -> Setpoint {
+        match self {
+            Self::Joints => Setpoint::Joints(state),
+            Self::Motors => Setpoint::Motors(state),
+        }
+    }
+}
+
+/// One pose of a [`Newsmooth`] motion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SmoothPose {
+    /// Where to.
+    pub position: Axes,
+    /// How much of each axis' velocity limit may be used on the way there, in (0, 1].
+    pub velocity: Axes,
+    /// How much of each axis' acceleration limit may be used on the way there, in (0, 1].
+    pub acceleration: Axes,
+}
+
+impl SmoothPose {
+    /// There, with the limits used in full.
+    pub const fn fast(position: Axes) -> Self {
+        Self {
+            position,
+            velocity: [1.0; MAX_AXES],
+            acceleration: [1.0; MAX_AXES],
+        }
+    }
+}
+
+/// A time-synchronised motion through a list of poses, with constant accelerations and without a
+/// stop where an axis goes on in its direction. Class 1, sporadic feedback.
+///
+/// Every pose is met exactly, at the end of a macrostep. Each segment lasts as long as its slowest axis
+/// needs, rounded up to whole macrosteps, and the other axes are stretched to that time. An axis stands
+/// at a pose where it turns back, rests next or that is the last; elsewhere it passes at no more than
+/// the smaller of its two cruise speeds, those of the stretched axes, and at no more than what it could
+/// lose again within either segment. With that bound each segment can be planned for itself, once.
+///
+/// The first step takes time in proportion to the number of poses and does not allocate.
+#[doc(alias = "smooth")]
+#[derive(Clone, Debug)]
+pub struct Newsmooth {
+    space: Space,
+    axes: usize,
+    limits: MotionLimits,
+    poses: Vec<SmoothPose>,
+    macrostep: f64,
+    segments: Vec<Segment>,
+}
+
+#[derive(Clone, Debug)]
+struct Segment {
+    macrosteps: u32,
+    start: Axes,
+    end: Axes,
+    profiles: [Trapezoid; MAX_AXES],
+}
+
+/// How far a motion has come.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Progress {
+    /// Segments done.
+    segment: usize,
+    /// Macrosteps done of the next one.
+    macrostep: u32,
+}
+
+impl Newsmooth {
+    /// From where the effector stands through `poses`, for its first `axes` axes.
+    pub fn new(
+        space: Space,
+        axes: usize,
+        limits: MotionLimits,
+        poses: Vec<SmoothPose>,
+    ) -> Result<Self, GeneratorError> {
+        if axes == 0 || axes > MAX_AXES {
+            return Err(GeneratorError::Axes {
+                axes,
+                max: MAX_AXES,
+            });
+        }
+        if poses.is_empty() {
+            return Err(GeneratorError::NoPoses);
+        }
+        limits.check(axes)?;
+        for (index, pose) in poses.iter().enumerate() {
+            for axis in 0..axes {
+                if !pose.position[axis].is_finite() {
+                    return Err(GeneratorError::NotFinite {
+                        pose: index,
+                        axis: axis as u8,
+                    });
+                }
+                for value in [pose.velocity[axis], pose.acceleration[axis]] {
+                    if !(value > 0.0 && value <= 1.0) {
+                        return Err(GeneratorError::Fraction {
+                            pose: index,
+                            axis: axis as u8,
+                            value,
+                        });
+                    }
+                }
+            }
+        }
+        let segments = Vec::with_capacity(poses.len());
+        Ok(Self {
+            space,
+            axes,
+            limits,
+            poses,
+            macrostep: 0.0,
+            segments,
+        })
+    }
+
+    /// Macrosteps the planned motion takes; 0 before its first step.
+    pub fn macrosteps(&self) -> u64 {
+        self.segments
+            .iter()
+            .map(|segment| u64::from(segment.macrosteps))
+            .sum()
+    }
+
+    /// Signed distance of one axis on the way to pose `index`; none beyond the last.
+    fn distance(&self, start: &Axes, index: usize, axis: usize) -> f64 {
+        let Some(pose) = self.poses.get(index) else {
+            return 0.0;
+        };
+        let from = if index == 0 {
+            start
+        } else {
+            &self.poses[index - 1].position
+        };
+        pose.position[axis] - from[axis]
+    }
+
+    /// Speed of each axis on the way to pose `index` if it went all the way at one speed and arrived
+    /// with the slowest.
+    fn cruise(&self, start: &Axes, index: usize) -> Axes {
+        let mut time: f64 = 0.0;
+        for axis in 0..self.axes {
+            let limit = self.poses[index].velocity[axis] * self.limits.max_velocity[axis];
+            time = time.max(self.distance(start, index, axis).abs() / limit);
+        }
+        let mut speeds = [0.0; MAX_AXES];
+        for (axis, speed) in speeds.iter_mut().enumerate().take(self.axes) {
+            if time > 0.0 {
+                *speed = self.distance(start, index, axis).abs() / time;
+            }
+        }
+        speeds
+    }
+
+    /// Whether an axis goes on in its direction past pose `index`.
+    fn passes(&self, start: &Axes, index: usize, axis: usize) -> bool {
+        self.distance(start, index, axis) * self.distance(start, index + 1, axis) > 0.0
+    }
+
+    /// Speed of each axis at pose `index`.
+    fn junction(&self, start: &Axes, index: usize) -> Axes {
+        let mut speeds = [0.0; MAX_AXES];
+        if index + 1 >= self.poses.len() {
+            return speeds;
+        }
+        let (before, after) = (self.cruise(start, index), self.cruise(start, index + 1));
+        for (axis, speed) in speeds.iter_mut().enumerate().take(self.axes) {
+            if !self.passes(start, index, axis) {
+                continue;
+            }
+            // Of a segment's 2 a s, each of its ends may claim half; all of it if the other end is a stand.
+            let claim = |segment: usize, other_end_stands: bool| {
+                let a = self.poses[segment].acceleration[axis] * self.limits.max_acceleration[axis];
+                let s = self.distance(start, segment, axis).abs();
+                (if other_end_stands { 2.0 * a * s } else { a * s }).sqrt()
+            };
+            let stood_before = index == 0 || !self.passes(start, index - 1, axis);
+            let stands_after = !self.passes(start, index + 1, axis);
+            *speed = before[axis]
+                .min(after[axis])
+                .min(claim(index, stood_before))
+                .min(claim(index + 1, stands_after));
+        }
+        speeds
+    }
+
+    fn plan(&mut self, start: &Axes) -> Result<(), GeneratorError> {
+        self.segments.clear();
+        let mut from = *start;
+        let mut entry = [0.0; MAX_AXES];
+        let mut total = 0_u32;
+        for index in 0..self.poses.len() {
+            let exit = self.junction(start, index);
+            let pose = &self.poses[index];
+            let course = |axis: usize| Course {
+                distance: (pose.position[axis] - from[axis]).abs(),
+                start_velocity: entry[axis],
+                end_velocity: exit[axis],
+                acceleration: pose.acceleration[axis] * self.limits.max_acceleration[axis],
+            };
+            let mut shortest: f64 = 0.0;
+            for axis in 0..self.axes {
+                shortest = shortest.max(
+                    course(axis).shortest(pose.velocity[axis] * self.limits.max_velocity[axis]),
+                );
+            }
+            let macrosteps = whole_macrosteps(shortest, self.macrostep)?;
+            total = total.saturating_add(macrosteps);
+            if total > MAX_MACROSTEPS {
+                return Err(GeneratorError::TooLong {
+                    limit: MAX_MACROSTEPS,
+                });
+            }
+            if macrosteps > 0 {
+                let duration = f64::from(macrosteps) * self.macrostep;
+                let mut profiles = [Trapezoid::default(); MAX_AXES];
+                for (axis, profile) in profiles.iter_mut().enumerate().take(self.axes) {
+                    *profile = course(axis).lasting(duration);
+                }
+                self.segments.push(Segment {
+                    macrosteps,
+                    start: from,
+                    end: pose.position,
+                    profiles,
+                });
+            }
+            from = pose.position;
+            entry = exit;
+        }
+        Ok(())
+    }
+}
+
+/// The least number of macrosteps that lasts `seconds`; a billionth of one is forgiven.
+pub(super) fn whole_macrosteps(seconds: f64, macrostep: f64) -> Result<u32, GeneratorError> {
+    let count = (seconds / macrostep - 1e-9).ceil().max(0.0);
+    if count <= f64::from(MAX_MACROSTEPS) {
+        Ok(count as u32)
+    } else {
+        Err(GeneratorError::TooLong {
+            limit: MAX_MACROSTEPS,
+        })
+    }
+}
+
+impl Generator for Newsmooth {
+    type First = EffectorImage;
+    type Every = ();
+    type Memory = Progress;
+
+    fn first_step(
+        &mut self,
+        e: &EffectorImage,
+        macrostep: Duration,
+    ) -> Result<Next<Progress>, GeneratorError> {
+        if macrostep.is_zero() {
+            return Err(GeneratorError::NoMacrostep);
+        }
+        self.macrostep = macrostep.as_secs_f64();
+        self.plan(&self.space.commanded(e).position)?;
+        Ok(Next::remember(Progress::default()))
+    }
+
+    fn terminal(&self, progress: &Progress, _: &()) -> bool {
+        progress.segment == self.segments.len()
+    }
+
+    fn next_step(&self, progress: &Progress, _: &()) -> Result<Next<Progress>, GeneratorError> {
+        let segment = &self.segments[progress.segment];
+        let macrostep = progress.macrostep + 1;
+        let last = macrostep == segment.macrosteps;
+        let t = f64::from(macrostep) * self.macrostep;
+        let mut state = AxesState::default();
+        for axis in 0..self.axes {
+            let profile = &segment.profiles[axis];
+            let (from, to) = (segment.start[axis], segment.end[axis]);
+            let direction = if to < from { -1.0 } else { 1.0 };
+            let (distance, speed) = profile.at(t);
+            state.position[axis] = if last {
+                to
+            } else {
+                from + direction * distance
+            };
+            state.velocity[axis] = direction * if last { profile.end_velocity() } else { speed };
+        }
+        let progress = if last {
+            Progress {
+                segment: progress.segment + 1,
+                macrostep: 0,
+            }
+        } else {
+            Progress {
+                macrostep,
+                ..*progress
+            }
+        };
+        Ok(Next::command(self.space.setpoint(state), progress))
+    }
+}

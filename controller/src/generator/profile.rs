@@ -1,0 +1,144 @@
+/// One axis over one segment: from `start_velocity` to `cruise`, along, and on to `end_velocity`, with
+/// one acceleration. Position counts from the segment's start in the direction of travel.
+///
+/// Whether the axis speeds up or brakes on either side of the cruise follows from the three speeds, so
+/// this one form is all of accelerate-decelerate, accelerate-accelerate, constant,
+/// decelerate-decelerate and the dip (brake, creep, speed up).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Trapezoid {
+    distance: f64,
+    start_velocity: f64,
+    cruise: f64,
+    end_velocity: f64,
+    /// Durations of the three phases, s.
+    first: f64,
+    middle: f64,
+    last: f64,
+}
+
+/// What a segment asks of one axis: all speeds are along the direction of travel, not negative, and
+/// `start_velocity² + end_velocity² <= 2 acceleration · distance`.
+///
+/// That condition is what makes planning final at once: the axis could brake to a stand and speed up
+/// again within the segment, so every duration from the shortest one up has a profile.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Course {
+    pub(super) distance: f64,
+    pub(super) start_velocity: f64,
+    pub(super) end_velocity: f64,
+    pub(super) acceleration: f64,
+}
+
+impl Course {
+    /// The shortest time, s, at no more than `max_velocity`.
+    pub(super) fn shortest(&self, max_velocity: f64) -> f64 {
+        let Self {
+            distance: s,
+            start_velocity: vp,
+            end_velocity: vk,
+            acceleration: a,
+        } = *self;
+        if s <= 0.0 {
+            return 0.0;
+        }
+        // Speeding up to `peak` and braking from it uses up the whole distance when
+        // (2 peak² − vp² − vk²) / 2a = s.
+        let peak = (a * s + (vp * vp + vk * vk) / 2.0)
+            .sqrt()
+            .min(max_velocity)
+            .max(vp)
+            .max(vk);
+        let ramps = (2.0 * peak * peak - vp * vp - vk * vk) / (2.0 * a);
+        (2.0 * peak - vp - vk) / a + (s - ramps).max(0.0) / peak
+    }
+
+    /// The profile that takes exactly `duration`, which is no less than the shortest time.
+    pub(super) fn lasting(&self, duration: f64) -> Trapezoid {
+        let cruise = self.cruise(duration);
+        let Self {
+            distance,
+            start_velocity,
+            end_velocity,
+            acceleration,
+        } = *self;
+        let mut first = (cruise - start_velocity).abs() / acceleration;
+        let mut last = (end_velocity - cruise).abs() / acceleration;
+        let ramps = first + last;
+        // At the shortest time the ramps meet, and rounding must not let them overlap.
+        if ramps > duration {
+            first *= duration / ramps;
+            last *= duration / ramps;
+        }
+        Trapezoid {
+            distance,
+            start_velocity,
+            cruise,
+            end_velocity,
+            first,
+            middle: (duration - first - last).max(0.0),
+            last,
+        }
+    }
+
+    /// The cruise speed `c` for which the distance covered in `t`,
+    /// `c t − sgn(c − vp) (c − vp)² / 2a − sgn(c − vk) (c − vk)² / 2a`, is the one asked for.
+    /// It grows with `c`; each of the three ranges has its closed solution.
+    fn cruise(&self, t: f64) -> f64 {
+        let Self {
+            distance: s,
+            start_velocity: vp,
+            end_velocity: vk,
+            acceleration: a,
+        } = *self;
+        let (low, high) = (vp.min(vk), vp.max(vk));
+        let squares = (vp * vp + vk * vk) / 2.0;
+        let gap = high - low;
+        if s >= high * t - gap * gap / (2.0 * a) {
+            let b = a * t + vp + vk;
+            let c = a * s + squares;
+            2.0 * c / (b + (b * b - 4.0 * c).max(0.0).sqrt())
+        } else if s > low * t + gap * gap / (2.0 * a) {
+            (s - (high * high - low * low) / (2.0 * a)) / (t - gap / a)
+        } else {
+            let b = a * t - vp - vk;
+            let c = (a * s - squares).max(0.0);
+            let root = (b * b + 4.0 * c).sqrt();
+            if b > 0.0 {
+                2.0 * c / (b + root)
+            } else {
+                (root - b) / 2.0
+            }
+        }
+    }
+}
+
+impl Trapezoid {
+    /// Position and velocity `t` seconds after the segment's start.
+    pub(super) fn at(&self, t: f64) -> (f64, f64) {
+        let rest = self.first + self.middle + self.last - t;
+        if t < self.first {
+            let a = (self.cruise - self.start_velocity) / self.first;
+            (
+                t * (self.start_velocity + a * t / 2.0),
+                self.start_velocity + a * t,
+            )
+        } else if rest <= 0.0 {
+            (self.distance, self.end_velocity)
+        } else if rest < self.last {
+            // Counted back from the end, so that the end is met exactly.
+            let a = (self.end_velocity - self.cruise) / self.last;
+            (
+                self.distance - rest * (self.end_velocity - a * rest / 2.0),
+                self.end_velocity - a * rest,
+            )
+        } else {
+            let ramp = self.first * (self.start_velocity + self.cruise) / 2.0;
+            (ramp + self.cruise * (t - self.first), self.cruise)
+        }
+    }
+
+    /// Velocity at the segment's end.
+    pub(super) const fn end_velocity(&self) -> f64 {
+        self.end_velocity
+    }
+}

@@ -1,0 +1,416 @@
+//! Properties of the generators over seeded random motions, without an ECP.
+
+use std::time::Duration;
+
+use can::Instant;
+
+use super::*;
+
+const MACROSTEP: Duration = Duration::from_millis(20);
+const MC: f64 = 0.02;
+
+/// SplitMix64: small, seeded, the same everywhere.
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    fn within(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * (self.next() >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
+    fn axes(&mut self, low: f64, high: f64) -> Axes {
+        std::array::from_fn(|_| self.within(low, high))
+    }
+
+    fn below(&mut self, bound: usize) -> usize {
+        (self.next() % bound as u64) as usize
+    }
+}
+
+/// An image of an effector that stands there, joints and motors alike.
+struct Standing(AxesState, Pose);
+
+impl Standing {
+    fn at(position: Axes) -> Self {
+        Self(AxesState::at_rest(position), Pose::identity())
+    }
+}
+
+impl ImageSource for Standing {
+    fn effector(&self) -> Result<EffectorImage, GeneratorError> {
+        let state = EffectorState {
+            motors: self.0,
+            joints: self.0,
+            pose: self.1,
+        };
+        Ok(EffectorImage {
+            at: Instant::ZERO,
+            macrostep: 0,
+            measured: state,
+            commanded: state,
+        })
+    }
+}
+
+/// The states at all macrostep ends, the start first.
+fn walk<G: Generator>(generator: G, start: &Standing) -> Result<Vec<AxesState>, GeneratorError> {
+    let mut run = Run::new(generator);
+    let mut states = vec![start.0];
+    let Step::Continue(None) = run.first_step(start, MACROSTEP)? else {
+        panic!("planned generators ask for nothing at first")
+    };
+    while let Step::Continue(setpoint) = run.next_step(start)? {
+        states.push(match setpoint {
+            Some(Setpoint::Joints(state) | Setpoint::Motors(state)) => state,
+            other => panic!("{other:?} from a planned generator"),
+        });
+    }
+    Ok(states)
+}
+
+/// Acceleration, at both ends, of the cubic that the servo draws through a macrostep.
+fn cubic_accelerations(from: (f64, f64), to: (f64, f64)) -> (f64, f64) {
+    let distance = to.0 - from.0;
+    let start = (6.0 * distance / MC - 4.0 * from.1 - 2.0 * to.1) / MC;
+    let end = (-6.0 * distance / MC + 2.0 * from.1 + 4.0 * to.1) / MC;
+    (start, end)
+}
+
+/// Greatest speed of that cubic.
+fn cubic_speed(from: (f64, f64), to: (f64, f64)) -> f64 {
+    let (start, end) = cubic_accelerations(from, to);
+    let peak = if start * end < 0.0 {
+        let t = MC * start / (start - end);
+        from.1 + start * t / 2.0
+    } else {
+        from.1
+    };
+    peak.abs().max(from.1.abs()).max(to.1.abs())
+}
+
+fn random_limits(random: &mut Random) -> MotionLimits {
+    MotionLimits {
+        max_velocity: random.axes(0.2, 2.0),
+        max_acceleration: random.axes(1.0, 10.0),
+        max_jerk: random.axes(10.0, 200.0),
+    }
+}
+
+#[test]
+fn newsmooth_keeps_its_limits_meets_every_pose_and_never_jumps() {
+    let mut worst_speed: f64 = 0.0;
+    for seed in 0..20_000 {
+        let mut random = Random(seed);
+        let axes = 1 + random.below(6);
+        let limits = random_limits(&mut random);
+        let start = random.axes(-2.0, 2.0);
+        let mut poses = Vec::new();
+        for index in 0..1 + random.below(5) {
+            let mut pose = SmoothPose {
+                position: random.axes(-2.0, 2.0),
+                velocity: random.axes(0.1, 1.0),
+                acceleration: random.axes(0.1, 1.0),
+            };
+            // Axes that rest, and ways that are very short.
+            let last = if index == 0 {
+                start
+            } else {
+                poses.last().map_or(start, |p: &SmoothPose| p.position)
+            };
+            for (axis, last) in last.iter().enumerate().take(axes) {
+                match random.below(6) {
+                    0 => pose.position[axis] = *last,
+                    1 => pose.position[axis] = last + random.within(-1e-6, 1e-6),
+                    _ => {}
+                }
+            }
+            poses.push(pose);
+        }
+        let generator = Newsmooth::new(Space::Joints, axes, limits, poses.clone()).unwrap();
+        let states = walk(generator, &Standing::at(start)).unwrap();
+
+        let mut next_pose = 0;
+        for pair in states.windows(2) {
+            // A pose met is met at the end of a macrostep; poses without a way to them take none.
+            let met = |pose: &SmoothPose, state: &AxesState| {
+                pose.position[..axes] == state.position[..axes]
+            };
+            while next_pose + 1 < poses.len() && met(&poses[next_pose], &pair[0]) {
+                next_pose += 1;
+            }
+            let pose = &poses[next_pose];
+            for axis in 0..axes {
+                let a = limits.max_acceleration[axis] * pose.acceleration[axis];
+                let v = limits.max_velocity[axis] * pose.velocity[axis];
+                let from = (pair[0].position[axis], pair[0].velocity[axis]);
+                let to = (pair[1].position[axis], pair[1].velocity[axis]);
+                let case = (seed, axis, from, to, v, a);
+                assert!(to.1.abs() <= v * (1.0 + 1e-7), "speed: {case:?}");
+                assert!(
+                    (to.1 - from.1).abs() <= a * MC * (1.0 + 1e-6) + 1e-12,
+                    "acceleration: {case:?}"
+                );
+                assert!(
+                    (to.0 - from.0).abs() <= v.max(from.1.abs()) * MC * (1.0 + 1e-7) + 1e-12,
+                    "jump: {case:?}"
+                );
+                let (first, second) = cubic_accelerations(from, to);
+                assert!(
+                    first.abs().max(second.abs()) <= a * (5.0 / 3.0 + 1e-6) + 1e-9,
+                    "cubic: {case:?} {first} {second}"
+                );
+                worst_speed = worst_speed.max((cubic_speed(from, to) - v) / (a * MC));
+            }
+        }
+        let end = states.last().unwrap();
+        assert_eq!(
+            end.position[..axes],
+            poses.last().unwrap().position[..axes],
+            "seed {seed}"
+        );
+        assert_eq!(end.velocity, Axes::default(), "seed {seed}");
+        assert!(
+            poses[next_pose..]
+                .iter()
+                .all(|pose| pose.position[..axes] == end.position[..axes]),
+            "pose {next_pose} missed, seed {seed}"
+        );
+    }
+    println!("worst {worst_speed}");
+    assert!(
+        worst_speed < 0.1,
+        "cubics overshoot the speed by {worst_speed} of a macrostep's acceleration"
+    );
+}
+
+#[test]
+fn newsmooth_takes_the_closed_form_time_rounded_up_to_a_macrostep() {
+    for seed in 0..20_000 {
+        let mut random = Random(seed);
+        let axes = 1 + random.below(6);
+        let limits = random_limits(&mut random);
+        let (start, target) = (random.axes(-2.0, 2.0), random.axes(-2.0, 2.0));
+        let mut time: f64 = 0.0;
+        for axis in 0..axes {
+            let (d, v, a) = (
+                (target[axis] - start[axis]).abs(),
+                limits.max_velocity[axis],
+                limits.max_acceleration[axis],
+            );
+            time = time.max(if d > v * v / a {
+                d / v + v / a
+            } else {
+                2.0 * (d / a).sqrt()
+            });
+        }
+        let generator =
+            Newsmooth::new(Space::Joints, axes, limits, vec![SmoothPose::fast(target)]).unwrap();
+        let states = walk(generator, &Standing::at(start)).unwrap();
+        assert_eq!(
+            states.len() - 1,
+            (time / MC - 1e-9).ceil() as usize,
+            "seed {seed}"
+        );
+    }
+}
+
+#[test]
+fn newsmooth_times_of_one_axis_are_the_known_ones() {
+    // Distance and time at 1.5 rad/s and 7 rad/s².
+    for (distance, time) in [(0.1, 0.2390), (0.5, 0.5476), (1.0, 0.8810), (2.0, 1.5476)] {
+        let limits = MotionLimits::uniform(1.5, 7.0, 70.0);
+        let poses = vec![SmoothPose::fast([distance; 8])];
+        let states = walk(
+            Newsmooth::new(Space::Joints, 1, limits, poses).unwrap(),
+            &Standing::at([0.0; 8]),
+        )
+        .unwrap();
+        assert_eq!(states.len() - 1, (time / MC).ceil() as usize, "{distance}");
+    }
+}
+
+#[test]
+fn newsmooth_passes_a_pose_on_the_way_without_a_stop_and_stands_where_an_axis_turns() {
+    let limits = MotionLimits::uniform(1.0, 5.0, 50.0);
+    let pose = |a: f64, b: f64| SmoothPose::fast([a, b, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    let poses = vec![pose(1.0, 1.0), pose(2.0, 0.0), pose(3.0, 0.0)];
+    let states = walk(
+        Newsmooth::new(Space::Joints, 2, limits, poses.clone()).unwrap(),
+        &Standing::at([0.0; 8]),
+    )
+    .unwrap();
+    let at = |pose: &SmoothPose| {
+        states
+            .iter()
+            .find(|state| state.position == pose.position)
+            .unwrap()
+            .velocity
+    };
+    assert!(
+        (at(&poses[0])[0] - 1.0).abs() < 1e-9,
+        "axis 0 goes on at full speed"
+    );
+    assert_eq!(at(&poses[0])[1], 0.0, "axis 1 turns back");
+    assert!((at(&poses[1])[0] - 1.0).abs() < 1e-9);
+    assert_eq!(at(&poses[1])[1], 0.0, "axis 1 rests next");
+    assert_eq!(at(&poses[2]), Axes::default());
+}
+
+#[test]
+fn jerk_limited_keeps_its_limits_and_ends_exactly() {
+    for seed in 0..2_000 {
+        let mut random = Random(seed);
+        let axes = 1 + random.below(6);
+        let limits = random_limits(&mut random);
+        let start = random.axes(-2.0, 2.0);
+        // Ways through poses take milliseconds to solve, so fewer of them.
+        let count = if seed % 20 == 0 {
+            2 + random.below(3)
+        } else {
+            1
+        };
+        let poses: Vec<Axes> = (0..count).map(|_| random.axes(-2.0, 2.0)).collect();
+        let states = walk(
+            JerkLimited::new(Space::Joints, axes, limits, &poses).unwrap(),
+            &Standing::at(start),
+        )
+        .unwrap();
+        for pair in states.windows(2) {
+            for axis in 0..axes {
+                let (v, a) = (limits.max_velocity[axis], limits.max_acceleration[axis]);
+                let from = (pair[0].position[axis], pair[0].velocity[axis]);
+                let to = (pair[1].position[axis], pair[1].velocity[axis]);
+                assert!(to.1.abs() <= v * (1.0 + 1e-9), "speed: seed {seed}");
+                assert!(
+                    (to.1 - from.1).abs() <= a * MC * (1.0 + 1e-9) + 1e-9,
+                    "acceleration: seed {seed}"
+                );
+                let (first, second) = cubic_accelerations(from, to);
+                assert!(
+                    first.abs().max(second.abs()) <= a * 5.0 / 3.0 + 1e-6,
+                    "cubic: seed {seed} {first} {second} {a}"
+                );
+            }
+        }
+        let end = states.last().unwrap();
+        assert_eq!(
+            end.position[..axes],
+            poses.last().unwrap()[..axes],
+            "seed {seed}"
+        );
+        assert_eq!(end.velocity, Axes::default());
+        // The last pose but the exact one leads there without a jump.
+        let before = &states[states.len() - 2];
+        for axis in 0..axes {
+            assert!(
+                (end.position[axis] - before.position[axis]).abs()
+                    <= limits.max_acceleration[axis] * MC * MC,
+                "seed {seed}"
+            );
+        }
+    }
+}
+
+#[test]
+fn jerk_limited_takes_the_known_times() {
+    // Distance and time at 1.5 rad/s, 7 rad/s² and 70 rad/s³.
+    for (distance, time) in [(0.1, 0.3576), (0.5, 0.6476), (1.0, 0.9810), (2.0, 1.6476)] {
+        let generator = JerkLimited::new(
+            Space::Motors,
+            1,
+            MotionLimits::uniform(1.5, 7.0, 70.0),
+            &[[distance; 8]],
+        )
+        .unwrap();
+        let states = walk(generator, &Standing::at([0.0; 8])).unwrap();
+        assert_eq!(states.len() - 1, (time / MC).ceil() as usize, "{distance}");
+    }
+}
+
+#[test]
+fn wait_stands_for_its_time_rounded_up_to_a_macrostep() {
+    for (millis, macrosteps) in [(0, 0), (1, 1), (20, 1), (21, 2), (1_000, 50)] {
+        let mut run = Run::new(Wait {
+            duration: Duration::from_millis(millis),
+        });
+        let source = Standing::at([0.0; 8]);
+        assert_eq!(run.first_step(&source, MACROSTEP), Ok(Step::Continue(None)));
+        for _ in 0..macrosteps {
+            assert_eq!(
+                run.next_step(&source),
+                Ok(Step::Continue(None)),
+                "{millis} ms"
+            );
+        }
+        assert_eq!(run.next_step(&source), Ok(Step::Ended), "{millis} ms");
+    }
+}
+
+#[test]
+fn what_cannot_be_planned_is_refused() {
+    let limits = MotionLimits::uniform(1.0, 1.0, 1.0);
+    let newsmooth =
+        |axes, limits, poses| Newsmooth::new(Space::Joints, axes, limits, poses).map(|_| ());
+    let mut lame = limits;
+    lame.max_acceleration[2] = 0.0;
+    let mut lost = SmoothPose::fast([0.0; 8]);
+    lost.position[1] = f64::NAN;
+    let mut greedy = SmoothPose::fast([0.0; 8]);
+    greedy.velocity[0] = 1.1;
+    let fast = vec![SmoothPose::fast([1.0; 8])];
+    assert_eq!(newsmooth(6, limits, vec![]), Err(GeneratorError::NoPoses));
+    assert_eq!(
+        newsmooth(0, limits, fast.clone()),
+        Err(GeneratorError::Axes { axes: 0, max: 8 })
+    );
+    assert_eq!(
+        newsmooth(9, limits, fast.clone()),
+        Err(GeneratorError::Axes { axes: 9, max: 8 })
+    );
+    assert_eq!(
+        newsmooth(6, lame, fast.clone()),
+        Err(GeneratorError::Limit { axis: 2 })
+    );
+    assert_eq!(
+        newsmooth(6, limits, vec![fast[0], lost]),
+        Err(GeneratorError::NotFinite { pose: 1, axis: 1 })
+    );
+    assert_eq!(
+        newsmooth(6, limits, vec![greedy]),
+        Err(GeneratorError::Fraction {
+            pose: 0,
+            axis: 0,
+            value: 1.1
+        })
+    );
+
+    let jerk_limited =
+        |axes, poses: &[Axes]| JerkLimited::new(Space::Joints, axes, limits, poses).map(|_| ());
+    assert_eq!(jerk_limited(6, &[]), Err(GeneratorError::NoPoses));
+    assert_eq!(
+        jerk_limited(6, &[[0.0; 8], lost.position]),
+        Err(GeneratorError::NotFinite { pose: 1, axis: 1 })
+    );
+
+    let mut slow = limits;
+    slow.max_velocity[0] = 1e-9;
+    let endless = Newsmooth::new(Space::Joints, 1, slow, fast).unwrap();
+    assert_eq!(
+        walk(endless, &Standing::at([0.0; 8])),
+        Err(GeneratorError::TooLong { limit: 1 << 20 })
+    );
+    let mut run = Run::new(Wait {
+        duration: MACROSTEP,
+    });
+    assert_eq!(
+        run.first_step(&Standing::at([0.0; 8]), Duration::ZERO),
+        Err(GeneratorError::NoMacrostep)
+    );
+}

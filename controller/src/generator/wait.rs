@@ -1,0 +1,34 @@
+use std::time::Duration;
+
+use super::{Generator, GeneratorError, Next};
+
+/// Stands for a time, rounded up to whole macrosteps. Class 0: it reads nothing but its own memory.
+#[doc(alias = "sleep")]
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Wait {
+    /// How long.
+    pub duration: Duration,
+}
+
+impl Generator for Wait {
+    type First = ();
+    type Every = ();
+    /// Macrosteps still to stand.
+    type Memory = u64;
+
+    fn first_step(&mut self, _: &(), macrostep: Duration) -> Result<Next<u64>, GeneratorError> {
+        if macrostep.is_zero() {
+            return Err(GeneratorError::NoMacrostep);
+        }
+        let steps = self.duration.as_nanos().div_ceil(macrostep.as_nanos());
+        Ok(Next::remember(u64::try_from(steps).unwrap_or(u64::MAX)))
+    }
+
+    fn terminal(&self, left: &u64, _: &()) -> bool {
+        *left == 0
+    }
+
+    fn next_step(&self, left: &u64, _: &()) -> Result<Next<u64>, GeneratorError> {
+        Ok(Next::remember(left - 1))
+    }
+}
