@@ -1,9 +1,39 @@
 //! The fixed-period cycle: `Servo::step(now)` = read → check → regulate → limit → write.
 //!
-//! A cell has one [`Servo`], which steps every effector on one tick grid; `thread` is the shell that
-//! waits for deadlines, and nothing else here waits. The controller talks to it over an
-//! [`EffectorLink`] a macrostep at a time.
+//! A cell has one [`Servo`], which steps every effector on one tick grid; [`thread`] is the shell
+//! that waits for deadlines, and nothing else here waits; [`lockstep`] turns the same functions in
+//! virtual time. The controller talks to an effector over an [`EffectorLink`], a macrostep at a time.
+//!
+//! Read [`Servo`] for the cycle, [`state`](State) for what an effector can do when, and [`thread`]
+//! for deadlines and what happens when they are missed. Joints, Cartesian poses and planning are
+//! not here: everything is in motor positions.
 
+mod brake;
+mod config;
+mod effector;
+mod histogram;
+mod interpolate;
+mod limit;
 mod link;
+pub mod lockstep;
+mod recorder;
+#[cfg(test)]
+#[path = "../tests/scripted/mod.rs"]
+mod scripted;
+mod servo;
+mod state;
+mod statistics;
+pub mod thread;
+mod timing;
 
+pub use brake::StraightStop;
+pub use config::{EffectorConfig, ServoAxisConfig, ServoConfig, ServoError};
+pub use histogram::Histogram;
+pub use interpolate::{Knot, hermite};
+pub use limit::{AxisLimits, check};
 pub use link::{EffectorLink, MAX_AXES, Macrostep, Order, Phase, Report, ServoFault, StopCause};
+pub use recorder::{AxisRecord, Record};
+pub use servo::{Servo, StopRequest};
+pub use state::{After, Answer, Event, State};
+pub use statistics::{Counters, TrackingError};
+pub use timing::Timing;

@@ -1,3 +1,5 @@
+use std::time::Duration;
+
 use can::Instant;
 use thiserror::Error;
 
@@ -31,10 +33,10 @@ pub enum Order {
     Home,
     /// Move. Queued behind the macrosteps sent before.
     Move(Macrostep),
-    /// Brake to a stand within the acceleration limits, drop what is queued, keep power on
-    /// (category 2). A moving effector whose queue runs dry brakes likewise, and that is a fault.
+    /// Brake to a stand within the acceleration limits, drop what was queued before, keep power on
+    /// (category 2). It overtakes the queue. A moving effector whose queue runs dry brakes likewise, and that is a fault.
     Stop,
-    /// Brake as [`Order::Stop`] does, then switch the drives off (category 1).
+    /// Brake as [`Order::Stop`] does, then switch the drives off (category 1). It overtakes the queue.
     Disable,
     /// Clear latched faults; the drives stay off.
     ResetFault,
@@ -46,7 +48,7 @@ pub enum Phase {
     /// Drives off.
     #[default]
     Off,
-    /// Drives on their way to on.
+    /// Drives on their way to on and following.
     Enabling,
     /// Homing.
     Homing,
@@ -60,7 +62,8 @@ pub enum Phase {
     Faulted,
 }
 
-/// What the servo tells the controller: at every change of phase and at `report_at` of a macrostep.
+/// What the servo tells the controller: at every change of phase, in answer to every order but a
+/// macrostep, and at `report_at` of a macrostep. One a cycle at most.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Report {
     /// The cycle's time.
@@ -132,6 +135,21 @@ pub enum StopCause {
     /// A set-point that is NaN or infinite; it was not sent.
     #[error("set-point is not a finite number")]
     NotFinite,
+    /// A macrostep of no steps, or one whose report lies outside it; it was not begun.
+    #[error("macrostep {number} has no steps or its report lies outside it")]
+    Malformed {
+        /// Its number.
+        number: u64,
+    },
+    /// A macrostep for an axis whose position means nothing yet; it was not begun.
+    #[error("asked to move before it was homed")]
+    NotHomed,
+    /// The drive was not on and following, or still had a fault after a reset, in time.
+    #[error("not ready within {waited:?}")]
+    NotReady {
+        /// Time waited.
+        waited: Duration,
+    },
     /// The macrostep queue ran dry while the effector moved.
     #[error("no macrostep in time after number {last}")]
     Starved {

@@ -1,0 +1,113 @@
+//! The cost of one cycle of a moving six-axis effector, on a group that does nothing: no system
+//! call, no encoding.
+
+use std::hint::black_box;
+use std::task::Poll;
+use std::time::Duration;
+
+use can::Instant;
+use criterion::{Criterion, criterion_group, criterion_main};
+use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Homing, Power};
+use mrroc_servo::{
+    EffectorConfig, EffectorLink, MAX_AXES, Macrostep, Order, Phase, Servo, ServoAxisConfig,
+    ServoConfig,
+};
+
+const AXES: usize = 6;
+const PERIOD: Duration = Duration::from_millis(1);
+
+/// Drives that are on, homed and where they were told to be.
+struct Trivial([AxisState; AXES]);
+
+impl DriveGroup for Trivial {
+    fn axes(&self) -> usize {
+        AXES
+    }
+    fn bring_up(&mut self, _: Instant) -> Poll<Result<(), BringUpError>> {
+        Poll::Ready(Ok(()))
+    }
+    fn read(&mut self, _: Instant, states: &mut [AxisState]) {
+        states.copy_from_slice(&self.0);
+    }
+    fn write(&mut self, _: Instant, commands: &[AxisCommand]) {
+        black_box(commands);
+    }
+    fn send(&mut self, _: Instant) {}
+    fn counters(&self) -> GroupCounters {
+        GroupCounters::default()
+    }
+}
+
+fn servo() -> (Servo, EffectorLink) {
+    let axis = |index_in_group| ServoAxisConfig {
+        group: 0,
+        index_in_group,
+        min_position: -500.0,
+        max_position: 500.0,
+        max_velocity: 100.0,
+        max_acceleration: 1000.0,
+        following_error: 1.0,
+        homing_order: 0,
+    };
+    let config = ServoConfig {
+        period: PERIOD,
+        max_missed_in_row: 3,
+        effectors: vec![EffectorConfig {
+            name: "arm".into(),
+            axes: (0..AXES).map(axis).collect(),
+            queue: 16,
+            enabling_timeout: Duration::from_secs(1),
+            homing_timeout: Duration::from_secs(1),
+        }],
+    };
+    let state = AxisState {
+        power: Power::On,
+        homing: Homing::Attained,
+        following: true,
+        ..AxisState::default()
+    };
+    let (servo, mut links) = Servo::new(&config, vec![Box::new(Trivial([state; AXES]))])
+        .expect("the configuration is sound");
+    (servo, links.remove(0))
+}
+
+fn cycle(criterion: &mut Criterion) {
+    let (mut servo, mut link) = servo();
+    link.orders.push(Order::Enable).expect("the queue is empty");
+    let mut now = Instant::ZERO;
+    for _ in 0..10 {
+        servo.step(now);
+        now += PERIOD;
+    }
+    let mut number = 0;
+    criterion.bench_function("six moving axes, one step", |bencher| {
+        bencher.iter(|| {
+            if link.orders.slots() == 16 {
+                // To and fro by 0.01 rad, ten periods each.
+                number += 1;
+                let position = [0.01 * (number % 2) as f64; MAX_AXES];
+                let velocity = [0.0; MAX_AXES];
+                let macrostep = Macrostep {
+                    number,
+                    steps: 10,
+                    report_at: 5,
+                    position,
+                    velocity,
+                };
+                link.orders
+                    .push(Order::Move(macrostep))
+                    .expect("there is room");
+            }
+            while link.reports.pop().is_ok() {}
+            servo.step(now);
+            now += PERIOD;
+        });
+        assert_eq!(
+            servo.state(0).map(|state| state.phase()),
+            Some(Phase::Moving)
+        );
+    });
+}
+
+criterion_group!(benches, cycle);
+criterion_main!(benches);

@@ -1,0 +1,149 @@
+use crate::{Knot, MAX_AXES};
+
+/// A straight stop: all motors decelerate together and come to rest at the same time.
+///
+/// It works on what was sent, not on what was meant: the velocity it starts from is the last step
+/// over the period, and from there each step of a motor is shorter than the one before by the
+/// same amount. That amount is |v| / N, where N periods are what the motor that needs longest takes
+/// at its greatest acceleration. So steps stay in proportion (the motors stop along the straight
+/// line they were on), none brakes harder than it may, velocity has no jump at either end, and the
+/// last set-point is at rest exactly. Motor *i* travels v·dt·(N − 1) / 2.
+#[derive(Clone, Copy, Debug)]
+pub struct StraightStop {
+    from: [Knot; MAX_AXES],
+    /// Periods it takes.
+    periods: u32,
+    /// Periods already commanded.
+    done: u32,
+    /// The period, s.
+    dt: f64,
+}
+
+/// Periods that no stop exceeds; far more than any speed over any acceleration asks for, it keeps
+/// an absurd configuration from overflowing.
+const MOST_PERIODS: f64 = 1e9;
+
+impl StraightStop {
+    /// Stops from `from`, one knot and one greatest acceleration, rad/s², per motor, in periods of
+    /// `dt` seconds. A knot is the last position sent and the step to it over `dt`.
+    pub fn new(from: &[Knot], max_acceleration: &[f64], dt: f64) -> Self {
+        let mut knots = [Knot::default(); MAX_AXES];
+        let mut duration: f64 = 0.0;
+        for (axis, (knot, acceleration)) in from.iter().zip(max_acceleration).enumerate() {
+            knots[axis] = *knot;
+            duration = duration.max(knot.velocity.abs() / acceleration);
+        }
+        // A stop that needs a whole number of periods must not gain one by rounding.
+        let periods = (duration / dt - 1e-9).ceil().clamp(0.0, MOST_PERIODS);
+        Self {
+            from: knots,
+            periods: periods as u32,
+            done: 0,
+            dt,
+        }
+    }
+
+    /// Goes one period on; false if it is at rest already.
+    pub fn advance(&mut self) -> bool {
+        let under_way = self.done < self.periods;
+        self.done += u32::from(under_way);
+        under_way
+    }
+
+    /// Where motor `axis` is to be now.
+    pub fn at(&self, axis: usize) -> Knot {
+        let from = self.from[axis];
+        if self.periods == 0 {
+            return Knot {
+                velocity: 0.0,
+                ..from
+            };
+        }
+        // The sum of the steps 1 − i / N for i = 1 ..= done.
+        let (done, periods) = (f64::from(self.done), f64::from(self.periods));
+        let steps = done - done * (done + 1.0) / (2.0 * periods);
+        Knot {
+            position: from.position + from.velocity * self.dt * steps,
+            velocity: from.velocity * (1.0 - done / periods),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::limit::RELATIVE_TOLERANCE;
+    use proptest::prelude::*;
+
+    const DT: f64 = 0.001;
+
+    proptest! {
+        /// proptest prints the failing case and keeps its seed.
+        #[test]
+        fn a_straight_stop_is_straight_smooth_and_within_limits(
+            motors in prop::collection::vec(
+                (-500.0..500.0f64, -300.0..300.0f64, 50.0..5000.0f64), 1..=MAX_AXES),
+        ) {
+            let from: Vec<Knot> =
+                motors.iter().map(|&(position, velocity, _)| Knot { position, velocity }).collect();
+            let limits: Vec<f64> = motors.iter().map(|m| m.2).collect();
+            let mut stop = StraightStop::new(&from, &limits, DT);
+            let mut last = from.clone();
+            // The sequence sent before: constant velocity.
+            let mut step: Vec<f64> = from.iter().map(|k| k.velocity * DT).collect();
+            let mut periods = 0;
+            while stop.advance() {
+                periods += 1;
+                prop_assert!(periods <= 6_001, "never ends");
+                let share = stop.at(0).velocity / from[0].velocity;
+                for axis in 0..from.len() {
+                    let knot = stop.at(axis);
+                    let moved = knot.position - last[axis].position;
+                    let acceleration = (moved - step[axis]) / (DT * DT);
+                    let allowed = limits[axis] * (1.0 + RELATIVE_TOLERANCE);
+                    prop_assert!(acceleration.abs() <= allowed, "axis {axis}: {acceleration}");
+                    let change = (knot.velocity - last[axis].velocity).abs();
+                    prop_assert!(change <= allowed * DT, "velocity jumps by {change}");
+                    let expected = from[axis].velocity * share;
+                    prop_assert!((knot.velocity - expected).abs() < 1e-6, "not straight");
+                    (last[axis], step[axis]) = (knot, moved);
+                }
+            }
+            for axis in 0..from.len() {
+                prop_assert_eq!(stop.at(axis).velocity, 0.0);
+                // Resting on after the last set-point stays within the limit as well.
+                let acceleration = step[axis].abs() / (DT * DT);
+                prop_assert!(acceleration <= limits[axis] * (1.0 + RELATIVE_TOLERANCE));
+            }
+        }
+    }
+
+    #[test]
+    fn a_stop_at_rest_is_over_at_once() {
+        let knot = Knot {
+            position: 1.0,
+            velocity: 0.0,
+        };
+        let mut stop = StraightStop::new(&[knot], &[10.0], DT);
+        assert!(!stop.advance());
+        assert_eq!(stop.at(0), knot);
+    }
+
+    #[test]
+    fn the_slowest_axis_sets_the_time_and_no_period_is_lost() {
+        let from = [
+            Knot {
+                position: 0.0,
+                velocity: 1.0,
+            },
+            Knot {
+                position: 0.0,
+                velocity: -1.0,
+            },
+        ];
+        let mut stop = StraightStop::new(&from, &[100.0, 50.0], DT);
+        let periods = std::iter::from_fn(|| stop.advance().then_some(())).count();
+        assert_eq!(periods, 20);
+        assert!((stop.at(1).position + 0.0095).abs() < 1e-12);
+    }
+}

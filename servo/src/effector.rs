@@ -1,0 +1,687 @@
+//! The cycle of one effector: check its axes, take orders, find the next set-points, vet them.
+
+use std::time::Duration;
+
+use can::Instant;
+use drive::{AxisCommand, AxisState, Finite, Homing, Power, Setpoint};
+
+use crate::interpolate::Segment;
+use crate::{
+    After, Answer, AxisRecord, Counters, EffectorConfig, EffectorLink, Event, Knot, MAX_AXES,
+    Macrostep, Order, Record, Report, ServoAxisConfig, ServoFault, State, StopCause, StraightStop,
+    TrackingError, limit,
+};
+
+/// Periods from a command to the sample that shows its effect: written in cycle *n*, latched by the
+/// SYNC of *n* + 1 together with the sample, read in *n* + 2.
+const DELAY: usize = 2;
+
+/// Commands remembered per axis; a sample older than that is compared with the oldest.
+const REMEMBERED: usize = 16;
+
+/// Longest time the drives get to come to rest after the last set-point of a stop, before power
+/// is taken from them.
+const STANDSTILL_WAIT: Duration = Duration::from_millis(100);
+
+/// Share of its greatest velocity below which a motor counts as still.
+const STILL: f64 = 0.01;
+
+/// What a servo's cycle tells each of its effectors.
+#[derive(Clone, Copy)]
+pub(crate) struct Tick {
+    pub(crate) number: u64,
+    pub(crate) now: Instant,
+    /// The nominal period, s.
+    pub(crate) dt: f64,
+    /// Somebody asked for everything to stop.
+    pub(crate) stop: bool,
+    /// Deadlines missed in a row, if they are too many.
+    pub(crate) overrun: Option<u32>,
+}
+
+/// One axis as its servo knows it.
+struct Axis {
+    config: ServoAxisConfig,
+    /// What the drive says.
+    state: AxisState,
+    /// The set-point of this cycle.
+    knot: Knot,
+    /// Positions commanded, the newest first.
+    commanded: [f64; REMEMBERED],
+    /// Cycles in a row in which the drive was told to follow.
+    followed: usize,
+    /// It searched for its reference in this homing.
+    searched: bool,
+    command: AxisCommand,
+    tracking: TrackingError,
+}
+
+impl Axis {
+    fn new(config: ServoAxisConfig) -> Self {
+        Self {
+            config,
+            state: AxisState::default(),
+            knot: Knot::default(),
+            commanded: [0.0; REMEMBERED],
+            followed: 0,
+            searched: false,
+            command: AxisCommand::Off,
+            tracking: TrackingError::default(),
+        }
+    }
+
+    /// Whether the drive, by a sample taken under a set-point of ours, follows set-points.
+    fn follows(&self) -> bool {
+        self.followed >= DELAY && self.state.following && self.state.power == Power::On
+    }
+
+    /// Takes the measured position as the commanded one, so that following begins without a jump.
+    fn capture(&mut self) {
+        self.knot = Knot {
+            position: self.state.position,
+            velocity: 0.0,
+        };
+        self.commanded = [self.state.position; REMEMBERED];
+    }
+
+    /// The last position sent and the step to it.
+    fn last_step(&self, dt: f64) -> Knot {
+        let [last, before_last, ..] = self.commanded;
+        Knot {
+            position: last,
+            velocity: (last - before_last) / dt,
+        }
+    }
+
+    /// Whether `position` may be commanded next.
+    fn vet(&self, position: f64, dt: f64) -> Result<(), StopCause> {
+        let [last, before_last, ..] = self.commanded;
+        limit::check(&self.config.limits(), before_last, last, position, dt)
+    }
+
+    /// Commanded minus measured, rad, for the command that was latched when the sample was taken.
+    fn error(&self) -> f64 {
+        // This cycle's command is not in `commanded` yet, so the newest there is one period old.
+        let age = (DELAY - 1)
+            .saturating_add(self.state.age as usize)
+            .min(REMEMBERED - 1);
+        self.commanded[age] - self.state.position
+    }
+
+    fn is_homed(&self) -> bool {
+        self.state.homing == Homing::Attained
+    }
+
+    fn is_still(&self) -> bool {
+        self.state.velocity.abs() <= STILL * self.config.max_velocity
+    }
+
+    /// Keeps `command` for the write and remembers the set-point.
+    fn command(&mut self, command: AxisCommand) {
+        let follows = matches!(command, AxisCommand::Follow(_));
+        self.followed = if follows {
+            self.followed.saturating_add(1)
+        } else {
+            0
+        };
+        self.commanded.rotate_right(1);
+        self.commanded[0] = self.knot.position;
+        self.command = command;
+    }
+
+    /// Turns the set-point into what its drive is to follow.
+    ///
+    /// Drives that close the position loop get the position as it is; a loop closed here, for
+    /// velocity or torque, belongs in this place.
+    fn regulate(&self) -> AxisCommand {
+        match Finite::new(self.knot.position) {
+            Some(position) => AxisCommand::Follow(Setpoint::Position(position)),
+            // Only a measured position taken over can be it, and the check of the next cycle says so.
+            None => AxisCommand::Off,
+        }
+    }
+}
+
+pub(crate) struct Effector {
+    index: u8,
+    axes: Vec<Axis>,
+    enabling_timeout: Duration,
+    homing_timeout: Duration,
+    orders: rtrb::Consumer<Order>,
+    /// Orders at the front of the queue known to be neither stop nor disable.
+    scanned: usize,
+    reports: rtrb::Producer<Report>,
+    state: State,
+    /// When `state` was entered.
+    since: Instant,
+    fault: Option<ServoFault>,
+    segment: Option<Segment>,
+    stop: StraightStop,
+    /// While [`State::Halting`]: the drives have come to rest.
+    halted: bool,
+    /// Number of the last macrostep begun.
+    macrostep: u64,
+    /// Something happened in this cycle that the controller is to hear of.
+    news: bool,
+    /// The time the slowest axis needs to stop from its greatest velocity.
+    longest_stop: Duration,
+    counters: Counters,
+}
+
+impl Effector {
+    pub(crate) fn new(index: u8, config: &EffectorConfig) -> (Self, EffectorLink) {
+        let (order_sender, orders) = rtrb::RingBuffer::new(config.queue);
+        // One report per macrostep, and the few changes of phase that one order can cause.
+        let (reports, report_receiver) = rtrb::RingBuffer::new(config.queue + 16);
+        let stops = config
+            .axes
+            .iter()
+            .map(|axis| axis.max_velocity / axis.max_acceleration);
+        let effector = Self {
+            index,
+            axes: config.axes.iter().copied().map(Axis::new).collect(),
+            enabling_timeout: config.enabling_timeout,
+            homing_timeout: config.homing_timeout,
+            orders,
+            scanned: 0,
+            reports,
+            state: State::Off,
+            since: Instant::ZERO,
+            fault: None,
+            segment: None,
+            stop: StraightStop::new(&[], &[], 1.0),
+            halted: false,
+            macrostep: 0,
+            news: false,
+            longest_stop: Duration::try_from_secs_f64(stops.fold(0.0, f64::max))
+                .unwrap_or(Duration::MAX),
+            counters: Counters::default(),
+        };
+        (
+            effector,
+            EffectorLink {
+                orders: order_sender,
+                reports: report_receiver,
+            },
+        )
+    }
+
+    pub(crate) fn state(&self) -> State {
+        self.state
+    }
+
+    pub(crate) fn fault(&self) -> Option<ServoFault> {
+        self.fault
+    }
+
+    pub(crate) fn counters(&self) -> &Counters {
+        &self.counters
+    }
+
+    /// The time the slowest stop takes, standstill wait included.
+    pub(crate) fn longest_stop(&self) -> Duration {
+        self.longest_stop.saturating_add(STANDSTILL_WAIT)
+    }
+
+    pub(crate) fn has_power(&self) -> bool {
+        self.axes.iter().any(|axis| axis.state.power != Power::Off)
+    }
+
+    pub(crate) fn tracking(&self) -> impl Iterator<Item = TrackingError> {
+        self.axes.iter().map(|axis| axis.tracking)
+    }
+
+    /// Takes what the drives say, by group and index in it.
+    pub(crate) fn set_states(&mut self, state: impl Fn(usize, usize) -> AxisState) {
+        for axis in &mut self.axes {
+            axis.state = state(axis.config.group, axis.config.index_in_group);
+        }
+    }
+
+    /// The command of each axis, with its group and the index in it.
+    pub(crate) fn commands(&self) -> impl Iterator<Item = (usize, usize, AxisCommand)> {
+        let command = |axis: &Axis| (axis.config.group, axis.config.index_in_group, axis.command);
+        self.axes.iter().map(command)
+    }
+
+    /// One cycle: from the states of the axes to their commands.
+    pub(crate) fn step(&mut self, tick: &Tick) {
+        self.news = false;
+        self.check(tick);
+        self.take_stops(tick);
+        self.take_orders(tick);
+        self.advance(tick);
+        self.command();
+        let due = self.state == State::Moving && self.segment.is_some_and(|s| s.is_at_report());
+        if due || self.news {
+            self.report(tick);
+        }
+    }
+
+    /// Faults of drives, following errors, overruns, time-outs; the tracking statistics.
+    fn check(&mut self, tick: &Tick) {
+        if let Some(missed) = tick.overrun {
+            self.fail(tick, 0, StopCause::Overrun { missed });
+        }
+        for index in 0..self.axes.len() {
+            let axis = &mut self.axes[index];
+            if let Some(fault) = axis.state.fault {
+                if self.state != State::Resetting {
+                    self.fail(tick, index, StopCause::Drive(fault));
+                }
+                continue;
+            }
+            let (error, limit) = (axis.error(), axis.config.following_error);
+            let watched = matches!(
+                self.state,
+                State::Standing | State::Moving | State::Braking(_)
+            );
+            if !watched || !axis.follows() {
+                continue;
+            }
+            if self.state == State::Moving && axis.state.age == 0 {
+                axis.tracking.record(error);
+            }
+            if error.abs() > limit || error.is_nan() {
+                self.fail(tick, index, StopCause::FollowingError { error, limit });
+            }
+        }
+    }
+
+    /// Latches the first fault and leaves the present state for it.
+    fn fail(&mut self, tick: &Tick, axis: usize, cause: StopCause) {
+        self.fault.get_or_insert(ServoFault {
+            axis: axis as u8,
+            cause,
+        });
+        self.apply(tick, Event::Fault);
+    }
+
+    /// Finds stops anywhere in the queue and carries them out before all else: what was queued
+    /// before them keeps its order, less the macrosteps.
+    fn take_stops(&mut self, tick: &Tick) {
+        if tick.stop {
+            self.apply(tick, Event::Disable);
+        }
+        let waiting = self.orders.slots();
+        let Ok(chunk) = self.orders.read_chunk(waiting) else {
+            return;
+        };
+        let (front, back) = chunk.as_slices();
+        let unseen = front.iter().chain(back).enumerate().skip(self.scanned);
+        let stops = unseen.filter(|(_, order)| matches!(order, Order::Stop | Order::Disable));
+        let last_stop = stops.map(|(index, _)| index).last();
+        self.scanned = waiting;
+        for _ in 0..last_stop.map_or(0, |index| index + 1) {
+            let Some(order) = self.pop() else { return };
+            self.news = true;
+            let dropped = matches!(order, Order::Move(_) | Order::Home);
+            if dropped || !self.apply(tick, order.event()) {
+                self.counters.refused_orders += 1;
+            }
+        }
+    }
+
+    fn pop(&mut self) -> Option<Order> {
+        let order = self.orders.pop().ok()?;
+        self.scanned = self.scanned.saturating_sub(1);
+        Some(order)
+    }
+
+    /// Carries out orders from the front of the queue until one has to wait. Macrosteps are for
+    /// [`Effector::advance`].
+    fn take_orders(&mut self, tick: &Tick) {
+        for _ in 0..self.orders.slots() {
+            let Ok(event) = self.orders.peek().map(Order::event) else {
+                return;
+            };
+            let answer = if tick.stop {
+                Answer::Refuse
+            } else {
+                self.state.next(event)
+            };
+            match answer {
+                Answer::To(_) if event == Event::Move => return,
+                Answer::To(next) => self.enter(tick, next),
+                Answer::Wait => return,
+                Answer::Refuse => self.counters.refused_orders += 1,
+            }
+            self.pop();
+            self.news = true;
+        }
+    }
+
+    /// Goes where `event` leads; false if it is refused.
+    fn apply(&mut self, tick: &Tick, event: Event) -> bool {
+        match self.state.next(event) {
+            Answer::To(next) => self.enter(tick, next),
+            Answer::Wait | Answer::Refuse => return false,
+        }
+        true
+    }
+
+    /// What has to be prepared on the way into a state.
+    fn enter(&mut self, tick: &Tick, next: State) {
+        let last = self.state;
+        if next == last {
+            return;
+        }
+        self.state = next;
+        self.news |= next.phase() != last.phase();
+        match (last, next) {
+            // The stop goes on, only its end is another.
+            (State::Braking(_), State::Braking(_)) | (State::Halting(_), State::Halting(_)) => {
+                return;
+            }
+            (_, State::Braking(_)) => {
+                let mut knots = [Knot::default(); MAX_AXES];
+                let mut accelerations = [0.0; MAX_AXES];
+                for (index, axis) in self.axes.iter().enumerate() {
+                    knots[index] = axis.last_step(tick.dt);
+                    accelerations[index] = axis.config.max_acceleration;
+                }
+                let used = self.axes.len();
+                self.stop = StraightStop::new(&knots[..used], &accelerations[..used], tick.dt);
+                self.segment = None;
+            }
+            (_, State::Halting(_)) => self.halted = false,
+            (_, State::Homing) => self.axes.iter_mut().for_each(|axis| axis.searched = false),
+            (State::Resetting, State::Off) => self.fault = None,
+            _ => {}
+        }
+        self.since = tick.now;
+    }
+
+    /// Moves the set-points one period on, and the state with them.
+    fn advance(&mut self, tick: &Tick) {
+        let waited = tick.now.since(self.since);
+        match self.state {
+            State::Off | State::Faulted => {}
+            State::Enabling => {
+                let on = |axis: &Axis| axis.state.power == Power::On;
+                if self.axes.iter().all(on) && self.settle() {
+                    self.apply(tick, Event::Done);
+                } else if waited > self.enabling_timeout {
+                    let late = self.first(|axis| !axis.follows());
+                    self.fail(tick, late, StopCause::NotReady { waited });
+                }
+            }
+            State::Standing => {
+                if matches!(self.orders.peek(), Ok(Order::Move(_))) {
+                    self.follow_macrosteps(tick);
+                }
+            }
+            State::Homing => self.home(tick, waited),
+            State::Moving => self.follow_macrosteps(tick),
+            State::Braking(after) => {
+                if self.stop.advance() {
+                    self.place_stop();
+                    self.since = tick.now;
+                } else if after == After::Stand
+                    || waited >= STANDSTILL_WAIT
+                    || self.axes.iter().all(Axis::is_still)
+                {
+                    self.apply(tick, Event::Done);
+                }
+            }
+            State::Halting(after) => {
+                // A search may reverse, so a moment without motion is not yet the end of it.
+                let still = self.axes.iter().all(Axis::is_still);
+                self.halted |= waited >= self.longest_stop() || still && waited >= STANDSTILL_WAIT;
+                if waited > self.longest_stop().saturating_add(self.enabling_timeout) {
+                    let late = self.first(|axis| !axis.follows());
+                    self.fail(tick, late, StopCause::NotReady { waited });
+                    self.apply(tick, Event::Done);
+                } else if after == After::Stand {
+                    // Set-points are taken up again only once nothing moves.
+                    if self.halted && self.settle() {
+                        self.apply(tick, Event::Done);
+                    }
+                } else if self.halted {
+                    self.apply(tick, Event::Done);
+                }
+            }
+            State::Resetting => {
+                if self.axes.iter().all(|axis| axis.state.fault.is_none()) {
+                    self.apply(tick, Event::Done);
+                } else if waited > self.enabling_timeout {
+                    let late = self.first(|axis| axis.state.fault.is_some());
+                    self.fail(tick, late, StopCause::NotReady { waited });
+                }
+            }
+        }
+    }
+
+    /// The first axis for which `what` holds, or the first.
+    fn first(&self, what: impl Fn(&Axis) -> bool) -> usize {
+        self.axes.iter().position(what).unwrap_or(0)
+    }
+
+    /// Target := actual for every axis that does not follow yet; true once all do.
+    fn settle(&mut self) -> bool {
+        let mut settled = true;
+        for axis in &mut self.axes {
+            if !axis.follows() {
+                axis.capture();
+                settled = false;
+            }
+        }
+        settled
+    }
+
+    /// Watches homing: a search that failed, the time-out, the end.
+    fn home(&mut self, tick: &Tick, waited: Duration) {
+        for index in 0..self.axes.len() {
+            let axis = &mut self.axes[index];
+            match axis.state.homing {
+                Homing::InProgress => axis.searched = true,
+                // Before the search was seen, it is the verdict on an earlier one.
+                Homing::Failed if axis.searched => {
+                    return self.fail(tick, index, StopCause::HomingFailed);
+                }
+                Homing::Failed | Homing::NotHomed | Homing::Attained => {}
+            }
+        }
+        if self.axes.iter().all(Axis::is_homed) && self.settle() {
+            self.apply(tick, Event::Done);
+        } else if waited > self.homing_timeout {
+            let order = self.homing_order();
+            let late =
+                self.first(|axis| !axis.is_homed() && Some(axis.config.homing_order) == order);
+            self.fail(tick, late, StopCause::HomingFailed);
+        }
+    }
+
+    /// Interpolates, beginning the next macrostep where one ends, and brakes if it cannot go on.
+    fn follow_macrosteps(&mut self, tick: &Tick) {
+        if let Err((axis, cause)) = self.try_follow(tick) {
+            self.fail(tick, axis, cause);
+            if matches!(self.state, State::Braking(_)) && self.stop.advance() {
+                self.place_stop();
+            }
+        }
+    }
+
+    fn try_follow(&mut self, tick: &Tick) -> Result<(), (usize, StopCause)> {
+        let mut segment = match self.segment {
+            Some(segment) if !segment.is_over() => segment,
+            _ => match self.begin(tick)? {
+                Some(segment) => segment,
+                None => return Ok(()),
+            },
+        };
+        segment.advance();
+        let mut knots = [Knot::default(); MAX_AXES];
+        for (index, axis) in self.axes.iter().enumerate() {
+            let knot = segment.at(index);
+            axis.vet(knot.position, tick.dt)
+                .map_err(|cause| (index, cause))?;
+            knots[index] = knot;
+        }
+        // Only now is any of it taken: an effector is never half commanded.
+        self.axes
+            .iter_mut()
+            .zip(knots)
+            .for_each(|(axis, knot)| axis.knot = knot);
+        self.segment = Some(segment);
+        Ok(())
+    }
+
+    /// Takes the next macrostep from the queue; `None` if the last one ended at rest.
+    fn begin(&mut self, tick: &Tick) -> Result<Option<Segment>, (usize, StopCause)> {
+        self.segment = None;
+        if !matches!(self.orders.peek(), Ok(Order::Move(_))) {
+            if let Some(axis) = self.axes.iter().position(|axis| axis.knot.velocity != 0.0) {
+                return Err((
+                    axis,
+                    StopCause::Starved {
+                        last: self.macrostep,
+                    },
+                ));
+            }
+            // A macrostep may claim an end at rest and yet arrive with speed.
+            for (index, axis) in self.axes.iter().enumerate() {
+                axis.vet(axis.knot.position, tick.dt)
+                    .map_err(|cause| (index, cause))?;
+            }
+            self.apply(tick, Event::Done);
+            return Ok(None);
+        }
+        let Some(Order::Move(macrostep)) = self.pop() else {
+            return Ok(None);
+        };
+        self.admit(&macrostep)?;
+        self.apply(tick, Event::Move);
+        self.macrostep = macrostep.number;
+        self.counters.macrosteps += 1;
+        let mut from = [Knot::default(); MAX_AXES];
+        self.axes
+            .iter()
+            .zip(&mut from)
+            .for_each(|(axis, from)| *from = axis.knot);
+        Ok(Some(Segment::new(macrostep, from, tick.dt)))
+    }
+
+    /// Whether a macrostep can be begun at all.
+    fn admit(&self, macrostep: &Macrostep) -> Result<(), (usize, StopCause)> {
+        let Macrostep {
+            number,
+            steps,
+            report_at,
+            position,
+            velocity,
+        } = macrostep;
+        if report_at < &1 || report_at > steps {
+            return Err((0, StopCause::Malformed { number: *number }));
+        }
+        for (index, axis) in self.axes.iter().enumerate() {
+            if !position[index].is_finite() || !velocity[index].is_finite() {
+                return Err((index, StopCause::NotFinite));
+            }
+            if !axis.is_homed() {
+                return Err((index, StopCause::NotHomed));
+            }
+        }
+        Ok(())
+    }
+
+    /// The order whose turn it is to home; `None` once all are.
+    fn homing_order(&self) -> Option<u8> {
+        let missing = self.axes.iter().filter(|axis| !axis.is_homed());
+        missing.map(|axis| axis.config.homing_order).min()
+    }
+
+    /// Takes the set-points of the straight stop.
+    fn place_stop(&mut self) {
+        for (index, axis) in self.axes.iter_mut().enumerate() {
+            axis.knot = self.stop.at(index);
+        }
+    }
+
+    /// Turns state and set-points into one command per axis.
+    fn command(&mut self) {
+        let halted = self.halted;
+        let on = self.axes.iter().all(|axis| axis.state.power == Power::On);
+        let order = self.homing_order();
+        for axis in &mut self.axes {
+            let stand_or_follow = |follow: bool| {
+                if follow {
+                    axis.regulate()
+                } else {
+                    AxisCommand::Stand
+                }
+            };
+            let command = match self.state {
+                State::Off | State::Faulted => AxisCommand::Off,
+                State::Resetting => AxisCommand::ResetFault,
+                // A drive with a fault has stopped by itself; the others go on braking.
+                _ if axis.state.fault.is_some() => AxisCommand::Off,
+                State::Enabling => stand_or_follow(on),
+                State::Standing | State::Moving | State::Braking(_) => axis.regulate(),
+                State::Homing => match order {
+                    None => axis.regulate(),
+                    Some(order) if !axis.is_homed() && axis.config.homing_order == order => {
+                        AxisCommand::Home
+                    }
+                    Some(_) => AxisCommand::Stand,
+                },
+                State::Halting(after) => stand_or_follow(halted && after == After::Stand),
+            };
+            axis.command(command);
+        }
+    }
+
+    fn report(&mut self, tick: &Tick) {
+        let mut report = Report {
+            at: tick.now,
+            phase: self.state.phase(),
+            homed: self.axes.iter().all(Axis::is_homed),
+            macrostep: self.macrostep,
+            commanded: [0.0; MAX_AXES],
+            measured: [0.0; MAX_AXES],
+            velocity: [0.0; MAX_AXES],
+            fault: self.fault,
+        };
+        for (index, axis) in self.axes.iter().enumerate() {
+            report.commanded[index] = axis.knot.position;
+            report.measured[index] = axis.state.position;
+            report.velocity[index] = axis.state.velocity;
+        }
+        self.counters.dropped_reports += u64::from(self.reports.push(report).is_err());
+    }
+
+    /// What the recording keeps of this cycle.
+    pub(crate) fn record(&self, tick: &Tick) -> Record {
+        let mut record = Record {
+            cycle: tick.number,
+            at: tick.now,
+            effector: self.index,
+            axes: self.axes.len() as u8,
+            phase: self.state.phase(),
+            ..Record::default()
+        };
+        for (axis, kept) in self.axes.iter().zip(&mut record.axis) {
+            *kept = AxisRecord {
+                commanded: axis.knot.position,
+                measured: axis.state.position,
+                increments: axis.state.increments,
+                velocity: axis.state.velocity,
+                torque: axis.state.torque,
+            };
+        }
+        record
+    }
+}
+
+impl Order {
+    fn event(&self) -> Event {
+        match self {
+            Self::Enable => Event::Enable,
+            Self::Home => Event::Home,
+            Self::Move(_) => Event::Move,
+            Self::Stop => Event::Stop,
+            Self::Disable => Event::Disable,
+            Self::ResetFault => Event::ResetFault,
+        }
+    }
+}

@@ -1,0 +1,99 @@
+use std::fmt;
+use std::time::Duration;
+
+/// A histogram of durations from 1 ns to 10 s in three significant digits.
+///
+/// Made whole at the start: recording neither allocates nor resizes, and what exceeds 10 s is
+/// counted as 10 s.
+#[derive(Clone)]
+pub struct Histogram(hdrhistogram::Histogram<u64>);
+
+const LONGEST: u64 = 10_000_000_000;
+
+impl Histogram {
+    /// An empty one, of about 200 kB.
+    pub fn new() -> Self {
+        let histogram = hdrhistogram::Histogram::new_with_bounds(1, LONGEST, 3);
+        Self(histogram.expect("the bounds are constants that the library accepts"))
+    }
+
+    /// Counts one duration.
+    pub fn record(&mut self, duration: Duration) {
+        let nanos = u64::try_from(duration.as_nanos()).unwrap_or(LONGEST);
+        self.0.saturating_record(nanos.min(LONGEST));
+    }
+
+    /// How many were recorded.
+    pub fn count(&self) -> u64 {
+        self.0.len()
+    }
+
+    /// The duration that the share `quantile`, 0 ..= 1, of all recorded ones do not exceed; zero if
+    /// none was.
+    pub fn quantile(&self, quantile: f64) -> Duration {
+        Duration::from_nanos(self.0.value_at_quantile(quantile))
+    }
+
+    /// The longest one; zero if none was recorded.
+    pub fn max(&self) -> Duration {
+        Duration::from_nanos(self.0.max())
+    }
+
+    /// Their mean; zero if none was recorded.
+    pub fn mean(&self) -> Duration {
+        Duration::from_nanos(self.0.mean() as u64)
+    }
+
+    /// Each occupied bin's longest duration and its count, ascending.
+    pub fn bins(&self) -> impl Iterator<Item = (Duration, u64)> {
+        let bins = self.0.iter_recorded();
+        bins.map(|bin| {
+            (
+                Duration::from_nanos(bin.value_iterated_to()),
+                bin.count_at_value(),
+            )
+        })
+    }
+}
+
+impl Default for Histogram {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// Count, median, tails and maximum on one line.
+impl fmt::Debug for Histogram {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [median, p99, p999] = [0.5, 0.99, 0.999].map(|quantile| self.quantile(quantile));
+        write!(f, "{} × p50 {median:?} ", self.count())?;
+        write!(f, "p99 {p99:?} p99.9 {p999:?} max {:?}", self.max())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_are_those_of_what_was_recorded() {
+        let mut histogram = Histogram::new();
+        assert_eq!(histogram.max(), Duration::ZERO);
+        (1..=1000).for_each(|micros| histogram.record(Duration::from_micros(micros)));
+        for (quantile, micros) in [(0.5, 500.0), (0.99, 990.0), (1.0, 1000.0)] {
+            let found = histogram.quantile(quantile).as_secs_f64() * 1e6;
+            assert!((found / micros - 1.0).abs() < 2e-3, "{quantile}: {found}");
+        }
+        assert_eq!(histogram.bins().map(|bin| bin.1).sum::<u64>(), 1000);
+    }
+
+    #[test]
+    fn what_is_out_of_bounds_is_counted_at_the_bound() {
+        let mut histogram = Histogram::new();
+        histogram.record(Duration::ZERO);
+        histogram.record(Duration::MAX);
+        assert_eq!(histogram.count(), 2);
+        assert!(histogram.max() >= Duration::from_secs(10));
+        assert!(histogram.max() < Duration::from_millis(10_020));
+    }
+}

@@ -1,0 +1,125 @@
+use crate::StopCause;
+
+/// Share by which a finite difference of sent positions may exceed a limit.
+///
+/// Positions of some 10⁴ rad carry rounding errors of 10⁻¹² rad, which over the square of a period
+/// of 1 ms is 10⁻⁵ rad/s²: a thousandth of any real limit is far above that and far below what a
+/// drive would notice.
+pub(crate) const RELATIVE_TOLERANCE: f64 = 1e-3;
+
+/// What the commanded sequence of one motor must keep.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AxisLimits {
+    /// Lowest position, rad.
+    pub min_position: f64,
+    /// Highest position, rad.
+    pub max_position: f64,
+    /// Highest speed, rad/s.
+    pub max_velocity: f64,
+    /// Highest acceleration, rad/s².
+    pub max_acceleration: f64,
+}
+
+/// Whether `next` may follow `last` and, before it, `before_last` in periods of `dt` seconds.
+///
+/// Speed and acceleration are the first and second difference of the positions sent, with a
+/// tolerance of a thousandth. An axis that stands beyond a position limit may move back towards
+/// it. A stop begun near a position limit passes it by at most v² / 2a, so the limit belongs that far
+/// before anything solid.
+pub fn check(
+    limits: &AxisLimits,
+    before_last: f64,
+    last: f64,
+    next: f64,
+    dt: f64,
+) -> Result<(), StopCause> {
+    if !next.is_finite() {
+        return Err(StopCause::NotFinite);
+    }
+    if next > limits.max_position && next > last {
+        return Err(StopCause::PositionLimit {
+            position: next,
+            limit: limits.max_position,
+        });
+    }
+    if next < limits.min_position && next < last {
+        return Err(StopCause::PositionLimit {
+            position: next,
+            limit: limits.min_position,
+        });
+    }
+    let velocity = (next - last) / dt;
+    if velocity.abs() > limits.max_velocity * (1.0 + RELATIVE_TOLERANCE) {
+        return Err(StopCause::VelocityLimit {
+            velocity,
+            limit: limits.max_velocity,
+        });
+    }
+    let acceleration = (velocity - (last - before_last) / dt) / dt;
+    if acceleration.abs() > limits.max_acceleration * (1.0 + RELATIVE_TOLERANCE) {
+        return Err(StopCause::AccelerationLimit {
+            acceleration,
+            limit: limits.max_acceleration,
+        });
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const LIMITS: AxisLimits = AxisLimits {
+        min_position: -10.0,
+        max_position: 10.0,
+        max_velocity: 5.0,
+        max_acceleration: 100.0,
+    };
+    const DT: f64 = 0.01;
+
+    #[test]
+    fn each_limit_is_named_with_both_sides() {
+        type Case = (f64, f64, f64, Option<StopCause>);
+        let beyond = |position, limit| Some(StopCause::PositionLimit { position, limit });
+        let cases: [Case; 10] = [
+            (0.0, 0.0, 0.0, None),
+            (0.0, 0.0, 0.01, None),
+            (9.96, 9.98, 10.0, None),
+            (9.98, 10.0, 10.02, beyond(10.02, 10.0)),
+            (-9.98, -10.0, -10.02, beyond(-10.02, -10.0)),
+            (11.0, 11.0, 10.995, None),
+            (11.0, 11.0, 11.005, beyond(11.005, 10.0)),
+            (0.0, 0.05, 0.1, None),
+            (0.0, 0.0, f64::NAN, Some(StopCause::NotFinite)),
+            (0.0, 0.0, f64::NEG_INFINITY, Some(StopCause::NotFinite)),
+        ];
+        for (before_last, last, next, expected) in cases {
+            let found = check(&LIMITS, before_last, last, next, DT).err();
+            assert_eq!(found, expected, "{before_last} {last} {next}");
+        }
+        let too_fast = check(&LIMITS, 0.0, 0.05, 0.11, DT);
+        assert!(
+            matches!(too_fast, Err(StopCause::VelocityLimit { velocity, limit: 5.0 }) if velocity > 5.9)
+        );
+        let too_hard = check(&LIMITS, 0.0, 0.0, 0.02, DT);
+        assert!(
+            matches!(too_hard, Err(StopCause::AccelerationLimit { acceleration, .. }) if acceleration > 199.0)
+        );
+    }
+
+    proptest! {
+        #[test]
+        fn what_passes_is_within_every_limit(
+            last in -12.0..12.0f64, v in -8.0..8.0f64, dv in -3.0..3.0f64,
+        ) {
+            let before_last = last - v * DT;
+            let next = last + (v + dv) * DT;
+            if check(&LIMITS, before_last, last, next, DT).is_ok() {
+                prop_assert!((v + dv).abs() <= 5.0 * 1.001 + 1e-9);
+                prop_assert!(dv.abs() <= 1.0 * 1.001 + 1e-9);
+                prop_assert!(next.abs() <= 10.0 || next.abs() <= last.abs());
+            }
+        }
+    }
+}

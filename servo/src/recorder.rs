@@ -1,0 +1,82 @@
+//! Per-cycle records in a bounded ring, drained by a thread that may be late.
+
+use can::Instant;
+use drive::Increments;
+
+use crate::{MAX_AXES, Phase};
+
+/// One cycle of one effector.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Record {
+    /// Number of the cycle, from 0.
+    pub cycle: u64,
+    /// Its time.
+    pub at: Instant,
+    /// Index of the effector.
+    pub effector: u8,
+    /// How many of `axis` are used.
+    pub axes: u8,
+    /// What the effector did.
+    pub phase: Phase,
+    /// Its axes.
+    pub axis: [AxisRecord; MAX_AXES],
+}
+
+/// One cycle of one axis.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct AxisRecord {
+    /// Motor position commanded in this cycle, rad.
+    pub commanded: f64,
+    /// Motor position as last measured, rad; it answers the command of two cycles before.
+    pub measured: f64,
+    /// The same as the drive counts it.
+    pub increments: Increments,
+    /// Motor velocity measured, rad/s.
+    pub velocity: f64,
+    /// Motor torque measured, N·m.
+    pub torque: f64,
+}
+
+/// The servo's end of a recording.
+#[derive(Debug)]
+pub(crate) struct Recorder {
+    ring: rtrb::Producer<Record>,
+    dropped: u64,
+}
+
+impl Recorder {
+    /// A ring of `capacity` records, each one effector and cycle.
+    pub(crate) fn new(capacity: usize) -> (Self, rtrb::Consumer<Record>) {
+        let (ring, records) = rtrb::RingBuffer::new(capacity);
+        (Self { ring, dropped: 0 }, records)
+    }
+
+    /// Keeps one record, or counts it as dropped.
+    pub(crate) fn record(&mut self, record: Record) {
+        self.dropped += u64::from(self.ring.push(record).is_err());
+    }
+
+    pub(crate) fn dropped(&self) -> u64 {
+        self.dropped
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_does_not_fit_is_counted() {
+        let (mut recorder, mut records) = Recorder::new(2);
+        for cycle in 0..5 {
+            recorder.record(Record {
+                cycle,
+                ..Record::default()
+            });
+        }
+        assert_eq!(recorder.dropped(), 3);
+        assert_eq!(records.pop().unwrap().cycle, 0);
+        recorder.record(Record::default());
+        assert_eq!(recorder.dropped(), 3);
+    }
+}

@@ -1,0 +1,272 @@
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::task::Poll;
+use std::time::Duration;
+
+use can::Instant;
+use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters};
+
+use crate::effector::{Effector, Tick};
+use crate::recorder::Recorder;
+use crate::{
+    Counters, EffectorLink, Record, ServoConfig, ServoError, ServoFault, State, TrackingError,
+};
+
+/// Steps every effector of a cell on one tick grid.
+///
+/// # The cycle
+/// [`step`](Self::step) reads what the drives sampled at the SYNC before, checks it, finds the next
+/// set-points, vets them, writes them, and sends SYNC with them. It is [`prepare`](Self::prepare)
+/// and [`send`](Self::send) in one: a thread may prepare shortly before the deadline and send
+/// exactly at it, so that SYNC alone carries the jitter. Either way a cycle costs at most one system
+/// call each way per bus, and from sample to effect two periods pass.
+///
+/// None of the three allocates, locks, formats or waits. The deadline of a cycle is the nominal
+/// time of its SYNC; whoever misses one skips it and says so with [`missed`](Self::missed). Motion is then
+/// late by as many periods, never faster: set-points always advance by one nominal period.
+///
+/// # Stops
+/// Whatever stops an effector brakes it along a straight line within its acceleration limits first
+/// ([`StraightStop`](crate::StraightStop)). A [`StopRequest`] does so to all of them, and then
+/// switches them off.
+pub struct Servo {
+    period: Duration,
+    max_missed_in_row: u32,
+    groups: Vec<Group>,
+    effectors: Vec<Effector>,
+    stop: StopRequest,
+    recorder: Option<Recorder>,
+    cycles: u64,
+    /// Missed since the last cycle, in a row up to it, and ever.
+    missed: u32,
+    missed_in_row: u32,
+    missed_ever: u64,
+}
+
+struct Group {
+    drives: Box<dyn DriveGroup>,
+    states: Vec<AxisState>,
+    commands: Vec<AxisCommand>,
+    is_up: bool,
+}
+
+/// Asks a servo to brake every effector and switch it off; for Ctrl-C and the like.
+///
+/// It holds for the rest of the run: orders that come after it are refused.
+#[derive(Clone, Debug, Default)]
+pub struct StopRequest(Arc<AtomicBool>);
+
+impl StopRequest {
+    /// Asks. From any thread, or from a signal handler.
+    pub fn request(&self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+
+    /// Whether anybody asked.
+    pub fn is_requested(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
+impl Servo {
+    /// A servo for `groups`, with one link per effector of `config`, in its order.
+    pub fn new(
+        config: &ServoConfig,
+        groups: Vec<Box<dyn DriveGroup>>,
+    ) -> Result<(Self, Vec<EffectorLink>), ServoError> {
+        let axes: Vec<usize> = groups.iter().map(|group| group.axes()).collect();
+        config.check(&axes)?;
+        let effectors = config.effectors.iter().zip(0..);
+        let (effectors, links) = effectors
+            .map(|(config, index)| Effector::new(index, config))
+            .unzip();
+        let group = |drives: Box<dyn DriveGroup>| Group {
+            states: vec![AxisState::default(); drives.axes()],
+            commands: vec![AxisCommand::Off; drives.axes()],
+            is_up: false,
+            drives,
+        };
+        let servo = Self {
+            period: config.period,
+            max_missed_in_row: config.max_missed_in_row,
+            groups: groups.into_iter().map(group).collect(),
+            effectors,
+            stop: StopRequest::default(),
+            recorder: None,
+            cycles: 0,
+            missed: 0,
+            missed_in_row: 0,
+            missed_ever: 0,
+        };
+        Ok((servo, links))
+    }
+
+    /// Moves the bring-up of every group forward; call it every period until it is ready. An error
+    /// names the group.
+    pub fn bring_up(&mut self, now: Instant) -> Poll<Result<(), (usize, BringUpError)>> {
+        let mut up = true;
+        for (index, group) in self.groups.iter_mut().enumerate().filter(|(_, g)| !g.is_up) {
+            match group.drives.bring_up(now) {
+                Poll::Ready(Ok(())) => group.is_up = true,
+                Poll::Ready(Err(error)) => return Poll::Ready(Err((index, error))),
+                Poll::Pending => up = false,
+            }
+        }
+        if up {
+            Poll::Ready(Ok(()))
+        } else {
+            Poll::Pending
+        }
+    }
+
+    /// One cycle.
+    pub fn step(&mut self, now: Instant) {
+        self.prepare(now);
+        self.send(now);
+    }
+
+    /// Everything of a cycle but its sending; `now` is the time of its SYNC, or shortly before.
+    pub fn prepare(&mut self, now: Instant) {
+        let tick = self.tick(now);
+        for group in &mut self.groups {
+            group.drives.read(now, &mut group.states);
+        }
+        for effector in &mut self.effectors {
+            effector.set_states(|group, index| self.groups[group].states[index]);
+            effector.step(&tick);
+            for (group, index, command) in effector.commands() {
+                self.groups[group].commands[index] = command;
+            }
+            if let Some(recorder) = &mut self.recorder {
+                recorder.record(effector.record(&tick));
+            }
+        }
+        for group in &mut self.groups {
+            group.drives.write(now, &group.commands);
+        }
+    }
+
+    /// Sends SYNC and what was prepared, on every bus.
+    pub fn send(&mut self, now: Instant) {
+        for group in &mut self.groups {
+            group.drives.send(now);
+        }
+    }
+
+    /// Says that `count` deadlines passed without a cycle since the last one.
+    ///
+    /// Cycles that each missed some count as one row; a punctual one ends it. A row longer than
+    /// [`ServoConfig::max_missed_in_row`] is a fault of every effector.
+    pub fn missed(&mut self, count: u32) {
+        self.missed = self.missed.saturating_add(count);
+    }
+
+    fn tick(&mut self, now: Instant) -> Tick {
+        let missed = std::mem::take(&mut self.missed);
+        self.missed_ever += u64::from(missed);
+        let row = if missed == 0 {
+            0
+        } else {
+            self.missed_in_row.saturating_add(missed)
+        };
+        self.missed_in_row = row;
+        let number = self.cycles;
+        self.cycles += 1;
+        Tick {
+            number,
+            now,
+            dt: self.period.as_secs_f64(),
+            stop: self.stop.is_requested(),
+            overrun: (row > self.max_missed_in_row).then_some(row),
+        }
+    }
+
+    /// Takes the power from every axis without braking it first (category 0).
+    ///
+    /// For when the cycle itself cannot be trusted any more. A drive obeys what it latched at a
+    /// SYNC, so two of these a period apart are the least.
+    pub fn cut_power(&mut self, now: Instant) {
+        for group in &mut self.groups {
+            group.commands.fill(AxisCommand::Off);
+            group.drives.write(now, &group.commands);
+            group.drives.send(now);
+        }
+    }
+
+    /// Begins a recording of at most `capacity` records, one per effector and cycle. Drain it from
+    /// another thread; what does not fit is counted.
+    pub fn record(&mut self, capacity: usize) -> rtrb::Consumer<Record> {
+        let (recorder, records) = Recorder::new(capacity);
+        self.recorder = Some(recorder);
+        records
+    }
+
+    /// A handle that stops everything.
+    pub fn stop_request(&self) -> StopRequest {
+        self.stop.clone()
+    }
+
+    /// Time from one SYNC to the next.
+    pub fn period(&self) -> Duration {
+        self.period
+    }
+
+    /// What effector `index` does; `None` if there is no such effector.
+    pub fn state(&self, index: usize) -> Option<State> {
+        self.effectors.get(index).map(Effector::state)
+    }
+
+    /// Why effector `index` was stopped, if it was.
+    pub fn fault(&self, index: usize) -> Option<ServoFault> {
+        self.effectors.get(index).and_then(Effector::fault)
+    }
+
+    /// Whether every effector is off or faulted and no drive of theirs says that it has power.
+    pub fn is_off(&self) -> bool {
+        self.effectors.iter().all(|effector| {
+            matches!(effector.state(), State::Off | State::Faulted) && !effector.has_power()
+        })
+    }
+
+    /// The longest that braking any effector to standstill takes.
+    pub fn longest_stop(&self) -> Duration {
+        self.effectors
+            .iter()
+            .map(Effector::longest_stop)
+            .max()
+            .unwrap_or_default()
+    }
+
+    /// How far the axes of effector `index` were from their commands; empty if there is no such
+    /// effector.
+    pub fn tracking(&self, index: usize) -> impl Iterator<Item = TrackingError> {
+        self.effectors
+            .get(index)
+            .into_iter()
+            .flat_map(Effector::tracking)
+    }
+
+    /// What was counted so far.
+    pub fn counters(&self) -> Counters {
+        let mut sum = Counters {
+            cycles: self.cycles,
+            missed_cycles: self.missed_ever,
+            dropped_records: self.recorder.as_ref().map_or(0, Recorder::dropped),
+            ..Counters::default()
+        };
+        for counters in self.effectors.iter().map(Effector::counters) {
+            sum.macrosteps += counters.macrosteps;
+            sum.refused_orders += counters.refused_orders;
+            sum.dropped_reports += counters.dropped_reports;
+        }
+        sum
+    }
+
+    /// What each group counted so far.
+    pub fn group_counters(&self) -> impl Iterator<Item = GroupCounters> {
+        self.groups.iter().map(|group| group.drives.counters())
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,229 @@
+use crate::Phase;
+
+/// What an effector does: [`Phase`] with what only its servo needs to know.
+///
+/// An effector is off, on and still, or on its way between. It moves only from standing and comes
+/// back to standing when its macrosteps end at rest. Whoever asks for less than motion (an order, a
+/// fault, a stop request) brakes it first: motion that the servo commands is braked by the servo
+/// ([`State::Braking`]), motion that a drive commands, homing, by the drive
+/// ([`State::Halting`]). Where braking leads is decided when it begins and can only get
+/// stricter: stand, then off, then faulted. A fault of an effector at rest takes its power at once.
+///
+/// ```text
+///            Enable            Done             Move
+///     Off ──────────▶ Enabling ────▶ Standing ─────────▶ Moving ◀─┐ Move
+///      ▲ ◀──Disable──────┴──────────────┘▲ ▲ ◀───Done──────┤ └────┘
+///      │                            Done │ │               │ Stop, Disable, Fault
+///      │                 Homing ◀──Home──┘ │               ▼
+///      │                   │ ──────Done───▶┤◀──stand─── Braking ──fault──▶ Faulted
+///      │                   └─Stop, ...─▶ Halting           │ off             │ ResetFault
+///      │◀──────────────────────────────────┴───────────────┘                 ▼
+///      └───────────────────────────────────────────Done──────────────── Resetting
+///
+///     Off, Enabling, Standing ──Fault──▶ Faulted       Resetting ──Fault──▶ Faulted
+/// ```
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum State {
+    /// Drives off.
+    #[default]
+    Off,
+    /// Drives on their way to on and following.
+    Enabling,
+    /// On and still.
+    Standing,
+    /// The drives search their references.
+    Homing,
+    /// Following macrosteps.
+    Moving,
+    /// Decelerating by set-points.
+    Braking(After),
+    /// Waiting for the drives to end the motion that homing was.
+    Halting(After),
+    /// Stopped by a fault, drives off.
+    Faulted,
+    /// Waiting for the drives to clear their faults, drives off.
+    Resetting,
+}
+
+/// What follows a stop; the greater one wins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum After {
+    /// Stand with power on (category 2).
+    Stand,
+    /// Switch the drives off (category 1).
+    Off,
+    /// Switch the drives off and latch the fault (category 1).
+    Fault,
+}
+
+/// What happens to an effector.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Event {
+    /// [`Order::Enable`](crate::Order::Enable).
+    Enable,
+    /// [`Order::Home`](crate::Order::Home).
+    Home,
+    /// [`Order::Move`](crate::Order::Move).
+    Move,
+    /// [`Order::Stop`](crate::Order::Stop).
+    Stop,
+    /// [`Order::Disable`](crate::Order::Disable).
+    Disable,
+    /// [`Order::ResetFault`](crate::Order::ResetFault).
+    ResetFault,
+    /// What the state waits for has come: all on, all homed, the last macrostep ended at rest,
+    /// standstill, no drive fault left.
+    Done,
+    /// A drive, a check or a time-out.
+    Fault,
+}
+
+/// What becomes of an event.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Answer {
+    /// It leads to this state, which may be the one that is.
+    To(State),
+    /// It waits in the queue until the state is another.
+    Wait,
+    /// It means nothing here and is dropped.
+    Refuse,
+}
+
+impl State {
+    /// The only way from state to state.
+    pub fn next(self, event: Event) -> Answer {
+        use Answer::{Refuse, To, Wait};
+        use State::{
+            Braking, Enabling, Faulted, Halting, Homing, Moving, Off, Resetting, Standing,
+        };
+        match (self, event) {
+            (Off, Event::Enable) => To(Enabling),
+            (Off, Event::Stop | Event::Disable | Event::ResetFault) => To(Off),
+            (Off, Event::Home | Event::Move | Event::Done) => Refuse,
+            (Off | Enabling | Standing, Event::Fault) => To(Faulted),
+
+            (Enabling, Event::Done) => To(Standing),
+            (Enabling, Event::Enable | Event::Stop | Event::ResetFault) => To(Enabling),
+            (Enabling, Event::Home | Event::Move) => Wait,
+            (Enabling | Standing, Event::Disable) => To(Off),
+
+            (Standing, Event::Home) => To(Homing),
+            (Standing, Event::Move) => To(Moving),
+            (Standing, Event::Enable | Event::Stop | Event::ResetFault) => To(Standing),
+            (Standing, Event::Done) => Refuse,
+
+            (Homing, Event::Done) => To(Standing),
+            (Homing, Event::Enable | Event::ResetFault) => To(Homing),
+            (Homing, Event::Home | Event::Move) => Wait,
+            (Homing, Event::Stop) => To(Halting(After::Stand)),
+            (Homing, Event::Disable) => To(Halting(After::Off)),
+            (Homing, Event::Fault) => To(Halting(After::Fault)),
+
+            (Moving, Event::Move | Event::Enable | Event::ResetFault) => To(Moving),
+            (Moving, Event::Home) => Wait,
+            (Moving, Event::Done) => To(Standing),
+            (Moving, Event::Stop) => To(Braking(After::Stand)),
+            (Moving, Event::Disable) => To(Braking(After::Off)),
+            (Moving, Event::Fault) => To(Braking(After::Fault)),
+
+            (Braking(after) | Halting(after), Event::Done) => To(match after {
+                After::Stand => Standing,
+                After::Off => Off,
+                After::Fault => Faulted,
+            }),
+            (Braking(_) | Halting(_), Event::Enable | Event::Home | Event::Move) => Wait,
+            (Braking(_) | Halting(_), Event::ResetFault) => Refuse,
+            (Braking(_) | Halting(_), Event::Stop) => To(self),
+            (Braking(after), Event::Disable) => To(Braking(after.max(After::Off))),
+            (Halting(after), Event::Disable) => To(Halting(after.max(After::Off))),
+            (Braking(_), Event::Fault) => To(Braking(After::Fault)),
+            (Halting(_), Event::Fault) => To(Halting(After::Fault)),
+
+            (Faulted, Event::ResetFault) => To(Resetting),
+            (Faulted, Event::Stop | Event::Disable | Event::Fault) => To(Faulted),
+            (Faulted, Event::Enable | Event::Home | Event::Move | Event::Done) => Refuse,
+
+            (Resetting, Event::Done) => To(Off),
+            (Resetting, Event::Fault) => To(Faulted),
+            (Resetting, Event::Stop | Event::Disable | Event::ResetFault) => To(Resetting),
+            (Resetting, Event::Enable | Event::Home | Event::Move) => Wait,
+        }
+    }
+
+    /// What the controller is told.
+    pub fn phase(self) -> Phase {
+        match self {
+            Self::Off => Phase::Off,
+            Self::Enabling => Phase::Enabling,
+            Self::Standing => Phase::Standing,
+            Self::Homing => Phase::Homing,
+            Self::Moving => Phase::Moving,
+            Self::Braking(_) | Self::Halting(_) => Phase::Stopping,
+            Self::Faulted | Self::Resetting => Phase::Faulted,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_state_answers_every_event_as_the_table_says() {
+        use State::*;
+        // One letter per answer: the target state's, `.` for the same state, `w` wait, `-` refuse.
+        let letter = |state| match state {
+            Off => 'O',
+            Enabling => 'E',
+            Standing => 'S',
+            Homing => 'H',
+            Moving => 'M',
+            Braking(After::Stand) => '1',
+            Braking(After::Off) => '2',
+            Braking(After::Fault) => '3',
+            Halting(After::Stand) => '4',
+            Halting(After::Off) => '5',
+            Halting(After::Fault) => '6',
+            Faulted => 'F',
+            Resetting => 'R',
+        };
+        let events = [
+            Event::Enable,
+            Event::Home,
+            Event::Move,
+            Event::Stop,
+            Event::Disable,
+            Event::ResetFault,
+            Event::Done,
+            Event::Fault,
+        ];
+        let table = [
+            //                      Enable Home Move Stop Disable Reset Done Fault
+            (Off, "E--...-F"),
+            (Enabling, ".ww.O.SF"),
+            (Standing, ".HM.O.-F"),
+            (Homing, ".ww45.S6"),
+            (Moving, ".w.12.S3"),
+            (Braking(After::Stand), "www.2-S3"),
+            (Braking(After::Off), "www..-O3"),
+            (Braking(After::Fault), "www..-F."),
+            (Halting(After::Stand), "www.5-S6"),
+            (Halting(After::Off), "www..-O6"),
+            (Halting(After::Fault), "www..-F."),
+            (Faulted, "---..R-."),
+            (Resetting, "www...OF"),
+        ];
+        for (state, expected) in table {
+            let row: String = events
+                .iter()
+                .map(|&event| match state.next(event) {
+                    Answer::To(next) if next == state => '.',
+                    Answer::To(next) => letter(next),
+                    Answer::Wait => 'w',
+                    Answer::Refuse => '-',
+                })
+                .collect();
+            assert_eq!(row, expected, "{state:?}");
+        }
+    }
+}

@@ -1,0 +1,70 @@
+/// How far one axis was from its command while its effector moved.
+///
+/// The command is the one its drive had latched when it sampled, so the two periods of transport
+/// are not in it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct TrackingError {
+    samples: u64,
+    sum_of_squares: f64,
+    peak: f64,
+}
+
+impl TrackingError {
+    /// Counts one error, rad.
+    pub(crate) fn record(&mut self, error: f64) {
+        self.samples += 1;
+        self.sum_of_squares += error * error;
+        self.peak = self.peak.max(error.abs());
+    }
+
+    /// Cycles counted.
+    pub fn samples(&self) -> u64 {
+        self.samples
+    }
+
+    /// Root mean square, rad; zero if the axis never moved.
+    pub fn rms(&self) -> f64 {
+        if self.samples == 0 {
+            0.0
+        } else {
+            (self.sum_of_squares / self.samples as f64).sqrt()
+        }
+    }
+
+    /// The largest absolute value, rad.
+    pub fn peak(&self) -> f64 {
+        self.peak
+    }
+}
+
+/// What a servo counts. Counters only grow.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counters {
+    /// Cycles stepped.
+    pub cycles: u64,
+    /// Deadlines that passed without a cycle.
+    pub missed_cycles: u64,
+    /// Macrosteps begun.
+    pub macrosteps: u64,
+    /// Orders that were not carried out because the effector could not take them, and macrosteps
+    /// dropped by a stop.
+    pub refused_orders: u64,
+    /// Reports dropped because the controller did not collect them.
+    pub dropped_reports: u64,
+    /// Records dropped because the recording was not drained.
+    pub dropped_records: u64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rms_and_peak_are_of_all_samples() {
+        let mut error = TrackingError::default();
+        assert_eq!(error.rms(), 0.0);
+        [3.0, -4.0].into_iter().for_each(|e| error.record(e));
+        assert!((error.rms() - 12.5f64.sqrt()).abs() < 1e-12);
+        assert_eq!((error.peak(), error.samples()), (4.0, 2));
+    }
+}

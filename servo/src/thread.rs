@@ -1,0 +1,520 @@
+//! The servo thread: it waits for deadlines and steps the servo at them. Nothing else here waits.
+//!
+//! **Deadlines** lie one period apart on `CLOCK_MONOTONIC`. For each the thread sleeps with an
+//! absolute `clock_nanosleep` to [`RealtimePolicy::lead`] before it, prepares the cycle, spins to
+//! the deadline and sends. With a lead of zero it prepares and sends when it wakes.
+//!
+//! **A missed deadline** is counted and skipped, never caught up: a thread that is half a period
+//! late or later lets that slot go and waits for the next, so two SYNCs are never closer than half a
+//! period. What follows from too many is in [`Servo::missed`].
+//!
+//! **The end** is always drives off. When `until` says so the servo is asked to stop, and cycles go
+//! on until every effector is braked and without power, or for as long as that can take. A panic
+//! of `between` or `until` ends in the same way (category 1), without calling them again; a panic of
+//! the cycle itself takes the power at once (category 0). [`Finished::panicked`] says so, and the
+//! panic message is where the panic hook puts it. If the process dies, the drives' own reaction
+//! to silence is what stops them.
+//!
+//! **Real-time needs** are asked for one by one: SCHED_FIFO, a CPU, locked memory, timer slack of
+//! 1 ns. What the host denies is returned as [`Denial`]s, which name the line that grants it; with
+//! [`Realtime::Require`] the thread does not start without them.
+
+use std::hint;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::mpsc;
+use std::task::Poll;
+use std::thread::{Builder, JoinHandle};
+use std::time::Duration;
+
+use can::Instant;
+use drive::BringUpError;
+use thiserror::Error;
+use thread_priority::{
+    RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
+    set_thread_priority_and_policy, thread_native_id,
+};
+
+use crate::{Servo, Timing};
+
+/// Bytes of the thread's stack; `MCL_FUTURE` locks all of it.
+const STACK: usize = 512 * 1024;
+
+/// Bytes of it that are touched before the first cycle.
+const PREFAULTED: usize = 128 * 1024;
+
+/// Cycles that take the power after a panic of the cycle.
+const CUTS: u32 = 10;
+
+/// Cycles that follow the end of a run at least: a drive obeys the command of one only at the SYNC
+/// of the next, and the answer to that is read one later.
+const OFF_CYCLES: u32 = 4;
+
+/// Longest time for the drives to report that they have no power, once they are told.
+const POWER_OFF_WAIT: Duration = Duration::from_millis(500);
+
+/// Whether to run without what the host denies.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Realtime {
+    /// Refuse to start. For robots.
+    Require,
+    /// Start and report the denials. For tests.
+    BestEffort,
+}
+
+/// What the servo thread asks of the host.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RealtimePolicy {
+    /// What to do where it is denied.
+    pub realtime: Realtime,
+    /// SCHED_FIFO priority, 1 ..= 99.
+    pub priority: u8,
+    /// The CPU to stay on. Only this thread is moved.
+    pub cpu: Option<usize>,
+    /// Whether to lock all memory of the process, present and future.
+    pub lock_memory: bool,
+    /// How long before the deadline to wake and prepare, spinning until it. The answers to the
+    /// SYNC before must have come by then. At most half a period is used.
+    pub lead: Duration,
+}
+
+impl RealtimePolicy {
+    /// SCHED_FIFO 80 and locked memory if the host grants it, no CPU, no lead.
+    pub const BEST_EFFORT: Self = Self {
+        realtime: Realtime::BestEffort,
+        priority: 80,
+        cpu: None,
+        lock_memory: true,
+        lead: Duration::ZERO,
+    };
+}
+
+/// What the host denied, and how to have it granted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum Denial {
+    /// SCHED_FIFO.
+    #[error(
+        "SCHED_FIFO priority {priority} was denied (errno {errno}); grant it with the line \
+         `@realtime - rtprio {priority}` in /etc/security/limits.conf, or \
+         `setcap cap_sys_nice+ep` on the program"
+    )]
+    Fifo {
+        /// The priority asked for.
+        priority: u8,
+        /// What the system said; `EINVAL` for a priority that does not exist.
+        errno: i32,
+    },
+    /// `mlockall`.
+    #[error(
+        "locking memory was denied (errno {errno}); grant it with the line \
+         `@realtime - memlock unlimited` in /etc/security/limits.conf, or \
+         `setcap cap_ipc_lock+ep` on the program"
+    )]
+    LockMemory {
+        /// What the system said.
+        errno: i32,
+    },
+    /// `sched_setaffinity`.
+    #[error(
+        "CPU {cpu} was denied (errno {errno}); /sys/devices/system/cpu/online and the cgroup's \
+         cpuset.cpus list the ones there are"
+    )]
+    Cpu {
+        /// The CPU asked for.
+        cpu: usize,
+        /// What the system said.
+        errno: i32,
+    },
+    /// `prctl(PR_SET_TIMERSLACK)`.
+    #[error(
+        "a timer slack of 1 ns was denied (errno {errno}); no privilege is needed, so a seccomp filter denies it"
+    )]
+    TimerSlack {
+        /// What the system said.
+        errno: i32,
+    },
+}
+
+/// Why a servo thread did not start. No cycle ran.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum StartError {
+    /// The policy requires what the host denies.
+    #[error("{0}")]
+    Denied(Denial),
+    /// No thread could be made.
+    #[error("the servo thread cannot be made (errno {errno})")]
+    Spawn {
+        /// What the system said.
+        errno: i32,
+    },
+}
+
+/// A servo thread under way. Dropping it leaves the thread running.
+#[derive(Debug)]
+pub struct Running {
+    thread: JoinHandle<Finished>,
+    denied: Vec<Denial>,
+}
+
+impl Running {
+    /// What the host denied.
+    pub fn denied(&self) -> &[Denial] {
+        &self.denied
+    }
+
+    /// Waits for the end of the thread.
+    pub fn join(self) -> Finished {
+        // The thread catches every panic of what it calls.
+        self.thread
+            .join()
+            .unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+    }
+}
+
+/// What a servo thread leaves behind.
+pub struct Finished {
+    /// The servo, its drives off.
+    pub servo: Servo,
+    /// How punctual it was.
+    pub timing: Timing,
+    /// What the host denied.
+    pub denied: Vec<Denial>,
+    /// What ended the run, if it was a panic.
+    pub panicked: Option<Panicked>,
+}
+
+/// What panicked in a servo thread.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Panicked {
+    /// `between` or `until`; the effectors were braked, then switched off (category 1).
+    Caller,
+    /// The cycle, or a drive in it; the power was taken at once (category 0).
+    Cycle,
+}
+
+impl std::fmt::Debug for Finished {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self {
+            servo,
+            timing,
+            denied,
+            panicked,
+        } = self;
+        let counters = servo.counters();
+        write!(
+            f,
+            "Finished {{ {counters:?}, {timing:?}, {denied:?}, {panicked:?} }}"
+        )
+    }
+}
+
+/// `CLOCK_MONOTONIC`.
+#[expect(
+    unsafe_code,
+    clippy::disallowed_methods,
+    reason = "the one place that reads the clock"
+)]
+pub fn now() -> Instant {
+    let mut time = libc::timespec {
+        tv_sec: 0,
+        tv_nsec: 0,
+    };
+    // SAFETY: the pointer is to a live timespec, and the clock exists on every Linux.
+    unsafe { libc::clock_gettime(libc::CLOCK_MONOTONIC, &raw mut time) };
+    Instant::from_nanos(time.tv_sec as u64 * 1_000_000_000 + time.tv_nsec as u64)
+}
+
+/// Sleeps until `deadline` on `CLOCK_MONOTONIC`; returns at once if it has passed.
+#[expect(
+    unsafe_code,
+    clippy::disallowed_methods,
+    reason = "the one place that waits"
+)]
+fn sleep_until(deadline: Instant) {
+    let nanos = deadline.as_nanos();
+    let time = libc::timespec {
+        tv_sec: (nanos / 1_000_000_000) as libc::time_t,
+        tv_nsec: (nanos % 1_000_000_000) as libc::c_long,
+    };
+    // An absolute sleep that a signal interrupts is taken up again without drift.
+    // SAFETY: the pointer is to a live timespec; no remaining time is asked for.
+    while unsafe {
+        libc::clock_nanosleep(
+            libc::CLOCK_MONOTONIC,
+            libc::TIMER_ABSTIME,
+            &raw const time,
+            std::ptr::null_mut(),
+        )
+    } == libc::EINTR
+    {}
+}
+
+/// Polls the bring-up of every group once a period on the calling thread, calling `between` with the
+/// time of the next poll after each.
+///
+/// It ends because every wait inside a group's bring-up does.
+pub fn bring_up(
+    servo: &mut Servo,
+    mut between: impl FnMut(Instant),
+) -> Result<(), (usize, BringUpError)> {
+    let mut deadline = now();
+    loop {
+        let progress = servo.bring_up(now());
+        deadline += servo.period();
+        between(deadline);
+        if let Poll::Ready(result) = progress {
+            return result;
+        }
+        sleep_until(deadline);
+    }
+}
+
+/// Starts a thread that steps `servo` until `until` says so after a cycle.
+///
+/// `between` is called after each cycle with the next deadline, in the time that is left of the
+/// period and not counted as the cycle's: an emulated bench advances its world in it.
+pub fn start(
+    servo: Servo,
+    policy: RealtimePolicy,
+    between: impl FnMut(Instant) + Send + 'static,
+    until: impl FnMut(&Servo) -> bool + Send + 'static,
+) -> Result<Running, StartError> {
+    let (tell, told) = mpsc::sync_channel(1);
+    let body = move || {
+        let mut run = Run::new(servo, policy);
+        let denied = demand(&policy);
+        let refused = policy.realtime == Realtime::Require && !denied.is_empty();
+        // The starter waits for this; if it were gone, nobody could stop the thread.
+        let heard = tell.send(denied.clone()).is_ok();
+        if !refused && heard {
+            run.go(between, until);
+        }
+        Finished {
+            servo: run.servo,
+            timing: run.timing,
+            denied,
+            panicked: run.panicked,
+        }
+    };
+    let spawned = Builder::new()
+        .name("servo".into())
+        .stack_size(STACK)
+        .spawn(body);
+    let thread = spawned.map_err(|e| StartError::Spawn {
+        errno: e.raw_os_error().unwrap_or(0),
+    })?;
+    let denied = told.recv().unwrap_or_default();
+    match denied.first() {
+        Some(&denial) if policy.realtime == Realtime::Require => Err(StartError::Denied(denial)),
+        _ => Ok(Running { thread, denied }),
+    }
+}
+
+/// [`start`] and [`Running::join`] in one.
+pub fn run(
+    servo: Servo,
+    policy: RealtimePolicy,
+    between: impl FnMut(Instant) + Send + 'static,
+    until: impl FnMut(&Servo) -> bool + Send + 'static,
+) -> Result<Finished, StartError> {
+    start(servo, policy, between, until).map(Running::join)
+}
+
+/// One run of the thread.
+struct Run {
+    servo: Servo,
+    timing: Timing,
+    panicked: Option<Panicked>,
+    period: Duration,
+    lead: Duration,
+    /// Of the cycle that is due next.
+    deadline: Instant,
+}
+
+impl Run {
+    fn new(servo: Servo, policy: RealtimePolicy) -> Self {
+        let period = servo.period();
+        let lead = policy.lead.min(period / 2);
+        let timing = Timing::default();
+        Self {
+            servo,
+            timing,
+            panicked: None,
+            period,
+            lead,
+            deadline: Instant::ZERO,
+        }
+    }
+
+    fn go(&mut self, mut between: impl FnMut(Instant), mut until: impl FnMut(&Servo) -> bool) {
+        self.deadline = now() + self.period;
+        let mut over = false;
+        while !over && self.cycle() {
+            let caller = catch_unwind(AssertUnwindSafe(|| {
+                between(self.deadline);
+                until(&self.servo)
+            }));
+            over = caller.unwrap_or_else(|_| {
+                self.panicked = Some(Panicked::Caller);
+                true
+            });
+        }
+        if self.panicked != Some(Panicked::Cycle) {
+            self.wind_down(between);
+        }
+        if self.panicked == Some(Panicked::Cycle) {
+            self.cut_power();
+        }
+    }
+
+    /// Waits for the deadline and steps; false if the step panicked.
+    fn cycle(&mut self) -> bool {
+        self.wait();
+        let stepped = catch_unwind(AssertUnwindSafe(|| {
+            let begun = now();
+            self.servo.prepare(self.deadline.max(begun));
+            let prepared = now();
+            while now() < self.deadline {
+                hint::spin_loop();
+            }
+            let sending = now();
+            self.timing.sync.record(sending.since(self.deadline));
+            self.servo.send(sending);
+            self.timing
+                .step
+                .record(prepared.since(begun) + now().since(sending));
+            self.timing.record_bus(&self.servo);
+        }));
+        self.deadline += self.period;
+        if stepped.is_err() {
+            self.panicked = Some(Panicked::Cycle);
+        }
+        stepped.is_ok()
+    }
+
+    /// Sleeps to the lead before the deadline; a deadline that has long passed is skipped.
+    fn wait(&mut self) {
+        loop {
+            let wake_up = self.deadline - self.lead;
+            let asked_at = now();
+            sleep_until(wake_up);
+            let woken = now();
+            if asked_at < wake_up {
+                self.timing.wake_up.record(woken.since(wake_up));
+            }
+            let late = woken.since(self.deadline);
+            if late <= self.period / 2 {
+                return;
+            }
+            let slots = (late - self.period / 2).as_nanos() / self.period.as_nanos() + 1;
+            let slots = u32::try_from(slots).unwrap_or(u32::MAX);
+            self.servo.missed(slots);
+            self.deadline += self.period.saturating_mul(slots);
+        }
+    }
+
+    /// Brakes and switches off whatever still runs. The emulated world goes on if it can.
+    fn wind_down(&mut self, mut between: impl FnMut(Instant)) {
+        self.servo.stop_request().request();
+        let mut alive = self.panicked.is_none();
+        let end = self.deadline + self.servo.longest_stop() + POWER_OFF_WAIT;
+        let mut cycles = 0;
+        while (cycles < OFF_CYCLES || !self.servo.is_off()) && self.deadline < end && self.cycle() {
+            cycles += 1;
+            if alive && catch_unwind(AssertUnwindSafe(|| between(self.deadline))).is_err() {
+                self.panicked = Some(Panicked::Caller);
+                alive = false;
+            }
+        }
+    }
+
+    /// Takes the power from every axis, period by period; if that panics too, silence is left.
+    fn cut_power(&mut self) {
+        for _ in 0..CUTS {
+            sleep_until(self.deadline);
+            let _ = catch_unwind(AssertUnwindSafe(|| self.servo.cut_power(now())));
+            self.deadline += self.period;
+        }
+    }
+}
+
+/// Asks the host for what the policy wants on this thread; returns what it denied.
+fn demand(policy: &RealtimePolicy) -> Vec<Denial> {
+    let mut denied = Vec::new();
+    denied.extend(set_timer_slack().err());
+    denied.extend(policy.cpu.and_then(|cpu| stay_on(cpu).err()));
+    if policy.lock_memory {
+        denied.extend(lock_memory().err());
+    }
+    prefault_stack();
+    denied.extend(set_fifo(policy.priority).err());
+    denied
+}
+
+fn set_fifo(priority: u8) -> Result<(), Denial> {
+    let denial = |errno| Denial::Fifo { priority, errno };
+    let value = ThreadPriorityValue::try_from(priority).map_err(|_| denial(libc::EINVAL))?;
+    let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
+    let priority = ThreadPriority::Crossplatform(value);
+    set_thread_priority_and_policy(thread_native_id(), priority, policy).map_err(|error| {
+        denial(match error {
+            thread_priority::Error::OS(errno) => errno,
+            _ => libc::EINVAL,
+        })
+    })
+}
+
+#[expect(
+    unsafe_code,
+    reason = "mlockall has no safe wrapper among our dependencies"
+)]
+fn lock_memory() -> Result<(), Denial> {
+    // SAFETY: it changes how pages are kept, not what is in them.
+    let result = unsafe { libc::mlockall(libc::MCL_CURRENT | libc::MCL_FUTURE) };
+    check(result).map_err(|errno| Denial::LockMemory { errno })
+}
+
+#[expect(
+    unsafe_code,
+    reason = "sched_setaffinity has no safe wrapper among our dependencies"
+)]
+fn stay_on(cpu: usize) -> Result<(), Denial> {
+    if cpu >= libc::CPU_SETSIZE as usize {
+        return Err(Denial::Cpu {
+            cpu,
+            errno: libc::EINVAL,
+        });
+    }
+    // SAFETY: a cpu_set_t is plain bits, `cpu` is below its size, and 0 means this thread.
+    let result = unsafe {
+        let mut set: libc::cpu_set_t = std::mem::zeroed();
+        libc::CPU_SET(cpu, &mut set);
+        libc::sched_setaffinity(0, size_of::<libc::cpu_set_t>(), &raw const set)
+    };
+    check(result).map_err(|errno| Denial::Cpu { cpu, errno })
+}
+
+#[expect(
+    unsafe_code,
+    reason = "prctl has no safe wrapper among our dependencies"
+)]
+fn set_timer_slack() -> Result<(), Denial> {
+    // SAFETY: this operation takes one number and touches no memory.
+    let result = unsafe { libc::prctl(libc::PR_SET_TIMERSLACK, 1 as libc::c_ulong) };
+    check(result).map_err(|errno| Denial::TimerSlack { errno })
+}
+
+fn check(result: libc::c_int) -> Result<(), i32> {
+    if result == 0 {
+        return Ok(());
+    }
+    Err(std::io::Error::last_os_error().raw_os_error().unwrap_or(0))
+}
+
+/// Touches the stack that cycles will use, so that no page of it is missing later.
+#[inline(never)]
+fn prefault_stack() {
+    hint::black_box(&mut [0u8; PREFAULTED]);
+}
+
+#[cfg(test)]
+mod tests;

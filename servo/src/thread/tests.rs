@@ -1,0 +1,134 @@
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Arc, Mutex};
+
+use drive::Power;
+
+use super::*;
+use crate::scripted::{self, PERIOD, World};
+use crate::{EffectorLink, Order, State};
+
+/// A servo ordered to switch its drives on. The host of a test may be very late.
+fn rig() -> (Servo, EffectorLink, Arc<Mutex<World>>) {
+    let mut config = scripted::config(2);
+    config.max_missed_in_row = u32::MAX;
+    let (group, world) = scripted::group(2);
+    let (servo, mut links) = Servo::new(&config, vec![group]).unwrap();
+    let mut link = links.remove(0);
+    link.orders.push(Order::Enable).unwrap();
+    (servo, link, world)
+}
+
+fn is_standing(servo: &Servo) -> bool {
+    servo.state(0) == Some(State::Standing)
+}
+
+fn has_power(world: &Arc<Mutex<World>>) -> bool {
+    let world = world
+        .lock()
+        .unwrap_or_else(|poisoned| poisoned.into_inner());
+    world
+        .axes
+        .iter()
+        .any(|drive| drive.state.power != Power::Off)
+}
+
+#[test]
+fn a_run_ends_with_the_drives_off_and_every_cycle_timed() {
+    for lead in [Duration::ZERO, Duration::from_micros(200)] {
+        let (servo, _link, world) = rig();
+        let policy = RealtimePolicy {
+            lead,
+            ..RealtimePolicy::BEST_EFFORT
+        };
+        let calls = Arc::new(AtomicU32::new(0));
+        let counted = Arc::clone(&calls);
+        let mut last = Instant::ZERO;
+        let between = move |next: Instant| {
+            assert!(next.since(last) >= PERIOD);
+            last = next;
+            counted.fetch_add(1, Ordering::Relaxed);
+        };
+        let finished = run(servo, policy, between, is_standing).unwrap();
+        assert_eq!(finished.panicked, None);
+        assert!(finished.servo.is_off() && !has_power(&world));
+        let cycles = finished.servo.counters().cycles;
+        assert!(cycles > 5);
+        assert_eq!(finished.timing.sync.count(), cycles);
+        assert_eq!(finished.timing.step.count(), cycles);
+        assert_eq!(finished.timing.bus.count(), cycles);
+        assert_eq!(u64::from(calls.load(Ordering::Relaxed)), cycles);
+    }
+}
+
+#[test]
+fn a_panic_of_the_caller_brakes_and_switches_off() {
+    let (servo, _link, world) = rig();
+    let until = |servo: &Servo| {
+        if is_standing(servo) {
+            panic!("scripted")
+        } else {
+            false
+        }
+    };
+    let finished = run(servo, RealtimePolicy::BEST_EFFORT, |_| {}, until).unwrap();
+    assert_eq!(finished.panicked, Some(Panicked::Caller));
+    assert!(finished.servo.is_off() && !has_power(&world));
+}
+
+#[test]
+fn a_panic_of_the_cycle_takes_the_power() {
+    let (servo, _link, world) = rig();
+    let script = Arc::clone(&world);
+    let until = move |servo: &Servo| {
+        script.lock().unwrap().panic = is_standing(servo);
+        false
+    };
+    let finished = run(servo, RealtimePolicy::BEST_EFFORT, |_| {}, until).unwrap();
+    assert_eq!(finished.panicked, Some(Panicked::Cycle));
+    assert!(!has_power(&world));
+}
+
+#[test]
+fn missed_slots_are_skipped_and_never_caught_up() {
+    let (servo, _link, _world) = rig();
+    let mut cycles = 0;
+    let mut last = Instant::ZERO;
+    let between = move |next: Instant| {
+        let due = next - PERIOD;
+        assert!(due > last, "a slot was used twice");
+        last = due;
+        cycles += 1;
+        if cycles == 5 {
+            // Work that is three periods too long.
+            sleep_until(now() + 4 * PERIOD);
+        }
+    };
+    let finished = run(servo, RealtimePolicy::BEST_EFFORT, between, is_standing).unwrap();
+    assert_eq!(finished.panicked, None);
+    assert!(finished.servo.counters().missed_cycles >= 3);
+}
+
+#[test]
+fn what_is_required_and_denied_is_named_before_any_cycle() {
+    // Neither exists on any host.
+    for (priority, cpu) in [(100, None), (80, Some(1023)), (80, Some(usize::MAX))] {
+        let (servo, _link, _world) = rig();
+        let realtime = Realtime::Require;
+        let policy = RealtimePolicy {
+            realtime,
+            priority,
+            cpu,
+            lock_memory: false,
+            lead: Duration::ZERO,
+        };
+        let refused = start(servo, policy, |_| unreachable!(), |_| true).unwrap_err();
+        let StartError::Denied(denial) = refused else {
+            panic!("{refused}")
+        };
+        match denial {
+            Denial::Cpu { cpu: denied, .. } => assert_eq!(Some(denied), cpu),
+            Denial::Fifo { .. } => assert!(denial.to_string().contains("rtprio"), "{denial}"),
+            Denial::LockMemory { .. } | Denial::TimerSlack { .. } => panic!("{denial}"),
+        }
+    }
+}

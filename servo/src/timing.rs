@@ -1,0 +1,25 @@
+use crate::{Histogram, Servo};
+
+/// How punctual a servo thread was.
+#[derive(Clone, Debug, Default)]
+pub struct Timing {
+    /// From when the thread asked to be woken to when it ran.
+    pub wake_up: Histogram,
+    /// From a cycle's deadline to when its SYNC was handed over: the jitter that drives see.
+    pub sync: Histogram,
+    /// Time a cycle took, waiting excluded.
+    pub step: Histogram,
+    /// From SYNC to the last answer, of every group and cycle in which one came.
+    pub bus: Histogram,
+}
+
+impl Timing {
+    /// Counts the bus times that the groups of `servo` report.
+    pub(crate) fn record_bus(&mut self, servo: &Servo) {
+        for counters in servo.group_counters() {
+            if !counters.last_bus_time.is_zero() {
+                self.bus.record(counters.last_bus_time);
+            }
+        }
+    }
+}

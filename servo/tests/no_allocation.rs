@@ -1,0 +1,98 @@
+//! Ten thousand cycles with a moving effector allocate nothing.
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::time::Duration;
+
+use can::Instant;
+use drive::Homing;
+use mrroc_servo::{
+    EffectorConfig, MAX_AXES, Macrostep, Order, Phase, Servo, ServoAxisConfig, ServoConfig, Timing,
+};
+
+mod scripted;
+
+/// Counts what this thread asks of the system allocator.
+struct Counting;
+
+thread_local! {
+    static CALLS: Cell<u64> = const { Cell::new(0) };
+}
+
+fn count() {
+    CALLS.with(|calls| calls.set(calls.get() + 1));
+}
+
+// SAFETY: every call is passed on to the system allocator as it is.
+#[expect(unsafe_code, reason = "an allocator cannot be written without")]
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count();
+        // SAFETY: the caller keeps the contract.
+        unsafe { System.alloc(layout) }
+    }
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        count();
+        // SAFETY: the caller keeps the contract.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+#[test]
+fn moving_cycles_do_not_allocate() {
+    let axes = 6;
+    let (group, world) = scripted::group(axes);
+    {
+        let mut world = world.lock().expect("nobody else has it yet");
+        world.log = false;
+        world
+            .axes
+            .iter_mut()
+            .for_each(|drive| drive.state.homing = Homing::Attained);
+    }
+    let (mut servo, mut links) =
+        Servo::new(&scripted::config(axes), vec![group]).expect("the configuration is sound");
+    let link = &mut links[0];
+    let mut records = servo.record(1000);
+    let mut timing = Timing::default();
+    let mut now = Instant::ZERO;
+    let mut cycle = |servo: &mut Servo| {
+        servo.step(now);
+        timing.step.record(Duration::from_micros(3));
+        now += scripted::PERIOD;
+    };
+    link.orders.push(Order::Enable).expect("the queue is empty");
+    (0..20).for_each(|_| cycle(&mut servo));
+
+    let before = CALLS.with(Cell::get);
+    let mut moving = 0;
+    for number in 0..1000 {
+        // To and fro by 0.01 rad.
+        let position = [if number % 2 == 0 { 0.01 } else { 0.0 }; MAX_AXES];
+        let velocity = [0.0; MAX_AXES];
+        let macrostep = Macrostep {
+            number,
+            steps: 10,
+            report_at: 5,
+            position,
+            velocity,
+        };
+        link.orders
+            .push(Order::Move(macrostep))
+            .expect("one is waiting at most");
+        for _ in 0..10 {
+            cycle(&mut servo);
+            moving += u64::from(servo.state(0).is_some_and(|s| s.phase() == Phase::Moving));
+            while records.pop().is_ok() || link.reports.pop().is_ok() {}
+        }
+    }
+    assert_eq!(CALLS.with(Cell::get) - before, 0);
+    assert_eq!((moving, servo.fault(0)), (10_000, None));
+    assert_eq!(servo.counters().dropped_records, 0);
+
+    drop(vec![0u8]);
+    assert_eq!(CALLS.with(Cell::get) - before, 2, "the counter counts");
+}

@@ -1,0 +1,232 @@
+//! A drive group without a bus: ideal drives that latch at SYNC, and a script to spoil them.
+
+#![allow(dead_code, reason = "each test binary uses its part of it")]
+#![allow(unreachable_pub, reason = "unit tests and test binaries share it")]
+
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::task::Poll;
+use std::time::Duration;
+
+use can::Instant;
+use drive::{
+    AxisCommand, AxisState, BringUpError, DriveGroup, Fault, GroupCounters, Homing, Increments,
+    Power, Setpoint,
+};
+
+use super::{EffectorConfig, ServoAxisConfig, ServoConfig};
+
+pub const PERIOD: Duration = Duration::from_millis(1);
+pub const MAX_VELOCITY: f64 = 100.0;
+pub const MAX_ACCELERATION: f64 = 1000.0;
+
+/// One effector of `axes` axes on one group; homing orders descend, so the last axis homes first.
+pub fn config(axes: usize) -> ServoConfig {
+    let axis = |index: usize| ServoAxisConfig {
+        group: 0,
+        index_in_group: index,
+        min_position: -500.0,
+        max_position: 500.0,
+        max_velocity: MAX_VELOCITY,
+        max_acceleration: MAX_ACCELERATION,
+        following_error: 0.5,
+        homing_order: (axes - index) as u8,
+    };
+    ServoConfig {
+        period: PERIOD,
+        max_missed_in_row: 2,
+        effectors: vec![EffectorConfig {
+            name: "arm".into(),
+            axes: (0..axes).map(axis).collect(),
+            queue: 64,
+            enabling_timeout: Duration::from_millis(100),
+            homing_timeout: Duration::from_millis(200),
+        }],
+    }
+}
+
+/// What the drives do and what they were told.
+#[derive(Default)]
+pub struct World {
+    pub axes: Vec<Drive>,
+    /// Commands as written, cycle by cycle, if `log` is set.
+    pub sent: Vec<Vec<AxisCommand>>,
+    pub log: bool,
+    /// The next call of `write` panics.
+    pub panic: bool,
+}
+
+/// One ideal drive.
+#[derive(Clone, Default)]
+pub struct Drive {
+    pub state: AxisState,
+    /// The motor does not move.
+    pub blocked: bool,
+    /// It answers no more.
+    pub silent: bool,
+    /// It never gets power.
+    pub dead: bool,
+    /// It is powered and ignores set-points.
+    pub deaf: bool,
+    /// It searches and finds nothing.
+    pub homing_fails: bool,
+    /// SYNCs that homing takes; it never ends if zero.
+    pub homing_takes: u32,
+    /// The set-point reaches the motor one SYNC later than with an ideal drive.
+    pub lags: bool,
+    pending: AxisCommand,
+    target: Option<f64>,
+    enabling: u32,
+    homing: u32,
+    /// What the host sees: the sample of the last SYNC.
+    seen: AxisState,
+}
+
+impl Drive {
+    fn sync(&mut self, dt: f64) {
+        let state = &mut self.state;
+        let before = state.position;
+        let powered = state.fault.is_none()
+            && !matches!(self.pending, AxisCommand::Off | AxisCommand::ResetFault);
+        self.enabling = if powered { self.enabling + 1 } else { 0 };
+        state.power = match self.enabling {
+            0 => Power::Off,
+            _ if self.dead => Power::Changing,
+            1..=3 => Power::Changing,
+            _ => Power::On,
+        };
+        let on = state.power == Power::On;
+        state.following = on && !self.deaf && matches!(self.pending, AxisCommand::Follow(_));
+        if self.pending == AxisCommand::ResetFault {
+            state.fault = None;
+        }
+        match self.pending {
+            AxisCommand::Home if on => {
+                self.homing += 1;
+                let found = self.homing_takes != 0 && self.homing >= self.homing_takes;
+                if self.homing == self.homing_takes {
+                    state.position = 0.0;
+                }
+                state.homing = match found {
+                    false => Homing::InProgress,
+                    true if self.homing_fails => Homing::Failed,
+                    true => Homing::Attained,
+                };
+            }
+            AxisCommand::Follow(Setpoint::Position(position)) if state.following => {
+                let target = self.target.replace(position.get());
+                let position = if self.lags {
+                    target.unwrap_or(state.position)
+                } else {
+                    position.get()
+                };
+                if !self.blocked {
+                    state.position = position;
+                }
+            }
+            _ => self.target = None,
+        }
+        if !matches!(self.pending, AxisCommand::Home) {
+            self.homing = 0;
+            if state.homing == Homing::InProgress {
+                state.homing = Homing::NotHomed;
+            }
+        }
+        state.velocity = if state.following {
+            (state.position - before) / dt
+        } else {
+            0.0
+        };
+        state.increments = Increments((state.position * 1000.0).round() as i32);
+        if self.silent {
+            self.seen.age += 1;
+        } else {
+            self.seen = *state;
+        }
+    }
+}
+
+/// The group; its world stays with the test.
+pub struct Scripted {
+    world: Arc<Mutex<World>>,
+    axes: usize,
+    written: Vec<AxisCommand>,
+}
+
+pub fn group(axes: usize) -> (Box<dyn DriveGroup>, Arc<Mutex<World>>) {
+    let drive = Drive {
+        homing_takes: 10,
+        ..Drive::default()
+    };
+    let world = World {
+        axes: vec![drive; axes],
+        log: true,
+        ..World::default()
+    };
+    let world = Arc::new(Mutex::new(world));
+    let written = vec![AxisCommand::Off; axes];
+    (
+        Box::new(Scripted {
+            world: Arc::clone(&world),
+            axes,
+            written,
+        }),
+        world,
+    )
+}
+
+impl Scripted {
+    fn world(&self) -> MutexGuard<'_, World> {
+        self.world
+            .lock()
+            .unwrap_or_else(|poisoned| poisoned.into_inner())
+    }
+}
+
+impl DriveGroup for Scripted {
+    fn axes(&self) -> usize {
+        self.axes
+    }
+
+    fn bring_up(&mut self, _: Instant) -> Poll<Result<(), BringUpError>> {
+        Poll::Ready(Ok(()))
+    }
+
+    fn read(&mut self, _: Instant, states: &mut [AxisState]) {
+        for (state, drive) in states.iter_mut().zip(&self.world().axes) {
+            *state = drive.seen;
+        }
+    }
+
+    fn write(&mut self, _: Instant, commands: &[AxisCommand]) {
+        self.written.copy_from_slice(commands);
+        let mut world = self.world();
+        if std::mem::take(&mut world.panic) {
+            drop(world);
+            panic!("scripted");
+        }
+    }
+
+    fn send(&mut self, _: Instant) {
+        let mut world = self.world();
+        for (drive, command) in world.axes.iter_mut().zip(&self.written) {
+            drive.sync(PERIOD.as_secs_f64());
+            drive.pending = *command;
+        }
+        if world.log {
+            let batch = self.written.clone();
+            world.sent.push(batch);
+        }
+    }
+
+    fn counters(&self) -> GroupCounters {
+        GroupCounters {
+            last_bus_time: Duration::from_micros(300),
+            ..GroupCounters::default()
+        }
+    }
+}
+
+pub const FAULT: Fault = Fault::Drive {
+    node: 1,
+    code: 0x2310,
+};
