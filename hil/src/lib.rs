@@ -4,5 +4,6 @@
 //! with true arbitration and bit times, and a plant is the physics behind a device.
 
 mod device;
+pub mod uml;
 
 pub use device::Device;

@@ -1,18 +1,28 @@
 //! CAN as the rest of the stack sees it: frames, identifiers, ports, recordings and bus time.
 //!
 //! Read [`Frame`] and [`Port`] first. Nothing here interprets a payload; that is `canopen`'s work.
-//! Only the SocketCAN port touches the operating system.
+//! Only [`SocketCanPort`] and [`clock`] touch the operating system.
 
+pub mod candump;
+pub mod clock;
+mod error_frame;
 mod frame;
 mod id;
 mod instant;
+mod interface;
 mod port;
 pub mod schedule;
+mod socketcan;
 pub mod timing;
+mod tracer;
 mod virtual_port;
 
+pub use error_frame::{ControllerFlags, ErrorCounts, ErrorFrame, ProtocolViolation};
 pub use frame::Frame;
 pub use id::{ExtendedId, Id, StandardId};
 pub use instant::Instant;
+pub use interface::InterfaceName;
 pub use port::{ControllerState, Counters, Port, PortError, Received};
+pub use self::socketcan::{BATCH, OpenError, SocketCanOptions, SocketCanPort};
+pub use tracer::{ReplayPort, TraceReader, Traced, Tracer};
 pub use virtual_port::{VirtualPeer, VirtualPort, virtual_port};

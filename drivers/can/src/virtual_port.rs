@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use rtrb::{Consumer, Producer, RingBuffer};
 
-use crate::{ControllerState, Counters, Frame, Instant, Port, PortError, Received};
+use crate::{ControllerState, Counters, ErrorFrame, Frame, Instant, Port, PortError, Received};
 
 /// Both ends of a virtual port, with room for `capacity` frames each way.
 ///
@@ -79,8 +79,9 @@ impl Port for VirtualPort {
                 break;
             }
             self.received.pop().expect("one was peeked");
-            if received.frame.is_error() {
+            if let Some(error) = ErrorFrame::parse(&received.frame) {
                 self.counters.errors += 1;
+                self.state = error.state_after(self.state);
                 continue;
             }
             into[count] = received;
@@ -242,6 +243,19 @@ mod tests {
             }]
         );
         assert_eq!(port.counters().dropped, 1);
+    }
+
+    #[test]
+    fn an_error_frame_shows_in_state_and_counters_alone() {
+        let (mut port, mut peer) = virtual_port(2);
+        let bus_off = Frame::from_raw(0x2000_0040, 8, [0; 8]).unwrap();
+        for frame in [bus_off, frame(1)] {
+            peer.deliver(Received { frame, at: at(5) });
+        }
+        assert_eq!(port.state(), ControllerState::Active);
+        assert_eq!(receive(&mut port, 5).unwrap().len(), 1);
+        assert_eq!(port.state(), ControllerState::BusOff);
+        assert_eq!(port.counters().errors, 1);
     }
 
     #[test]

@@ -1,0 +1,434 @@
+//! Recordings in the format of `candump -L`, which `canplayer`, Wireshark and most CAN tools read:
+//!
+//! ```text
+//! (1795242630.522011) vcan0 601#4041600000000000
+//! (1795242630.522153) vcan0 581#4F41600000000000 R
+//! ```
+//!
+//! [`Writer`] and [`Reader`] stream: neither holds more than a line. Times keep their microseconds and
+//! lose the nanoseconds. A frame that was written reads back the same, error frames included. CAN FD
+//! frames and raw length codes above 8 (`_9` to `_F`) are left out: reading one is an error.
+
+use std::fmt;
+use std::io::{self, BufRead, Read, Write};
+
+use thiserror::Error;
+
+use crate::{ExtendedId, Frame, Id, Instant, InterfaceName, StandardId};
+
+/// A longer line is an error; a frame needs 80 bytes at most.
+const LONGEST_LINE: usize = 128;
+
+/// Which way a frame went, seen from the host.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Direction {
+    /// The host sent it (`T`).
+    Sent,
+    /// The host received it (`R`).
+    Received,
+}
+
+/// A line of a recording; `Display` writes it without the line's end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Entry {
+    /// When the frame was sent or received.
+    pub at: Instant,
+    /// On which interface.
+    pub interface: InterfaceName,
+    /// The frame.
+    pub frame: Frame,
+    /// Which way it went; `candump` says so if run with `-x`.
+    pub direction: Option<Direction>,
+}
+
+impl fmt::Display for Entry {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "({}) {} {}", self.at, self.interface, self.frame)?;
+        match self.direction {
+            Some(Direction::Sent) => f.write_str(" T"),
+            Some(Direction::Received) => f.write_str(" R"),
+            None => Ok(()),
+        }
+    }
+}
+
+impl Entry {
+    /// Reads a line; white space at its end is ignored.
+    pub fn parse(line: &[u8]) -> Result<Self, LineError> {
+        let mut words = line.trim_ascii_end().split(|&byte| byte == b' ');
+        let time = words.next().ok_or(LineError::Time)?;
+        let interface = words.next().ok_or(LineError::Interface)?;
+        let frame = words.next().ok_or(LineError::Id)?;
+        let direction = match words.next() {
+            None => None,
+            Some(b"T") => Some(Direction::Sent),
+            Some(b"R") => Some(Direction::Received),
+            Some(_) => return Err(LineError::Direction),
+        };
+        if words.next().is_some() {
+            return Err(LineError::Direction);
+        }
+        Ok(Self {
+            at: parse_time(time).ok_or(LineError::Time)?,
+            interface: str::from_utf8(interface)
+                .ok()
+                .and_then(InterfaceName::new)
+                .ok_or(LineError::Interface)?,
+            frame: parse_frame(frame)?,
+            direction,
+        })
+    }
+}
+
+/// What is wrong with a line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum LineError {
+    /// No time as in `(1795242630.522011)`, of seconds and six decimals.
+    #[error("expected a time such as (1795242630.522011)")]
+    Time,
+    /// No interface name.
+    #[error("expected an interface name of 1 to 15 bytes")]
+    Interface,
+    /// No identifier, or one out of range.
+    #[error("expected an identifier of 3 or 8 hexadecimal digits and a #")]
+    Id,
+    /// A CAN FD frame.
+    #[error("a CAN FD frame, which is not supported")]
+    Fd,
+    /// Payload that is not 0 to 8 pairs of hexadecimal digits, nor R and a length.
+    #[error("expected 0 to 8 bytes in hexadecimal, or R and a length of 0 to 8")]
+    Data,
+    /// Something behind the frame that is no direction.
+    #[error("expected nothing, T or R behind the frame")]
+    Direction,
+    /// Longer than any frame needs.
+    #[error("longer than {LONGEST_LINE} bytes")]
+    TooLong,
+}
+
+/// Why a recording could not be read on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum ReadError {
+    /// A line is wrong; the lines behind it can still be read.
+    #[error("line {line}: {error}")]
+    Line {
+        /// Counted from 1.
+        line: u64,
+        /// What is wrong with it.
+        error: LineError,
+    },
+    /// The source failed.
+    #[error("line {line}: {kind}")]
+    Source {
+        /// The line that was being read, counted from 1.
+        line: u64,
+        /// How it failed.
+        kind: io::ErrorKind,
+    },
+}
+
+/// Writes a recording, a line at a time, into a buffered sink.
+pub struct Writer<W> {
+    sink: W,
+}
+
+impl<W: Write> Writer<W> {
+    /// Writes to `sink`, which should be buffered.
+    pub fn new(sink: W) -> Self {
+        Self { sink }
+    }
+
+    /// Appends a line.
+    pub fn write(&mut self, entry: &Entry) -> io::Result<()> {
+        writeln!(self.sink, "{entry}")
+    }
+
+    /// Hands back the sink, which was not flushed.
+    pub fn into_inner(self) -> W {
+        self.sink
+    }
+}
+
+/// Reads a recording, a line at a time; blank lines are skipped.
+pub struct Reader<R> {
+    source: R,
+    line: u64,
+    buffer: Vec<u8>,
+    failed: bool,
+}
+
+impl<R: BufRead> Reader<R> {
+    /// Reads from `source`.
+    pub fn new(source: R) -> Self {
+        Self {
+            source,
+            line: 0,
+            buffer: Vec::with_capacity(LONGEST_LINE),
+            failed: false,
+        }
+    }
+
+    /// Reads the next line into the buffer; `None` at the end.
+    fn next_line(&mut self) -> io::Result<Option<Result<(), LineError>>> {
+        self.buffer.clear();
+        let limit = LONGEST_LINE as u64;
+        self.source
+            .by_ref()
+            .take(limit)
+            .read_until(b'\n', &mut self.buffer)?;
+        if self.buffer.is_empty() {
+            return Ok(None);
+        }
+        if self.buffer.len() < LONGEST_LINE || self.buffer.ends_with(b"\n") {
+            return Ok(Some(Ok(())));
+        }
+        self.source.skip_until(b'\n')?;
+        Ok(Some(Err(LineError::TooLong)))
+    }
+}
+
+impl<R: BufRead> Iterator for Reader<R> {
+    type Item = Result<Entry, ReadError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        while !self.failed {
+            self.line += 1;
+            let line = self.line;
+            match self.next_line() {
+                Ok(None) => return None,
+                Ok(Some(Ok(()))) if self.buffer.trim_ascii().is_empty() => {}
+                Ok(Some(whole)) => {
+                    let entry = whole.and_then(|()| Entry::parse(&self.buffer));
+                    return Some(entry.map_err(|error| ReadError::Line { line, error }));
+                }
+                Err(error) => {
+                    self.failed = true;
+                    let kind = error.kind();
+                    return Some(Err(ReadError::Source { line, kind }));
+                }
+            }
+        }
+        None
+    }
+}
+
+fn parse_time(text: &[u8]) -> Option<Instant> {
+    let text = text.strip_prefix(b"(")?.strip_suffix(b")")?;
+    let point = text.iter().position(|&byte| byte == b'.')?;
+    let (seconds, micros) = (&text[..point], &text[point + 1..]);
+    if micros.len() != 6 {
+        return None;
+    }
+    let nanos = decimal(seconds)?.checked_mul(1_000_000_000)?;
+    nanos
+        .checked_add(decimal(micros)? * 1000)
+        .map(Instant::from_nanos)
+}
+
+fn decimal(digits: &[u8]) -> Option<u64> {
+    if digits.is_empty() {
+        return None;
+    }
+    digits.iter().try_fold(0_u64, |number, &digit| {
+        let digit = char::from(digit).to_digit(10)?;
+        number.checked_mul(10)?.checked_add(u64::from(digit))
+    })
+}
+
+fn hex(digit: u8) -> Option<u8> {
+    char::from(digit).to_digit(16).map(|digit| digit as u8)
+}
+
+fn parse_frame(text: &[u8]) -> Result<Frame, LineError> {
+    const FLAGS: u32 = 0xE000_0000;
+    const ERROR: u32 = 0x2000_0000;
+    let split = text
+        .iter()
+        .position(|&byte| byte == b'#')
+        .ok_or(LineError::Id)?;
+    let (digits, payload) = (&text[..split], &text[split + 1..]);
+    if payload.starts_with(b"#") {
+        return Err(LineError::Fd);
+    }
+    let raw = digits
+        .iter()
+        .take(8)
+        .try_fold(0, |raw, &digit| Some(raw << 4 | u32::from(hex(digit)?)))
+        .ok_or(LineError::Id)?;
+    let id: Option<Id> = match digits.len() {
+        3 => Some(StandardId::new(raw as u16).ok_or(LineError::Id)?.into()),
+        8 if raw & FLAGS == ERROR => None,
+        8 => Some(ExtendedId::new(raw).ok_or(LineError::Id)?.into()),
+        _ => return Err(LineError::Id),
+    };
+    if let Some(length) = payload.strip_prefix(b"R") {
+        let len = match length {
+            [] => Some(0),
+            &[digit] => hex(digit),
+            _ => None,
+        };
+        let id = id.ok_or(LineError::Id)?;
+        return len
+            .and_then(|len| Frame::remote(id, len))
+            .ok_or(LineError::Data);
+    }
+    let (pairs, odd) = payload.as_chunks::<2>();
+    let mut data = [0; 8];
+    if pairs.len() > data.len() || !odd.is_empty() {
+        return Err(LineError::Data);
+    }
+    for (byte, &[high, low]) in data.iter_mut().zip(pairs) {
+        let nibbles = hex(high).zip(hex(low)).ok_or(LineError::Data)?;
+        *byte = nibbles.0 << 4 | nibbles.1;
+    }
+    let frame = match id {
+        Some(id) => Frame::new(id, &data[..pairs.len()]),
+        None => Frame::from_raw(raw, pairs.len() as u8, data),
+    };
+    Ok(frame.expect("at most 8 bytes"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn entry(frame: Frame, direction: Option<Direction>) -> Entry {
+        Entry {
+            at: Instant::from_nanos(1_795_242_630_522_011_000),
+            interface: InterfaceName::new("vcan0").unwrap(),
+            frame,
+            direction,
+        }
+    }
+
+    #[test]
+    fn every_kind_of_frame_is_written_and_read_alike() {
+        let upload = [0x40, 0x41, 0x60, 0, 0, 0, 0, 0];
+        let standard = |raw| StandardId::new(raw).unwrap();
+        let extended = ExtendedId::new(0x0000_0001).unwrap();
+        let error = Frame::from_raw(0x2000_0204, 8, [0, 0x0C, 0, 0, 0, 0, 96, 0]);
+        let cases = [
+            (
+                Frame::new(standard(0x601), &upload),
+                None,
+                "601#4041600000000000",
+            ),
+            (Frame::new(standard(0x080), &[]), None, "080#"),
+            (Frame::new(extended, &[0xAB]), None, "00000001#AB"),
+            (Frame::remote(standard(0x701), 1), None, "701#R1"),
+            (Frame::remote(extended, 0), None, "00000001#R0"),
+            (error, None, "20000204#000C000000006000"),
+            (
+                Frame::new(standard(0x080), &[]),
+                Some(Direction::Sent),
+                "080# T",
+            ),
+            (
+                Frame::new(standard(0x7FF), &[1]),
+                Some(Direction::Received),
+                "7FF#01 R",
+            ),
+        ];
+        for (frame, direction, text) in cases {
+            let entry = entry(frame.unwrap(), direction);
+            let line = format!("(1795242630.522011) vcan0 {text}");
+            assert_eq!(entry.to_string(), line);
+            assert_eq!(Entry::parse(line.as_bytes()), Ok(entry), "{line}");
+        }
+    }
+
+    #[test]
+    fn what_other_tools_write_is_read() {
+        let sync = Frame::new(StandardId::new(0x080).unwrap(), &[0x0A]).unwrap();
+        let remote = Frame::remote(StandardId::new(0x080).unwrap(), 0).unwrap();
+        for (text, frame) in [("080#0a", sync), ("080#0A\r\n", sync), ("080#R  ", remote)] {
+            let line = format!("(1795242630.522011) vcan0 {text}");
+            assert_eq!(
+                Entry::parse(line.as_bytes()),
+                Ok(entry(frame, None)),
+                "{line}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_wrong_line_is_refused_for_what_is_wrong_with_it() {
+        use LineError::{Data, Direction, Fd, Id, Interface, Time};
+        let cases = [
+            ("", Interface),
+            ("1.000000 can0 080#", Time),
+            ("(1.0) can0 080#", Time),
+            ("(.000000) can0 080#", Time),
+            ("(1.00000x) can0 080#", Time),
+            ("(99999999999.000000) can0 080#", Time),
+            ("(1.000000) sixteen-letters- 080#", Interface),
+            ("(1.000000)  080#", Interface),
+            ("(1.000000) can0", Id),
+            ("(1.000000) can0 080", Id),
+            ("(1.000000) can0 #", Id),
+            ("(1.000000) can0 800#", Id),
+            ("(1.000000) can0 0080#", Id),
+            ("(1.000000) can0 x80#", Id),
+            ("(1.000000) can0 40000000#", Id),
+            ("(1.000000) can0 123456789#", Id),
+            ("(1.000000) can0 20000004#R1", Id),
+            ("(1.000000) can0 080##311", Fd),
+            ("(1.000000) can0 080#1", Data),
+            ("(1.000000) can0 080#1x", Data),
+            ("(1.000000) can0 080#112233445566778899", Data),
+            ("(1.000000) can0 080#1122334455667788_9", Data),
+            ("(1.000000) can0 080#R9", Data),
+            ("(1.000000) can0 080#R12", Data),
+            ("(1.000000) can0 080# X", Direction),
+            ("(1.000000) can0 080# T R", Direction),
+        ];
+        for (line, error) in cases {
+            assert_eq!(Entry::parse(line.as_bytes()), Err(error), "{line}");
+        }
+    }
+
+    #[test]
+    fn reading_goes_on_behind_a_wrong_line() {
+        let long = format!("(1.000000) can0 080#{}\n", "0".repeat(1000));
+        let text = format!("\n(1.000000) can0 081#\n{long}\nnonsense\n(2.000000) can0 082#01");
+        let entries: Vec<_> = Reader::new(text.as_bytes()).collect();
+        let wrong = |line, error| Err(ReadError::Line { line, error });
+        assert_eq!(entries[0].unwrap().to_string(), "(1.000000) can0 081#");
+        assert_eq!(entries[1], wrong(3, LineError::TooLong));
+        assert_eq!(entries[2], wrong(5, LineError::Interface));
+        assert_eq!(entries[3].unwrap().to_string(), "(2.000000) can0 082#01");
+        assert_eq!(entries.len(), 4);
+    }
+
+    #[test]
+    fn a_failing_source_ends_the_recording() {
+        struct Failing;
+        impl Read for Failing {
+            fn read(&mut self, _: &mut [u8]) -> io::Result<usize> {
+                Err(io::ErrorKind::TimedOut.into())
+            }
+        }
+        let mut reader = Reader::new(io::BufReader::new(Failing));
+        let kind = io::ErrorKind::TimedOut;
+        assert_eq!(
+            reader.next(),
+            Some(Err(ReadError::Source { line: 1, kind }))
+        );
+        assert_eq!(reader.next(), None);
+    }
+
+    #[test]
+    fn a_written_recording_reads_back() {
+        let mut writer = Writer::new(Vec::new());
+        let entries = [0x080, 0x181, 0x281].map(|raw| {
+            let frame = Frame::new(StandardId::new(raw).unwrap(), &[1, 2]).unwrap();
+            entry(frame, Some(Direction::Received))
+        });
+        for entry in &entries {
+            writer.write(entry).unwrap();
+        }
+        let text = writer.into_inner();
+        let read: Result<Vec<_>, _> = Reader::new(text.as_slice()).collect();
+        assert_eq!(read.unwrap(), entries);
+    }
+}

@@ -1,0 +1,281 @@
+//! Recording what passes through a port, and playing a recording back through one.
+//!
+//! [`Tracer`] wraps any port and never waits for the reader of the trace: what does not fit is counted
+//! and left out. [`ReplayPort`] is a port whose bus is a recording. Files are [`candump`]'s work.
+//!
+//! [`candump`]: crate::candump
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use rtrb::{Consumer, Producer, RingBuffer};
+
+use crate::candump::Direction;
+use crate::{ControllerState, Counters, ErrorFrame, Frame, Instant, Port, PortError, Received};
+
+/// A frame that passed through a port.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Traced {
+    /// When it was handed over for sending, or when it was received.
+    pub at: Instant,
+    /// The frame.
+    pub frame: Frame,
+    /// Which way it went.
+    pub direction: Direction,
+}
+
+/// A port that records every frame it sends and receives.
+///
+/// Frames that the port below refuses, and error frames, which it consumes, are not in the trace.
+pub struct Tracer<P> {
+    port: P,
+    trace: Producer<Traced>,
+    lost: Arc<AtomicU64>,
+}
+
+impl<P: Port> Tracer<P> {
+    /// Wraps `port`; the trace holds up to `capacity` frames that were not read yet.
+    pub fn new(port: P, capacity: usize) -> (Self, TraceReader) {
+        let (trace, entries) = RingBuffer::new(capacity);
+        let lost = Arc::new(AtomicU64::new(0));
+        let reader = TraceReader {
+            entries,
+            lost: Arc::clone(&lost),
+        };
+        (Self { port, trace, lost }, reader)
+    }
+
+    /// The port below.
+    pub fn into_inner(self) -> P {
+        self.port
+    }
+
+    fn record(&mut self, frames: impl Iterator<Item = Traced>) {
+        for traced in frames {
+            if self.trace.push(traced).is_err() {
+                self.lost.fetch_add(1, Ordering::Relaxed);
+            }
+        }
+    }
+}
+
+impl<P: Port> Port for Tracer<P> {
+    fn send(&mut self, now: Instant, frames: &[Frame]) -> Result<usize, PortError> {
+        let taken = self.port.send(now, frames)?;
+        let direction = Direction::Sent;
+        self.record(frames[..taken].iter().map(|&frame| Traced {
+            at: now,
+            frame,
+            direction,
+        }));
+        Ok(taken)
+    }
+
+    fn receive(&mut self, now: Instant, into: &mut [Received]) -> Result<usize, PortError> {
+        let count = self.port.receive(now, into)?;
+        let direction = Direction::Received;
+        self.record(into[..count].iter().map(|&Received { at, frame }| Traced {
+            at,
+            frame,
+            direction,
+        }));
+        Ok(count)
+    }
+
+    fn counters(&self) -> Counters {
+        self.port.counters()
+    }
+
+    fn state(&self) -> ControllerState {
+        self.port.state()
+    }
+}
+
+/// The reading end of a trace, for another thread.
+pub struct TraceReader {
+    entries: Consumer<Traced>,
+    lost: Arc<AtomicU64>,
+}
+
+impl TraceReader {
+    /// The oldest frame that was not read yet.
+    pub fn read(&mut self) -> Option<Traced> {
+        self.entries.pop().ok()
+    }
+
+    /// Frames left out of the trace since it was full.
+    pub fn lost(&self) -> u64 {
+        self.lost.load(Ordering::Relaxed)
+    }
+
+    /// Whether the port is gone and everything was read.
+    pub fn is_finished(&self) -> bool {
+        // In this order: the port may record and go between the two questions.
+        self.entries.is_abandoned() && self.entries.is_empty()
+    }
+}
+
+/// A port that hands out a recording as time passes, and takes every frame sent.
+///
+/// Once the recording is over it stays silent, as a bus without nodes.
+pub struct ReplayPort {
+    recording: Vec<Received>,
+    next: usize,
+    counters: Counters,
+    state: ControllerState,
+}
+
+impl ReplayPort {
+    /// Plays `recording` at the times it has, which must not decrease: a frame holds back those behind it.
+    pub fn new(recording: Vec<Received>) -> Self {
+        Self {
+            recording,
+            next: 0,
+            counters: Counters::default(),
+            state: ControllerState::Active,
+        }
+    }
+
+    /// Moves the recording in time so that its first frame comes at `start`.
+    pub fn starting_at(mut self, start: Instant) -> Self {
+        if let Some(first) = self.recording.first().map(|received| received.at) {
+            for received in &mut self.recording {
+                received.at = start + received.at.since(first);
+            }
+        }
+        self
+    }
+
+    /// Whether all frames were handed out.
+    pub fn is_finished(&self) -> bool {
+        self.next == self.recording.len()
+    }
+}
+
+impl Port for ReplayPort {
+    fn send(&mut self, _now: Instant, frames: &[Frame]) -> Result<usize, PortError> {
+        self.counters.sent += frames.len() as u64;
+        Ok(frames.len())
+    }
+
+    fn receive(&mut self, now: Instant, into: &mut [Received]) -> Result<usize, PortError> {
+        let mut count = 0;
+        while count < into.len() {
+            let Some(&received) = self.recording.get(self.next) else {
+                break;
+            };
+            if received.at > now {
+                break;
+            }
+            self.next += 1;
+            if let Some(error) = ErrorFrame::parse(&received.frame) {
+                self.counters.errors += 1;
+                self.state = error.state_after(self.state);
+                continue;
+            }
+            into[count] = received;
+            count += 1;
+        }
+        self.counters.received += count as u64;
+        Ok(count)
+    }
+
+    fn counters(&self) -> Counters {
+        self.counters
+    }
+
+    fn state(&self) -> ControllerState {
+        self.state
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{StandardId, virtual_port};
+
+    fn frame(id: u16) -> Frame {
+        Frame::new(StandardId::new(id).unwrap(), &[]).unwrap()
+    }
+
+    fn at(nanos: u64) -> Instant {
+        Instant::from_nanos(nanos)
+    }
+
+    fn received(id: u16, nanos: u64) -> Received {
+        Received {
+            frame: frame(id),
+            at: at(nanos),
+        }
+    }
+
+    fn receive(port: &mut impl Port, now: u64) -> Vec<Received> {
+        let mut into = [received(0, 0); 4];
+        let count = port.receive(at(now), &mut into).unwrap();
+        into[..count].to_vec()
+    }
+
+    #[test]
+    fn the_trace_holds_what_passed_and_nothing_else() {
+        let (port, mut peer) = virtual_port(2);
+        let (mut port, mut trace) = Tracer::new(port, 8);
+        assert_eq!(port.send(at(1), &[frame(1), frame(2), frame(3)]), Ok(2));
+        peer.deliver(received(4, 5));
+        assert_eq!(receive(&mut port, 9), [received(4, 5)]);
+        let traced = |id, nanos, direction| {
+            Some(Traced {
+                at: at(nanos),
+                frame: frame(id),
+                direction,
+            })
+        };
+        assert_eq!(trace.read(), traced(1, 1, Direction::Sent));
+        assert_eq!(trace.read(), traced(2, 1, Direction::Sent));
+        assert_eq!(trace.read(), traced(4, 5, Direction::Received));
+        assert_eq!(trace.read(), None);
+        assert_eq!((trace.lost(), port.counters().refused), (0, 1));
+    }
+
+    #[test]
+    fn a_full_trace_stops_nothing_and_counts_what_it_lacks() {
+        let (port, _peer) = virtual_port(8);
+        let (mut port, mut trace) = Tracer::new(port, 1);
+        assert_eq!(port.send(at(1), &[frame(1), frame(2), frame(3)]), Ok(3));
+        assert_eq!(trace.lost(), 2);
+        assert!(trace.read().is_some());
+        assert_eq!(port.send(at(2), &[frame(4)]), Ok(1));
+        assert!(!trace.is_finished());
+        drop(port);
+        assert_eq!(trace.read().map(|traced| traced.at), Some(at(2)));
+        assert!(trace.is_finished());
+    }
+
+    #[test]
+    fn a_recording_comes_at_its_times_and_then_falls_silent() {
+        let passive = Frame::from_raw(0x2000_0004, 8, [0, 0x20, 0, 0, 0, 0, 0, 0]).unwrap();
+        let recording = vec![
+            received(1, 10),
+            Received {
+                frame: passive,
+                at: at(15),
+            },
+            received(2, 20),
+        ];
+        let mut port = ReplayPort::new(recording).starting_at(at(1000));
+        assert_eq!(receive(&mut port, 999), []);
+        assert_eq!(receive(&mut port, 1000), [received(1, 1000)]);
+        assert_eq!(port.state(), ControllerState::Active);
+        assert_eq!(receive(&mut port, 1010), [received(2, 1010)]);
+        assert_eq!(port.state(), ControllerState::Passive);
+        assert!(port.is_finished());
+        assert_eq!(receive(&mut port, 5000), []);
+        assert_eq!(port.send(at(5000), &[frame(1), frame(2)]), Ok(2));
+        let expected = Counters {
+            sent: 2,
+            received: 2,
+            errors: 1,
+            ..Counters::default()
+        };
+        assert_eq!(port.counters(), expected);
+    }
+}

@@ -1,0 +1,58 @@
+#!/bin/sh
+# First process of the test machine. Its root is the host's file system, read-only.
+#
+# This script lies in a directory of its own inside the output directory, which is the only place on
+# the host that the machine can write to. Beside it lies `command`, a shell script: its exit status
+# goes to `status`. A step of the boot that fails goes to `failed` instead. On the console, a mark
+# stands before and behind what the command prints.
+export PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin
+control=${0%/*}
+output=${control%/*}
+mark=${control##*/}
+
+power_off() {
+    echo o >/proc/sysrq-trigger
+    while :; do sleep 1; done
+}
+
+step() {
+    "$@" && return
+    echo "$*" >"$control/failed"
+    power_off
+}
+
+# Calls finit_module: Debian may come without kmod, but never without perl.
+load() {
+    perl -e '
+        open(my $module, "<", $ARGV[0]) or die "$ARGV[0]: $!\n";
+        my $parameters = "";
+        syscall(313, fileno($module), $parameters, 0) == 0 or die "$ARGV[0]: $!\n";
+    ' "/usr/lib/uml/modules/$(uname -r)/kernel/$1.ko"
+}
+
+mount -t proc proc /proc
+echo 1 >/proc/sys/kernel/printk
+mount -t sysfs sysfs /sys
+stty -opost -echo </dev/console
+mkdir /dev/pts /dev/shm
+mount -t devpts devpts /dev/pts
+for directory in /dev/shm /run /tmp /var/tmp; do
+    mount -t tmpfs tmpfs "$directory"
+done
+mkdir -p "$output"
+mount -t hostfs -o "$output" none "$output" || power_off
+
+step load net/can/can
+step load net/can/can-raw
+step load drivers/net/can/dev/can-dev
+step load drivers/net/can/vcan
+step load net/sched/sch_tbf
+step ip link set lo up
+step ip link add dev vcan0 type vcan
+step ip link set vcan0 mtu 16 up
+
+echo "$mark"
+MRROC_OUT=$output setsid --wait /bin/sh "$control/command" </dev/null
+echo $? >"$control/status"
+echo "$mark"
+power_off

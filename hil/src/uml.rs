@@ -1,0 +1,386 @@
+//! A test machine with CAN for hosts whose kernel has none: user-mode Linux, a kernel that runs as a
+//! process, booted in about three seconds on the host's own file system.
+//!
+//! It promises that the command inside can write to one directory of the host and nowhere else, that
+//! it ends within its time, and that no process and no file is left behind. Interface `vcan0` is up;
+//! `can-utils`, `ip` and `tc` work as on any host. There is one processor, and its timing proves
+//! nothing. What lies under `/tmp`, `/run` and `/dev` on the host is not seen inside.
+//!
+//! Read [`Options`], then [`run`]; the machine's first process is `uml-init.sh`.
+
+use std::ffi::{OsStr, OsString};
+use std::fs;
+use std::io::{self, BufRead, BufReader, PipeReader, Write};
+use std::os::unix::ffi::OsStrExt;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
+use std::thread;
+use std::time::Duration;
+
+use can::clock;
+use thiserror::Error;
+
+/// The kernel, as Debian's package `user-mode-linux` installs it.
+const KERNEL: &str = "/usr/bin/linux.uml";
+const MODULES: &str = "/usr/lib/uml/modules";
+const INIT: &str = include_str!("uml-init.sh");
+/// Lines on their way from the console; a full queue stops the machine's writer.
+const CONSOLE_LINES: usize = 256;
+/// What is kept of the boot's messages, to be shown if it fails.
+const BOOT_LOG_BYTES: usize = 64 << 10;
+
+/// What to run in the test machine.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// The program, looked up on the machine's `PATH`, and its arguments.
+    pub command: Vec<OsString>,
+    /// Environment of the program, beside `PATH` and `MRROC_OUT`, the output directory. Nothing else of
+    /// the host's environment gets inside.
+    pub env: Vec<(OsString, OsString)>,
+    /// Working directory of the program.
+    pub directory: PathBuf,
+    /// The one directory of the host that the program can write to; `None` makes one and removes it.
+    pub output: Option<PathBuf>,
+    /// Memory of the machine, MiB.
+    pub memory_mib: u32,
+    /// How long it may take from start to power-off.
+    pub timeout: Duration,
+}
+
+impl Options {
+    /// Runs `command` in the root directory, with 256 MiB for a minute at most.
+    pub fn new(command: impl IntoIterator<Item = impl Into<OsString>>) -> Self {
+        Self {
+            command: command.into_iter().map(Into::into).collect(),
+            env: Vec::new(),
+            directory: PathBuf::from("/"),
+            output: None,
+            memory_mib: 256,
+            timeout: Duration::from_secs(60),
+        }
+    }
+}
+
+/// Why a test machine did not deliver the exit status of its command.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum UmlError {
+    /// The kernel is not installed.
+    #[error("{KERNEL} is missing: `apt-get install user-mode-linux`")]
+    KernelMissing,
+    /// The kernel's CAN modules are not installed.
+    #[error("no CAN modules in {MODULES}: `apt-get install user-mode-linux`")]
+    ModulesMissing,
+    /// The machine ended before the command began; the boot's messages are in the output.
+    #[error("the test machine did not boot")]
+    BootFailed,
+    /// The machine ended without the command's exit status: its kernel died, or it was killed.
+    #[error("the test machine ended before its command did")]
+    Died,
+    /// It was killed at the end of its time.
+    #[error("the test machine was killed after {0:?}")]
+    TimedOut(Duration),
+    /// The host refused something.
+    #[error("cannot {doing}: {kind}")]
+    Host {
+        /// What was tried.
+        doing: &'static str,
+        /// How it failed.
+        kind: io::ErrorKind,
+    },
+}
+
+/// Whether the kernel and its modules are installed.
+pub fn installed() -> Result<(), UmlError> {
+    if !Path::new(KERNEL).exists() {
+        return Err(UmlError::KernelMissing);
+    }
+    let versions = fs::read_dir(MODULES).map_err(|_| UmlError::ModulesMissing)?;
+    let complete =
+        |version: &fs::DirEntry| version.path().join("kernel/net/can/can-raw.ko").exists();
+    match versions.flatten().any(|version| complete(&version)) {
+        true => Ok(()),
+        false => Err(UmlError::ModulesMissing),
+    }
+}
+
+/// Boots a test machine, runs the command in it and returns its exit status (128 + n if signal n
+/// ended it).
+///
+/// What the command prints, on either stream, goes to `stdout` line by line; so do the boot's messages
+/// if the boot fails.
+pub fn run(options: &Options, stdout: &mut dyn Write) -> Result<u8, UmlError> {
+    installed()?;
+    let control = Control::new(options.output.as_deref())
+        .and_then(|control| control.write(options).map(|()| control))
+        .map_err(host("write the output directory"))?;
+    let deadline = clock::now() + options.timeout;
+    let (machine, console) =
+        Machine::start(options, &control).map_err(host("start the test machine"))?;
+
+    let mut screen = Screen::new(control.mark());
+    loop {
+        match console.recv_timeout(deadline.since(clock::now())) {
+            Ok(line) => screen.show(&line, stdout),
+            Err(RecvTimeoutError::Disconnected) => break,
+            Err(RecvTimeoutError::Timeout) => {
+                drop(machine);
+                // What was printed just before the end says most of why it hangs.
+                console.iter().for_each(|line| screen.show(&line, stdout));
+                return Err(UmlError::TimedOut(options.timeout));
+            }
+        }
+    }
+    drop(machine);
+    if let Some(status) = control.status() {
+        return Ok(status);
+    }
+    if screen.part != Part::Boot {
+        return Err(UmlError::Died);
+    }
+    // The error is what matters; a reader who left does not.
+    let _ = stdout.write_all(&screen.boot_log);
+    if let Ok(step) = fs::read_to_string(control.path.join("failed")) {
+        let _ = writeln!(stdout, "the boot failed at: {}", step.trim_end());
+    }
+    Err(UmlError::BootFailed)
+}
+
+fn host(doing: &'static str) -> impl Fn(io::Error) -> UmlError {
+    move |error| UmlError::Host {
+        doing,
+        kind: error.kind(),
+    }
+}
+
+/// The machine's own directory inside the output directory, removed with everything in it.
+struct Control {
+    path: PathBuf,
+    /// What to remove: the directory itself, or the whole output directory if it was made for this run.
+    remove: PathBuf,
+}
+
+impl Control {
+    fn new(output: Option<&Path>) -> io::Result<Self> {
+        static RUNS: AtomicU32 = AtomicU32::new(0);
+        let run = RUNS.fetch_add(1, Ordering::Relaxed);
+        let name = format!("mrroc-uml-{}-{run}", std::process::id());
+        let (output, made) = match output {
+            Some(output) => (output.to_path_buf(), false),
+            None => (std::env::temp_dir().join(&name), true),
+        };
+        fs::create_dir_all(&output)?;
+        let output = output.canonicalize()?;
+        let path = output.join(format!(".{name}"));
+        let remove = if made { output } else { path.clone() };
+        fs::create_dir(&path)?;
+        Ok(Self { path, remove })
+    }
+
+    fn write(&self, options: &Options) -> io::Result<()> {
+        let init = self.path.join("init");
+        fs::write(&init, INIT)?;
+        fs::set_permissions(&init, fs::Permissions::from_mode(0o755))?;
+        fs::write(self.path.join("command"), command_script(options))
+    }
+
+    /// The line before and behind the command's output: no other run has the same.
+    fn mark(&self) -> Vec<u8> {
+        let name = self.path.file_name().expect("made with a name");
+        [name.as_bytes(), b"\n"].concat()
+    }
+
+    fn status(&self) -> Option<u8> {
+        fs::read_to_string(self.path.join("status"))
+            .ok()?
+            .trim()
+            .parse()
+            .ok()
+    }
+}
+
+impl Drop for Control {
+    fn drop(&mut self) {
+        // Nothing can be done about a directory that somebody else holds.
+        let _ = fs::remove_dir_all(&self.remove);
+    }
+}
+
+fn command_script(options: &Options) -> Vec<u8> {
+    let mut script = b"cd ".to_vec();
+    quote(options.directory.as_os_str(), &mut script);
+    // Should we be killed before the machine, this still ends it.
+    let limit = options.timeout.as_secs() + 1;
+    script.extend(format!(" || exit 126\nexec timeout --signal=KILL {limit} env").bytes());
+    for (name, value) in &options.env {
+        script.push(b' ');
+        let mut setting = name.clone();
+        setting.push("=");
+        setting.push(value);
+        quote(&setting, &mut script);
+    }
+    for word in &options.command {
+        script.push(b' ');
+        quote(word, &mut script);
+    }
+    script.extend(b" 2>&1\n");
+    script
+}
+
+/// Appends `word` so that a shell reads it back as one word, whatever is in it.
+fn quote(word: &OsStr, script: &mut Vec<u8>) {
+    script.push(b'\'');
+    for &byte in word.as_bytes() {
+        match byte {
+            b'\'' => script.extend(br"'\''"),
+            other => script.push(other),
+        }
+    }
+    script.push(b'\'');
+}
+
+/// The machine's processes, all in one group, killed and awaited on drop.
+struct Machine(Child);
+
+impl Machine {
+    fn start(options: &Options, control: &Control) -> io::Result<(Self, Receiver<Vec<u8>>)> {
+        let (console, output) = io::pipe()?;
+        let directory = control.path.display();
+        let child = Command::new("setsid")
+            .arg(KERNEL)
+            .args(["root=/dev/root", "rootfstype=hostfs", "rootflags=/", "ro"])
+            .args(["con=null", "con0=null,fd:1", "quiet"])
+            .arg(format!("mem={}M", options.memory_mib))
+            .arg(format!("uml_dir={directory}/"))
+            .arg(format!("init=\"{directory}/init\""))
+            .stdin(Stdio::null())
+            .stdout(output.try_clone()?)
+            .stderr(output)
+            .spawn()?;
+        let machine = Self(child);
+        let (lines, received) = sync_channel(CONSOLE_LINES);
+        let read = move || read_lines(console, |line| lines.send(line).is_ok());
+        thread::Builder::new()
+            .name("uml console".into())
+            .spawn(read)?;
+        Ok((machine, received))
+    }
+}
+
+impl Drop for Machine {
+    fn drop(&mut self) {
+        // The leader was not awaited yet, so its number cannot have gone to another process.
+        let kill = format!("kill -s KILL -- -{}", self.0.id());
+        let _ = Command::new("sh")
+            .args(["-c", &kill])
+            .stderr(Stdio::null())
+            .status();
+        let _ = self.0.wait();
+    }
+}
+
+fn read_lines(console: PipeReader, mut take: impl FnMut(Vec<u8>) -> bool) {
+    let mut console = BufReader::new(console);
+    loop {
+        let mut line = Vec::new();
+        match console.read_until(b'\n', &mut line) {
+            Ok(1..) if take(line) => {}
+            _ => return,
+        }
+    }
+}
+
+/// Tells the command's output from the kernel's chatter before and behind it.
+struct Screen {
+    mark: Vec<u8>,
+    part: Part,
+    boot_log: Vec<u8>,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Part {
+    Boot,
+    Command,
+    PowerOff,
+}
+
+impl Screen {
+    fn new(mark: Vec<u8>) -> Self {
+        Self {
+            mark,
+            part: Part::Boot,
+            boot_log: Vec::new(),
+        }
+    }
+
+    fn show(&mut self, line: &[u8], stdout: &mut dyn Write) {
+        // The command's last line may lack its end, and then the mark stands on it.
+        let marked = line.strip_suffix(self.mark.as_slice());
+        match (self.part, marked) {
+            (Part::Boot, None) => {
+                let room = BOOT_LOG_BYTES.saturating_sub(self.boot_log.len());
+                self.boot_log.extend(&line[..line.len().min(room)]);
+            }
+            (Part::Boot, Some(_)) => self.part = Part::Command,
+            (Part::Command, _) => {
+                // The command runs on when nobody reads what it prints.
+                let _ = stdout.write_all(marked.unwrap_or(line));
+                if marked.is_some() {
+                    self.part = Part::PowerOff;
+                }
+            }
+            (Part::PowerOff, _) => {}
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_command_survives_the_shell() {
+        let options = Options {
+            env: vec![("A".into(), "it's $HOME".into())],
+            directory: "/a b".into(),
+            ..Options::new(["echo", "", "`x`"])
+        };
+        let expected = concat!(
+            "cd '/a b' || exit 126\n",
+            r"exec timeout --signal=KILL 61 env 'A=it'\''s $HOME' 'echo' '' '`x`' 2>&1",
+            "\n"
+        );
+        assert_eq!(
+            String::from_utf8(command_script(&options)).unwrap(),
+            expected
+        );
+    }
+
+    #[test]
+    fn only_what_stands_between_the_marks_is_shown() {
+        let mut screen = Screen::new(b"MARK\n".to_vec());
+        let mut shown = Vec::new();
+        for line in [
+            "boot\n",
+            "MARK\n",
+            "one\n",
+            "twoMARK\n",
+            "reboot: Power down\n",
+        ] {
+            screen.show(line.as_bytes(), &mut shown);
+        }
+        assert_eq!(shown, b"one\ntwo");
+        assert_eq!(screen.boot_log, b"boot\n");
+    }
+
+    #[test]
+    fn the_boot_log_is_bounded() {
+        let mut screen = Screen::new(b"MARK\n".to_vec());
+        for _ in 0..100 {
+            screen.show(&[b'x'; 1024], &mut Vec::new());
+        }
+        assert_eq!(screen.boot_log.len(), BOOT_LOG_BYTES);
+    }
+}
