@@ -41,7 +41,7 @@ fn kinematics(criterion: &mut Criterion) {
             b.iter(|| robot.inverse(black_box(&far), black_box(&joints)));
         });
         group.bench_function("jacobian", |b| {
-            b.iter(|| robot.jacobian(black_box(&joints)))
+            b.iter(|| robot.jacobian(black_box(&joints)));
         });
         group.bench_function("motors from joints", |b| {
             b.iter(|| robot.motors_from_joints(black_box(&joints)));

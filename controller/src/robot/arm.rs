@@ -6,11 +6,18 @@ use thiserror::Error;
 use super::{
     GearAxis, Jacobian, KinematicsError, Limits, ScrewAxis,
     drive_train::{Axis, Transmission},
+    solutions::Search,
 };
 
 /// Below this sine of the angle between two axes they count as parallel, and below this distance, m,
 /// a point counts as lying on an axis. A pose so close to a singularity is met within the same bound.
 pub(super) const PARALLEL: f64 = 1e-10;
+
+pub(super) const COLUMN: usize = 0;
+pub(super) const SHOULDER: usize = 1;
+pub(super) const ELBOW: usize = 2;
+pub(super) const PITCH: usize = 3;
+pub(super) const ROLL: usize = 4;
 
 /// The arm that IRb-6 and IRp-6 share: column, lower arm, upper arm, wrist pitch, wrist roll.
 ///
@@ -144,9 +151,6 @@ impl ArmParameters {
         ])
     }
 }
-
-/// Index of the wrist pitch.
-pub(super) const PITCH: usize = 3;
 
 /// Why a set of parameters describes no robot.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
@@ -306,6 +310,24 @@ pub(super) fn wrist((s1, c1): (f64, f64), (s4, c4): (f64, f64)) -> Matrix3<f64> 
     )
 }
 
+/// A column angle and a pitch at which branches are sought, as (sine, cosine), and the flange's origin
+/// in the vertical plane they face: `reach` m ahead, negative behind, and `height` m above the base.
+pub(super) struct Facing {
+    pub(super) th1: (f64, f64),
+    pub(super) pitch: (f64, f64),
+    pub(super) reach: f64,
+    pub(super) height: f64,
+}
+
+/// Distance of the flange's origin from the column's axis, where th1 is determined, m.
+pub(super) fn radius(origin: &Vector3<f64>) -> Result<f64, KinematicsError> {
+    let radius = (origin.x * origin.x + origin.y * origin.y).sqrt();
+    if radius < PARALLEL {
+        return Err(KinematicsError::Singular { axis: COLUMN as u8 });
+    }
+    Ok(radius)
+}
+
 /// A pose given by the axes of its frame as columns.
 pub(super) fn pose(origin: Vector3<f64>, axes: Matrix3<f64>) -> Isometry3<f64> {
     let rotation = Rotation3::from_matrix_unchecked(axes);
@@ -374,9 +396,46 @@ impl ArmParameters {
         jacobian
     }
 
-    /// The two pairs (th2, th3) that put the pitch axis `reach` m ahead of the shoulder and `drop` m
-    /// below it, or how much the arm lacks, m.
-    pub(super) fn elbow(&self, reach: f64, drop: f64) -> Result<[(f64, f64); 2], f64> {
+    /// Follows the branches of one column angle and one pitch. `set_wrist` sets the axes behind the
+    /// pitch, given the wrist's frame before its roll.
+    pub(super) fn branches<const N: usize>(
+        &self,
+        search: &mut Search<'_, N>,
+        at: &Facing,
+        set_wrist: impl Fn(&Search<'_, N>, &mut [f64; N], &Matrix3<f64>),
+    ) {
+        let (s4, c4) = at.pitch;
+        let mut joints = *search.near();
+        search.turn(&mut joints, PITCH, s4.atan2(c4));
+        if !search.follow(&joints, &[PITCH]) {
+            return;
+        }
+        let (s1, c1) = at.th1;
+        search.turn(&mut joints, COLUMN, s1.atan2(c1));
+        let reach = at.reach - self.wrist_length * c4;
+        let drop = self.shoulder_height - at.height - self.wrist_length * s4;
+        let shoulders = match self.shoulders(reach, drop) {
+            Ok(shoulders) => shoulders,
+            Err(margin) => {
+                let error = KinematicsError::Unreachable { margin };
+                return search.refuse(&joints, &[COLUMN, PITCH], error);
+            }
+        };
+        for (s2, c2) in shoulders {
+            joints[SHOULDER] = s2.atan2(c2);
+            if !search.follow(&joints, &[COLUMN, SHOULDER, PITCH]) {
+                continue;
+            }
+            let lower = self.lower_arm_length;
+            joints[ELBOW] = (drop - lower * s2).atan2(reach - lower * c2);
+            set_wrist(search, &mut joints, &wrist(at.th1, at.pitch));
+            search.offer(joints);
+        }
+    }
+
+    /// Sine and cosine of the two th2 that let the pitch axis stand `reach` m ahead of the shoulder and
+    /// `drop` m below it, or how much the arm lacks, m.
+    fn shoulders(&self, reach: f64, drop: f64) -> Result<[(f64, f64); 2], f64> {
         let (lower, upper) = (self.lower_arm_length, self.upper_arm_length);
         let square = reach * reach + drop * drop;
         let span = square.sqrt();
@@ -387,11 +446,12 @@ impl ArmParameters {
         // The angle at the shoulder between the lower arm and the line to the pitch axis.
         let cos = (square + lower * lower - upper * upper) / (2.0 * lower * span);
         let sin = (1.0 - cos * cos).max(0.0).sqrt();
-        Ok([sin, -sin].map(|sin| {
-            let s2 = (drop * cos + reach * sin) / span;
-            let c2 = (reach * cos - drop * sin) / span;
-            let th3 = (drop - lower * s2).atan2(reach - lower * c2);
-            (s2.atan2(c2), th3)
-        }))
+        let th2 = |sin: f64| {
+            (
+                (drop * cos + reach * sin) / span,
+                (reach * cos - drop * sin) / span,
+            )
+        };
+        Ok([th2(sin), th2(-sin)])
     }
 }

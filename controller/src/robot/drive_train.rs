@@ -177,12 +177,19 @@ impl<const N: usize> DriveTrain<N> {
         self.axes.map(|axis| axis.motor_at_home())
     }
 
+    /// Refuses a joint position beyond its limit.
+    pub(super) fn check_joint(&self, axis: usize, joint: f64) -> Result<(), KinematicsError> {
+        check(&self.joint_limits[axis], joint, axis, Space::Joint)
+    }
+
     /// Motor positions for joints; both within their limits.
     pub(super) fn motors_from_joints(
         &self,
         joints: &[f64; N],
     ) -> Result<[f64; N], KinematicsError> {
-        check(&self.joint_limits, joints, Space::Joint)?;
+        for (axis, &joint) in joints.iter().enumerate() {
+            self.check_joint(axis, joint)?;
+        }
         let mut motors = [0.0; N];
         for (index, axis) in self.axes.iter().enumerate() {
             let carried = axis
@@ -190,7 +197,9 @@ impl<const N: usize> DriveTrain<N> {
                 .map_or(0.0, |by| motors[by] - self.axes[by].motor_at_home());
             motors[index] = axis.motor_at_home() + axis.travel(joints[index]) + carried;
         }
-        check(&self.motor_limits, &motors, Space::Motor)?;
+        for (axis, &motor) in motors.iter().enumerate() {
+            check(&self.motor_limits[axis], motor, axis, Space::Motor)?;
+        }
         Ok(motors)
     }
 
@@ -249,21 +258,15 @@ impl<const N: usize> DriveTrain<N> {
     }
 }
 
-/// Refuses the first position that is beyond its limit.
-fn check<const N: usize>(
-    limits: &[Limits; N],
-    positions: &[f64; N],
-    space: Space,
-) -> Result<(), KinematicsError> {
-    for (index, (range, &value)) in limits.iter().zip(positions).enumerate() {
-        if let Some(limit) = range.exceeded_by(value) {
-            return Err(KinematicsError::BeyondLimit {
-                space,
-                axis: index as u8,
-                value,
-                limit,
-            });
-        }
+/// Refuses a position beyond its limit.
+fn check(limits: &Limits, value: f64, axis: usize, space: Space) -> Result<(), KinematicsError> {
+    match limits.exceeded_by(value) {
+        Some(limit) => Err(KinematicsError::BeyondLimit {
+            space,
+            axis: axis as u8,
+            value,
+            limit,
+        }),
+        None => Ok(()),
     }
-    Ok(())
 }

@@ -5,13 +5,12 @@ use serde::{Deserialize, Serialize};
 use super::{
     ArmParameters, Jacobian, Joints, KinematicsError, Limits, Motors, ParameterError, Robot,
     Solutions,
-    arm::{self, PARALLEL, PITCH, Posture},
+    arm::{self, Facing, Posture, ROLL},
     drive_train::DriveTrain,
     solutions::Search,
 };
 
 const AXES: usize = 5;
-const ROLL: usize = 4;
 
 /// Numbers of one IRb-6.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -118,10 +117,7 @@ impl Robot for Irb6 {
         let near = near.exactly::<AXES>()?;
         let (origin, axes) = arm::parts(base_from_flange)?;
         let (normal, approach) = (axes.column(0), axes.column(2));
-        let radius = origin.x.hypot(origin.y);
-        if radius < PARALLEL {
-            return Err(KinematicsError::Singular { axis: 0 });
-        }
+        let radius = arm::radius(&origin)?;
         let residual = (origin.x * approach.y - origin.y * approach.x) / radius;
         if residual.abs() > self.tool_plane_tolerance {
             return Err(KinematicsError::ToolPlane { residual });
@@ -130,32 +126,21 @@ impl Robot for Irb6 {
         for facing in [1.0, -1.0] {
             let (s1, c1) = (facing * origin.y / radius, facing * origin.x / radius);
             let level = c1 * approach.x + s1 * approach.y;
-            let in_plane = level.hypot(approach.z);
-            let (s4, c4) = (-approach.z / in_plane, level / in_plane);
-            let reach = facing * radius - self.arm.wrist_length * c4;
-            let drop = self.arm.shoulder_height - origin.z - self.arm.wrist_length * s4;
-            let elbows = match self.arm.elbow(reach, drop) {
-                Ok(elbows) => elbows,
-                Err(margin) => {
-                    search.out_of_reach(margin);
-                    continue;
-                }
+            let in_plane = (level * level + approach.z * approach.z).sqrt();
+            let pitch = (-approach.z / in_plane, level / in_plane);
+            let at = Facing {
+                th1: (s1, c1),
+                pitch,
+                reach: facing * radius,
+                height: origin.z,
             };
-            let wrist = arm::wrist((s1, c1), (s4, c4));
-            let mut joints = *near;
-            let turn = |index: usize, angle: f64, joints: &[f64; AXES]| {
-                self.drive_train.turn(index, angle, joints, near[index])
-            };
-            joints[0] = turn(0, s1.atan2(c1), &joints);
-            joints[PITCH] = turn(PITCH, s4.atan2(c4), &joints);
-            let roll = normal
-                .dot(&wrist.column(1))
-                .atan2(normal.dot(&wrist.column(0)));
-            joints[ROLL] = turn(ROLL, roll, &joints);
-            for (th2, th3) in elbows {
-                (joints[1], joints[2]) = (th2, th3);
-                search.offer(joints);
-            }
+            self.arm
+                .branches(&mut search, &at, |search, joints, wrist| {
+                    let roll = normal
+                        .dot(&wrist.column(1))
+                        .atan2(normal.dot(&wrist.column(0)));
+                    search.turn(joints, ROLL, roll);
+                });
         }
         search.finish()
     }

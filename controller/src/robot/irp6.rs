@@ -5,13 +5,12 @@ use serde::{Deserialize, Serialize};
 use super::{
     ArmParameters, GearAxis, Jacobian, Joints, KinematicsError, Limits, Motors, ParameterError,
     Robot, Solutions,
-    arm::{self, PARALLEL, PITCH, Posture},
+    arm::{self, Facing, PARALLEL, PITCH, Posture, ROLL},
     drive_train::{Axis, DriveTrain},
     solutions::Search,
 };
 
 const AXES: usize = 6;
-const ROLL: usize = 4;
 const HAND: usize = 5;
 
 /// Numbers of one IRp-6.
@@ -51,6 +50,7 @@ impl Irp6Parameters {
 
     /// The same robot as calibrated in February 2007 (public code). Home positions belong to the
     /// machine's state of then: the two sets do not mix. Limits and gears are the nominal ones.
+    /// Home is not quite the upright posture here: lower arm at -91.0°, upper arm at -0.3° (derived).
     pub const fn irp6p_calibrated() -> Self {
         let mut robot = Self::irp6p();
         let arm = &mut robot.arm;
@@ -150,51 +150,37 @@ impl Robot for Irp6 {
         let near = near.exactly::<AXES>()?;
         let (origin, axes) = arm::parts(base_from_flange)?;
         let (normal, orientation, approach) = (axes.column(0), axes.column(1), axes.column(2));
-        let radius = origin.x.hypot(origin.y);
-        if radius < PARALLEL {
-            return Err(KinematicsError::Singular { axis: 0 });
-        }
+        let radius = arm::radius(&origin)?;
         let mut search = Search::new(&self.drive_train, near);
         for facing in [1.0, -1.0] {
             let (s1, c1) = (facing * origin.y / radius, facing * origin.x / radius);
             // The approach axis seen in the arm's plane points along the pitched wrist's x axis.
             let level = c1 * approach.x + s1 * approach.y;
-            let in_plane = level.hypot(approach.z);
+            let in_plane = (level * level + approach.z * approach.z).sqrt();
             let pitches = if in_plane < PARALLEL {
-                let (s4, c4) = near[PITCH].sin_cos();
-                [Some((s4, c4)), None]
+                [Some(near[PITCH].sin_cos()), None]
             } else {
                 let (s4, c4) = (level / in_plane, approach.z / in_plane);
                 [Some((s4, c4)), Some((-s4, -c4))]
             };
-            for (s4, c4) in pitches.into_iter().flatten() {
-                let reach = facing * radius - self.arm.wrist_length * c4;
-                let drop = self.arm.shoulder_height - origin.z - self.arm.wrist_length * s4;
-                let elbows = match self.arm.elbow(reach, drop) {
-                    Ok(elbows) => elbows,
-                    Err(margin) => {
-                        search.out_of_reach(margin);
-                        continue;
-                    }
+            for pitch in pitches.into_iter().flatten() {
+                let at = Facing {
+                    th1: (s1, c1),
+                    pitch,
+                    reach: facing * radius,
+                    height: origin.z,
                 };
                 // Roll and hand follow from the pitch just chosen, so that no two of the three can
                 // come from different branches, and near the singularity their errors cancel.
-                let wrist = arm::wrist((s1, c1), (s4, c4));
-                let (ahead, across, along) = (wrist.column(0), wrist.column(1), wrist.column(2));
-                let mut joints = *near;
-                let turn = |index: usize, angle: f64, joints: &[f64; AXES]| {
-                    self.drive_train.turn(index, angle, joints, near[index])
-                };
-                joints[0] = turn(0, s1.atan2(c1), &joints);
-                joints[PITCH] = turn(PITCH, s4.atan2(c4), &joints);
-                let roll = approach.dot(&ahead).atan2(-approach.dot(&across));
-                joints[ROLL] = turn(ROLL, roll, &joints);
-                let hand = normal.dot(&along).atan2(orientation.dot(&along));
-                joints[HAND] = turn(HAND, hand, &joints);
-                for (th2, th3) in elbows {
-                    (joints[1], joints[2]) = (th2, th3);
-                    search.offer(joints);
-                }
+                self.arm
+                    .branches(&mut search, &at, |search, joints, wrist| {
+                        let (ahead, across, along) =
+                            (wrist.column(0), wrist.column(1), wrist.column(2));
+                        let roll = approach.dot(&ahead).atan2(-approach.dot(&across));
+                        search.turn(joints, ROLL, roll);
+                        let hand = normal.dot(&along).atan2(orientation.dot(&along));
+                        search.turn(joints, HAND, hand);
+                    });
             }
         }
         search.finish()

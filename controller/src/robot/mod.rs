@@ -102,14 +102,14 @@ impl Limits {
     /// What rounding may add to a position that stands exactly on its limit.
     const SLACK: f64 = 1e-9;
 
-    /// The limit that `position` is beyond.
+    /// The limit that `position` is beyond; a NaN is beyond the lower one.
     pub fn exceeded_by(&self, position: f64) -> Option<f64> {
-        if position < self.low - Self::SLACK {
-            Some(self.low)
-        } else if position > self.high + Self::SLACK {
+        if position > self.high + Self::SLACK {
             Some(self.high)
-        } else {
+        } else if position >= self.low - Self::SLACK {
             None
+        } else {
+            Some(self.low)
         }
     }
 }

@@ -34,8 +34,8 @@ pub(super) struct Search<'a, const N: usize> {
     near: &'a [f64; N],
     found: Solutions,
     distances: [f64; Solutions::MOST],
-    refused: Option<(f64, KinematicsError)>,
-    margin: f64,
+    refused: KinematicsError,
+    refused_at: f64,
 }
 
 impl<'a, const N: usize> Search<'a, N> {
@@ -48,9 +48,40 @@ impl<'a, const N: usize> Search<'a, N> {
                 count: 0,
             },
             distances: [f64::INFINITY; Solutions::MOST],
-            refused: None,
-            margin: f64::INFINITY,
+            refused: KinematicsError::Unreachable {
+                margin: f64::INFINITY,
+            },
+            refused_at: f64::INFINITY,
         }
+    }
+
+    /// Where the robot is.
+    pub(super) const fn near(&self) -> &'a [f64; N] {
+        self.near
+    }
+
+    /// Sets one joint of a branch to `angle`, in the turn nearest to where the robot is.
+    pub(super) fn turn(&self, joints: &mut [f64; N], axis: usize, angle: f64) {
+        joints[axis] = self.drive_train.turn(axis, angle, joints, self.near[axis]);
+    }
+
+    /// Whether these axes of a branch, all that is known of it so far, are within their joint limits.
+    pub(super) fn follow(&mut self, joints: &[f64; N], known: &[usize]) -> bool {
+        let refusal = known
+            .iter()
+            .find_map(|&axis| self.drive_train.check_joint(axis, joints[axis]).err());
+        if let Some(error) = refusal {
+            self.refuse(joints, known, error);
+        }
+        refusal.is_none()
+    }
+
+    /// Notes why a branch does not exist; what the branch nearest to `near` is refused for stands.
+    pub(super) fn refuse(&mut self, joints: &[f64; N], known: &[usize], error: KinematicsError) {
+        let travel = known
+            .iter()
+            .map(|&axis| (joints[axis] - self.near[axis]).abs());
+        self.refuse_at(travel.fold(0.0, f64::max), error);
     }
 
     /// Takes a branch if the robot can stand there. Distance is the largest joint travel from `near`.
@@ -58,10 +89,7 @@ impl<'a, const N: usize> Search<'a, N> {
         let travel = joints.iter().zip(self.near).map(|(a, b)| (a - b).abs());
         let distance = travel.fold(0.0, f64::max);
         if let Err(error) = self.drive_train.motors_from_joints(&joints) {
-            if self.refused.is_none_or(|(nearest, _)| distance < nearest) {
-                self.refused = Some((distance, error));
-            }
-            return;
+            return self.refuse_at(distance, error);
         }
         let Solutions {
             joints: list,
@@ -81,18 +109,17 @@ impl<'a, const N: usize> Search<'a, N> {
         *count += 1;
     }
 
-    /// Notes that a pair of branches does not exist, by how much.
-    pub(super) fn out_of_reach(&mut self, margin: f64) {
-        self.margin = self.margin.min(margin);
+    fn refuse_at(&mut self, distance: f64, error: KinematicsError) {
+        if distance < self.refused_at {
+            (self.refused_at, self.refused) = (distance, error);
+        }
     }
 
     pub(super) fn finish(self) -> Result<Solutions, KinematicsError> {
         if self.found.count > 0 {
-            return Ok(self.found);
+            Ok(self.found)
+        } else {
+            Err(self.refused)
         }
-        let unreachable = KinematicsError::Unreachable {
-            margin: self.margin,
-        };
-        Err(self.refused.map_or(unreachable, |(_, error)| error))
     }
 }
