@@ -1,1 +1,4 @@
 //! System tests: whole cells, on the bench that `HIL_CAN` names.
+
+mod bench;
+mod socketcan;
