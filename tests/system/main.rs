@@ -1,3 +1,5 @@
 //! System tests: whole cells, on the bench that `HIL_CAN` names.
 
 mod architecture;
+mod bench;
+mod socketcan;
