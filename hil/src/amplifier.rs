@@ -17,7 +17,9 @@ pub struct AmplifierConfig {
     pub trip_current: f64,
     /// The most it puts out, V.
     pub max_voltage: f64,
-    /// Of the velocity loop, rad/s.
+    /// Inertia that its loops are tuned for, kg·m².
+    pub inertia: f64,
+    /// Of the velocity loop over that inertia, rad/s.
     pub velocity_bandwidth: f64,
 }
 
@@ -36,7 +38,7 @@ const SPACING: f64 = 5.0;
 const CURRENT_BANDWIDTH: f64 = 1000.0 * TAU;
 /// Share of each millisecond's change of velocity feed-forward that its acceleration takes up, so
 /// that a demand which changes every other millisecond does not make it jump.
-const ACCELERATION_SHARE: f64 = 0.4;
+const ACCELERATION_SHARE: f64 = 0.2;
 
 /// The rule that turns a plant into gains.
 #[derive(Clone, Copy, Debug)]
@@ -64,14 +66,19 @@ struct Gains {
 }
 
 impl Gains {
-    fn new(bandwidth: f64, plant: &PlantConfig) -> Self {
-        let (inertia, viscous, current, current_integral) = match plant {
-            PlantConfig::Wut(wut) => (wut.inertia, wut.viscous, 0.0, 0.0),
+    fn new(config: &AmplifierConfig, plant: &PlantConfig) -> Self {
+        let AmplifierConfig {
+            inertia,
+            velocity_bandwidth: bandwidth,
+            ..
+        } = *config;
+        let (viscous, current, current_integral) = match plant {
+            PlantConfig::Wut(wut) => (wut.viscous, 0.0, 0.0),
             PlantConfig::Physical(motor) => {
                 let decay = (-motor.resistance * SUB_STEP / motor.inductance).exp();
                 let pole = (-CURRENT_BANDWIDTH * SUB_STEP).exp();
                 let gain = motor.resistance * (1.0 - pole) / (1.0 - decay);
-                (motor.inertia, motor.viscous, gain, gain * (1.0 - decay))
+                (motor.viscous, gain, gain * (1.0 - decay))
             }
         };
         let observer = SPACING * bandwidth;
@@ -120,7 +127,7 @@ impl Amplifier {
     ) -> Self {
         Self {
             config: *config,
-            gains: Gains::new(config.velocity_bandwidth, plant),
+            gains: Gains::new(config, plant),
             torque_constant: match plant {
                 PlantConfig::Wut(wut) => wut.torque_constant,
                 PlantConfig::Physical(motor) => motor.torque_constant,

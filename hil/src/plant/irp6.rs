@@ -193,10 +193,15 @@ impl AxisConfig {
             thermal: THERMAL,
             torque_ripple: 0.01,
         };
+        let unloaded = Self::wut(axis);
         Self {
             plant: PlantConfig::Physical(motor),
+            amplifier: AmplifierConfig {
+                inertia,
+                ..unloaded.amplifier
+            },
             edge_jitter: 0.02,
-            ..Self::wut(axis)
+            ..unloaded
         }
     }
 
@@ -216,6 +221,7 @@ impl AxisConfig {
                 max_current: row.max_current,
                 trip_current: row.trip_current,
                 max_voltage: MAX_VOLTAGE,
+                inertia,
                 velocity_bandwidth: AmplifierConfig::VELOCITY_BANDWIDTH,
             },
             counts_per_revolution: row.counts,
