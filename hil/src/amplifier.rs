@@ -103,8 +103,10 @@ pub(crate) struct Amplifier {
     gains: Gains,
     torque_constant: f64,
     radians_per_count: f64,
-    /// The encoder as the observer sees it, counts and counts/s.
-    observed: f64,
+    /// The counter at the last reading, and how far the observer is ahead of it, counts.
+    counts: i32,
+    ahead: f64,
+    /// Counts/s.
     observed_velocity: f64,
     /// Whether the velocity loop was closed a turn ago.
     closed: bool,
@@ -133,7 +135,8 @@ impl Amplifier {
                 PlantConfig::Physical(motor) => motor.torque_constant,
             },
             radians_per_count: TAU / f64::from(counts_per_revolution),
-            observed: 0.5,
+            counts: 0,
+            ahead: 0.5,
             observed_velocity: 0.0,
             closed: false,
             velocity: 0.0,
@@ -146,9 +149,11 @@ impl Amplifier {
 
     /// Takes an encoder reading; each sub-step, power or not. A count stands for its middle.
     pub(crate) fn observe(&mut self, counts: i32) {
-        let error = f64::from(counts) + 0.5 - self.observed;
+        self.ahead -= f64::from(counts.wrapping_sub(self.counts));
+        self.counts = counts;
+        let error = 0.5 - self.ahead;
         self.observed_velocity += self.gains.observer_velocity * error;
-        self.observed += self.observed_velocity * SUB_STEP + self.gains.observer_counts * error;
+        self.ahead += self.observed_velocity * SUB_STEP + self.gains.observer_counts * error;
     }
 
     /// Power stage off: every loop forgets.
