@@ -253,3 +253,36 @@ impl AxisConfig {
 
 /// Natural frequency of an axis in its buffers, rad/s; they damp it half critically.
 const BUFFER_FREQUENCY: f64 = 300.0;
+
+#[cfg(test)]
+mod tests {
+    use super::{AxisConfig, Irp6Axis, PlantConfig};
+
+    #[test]
+    fn arms_weigh_as_their_pose_says() {
+        // Home is lower arm upright, upper arm and gripper horizontal. Positive motor angles lean the
+        // lower arm out, lower the upper arm and raise the gripper; weight pulls the upper arm down.
+        let cases = [
+            (Irp6Axis::Column, 50.0, 0.0),
+            (Irp6Axis::LowerArm, 0.0, 0.0),
+            (Irp6Axis::LowerArm, 173.7 * 0.5, 0.302),
+            (Irp6Axis::LowerArm, -173.7 * 0.5, -0.302),
+            (Irp6Axis::UpperArm, 0.0, 0.40),
+            (Irp6Axis::UpperArm, 175.1 * 0.5, 0.351),
+            (Irp6Axis::Pitch, 0.0, -0.05),
+            (Irp6Axis::Roll, 10.0, 0.0),
+            (Irp6Axis::Flange, 10.0, 0.0),
+        ];
+        for (axis, from_home, torque) in cases {
+            let config = AxisConfig::irp6(axis);
+            let PlantConfig::Physical(motor) = config.plant else {
+                unreachable!("the preset is physical")
+            };
+            let found = motor.gravity.torque(config.index_angle + from_home);
+            assert!(
+                (found - torque).abs() < 1e-3,
+                "{axis:?} at {from_home}: {found} N·m"
+            );
+        }
+    }
+}

@@ -46,6 +46,11 @@ impl Gravity {
         ratio: 1.0,
         phase: 0.0,
     };
+
+    /// On the motor at `angle`, rad.
+    pub(crate) fn torque(&self, angle: f64) -> f64 {
+        self.amplitude * (angle / self.ratio + self.phase).cos()
+    }
 }
 
 /// Buffers that push back, and never pull, beyond the ends of travel.
@@ -169,12 +174,7 @@ impl Motor {
             self.torque_constant =
                 self.config.torque_constant * (1.0 - FERRITE * (self.thermal.housing() - 25.0));
         }
-        let Gravity {
-            amplitude,
-            ratio,
-            phase,
-        } = self.config.gravity;
-        self.gravity = amplitude * (self.angle / ratio + phase).cos();
+        self.gravity = self.config.gravity.torque(self.angle);
         let ripple = if self.config.torque_ripple > 0.0 {
             self.config.torque_ripple * self.noise.symmetric()
         } else {
@@ -201,6 +201,8 @@ impl Motor {
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::{FRAC_PI_2, FRAC_PI_3, PI};
+
     use super::{EndStops, Gravity, Motor, MotorConfig};
     use crate::plant::{FrictionConfig, Noise, SUB_STEP, ThermalConfig};
 
@@ -324,18 +326,38 @@ mod tests {
         };
         let cases = [
             (0.0, 0.5),
-            (100.0 * std::f64::consts::FRAC_PI_3, 0.25),
-            (100.0 * std::f64::consts::PI, -0.5),
+            (100.0 * FRAC_PI_3, 0.25),
+            (100.0 * FRAC_PI_2, 0.0),
+            (100.0 * PI, -0.5),
         ];
         for (angle, torque) in cases {
-            let mut motor = Motor::new(&MotorConfig { gravity, ..CONFIG }, angle, Noise::new(1));
-            motor.step(None, 0.0);
-            assert!(
-                (motor.gravity - torque).abs() < 1e-12,
-                "{} at {angle}",
-                motor.gravity
-            );
+            assert!((gravity.torque(angle) - torque).abs() < 1e-12, "at {angle}");
         }
+    }
+
+    #[test]
+    fn warm_motor_resists_more_and_pulls_less() {
+        let mut motor = motor(&CONFIG, 0.0);
+        for _ in 0..2_000_000 {
+            motor.step(Some(6.0), 100.0);
+        }
+        let (winding, housing) = (
+            motor.thermal.winding() - 25.0,
+            motor.thermal.housing() - 25.0,
+        );
+        assert!(winding > 50.0 && housing > 8.0, "{winding} K, {housing} K");
+        let current = 10.0 / (1.0 + 0.0039 * winding);
+        assert!(
+            (motor.current - current).abs() < 0.01,
+            "{} A",
+            motor.current
+        );
+        let torque = 0.105 * (1.0 - 0.002 * housing) * motor.current;
+        let found = motor.torque_per_current * motor.current;
+        assert!(
+            (found - torque).abs() < 1e-3 * torque,
+            "{found} N·m for {torque}"
+        );
     }
 
     #[test]

@@ -222,6 +222,40 @@ fn powered_axis_settles_on_its_count_under_its_weight() {
     }
 }
 
+/// How far an axis strays from where it is when it is first told to stand there, counts.
+fn bump(mut axis: Axis) -> i32 {
+    let here = axis.feedback().counts;
+    let hold = Demand::Position {
+        counts: f64::from(here),
+        velocity: 0.0,
+    };
+    let strays = (0..500).map(|_| {
+        axis.advance(10, hold);
+        (axis.feedback().counts - here).abs()
+    });
+    strays.max().expect("not empty")
+}
+
+#[test]
+fn position_loop_takes_over_without_a_bump() {
+    // From a torque that carries the weight.
+    let config = irp6(Irp6Axis::UpperArm, |motor| {
+        motor.gravity = Gravity {
+            amplitude: 0.4,
+            ratio: 1e9,
+            phase: 0.0,
+        };
+    });
+    let mut axis = Axis::new(&config, 1);
+    axis.advance(1_000, Demand::Torque(-0.4));
+    assert!(bump(axis) <= 1);
+    // From a stop in the middle of hard work.
+    let mut axis = Axis::new(&AxisConfig::irp6(Irp6Axis::Column), 1);
+    axis.advance(20, Demand::Torque(2.0));
+    axis.advance(1_000, Demand::Off);
+    assert!(bump(axis) <= 1);
+}
+
 #[test]
 fn index_marks_home_and_the_switch_is_closed_below_it() {
     for axis in Irp6Axis::ALL {
@@ -388,6 +422,31 @@ fn wander(seed: u64, chunks: &[u32]) -> (u64, i32) {
 fn one_seed_is_one_run_bit_for_bit() {
     assert_eq!(wander(5, &[20; 200]), wander(5, &[20; 200]));
     assert_ne!(wander(5, &[20; 200]).0, wander(6, &[20; 200]).0);
+}
+
+#[test]
+fn ripple_and_jitter_are_what_seeds_differ_in() {
+    let run = |seed, torque_ripple, edge_jitter| {
+        let config = irp6(Irp6Axis::Column, |motor| {
+            motor.torque_ripple = torque_ripple
+        });
+        let mut axis = Axis::new(
+            &AxisConfig {
+                edge_jitter,
+                ..config
+            },
+            seed,
+        );
+        axis.advance(5_000, Demand::Velocity(-31_000.0));
+        axis.angle().to_bits()
+    };
+    for (ripple, jitter, differ) in [(0.0, 0.0, false), (0.01, 0.0, true), (0.0, 0.1, true)] {
+        assert_eq!(
+            run(1, ripple, jitter) != run(2, ripple, jitter),
+            differ,
+            "{ripple}, {jitter}"
+        );
+    }
 }
 
 #[test]
