@@ -17,6 +17,7 @@ mod limit;
 mod link;
 pub mod lockstep;
 mod recorder;
+pub mod regulator;
 #[cfg(test)]
 #[path = "../tests/scripted/mod.rs"]
 mod scripted;
