@@ -1,12 +1,13 @@
 use std::time::Duration;
 
+use canopen::cia402::FaultTable;
 use thiserror::Error;
 
 /// A latched condition of one axis, cleared by [`AxisCommand::ResetFault`](crate::AxisCommand::ResetFault).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum Fault {
     /// The drive reported a fault (EMCY and object 0x603F of CiA 402).
-    #[error("node {node}: drive fault {code:#06x} ({text})", text = canopen_text(*.code))]
+    #[error("node {node}: drive fault {code:#06x} ({text})", text = FaultTable::Epos4.text(*.code))]
     Drive {
         /// Node-ID.
         node: u8,

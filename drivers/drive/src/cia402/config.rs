@@ -1,6 +1,7 @@
 use std::time::Duration;
 
 use canopen::NodeId;
+use canopen::cia402::ModeOfOperation;
 use thiserror::Error;
 
 use crate::Scale;
@@ -24,7 +25,7 @@ pub struct GroupConfig {
     /// How long an answer to a service request may take.
     pub sdo_timeout: Duration,
     /// How often a service request is repeated before it counts as timed out.
-    pub sdo_retries: u32,
+    pub sdo_retries: u8,
     /// How long a node may take to boot, and again to become operational.
     pub boot_timeout: Duration,
     /// How long a drive may take to reach an asked power state or mode of operation.
@@ -125,6 +126,16 @@ pub enum ConfigError {
         /// Which quantity.
         what: &'static str,
     },
+}
+
+impl CyclicMode {
+    pub(super) fn of_operation(self) -> ModeOfOperation {
+        match self {
+            Self::Csp => ModeOfOperation::CyclicSynchronousPosition,
+            Self::Csv => ModeOfOperation::CyclicSynchronousVelocity,
+            Self::Cst => ModeOfOperation::CyclicSynchronousTorque,
+        }
+    }
 }
 
 impl GroupConfig {
