@@ -1,12 +1,13 @@
 use std::time::Duration;
 
+use canopen::cia402::FaultTable;
 use thiserror::Error;
 
 /// A latched condition of one axis, cleared by [`AxisCommand::ResetFault`](crate::AxisCommand::ResetFault).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum Fault {
     /// The drive reported a fault (EMCY and object 0x603F of CiA 402).
-    #[error("node {node}: drive fault {code:#06x} ({text})", text = canopen_text(*.code))]
+    #[error("node {node}: drive fault {code:#06x} ({text})", text = FaultTable::Epos4.text(*.code))]
     Drive {
         /// Node-ID.
         node: u8,
@@ -55,14 +56,43 @@ pub enum Fault {
         /// Time waited.
         waited: Duration,
     },
+    /// The drive refused a service request, or did not answer it in time.
+    #[error("node {node}: {index:#06x}:{subindex:02x} failed with abort {code:#010x}")]
+    Aborted {
+        /// Node-ID.
+        node: u8,
+        /// Object index.
+        index: u16,
+        /// Sub-index.
+        subindex: u8,
+        /// SDO abort code; 0x0504_0000 if the drive did not answer.
+        code: u32,
+    },
+    /// A set-point that was not sent, nor any other of its cycle.
+    #[error("node {node}: set-point {refusal}")]
+    Refused {
+        /// Node-ID.
+        node: u8,
+        /// Why.
+        refusal: Refusal,
+    },
     /// The port cannot send or receive.
     #[error("bus: {0}")]
     Port(can::PortError),
 }
 
-/// The text of a drive's error code; a family may know more codes than CiA 402.
-fn canopen_text(_code: u16) -> &'static str {
-    "see the drive's manual"
+/// What was wrong with a set-point.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum Refusal {
+    /// Its kind is not what the drive's mode of operation follows.
+    #[error("is of another kind than the drive's mode of operation follows")]
+    WrongKind,
+    /// The drive has no torque to follow it with.
+    #[error("came while the drive was not on")]
+    NotOn,
+    /// The drive's units cannot hold it.
+    #[error("does not fit the drive's units")]
+    OutOfRange,
 }
 
 /// Why a group could not be brought up. Nothing has moved.
@@ -71,6 +101,22 @@ pub enum BringUpError {
     /// No boot-up message and no answer.
     #[error("node {node}: never booted, waited {waited:?}")]
     NeverBooted {
+        /// Node-ID.
+        node: u8,
+        /// Time waited.
+        waited: Duration,
+    },
+    /// The node answers, and is no drive: its device profile is not CiA 402.
+    #[error("node {node}: not a CiA 402 drive (0x1000 is {device_type:#010x})")]
+    NotADrive {
+        /// Node-ID.
+        node: u8,
+        /// Object 0x1000.
+        device_type: u32,
+    },
+    /// The node was started and no heartbeat said that it became operational.
+    #[error("node {node}: not operational, waited {waited:?}")]
+    NotOperational {
         /// Node-ID.
         node: u8,
         /// Time waited.

@@ -46,6 +46,8 @@ pub struct GroupCounters {
     pub port: Counters,
     /// Set-points dropped because the port did not take them in their cycle.
     pub dropped_setpoints: u64,
+    /// Cycles whose SYNC the port did not take; no set-point of them was taken either.
+    pub dropped_syncs: u64,
     /// Cycles in which a drive's answer was missing, summed over the axes.
     pub missed_answers: u64,
     /// Frames that were not understood or not expected.

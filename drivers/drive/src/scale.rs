@@ -1,10 +1,24 @@
 use std::f64::consts::TAU;
 
+/// Revolutions per minute of a radian per second: 60 s over 2π rad.
+const RPM: f64 = 60.0 / TAU;
+
 /// A position as the drive counts it: quadrature counts of its encoder.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Increments(pub i32);
 
-/// Turns motor positions into increments and back: the only place that does.
+/// A velocity as an EPOS4 counts it while its unit (object 0x60A9) is the default: revolutions of
+/// the motor per minute, positive while its counter rises.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Rpm(pub i32);
+
+/// A torque as CiA 402 counts it: thousandths of the motor's rated torque, positive towards a rising
+/// counter.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Permille(pub i16);
+
+/// Turns motor positions, velocities and torques into what a device counts in and back: the only
+/// place that does.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scale {
     increments_per_radian: f64,
@@ -27,13 +41,92 @@ impl Scale {
         f64::from(increments.0) / self.increments_per_radian + self.home_position
     }
 
-    /// The nearest count; saturates at the ends of `i32`.
-    pub fn increments(&self, position: f64) -> Increments {
-        Increments(((position - self.home_position) * self.increments_per_radian).round() as i32)
+    /// The nearest count; `None` beyond the counter's 32 bits.
+    pub fn increments(&self, position: f64) -> Option<Increments> {
+        nearest_i32((position - self.home_position) * self.increments_per_radian).map(Increments)
     }
 
     /// Increments per radian of motor rotation, signed.
     pub fn increments_per_radian(&self) -> f64 {
         self.increments_per_radian
+    }
+
+    /// The nearest device velocity to `velocity`, rad/s; `None` beyond 32 bits.
+    ///
+    /// A device velocity counts turns, not increments, yet has the sign of the counter.
+    pub fn rpm(&self, velocity: f64) -> Option<Rpm> {
+        nearest_i32(velocity * RPM * self.increments_per_radian.signum()).map(Rpm)
+    }
+
+    /// The nearest device torque to `torque`, N·m, of a motor of `rated_torque`, N·m; `None` beyond
+    /// 16 bits.
+    pub fn permille(&self, torque: f64, rated_torque: f64) -> Option<Permille> {
+        let permille = torque / rated_torque * 1_000.0 * self.increments_per_radian.signum();
+        nearest_i32(permille).and_then(|n| i16::try_from(n).ok()).map(Permille)
+    }
+
+    /// Motor torque, N·m, of a motor of `rated_torque`, N·m.
+    pub fn torque(&self, permille: Permille, rated_torque: f64) -> f64 {
+        f64::from(permille.0) / 1_000.0 * rated_torque * self.increments_per_radian.signum()
+    }
+
+    /// The number of increments in `distance`, rad, whatever its direction; `None` beyond 32 bits.
+    pub fn distance(&self, distance: f64) -> Option<u32> {
+        nearest_u32((distance * self.increments_per_radian).abs())
+    }
+}
+
+/// A speed, rad/s, in rpm, or an acceleration, rad/s², in rpm/s: both differ by 60 / 2π. `None` if
+/// it is negative or does not fit 32 bits.
+pub(crate) fn rpm_magnitude(value: f64) -> Option<u32> {
+    nearest_u32(value * RPM)
+}
+
+fn nearest_i32(value: f64) -> Option<i32> {
+    let nearest = value.round();
+    (f64::from(i32::MIN)..=f64::from(i32::MAX)).contains(&nearest).then_some(nearest as i32)
+}
+
+fn nearest_u32(value: f64) -> Option<u32> {
+    let nearest = value.round();
+    (0.0..=f64::from(u32::MAX)).contains(&nearest).then_some(nearest as u32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 2000 counts a turn rising with the motor, and falling against it from 1 rad on.
+    fn scales() -> (Scale, Scale) {
+        (Scale::new(2_000, 0.0).unwrap(), Scale::new(-2_000, 1.0).unwrap())
+    }
+
+    #[test]
+    fn a_turn_is_its_counts_and_the_sign_is_the_counters() {
+        let (rising, falling) = scales();
+        assert_eq!(rising.increments(TAU), Some(Increments(2_000)));
+        assert_eq!(falling.increments(1.0 + TAU), Some(Increments(-2_000)));
+        assert_eq!(falling.position(Increments(-2_000)), 1.0 + TAU);
+        assert_eq!(rising.rpm(TAU), Some(Rpm(60)));
+        assert_eq!(falling.rpm(TAU), Some(Rpm(-60)));
+        assert_eq!(rising.permille(0.05, 0.1), Some(Permille(500)));
+        assert_eq!(falling.permille(0.05, 0.1), Some(Permille(-500)));
+        assert_eq!(falling.torque(Permille(-500), 0.1), 0.05);
+        assert_eq!(falling.distance(TAU), Some(2_000));
+        assert_eq!(rpm_magnitude(TAU), Some(60));
+    }
+
+    #[test]
+    fn what_does_not_fit_is_refused_not_wrapped() {
+        let (rising, _) = scales();
+        let furthest = rising.position(Increments(i32::MAX));
+        assert_eq!(rising.increments(furthest), Some(Increments(i32::MAX)));
+        assert_eq!(rising.increments(furthest + 0.01), None);
+        assert_eq!(rising.increments(f64::NAN), None);
+        assert_eq!(rising.rpm(3e8), None);
+        assert_eq!(rising.permille(3.3, 0.1), None);
+        assert_eq!(rpm_magnitude(-1.0), None);
+        assert_eq!(Scale::new(0, 0.0), None);
+        assert_eq!(Scale::new(1, f64::INFINITY), None);
     }
 }

@@ -1,0 +1,525 @@
+use std::time::Duration;
+
+use can::{Frame, Instant};
+use canopen::cia402::{self, ModeOfOperation, PowerState, PowerStateMachine, Statusword};
+use canopen::emcy::Emergency;
+use canopen::objects::{ERROR_CODE, MODE_OF_OPERATION, MODE_OF_OPERATION_DISPLAY};
+use canopen::sdo::Write;
+use canopen::{NodeId, Object, nmt};
+
+use super::config::{AxisConfig, CyclicMode, GroupConfig};
+use super::homing::Search;
+use super::mode::{ModeRequest, ModeSwitch};
+use super::process_data::{self, Answer};
+use crate::{AxisCommand, AxisState, Fault, Increments, Power, Refusal, Scale, Setpoint};
+
+/// Answers until a word handed over in some cycle surely shows: it is latched at the next SYNC, acts
+/// after that, is sampled at the one after and read in the cycle that follows.
+pub(super) const ANSWERS_TO_EFFECT: u32 = 4;
+
+/// One drive during operation: what it said, what it is told, and what stands in the way.
+///
+/// Nothing here waits or allocates. The order within a cycle is [`answered`](Self::answered),
+/// [`heard`](Self::heard) and [`emergency`](Self::emergency) as frames come,
+/// [`state`](Self::end_of_read), [`check`](Self::check) for all axes, [`command`](Self::command).
+#[derive(Clone, Debug)]
+pub(super) struct Axis {
+    node: NodeId,
+    mode: CyclicMode,
+    scale: Scale,
+    rated_torque: f64,
+    search_speed: f64,
+    tolerated_missing: u32,
+    heartbeat_lost_after: Duration,
+    transition_timeout: Duration,
+
+    state: AxisState,
+    statusword: Statusword,
+    /// When the SYNC was sent that sampled `state`.
+    sampled: Option<Instant>,
+    answered: bool,
+    error_code: u16,
+    heartbeat: Option<Instant>,
+    operational: bool,
+    booted: bool,
+
+    goal: Goal,
+    /// Answers since the goal changed.
+    answers: u32,
+    unsettled_since: Option<Instant>,
+    power: PowerStateMachine,
+    search: Search,
+    modes: ModeSwitch,
+    /// A change of mode is on its way.
+    telling: bool,
+    /// The drive failed a service request; none is made again before the fault is reset.
+    unserved: bool,
+    /// Whether the last cycle's target was one to hold on to.
+    held: bool,
+    target: i32,
+    rpdo: Frame,
+}
+
+/// What the drive is led to.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Goal {
+    /// No torque.
+    #[default]
+    Off,
+    /// No torque and no fault.
+    ResetFault,
+    /// Torque.
+    On,
+    /// Braked by its own ramp, for a fault that the drive does not know of.
+    Stopped,
+}
+
+/// One service request of the cycle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Service {
+    Mode(ModeRequest),
+    /// Read object 0x603F, after a fault without EMCY.
+    ErrorCode,
+}
+
+impl Service {
+    pub(super) fn object(self) -> Object {
+        match self {
+            Self::Mode(ModeRequest::Tell(_)) => MODE_OF_OPERATION,
+            Self::Mode(ModeRequest::Look) => MODE_OF_OPERATION_DISPLAY,
+            Self::ErrorCode => ERROR_CODE,
+        }
+    }
+
+    /// What to write; `None` to read.
+    pub(super) fn write(self) -> Option<Write> {
+        match self {
+            Self::Mode(ModeRequest::Tell(mode)) => Some(Write::new(self.object(), mode.raw())),
+            Self::Mode(ModeRequest::Look) | Self::ErrorCode => None,
+        }
+    }
+}
+
+/// What bring-up learnt of a drive.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Learnt {
+    pub(super) statusword: Statusword,
+    pub(super) position: Increments,
+    /// Object 0x603F.
+    pub(super) error_code: u16,
+}
+
+impl Axis {
+    pub(super) fn new(group: &GroupConfig, axis: &AxisConfig) -> Self {
+        let mut new = Self {
+            node: axis.node,
+            mode: axis.mode,
+            scale: axis.scale,
+            rated_torque: axis.rated_torque,
+            search_speed: axis.homing.search_speed,
+            tolerated_missing: group.tolerated_missing,
+            heartbeat_lost_after: group.heartbeat_lost_after(),
+            transition_timeout: group.transition_timeout,
+            state: AxisState::default(),
+            statusword: Statusword(0),
+            sampled: None,
+            answered: false,
+            error_code: 0,
+            heartbeat: None,
+            operational: false,
+            booted: false,
+            goal: Goal::Off,
+            answers: 0,
+            unsettled_since: None,
+            power: PowerStateMachine::new(),
+            search: Search::default(),
+            modes: ModeSwitch::settled(axis.mode.of_operation()),
+            telling: false,
+            unserved: false,
+            held: false,
+            target: 0,
+            rpdo: process_data::encode(axis.node, axis.mode, cia402::Controlword(0), 0),
+        };
+        new.begin(Instant::ZERO, Learnt::default());
+        new
+    }
+
+    pub(super) fn node(&self) -> NodeId {
+        self.node
+    }
+
+    /// Starts operation after bring-up: un-enabled, and with the position known before any word
+    /// that could enable.
+    pub(super) fn begin(&mut self, now: Instant, learnt: Learnt) {
+        self.state = AxisState { at: now, ..AxisState::default() };
+        self.sampled = None;
+        self.heartbeat = None;
+        self.operational = true;
+        self.booted = false;
+        self.goal = Goal::Off;
+        self.answers = 0;
+        self.unsettled_since = None;
+        self.power = PowerStateMachine::new();
+        self.search.forget();
+        self.modes = ModeSwitch::settled(self.mode.of_operation());
+        self.telling = false;
+        self.unserved = false;
+        self.held = false;
+        self.statusword = learnt.statusword;
+        self.error_code = learnt.error_code;
+        self.state.increments = learnt.position;
+        self.state.position = self.scale.position(learnt.position);
+        self.search.answered(learnt.statusword);
+        self.judge_power(PowerState::NotReadyToSwitchOn);
+        self.target = self.resting_target();
+    }
+
+    /// Takes an answer received at `at`, which is a sample of the SYNC sent at `sampled`.
+    pub(super) fn answered(&mut self, answer: Answer, sampled: Instant, at: Instant) {
+        let before = self.statusword.power_state();
+        self.statusword = answer.statusword;
+        self.answered = true;
+        self.answers = self.answers.saturating_add(1);
+        self.search.answered(answer.statusword);
+        self.measure(answer.position, sampled);
+        self.state.at = at;
+        self.state.torque = self.scale.torque(answer.torque, self.rated_torque);
+        self.judge_power(before);
+    }
+
+    /// Velocity is the difference of two sampled positions over the time between the SYNCs that sampled
+    /// them as they were sent, which is longer than a period where an answer or a cycle was missed.
+    /// Its resolution is one increment a period.
+    fn measure(&mut self, position: Increments, sampled: Instant) {
+        let dt = self.sampled.map_or(0.0, |before| sampled.since(before).as_secs_f64());
+        if dt > 0.0 {
+            let moved = f64::from(position.0.wrapping_sub(self.state.increments.0))
+                / self.scale.increments_per_radian();
+            // A search sets the counter anew; a step that no search could move is that, and no motion.
+            let recounted = self.search.needs_homing_mode()
+                && moved.abs() > 4.0 * self.search_speed * dt + 2.0 / self.counts_per_radian();
+            if !recounted {
+                self.state.velocity = moved / dt;
+            }
+        }
+        self.sampled = Some(sampled);
+        self.state.increments = position;
+        self.state.position = self.scale.position(position);
+    }
+
+    fn counts_per_radian(&self) -> f64 {
+        self.scale.increments_per_radian().abs()
+    }
+
+    fn judge_power(&mut self, before: PowerState) {
+        let node = self.node.raw();
+        let dropped = before == PowerState::OperationEnabled
+            && self.goal == Goal::On
+            && self.answers > ANSWERS_TO_EFFECT;
+        match self.statusword.power_state() {
+            PowerState::FaultReactionActive | PowerState::Fault => {
+                self.latch(Fault::Drive { node, code: self.error_code });
+            }
+            PowerState::OperationEnabled => {}
+            PowerState::NotReadyToSwitchOn
+            | PowerState::SwitchOnDisabled
+            | PowerState::ReadyToSwitchOn
+            | PowerState::SwitchedOn
+            | PowerState::QuickStopActive
+            | PowerState::Unknown => {
+                if dropped {
+                    self.latch(Fault::PowerLost { node, statusword: self.statusword.0 });
+                }
+            }
+        }
+    }
+
+    /// Takes a heartbeat or boot-up received at `at`.
+    pub(super) fn heard(&mut self, state: nmt::State, at: Instant) {
+        self.heartbeat = Some(at);
+        self.operational = state == nmt::State::Operational;
+        if state == nmt::State::Initialising {
+            self.booted = true;
+            self.search.forget();
+        }
+    }
+
+    pub(super) fn emergency(&mut self, emergency: &Emergency) {
+        if emergency.is_reset() {
+            self.error_code = 0;
+        } else {
+            self.name_fault(emergency.code);
+        }
+    }
+
+    /// The code of a drive fault, which may come before or after the statusword that shows it.
+    fn name_fault(&mut self, found: u16) {
+        self.error_code = found;
+        if let Some(Fault::Drive { code: code @ 0, .. }) = &mut self.state.fault {
+            *code = found;
+        }
+    }
+
+    /// Ends the reading of a cycle: what was to come and did not. `due` says whether the
+    /// cycle before asked for an answer. Returns the state and whether the answer is missing.
+    pub(super) fn end_of_read(&mut self, now: Instant, due: bool) -> (AxisState, bool) {
+        let node = self.node.raw();
+        let missing = due && !self.answered;
+        if self.answered {
+            self.state.age = 0;
+        } else if due {
+            self.state.age = self.state.age.saturating_add(1);
+        }
+        self.answered = false;
+        let waited = now.since(*self.heartbeat.get_or_insert(now));
+        if !self.operational || self.booted {
+            self.latch(Fault::LeftOperational { node });
+        }
+        if self.state.age > self.tolerated_missing {
+            self.latch(Fault::Silent { node, cycles: self.state.age });
+        }
+        if waited > self.heartbeat_lost_after {
+            self.latch(Fault::HeartbeatLost { node, waited });
+        }
+        self.state.power = self.power();
+        self.state.following = self.following();
+        self.state.homing = self.search.state();
+        (self.state, missing)
+    }
+
+    fn power(&self) -> Power {
+        match self.statusword.power_state() {
+            PowerState::OperationEnabled
+                if self.goal == Goal::On && self.answers > ANSWERS_TO_EFFECT =>
+            {
+                Power::On
+            }
+            PowerState::OperationEnabled
+            | PowerState::QuickStopActive
+            | PowerState::FaultReactionActive => Power::Changing,
+            PowerState::SwitchOnDisabled | PowerState::ReadyToSwitchOn | PowerState::SwitchedOn
+                if self.goal == Goal::On =>
+            {
+                Power::Changing
+            }
+            PowerState::NotReadyToSwitchOn
+            | PowerState::SwitchOnDisabled
+            | PowerState::ReadyToSwitchOn
+            | PowerState::SwitchedOn
+            | PowerState::Fault
+            | PowerState::Unknown => Power::Off,
+        }
+    }
+
+    fn following(&self) -> bool {
+        self.state.power == Power::On
+            && self.state.fault.is_none()
+            && !self.search.needs_homing_mode()
+            && !self.telling
+            && self.modes.is(self.mode.of_operation())
+    }
+
+    /// The set-point in the drive's units, if the command brings one; the reason if it cannot
+    /// be followed. A faulted axis has none: it is being stopped, whatever it is told.
+    pub(super) fn check(&self, command: AxisCommand) -> Result<Option<i32>, Refusal> {
+        let AxisCommand::Follow(setpoint) = command else { return Ok(None) };
+        if self.state.fault.is_some() {
+            return Ok(None);
+        }
+        let raw = match (self.mode, setpoint) {
+            (CyclicMode::Csp, Setpoint::Position(position)) => {
+                self.scale.increments(position.get()).map(|increments| increments.0)
+            }
+            (CyclicMode::Csv, Setpoint::Velocity(velocity)) => {
+                self.scale.rpm(velocity.get()).map(|rpm| rpm.0)
+            }
+            (CyclicMode::Cst, Setpoint::Torque(torque)) => {
+                let permille = self.scale.permille(torque.get(), self.rated_torque);
+                permille.map(|permille| i32::from(permille.0))
+            }
+            (CyclicMode::Csp, Setpoint::Velocity(_) | Setpoint::Torque(_))
+            | (CyclicMode::Csv, Setpoint::Position(_) | Setpoint::Torque(_))
+            | (CyclicMode::Cst, Setpoint::Position(_) | Setpoint::Velocity(_)) => {
+                return Err(Refusal::WrongKind);
+            }
+        };
+        if self.state.power != Power::On {
+            return Err(Refusal::NotOn);
+        }
+        raw.map(Some).ok_or(Refusal::OutOfRange)
+    }
+
+    pub(super) fn refuse(&mut self, refusal: Refusal) {
+        self.latch(Fault::Refused { node: self.node.raw(), refusal });
+    }
+
+    /// Takes the command of this cycle. `setpoint` is what [`check`](Self::check) said; `hold` keeps the
+    /// target of the last cycle, because another axis refused its own.
+    pub(super) fn command(
+        &mut self,
+        command: AxisCommand,
+        setpoint: Option<i32>,
+        hold: bool,
+        now: Instant,
+    ) -> Frame {
+        if command == AxisCommand::ResetFault {
+            self.reset();
+        }
+        let goal = self.goal_of(command);
+        if goal != self.goal {
+            self.goal = goal;
+            self.answers = 0;
+            self.unsettled_since = None;
+        }
+        let powered = self.state.power == Power::On && goal == Goal::On;
+        self.search.command(
+            command == AxisCommand::Home,
+            powered,
+            self.modes.is(ModeOfOperation::Homing) && !self.telling,
+        );
+        self.aim(command, setpoint, hold, powered);
+        self.judge_progress(now);
+
+        let goal = match goal {
+            Goal::Off | Goal::Stopped => cia402::Goal::Off,
+            Goal::ResetFault => cia402::Goal::ResetFault,
+            Goal::On => cia402::Goal::On,
+        };
+        let word = match self.statusword.power_state() {
+            PowerState::OperationEnabled | PowerState::QuickStopActive
+                if self.goal == Goal::Stopped =>
+            {
+                cia402::Controlword::QUICK_STOP
+            }
+            PowerState::OperationEnabled if self.goal == Goal::On => {
+                self.search.controlword(self.power.step(self.statusword, goal))
+            }
+            _ => self.power.step(self.statusword, goal),
+        };
+        self.rpdo = process_data::encode(self.node, self.mode, word, self.target);
+        self.rpdo
+    }
+
+    /// Clears what the drive and the bus do not show any more. What they still show is latched
+    /// again by the next reading, and a node that booted needs bring-up.
+    fn reset(&mut self) {
+        let faulted = matches!(
+            self.statusword.power_state(),
+            PowerState::Fault | PowerState::FaultReactionActive
+        );
+        if !faulted && !self.booted {
+            self.state.fault = None;
+            self.error_code = 0;
+            self.unserved = false;
+        }
+    }
+
+    fn goal_of(&self, command: AxisCommand) -> Goal {
+        match command {
+            AxisCommand::Off => Goal::Off,
+            AxisCommand::ResetFault => Goal::ResetFault,
+            AxisCommand::Stand | AxisCommand::Home | AxisCommand::Follow(_) => {
+                if self.state.fault.is_some() { Goal::Stopped } else { Goal::On }
+            }
+        }
+    }
+
+    /// Chooses the target. While the drive does not act on it, it is where the drive stands, so that
+    /// the first one it acts on moves nothing; from then on it changes by set-points alone.
+    fn aim(&mut self, command: AxisCommand, setpoint: Option<i32>, hold: bool, powered: bool) {
+        let holding = powered && self.modes.is(self.mode.of_operation());
+        if !(holding && self.held) {
+            self.target = self.resting_target();
+        }
+        self.held = holding;
+        if !holding || hold {
+            return;
+        }
+        match (command, setpoint) {
+            (AxisCommand::Follow(_), Some(setpoint)) if self.following() => self.target = setpoint,
+            _ if self.mode != CyclicMode::Csp => self.target = 0,
+            _ => {}
+        }
+    }
+
+    fn resting_target(&self) -> i32 {
+        match self.mode {
+            CyclicMode::Csp => self.state.increments.0,
+            CyclicMode::Csv | CyclicMode::Cst => 0,
+        }
+    }
+
+    fn wanted_mode(&self) -> ModeOfOperation {
+        if self.search.needs_homing_mode() {
+            ModeOfOperation::Homing
+        } else {
+            self.mode.of_operation()
+        }
+    }
+
+    fn judge_progress(&mut self, now: Instant) {
+        let torque = matches!(
+            self.statusword.power_state(),
+            PowerState::OperationEnabled
+                | PowerState::QuickStopActive
+                | PowerState::FaultReactionActive
+        );
+        let settled = match self.goal {
+            Goal::Off | Goal::ResetFault => !torque,
+            Goal::Stopped => {
+                !torque || self.statusword.power_state() == PowerState::QuickStopActive
+            }
+            Goal::On => {
+                self.state.power == Power::On
+                    && !self.search.halting()
+                    && self.modes.is(self.wanted_mode())
+            }
+        };
+        if settled {
+            self.unsettled_since = None;
+            return;
+        }
+        let waited = now.since(*self.unsettled_since.get_or_insert(now));
+        if waited > self.transition_timeout {
+            let (node, statusword) = (self.node.raw(), self.statusword.0);
+            self.latch(Fault::Stuck { node, statusword, waited });
+        }
+    }
+
+    /// What to ask the drive by SDO next, if its client is free.
+    pub(super) fn next_service(&mut self) -> Option<Service> {
+        if !self.operational || self.booted || self.unserved {
+            return None;
+        }
+        if self.state.fault == Some(Fault::Drive { node: self.node.raw(), code: 0 }) {
+            return Some(Service::ErrorCode);
+        }
+        let request = self.modes.next(self.wanted_mode())?;
+        self.telling = matches!(request, ModeRequest::Tell(_));
+        Some(Service::Mode(request))
+    }
+
+    /// Takes the answer to a service request: the object's value, or why there is none.
+    pub(super) fn served(&mut self, service: Service, result: Result<u32, u32>) {
+        match (service, result) {
+            (Service::Mode(ModeRequest::Tell(mode)), Ok(_)) => self.modes.taken(mode),
+            (Service::Mode(ModeRequest::Look), Ok(value)) => {
+                self.modes.seen(ModeOfOperation::from_raw(value as i8));
+            }
+            (Service::ErrorCode, Ok(code @ 1..)) => self.name_fault(code as u16),
+            // A drive that has a fault without a code.
+            (Service::ErrorCode, Ok(0)) => self.unserved = true,
+            (Service::Mode(_) | Service::ErrorCode, Err(code)) => {
+                let Object { index, subindex } = service.object();
+                self.unserved = true;
+                self.latch(Fault::Aborted { node: self.node.raw(), index, subindex, code });
+            }
+        }
+        self.telling = false;
+    }
+
+    /// The first fault stays until reset: the later ones are mostly its consequences.
+    pub(super) fn latch(&mut self, fault: Fault) {
+        self.state.fault.get_or_insert(fault);
+    }
+}

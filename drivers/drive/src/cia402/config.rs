@@ -1,0 +1,224 @@
+use std::time::Duration;
+
+use canopen::NodeId;
+use canopen::cia402::ModeOfOperation;
+use thiserror::Error;
+
+use crate::Scale;
+use crate::scale::rpm_magnitude;
+
+/// How many of its own periods a heartbeat may be late before it counts as lost, in both directions.
+pub(super) const HEARTBEATS_TO_LOSE: u32 = 3;
+
+/// What the drives of a group have in common.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct GroupConfig {
+    /// The SYNC period, which is the servo period. Whole milliseconds up to 100 are what an EPOS4 takes.
+    pub period: Duration,
+    /// Missing answers in a row that are ridden through; one more is [`Fault::Silent`](crate::Fault::Silent).
+    pub tolerated_missing: u32,
+    /// Period of the drives' heartbeats and of ours, whole milliseconds. Three periods of silence are a
+    /// loss, here and in the drives (object 0x1016).
+    pub heartbeat_period: Duration,
+    /// The node-ID under which the host sends its heartbeat.
+    pub host_node: NodeId,
+    /// How long an answer to a service request may take.
+    pub sdo_timeout: Duration,
+    /// How often a service request is repeated before it counts as timed out.
+    pub sdo_retries: u8,
+    /// How long a node may take to boot, and again to become operational.
+    pub boot_timeout: Duration,
+    /// How long a drive may take to reach an asked power state or mode of operation.
+    pub transition_timeout: Duration,
+}
+
+/// One drive and its motor.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AxisConfig {
+    /// Its node-ID.
+    pub node: NodeId,
+    /// What object 0x1018 must say.
+    pub identity: Identity,
+    /// The cyclic mode of operation it works in.
+    pub mode: CyclicMode,
+    /// Between motor positions and its counts.
+    pub scale: Scale,
+    /// Rated torque of the motor, N·m: object 0x6076, whose thousandths 0x6071 and 0x6077 count.
+    pub rated_torque: f64,
+    /// How it finds its reference.
+    pub homing: HomingConfig,
+    /// Following error at which the drive faults by itself, rad of motor rotation (object 0x6065).
+    pub following_error: f64,
+    /// Deceleration of a quick stop, rad/s² (object 0x6085).
+    pub quick_stop_deceleration: f64,
+    /// Further objects to download, in order, after all that this driver sets itself.
+    pub parameters: Vec<Parameter>,
+}
+
+/// Who a drive must be (object 0x1018); `None` accepts any.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Identity {
+    /// Vendor-ID; 0x0000_00FB is maxon.
+    pub vendor: u32,
+    /// Product code.
+    pub product: Option<u32>,
+    /// Revision number.
+    pub revision: Option<u32>,
+}
+
+/// A cyclic synchronous mode of operation: one set-point per SYNC.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CyclicMode {
+    /// The drive closes the position loop.
+    Csp,
+    /// The drive closes the velocity loop.
+    Csv,
+    /// The drive closes the torque loop.
+    Cst,
+}
+
+/// How a drive searches for its reference (mode of operation HM).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HomingConfig {
+    /// Homing method, in the drive's own sense of direction (object 0x6098).
+    pub method: i8,
+    /// Speed while searching for a switch or stop, rad/s (object 0x6099:1).
+    pub search_speed: f64,
+    /// Speed while searching for the zero, rad/s (object 0x6099:2).
+    pub zero_speed: f64,
+    /// Acceleration, rad/s² (object 0x609A).
+    pub acceleration: f64,
+}
+
+/// A value for one object of a drive.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Parameter {
+    /// Object index.
+    pub index: u16,
+    /// Sub-index.
+    pub subindex: u8,
+    /// The value; of a signed object its two's complement, cut to `size`.
+    pub value: u32,
+    /// Bytes of the object: 1, 2 or 4.
+    pub size: u8,
+}
+
+/// Why a group cannot be configured so.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum ConfigError {
+    /// No axis at all, or more than node-IDs.
+    #[error("a group has 1 to 126 axes, not {0}")]
+    Axes(usize),
+    /// Two nodes of one bus share a node-ID.
+    #[error("node {0} occurs twice")]
+    DuplicateNode(u8),
+    /// Object 0x60C2 cannot say this period exactly.
+    #[error("a period of {0:?} is not a count of up to 255 times a power of ten of a second")]
+    Period(Duration),
+    /// Objects 0x1016 and 0x1017 cannot say this period, or the watch over it.
+    #[error("a heartbeat period of {0:?} is not 1 to 21845 whole milliseconds")]
+    HeartbeatPeriod(Duration),
+    /// A quantity of an axis that is zero, negative, not finite, or beyond what the drive can hold.
+    #[error("node {node}: {what} is out of range")]
+    OutOfRange {
+        /// Node-ID.
+        node: u8,
+        /// Which quantity.
+        what: &'static str,
+    },
+}
+
+impl CyclicMode {
+    pub(super) fn of_operation(self) -> ModeOfOperation {
+        match self {
+            Self::Csp => ModeOfOperation::CyclicSynchronousPosition,
+            Self::Csv => ModeOfOperation::CyclicSynchronousVelocity,
+            Self::Cst => ModeOfOperation::CyclicSynchronousTorque,
+        }
+    }
+}
+
+impl GroupConfig {
+    /// Object 0x60C2: value and power of ten, s. Milliseconds if they are whole, else as coarse as
+    /// is exact.
+    pub(super) fn interpolation_period(&self) -> Result<(u8, i8), ConfigError> {
+        let nanos = self.period.as_nanos();
+        [(-3, 1_000_000), (-4, 100_000), (-5, 10_000), (-6, 1_000)]
+            .into_iter()
+            .filter(|(_, unit)| nanos > 0 && nanos.is_multiple_of(*unit))
+            .find_map(|(exponent, unit)| Some((u8::try_from(nanos / unit).ok()?, exponent)))
+            .ok_or(ConfigError::Period(self.period))
+    }
+
+    /// Milliseconds between heartbeats (object 0x1017) and until one is lost (object 0x1016).
+    pub(super) fn heartbeat_times(&self) -> Result<(u16, u16), ConfigError> {
+        let error = ConfigError::HeartbeatPeriod(self.heartbeat_period);
+        let nanos = self.heartbeat_period.as_nanos();
+        let period = u16::try_from(nanos / 1_000_000).map_err(|_| error)?;
+        let lost = period.checked_mul(HEARTBEATS_TO_LOSE as u16).ok_or(error)?;
+        if period == 0 || !nanos.is_multiple_of(1_000_000) { Err(error) } else { Ok((period, lost)) }
+    }
+
+    /// How long a heartbeat may stay away.
+    pub(super) fn heartbeat_lost_after(&self) -> Duration {
+        self.heartbeat_period * HEARTBEATS_TO_LOSE
+    }
+}
+
+/// An axis's quantities in the drive's units.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct DriveUnits {
+    /// Increments.
+    pub(super) following_error: u32,
+    /// rpm/s.
+    pub(super) quick_stop_deceleration: u32,
+    /// rpm.
+    pub(super) search_speed: u32,
+    /// rpm.
+    pub(super) zero_speed: u32,
+    /// rpm/s.
+    pub(super) homing_acceleration: u32,
+}
+
+impl AxisConfig {
+    pub(super) fn drive_units(&self) -> Result<DriveUnits, ConfigError> {
+        let positive = |what, value: Option<u32>| match value {
+            Some(value @ 1..) => Ok(value),
+            _ => Err(ConfigError::OutOfRange { node: self.node.raw(), what }),
+        };
+        if !(self.rated_torque > 0.0 && self.rated_torque.is_finite()) {
+            return Err(ConfigError::OutOfRange { node: self.node.raw(), what: "rated torque" });
+        }
+        if self.parameters.iter().any(|parameter| !matches!(parameter.size, 1 | 2 | 4)) {
+            return Err(ConfigError::OutOfRange { node: self.node.raw(), what: "parameter size" });
+        }
+        let homing = &self.homing;
+        Ok(DriveUnits {
+            following_error: positive("following error", self.scale.distance(self.following_error))?,
+            quick_stop_deceleration: positive(
+                "quick stop deceleration",
+                rpm_magnitude(self.quick_stop_deceleration),
+            )?,
+            search_speed: positive("homing search speed", rpm_magnitude(homing.search_speed))?,
+            zero_speed: positive("homing zero speed", rpm_magnitude(homing.zero_speed))?,
+            homing_acceleration: positive("homing acceleration", rpm_magnitude(homing.acceleration))?,
+        })
+    }
+}
+
+/// Refuses what cannot work before a frame is sent.
+pub(super) fn check(config: &GroupConfig, axes: &[AxisConfig]) -> Result<(), ConfigError> {
+    if !(1..=126).contains(&axes.len()) {
+        return Err(ConfigError::Axes(axes.len()));
+    }
+    for (i, axis) in axes.iter().enumerate() {
+        let earlier = axes[..i].iter().map(|axis| axis.node);
+        if earlier.chain([config.host_node]).any(|node| node == axis.node) {
+            return Err(ConfigError::DuplicateNode(axis.node.raw()));
+        }
+        axis.drive_units()?;
+    }
+    config.interpolation_period()?;
+    config.heartbeat_times()?;
+    Ok(())
+}

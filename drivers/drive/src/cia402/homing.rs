@@ -1,0 +1,237 @@
+use canopen::cia402::{Controlword, HomingStatus, Statusword};
+
+use super::axis::ANSWERS_TO_EFFECT;
+use crate::Homing;
+
+/// One axis's search for its reference, and whether it has one.
+///
+/// ```text
+///         wanted            0x6061 is HM           bits 10, 12, 13
+///   Idle ────────► Preparing ─────────► Searching ────────────────► Ended
+///    ▲               │ left               │ left                      │ left
+///    ├───────────────┘                    ▼                           │
+///    ├◄──────────── stands ─────────── Halting ◄──── failed ──────────┤
+///    └◄──────────────────────────────── attained ─────────────────────┘
+/// ```
+///
+/// A loss of power ends every search at once. The mode of operation is HM from Preparing to Halting.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Search {
+    step: Step,
+    /// A search succeeded, and nothing has put the counter in doubt since.
+    attained: bool,
+    /// Bit 15 of the last statusword: EPOS keep their reference while they are powered.
+    kept: bool,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Step {
+    #[default]
+    Idle,
+    Preparing,
+    /// Bit 4 is set. `begun` once the drive said that it searches.
+    Searching {
+        answers: u32,
+        begun: bool,
+    },
+    Ended {
+        attained: bool,
+    },
+    /// Bit 4 is clear and halt is set.
+    Halting {
+        answers: u32,
+    },
+}
+
+impl Search {
+    /// Moves on once a cycle, by what is wanted and where the drive is.
+    pub(super) fn command(&mut self, wanted: bool, powered: bool, in_homing_mode: bool) {
+        self.step = match self.step {
+            _ if !powered => Step::Idle,
+            Step::Idle if wanted => Step::Preparing,
+            Step::Preparing if !wanted => Step::Idle,
+            Step::Preparing if in_homing_mode => {
+                self.attained = false;
+                Step::Searching { answers: 0, begun: false }
+            }
+            Step::Searching { .. } | Step::Ended { attained: false } if !wanted => {
+                Step::Halting { answers: 0 }
+            }
+            Step::Ended { attained: true } if !wanted => Step::Idle,
+            step => step,
+        };
+    }
+
+    /// Takes the statusword of an answer.
+    ///
+    /// Bits 10, 12 and 13 may still be those of a search before, so what would end this one
+    /// counts only once the drive was seen searching or had time to begin.
+    pub(super) fn answered(&mut self, word: Statusword) {
+        if self.kept && !word.epos_referenced() {
+            self.attained = false;
+        }
+        self.kept = word.epos_referenced();
+        match &mut self.step {
+            Step::Idle | Step::Preparing | Step::Ended { .. } => {}
+            Step::Searching { answers, begun } => {
+                *answers = answers.saturating_add(1);
+                let timely = *begun || *answers > ANSWERS_TO_EFFECT;
+                match word.homing() {
+                    HomingStatus::InProgress => *begun = true,
+                    HomingStatus::Attained => {}
+                    HomingStatus::Done if timely => {
+                        self.attained = true;
+                        self.step = Step::Ended { attained: true };
+                    }
+                    HomingStatus::Interrupted if *begun => {
+                        self.step = Step::Ended { attained: false };
+                    }
+                    HomingStatus::ErrorMoving
+                    | HomingStatus::ErrorStanding
+                    | HomingStatus::Reserved
+                        if timely =>
+                    {
+                        self.step = Step::Ended { attained: false };
+                    }
+                    HomingStatus::Done
+                    | HomingStatus::Interrupted
+                    | HomingStatus::ErrorMoving
+                    | HomingStatus::ErrorStanding
+                    | HomingStatus::Reserved => {}
+                }
+            }
+            Step::Halting { answers } => {
+                *answers = answers.saturating_add(1);
+                if *answers > ANSWERS_TO_EFFECT && word.target_reached() {
+                    self.step = Step::Idle;
+                }
+            }
+        }
+    }
+
+    /// The node booted: its counter means nothing any more.
+    pub(super) fn forget(&mut self) {
+        *self = Self::default();
+    }
+
+    /// Whether the drive has to be in mode HM.
+    pub(super) fn needs_homing_mode(&self) -> bool {
+        self.step != Step::Idle
+    }
+
+    /// Whether the drive still has to come to a stand.
+    pub(super) fn halting(&self) -> bool {
+        matches!(self.step, Step::Halting { .. })
+    }
+
+    /// Adds bit 4 or halt to a controlword.
+    pub(super) fn controlword(&self, word: Controlword) -> Controlword {
+        let started = matches!(self.step, Step::Searching { .. } | Step::Ended { .. });
+        word.with(Controlword::START, started).with(Controlword::HALT, self.halting())
+    }
+
+    pub(super) fn state(&self) -> Homing {
+        match self.step {
+            Step::Preparing | Step::Searching { .. } => Homing::InProgress,
+            Step::Ended { attained: true } => Homing::Attained,
+            Step::Ended { attained: false } => Homing::Failed,
+            Step::Idle if self.attained || self.kept => Homing::Attained,
+            Step::Idle | Step::Halting { .. } => Homing::NotHomed,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SEARCHING: u16 = 0x0237;
+    const INTERRUPTED: u16 = 0x0637;
+    const ATTAINED: u16 = 0x1237;
+    const DONE: u16 = 0x1637;
+    const DONE_AND_KEPT: u16 = 0x9637;
+    const FAILED: u16 = 0x2637;
+
+    fn searching() -> Search {
+        let mut search = Search::default();
+        search.command(true, true, false);
+        assert_eq!(search.state(), Homing::InProgress);
+        search.command(true, true, true);
+        search
+    }
+
+    fn word(search: &Search) -> u16 {
+        search.controlword(Controlword::ENABLE_OPERATION).0
+    }
+
+    #[test]
+    fn a_search_ends_as_the_drive_says() {
+        let table: &[(&[u16], Homing)] = &[
+            (&[SEARCHING], Homing::InProgress),
+            (&[SEARCHING, ATTAINED], Homing::InProgress),
+            (&[SEARCHING, ATTAINED, DONE], Homing::Attained),
+            (&[SEARCHING, FAILED], Homing::Failed),
+            (&[SEARCHING, INTERRUPTED], Homing::Failed),
+            (&[SEARCHING, 0x3637], Homing::Failed),
+            // Left over from a search before.
+            (&[DONE, DONE, SEARCHING], Homing::InProgress),
+            (&[FAILED, SEARCHING], Homing::InProgress),
+            (&[INTERRUPTED, INTERRUPTED, INTERRUPTED, INTERRUPTED, INTERRUPTED], Homing::InProgress),
+            // Done before an answer could show it searching: method 37.
+            (&[INTERRUPTED, INTERRUPTED, DONE, DONE, DONE], Homing::Attained),
+        ];
+        for (words, state) in table {
+            let mut search = searching();
+            words.iter().for_each(|&word| search.answered(Statusword(word)));
+            assert_eq!(search.state(), *state, "{words:04X?}");
+            assert_eq!(word(&search), 0x001F);
+        }
+    }
+
+    #[test]
+    fn leaving_an_unfinished_search_halts_the_drive_before_the_mode_changes() {
+        let mut search = searching();
+        search.answered(Statusword(SEARCHING));
+        search.command(false, true, true);
+        assert_eq!(word(&search), 0x010F);
+        for _ in 0..10 {
+            search.answered(Statusword(SEARCHING));
+            assert!(search.needs_homing_mode());
+        }
+        search.answered(Statusword(INTERRUPTED));
+        assert!(!search.needs_homing_mode());
+        assert_eq!((word(&search), search.state()), (0x000F, Homing::NotHomed));
+    }
+
+    #[test]
+    fn a_loss_of_power_ends_the_search() {
+        let mut search = searching();
+        search.command(true, false, true);
+        assert_eq!((search.needs_homing_mode(), search.state()), (false, Homing::NotHomed));
+    }
+
+    #[test]
+    fn the_reference_outlives_the_search_until_the_drive_drops_it() {
+        let mut search = searching();
+        search.answered(Statusword(SEARCHING));
+        search.answered(Statusword(DONE_AND_KEPT));
+        search.command(false, true, true);
+        assert_eq!((search.needs_homing_mode(), search.state()), (false, Homing::Attained));
+        search.answered(Statusword(0x8637));
+        assert_eq!(search.state(), Homing::Attained);
+        search.answered(Statusword(0x0637));
+        assert_eq!(search.state(), Homing::NotHomed);
+    }
+
+    #[test]
+    fn a_drive_without_bit_15_keeps_the_reference_of_this_run() {
+        let mut search = searching();
+        search.answered(Statusword(SEARCHING));
+        search.answered(Statusword(DONE));
+        search.command(false, true, true);
+        search.answered(Statusword(0x0637));
+        assert_eq!(search.state(), Homing::Attained);
+        search.forget();
+        assert_eq!(search.state(), Homing::NotHomed);
+    }
+}

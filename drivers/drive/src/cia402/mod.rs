@@ -1,0 +1,405 @@
+//! Drives of CiA 402 on one CAN bus in the cyclic synchronous modes, as the EPOS4 does them.
+//!
+//! [`Cia402Group`] brings its drives up, exchanges one RPDO and one TPDO with each per SYNC, leads
+//! them through the power states and through homing, and watches them: answers, heartbeats, EMCY,
+//! statuswords. What a drive does when it loses *us* is set and read back at bring-up: three host
+//! heartbeats missing, and it brakes by its quick stop and holds.
+//!
+//! # What each command means
+//! - [`Off`](AxisCommand::Off) takes the voltage away, also from a moving axis; who wants it
+//!   braked brakes it before.
+//! - [`Stand`](AxisCommand::Stand) holds the position (CSP) of the answer that first showed torque, or the
+//!   last set-point followed. In CSV and CST it means velocity and torque zero, which is no
+//!   standing where a load pulls: follow at once.
+//! - [`Follow`](AxisCommand::Follow) before [`Power::On`] was seen, of another kind than the mode's, or
+//!   beyond the drive's units is refused: [`Fault::Refused`] names the axis, and no axis of the
+//!   group changes its target in that cycle. While [`AxisState::following`] is false for a change of
+//!   mode, the set-point is passed over and the drive stands.
+//! - [`Home`](AxisCommand::Home) changes to mode HM by service requests, at most one frame a cycle for the
+//!   whole group, searches, and on leaving comes back to the cyclic mode with the target where the axis
+//!   stands. An unfinished search is halted first.
+//! - An axis with a latched fault is braked by its quick stop, and stays there under any command
+//!   but `Off` and `ResetFault`.
+//!
+//! No set-point is clamped, queued or sent twice.
+//!
+//! Left out: profile modes, interpolated position (EPOS2), several axes behind one node-ID. Read
+//! [`DriveGroup`] first, then `axis` and `bring_up`.
+
+mod axis;
+mod bring_up;
+mod config;
+mod homing;
+mod mode;
+mod process_data;
+mod traffic;
+
+#[cfg(test)]
+mod tests;
+
+use std::task::Poll;
+use std::time::Duration;
+
+use can::{Frame, Instant, Port, PortError, Received};
+use canopen::emcy::Emergency;
+use canopen::heartbeat::Heartbeat;
+use canopen::pdo::PdoNumber;
+use canopen::sdo::Client;
+use canopen::sync::Sync;
+use canopen::{NodeId, cob, nmt};
+
+pub use config::{
+    AxisConfig, ConfigError, CyclicMode, GroupConfig, HomingConfig, Identity, Parameter,
+};
+pub use traffic::Traffic;
+
+use crate::{AxisCommand, AxisState, BringUpError, DriveGroup, Fault, GroupCounters};
+#[cfg(doc)]
+use crate::Power;
+use axis::{Axis, Service};
+use bring_up::NodeBringUp;
+use process_data::Answer;
+
+/// SDO frames that one call of bring-up sends at most: what a transmit queue of ten still takes.
+const SDO_FRAMES_PER_CALL: usize = 8;
+
+/// CiA 402 drives behind one port. The module says what it does with each command.
+pub struct Cia402Group<P: Port> {
+    port: P,
+    config: GroupConfig,
+    nodes: Vec<Node>,
+    /// Index into `nodes` by node-ID.
+    index: [Option<u8>; 128],
+    stage: Stage,
+    received: Vec<Received>,
+    /// Bring-up: frames that the port has still to take. Cycle: SYNC and the set-points.
+    batch: Vec<Frame>,
+    /// A service frame that the port has still to take.
+    service: Option<Frame>,
+    /// Whose client may speak first.
+    turn: usize,
+    syncs: Syncs,
+    heartbeat_due: Instant,
+    counters: GroupCounters,
+}
+
+/// One drive: how it is brought up, how it runs, and the client both use.
+struct Node {
+    bring_up: NodeBringUp,
+    axis: Axis,
+    sdo: Client,
+    service: Option<Service>,
+    setpoint: Option<i32>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stage {
+    Down,
+    Configuring,
+    Starting,
+    Up,
+}
+
+/// The SYNCs sent, as far as answers to them can still come.
+#[derive(Clone, Copy, Debug, Default)]
+struct Syncs {
+    last: Option<Instant>,
+    before: Option<Instant>,
+    /// The last cycle was to send one.
+    attempted: bool,
+    /// And the port took it.
+    sent: bool,
+}
+
+impl Syncs {
+    /// The SYNC that an answer received at `at` belongs to: the last one sent before it.
+    fn of_answer(&self, at: Instant) -> Option<Instant> {
+        match (self.last, self.before) {
+            (Some(last), Some(before)) if at < last => Some(before),
+            (last, _) => last,
+        }
+    }
+
+    fn send(&mut self, now: Instant, sent: bool) {
+        self.attempted = true;
+        self.sent = sent;
+        if sent {
+            self.before = self.last.replace(now);
+        }
+    }
+}
+
+impl<P: Port> Cia402Group<P> {
+    /// A group that has sent nothing yet; states and commands come in the order of `axes`.
+    pub fn new(port: P, config: GroupConfig, axes: &[AxisConfig]) -> Result<Self, ConfigError> {
+        config::check(&config, axes)?;
+        let mut index = [None; 128];
+        let mut nodes = Vec::with_capacity(axes.len());
+        for (i, axis) in axes.iter().enumerate() {
+            index[usize::from(axis.node.raw())] = Some(i as u8);
+            let bring_up = NodeBringUp::new(&config, axis)?;
+            let sdo = bring_up.client();
+            let axis = Axis::new(&config, axis);
+            nodes.push(Node { bring_up, axis, sdo, service: None, setpoint: None });
+        }
+        let nothing = Received { frame: Sync::default().encode(), at: Instant::ZERO };
+        Ok(Self {
+            port,
+            config,
+            // A cycle brings an answer, a heartbeat, an EMCY and an SDO frame of each node at most.
+            received: vec![nothing; 16 + 8 * nodes.len()],
+            batch: Vec::with_capacity(nodes.len().max(SDO_FRAMES_PER_CALL) + 3),
+            nodes,
+            index,
+            stage: Stage::Down,
+            service: None,
+            turn: 0,
+            syncs: Syncs::default(),
+            heartbeat_due: Instant::ZERO,
+            counters: GroupCounters::default(),
+        })
+    }
+
+    /// What such a group puts on its bus during operation.
+    pub fn traffic(config: &GroupConfig, axes: &[AxisConfig]) -> Vec<Traffic> {
+        traffic::of(config, axes)
+    }
+
+    fn node(&mut self, node: NodeId) -> Option<&mut Node> {
+        let index = self.index[usize::from(node.raw())]?;
+        self.nodes.get_mut(usize::from(index))
+    }
+
+    /// Takes one frame during operation; `None` if it was not understood or not expected.
+    fn take(&mut self, Received { frame, at }: Received, now: Instant) -> Option<()> {
+        match cob::Function::of(frame.standard_data_id()?)? {
+            cob::Function::Tpdo(PdoNumber::One, node) => {
+                let answer = Answer::decode(frame.data())?;
+                let sampled = self.syncs.of_answer(at)?;
+                self.node(node)?.axis.answered(answer, sampled, at);
+                if Some(sampled) == self.syncs.last {
+                    let bus_time = &mut self.counters.last_bus_time;
+                    *bus_time = at.since(sampled).max(*bus_time);
+                }
+            }
+            cob::Function::Heartbeat(node) => {
+                let state = Heartbeat::decode(&frame)?.state;
+                self.node(node)?.axis.heard(state, at);
+            }
+            cob::Function::Emcy(node) => {
+                self.node(node)?.axis.emergency(&Emergency::decode(&frame)?);
+            }
+            cob::Function::SdoResponse(node) => self.node(node)?.sdo.handle(&frame, now),
+            cob::Function::Nmt
+            | cob::Function::Sync
+            | cob::Function::Time
+            | cob::Function::Tpdo(..)
+            | cob::Function::Rpdo(..)
+            | cob::Function::SdoRequest(_) => return None,
+        }
+        Some(())
+    }
+
+    fn latch_all(&mut self, error: PortError) {
+        self.nodes.iter_mut().for_each(|node| node.axis.latch(Fault::Port(error)));
+    }
+
+    /// The next service frame of any node, each having its turn.
+    fn next_sdo_frame(&mut self, now: Instant) -> Option<Frame> {
+        for _ in 0..self.nodes.len() {
+            self.turn = (self.turn + 1) % self.nodes.len();
+            if let Some(frame) = self.nodes[self.turn].sdo.poll_transmit(now) {
+                return Some(frame);
+            }
+        }
+        None
+    }
+
+    fn order(&mut self, command: nmt::Command) {
+        let nodes = self.nodes.iter().map(|node| command.to(node.axis.node()).encode());
+        self.batch.extend(nodes);
+    }
+
+    fn advance_bring_up(&mut self, now: Instant) -> Result<bool, BringUpError> {
+        if matches!(self.stage, Stage::Down | Stage::Up) {
+            self.stage = Stage::Configuring;
+            self.batch.clear();
+            self.service = None;
+            for node in &mut self.nodes {
+                node.bring_up.reset(now);
+                node.sdo = node.bring_up.client();
+                node.service = None;
+            }
+            self.order(nmt::Command::ResetCommunication);
+        }
+        let count = self.port.receive(now, &mut self.received)?;
+        for i in 0..count {
+            let frame = self.received[i].frame;
+            if let Some(heartbeat) = Heartbeat::decode(&frame)
+                && let Some(Node { bring_up, sdo, .. }) = self.node(heartbeat.node)
+            {
+                bring_up.heard(heartbeat.state, sdo, now);
+            }
+            if let Some(cob::Function::SdoResponse(node)) =
+                frame.standard_data_id().and_then(cob::Function::of)
+                && let Some(node) = self.node(node)
+            {
+                node.sdo.handle(&frame, now);
+            }
+        }
+        for node in &mut self.nodes {
+            node.bring_up.advance(&mut node.sdo, now)?;
+        }
+        if self.stage == Stage::Configuring
+            && self.nodes.iter().all(|node| node.bring_up.configured())
+        {
+            self.stage = Stage::Starting;
+            self.nodes.iter_mut().for_each(|node| node.bring_up.start(now));
+            self.order(nmt::Command::Start);
+        }
+        if self.batch.is_empty() {
+            while self.batch.len() < SDO_FRAMES_PER_CALL
+                && let Some(frame) = self.next_sdo_frame(now)
+            {
+                self.batch.push(frame);
+            }
+        }
+        if !self.batch.is_empty() {
+            let taken = self.port.send(now, &self.batch)?;
+            self.batch.drain(..taken.min(self.batch.len()));
+        }
+        Ok(self.stage == Stage::Starting
+            && self.nodes.iter().all(|node| node.bring_up.operational()))
+    }
+}
+
+impl<P: Port> DriveGroup for Cia402Group<P> {
+    fn axes(&self) -> usize {
+        self.nodes.len()
+    }
+
+    /// Called after it was ready, or after an error, it begins anew with a reset of communication.
+    /// The error of the first failing axis decides.
+    fn bring_up(&mut self, now: Instant) -> Poll<Result<(), BringUpError>> {
+        match self.advance_bring_up(now) {
+            Ok(false) => Poll::Pending,
+            Ok(true) => {
+                self.stage = Stage::Up;
+                self.batch.clear();
+                self.syncs = Syncs::default();
+                self.heartbeat_due = now;
+                for node in &mut self.nodes {
+                    node.axis.begin(now, node.bring_up.learnt());
+                }
+                Poll::Ready(Ok(()))
+            }
+            Err(error) => {
+                self.stage = Stage::Down;
+                self.batch.clear();
+                Poll::Ready(Err(error))
+            }
+        }
+    }
+
+    fn read(&mut self, now: Instant, states: &mut [AxisState]) {
+        self.counters.last_bus_time = Duration::ZERO;
+        match self.port.receive(now, &mut self.received) {
+            Ok(count) => {
+                for i in 0..count {
+                    if self.take(self.received[i], now).is_none() {
+                        self.counters.unexpected += 1;
+                    }
+                }
+            }
+            Err(error) => self.latch_all(error),
+        }
+        let Syncs { attempted, sent, .. } = self.syncs;
+        for (node, state) in self.nodes.iter_mut().zip(states) {
+            node.finish_service(now);
+            let (read, missing) = node.axis.end_of_read(now, attempted);
+            *state = read;
+            self.counters.missed_answers += u64::from(missing && sent);
+        }
+        self.syncs.attempted = false;
+    }
+
+    fn write(&mut self, now: Instant, commands: &[AxisCommand]) {
+        let mut refused = false;
+        for (node, &command) in self.nodes.iter_mut().zip(commands) {
+            node.setpoint = match node.axis.check(command) {
+                Ok(setpoint) => setpoint,
+                Err(refusal) => {
+                    refused = true;
+                    node.axis.refuse(refusal);
+                    None
+                }
+            };
+        }
+        self.batch.clear();
+        self.batch.push(Sync::default().encode());
+        for (node, &command) in self.nodes.iter_mut().zip(commands) {
+            self.batch.push(node.axis.command(command, node.setpoint, refused, now));
+            node.start_service(now);
+        }
+    }
+
+    /// Behind the set-points come our heartbeat, when it is due, and at most one service frame, which
+    /// alone is offered again if the port does not take it.
+    fn send(&mut self, now: Instant) {
+        if self.batch.is_empty() {
+            self.batch.push(Sync::default().encode());
+        }
+        let setpoints = self.batch.len() - 1;
+        let heartbeat = now >= self.heartbeat_due;
+        if heartbeat {
+            let (node, state) = (self.config.host_node, nmt::State::Operational);
+            self.batch.push(Heartbeat { node, state }.encode());
+        }
+        if self.service.is_none() {
+            self.service = self.next_sdo_frame(now);
+        }
+        self.batch.extend(self.service);
+        let taken = match self.port.send(now, &self.batch) {
+            Ok(taken) => taken,
+            Err(error) => {
+                self.latch_all(error);
+                0
+            }
+        };
+        self.syncs.send(now, taken > 0);
+        self.counters.dropped_syncs += u64::from(taken == 0);
+        self.counters.dropped_setpoints += setpoints.saturating_sub(taken.saturating_sub(1)) as u64;
+        if heartbeat && taken > setpoints + 1 {
+            self.heartbeat_due = now + self.config.heartbeat_period;
+        }
+        if taken == self.batch.len() {
+            self.service = None;
+        }
+        self.batch.clear();
+    }
+
+    fn counters(&self) -> GroupCounters {
+        GroupCounters { port: self.port.counters(), ..self.counters }
+    }
+}
+
+impl Node {
+    fn start_service(&mut self, now: Instant) {
+        if self.service.is_some() {
+            return;
+        }
+        let Some(service) = self.axis.next_service() else { return };
+        bring_up::begin(&mut self.sdo, service.object(), service.write(), now);
+        self.service = Some(service);
+    }
+
+    fn finish_service(&mut self, now: Instant) {
+        self.sdo.handle_timeout(now);
+        let Some(result) = self.sdo.poll() else { return };
+        let Some(service) = self.service.take() else { return };
+        let value = result
+            .map(|transfer| bring_up::number(transfer.data))
+            .map_err(|error| bring_up::abort_code(error).1.0);
+        self.axis.served(service, value);
+    }
+}

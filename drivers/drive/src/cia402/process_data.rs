@@ -1,0 +1,132 @@
+use can::Frame;
+use canopen::cia402::{Controlword, Statusword};
+use canopen::objects::{
+    CONTROLWORD, POSITION_ACTUAL, STATUSWORD, TARGET_POSITION, TARGET_TORQUE, TARGET_VELOCITY,
+    TORQUE_ACTUAL,
+};
+use canopen::pdo::{
+    Entry, PdoCobId, PdoKind, PdoMapping, PdoNumber, PdoSetup, TransmissionType, remap,
+};
+use canopen::sdo::Write;
+use canopen::{NodeId, cob};
+
+use super::config::CyclicMode;
+use crate::{Increments, Permille};
+
+/// What TPDO 1 carries: statusword, position and torque.
+pub(super) const ANSWER: [Entry; 3] =
+    [Entry::new(STATUSWORD, 16), Entry::new(POSITION_ACTUAL, 32), Entry::new(TORQUE_ACTUAL, 16)];
+
+/// What RPDO 1 carries: controlword and the target of the mode.
+pub(super) const fn request(mode: CyclicMode) -> [Entry; 2] {
+    let target = match mode {
+        CyclicMode::Csp => Entry::new(TARGET_POSITION, 32),
+        CyclicMode::Csv => Entry::new(TARGET_VELOCITY, 32),
+        CyclicMode::Cst => Entry::new(TARGET_TORQUE, 16),
+    };
+    [Entry::new(CONTROLWORD, 16), target]
+}
+
+/// Length of RPDO 1, bytes.
+pub(super) const fn request_len(mode: CyclicMode) -> usize {
+    let [word, target] = request(mode);
+    (word.bits as usize + target.bits as usize) / 8
+}
+
+/// What to write so that a drive exchanges these two PDOs at every SYNC and no others.
+///
+/// EPOS4 comes with event-driven PDOs and an inhibit time of 1 ms, longer than some periods.
+pub(super) fn mapping_writes(node: NodeId, mode: CyclicMode) -> impl Iterator<Item = Write> {
+    const OTHERS: [PdoNumber; 3] = [PdoNumber::Two, PdoNumber::Three, PdoNumber::Four];
+    let rpdo = |number| PdoCobId::new(cob::rpdo(number, node));
+    let tpdo = |number| PdoCobId::new(cob::tpdo(number, node)).without_rtr();
+    let request = PdoSetup {
+        kind: PdoKind::Rpdo,
+        number: PdoNumber::One,
+        cob_id: rpdo(PdoNumber::One),
+        mapping: PdoMapping::new(&request(mode)).expect("six bytes fit"),
+        transmission: TransmissionType::EVERY_SYNC,
+        inhibit_time: None,
+        event_timer: None,
+    };
+    let answer = PdoSetup {
+        kind: PdoKind::Tpdo,
+        number: PdoNumber::One,
+        cob_id: tpdo(PdoNumber::One),
+        mapping: PdoMapping::new(&ANSWER).expect("eight bytes fit"),
+        transmission: TransmissionType::EVERY_SYNC,
+        inhibit_time: Some(0),
+        event_timer: None,
+    };
+    let off = |kind: PdoKind, number, cob_id: PdoCobId| {
+        Write::new(kind.communication(number, 1), cob_id.invalid().0)
+    };
+    OTHERS
+        .map(|number| off(PdoKind::Rpdo, number, rpdo(number)))
+        .into_iter()
+        .chain(OTHERS.map(|number| off(PdoKind::Tpdo, number, tpdo(number))))
+        .chain(remap(&request))
+        .chain(remap(&answer))
+}
+
+/// The frame of RPDO 1. Of a torque, `target` holds 16 bits.
+pub(super) fn encode(node: NodeId, mode: CyclicMode, word: Controlword, target: i32) -> Frame {
+    let mut bytes = [0; 6];
+    bytes[..2].copy_from_slice(&word.0.to_le_bytes());
+    bytes[2..].copy_from_slice(&target.to_le_bytes());
+    Frame::new(cob::rpdo(PdoNumber::One, node), &bytes[..request_len(mode)])
+        .expect("six bytes fit a frame")
+}
+
+/// TPDO 1.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Answer {
+    pub(super) statusword: Statusword,
+    pub(super) position: Increments,
+    pub(super) torque: Permille,
+}
+
+impl Answer {
+    /// `None` for a payload of another length.
+    pub(super) fn decode(data: &[u8]) -> Option<Self> {
+        let &[s0, s1, p0, p1, p2, p3, t0, t1] = data else { return None };
+        Some(Self {
+            statusword: Statusword(u16::from_le_bytes([s0, s1])),
+            position: Increments(i32::from_le_bytes([p0, p1, p2, p3])),
+            torque: Permille(i16::from_le_bytes([t0, t1])),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn set_points_lie_behind_the_controlword() {
+        let node = NodeId::new(2).unwrap();
+        let word = Controlword::ENABLE_OPERATION;
+        let table = [
+            (CyclicMode::Csp, -2, "202#0F00FEFFFFFF"),
+            (CyclicMode::Csv, 0x0102_0304, "202#0F0004030201"),
+            (CyclicMode::Cst, -2, "202#0F00FEFF"),
+        ];
+        for (mode, target, bytes) in table {
+            assert_eq!(encode(node, mode, word, target).to_string(), bytes);
+        }
+    }
+
+    #[test]
+    fn answers_are_eight_bytes_or_none() {
+        let answer = Answer::decode(&[0x37, 0x07, 0xFE, 0xFF, 0xFF, 0xFF, 0x0C, 0xFE]);
+        let expected = Answer {
+            statusword: Statusword(0x0737),
+            position: Increments(-2),
+            torque: Permille(-500),
+        };
+        assert_eq!(answer, Some(expected));
+        for length in 0..8 {
+            assert_eq!(Answer::decode(&[0; 8][..length]), None);
+        }
+    }
+}

@@ -1,0 +1,7 @@
+//! The group against frames written by hand.
+
+mod bench;
+mod bring_up;
+mod cycle;
+mod faults;
+mod homing;

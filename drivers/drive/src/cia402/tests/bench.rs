@@ -1,0 +1,322 @@
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::{Arc, Mutex};
+use std::task::Poll;
+use std::time::Duration;
+
+use can::{ControllerState, Counters, Frame, Instant, Port, PortError, Received, StandardId};
+use canopen::NodeId;
+
+use crate::cia402::*;
+use crate::{Finite, Power, Scale, Setpoint};
+
+pub(super) const PERIOD: Duration = Duration::from_millis(2);
+
+pub(super) fn node(raw: u8) -> NodeId {
+    NodeId::new(raw).unwrap()
+}
+
+pub(super) fn group_config() -> GroupConfig {
+    GroupConfig {
+        period: PERIOD,
+        tolerated_missing: 2,
+        heartbeat_period: Duration::from_secs(10),
+        host_node: node(127),
+        sdo_timeout: Duration::from_millis(100),
+        sdo_retries: 1,
+        boot_timeout: Duration::from_secs(1),
+        transition_timeout: Duration::from_millis(500),
+    }
+}
+
+/// 2000 increments a turn, so that an increment is TAU / 2000 rad.
+pub(super) fn axis_config(raw: u8) -> AxisConfig {
+    let tau = std::f64::consts::TAU;
+    AxisConfig {
+        node: node(raw),
+        identity: Identity { vendor: 0xFB, product: Some(0x6050_0000), revision: None },
+        mode: CyclicMode::Csp,
+        scale: Scale::new(2_000, 0.0).unwrap(),
+        rated_torque: 0.1,
+        homing: HomingConfig {
+            method: 37,
+            search_speed: tau,
+            zero_speed: tau / 6.0,
+            acceleration: tau * 10.0,
+        },
+        following_error: tau / 2.0,
+        quick_stop_deceleration: tau * 100.0,
+        parameters: vec![Parameter { index: 0x3001, subindex: 1, value: 2_000, size: 4 }],
+    }
+}
+
+/// A bus seen from the host's end: what it sent, what it is to receive, how much its queue takes.
+#[derive(Default)]
+pub(super) struct Bus {
+    pub(super) sent: Vec<Frame>,
+    pub(super) inbox: VecDeque<Received>,
+    pub(super) takes: Option<usize>,
+    pub(super) error: Option<PortError>,
+}
+
+#[derive(Clone, Default)]
+pub(super) struct BusEnd(pub(super) Arc<Mutex<Bus>>);
+
+impl Port for BusEnd {
+    fn send(&mut self, _now: Instant, frames: &[Frame]) -> Result<usize, PortError> {
+        let mut bus = self.0.lock().unwrap();
+        if let Some(error) = bus.error {
+            return Err(error);
+        }
+        let taken = frames.len().min(bus.takes.unwrap_or(usize::MAX));
+        bus.sent.extend(&frames[..taken]);
+        Ok(taken)
+    }
+
+    fn receive(&mut self, _now: Instant, into: &mut [Received]) -> Result<usize, PortError> {
+        let mut bus = self.0.lock().unwrap();
+        if let Some(error) = bus.error {
+            return Err(error);
+        }
+        let count = into.len().min(bus.inbox.len());
+        into.iter_mut().zip(bus.inbox.drain(..count)).for_each(|(to, from)| *to = from);
+        Ok(count)
+    }
+
+    fn counters(&self) -> Counters {
+        Counters::default()
+    }
+
+    fn state(&self) -> ControllerState {
+        ControllerState::Active
+    }
+}
+
+/// A frame as `candump -L` writes it.
+pub(super) fn frame(text: &str) -> Frame {
+    let (id, data) = text.split_once('#').unwrap();
+    let id = StandardId::new(u16::from_str_radix(id, 16).unwrap()).unwrap();
+    let byte = |i: usize| u8::from_str_radix(&data[i..i + 2], 16).unwrap();
+    let bytes: Vec<u8> = (0..data.len()).step_by(2).map(byte).collect();
+    Frame::new(id, &bytes).unwrap()
+}
+
+/// TPDO 1 of a node, torque zero.
+pub(super) fn answer(raw: u8, statusword: u16, position: i32) -> String {
+    let [s0, s1] = statusword.to_le_bytes();
+    let [a, b, c, d] = position.to_le_bytes();
+    format!("{:03X}#{s0:02X}{s1:02X}{a:02X}{b:02X}{c:02X}{d:02X}0000", 0x180 + u16::from(raw))
+}
+
+/// The service side of a node: a store of objects that answers byte for byte, and nothing else.
+pub(super) struct Store {
+    pub(super) raw: u8,
+    pub(super) objects: BTreeMap<(u16, u8), Vec<u8>>,
+    pub(super) aborts: BTreeMap<(u16, u8), u32>,
+    /// Objects it takes and does not keep.
+    pub(super) forgetful: Option<(u16, u8)>,
+    /// Objects it does not answer for.
+    pub(super) mute: Option<(u16, u8)>,
+    pub(super) boots: bool,
+    pub(super) starts: bool,
+}
+
+impl Store {
+    /// An EPOS4 that is switched off and stands at 1000 increments.
+    pub(super) fn epos4(raw: u8) -> Self {
+        let mut objects = BTreeMap::new();
+        let mut put = |index, subindex, bytes: &[u8]| objects.insert((index, subindex), bytes.to_vec());
+        put(0x1000, 0, &[0x92, 0x01, 0x02, 0x00]);
+        put(0x1016, 1, &[0; 4]);
+        put(0x1017, 0, &[0; 2]);
+        put(0x1018, 1, &[0xFB, 0, 0, 0]);
+        put(0x1018, 2, &[0x00, 0x00, 0x50, 0x60]);
+        put(0x1018, 3, &[0x00, 0x00, 0x70, 0x01]);
+        for i in 0..4 {
+            put(0x1400 + i, 1, &[0; 4]);
+            put(0x1400 + i, 2, &[255]);
+            put(0x1800 + i, 1, &[0; 4]);
+            put(0x1800 + i, 2, &[255]);
+            put(0x1800 + i, 3, &[10, 0]);
+        }
+        for index in [0x1600, 0x1A00] {
+            put(index, 0, &[1]);
+            (1..=3).for_each(|subindex| _ = put(index, subindex, &[0; 4]));
+        }
+        put(0x3001, 1, &[0; 4]);
+        put(0x6007, 0, &[1, 0]);
+        put(0x603F, 0, &[0; 2]);
+        put(0x6040, 0, &[0; 2]);
+        put(0x6041, 0, &[0x40, 0x07]);
+        put(0x605A, 0, &[5, 0]);
+        put(0x6060, 0, &[1]);
+        put(0x6061, 0, &[1]);
+        put(0x6064, 0, &[0xE8, 0x03, 0, 0]);
+        put(0x6065, 0, &[0; 4]);
+        put(0x6085, 0, &[0; 4]);
+        put(0x6098, 0, &[7]);
+        put(0x6099, 1, &[0; 4]);
+        put(0x6099, 2, &[0; 4]);
+        put(0x609A, 0, &[0; 4]);
+        put(0x60C2, 1, &[0]);
+        put(0x60C2, 2, &[0xFD]);
+        put(0x6502, 0, &[0xA5, 0x03, 0, 0]);
+        Self {
+            raw,
+            objects,
+            aborts: BTreeMap::new(),
+            forgetful: None,
+            mute: None,
+            boots: true,
+            starts: true,
+        }
+    }
+
+    pub(super) fn handle(&mut self, frame: &Frame) -> Option<Frame> {
+        let id = frame.standard_data_id()?.raw();
+        let heartbeat = 0x700 + u16::from(self.raw);
+        let new = |id, data: &[u8]| Frame::new(StandardId::new(id).unwrap(), data);
+        match (id, frame.data()) {
+            (0, &[0x82, raw]) if raw == self.raw && self.boots => new(heartbeat, &[0]),
+            (0, &[0x01, raw]) if raw == self.raw && self.starts => new(heartbeat, &[5]),
+            (id, &[specifier, low, high, subindex, ref data @ ..])
+                if id == 0x600 + u16::from(self.raw) =>
+            {
+                let index = u16::from_le_bytes([low, high]);
+                let reply = self.serve(specifier, (index, subindex), data)?;
+                let [a, b, c, d] = reply.1;
+                new(0x580 + u16::from(self.raw), &[reply.0, low, high, subindex, a, b, c, d])
+            }
+            _ => None,
+        }
+    }
+
+    fn serve(&mut self, specifier: u8, object: (u16, u8), data: &[u8]) -> Option<(u8, [u8; 4])> {
+        if self.mute == Some(object) {
+            return None;
+        }
+        if let Some(code) = self.aborts.get(&object) {
+            return Some((0x80, code.to_le_bytes()));
+        }
+        let Some(stored) = self.objects.get_mut(&object) else {
+            return Some((0x80, 0x0602_0000_u32.to_le_bytes()));
+        };
+        if specifier == 0x40 {
+            let mut bytes = [0; 4];
+            bytes[..stored.len()].copy_from_slice(stored);
+            return Some((0x43 | (4 - stored.len() as u8) << 2, bytes));
+        }
+        assert_eq!(specifier, 0x23 | (4 - stored.len() as u8) << 2, "length of {object:04x?}");
+        if self.forgetful != Some(object) {
+            let length = stored.len();
+            stored.copy_from_slice(&data[..length]);
+        }
+        if object == (0x6060, 0) {
+            let mode = data[0];
+            self.objects.insert((0x6061, 0), vec![mode]);
+        }
+        Some((0x60, [0; 4]))
+    }
+}
+
+/// A group, its bus, and the service side of its drives.
+pub(super) struct Bench {
+    pub(super) group: Cia402Group<BusEnd>,
+    pub(super) bus: BusEnd,
+    pub(super) stores: Vec<Store>,
+    pub(super) now: Instant,
+    pub(super) states: Vec<AxisState>,
+    seen: usize,
+}
+
+impl Bench {
+    pub(super) fn new(config: GroupConfig, axes: &[AxisConfig]) -> Self {
+        let bus = BusEnd::default();
+        Self {
+            group: Cia402Group::new(bus.clone(), config, axes).unwrap(),
+            bus,
+            stores: axes.iter().map(|axis| Store::epos4(axis.node.raw())).collect(),
+            now: Instant::ZERO,
+            states: vec![AxisState::default(); axes.len()],
+            seen: 0,
+        }
+    }
+
+    /// A group of EPOS4 in CSP, brought up.
+    pub(super) fn up(nodes: &[u8]) -> Self {
+        let axes: Vec<AxisConfig> = nodes.iter().map(|&raw| axis_config(raw)).collect();
+        Self::up_with(group_config(), &axes)
+    }
+
+    pub(super) fn up_with(config: GroupConfig, axes: &[AxisConfig]) -> Self {
+        let mut bench = Self::new(config, axes);
+        assert_eq!(bench.bring_up(), Ok(()));
+        bench.seen = bench.bus.0.lock().unwrap().sent.len();
+        bench
+    }
+
+    /// Runs bring-up to its end, a call every period.
+    pub(super) fn bring_up(&mut self) -> Result<(), BringUpError> {
+        for _ in 0..5_000 {
+            if let Poll::Ready(result) = self.group.bring_up(self.now) {
+                return result;
+            }
+            self.serve();
+            self.now += PERIOD;
+        }
+        panic!("bring-up did not end");
+    }
+
+    /// Lets the stores answer what was sent since.
+    pub(super) fn serve(&mut self) {
+        let mut bus = self.bus.0.lock().unwrap();
+        let at = self.now + PERIOD / 2;
+        for i in self.seen..bus.sent.len() {
+            let frame = bus.sent[i];
+            let replies = self.stores.iter_mut().filter_map(|store| store.handle(&frame));
+            bus.inbox.extend(replies.map(|frame| Received { frame, at }));
+        }
+        self.seen = bus.sent.len();
+    }
+
+    /// One cycle: `answers` arrived half a period ago; returns what was sent.
+    pub(super) fn cycle<T: AsRef<str>>(
+        &mut self,
+        answers: &[T],
+        commands: &[AxisCommand],
+    ) -> Vec<String> {
+        self.now += PERIOD;
+        let at = self.now - PERIOD / 2;
+        let mut bus = self.bus.0.lock().unwrap();
+        let frames = answers.iter().map(|text| Received { frame: frame(text.as_ref()), at });
+        bus.inbox.extend(frames);
+        let before = bus.sent.len();
+        drop(bus);
+        self.group.read(self.now, &mut self.states);
+        self.group.write(self.now, commands);
+        self.group.send(self.now);
+        self.serve();
+        let bus = self.bus.0.lock().unwrap();
+        bus.sent[before..].iter().map(Frame::to_string).collect()
+    }
+
+    /// Every axis stands at 1000 increments, enabled.
+    pub(super) fn enable(&mut self) {
+        let commands = vec![AxisCommand::Stand; self.states.len()];
+        for statusword in [0x0740, 0x0721, 0x0723, 0x0737, 0x0737, 0x0737, 0x0737] {
+            self.cycle(&self.answers(statusword, 1_000), &commands);
+        }
+        assert!(self.states.iter().all(|state| state.power == Power::On && state.following));
+    }
+
+    pub(super) fn answers(&self, statusword: u16, position: i32) -> Vec<String> {
+        self.stores.iter().map(|store| answer(store.raw, statusword, position)).collect()
+    }
+}
+
+/// Follow a position given in increments of [`axis_config`].
+pub(super) fn follow(increments: f64) -> AxisCommand {
+    let position = increments * std::f64::consts::TAU / 2_000.0;
+    AxisCommand::Follow(Setpoint::Position(Finite::new(position).unwrap()))
+}
+
+pub(super) const NONE: &[&str] = &[];

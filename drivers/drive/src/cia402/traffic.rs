@@ -1,0 +1,50 @@
+use std::time::Duration;
+
+use can::StandardId;
+use canopen::cob;
+use canopen::pdo::PdoNumber;
+
+use super::config::{AxisConfig, GroupConfig};
+use super::process_data;
+
+/// One kind of frame that a group puts on its bus or causes there, for adding up the bus load.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Traffic {
+    /// Its identifier.
+    pub cob_id: StandardId,
+    /// Bytes of payload.
+    pub bytes: u8,
+    /// The time from one to the next, at the most frequent.
+    pub period: Duration,
+    /// What it is.
+    pub what: &'static str,
+}
+
+/// Everything a group exchanges during operation. Service frames are counted at their worst, one
+/// request and one answer a cycle, though they flow only while a mode changes; EMCY is left out.
+pub(super) fn of(config: &GroupConfig, axes: &[AxisConfig]) -> Vec<Traffic> {
+    let cycle = |cob_id, bytes, what| Traffic { cob_id, bytes, period: config.period, what };
+    let heartbeat = |node, what| Traffic {
+        cob_id: cob::heartbeat(node),
+        bytes: 1,
+        period: config.heartbeat_period,
+        what,
+    };
+    let mut traffic =
+        vec![cycle(cob::SYNC, 0, "SYNC"), heartbeat(config.host_node, "host heartbeat")];
+    for axis in axes {
+        let request = process_data::request_len(axis.mode) as u8;
+        traffic.extend([
+            cycle(cob::rpdo(PdoNumber::One, axis.node), request, "set-point"),
+            cycle(cob::tpdo(PdoNumber::One, axis.node), 8, "answer"),
+            heartbeat(axis.node, "heartbeat"),
+        ]);
+    }
+    if let Some(axis) = axes.first() {
+        traffic.extend([
+            cycle(cob::sdo_request(axis.node), 8, "service request"),
+            cycle(cob::sdo_response(axis.node), 8, "service answer"),
+        ]);
+    }
+    traffic
+}
