@@ -170,8 +170,9 @@ impl Amplifier {
             Demand::Off => return self.release(),
             Demand::Torque(torque) => {
                 self.closed = false;
-                self.torque_integral = torque;
                 self.current = self.limited(torque / self.torque_constant);
+                // The velocity loop, should it take over, starts from here.
+                self.torque_integral = self.current * self.torque_constant;
                 return;
             }
             Demand::Velocity(velocity) => (velocity, 0.0),

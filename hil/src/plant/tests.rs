@@ -250,10 +250,13 @@ fn position_loop_takes_over_without_a_bump() {
     axis.advance(1_000, Demand::Torque(-0.4));
     assert!(bump(axis) <= 1);
     // From a stop in the middle of hard work.
-    let mut axis = Axis::new(&AxisConfig::irp6(Irp6Axis::Column), 1);
-    axis.advance(20, Demand::Torque(2.0));
-    axis.advance(1_000, Demand::Off);
-    assert!(bump(axis) <= 1);
+    for work in [Demand::Torque(2.0), Demand::Velocity(20_000.0)] {
+        let mut axis = Axis::new(&AxisConfig::irp6(Irp6Axis::Column), 1);
+        axis.advance(100, Demand::Velocity(0.0));
+        axis.advance(20, work);
+        axis.advance(1_000, Demand::Off);
+        assert!(bump(axis) <= 1, "after {work:?}");
+    }
 }
 
 #[test]
@@ -428,7 +431,7 @@ fn one_seed_is_one_run_bit_for_bit() {
 fn ripple_and_jitter_are_what_seeds_differ_in() {
     let run = |seed, torque_ripple, edge_jitter| {
         let config = irp6(Irp6Axis::Column, |motor| {
-            motor.torque_ripple = torque_ripple
+            motor.torque_ripple = torque_ripple;
         });
         let mut axis = Axis::new(
             &AxisConfig {
