@@ -1,13 +1,6 @@
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
-use thiserror::Error;
 
-use super::{
-    GearAxis, Jacobian, KinematicsError, Limits, ScrewAxis,
-    drive_train::{Axis, Transmission},
-    solutions::Search,
-};
+use super::{ArmParameters, Jacobian, KinematicsError, solutions::Search};
 
 /// Below this sine of the angle between two axes they count as parallel, and below this distance, m,
 /// a point counts as lying on an axis. A pose so close to a singularity is met within the same bound.
@@ -18,259 +11,6 @@ pub(super) const SHOULDER: usize = 1;
 pub(super) const ELBOW: usize = 2;
 pub(super) const PITCH: usize = 3;
 pub(super) const ROLL: usize = 4;
-
-/// The arm that IRb-6 and IRp-6 share: column, lower arm, upper arm, wrist pitch, wrist roll.
-///
-/// Joints are absolute angles, as the drives set them: th1 turns the column about the vertical; th2,
-/// th3 and th4 are the inclinations of lower arm, upper arm and wrist to the horizontal, positive
-/// **down**, so that th2 = -90° is an upright lower arm and th3 = th4 = 0 a level upper arm and wrist;
-/// th5 rolls the wrist. The upper arm keeps its inclination when the lower arm moves, and the wrist
-/// keeps its own when either does, because parallelograms hold them; the roll motor sits before the
-/// pitch and is carried by it.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct ArmParameters {
-    /// Height of the shoulder axis above the base frame, m.
-    #[doc(alias = "d1")]
-    pub shoulder_height: f64,
-    /// Shoulder axis to elbow axis, m.
-    #[doc(alias = "a2")]
-    pub lower_arm_length: f64,
-    /// Elbow axis to pitch axis, m.
-    #[doc(alias = "a3")]
-    pub upper_arm_length: f64,
-    /// Pitch axis to flange frame along the roll axis, m.
-    #[doc(alias = "d5")]
-    pub wrist_length: f64,
-    /// Drive of th1.
-    pub column: GearAxis,
-    /// Drive of th2.
-    pub lower_arm: ScrewAxis,
-    /// Drive of th3.
-    pub upper_arm: ScrewAxis,
-    /// Drive of th4.
-    pub pitch: GearAxis,
-    /// Drive of th5.
-    pub roll: GearAxis,
-}
-
-impl ArmParameters {
-    /// The arm under the WUT robots on a pedestal, base frame at the shoulder.
-    ///
-    /// From public code: lengths, gears, screws, home positions and limits. There the limits of th3
-    /// and th4 are applied to relative angles by the latest version and to the absolute ones by the
-    /// mechanism and by versions before; here they are absolute.
-    pub(super) const fn nominal() -> Self {
-        Self {
-            shoulder_height: 0.0,
-            lower_arm_length: 0.455,
-            upper_arm_length: 0.670,
-            wrist_length: 0.190,
-            column: GearAxis {
-                ratio: -158.0,
-                joint_at_home: 0.0,
-                motor_at_home: -15.9,
-                joint_limits: degrees(-170.0, 170.0),
-                motor_limits: Limits {
-                    low: -470.0,
-                    high: 450.0,
-                },
-            },
-            lower_arm: ScrewAxis {
-                lead: 0.005,
-                squared: 0.077_895_25,
-                cosine: 0.060_902_55,
-                sine: 0.029_346_68,
-                length_at_home: 0.220_337_4,
-                motor_at_home: -5.0,
-                joint_limits: degrees(-130.0, -50.0),
-                motor_limits: Limits {
-                    low: -110.0,
-                    high: 100.0,
-                },
-            },
-            upper_arm: ScrewAxis {
-                lead: 0.005,
-                squared: 0.077_895_25,
-                cosine: -0.044_1,
-                sine: 0.051_24,
-                length_at_home: 0.183_834_8,
-                motor_at_home: -8.527,
-                joint_limits: degrees(-25.0, 40.0),
-                motor_limits: Limits {
-                    low: -80.0,
-                    high: 100.0,
-                },
-            },
-            pitch: GearAxis {
-                ratio: -128.0,
-                joint_at_home: 0.0,
-                motor_at_home: 151.31,
-                joint_limits: degrees(-90.0, 92.0),
-                motor_limits: Limits {
-                    low: -70.0,
-                    high: 380.0,
-                },
-            },
-            // The bevel gear behind the harmonic drive of 128 multiplies it by 0.6.
-            roll: GearAxis {
-                ratio: -76.8,
-                joint_at_home: 0.0,
-                motor_at_home: 435.25,
-                joint_limits: Limits {
-                    low: -10.0,
-                    high: 10.0,
-                },
-                motor_limits: Limits {
-                    low: -80.0,
-                    high: 490.0,
-                },
-            },
-        }
-    }
-
-    /// The drive train's first five axes, once every parameter has been found sound.
-    pub(super) fn axes(&self) -> Result<[Axis; 5], ParameterError> {
-        finite("shoulder_height", self.shoulder_height)?;
-        for (name, length) in [
-            ("lower_arm_length", self.lower_arm_length),
-            ("upper_arm_length", self.upper_arm_length),
-            ("wrist_length", self.wrist_length),
-        ] {
-            positive(name, length)?;
-        }
-        Ok([
-            gear("column", &self.column)?,
-            screw("lower_arm", &self.lower_arm)?,
-            screw("upper_arm", &self.upper_arm)?,
-            gear("pitch", &self.pitch)?,
-            Axis {
-                carried_by: Some(PITCH),
-                ..gear("roll", &self.roll)?
-            },
-        ])
-    }
-}
-
-/// Why a set of parameters describes no robot.
-#[derive(Clone, Copy, Debug, PartialEq, Error)]
-pub enum ParameterError {
-    /// A NaN or an infinity.
-    #[error("{name} has a number that is not finite")]
-    NotFinite {
-        /// The parameter or the axis it belongs to.
-        name: &'static str,
-    },
-    /// A length or a tolerance that must be above zero.
-    #[error("{name} is {value}, not above zero")]
-    NotPositive {
-        /// The parameter.
-        name: &'static str,
-        /// What was given.
-        value: f64,
-    },
-    /// A gear or a screw that turns nothing.
-    #[error("{name} has a ratio of zero")]
-    NoRatio {
-        /// The axis.
-        name: &'static str,
-    },
-    /// Limits without room between them.
-    #[error("{name} has limits {low} .. {high}")]
-    EmptyRange {
-        /// The axis.
-        name: &'static str,
-        /// The lower limit.
-        low: f64,
-        /// The upper limit.
-        high: f64,
-    },
-    /// A screw that does not lengthen all over the range of its joint, or whose triangle collapses.
-    #[error("{name} has a screw whose length does not determine the joint")]
-    AmbiguousScrew {
-        /// The axis.
-        name: &'static str,
-    },
-}
-
-/// A rotary axis found sound.
-pub(super) fn gear(name: &'static str, gear: &GearAxis) -> Result<Axis, ParameterError> {
-    for value in [gear.ratio, gear.joint_at_home, gear.motor_at_home] {
-        finite(name, value)?;
-    }
-    if gear.ratio == 0.0 {
-        return Err(ParameterError::NoRatio { name });
-    }
-    room(name, gear.joint_limits)?;
-    room(name, gear.motor_limits)?;
-    Ok(Axis {
-        transmission: Transmission::Gear(*gear),
-        carried_by: None,
-    })
-}
-
-/// A screw axis found sound.
-fn screw(name: &'static str, screw: &ScrewAxis) -> Result<Axis, ParameterError> {
-    let ScrewAxis {
-        lead,
-        squared,
-        cosine,
-        sine,
-        length_at_home,
-        motor_at_home,
-        ..
-    } = *screw;
-    for value in [lead, squared, cosine, sine, length_at_home, motor_at_home] {
-        finite(name, value)?;
-    }
-    if lead == 0.0 {
-        return Err(ParameterError::NoRatio { name });
-    }
-    room(name, screw.joint_limits)?;
-    room(name, screw.motor_limits)?;
-    if !screw.is_unambiguous() {
-        return Err(ParameterError::AmbiguousScrew { name });
-    }
-    Ok(Axis {
-        transmission: Transmission::Screw(*screw),
-        carried_by: None,
-    })
-}
-
-fn finite(name: &'static str, value: f64) -> Result<(), ParameterError> {
-    if value.is_finite() {
-        Ok(())
-    } else {
-        Err(ParameterError::NotFinite { name })
-    }
-}
-
-/// Refuses what is not above zero.
-pub(super) fn positive(name: &'static str, value: f64) -> Result<(), ParameterError> {
-    finite(name, value)?;
-    if value > 0.0 {
-        Ok(())
-    } else {
-        Err(ParameterError::NotPositive { name, value })
-    }
-}
-
-fn room(name: &'static str, Limits { low, high }: Limits) -> Result<(), ParameterError> {
-    finite(name, low)?;
-    finite(name, high)?;
-    if low < high {
-        Ok(())
-    } else {
-        Err(ParameterError::EmptyRange { name, low, high })
-    }
-}
-
-const fn degrees(low: f64, high: f64) -> Limits {
-    Limits {
-        low: low.to_radians(),
-        high: high.to_radians(),
-    }
-}
 
 /// Sines and cosines of the column and of the three inclinations.
 #[derive(Clone, Copy, Debug)]
@@ -351,17 +91,21 @@ pub(super) fn parts(
 }
 
 impl ArmParameters {
+    /// The links that hang in the arm's plane, with the axes that incline them.
+    fn lengths(&self) -> [(usize, f64); 3] {
+        [
+            (SHOULDER, self.lower_arm_length),
+            (ELBOW, self.upper_arm_length),
+            (PITCH, self.wrist_length),
+        ]
+    }
+
     /// The flange's origin in the base frame.
     pub(super) fn origin(&self, Posture { sin, cos }: &Posture) -> Vector3<f64> {
-        let lengths = [
-            self.lower_arm_length,
-            self.upper_arm_length,
-            self.wrist_length,
-        ];
         let (mut reach, mut drop) = (0.0, 0.0);
-        for (index, length) in lengths.into_iter().enumerate() {
-            reach += length * cos[index + 1];
-            drop += length * sin[index + 1];
+        for (axis, length) in self.lengths() {
+            reach += length * cos[axis];
+            drop += length * sin[axis];
         }
         Vector3::new(cos[0] * reach, sin[0] * reach, self.shoulder_height - drop)
     }
@@ -375,15 +119,10 @@ impl ArmParameters {
             .fixed_view_mut::<3, 1>(0, 0)
             .copy_from(&Vector3::new(-origin.y, origin.x, 0.0));
         jacobian[(5, 0)] = 1.0;
-        let lengths = [
-            self.lower_arm_length,
-            self.upper_arm_length,
-            self.wrist_length,
-        ];
-        for (index, length) in (1..=PITCH).zip(lengths) {
-            let (s, c) = (length * sin[index], length * cos[index]);
+        for (axis, length) in self.lengths() {
+            let (s, c) = (length * sin[axis], length * cos[axis]);
             let moved = Vector3::new(-cos[0] * s, -sin[0] * s, -c);
-            jacobian.fixed_view_mut::<3, 1>(0, index).copy_from(&moved);
+            jacobian.fixed_view_mut::<3, 1>(0, axis).copy_from(&moved);
         }
         // Parallelograms keep the flange's orientation while lower and upper arm move.
         let wrist = posture.wrist();
@@ -391,7 +130,7 @@ impl ArmParameters {
             .fixed_view_mut::<3, 1>(3, PITCH)
             .copy_from(&-wrist.column(1));
         jacobian
-            .fixed_view_mut::<3, 1>(3, PITCH + 1)
+            .fixed_view_mut::<3, 1>(3, ROLL)
             .copy_from(&wrist.column(2));
         jacobian
     }
@@ -407,7 +146,7 @@ impl ArmParameters {
         let (s4, c4) = at.pitch;
         let mut joints = *search.near();
         search.turn(&mut joints, PITCH, s4.atan2(c4));
-        if !search.follow(&joints, &[PITCH]) {
+        if !search.follows(&joints, PITCH) {
             return;
         }
         let (s1, c1) = at.th1;
@@ -416,14 +155,11 @@ impl ArmParameters {
         let drop = self.shoulder_height - at.height - self.wrist_length * s4;
         let shoulders = match self.shoulders(reach, drop) {
             Ok(shoulders) => shoulders,
-            Err(margin) => {
-                let error = KinematicsError::Unreachable { margin };
-                return search.refuse(&joints, &[COLUMN, PITCH], error);
-            }
+            Err(margin) => return search.out_of_reach(margin),
         };
         for (s2, c2) in shoulders {
             joints[SHOULDER] = s2.atan2(c2);
-            if !search.follow(&joints, &[COLUMN, SHOULDER, PITCH]) {
+            if !search.follows(&joints, SHOULDER) {
                 continue;
             }
             let lower = self.lower_arm_length;

@@ -66,7 +66,7 @@ impl ScrewAxis {
     fn joint(&self, length: f64) -> Result<f64, f64> {
         let swing = self.cosine.hypot(self.sine);
         let excess = length * length - self.squared;
-        let shortest = (self.squared - swing).max(0.0).sqrt();
+        let shortest = (self.squared - swing).sqrt();
         if length < shortest {
             return Err(shortest);
         }

@@ -7,6 +7,7 @@ use super::{
     Solutions,
     arm::{self, Facing, Posture, ROLL},
     drive_train::DriveTrain,
+    parameters,
     solutions::Search,
 };
 
@@ -66,7 +67,7 @@ impl Irb6 {
             tool_plane_tolerance,
         } = parameters;
         let drive_train = DriveTrain::new(arm.axes()?);
-        arm::positive("tool_plane_tolerance", tool_plane_tolerance)?;
+        parameters::positive("tool_plane_tolerance", tool_plane_tolerance)?;
         Ok(Self {
             arm,
             tool_plane_tolerance,
@@ -122,27 +123,26 @@ impl Robot for Irb6 {
         if residual.abs() > self.tool_plane_tolerance {
             return Err(KinematicsError::ToolPlane { residual });
         }
-        let mut search = Search::new(&self.drive_train, near);
-        for facing in [1.0, -1.0] {
-            let (s1, c1) = (facing * origin.y / radius, facing * origin.x / radius);
-            let level = c1 * approach.x + s1 * approach.y;
-            let in_plane = (level * level + approach.z * approach.z).sqrt();
-            let pitch = (-approach.z / in_plane, level / in_plane);
-            let at = Facing {
-                th1: (s1, c1),
-                pitch,
-                reach: facing * radius,
-                height: origin.z,
-            };
-            self.arm
-                .branches(&mut search, &at, |search, joints, wrist| {
+        Search::run(&self.drive_train, near, |search| {
+            for facing in [1.0, -1.0] {
+                let (s1, c1) = (facing * origin.y / radius, facing * origin.x / radius);
+                let level = c1 * approach.x + s1 * approach.y;
+                let in_plane = (level * level + approach.z * approach.z).sqrt();
+                let pitch = (-approach.z / in_plane, level / in_plane);
+                let at = Facing {
+                    th1: (s1, c1),
+                    pitch,
+                    reach: facing * radius,
+                    height: origin.z,
+                };
+                self.arm.branches(search, &at, |search, joints, wrist| {
                     let roll = normal
                         .dot(&wrist.column(1))
                         .atan2(normal.dot(&wrist.column(0)));
                     search.turn(joints, ROLL, roll);
                 });
-        }
-        search.finish()
+            }
+        })
     }
 
     fn motors_from_joints(&self, joints: &Joints) -> Result<Motors, KinematicsError> {

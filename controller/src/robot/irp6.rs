@@ -1,4 +1,4 @@
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Matrix3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -6,7 +6,8 @@ use super::{
     ArmParameters, GearAxis, Jacobian, Joints, KinematicsError, Limits, Motors, ParameterError,
     Robot, Solutions,
     arm::{self, Facing, PARALLEL, PITCH, Posture, ROLL},
-    drive_train::{Axis, DriveTrain},
+    drive_train::DriveTrain,
+    parameters,
     solutions::Search,
 };
 
@@ -25,8 +26,8 @@ pub struct Irp6Parameters {
 
 impl Irp6Parameters {
     /// The robot on the pedestal as its controller was written for it (public code), base frame at
-    /// the shoulder. Only the pitch ends at 90° instead of 92°: two degrees in which some poses have
-    /// a second branch.
+    /// the shoulder. Later versions of that code home the roll at 432.25 rad. The pitch ends at 90°
+    /// here instead of 92°: in those two degrees some poses have a second branch.
     pub const fn irp6p() -> Self {
         let mut arm = ArmParameters::nominal();
         arm.pitch.joint_limits.high = std::f64::consts::FRAC_PI_2;
@@ -98,7 +99,7 @@ impl Irp6 {
     /// The robot of these numbers, or what is wrong with them.
     pub fn new(parameters: &Irp6Parameters) -> Result<Self, ParameterError> {
         let [column, lower_arm, upper_arm, pitch, roll] = parameters.arm.axes()?;
-        let hand: Axis = arm::gear("hand", &parameters.hand)?;
+        let hand = parameters::gear("hand", &parameters.hand)?;
         let axes = [column, lower_arm, upper_arm, pitch, roll, hand];
         Ok(Self {
             arm: parameters.arm,
@@ -138,7 +139,7 @@ impl Robot for Irp6 {
         ];
         Ok(arm::pose(
             self.arm.origin(&posture),
-            nalgebra::Matrix3::from_columns(&axes),
+            Matrix3::from_columns(&axes),
         ))
     }
 
@@ -151,29 +152,28 @@ impl Robot for Irp6 {
         let (origin, axes) = arm::parts(base_from_flange)?;
         let (normal, orientation, approach) = (axes.column(0), axes.column(1), axes.column(2));
         let radius = arm::radius(&origin)?;
-        let mut search = Search::new(&self.drive_train, near);
-        for facing in [1.0, -1.0] {
-            let (s1, c1) = (facing * origin.y / radius, facing * origin.x / radius);
-            // The approach axis seen in the arm's plane points along the pitched wrist's x axis.
-            let level = c1 * approach.x + s1 * approach.y;
-            let in_plane = (level * level + approach.z * approach.z).sqrt();
-            let pitches = if in_plane < PARALLEL {
-                [Some(near[PITCH].sin_cos()), None]
-            } else {
-                let (s4, c4) = (level / in_plane, approach.z / in_plane);
-                [Some((s4, c4)), Some((-s4, -c4))]
-            };
-            for pitch in pitches.into_iter().flatten() {
-                let at = Facing {
-                    th1: (s1, c1),
-                    pitch,
-                    reach: facing * radius,
-                    height: origin.z,
+        Search::run(&self.drive_train, near, |search| {
+            for facing in [1.0, -1.0] {
+                let (s1, c1) = (facing * origin.y / radius, facing * origin.x / radius);
+                // The approach axis seen in the arm's plane points along the pitched wrist's x axis.
+                let level = c1 * approach.x + s1 * approach.y;
+                let in_plane = (level * level + approach.z * approach.z).sqrt();
+                let pitches = if in_plane < PARALLEL {
+                    [Some(near[PITCH].sin_cos()), None]
+                } else {
+                    let (s4, c4) = (level / in_plane, approach.z / in_plane);
+                    [Some((s4, c4)), Some((-s4, -c4))]
                 };
-                // Roll and hand follow from the pitch just chosen, so that no two of the three can
-                // come from different branches, and near the singularity their errors cancel.
-                self.arm
-                    .branches(&mut search, &at, |search, joints, wrist| {
+                for pitch in pitches.into_iter().flatten() {
+                    let at = Facing {
+                        th1: (s1, c1),
+                        pitch,
+                        reach: facing * radius,
+                        height: origin.z,
+                    };
+                    // Roll and hand follow from the pitch just chosen, so that no two of the three can
+                    // come from different branches, and near the singularity their errors cancel.
+                    self.arm.branches(search, &at, |search, joints, wrist| {
                         let (ahead, across, along) =
                             (wrist.column(0), wrist.column(1), wrist.column(2));
                         let roll = approach.dot(&ahead).atan2(-approach.dot(&across));
@@ -181,9 +181,9 @@ impl Robot for Irp6 {
                         let hand = normal.dot(&along).atan2(orientation.dot(&along));
                         search.turn(joints, HAND, hand);
                     });
+                }
             }
-        }
-        search.finish()
+        })
     }
 
     fn motors_from_joints(&self, joints: &Joints) -> Result<Motors, KinematicsError> {

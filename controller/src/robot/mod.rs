@@ -17,6 +17,7 @@ mod arm;
 mod drive_train;
 mod irb6;
 mod irp6;
+mod parameters;
 mod solutions;
 mod vector;
 
@@ -31,10 +32,10 @@ use serde::{Deserialize, Serialize};
 use servo::MAX_AXES;
 use thiserror::Error;
 
-pub use arm::{ArmParameters, ParameterError};
 pub use drive_train::{GearAxis, ScrewAxis};
 pub use irb6::{Irb6, Irb6Parameters};
 pub use irp6::{Irp6, Irp6Parameters};
+pub use parameters::{ArmParameters, ParameterError};
 pub use solutions::Solutions;
 pub use vector::{Joint, Joints, Motor, Motors, Vector};
 
@@ -69,8 +70,8 @@ pub trait Robot: fmt::Debug + Send + Sync {
     /// `near` is where the robot is: solutions come nearest first, joints of more than one turn in
     /// the turn nearest to it, and a redundant robot takes its free parameter from it. Where the pose
     /// leaves an axis open (a wrist singularity), the value of `near` is kept if the robot says so,
-    /// otherwise the answer is [`KinematicsError::Singular`]. Without a solution the error tells of
-    /// the branch nearest to `near`.
+    /// otherwise the answer is [`KinematicsError::Singular`]. Where branches exist but none within
+    /// limits, [`KinematicsError::BeyondLimit`] tells of the one nearest to `near`.
     fn inverse(
         &self,
         base_from_flange: &Isometry3<f64>,
@@ -149,7 +150,7 @@ pub enum KinematicsError {
     /// The arm is too short, or too long to fold that far.
     #[error("{margin:.6} m out of reach")]
     Unreachable {
-        /// What is missing, m.
+        /// What is missing on the branch that misses least, m.
         margin: f64,
     },
     /// The pose leaves an axis undetermined.

@@ -32,27 +32,46 @@ impl Deref for Solutions {
 pub(super) struct Search<'a, const N: usize> {
     drive_train: &'a DriveTrain<N>,
     near: &'a [f64; N],
+    /// Whether branches are left at the first joint found beyond its limit.
+    hasty: bool,
     found: Solutions,
     distances: [f64; Solutions::MOST],
-    refused: KinematicsError,
-    refused_at: f64,
+    refused: Option<(f64, KinematicsError)>,
+    margin: f64,
 }
 
 impl<'a, const N: usize> Search<'a, N> {
-    pub(super) fn new(drive_train: &'a DriveTrain<N>, near: &'a [f64; N]) -> Self {
-        Self {
+    /// The solutions among the branches that `visit` offers, always the same ones. It is called a
+    /// second time, to follow every branch to its end, only to say why there is none.
+    pub(super) fn run(
+        drive_train: &'a DriveTrain<N>,
+        near: &'a [f64; N],
+        visit: impl Fn(&mut Self),
+    ) -> Result<Solutions, KinematicsError> {
+        let mut search = Self {
             drive_train,
             near,
+            hasty: true,
             found: Solutions {
                 joints: [Joints::from([0.0; N]); Solutions::MOST],
                 count: 0,
             },
             distances: [f64::INFINITY; Solutions::MOST],
-            refused: KinematicsError::Unreachable {
-                margin: f64::INFINITY,
-            },
-            refused_at: f64::INFINITY,
+            refused: None,
+            margin: f64::INFINITY,
+        };
+        visit(&mut search);
+        if search.found.count == 0 {
+            search.hasty = false;
+            visit(&mut search);
         }
+        if search.found.count > 0 {
+            return Ok(search.found);
+        }
+        let unreachable = KinematicsError::Unreachable {
+            margin: search.margin,
+        };
+        Err(search.refused.map_or(unreachable, |(_, error)| error))
     }
 
     /// Where the robot is.
@@ -65,23 +84,14 @@ impl<'a, const N: usize> Search<'a, N> {
         joints[axis] = self.drive_train.turn(axis, angle, joints, self.near[axis]);
     }
 
-    /// Whether these axes of a branch, all that is known of it so far, are within their joint limits.
-    pub(super) fn follow(&mut self, joints: &[f64; N], known: &[usize]) -> bool {
-        let refusal = known
-            .iter()
-            .find_map(|&axis| self.drive_train.check_joint(axis, joints[axis]).err());
-        if let Some(error) = refusal {
-            self.refuse(joints, known, error);
-        }
-        refusal.is_none()
+    /// Whether a branch with the joint of this axis is worth following.
+    pub(super) fn follows(&self, joints: &[f64; N], axis: usize) -> bool {
+        !self.hasty || self.drive_train.check_joint(axis, joints[axis]).is_ok()
     }
 
-    /// Notes why a branch does not exist; what the branch nearest to `near` is refused for stands.
-    pub(super) fn refuse(&mut self, joints: &[f64; N], known: &[usize], error: KinematicsError) {
-        let travel = known
-            .iter()
-            .map(|&axis| (joints[axis] - self.near[axis]).abs());
-        self.refuse_at(travel.fold(0.0, f64::max), error);
+    /// Notes by how many m the arm fails to have a pair of branches.
+    pub(super) fn out_of_reach(&mut self, margin: f64) {
+        self.margin = self.margin.min(margin);
     }
 
     /// Takes a branch if the robot can stand there. Distance is the largest joint travel from `near`.
@@ -89,7 +99,10 @@ impl<'a, const N: usize> Search<'a, N> {
         let travel = joints.iter().zip(self.near).map(|(a, b)| (a - b).abs());
         let distance = travel.fold(0.0, f64::max);
         if let Err(error) = self.drive_train.motors_from_joints(&joints) {
-            return self.refuse_at(distance, error);
+            if self.refused.is_none_or(|(nearest, _)| distance < nearest) {
+                self.refused = Some((distance, error));
+            }
+            return;
         }
         let Solutions {
             joints: list,
@@ -107,19 +120,5 @@ impl<'a, const N: usize> Search<'a, N> {
         self.distances[place] = distance;
         list[place] = Joints::from(joints);
         *count += 1;
-    }
-
-    fn refuse_at(&mut self, distance: f64, error: KinematicsError) {
-        if distance < self.refused_at {
-            (self.refused_at, self.refused) = (distance, error);
-        }
-    }
-
-    pub(super) fn finish(self) -> Result<Solutions, KinematicsError> {
-        if self.found.count > 0 {
-            Ok(self.found)
-        } else {
-            Err(self.refused)
-        }
     }
 }
