@@ -1,4 +1,6 @@
 //! System tests: whole cells, on the bench that `HIL_CAN` names.
 
+#![expect(clippy::unwrap_used, reason = "in a test it is a verdict")]
+
 mod bench;
 mod socketcan;
