@@ -4,3 +4,4 @@
 
 mod bench;
 mod socketcan;
+mod uml;
