@@ -120,7 +120,7 @@ pub struct SocketCanPort {
 }
 
 impl SocketCanPort {
-    /// Opens `interface`, which must exist and be up.
+    /// Opens `interface`, which must exist and be up. What came before is not received.
     pub fn open(interface: &str, options: &SocketCanOptions) -> Result<Self, OpenError> {
         let interface = InterfaceName::new(interface).ok_or(OpenError::BadName)?;
         if options.accept.len() > 512 {
@@ -141,10 +141,17 @@ impl SocketCanPort {
         let receive_buffer = socket
             .get_socket_option_int(libc::SOL_SOCKET, libc::SO_RCVBUF)
             .map_err(|error| os(interface, &error))?;
+        // Between binding and set-up any frame came in. A full bus takes a second to fill this many.
+        let mut batch = Batch::new();
+        for _ in 0..32 {
+            if !matches!(batch.receive(&socket, BATCH), Ok(1..)) {
+                break;
+            }
+        }
         Ok(Self {
             socket,
             receive_queue: usize::try_from(receive_buffer).unwrap_or(0) / FRAME_CHARGE,
-            batch: Batch::new(),
+            batch,
             counters: Counters::default(),
             state: ControllerState::Active,
             overflow: 0,
@@ -290,6 +297,7 @@ impl AsFd for SocketCanPort {
 fn set_up(socket: &CanSocket, options: &SocketCanOptions) -> io::Result<()> {
     const EXACT: u32 = libc::CAN_SFF_MASK | libc::CAN_EFF_FLAG | libc::CAN_RTR_FLAG;
     const ON: libc::c_int = 1;
+    socket.as_raw_socket().set_cloexec(true)?;
     socket.set_nonblocking(true)?;
     socket.set_error_filter_accept_all()?;
     if !options.accept.is_empty() {
