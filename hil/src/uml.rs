@@ -29,6 +29,8 @@ const MODULES: &str = "/usr/lib/uml/modules";
 const INIT: &str = include_str!("uml-init.sh");
 /// Lines on their way from the console; a full queue stops the machine's writer.
 const CONSOLE_LINES: usize = 256;
+/// How long killed processes may take to vanish.
+const GRACE: Duration = Duration::from_secs(5);
 /// What is kept of the boot's messages, to be shown if it fails.
 const BOOT_LOG_BYTES: usize = 64 << 10;
 
@@ -94,16 +96,19 @@ pub enum UmlError {
 
 /// Whether the kernel and its modules are installed.
 pub fn installed() -> Result<(), UmlError> {
-    if !Path::new(KERNEL).exists() {
+    installed_in(Path::new(KERNEL), Path::new(MODULES))
+}
+
+fn installed_in(kernel: &Path, modules: &Path) -> Result<(), UmlError> {
+    if !kernel.exists() {
         return Err(UmlError::KernelMissing);
     }
-    let versions = fs::read_dir(MODULES).map_err(|_| UmlError::ModulesMissing)?;
-    let complete =
-        |version: &fs::DirEntry| version.path().join("kernel/net/can/can-raw.ko").exists();
-    match versions.flatten().any(|version| complete(&version)) {
-        true => Ok(()),
-        false => Err(UmlError::ModulesMissing),
-    }
+    let versions = fs::read_dir(modules).map_err(|_| UmlError::ModulesMissing)?;
+    versions
+        .flatten()
+        .any(|version| version.path().join("kernel/net/can/can-raw.ko").exists())
+        .then_some(())
+        .ok_or(UmlError::ModulesMissing)
 }
 
 /// Boots a test machine, runs the command in it and returns its exit status (128 + n if signal n
@@ -127,8 +132,11 @@ pub fn run(options: &Options, stdout: &mut dyn Write) -> Result<u8, UmlError> {
             Err(RecvTimeoutError::Disconnected) => break,
             Err(RecvTimeoutError::Timeout) => {
                 drop(machine);
-                // What was printed just before the end says most of why it hangs.
-                console.iter().for_each(|line| screen.show(&line, stdout));
+                // What was printed just before the end says most of why it hangs. The console ends with
+                // the last of the processes.
+                while let Ok(line) = console.recv_timeout(GRACE) {
+                    screen.show(&line, stdout);
+                }
                 return Err(UmlError::TimedOut(options.timeout));
             }
         }
@@ -373,6 +381,23 @@ mod tests {
         }
         assert_eq!(shown, b"one\ntwo");
         assert_eq!(screen.boot_log, b"boot\n");
+    }
+
+    #[test]
+    fn what_is_not_installed_is_named_with_the_package_that_has_it() {
+        let (here, nowhere) = (Path::new("/"), Path::new("/nowhere"));
+        for (kernel, modules, error) in [
+            (nowhere, nowhere, UmlError::KernelMissing),
+            (here, nowhere, UmlError::ModulesMissing),
+            (here, Path::new("/proc/self"), UmlError::ModulesMissing),
+        ] {
+            assert_eq!(installed_in(kernel, modules), Err(error));
+            assert!(
+                error
+                    .to_string()
+                    .ends_with("`apt-get install user-mode-linux`")
+            );
+        }
     }
 
     #[test]

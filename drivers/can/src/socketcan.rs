@@ -36,25 +36,29 @@ pub struct SocketCanOptions {
     /// Data frames with these identifiers are received and all others are not; empty accepts every
     /// frame. The kernel takes at most 512. Error frames always come.
     pub accept: Vec<StandardId>,
-    /// Receive buffer, bytes. The kernel counts some 750 bytes for each frame.
-    pub receive_buffer: usize,
-    /// Send buffer, bytes, which the kernel doubles and then raises to its minimum of 4608 bytes. That
-    /// minimum holds seven frames.
+    /// Frames that the kernel keeps for us. Beyond what `net.core.rmem_max` allows it takes the
+    /// capability `CAP_NET_ADMIN`; [`SocketCanPort::receive_queue`] tells what was granted.
+    pub receive_queue: usize,
+    /// Frames that may wait for the bus at once; at least six, the kernel's minimum.
     ///
-    /// Back-pressure is exact while the buffer holds fewer frames than the interface's queue
-    /// (`txqueuelen`, 10 on most cards); a larger one needs a longer queue.
-    pub send_buffer: usize,
+    /// Keep it below the length of the interface's own queue (`txqueuelen`, 10 on most cards): then it
+    /// fills first, and a frame that was taken is sent.
+    pub send_queue: usize,
 }
 
+/// Eight set-points and a SYNC may wait for the bus; more than a second of a full bus of 1 Mbit/s for us.
 impl Default for SocketCanOptions {
     fn default() -> Self {
         Self {
             accept: Vec::new(),
-            receive_buffer: 4 << 20,
-            send_buffer: 0,
+            receive_queue: 10_000,
+            send_queue: 9,
         }
     }
 }
+
+/// What Linux charges a socket's buffer for each frame, bytes: counted on vcan, Linux 6.1.
+const FRAME_CHARGE: usize = 768;
 
 /// Why a port could not be opened, and what to do about it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
@@ -104,6 +108,7 @@ pub enum OpenError {
 /// goes down is reported by every send, and once by receive; a removed one by every call.
 pub struct SocketCanPort {
     socket: CanSocket,
+    receive_queue: usize,
     batch: Box<Batch>,
     counters: Counters,
     state: ControllerState,
@@ -115,7 +120,7 @@ pub struct SocketCanPort {
 }
 
 impl SocketCanPort {
-    /// Opens `interface`, which must exist and be up.
+    /// Opens `interface`, which must exist and be up. What came before is not received.
     pub fn open(interface: &str, options: &SocketCanOptions) -> Result<Self, OpenError> {
         let interface = InterfaceName::new(interface).ok_or(OpenError::BadName)?;
         if options.accept.len() > 512 {
@@ -133,15 +138,32 @@ impl SocketCanPort {
             Ok(Some(error)) | Err(error) => return Err(os(interface, &error)),
             Ok(None) => {}
         }
+        let receive_buffer = socket
+            .get_socket_option_int(libc::SOL_SOCKET, libc::SO_RCVBUF)
+            .map_err(|error| os(interface, &error))?;
+        // Between binding and set-up any frame came in. A full bus takes a second to fill this many.
+        let mut batch = Batch::new();
+        for _ in 0..32 {
+            if !matches!(batch.receive(&socket, BATCH), Ok(1..)) {
+                break;
+            }
+        }
         Ok(Self {
             socket,
-            batch: Batch::new(),
+            receive_queue: usize::try_from(receive_buffer).unwrap_or(0) / FRAME_CHARGE,
+            batch,
             counters: Counters::default(),
             state: ControllerState::Active,
             overflow: 0,
             last_received: Instant::ZERO,
             gone: false,
         })
+    }
+
+    /// Frames that the kernel keeps for us before it drops any: what was asked for, or less if the
+    /// system's limit is lower.
+    pub fn receive_queue(&self) -> usize {
+        self.receive_queue
     }
 
     /// Waits until there is something to receive or `CLOCK_MONOTONIC` shows `until`, and says which.
@@ -275,6 +297,7 @@ impl AsFd for SocketCanPort {
 fn set_up(socket: &CanSocket, options: &SocketCanOptions) -> io::Result<()> {
     const EXACT: u32 = libc::CAN_SFF_MASK | libc::CAN_EFF_FLAG | libc::CAN_RTR_FLAG;
     const ON: libc::c_int = 1;
+    socket.as_raw_socket().set_cloexec(true)?;
     socket.set_nonblocking(true)?;
     socket.set_error_filter_accept_all()?;
     if !options.accept.is_empty() {
@@ -285,13 +308,17 @@ fn set_up(socket: &CanSocket, options: &SocketCanOptions) -> io::Result<()> {
             .collect();
         socket.set_filters(&filters)?;
     }
-    let size = |bytes| libc::c_int::try_from(bytes).unwrap_or(libc::c_int::MAX);
+    // The kernel doubles what it is asked for.
+    let size = |frames: usize| {
+        let bytes = frames.saturating_mul(FRAME_CHARGE / 2);
+        libc::c_int::try_from(bytes).unwrap_or(libc::c_int::MAX / 2)
+    };
     let set = |name, value| socket.set_socket_option_int(libc::SOL_SOCKET, name, value);
     set(libc::SO_RXQ_OVFL, ON)?;
     set(libc::SO_TIMESTAMPNS, ON)?;
-    set(libc::SO_SNDBUF, size(options.send_buffer))?;
+    set(libc::SO_SNDBUF, size(options.send_queue))?;
     // Beyond the system's limit if we may, up to it if not.
-    let receive_buffer = size(options.receive_buffer);
+    let receive_buffer = size(options.receive_queue);
     set(libc::SO_RCVBUFFORCE, receive_buffer).or_else(|_| set(libc::SO_RCVBUF, receive_buffer))
 }
 

@@ -1,0 +1,114 @@
+//! The test machine itself: what gets in, what comes out, what stays behind.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+use std::{env, fs, process};
+
+use hil::uml::{Options, UmlError, run};
+
+use crate::bench::left_out;
+
+fn shell(script: &str) -> Options {
+    Options::new(["sh", "-c", script])
+}
+
+/// A directory for one test, removed on drop.
+struct Scratch(PathBuf);
+
+impl Scratch {
+    fn new(test: &str) -> Self {
+        let path = env::temp_dir().join(format!("mrroc-{test}-{}", process::id()));
+        fs::create_dir(&path).unwrap();
+        Self(path)
+    }
+
+    fn names(&self) -> Vec<String> {
+        let entries = fs::read_dir(&self.0).unwrap();
+        entries
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect()
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+/// Processes that were started with `path` on their command line.
+fn processes_of(path: &Path) -> usize {
+    let path = path.to_str().unwrap();
+    let processes = fs::read_dir("/proc").unwrap().flatten();
+    let command_lines =
+        processes.filter_map(|process| fs::read(process.path().join("cmdline")).ok());
+    command_lines
+        .filter(|line| String::from_utf8_lossy(line).contains(path))
+        .count()
+}
+
+#[test]
+fn the_command_gets_its_surroundings_and_its_status_and_output_come_out() {
+    if left_out("uml") {
+        return;
+    }
+    let options = Options {
+        env: vec![("WORD".into(), "it's $HOME".into())],
+        directory: "/usr".into(),
+        ..shell("pwd; echo \"$WORD\"; ip -o link show vcan0 | grep -c UP; printf end >&2; exit 7")
+    };
+    let mut output = Vec::new();
+    assert_eq!(run(&options, &mut output), Ok(7));
+    assert_eq!(
+        String::from_utf8(output).unwrap(),
+        "/usr\nit's $HOME\n1\nend"
+    );
+}
+
+#[test]
+fn only_the_output_directory_can_be_written_to() {
+    if left_out("uml") {
+        return;
+    }
+    let scratch = Scratch::new("output");
+    let home = env::current_dir().unwrap();
+    let script = format!(
+        "touch \"$MRROC_OUT/kept\"; for place in / /usr {}; do touch \"$place/lost\" && exit 1; done; \
+         touch /tmp/lost /run/lost /dev/lost",
+        home.display()
+    );
+    let options = Options {
+        output: Some(scratch.0.clone()),
+        ..shell(&script)
+    };
+    let mut output = Vec::new();
+    assert_eq!(
+        run(&options, &mut output),
+        Ok(0),
+        "{}",
+        String::from_utf8_lossy(&output)
+    );
+    assert_eq!(scratch.names(), ["kept"]);
+    for place in ["/", "/usr", "/tmp", "/run", "/dev"] {
+        assert!(!Path::new(place).join("lost").exists());
+    }
+}
+
+#[test]
+fn a_machine_out_of_time_is_killed_with_all_its_processes() {
+    if left_out("uml") {
+        return;
+    }
+    let scratch = Scratch::new("timeout");
+    let timeout = Duration::from_secs(8);
+    let options = Options {
+        output: Some(scratch.0.clone()),
+        timeout,
+        ..shell("echo begun; sleep 1000 & sleep 1000")
+    };
+    let mut output = Vec::new();
+    assert_eq!(run(&options, &mut output), Err(UmlError::TimedOut(timeout)));
+    assert_eq!(String::from_utf8(output).unwrap(), "begun\n");
+    assert_eq!(processes_of(&scratch.0), 0);
+    assert!(scratch.names().is_empty());
+}
