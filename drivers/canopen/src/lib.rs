@@ -1,1 +1,39 @@
 //! CiA 301 and CiA 402 as sans-I/O objects and tables.
+//!
+//! Two levels. The *layouts* turn [`can::Frame`]s into typed representations and back: whatever can
+//! be built can be encoded, unknown values are kept, and what is not the layout's frame decodes to
+//! `None`. Both ends of the wire share them. The *objects* ([`sdo::Client`], [`nmt::Master`],
+//! [`heartbeat::Consumer`], [`sync::Producer`] …) are state machines that own no port and no clock:
+//! frames and the time are handed in, frames and events are taken out. Nothing allocates.
+//!
+//! Left out: node guarding (it needs remote frames, CiA advises against it), LSS, SDO block
+//! transfer, and PDO mappings that are not byte aligned.
+//!
+//! Read [`cob`] and [`sdo`] first, then [`cia402`].
+
+pub mod cia402;
+pub mod cob;
+pub mod emcy;
+pub mod heartbeat;
+pub mod nmt;
+mod node_id;
+pub mod objects;
+pub mod pdo;
+pub mod sdo;
+pub mod sync;
+
+pub use node_id::NodeId;
+pub use objects::Object;
+
+use can::{Frame, StandardId};
+
+/// A data frame of `N` bytes; more than 8 do not compile.
+fn frame<const N: usize>(id: StandardId, data: [u8; N]) -> Frame {
+    const { assert!(N <= 8) };
+    Frame::new(id, &data).expect("at most 8 bytes fit a frame")
+}
+
+/// The payload of a data frame sent under `id`.
+fn payload(frame: &Frame, id: StandardId) -> Option<&[u8]> {
+    (frame.standard_data_id() == Some(id)).then(|| frame.data())
+}

@@ -1,0 +1,333 @@
+/// Whose meaning an error code has (EMCY and object 0x603F): vendors use the range 0xFFxx, and
+/// others, each for their own ends.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum FaultTable {
+    /// CiA 402 and the communication codes of CiA 301.
+    #[default]
+    Cia402,
+    /// maxon EPOS2.
+    Epos2,
+    /// maxon EPOS4.
+    Epos4,
+}
+
+impl FaultTable {
+    /// The text of an error code: the vendor's, else CiA's, else that of its class.
+    pub fn text(self, code: u16) -> &'static str {
+        let vendor = match self {
+            Self::Cia402 => None,
+            Self::Epos2 => find(EPOS2, code),
+            Self::Epos4 => find(EPOS4, code),
+        };
+        vendor
+            .or_else(|| find(CIA, code))
+            .unwrap_or_else(|| class(code))
+    }
+
+    /// Every code the table itself lists, in ascending order, with its text.
+    pub const fn codes(self) -> &'static [(u16, &'static str)] {
+        match self {
+            Self::Cia402 => CIA,
+            Self::Epos2 => EPOS2,
+            Self::Epos4 => EPOS4,
+        }
+    }
+}
+
+fn find(table: &[(u16, &'static str)], code: u16) -> Option<&'static str> {
+    let at = table
+        .binary_search_by_key(&code, |(listed, _)| *listed)
+        .ok()?;
+    Some(table[at].1)
+}
+
+/// The classes of CiA 301.
+const fn class(code: u16) -> &'static str {
+    match code {
+        0x0000..=0x00FF => "no error",
+        0x1000..=0x1FFF => "generic error",
+        0x2000..=0x2FFF => "current",
+        0x3000..=0x3FFF => "voltage",
+        0x4000..=0x4FFF => "temperature",
+        0x5000..=0x5FFF => "hardware",
+        0x6000..=0x6FFF => "software",
+        0x7000..=0x7FFF => "additional modules",
+        0x8000..=0x80FF => "monitoring",
+        0x8100..=0x81FF => "communication",
+        0x8200..=0x82FF => "protocol",
+        0x8300..=0x8FFF => "monitoring",
+        0x9000..=0x9FFF => "external error",
+        0xF000..=0xF0FF => "additional functions",
+        0xFF00..=0xFFFF => "device specific",
+        _ => "unknown error code",
+    }
+}
+
+const CIA: &[(u16, &str)] = &[
+    (0x0000, "no error"),
+    (0x1000, "generic error"),
+    (0x2110, "short circuit or earth leakage at the input"),
+    (0x2120, "earth leakage at the input"),
+    (0x2130, "short circuit at the input"),
+    (0x2211, "internal current no. 1"),
+    (0x2212, "internal current no. 2"),
+    (0x2213, "over-current in ramp function"),
+    (0x2214, "over-current in the sequence"),
+    (0x2220, "continuous over-current inside the device"),
+    (0x2230, "short circuit or earth leakage inside the device"),
+    (0x2240, "earth leakage inside the device"),
+    (0x2250, "short circuit inside the device"),
+    (0x2310, "continuous over-current"),
+    (0x2311, "continuous over-current no. 1"),
+    (0x2312, "continuous over-current no. 2"),
+    (0x2320, "short circuit or earth leakage at the motor"),
+    (0x2330, "earth leakage at the motor"),
+    (0x2340, "short circuit at the motor"),
+    (0x2350, "load level fault (I²t)"),
+    (0x2351, "load level warning (I²t)"),
+    (0x3110, "mains over-voltage"),
+    (0x3120, "mains under-voltage"),
+    (0x3130, "phase failure"),
+    (0x3134, "phase sequence"),
+    (0x3140, "mains frequency"),
+    (0x3210, "DC link over-voltage"),
+    (0x3220, "DC link under-voltage"),
+    (0x3230, "load error"),
+    (0x3310, "output over-voltage"),
+    (0x3320, "armature circuit"),
+    (0x3330, "field circuit"),
+    (0x4110, "excess ambient temperature"),
+    (0x4120, "too low ambient temperature"),
+    (0x4210, "excess temperature of the device"),
+    (0x4220, "too low temperature of the device"),
+    (0x4310, "excess temperature of the drive or motor"),
+    (0x4320, "too low temperature of the drive or motor"),
+    (0x4410, "excess temperature of the supply"),
+    (0x4420, "too low temperature of the supply"),
+    (0x5110, "low voltage supply"),
+    (0x5111, "15 V supply"),
+    (0x5112, "24 V supply"),
+    (0x5113, "5 V supply"),
+    (0x5210, "measurement circuit"),
+    (0x5220, "computing circuit"),
+    (0x5300, "operating unit"),
+    (0x5410, "output stages"),
+    (0x5420, "chopper"),
+    (0x5430, "input stages"),
+    (0x5440, "contacts"),
+    (0x5450, "fuses"),
+    (0x5510, "working memory"),
+    (0x5520, "program memory"),
+    (0x5530, "non-volatile memory"),
+    (0x6010, "software reset by watchdog"),
+    (0x6100, "internal software"),
+    (0x6310, "loss of parameters"),
+    (0x6320, "parameter error"),
+    (0x7110, "brake chopper"),
+    (0x7111, "failure of the brake chopper"),
+    (0x7112, "over-current of the brake chopper"),
+    (0x7113, "protective circuit of the brake chopper"),
+    (0x7120, "motor"),
+    (0x7121, "motor blocked"),
+    (0x7122, "motor error or commutation malfunction"),
+    (0x7123, "motor tilted"),
+    (0x7200, "measurement circuit"),
+    (0x7300, "sensor"),
+    (0x7301, "tacho fault"),
+    (0x7302, "tacho has wrong polarity"),
+    (0x7303, "resolver 1 fault"),
+    (0x7304, "resolver 2 fault"),
+    (0x7305, "incremental sensor 1 fault"),
+    (0x7306, "incremental sensor 2 fault"),
+    (0x7307, "incremental sensor 3 fault"),
+    (0x7310, "speed"),
+    (0x7320, "position"),
+    (0x7400, "computation circuit"),
+    (0x7500, "communication"),
+    (0x7510, "serial interface no. 1"),
+    (0x7520, "serial interface no. 2"),
+    (0x7600, "data storage"),
+    (0x8110, "CAN overrun, frames lost"),
+    (0x8120, "CAN in error passive mode"),
+    (0x8130, "heartbeat or life guard error"),
+    (0x8140, "recovered from bus-off"),
+    (0x8150, "collision of COB-IDs"),
+    (0x8210, "PDO too short, not processed"),
+    (0x8220, "PDO too long"),
+    (0x8230, "destination object of a DAM MPDO not available"),
+    (0x8240, "unexpected length of SYNC"),
+    (0x8250, "RPDO time-out"),
+    (0x8300, "torque control"),
+    (0x8311, "excess torque"),
+    (0x8312, "difficult start-up"),
+    (0x8313, "standstill torque"),
+    (0x8321, "insufficient torque"),
+    (0x8331, "torque fault"),
+    (0x8400, "velocity controller"),
+    (0x8500, "position controller"),
+    (0x8600, "positioning controller"),
+    (0x8611, "following error"),
+    (0x8612, "reference limit"),
+    (0x8700, "sync controller"),
+    (0x8800, "winding controller"),
+    (0x8900, "process data monitoring"),
+    (0x8A00, "control monitoring"),
+    (0xF001, "deceleration"),
+    (0xF002, "sub-synchronous run"),
+    (0xF003, "stroke operation"),
+    (0xF004, "control"),
+];
+
+const EPOS2: &[(u16, &str)] = &[
+    (0x0000, "no error"),
+    (0x1000, "generic error"),
+    (0x2310, "over-current"),
+    (0x3210, "over-voltage"),
+    (0x3220, "under-voltage"),
+    (0x4210, "over-temperature"),
+    (0x5113, "5 V logic supply too low"),
+    (0x5114, "output stage supply too low"),
+    (0x6100, "internal software error"),
+    (0x6320, "software parameter error"),
+    (0x7320, "position sensor error"),
+    (0x8110, "CAN overrun, frames lost"),
+    (0x8111, "CAN overrun"),
+    (0x8120, "CAN in error passive mode"),
+    (0x8130, "CAN life guard error"),
+    (0x8150, "CAN transmit COB-ID collision"),
+    (0x81FD, "CAN bus-off"),
+    (0x81FE, "CAN receive queue overrun"),
+    (0x81FF, "CAN transmit queue overrun"),
+    (0x8210, "CAN PDO length error"),
+    (0x8611, "following error"),
+    (0xFF01, "hall sensor error"),
+    (0xFF02, "encoder index error"),
+    (0xFF03, "encoder resolution error"),
+    (0xFF04, "hall sensor not found"),
+    (0xFF06, "negative limit switch"),
+    (0xFF07, "positive limit switch"),
+    (0xFF08, "hall angle detection error"),
+    (0xFF09, "software position limit"),
+    (0xFF0A, "position sensor breach"),
+    (0xFF0B, "system overloaded"),
+    (0xFF0C, "interpolated position mode error"),
+    (0xFF0D, "auto-tuning error"),
+    (0xFF0F, "gear scaling factor error"),
+    (0xFF10, "controller gain error"),
+    (0xFF11, "main sensor direction error"),
+    (0xFF12, "auxiliary sensor direction error"),
+];
+
+const EPOS4: &[(u16, &str)] = &[
+    (0x0000, "no error"),
+    (0x1000, "generic error"),
+    (0x1080, "generic initialisation error"),
+    (0x1081, "generic initialisation error 1"),
+    (0x1082, "generic initialisation error 2"),
+    (0x1083, "generic initialisation error 3"),
+    (0x1090, "firmware incompatible"),
+    (0x2310, "over-current"),
+    (0x2320, "power stage protection"),
+    (0x3210, "over-voltage"),
+    (0x3220, "under-voltage"),
+    (0x4210, "thermal overload of the device"),
+    (0x4380, "thermal overload of the motor"),
+    (0x5113, "logic supply too low"),
+    (0x5280, "hardware defect"),
+    (
+        0x5281,
+        "hardware incompatible; maxon knows of units built from 03/2025 to 04/2026",
+    ),
+    (0x5480, "hardware error"),
+    (0x5481, "hardware error"),
+    (0x5482, "hardware error"),
+    (0x5483, "hardware error"),
+    (0x6080, "sign of life error"),
+    (0x6081, "external watchdog"),
+    (0x6320, "software parameter error"),
+    (0x6380, "persistent parameter corrupt"),
+    (0x7320, "position sensor error"),
+    (0x7380, "position sensor breach"),
+    (0x7381, "encoder resolution error"),
+    (0x7382, "encoder index error"),
+    (0x7388, "hall sensor error"),
+    (0x7389, "hall sensor not found"),
+    (0x738A, "hall angle detection error"),
+    (0x738C, "SSI sensor error"),
+    (0x7390, "sensor error"),
+    (0x7391, "sensor error"),
+    (0x7392, "sensor error"),
+    (0x8110, "CAN overrun, frames lost"),
+    (0x8111, "CAN overrun"),
+    (0x8120, "CAN in error passive mode"),
+    (0x8130, "CAN heartbeat error"),
+    (0x8150, "CAN transmit COB-ID collision"),
+    (0x8180, "EtherCAT communication"),
+    (0x8181, "EtherCAT communication"),
+    (0x8182, "EtherCAT communication"),
+    (0x8183, "EtherCAT communication"),
+    (0x81FD, "CAN bus-off"),
+    (0x81FE, "CAN receive queue overrun"),
+    (0x81FF, "CAN transmit queue overrun"),
+    (0x8210, "CAN PDO length error"),
+    (0x8250, "RPDO time-out"),
+    (0x8280, "EtherCAT PDO communication"),
+    (0x8281, "EtherCAT SDO communication"),
+    (0x8611, "following error"),
+    (0x8A80, "negative limit switch"),
+    (0x8A81, "positive limit switch"),
+    (0x8A82, "software position limit"),
+    (0x8A88, "safe torque off (STO)"),
+    (0xFF01, "system overloaded"),
+    (0xFF02, "watchdog"),
+    (0xFF0B, "system peak overloaded"),
+    (0xFF10, "controller gain error"),
+    (0xFF12, "auto-tuning error"),
+    (0xFF13, "auto-tuning error"),
+    (0xFF14, "auto-tuning error"),
+    (0xFF15, "auto-tuning error"),
+    (0xFF16, "auto-tuning error"),
+    (0xFF17, "auto-tuning error"),
+    (0xFF18, "auto-tuning error"),
+    (0xFF19, "auto-tuning error"),
+    (0xFF1A, "auto-tuning error"),
+    (0xFF1B, "auto-tuning error"),
+    (0xFF1C, "auto-tuning error"),
+    (0xFF1D, "auto-tuning error"),
+    (0xFF1E, "auto-tuning error"),
+    (0xFF1F, "auto-tuning error"),
+    (0xFF20, "auto-tuning error"),
+    (0xFF21, "auto-tuning error"),
+];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tables_ascend_without_doubles() {
+        for table in [FaultTable::Cia402, FaultTable::Epos2, FaultTable::Epos4] {
+            for pair in table.codes().windows(2) {
+                assert!(pair[0].0 < pair[1].0, "{table:?} {:#06x}", pair[1].0);
+            }
+        }
+    }
+
+    #[test]
+    fn vendors_name_the_same_code_differently() {
+        let table = [
+            (FaultTable::Cia402, 0x8611, "following error"),
+            (FaultTable::Epos2, 0xFF0B, "system overloaded"),
+            (FaultTable::Epos4, 0xFF0B, "system peak overloaded"),
+            (FaultTable::Cia402, 0xFF0B, "device specific"),
+            (FaultTable::Epos2, 0xFF01, "hall sensor error"),
+            (FaultTable::Epos4, 0xFF01, "system overloaded"),
+            (FaultTable::Epos2, 0x7121, "motor blocked"),
+            (FaultTable::Epos4, 0x6185, "software"),
+            (FaultTable::Cia402, 0xA123, "unknown error code"),
+        ];
+        for (faults, code, text) in table {
+            assert_eq!(faults.text(code), text, "{faults:?} {code:#06x}");
+        }
+    }
+}

@@ -1,0 +1,435 @@
+//! PDOs (CiA 301): their parameters, and where a mapped object lies in the frame.
+//!
+//! Every mapped object takes whole bytes here, so a mapping has at most eight entries. Drives with
+//! bit-wise mappings would need another [`Slot`].
+
+use thiserror::Error;
+
+use can::StandardId;
+
+use crate::Object;
+
+/// Which of the four PDOs of the predefined connection set.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum PdoNumber {
+    /// PDO 1.
+    One,
+    /// PDO 2.
+    Two,
+    /// PDO 3.
+    Three,
+    /// PDO 4.
+    Four,
+}
+
+impl PdoNumber {
+    /// In ascending order.
+    pub const ALL: [Self; 4] = [Self::One, Self::Two, Self::Three, Self::Four];
+
+    /// 0 ..= 3, as added to object indices.
+    pub const fn offset(self) -> u16 {
+        self as u16
+    }
+}
+
+/// The direction of a PDO, in the device's view.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum PdoKind {
+    /// The device receives it.
+    Rpdo,
+    /// The device transmits it.
+    Tpdo,
+}
+
+impl PdoKind {
+    /// Sub-index `subindex` of the communication parameter: 1 COB-ID, 2 transmission type,
+    /// 3 inhibit time (100 µs), 5 event timer (ms).
+    pub const fn communication(self, number: PdoNumber, subindex: u8) -> Object {
+        let base = match self {
+            Self::Rpdo => 0x1400,
+            Self::Tpdo => 0x1800,
+        };
+        Object::new(base + number.offset(), subindex)
+    }
+
+    /// Sub-index `subindex` of the mapping parameter: 0 count, then the entries.
+    pub const fn mapping(self, number: PdoNumber, subindex: u8) -> Object {
+        let base = match self {
+            Self::Rpdo => 0x1600,
+            Self::Tpdo => 0x1A00,
+        };
+        Object::new(base + number.offset(), subindex)
+    }
+}
+
+/// Sub-index 1 of a communication parameter: the identifier and whether the PDO exists.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PdoCobId(pub u32);
+
+impl PdoCobId {
+    const INVALID: u32 = 1 << 31;
+    const NO_RTR: u32 = 1 << 30;
+    const EXTENDED: u32 = 1 << 29;
+
+    /// A valid PDO under `id`, remote frames allowed.
+    pub const fn new(id: StandardId) -> Self {
+        Self(id.raw() as u32)
+    }
+
+    /// The same, switched off.
+    pub const fn invalid(self) -> Self {
+        Self(self.0 | Self::INVALID)
+    }
+
+    /// The same, switched on.
+    pub const fn valid(self) -> Self {
+        Self(self.0 & !Self::INVALID)
+    }
+
+    /// The same, not to be asked for by a remote frame.
+    pub const fn without_rtr(self) -> Self {
+        Self(self.0 | Self::NO_RTR)
+    }
+
+    /// Whether the PDO exists.
+    pub const fn is_valid(self) -> bool {
+        self.0 & Self::INVALID == 0
+    }
+
+    /// Whether it may be asked for by a remote frame.
+    pub const fn rtr_allowed(self) -> bool {
+        self.0 & Self::NO_RTR == 0
+    }
+
+    /// The identifier; `None` for a 29-bit one.
+    pub const fn id(self) -> Option<StandardId> {
+        if self.0 & Self::EXTENDED != 0 {
+            None
+        } else {
+            StandardId::new((self.0 & 0x7FF) as u16)
+        }
+    }
+}
+
+/// Sub-index 2 of a communication parameter: when a PDO is sent or takes effect.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TransmissionType(pub u8);
+
+impl TransmissionType {
+    /// At the SYNC after an event.
+    pub const SYNCHRONOUS_ACYCLIC: Self = Self(0);
+    /// At every SYNC.
+    pub const EVERY_SYNC: Self = Self(1);
+    /// Sampled at SYNC, sent on a remote frame.
+    pub const RTR_SYNCHRONOUS: Self = Self(252);
+    /// Sent on a remote frame.
+    pub const RTR: Self = Self(253);
+    /// On an event of the vendor's choice.
+    pub const EVENT_VENDOR: Self = Self(254);
+    /// On an event of the device profile's choice.
+    pub const EVENT_PROFILE: Self = Self(255);
+
+    /// Whether SYNC decides: 0 ..= 240. An RPDO then takes effect at the next SYNC, whatever the number.
+    pub const fn is_synchronous(self) -> bool {
+        self.0 <= 240
+    }
+
+    /// For a TPDO sent at every n-th SYNC: n.
+    pub const fn cycle(self) -> Option<u8> {
+        match self.0 {
+            1..=240 => Some(self.0),
+            _ => None,
+        }
+    }
+}
+
+/// One entry of a mapping parameter.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Entry {
+    /// What is mapped.
+    pub object: Object,
+    /// Its size in bits.
+    pub bits: u8,
+}
+
+impl Entry {
+    /// An object and its size in bits.
+    pub const fn new(object: Object, bits: u8) -> Self {
+        Self { object, bits }
+    }
+
+    /// As in the mapping parameter: index, sub-index, bits from high to low.
+    pub const fn raw(self) -> u32 {
+        (self.object.index as u32) << 16 | (self.object.subindex as u32) << 8 | self.bits as u32
+    }
+
+    /// From the mapping parameter.
+    pub const fn from_raw(raw: u32) -> Self {
+        Self {
+            object: Object::new((raw >> 16) as u16, (raw >> 8) as u8),
+            bits: raw as u8,
+        }
+    }
+}
+
+/// Why entries do not make a mapping.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum MappingError {
+    /// More entries than bytes.
+    #[error("{found} entries, at most 8 fit")]
+    TooMany {
+        /// Entries given.
+        found: usize,
+    },
+    /// An entry that does not take whole bytes.
+    #[error("{object} takes {bits} bits, which are not whole bytes")]
+    NotBytes {
+        /// The entry's object.
+        object: Object,
+        /// The entry's size.
+        bits: u8,
+    },
+    /// More than 64 bits together.
+    #[error("{bits} bits, at most 64 fit")]
+    TooLong {
+        /// Bits of all entries.
+        bits: u32,
+    },
+}
+
+/// What a PDO carries: up to 8 entries of whole bytes, 64 bits at most.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PdoMapping {
+    entries: [Entry; 8],
+    count: u8,
+    bytes: u8,
+}
+
+impl PdoMapping {
+    /// Nothing mapped.
+    pub const EMPTY: Self = Self {
+        entries: [Entry::new(Object::new(0, 0), 0); 8],
+        count: 0,
+        bytes: 0,
+    };
+
+    /// The entries in the order of the frame.
+    pub fn new(entries: &[Entry]) -> Result<Self, MappingError> {
+        let mut mapping = Self::EMPTY;
+        mapping
+            .entries
+            .get_mut(..entries.len())
+            .ok_or(MappingError::TooMany {
+                found: entries.len(),
+            })?
+            .copy_from_slice(entries);
+        let odd = entries
+            .iter()
+            .find(|entry| entry.bits == 0 || entry.bits % 8 != 0);
+        if let Some(&Entry { object, bits }) = odd {
+            return Err(MappingError::NotBytes { object, bits });
+        }
+        let bits = entries.iter().map(|entry| u32::from(entry.bits)).sum();
+        if bits > 64 {
+            return Err(MappingError::TooLong { bits });
+        }
+        mapping.count = entries.len() as u8;
+        mapping.bytes = (bits / 8) as u8;
+        Ok(mapping)
+    }
+
+    /// The entries in the order of the frame.
+    pub fn entries(&self) -> &[Entry] {
+        &self.entries[..usize::from(self.count)]
+    }
+
+    /// Length of the frame.
+    pub const fn bytes(&self) -> usize {
+        self.bytes as usize
+    }
+
+    /// Every entry's object with its place.
+    pub fn slots(&self) -> impl Iterator<Item = (Object, Slot)> + '_ {
+        self.entries().iter().scan(0, |offset, entry| {
+            let slot = Slot {
+                offset: *offset,
+                bytes: entry.bits / 8,
+            };
+            *offset += slot.bytes;
+            Some((entry.object, slot))
+        })
+    }
+
+    /// Where `object` lies; `None` if it is not mapped.
+    pub fn slot(&self, object: Object) -> Option<Slot> {
+        self.slots()
+            .find(|(mapped, _)| *mapped == object)
+            .map(|(_, slot)| slot)
+    }
+}
+
+/// The place of one object in a PDO, 1 to 8 bytes, little endian.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Slot {
+    offset: u8,
+    bytes: u8,
+}
+
+impl Slot {
+    /// Writes the low bytes of `value`; a signed one goes through `as u64`.
+    pub fn write(self, frame: &mut [u8; 8], value: u64) {
+        let bytes = usize::from(self.bytes);
+        frame[usize::from(self.offset)..][..bytes].copy_from_slice(&value.to_le_bytes()[..bytes]);
+    }
+
+    /// Reads an unsigned number.
+    pub fn read_unsigned(self, frame: &[u8; 8]) -> u64 {
+        let bytes = usize::from(self.bytes);
+        let mut value = [0; 8];
+        value[..bytes].copy_from_slice(&frame[usize::from(self.offset)..][..bytes]);
+        u64::from_le_bytes(value)
+    }
+
+    /// Reads a signed number.
+    pub fn read_signed(self, frame: &[u8; 8]) -> i64 {
+        let unused = 64 - 8 * u32::from(self.bytes);
+        (self.read_unsigned(frame) << unused) as i64 >> unused
+    }
+
+    /// Index of its first byte.
+    pub const fn offset(self) -> usize {
+        self.offset as usize
+    }
+
+    /// How many bytes it takes.
+    pub const fn bytes(self) -> usize {
+        self.bytes as usize
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::objects::*;
+
+    #[test]
+    fn parameters_lie_where_cia_301_puts_them() {
+        let table = [
+            (PdoKind::Rpdo.communication(PdoNumber::One, 1), 0x1400, 1),
+            (PdoKind::Rpdo.mapping(PdoNumber::Four, 0), 0x1603, 0),
+            (PdoKind::Tpdo.communication(PdoNumber::Two, 2), 0x1801, 2),
+            (PdoKind::Tpdo.mapping(PdoNumber::Three, 3), 0x1A02, 3),
+        ];
+        for (object, index, subindex) in table {
+            assert_eq!(object, Object::new(index, subindex));
+        }
+    }
+
+    #[test]
+    fn the_cob_id_word_carries_two_flags() {
+        let id = StandardId::new(0x182).unwrap();
+        let word = PdoCobId::new(id);
+        assert_eq!(word.0, 0x0000_0182);
+        assert_eq!(word.invalid().0, 0x8000_0182);
+        assert_eq!(word.invalid().without_rtr().0, 0xC000_0182);
+        assert_eq!(word.invalid().valid(), word);
+        assert!(word.is_valid() && word.rtr_allowed());
+        assert!(!word.invalid().is_valid() && !word.without_rtr().rtr_allowed());
+        assert_eq!(word.invalid().without_rtr().id(), Some(id));
+        assert_eq!(PdoCobId(0x2000_0182).id(), None);
+    }
+
+    #[test]
+    fn transmission_types_up_to_240_are_synchronous() {
+        for raw in 0..=u8::MAX {
+            let kind = TransmissionType(raw);
+            assert_eq!(kind.is_synchronous(), raw <= 240);
+            assert_eq!(kind.cycle(), (1..=240).contains(&raw).then_some(raw));
+        }
+    }
+
+    #[test]
+    fn entries_are_index_subindex_bits() {
+        let entry = Entry::new(POSITION_ACTUAL, 32);
+        assert_eq!(entry.raw(), 0x6064_0020);
+        assert_eq!(Entry::from_raw(0x6064_0020), entry);
+        assert_eq!(
+            Entry::from_raw(0x20C1_0040).object,
+            EPOS2_INTERPOLATION_DATA
+        );
+    }
+
+    #[test]
+    fn values_lie_in_the_order_of_the_entries() {
+        let mapping = PdoMapping::new(&[
+            Entry::new(CONTROLWORD, 16),
+            Entry::new(MODE_OF_OPERATION, 8),
+            Entry::new(TARGET_POSITION, 32),
+        ])
+        .unwrap();
+        assert_eq!(mapping.bytes(), 7);
+        let mut frame = [0; 8];
+        mapping.slot(CONTROLWORD).unwrap().write(&mut frame, 0x000F);
+        mapping
+            .slot(MODE_OF_OPERATION)
+            .unwrap()
+            .write(&mut frame, -1i64 as u64);
+        mapping
+            .slot(TARGET_POSITION)
+            .unwrap()
+            .write(&mut frame, -2i64 as u64);
+        assert_eq!(frame, [0x0F, 0x00, 0xFF, 0xFE, 0xFF, 0xFF, 0xFF, 0x00]);
+        assert_eq!(
+            mapping.slot(CONTROLWORD).unwrap().read_unsigned(&frame),
+            0x000F
+        );
+        assert_eq!(
+            mapping.slot(MODE_OF_OPERATION).unwrap().read_signed(&frame),
+            -1
+        );
+        assert_eq!(
+            mapping.slot(TARGET_POSITION).unwrap().read_signed(&frame),
+            -2
+        );
+        assert_eq!(
+            mapping.slot(TARGET_POSITION).unwrap().read_unsigned(&frame),
+            0xFFFF_FFFE
+        );
+        assert_eq!(mapping.slot(STATUSWORD), None);
+    }
+
+    #[test]
+    fn a_full_frame_in_one_entry_reads_back() {
+        let mapping = PdoMapping::new(&[Entry::new(EPOS2_INTERPOLATION_DATA, 64)]).unwrap();
+        let slot = mapping.slot(EPOS2_INTERPOLATION_DATA).unwrap();
+        let mut frame = [0; 8];
+        slot.write(&mut frame, 0x8001_0203_0405_0607);
+        assert_eq!(frame, [7, 6, 5, 4, 3, 2, 1, 0x80]);
+        assert_eq!(slot.read_signed(&frame), 0x8001_0203_0405_0607_u64 as i64);
+    }
+
+    #[test]
+    fn mappings_that_do_not_fit_are_refused() {
+        let byte = Entry::new(MODE_OF_OPERATION, 8);
+        let long = Entry::new(TARGET_POSITION, 32);
+        let bit = Entry::new(DIGITAL_INPUTS, 1);
+        let empty = Entry::new(DIGITAL_INPUTS, 0);
+        assert!(PdoMapping::new(&[]).is_ok());
+        assert!(PdoMapping::new(&[byte; 8]).is_ok());
+        assert_eq!(
+            PdoMapping::new(&[byte; 9]),
+            Err(MappingError::TooMany { found: 9 })
+        );
+        assert_eq!(
+            PdoMapping::new(&[long; 3]),
+            Err(MappingError::TooLong { bits: 96 })
+        );
+        for entry in [bit, empty] {
+            let refused = MappingError::NotBytes {
+                object: DIGITAL_INPUTS,
+                bits: entry.bits,
+            };
+            assert_eq!(PdoMapping::new(&[entry]), Err(refused));
+        }
+    }
+}
