@@ -5,6 +5,8 @@
 
 mod abort;
 mod layout;
+mod server;
 
 pub use abort::AbortCode;
 pub use layout::{Expedited, Initiate, Request, Response, Segment, Unsupported};
+pub use server::{Dictionary, MAX_SIZE, Server};
