@@ -5,7 +5,7 @@
 //! ```
 //! # use std::time::Duration;
 //! # use can::{Frame, Instant, Port, StandardId, timing::Bitrate};
-//! # use hil::World;
+//! # use mrroc_hil::World;
 //! let mut world = World::new();
 //! let bus = world.add_bus(Bitrate::KBPS_1000);
 //! let mut port = world.host_port(bus, 64);

@@ -5,5 +5,6 @@
 //! [`EffectorLink`] a macrostep at a time.
 
 mod link;
+pub mod regulator;
 
 pub use link::{EffectorLink, MAX_AXES, Macrostep, Order, Phase, Report, ServoFault, StopCause};

@@ -1,0 +1,249 @@
+use thiserror::Error;
+
+use super::SUB_STEP;
+use super::encoder::Encoder;
+use super::motor::{Motor, MotorConfig};
+use super::noise::Noise;
+use super::switch::{Contact, Switch};
+use super::wut::{Wut, WutConfig};
+use crate::amplifier::{Amplifier, AmplifierConfig, OUTER};
+
+/// What an axis is made of.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AxisConfig {
+    /// Motor and load.
+    pub plant: PlantConfig,
+    /// The drive's settings.
+    pub amplifier: AmplifierConfig,
+    /// Quadrature counts of one motor turn.
+    pub counts_per_revolution: u32,
+    /// Half the band by which the encoder's edges tremble, counts.
+    pub edge_jitter: f64,
+    /// Motor angle of an index pulse, rad; one more each whole turn away.
+    pub index_angle: f64,
+    /// Motor angle at power-on, where the counter reads zero, rad.
+    pub start_angle: f64,
+    /// What a brake that closes while the power stage is off holds, N·m; zero without a brake.
+    pub brake: f64,
+    /// Home switch.
+    pub home_switch: Option<Switch>,
+    /// Limit switch at the negative end of travel.
+    pub negative_limit: Option<Switch>,
+    /// Limit switch at the positive end of travel.
+    pub positive_limit: Option<Switch>,
+}
+
+/// The physics behind an axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum PlantConfig {
+    /// The regression model. Its current is what the drive asks for.
+    Wut(WutConfig),
+    /// A motor with windings, friction, gravity, end stops and temperature.
+    Physical(MotorConfig),
+}
+
+/// What the drive's state machine asks of the power stage and the loops.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Demand {
+    /// Power stage off; the brake, if there is one, holds.
+    Off,
+    /// Follow a straight ramp: at sub-step k of this demand the set-point is
+    /// `counts + velocity · k · 100 µs`.
+    Position {
+        /// Where it begins, counts.
+        counts: f64,
+        /// How fast it goes on from there, counts/s; also the velocity feed-forward.
+        velocity: f64,
+    },
+    /// Hold a velocity, counts/s.
+    Velocity(f64),
+    /// Hold a torque, N·m.
+    Torque(f64),
+}
+
+/// What the drive's sensors tell.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Feedback {
+    /// Encoder counter, zero at power-on; wraps as 32 bits do.
+    pub counts: i32,
+    /// Counts/s.
+    pub velocity: f64,
+    /// From the measured current, N·m.
+    pub torque: f64,
+    /// Count at which the index pulse last passed since [`Axis::take_index`].
+    pub index: Option<i32>,
+    /// Whether the home switch is closed.
+    pub home_switch: bool,
+    /// Whether the negative limit switch is closed.
+    pub negative_limit: bool,
+    /// Whether the positive limit switch is closed.
+    pub positive_limit: bool,
+    /// What keeps the power stage off, if anything does.
+    pub trip: Option<Trip>,
+}
+
+/// Why the power stage switched itself off.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum Trip {
+    /// More current than it survives; until [`Demand::Off`].
+    #[error("over-current")]
+    OverCurrent,
+    /// The winding is too hot; until it has cooled by 5 K.
+    #[error("over-temperature")]
+    OverTemperature,
+}
+
+/// One motor with its load, its sensors and the inner loops of its drive.
+///
+/// The host of an axis decides when to call [`Axis::advance`]; the axis knows no time but the
+/// sub-steps it was moved on by.
+#[derive(Clone, Debug)]
+pub struct Axis {
+    plant: Plant,
+    amplifier: Amplifier,
+    encoder: Encoder,
+    brake: f64,
+    home_switch: Option<Contact>,
+    negative_limit: Option<Contact>,
+    positive_limit: Option<Contact>,
+    noise: Noise,
+    trip: Option<Trip>,
+    /// Sub-steps since the outer loops last turned.
+    phase: u32,
+}
+
+#[derive(Clone, Debug)]
+enum Plant {
+    Wut(Box<Wut>),
+    Physical(Box<Motor>),
+}
+
+impl Axis {
+    /// At rest at its start angle. Ripple, jitter and bounce follow from `seed`.
+    pub fn new(config: &AxisConfig, seed: u64) -> Self {
+        let mut noise = Noise::new(seed);
+        let angle = config.start_angle;
+        let contact = |switch: Option<Switch>| switch.map(|switch| Contact::new(&switch, angle));
+        Self {
+            plant: match &config.plant {
+                PlantConfig::Wut(wut) => Plant::Wut(Box::new(Wut::new(wut, angle))),
+                PlantConfig::Physical(motor) => {
+                    Plant::Physical(Box::new(Motor::new(motor, angle, Noise::new(noise.bits()))))
+                }
+            },
+            amplifier: Amplifier::new(
+                &config.amplifier,
+                &config.plant,
+                config.counts_per_revolution,
+            ),
+            encoder: Encoder::new(
+                config.counts_per_revolution,
+                config.index_angle,
+                config.edge_jitter,
+                angle,
+            ),
+            brake: config.brake,
+            home_switch: contact(config.home_switch),
+            negative_limit: contact(config.negative_limit),
+            positive_limit: contact(config.positive_limit),
+            noise,
+            trip: None,
+            phase: 0,
+        }
+    }
+
+    /// Moves on by `dt_steps` sub-steps of 100 µs under one demand.
+    ///
+    /// In each, the drive reads encoder and current, computes, and the plant integrates under the
+    /// result. The outer loops turn at every tenth sub-step since power-on, wherever calls begin.
+    pub fn advance(&mut self, dt_steps: u32, demand: Demand) {
+        if demand == Demand::Off {
+            self.amplifier.release();
+            self.trip = self.trip.filter(|trip| *trip != Trip::OverCurrent);
+        }
+        for sub_step in 0..dt_steps {
+            let counts = self.encoder.counts();
+            self.amplifier.observe(counts);
+            let on = demand != Demand::Off && self.trip.is_none();
+            if self.phase == 0 && on {
+                self.amplifier.regulate(&demand, sub_step, counts);
+            }
+            self.phase = (self.phase + 1) % OUTER;
+            self.integrate(on);
+            self.encoder.read(self.plant.angle(), &mut self.noise);
+        }
+        let angle = self.plant.angle();
+        for contact in [
+            &mut self.home_switch,
+            &mut self.negative_limit,
+            &mut self.positive_limit,
+        ]
+        .into_iter()
+        .flatten()
+        {
+            contact.advance(angle, dt_steps, &mut self.noise);
+        }
+    }
+
+    fn integrate(&mut self, on: bool) {
+        let brake = if on { 0.0 } else { self.brake };
+        match &mut self.plant {
+            Plant::Wut(wut) => wut.step_braked(
+                if on { self.amplifier.current() } else { 0.0 },
+                SUB_STEP,
+                brake,
+            ),
+            Plant::Physical(motor) => {
+                let voltage = on.then(|| self.amplifier.voltage(motor.current()));
+                motor.step(voltage, brake);
+                self.trip = if motor.overheated() {
+                    Some(Trip::OverTemperature)
+                } else if self.amplifier.overloaded(motor.current()) {
+                    Some(Trip::OverCurrent)
+                } else {
+                    self.trip.filter(|trip| *trip != Trip::OverTemperature)
+                };
+                if on && self.trip.is_some() {
+                    self.amplifier.release();
+                }
+            }
+        }
+    }
+
+    /// What the sensors tell after the last sub-step.
+    pub fn feedback(&self) -> Feedback {
+        let closed = |contact: &Option<Contact>| contact.as_ref().is_some_and(Contact::closed);
+        Feedback {
+            counts: self.encoder.counts(),
+            velocity: self.amplifier.observed_velocity(),
+            torque: self.amplifier.torque(match &self.plant {
+                Plant::Wut(_) => self.amplifier.current(),
+                Plant::Physical(motor) => motor.current(),
+            }),
+            index: self.encoder.index(),
+            home_switch: closed(&self.home_switch),
+            negative_limit: closed(&self.negative_limit),
+            positive_limit: closed(&self.positive_limit),
+            trip: self.trip,
+        }
+    }
+
+    /// Hands out the index latch and arms it again.
+    pub fn take_index(&mut self) -> Option<i32> {
+        self.encoder.take_index()
+    }
+
+    /// The true angle of the motor shaft, rad, which no drive can know.
+    pub fn angle(&self) -> f64 {
+        self.plant.angle()
+    }
+}
+
+impl Plant {
+    fn angle(&self) -> f64 {
+        match self {
+            Self::Wut(wut) => wut.angle(),
+            Self::Physical(motor) => motor.angle(),
+        }
+    }
+}

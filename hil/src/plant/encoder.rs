@@ -1,0 +1,174 @@
+use std::f64::consts::TAU;
+
+use super::noise::Noise;
+
+/// A quadrature encoder on the motor shaft with one index pulse per revolution.
+///
+/// Its counter is the floor of angle · counts / 2π, less what that was at power-on. The index pulse
+/// is as wide as one count and so marks the same count from either side.
+#[derive(Clone, Debug)]
+pub(crate) struct Encoder {
+    counts_per_radian: f64,
+    counts_per_revolution: i64,
+    at_power_on: i64,
+    jitter: f64,
+    /// Counts from the disc's zero.
+    counts: i64,
+    /// The last index at or below `counts`.
+    index_below: i64,
+    latched: Option<i32>,
+}
+
+impl Encoder {
+    pub(crate) fn new(
+        counts_per_revolution: u32,
+        index_angle: f64,
+        jitter: f64,
+        angle: f64,
+    ) -> Self {
+        let counts_per_radian = f64::from(counts_per_revolution) / TAU;
+        let counts_per_revolution = i64::from(counts_per_revolution);
+        let counts = floor(angle * counts_per_radian);
+        let index = floor(index_angle * counts_per_radian);
+        Self {
+            counts_per_radian,
+            counts_per_revolution,
+            at_power_on: counts,
+            jitter,
+            counts,
+            index_below: counts - (counts - index).rem_euclid(counts_per_revolution),
+            latched: None,
+        }
+    }
+
+    /// Reads the shaft at `angle`, rad.
+    pub(crate) fn read(&mut self, angle: f64, noise: &mut Noise) {
+        let mut at = angle * self.counts_per_radian;
+        if self.jitter > 0.0 {
+            at += self.jitter * noise.symmetric();
+        }
+        let before = self.counts;
+        self.counts = floor(at);
+        while self.counts >= self.index_below + self.counts_per_revolution {
+            self.index_below += self.counts_per_revolution;
+            self.latch(self.index_below);
+        }
+        if self.counts <= self.index_below && before > self.index_below {
+            self.latch(self.index_below);
+        }
+        while self.counts < self.index_below {
+            self.index_below -= self.counts_per_revolution;
+            if self.counts <= self.index_below {
+                self.latch(self.index_below);
+            }
+        }
+    }
+
+    fn latch(&mut self, index: i64) {
+        self.latched = Some((index - self.at_power_on) as i32);
+    }
+
+    /// The counter; it wraps as 32 bits do.
+    pub(crate) fn counts(&self) -> i32 {
+        (self.counts - self.at_power_on) as i32
+    }
+
+    /// The counter at which the index pulse last came, if it did since the last take.
+    pub(crate) fn index(&self) -> Option<i32> {
+        self.latched
+    }
+
+    pub(crate) fn take_index(&mut self) -> Option<i32> {
+        self.latched.take()
+    }
+}
+
+/// `f64::floor` is a call where the target has no rounding instruction; this is not.
+fn floor(x: f64) -> i64 {
+    let towards_zero = x as i64;
+    towards_zero - i64::from(x < towards_zero as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::TAU;
+
+    use super::{Encoder, floor};
+    use crate::plant::Noise;
+
+    /// Angle of the middle of a count of a 4000-count disc.
+    fn middle(count: i64) -> f64 {
+        (count as f64 + 0.5) * TAU / 4000.0
+    }
+
+    #[test]
+    fn floor_rounds_down_on_both_sides_of_zero() {
+        for x in [0.0, 0.5, 1.0, -0.1, -1.0, -1.5, 1e9 + 0.25, -1e9 - 0.25] {
+            assert_eq!(floor(x) as f64, x.floor(), "{x}");
+        }
+    }
+
+    #[test]
+    fn counter_starts_at_zero_wherever_the_shaft_stands() {
+        for start in [-16.0, 0.0, 0.0015, 791.0] {
+            let mut encoder = Encoder::new(4000, 0.0, 0.0, start);
+            assert_eq!(encoder.counts(), 0);
+            encoder.read(start + TAU, &mut Noise::new(0));
+            assert_eq!(encoder.counts(), 4000);
+            encoder.read(start - TAU, &mut Noise::new(0));
+            assert_eq!(encoder.counts(), -4000);
+        }
+    }
+
+    #[test]
+    fn index_marks_the_same_count_from_either_side() {
+        // The disc's index lies at count 10; power-on at count 0 unless a case says otherwise.
+        let cases: &[(&[i64], Option<i32>)] = &[
+            (&[9], None),
+            (&[10], Some(10)),
+            (&[12], Some(10)),
+            (&[4009], Some(10)),
+            (&[4010], Some(4010)),
+            (&[8100], Some(8010)),
+            (&[-3989], None),
+            (&[-3990], Some(-3990)),
+            (&[-3995], Some(-3990)),
+            (&[-8000], Some(-7990)),
+            (&[12, 11], Some(10)),
+            (&[4012, 4011], Some(4010)),
+            (&[4012, 4009], Some(4010)),
+            (&[4012, 9], Some(10)),
+        ];
+        for (path, expected) in cases {
+            let mut encoder = Encoder::new(4000, middle(10), 0.0, middle(0));
+            for count in *path {
+                encoder.read(middle(*count), &mut Noise::new(0));
+            }
+            assert_eq!(encoder.index(), *expected, "{path:?}");
+        }
+    }
+
+    #[test]
+    fn taken_index_comes_back_only_with_the_next_pulse() {
+        let mut noise = Noise::new(0);
+        let mut encoder = Encoder::new(4000, middle(10), 0.0, middle(10));
+        assert_eq!(
+            encoder.take_index(),
+            None,
+            "standing on the index at power-on is no passing"
+        );
+        let steps = [
+            (11, None),
+            (10, Some(0)),
+            (10, None),
+            (9, None),
+            (10, Some(0)),
+            (3, None),
+            (15, Some(0)),
+        ];
+        for (count, expected) in steps {
+            encoder.read(middle(count), &mut noise);
+            assert_eq!(encoder.take_index(), expected, "at {count}");
+        }
+    }
+}

@@ -1,0 +1,246 @@
+use super::axis::{AxisConfig, PlantConfig};
+use super::friction::FrictionConfig;
+use super::motor::{EndStops, Gravity, MotorConfig};
+use super::switch::Switch;
+use super::thermal::ThermalConfig;
+use super::wut::WutConfig;
+use crate::amplifier::AmplifierConfig;
+
+/// The axes of the IRp-6 robot on a pedestal, an IRb-6 with a sixth axis, as its software orders them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Irp6Axis {
+    /// Axis 1, about the vertical.
+    Column,
+    /// Axis 2.
+    LowerArm,
+    /// Axis 3, absolute by its parallelogram.
+    UpperArm,
+    /// Axis 4, T, absolute by its rods.
+    Pitch,
+    /// Axis 5, V.
+    Roll,
+    /// Axis 6, N, which the IRb-6 has not.
+    Flange,
+}
+
+impl Irp6Axis {
+    /// All of them, in order.
+    pub const ALL: [Self; 6] = [
+        Self::Column,
+        Self::LowerArm,
+        Self::UpperArm,
+        Self::Pitch,
+        Self::Roll,
+        Self::Flange,
+    ];
+}
+
+/// The numbers of one axis, at the motor.
+struct Row {
+    /// Motor angle where the axis is synchronised, rad (public code).
+    home: f64,
+    /// Motor limits, rad (public code).
+    travel: (f64, f64),
+    /// Quadrature counts per turn (public code).
+    counts: u32,
+    /// Working current limit, A (public code).
+    max_current: f64,
+    /// Over-current threshold, A (public code; the upper arm's is nominal, the code has 15 twice).
+    trip_current: f64,
+    /// Rotor inertia, kg·m², and viscous friction, N·m·s/rad, of the emulator (public code).
+    wut: (f64, f64),
+    /// Inertia of the load at the motor, kg·m² (derived from nominal masses).
+    load: f64,
+    /// Gravity at the motor: N·m, motor per joint angle, joint angle at `home` counted from the
+    /// horizontal, rad (ratio and angle from public code, torque derived from nominal masses: lower
+    /// arm 12 kg at 0.20 m, upper arm 14 kg at 0.25 m, wrist 4 kg, gripper 1.35 kg; no payload).
+    gravity: (f64, f64, f64),
+    /// Viscous friction, N·m·s/rad, Coulomb and static friction, N·m (nominal).
+    friction: (f64, f64, f64),
+    /// Winding: Ω, H (nominal).
+    winding: (f64, f64),
+}
+
+const QUARTER: f64 = std::f64::consts::FRAC_PI_2;
+
+const ROWS: [Row; 6] = [
+    Row {
+        home: -15.9,
+        travel: (-470.0, 450.0),
+        counts: 4000,
+        max_current: 20.0,
+        trip_current: 25.0,
+        wut: (1.5e-4, 0.02),
+        load: 5.1e-4,
+        gravity: (0.0, -158.0, 0.0),
+        friction: (1e-3, 0.08, 0.12),
+        winding: (0.6, 0.5e-3),
+    },
+    Row {
+        home: -5.0,
+        travel: (-110.0, 100.0),
+        counts: 4000,
+        max_current: 15.0,
+        trip_current: 18.0,
+        wut: (1.5e-4, 0.02),
+        load: 2.0e-4,
+        gravity: (0.63, 173.7, -QUARTER),
+        friction: (1e-3, 0.08, 0.12),
+        winding: (0.6, 0.5e-3),
+    },
+    Row {
+        home: -8.527,
+        travel: (-80.0, 100.0),
+        counts: 4000,
+        max_current: 15.0,
+        trip_current: 17.0,
+        wut: (1.5e-4, 0.02),
+        load: 1.2e-4,
+        gravity: (0.40, 175.1, 0.0),
+        friction: (1e-3, 0.08, 0.12),
+        winding: (0.6, 0.5e-3),
+    },
+    Row {
+        home: 151.31,
+        travel: (-70.0, 380.0),
+        counts: 4000,
+        max_current: 15.0,
+        trip_current: 17.0,
+        wut: (1.5e-4, 0.02),
+        load: 0.3e-4,
+        gravity: (-0.05, -128.0, 0.0),
+        friction: (1e-3, 0.06, 0.09),
+        winding: (0.6, 0.5e-3),
+    },
+    Row {
+        home: 435.25,
+        travel: (-80.0, 490.0),
+        counts: 4000,
+        max_current: 8.0,
+        trip_current: 10.0,
+        wut: (1.5e-5, 2e-4),
+        load: 1.0e-5,
+        gravity: (0.0, -76.8, 0.0),
+        friction: (2e-4, 0.01, 0.015),
+        winding: (1.2, 1.0e-3),
+    },
+    Row {
+        home: 791.0,
+        travel: (-1000.0, 3000.0),
+        counts: 2000,
+        max_current: 1.0,
+        trip_current: 2.0,
+        wut: (1.5e-5, 2e-4),
+        load: 0.1e-5,
+        gravity: (0.0, 288.8845, 0.0),
+        friction: (2e-4, 0.01, 0.015),
+        winding: (3.0, 2.5e-3),
+    },
+];
+
+/// Torque per current of every arm motor, N·m/A (public code).
+const TORQUE_CONSTANT: f64 = 0.105;
+
+/// What the control cards put out of their 48 V, V (public code: pulse widths up to 190 of 255).
+const MAX_VOLTAGE: f64 = 48.0 * 190.0 / 255.0;
+
+/// Nominal.
+const THERMAL: ThermalConfig = ThermalConfig {
+    winding_to_housing: 1.0,
+    housing_to_air: 2.0,
+    winding_capacity: 60.0,
+    housing_capacity: 800.0,
+    air: 25.0,
+    trip: 155.0,
+};
+
+impl AxisConfig {
+    /// An axis of the IRp-6 as a motor with load, with friction, gravity and switches.
+    ///
+    /// Motor angles are those of the robot's own software, so that each index pulse lies where the
+    /// axis is synchronised. Nominal, to be replaced by measurement: windings, friction, masses,
+    /// temperatures, ripple, and where the switches are. The home switch is closed from 20 rad to
+    /// 2 rad below the home position and the motor starts 20 rad above it; limit switches close at
+    /// the motor limits, buffers are touched 3 rad beyond them.
+    pub fn irp6(axis: Irp6Axis) -> Self {
+        let row = &ROWS[axis as usize];
+        let (viscous, coulomb, stiction) = row.friction;
+        let (amplitude, ratio, at_home) = row.gravity;
+        let inertia = row.wut.0 + row.load;
+        let stiffness = inertia * BUFFER_FREQUENCY * BUFFER_FREQUENCY;
+        let motor = MotorConfig {
+            torque_constant: TORQUE_CONSTANT,
+            resistance: row.winding.0,
+            inductance: row.winding.1,
+            inertia,
+            viscous,
+            friction: FrictionConfig {
+                coulomb,
+                stiction,
+                stribeck_velocity: 5.0,
+            },
+            gravity: Gravity {
+                amplitude,
+                ratio,
+                phase: at_home - row.home / ratio,
+            },
+            end_stops: Some(EndStops {
+                negative: row.travel.0 - 3.0,
+                positive: row.travel.1 + 3.0,
+                stiffness,
+                damping: inertia * BUFFER_FREQUENCY,
+            }),
+            thermal: THERMAL,
+            torque_ripple: 0.01,
+        };
+        Self {
+            plant: PlantConfig::Physical(motor),
+            edge_jitter: 0.02,
+            ..Self::wut(axis)
+        }
+    }
+
+    /// An axis of the IRp-6 as the robot's own software emulates it: the same sensors around a
+    /// motor without windings, dry friction, gravity or noise.
+    pub fn wut(axis: Irp6Axis) -> Self {
+        let row = &ROWS[axis as usize];
+        let (inertia, viscous) = row.wut;
+        Self {
+            plant: PlantConfig::Wut(WutConfig {
+                torque_constant: TORQUE_CONSTANT,
+                inertia,
+                viscous,
+                friction: FrictionConfig::NONE,
+            }),
+            amplifier: AmplifierConfig {
+                max_current: row.max_current,
+                trip_current: row.trip_current,
+                max_voltage: MAX_VOLTAGE,
+                velocity_bandwidth: AmplifierConfig::VELOCITY_BANDWIDTH,
+            },
+            counts_per_revolution: row.counts,
+            edge_jitter: 0.0,
+            index_angle: row.home,
+            start_angle: row.home + 20.0,
+            brake: 5.0,
+            home_switch: Some(Switch {
+                from: row.home - 20.0,
+                to: row.home - 2.0,
+                bounce: 0,
+            }),
+            negative_limit: Some(Switch {
+                from: f64::NEG_INFINITY,
+                to: row.travel.0,
+                bounce: 0,
+            }),
+            positive_limit: Some(Switch {
+                from: row.travel.1,
+                to: f64::INFINITY,
+                bounce: 0,
+            }),
+        }
+    }
+}
+
+/// Natural frequency of an axis in its buffers, rad/s; they damp it half critically.
+const BUFFER_FREQUENCY: f64 = 300.0;

@@ -1,0 +1,105 @@
+use super::noise::Noise;
+
+/// A switch that an interval of motor angles closes: home, or a limit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Switch {
+    /// Lowest angle at which it is closed, rad.
+    pub from: f64,
+    /// Highest angle at which it is closed, rad.
+    pub to: f64,
+    /// Sub-steps of 100 µs for which its contact chatters after each edge.
+    pub bounce: u32,
+}
+
+/// A switch and what its contact does.
+#[derive(Clone, Debug)]
+pub(crate) struct Contact {
+    switch: Switch,
+    pressed: bool,
+    chatter: u32,
+    closed: bool,
+}
+
+impl Contact {
+    pub(crate) fn new(switch: &Switch, angle: f64) -> Self {
+        let pressed = (switch.from..=switch.to).contains(&angle);
+        Self {
+            switch: *switch,
+            pressed,
+            chatter: 0,
+            closed: pressed,
+        }
+    }
+
+    /// Looks at the shaft, `elapsed` sub-steps after the last look.
+    pub(crate) fn advance(&mut self, angle: f64, elapsed: u32, noise: &mut Noise) {
+        let pressed = (self.switch.from..=self.switch.to).contains(&angle);
+        if pressed == self.pressed {
+            self.chatter = self.chatter.saturating_sub(elapsed);
+        } else {
+            self.pressed = pressed;
+            self.chatter = self.switch.bounce;
+        }
+        self.closed = if self.chatter > 0 {
+            noise.bits() & 1 == 1
+        } else {
+            self.pressed
+        };
+    }
+
+    pub(crate) fn closed(&self) -> bool {
+        self.closed
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Contact, Switch};
+    use crate::plant::Noise;
+
+    #[test]
+    fn switch_is_closed_exactly_between_its_edges() {
+        let switch = Switch {
+            from: -1.0,
+            to: 2.0,
+            bounce: 0,
+        };
+        let mut contact = Contact::new(&switch, -5.0);
+        for (angle, closed) in [
+            (-1.001, false),
+            (-1.0, true),
+            (0.0, true),
+            (2.0, true),
+            (2.001, false),
+        ] {
+            contact.advance(angle, 10, &mut Noise::new(0));
+            assert_eq!(contact.closed(), closed, "at {angle}");
+        }
+        assert!(
+            Contact::new(&switch, 1.0).closed(),
+            "power-on on the switch"
+        );
+    }
+
+    #[test]
+    fn contact_chatters_for_its_bounce_and_then_settles() {
+        let switch = Switch {
+            from: 0.0,
+            to: 1.0,
+            bounce: 30,
+        };
+        let mut noise = Noise::new(3);
+        let mut contact = Contact::new(&switch, -1.0);
+        let readings: Vec<bool> = (0..60)
+            .map(|_| {
+                contact.advance(0.5, 1, &mut noise);
+                contact.closed()
+            })
+            .collect();
+        assert!(
+            readings[..30].contains(&false) && readings[..30].contains(&true),
+            "{readings:?}"
+        );
+        assert!(readings[30..].iter().all(|closed| *closed), "{readings:?}");
+    }
+}

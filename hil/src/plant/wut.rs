@@ -1,0 +1,132 @@
+use super::friction::{Friction, FrictionConfig};
+
+/// The motor that the IRp-6 software of the Warsaw University of Technology emulates its hardware
+/// with: current becomes torque, viscous friction resists, nothing else exists.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WutConfig {
+    /// Torque per current, N·m/A.
+    pub torque_constant: f64,
+    /// Inertia, kg·m².
+    pub inertia: f64,
+    /// Viscous friction, N·m·s/rad.
+    pub viscous: f64,
+    /// Dry friction, of which the original has none.
+    pub friction: FrictionConfig,
+}
+
+/// The regression model: `dw/dt = (torque_constant · current - viscous · w) / inertia`.
+///
+/// Semi-implicit Euler: velocity first, then angle with the new velocity. The original steps once
+/// per servo period of 2 ms, after the current of that period was computed from the encoder, which
+/// is the floor of angle · counts / 2π.
+#[derive(Clone, Debug)]
+pub struct Wut {
+    torque_constant: f64,
+    inertia: f64,
+    viscous: f64,
+    friction: Friction,
+    angle: f64,
+    velocity: f64,
+}
+
+impl Wut {
+    /// A motor at rest at `angle`, rad.
+    pub fn new(config: &WutConfig, angle: f64) -> Self {
+        Self {
+            torque_constant: config.torque_constant,
+            inertia: config.inertia,
+            viscous: config.viscous,
+            friction: Friction::new(&config.friction),
+            angle,
+            velocity: 0.0,
+        }
+    }
+
+    /// Integrates one step of `dt` seconds under a constant current, A.
+    pub fn step(&mut self, current: f64, dt: f64) {
+        self.step_braked(current, dt, 0.0);
+    }
+
+    /// As [`Wut::step`], with a brake that resists by up to `brake` N·m.
+    pub(crate) fn step_braked(&mut self, current: f64, dt: f64, brake: f64) {
+        let torque = self.torque_constant * current - self.viscous * self.velocity;
+        let gain = dt / self.inertia;
+        self.velocity =
+            self.friction
+                .apply(self.velocity, self.velocity + torque * gain, gain, brake);
+        self.angle += self.velocity * dt;
+    }
+
+    /// Angle, rad.
+    pub fn angle(&self) -> f64 {
+        self.angle
+    }
+
+    /// Velocity, rad/s.
+    pub fn velocity(&self) -> f64 {
+        self.velocity
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Wut, WutConfig};
+    use crate::plant::FrictionConfig;
+
+    const COLUMN: WutConfig = WutConfig {
+        torque_constant: 0.105,
+        inertia: 1.5e-4,
+        viscous: 0.02,
+        friction: FrictionConfig::NONE,
+    };
+
+    fn spun_up(config: &WutConfig, current: f64) -> Wut {
+        let mut wut = Wut::new(config, 0.0);
+        for _ in 0..20_000 {
+            wut.step(current, 1e-4);
+        }
+        wut
+    }
+
+    #[test]
+    fn current_and_viscous_friction_settle_at_their_balance() {
+        let wut = spun_up(&COLUMN, 10.0);
+        assert!((wut.velocity() - 52.5).abs() < 1e-9, "{}", wut.velocity());
+    }
+
+    #[test]
+    fn coasting_slows_with_inertia_over_viscous_friction() {
+        let mut wut = spun_up(&COLUMN, 10.0);
+        let mut steps = 0;
+        while wut.velocity() > 52.5 / std::f64::consts::E {
+            wut.step(0.0, 1e-5);
+            steps += 1;
+        }
+        assert!(
+            (f64::from(steps) * 1e-5 - 7.5e-3).abs() < 2e-5,
+            "{steps} steps of 10 µs"
+        );
+    }
+
+    #[test]
+    fn dry_friction_brings_it_to_rest_for_good() {
+        let friction = FrictionConfig {
+            coulomb: 0.1,
+            stiction: 0.15,
+            stribeck_velocity: 5.0,
+        };
+        let mut wut = spun_up(&WutConfig { friction, ..COLUMN }, 10.0);
+        for _ in 0..10_000 {
+            wut.step(0.0, 1e-4);
+        }
+        let angle = wut.angle();
+        for _ in 0..10_000 {
+            wut.step(1.4, 1e-4);
+        }
+        assert_eq!(
+            (wut.velocity(), wut.angle()),
+            (0.0, angle),
+            "0.147 N·m is below stiction"
+        );
+    }
+}

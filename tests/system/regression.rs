@@ -1,0 +1,215 @@
+//! The servo loop of the IRp-6 over the motors that the robot's own software emulates: the
+//! servo's regulator against the plant, sample by sample, with no drive in between.
+//!
+//! The order within a period is what the figures hang on: read the encoder, compute the current
+//! from the set-point of the same instant, write it, and let the motor run under it until the next
+//! period. One more period of delay would leave the column a phase margin of 9°.
+
+use std::f64::consts::TAU;
+
+use drive::Increments;
+use hil::plant::{FrictionConfig, Wut, WutConfig};
+use servo::regulator::{IRP6, Incremental, IncrementalConfig, Milliamperes};
+
+const PERIOD: f64 = 0.002;
+
+/// A rest-to-rest motion of the motor: rad, rad/s, rad/s².
+#[derive(Clone, Copy)]
+struct Trapezoid {
+    distance: f64,
+    velocity: f64,
+    acceleration: f64,
+}
+
+impl Trapezoid {
+    fn at(self, t: f64) -> f64 {
+        let Self {
+            distance,
+            velocity,
+            acceleration,
+        } = self;
+        let ramp = velocity / acceleration;
+        let end = self.duration();
+        match t {
+            t if t < ramp => 0.5 * acceleration * t * t,
+            t if t < end - ramp => velocity * (t - 0.5 * ramp),
+            t if t < end => distance - 0.5 * acceleration * (end - t) * (end - t),
+            _ => distance,
+        }
+    }
+
+    fn duration(self) -> f64 {
+        self.distance / self.velocity + self.velocity / self.acceleration
+    }
+}
+
+/// One sample: set-point less encoder, counts, and the current written, mA.
+type Sample = (f64, i32);
+
+/// The motion and two seconds of rest after it.
+fn run(
+    regulator: IncrementalConfig,
+    motor: WutConfig,
+    counts: f64,
+    motion: Trapezoid,
+) -> Vec<Sample> {
+    let per_radian = counts / TAU;
+    let mut regulator = Incremental::new(regulator);
+    let mut motor = Wut::new(&motor, 0.0);
+    let (mut last_demand, mut last_count) = (0.0, 0);
+    let periods = (motion.duration() / PERIOD) as u32 + 1000;
+    (0..periods)
+        .map(|k| {
+            let count = (motor.angle() * per_radian).floor() as i32;
+            let demand = motion.at(f64::from(k) * PERIOD) * per_radian;
+            let moved = Increments(count - last_count);
+            let Milliamperes(current) = regulator.step(demand - last_demand, moved);
+            motor.step(f64::from(current) / 1000.0, PERIOD);
+            (last_demand, last_count) = (demand, count);
+            (demand - f64::from(count), current)
+        })
+        .collect()
+}
+
+fn worst(samples: &[Sample]) -> f64 {
+    samples
+        .iter()
+        .map(|(error, _)| error.abs())
+        .fold(0.0, f64::max)
+}
+
+fn end(samples: &[Sample]) -> f64 {
+    samples.last().expect("a run has samples").0
+}
+
+fn peak_current(samples: &[Sample]) -> i32 {
+    samples
+        .iter()
+        .map(|(_, current)| current.abs())
+        .max()
+        .expect("a run has samples")
+}
+
+const LARGE: WutConfig = WutConfig {
+    torque_constant: 0.105,
+    inertia: 1.5e-4,
+    viscous: 0.02,
+    friction: FrictionConfig::NONE,
+};
+const SMALL: WutConfig = WutConfig {
+    inertia: 1.5e-5,
+    viscous: 2e-4,
+    ..LARGE
+};
+const MOTION: Trapezoid = Trapezoid {
+    distance: 100.0,
+    velocity: 50.0,
+    acceleration: 150.0,
+};
+
+#[test]
+fn every_axis_follows_as_the_original_emulator_does() {
+    // Counts: largest error; mean error in cruise, from 1.1 to 1.2 s; error after the motion. Then mA:
+    // the largest current, and the current at 1.2 s with how exactly it is known.
+    let table = [
+        (LARGE, 4000.0, 147.0, -0.04, 0.0, 9978, (9488, 1)),
+        (LARGE, 4000.0, 287.0, -0.16, 0.0, 9922, (9535, 20)),
+        (LARGE, 4000.0, 224.0, 0.02, 0.0, 9970, (9491, 1)),
+        (LARGE, 4000.0, 172.0, 0.02, 0.0, 9890, (9517, 1)),
+        (SMALL, 4000.0, 3.0, 0.0, 0.0, 176, (100, 20)),
+        (SMALL, 2000.0, 81.0, 0.64, 0.0, 117, (97, 5)),
+    ];
+    for (axis, (regulator, row)) in IRP6.into_iter().zip(table).enumerate() {
+        let (motor, counts, error, cruise_error, end_error, current, (cruise_current, tolerance)) =
+            row;
+        let samples = run(regulator, motor, counts, MOTION);
+        let cruise = &samples[550..600];
+        let mean = cruise.iter().map(|(error, _)| error).sum::<f64>() / 50.0;
+        let axis = axis + 1;
+        assert!(
+            (worst(&samples) - error).abs() < 1.0,
+            "axis {axis}: largest error {}",
+            worst(&samples)
+        );
+        assert!(
+            (mean - cruise_error).abs() < 0.006,
+            "axis {axis}: cruise error {mean}"
+        );
+        assert!(
+            (end(&samples) - end_error).abs() < 1.0,
+            "axis {axis}: end error {}",
+            end(&samples)
+        );
+        assert!(
+            (peak_current(&samples) - current).abs() <= 1,
+            "axis {axis}: {} mA",
+            peak_current(&samples)
+        );
+        let last = samples[600].1;
+        assert!(
+            (last - cruise_current).abs() <= tolerance,
+            "axis {axis}: {last} mA in cruise"
+        );
+    }
+}
+
+#[test]
+fn column_at_twice_the_speed_all_but_needs_its_whole_current() {
+    let samples = run(
+        IRP6[0],
+        LARGE,
+        4000.0,
+        Trapezoid {
+            velocity: 100.0,
+            ..MOTION
+        },
+    );
+    assert!(
+        (worst(&samples) - 156.0).abs() < 1.0,
+        "{} counts",
+        worst(&samples)
+    );
+    assert!(
+        (19_450..=19_550).contains(&peak_current(&samples)),
+        "{} mA",
+        peak_current(&samples)
+    );
+}
+
+#[test]
+fn dry_friction_costs_the_column_four_counts_and_no_limit_cycle() {
+    let friction = FrictionConfig {
+        coulomb: 0.1,
+        stiction: 0.15,
+        stribeck_velocity: 5.0,
+    };
+    let samples = run(IRP6[0], WutConfig { friction, ..LARGE }, 4000.0, MOTION);
+    assert!(
+        (worst(&samples) - 151.0).abs() < 1.0,
+        "{} counts",
+        worst(&samples)
+    );
+    let resting = &samples[samples.len() - 500..];
+    let error = resting[0].0;
+    assert!(error.abs() < 1.0, "rests {error} counts off");
+    assert!(
+        resting.iter().all(|sample| sample.0 == error),
+        "limit cycle"
+    );
+
+    let slow = Trapezoid {
+        distance: 3.0,
+        velocity: 1.0,
+        ..MOTION
+    };
+    let samples = run(IRP6[0], WutConfig { friction, ..LARGE }, 4000.0, slow);
+    assert!(
+        (worst(&samples) - 41.0).abs() < 1.0,
+        "{} counts at break-away",
+        worst(&samples)
+    );
+    let cruise = &samples[500..1400];
+    let rms =
+        (cruise.iter().map(|(error, _)| error * error).sum::<f64>() / cruise.len() as f64).sqrt();
+    assert!((rms - 0.4).abs() < 0.1, "{rms} counts rms");
+}
