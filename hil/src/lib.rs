@@ -7,11 +7,13 @@
 mod amplifier;
 pub mod bus;
 mod device;
+pub mod epos4;
 pub mod plant;
 mod world;
 
 pub use amplifier::AmplifierConfig;
 pub use bus::BusStatistics;
 pub use device::Device;
+pub use epos4::{Epos4, Epos4Config};
 pub use plant::{Axis, AxisConfig, Demand, Feedback, Irp6Axis, PlantConfig, Trip};
 pub use world::{BusId, DeviceId, World};
