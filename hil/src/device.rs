@@ -1,10 +1,12 @@
+use std::any::Any;
+
 use can::{Frame, Instant};
 
 /// A device on a bus, as a function of (state, input, now): no thread, no clock, no socket.
 ///
 /// Its host, the virtual bus or a socket loop, keeps the promise that `now` never decreases and
 /// that [`handle_timeout`](Device::handle_timeout) is called no later than any later frame is handed in.
-pub trait Device: Send {
+pub trait Device: Any + Send {
     /// Takes a frame that ended on the bus at `now`.
     fn handle(&mut self, frame: &Frame, now: Instant);
 

@@ -1,0 +1,288 @@
+//! A CAN bus that takes its time: arbitration by identifier, exact frame lengths, one frame at a time.
+//!
+//! Whenever the bus falls free, the frame with the strongest identifier among all that are pending
+//! goes next; it lasts as many bits as its content needs, stuff bits included; every other end has
+//! it at the end of its last bit, three bits before the bus is free again. Events are processed in
+//! the order of their times and, at one instant, of their kind: devices' time-outs, the end of a
+//! frame, the start of the next. The same input gives the same frames at the same instants.
+//!
+//! Left out: errors on the wire, acknowledgement (a lone end sends as if it were heard), and the
+//! bit errors of two ends that send one identifier at once (the end attached first wins).
+//!
+//! Nothing allocates once the queues have grown to their use. Read [`VirtualBus::advance`] first.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use can::timing::{Bitrate, INTERMISSION, bits_on_wire};
+use can::{Frame, Id, Instant, Received, VirtualPeer};
+
+use crate::Device;
+
+/// The most frames a device's transmit queue holds here; the rest waits inside the device.
+const QUEUE: usize = 32;
+
+/// A bus with its ends: ports of the host, and devices.
+pub struct VirtualBus {
+    bitrate: Bitrate,
+    hosts: Vec<VirtualPeer>,
+    devices: Vec<Attached>,
+    now: Instant,
+    /// When the intermission of the last frame ends.
+    free_at: Instant,
+    on_wire: Option<Transmission>,
+    statistics: BusStatistics,
+}
+
+struct Attached {
+    device: Box<dyn Device>,
+    /// What the device wants sent and since when.
+    pending: VecDeque<Received>,
+    time_out: Option<Instant>,
+}
+
+#[derive(Clone, Copy)]
+struct Transmission {
+    frame: Frame,
+    sender: End,
+    pending_since: Instant,
+    ends: Instant,
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum End {
+    Host(usize),
+    Device(usize),
+}
+
+/// What a bus has counted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct BusStatistics {
+    /// Frames carried to their end.
+    pub frames: u64,
+    /// How long the bus was taken, intermissions included.
+    pub busy: Duration,
+    /// The longest that a frame took from its sender's queue to its last bit.
+    pub max_latency: Duration,
+    /// How long the bus has existed.
+    pub elapsed: Duration,
+}
+
+impl BusStatistics {
+    /// Share of the time for which the bus was taken, 0 to 1.
+    pub fn load(&self) -> f64 {
+        if self.elapsed.is_zero() {
+            0.0
+        } else {
+            self.busy.as_secs_f64() / self.elapsed.as_secs_f64()
+        }
+    }
+}
+
+impl VirtualBus {
+    /// A free bus without ends, at [`Instant::ZERO`].
+    pub fn new(bitrate: Bitrate) -> Self {
+        Self {
+            bitrate,
+            hosts: Vec::new(),
+            devices: Vec::new(),
+            now: Instant::ZERO,
+            free_at: Instant::ZERO,
+            on_wire: None,
+            statistics: BusStatistics::default(),
+        }
+    }
+
+    /// Adds a host's end. Its frames become pending at the time they were handed over.
+    pub fn attach_host(&mut self, peer: VirtualPeer) {
+        self.hosts.push(peer);
+    }
+
+    /// Adds a device and returns its number on this bus, counted from 0.
+    pub fn attach_device(&mut self, device: Box<dyn Device>) -> usize {
+        let mut attached = Attached {
+            device,
+            pending: VecDeque::with_capacity(QUEUE),
+            time_out: None,
+        };
+        attached.collect(self.now);
+        self.devices.push(attached);
+        self.devices.len() - 1
+    }
+
+    /// A device by the number that [`VirtualBus::attach_device`] gave it.
+    pub fn device(&self, number: usize) -> Option<&dyn Device> {
+        self.devices
+            .get(number)
+            .map(|attached| attached.device.as_ref())
+    }
+
+    /// What was counted up to the last [`VirtualBus::advance`].
+    pub fn statistics(&self) -> BusStatistics {
+        self.statistics
+    }
+
+    /// Processes everything up to and including `until`; a frame that lasts longer stays on the wire.
+    ///
+    /// May be called ahead of time if the host hands over nothing before `until`; what it hands over
+    /// for an instant that is past becomes pending at once.
+    pub fn advance(&mut self, until: Instant) {
+        while let Some((at, event)) = self.next_event().filter(|&(at, _)| at <= until) {
+            self.now = self.now.max(at);
+            match event {
+                Event::TimeOut => self.time_out(),
+                Event::FrameEnd(transmission) => self.end_frame(transmission),
+                Event::FrameStart => self.start_frame(),
+            }
+        }
+        if until > self.now {
+            self.now = until;
+        }
+        self.statistics.elapsed = self.now.since(Instant::ZERO);
+    }
+
+    fn next_event(&self) -> Option<(Instant, Event)> {
+        let time_out = self
+            .devices
+            .iter()
+            .filter_map(|attached| attached.time_out)
+            .min();
+        let wire = match self.on_wire {
+            Some(transmission) => Some((transmission.ends, Event::FrameEnd(transmission))),
+            None => self
+                .heads()
+                .map(|(_, head)| head.at)
+                .min()
+                .map(|at| (at.max(self.free_at), Event::FrameStart)),
+        };
+        match (time_out, wire) {
+            (Some(at), Some((wire_at, _))) if at <= wire_at => Some((at, Event::TimeOut)),
+            (Some(at), None) => Some((at, Event::TimeOut)),
+            (_, wire) => wire,
+        }
+    }
+
+    /// What each end would send next.
+    fn heads(&self) -> impl Iterator<Item = (End, &Received)> {
+        let hosts = self.hosts.iter().enumerate();
+        let devices = self.devices.iter().enumerate();
+        hosts
+            .filter_map(|(at, host)| Some((End::Host(at), host.peek_sent()?)))
+            .chain(
+                devices.filter_map(|(at, device)| Some((End::Device(at), device.pending.front()?))),
+            )
+    }
+
+    fn time_out(&mut self) {
+        let now = self.now;
+        for attached in &mut self.devices {
+            if attached.time_out.is_some_and(|at| at <= now) {
+                attached.device.handle_timeout(now);
+                attached.collect(now);
+                // A device that is never content must not hold up time.
+                if attached.time_out.is_some_and(|at| at <= now) {
+                    attached.time_out = Some(now + self.bitrate.duration(1));
+                }
+            }
+        }
+    }
+
+    fn start_frame(&mut self) {
+        let strongest = self
+            .heads()
+            .filter(|(_, head)| head.at <= self.now)
+            .min_by_key(|(_, head)| arbitration_field(&head.frame))
+            .map(|(sender, head)| (sender, *head));
+        let Some((sender, head)) = strongest else {
+            return;
+        };
+        let bits = bits_on_wire(&head.frame);
+        if bits == 0 {
+            // An error frame is a controller's report, not something to send.
+            self.remove(sender);
+            return;
+        }
+        let ends = self.now + self.bitrate.duration(bits - INTERMISSION);
+        self.free_at = self.now + self.bitrate.duration(bits);
+        self.statistics.busy += self.bitrate.duration(bits);
+        self.on_wire = Some(Transmission {
+            frame: head.frame,
+            sender,
+            pending_since: head.at,
+            ends,
+        });
+    }
+
+    fn end_frame(&mut self, transmission: Transmission) {
+        let Transmission {
+            frame,
+            sender,
+            pending_since,
+            ends,
+        } = transmission;
+        self.on_wire = None;
+        self.remove(sender);
+        self.statistics.frames += 1;
+        self.statistics.max_latency = self.statistics.max_latency.max(ends.since(pending_since));
+        for (at, host) in self.hosts.iter_mut().enumerate() {
+            if sender != End::Host(at) {
+                // A full host loses the frame and counts it, as a card's driver does.
+                host.deliver(Received { frame, at: ends });
+            }
+        }
+        for (at, attached) in self.devices.iter_mut().enumerate() {
+            if sender != End::Device(at) {
+                attached.device.handle(&frame, ends);
+            }
+            attached.collect(ends);
+        }
+    }
+
+    fn remove(&mut self, sender: End) {
+        match sender {
+            End::Host(at) => {
+                self.hosts[at].take_sent();
+            }
+            End::Device(at) => {
+                self.devices[at].pending.pop_front();
+            }
+        }
+    }
+}
+
+enum Event {
+    TimeOut,
+    FrameEnd(Transmission),
+    FrameStart,
+}
+
+impl Attached {
+    fn collect(&mut self, now: Instant) {
+        while self.pending.len() < QUEUE {
+            let Some(frame) = self.device.poll_transmit(now) else {
+                break;
+            };
+            self.pending.push_back(Received { frame, at: now });
+        }
+        self.time_out = self.device.poll_timeout();
+    }
+}
+
+/// The bits by which frames compete, first on the wire highest; a dominant bit is 0 and wins.
+///
+/// Standard: identifier, RTR, IDE 0. Extended: the identifier's upper 11 bits, SRR 1, IDE 1, its
+/// lower 18 bits, RTR.
+fn arbitration_field(frame: &Frame) -> u32 {
+    let remote = u32::from(frame.is_remote());
+    match frame.id() {
+        Some(Id::Standard(id)) => u32::from(id.raw()) << 21 | remote << 20,
+        Some(Id::Extended(id)) => {
+            let id = id.raw();
+            (id >> 18) << 21 | 0b11 << 19 | (id & 0x3_FFFF) << 1 | remote
+        }
+        None => 0,
+    }
+}
+
+#[cfg(test)]
+mod tests;

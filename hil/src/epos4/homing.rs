@@ -1,0 +1,371 @@
+//! The search for a reference: which way to go, what to look for, when to give up.
+//!
+//! A search is a sequence of phases, each of which a method may leave out:
+//!
+//! ```text
+//! seek the switch or stop ──▶ turn and leave it ──▶ go on to the index ──▶ found
+//! ```
+//!
+//! Home switch methods turn once at a limit switch; a second limit, or no index within two motor
+//! turns, ends the search as failed. The reference of a switch is where it opens as the axis leaves
+//! it; the reference of a stop is where the current passed its threshold for 5 ms. What EPOS4 does
+//! about a missing switch or index is not documented in what was read.
+
+use canopen::cia402::HomingMethod;
+
+use crate::Feedback;
+
+/// How long the current must stay above the threshold, s.
+const STOP_TIME: f64 = 5e-3;
+/// Motor turns within which an index must come.
+const INDEX_TURNS: f64 = 2.0;
+
+/// Which way and how fast: the sign of the direction with one of the two speeds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Progress {
+    /// Go at the speed for switches (0x6099:1) in this direction.
+    Fast(f64),
+    /// Go at the speed for the zero (0x6099:2) in this direction.
+    Slow(f64),
+    /// As [`Progress::Slow`], with the index latch armed anew from here.
+    ArmIndex(f64),
+    /// The reference, as the raw counter counts.
+    Found(i32),
+    /// There is none.
+    Failed,
+}
+
+/// A search in progress.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Search {
+    sought: Sought,
+    index: bool,
+    /// Of the first move; what is found is left in the opposite direction.
+    initial: f64,
+    phase: Phase,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Sought {
+    Nothing,
+    Limit,
+    Home,
+    Stop,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Phase {
+    Seek {
+        direction: f64,
+        turned: bool,
+        pressing: f64,
+    },
+    Leave,
+    Index {
+        direction: f64,
+        begun_at: Option<i32>,
+    },
+    /// The axis stands where it is to be.
+    Here,
+}
+
+/// What a search looks at besides the sensors.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Surroundings {
+    /// Demanded velocity, counts/s.
+    pub(super) velocity: f64,
+    /// Torque at which a stop is felt, N·m.
+    pub(super) stop_torque: f64,
+    /// Counts of one motor turn.
+    pub(super) turn: f64,
+    /// Time since the last look, s.
+    pub(super) dt: f64,
+}
+
+impl Search {
+    /// `None` for a method that EPOS4 does not have.
+    pub(super) fn new(method: HomingMethod) -> Option<Self> {
+        use HomingMethod as M;
+        let (sought, initial, index) = match method {
+            M::ACTUAL_POSITION => (Sought::Nothing, 0.0, false),
+            M::INDEX_POSITIVE => (Sought::Nothing, 1.0, true),
+            M::INDEX_NEGATIVE => (Sought::Nothing, -1.0, true),
+            M::HOME_POSITIVE => (Sought::Home, 1.0, false),
+            M::HOME_POSITIVE_INDEX => (Sought::Home, 1.0, true),
+            M::HOME_NEGATIVE => (Sought::Home, -1.0, false),
+            M::HOME_NEGATIVE_INDEX => (Sought::Home, -1.0, true),
+            M::POSITIVE_LIMIT => (Sought::Limit, 1.0, false),
+            M::POSITIVE_LIMIT_INDEX => (Sought::Limit, 1.0, true),
+            M::NEGATIVE_LIMIT => (Sought::Limit, -1.0, false),
+            M::NEGATIVE_LIMIT_INDEX => (Sought::Limit, -1.0, true),
+            M::CURRENT_POSITIVE => (Sought::Stop, 1.0, false),
+            M::CURRENT_POSITIVE_INDEX => (Sought::Stop, 1.0, true),
+            M::CURRENT_NEGATIVE => (Sought::Stop, -1.0, false),
+            M::CURRENT_NEGATIVE_INDEX => (Sought::Stop, -1.0, true),
+            _ => return None,
+        };
+        let phase = match (sought, index) {
+            (Sought::Nothing, false) => Phase::Here,
+            (Sought::Nothing, true) => Phase::Index {
+                direction: initial,
+                begun_at: None,
+            },
+            _ => Phase::Seek {
+                direction: initial,
+                turned: false,
+                pressing: 0.0,
+            },
+        };
+        Some(Self {
+            sought,
+            index,
+            initial,
+            phase,
+        })
+    }
+
+    /// Whether the axis is meant to meet a stop, so that it falls behind its set-points.
+    pub(super) fn feels_for_stop(&self) -> bool {
+        self.sought == Sought::Stop
+    }
+
+    /// Looks at the sensors and says how to go on.
+    pub(super) fn step(&mut self, feedback: &Feedback, around: &Surroundings) -> Progress {
+        match &mut self.phase {
+            Phase::Here => Progress::Found(feedback.counts),
+            Phase::Seek {
+                direction,
+                turned,
+                pressing,
+            } => {
+                *pressing = if feedback.torque.abs() > around.stop_torque {
+                    *pressing + around.dt
+                } else {
+                    0.0
+                };
+                let limit = limit_ahead(feedback, *direction);
+                let found = match self.sought {
+                    Sought::Home => feedback.home_switch,
+                    Sought::Limit => limit,
+                    Sought::Stop => *pressing >= STOP_TIME,
+                    Sought::Nothing => true,
+                };
+                if found && self.sought == Sought::Stop {
+                    return self.reference(feedback.counts);
+                }
+                if found {
+                    self.phase = Phase::Leave;
+                    return Progress::Slow(-self.initial);
+                }
+                if limit && self.sought == Sought::Home {
+                    if *turned {
+                        return Progress::Failed;
+                    }
+                    *turned = true;
+                    *direction = -*direction;
+                }
+                Progress::Fast(*direction)
+            }
+            Phase::Leave => {
+                let direction = -self.initial;
+                let closed = match self.sought {
+                    Sought::Home => feedback.home_switch,
+                    _ => limit_ahead(feedback, self.initial),
+                };
+                // Contacts chatter on the way in, so they count once the axis is on its way out.
+                let leaving = around.velocity * direction > 0.0;
+                if leaving && !closed {
+                    self.reference(feedback.counts)
+                } else if leaving && limit_ahead(feedback, direction) {
+                    Progress::Failed
+                } else {
+                    Progress::Slow(direction)
+                }
+            }
+            Phase::Index {
+                direction,
+                begun_at: begun_at @ None,
+            } => {
+                *begun_at = Some(feedback.counts);
+                Progress::ArmIndex(*direction)
+            }
+            Phase::Index {
+                direction,
+                begun_at: Some(begun_at),
+            } => {
+                let way = f64::from(feedback.counts.wrapping_sub(*begun_at)).abs();
+                match feedback.index {
+                    Some(index) => Progress::Found(index),
+                    None if way > INDEX_TURNS * around.turn => Progress::Failed,
+                    None if limit_ahead(feedback, *direction) => Progress::Failed,
+                    None => Progress::Slow(*direction),
+                }
+            }
+        }
+    }
+
+    /// The switch or stop is at `counts`: that is it, or the index is next.
+    fn reference(&mut self, counts: i32) -> Progress {
+        if !self.index {
+            return Progress::Found(counts);
+        }
+        self.phase = Phase::Index {
+            direction: -self.initial,
+            begun_at: Some(counts),
+        };
+        Progress::ArmIndex(-self.initial)
+    }
+}
+
+fn limit_ahead(feedback: &Feedback, direction: f64) -> bool {
+    if direction > 0.0 {
+        feedback.positive_limit
+    } else {
+        feedback.negative_limit
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A scripted axis: 1000 counts a turn with an index at 300 of each, limits at ±5000, the home
+    /// switch from 1000 to 2000, stops at ±6000. It moves as it is told, a millisecond at a time.
+    struct Scripted {
+        counts: f64,
+        velocity: f64,
+        latched: Option<i32>,
+        home: bool,
+        limits: bool,
+        index: bool,
+    }
+
+    impl Scripted {
+        fn at(counts: f64) -> Self {
+            Self {
+                counts,
+                velocity: 0.0,
+                latched: None,
+                home: true,
+                limits: true,
+                index: true,
+            }
+        }
+
+        fn feedback(&self) -> Feedback {
+            Feedback {
+                counts: self.counts as i32,
+                velocity: self.velocity,
+                torque: if self.counts.abs() >= 6000.0 {
+                    1.0
+                } else {
+                    0.1
+                },
+                index: self.latched,
+                home_switch: self.home && (1000.0..=2000.0).contains(&self.counts),
+                negative_limit: self.limits && self.counts <= -5000.0,
+                positive_limit: self.limits && self.counts >= 5000.0,
+                trip: None,
+            }
+        }
+
+        fn go(&mut self, velocity: f64) {
+            let before = (self.counts - 300.0) / 1000.0;
+            self.velocity = velocity;
+            self.counts = (self.counts + velocity).clamp(-6000.0, 6000.0);
+            let after = (self.counts - 300.0) / 1000.0;
+            let passed = before.max(after).floor();
+            if self.index && passed > before.min(after) {
+                self.latched = Some(passed as i32 * 1000 + 300);
+            }
+        }
+
+        /// The reference that a method finds, `None` if it fails.
+        fn home(mut self, method: i8) -> Option<i32> {
+            let mut search = Search::new(HomingMethod(method)).unwrap();
+            for _ in 0..100_000 {
+                let around = Surroundings {
+                    velocity: self.velocity,
+                    stop_torque: 0.5,
+                    turn: 1000.0,
+                    dt: 1e-3,
+                };
+                match search.step(&self.feedback(), &around) {
+                    Progress::Fast(direction) => self.go(20.0 * direction),
+                    Progress::Slow(direction) => self.go(direction),
+                    Progress::ArmIndex(direction) => {
+                        self.latched = None;
+                        self.go(direction);
+                    }
+                    Progress::Found(counts) => return Some(counts),
+                    Progress::Failed => return None,
+                }
+            }
+            panic!("method {method} does not end");
+        }
+    }
+
+    #[test]
+    fn each_method_finds_its_reference_from_anywhere() {
+        // Method, where it starts, what it finds. Switches open one count past their edge.
+        let table = [
+            (37, 1234.0, 1234),
+            (34, 0.0, 300),
+            (34, 301.0, 1300),
+            (33, 0.0, -700),
+            (33, 1299.0, 300),
+            (17, 0.0, -4999),
+            (17, -5500.0, -4999),
+            (1, 0.0, -4700),
+            (18, 0.0, 4999),
+            (2, 0.0, 4300),
+            // Home switch ahead, under the axis, and behind it, past the turn at the limit.
+            (23, 0.0, 999),
+            (23, 1500.0, 999),
+            (23, 3000.0, 999),
+            (7, 0.0, 300),
+            (7, 3000.0, 300),
+            (27, 3000.0, 2001),
+            (27, 1500.0, 2001),
+            (27, 0.0, 2001),
+            (11, 3000.0, 2300),
+            (11, 0.0, 2300),
+            (-3, 0.0, 6000),
+            (-4, 0.0, -6000),
+            (-1, 0.0, 5300),
+            (-2, 0.0, -5700),
+        ];
+        for (method, start, expected) in table {
+            let mut axis = Scripted::at(start);
+            axis.limits = method > 0;
+            assert_eq!(
+                axis.home(method),
+                Some(expected),
+                "method {method} from {start}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_search_without_its_switch_or_index_fails() {
+        for method in [7, 11, 23, 27] {
+            let mut axis = Scripted::at(0.0);
+            axis.home = false;
+            assert_eq!(axis.home(method), None, "method {method}");
+        }
+        for method in [33, 34, 1, 2, 7, 11] {
+            let mut axis = Scripted::at(0.0);
+            axis.index = false;
+            assert_eq!(axis.home(method), None, "method {method}");
+        }
+    }
+
+    #[test]
+    fn methods_that_epos4_lacks_are_none() {
+        for method in i8::MIN..=i8::MAX {
+            let method = HomingMethod(method);
+            let known = HomingMethod::EPOS4.contains(&method);
+            assert_eq!(Search::new(method).is_some(), known, "{method:?}");
+        }
+    }
+}

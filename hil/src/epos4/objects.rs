@@ -1,0 +1,367 @@
+//! The object dictionary at work: values, storage, and the rules of writing.
+//!
+//! What a write means for the rest of the device is left behind as [`Changes`]; the device looks at
+//! them after each request and each PDO. The rules of re-mapping a PDO are enforced here: COB-ID
+//! off (bit 31), count to 0, entries, count, COB-ID on. Stored values live as long as the emulator.
+
+use canopen::cia402::{HomingMethod, ModeOfOperation, SupportedModes};
+use canopen::objects as named;
+use canopen::pdo::{Entry as MapEntry, PdoCobId, PdoKind, PdoNumber};
+use canopen::sdo::{AbortCode, Dictionary, MAX_SIZE};
+use canopen::{NodeId, Object, cob, nmt};
+
+use super::table::{Access, Kind, MAPPED, ROWS, Slot, TABLE};
+
+/// "save", as object 0x1010 wants it.
+const SAVE: u32 = 0x6576_6173;
+/// "load", as object 0x1011 wants it.
+const LOAD: u32 = 0x6461_6F6C;
+/// Errors that object 0x1003 remembers.
+pub(super) const HISTORY: u16 = 5;
+
+/// What writes have changed since the device last looked.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Changes {
+    pub(super) controlword: bool,
+    pub(super) mode: bool,
+    /// A set-point of a cyclic mode.
+    pub(super) setpoint: bool,
+    pub(super) pdo: bool,
+    pub(super) heartbeat: bool,
+}
+
+/// The values of all objects.
+#[derive(Clone, Debug)]
+pub(super) struct Objects {
+    values: [u32; ROWS],
+    /// What a reset brings back.
+    stored: Box<[u32; ROWS]>,
+    /// Factory values with this unit's identity.
+    factory: Box<[u32; ROWS]>,
+    pub(super) nmt: nmt::State,
+    pub(super) changes: Changes,
+}
+
+impl Objects {
+    /// Factory values, with `identity` of this unit where the table knows none.
+    pub(super) fn new(node: NodeId, identity: &[(Slot, u32)]) -> Self {
+        let mut factory = [0; ROWS];
+        for (value, entry) in factory.iter_mut().zip(&TABLE) {
+            *value = entry.default + u32::from(entry.plus_node) * u32::from(node.raw());
+        }
+        for &(slot, value) in identity {
+            factory[slot.row()] = value;
+        }
+        Self {
+            values: factory,
+            stored: Box::new(factory),
+            factory: Box::new(factory),
+            nmt: nmt::State::Initialising,
+            changes: Changes::default(),
+        }
+    }
+
+    /// Brings back stored values: those below 0x2000, or all.
+    pub(super) fn reset(&mut self, all: bool) {
+        for (row, entry) in TABLE.iter().enumerate() {
+            if all || entry.object.index < 0x2000 {
+                self.values[row] = self.stored[row];
+            }
+        }
+        self.changes = Changes::default();
+    }
+
+    /// An unsigned value.
+    pub(super) fn u(&self, slot: Slot) -> u32 {
+        self.values[slot.row()]
+    }
+
+    /// A signed value.
+    pub(super) fn i(&self, slot: Slot) -> i32 {
+        self.values[slot.row()] as i32
+    }
+
+    /// A value as a number for formulas.
+    pub(super) fn f(&self, slot: Slot) -> f64 {
+        slot.entry().kind.number(self.u(slot)) as f64
+    }
+
+    /// Sets a value from inside the device, without any rule.
+    pub(super) fn set(&mut self, slot: Slot, value: u32) {
+        self.values[slot.row()] = value;
+    }
+
+    /// Writes a value that came in a PDO. One outside its limits is ignored.
+    pub(super) fn receive(&mut self, slot: Slot, bytes: [u8; 4]) {
+        let entry = slot.entry();
+        let value = entry.kind.decode(bytes);
+        let number = entry.kind.number(value);
+        let in_range = number >= entry.min && number <= entry.max;
+        if in_range && (entry.object != named::MODE_OF_OPERATION || supported(value)) {
+            self.assign(slot, value);
+        }
+    }
+
+    /// Remembers an error as the newest.
+    pub(super) fn push_history(&mut self, code: u16) {
+        const COUNT: Slot = Slot::of(named::ERROR_HISTORY_COUNT);
+        for sub in (1..HISTORY).rev() {
+            let older = self.u(COUNT.plus(sub));
+            self.set(COUNT.plus(sub + 1), older);
+        }
+        self.set(COUNT.plus(1), u32::from(code));
+        let count = (self.u(COUNT) + 1).min(u32::from(HISTORY));
+        self.set(COUNT, count);
+    }
+
+    fn assign(&mut self, slot: Slot, value: u32) {
+        self.set(slot, value);
+        let object = slot.entry().object;
+        let changes = &mut self.changes;
+        match object {
+            named::CONTROLWORD => changes.controlword = true,
+            named::MODE_OF_OPERATION => changes.mode = true,
+            named::TARGET_POSITION | named::TARGET_VELOCITY | named::TARGET_TORQUE => {
+                changes.setpoint = true;
+            }
+            // One object by two names, CiA's and maxon's.
+            named::HOME_OFFSET => self.set(Slot::of(named::EPOS4_HOME_OFFSET_MOVE), value),
+            named::EPOS4_HOME_OFFSET_MOVE => self.set(Slot::of(named::HOME_OFFSET), value),
+            _ => match object.index {
+                0x1400..=0x1BFF => changes.pdo = true,
+                0x1016 | 0x1017 => changes.heartbeat = true,
+                _ => {}
+            },
+        }
+    }
+
+    /// What speaks against writing `value`, beyond access, length and limits.
+    fn refuse(&mut self, slot: Slot, value: u32) -> Result<(), AbortCode> {
+        let object = slot.entry().object;
+        match object {
+            named::ERROR_HISTORY_COUNT if value != 0 => Err(AbortCode::VALUE_RANGE),
+            named::STORE_ALL | named::RESTORE_ALL => self.store_or_restore(object, value),
+            named::MODE_OF_OPERATION if !supported(value) => Err(AbortCode::VALUE_RANGE),
+            named::HOMING_METHOD
+                if !HomingMethod::EPOS4.contains(&HomingMethod(value as i32 as i8)) =>
+            {
+                Err(AbortCode::VALUE_RANGE)
+            }
+            // Revolutions per minute, from 1 down to 1e-6.
+            named::VELOCITY_UNIT
+                if value & 0x00FF_FFFF != 0x00B4_4700
+                    || !(-6..=0).contains(&((value >> 24) as u8 as i8)) =>
+            {
+                Err(AbortCode::VALUE_RANGE)
+            }
+            _ => match PdoParameter::of(object) {
+                Some(parameter) => self.refuse_pdo(parameter, slot, value),
+                None => Ok(()),
+            },
+        }
+    }
+
+    fn store_or_restore(&mut self, object: Object, value: u32) -> Result<(), AbortCode> {
+        match (object, value) {
+            (named::STORE_ALL, SAVE) => {
+                for (row, entry) in TABLE.iter().enumerate() {
+                    if entry.access == Access::Write && entry.object != named::CONTROLWORD {
+                        self.stored[row] = self.values[row];
+                    }
+                }
+            }
+            (named::RESTORE_ALL, LOAD) => self.stored.clone_from(&self.factory),
+            _ => return Err(AbortCode::CANNOT_STORE),
+        }
+        // What reads back says which commands are known, not what was written.
+        Ok(())
+    }
+
+    fn refuse_pdo(&self, parameter: PdoParameter, slot: Slot, value: u32) -> Result<(), AbortCode> {
+        let PdoParameter {
+            kind,
+            number,
+            place,
+        } = parameter;
+        let existing = PdoCobId(self.u(cob_id(kind, number)));
+        let count = self.u(map(kind, number, 0)) as u16;
+        match place {
+            Place::Communication(1) => {
+                let wanted = PdoCobId(value);
+                let changed = (value ^ existing.0) & 0x3FFF_FFFF != 0;
+                let free = wanted.id().is_some_and(|id| !cob::reserved(id));
+                if existing.is_valid() && wanted.is_valid() && changed || wanted.is_valid() && !free
+                {
+                    return Err(AbortCode::VALUE_RANGE);
+                }
+            }
+            Place::Communication(2) if (241..=253).contains(&value) => {
+                return Err(AbortCode::VALUE_RANGE);
+            }
+            Place::Communication(3) if existing.is_valid() => {
+                return Err(AbortCode::DEVICE_STATE);
+            }
+            Place::Communication(_) => {}
+            Place::Mapping(_) if existing.is_valid() || self.nmt == nmt::State::Operational => {
+                return Err(AbortCode::DEVICE_STATE);
+            }
+            Place::Mapping(0) => {
+                let mut bits = 0;
+                for sub in 1..=value as u16 {
+                    let entry = MapEntry::from_raw(self.u(slot.plus(sub)));
+                    mappable(kind, entry)?;
+                    bits += u32::from(entry.bits);
+                }
+                if bits > 64 {
+                    return Err(AbortCode::PDO_LENGTH);
+                }
+            }
+            Place::Mapping(_) if count != 0 => return Err(AbortCode::SUBINDEX_LOCKED),
+            Place::Mapping(_) => {
+                mappable(kind, MapEntry::from_raw(value))?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The slot of a PDO's COB-ID; transmission type, inhibit time and event timer follow.
+pub(super) fn cob_id(kind: PdoKind, number: PdoNumber) -> Slot {
+    const FIRST: [Slot; 2] = [
+        Slot::of(PdoKind::Rpdo.communication(PdoNumber::One, 1)),
+        Slot::of(PdoKind::Tpdo.communication(PdoNumber::One, 1)),
+    ];
+    match kind {
+        PdoKind::Rpdo => FIRST[0].plus(4 * number.offset()),
+        PdoKind::Tpdo => FIRST[1].plus(5 * number.offset()),
+    }
+}
+
+/// The slot of a sub-index of a PDO's mapping.
+pub(super) fn map(kind: PdoKind, number: PdoNumber, sub: u16) -> Slot {
+    const FIRST: [Slot; 2] = [
+        Slot::of(PdoKind::Rpdo.mapping(PdoNumber::One, 0)),
+        Slot::of(PdoKind::Tpdo.mapping(PdoNumber::One, 0)),
+    ];
+    let first = match kind {
+        PdoKind::Rpdo => FIRST[0],
+        PdoKind::Tpdo => FIRST[1],
+    };
+    first.plus((u16::from(MAPPED) + 1) * number.offset() + sub)
+}
+
+/// The slot behind a mapping entry; `None` for a dummy of an RPDO (objects 0x0001 to 0x0007).
+pub(super) fn mappable(kind: PdoKind, entry: MapEntry) -> Result<Option<Slot>, AbortCode> {
+    if kind == PdoKind::Rpdo && (0x0001..=0x0007).contains(&entry.object.index) {
+        return Ok(None);
+    }
+    let slot = Slot::find(entry.object).ok_or(AbortCode::NO_OBJECT)?;
+    let row = slot.entry();
+    let allowed = match kind {
+        PdoKind::Rpdo => row.mappable.receive,
+        PdoKind::Tpdo => row.mappable.transmit,
+    };
+    if allowed && usize::from(entry.bits) == 8 * row.kind.size() {
+        Ok(Some(slot))
+    } else {
+        Err(AbortCode::NOT_MAPPABLE)
+    }
+}
+
+fn supported(mode: u32) -> bool {
+    SupportedModes::EPOS4.contains(ModeOfOperation::from_raw(mode as i32 as i8))
+}
+
+/// A sub-index of a PDO's parameters.
+struct PdoParameter {
+    kind: PdoKind,
+    number: PdoNumber,
+    place: Place,
+}
+
+enum Place {
+    Communication(u8),
+    Mapping(u8),
+}
+
+impl PdoParameter {
+    fn of(object: Object) -> Option<Self> {
+        let number = *PdoNumber::ALL.get(usize::from(object.index & 0xFF))?;
+        let sub = object.subindex;
+        let (kind, place) = match object.index & 0xFF00 {
+            0x1400 => (PdoKind::Rpdo, Place::Communication(sub)),
+            0x1600 => (PdoKind::Rpdo, Place::Mapping(sub)),
+            0x1800 => (PdoKind::Tpdo, Place::Communication(sub)),
+            0x1A00 => (PdoKind::Tpdo, Place::Mapping(sub)),
+            _ => return None,
+        };
+        Some(Self {
+            kind,
+            number,
+            place,
+        })
+    }
+}
+
+fn find(object: Object) -> Result<Slot, AbortCode> {
+    Slot::find(object).ok_or_else(|| {
+        if TABLE.iter().any(|entry| entry.object.index == object.index) {
+            AbortCode::NO_SUBINDEX
+        } else {
+            AbortCode::NO_OBJECT
+        }
+    })
+}
+
+impl Dictionary for Objects {
+    fn size(&self, object: Object) -> Option<usize> {
+        Some(Slot::find(object)?.entry().kind.size())
+    }
+
+    fn read(&mut self, object: Object, into: &mut [u8; MAX_SIZE]) -> Result<usize, AbortCode> {
+        let slot = find(object)?;
+        let entry = slot.entry();
+        if let Kind::Text(text) = entry.kind {
+            into[..text.len()].copy_from_slice(text.as_bytes());
+            return Ok(text.len());
+        }
+        let count = self.u(Slot::of(named::ERROR_HISTORY_COUNT));
+        if object.index == named::ERROR_HISTORY_COUNT.index && u32::from(object.subindex) > count {
+            return Err(AbortCode::NO_DATA);
+        }
+        let size = entry.kind.size();
+        into[..size].copy_from_slice(&self.u(slot).to_le_bytes()[..size]);
+        Ok(size)
+    }
+
+    fn write(&mut self, object: Object, data: &[u8]) -> Result<(), AbortCode> {
+        let slot = find(object)?;
+        let entry = slot.entry();
+        if entry.access == Access::Read {
+            return Err(AbortCode::READ_ONLY);
+        }
+        let size = entry.kind.size();
+        if data.len() != size {
+            return Err(if data.len() > size {
+                AbortCode::TOO_LONG
+            } else {
+                AbortCode::TOO_SHORT
+            });
+        }
+        let mut bytes = [0; 4];
+        bytes[..size].copy_from_slice(data);
+        let value = entry.kind.decode(bytes);
+        let number = entry.kind.number(value);
+        if number > entry.max {
+            return Err(AbortCode::VALUE_TOO_HIGH);
+        }
+        if number < entry.min {
+            return Err(AbortCode::VALUE_TOO_LOW);
+        }
+        self.refuse(slot, value)?;
+        if !matches!(object, named::STORE_ALL | named::RESTORE_ALL) {
+            self.assign(slot, value);
+        }
+        Ok(())
+    }
+}
