@@ -272,11 +272,14 @@ impl Effector {
                 continue;
             }
             let (error, limit) = (axis.error(), axis.config.following_error);
-            let watched = matches!(
-                self.state,
-                State::Standing | State::Moving | State::Braking(_)
-            );
-            if !watched || !axis.follows() {
+            // A drive that no longer follows is watched like the others: that is how it shows.
+            let told_to = axis.followed >= DELAY;
+            if !told_to
+                || !matches!(
+                    self.state,
+                    State::Standing | State::Moving | State::Braking(_)
+                )
+            {
                 continue;
             }
             if self.state == State::Moving && axis.state.age == 0 {

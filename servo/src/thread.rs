@@ -70,7 +70,8 @@ pub struct RealtimePolicy {
     pub priority: u8,
     /// The CPU to stay on. Only this thread is moved.
     pub cpu: Option<usize>,
-    /// Whether to lock all memory of the process, present and future.
+    /// Whether to lock all memory of the process, present and future; a thread that is started later
+    /// has its whole stack locked, so give it a small one.
     pub lock_memory: bool,
     /// How long before the deadline to wake and prepare, spinning until it. The answers to the
     /// SYNC before must have come by then. At most half a period is used.

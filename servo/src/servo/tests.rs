@@ -458,6 +458,94 @@ fn a_missing_answer_is_compared_with_the_command_of_its_time() {
 }
 
 #[test]
+fn a_drive_that_stops_following_stops_the_effector() {
+    let mut rig = Rig::standing(2);
+    rig.accelerate(500.0, 4, 50);
+    rig.run(50);
+    rig.world().axes[1].deaf = true;
+    rig.run_until(Phase::Faulted);
+    assert!(matches!(
+        rig.cause(),
+        Some(StopCause::FollowingError { .. })
+    ));
+    assert_eq!(rig.servo.fault(0).unwrap().axis, 1);
+}
+
+#[test]
+fn power_stays_on_until_the_motors_are_still_or_have_had_their_time() {
+    for (velocity, cycles) in [(0.5, 1..=3), (50.0, 100..=104)] {
+        let mut rig = Rig::standing(1);
+        rig.accelerate(500.0, 2, 20);
+        rig.run(30);
+        rig.order(Order::Disable);
+        // 10 rad/s at 1000 rad/s²: ten set-points, then the drive goes on by itself.
+        rig.run(10);
+        rig.world().axes[0].drifts_at = Some(velocity);
+        let before = rig.now;
+        rig.run_until(Phase::Off);
+        let waited = rig.now.since(before).as_millis();
+        assert!(
+            cycles.contains(&waited),
+            "{waited} periods at {velocity} rad/s"
+        );
+    }
+}
+
+#[test]
+fn effectors_stop_each_for_itself_and_for_overruns_together() {
+    let mut config = scripted::config(2);
+    config
+        .effectors
+        .push(scripted::config(2).effectors.remove(0));
+    for (group, axes) in [(1, 0), (0, 1)] {
+        // Each effector has one axis on either group.
+        config.effectors[0].axes[axes].group = group;
+        config.effectors[1].axes[axes].group = 1 - group;
+    }
+    let (groups, worlds): (Vec<_>, Vec<_>) = (0..2).map(|_| scripted::group(2)).unzip();
+    for world in &worlds {
+        let mut world = world.lock().unwrap();
+        world
+            .axes
+            .iter_mut()
+            .for_each(|drive| drive.state.homing = Homing::Attained);
+    }
+    let (mut servo, mut links) = Servo::new(&config, groups).unwrap();
+    let mut now = Instant::ZERO;
+    let mut run = |servo: &mut Servo, cycles| {
+        for _ in 0..cycles {
+            servo.step(now);
+            now += PERIOD;
+        }
+    };
+    for link in &mut links {
+        link.orders.push(Order::Enable).unwrap();
+        (0..20).for_each(|number| {
+            let position = 0.01 * (number % 2) as f64;
+            link.orders
+                .push(Order::Move(macrostep(number, 10, position, 0.0)))
+                .unwrap();
+        });
+    }
+    let phases = |servo: &Servo| [0, 1].map(|index| servo.state(index).unwrap().phase());
+    run(&mut servo, 50);
+    assert_eq!(phases(&servo), [Phase::Moving; 2]);
+    // Axis 0 of the first effector is on the second group.
+    worlds[1].lock().unwrap().axes[0].state.fault = Some(FAULT);
+    run(&mut servo, 50);
+    assert_eq!(phases(&servo), [Phase::Faulted, Phase::Moving]);
+    assert_eq!(servo.fault(0).unwrap().axis, 0);
+    servo.missed(3);
+    run(&mut servo, 50);
+    assert_eq!(phases(&servo), [Phase::Faulted; 2]);
+    assert_eq!(servo.fault(0).unwrap().cause, StopCause::Drive(FAULT));
+    assert_eq!(
+        servo.fault(1).unwrap().cause,
+        StopCause::Overrun { missed: 3 }
+    );
+}
+
+#[test]
 fn a_blocked_motor_stops_the_effector() {
     let mut rig = Rig::standing(2);
     rig.accelerate(500.0, 4, 50);

@@ -73,6 +73,8 @@ pub struct Drive {
     pub homing_takes: u32,
     /// The set-point reaches the motor one SYNC later than with an ideal drive.
     pub lags: bool,
+    /// The velocity it reports whatever it does.
+    pub drifts_at: Option<f64>,
     pending: AxisCommand,
     target: Option<f64>,
     enabling: u32,
@@ -131,11 +133,12 @@ impl Drive {
                 state.homing = Homing::NotHomed;
             }
         }
-        state.velocity = if state.following {
+        let moved = if state.following {
             (state.position - before) / dt
         } else {
             0.0
         };
+        state.velocity = self.drifts_at.unwrap_or(moved);
         state.increments = Increments((state.position * 1000.0).round() as i32);
         if self.silent {
             self.seen.age += 1;
