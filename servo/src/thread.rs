@@ -304,9 +304,14 @@ pub fn start(
         errno: e.raw_os_error().unwrap_or(0),
     })?;
     let denied = told.recv().unwrap_or_default();
-    match denied.first() {
-        Some(&denial) if policy.realtime == Realtime::Require => Err(StartError::Denied(denial)),
-        _ => Ok(Running { thread, denied }),
+    let running = Running { thread, denied };
+    match running.denied.first() {
+        Some(&denial) if policy.realtime == Realtime::Require => {
+            // It has nothing to do; with it the servo goes, and every port is closed.
+            drop(running.join());
+            Err(StartError::Denied(denial))
+        }
+        _ => Ok(running),
     }
 }
 

@@ -251,6 +251,22 @@ fn homing_fails_by_the_drive_and_by_time_and_halts_first() {
 }
 
 #[test]
+fn a_failure_of_an_earlier_homing_does_not_fail_the_next() {
+    let mut rig = Rig::new(1);
+    rig.world().axes[0].homing_fails = true;
+    rig.order(Order::Enable);
+    rig.order(Order::Home);
+    rig.run_until(Phase::Faulted);
+    rig.world().axes[0].homing_fails = false;
+    for order in [Order::ResetFault, Order::Enable, Order::Home] {
+        rig.order(order);
+    }
+    rig.run(60);
+    assert_eq!((rig.phase(), rig.cause()), (Phase::Standing, None));
+    assert!(rig.reports().last().unwrap().homed);
+}
+
+#[test]
 fn homing_can_be_stopped_and_begun_again() {
     let mut rig = Rig::new(2);
     rig.order(Order::Enable);
@@ -259,7 +275,9 @@ fn homing_can_be_stopped_and_begun_again() {
     rig.run(5);
     rig.order(Order::Stop);
     rig.run(1);
+    rig.run(90);
     assert_eq!(rig.phase(), Phase::Stopping);
+    assert_eq!(rig.last_sent(), [AxisCommand::Stand; 2]);
     rig.run_until(Phase::Standing);
     assert!(!rig.reports().last().unwrap().homed);
     rig.order(Order::Home);
@@ -328,6 +346,13 @@ fn a_bad_macrostep_is_never_sent() {
     let cases = [
         (with(|m| m.position[1] = f64::NAN), "NotFinite"),
         (with(|m| m.velocity[1] = f64::INFINITY), "NotFinite"),
+        (
+            Macrostep {
+                velocity: [f64::NAN; MAX_AXES],
+                ..macrostep(1, 1, 0.0, 0.0)
+            },
+            "NotFinite",
+        ),
         (with(|m| m.velocity[1] = f64::MAX), "PositionLimit"),
         (with(|m| m.position[1] = 0.1), "AccelerationLimit"),
         (with(|m| m.position[1] = -1e6), "PositionLimit"),
@@ -400,16 +425,23 @@ fn an_effector_that_is_not_homed_does_not_move() {
 
 #[test]
 fn stop_and_disable_overtake_the_queue_and_brake() {
-    for (order, end) in [(Order::Stop, Phase::Standing), (Order::Disable, Phase::Off)] {
+    // After 31 cycles a macrostep has just been taken since the queue was last looked through.
+    let cases = [
+        (Order::Stop, 30, Phase::Standing),
+        (Order::Disable, 30, Phase::Off),
+        (Order::Stop, 31, Phase::Standing),
+    ];
+    for (order, cycles, end) in cases {
         let mut rig = Rig::standing(2);
         rig.accelerate(500.0, 2, 20);
-        rig.run(30);
+        rig.run(cycles);
         rig.order(order);
         rig.run(1);
         assert_eq!(rig.phase(), Phase::Stopping);
         rig.run_until(end);
         assert_eq!(rig.cause(), None);
-        assert_eq!(rig.servo.counters().refused_orders, 19);
+        let begun = (cycles as u64).div_ceil(10);
+        assert_eq!(rig.servo.counters().refused_orders, 22 - begun);
         keeps_limits(&rig.positions(0)).unwrap();
     }
 }
