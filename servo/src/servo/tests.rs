@@ -600,7 +600,7 @@ fn a_drive_fault_brakes_the_other_axes_before_power_goes() {
     rig.world().axes[1].state.fault = Some(FAULT);
     rig.run_until(Phase::Stopping);
     let sent = rig.last_sent();
-    assert_eq!(sent[1], AxisCommand::Off);
+    assert_eq!(sent[1], AxisCommand::Stand, "its group brakes it");
     assert!(
         [0, 2]
             .iter()
@@ -627,6 +627,26 @@ fn a_drive_fault_brakes_the_other_axes_before_power_goes() {
 }
 
 #[test]
+fn a_drive_that_brakes_by_itself_keeps_its_power_until_it_is_still() {
+    for (still_after, waited) in [(150, 150..=160), (1000, 210..=220)] {
+        let mut rig = Rig::standing(2);
+        rig.accelerate(500.0, 2, 20);
+        rig.run(30);
+        rig.world().axes[1].drifts_at = Some(10.0);
+        rig.world().axes[1].state.fault = Some(FAULT);
+        let before = rig.now;
+        rig.run(still_after.min(200));
+        assert_eq!(rig.phase(), Phase::Stopping);
+        if still_after < 200 {
+            rig.world().axes[1].drifts_at = None;
+        }
+        rig.run_until(Phase::Faulted);
+        let took = rig.now.since(before).as_millis();
+        assert!(waited.contains(&took), "{took} periods");
+    }
+}
+
+#[test]
 fn a_stop_request_brakes_switches_off_and_holds() {
     let mut rig = Rig::standing(2);
     rig.accelerate(500.0, 4, 20);
@@ -635,8 +655,14 @@ fn a_stop_request_brakes_switches_off_and_holds() {
     rig.run_until(Phase::Off);
     assert_eq!(rig.cause(), None);
     keeps_limits(&rig.positions(0)).unwrap();
+    rig.world().sent.clear();
     rig.order(Order::Enable);
-    rig.run(10);
+    rig.run(5);
+    rig.order(Order::Enable);
+    rig.order(Order::Stop);
+    rig.run(5);
+    let off = |command: &AxisCommand| *command == AxisCommand::Off;
+    assert!(rig.world().sent.iter().flatten().all(off));
     assert_eq!(
         (rig.phase(), rig.last_sent()),
         (Phase::Off, vec![AxisCommand::Off; 2])
@@ -716,7 +742,7 @@ fn every_cycle_is_recorded_and_what_does_not_fit_is_counted() {
 #[test]
 fn the_slowest_stop_is_known() {
     let rig = Rig::new(1);
-    assert_eq!(rig.servo.longest_stop(), Duration::from_millis(200));
+    assert_eq!(rig.servo.longest_stop(), Duration::from_millis(400));
 }
 
 proptest! {
