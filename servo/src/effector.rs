@@ -256,7 +256,8 @@ impl Effector {
             return;
         }
         self.state = next;
-        self.news |= next.phase() != last.phase();
+        // A reset that failed leads back to the phase it came from, and is news all the same.
+        self.news |= next.phase() != last.phase() || last == State::Resetting;
         match (last, next) {
             // The stop goes on, only its end is another.
             (State::Braking(_), State::Braking(_)) | (State::Halting(_), State::Halting(_)) => {

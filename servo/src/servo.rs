@@ -119,7 +119,7 @@ impl Servo {
         }
     }
 
-    /// One cycle.
+    /// One cycle. Only once [`bring_up`](Self::bring_up) is ready.
     pub fn step(&mut self, now: Instant) {
         self.prepare(now);
         self.send(now);

@@ -1,4 +1,5 @@
 use std::sync::{Arc, Mutex, MutexGuard};
+use std::task::Poll;
 use std::time::Duration;
 
 use can::Instant;
@@ -149,6 +150,39 @@ fn keeps_limits(positions: &[f64]) -> Result<(), TestCaseError> {
         );
     }
     Ok(())
+}
+
+#[test]
+fn bring_up_is_ready_when_every_group_is_and_an_error_names_its_group() {
+    let (groups, worlds): (Vec<_>, Vec<_>) = (0..2).map(|_| scripted::group(2)).unzip();
+    worlds[0].lock().unwrap().coming_up = 1;
+    worlds[1].lock().unwrap().coming_up = 2;
+    let (mut servo, _links) = Servo::new(&scripted::config(2), groups).unwrap();
+    assert_eq!(servo.bring_up(Instant::ZERO), Poll::Pending);
+    assert_eq!(servo.bring_up(Instant::ZERO), Poll::Pending);
+    assert_eq!(servo.bring_up(Instant::ZERO), Poll::Ready(Ok(())));
+
+    let (groups, worlds): (Vec<_>, Vec<_>) = (0..2).map(|_| scripted::group(2)).unzip();
+    worlds[1].lock().unwrap().absent = true;
+    let (mut servo, _links) = Servo::new(&scripted::config(2), groups).unwrap();
+    let error = Err((1, scripted::NEVER_BOOTED));
+    assert_eq!(servo.bring_up(Instant::ZERO), Poll::Ready(error));
+}
+
+#[test]
+fn a_fault_that_cannot_be_reset_is_reported_as_such_and_stays() {
+    let mut rig = Rig::standing(1);
+    rig.world().axes[0].stubborn = true;
+    rig.world().axes[0].state.fault = Some(FAULT);
+    rig.run_until(Phase::Faulted);
+    rig.reports();
+    rig.order(Order::ResetFault);
+    rig.run(150);
+    assert_eq!(rig.last_sent(), [AxisCommand::Off]);
+    let reports = rig.reports();
+    assert_eq!(reports.len(), 2, "the order and its failure");
+    let cause = reports[1].fault.map(|fault| fault.cause);
+    assert_eq!(cause, Some(StopCause::Drive(FAULT)));
 }
 
 #[test]
