@@ -3,28 +3,18 @@
 use std::time::Duration;
 
 use can::Instant;
-use drive::{AxisCommand, AxisState, Finite, Homing, Power, Setpoint};
+use drive::{AxisCommand, AxisState, Homing, Power};
 
+use crate::axis::Axis;
 use crate::interpolate::Segment;
 use crate::{
     After, Answer, AxisRecord, Counters, EffectorConfig, EffectorLink, Event, Knot, MAX_AXES,
-    Macrostep, Order, Record, Report, ServoAxisConfig, ServoFault, State, StopCause, StraightStop,
-    TrackingError, limit,
+    Macrostep, Order, Record, Report, ServoFault, State, StopCause, StraightStop, TrackingError,
 };
-
-/// Periods from a command to the sample that shows its effect: written in cycle *n*, latched by the
-/// SYNC of *n* + 1 together with the sample, read in *n* + 2.
-const DELAY: usize = 2;
-
-/// Commands remembered per axis; a sample older than that is compared with the oldest.
-const REMEMBERED: usize = 16;
 
 /// Longest time the drives get to come to rest after the last set-point of a stop, before power
 /// is taken from them.
 const STANDSTILL_WAIT: Duration = Duration::from_millis(100);
-
-/// Share of its greatest velocity below which a motor counts as still.
-const STILL: f64 = 0.01;
 
 /// What a servo's cycle tells each of its effectors.
 #[derive(Clone, Copy)]
@@ -39,109 +29,7 @@ pub(crate) struct Tick {
     pub(crate) overrun: Option<u32>,
 }
 
-/// One axis as its servo knows it.
-struct Axis {
-    config: ServoAxisConfig,
-    /// What the drive says.
-    state: AxisState,
-    /// The set-point of this cycle.
-    knot: Knot,
-    /// Positions commanded, the newest first.
-    commanded: [f64; REMEMBERED],
-    /// Cycles in a row in which the drive was told to follow.
-    followed: usize,
-    /// It searched for its reference in this homing.
-    searched: bool,
-    command: AxisCommand,
-    tracking: TrackingError,
-}
-
-impl Axis {
-    fn new(config: ServoAxisConfig) -> Self {
-        Self {
-            config,
-            state: AxisState::default(),
-            knot: Knot::default(),
-            commanded: [0.0; REMEMBERED],
-            followed: 0,
-            searched: false,
-            command: AxisCommand::Off,
-            tracking: TrackingError::default(),
-        }
-    }
-
-    /// Whether the drive, by a sample taken under a set-point of ours, follows set-points.
-    fn follows(&self) -> bool {
-        self.followed >= DELAY && self.state.following && self.state.power == Power::On
-    }
-
-    /// Takes the measured position as the commanded one, so that following begins without a jump.
-    fn capture(&mut self) {
-        self.knot = Knot {
-            position: self.state.position,
-            velocity: 0.0,
-        };
-        self.commanded = [self.state.position; REMEMBERED];
-    }
-
-    /// The last position sent and the step to it.
-    fn last_step(&self, dt: f64) -> Knot {
-        let [last, before_last, ..] = self.commanded;
-        Knot {
-            position: last,
-            velocity: (last - before_last) / dt,
-        }
-    }
-
-    /// Whether `position` may be commanded next.
-    fn vet(&self, position: f64, dt: f64) -> Result<(), StopCause> {
-        let [last, before_last, ..] = self.commanded;
-        limit::check(&self.config.limits(), before_last, last, position, dt)
-    }
-
-    /// Commanded minus measured, rad, for the command that was latched when the sample was taken.
-    fn error(&self) -> f64 {
-        // This cycle's command is not in `commanded` yet, so the newest there is one period old.
-        let age = (DELAY - 1)
-            .saturating_add(self.state.age as usize)
-            .min(REMEMBERED - 1);
-        self.commanded[age] - self.state.position
-    }
-
-    fn is_homed(&self) -> bool {
-        self.state.homing == Homing::Attained
-    }
-
-    fn is_still(&self) -> bool {
-        self.state.velocity.abs() <= STILL * self.config.max_velocity
-    }
-
-    /// Keeps `command` for the write and remembers the set-point.
-    fn command(&mut self, command: AxisCommand) {
-        let follows = matches!(command, AxisCommand::Follow(_));
-        self.followed = if follows {
-            self.followed.saturating_add(1)
-        } else {
-            0
-        };
-        self.commanded.rotate_right(1);
-        self.commanded[0] = self.knot.position;
-        self.command = command;
-    }
-
-    /// Turns the set-point into what its drive is to follow.
-    ///
-    /// Drives that close the position loop get the position as it is; a loop closed here, for
-    /// velocity or torque, belongs in this place.
-    fn regulate(&self) -> AxisCommand {
-        match Finite::new(self.knot.position) {
-            Some(position) => AxisCommand::Follow(Setpoint::Position(position)),
-            // Only a measured position taken over can be it, and the check of the next cycle says so.
-            None => AxisCommand::Off,
-        }
-    }
-}
-
+/// One effector as its servo knows it.
 pub(crate) struct Effector {
     index: u8,
     axes: Vec<Axis>,
@@ -164,7 +52,7 @@ pub(crate) struct Effector {
     /// Something happened in this cycle that the controller is to hear of.
     news: bool,
     /// The time the slowest axis needs to stop from its greatest velocity.
-    longest_stop: Duration,
+    stopping_time: Duration,
     counters: Counters,
 }
 
@@ -193,7 +81,7 @@ impl Effector {
             halted: false,
             macrostep: 0,
             news: false,
-            longest_stop: Duration::try_from_secs_f64(stops.fold(0.0, f64::max))
+            stopping_time: Duration::try_from_secs_f64(stops.fold(0.0, f64::max))
                 .unwrap_or(Duration::MAX),
             counters: Counters::default(),
         };
@@ -220,7 +108,7 @@ impl Effector {
 
     /// The time the slowest stop takes, standstill wait included.
     pub(crate) fn longest_stop(&self) -> Duration {
-        self.longest_stop.saturating_add(STANDSTILL_WAIT)
+        self.stopping_time.saturating_add(STANDSTILL_WAIT)
     }
 
     pub(crate) fn has_power(&self) -> bool {
@@ -272,11 +160,11 @@ impl Effector {
                 continue;
             }
             let (error, limit) = (axis.error(), axis.config.following_error);
-            let watched = matches!(
+            let commanding = matches!(
                 self.state,
                 State::Standing | State::Moving | State::Braking(_)
             );
-            if !watched || !axis.follows() {
+            if !commanding || !axis.is_watched() {
                 continue;
             }
             if self.state == State::Moving && axis.state.age == 0 {
@@ -315,7 +203,8 @@ impl Effector {
         for _ in 0..last_stop.map_or(0, |index| index + 1) {
             let Some(order) = self.pop() else { return };
             self.news = true;
-            let dropped = matches!(order, Order::Move(_) | Order::Home);
+            let dropped = matches!(order, Order::Move(_) | Order::Home)
+                || tick.stop && order == Order::Enable;
             if dropped || !self.apply(tick, order.event()) {
                 self.counters.refused_orders += 1;
             }
@@ -367,7 +256,8 @@ impl Effector {
             return;
         }
         self.state = next;
-        self.news |= next.phase() != last.phase();
+        // A reset that failed leads back to the phase it came from, and is news all the same.
+        self.news |= next.phase() != last.phase() || last == State::Resetting;
         match (last, next) {
             // The stop goes on, only its end is another.
             (State::Braking(_), State::Braking(_)) | (State::Halting(_), State::Halting(_)) => {
@@ -418,7 +308,7 @@ impl Effector {
                     self.place_stop();
                     self.since = tick.now;
                 } else if after == After::Stand
-                    || waited >= STANDSTILL_WAIT
+                    || waited >= self.standstill_wait()
                     || self.axes.iter().all(Axis::is_still)
                 {
                     self.apply(tick, Event::Done);
@@ -585,6 +475,16 @@ impl Effector {
         Ok(())
     }
 
+    /// How long after the last set-point of a stop the power may stay on at most. A drive that
+    /// brakes by itself gets as long as the set-points could have taken.
+    fn standstill_wait(&self) -> Duration {
+        if self.axes.iter().any(|axis| axis.state.fault.is_some()) {
+            self.longest_stop()
+        } else {
+            STANDSTILL_WAIT
+        }
+    }
+
     /// The order whose turn it is to home; `None` once all are.
     fn homing_order(&self) -> Option<u8> {
         let missing = self.axes.iter().filter(|axis| !axis.is_homed());
@@ -614,8 +514,8 @@ impl Effector {
             let command = match self.state {
                 State::Off | State::Faulted => AxisCommand::Off,
                 State::Resetting => AxisCommand::ResetFault,
-                // A drive with a fault has stopped by itself; the others go on braking.
-                _ if axis.state.fault.is_some() => AxisCommand::Off,
+                // Its group brakes an axis that has a fault; off would let it coast.
+                _ if axis.state.fault.is_some() => AxisCommand::Stand,
                 State::Enabling => stand_or_follow(on),
                 State::Standing | State::Moving | State::Braking(_) => axis.regulate(),
                 State::Homing => match order {

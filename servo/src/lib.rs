@@ -8,6 +8,7 @@
 //! for deadlines and what happens when they are missed. Joints, Cartesian poses and planning are
 //! not here: everything is in motor positions.
 
+mod axis;
 mod brake;
 mod config;
 mod effector;

@@ -82,12 +82,13 @@ mod tests {
     fn each_limit_is_named_with_both_sides() {
         type Case = (f64, f64, f64, Option<StopCause>);
         let beyond = |position, limit| Some(StopCause::PositionLimit { position, limit });
-        let cases: [Case; 10] = [
+        let cases: [Case; 11] = [
             (0.0, 0.0, 0.0, None),
             (0.0, 0.0, 0.01, None),
             (9.96, 9.98, 10.0, None),
             (9.98, 10.0, 10.02, beyond(10.02, 10.0)),
             (-9.98, -10.0, -10.02, beyond(-10.02, -10.0)),
+            (11.0, 11.0, 11.0, None),
             (11.0, 11.0, 10.995, None),
             (11.0, 11.0, 11.005, beyond(11.005, 10.0)),
             (0.0, 0.05, 0.1, None),

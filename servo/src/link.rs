@@ -76,7 +76,7 @@ pub struct Report {
     pub macrostep: u64,
     /// Motor positions commanded in this cycle, rad.
     pub commanded: [f64; MAX_AXES],
-    /// Motor positions measured, rad.
+    /// Motor positions measured, rad: the answer to what was commanded two cycles before.
     pub measured: [f64; MAX_AXES],
     /// Motor velocities measured, rad/s.
     pub velocity: [f64; MAX_AXES],

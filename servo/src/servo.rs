@@ -119,7 +119,7 @@ impl Servo {
         }
     }
 
-    /// One cycle.
+    /// One cycle. Only once [`bring_up`](Self::bring_up) is ready.
     pub fn step(&mut self, now: Instant) {
         self.prepare(now);
         self.send(now);
@@ -228,13 +228,10 @@ impl Servo {
         })
     }
 
-    /// The longest that braking any effector to standstill takes.
+    /// The longest that stopping any effector takes: its set-points, then its drives.
     pub fn longest_stop(&self) -> Duration {
-        self.effectors
-            .iter()
-            .map(Effector::longest_stop)
-            .max()
-            .unwrap_or_default()
+        let longest = self.effectors.iter().map(Effector::longest_stop).max();
+        longest.unwrap_or_default().saturating_mul(2)
     }
 
     /// How far the axes of effector `index` were from their commands; empty if there is no such

@@ -10,17 +10,16 @@ use crate::Phase;
 /// stricter: stand, then off, then faulted. A fault of an effector at rest takes its power at once.
 ///
 /// ```text
-///            Enable            Done             Move
-///     Off ──────────▶ Enabling ────▶ Standing ─────────▶ Moving ◀─┐ Move
-///      ▲ ◀──Disable──────┴──────────────┘▲ ▲ ◀───Done──────┤ └────┘
-///      │                            Done │ │               │ Stop, Disable, Fault
-///      │                 Homing ◀──Home──┘ │               ▼
-///      │                   │ ──────Done───▶┤◀──stand─── Braking ──fault──▶ Faulted
-///      │                   └─Stop, ...─▶ Halting           │ off             │ ResetFault
-///      │◀──────────────────────────────────┴───────────────┘                 ▼
-///      └───────────────────────────────────────────Done──────────────── Resetting
+/// Off ──Enable──▶ Enabling ──Done──▶ Standing ──Move──▶ Moving ──Done──▶ Standing
+///                                    Standing ──Home──▶ Homing ──Done──▶ Standing
 ///
-///     Off, Enabling, Standing ──Fault──▶ Faulted       Resetting ──Fault──▶ Faulted
+/// Moving ──Stop, Disable, Fault──▶ Braking(after) ─┐        ┌─ stand ─▶ Standing
+///                                                  ├─ Done ─┼─ off ───▶ Off
+/// Homing ──Stop, Disable, Fault──▶ Halting(after) ─┘        └─ fault ─▶ Faulted
+///
+/// Enabling, Standing ──Disable──▶ Off
+/// Off, Enabling, Standing ──Fault──▶ Faulted ──ResetFault──▶ Resetting ──Done──▶ Off
+///                                    Faulted ◀────Fault───── Resetting
 /// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum State {

@@ -70,7 +70,8 @@ pub struct RealtimePolicy {
     pub priority: u8,
     /// The CPU to stay on. Only this thread is moved.
     pub cpu: Option<usize>,
-    /// Whether to lock all memory of the process, present and future.
+    /// Whether to lock all memory of the process, present and future; a thread that is started later
+    /// has its whole stack locked, so give it a small one.
     pub lock_memory: bool,
     /// How long before the deadline to wake and prepare, spinning until it. The answers to the
     /// SYNC before must have come by then. At most half a period is used.
@@ -303,9 +304,14 @@ pub fn start(
         errno: e.raw_os_error().unwrap_or(0),
     })?;
     let denied = told.recv().unwrap_or_default();
-    match denied.first() {
-        Some(&denial) if policy.realtime == Realtime::Require => Err(StartError::Denied(denial)),
-        _ => Ok(Running { thread, denied }),
+    let running = Running { thread, denied };
+    match running.denied.first() {
+        Some(&denial) if policy.realtime == Realtime::Require => {
+            // It has nothing to do; with it the servo goes, and every port is closed.
+            drop(running.join());
+            Err(StartError::Denied(denial))
+        }
+        _ => Ok(running),
     }
 }
 

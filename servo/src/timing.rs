@@ -5,7 +5,8 @@ use crate::{Histogram, Servo};
 pub struct Timing {
     /// From when the thread asked to be woken to when it ran.
     pub wake_up: Histogram,
-    /// From a cycle's deadline to when its SYNC was handed over: the jitter that drives see.
+    /// From a cycle's deadline to when its SYNC was handed over: the jitter that drives see. A
+    /// deadline that was skipped is not in it; [`Counters`](crate::Counters) has how many were.
     pub sync: Histogram,
     /// Time a cycle took, waiting excluded.
     pub step: Histogram,

@@ -112,7 +112,7 @@ fn missed_slots_are_skipped_and_never_caught_up() {
 fn what_is_required_and_denied_is_named_before_any_cycle() {
     // Neither exists on any host.
     for (priority, cpu) in [(100, None), (80, Some(1023)), (80, Some(usize::MAX))] {
-        let (servo, _link, _world) = rig();
+        let (servo, _link, world) = rig();
         let realtime = Realtime::Require;
         let policy = RealtimePolicy {
             realtime,
@@ -121,10 +121,11 @@ fn what_is_required_and_denied_is_named_before_any_cycle() {
             lock_memory: false,
             lead: Duration::ZERO,
         };
-        let refused = start(servo, policy, |_| unreachable!(), |_| true).unwrap_err();
+        let refused = start(servo, policy, |_| {}, |_| true).unwrap_err();
         let StartError::Denied(denial) = refused else {
             panic!("{refused}")
         };
+        assert!(world.lock().unwrap().sent.is_empty());
         match denial {
             Denial::Cpu { cpu: denied, .. } => assert_eq!(Some(denied), cpu),
             Denial::Fifo { .. } => assert!(denial.to_string().contains("rtprio"), "{denial}"),

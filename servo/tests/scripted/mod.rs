@@ -51,6 +51,10 @@ pub struct World {
     /// Commands as written, cycle by cycle, if `log` is set.
     pub sent: Vec<Vec<AxisCommand>>,
     pub log: bool,
+    /// Polls that bring-up is pending.
+    pub coming_up: u32,
+    /// Bring-up ends in [`NEVER_BOOTED`].
+    pub absent: bool,
     /// The next call of `write` panics.
     pub panic: bool,
 }
@@ -65,6 +69,8 @@ pub struct Drive {
     pub silent: bool,
     /// It never gets power.
     pub dead: bool,
+    /// A reset does not clear its fault.
+    pub stubborn: bool,
     /// It is powered and ignores set-points.
     pub deaf: bool,
     /// It searches and finds nothing.
@@ -73,6 +79,8 @@ pub struct Drive {
     pub homing_takes: u32,
     /// The set-point reaches the motor one SYNC later than with an ideal drive.
     pub lags: bool,
+    /// The velocity it reports whatever it does.
+    pub drifts_at: Option<f64>,
     pending: AxisCommand,
     target: Option<f64>,
     enabling: u32,
@@ -96,7 +104,7 @@ impl Drive {
         };
         let on = state.power == Power::On;
         state.following = on && !self.deaf && matches!(self.pending, AxisCommand::Follow(_));
-        if self.pending == AxisCommand::ResetFault {
+        if self.pending == AxisCommand::ResetFault && !self.stubborn {
             state.fault = None;
         }
         match self.pending {
@@ -131,11 +139,12 @@ impl Drive {
                 state.homing = Homing::NotHomed;
             }
         }
-        state.velocity = if state.following {
+        let moved = if state.following {
             (state.position - before) / dt
         } else {
             0.0
         };
+        state.velocity = self.drifts_at.unwrap_or(moved);
         state.increments = Increments((state.position * 1000.0).round() as i32);
         if self.silent {
             self.seen.age += 1;
@@ -188,7 +197,15 @@ impl DriveGroup for Scripted {
     }
 
     fn bring_up(&mut self, _: Instant) -> Poll<Result<(), BringUpError>> {
-        Poll::Ready(Ok(()))
+        let mut world = self.world();
+        if world.absent {
+            Poll::Ready(Err(NEVER_BOOTED))
+        } else if world.coming_up > 0 {
+            world.coming_up -= 1;
+            Poll::Pending
+        } else {
+            Poll::Ready(Ok(()))
+        }
     }
 
     fn read(&mut self, _: Instant, states: &mut [AxisState]) {
@@ -225,6 +242,11 @@ impl DriveGroup for Scripted {
         }
     }
 }
+
+pub const NEVER_BOOTED: BringUpError = BringUpError::NeverBooted {
+    node: 1,
+    waited: Duration::from_secs(1),
+};
 
 pub const FAULT: Fault = Fault::Drive {
     node: 1,

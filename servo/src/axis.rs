@@ -1,0 +1,125 @@
+//! One axis as its servo knows it: what its drive says, and what was commanded when.
+
+use drive::{AxisCommand, AxisState, Finite, Homing, Power, Setpoint};
+
+use crate::{Knot, ServoAxisConfig, StopCause, TrackingError, limit};
+
+/// Periods from a command to the sample that shows its effect: written in cycle *n*, latched by the
+/// SYNC of *n* + 1 together with the sample, read in *n* + 2.
+const DELAY: usize = 2;
+
+/// Commands remembered per axis; a sample older than that is compared with the oldest.
+const REMEMBERED: usize = 16;
+
+/// Share of its greatest velocity below which a motor counts as still.
+const STILL: f64 = 0.01;
+
+/// An axis.
+pub(crate) struct Axis {
+    pub(crate) config: ServoAxisConfig,
+    /// What the drive says.
+    pub(crate) state: AxisState,
+    /// The set-point of this cycle.
+    pub(crate) knot: Knot,
+    /// Positions commanded, the newest first.
+    commanded: [f64; REMEMBERED],
+    /// Cycles in a row in which the drive was told to follow.
+    followed: usize,
+    /// It searched for its reference in this homing.
+    pub(crate) searched: bool,
+    pub(crate) command: AxisCommand,
+    pub(crate) tracking: TrackingError,
+}
+
+impl Axis {
+    pub(crate) fn new(config: ServoAxisConfig) -> Self {
+        Self {
+            config,
+            state: AxisState::default(),
+            knot: Knot::default(),
+            commanded: [0.0; REMEMBERED],
+            followed: 0,
+            searched: false,
+            command: AxisCommand::Off,
+            tracking: TrackingError::default(),
+        }
+    }
+
+    /// Whether the drive, by a sample taken under a set-point of ours, follows set-points.
+    pub(crate) fn follows(&self) -> bool {
+        self.is_watched() && self.state.following && self.state.power == Power::On
+    }
+
+    /// Takes the measured position as the commanded one, so that following begins without a jump.
+    pub(crate) fn capture(&mut self) {
+        self.knot = Knot {
+            position: self.state.position,
+            velocity: 0.0,
+        };
+        self.commanded = [self.state.position; REMEMBERED];
+    }
+
+    /// The last position sent and the step to it.
+    pub(crate) fn last_step(&self, dt: f64) -> Knot {
+        let [last, before_last, ..] = self.commanded;
+        Knot {
+            position: last,
+            velocity: (last - before_last) / dt,
+        }
+    }
+
+    /// Whether `position` may be commanded next.
+    pub(crate) fn vet(&self, position: f64, dt: f64) -> Result<(), StopCause> {
+        let [last, before_last, ..] = self.commanded;
+        limit::check(&self.config.limits(), before_last, last, position, dt)
+    }
+
+    /// Whether a sample taken under a set-point of ours is there. A drive that then does not follow
+    /// is none the less watched: the growing error is how it shows.
+    pub(crate) fn is_watched(&self) -> bool {
+        self.followed >= DELAY
+    }
+
+    /// Commanded minus measured, rad, for the command that was latched when the sample was taken.
+    pub(crate) fn error(&self) -> f64 {
+        // This cycle's command is not in `commanded` yet, so the newest there is one period old.
+        let age = (DELAY - 1)
+            .saturating_add(self.state.age as usize)
+            .min(REMEMBERED - 1);
+        self.commanded[age] - self.state.position
+    }
+
+    pub(crate) fn is_homed(&self) -> bool {
+        self.state.homing == Homing::Attained
+    }
+
+    pub(crate) fn is_still(&self) -> bool {
+        self.state.velocity.abs() <= STILL * self.config.max_velocity
+    }
+
+    /// Keeps `command` for the write and remembers the set-point.
+    pub(crate) fn command(&mut self, command: AxisCommand) {
+        let follows = matches!(command, AxisCommand::Follow(_));
+        self.followed = if follows {
+            self.followed.saturating_add(1)
+        } else {
+            0
+        };
+        self.commanded.rotate_right(1);
+        self.commanded[0] = self.knot.position;
+        self.command = command;
+    }
+
+    /// Turns the set-point into what its drive is to follow.
+    ///
+    /// Drives that close the position loop get the position as it is; a loop closed here, for
+    /// velocity or torque, belongs in this place.
+    pub(crate) fn regulate(&self) -> AxisCommand {
+        match Finite::new(self.knot.position) {
+            Some(position) => AxisCommand::Follow(Setpoint::Position(position)),
+            // Only a measured position taken over can be it; such an axis never settles, and the
+            // time-out of what it settles for names it.
+            None => AxisCommand::Off,
+        }
+    }
+}

@@ -1,0 +1,171 @@
+//! Bring-up, enabling, homing, reset: everything before motion.
+
+use super::*;
+
+#[test]
+fn bring_up_is_ready_when_every_group_is_and_an_error_names_its_group() {
+    let (groups, worlds): (Vec<_>, Vec<_>) = (0..2).map(|_| scripted::group(2)).unzip();
+    worlds[0].lock().unwrap().coming_up = 1;
+    worlds[1].lock().unwrap().coming_up = 2;
+    let (mut servo, _links) = Servo::new(&scripted::config(2), groups).unwrap();
+    assert_eq!(servo.bring_up(Instant::ZERO), Poll::Pending);
+    assert_eq!(servo.bring_up(Instant::ZERO), Poll::Pending);
+    assert_eq!(servo.bring_up(Instant::ZERO), Poll::Ready(Ok(())));
+
+    let (groups, worlds): (Vec<_>, Vec<_>) = (0..2).map(|_| scripted::group(2)).unzip();
+    worlds[1].lock().unwrap().absent = true;
+    let (mut servo, _links) = Servo::new(&scripted::config(2), groups).unwrap();
+    let error = Err((1, scripted::NEVER_BOOTED));
+    assert_eq!(servo.bring_up(Instant::ZERO), Poll::Ready(error));
+}
+
+#[test]
+fn a_fault_that_cannot_be_reset_is_reported_as_such_and_stays() {
+    let mut rig = Rig::standing(1);
+    rig.world().axes[0].stubborn = true;
+    rig.world().axes[0].state.fault = Some(FAULT);
+    rig.run_until(Phase::Faulted);
+    rig.reports();
+    rig.order(Order::ResetFault);
+    rig.run(150);
+    assert_eq!(rig.last_sent(), [AxisCommand::Off]);
+    let reports = rig.reports();
+    assert_eq!(reports.len(), 2, "the order and its failure");
+    let cause = reports[1].fault.map(|fault| fault.cause);
+    assert_eq!(cause, Some(StopCause::Drive(FAULT)));
+}
+
+#[test]
+fn enabling_starts_from_where_the_motor_is() {
+    let mut rig = Rig::new(1);
+    rig.world().axes[0].state.position = 3.25;
+    rig.order(Order::Enable);
+    rig.run(20);
+    assert_eq!(rig.phases(), [Phase::Enabling, Phase::Standing]);
+    let positions = rig.positions(0);
+    assert!(!positions.is_empty() && positions.iter().all(|&position| position == 3.25));
+}
+
+#[test]
+fn following_begins_only_after_every_drive_has_power() {
+    let mut rig = Rig::new(2);
+    rig.world().axes[1].dead = true;
+    rig.order(Order::Enable);
+    rig.run(90);
+    assert!(rig.positions(0).is_empty());
+    assert_eq!(rig.last_sent(), [AxisCommand::Stand; 2]);
+    rig.run(20);
+    assert!(
+        matches!(rig.cause(), Some(StopCause::NotReady { .. })),
+        "{:?}",
+        rig.cause()
+    );
+    assert_eq!(rig.servo.fault(0).unwrap().axis, 0);
+    assert_eq!(rig.last_sent(), [AxisCommand::Off; 2]);
+}
+
+#[test]
+fn a_drive_that_ignores_set_points_is_not_ready() {
+    let mut rig = Rig::new(2);
+    rig.world().axes[1].deaf = true;
+    rig.order(Order::Enable);
+    rig.run_until(Phase::Faulted);
+    assert!(matches!(rig.cause(), Some(StopCause::NotReady { .. })));
+    assert_eq!(rig.servo.fault(0).unwrap().axis, 1);
+}
+
+#[test]
+fn axes_home_in_ascending_order_and_homed_ones_are_skipped() {
+    let mut rig = Rig::new(3);
+    rig.world().axes[1].state.homing = Homing::Attained;
+    rig.world().axes[0].state.position = 7.0;
+    rig.order(Order::Enable);
+    rig.order(Order::Home);
+    rig.run(60);
+    assert_eq!(
+        rig.phases(),
+        [
+            Phase::Enabling,
+            Phase::Standing,
+            Phase::Homing,
+            Phase::Standing
+        ]
+    );
+    let homing: Vec<usize> = rig
+        .world()
+        .sent
+        .iter()
+        .flat_map(|batch| {
+            batch
+                .iter()
+                .position(|command| *command == AxisCommand::Home)
+        })
+        .collect();
+    assert!(homing.is_sorted_by(|a, b| a >= b), "{homing:?}");
+    assert!(homing.contains(&2) && homing.contains(&0) && !homing.contains(&1));
+    // The counter jumped to zero; the command went with it.
+    assert_eq!(*rig.positions(0).last().unwrap(), 0.0);
+}
+
+#[test]
+fn homing_that_has_nothing_to_do_is_answered() {
+    let mut rig = Rig::standing(2);
+    rig.order(Order::Home);
+    rig.run(2);
+    let reports = rig.reports();
+    assert_eq!(reports.len(), 1);
+    assert!(reports[0].homed && reports[0].phase == Phase::Standing);
+}
+
+#[test]
+fn homing_fails_by_the_drive_and_by_time_and_halts_first() {
+    for (fails, takes) in [(true, 10), (false, 0)] {
+        let mut rig = Rig::new(2);
+        rig.world().axes[1].homing_fails = fails;
+        rig.world().axes[1].homing_takes = takes;
+        rig.order(Order::Enable);
+        rig.order(Order::Home);
+        rig.run_until(Phase::Stopping);
+        assert_eq!(rig.last_sent(), [AxisCommand::Stand; 2]);
+        rig.run_until(Phase::Faulted);
+        assert_eq!(rig.cause(), Some(StopCause::HomingFailed));
+        assert_eq!(rig.servo.fault(0).unwrap().axis, 1);
+        assert_eq!(rig.last_sent(), [AxisCommand::Off; 2]);
+    }
+}
+
+#[test]
+fn a_failure_of_an_earlier_homing_does_not_fail_the_next() {
+    let mut rig = Rig::new(1);
+    rig.world().axes[0].homing_fails = true;
+    rig.order(Order::Enable);
+    rig.order(Order::Home);
+    rig.run_until(Phase::Faulted);
+    rig.world().axes[0].homing_fails = false;
+    for order in [Order::ResetFault, Order::Enable, Order::Home] {
+        rig.order(order);
+    }
+    rig.run(60);
+    assert_eq!((rig.phase(), rig.cause()), (Phase::Standing, None));
+    assert!(rig.reports().last().unwrap().homed);
+}
+
+#[test]
+fn homing_can_be_stopped_and_begun_again() {
+    let mut rig = Rig::new(2);
+    rig.order(Order::Enable);
+    rig.order(Order::Home);
+    rig.run_until(Phase::Homing);
+    rig.run(5);
+    rig.order(Order::Stop);
+    rig.run(1);
+    rig.run(90);
+    assert_eq!(rig.phase(), Phase::Stopping);
+    assert_eq!(rig.last_sent(), [AxisCommand::Stand; 2]);
+    rig.run_until(Phase::Standing);
+    assert!(!rig.reports().last().unwrap().homed);
+    rig.order(Order::Home);
+    rig.run(1);
+    rig.run_until(Phase::Standing);
+    assert!(rig.reports().last().unwrap().homed);
+}

@@ -1,0 +1,252 @@
+//! What stops an effector, and how.
+
+use super::*;
+
+#[test]
+fn stop_and_disable_overtake_the_queue_and_brake() {
+    // After 31 cycles a macrostep has just been taken since the queue was last looked through.
+    let cases = [
+        (Order::Stop, 30, Phase::Standing),
+        (Order::Disable, 30, Phase::Off),
+        (Order::Stop, 31, Phase::Standing),
+    ];
+    for (order, cycles, end) in cases {
+        let mut rig = Rig::standing(2);
+        rig.accelerate(500.0, 2, 20);
+        rig.run(cycles);
+        rig.order(order);
+        rig.run(1);
+        assert_eq!(rig.phase(), Phase::Stopping);
+        rig.run_until(end);
+        assert_eq!(rig.cause(), None);
+        let begun = (cycles as u64).div_ceil(10);
+        assert_eq!(rig.servo.counters().refused_orders, 22 - begun);
+        keeps_limits(&rig.positions(0)).unwrap();
+    }
+}
+
+#[test]
+fn a_drive_that_stops_following_stops_the_effector() {
+    let mut rig = Rig::standing(2);
+    rig.accelerate(500.0, 4, 50);
+    rig.run(50);
+    rig.world().axes[1].deaf = true;
+    rig.run_until(Phase::Faulted);
+    assert!(matches!(
+        rig.cause(),
+        Some(StopCause::FollowingError { .. })
+    ));
+    assert_eq!(rig.servo.fault(0).unwrap().axis, 1);
+}
+
+#[test]
+fn power_stays_on_until_the_motors_are_still_or_have_had_their_time() {
+    for (velocity, cycles) in [(0.5, 1..=3), (50.0, 100..=104)] {
+        let mut rig = Rig::standing(1);
+        rig.accelerate(500.0, 2, 20);
+        rig.run(30);
+        rig.order(Order::Disable);
+        // 10 rad/s at 1000 rad/s²: ten set-points, then the drive goes on by itself.
+        rig.run(10);
+        rig.world().axes[0].drifts_at = Some(velocity);
+        let before = rig.now;
+        rig.run_until(Phase::Off);
+        let waited = rig.now.since(before).as_millis();
+        assert!(
+            cycles.contains(&waited),
+            "{waited} periods at {velocity} rad/s"
+        );
+    }
+}
+
+#[test]
+fn effectors_stop_each_for_itself_and_for_overruns_together() {
+    let mut config = scripted::config(2);
+    config
+        .effectors
+        .push(scripted::config(2).effectors.remove(0));
+    for (group, axes) in [(1, 0), (0, 1)] {
+        // Each effector has one axis on either group.
+        config.effectors[0].axes[axes].group = group;
+        config.effectors[1].axes[axes].group = 1 - group;
+    }
+    let (groups, worlds): (Vec<_>, Vec<_>) = (0..2).map(|_| scripted::group(2)).unzip();
+    for world in &worlds {
+        let mut world = world.lock().unwrap();
+        world
+            .axes
+            .iter_mut()
+            .for_each(|drive| drive.state.homing = Homing::Attained);
+    }
+    let (mut servo, mut links) = Servo::new(&config, groups).unwrap();
+    let mut now = Instant::ZERO;
+    let mut run = |servo: &mut Servo, cycles| {
+        for _ in 0..cycles {
+            servo.step(now);
+            now += PERIOD;
+        }
+    };
+    for link in &mut links {
+        link.orders.push(Order::Enable).unwrap();
+        (0..20).for_each(|number| {
+            let position = 0.01 * (number % 2) as f64;
+            link.orders
+                .push(Order::Move(macrostep(number, 10, position, 0.0)))
+                .unwrap();
+        });
+    }
+    let phases = |servo: &Servo| [0, 1].map(|index| servo.state(index).unwrap().phase());
+    run(&mut servo, 50);
+    assert_eq!(phases(&servo), [Phase::Moving; 2]);
+    // Axis 0 of the first effector is on the second group.
+    worlds[1].lock().unwrap().axes[0].state.fault = Some(FAULT);
+    run(&mut servo, 50);
+    assert_eq!(phases(&servo), [Phase::Faulted, Phase::Moving]);
+    assert_eq!(servo.fault(0).unwrap().axis, 0);
+    servo.missed(3);
+    run(&mut servo, 50);
+    assert_eq!(phases(&servo), [Phase::Faulted; 2]);
+    assert_eq!(servo.fault(0).unwrap().cause, StopCause::Drive(FAULT));
+    assert_eq!(
+        servo.fault(1).unwrap().cause,
+        StopCause::Overrun { missed: 3 }
+    );
+}
+
+#[test]
+fn a_blocked_motor_stops_the_effector() {
+    let mut rig = Rig::standing(2);
+    rig.accelerate(500.0, 4, 50);
+    rig.run(50);
+    rig.world().axes[1].blocked = true;
+    rig.run_until(Phase::Faulted);
+    assert!(matches!(
+        rig.cause(),
+        Some(StopCause::FollowingError { .. })
+    ));
+    assert_eq!(rig.servo.fault(0).unwrap().axis, 1);
+    keeps_limits(&rig.positions(0)).unwrap();
+}
+
+#[test]
+fn a_drive_fault_brakes_the_other_axes_before_power_goes() {
+    let mut rig = Rig::standing(3);
+    rig.accelerate(500.0, 4, 20);
+    rig.run(60);
+    rig.world().axes[1].state.fault = Some(FAULT);
+    rig.run_until(Phase::Stopping);
+    let sent = rig.last_sent();
+    assert_eq!(sent[1], AxisCommand::Stand, "its group brakes it");
+    assert!(
+        [0, 2]
+            .iter()
+            .all(|&axis| matches!(sent[axis], AxisCommand::Follow(_)))
+    );
+    rig.run_until(Phase::Faulted);
+    assert_eq!(rig.cause(), Some(StopCause::Drive(FAULT)));
+    assert_eq!(rig.last_sent(), [AxisCommand::Off; 3]);
+    keeps_limits(&rig.positions(0)).unwrap();
+    assert_eq!(rig.positions(0), rig.positions(2));
+
+    // Nothing but a reset leads out of it.
+    rig.order(Order::Enable);
+    rig.order(Order::Home);
+    rig.run(5);
+    assert_eq!(
+        (rig.phase(), rig.last_sent()),
+        (Phase::Faulted, vec![AxisCommand::Off; 3])
+    );
+    rig.order(Order::ResetFault);
+    rig.order(Order::Enable);
+    rig.run(30);
+    assert_eq!((rig.phase(), rig.cause()), (Phase::Standing, None));
+}
+
+#[test]
+fn a_drive_that_brakes_by_itself_keeps_its_power_until_it_is_still() {
+    for (still_after, waited) in [(150, 150..=160), (1000, 210..=220)] {
+        let mut rig = Rig::standing(2);
+        rig.accelerate(500.0, 2, 20);
+        rig.run(30);
+        rig.world().axes[1].drifts_at = Some(10.0);
+        rig.world().axes[1].state.fault = Some(FAULT);
+        let before = rig.now;
+        rig.run(still_after.min(200));
+        assert_eq!(rig.phase(), Phase::Stopping);
+        if still_after < 200 {
+            rig.world().axes[1].drifts_at = None;
+        }
+        rig.run_until(Phase::Faulted);
+        let took = rig.now.since(before).as_millis();
+        assert!(waited.contains(&took), "{took} periods");
+    }
+}
+
+#[test]
+fn a_stop_request_brakes_switches_off_and_holds() {
+    let mut rig = Rig::standing(2);
+    rig.accelerate(500.0, 4, 20);
+    rig.run(60);
+    rig.servo.stop_request().request();
+    rig.run_until(Phase::Off);
+    assert_eq!(rig.cause(), None);
+    keeps_limits(&rig.positions(0)).unwrap();
+    rig.world().sent.clear();
+    rig.order(Order::Enable);
+    rig.run(5);
+    rig.order(Order::Enable);
+    rig.order(Order::Stop);
+    rig.run(5);
+    let off = |command: &AxisCommand| *command == AxisCommand::Off;
+    assert!(rig.world().sent.iter().flatten().all(off));
+    assert_eq!(
+        (rig.phase(), rig.last_sent()),
+        (Phase::Off, vec![AxisCommand::Off; 2])
+    );
+    assert!(rig.servo.is_off());
+    assert!(
+        rig.world()
+            .axes
+            .iter()
+            .all(|drive| drive.state.power == Power::Off)
+    );
+}
+
+#[test]
+fn missed_cycles_stop_the_effector_only_beyond_the_allowed_row() {
+    // How many deadlines are missed before each of some cycles, and whether that is an overrun.
+    let cases: [(&[u32], Option<u32>); 5] = [
+        (&[2, 0, 2, 0, 2], None),
+        (&[1, 1, 0, 1, 1], None),
+        (&[3], Some(3)),
+        (&[1, 1, 1], Some(3)),
+        (&[2, 0, 2, 1], Some(3)),
+    ];
+    for (missed, expected) in cases {
+        let mut rig = Rig::standing(1);
+        rig.accelerate(500.0, 4, 20);
+        rig.run(50);
+        for &count in missed {
+            rig.servo.missed(count);
+            rig.run(1);
+        }
+        let cause = expected.map(|missed| StopCause::Overrun { missed });
+        assert_eq!(rig.cause(), cause, "{missed:?}");
+        assert_eq!(
+            rig.phase() == Phase::Stopping,
+            expected.is_some(),
+            "{missed:?}"
+        );
+        assert_eq!(
+            rig.servo.counters().missed_cycles,
+            u64::from(missed.iter().sum::<u32>())
+        );
+        keeps_limits(&rig.positions(0)).unwrap();
+    }
+}
+
+#[test]
+fn the_slowest_stop_is_known() {
+    let rig = Rig::new(1);
+    assert_eq!(rig.servo.longest_stop(), Duration::from_millis(400));
+}
