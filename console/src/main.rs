@@ -1,3 +1,67 @@
-//! The `mrroc` command.
+//! The `mrroc` command: the only room that opens ports, spawns threads and prints.
+//!
+//! Exit status: 0 done, 1 stopped by a fault or on request, 2 refused before anything moved.
 
-fn main() {}
+mod bench;
+mod budget;
+mod cell_file;
+mod check;
+mod emulate;
+mod emulation;
+mod interfaces;
+mod rehearsal;
+mod report;
+mod run;
+mod setup;
+mod trace;
+mod vm;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+/// A multi-robot research-oriented controller with its hardware in the loop.
+#[derive(Parser)]
+#[command(version, about)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Check a cell file, every pose of its programs, and the load of its buses.
+    Check {
+        /// The cell file.
+        cell: PathBuf,
+        /// Print one JSON object.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Bring a cell up, home it, run its programs and report. Moves hardware on the card bench.
+    Run(run::Options),
+    /// Stand in for the axis controllers of a cell on a CAN interface.
+    Emulate(emulate::Options),
+    /// Run a command in a virtual machine that has CAN.
+    Vm {
+        #[command(subcommand)]
+        machine: vm::Machine,
+    },
+    /// Print the JSON schema of cell files.
+    Schema,
+}
+
+fn main() -> ExitCode {
+    let result = match Arguments::parse().command {
+        Command::Check { cell, json } => check::check(&cell, json),
+        Command::Run(options) => run::run(&options),
+        Command::Emulate(options) => emulate::emulate(&options),
+        Command::Vm { machine } => vm::vm(&machine),
+        Command::Schema => check::schema(),
+    };
+    result.unwrap_or_else(|refusal| {
+        eprintln!("mrroc: {refusal:#}");
+        ExitCode::from(2)
+    })
+}

@@ -1,5 +1,6 @@
 //! Robots, generators, the effector control process and the cell file.
 
+pub mod cell;
 pub mod ecp;
 pub mod generator;
 pub mod robot;

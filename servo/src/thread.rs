@@ -27,6 +27,7 @@ use std::thread::{Builder, JoinHandle};
 use std::time::Duration;
 
 use can::Instant;
+use can::clock::{now, sleep_until};
 use drive::BringUpError;
 use thiserror::Error;
 use thread_priority::{
@@ -162,6 +163,11 @@ impl Running {
         &self.denied
     }
 
+    /// Whether the thread has ended.
+    pub fn is_finished(&self) -> bool {
+        self.thread.is_finished()
+    }
+
     /// Waits for the end of the thread.
     pub fn join(self) -> Finished {
         // The thread catches every panic of what it calls.
@@ -206,47 +212,6 @@ impl std::fmt::Debug for Finished {
             "Finished {{ {counters:?}, {timing:?}, {denied:?}, {panicked:?} }}"
         )
     }
-}
-
-/// `CLOCK_MONOTONIC`.
-#[expect(
-    unsafe_code,
-    clippy::disallowed_methods,
-    reason = "the one place that reads the clock"
-)]
-pub fn now() -> Instant {
-    let mut time = libc::timespec {
-        tv_sec: 0,
-        tv_nsec: 0,
-    };
-    // SAFETY: the pointer is to a live timespec, and the clock exists on every Linux.
-    unsafe { libc::clock_gettime(libc::CLOCK_MONOTONIC, &raw mut time) };
-    Instant::from_nanos(time.tv_sec as u64 * 1_000_000_000 + time.tv_nsec as u64)
-}
-
-/// Sleeps until `deadline` on `CLOCK_MONOTONIC`; returns at once if it has passed.
-#[expect(
-    unsafe_code,
-    clippy::disallowed_methods,
-    reason = "the one place that waits"
-)]
-fn sleep_until(deadline: Instant) {
-    let nanos = deadline.as_nanos();
-    let time = libc::timespec {
-        tv_sec: (nanos / 1_000_000_000) as libc::time_t,
-        tv_nsec: (nanos % 1_000_000_000) as libc::c_long,
-    };
-    // An absolute sleep that a signal interrupts is taken up again without drift.
-    // SAFETY: the pointer is to a live timespec; no remaining time is asked for.
-    while unsafe {
-        libc::clock_nanosleep(
-            libc::CLOCK_MONOTONIC,
-            libc::TIMER_ABSTIME,
-            &raw const time,
-            std::ptr::null_mut(),
-        )
-    } == libc::EINTR
-    {}
 }
 
 /// Polls the bring-up of every group once a period on the calling thread, calling `between` with the

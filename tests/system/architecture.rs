@@ -5,7 +5,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the tests' room is inside the workspace").to_owned()
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .parent()
+        .expect("the tests' room is inside the workspace")
+        .to_owned()
 }
 
 /// Each room and the rooms it may import, by their names in the workspace.
@@ -16,8 +19,14 @@ const ARROWS: [(&str, &[&str]); 8] = [
     ("servo", &["can", "drive"]),
     ("controller", &["can", "drive", "servo"]),
     ("hil", &["can", "canopen"]),
-    ("console", &["can", "canopen", "drive", "servo", "controller", "hil"]),
-    ("tests", &["can", "canopen", "drive", "servo", "controller", "hil"]),
+    (
+        "console",
+        &["can", "canopen", "drive", "servo", "controller", "hil"],
+    ),
+    (
+        "tests",
+        &["can", "canopen", "drive", "servo", "controller", "hil"],
+    ),
 ];
 
 /// The files that read clocks or wait, and what each is for.
@@ -44,7 +53,9 @@ fn forbidden_imports(room: &str, allowed: &[&str], manifest: &toml::Table) -> Ve
     let rooms: Vec<String> = manifest_names();
     let mut found = Vec::new();
     for section in ["dependencies", "dev-dependencies", "build-dependencies"] {
-        let Some(table) = manifest.get(section).and_then(toml::Value::as_table) else { continue };
+        let Some(table) = manifest.get(section).and_then(toml::Value::as_table) else {
+            continue;
+        };
         for name in table.keys().filter(|name| rooms.contains(name)) {
             if !allowed.contains(&name.as_str()) {
                 found.push(format!("{room} imports {name} ({section})"));
@@ -56,32 +67,57 @@ fn forbidden_imports(room: &str, allowed: &[&str], manifest: &toml::Table) -> Ve
 
 fn manifest_names() -> Vec<String> {
     let manifest = read_manifest(&root().join("Cargo.toml"));
-    let dependencies = manifest["workspace"]["dependencies"].as_table().expect("the workspace lists dependencies");
+    let dependencies = manifest["workspace"]["dependencies"]
+        .as_table()
+        .expect("the workspace lists dependencies");
     let in_tree = |value: &toml::Value| value.get("path").is_some();
-    dependencies.iter().filter(|(_, value)| in_tree(value)).map(|(name, _)| name.clone()).collect()
+    dependencies
+        .iter()
+        .filter(|(_, value)| in_tree(value))
+        .map(|(name, _)| name.clone())
+        .collect()
 }
 
 fn read_manifest(path: &Path) -> toml::Table {
-    fs::read_to_string(path).expect("every room has a manifest").parse().expect("cargo has read this manifest before us")
+    fs::read_to_string(path)
+        .expect("every room has a manifest")
+        .parse()
+        .expect("cargo has read this manifest before us")
 }
 
 #[test]
 fn rooms_import_one_way() {
     let workspace = read_manifest(&root().join("Cargo.toml"));
-    let members: Vec<&str> =
-        workspace["workspace"]["members"].as_array().unwrap().iter().map(|member| member.as_str().unwrap()).collect();
+    let members: Vec<&str> = workspace["workspace"]["members"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|member| member.as_str().unwrap())
+        .collect();
     let listed: BTreeMap<&str, &[&str]> = ARROWS.into_iter().collect();
     for member in &members {
-        let allowed = listed.get(member).unwrap_or_else(|| panic!("room {member} has no row in ARROWS"));
-        let found = forbidden_imports(member, allowed, &read_manifest(&root().join(member).join("Cargo.toml")));
+        let allowed = listed
+            .get(member)
+            .unwrap_or_else(|| panic!("room {member} has no row in ARROWS"));
+        let found = forbidden_imports(
+            member,
+            allowed,
+            &read_manifest(&root().join(member).join("Cargo.toml")),
+        );
         assert!(found.is_empty(), "forbidden imports: {found:?}");
     }
 }
 
 #[test]
 fn a_forbidden_import_is_found() {
-    let manifest: toml::Table = "[dependencies]\nhil.workspace = true\n[dev-dependencies]\nserde.workspace = true".parse().unwrap();
-    assert_eq!(forbidden_imports("servo", &["can", "drive"], &manifest), ["servo imports hil (dependencies)"]);
+    let manifest: toml::Table =
+        "[dependencies]\nhil.workspace = true\n[dev-dependencies]\nserde.workspace = true"
+            .parse()
+            .unwrap();
+    assert_eq!(
+        forbidden_imports("servo", &["can", "drive"], &manifest),
+        ["servo imports hil (dependencies)"]
+    );
 }
 
 fn clock_reads(file: &str, text: &str) -> Vec<String> {
@@ -90,7 +126,11 @@ fn clock_reads(file: &str, text: &str) -> Vec<String> {
     }
     let code = |line: &&str| !line.trim_start().starts_with("//");
     let reads = |line: &&str| CLOCKS.iter().any(|clock| line.contains(clock));
-    text.lines().filter(code).filter(reads).map(|line| format!("{file}: {}", line.trim())).collect()
+    text.lines()
+        .filter(code)
+        .filter(reads)
+        .map(|line| format!("{file}: {}", line.trim()))
+        .collect()
 }
 
 #[test]
@@ -104,7 +144,12 @@ fn only_the_rim_reads_clocks() {
                 if path.is_dir() {
                     folders.push(path);
                 } else if path.extension().is_some_and(|extension| extension == "rs") {
-                    let name = path.strip_prefix(root()).unwrap().to_str().unwrap().to_owned();
+                    let name = path
+                        .strip_prefix(root())
+                        .unwrap()
+                        .to_str()
+                        .unwrap()
+                        .to_owned();
                     found.extend(clock_reads(&name, &fs::read_to_string(&path).unwrap()));
                 }
             }
@@ -116,6 +161,9 @@ fn only_the_rim_reads_clocks() {
 #[test]
 fn a_clock_read_in_logic_is_found() {
     let text = "fn step() {\n    let now = std::time::Instant::now();\n    // Instant::now() in a comment\n}\n";
-    assert_eq!(clock_reads("servo/src/cycle.rs", text), ["servo/src/cycle.rs: let now = std::time::Instant::now();"]);
+    assert_eq!(
+        clock_reads("servo/src/cycle.rs", text),
+        ["servo/src/cycle.rs: let now = std::time::Instant::now();"]
+    );
     assert!(clock_reads("servo/src/thread.rs", text).is_empty());
 }

@@ -99,12 +99,18 @@ pub enum Problem {
 
 pub(super) fn parse(text: &str) -> Result<Cell, CellError> {
     let cell: Cell = toml::from_str(text).map_err(|error| CellError {
-        line: error.span().map_or(1, |span| locate::line_at(text, span.start)),
+        line: error
+            .span()
+            .map_or(1, |span| locate::line_at(text, span.start)),
         key: String::new(),
         problem: Problem::Shape(error.message().lines().collect::<Vec<_>>().join(", ")),
     })?;
     if let Some((key, line)) = locate::first_not_finite(text) {
-        return Err(CellError { line, key, problem: Problem::NotFinite });
+        return Err(CellError {
+            line,
+            key,
+            problem: Problem::NotFinite,
+        });
     }
     check(&cell).map_err(|(path, problem)| CellError {
         line: locate::line_of(text, &path),
@@ -118,15 +124,45 @@ type Checked = Result<(), (Path, Problem)>;
 
 fn check(cell: &Cell) -> Checked {
     let top = Path::default();
-    in_range(&top.then("period_us"), f64::from(cell.period_us), 1000.0, 1_000_000.0, "between 1000 and 1000000 (µs)")?;
+    in_range(
+        &top.then("period_us"),
+        f64::from(cell.period_us),
+        1000.0,
+        1_000_000.0,
+        "between 1000 and 1000000 (µs)",
+    )?;
     if !cell.period_us.is_multiple_of(1000) {
         let range = "a multiple of 1000 (µs), the drives' unit of the interpolation period";
-        return Err((top.then("period_us"), Problem::OutOfRange { value: f64::from(cell.period_us), range }));
+        return Err((
+            top.then("period_us"),
+            Problem::OutOfRange {
+                value: f64::from(cell.period_us),
+                range,
+            },
+        ));
     }
-    in_range(&top.then("macrostep"), f64::from(cell.macrostep), 1.0, 1000.0, "between 1 and 1000 (periods)")?;
-    in_range(&top.then("max_missed_in_row"), f64::from(cell.max_missed_in_row), 1.0, 1e6, "at least 1")?;
+    in_range(
+        &top.then("macrostep"),
+        f64::from(cell.macrostep),
+        1.0,
+        1000.0,
+        "between 1 and 1000 (periods)",
+    )?;
+    in_range(
+        &top.then("max_missed_in_row"),
+        f64::from(cell.max_missed_in_row),
+        1.0,
+        1e6,
+        "at least 1",
+    )?;
     let priority = top.then("realtime").then("priority");
-    in_range(&priority, f64::from(cell.realtime.priority), 1.0, 99.0, "between 1 and 99")?;
+    in_range(
+        &priority,
+        f64::from(cell.realtime.priority),
+        1.0,
+        99.0,
+        "between 1 and 99",
+    )?;
     check_buses(cell)?;
     check_robots(cell)
 }
@@ -136,21 +172,69 @@ fn check_buses(cell: &Cell) -> Checked {
     at_least_one(&buses, cell.bus.len(), "buses")?;
     for (index, bus) in cell.bus.iter().enumerate() {
         let path = buses.then(index);
-        if let Some(first) = cell.bus[..index].iter().position(|other| other.name == bus.name) {
-            return Err((path.then("name"), twice(format!("bus {:?}", bus.name), &buses.then(first))));
+        if let Some(first) = cell.bus[..index]
+            .iter()
+            .position(|other| other.name == bus.name)
+        {
+            return Err((
+                path.then("name"),
+                twice(format!("bus {:?}", bus.name), &buses.then(first)),
+            ));
         }
-        if let Some(first) = cell.bus[..index].iter().position(|other| other.interface == bus.interface) {
-            return Err((path.then("interface"), twice(format!("interface {:?}", bus.interface), &buses.then(first))));
+        if let Some(first) = cell.bus[..index]
+            .iter()
+            .position(|other| other.interface == bus.interface)
+        {
+            return Err((
+                path.then("interface"),
+                twice(format!("interface {:?}", bus.interface), &buses.then(first)),
+            ));
         }
-        if can::Bitrate::from_kbps(bus.bitrate_kbps).is_none() {
-            let range = "one of 10, 20, 50, 100, 125, 250, 500, 800, 1000 (kbit/s)";
-            return Err((path.then("bitrate_kbps"), Problem::OutOfRange { value: f64::from(bus.bitrate_kbps), range }));
+        if can::timing::Bitrate::from_kbps(bus.bitrate_kbps).is_none() {
+            let range = "10 to 1000 kbit/s with a bit time of whole nanoseconds";
+            return Err((
+                path.then("bitrate_kbps"),
+                Problem::OutOfRange {
+                    value: f64::from(bus.bitrate_kbps),
+                    range,
+                },
+            ));
         }
-        in_range(&path.then("host_node"), f64::from(bus.host_node), 1.0, 127.0, "between 1 and 127")?;
-        in_range(&path.then("heartbeat_ms"), f64::from(bus.heartbeat_ms), 1.0, 10_000.0, "between 1 and 10000 (ms)")?;
-        in_range(&path.then("tolerated_missing"), f64::from(bus.tolerated_missing), 0.0, 1000.0, "at most 1000 (cycles)")?;
-        in_range(&path.then("sdo_timeout_ms"), f64::from(bus.sdo_timeout_ms), 1.0, 60_000.0, "between 1 and 60000 (ms)")?;
-        in_range(&path.then("boot_timeout_ms"), f64::from(bus.boot_timeout_ms), 1.0, 60_000.0, "between 1 and 60000 (ms)")?;
+        in_range(
+            &path.then("host_node"),
+            f64::from(bus.host_node),
+            1.0,
+            127.0,
+            "between 1 and 127",
+        )?;
+        in_range(
+            &path.then("heartbeat_ms"),
+            f64::from(bus.heartbeat_ms),
+            1.0,
+            10_000.0,
+            "between 1 and 10000 (ms)",
+        )?;
+        in_range(
+            &path.then("tolerated_missing"),
+            f64::from(bus.tolerated_missing),
+            0.0,
+            1000.0,
+            "at most 1000 (cycles)",
+        )?;
+        in_range(
+            &path.then("sdo_timeout_ms"),
+            f64::from(bus.sdo_timeout_ms),
+            1.0,
+            60_000.0,
+            "between 1 and 60000 (ms)",
+        )?;
+        in_range(
+            &path.then("boot_timeout_ms"),
+            f64::from(bus.boot_timeout_ms),
+            1.0,
+            60_000.0,
+            "between 1 and 60000 (ms)",
+        )?;
     }
     Ok(())
 }
@@ -161,25 +245,67 @@ fn check_robots(cell: &Cell) -> Checked {
     let mut nodes: Vec<(&str, u8, Path)> = Vec::new();
     for (index, robot) in cell.robot.iter().enumerate() {
         let path = robots.then(index);
-        if let Some(first) = cell.robot[..index].iter().position(|other| other.name == robot.name) {
-            return Err((path.then("name"), twice(format!("robot {:?}", robot.name), &robots.then(first))));
+        if let Some(first) = cell.robot[..index]
+            .iter()
+            .position(|other| other.name == robot.name)
+        {
+            return Err((
+                path.then("name"),
+                twice(format!("robot {:?}", robot.name), &robots.then(first)),
+            ));
         }
+        let kinematics = robot
+            .kinematics()
+            .map_err(|error| (path.then("parameters"), Problem::Refused(error.to_string())))?;
         let expected = robot.model.axes();
+        if kinematics.axes() != expected {
+            let problem = Problem::Count {
+                found: kinematics.axes(),
+                expected,
+                what: "axes",
+            };
+            return Err((path.then("parameters"), problem));
+        }
         if robot.axis.len() != expected {
-            return Err((path.then("axis"), Problem::Count { found: robot.axis.len(), expected, what: "axes" }));
+            return Err((
+                path.then("axis"),
+                Problem::Count {
+                    found: robot.axis.len(),
+                    expected,
+                    what: "axes",
+                },
+            ));
         }
         for (number, axis) in robot.axis.iter().enumerate() {
             let path = path.then("axis").then(number);
             check_axis(&path, axis)?;
             let Some(bus) = cell.bus.iter().find(|bus| bus.name == axis.bus) else {
-                return Err((path.then("bus"), Problem::Unknown { kind: "bus", name: axis.bus.clone() }));
+                return Err((
+                    path.then("bus"),
+                    Problem::Unknown {
+                        kind: "bus",
+                        name: axis.bus.clone(),
+                    },
+                ));
             };
             if axis.node == bus.host_node {
                 let what = format!("node {} of bus {:?}", axis.node, bus.name);
-                return Err((path.then("node"), Problem::Twice { what, first: "the host".into() }));
+                return Err((
+                    path.then("node"),
+                    Problem::Twice {
+                        what,
+                        first: "the host".into(),
+                    },
+                ));
             }
-            if let Some((_, _, first)) = nodes.iter().find(|(bus, node, _)| *bus == axis.bus && *node == axis.node) {
-                return Err((path.then("node"), twice(format!("node {} of bus {:?}", axis.node, axis.bus), first)));
+            if let Some((_, _, first)) = nodes
+                .iter()
+                .find(|(bus, node, _)| *bus == axis.bus && *node == axis.node)
+            {
+                return Err((
+                    path.then("node"),
+                    twice(format!("node {} of bus {:?}", axis.node, axis.bus), first),
+                ));
             }
             nodes.push((&axis.bus, axis.node, path));
         }
@@ -189,7 +315,13 @@ fn check_robots(cell: &Cell) -> Checked {
 }
 
 fn check_axis(path: &Path, axis: &Axis) -> Checked {
-    in_range(&path.then("node"), f64::from(axis.node), 1.0, 127.0, "between 1 and 127")?;
+    in_range(
+        &path.then("node"),
+        f64::from(axis.node),
+        1.0,
+        127.0,
+        "between 1 and 127",
+    )?;
     positive(&path.then("max_velocity"), axis.max_velocity)?;
     positive(&path.then("max_acceleration"), axis.max_acceleration)?;
     positive(&path.then("following_error"), axis.following_error)?;
@@ -200,12 +332,24 @@ fn check_axis(path: &Path, axis: &Axis) -> Checked {
     }
     let drive = path.then("drive");
     let counts = f64::from(axis.drive.counts_per_revolution);
-    in_range(&drive.then("counts_per_revolution"), counts, 4.0, 1e7, "between 4 and 10000000 (quadrature counts)")?;
+    in_range(
+        &drive.then("counts_per_revolution"),
+        counts,
+        4.0,
+        1e7,
+        "between 4 and 10000000 (quadrature counts)",
+    )?;
     positive(&drive.then("rated_torque"), axis.drive.rated_torque)?;
     for (number, parameter) in axis.drive.parameter.iter().enumerate() {
         if !matches!(parameter.bytes, 1 | 2 | 4) {
             let value = f64::from(parameter.bytes);
-            return Err((drive.then("parameter").then(number).then("bytes"), Problem::OutOfRange { value, range: "1, 2 or 4" }));
+            return Err((
+                drive.then("parameter").then(number).then("bytes"),
+                Problem::OutOfRange {
+                    value,
+                    range: "1, 2 or 4",
+                },
+            ));
         }
     }
     let homing = path.then("homing");
@@ -224,19 +368,39 @@ fn check_program(path: &Path, robot: &Robot) -> Checked {
                 at_least_one(&poses, joints.poses.len(), "poses")?;
                 for (index, pose) in joints.poses.iter().enumerate() {
                     if pose.len() != robot.axis.len() {
-                        let problem = Problem::Count { found: pose.len(), expected: robot.axis.len(), what: "joint values" };
+                        let problem = Problem::Count {
+                            found: pose.len(),
+                            expected: robot.axis.len(),
+                            what: "joint values",
+                        };
                         return Err((poses.then(index), problem));
                     }
                 }
-                in_range(&path.then("velocity"), joints.velocity, 1e-3, 1.0, "between 0.001 and 1 (of the greatest)")?;
-                in_range(&path.then("acceleration"), joints.acceleration, 1e-3, 1.0, "between 0.001 and 1 (of the greatest)")?;
+                in_range(
+                    &path.then("velocity"),
+                    joints.velocity,
+                    1e-3,
+                    1.0,
+                    "between 0.001 and 1 (of the greatest)",
+                )?;
+                in_range(
+                    &path.then("acceleration"),
+                    joints.acceleration,
+                    1e-3,
+                    1.0,
+                    "between 0.001 and 1 (of the greatest)",
+                )?;
             }
             Instruction::Line(line) => {
                 let path = path.then("line");
                 positive(&path.then("velocity"), line.velocity)?;
                 positive(&path.then("acceleration"), line.acceleration)?;
                 if let Some(quaternion) = line.quaternion {
-                    let norm = quaternion.iter().map(|part| part * part).sum::<f64>().sqrt();
+                    let norm = quaternion
+                        .iter()
+                        .map(|part| part * part)
+                        .sum::<f64>()
+                        .sqrt();
                     in_range(&path.then("quaternion"), norm, 0.999, 1.001, "of length 1")?;
                 }
             }
@@ -246,17 +410,45 @@ fn check_program(path: &Path, robot: &Robot) -> Checked {
 }
 
 fn in_range(path: &Path, value: f64, low: f64, high: f64, range: &'static str) -> Checked {
-    if (low..=high).contains(&value) { Ok(()) } else { Err((path.clone(), Problem::OutOfRange { value, range })) }
+    if (low..=high).contains(&value) {
+        Ok(())
+    } else {
+        Err((path.clone(), Problem::OutOfRange { value, range }))
+    }
 }
 
 fn positive(path: &Path, value: f64) -> Checked {
-    if value > 0.0 { Ok(()) } else { Err((path.clone(), Problem::OutOfRange { value, range: "above 0" })) }
+    if value > 0.0 {
+        Ok(())
+    } else {
+        Err((
+            path.clone(),
+            Problem::OutOfRange {
+                value,
+                range: "above 0",
+            },
+        ))
+    }
 }
 
 fn at_least_one(path: &Path, found: usize, what: &'static str) -> Checked {
-    if found > 0 { Ok(()) } else { Err((path.clone(), Problem::Count { found, expected: 1, what })) }
+    if found > 0 {
+        Ok(())
+    } else {
+        Err((
+            path.clone(),
+            Problem::Count {
+                found,
+                expected: 1,
+                what,
+            },
+        ))
+    }
 }
 
 fn twice(what: String, first: &Path) -> Problem {
-    Problem::Twice { what, first: first.to_string() }
+    Problem::Twice {
+        what,
+        first: first.to_string(),
+    }
 }

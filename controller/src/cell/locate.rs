@@ -54,12 +54,18 @@ impl fmt::Display for Path {
 /// The line, from 1, that the byte at `offset` of `text` stands on.
 pub(super) fn line_at(text: &str, offset: usize) -> usize {
     let upto = offset.min(text.len());
-    text.as_bytes()[..upto].iter().filter(|&&byte| byte == b'\n').count() + 1
+    text.as_bytes()[..upto]
+        .iter()
+        .filter(|&&byte| byte == b'\n')
+        .count()
+        + 1
 }
 
 /// The line of the value at `path`, or of the nearest table around it that is in the file.
 pub(super) fn line_of(text: &str, path: &Path) -> usize {
-    let Ok(document) = DeTable::parse(text) else { return 1 };
+    let Ok(document) = DeTable::parse(text) else {
+        return 1;
+    };
     let mut offset = document.span().start;
     let mut steps = path.0.iter();
     let mut value = match steps.next() {
@@ -70,8 +76,14 @@ pub(super) fn line_of(text: &str, path: &Path) -> usize {
         _ => return 1,
     };
     loop {
-        offset = if value.span().is_empty() { offset } else { value.span().start };
-        let Some(step) = steps.next() else { return line_at(text, offset) };
+        offset = if value.span().is_empty() {
+            offset
+        } else {
+            value.span().start
+        };
+        let Some(step) = steps.next() else {
+            return line_at(text, offset);
+        };
         let inner = match step {
             Step::Key(key) => value.get_ref().get(*key),
             Step::At(index) => value.get_ref().get(*index),
@@ -92,10 +104,19 @@ pub(super) fn first_not_finite(text: &str) -> Option<(String, usize)> {
                 (!number.is_finite()).then(|| (key.to_owned(), line_at(text, start)))
             }
             DeValue::Array(array) => array.iter().enumerate().find_map(|(index, inner)| {
-                search(text, &format!("{key}[{index}]"), inner.get_ref(), inner.span().start)
+                search(
+                    text,
+                    &format!("{key}[{index}]"),
+                    inner.get_ref(),
+                    inner.span().start,
+                )
             }),
             DeValue::Table(table) => table.iter().find_map(|(name, inner)| {
-                let key = if key.is_empty() { name.get_ref().to_string() } else { format!("{key}.{}", name.get_ref()) };
+                let key = if key.is_empty() {
+                    name.get_ref().to_string()
+                } else {
+                    format!("{key}.{}", name.get_ref())
+                };
                 search(text, &key, inner.get_ref(), inner.span().start)
             }),
             _ => None,

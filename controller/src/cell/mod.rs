@@ -8,12 +8,21 @@
 
 mod check;
 mod locate;
+mod program;
+#[cfg(test)]
+mod tests;
+
+use std::sync::Arc;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::generator::{Arm, Pose};
+use crate::robot::{Irb6, Irb6Parameters, Irp6, Irp6Parameters, ParameterError};
+
 pub use check::{CellError, Problem};
 pub use locate::{Path, Step};
+pub use program::{ProgramError, instruction_path};
 
 /// One controller: everything that is stepped on one tick grid.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
@@ -57,7 +66,12 @@ pub struct Realtime {
 
 impl Default for Realtime {
     fn default() -> Self {
-        Self { policy: Policy::BestEffort, priority: 80, cpu: None, lock_memory: true }
+        Self {
+            policy: Policy::BestEffort,
+            priority: 80,
+            cpu: None,
+            lock_memory: true,
+        }
     }
 }
 
@@ -107,9 +121,12 @@ pub struct Robot {
     pub name: String,
     /// Which robot it is.
     pub model: Model,
-    /// Geometry and synchronisation values, where they differ from the model's nominal ones.
+    /// Geometry, drive train, home positions and limits, in place of the model's own.
     #[serde(default)]
-    pub parameters: Option<crate::robot::Parameters>,
+    pub parameters: Option<Parameters>,
+    /// Origin of the tool in the flange's frame, m.
+    #[serde(default)]
+    pub tool: [f64; 3],
     /// The axes, base first.
     pub axis: Vec<Axis>,
     /// What it does after homing, in order.
@@ -117,7 +134,7 @@ pub struct Robot {
     pub program: Vec<Instruction>,
 }
 
-/// The robots whose kinematics are known.
+/// The robots whose numbers are known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Model {
@@ -125,6 +142,41 @@ pub enum Model {
     Irb6,
     /// WUT IRp-6 on its pedestal, six axes.
     Irp6,
+    /// The same robot as calibrated in February 2007.
+    Irp6Calibrated,
+}
+
+/// The numbers of one robot.
+#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Parameters {
+    /// For `model = "irb6"`.
+    Irb6(Irb6Parameters),
+    /// For `model = "irp6"`.
+    Irp6(Irp6Parameters),
+}
+
+impl Robot {
+    /// Its kinematics and its tool, or what is wrong with its parameters.
+    pub fn arm(&self) -> Result<Arm, ParameterError> {
+        Ok(Arm::new(
+            self.kinematics()?,
+            Pose::translation(self.tool[0], self.tool[1], self.tool[2]),
+        ))
+    }
+
+    /// Its kinematics and drive train, or what is wrong with its parameters.
+    pub fn kinematics(&self) -> Result<Arc<dyn crate::robot::Robot>, ParameterError> {
+        let parameters = self.parameters.unwrap_or(match self.model {
+            Model::Irb6 => Parameters::Irb6(Irb6Parameters::irb6()),
+            Model::Irp6 => Parameters::Irp6(Irp6Parameters::irp6p()),
+            Model::Irp6Calibrated => Parameters::Irp6(Irp6Parameters::irp6p_calibrated()),
+        });
+        Ok(match parameters {
+            Parameters::Irb6(parameters) => Arc::new(Irb6::new(&parameters)?),
+            Parameters::Irp6(parameters) => Arc::new(Irp6::new(&parameters)?),
+        })
+    }
 }
 
 impl Model {
@@ -132,7 +184,7 @@ impl Model {
     pub const fn axes(self) -> usize {
         match self {
             Self::Irb6 => 5,
-            Self::Irp6 => 6,
+            Self::Irp6 | Self::Irp6Calibrated => 6,
         }
     }
 }
@@ -227,8 +279,13 @@ pub struct Homing {
 pub struct Emulator {
     /// The plant behind the emulated drive.
     pub plant: Plant,
-    /// Motor angle at which the emulated axis stands when it is switched on, rad.
-    pub start: f64,
+    /// Motor position at which the emulated axis stands when it is switched on, rad; 20 rad above its
+    /// home position where absent.
+    pub start: Option<f64>,
+    /// Vendor-ID it answers with; the drive's own where absent.
+    pub vendor: Option<u32>,
+    /// Whether the bus lacks it: a drive that never boots.
+    pub absent: bool,
 }
 
 /// The plants an emulated axis can have.

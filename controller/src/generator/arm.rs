@@ -19,6 +19,11 @@ impl Arm {
         }
     }
 
+    /// The robot without its tool.
+    pub fn robot(&self) -> &dyn Robot {
+        &*self.robot
+    }
+
     /// How many axes it has.
     pub fn axes(&self) -> usize {
         self.robot.axes()

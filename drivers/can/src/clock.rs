@@ -10,6 +10,30 @@ pub fn now() -> Instant {
     Instant::from_nanos(nanos(libc::CLOCK_MONOTONIC))
 }
 
+/// Sleeps until `deadline`; returns at once if it has passed. Signals do not shorten it.
+#[expect(
+    clippy::disallowed_methods,
+    unsafe_code,
+    reason = "the rim's one place to wait for a time"
+)]
+pub fn sleep_until(deadline: Instant) {
+    let nanos = deadline.as_nanos();
+    let time = libc::timespec {
+        tv_sec: (nanos / 1_000_000_000) as libc::time_t,
+        tv_nsec: (nanos % 1_000_000_000) as libc::c_long,
+    };
+    // SAFETY: `time` is valid for the call to read, and no remaining time is asked for.
+    while unsafe {
+        libc::clock_nanosleep(
+            libc::CLOCK_MONOTONIC,
+            libc::TIMER_ABSTIME,
+            &raw const time,
+            std::ptr::null_mut(),
+        )
+    } == libc::EINTR
+    {}
+}
+
 /// By how many nanoseconds `CLOCK_REALTIME` is ahead of `CLOCK_MONOTONIC`.
 ///
 /// Changes whenever somebody sets the clock; ask anew for each batch of time stamps.

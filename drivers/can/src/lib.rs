@@ -17,12 +17,12 @@ pub mod timing;
 mod tracer;
 mod virtual_port;
 
+pub use self::socketcan::{BATCH, OpenError, SocketCanOptions, SocketCanPort};
 pub use error_frame::{ControllerFlags, ErrorCounts, ErrorFrame, ProtocolViolation};
 pub use frame::Frame;
 pub use id::{ExtendedId, Id, StandardId};
 pub use instant::Instant;
 pub use interface::InterfaceName;
 pub use port::{ControllerState, Counters, Port, PortError, Received};
-pub use self::socketcan::{BATCH, OpenError, SocketCanOptions, SocketCanPort};
 pub use tracer::{ReplayPort, TraceReader, Traced, Tracer};
 pub use virtual_port::{VirtualPeer, VirtualPort, virtual_port};

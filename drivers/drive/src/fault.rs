@@ -45,7 +45,9 @@ pub enum Fault {
         statusword: u16,
     },
     /// The drive did not reach the asked state in time.
-    #[error("node {node}: did not reach the asked state within {waited:?} (statusword {statusword:#06x})")]
+    #[error(
+        "node {node}: did not reach the asked state within {waited:?} (statusword {statusword:#06x})"
+    )]
     Stuck {
         /// Node-ID.
         node: u8,
@@ -121,7 +123,9 @@ pub enum BringUpError {
         waited: Duration,
     },
     /// Object 0x1018 does not say what the cell says.
-    #[error("node {node}: identity {subindex:02x} is {found:#010x}, the cell expects {expected:#010x}")]
+    #[error(
+        "node {node}: identity {subindex:02x} is {found:#010x}, the cell expects {expected:#010x}"
+    )]
     WrongIdentity {
         /// Node-ID.
         node: u8,
@@ -183,4 +187,21 @@ pub enum BringUpError {
     /// The port cannot send or receive.
     #[error("bus: {0}")]
     Port(#[from] can::PortError),
+}
+
+impl BringUpError {
+    /// The node it is about.
+    pub fn node(&self) -> Option<u8> {
+        match *self {
+            Self::NeverBooted { node, .. }
+            | Self::NotADrive { node, .. }
+            | Self::NotOperational { node, .. }
+            | Self::WrongIdentity { node, .. }
+            | Self::Aborted { node, .. }
+            | Self::ReadBack { node, .. }
+            | Self::TimedOut { node, .. }
+            | Self::ModeUnsupported { node, .. } => Some(node),
+            Self::Port(_) => None,
+        }
+    }
 }

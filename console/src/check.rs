@@ -1,0 +1,90 @@
+//! `mrroc check` and `mrroc schema`.
+
+use std::path::Path;
+use std::process::ExitCode;
+
+use controller::cell::Cell;
+use serde::Serialize;
+
+use crate::budget::{self, BusBudget};
+use crate::cell_file::CellFile;
+use crate::rehearsal;
+
+/// What a check found, where nothing is wrong.
+#[derive(Serialize)]
+struct Checked {
+    cell: String,
+    period_us: u32,
+    robots: Vec<CheckedRobot>,
+    /// How long the programs take without homing, s.
+    program_s: f64,
+    buses: Vec<BusBudget>,
+}
+
+#[derive(Serialize)]
+struct CheckedRobot {
+    name: String,
+    axes: usize,
+    instructions: usize,
+}
+
+/// Checks a cell file, its programs and its buses.
+pub(crate) fn check(path: &Path, json: bool) -> anyhow::Result<ExitCode> {
+    let file = CellFile::read(path)?;
+    let buses = budget::check(&file)?;
+    let program = rehearsal::rehearse(&file)?;
+    let robots = file.cell.robot.iter().map(|robot| CheckedRobot {
+        name: robot.name.clone(),
+        axes: robot.axis.len(),
+        instructions: robot.program.len(),
+    });
+    let checked = Checked {
+        cell: file.cell.name.clone(),
+        period_us: file.cell.period_us,
+        robots: robots.collect(),
+        program_s: program.as_secs_f64(),
+        buses,
+    };
+    if json {
+        println!("{}", serde_json::to_string(&checked)?);
+    } else {
+        print(&checked);
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn print(checked: &Checked) {
+    for robot in &checked.robots {
+        println!(
+            "robot {}: {} axes, {} instructions",
+            robot.name, robot.axes, robot.instructions
+        );
+    }
+    println!("programs take {:.1} s after homing", checked.program_s);
+    for bus in &checked.buses {
+        println!(
+            "\nbus {}: load {:.1} %, the last frame of a cycle has left after {:.1} % of {} µs at the worst",
+            bus.name, bus.load_percent, bus.worst_case_percent, checked.period_us
+        );
+        println!(
+            "  {:16} {:>6} {:>5} {:>10} {:>11}",
+            "frame", "id", "bytes", "every µs", "response µs"
+        );
+        for message in &bus.messages {
+            let response = message
+                .response_us
+                .map_or("-".to_owned(), |response| response.to_string());
+            println!(
+                "  {:16} {:>#6x} {:>5} {:>10} {response:>11}",
+                message.what, message.cob_id, message.bytes, message.period_us
+            );
+        }
+    }
+    println!("\n{} is ready", checked.cell);
+}
+
+/// Prints the JSON schema of cell files.
+pub(crate) fn schema() -> anyhow::Result<ExitCode> {
+    println!("{}", serde_json::to_string_pretty(&Cell::schema())?);
+    Ok(ExitCode::SUCCESS)
+}

@@ -1,0 +1,131 @@
+//! `mrroc emulate`: the axis controllers of a cell on CAN interfaces.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use anyhow::Context;
+use can::{Instant, Port, Received, SocketCanOptions, SocketCanPort, clock};
+use canopen::sync::Sync;
+use clap::Args;
+use hil::Device;
+
+use crate::cell_file::CellFile;
+use crate::{emulation, interfaces};
+
+/// Longest time between two looks at whether somebody pressed Ctrl-C.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// Longest time that frames wait for the interface to take them.
+const SEND: Duration = Duration::from_millis(100);
+
+/// Options of `mrroc emulate`.
+#[derive(Args)]
+pub(crate) struct Options {
+    /// The cell file.
+    cell: PathBuf,
+    /// The interface of a bus, IFACE or BUS=IFACE, in place of the cell's.
+    #[arg(long, value_name = "IFACE")]
+    can: Vec<String>,
+}
+
+/// Emulates the drives of a cell until Ctrl-C.
+pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
+    let file = CellFile::read(&options.cell)?;
+    let interfaces = interfaces::resolve(&file.cell, &options.can)?;
+    let mut buses = Vec::new();
+    for (index, interface) in interfaces.iter().enumerate() {
+        let port = SocketCanPort::open(interface, &SocketCanOptions::default());
+        let port = port.with_context(|| format!("bus {}", file.cell.bus[index].name))?;
+        buses.push(EmulatedBus {
+            port,
+            devices: emulation::devices(&file, index),
+        });
+    }
+    let stop = Arc::new(AtomicBool::new(false));
+    let flag = stop.clone();
+    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed))
+        .context("Ctrl-C cannot be caught")?;
+    let names: Vec<_> = file
+        .cell
+        .bus
+        .iter()
+        .zip(&interfaces)
+        .map(|(bus, interface)| format!("{} on {interface}", bus.name))
+        .collect();
+    println!(
+        "{} emulated: bus {}; Ctrl-C ends it",
+        file.cell.name,
+        names.join(", bus ")
+    );
+    std::thread::scope(|scope| {
+        let serve = |bus: EmulatedBus| {
+            let stop = &stop;
+            scope.spawn(move || bus.serve(stop))
+        };
+        let threads: Vec<_> = buses.into_iter().map(serve).collect();
+        threads
+            .into_iter()
+            .try_for_each(|thread| thread.join().expect("serving a bus does not panic"))
+    })?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The devices of one bus and their interface.
+struct EmulatedBus {
+    port: SocketCanPort,
+    devices: Vec<Box<dyn Device>>,
+}
+
+impl EmulatedBus {
+    /// Answers frames and lets time pass until `stop`.
+    fn serve(mut self, stop: &AtomicBool) -> anyhow::Result<()> {
+        let mut received = [Received {
+            frame: Sync::default().encode(),
+            at: Instant::ZERO,
+        }; 64];
+        while !stop.load(Ordering::Relaxed) {
+            let timeouts = self
+                .devices
+                .iter()
+                .filter_map(|device| device.poll_timeout());
+            let wake = timeouts.fold(clock::now() + LOOK, Instant::min);
+            self.port.wait_readable(wake)?;
+            let now = clock::now();
+            let count = self.port.receive(now, &mut received)?;
+            for device in &mut self.devices {
+                if device.poll_timeout().is_some_and(|due| due <= now) {
+                    device.handle_timeout(now);
+                }
+            }
+            for received in &received[..count] {
+                self.devices
+                    .iter_mut()
+                    .for_each(|device| device.handle(&received.frame, now));
+            }
+            self.transmit(now)?;
+        }
+        Ok(())
+    }
+
+    /// Sends what the devices have to say, each to the interface and to the other devices.
+    fn transmit(&mut self, now: Instant) -> anyhow::Result<()> {
+        for sender in 0..self.devices.len() {
+            while let Some(frame) = self.devices[sender].poll_transmit(now) {
+                let others = self
+                    .devices
+                    .iter_mut()
+                    .enumerate()
+                    .filter(|(number, _)| *number != sender);
+                others.for_each(|(_, device)| device.handle(&frame, now));
+                let give_up = now + SEND;
+                while self.port.send(now, &[frame])? == 0 && clock::now() < give_up {
+                    clock::sleep_until(clock::now() + Duration::from_micros(100));
+                }
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,277 @@
+//! What a run says at its end: one JSON object, or tables for a person.
+
+use std::fmt::{self, Write as _};
+use std::time::Duration;
+
+use serde::Serialize;
+use servo::Histogram;
+
+use crate::budget::BusBudget;
+use crate::cell_file::CellFile;
+use crate::run::Ran;
+use crate::setup;
+
+/// The report of one run.
+#[derive(Debug, Serialize)]
+pub(crate) struct Report {
+    /// The cell's name.
+    pub cell: String,
+    /// The bench it ran on.
+    pub bench: &'static str,
+    /// Every axis, robot by robot.
+    pub axes: Vec<AxisReport>,
+    /// The servo cycle.
+    pub cycle: CycleReport,
+    /// Every bus.
+    pub buses: Vec<BusReport>,
+    /// What went wrong, a line each.
+    pub faults: Vec<String>,
+    /// What the host denied of the real-time requests.
+    pub denied: Vec<String>,
+    /// Time of the cell over time of the host: above 1 is faster than real time.
+    pub realtime_factor: f64,
+    /// How it ended.
+    pub outcome: Outcome,
+}
+
+impl Report {
+    /// The report of what `ran` in `wall` of the host's time.
+    pub(crate) fn of(
+        file: &CellFile,
+        bench: &'static str,
+        ran: Ran,
+        budgets: &[BusBudget],
+        wall: Duration,
+        outcome: Outcome,
+    ) -> Self {
+        let counters = ran.servo.counters();
+        let robots = file.cell.robot.iter().enumerate();
+        let axes = robots.flat_map(|(robot, value)| {
+            value
+                .axis
+                .iter()
+                .zip(ran.servo.tracking(robot))
+                .enumerate()
+                .map(move |(number, (axis, error))| {
+                    let counts =
+                        f64::from(axis.drive.counts_per_revolution) / std::f64::consts::TAU;
+                    AxisReport {
+                        name: file.axis_name(robot, number),
+                        tracking_rms_rad: error.rms(),
+                        tracking_peak_rad: error.peak(),
+                        tracking_rms_counts: error.rms() * counts,
+                        tracking_peak_counts: error.peak() * counts,
+                        homing_offset_counts: None,
+                    }
+                })
+        });
+        let buses = ran
+            .servo
+            .group_counters()
+            .zip(budgets)
+            .map(|(group, budget)| BusReport {
+                name: budget.name.clone(),
+                frames: group.port.sent + group.port.received,
+                load_percent: budget.load_percent,
+                worst_case_percent: budget.worst_case_percent,
+                dropped_setpoints: group.dropped_setpoints,
+                missed_answers: group.missed_answers,
+            });
+        Self {
+            cell: file.cell.name.clone(),
+            bench,
+            axes: axes.collect(),
+            cycle: CycleReport {
+                period_us: setup::period(&file.cell).as_micros() as u32,
+                cycles: counters.cycles,
+                missed: counters.missed_cycles,
+                wake_us: Percentiles::from(&ran.timing.wake_up),
+                step_us: Percentiles::from(&ran.timing.step),
+                bus_us: Percentiles::from(&ran.timing.bus),
+            },
+            buses: buses.collect(),
+            faults: ran.faults,
+            denied: ran.denied,
+            realtime_factor: ran.cell_time.as_secs_f64() / wall.as_secs_f64(),
+            outcome,
+        }
+    }
+}
+
+/// How a run ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub(crate) enum Outcome {
+    /// The program ran to its end.
+    Completed,
+    /// Somebody stopped it.
+    Stopped,
+    /// A fault stopped it.
+    Faulted,
+}
+
+impl fmt::Display for Outcome {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Completed => "completed",
+            Self::Stopped => "stopped on request",
+            Self::Faulted => "stopped by a fault",
+        })
+    }
+}
+
+/// One axis of the report. Errors are of the motor shaft, while moving.
+#[derive(Debug, Serialize)]
+pub(crate) struct AxisReport {
+    /// Robot and axis.
+    pub name: String,
+    /// Root mean square of commanded minus measured motor position, rad.
+    pub tracking_rms_rad: f64,
+    /// Greatest absolute value of it, rad.
+    pub tracking_peak_rad: f64,
+    /// The same in increments of the encoder.
+    pub tracking_rms_counts: f64,
+    /// The same in increments of the encoder.
+    pub tracking_peak_counts: f64,
+    /// How far the homed counter was from the one at power-on, increments.
+    pub homing_offset_counts: Option<i64>,
+}
+
+/// The servo cycle in the report.
+#[derive(Debug, Serialize)]
+pub(crate) struct CycleReport {
+    /// Period, µs.
+    pub period_us: u32,
+    /// Cycles turned.
+    pub cycles: u64,
+    /// Deadlines missed.
+    pub missed: u64,
+    /// Lateness of the wake-up, µs.
+    pub wake_us: Percentiles,
+    /// Duration of the step, µs.
+    pub step_us: Percentiles,
+    /// From SYNC to the last answer to it, µs.
+    pub bus_us: Percentiles,
+}
+
+/// Four points of a distribution, µs.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub(crate) struct Percentiles {
+    /// Median.
+    pub p50: f64,
+    /// 99th percentile.
+    pub p99: f64,
+    /// 99.9th percentile.
+    pub p999: f64,
+    /// Greatest.
+    pub max: f64,
+}
+
+impl From<&Histogram> for Percentiles {
+    fn from(histogram: &Histogram) -> Self {
+        let microseconds = |time: Duration| time.as_secs_f64() * 1e6;
+        Self {
+            p50: microseconds(histogram.quantile(0.5)),
+            p99: microseconds(histogram.quantile(0.99)),
+            p999: microseconds(histogram.quantile(0.999)),
+            max: microseconds(histogram.max()),
+        }
+    }
+}
+
+/// One bus of the report.
+#[derive(Debug, Serialize)]
+pub(crate) struct BusReport {
+    /// Its name.
+    pub name: String,
+    /// Frames sent and received by the host.
+    pub frames: u64,
+    /// Share of the bus's time that those frames took, counted without stuff bits where the bench
+    /// cannot see them, percent.
+    pub load_percent: f64,
+    /// Share of the period after which the last frame of a cycle has left at the latest, percent.
+    pub worst_case_percent: f64,
+    /// Set-points that the bus did not take in their cycle and that were dropped.
+    pub dropped_setpoints: u64,
+    /// Answers of drives that did not come in their cycle.
+    pub missed_answers: u64,
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let names = self
+            .axes
+            .iter()
+            .map(|axis| axis.name.len())
+            .max()
+            .unwrap_or(0)
+            .max(4);
+        writeln!(
+            f,
+            "{:names$}  {:>12} {:>12} {:>10} {:>10} {:>10}",
+            "axis", "rms rad", "peak rad", "rms cnt", "peak cnt", "homing cnt"
+        )?;
+        for axis in &self.axes {
+            let offset = axis
+                .homing_offset_counts
+                .map_or("-".to_owned(), |counts| counts.to_string());
+            writeln!(
+                f,
+                "{:names$}  {:>12.6} {:>12.6} {:>10.2} {:>10.1} {offset:>10}",
+                axis.name,
+                axis.tracking_rms_rad,
+                axis.tracking_peak_rad,
+                axis.tracking_rms_counts,
+                axis.tracking_peak_counts,
+            )?;
+        }
+        writeln!(
+            f,
+            "\n{:9} {:>10} {:>10} {:>10} {:>10}",
+            "cycle, µs", "p50", "p99", "p99.9", "max"
+        )?;
+        let rows = [
+            ("wake-up", self.cycle.wake_us),
+            ("step", self.cycle.step_us),
+            ("bus", self.cycle.bus_us),
+        ];
+        for (name, times) in rows {
+            writeln!(
+                f,
+                "{name:9} {:>10.1} {:>10.1} {:>10.1} {:>10.1}",
+                times.p50, times.p99, times.p999, times.max
+            )?;
+        }
+        let cycle = &self.cycle;
+        writeln!(
+            f,
+            "\n{} cycles of {} µs, {} missed",
+            cycle.cycles, cycle.period_us, cycle.missed
+        )?;
+        for bus in &self.buses {
+            let mut line = format!(
+                "bus {}: {} frames, load {:.1} %, worst case {:.1} % of the period",
+                bus.name, bus.frames, bus.load_percent, bus.worst_case_percent
+            );
+            if bus.dropped_setpoints + bus.missed_answers > 0 {
+                write!(
+                    line,
+                    ", {} set-points dropped, {} answers missed",
+                    bus.dropped_setpoints, bus.missed_answers
+                )?;
+            }
+            writeln!(f, "{line}")?;
+        }
+        for denied in &self.denied {
+            writeln!(f, "denied: {denied}")?;
+        }
+        for fault in &self.faults {
+            writeln!(f, "fault: {fault}")?;
+        }
+        write!(
+            f,
+            "{} {}, {:.1} times real time",
+            self.cell, self.outcome, self.realtime_factor
+        )
+    }
+}

@@ -1,0 +1,365 @@
+//! `mrroc run`: brings a cell up, homes it, runs its programs, switches it off and reports.
+
+use std::cell::{Cell as Shared, RefCell};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use anyhow::{Context, anyhow};
+use can::{Instant, clock};
+use clap::Args;
+use controller::ecp::{Ecp, EcpError};
+use indicatif::{ProgressBar, ProgressStyle};
+use servo::{EffectorLink, Servo, Timing, lockstep, thread};
+
+use crate::bench::{Bench, BenchKind};
+use crate::cell_file::CellFile;
+use crate::emulation::Emulation;
+use crate::report::{Outcome, Report};
+use crate::trace::{AxisLog, FrameLog};
+use crate::{rehearsal, setup};
+
+/// Records that an axis log may lag behind the servo, per effector: some seconds.
+const RECORDS: usize = 1 << 13;
+
+/// How often the controller looks at its effectors, at the least: a tenth of the usual macrostep.
+const POLL: Duration = Duration::from_millis(2);
+
+/// Options of `mrroc run`.
+#[derive(Args)]
+pub(crate) struct Options {
+    /// The cell file.
+    cell: PathBuf,
+    /// What to run it on.
+    #[arg(long, value_enum, default_value = "emulated")]
+    bench: BenchKind,
+    /// The interface of a bus, IFACE or BUS=IFACE, in place of the cell's.
+    #[arg(long, value_name = "IFACE")]
+    can: Vec<String>,
+    /// Print one JSON object at the end.
+    #[arg(long)]
+    json: bool,
+    /// Write every frame to this file, as candump does.
+    #[arg(long, value_name = "FILE")]
+    trace: Option<PathBuf>,
+    /// Write every axis in every cycle to this file, as CSV.
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
+}
+
+/// Runs a cell.
+pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
+    let file = CellFile::read(&options.cell)?;
+    rehearsal::rehearse(&file)?;
+    let budget = crate::budget::check(&file)?;
+    let Bench {
+        ports,
+        traces,
+        emulation,
+    } = Bench::open(&file, options.bench, &options.can, options.trace.is_some())?;
+    let (mut servo, links) = Servo::new(
+        &setup::servo_config(&file),
+        setup::drive_groups(&file, ports)?,
+    )?;
+    let logs = Logs {
+        frames: options
+            .trace
+            .as_ref()
+            .map(|path| FrameLog::create(path, &file, traces))
+            .transpose()?,
+        axes: match &options.record {
+            Some(path) => Some(AxisLog::create(
+                path,
+                &file,
+                servo.record(RECORDS * file.cell.robot.len()),
+            )?),
+            None => None,
+        },
+    };
+    let programs = Programs::of(&file, links, !options.json)?;
+
+    let interrupted = Arc::new(AtomicBool::new(false));
+    let (stop, flag) = (servo.stop_request(), interrupted.clone());
+    ctrlc::set_handler(move || {
+        flag.store(true, Ordering::Relaxed);
+        stop.request();
+    })
+    .context("Ctrl-C cannot be caught, so the arm could not be stopped by it")?;
+
+    let began = clock::now();
+    let mut ran = match options.bench {
+        BenchKind::Lockstep => in_lockstep(&file, servo, programs, logs, emulation)?,
+        _ => by_the_clock(&file, servo, programs, logs, emulation)?,
+    };
+    let outcome = match (interrupted.load(Ordering::Relaxed), ran.faults.is_empty()) {
+        (true, _) => Outcome::Stopped,
+        (false, true) => Outcome::Completed,
+        (false, false) => Outcome::Faulted,
+    };
+    if outcome == Outcome::Stopped {
+        ran.faults.clear();
+    }
+    let report = Report::of(
+        &file,
+        options.bench.name(),
+        ran,
+        &budget,
+        clock::now().since(began),
+        outcome,
+    );
+    print(&report, options.json)?;
+    Ok(ExitCode::from(if outcome == Outcome::Completed {
+        0
+    } else {
+        1
+    }))
+}
+
+fn print(report: &Report, json: bool) -> anyhow::Result<()> {
+    if json {
+        println!("{}", serde_json::to_string(report)?);
+    } else {
+        println!("{report}");
+    }
+    Ok(())
+}
+
+/// What a run leaves behind.
+pub(crate) struct Ran {
+    pub(crate) servo: Servo,
+    pub(crate) timing: Timing,
+    pub(crate) denied: Vec<String>,
+    pub(crate) faults: Vec<String>,
+    /// Time that passed in the cell.
+    pub(crate) cell_time: Duration,
+}
+
+/// The effector control processes of a run and how far they are.
+struct Programs {
+    names: Vec<String>,
+    axis_names: Vec<Vec<String>>,
+    ecps: Vec<Ecp>,
+    faults: Vec<String>,
+    progress: ProgressBar,
+}
+
+impl Programs {
+    fn of(file: &CellFile, links: Vec<EffectorLink>, progress: bool) -> anyhow::Result<Self> {
+        let mut ecps = Vec::new();
+        let mut instructions = 0;
+        for (robot, link) in links.into_iter().enumerate() {
+            let arm = &file.arms[robot];
+            let task = file.cell.robot[robot]
+                .task(arm)
+                .map_err(|(_, error)| anyhow!(error))?;
+            instructions += task.len();
+            let mut ecp = Ecp::new(arm.clone(), link, setup::ecp_config(&file.cell));
+            ecp.execute(task)?;
+            ecps.push(ecp);
+        }
+        let bar = if progress {
+            ProgressBar::new(instructions as u64)
+        } else {
+            ProgressBar::hidden()
+        };
+        bar.set_style(
+            ProgressStyle::with_template("{elapsed:>4} [{bar:30}] {pos}/{len} {msg}")?
+                .progress_chars("=> "),
+        );
+        let axis_names = |robot: usize| {
+            (0..file.cell.robot[robot].axis.len())
+                .map(|axis| file.axis_name(robot, axis))
+                .collect()
+        };
+        Ok(Self {
+            names: file
+                .cell
+                .robot
+                .iter()
+                .map(|robot| robot.name.clone())
+                .collect(),
+            axis_names: (0..file.cell.robot.len()).map(axis_names).collect(),
+            ecps,
+            faults: Vec::new(),
+            progress: bar,
+        })
+    }
+
+    /// Lets every effector control process do what is due; `false` once all are done. The first failure stops all.
+    fn poll(&mut self, now: Instant) -> bool {
+        for robot in 0..self.ecps.len() {
+            while let Some(event) = self.ecps[robot].poll(now) {
+                self.progress.inc(1);
+                if let Err(error) = event.outcome {
+                    self.faults.push(self.describe(robot, &error));
+                    self.ecps.iter_mut().for_each(Ecp::stop);
+                }
+            }
+        }
+        if !self.progress.is_hidden() {
+            let what = |(name, ecp): (&String, &Ecp)| format!("{name}: {:?}", ecp.status().phase);
+            self.progress.set_message(
+                self.names
+                    .iter()
+                    .zip(&self.ecps)
+                    .map(what)
+                    .collect::<Vec<_>>()
+                    .join(", "),
+            );
+        }
+        self.ecps
+            .iter()
+            .any(|ecp| ecp.status().instruction.is_some())
+    }
+
+    fn describe(&self, robot: usize, error: &EcpError) -> String {
+        match error {
+            EcpError::Servo(fault) => {
+                let axis = self.axis_names[robot].get(usize::from(fault.axis));
+                format!(
+                    "{}, axis {}: {}",
+                    self.names[robot],
+                    axis.map_or("?", String::as_str),
+                    fault.cause
+                )
+            }
+            error => format!("{}: {error}", self.names[robot]),
+        }
+    }
+}
+
+/// The files of a run.
+struct Logs {
+    frames: Option<FrameLog>,
+    axes: Option<AxisLog>,
+}
+
+impl Logs {
+    fn drain(&mut self) -> anyhow::Result<()> {
+        if let Some(frames) = &mut self.frames {
+            frames.drain().context("the trace cannot be written")?;
+        }
+        if let Some(axes) = &mut self.axes {
+            axes.drain().context("the record cannot be written")?;
+        }
+        Ok(())
+    }
+
+    fn finish(mut self) -> anyhow::Result<()> {
+        self.drain()?;
+        match self
+            .frames
+            .map(FrameLog::finish)
+            .transpose()
+            .context("the trace cannot be written")?
+        {
+            Some(lost @ 1..) => Err(anyhow!(
+                "the trace lacks {lost} frames: the file was too slow"
+            )),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// The refusal of a bus that did not come up, in the words of the cell.
+fn not_up(file: &CellFile, (bus, error): (usize, drive::BringUpError)) -> anyhow::Error {
+    let axis = setup::axes_on(&file.cell, bus)
+        .find(|&(robot, axis)| error.node() == Some(file.cell.robot[robot].axis[axis].node))
+        .map(|(robot, axis)| format!(", axis {}", file.axis_name(robot, axis)))
+        .unwrap_or_default();
+    anyhow!("bus {}{axis}: {error}", file.cell.bus[bus].name)
+}
+
+fn in_lockstep(
+    file: &CellFile,
+    mut servo: Servo,
+    mut programs: Programs,
+    logs: Logs,
+    emulation: Option<Emulation>,
+) -> anyhow::Result<Ran> {
+    let world = RefCell::new(emulation.expect("lockstep has emulated drives").world);
+    let between = |next| world.borrow_mut().advance(next);
+    let start = lockstep::bring_up(&mut servo, Instant::ZERO, between)
+        .map_err(|error| not_up(file, error))?;
+    let (done, failed) = (Shared::new(false), RefCell::new(None));
+    let logs = RefCell::new(logs);
+    let mut timing = Timing::default();
+    let bus_times = RefCell::new(&mut timing.bus);
+    let end = lockstep::run(
+        &mut servo,
+        start,
+        |now| {
+            done.set(!programs.poll(now));
+            if let Err(error) = logs.borrow_mut().drain() {
+                failed.replace(Some(error));
+            }
+        },
+        between,
+        |servo, _| {
+            servo
+                .group_counters()
+                .for_each(|group| bus_times.borrow_mut().record(group.last_bus_time));
+            (done.get() && servo.is_off()) || failed.borrow().is_some()
+        },
+    );
+    programs.progress.finish_and_clear();
+    if let Some(error) = failed.take() {
+        return Err(error);
+    }
+    logs.into_inner().finish()?;
+    Ok(Ran {
+        servo,
+        timing,
+        denied: Vec::new(),
+        faults: programs.faults,
+        cell_time: end.since(Instant::ZERO),
+    })
+}
+
+fn by_the_clock(
+    file: &CellFile,
+    mut servo: Servo,
+    mut programs: Programs,
+    mut logs: Logs,
+    emulation: Option<Emulation>,
+) -> anyhow::Result<Ran> {
+    let began = clock::now();
+    let mut world = emulation.map(|emulation| emulation.world);
+    let mut between = move |next| {
+        if let Some(world) = &mut world {
+            world.advance(next);
+        }
+    };
+    thread::bring_up(&mut servo, &mut between).map_err(|error| not_up(file, error))?;
+    let done = Arc::new(AtomicBool::new(false));
+    let finished = done.clone();
+    let running = thread::start(
+        servo,
+        setup::realtime_policy(&file.cell),
+        between,
+        move |_| finished.load(Ordering::Relaxed),
+    )?;
+    let mut logged = Ok(());
+    while programs.poll(clock::now()) && !running.is_finished() && logged.is_ok() {
+        logged = logs.drain();
+        clock::sleep_until(clock::now() + POLL);
+    }
+    done.store(true, Ordering::Relaxed);
+    let ended = running.join();
+    programs.progress.finish_and_clear();
+    logged?;
+    logs.finish()?;
+    let mut faults = programs.faults;
+    if let Some(panicked) = ended.panicked {
+        faults.push(format!("the servo thread panicked: {panicked:?}"));
+    }
+    Ok(Ran {
+        servo: ended.servo,
+        timing: ended.timing,
+        denied: ended.denied.iter().map(ToString::to_string).collect(),
+        faults,
+        cell_time: clock::now().since(began),
+    })
+}

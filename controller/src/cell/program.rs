@@ -1,0 +1,214 @@
+//! From the program of a cell file to the task of an effector control process.
+
+use nalgebra::{Quaternion, Translation3, UnitQuaternion};
+use servo::MAX_AXES;
+use thiserror::Error;
+
+use super::{Instruction, JointGenerator, Joints, Line, Path, Robot};
+use crate::ecp::Task;
+use crate::generator::{
+    self, Arm, Axes, GeneratorError, JerkLimited, LineLimits, MotionLimits, Newsmooth, Pose,
+    SmoothPose,
+};
+use crate::robot::{KinematicsError, Space};
+
+/// Greatest joint velocity, acceleration and jerk of generators, rad/s and so on: velocity and acceleration are
+/// those of MRROC++'s generators, the jerk reaches that acceleration in a tenth of a second.
+const JOINT_LIMITS: (f64, f64, f64) = (1.5, 7.0, 70.0);
+
+/// Share of a motor's limits that plans may use. The cubics between macrosteps need up to 5/3 of a planned
+/// acceleration, and a ball screw turns constant joint velocity into some motor acceleration.
+const PLANNED: (f64, f64) = (0.95, 0.5);
+
+/// How many joint positions the drive train is sampled at, over the range of each joint.
+const SAMPLES: usize = 32;
+
+/// Tool acceleration is reached within this time, s.
+const LINE_RISE: f64 = 0.1;
+
+/// Rotation allowed per metre of the tool's way, rad/m: a line's angular limits are its linear ones times this.
+const TURN_PER_METRE: f64 = 5.0;
+
+/// Why a program cannot be run.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+pub enum ProgramError {
+    /// The arm cannot take the pose.
+    #[error("{0}")]
+    Kinematics(#[from] KinematicsError),
+    /// A generator refuses the motion.
+    #[error("{0}")]
+    Generator(#[from] GeneratorError),
+}
+
+/// The key of instruction `index` of the program of robot `robot`.
+pub fn instruction_path(robot: usize, index: usize) -> Path {
+    Path::default()
+        .then("robot")
+        .then(robot)
+        .then("program")
+        .then(index)
+}
+
+impl Robot {
+    /// Its program as a task: enable, home, the instructions one by one, disable.
+    ///
+    /// Every pose is looked at here, from where the instruction before it will have ended; the error comes with the
+    /// index of its instruction.
+    pub fn task(&self, arm: &Arm) -> Result<Task, (usize, ProgramError)> {
+        let mut task = Task::new().enable().home();
+        let mut joints = arm
+            .joints(&arm.robot().home().padded())
+            .map_err(|error| (0, error.into()))?;
+        for (index, instruction) in self.program.iter().enumerate() {
+            let (next, end) = match instruction {
+                Instruction::Joints(motion) => self.joint_motion(arm, motion, task),
+                Instruction::Line(line) => self.line(arm, line, &joints, task),
+            }
+            .map_err(|error| (index, error))?;
+            (task, joints) = (next, end);
+        }
+        Ok(task.disable())
+    }
+
+    fn joint_motion(
+        &self,
+        arm: &Arm,
+        motion: &Joints,
+        task: Task,
+    ) -> Result<(Task, Axes), ProgramError> {
+        let poses: Vec<Axes> = motion.poses.iter().map(|pose| padded(pose)).collect();
+        for pose in &poses {
+            arm.motors(pose)?;
+        }
+        let end = *poses.last().ok_or(GeneratorError::NoPoses)?;
+        let limits = self.motion_limits(arm);
+        let task = match motion.generator {
+            JointGenerator::Newsmooth => {
+                let pose = |position| SmoothPose {
+                    position,
+                    velocity: [motion.velocity; MAX_AXES],
+                    acceleration: [motion.acceleration; MAX_AXES],
+                };
+                task.run(Newsmooth::new(
+                    Space::Joint,
+                    arm.axes(),
+                    limits,
+                    poses.into_iter().map(pose).collect(),
+                )?)
+            }
+            JointGenerator::JerkLimited => {
+                let limits = MotionLimits {
+                    max_velocity: limits.max_velocity.map(|limit| limit * motion.velocity),
+                    max_acceleration: limits
+                        .max_acceleration
+                        .map(|limit| limit * motion.acceleration),
+                    max_jerk: limits.max_jerk.map(|limit| limit * motion.acceleration),
+                };
+                poses.iter().try_fold(task, |task, pose| {
+                    JerkLimited::new(Space::Joint, arm.axes(), limits, &[*pose])
+                        .map(|generator| task.run(generator))
+                })?
+            }
+        };
+        Ok((task, end))
+    }
+
+    fn line(
+        &self,
+        arm: &Arm,
+        line: &Line,
+        from: &Axes,
+        task: Task,
+    ) -> Result<(Task, Axes), ProgramError> {
+        let rotation = match line.quaternion {
+            Some([w, x, y, z]) => UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z)),
+            None => arm.forward(from)?.rotation,
+        };
+        let target = Pose::from_parts(Translation3::from(line.position), rotation);
+        let end = arm.inverse(&target, from)?;
+        let limits = LineLimits {
+            max_velocity: line.velocity,
+            max_acceleration: line.acceleration,
+            max_jerk: line.acceleration / LINE_RISE,
+            max_angular_velocity: line.velocity * TURN_PER_METRE,
+            max_angular_acceleration: line.acceleration * TURN_PER_METRE,
+            max_angular_jerk: line.acceleration * TURN_PER_METRE / LINE_RISE,
+        };
+        let generator = generator::Line::new(arm.clone(), target, limits, self.motion_limits(arm))?;
+        Ok((task.run(generator), end))
+    }
+
+    /// What each joint may do so that no motor is asked for more than its share.
+    ///
+    /// Several joints may turn one motor; they are slowed together.
+    pub(super) fn motion_limits(&self, arm: &Arm) -> MotionLimits {
+        let (velocity, acceleration, jerk) = JOINT_LIMITS;
+        let mut limits = MotionLimits::uniform(velocity, acceleration, jerk);
+        let gains = steepest_gains(arm);
+        for (motor, gains) in gains.iter().enumerate().take(arm.axes()) {
+            let axis = &self.axis[motor];
+            slow(
+                &mut limits.max_velocity,
+                gains,
+                axis.max_velocity * PLANNED.0,
+            );
+            slow(
+                &mut limits.max_acceleration,
+                gains,
+                axis.max_acceleration * PLANNED.1,
+            );
+        }
+        for joint in 0..arm.axes() {
+            limits.max_jerk[joint] = jerk * limits.max_acceleration[joint] / acceleration;
+        }
+        limits
+    }
+}
+
+/// Lowers the `rates` of the joints that turn a motor until their sum is within `limit`.
+fn slow(rates: &mut Axes, gains: &Axes, limit: f64) {
+    let sum: f64 = rates
+        .iter()
+        .zip(gains)
+        .map(|(rate, gain)| rate * gain)
+        .sum();
+    if sum > limit {
+        for (rate, _) in rates.iter_mut().zip(gains).filter(|(_, gain)| **gain > 0.0) {
+            *rate *= limit / sum;
+        }
+    }
+}
+
+/// The steepest |∂motor/∂joint| over the range of each joint, a row per motor.
+fn steepest_gains(arm: &Arm) -> [Axes; MAX_AXES] {
+    let mut gains = [[0.0; MAX_AXES]; MAX_AXES];
+    let Ok(home) = arm.joints(&arm.robot().home().padded()) else {
+        return gains;
+    };
+    for (joint, range) in arm.robot().joint_limits().iter().enumerate() {
+        let step = (range.high - range.low) / SAMPLES as f64;
+        let at = |sample: usize| {
+            let mut joints = home;
+            joints[joint] = range.low + step * sample as f64;
+            arm.motors(&joints).ok()
+        };
+        for sample in 0..SAMPLES {
+            let (Some(low), Some(high)) = (at(sample), at(sample + 1)) else {
+                continue;
+            };
+            for motor in 0..arm.axes() {
+                gains[motor][joint] = f64::max(
+                    gains[motor][joint],
+                    ((high[motor] - low[motor]) / step).abs(),
+                );
+            }
+        }
+    }
+    gains
+}
+
+fn padded(pose: &[f64]) -> Axes {
+    let mut axes = Axes::default();
+    axes[..pose.len()].copy_from_slice(pose);
+    axes
+}

@@ -1,0 +1,207 @@
+use super::*;
+
+const IRB6: &str = include_str!("../../../cells/irb6.toml");
+const IRP6: &str = include_str!("../../../cells/irp6.toml");
+
+/// The line, from 1, of the first occurrence of `needle`.
+fn line_of(text: &str, needle: &str) -> usize {
+    text[..text.find(needle).expect("the needle is in the text")]
+        .lines()
+        .count()
+        + 1
+}
+
+#[test]
+fn example_cells_parse_and_their_programs_can_be_built() {
+    for text in [IRB6, IRP6] {
+        let cell = Cell::parse(text).unwrap();
+        for robot in &cell.robot {
+            let arm = robot.arm().unwrap();
+            let task = robot.task(&arm).unwrap();
+            assert!(task.len() >= 3 + robot.program.len(), "{}", cell.name);
+        }
+    }
+}
+
+#[test]
+fn a_refusal_names_line_key_and_reason() {
+    let cases: [(&str, &str, &str, &str); 19] = [
+        (
+            "period_us = 2000",
+            "period_us = 0",
+            "period_us",
+            "must be between 1000 and 1000000",
+        ),
+        (
+            "period_us = 2000",
+            "period_us = 2500",
+            "period_us",
+            "must be a multiple of 1000",
+        ),
+        (
+            "period_us = 2000",
+            "period_us = \"fast\"",
+            "",
+            "invalid type",
+        ),
+        ("period_us = 2000", "period_us = = 1", "", "invalid"),
+        (
+            "period_us = 2000",
+            "priod_us = 2000",
+            "",
+            "unknown field `priod_us`",
+        ),
+        (
+            "macrostep = 10",
+            "macrostep = 0",
+            "macrostep",
+            "must be between 1 and 1000",
+        ),
+        (
+            "priority = 80",
+            "priority = 100",
+            "realtime.priority",
+            "must be between 1 and 99",
+        ),
+        (
+            "bitrate_kbps = 1000",
+            "bitrate_kbps = 83",
+            "bus[0].bitrate_kbps",
+            "bit time of whole nanoseconds",
+        ),
+        (
+            "model = \"irb6\"",
+            "model = \"irp6\"",
+            "robot[0].axis",
+            "has 5 axes, must have 6",
+        ),
+        (
+            "bus = \"arm\"",
+            "bus = \"leg\"",
+            "robot[0].axis[0].bus",
+            "no bus is called \"leg\"",
+        ),
+        (
+            "node = 2",
+            "node = 1",
+            "robot[0].axis[1].node",
+            "used twice, first by robot[0].axis[0]",
+        ),
+        (
+            "node = 2",
+            "node = 127",
+            "robot[0].axis[1].node",
+            "used twice, first by the host",
+        ),
+        (
+            "node = 2",
+            "node = 128",
+            "robot[0].axis[1].node",
+            "must be between 1 and 127",
+        ),
+        (
+            "max_velocity = 250.0",
+            "max_velocity = nan",
+            "robot[0].axis[0].max_velocity",
+            "must be a finite number",
+        ),
+        (
+            "max_velocity = 250.0",
+            "max_velocity = -1.0",
+            "robot[0].axis[0].max_velocity",
+            "must be above 0",
+        ),
+        (
+            "max_velocity = 250.0",
+            "min_position = 5.0\nmax_position = -5.0",
+            "robot[0].axis[0].min_position",
+            "is 5, not below the upper limit -5",
+        ),
+        (
+            "[[0.4, ",
+            "[[inf, ",
+            "robot[0].program[0].joints.poses[0][0]",
+            "must be a finite number",
+        ),
+        (
+            "[[0.4, ",
+            "[[",
+            "robot[0].program[0].joints.poses[0]",
+            "has 4 joint values, must have 5",
+        ),
+        (
+            "velocity = 0.2",
+            "velocity = 0.0",
+            "robot[0].program[1].line.velocity",
+            "must be above 0",
+        ),
+    ];
+    for (good, bad, key, reason) in cases {
+        let text = IRB6.replacen(good, bad, 1);
+        // A second max_velocity would be another error.
+        let text = if bad.contains("min_position") {
+            text.replacen("min_position", "max_velocity = 1.0\nmin_position", 1)
+        } else {
+            text
+        };
+        let error = Cell::parse(&text).unwrap_err();
+        let shown = error.to_string();
+        assert!(shown.contains(reason), "{bad}: {shown}");
+        assert_eq!(error.key, key, "{bad}");
+        assert_eq!(
+            error.line,
+            line_of(&text, bad.split('\n').next().unwrap()),
+            "{bad}: {shown}"
+        );
+        assert!(!shown.contains('\n'), "{bad}: {shown}");
+    }
+}
+
+#[test]
+fn a_pose_that_the_arm_cannot_take_names_its_instruction() {
+    let cases = [
+        ("[[0.4, -1.8,", "[[0.4, -0.5,", 0, "axis 1"),
+        (
+            "position = [0.75, 0.0, 0.25]",
+            "position = [3.0, 0.0, 0.25]",
+            1,
+            "out of reach",
+        ),
+        (
+            "position = [0.75, 0.0, 0.25]",
+            "position = [0.75, 0.3, 0.25]",
+            1,
+            "out of the arm's plane",
+        ),
+    ];
+    for (good, bad, index, reason) in cases {
+        let text = IRB6.replacen(good, bad, 1);
+        assert_ne!(text, IRB6, "{good}");
+        let cell = Cell::parse(&text).unwrap();
+        let (found, error) = cell.robot[0]
+            .task(&cell.robot[0].arm().unwrap())
+            .unwrap_err();
+        assert_eq!(found, index, "{bad}: {error}");
+        assert!(error.to_string().contains(reason), "{bad}: {error}");
+    }
+}
+
+#[test]
+fn every_motor_stays_within_its_share_when_all_joints_move_at_once() {
+    let cell = Cell::parse(IRP6).unwrap();
+    let robot = &cell.robot[0];
+    let arm = robot.arm().unwrap();
+    let limits = robot.motion_limits(&arm);
+    let home = arm.joints(&arm.robot().home().padded()).unwrap();
+    let before = arm.motors(&home).unwrap();
+    let dt = 1e-4;
+    let mut joints = home;
+    for joint in 0..arm.axes() {
+        joints[joint] += limits.max_velocity[joint] * dt;
+    }
+    let after = arm.motors(&joints).unwrap();
+    for (motor, axis) in robot.axis.iter().enumerate() {
+        let velocity = (after[motor] - before[motor]).abs() / dt;
+        assert!(velocity <= axis.max_velocity, "motor {motor}: {velocity}");
+    }
+}
