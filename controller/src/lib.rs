@@ -1,1 +1,3 @@
 //! Robots, generators, the effector control process and the cell file.
+
+pub mod robot;
