@@ -2,3 +2,4 @@
 
 pub mod ecp;
 pub mod generator;
+pub mod robot;

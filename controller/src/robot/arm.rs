@@ -1,0 +1,193 @@
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+
+use super::{ArmParameters, Jacobian, KinematicsError, solutions::Search};
+
+/// Below this sine of the angle between two axes they count as parallel, and below this distance, m,
+/// a point counts as lying on an axis. A pose so close to a singularity is met within the same bound.
+pub(super) const PARALLEL: f64 = 1e-10;
+
+pub(super) const COLUMN: usize = 0;
+pub(super) const SHOULDER: usize = 1;
+pub(super) const ELBOW: usize = 2;
+pub(super) const PITCH: usize = 3;
+pub(super) const ROLL: usize = 4;
+
+/// Sines and cosines of the column and of the three inclinations.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Posture {
+    sin: [f64; 4],
+    cos: [f64; 4],
+}
+
+impl Posture {
+    pub(super) fn new(th1: f64, th2: f64, th3: f64, th4: f64) -> Self {
+        let both = [th1, th2, th3, th4].map(f64::sin_cos);
+        Self {
+            sin: both.map(|(sin, _)| sin),
+            cos: both.map(|(_, cos)| cos),
+        }
+    }
+
+    /// The wrist before its roll.
+    pub(super) fn wrist(&self) -> Matrix3<f64> {
+        wrist((self.sin[0], self.cos[0]), (self.sin[3], self.cos[3]))
+    }
+}
+
+/// `base_from_wrist` before the roll, for the sine and cosine of column and pitch. Its z axis is the
+/// roll axis; the column turns it by th1 about the vertical, the pitch by th4 about its own -y axis.
+pub(super) fn wrist((s1, c1): (f64, f64), (s4, c4): (f64, f64)) -> Matrix3<f64> {
+    Matrix3::new(
+        c1 * s4,
+        s1,
+        c1 * c4, //
+        s1 * s4,
+        -c1,
+        s1 * c4, //
+        c4,
+        0.0,
+        -s4,
+    )
+}
+
+/// A column angle and a pitch at which branches are sought, as (sine, cosine), and the flange's origin
+/// in the vertical plane they face: `reach` m ahead, negative behind, and `height` m above the base.
+pub(super) struct Facing {
+    pub(super) th1: (f64, f64),
+    pub(super) pitch: (f64, f64),
+    pub(super) reach: f64,
+    pub(super) height: f64,
+}
+
+/// Distance of the flange's origin from the column's axis, where th1 is determined, m.
+pub(super) fn radius(origin: &Vector3<f64>) -> Result<f64, KinematicsError> {
+    let radius = (origin.x * origin.x + origin.y * origin.y).sqrt();
+    if radius < PARALLEL {
+        return Err(KinematicsError::Singular { axis: COLUMN as u8 });
+    }
+    Ok(radius)
+}
+
+/// A pose given by the axes of its frame as columns.
+pub(super) fn pose(origin: Vector3<f64>, axes: Matrix3<f64>) -> Isometry3<f64> {
+    let rotation = Rotation3::from_matrix_unchecked(axes);
+    Isometry3::from_parts(
+        Translation3::from(origin),
+        UnitQuaternion::from_rotation_matrix(&rotation),
+    )
+}
+
+/// Origin and axes of a pose; refuses what is not finite.
+pub(super) fn parts(
+    pose: &Isometry3<f64>,
+) -> Result<(Vector3<f64>, Matrix3<f64>), KinematicsError> {
+    let finite = |value: &f64| value.is_finite();
+    let (origin, rotation) = (&pose.translation.vector, &pose.rotation);
+    if origin.iter().all(finite) && rotation.coords.iter().all(finite) {
+        Ok((*origin, rotation.to_rotation_matrix().into_inner()))
+    } else {
+        Err(KinematicsError::NotFinite)
+    }
+}
+
+impl ArmParameters {
+    /// The links that hang in the arm's plane, with the axes that incline them.
+    fn lengths(&self) -> [(usize, f64); 3] {
+        [
+            (SHOULDER, self.lower_arm_length),
+            (ELBOW, self.upper_arm_length),
+            (PITCH, self.wrist_length),
+        ]
+    }
+
+    /// The flange's origin in the base frame.
+    pub(super) fn origin(&self, Posture { sin, cos }: &Posture) -> Vector3<f64> {
+        let (mut reach, mut drop) = (0.0, 0.0);
+        for (axis, length) in self.lengths() {
+            reach += length * cos[axis];
+            drop += length * sin[axis];
+        }
+        Vector3::new(cos[0] * reach, sin[0] * reach, self.shoulder_height - drop)
+    }
+
+    /// The Jacobian's columns of th1 .. th5; those behind stay zero.
+    pub(super) fn jacobian(&self, posture: &Posture) -> Jacobian {
+        let mut jacobian = Jacobian::zeros();
+        let Posture { sin, cos } = posture;
+        let origin = self.origin(posture);
+        jacobian
+            .fixed_view_mut::<3, 1>(0, 0)
+            .copy_from(&Vector3::new(-origin.y, origin.x, 0.0));
+        jacobian[(5, 0)] = 1.0;
+        for (axis, length) in self.lengths() {
+            let (s, c) = (length * sin[axis], length * cos[axis]);
+            let moved = Vector3::new(-cos[0] * s, -sin[0] * s, -c);
+            jacobian.fixed_view_mut::<3, 1>(0, axis).copy_from(&moved);
+        }
+        // Parallelograms keep the flange's orientation while lower and upper arm move.
+        let wrist = posture.wrist();
+        jacobian
+            .fixed_view_mut::<3, 1>(3, PITCH)
+            .copy_from(&-wrist.column(1));
+        jacobian
+            .fixed_view_mut::<3, 1>(3, ROLL)
+            .copy_from(&wrist.column(2));
+        jacobian
+    }
+
+    /// Follows the branches of one column angle and one pitch. `set_wrist` sets the axes behind the
+    /// pitch, given the wrist's frame before its roll.
+    pub(super) fn branches<const N: usize>(
+        &self,
+        search: &mut Search<'_, N>,
+        at: &Facing,
+        set_wrist: impl Fn(&Search<'_, N>, &mut [f64; N], &Matrix3<f64>),
+    ) {
+        let (s4, c4) = at.pitch;
+        let mut joints = *search.near();
+        search.turn(&mut joints, PITCH, s4.atan2(c4));
+        if !search.follows(&joints, PITCH) {
+            return;
+        }
+        let (s1, c1) = at.th1;
+        search.turn(&mut joints, COLUMN, s1.atan2(c1));
+        let reach = at.reach - self.wrist_length * c4;
+        let drop = self.shoulder_height - at.height - self.wrist_length * s4;
+        let shoulders = match self.shoulders(reach, drop) {
+            Ok(shoulders) => shoulders,
+            Err(margin) => return search.out_of_reach(margin),
+        };
+        for (s2, c2) in shoulders {
+            joints[SHOULDER] = s2.atan2(c2);
+            if !search.follows(&joints, SHOULDER) {
+                continue;
+            }
+            let lower = self.lower_arm_length;
+            joints[ELBOW] = (drop - lower * s2).atan2(reach - lower * c2);
+            set_wrist(search, &mut joints, &wrist(at.th1, at.pitch));
+            search.offer(joints);
+        }
+    }
+
+    /// Sine and cosine of the two th2 that let the pitch axis stand `reach` m ahead of the shoulder and
+    /// `drop` m below it, or how much the arm lacks, m.
+    fn shoulders(&self, reach: f64, drop: f64) -> Result<[(f64, f64); 2], f64> {
+        let (lower, upper) = (self.lower_arm_length, self.upper_arm_length);
+        let square = reach * reach + drop * drop;
+        let span = square.sqrt();
+        let margin = (span - (lower + upper)).max((lower - upper).abs() - span);
+        if margin > 0.0 || span == 0.0 {
+            return Err(margin);
+        }
+        // The angle at the shoulder between the lower arm and the line to the pitch axis.
+        let cos = (square + lower * lower - upper * upper) / (2.0 * lower * span);
+        let sin = (1.0 - cos * cos).max(0.0).sqrt();
+        let th2 = |sin: f64| {
+            (
+                (drop * cos + reach * sin) / span,
+                (reach * cos - drop * sin) / span,
+            )
+        };
+        Ok([th2(sin), th2(-sin)])
+    }
+}

@@ -1,0 +1,272 @@
+use std::f64::consts::{PI, TAU};
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{KinematicsError, Limits, Space};
+
+/// An axis behind a gear of constant ratio.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct GearAxis {
+    /// Motor rad per joint rad (per m for a linear joint); negative where they turn against each other.
+    pub ratio: f64,
+    /// Joint position at home, rad.
+    pub joint_at_home: f64,
+    /// Motor position at home, rad.
+    pub motor_at_home: f64,
+    /// Range of the joint, rad.
+    pub joint_limits: Limits,
+    /// Range of the motor, rad.
+    pub motor_limits: Limits,
+}
+
+/// An axis turned by a ball screw across a triangle: the screw is the side opposite to the joint.
+///
+/// The screw's length L obeys L² = `squared` + `cosine`·cos θ + `sine`·sin θ (law of cosines, with the
+/// angles at which crank and frame are mounted folded into the two coefficients).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ScrewAxis {
+    /// Screw travel per motor turn, m; positive where the screw lengthens as the motor turns forward.
+    pub lead: f64,
+    /// Sum of the squares of the triangle's fixed lengths, m².
+    #[doc(alias = "sl123")]
+    pub squared: f64,
+    /// Coefficient of cos θ, m².
+    #[doc(alias = "mi")]
+    pub cosine: f64,
+    /// Coefficient of sin θ, m².
+    #[doc(alias = "ni")]
+    pub sine: f64,
+    /// Screw length at home, m.
+    pub length_at_home: f64,
+    /// Motor position at home, rad.
+    pub motor_at_home: f64,
+    /// Range of the joint, rad; the screw must lengthen with the angle all over it.
+    pub joint_limits: Limits,
+    /// Range of the motor, rad.
+    pub motor_limits: Limits,
+}
+
+impl ScrewAxis {
+    /// Length of the screw at a joint angle, m.
+    fn length(&self, joint: f64) -> f64 {
+        let (sin, cos) = joint.sin_cos();
+        (self.squared + self.cosine * cos + self.sine * sin).sqrt()
+    }
+
+    /// Twice the length times its derivative by the joint angle, m²/rad.
+    fn slope(&self, joint: f64) -> f64 {
+        let (sin, cos) = joint.sin_cos();
+        self.sine * cos - self.cosine * sin
+    }
+
+    /// The joint angle at a screw length, or the nearest length that a triangle can have.
+    fn joint(&self, length: f64) -> Result<f64, f64> {
+        let swing = self.cosine.hypot(self.sine);
+        let excess = length * length - self.squared;
+        let shortest = (self.squared - swing).sqrt();
+        if length < shortest {
+            return Err(shortest);
+        }
+        if excess > swing {
+            return Err((self.squared + swing).sqrt());
+        }
+        // Of the two triangles with this length the one that opens as the screw lengthens.
+        let slope = (swing * swing - excess * excess).max(0.0).sqrt();
+        let sin = self.sine * excess - self.cosine * slope;
+        let cos = self.cosine * excess + self.sine * slope;
+        Ok(sin.atan2(cos))
+    }
+
+    /// Whether each angle of the range has one screw length and each length one angle.
+    pub(super) fn is_unambiguous(&self) -> bool {
+        let Limits { low, high } = self.joint_limits;
+        let shortest = self.squared - self.cosine.hypot(self.sine);
+        let (at_low, at_high) = (self.slope(low), self.slope(high));
+        shortest > 0.0
+            && at_low > 0.0
+            && at_high > 0.0
+            && low >= -PI
+            && high <= PI
+            && high - low < PI
+    }
+}
+
+/// What stands between one motor and its joint.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Transmission {
+    Gear(GearAxis),
+    Screw(ScrewAxis),
+}
+
+/// One axis of a drive train.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Axis {
+    pub(super) transmission: Transmission,
+    /// The axis, of a lower index, whose motor turns this one's with it, one to one: a motor that sits
+    /// before that joint and reaches past it through a differential.
+    pub(super) carried_by: Option<usize>,
+}
+
+impl Axis {
+    fn motor_at_home(&self) -> f64 {
+        match &self.transmission {
+            Transmission::Gear(gear) => gear.motor_at_home,
+            Transmission::Screw(screw) => screw.motor_at_home,
+        }
+    }
+
+    fn limits(&self, space: Space) -> Limits {
+        match (&self.transmission, space) {
+            (Transmission::Gear(gear), Space::Joint) => gear.joint_limits,
+            (Transmission::Gear(gear), Space::Motor) => gear.motor_limits,
+            (Transmission::Screw(screw), Space::Joint) => screw.joint_limits,
+            (Transmission::Screw(screw), Space::Motor) => screw.motor_limits,
+        }
+    }
+
+    /// How far the motor is from home for this joint position, were it not carried, rad.
+    fn travel(&self, joint: f64) -> f64 {
+        match &self.transmission {
+            Transmission::Gear(gear) => gear.ratio * (joint - gear.joint_at_home),
+            Transmission::Screw(screw) => {
+                (screw.length(joint) - screw.length_at_home) * (TAU / screw.lead)
+            }
+        }
+    }
+
+    /// The inverse of [`Axis::travel`], or the nearest travel that has one.
+    fn joint(&self, travel: f64) -> Result<f64, f64> {
+        match &self.transmission {
+            Transmission::Gear(gear) => Ok(travel / gear.ratio + gear.joint_at_home),
+            Transmission::Screw(screw) => screw
+                .joint(travel * (screw.lead / TAU) + screw.length_at_home)
+                .map_err(|length| (length - screw.length_at_home) * (TAU / screw.lead)),
+        }
+    }
+}
+
+/// All axes of a robot between motors and joints.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct DriveTrain<const N: usize> {
+    axes: [Axis; N],
+    joint_limits: [Limits; N],
+    motor_limits: [Limits; N],
+}
+
+impl<const N: usize> DriveTrain<N> {
+    pub(super) fn new(axes: [Axis; N]) -> Self {
+        Self {
+            joint_limits: axes.map(|axis| axis.limits(Space::Joint)),
+            motor_limits: axes.map(|axis| axis.limits(Space::Motor)),
+            axes,
+        }
+    }
+
+    pub(super) fn joint_limits(&self) -> &[Limits; N] {
+        &self.joint_limits
+    }
+
+    pub(super) fn motor_limits(&self) -> &[Limits; N] {
+        &self.motor_limits
+    }
+
+    pub(super) fn home(&self) -> [f64; N] {
+        self.axes.map(|axis| axis.motor_at_home())
+    }
+
+    /// Refuses a joint position beyond its limit.
+    pub(super) fn check_joint(&self, axis: usize, joint: f64) -> Result<(), KinematicsError> {
+        check(&self.joint_limits[axis], joint, axis, Space::Joint)
+    }
+
+    /// Motor positions for joints; both within their limits.
+    pub(super) fn motors_from_joints(
+        &self,
+        joints: &[f64; N],
+    ) -> Result<[f64; N], KinematicsError> {
+        for (axis, &joint) in joints.iter().enumerate() {
+            self.check_joint(axis, joint)?;
+        }
+        let mut motors = [0.0; N];
+        for (index, axis) in self.axes.iter().enumerate() {
+            let carried = axis
+                .carried_by
+                .map_or(0.0, |by| motors[by] - self.axes[by].motor_at_home());
+            motors[index] = axis.motor_at_home() + axis.travel(joints[index]) + carried;
+        }
+        for (axis, &motor) in motors.iter().enumerate() {
+            check(&self.motor_limits[axis], motor, axis, Space::Motor)?;
+        }
+        Ok(motors)
+    }
+
+    /// Joints for motor positions, wherever the mechanism can be.
+    pub(super) fn joints_from_motors(
+        &self,
+        motors: &[f64; N],
+    ) -> Result<[f64; N], KinematicsError> {
+        let mut joints = [0.0; N];
+        for (index, axis) in self.axes.iter().enumerate() {
+            let carried = axis
+                .carried_by
+                .map_or(0.0, |by| motors[by] - self.axes[by].motor_at_home());
+            let home = axis.motor_at_home() + carried;
+            joints[index] = axis.joint(motors[index] - home).map_err(|travel| {
+                let (value, limit) = (motors[index], home + travel);
+                KinematicsError::BeyondLimit {
+                    space: Space::Motor,
+                    axis: index as u8,
+                    value,
+                    limit,
+                }
+            })?;
+        }
+        Ok(joints)
+    }
+
+    /// `angle` plus the whole turns that bring a geared joint nearest to `near` and, if any turn does,
+    /// within the limits of joint and motor. `joints` holds the axis that carries this one.
+    pub(super) fn turn(&self, index: usize, angle: f64, joints: &[f64; N], near: f64) -> f64 {
+        let mut range = self.joint_limits[index];
+        let axis = &self.axes[index];
+        if let Transmission::Gear(gear) = &axis.transmission {
+            let carried = axis
+                .carried_by
+                .map_or(0.0, |by| self.axes[by].travel(joints[by]));
+            let joint =
+                |motor| (motor - gear.motor_at_home - carried) / gear.ratio + gear.joint_at_home;
+            let (a, b) = (joint(gear.motor_limits.low), joint(gear.motor_limits.high));
+            range = Limits {
+                low: range.low.max(a.min(b)),
+                high: range.high.min(a.max(b)),
+            };
+        }
+        let nearest = angle + TAU * ((near - angle) / TAU).round();
+        let inside = match range.exceeded_by(nearest) {
+            Some(limit) if limit == range.low => nearest + TAU * ((limit - nearest) / TAU).ceil(),
+            Some(limit) => nearest - TAU * ((nearest - limit) / TAU).ceil(),
+            None => nearest,
+        };
+        if range.exceeded_by(inside).is_none() {
+            inside
+        } else {
+            nearest
+        }
+    }
+}
+
+/// Refuses a position beyond its limit.
+fn check(limits: &Limits, value: f64, axis: usize, space: Space) -> Result<(), KinematicsError> {
+    match limits.exceeded_by(value) {
+        Some(limit) => Err(KinematicsError::BeyondLimit {
+            space,
+            axis: axis as u8,
+            value,
+            limit,
+        }),
+        None => Ok(()),
+    }
+}

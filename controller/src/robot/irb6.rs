@@ -1,0 +1,164 @@
+use nalgebra::{Isometry3, Matrix3};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{
+    ArmParameters, Jacobian, Joints, KinematicsError, Limits, Motors, ParameterError, Robot,
+    Solutions,
+    arm::{self, Facing, Posture, ROLL},
+    drive_train::DriveTrain,
+    parameters,
+    solutions::Search,
+};
+
+const AXES: usize = 5;
+
+/// Numbers of one IRb-6.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Irb6Parameters {
+    /// The five axes. The wrist ends at the tool flange, whose z axis is the roll axis.
+    pub arm: ArmParameters,
+    /// How far the tool axis of a pose may lean out of the arm's plane, as the sine of the angle. The
+    /// solution leans by as much from the pose asked for.
+    pub tool_plane_tolerance: f64,
+}
+
+impl Irb6Parameters {
+    /// The 5-axis set of the WUT robot on the pedestal, base frame on the floor under the column.
+    ///
+    /// From public code: all of the arm, with shoulder 0.7 m, flange 0.095 m and roll home 314.665 rad
+    /// of the 5-axis model. The robot's maker gives 0.450, 0.670 and 0.200 m for its own arm and
+    /// flange: set those for a robot as delivered. Nominal: the tolerance.
+    pub const fn irb6() -> Self {
+        let mut arm = ArmParameters::nominal();
+        arm.shoulder_height = 0.7;
+        arm.wrist_length = 0.095;
+        arm.roll.motor_at_home = 314.665;
+        Self {
+            arm,
+            tool_plane_tolerance: 1e-6,
+        }
+    }
+}
+
+/// The ASEA IRb-6: the five axes of [`ArmParameters`], the tool on the roll axis.
+///
+/// Joints: th1 th2 th3 th4 th5, the first four absolute as the drives set them. The flange's z axis is
+/// the roll axis; with th1 = th5 = 0 and a level wrist its x axis points up.
+///
+/// Five axes reach only poses whose z axis lies in the vertical plane through the column's axis and
+/// the flange; others are [`KinematicsError::ToolPlane`]. A tool aside the roll axis turns with the
+/// flange like any other, but the caller must pick its poses so that the flange stays in the plane.
+/// With the flange's origin on the column's axis th1 is [`KinematicsError::Singular`]; the arm has no
+/// other singularity within its limits.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Irb6 {
+    arm: ArmParameters,
+    tool_plane_tolerance: f64,
+    drive_train: DriveTrain<AXES>,
+}
+
+impl Irb6 {
+    /// The robot of these numbers, or what is wrong with them.
+    pub fn new(parameters: &Irb6Parameters) -> Result<Self, ParameterError> {
+        let &Irb6Parameters {
+            arm,
+            tool_plane_tolerance,
+        } = parameters;
+        let drive_train = DriveTrain::new(arm.axes()?);
+        parameters::positive("tool_plane_tolerance", tool_plane_tolerance)?;
+        Ok(Self {
+            arm,
+            tool_plane_tolerance,
+            drive_train,
+        })
+    }
+}
+
+impl Robot for Irb6 {
+    fn axes(&self) -> usize {
+        AXES
+    }
+
+    fn joint_limits(&self) -> &[Limits] {
+        self.drive_train.joint_limits()
+    }
+
+    fn motor_limits(&self) -> &[Limits] {
+        self.drive_train.motor_limits()
+    }
+
+    fn home(&self) -> Motors {
+        self.drive_train.home().into()
+    }
+
+    fn forward(&self, joints: &Joints) -> Result<Isometry3<f64>, KinematicsError> {
+        let &[th1, th2, th3, th4, th5] = joints.exactly()?;
+        let posture = Posture::new(th1, th2, th3, th4);
+        let (s5, c5) = th5.sin_cos();
+        let wrist = posture.wrist();
+        let (ahead, across, along) = (wrist.column(0), wrist.column(1), wrist.column(2));
+        let axes = [
+            ahead * c5 + across * s5,
+            across * c5 - ahead * s5,
+            along.into_owned(),
+        ];
+        Ok(arm::pose(
+            self.arm.origin(&posture),
+            Matrix3::from_columns(&axes),
+        ))
+    }
+
+    fn inverse(
+        &self,
+        base_from_flange: &Isometry3<f64>,
+        near: &Joints,
+    ) -> Result<Solutions, KinematicsError> {
+        let near = near.exactly::<AXES>()?;
+        let (origin, axes) = arm::parts(base_from_flange)?;
+        let (normal, approach) = (axes.column(0), axes.column(2));
+        let radius = arm::radius(&origin)?;
+        let residual = (origin.x * approach.y - origin.y * approach.x) / radius;
+        if residual.abs() > self.tool_plane_tolerance {
+            return Err(KinematicsError::ToolPlane { residual });
+        }
+        Search::run(&self.drive_train, near, |search| {
+            for facing in [1.0, -1.0] {
+                let (s1, c1) = (facing * origin.y / radius, facing * origin.x / radius);
+                let level = c1 * approach.x + s1 * approach.y;
+                let in_plane = (level * level + approach.z * approach.z).sqrt();
+                let pitch = (-approach.z / in_plane, level / in_plane);
+                let at = Facing {
+                    th1: (s1, c1),
+                    pitch,
+                    reach: facing * radius,
+                    height: origin.z,
+                };
+                self.arm.branches(search, &at, |search, joints, wrist| {
+                    let roll = normal
+                        .dot(&wrist.column(1))
+                        .atan2(normal.dot(&wrist.column(0)));
+                    search.turn(joints, ROLL, roll);
+                });
+            }
+        })
+    }
+
+    fn motors_from_joints(&self, joints: &Joints) -> Result<Motors, KinematicsError> {
+        self.drive_train
+            .motors_from_joints(joints.exactly()?)
+            .map(Motors::from)
+    }
+
+    fn joints_from_motors(&self, motors: &Motors) -> Result<Joints, KinematicsError> {
+        self.drive_train
+            .joints_from_motors(motors.exactly()?)
+            .map(Joints::from)
+    }
+
+    fn jacobian(&self, joints: &Joints) -> Result<Jacobian, KinematicsError> {
+        let &[th1, th2, th3, th4, _] = joints.exactly()?;
+        Ok(self.arm.jacobian(&Posture::new(th1, th2, th3, th4)))
+    }
+}

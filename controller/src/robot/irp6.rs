@@ -1,0 +1,212 @@
+use nalgebra::{Isometry3, Matrix3};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{
+    ArmParameters, GearAxis, Jacobian, Joints, KinematicsError, Limits, Motors, ParameterError,
+    Robot, Solutions,
+    arm::{self, Facing, PARALLEL, PITCH, Posture, ROLL},
+    drive_train::DriveTrain,
+    parameters,
+    solutions::Search,
+};
+
+const AXES: usize = 6;
+const HAND: usize = 5;
+
+/// Numbers of one IRp-6.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Irp6Parameters {
+    /// The five axes of the arm. Its wrist ends where the hand axis crosses the roll axis.
+    pub arm: ArmParameters,
+    /// Drive of th6, the hand axis N.
+    pub hand: GearAxis,
+}
+
+impl Irp6Parameters {
+    /// The robot on the pedestal as its controller was written for it (public code), base frame at
+    /// the shoulder. Later versions of that code home the roll at 432.25 rad. The pitch ends at 90°
+    /// here instead of 92°: in those two degrees some poses have a second branch.
+    pub const fn irp6p() -> Self {
+        let mut arm = ArmParameters::nominal();
+        arm.pitch.joint_limits.high = std::f64::consts::FRAC_PI_2;
+        Self {
+            arm,
+            hand: GearAxis {
+                ratio: 288.8845,
+                joint_at_home: 0.0,
+                motor_at_home: 791.0,
+                joint_limits: Limits {
+                    low: -2.88,
+                    high: 2.93,
+                },
+                motor_limits: Limits {
+                    low: -1000.0,
+                    high: 3000.0,
+                },
+            },
+        }
+    }
+
+    /// The same robot as calibrated in February 2007 (public code). Home positions belong to the
+    /// machine's state of then: the two sets do not mix. Limits and gears are the nominal ones.
+    /// Home is not quite the upright posture here: lower arm at -91.0°, upper arm at -0.3° (derived).
+    pub const fn irp6p_calibrated() -> Self {
+        let mut robot = Self::irp6p();
+        let arm = &mut robot.arm;
+        arm.lower_arm_length = 0.4596;
+        arm.upper_arm_length = 0.6729;
+        arm.wrist_length = 0.1903;
+        arm.column.joint_at_home = 0.0111;
+        arm.column.motor_at_home = -7.7597;
+        arm.lower_arm.squared = 0.078_379_438_8;
+        arm.lower_arm.cosine = 0.060_059_331_1;
+        arm.lower_arm.sine = 0.032_453_098_3;
+        arm.lower_arm.length_at_home = 0.211_810_8;
+        arm.lower_arm.motor_at_home = -8.7537;
+        arm.upper_arm.squared = 0.078_379_438_8;
+        arm.upper_arm.cosine = -0.042_863_817_7;
+        arm.upper_arm.sine = 0.053_294_476_2;
+        arm.upper_arm.length_at_home = 0.187_652_9;
+        arm.upper_arm.motor_at_home = -7.5355;
+        arm.pitch.motor_at_home = 153.1366;
+        arm.roll.joint_at_home = 0.0903;
+        arm.roll.motor_at_home = 309.5910;
+        robot.hand.joint_at_home = 0.0209;
+        robot.hand.motor_at_home = 796.0265;
+        robot
+    }
+}
+
+/// The WUT IRp-6: the arm of [`ArmParameters`] with a hand axis across the roll axis.
+///
+/// Joints: th1 th2 th3 th4 th5 th6, the first four absolute as the drives set them. The flange's z
+/// axis is the hand axis N; its origin lies where that crosses the roll axis.
+///
+/// A pose has up to eight branches; within the limits of the real robot one remains, turns of the
+/// roll aside, so a pose needs no configuration flags. Where hand axis and column-plane normal are
+/// parallel (sin th5 = 0, within 1e-10) pitch and hand turn about the same line, and
+/// [`Robot::inverse`] keeps the pitch of `near`. With the flange's origin on the column's axis th1 is
+/// [`KinematicsError::Singular`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct Irp6 {
+    arm: ArmParameters,
+    drive_train: DriveTrain<AXES>,
+}
+
+impl Irp6 {
+    /// The robot of these numbers, or what is wrong with them.
+    pub fn new(parameters: &Irp6Parameters) -> Result<Self, ParameterError> {
+        let [column, lower_arm, upper_arm, pitch, roll] = parameters.arm.axes()?;
+        let hand = parameters::gear("hand", &parameters.hand)?;
+        let axes = [column, lower_arm, upper_arm, pitch, roll, hand];
+        Ok(Self {
+            arm: parameters.arm,
+            drive_train: DriveTrain::new(axes),
+        })
+    }
+}
+
+impl Robot for Irp6 {
+    fn axes(&self) -> usize {
+        AXES
+    }
+
+    fn joint_limits(&self) -> &[Limits] {
+        self.drive_train.joint_limits()
+    }
+
+    fn motor_limits(&self) -> &[Limits] {
+        self.drive_train.motor_limits()
+    }
+
+    fn home(&self) -> Motors {
+        self.drive_train.home().into()
+    }
+
+    fn forward(&self, joints: &Joints) -> Result<Isometry3<f64>, KinematicsError> {
+        let &[th1, th2, th3, th4, th5, th6] = joints.exactly()?;
+        let posture = Posture::new(th1, th2, th3, th4);
+        let ((s5, c5), (s6, c6)) = (th5.sin_cos(), th6.sin_cos());
+        let wrist = posture.wrist();
+        let (ahead, across, along) = (wrist.column(0), wrist.column(1), wrist.column(2));
+        let rolled = ahead * c5 + across * s5;
+        let axes = [
+            rolled * c6 + along * s6,
+            along * c6 - rolled * s6,
+            ahead * s5 - across * c5,
+        ];
+        Ok(arm::pose(
+            self.arm.origin(&posture),
+            Matrix3::from_columns(&axes),
+        ))
+    }
+
+    fn inverse(
+        &self,
+        base_from_flange: &Isometry3<f64>,
+        near: &Joints,
+    ) -> Result<Solutions, KinematicsError> {
+        let near = near.exactly::<AXES>()?;
+        let (origin, axes) = arm::parts(base_from_flange)?;
+        let (normal, orientation, approach) = (axes.column(0), axes.column(1), axes.column(2));
+        let radius = arm::radius(&origin)?;
+        Search::run(&self.drive_train, near, |search| {
+            for facing in [1.0, -1.0] {
+                let (s1, c1) = (facing * origin.y / radius, facing * origin.x / radius);
+                // The approach axis seen in the arm's plane points along the pitched wrist's x axis.
+                let level = c1 * approach.x + s1 * approach.y;
+                let in_plane = (level * level + approach.z * approach.z).sqrt();
+                let pitches = if in_plane < PARALLEL {
+                    [Some(near[PITCH].sin_cos()), None]
+                } else {
+                    let (s4, c4) = (level / in_plane, approach.z / in_plane);
+                    [Some((s4, c4)), Some((-s4, -c4))]
+                };
+                for pitch in pitches.into_iter().flatten() {
+                    let at = Facing {
+                        th1: (s1, c1),
+                        pitch,
+                        reach: facing * radius,
+                        height: origin.z,
+                    };
+                    // Roll and hand follow from the pitch just chosen, so that no two of the three can
+                    // come from different branches, and near the singularity their errors cancel.
+                    self.arm.branches(search, &at, |search, joints, wrist| {
+                        let (ahead, across, along) =
+                            (wrist.column(0), wrist.column(1), wrist.column(2));
+                        let roll = approach.dot(&ahead).atan2(-approach.dot(&across));
+                        search.turn(joints, ROLL, roll);
+                        let hand = normal.dot(&along).atan2(orientation.dot(&along));
+                        search.turn(joints, HAND, hand);
+                    });
+                }
+            }
+        })
+    }
+
+    fn motors_from_joints(&self, joints: &Joints) -> Result<Motors, KinematicsError> {
+        self.drive_train
+            .motors_from_joints(joints.exactly()?)
+            .map(Motors::from)
+    }
+
+    fn joints_from_motors(&self, motors: &Motors) -> Result<Joints, KinematicsError> {
+        self.drive_train
+            .joints_from_motors(motors.exactly()?)
+            .map(Joints::from)
+    }
+
+    fn jacobian(&self, joints: &Joints) -> Result<Jacobian, KinematicsError> {
+        let &[th1, th2, th3, th4, th5, _] = joints.exactly()?;
+        let posture = Posture::new(th1, th2, th3, th4);
+        let mut jacobian = self.arm.jacobian(&posture);
+        let (wrist, (s5, c5)) = (posture.wrist(), th5.sin_cos());
+        let approach = wrist.column(0) * s5 - wrist.column(1) * c5;
+        jacobian
+            .fixed_view_mut::<3, 1>(3, HAND)
+            .copy_from(&approach);
+        Ok(jacobian)
+    }
+}

@@ -1,0 +1,180 @@
+//! Robots: where the flange is for given joints, which joints put it there, and where the motors are.
+//!
+//! [`Robot`] is the contract; [`Irp6`] (6 axes) and [`Irb6`] (5 axes) keep it. Every call is a function
+//! of its arguments: no state, no allocation, no search without a bound. What a robot cannot do is a
+//! [`KinematicsError`] that names the axis and both sides, never a NaN or a clamped number.
+//!
+//! Frames are named as `base_from_flange`. The **base** frame stands on axis 1, z up, its origin at
+//! the shoulder axis unless the parameters raise the shoulder above it; the **flange** is the last
+//! frame of the arm. Tools belong to the caller: `base_from_tool = base_from_flange * flange_from_tool`
+//! on the way out, and `base_from_tool * flange_from_tool.inverse()` is what [`Robot::inverse`] takes.
+//!
+//! Numbers carry the place they come from: *public code* is the published source of the WUT robots'
+//! controllers, *derived* follows from those by arithmetic, *nominal* is a plausible figure to be
+//! replaced by measurement.
+
+mod arm;
+mod drive_train;
+mod irb6;
+mod irp6;
+mod parameters;
+mod solutions;
+mod vector;
+
+#[cfg(test)]
+mod tests;
+
+use std::fmt;
+
+use nalgebra::{Isometry3, SMatrix};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use servo::MAX_AXES;
+use thiserror::Error;
+
+pub use drive_train::{GearAxis, ScrewAxis};
+pub use irb6::{Irb6, Irb6Parameters};
+pub use irp6::{Irp6, Irp6Parameters};
+pub use parameters::{ArmParameters, ParameterError};
+pub use solutions::Solutions;
+pub use vector::{Joint, Joints, Motor, Motors, Vector};
+
+/// Velocity of the flange per unit of joint velocity: column i is joint i, columns past the last
+/// axis are zero. Rows 0..3 are the linear velocity of the flange origin, m/s; rows 3..6 the angular
+/// velocity, rad/s; both in the base frame.
+pub type Jacobian = SMatrix<f64, 6, MAX_AXES>;
+
+/// One robot: its geometry, its drive train, its limits.
+///
+/// Every method refuses vectors of another length ([`KinematicsError::AxisCount`]) and numbers that
+/// are not finite ([`KinematicsError::NotFinite`]).
+pub trait Robot: fmt::Debug + Send + Sync {
+    /// Axes, at most [`MAX_AXES`]; the length of every vector it takes and gives.
+    fn axes(&self) -> usize;
+
+    /// Range of each joint, rad (m for a linear joint).
+    fn joint_limits(&self) -> &[Limits];
+
+    /// Range of each motor, rad.
+    fn motor_limits(&self) -> &[Limits];
+
+    /// Motor positions at which homing leaves the counters zero, rad.
+    #[doc(alias = "synchro_motor_position")]
+    fn home(&self) -> Motors;
+
+    /// `base_from_flange` at these joints. Looks at no limit: it serves measured joints as well.
+    fn forward(&self, joints: &Joints) -> Result<Isometry3<f64>, KinematicsError>;
+
+    /// The joints that put the flange there, within every joint and motor limit.
+    ///
+    /// `near` is where the robot is: solutions come nearest first, joints of more than one turn in
+    /// the turn nearest to it, and a redundant robot takes its free parameter from it. Where the pose
+    /// leaves an axis open (a wrist singularity), the value of `near` is kept if the robot says so,
+    /// otherwise the answer is [`KinematicsError::Singular`]. Where branches exist but none within
+    /// limits, [`KinematicsError::BeyondLimit`] tells of the one nearest to `near`.
+    fn inverse(
+        &self,
+        base_from_flange: &Isometry3<f64>,
+        near: &Joints,
+    ) -> Result<Solutions, KinematicsError>;
+
+    /// Motor positions for these joints, both within their limits: the gate of everything commanded.
+    fn motors_from_joints(&self, joints: &Joints) -> Result<Motors, KinematicsError>;
+
+    /// Joints for these motor positions. Looks at no limit but what the mechanism cannot assume at
+    /// all: it serves measured positions as well.
+    fn joints_from_motors(&self, motors: &Motors) -> Result<Joints, KinematicsError>;
+
+    /// The Jacobian at these joints.
+    fn jacobian(&self, joints: &Joints) -> Result<Jacobian, KinematicsError>;
+}
+
+/// A closed range of positions.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Limits {
+    /// The lowest position allowed.
+    pub low: f64,
+    /// The highest position allowed.
+    pub high: f64,
+}
+
+impl Limits {
+    /// What rounding may add to a position that stands exactly on its limit.
+    const SLACK: f64 = 1e-9;
+
+    /// The limit that `position` is beyond; a NaN is beyond the lower one.
+    pub fn exceeded_by(&self, position: f64) -> Option<f64> {
+        if position > self.high + Self::SLACK {
+            Some(self.high)
+        } else if position >= self.low - Self::SLACK {
+            None
+        } else {
+            Some(self.low)
+        }
+    }
+}
+
+/// Which of an axis's two positions is meant.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Space {
+    /// The joint.
+    Joint,
+    /// The motor shaft.
+    Motor,
+}
+
+impl fmt::Display for Space {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Joint => "joint",
+            Self::Motor => "motor",
+        })
+    }
+}
+
+/// Why a robot has no answer. Axes are counted from 0.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+pub enum KinematicsError {
+    /// A NaN or an infinity was given.
+    #[error("a number is not finite")]
+    NotFinite,
+    /// A vector of another robot.
+    #[error("{given} positions for a robot of {axes} axes")]
+    AxisCount {
+        /// Axes of the robot.
+        axes: u8,
+        /// Positions given.
+        given: u8,
+    },
+    /// The arm is too short, or too long to fold that far.
+    #[error("{margin:.6} m out of reach")]
+    Unreachable {
+        /// What is missing on the branch that misses least, m.
+        margin: f64,
+    },
+    /// The pose leaves an axis undetermined.
+    #[error("axis {axis} is undetermined at this pose")]
+    Singular {
+        /// The axis.
+        axis: u8,
+    },
+    /// A joint or a motor would pass its limit.
+    #[error("axis {axis}: {space} at {value:.6} is beyond its limit {limit:.6}")]
+    BeyondLimit {
+        /// Whether joint or motor.
+        space: Space,
+        /// The axis.
+        axis: u8,
+        /// The position asked for, rad (m for a linear joint).
+        value: f64,
+        /// The limit it passes.
+        limit: f64,
+    },
+    /// The tool axis is outside the vertical plane of a 5-axis arm.
+    #[error("tool axis leans {residual:.3e} out of the arm's plane")]
+    ToolPlane {
+        /// Sine of the angle between tool axis and plane, signed by the normal (-sin th1, cos th1, 0).
+        residual: f64,
+    },
+}

@@ -1,0 +1,262 @@
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use super::{
+    GearAxis, Limits, ScrewAxis,
+    arm::PITCH,
+    drive_train::{Axis, Transmission},
+};
+
+/// The arm that IRb-6 and IRp-6 share: column, lower arm, upper arm, wrist pitch, wrist roll.
+///
+/// Joints are absolute angles, as the drives set them: th1 turns the column about the vertical; th2,
+/// th3 and th4 are the inclinations of lower arm, upper arm and wrist to the horizontal, positive
+/// **down**, so that th2 = -90° is an upright lower arm and th3 = th4 = 0 a level upper arm and wrist;
+/// th5 rolls the wrist. The upper arm keeps its inclination when the lower arm moves, and the wrist
+/// keeps its own when either does, because parallelograms hold them; the roll motor sits before the
+/// pitch and is carried by it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ArmParameters {
+    /// Height of the shoulder axis above the base frame, m.
+    #[doc(alias = "d1")]
+    pub shoulder_height: f64,
+    /// Shoulder axis to elbow axis, m.
+    #[doc(alias = "a2")]
+    pub lower_arm_length: f64,
+    /// Elbow axis to pitch axis, m.
+    #[doc(alias = "a3")]
+    pub upper_arm_length: f64,
+    /// Pitch axis to flange frame along the roll axis, m.
+    #[doc(alias = "d5")]
+    pub wrist_length: f64,
+    /// Drive of th1.
+    pub column: GearAxis,
+    /// Drive of th2.
+    pub lower_arm: ScrewAxis,
+    /// Drive of th3.
+    pub upper_arm: ScrewAxis,
+    /// Drive of th4.
+    pub pitch: GearAxis,
+    /// Drive of th5.
+    pub roll: GearAxis,
+}
+
+impl ArmParameters {
+    /// The arm under the WUT robots on a pedestal, base frame at the shoulder.
+    ///
+    /// From public code: lengths, gears, screws, home positions and limits. There the limits of th3
+    /// and th4 are applied to relative angles by the latest version and to the absolute ones by the
+    /// mechanism and by versions before; here they are absolute.
+    pub(super) const fn nominal() -> Self {
+        Self {
+            shoulder_height: 0.0,
+            lower_arm_length: 0.455,
+            upper_arm_length: 0.670,
+            wrist_length: 0.190,
+            column: GearAxis {
+                ratio: -158.0,
+                joint_at_home: 0.0,
+                motor_at_home: -15.9,
+                joint_limits: degrees(-170.0, 170.0),
+                motor_limits: Limits {
+                    low: -470.0,
+                    high: 450.0,
+                },
+            },
+            lower_arm: ScrewAxis {
+                lead: 0.005,
+                squared: 0.077_895_25,
+                cosine: 0.060_902_55,
+                sine: 0.029_346_68,
+                length_at_home: 0.220_337_4,
+                motor_at_home: -5.0,
+                joint_limits: degrees(-130.0, -50.0),
+                motor_limits: Limits {
+                    low: -110.0,
+                    high: 100.0,
+                },
+            },
+            upper_arm: ScrewAxis {
+                lead: 0.005,
+                squared: 0.077_895_25,
+                cosine: -0.044_1,
+                sine: 0.051_24,
+                length_at_home: 0.183_834_8,
+                motor_at_home: -8.527,
+                joint_limits: degrees(-25.0, 40.0),
+                motor_limits: Limits {
+                    low: -80.0,
+                    high: 100.0,
+                },
+            },
+            pitch: GearAxis {
+                ratio: -128.0,
+                joint_at_home: 0.0,
+                motor_at_home: 151.31,
+                joint_limits: degrees(-90.0, 92.0),
+                motor_limits: Limits {
+                    low: -70.0,
+                    high: 380.0,
+                },
+            },
+            // The bevel gear behind the harmonic drive of 128 multiplies it by 0.6.
+            roll: GearAxis {
+                ratio: -76.8,
+                joint_at_home: 0.0,
+                motor_at_home: 435.25,
+                joint_limits: Limits {
+                    low: -10.0,
+                    high: 10.0,
+                },
+                motor_limits: Limits {
+                    low: -80.0,
+                    high: 490.0,
+                },
+            },
+        }
+    }
+
+    /// The drive train's first five axes, once every parameter has been found sound.
+    pub(super) fn axes(&self) -> Result<[Axis; 5], ParameterError> {
+        finite("shoulder_height", self.shoulder_height)?;
+        for (name, length) in [
+            ("lower_arm_length", self.lower_arm_length),
+            ("upper_arm_length", self.upper_arm_length),
+            ("wrist_length", self.wrist_length),
+        ] {
+            positive(name, length)?;
+        }
+        Ok([
+            gear("column", &self.column)?,
+            screw("lower_arm", &self.lower_arm)?,
+            screw("upper_arm", &self.upper_arm)?,
+            gear("pitch", &self.pitch)?,
+            Axis {
+                carried_by: Some(PITCH),
+                ..gear("roll", &self.roll)?
+            },
+        ])
+    }
+}
+
+/// Why a set of parameters describes no robot.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+pub enum ParameterError {
+    /// A NaN or an infinity.
+    #[error("{name} has a number that is not finite")]
+    NotFinite {
+        /// The parameter or the axis it belongs to.
+        name: &'static str,
+    },
+    /// A length or a tolerance that must be above zero.
+    #[error("{name} is {value}, not above zero")]
+    NotPositive {
+        /// The parameter.
+        name: &'static str,
+        /// What was given.
+        value: f64,
+    },
+    /// A gear or a screw that turns nothing.
+    #[error("{name} has a ratio of zero")]
+    NoRatio {
+        /// The axis.
+        name: &'static str,
+    },
+    /// Limits without room between them.
+    #[error("{name} has limits {low} .. {high}")]
+    EmptyRange {
+        /// The axis.
+        name: &'static str,
+        /// The lower limit.
+        low: f64,
+        /// The upper limit.
+        high: f64,
+    },
+    /// A screw that does not lengthen all over the range of its joint, or whose triangle collapses.
+    #[error("{name} has a screw whose length does not determine the joint")]
+    AmbiguousScrew {
+        /// The axis.
+        name: &'static str,
+    },
+}
+
+/// A rotary axis found sound.
+pub(super) fn gear(name: &'static str, gear: &GearAxis) -> Result<Axis, ParameterError> {
+    for value in [gear.ratio, gear.joint_at_home, gear.motor_at_home] {
+        finite(name, value)?;
+    }
+    if gear.ratio == 0.0 {
+        return Err(ParameterError::NoRatio { name });
+    }
+    room(name, gear.joint_limits)?;
+    room(name, gear.motor_limits)?;
+    Ok(Axis {
+        transmission: Transmission::Gear(*gear),
+        carried_by: None,
+    })
+}
+
+/// A screw axis found sound.
+fn screw(name: &'static str, screw: &ScrewAxis) -> Result<Axis, ParameterError> {
+    let ScrewAxis {
+        lead,
+        squared,
+        cosine,
+        sine,
+        length_at_home,
+        motor_at_home,
+        ..
+    } = *screw;
+    for value in [lead, squared, cosine, sine, length_at_home, motor_at_home] {
+        finite(name, value)?;
+    }
+    if lead == 0.0 {
+        return Err(ParameterError::NoRatio { name });
+    }
+    room(name, screw.joint_limits)?;
+    room(name, screw.motor_limits)?;
+    if !screw.is_unambiguous() {
+        return Err(ParameterError::AmbiguousScrew { name });
+    }
+    Ok(Axis {
+        transmission: Transmission::Screw(*screw),
+        carried_by: None,
+    })
+}
+
+fn finite(name: &'static str, value: f64) -> Result<(), ParameterError> {
+    if value.is_finite() {
+        Ok(())
+    } else {
+        Err(ParameterError::NotFinite { name })
+    }
+}
+
+/// Refuses what is not above zero.
+pub(super) fn positive(name: &'static str, value: f64) -> Result<(), ParameterError> {
+    finite(name, value)?;
+    if value > 0.0 {
+        Ok(())
+    } else {
+        Err(ParameterError::NotPositive { name, value })
+    }
+}
+
+fn room(name: &'static str, Limits { low, high }: Limits) -> Result<(), ParameterError> {
+    finite(name, low)?;
+    finite(name, high)?;
+    if low < high {
+        Ok(())
+    } else {
+        Err(ParameterError::EmptyRange { name, low, high })
+    }
+}
+
+const fn degrees(low: f64, high: f64) -> Limits {
+    Limits {
+        low: low.to_radians(),
+        high: high.to_radians(),
+    }
+}

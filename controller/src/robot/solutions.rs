@@ -1,0 +1,124 @@
+use std::ops::Deref;
+
+use super::{Joints, KinematicsError, drive_train::DriveTrain};
+
+/// Joints that put the flange at one pose, the preferred first; never empty, at most [`Solutions::MOST`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Solutions {
+    joints: [Joints; Self::MOST],
+    count: usize,
+}
+
+impl Solutions {
+    /// The most branches a robot here has.
+    pub const MOST: usize = 8;
+
+    /// The solution nearest to where the robot is.
+    pub fn preferred(&self) -> &Joints {
+        &self.joints[0]
+    }
+}
+
+impl Deref for Solutions {
+    type Target = [Joints];
+
+    fn deref(&self) -> &[Joints] {
+        &self.joints[..self.count]
+    }
+}
+
+/// Collects the branches of one inverse problem: those within all limits, nearest first, and what to
+/// say if there are none.
+pub(super) struct Search<'a, const N: usize> {
+    drive_train: &'a DriveTrain<N>,
+    near: &'a [f64; N],
+    /// Whether branches are left at the first joint found beyond its limit.
+    hasty: bool,
+    found: Solutions,
+    distances: [f64; Solutions::MOST],
+    refused: Option<(f64, KinematicsError)>,
+    margin: f64,
+}
+
+impl<'a, const N: usize> Search<'a, N> {
+    /// The solutions among the branches that `visit` offers, always the same ones. It is called a
+    /// second time, to follow every branch to its end, only to say why there is none.
+    pub(super) fn run(
+        drive_train: &'a DriveTrain<N>,
+        near: &'a [f64; N],
+        visit: impl Fn(&mut Self),
+    ) -> Result<Solutions, KinematicsError> {
+        let mut search = Self {
+            drive_train,
+            near,
+            hasty: true,
+            found: Solutions {
+                joints: [Joints::from([0.0; N]); Solutions::MOST],
+                count: 0,
+            },
+            distances: [f64::INFINITY; Solutions::MOST],
+            refused: None,
+            margin: f64::INFINITY,
+        };
+        visit(&mut search);
+        if search.found.count == 0 {
+            search.hasty = false;
+            visit(&mut search);
+        }
+        if search.found.count > 0 {
+            return Ok(search.found);
+        }
+        let unreachable = KinematicsError::Unreachable {
+            margin: search.margin,
+        };
+        Err(search.refused.map_or(unreachable, |(_, error)| error))
+    }
+
+    /// Where the robot is.
+    pub(super) const fn near(&self) -> &'a [f64; N] {
+        self.near
+    }
+
+    /// Sets one joint of a branch to `angle`, in the turn nearest to where the robot is.
+    pub(super) fn turn(&self, joints: &mut [f64; N], axis: usize, angle: f64) {
+        joints[axis] = self.drive_train.turn(axis, angle, joints, self.near[axis]);
+    }
+
+    /// Whether a branch with the joint of this axis is worth following.
+    pub(super) fn follows(&self, joints: &[f64; N], axis: usize) -> bool {
+        !self.hasty || self.drive_train.check_joint(axis, joints[axis]).is_ok()
+    }
+
+    /// Notes by how many m the arm fails to have a pair of branches.
+    pub(super) fn out_of_reach(&mut self, margin: f64) {
+        self.margin = self.margin.min(margin);
+    }
+
+    /// Takes a branch if the robot can stand there. Distance is the largest joint travel from `near`.
+    pub(super) fn offer(&mut self, joints: [f64; N]) {
+        let travel = joints.iter().zip(self.near).map(|(a, b)| (a - b).abs());
+        let distance = travel.fold(0.0, f64::max);
+        if let Err(error) = self.drive_train.motors_from_joints(&joints) {
+            if self.refused.is_none_or(|(nearest, _)| distance < nearest) {
+                self.refused = Some((distance, error));
+            }
+            return;
+        }
+        let Solutions {
+            joints: list,
+            count,
+        } = &mut self.found;
+        if *count == Solutions::MOST {
+            return;
+        }
+        let mut place = *count;
+        while place > 0 && self.distances[place - 1] > distance {
+            self.distances[place] = self.distances[place - 1];
+            list[place] = list[place - 1];
+            place -= 1;
+        }
+        self.distances[place] = distance;
+        list[place] = Joints::from(joints);
+        *count += 1;
+    }
+}

@@ -1,0 +1,123 @@
+use std::{
+    fmt,
+    marker::PhantomData,
+    ops::{Deref, DerefMut},
+};
+
+use servo::MAX_AXES;
+
+use super::KinematicsError;
+
+/// Marks positions of joints.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Joint {}
+
+/// Marks positions of motor shafts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Motor {}
+
+/// One number per axis of a robot, at most [`MAX_AXES`] of them; reads and writes as a slice.
+///
+/// Joints and motors are different types, so that neither can be sent where the other belongs.
+#[derive(Clone, Copy, PartialEq)]
+pub struct Vector<Space> {
+    values: [f64; MAX_AXES],
+    axes: u8,
+    space: PhantomData<Space>,
+}
+
+/// Joint positions, rad (m for a linear joint), in the convention of the robot they belong to.
+pub type Joints = Vector<Joint>;
+
+/// Motor shaft positions, rad, as the servo and the drives count them.
+pub type Motors = Vector<Motor>;
+
+impl<Space> Vector<Space> {
+    /// The numbers of axes 0, 1, …; `None` for more than [`MAX_AXES`].
+    pub fn new(values: &[f64]) -> Option<Self> {
+        let mut padded = [0.0; MAX_AXES];
+        padded.get_mut(..values.len())?.copy_from_slice(values);
+        Some(Self {
+            values: padded,
+            axes: values.len() as u8,
+            space: PhantomData,
+        })
+    }
+
+    /// The numbers, zeros behind them: the form a [`servo::Macrostep`] has.
+    pub const fn padded(&self) -> [f64; MAX_AXES] {
+        self.values
+    }
+
+    /// The numbers of a robot of `N` axes: refuses another count and what is not finite.
+    pub(super) fn exactly<const N: usize>(&self) -> Result<&[f64; N], KinematicsError> {
+        let values: &[f64; N] = (**self)
+            .try_into()
+            .map_err(|_| KinematicsError::AxisCount {
+                axes: N as u8,
+                given: self.axes,
+            })?;
+        if values.iter().all(|value| value.is_finite()) {
+            Ok(values)
+        } else {
+            Err(KinematicsError::NotFinite)
+        }
+    }
+}
+
+impl<Space, const N: usize> From<[f64; N]> for Vector<Space> {
+    fn from(values: [f64; N]) -> Self {
+        const { assert!(N <= MAX_AXES) };
+        Self {
+            values: std::array::from_fn(|axis| values.get(axis).copied().unwrap_or(0.0)),
+            axes: N as u8,
+            space: PhantomData,
+        }
+    }
+}
+
+impl<Space> Deref for Vector<Space> {
+    type Target = [f64];
+
+    fn deref(&self) -> &[f64] {
+        &self.values[..usize::from(self.axes)]
+    }
+}
+
+impl<Space> DerefMut for Vector<Space> {
+    fn deref_mut(&mut self) -> &mut [f64] {
+        &mut self.values[..usize::from(self.axes)]
+    }
+}
+
+impl<Space> fmt::Debug for Vector<Space> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_list().entries(self.iter()).finish()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn holds_as_many_numbers_as_axes_and_no_more_than_the_servo() {
+        let joints = Joints::new(&[1.0, 2.0]).unwrap();
+        assert_eq!(&joints[..], [1.0, 2.0]);
+        assert_eq!(joints, Joints::from([1.0, 2.0]));
+        assert_eq!(joints.padded(), [1.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        assert_eq!(Joints::new(&[0.0; MAX_AXES + 1]), None);
+    }
+
+    #[test]
+    fn a_robot_takes_finite_numbers_of_its_own_count() {
+        let joints = Joints::from([0.0, 1.0]);
+        assert_eq!(joints.exactly::<2>(), Ok(&[0.0, 1.0]));
+        assert_eq!(
+            joints.exactly::<3>(),
+            Err(KinematicsError::AxisCount { axes: 3, given: 2 })
+        );
+        let spoilt = Joints::from([0.0, f64::NAN]);
+        assert_eq!(spoilt.exactly::<2>(), Err(KinematicsError::NotFinite));
+    }
+}
