@@ -3,7 +3,8 @@ use std::time::Duration;
 use servo::{Phase, ServoFault};
 use thiserror::Error;
 
-use crate::generator::{ArmError, GeneratorError};
+use crate::generator::GeneratorError;
+use crate::robot::KinematicsError;
 
 /// Why an instruction failed. The effector stands, or is faulted, by the time this is reported.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
@@ -28,7 +29,7 @@ pub enum EcpError {
         /// Macrosteps sent for this instruction before.
         step: u64,
         /// Which axis, and why.
-        error: ArmError,
+        error: KinematicsError,
     },
     /// The generator asked for NaN or infinity.
     #[error("step {step}, axis {axis}: set-point is not a finite number")]

@@ -2,9 +2,9 @@ use can::Instant;
 use servo::Report;
 
 use crate::generator::{
-    Arm, ArmError, Axes, AxesState, EffectorImage, EffectorState, GeneratorError, ImageSource,
-    Pose, Setpoint,
+    Arm, Axes, AxesState, EffectorImage, EffectorState, GeneratorError, ImageSource, Pose, Setpoint,
 };
+use crate::robot::KinematicsError;
 
 /// Step of the differences that carry velocities through drive trains and kinematics, rad or m of the
 /// fastest axis.
@@ -12,8 +12,8 @@ const STEP: f64 = 1e-4;
 
 /// What the subcontroller has of its effector; everything but motors is worked out when asked for.
 #[derive(Debug)]
-pub(super) struct Effector<A> {
-    pub(super) arm: A,
+pub(super) struct Effector {
+    pub(super) arm: Arm,
     /// When the last report was made.
     pub(super) at: Instant,
     pub(super) macrostep: u64,
@@ -23,8 +23,8 @@ pub(super) struct Effector<A> {
     pub(super) commanded: AxesState,
 }
 
-impl<A: Arm> Effector<A> {
-    pub(super) fn new(arm: A) -> Self {
+impl Effector {
+    pub(super) fn new(arm: Arm) -> Self {
         Self {
             arm,
             at: Instant::ZERO,
@@ -43,7 +43,7 @@ impl<A: Arm> Effector<A> {
         };
     }
 
-    fn state(&self, motors: &AxesState) -> Result<EffectorState, ArmError> {
+    fn state(&self, motors: &AxesState) -> Result<EffectorState, KinematicsError> {
         let position = self.arm.joints(&motors.position)?;
         let velocity = slope(motors, &position, |motors| self.arm.joints(motors))?;
         Ok(EffectorState {
@@ -54,7 +54,7 @@ impl<A: Arm> Effector<A> {
     }
 
     /// Motors at the end of the next macrostep.
-    pub(super) fn motors(&self, setpoint: Option<Setpoint>) -> Result<AxesState, ArmError> {
+    pub(super) fn motors(&self, setpoint: Option<Setpoint>) -> Result<AxesState, KinematicsError> {
         let joints = match setpoint {
             None => return Ok(AxesState::at_rest(self.commanded.position)),
             Some(Setpoint::Motors(motors)) => return Ok(motors),
@@ -94,7 +94,7 @@ impl<A: Arm> Effector<A> {
     }
 }
 
-impl<A: Arm> ImageSource for Effector<A> {
+impl ImageSource for Effector {
     fn effector(&self) -> Result<EffectorImage, GeneratorError> {
         Ok(EffectorImage {
             at: self.at,
@@ -109,8 +109,8 @@ impl<A: Arm> ImageSource for Effector<A> {
 fn slope(
     from: &AxesState,
     value: &Axes,
-    map: impl Fn(&Axes) -> Result<Axes, ArmError>,
-) -> Result<Axes, ArmError> {
+    map: impl Fn(&Axes) -> Result<Axes, KinematicsError>,
+) -> Result<Axes, KinematicsError> {
     let fastest = from
         .velocity
         .iter()
@@ -128,8 +128,8 @@ fn slope(
 fn difference(
     speed: f64,
     value: &Axes,
-    at: impl Fn(f64) -> Result<Axes, ArmError>,
-) -> Result<Axes, ArmError> {
+    at: impl Fn(f64) -> Result<Axes, KinematicsError>,
+) -> Result<Axes, KinematicsError> {
     if !(speed > 0.0 && speed.is_finite()) {
         return Ok(Axes::default());
     }

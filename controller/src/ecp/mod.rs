@@ -133,8 +133,8 @@ enum Activity {
 }
 
 /// One effector's subcontroller. See the [module](self).
-pub struct Ecp<A> {
-    effector: Effector<A>,
+pub struct Ecp {
+    effector: Effector,
     link: EffectorLink,
     config: EcpConfig,
     task: Task,
@@ -151,9 +151,9 @@ pub struct Ecp<A> {
     heard: Instant,
 }
 
-impl<A: Arm> Ecp<A> {
+impl Ecp {
     /// A subcontroller that has nothing to do yet.
-    pub fn new(arm: A, link: EffectorLink, config: EcpConfig) -> Self {
+    pub fn new(arm: Arm, link: EffectorLink, config: EcpConfig) -> Self {
         Self {
             effector: Effector::new(arm),
             link,

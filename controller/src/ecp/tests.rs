@@ -1,15 +1,16 @@
 //! The ECP against a scripted servo end, in virtual time.
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 
 use nalgebra::Vector3;
 use servo::{MAX_AXES, ServoFault, StopCause};
 
 use super::*;
 use crate::generator::{
-    ArmError, Axes, Generator, JerkLimited, MotionLimits, Newsmooth, Next, Pose, SmoothPose, Space,
-    Wait,
+    Axes, Generator, JerkLimited, MotionLimits, Newsmooth, Next, Pose, SmoothPose, Wait,
 };
+use crate::robot::{Jacobian, Joints, KinematicsError, Limits, Motors, Robot, Solutions, Space};
 
 const PERIOD: Duration = Duration::from_millis(2);
 
@@ -17,54 +18,66 @@ const PERIOD: Duration = Duration::from_millis(2);
 #[derive(Debug)]
 struct Gantry;
 
-impl Arm for Gantry {
+const RANGE: [Limits; 3] = [Limits {
+    low: -5.0,
+    high: 5.0,
+}; 3];
+const MOTOR_RANGE: [Limits; 3] = [Limits {
+    low: -8_000.0,
+    high: 8_000.0,
+}; 3];
+
+impl Robot for Gantry {
     fn axes(&self) -> usize {
         3
     }
-    fn forward(&self, joints: &Axes) -> Result<Pose, ArmError> {
-        Ok(Pose::translation(joints[0], joints[1], joints[2]))
+    fn joint_limits(&self) -> &[Limits] {
+        &RANGE
     }
-    fn inverse(&self, pose: &Pose, _: &Axes) -> Result<Axes, ArmError> {
-        let (x, y, z) = (pose.translation.x, pose.translation.y, pose.translation.z);
-        if x > 5.0 {
-            return Err(ArmError::JointLimit {
-                axis: 0,
-                position: x,
-                limit: 5.0,
-            });
+    fn motor_limits(&self) -> &[Limits] {
+        &MOTOR_RANGE
+    }
+    fn home(&self) -> Motors {
+        Motors::from([0.0; 3])
+    }
+    fn forward(&self, q: &Joints) -> Result<Pose, KinematicsError> {
+        Ok(Pose::translation(q[0], q[1], q[2]))
+    }
+    fn inverse(&self, pose: &Pose, _: &Joints) -> Result<Solutions, KinematicsError> {
+        let q = Joints::from([pose.translation.x, pose.translation.y, pose.translation.z]);
+        self.motors_from_joints(&q)?;
+        Ok(Solutions::from(q))
+    }
+    fn motors_from_joints(&self, q: &Joints) -> Result<Motors, KinematicsError> {
+        for (axis, (value, range)) in q.iter().zip(&RANGE).enumerate() {
+            if let Some(limit) = range.exceeded_by(*value) {
+                return Err(beyond(axis as u8, *value, limit));
+            }
         }
-        Ok([x, y, z, 0.0, 0.0, 0.0, 0.0, 0.0])
+        Ok(Motors::from([
+            100.0 * q[0],
+            100.0 * q[1].sinh(),
+            100.0 * q[2],
+        ]))
     }
-    fn motors(&self, joints: &Axes) -> Result<Axes, ArmError> {
-        if joints[0] > 5.0 {
-            return Err(ArmError::JointLimit {
-                axis: 0,
-                position: joints[0],
-                limit: 5.0,
-            });
-        }
-        Ok([
-            100.0 * joints[0],
-            100.0 * joints[1].sinh(),
-            100.0 * joints[2],
-            0.0,
-            0.0,
-            0.0,
-            0.0,
-            0.0,
-        ])
+    fn joints_from_motors(&self, m: &Motors) -> Result<Joints, KinematicsError> {
+        Ok(Joints::from([
+            m[0] / 100.0,
+            (m[1] / 100.0).asinh(),
+            m[2] / 100.0,
+        ]))
     }
-    fn joints(&self, motors: &Axes) -> Result<Axes, ArmError> {
-        Ok([
-            motors[0] / 100.0,
-            (motors[1] / 100.0).asinh(),
-            motors[2] / 100.0,
-            0.0,
-            0.0,
-            0.0,
-            0.0,
-            0.0,
-        ])
+    fn jacobian(&self, _: &Joints) -> Result<Jacobian, KinematicsError> {
+        Ok(Jacobian::identity())
+    }
+}
+
+fn beyond(axis: u8, value: f64, limit: f64) -> KinematicsError {
+    KinematicsError::BeyondLimit {
+        space: Space::Joint,
+        axis,
+        value,
+        limit,
     }
 }
 
@@ -181,7 +194,7 @@ impl Script {
 }
 
 struct Bench {
-    ecp: Ecp<Gantry>,
+    ecp: Ecp,
     servo: Script,
     now: Instant,
     /// The ECP is polled every so many periods.
@@ -213,7 +226,11 @@ impl Bench {
             deaf: false,
             fault: None,
         };
-        let ecp = Ecp::new(Gantry, EffectorLink { orders, reports }, EcpConfig::usual());
+        let ecp = Ecp::new(
+            Arm::new(Arc::new(Gantry), Pose::identity()),
+            EffectorLink { orders, reports },
+            EcpConfig::usual(),
+        );
         Self {
             ecp,
             servo,
@@ -275,7 +292,7 @@ fn limits() -> MotionLimits {
 
 fn to(x: f64, y: f64, z: f64) -> Newsmooth {
     let pose = SmoothPose::fast([x, y, z, 0.0, 0.0, 0.0, 0.0, 0.0]);
-    Newsmooth::new(Space::Joints, 3, limits(), vec![pose]).unwrap()
+    Newsmooth::new(Space::Joint, 3, limits(), vec![pose]).unwrap()
 }
 
 /// Pushes axis 0 at 0.5 m/s until the measured joint is past `until`. Class 1, continuous feedback.
@@ -331,7 +348,7 @@ fn axis_0(value: f64) -> Axes {
 #[test]
 fn a_task_runs_in_order_and_each_motion_begins_where_the_last_one_ended() {
     let mut bench = Bench::new(16);
-    let back = JerkLimited::new(Space::Joints, 3, limits(), &[[0.0; MAX_AXES]]).unwrap();
+    let back = JerkLimited::new(Space::Joint, 3, limits(), &[[0.0; MAX_AXES]]).unwrap();
     let wait = Wait {
         duration: Duration::from_millis(50),
     };
@@ -456,11 +473,7 @@ fn what_a_generator_must_not_ask_for_is_refused_with_everything_at_rest() {
         linear: Vector3::x(),
         angular: Vector3::zeros(),
     };
-    let limit = ArmError::JointLimit {
-        axis: 0,
-        position: 6.0,
-        limit: 5.0,
-    };
+    let limit = beyond(0, 6.0, 5.0);
     let cases = [
         (
             Setpoint::Joints(there(6.0, 0.0)),

@@ -1,35 +1,52 @@
-use thiserror::Error;
+use std::sync::Arc;
 
 use super::{Axes, Pose};
+use crate::robot::{KinematicsError, Robot, Vector};
 
-/// What generators and the effector control process need of a robot's kinematics and drive train.
-pub trait Arm {
-    /// How many axes it has.
-    fn axes(&self) -> usize;
-    /// Base from tool, at these joint positions.
-    fn forward(&self, joints: &Axes) -> Result<Pose, ArmError>;
-    /// The joint positions within limits that take the tool to `pose`, on the branch next to `near`.
-    fn inverse(&self, pose: &Pose, near: &Axes) -> Result<Axes, ArmError>;
-    /// Motor positions at these joint positions, both within limits.
-    fn motors(&self, joints: &Axes) -> Result<Axes, ArmError>;
-    /// Joint positions at these motor positions.
-    fn joints(&self, motors: &Axes) -> Result<Axes, ArmError>;
+/// A robot and the tool it carries: its kinematics from tool to motors, on numbers padded with zeros.
+#[derive(Clone, Debug)]
+pub struct Arm {
+    robot: Arc<dyn Robot>,
+    flange_from_tool: Pose,
 }
 
-/// Why an arm cannot take a pose.
-#[derive(Clone, Copy, Debug, PartialEq, Error)]
-pub enum ArmError {
-    /// The pose is out of reach.
-    #[error("out of reach")]
-    OutOfReach,
-    /// A joint would pass its limit.
-    #[error("axis {axis} at {position:.4} rad passes its limit {limit:.4} rad")]
-    JointLimit {
-        /// Index of the axis.
-        axis: u8,
-        /// Where it would have to be.
-        position: f64,
-        /// The limit.
-        limit: f64,
-    },
+impl Arm {
+    /// The robot with its tool's frame; the identity for none.
+    pub fn new(robot: Arc<dyn Robot>, flange_from_tool: Pose) -> Self {
+        Self {
+            robot,
+            flange_from_tool,
+        }
+    }
+
+    /// How many axes it has.
+    pub fn axes(&self) -> usize {
+        self.robot.axes()
+    }
+
+    /// Base from tool, at these joint positions.
+    pub fn forward(&self, joints: &Axes) -> Result<Pose, KinematicsError> {
+        Ok(self.robot.forward(&self.given(joints))? * self.flange_from_tool)
+    }
+
+    /// The joint positions, within every limit, that take the tool there, on the branch next to `near`.
+    pub fn inverse(&self, base_from_tool: &Pose, near: &Axes) -> Result<Axes, KinematicsError> {
+        let base_from_flange = base_from_tool * self.flange_from_tool.inverse();
+        let solutions = self.robot.inverse(&base_from_flange, &self.given(near))?;
+        Ok(solutions.preferred().padded())
+    }
+
+    /// Motor positions at these joint positions, both within limits.
+    pub fn motors(&self, joints: &Axes) -> Result<Axes, KinematicsError> {
+        Ok(self.robot.motors_from_joints(&self.given(joints))?.padded())
+    }
+
+    /// Joint positions at these motor positions.
+    pub fn joints(&self, motors: &Axes) -> Result<Axes, KinematicsError> {
+        Ok(self.robot.joints_from_motors(&self.given(motors))?.padded())
+    }
+
+    fn given<Space>(&self, numbers: &Axes) -> Vector<Space> {
+        Vector::new(&numbers[..self.axes()]).expect("a robot has no more axes than the servo")
+    }
 }

@@ -1,6 +1,6 @@
 use thiserror::Error;
 
-use super::ArmError;
+use crate::robot::KinematicsError;
 
 /// Why a generator refuses a motion or gives it up.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
@@ -61,7 +61,7 @@ pub enum GeneratorError {
         /// Path parameter, 0 at the start to 1 at the end.
         s: f64,
         /// Which axis, and why.
-        cause: ArmError,
+        cause: KinematicsError,
     },
     /// The arm would have to jump between two neighbouring poses of a path.
     #[error("at {s:.4} of the path: axis {axis} jumps")]
@@ -84,7 +84,7 @@ pub enum GeneratorError {
     },
     /// The effector measures what its mechanism cannot assume.
     #[error("effector image: {0}")]
-    Image(ArmError),
+    Image(KinematicsError),
     /// A reason of a user's generator; the number is its own.
     #[error("generator error {0}")]
     User(u16),

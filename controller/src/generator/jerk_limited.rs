@@ -5,8 +5,9 @@ use rsruckig::prelude::{
 };
 use servo::MAX_AXES;
 
-use super::newsmooth::{Space, whole_macrosteps};
+use super::newsmooth::whole_macrosteps;
 use super::{Axes, AxesState, EffectorImage, Generator, GeneratorError, MotionLimits, Next};
+use crate::robot::Space;
 
 /// A jerk-limited, time-synchronised motion to a pose, through others on the way. Class 1, sporadic
 /// feedback.

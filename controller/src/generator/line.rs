@@ -54,8 +54,8 @@ pub struct LineLimits {
 ///
 /// The first step makes two inverse kinematics per checked pose, each next step three; neither allocates.
 #[derive(Debug)]
-pub struct Line<A> {
-    arm: A,
+pub struct Line {
+    arm: Arm,
     target: Pose,
     limits: LineLimits,
     joint_limits: MotionLimits,
@@ -128,10 +128,10 @@ pub struct LineMemory {
     joints: Axes,
 }
 
-impl<A: Arm> Line<A> {
+impl Line {
     /// From where the effector stands to `target`, base from tool.
     pub fn new(
-        arm: A,
+        arm: Arm,
         target: Pose,
         limits: LineLimits,
         joint_limits: MotionLimits,
@@ -260,7 +260,7 @@ impl<A: Arm> Line<A> {
     }
 }
 
-impl<A: Arm> Generator for Line<A> {
+impl Generator for Line {
     type First = EffectorImage;
     type Every = ();
     type Memory = LineMemory;

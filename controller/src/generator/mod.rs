@@ -91,7 +91,7 @@ mod wait;
 
 use std::time::Duration;
 
-pub use arm::{Arm, ArmError};
+pub use arm::Arm;
 pub use error::GeneratorError;
 pub(crate) use execution::Run;
 pub use execution::{Execution, Step};
@@ -100,7 +100,7 @@ pub use image::{
 };
 pub use jerk_limited::JerkLimited;
 pub use line::{Line, LineLimits, LineMemory};
-pub use newsmooth::{Newsmooth, Progress, SmoothPose, Space};
+pub use newsmooth::{Newsmooth, Progress, SmoothPose};
 pub use wait::Wait;
 
 /// Per-axis limits that a generator plans within; entries beyond the robot's axes are not looked at.

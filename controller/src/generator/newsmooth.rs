@@ -6,31 +6,23 @@ use super::profile::{Course, Trapezoid};
 use super::{
     Axes, AxesState, EffectorImage, Generator, GeneratorError, MotionLimits, Next, Setpoint,
 };
+use crate::robot::Space;
 
 /// The most macrosteps one motion may take: almost six hours at 20 ms.
 pub(super) const MAX_MACROSTEPS: u32 = 1 << 20;
 
-/// Whether coordinates mean joints or motors.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Space {
-    /// Joints, rad or m.
-    Joints,
-    /// Motors, rad.
-    Motors,
-}
-
 impl Space {
     pub(super) const fn commanded(self, image: &EffectorImage) -> AxesState {
         match self {
-            Self::Joints => image.commanded.joints,
-            Self::Motors => image.commanded.motors,
+            Self::Joint => image.commanded.joints,
+            Self::Motor => image.commanded.motors,
         }
     }
 
     pub(super) const fn setpoint(self, state: AxesState) -> Setpoint {
         match self {
-            Self::Joints => Setpoint::Joints(state),
-            Self::Motors => Setpoint::Motors(state),
+            Self::Joint => Setpoint::Joints(state),
+            Self::Motor => Setpoint::Motors(state),
         }
     }
 }

@@ -5,6 +5,7 @@ use std::time::Duration;
 use can::Instant;
 
 use super::*;
+use crate::robot::Space;
 
 const MACROSTEP: Duration = Duration::from_millis(20);
 const MC: f64 = 0.02;
@@ -133,7 +134,7 @@ fn newsmooth_keeps_its_limits_meets_every_pose_and_never_jumps() {
             }
             poses.push(pose);
         }
-        let generator = Newsmooth::new(Space::Joints, axes, limits, poses.clone()).unwrap();
+        let generator = Newsmooth::new(Space::Joint, axes, limits, poses.clone()).unwrap();
         let states = walk(generator, &Standing::at(start)).unwrap();
 
         let mut next_pose = 0;
@@ -211,7 +212,7 @@ fn newsmooth_takes_the_closed_form_time_rounded_up_to_a_macrostep() {
             });
         }
         let generator =
-            Newsmooth::new(Space::Joints, axes, limits, vec![SmoothPose::fast(target)]).unwrap();
+            Newsmooth::new(Space::Joint, axes, limits, vec![SmoothPose::fast(target)]).unwrap();
         let states = walk(generator, &Standing::at(start)).unwrap();
         assert_eq!(
             states.len() - 1,
@@ -228,7 +229,7 @@ fn newsmooth_times_of_one_axis_are_the_known_ones() {
         let limits = MotionLimits::uniform(1.5, 7.0, 70.0);
         let poses = vec![SmoothPose::fast([distance; 8])];
         let states = walk(
-            Newsmooth::new(Space::Joints, 1, limits, poses).unwrap(),
+            Newsmooth::new(Space::Joint, 1, limits, poses).unwrap(),
             &Standing::at([0.0; 8]),
         )
         .unwrap();
@@ -242,7 +243,7 @@ fn newsmooth_passes_a_pose_on_the_way_without_a_stop_and_stands_where_an_axis_tu
     let pose = |a: f64, b: f64| SmoothPose::fast([a, b, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
     let poses = vec![pose(1.0, 1.0), pose(2.0, 0.0), pose(3.0, 0.0)];
     let states = walk(
-        Newsmooth::new(Space::Joints, 2, limits, poses.clone()).unwrap(),
+        Newsmooth::new(Space::Joint, 2, limits, poses.clone()).unwrap(),
         &Standing::at([0.0; 8]),
     )
     .unwrap();
@@ -278,7 +279,7 @@ fn jerk_limited_keeps_its_limits_and_ends_exactly() {
         };
         let poses: Vec<Axes> = (0..count).map(|_| random.axes(-2.0, 2.0)).collect();
         let states = walk(
-            JerkLimited::new(Space::Joints, axes, limits, &poses).unwrap(),
+            JerkLimited::new(Space::Joint, axes, limits, &poses).unwrap(),
             &Standing::at(start),
         )
         .unwrap();
@@ -323,7 +324,7 @@ fn jerk_limited_takes_the_known_times() {
     // Distance and time at 1.5 rad/s, 7 rad/s² and 70 rad/s³.
     for (distance, time) in [(0.1, 0.3576), (0.5, 0.6476), (1.0, 0.9810), (2.0, 1.6476)] {
         let generator = JerkLimited::new(
-            Space::Motors,
+            Space::Motor,
             1,
             MotionLimits::uniform(1.5, 7.0, 70.0),
             &[[distance; 8]],
@@ -357,7 +358,7 @@ fn wait_stands_for_its_time_rounded_up_to_a_macrostep() {
 fn what_cannot_be_planned_is_refused() {
     let limits = MotionLimits::uniform(1.0, 1.0, 1.0);
     let newsmooth =
-        |axes, limits, poses| Newsmooth::new(Space::Joints, axes, limits, poses).map(|_| ());
+        |axes, limits, poses| Newsmooth::new(Space::Joint, axes, limits, poses).map(|_| ());
     let mut lame = limits;
     lame.max_acceleration[2] = 0.0;
     let mut lost = SmoothPose::fast([0.0; 8]);
@@ -392,7 +393,7 @@ fn what_cannot_be_planned_is_refused() {
     );
 
     let jerk_limited =
-        |axes, poses: &[Axes]| JerkLimited::new(Space::Joints, axes, limits, poses).map(|_| ());
+        |axes, poses: &[Axes]| JerkLimited::new(Space::Joint, axes, limits, poses).map(|_| ());
     assert_eq!(jerk_limited(6, &[]), Err(GeneratorError::NoPoses));
     assert_eq!(
         jerk_limited(6, &[[0.0; 8], lost.position]),
@@ -401,7 +402,7 @@ fn what_cannot_be_planned_is_refused() {
 
     let mut slow = limits;
     slow.max_velocity[0] = 1e-9;
-    let endless = Newsmooth::new(Space::Joints, 1, slow, fast).unwrap();
+    let endless = Newsmooth::new(Space::Joint, 1, slow, fast).unwrap();
     assert_eq!(
         walk(endless, &Standing::at([0.0; 8])),
         Err(GeneratorError::TooLong { limit: 1 << 20 })

@@ -19,6 +19,16 @@ impl Solutions {
     }
 }
 
+/// The only branch of a robot that has one.
+impl From<Joints> for Solutions {
+    fn from(joints: Joints) -> Self {
+        Self {
+            joints: [joints; Self::MOST],
+            count: 1,
+        }
+    }
+}
+
 impl Deref for Solutions {
     type Target = [Joints];
 
