@@ -15,8 +15,10 @@ use crate::robot::Space;
 /// Without poses on the way it is time-optimal; with them it passes through each without stopping, near
 /// the optimum but not at it. The trajectory is stretched, by less than a macrostep, to end with one.
 ///
-/// The first step solves the whole motion: microseconds for a pose, milliseconds where there are poses on
-/// the way. It allocates nothing unless it refuses; storage is taken by [`JerkLimited::new`].
+/// The first step solves the whole motion: some ten microseconds for a pose, milliseconds where there are
+/// poses on the way. For a single pose it allocates only to refuse; with poses on the way the solver
+/// formats a message for each candidate it discards, hundreds of allocations a pose. No next step
+/// allocates.
 #[derive(Debug)]
 pub struct JerkLimited {
     space: Space,

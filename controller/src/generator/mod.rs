@@ -107,7 +107,8 @@ pub use wait::Wait;
 ///
 /// The servo checks its own limits on the cubics it draws between macrosteps. A cubic through samples
 /// of a trapezoid needs up to 5/3 of the trapezoid's acceleration in the macrostep in which full
-/// acceleration turns into full braking, so the servo's acceleration limit must leave that room.
+/// acceleration turns into full braking, and may pass its cruise speed by 1/20 of that acceleration times
+/// the macrostep, so the servo's limits must leave that room.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionLimits {
     /// rad/s, or m/s for a linear axis.

@@ -1,5 +1,7 @@
 //! Properties of the generators over seeded random motions, without an ECP.
 
+mod line;
+
 use std::time::Duration;
 
 use can::Instant;
@@ -184,7 +186,6 @@ fn newsmooth_keeps_its_limits_meets_every_pose_and_never_jumps() {
             "pose {next_pose} missed, seed {seed}"
         );
     }
-    println!("worst {worst_speed}");
     assert!(
         worst_speed < 0.1,
         "cubics overshoot the speed by {worst_speed} of a macrostep's acceleration"
@@ -414,4 +415,51 @@ fn what_cannot_be_planned_is_refused() {
         run.first_step(&Standing::at([0.0; 8]), Duration::ZERO),
         Err(GeneratorError::NoMacrostep)
     );
+}
+
+/// Makes three steps, whatever it reads.
+struct Reader<F, E>(std::marker::PhantomData<(F, E)>);
+
+impl<F: Images, E: Images> Generator for Reader<F, E> {
+    type First = F;
+    type Every = E;
+    type Memory = u8;
+    fn first_step(&mut self, _: &F, _: Duration) -> Result<Next<u8>, GeneratorError> {
+        Ok(Next::remember(0))
+    }
+    fn terminal(&self, steps: &u8, _: &E) -> bool {
+        *steps == 3
+    }
+    fn next_step(&self, steps: &u8, _: &E) -> Result<Next<u8>, GeneratorError> {
+        Ok(Next::remember(steps + 1))
+    }
+}
+
+#[test]
+fn only_declared_images_are_fetched_and_one_snapshot_serves_terminal_condition_and_step() {
+    struct Counting(std::cell::Cell<usize>);
+    impl ImageSource for Counting {
+        fn effector(&self) -> Result<EffectorImage, GeneratorError> {
+            self.0.set(self.0.get() + 1);
+            Standing::at([0.0; 8]).effector()
+        }
+    }
+    fn fetches<F: Images, E: Images>() -> (u8, bool, usize, usize) {
+        let source = Counting(std::cell::Cell::new(0));
+        let mut run = Run::new(Reader::<F, E>(std::marker::PhantomData));
+        assert_eq!(run.first_step(&source, MACROSTEP), Ok(Step::Continue(None)));
+        let first = source.0.replace(0);
+        while run.next_step(&source).unwrap() != Step::Ended {}
+        (
+            class::<Reader<F, E>>(),
+            run.runs_ahead(),
+            first,
+            source.0.get(),
+        )
+    }
+    // Class, whether it may run ahead, fetches of the first step and of three steps and the end.
+    assert_eq!(fetches::<(), ()>(), (0, true, 0, 0));
+    assert_eq!(fetches::<EffectorImage, ()>(), (1, true, 1, 0));
+    assert_eq!(fetches::<(), EffectorImage>(), (1, false, 0, 4));
+    assert_eq!(fetches::<EffectorImage, EffectorImage>(), (1, false, 1, 4));
 }

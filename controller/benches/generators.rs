@@ -1,0 +1,103 @@
+//! Time of planning and of one step, six axes of the IRp-6, at macrosteps of 20 ms.
+
+use std::f64::consts::FRAC_PI_2;
+use std::hint::black_box;
+use std::sync::Arc;
+use std::time::Duration;
+
+use can::Instant;
+use criterion::{Criterion, criterion_group, criterion_main};
+use mrroc_controller::generator::{
+    Arm, Axes, AxesState, EffectorImage, EffectorState, Generator, JerkLimited, Line, LineLimits,
+    MotionLimits, Newsmooth, Next, Pose, SmoothPose,
+};
+use mrroc_controller::robot::{Irp6, Irp6Parameters, Space};
+
+const MACROSTEP: Duration = Duration::from_millis(20);
+const START: Axes = [0.2, -FRAC_PI_2, 0.1, 0.2, 1.2, 0.3, 0.0, 0.0];
+
+fn image(arm: &Arm) -> EffectorImage {
+    let joints = AxesState::at_rest(START);
+    let state = EffectorState {
+        motors: joints,
+        joints,
+        pose: arm.forward(&START).expect("the arm stands there"),
+    };
+    EffectorImage {
+        at: Instant::ZERO,
+        macrostep: 0,
+        measured: state,
+        commanded: state,
+    }
+}
+
+/// Times the first step on its own and the next steps one after the other, over and over.
+fn measure<G: Generator>(
+    c: &mut Criterion,
+    name: &str,
+    mut generator: G,
+    first: &G::First,
+    every: &G::Every,
+) {
+    c.bench_function(&format!("{name}/plan"), |b| {
+        b.iter(|| {
+            generator
+                .first_step(black_box(first), MACROSTEP)
+                .expect("it can be planned")
+        });
+    });
+    let Next { memory: begin, .. } = generator
+        .first_step(first, MACROSTEP)
+        .expect("it can be planned");
+    let mut memory = begin;
+    c.bench_function(&format!("{name}/step"), |b| {
+        b.iter(|| {
+            if generator.terminal(&memory, every) {
+                memory = begin;
+            }
+            let next = generator
+                .next_step(black_box(&memory), every)
+                .expect("it was planned");
+            memory = next.memory;
+            next.effector
+        });
+    });
+}
+
+fn generators(c: &mut Criterion) {
+    let robot = Irp6::new(&Irp6Parameters::irp6p()).expect("its parameters are consistent");
+    let arm = Arm::new(Arc::new(robot), Pose::translation(0.0, 0.0, 0.25));
+    let e = image(&arm);
+    let limits = MotionLimits::uniform(1.5, 7.0, 70.0);
+    let poses: Vec<Axes> = (1..=5)
+        .map(|k| std::array::from_fn(|axis| START[axis] + 0.1 * f64::from(k) * (axis as f64 - 2.5)))
+        .collect();
+
+    let smooth = poses
+        .iter()
+        .map(|position| SmoothPose::fast(*position))
+        .collect();
+    let newsmooth = Newsmooth::new(Space::Joint, 6, limits, smooth).expect("limits are positive");
+    measure(c, "newsmooth, 5 poses", newsmooth, &e, &());
+    let direct =
+        JerkLimited::new(Space::Joint, 6, limits, &poses[4..]).expect("limits are positive");
+    measure(c, "jerk-limited, 1 pose", direct, &e, &());
+    let through = JerkLimited::new(Space::Joint, 6, limits, &poses).expect("limits are positive");
+    measure(c, "jerk-limited, 5 poses", through, &e, &());
+
+    let mut target = e.commanded.pose;
+    target.translation.vector += nalgebra::Vector3::new(0.1, -0.15, 0.05);
+    let line_limits = LineLimits {
+        max_velocity: 0.25,
+        max_acceleration: 1.0,
+        max_jerk: 10.0,
+        max_angular_velocity: 1.0,
+        max_angular_acceleration: 4.0,
+        max_angular_jerk: 40.0,
+    };
+    let line = Line::new(arm, target, line_limits, limits).expect("limits are positive");
+    measure(c, "line of 187 mm", line, &e, &());
+}
+
+criterion_group!(benches, generators);
+criterion_main!(benches);

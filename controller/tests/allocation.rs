@@ -1,0 +1,129 @@
+//! Nothing allocates while a generator runs; planning does only for ways through poses.
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::f64::consts::FRAC_PI_2;
+use std::sync::Arc;
+use std::time::Duration;
+
+use can::Instant;
+use mrroc_controller::ecp::{Ecp, EcpConfig, Task};
+use mrroc_controller::generator::{
+    Arm, Axes, Generator, GeneratorError, JerkLimited, Line, LineLimits, MotionLimits, Newsmooth,
+    Pose, SmoothPose,
+};
+use mrroc_controller::robot::{Irp6, Irp6Parameters, Space};
+use servo::{EffectorLink, Order, Phase, Report};
+
+/// The system's allocator; counts what each thread asks of it.
+struct Counting;
+
+thread_local! {
+    static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
+}
+
+#[expect(unsafe_code, reason = "an allocator cannot be written otherwise")]
+// SAFETY: every call is passed on to the system's allocator unchanged; the counter is a plain cell that
+// needs no allocation and no destructor.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.set(ALLOCATIONS.get() + 1);
+        // SAFETY: the caller keeps the contract of `alloc`.
+        unsafe { System.alloc(layout) }
+    }
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: the caller keeps the contract of `dealloc`.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static COUNTING: Counting = Counting;
+
+/// The IRp-6 without a tool.
+fn arm() -> Arm {
+    let robot = Irp6::new(&Irp6Parameters::irp6p()).expect("its parameters are consistent");
+    Arm::new(Arc::new(robot), Pose::identity())
+}
+
+const START: Axes = [0.2, -FRAC_PI_2, 0.1, 0.2, 1.2, 0.3, 0.0, 0.0];
+
+/// Runs one generator to its end against a servo that is wherever it was told to be, and counts the
+/// allocations of the poll that plans and of all others.
+fn allocations<G>(generator: Result<G, GeneratorError>) -> (u64, u64)
+where
+    G: Generator + Send + 'static,
+    G::Memory: Send,
+{
+    let motors = arm().motors(&START).expect("the arm stands there");
+    let (orders, mut servo_orders) = rtrb::RingBuffer::new(16);
+    let (mut servo_reports, reports) = rtrb::RingBuffer::new(16);
+    let mut ecp = Ecp::new(arm(), EffectorLink { orders, reports }, EcpConfig::usual());
+    let mut report = Report {
+        at: Instant::ZERO,
+        phase: Phase::Standing,
+        homed: true,
+        macrostep: 0,
+        commanded: motors,
+        measured: motors,
+        velocity: [0.0; 8],
+        fault: None,
+    };
+    servo_reports.push(report).expect("there is room");
+    ecp.poll(Instant::ZERO);
+    ecp.execute(Task::new().run(generator.expect("it can be made")))
+        .expect("nothing is under way");
+
+    let before = ALLOCATIONS.get();
+    assert_eq!(ecp.poll(Instant::ZERO), None);
+    let planned = ALLOCATIONS.get();
+    let mut now = Instant::ZERO;
+    for _ in 0..100_000 {
+        now += Duration::from_millis(20);
+        while let Ok(Order::Move(macrostep)) = servo_orders.pop() {
+            report.macrostep = macrostep.number;
+            report.measured = macrostep.position;
+            report.commanded = macrostep.position;
+            servo_reports.push(report).expect("the ECP reads reports");
+        }
+        if let Some(event) = ecp.poll(now) {
+            assert_eq!(event.outcome, Ok(()));
+            assert!(report.macrostep > 10, "it did move");
+            return (planned - before, ALLOCATIONS.get() - planned);
+        }
+    }
+    panic!("the motion does not end");
+}
+
+#[test]
+fn no_generator_allocates_once_it_was_made() {
+    let limits = MotionLimits::uniform(1.5, 7.0, 70.0);
+    let pose = |k: f64| std::array::from_fn(|axis| START[axis] + 0.05 * k * (axis as f64 - 2.0));
+    let poses: [Axes; 4] = [pose(1.0), pose(2.0), pose(3.0), pose(4.0)];
+    let smooth = poses.map(SmoothPose::fast).to_vec();
+    assert_eq!(
+        allocations(Newsmooth::new(Space::Joint, 6, limits, smooth)),
+        (0, 0),
+        "newsmooth"
+    );
+    let direct = JerkLimited::new(Space::Joint, 6, limits, &poses[..1]);
+    assert_eq!(allocations(direct), (0, 0), "jerk-limited");
+    let through = JerkLimited::new(Space::Joint, 6, limits, &poses);
+    assert_eq!(allocations(through).1, 0, "jerk-limited through poses");
+
+    let mut target = arm().forward(&START).unwrap();
+    target.translation.vector.z += 0.1;
+    let line_limits = LineLimits {
+        max_velocity: 0.25,
+        max_acceleration: 1.0,
+        max_jerk: 10.0,
+        max_angular_velocity: 1.0,
+        max_angular_acceleration: 4.0,
+        max_angular_jerk: 40.0,
+    };
+    assert_eq!(
+        allocations(Line::new(arm(), target, line_limits, limits)),
+        (0, 0),
+        "line"
+    );
+}
