@@ -45,7 +45,8 @@ pub struct EcpConfig {
     /// is the time in which the next one must be computed by a generator that reads images.
     pub report_at: u16,
     /// Macrosteps, at least 1, that a generator whose next steps read no images may be ahead of the one
-    /// being executed. Others compute the next macrostep from the report of the one before.
+    /// being executed. Others compute the next macrostep from the report of the one before. The servo's
+    /// order queue must hold more than that, or a stop has to wait for room behind macrosteps.
     pub lead: u16,
     /// How long the servo may neither report nor take an order while something is under way.
     pub silence: Duration,

@@ -579,6 +579,16 @@ fn stop_brakes_and_drops_the_rest() {
         finished(1),
         "goes on from where it stands"
     );
+    let numbers: Vec<u64> = bench
+        .servo
+        .moves()
+        .map(|macrostep| macrostep.number)
+        .collect();
+    assert_eq!(
+        numbers,
+        (1..=numbers.len() as u64).collect::<Vec<_>>(),
+        "none is used twice"
+    );
     assert_eq!(bench.servo.report.commanded[0], 100.0);
 }
 
@@ -637,4 +647,10 @@ fn a_second_task_is_refused_while_one_is_under_way() {
         bench.ecp.execute(Task::new().disable()),
         Err(Busy { instruction: 0 })
     );
+}
+
+#[test]
+fn an_ecp_can_be_given_to_a_thread() {
+    fn given<T: Send>() {}
+    given::<Ecp>();
 }
