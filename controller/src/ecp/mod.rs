@@ -45,11 +45,12 @@ pub struct EcpConfig {
     /// is the time in which the next one must be computed by a generator that reads images.
     pub report_at: u16,
     /// Macrosteps, at least 1, that a generator whose next steps read no images may be ahead of the one
-    /// being executed. Others compute the next macrostep from the report of the one before.
+    /// being executed. Others compute the next macrostep from the report of the one before. The servo's
+    /// order queue must hold more than that, or a stop has to wait for room behind macrosteps.
     pub lead: u16,
     /// How long the servo may neither report nor take an order while something is under way.
     pub silence: Duration,
-    /// How long switching on or off and braking may take.
+    /// How long switching on or off, resetting and braking may take.
     pub switching: Duration,
     /// How long homing may take.
     pub homing: Duration,
@@ -112,12 +113,10 @@ pub struct Busy {
 /// What is under way. Every state but the first ends by a report or by its deadline.
 enum Activity {
     Idle,
-    /// An order was sent; the effector is to get to `until`, homed if `homed`.
+    /// An order other than a macrostep or a stop was sent.
     Switching {
-        until: Phase,
-        homed: bool,
+        order: Order,
         since: Instant,
-        patience: Duration,
     },
     /// The generator is asked for macrosteps.
     Running {
@@ -275,29 +274,33 @@ impl Ecp {
 
     fn begin(&mut self, instruction: Instruction, now: Instant) -> Option<Result<(), EcpError>> {
         let phase = self.phase();
-        let switching = self.config.switching;
-        let (order, until, homed, patience) = match instruction {
-            Instruction::Disable if phase == Phase::Off => return Some(Ok(())),
-            Instruction::Disable => (Order::Disable, Phase::Off, false, switching),
+        let order = match instruction {
             Instruction::ResetFault if phase != Phase::Faulted => return Some(Ok(())),
-            Instruction::ResetFault => (Order::ResetFault, Phase::Off, false, switching),
+            Instruction::ResetFault => Order::ResetFault,
             _ if phase == Phase::Faulted => return Some(Err(self.fault())),
-            Instruction::Enable if phase == Phase::Standing => return Some(Ok(())),
-            Instruction::Enable => (Order::Enable, Phase::Standing, false, switching),
+            Instruction::Disable => Order::Disable,
+            Instruction::Enable => Order::Enable,
             _ if phase != Phase::Standing => return Some(Err(EcpError::NotStanding { phase })),
-            Instruction::Home if self.homed() => return Some(Ok(())),
-            Instruction::Home => (Order::Home, Phase::Standing, true, self.config.homing),
+            Instruction::Home => Order::Home,
             Instruction::Run(_) if !self.homed() => return Some(Err(EcpError::NotHomed)),
             Instruction::Run(run) => return self.begin_run(run),
         };
+        if self.is_done(order) {
+            return Some(Ok(()));
+        }
         self.outbox = Some(order);
-        self.activity = Activity::Switching {
-            until,
-            homed,
-            since: now,
-            patience,
-        };
+        self.activity = Activity::Switching { order, since: now };
         None
+    }
+
+    /// Whether the effector already is where an order leads.
+    fn is_done(&self, order: Order) -> bool {
+        match order {
+            Order::Enable | Order::Stop => self.phase() == Phase::Standing,
+            Order::Home => self.phase() == Phase::Standing && self.homed(),
+            Order::Disable | Order::ResetFault => self.phase() == Phase::Off,
+            Order::Move(macrostep) => self.executed >= macrostep.number,
+        }
     }
 
     fn begin_run(&mut self, mut run: Box<dyn Execution + Send>) -> Option<Result<(), EcpError>> {
@@ -318,32 +321,33 @@ impl Ecp {
 
     fn advance(&mut self, now: Instant) -> Option<Result<(), EcpError>> {
         let phase = self.phase();
-        if phase == Phase::Faulted
-            && !matches!(
-                self.activity,
-                Activity::Switching {
-                    until: Phase::Off,
-                    ..
-                }
-            )
-        {
+        let clearing = matches!(
+            self.activity,
+            Activity::Switching {
+                order: Order::ResetFault,
+                ..
+            }
+        );
+        if phase == Phase::Faulted && !clearing {
             self.outbox = None;
             return Some(Err(self.fault()));
         }
-        match &self.activity {
+        match self.activity {
             Activity::Idle => None,
-            Activity::Switching {
-                until,
-                homed,
-                since,
-                patience,
-            } => {
-                let waited = now.since(*since);
-                if phase == *until && (!homed || self.homed()) && self.outbox.is_none() {
-                    Some(Ok(()))
+            Activity::Switching { order, since } => {
+                let waited = now.since(since);
+                let patience = if order == Order::Home {
+                    self.config.homing
                 } else {
-                    (waited > *patience).then_some(Err(EcpError::TimedOut { phase, waited }))
+                    self.config.switching
+                };
+                if self.outbox.is_none() && self.is_done(order) {
+                    return Some(Ok(()));
                 }
+                if waited > patience {
+                    self.brake(Err(EcpError::TimedOut { phase, waited }));
+                }
+                None
             }
             Activity::Running { .. } | Activity::Arriving => self.advance_motion(now),
             Activity::Stopping { since: None, .. } => {
@@ -354,12 +358,12 @@ impl Ecp {
                 since: Some(since),
                 outcome,
             } => {
-                let waited = now.since(*since);
+                let waited = now.since(since);
                 // A stand that was reported before the stop does not count: the servo may just be about to
                 // begin with what it was sent. It takes orders each period and tells of each change.
                 let settled = waited > self.config.macrostep() * 2;
                 if settled && matches!(phase, Phase::Standing | Phase::Off) {
-                    Some(*outcome)
+                    Some(outcome)
                 } else {
                     (waited > self.config.switching)
                         .then_some(Err(EcpError::TimedOut { phase, waited }))

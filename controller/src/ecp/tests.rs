@@ -13,6 +13,10 @@ use crate::generator::{
 use crate::robot::{Jacobian, Joints, KinematicsError, Limits, Motors, Robot, Solutions, Space};
 
 const PERIOD: Duration = Duration::from_millis(2);
+const CONFIG: EcpConfig = EcpConfig {
+    homing: Duration::from_secs(10),
+    ..EcpConfig::usual()
+};
 
 /// Three sliding joints along x, y and z, motors geared 100:1, the second one by a bent lever.
 #[derive(Debug)]
@@ -92,6 +96,8 @@ struct Script {
     log: Vec<Order>,
     /// Whether it takes orders at all.
     deaf: bool,
+    /// Whether homing never ends.
+    lost: bool,
     fault: Option<ServoFault>,
 }
 
@@ -129,8 +135,10 @@ impl Script {
                 Order::Enable => self.phase(Phase::Standing),
                 Order::Home => {
                     self.phase(Phase::Homing);
-                    self.report.homed = true;
-                    self.phase(Phase::Standing);
+                    if !self.lost {
+                        self.report.homed = true;
+                        self.phase(Phase::Standing);
+                    }
                 }
                 Order::Move(_) if !matches!(self.report.phase, Phase::Standing | Phase::Moving) => {
                 }
@@ -139,7 +147,7 @@ impl Script {
                     self.queue.clear();
                     self.done = 0;
                     self.moving = [0.0; MAX_AXES];
-                    if self.report.phase == Phase::Moving {
+                    if matches!(self.report.phase, Phase::Moving | Phase::Homing) {
                         self.phase(Phase::Stopping);
                         self.phase(Phase::Standing);
                     }
@@ -224,12 +232,13 @@ impl Bench {
             moving: [0.0; MAX_AXES],
             log: Vec::new(),
             deaf: false,
+            lost: false,
             fault: None,
         };
         let ecp = Ecp::new(
             Arm::new(Arc::new(Gantry), Pose::identity()),
             EffectorLink { orders, reports },
-            EcpConfig::usual(),
+            CONFIG,
         );
         Self {
             ecp,
@@ -579,6 +588,16 @@ fn stop_brakes_and_drops_the_rest() {
         finished(1),
         "goes on from where it stands"
     );
+    let numbers: Vec<u64> = bench
+        .servo
+        .moves()
+        .map(|macrostep| macrostep.number)
+        .collect();
+    assert_eq!(
+        numbers,
+        (1..=numbers.len() as u64).collect::<Vec<_>>(),
+        "none is used twice"
+    );
     assert_eq!(bench.servo.report.commanded[0], 100.0);
 }
 
@@ -605,7 +624,7 @@ fn a_motion_needs_drives_on_and_homed_axes() {
 fn a_servo_that_takes_no_orders_is_reported_in_time() {
     let mut bench = Bench::new(16);
     bench.servo.deaf = true;
-    let waited = EcpConfig::usual().switching + PERIOD;
+    let waited = CONFIG.switching + PERIOD;
     assert_eq!(
         bench.run(Task::new().enable()),
         failed(EcpError::TimedOut {
@@ -630,6 +649,33 @@ fn a_servo_that_takes_no_orders_is_reported_in_time() {
 }
 
 #[test]
+fn homing_that_takes_too_long_is_stopped() {
+    let mut bench = Bench::new(16);
+    bench.servo.lost = true;
+    let events = bench.run(Task::new().enable().home().run(to(1.0, 0.0, 0.0)));
+    let waited = CONFIG.homing + PERIOD;
+    let outcome = Err(EcpError::TimedOut {
+        phase: Phase::Homing,
+        waited,
+    });
+    assert_eq!(
+        events,
+        [
+            Event {
+                instruction: 0,
+                outcome: Ok(())
+            },
+            Event {
+                instruction: 1,
+                outcome
+            }
+        ]
+    );
+    assert_eq!(bench.servo.log.last(), Some(&Order::Stop));
+    assert_eq!(bench.ecp.status().phase, Phase::Standing);
+}
+
+#[test]
 fn a_second_task_is_refused_while_one_is_under_way() {
     let mut bench = Bench::new(16);
     bench.ecp.execute(Task::new().enable()).unwrap();
@@ -637,4 +683,10 @@ fn a_second_task_is_refused_while_one_is_under_way() {
         bench.ecp.execute(Task::new().disable()),
         Err(Busy { instruction: 0 })
     );
+}
+
+#[test]
+fn an_ecp_can_be_given_to_a_thread() {
+    fn given<T: Send>() {}
+    given::<Ecp>();
 }

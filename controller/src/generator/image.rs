@@ -42,7 +42,8 @@ pub struct EffectorState {
 /// `e(i)`: what the subcontroller knows of its effector.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EffectorImage {
-    /// When the measurement was taken.
+    /// When the measurement was taken: in this macrostep or the last while the effector moves; when it came
+    /// to its stand while it stands.
     pub at: Instant,
     /// The macrostep that was being executed then.
     pub macrostep: u64,
