@@ -17,7 +17,9 @@ pub struct AmplifierConfig {
     pub trip_current: f64,
     /// The most it puts out, V.
     pub max_voltage: f64,
-    /// Of the velocity loop, rad/s.
+    /// Inertia that its loops are tuned for, kg·m².
+    pub inertia: f64,
+    /// Of the velocity loop over that inertia, rad/s.
     pub velocity_bandwidth: f64,
 }
 
@@ -36,7 +38,7 @@ const SPACING: f64 = 5.0;
 const CURRENT_BANDWIDTH: f64 = 1000.0 * TAU;
 /// Share of each millisecond's change of velocity feed-forward that its acceleration takes up, so
 /// that a demand which changes every other millisecond does not make it jump.
-const ACCELERATION_SHARE: f64 = 0.4;
+const ACCELERATION_SHARE: f64 = 0.2;
 
 /// The rule that turns a plant into gains.
 #[derive(Clone, Copy, Debug)]
@@ -64,14 +66,19 @@ struct Gains {
 }
 
 impl Gains {
-    fn new(bandwidth: f64, plant: &PlantConfig) -> Self {
-        let (inertia, viscous, current, current_integral) = match plant {
-            PlantConfig::Wut(wut) => (wut.inertia, wut.viscous, 0.0, 0.0),
+    fn new(config: &AmplifierConfig, plant: &PlantConfig) -> Self {
+        let AmplifierConfig {
+            inertia,
+            velocity_bandwidth: bandwidth,
+            ..
+        } = *config;
+        let (viscous, current, current_integral) = match plant {
+            PlantConfig::Wut(wut) => (wut.viscous, 0.0, 0.0),
             PlantConfig::Physical(motor) => {
                 let decay = (-motor.resistance * SUB_STEP / motor.inductance).exp();
                 let pole = (-CURRENT_BANDWIDTH * SUB_STEP).exp();
                 let gain = motor.resistance * (1.0 - pole) / (1.0 - decay);
-                (motor.inertia, motor.viscous, gain, gain * (1.0 - decay))
+                (motor.viscous, gain, gain * (1.0 - decay))
             }
         };
         let observer = SPACING * bandwidth;
@@ -96,8 +103,10 @@ pub(crate) struct Amplifier {
     gains: Gains,
     torque_constant: f64,
     radians_per_count: f64,
-    /// The encoder as the observer sees it, counts and counts/s.
-    observed: f64,
+    /// The counter at the last reading, and how far the observer is ahead of it, counts.
+    counts: i32,
+    ahead: f64,
+    /// Counts/s.
     observed_velocity: f64,
     /// Whether the velocity loop was closed a turn ago.
     closed: bool,
@@ -120,13 +129,14 @@ impl Amplifier {
     ) -> Self {
         Self {
             config: *config,
-            gains: Gains::new(config.velocity_bandwidth, plant),
+            gains: Gains::new(config, plant),
             torque_constant: match plant {
                 PlantConfig::Wut(wut) => wut.torque_constant,
                 PlantConfig::Physical(motor) => motor.torque_constant,
             },
             radians_per_count: TAU / f64::from(counts_per_revolution),
-            observed: 0.5,
+            counts: 0,
+            ahead: 0.5,
             observed_velocity: 0.0,
             closed: false,
             velocity: 0.0,
@@ -139,9 +149,11 @@ impl Amplifier {
 
     /// Takes an encoder reading; each sub-step, power or not. A count stands for its middle.
     pub(crate) fn observe(&mut self, counts: i32) {
-        let error = f64::from(counts) + 0.5 - self.observed;
+        self.ahead -= f64::from(counts.wrapping_sub(self.counts));
+        self.counts = counts;
+        let error = 0.5 - self.ahead;
         self.observed_velocity += self.gains.observer_velocity * error;
-        self.observed += self.observed_velocity * SUB_STEP + self.gains.observer_counts * error;
+        self.ahead += self.observed_velocity * SUB_STEP + self.gains.observer_counts * error;
     }
 
     /// Power stage off: every loop forgets.
@@ -158,8 +170,9 @@ impl Amplifier {
             Demand::Off => return self.release(),
             Demand::Torque(torque) => {
                 self.closed = false;
-                self.torque_integral = torque;
                 self.current = self.limited(torque / self.torque_constant);
+                // The velocity loop, should it take over, starts from here.
+                self.torque_integral = self.current * self.torque_constant;
                 return;
             }
             Demand::Velocity(velocity) => (velocity, 0.0),

@@ -50,20 +50,11 @@ impl Frame {
         if len > 8 {
             return None;
         }
-        let mut frame = Self {
-            id_and_flags,
-            len,
-            padding: [0; 3],
-            data,
-        };
+        let mut frame = Self { id_and_flags, len, padding: [0; 3], data };
         if id_and_flags & (EXTENDED | ERROR) == 0 {
             frame.id_and_flags &= REMOTE | 0x7FF;
         }
-        let kept = if frame.is_remote() {
-            0
-        } else {
-            usize::from(len)
-        };
+        let kept = if frame.is_remote() { 0 } else { usize::from(len) };
         frame.data[kept..].fill(0);
         Some(frame)
     }
@@ -89,11 +80,7 @@ impl Frame {
 
     /// The payload; empty for a remote frame.
     pub fn data(&self) -> &[u8] {
-        let len = if self.is_remote() {
-            0
-        } else {
-            usize::from(self.len)
-        };
+        let len = if self.is_remote() { 0 } else { usize::from(self.len) };
         &self.data[..len]
     }
 
@@ -136,9 +123,7 @@ impl fmt::Display for Frame {
         if self.is_remote() {
             return write!(f, "R{}", self.len);
         }
-        self.data()
-            .iter()
-            .try_for_each(|byte| write!(f, "{byte:02X}"))
+        self.data().iter().try_for_each(|byte| write!(f, "{byte:02X}"))
     }
 }
 

@@ -46,6 +46,11 @@ impl Gravity {
         ratio: 1.0,
         phase: 0.0,
     };
+
+    /// On the motor at `angle`, rad.
+    pub(crate) fn torque(&self, angle: f64) -> f64 {
+        self.amplitude * (angle / self.ratio + self.phase).cos()
+    }
 }
 
 /// Buffers that push back, and never pull, beyond the ends of travel.
@@ -169,12 +174,7 @@ impl Motor {
             self.torque_constant =
                 self.config.torque_constant * (1.0 - FERRITE * (self.thermal.housing() - 25.0));
         }
-        let Gravity {
-            amplitude,
-            ratio,
-            phase,
-        } = self.config.gravity;
-        self.gravity = amplitude * (self.angle / ratio + phase).cos();
+        self.gravity = self.config.gravity.torque(self.angle);
         let ripple = if self.config.torque_ripple > 0.0 {
             self.config.torque_ripple * self.noise.symmetric()
         } else {
@@ -196,5 +196,193 @@ impl Motor {
     /// Whether the winding is hotter than the drive allows.
     pub(crate) fn overheated(&self) -> bool {
         self.thermal.tripped()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::{FRAC_PI_2, FRAC_PI_3, PI};
+
+    use super::{EndStops, Gravity, Motor, MotorConfig};
+    use crate::plant::{FrictionConfig, Noise, SUB_STEP, ThermalConfig};
+
+    const CONFIG: MotorConfig = MotorConfig {
+        torque_constant: 0.105,
+        resistance: 0.6,
+        inductance: 0.5e-3,
+        inertia: 4e-4,
+        viscous: 1e-3,
+        friction: FrictionConfig {
+            coulomb: 0.08,
+            stiction: 0.08,
+            stribeck_velocity: 5.0,
+        },
+        gravity: Gravity::NONE,
+        end_stops: None,
+        thermal: ThermalConfig {
+            winding_to_housing: 1.0,
+            housing_to_air: 2.0,
+            winding_capacity: 60.0,
+            housing_capacity: 800.0,
+            air: 25.0,
+            trip: 155.0,
+        },
+        torque_ripple: 0.0,
+    };
+
+    fn motor(config: &MotorConfig, velocity: f64) -> Motor {
+        Motor {
+            velocity,
+            ..Motor::new(config, 0.0, Noise::new(1))
+        }
+    }
+
+    #[test]
+    fn blocked_winding_rises_with_inductance_over_resistance() {
+        let mut motor = motor(&CONFIG, 0.0);
+        for k in 1..=50 {
+            motor.step(Some(6.0), 100.0);
+            let exact = 10.0 * (1.0 - (-0.6 * SUB_STEP * f64::from(k) / 0.5e-3).exp());
+            assert!(
+                (motor.current - exact).abs() < 1e-9,
+                "{} A for {exact}",
+                motor.current
+            );
+        }
+    }
+
+    #[test]
+    fn unloaded_motor_runs_at_voltage_over_back_emf() {
+        let config = MotorConfig {
+            viscous: 0.0,
+            friction: FrictionConfig::NONE,
+            ..CONFIG
+        };
+        let mut motor = motor(&config, 0.0);
+        for _ in 0..20_000 {
+            motor.step(Some(35.8), 0.0);
+        }
+        assert!(
+            (motor.velocity - 341.0).abs() < 0.1,
+            "{} rad/s",
+            motor.velocity
+        );
+    }
+
+    #[test]
+    fn coasting_follows_its_closed_form_to_standstill() {
+        let mut motor = motor(&CONFIG, 50.0);
+        let tau = CONFIG.inertia / CONFIG.viscous;
+        let sag = CONFIG.friction.coulomb / CONFIG.viscous;
+        let rest = tau * (1.0 + 50.0 / sag).ln();
+        for k in 1..4_000 {
+            let before = motor.velocity;
+            motor.step(None, 0.0);
+            assert!(motor.velocity <= before, "gains speed at {k}");
+            let t = f64::from(k) * SUB_STEP;
+            let exact = if t < rest {
+                (50.0 + sag) * (-t / tau).exp() - sag
+            } else {
+                0.0
+            };
+            assert!(
+                (motor.velocity - exact).abs() < 0.05,
+                "at {t}: {} for {exact}",
+                motor.velocity
+            );
+        }
+        assert_eq!(motor.velocity, 0.0);
+    }
+
+    #[test]
+    fn energy_that_goes_in_is_stored_or_lost() {
+        let mut motor = motor(&CONFIG, 0.0);
+        let (mut supplied, mut lost) = (0.0, 0.0);
+        for _ in 0..3_000 {
+            let (current, velocity) = (motor.current, motor.velocity);
+            motor.step(Some(12.0), 0.0);
+            let (i, w) = (
+                0.5 * (current + motor.current),
+                0.5 * (velocity + motor.velocity),
+            );
+            supplied += 12.0 * i * SUB_STEP;
+            lost += (0.6 * i * i + 1e-3 * w * w + 0.08 * w.abs()) * SUB_STEP;
+        }
+        let stored = 0.5 * 4e-4 * motor.velocity.powi(2) + 0.5 * 0.5e-3 * motor.current.powi(2);
+        assert!(supplied > 3.0, "{supplied} J");
+        assert!(
+            (supplied - lost - stored).abs() < 0.01 * supplied,
+            "{supplied} J in, {lost} lost, {stored} stored"
+        );
+    }
+
+    #[test]
+    fn weight_follows_the_joint() {
+        // A horizontal arm at motor angle 0 that hangs after a quarter turn of the joint.
+        let gravity = Gravity {
+            amplitude: 0.5,
+            ratio: 100.0,
+            phase: 0.0,
+        };
+        let cases = [
+            (0.0, 0.5),
+            (100.0 * FRAC_PI_3, 0.25),
+            (100.0 * FRAC_PI_2, 0.0),
+            (100.0 * PI, -0.5),
+        ];
+        for (angle, torque) in cases {
+            assert!((gravity.torque(angle) - torque).abs() < 1e-12, "at {angle}");
+        }
+    }
+
+    #[test]
+    fn warm_motor_resists_more_and_pulls_less() {
+        let mut motor = motor(&CONFIG, 0.0);
+        for _ in 0..2_000_000 {
+            motor.step(Some(6.0), 100.0);
+        }
+        let (winding, housing) = (
+            motor.thermal.winding() - 25.0,
+            motor.thermal.housing() - 25.0,
+        );
+        assert!(winding > 50.0 && housing > 8.0, "{winding} K, {housing} K");
+        let current = 10.0 / (1.0 + 0.0039 * winding);
+        assert!(
+            (motor.current - current).abs() < 0.01,
+            "{} A",
+            motor.current
+        );
+        let torque = 0.105 * (1.0 - 0.002 * housing) * motor.current;
+        let found = motor.torque_per_current * motor.current;
+        assert!(
+            (found - torque).abs() < 1e-3 * torque,
+            "{found} N·m for {torque}"
+        );
+    }
+
+    #[test]
+    fn buffers_push_back_and_never_pull() {
+        let stops = EndStops {
+            negative: -1.0,
+            positive: 2.0,
+            stiffness: 50.0,
+            damping: 0.1,
+        };
+        let cases = [
+            (0.0, 10.0, 0.0),
+            (-1.1, 0.0, 5.0),
+            (-1.1, -10.0, 6.0),
+            (-1.1, 100.0, 0.0),
+            (2.1, 0.0, -5.0),
+            (2.1, 10.0, -6.0),
+            (2.1, -100.0, 0.0),
+        ];
+        for (angle, velocity, torque) in cases {
+            let found = stops.torque(angle, velocity);
+            assert!(
+                (found - torque).abs() < 1e-9,
+                "{found} at {angle}, {velocity}"
+            );
+        }
     }
 }

@@ -102,4 +102,24 @@ mod tests {
         );
         assert!(readings[30..].iter().all(|closed| *closed), "{readings:?}");
     }
+
+    #[test]
+    fn chatter_lasts_as_long_however_often_it_is_looked_at() {
+        let switch = Switch {
+            from: 0.0,
+            to: 1.0,
+            bounce: 30,
+        };
+        for elapsed in [1, 10, 20] {
+            let settled = |seed| {
+                let mut contact = Contact::new(&switch, -1.0);
+                let mut noise = Noise::new(seed);
+                for _ in 0..=30_u32.div_ceil(elapsed) {
+                    contact.advance(0.5, elapsed, &mut noise);
+                }
+                contact.closed()
+            };
+            assert!((0..20).all(settled), "every {elapsed} sub-steps");
+        }
+    }
 }
