@@ -119,6 +119,36 @@ impl Expedited {
     }
 }
 
+macro_rules! expedited_from {
+    ($($number:ty),*) => {
+        $(impl From<$number> for Expedited {
+            fn from(number: $number) -> Self {
+                Self::new(&number.to_le_bytes()).expect("a number of 1 to 4 bytes fits")
+            }
+        })*
+    };
+}
+expedited_from!(u8, u16, u32, i8, i16, i32);
+
+/// A number and the object it is to be written to, in the size that the object has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Write {
+    /// Where to.
+    pub object: Object,
+    /// The number, little endian.
+    pub data: Expedited,
+}
+
+impl Write {
+    /// The type of `number` is the type of the object.
+    pub fn new(object: Object, number: impl Into<Expedited>) -> Self {
+        Self {
+            object,
+            data: number.into(),
+        }
+    }
+}
+
 /// Up to seven bytes of a segmented transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Segment {
