@@ -118,6 +118,7 @@ pub(super) struct Store {
     pub(super) mute: Option<(u16, u8)>,
     pub(super) boots: bool,
     pub(super) starts: bool,
+    pub(super) shows_modes: bool,
 }
 
 impl Store {
@@ -168,6 +169,7 @@ impl Store {
             mute: None,
             boots: true,
             starts: true,
+            shows_modes: true,
         }
     }
 
@@ -210,7 +212,7 @@ impl Store {
             let length = stored.len();
             stored.copy_from_slice(&data[..length]);
         }
-        if object == (0x6060, 0) {
+        if object == (0x6060, 0) && self.shows_modes {
             let mode = data[0];
             self.objects.insert((0x6061, 0), vec![mode]);
         }
