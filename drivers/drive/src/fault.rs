@@ -45,7 +45,9 @@ pub enum Fault {
         statusword: u16,
     },
     /// The drive did not reach the asked state in time.
-    #[error("node {node}: did not reach the asked state within {waited:?} (statusword {statusword:#06x})")]
+    #[error(
+        "node {node}: did not reach the asked state within {waited:?} (statusword {statusword:#06x})"
+    )]
     Stuck {
         /// Node-ID.
         node: u8,
@@ -121,7 +123,9 @@ pub enum BringUpError {
         waited: Duration,
     },
     /// Object 0x1018 does not say what the cell says.
-    #[error("node {node}: identity {subindex:02x} is {found:#010x}, the cell expects {expected:#010x}")]
+    #[error(
+        "node {node}: identity {subindex:02x} is {found:#010x}, the cell expects {expected:#010x}"
+    )]
     WrongIdentity {
         /// Node-ID.
         node: u8,

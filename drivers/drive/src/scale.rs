@@ -62,7 +62,9 @@ impl Scale {
     /// 16 bits.
     pub fn permille(&self, torque: f64, rated_torque: f64) -> Option<Permille> {
         let permille = torque / rated_torque * 1_000.0 * self.increments_per_radian.signum();
-        nearest_i32(permille).and_then(|n| i16::try_from(n).ok()).map(Permille)
+        nearest_i32(permille)
+            .and_then(|n| i16::try_from(n).ok())
+            .map(Permille)
     }
 
     /// Motor torque, N·m, of a motor of `rated_torque`, N·m.
@@ -84,12 +86,16 @@ pub(crate) fn rpm_magnitude(value: f64) -> Option<u32> {
 
 fn nearest_i32(value: f64) -> Option<i32> {
     let nearest = value.round();
-    (f64::from(i32::MIN)..=f64::from(i32::MAX)).contains(&nearest).then_some(nearest as i32)
+    (f64::from(i32::MIN)..=f64::from(i32::MAX))
+        .contains(&nearest)
+        .then_some(nearest as i32)
 }
 
 fn nearest_u32(value: f64) -> Option<u32> {
     let nearest = value.round();
-    (0.0..=f64::from(u32::MAX)).contains(&nearest).then_some(nearest as u32)
+    (0.0..=f64::from(u32::MAX))
+        .contains(&nearest)
+        .then_some(nearest as u32)
 }
 
 #[cfg(test)]
@@ -98,7 +104,10 @@ mod tests {
 
     /// 2000 counts a turn rising with the motor, and falling against it from 1 rad on.
     fn scales() -> (Scale, Scale) {
-        (Scale::new(2_000, 0.0).unwrap(), Scale::new(-2_000, 1.0).unwrap())
+        (
+            Scale::new(2_000, 0.0).unwrap(),
+            Scale::new(-2_000, 1.0).unwrap(),
+        )
     }
 
     #[test]

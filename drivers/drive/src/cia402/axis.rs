@@ -151,7 +151,10 @@ impl Axis {
     /// Starts operation after bring-up: un-enabled, and with the position known before any word
     /// that could enable.
     pub(super) fn begin(&mut self, now: Instant, learnt: Learnt) {
-        self.state = AxisState { at: now, ..AxisState::default() };
+        self.state = AxisState {
+            at: now,
+            ..AxisState::default()
+        };
         self.sampled = None;
         self.heartbeat = None;
         self.operational = true;
@@ -191,7 +194,9 @@ impl Axis {
     /// them as they were sent, which is longer than a period where an answer or a cycle was missed.
     /// Its resolution is one increment a period.
     fn measure(&mut self, position: Increments, sampled: Instant) {
-        let dt = self.sampled.map_or(0.0, |before| sampled.since(before).as_secs_f64());
+        let dt = self
+            .sampled
+            .map_or(0.0, |before| sampled.since(before).as_secs_f64());
         if dt > 0.0 {
             let moved = f64::from(position.0.wrapping_sub(self.state.increments.0))
                 / self.scale.increments_per_radian();
@@ -218,7 +223,10 @@ impl Axis {
             && self.answers > ANSWERS_TO_EFFECT;
         match self.statusword.power_state() {
             PowerState::FaultReactionActive | PowerState::Fault => {
-                self.latch(Fault::Drive { node, code: self.error_code });
+                self.latch(Fault::Drive {
+                    node,
+                    code: self.error_code,
+                });
             }
             PowerState::OperationEnabled => {}
             PowerState::NotReadyToSwitchOn
@@ -228,7 +236,10 @@ impl Axis {
             | PowerState::QuickStopActive
             | PowerState::Unknown => {
                 if dropped {
-                    self.latch(Fault::PowerLost { node, statusword: self.statusword.0 });
+                    self.latch(Fault::PowerLost {
+                        node,
+                        statusword: self.statusword.0,
+                    });
                 }
             }
         }
@@ -276,7 +287,10 @@ impl Axis {
             self.latch(Fault::LeftOperational { node });
         }
         if self.state.age > self.tolerated_missing {
-            self.latch(Fault::Silent { node, cycles: self.state.age });
+            self.latch(Fault::Silent {
+                node,
+                cycles: self.state.age,
+            });
         }
         if waited > self.heartbeat_lost_after {
             self.latch(Fault::HeartbeatLost { node, waited });
@@ -322,14 +336,17 @@ impl Axis {
     /// The set-point in the drive's units, if the command brings one; the reason if it cannot
     /// be followed. A faulted axis has none: it is being stopped, whatever it is told.
     pub(super) fn check(&self, command: AxisCommand) -> Result<Option<i32>, Refusal> {
-        let AxisCommand::Follow(setpoint) = command else { return Ok(None) };
+        let AxisCommand::Follow(setpoint) = command else {
+            return Ok(None);
+        };
         if self.state.fault.is_some() {
             return Ok(None);
         }
         let raw = match (self.mode, setpoint) {
-            (CyclicMode::Csp, Setpoint::Position(position)) => {
-                self.scale.increments(position.get()).map(|increments| increments.0)
-            }
+            (CyclicMode::Csp, Setpoint::Position(position)) => self
+                .scale
+                .increments(position.get())
+                .map(|increments| increments.0),
             (CyclicMode::Csv, Setpoint::Velocity(velocity)) => {
                 self.scale.rpm(velocity.get()).map(|rpm| rpm.0)
             }
@@ -350,7 +367,10 @@ impl Axis {
     }
 
     pub(super) fn refuse(&mut self, refusal: Refusal) {
-        self.latch(Fault::Refused { node: self.node.raw(), refusal });
+        self.latch(Fault::Refused {
+            node: self.node.raw(),
+            refusal,
+        });
     }
 
     /// Takes the command of this cycle. `setpoint` is what [`check`](Self::check) said; `hold` keeps the
@@ -391,9 +411,9 @@ impl Axis {
             {
                 cia402::Controlword::QUICK_STOP
             }
-            PowerState::OperationEnabled if self.goal == Goal::On => {
-                self.search.controlword(self.power.step(self.statusword, goal))
-            }
+            PowerState::OperationEnabled if self.goal == Goal::On => self
+                .search
+                .controlword(self.power.step(self.statusword, goal)),
             _ => self.power.step(self.statusword, goal),
         };
         self.rpdo = process_data::encode(self.node, self.mode, word, self.target);
@@ -419,7 +439,11 @@ impl Axis {
             AxisCommand::Off => Goal::Off,
             AxisCommand::ResetFault => Goal::ResetFault,
             AxisCommand::Stand | AxisCommand::Home | AxisCommand::Follow(_) => {
-                if self.state.fault.is_some() { Goal::Stopped } else { Goal::On }
+                if self.state.fault.is_some() {
+                    Goal::Stopped
+                } else {
+                    Goal::On
+                }
             }
         }
     }
@@ -482,7 +506,11 @@ impl Axis {
         let waited = now.since(*self.unsettled_since.get_or_insert(now));
         if waited > self.transition_timeout {
             let (node, statusword) = (self.node.raw(), self.statusword.0);
-            self.latch(Fault::Stuck { node, statusword, waited });
+            self.latch(Fault::Stuck {
+                node,
+                statusword,
+                waited,
+            });
         }
     }
 
@@ -491,7 +519,12 @@ impl Axis {
         if !self.operational || self.booted || self.unserved {
             return None;
         }
-        if self.state.fault == Some(Fault::Drive { node: self.node.raw(), code: 0 }) {
+        if self.state.fault
+            == Some(Fault::Drive {
+                node: self.node.raw(),
+                code: 0,
+            })
+        {
             return Some(Service::ErrorCode);
         }
         let request = self.modes.next(self.wanted_mode())?;
@@ -512,7 +545,12 @@ impl Axis {
             (Service::Mode(_) | Service::ErrorCode, Err(code)) => {
                 let Object { index, subindex } = service.object();
                 self.unserved = true;
-                self.latch(Fault::Aborted { node: self.node.raw(), index, subindex, code });
+                self.latch(Fault::Aborted {
+                    node: self.node.raw(),
+                    index,
+                    subindex,
+                    code,
+                });
             }
         }
         self.telling = false;

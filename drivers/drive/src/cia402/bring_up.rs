@@ -109,7 +109,10 @@ impl Step {
 impl Parameter {
     fn write(&self) -> Option<Write> {
         let data = Expedited::new(self.value.to_le_bytes().get(..usize::from(self.size))?)?;
-        Some(Write { object: Object::new(self.index, self.subindex), data })
+        Some(Write {
+            object: Object::new(self.index, self.subindex),
+            data,
+        })
     }
 }
 
@@ -152,10 +155,20 @@ fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step>, ConfigEr
     );
     // EPOS4 has objects of its own for this, EPOS2 and CiA 402 have 0x607C.
     steps.push(Step::SetIfPresent(Write::new(HOME_OFFSET, 0_i32)));
-    steps.extend(axis.parameters.iter().filter_map(Parameter::write).map(Step::Set));
+    steps.extend(
+        axis.parameters
+            .iter()
+            .filter_map(Parameter::write)
+            .map(Step::Set),
+    );
     steps.extend(process_data::mapping_writes(axis.node, axis.mode).map(Step::Set));
     steps.push(Step::Set(Write::new(MODE_OF_OPERATION, mode.raw())));
-    steps.extend([Step::Shown(mode), Step::Statusword, Step::Position, Step::ErrorCode]);
+    steps.extend([
+        Step::Shown(mode),
+        Step::Statusword,
+        Step::Position,
+        Step::ErrorCode,
+    ]);
     Ok(steps)
 }
 
@@ -173,7 +186,11 @@ impl NodeBringUp {
 
     /// Begins anew; the caller sends the reset.
     pub(super) fn reset(&mut self, now: Instant) {
-        self.phase = Phase::Booting { since: now, booted: false, asked: false };
+        self.phase = Phase::Booting {
+            since: now,
+            booted: false,
+            asked: false,
+        };
         self.boots = 0;
         self.learnt = Learnt::default();
     }
@@ -201,12 +218,20 @@ impl NodeBringUp {
             (Phase::Starting { .. }, nmt::State::Operational) => self.phase = Phase::Operational,
             (Phase::Booting { since, .. }, nmt::State::Initialising) => {
                 *sdo = self.client();
-                self.phase = Phase::Booting { since, booted: true, asked: false };
+                self.phase = Phase::Booting {
+                    since,
+                    booted: true,
+                    asked: false,
+                };
             }
             (Phase::Configuring { .. } | Phase::Configured, nmt::State::Initialising) => {
                 *sdo = self.client();
                 self.boots += 1;
-                self.phase = Phase::Booting { since: now, booted: true, asked: false };
+                self.phase = Phase::Booting {
+                    since: now,
+                    booted: true,
+                    asked: false,
+                };
             }
             _ => {}
         }
@@ -221,7 +246,11 @@ impl NodeBringUp {
         let node = self.node.raw();
         sdo.handle_timeout(now);
         match self.phase {
-            Phase::Booting { since, booted, asked } => {
+            Phase::Booting {
+                since,
+                booted,
+                asked,
+            } => {
                 let waited = now.since(since);
                 if waited > self.group.boot_timeout || self.boots > BOOTS {
                     return Err(BringUpError::NeverBooted { node, waited });
@@ -241,15 +270,30 @@ impl NodeBringUp {
                             return Err(BringUpError::NotADrive { node, device_type });
                         }
                         // It may still boot; the boot time-out decides.
-                        Err(_) => self.phase = Phase::Booting { since, booted, asked: false },
+                        Err(_) => {
+                            self.phase = Phase::Booting {
+                                since,
+                                booted,
+                                asked: false,
+                            }
+                        }
                     }
                 } else if !asked && (booted || waited >= self.group.sdo_timeout) {
-                    self.phase = Phase::Booting { since, booted, asked: true };
+                    self.phase = Phase::Booting {
+                        since,
+                        booted,
+                        asked: true,
+                    };
                     begin(sdo, DEVICE_TYPE, None, now);
                 }
                 Ok(())
             }
-            Phase::Configuring { step, reading_back, asked, since } => {
+            Phase::Configuring {
+                step,
+                reading_back,
+                asked,
+                since,
+            } => {
                 let Some(current) = self.program.get(step).copied() else {
                     self.phase = Phase::Configured;
                     return Ok(());
@@ -257,16 +301,31 @@ impl NodeBringUp {
                 if !asked {
                     let write = current.write().filter(|_| !reading_back);
                     begin(sdo, current.object(), write, now);
-                    self.phase = Phase::Configuring { step, reading_back, asked: true, since };
+                    self.phase = Phase::Configuring {
+                        step,
+                        reading_back,
+                        asked: true,
+                        since,
+                    };
                     return Ok(());
                 }
-                let Some(result) = sdo.poll() else { return Ok(()) };
+                let Some(result) = sdo.poll() else {
+                    return Ok(());
+                };
                 let next = self.judge(current, reading_back, result, now.since(since))?;
                 self.phase = match next {
-                    Next::ReadBack => {
-                        Phase::Configuring { step, reading_back: true, asked: false, since }
-                    }
-                    Next::Again => Phase::Configuring { step, reading_back, asked: false, since },
+                    Next::ReadBack => Phase::Configuring {
+                        step,
+                        reading_back: true,
+                        asked: false,
+                        since,
+                    },
+                    Next::Again => Phase::Configuring {
+                        step,
+                        reading_back,
+                        asked: false,
+                        since,
+                    },
                     Next::Step => Phase::Configuring {
                         step: step + 1,
                         reading_back: false,
@@ -295,8 +354,13 @@ impl NodeBringUp {
         waited: std::time::Duration,
     ) -> Result<Next, BringUpError> {
         let node = self.node.raw();
-        if let (Step::SetIfPresent(_), Err(SdoError::Aborted { code: AbortCode::NO_OBJECT, .. })) =
-            (step, result)
+        if let (
+            Step::SetIfPresent(_),
+            Err(SdoError::Aborted {
+                code: AbortCode::NO_OBJECT,
+                ..
+            }),
+        ) = (step, result)
         {
             return Ok(Next::Step);
         }
@@ -307,14 +371,25 @@ impl NodeBringUp {
                 let found = transfer.number().map_err(error)?;
                 if found != expected {
                     let subindex = object.subindex;
-                    return Err(BringUpError::WrongIdentity { node, subindex, expected, found });
+                    return Err(BringUpError::WrongIdentity {
+                        node,
+                        subindex,
+                        expected,
+                        found,
+                    });
                 }
             }
             Step::Modes(modes) => {
                 let supported = transfer.number().map_err(error)?;
-                let lacking = modes.into_iter().find(|&mode| !SupportedModes(supported).contains(mode));
+                let lacking = modes
+                    .into_iter()
+                    .find(|&mode| !SupportedModes(supported).contains(mode));
                 if let Some(mode) = lacking {
-                    return Err(BringUpError::ModeUnsupported { node, mode: mode.raw(), supported });
+                    return Err(BringUpError::ModeUnsupported {
+                        node,
+                        mode: mode.raw(),
+                        supported,
+                    });
                 }
             }
             Step::Set(_) | Step::SetIfPresent(_) if !reading_back => return Ok(Next::ReadBack),
@@ -324,7 +399,13 @@ impl NodeBringUp {
                 if !transfer.data.starts_with(wrote) || transfer.data.len() > 4 {
                     let Object { index, subindex } = write.object;
                     let (written, found) = (number(wrote), number(transfer.data));
-                    return Err(BringUpError::ReadBack { node, index, subindex, written, found });
+                    return Err(BringUpError::ReadBack {
+                        node,
+                        index,
+                        subindex,
+                        written,
+                        found,
+                    });
                 }
             }
             Step::Shown(mode) => {
@@ -336,7 +417,13 @@ impl NodeBringUp {
                     let Object { index, subindex } = MODE_OF_OPERATION_DISPLAY;
                     let (written, found) = (mode.raw() as u8, found as u8);
                     let (written, found) = (u32::from(written), u32::from(found));
-                    return Err(BringUpError::ReadBack { node, index, subindex, written, found });
+                    return Err(BringUpError::ReadBack {
+                        node,
+                        index,
+                        subindex,
+                        written,
+                        found,
+                    });
                 }
             }
             Step::Statusword => {
@@ -388,14 +475,25 @@ fn error_of(node: NodeId, error: SdoError) -> BringUpError {
     let (Object { index, subindex }, AbortCode(code)) = abort_code(error);
     let node = node.raw();
     match error {
-        SdoError::TimedOut { waited, .. } => {
-            BringUpError::TimedOut { node, index, subindex, waited }
-        }
-        _ => BringUpError::Aborted { node, index, subindex, code },
+        SdoError::TimedOut { waited, .. } => BringUpError::TimedOut {
+            node,
+            index,
+            subindex,
+            waited,
+        },
+        _ => BringUpError::Aborted {
+            node,
+            index,
+            subindex,
+            code,
+        },
     }
 }
 
 /// Up to four bytes as a number.
 pub(super) fn number(data: &[u8]) -> u32 {
-    data.iter().take(4).rev().fold(0, |number, &byte| number << 8 | u32::from(byte))
+    data.iter()
+        .take(4)
+        .rev()
+        .fold(0, |number, &byte| number << 8 | u32::from(byte))
 }

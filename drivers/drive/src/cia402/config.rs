@@ -156,7 +156,11 @@ impl GroupConfig {
         let nanos = self.heartbeat_period.as_nanos();
         let period = u16::try_from(nanos / 1_000_000).map_err(|_| error)?;
         let lost = period.checked_mul(HEARTBEATS_TO_LOSE as u16).ok_or(error)?;
-        if period == 0 || !nanos.is_multiple_of(1_000_000) { Err(error) } else { Ok((period, lost)) }
+        if period == 0 || !nanos.is_multiple_of(1_000_000) {
+            Err(error)
+        } else {
+            Ok((period, lost))
+        }
     }
 
     /// How long a heartbeat may stay away.
@@ -184,24 +188,43 @@ impl AxisConfig {
     pub(super) fn drive_units(&self) -> Result<DriveUnits, ConfigError> {
         let positive = |what, value: Option<u32>| match value {
             Some(value @ 1..) => Ok(value),
-            _ => Err(ConfigError::OutOfRange { node: self.node.raw(), what }),
+            _ => Err(ConfigError::OutOfRange {
+                node: self.node.raw(),
+                what,
+            }),
         };
         if !(self.rated_torque > 0.0 && self.rated_torque.is_finite()) {
-            return Err(ConfigError::OutOfRange { node: self.node.raw(), what: "rated torque" });
+            return Err(ConfigError::OutOfRange {
+                node: self.node.raw(),
+                what: "rated torque",
+            });
         }
-        if self.parameters.iter().any(|parameter| !matches!(parameter.size, 1 | 2 | 4)) {
-            return Err(ConfigError::OutOfRange { node: self.node.raw(), what: "parameter size" });
+        if self
+            .parameters
+            .iter()
+            .any(|parameter| !matches!(parameter.size, 1 | 2 | 4))
+        {
+            return Err(ConfigError::OutOfRange {
+                node: self.node.raw(),
+                what: "parameter size",
+            });
         }
         let homing = &self.homing;
         Ok(DriveUnits {
-            following_error: positive("following error", self.scale.distance(self.following_error))?,
+            following_error: positive(
+                "following error",
+                self.scale.distance(self.following_error),
+            )?,
             quick_stop_deceleration: positive(
                 "quick stop deceleration",
                 rpm_magnitude(self.quick_stop_deceleration),
             )?,
             search_speed: positive("homing search speed", rpm_magnitude(homing.search_speed))?,
             zero_speed: positive("homing zero speed", rpm_magnitude(homing.zero_speed))?,
-            homing_acceleration: positive("homing acceleration", rpm_magnitude(homing.acceleration))?,
+            homing_acceleration: positive(
+                "homing acceleration",
+                rpm_magnitude(homing.acceleration),
+            )?,
         })
     }
 }
@@ -213,7 +236,10 @@ pub(super) fn check(config: &GroupConfig, axes: &[AxisConfig]) -> Result<(), Con
     }
     for (i, axis) in axes.iter().enumerate() {
         let earlier = axes[..i].iter().map(|axis| axis.node);
-        if earlier.chain([config.host_node]).any(|node| node == axis.node) {
+        if earlier
+            .chain([config.host_node])
+            .any(|node| node == axis.node)
+        {
             return Err(ConfigError::DuplicateNode(axis.node.raw()));
         }
         axis.drive_units()?;

@@ -52,7 +52,10 @@ impl Search {
             Step::Preparing if !wanted => Step::Idle,
             Step::Preparing if in_homing_mode => {
                 self.attained = false;
-                Step::Searching { answers: 0, begun: false }
+                Step::Searching {
+                    answers: 0,
+                    begun: false,
+                }
             }
             Step::Searching { .. } | Step::Ended { attained: false } if !wanted => {
                 Step::Halting { answers: 0 }
@@ -127,7 +130,8 @@ impl Search {
     /// Adds bit 4 or halt to a controlword.
     pub(super) fn controlword(&self, word: Controlword) -> Controlword {
         let started = matches!(self.step, Step::Searching { .. } | Step::Ended { .. });
-        word.with(Controlword::START, started).with(Controlword::HALT, self.halting())
+        word.with(Controlword::START, started)
+            .with(Controlword::HALT, self.halting())
     }
 
     pub(super) fn state(&self) -> Homing {
@@ -176,13 +180,27 @@ mod tests {
             // Left over from a search before.
             (&[DONE, DONE, SEARCHING], Homing::InProgress),
             (&[FAILED, SEARCHING], Homing::InProgress),
-            (&[INTERRUPTED, INTERRUPTED, INTERRUPTED, INTERRUPTED, INTERRUPTED], Homing::InProgress),
+            (
+                &[
+                    INTERRUPTED,
+                    INTERRUPTED,
+                    INTERRUPTED,
+                    INTERRUPTED,
+                    INTERRUPTED,
+                ],
+                Homing::InProgress,
+            ),
             // Done before an answer could show it searching: method 37.
-            (&[INTERRUPTED, INTERRUPTED, DONE, DONE, DONE], Homing::Attained),
+            (
+                &[INTERRUPTED, INTERRUPTED, DONE, DONE, DONE],
+                Homing::Attained,
+            ),
         ];
         for (words, state) in table {
             let mut search = searching();
-            words.iter().for_each(|&word| search.answered(Statusword(word)));
+            words
+                .iter()
+                .for_each(|&word| search.answered(Statusword(word)));
             assert_eq!(search.state(), *state, "{words:04X?}");
             assert_eq!(word(&search), 0x001F);
         }
@@ -207,7 +225,10 @@ mod tests {
     fn a_loss_of_power_ends_the_search() {
         let mut search = searching();
         search.command(true, false, true);
-        assert_eq!((search.needs_homing_mode(), search.state()), (false, Homing::NotHomed));
+        assert_eq!(
+            (search.needs_homing_mode(), search.state()),
+            (false, Homing::NotHomed)
+        );
     }
 
     #[test]
@@ -216,7 +237,10 @@ mod tests {
         search.answered(Statusword(SEARCHING));
         search.answered(Statusword(DONE_AND_KEPT));
         search.command(false, true, true);
-        assert_eq!((search.needs_homing_mode(), search.state()), (false, Homing::Attained));
+        assert_eq!(
+            (search.needs_homing_mode(), search.state()),
+            (false, Homing::Attained)
+        );
         search.answered(Statusword(0x8637));
         assert_eq!(search.state(), Homing::Attained);
         search.answered(Statusword(0x0637));

@@ -53,9 +53,9 @@ pub use config::{
 };
 pub use traffic::Traffic;
 
-use crate::{AxisCommand, AxisState, BringUpError, DriveGroup, Fault, GroupCounters};
 #[cfg(doc)]
 use crate::Power;
+use crate::{AxisCommand, AxisState, BringUpError, DriveGroup, Fault, GroupCounters};
 use axis::{Axis, Service};
 use bring_up::NodeBringUp;
 use process_data::Answer;
@@ -140,9 +140,18 @@ impl<P: Port> Cia402Group<P> {
             let bring_up = NodeBringUp::new(&config, axis)?;
             let sdo = bring_up.client();
             let axis = Axis::new(&config, axis);
-            nodes.push(Node { bring_up, axis, sdo, service: None, setpoint: None });
+            nodes.push(Node {
+                bring_up,
+                axis,
+                sdo,
+                service: None,
+                setpoint: None,
+            });
         }
-        let nothing = Received { frame: Sync::default().encode(), at: Instant::ZERO };
+        let nothing = Received {
+            frame: Sync::default().encode(),
+            at: Instant::ZERO,
+        };
         Ok(Self {
             port,
             config,
@@ -201,7 +210,9 @@ impl<P: Port> Cia402Group<P> {
     }
 
     fn latch_all(&mut self, error: PortError) {
-        self.nodes.iter_mut().for_each(|node| node.axis.latch(Fault::Port(error)));
+        self.nodes
+            .iter_mut()
+            .for_each(|node| node.axis.latch(Fault::Port(error)));
     }
 
     /// The next service frame of any node, each having its turn.
@@ -216,7 +227,10 @@ impl<P: Port> Cia402Group<P> {
     }
 
     fn order(&mut self, command: nmt::Command) {
-        let nodes = self.nodes.iter().map(|node| command.to(node.axis.node()).encode());
+        let nodes = self
+            .nodes
+            .iter()
+            .map(|node| command.to(node.axis.node()).encode());
         self.batch.extend(nodes);
     }
 
@@ -254,7 +268,9 @@ impl<P: Port> Cia402Group<P> {
             && self.nodes.iter().all(|node| node.bring_up.configured())
         {
             self.stage = Stage::Starting;
-            self.nodes.iter_mut().for_each(|node| node.bring_up.start(now));
+            self.nodes
+                .iter_mut()
+                .for_each(|node| node.bring_up.start(now));
             self.order(nmt::Command::Start);
         }
         if self.batch.is_empty() {
@@ -313,7 +329,9 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
             }
             Err(error) => self.latch_all(error),
         }
-        let Syncs { attempted, sent, .. } = self.syncs;
+        let Syncs {
+            attempted, sent, ..
+        } = self.syncs;
         for (node, state) in self.nodes.iter_mut().zip(states) {
             node.finish_service(now);
             let (read, missing) = node.axis.end_of_read(now, attempted);
@@ -338,7 +356,8 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
         self.batch.clear();
         self.batch.push(Sync::default().encode());
         for (node, &command) in self.nodes.iter_mut().zip(commands) {
-            self.batch.push(node.axis.command(command, node.setpoint, refused, now));
+            self.batch
+                .push(node.axis.command(command, node.setpoint, refused, now));
             node.start_service(now);
         }
     }
@@ -379,7 +398,10 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
     }
 
     fn counters(&self) -> GroupCounters {
-        GroupCounters { port: self.port.counters(), ..self.counters }
+        GroupCounters {
+            port: self.port.counters(),
+            ..self.counters
+        }
     }
 }
 
@@ -388,15 +410,21 @@ impl Node {
         if self.service.is_some() {
             return;
         }
-        let Some(service) = self.axis.next_service() else { return };
+        let Some(service) = self.axis.next_service() else {
+            return;
+        };
         bring_up::begin(&mut self.sdo, service.object(), service.write(), now);
         self.service = Some(service);
     }
 
     fn finish_service(&mut self, now: Instant) {
         self.sdo.handle_timeout(now);
-        let Some(result) = self.sdo.poll() else { return };
-        let Some(service) = self.service.take() else { return };
+        let Some(result) = self.sdo.poll() else {
+            return;
+        };
+        let Some(service) = self.service.take() else {
+            return;
+        };
         let value = result
             .map(|transfer| bring_up::number(transfer.data))
             .map_err(|error| bring_up::abort_code(error).1.0);

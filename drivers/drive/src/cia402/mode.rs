@@ -22,7 +22,10 @@ pub(super) enum ModeRequest {
 impl ModeSwitch {
     /// A drive that was brought up in `mode`.
     pub(super) fn settled(mode: ModeOfOperation) -> Self {
-        Self { told: mode, shown: Some(mode) }
+        Self {
+            told: mode,
+            shown: Some(mode),
+        }
     }
 
     /// Whether the drive is known to be in `mode`.
@@ -43,7 +46,10 @@ impl ModeSwitch {
 
     /// The drive took object 0x6060.
     pub(super) fn taken(&mut self, mode: ModeOfOperation) {
-        *self = Self { told: mode, shown: None };
+        *self = Self {
+            told: mode,
+            shown: None,
+        };
     }
 
     /// Object 0x6061 was read.

@@ -14,8 +14,11 @@ use super::config::CyclicMode;
 use crate::{Increments, Permille};
 
 /// What TPDO 1 carries: statusword, position and torque.
-pub(super) const ANSWER: [Entry; 3] =
-    [Entry::new(STATUSWORD, 16), Entry::new(POSITION_ACTUAL, 32), Entry::new(TORQUE_ACTUAL, 16)];
+pub(super) const ANSWER: [Entry; 3] = [
+    Entry::new(STATUSWORD, 16),
+    Entry::new(POSITION_ACTUAL, 32),
+    Entry::new(TORQUE_ACTUAL, 16),
+];
 
 /// What RPDO 1 carries: controlword and the target of the mode.
 pub(super) const fn request(mode: CyclicMode) -> [Entry; 2] {
@@ -89,7 +92,9 @@ pub(super) struct Answer {
 impl Answer {
     /// `None` for a payload of another length.
     pub(super) fn decode(data: &[u8]) -> Option<Self> {
-        let &[s0, s1, p0, p1, p2, p3, t0, t1] = data else { return None };
+        let &[s0, s1, p0, p1, p2, p3, t0, t1] = data else {
+            return None;
+        };
         Some(Self {
             statusword: Statusword(u16::from_le_bytes([s0, s1])),
             position: Increments(i32::from_le_bytes([p0, p1, p2, p3])),

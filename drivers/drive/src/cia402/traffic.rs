@@ -23,15 +23,22 @@ pub struct Traffic {
 /// Everything a group exchanges during operation. Service frames are counted at their worst, one
 /// request and one answer a cycle, though they flow only while a mode changes; EMCY is left out.
 pub(super) fn of(config: &GroupConfig, axes: &[AxisConfig]) -> Vec<Traffic> {
-    let cycle = |cob_id, bytes, what| Traffic { cob_id, bytes, period: config.period, what };
+    let cycle = |cob_id, bytes, what| Traffic {
+        cob_id,
+        bytes,
+        period: config.period,
+        what,
+    };
     let heartbeat = |node, what| Traffic {
         cob_id: cob::heartbeat(node),
         bytes: 1,
         period: config.heartbeat_period,
         what,
     };
-    let mut traffic =
-        vec![cycle(cob::SYNC, 0, "SYNC"), heartbeat(config.host_node, "host heartbeat")];
+    let mut traffic = vec![
+        cycle(cob::SYNC, 0, "SYNC"),
+        heartbeat(config.host_node, "host heartbeat"),
+    ];
     for axis in axes {
         let request = process_data::request_len(axis.mode) as u8;
         traffic.extend([

@@ -33,7 +33,11 @@ pub(super) fn axis_config(raw: u8) -> AxisConfig {
     let tau = std::f64::consts::TAU;
     AxisConfig {
         node: node(raw),
-        identity: Identity { vendor: 0xFB, product: Some(0x6050_0000), revision: None },
+        identity: Identity {
+            vendor: 0xFB,
+            product: Some(0x6050_0000),
+            revision: None,
+        },
         mode: CyclicMode::Csp,
         scale: Scale::new(2_000, 0.0).unwrap(),
         rated_torque: 0.1,
@@ -45,7 +49,12 @@ pub(super) fn axis_config(raw: u8) -> AxisConfig {
         },
         following_error: tau / 2.0,
         quick_stop_deceleration: tau * 100.0,
-        parameters: vec![Parameter { index: 0x3001, subindex: 1, value: 2_000, size: 4 }],
+        parameters: vec![Parameter {
+            index: 0x3001,
+            subindex: 1,
+            value: 2_000,
+            size: 4,
+        }],
     }
 }
 
@@ -78,7 +87,9 @@ impl Port for BusEnd {
             return Err(error);
         }
         let count = into.len().min(bus.inbox.len());
-        into.iter_mut().zip(bus.inbox.drain(..count)).for_each(|(to, from)| *to = from);
+        into.iter_mut()
+            .zip(bus.inbox.drain(..count))
+            .for_each(|(to, from)| *to = from);
         Ok(count)
     }
 
@@ -104,7 +115,10 @@ pub(super) fn frame(text: &str) -> Frame {
 pub(super) fn answer(raw: u8, statusword: u16, position: i32) -> String {
     let [s0, s1] = statusword.to_le_bytes();
     let [a, b, c, d] = position.to_le_bytes();
-    format!("{:03X}#{s0:02X}{s1:02X}{a:02X}{b:02X}{c:02X}{d:02X}0000", 0x180 + u16::from(raw))
+    format!(
+        "{:03X}#{s0:02X}{s1:02X}{a:02X}{b:02X}{c:02X}{d:02X}0000",
+        0x180 + u16::from(raw)
+    )
 }
 
 /// The service side of a node: a store of objects that answers byte for byte, and nothing else.
@@ -125,7 +139,8 @@ impl Store {
     /// An EPOS4 that is switched off and stands at 1000 increments.
     pub(super) fn epos4(raw: u8) -> Self {
         let mut objects = BTreeMap::new();
-        let mut put = |index, subindex, bytes: &[u8]| objects.insert((index, subindex), bytes.to_vec());
+        let mut put =
+            |index, subindex, bytes: &[u8]| objects.insert((index, subindex), bytes.to_vec());
         put(0x1000, 0, &[0x92, 0x01, 0x02, 0x00]);
         put(0x1016, 1, &[0; 4]);
         put(0x1017, 0, &[0; 2]);
@@ -173,6 +188,10 @@ impl Store {
         }
     }
 
+    pub(super) fn put(&mut self, index: u16, subindex: u8, bytes: &[u8]) {
+        self.objects.insert((index, subindex), bytes.to_vec());
+    }
+
     pub(super) fn handle(&mut self, frame: &Frame) -> Option<Frame> {
         let id = frame.standard_data_id()?.raw();
         let heartbeat = 0x700 + u16::from(self.raw);
@@ -186,7 +205,10 @@ impl Store {
                 let index = u16::from_le_bytes([low, high]);
                 let reply = self.serve(specifier, (index, subindex), data)?;
                 let [a, b, c, d] = reply.1;
-                new(0x580 + u16::from(self.raw), &[reply.0, low, high, subindex, a, b, c, d])
+                new(
+                    0x580 + u16::from(self.raw),
+                    &[reply.0, low, high, subindex, a, b, c, d],
+                )
             }
             _ => None,
         }
@@ -207,7 +229,11 @@ impl Store {
             bytes[..stored.len()].copy_from_slice(stored);
             return Some((0x43 | (4 - stored.len() as u8) << 2, bytes));
         }
-        assert_eq!(specifier, 0x23 | (4 - stored.len() as u8) << 2, "length of {object:04x?}");
+        assert_eq!(
+            specifier,
+            0x23 | (4 - stored.len() as u8) << 2,
+            "length of {object:04x?}"
+        );
         if self.forgetful != Some(object) {
             let length = stored.len();
             stored.copy_from_slice(&data[..length]);
@@ -236,7 +262,10 @@ impl Bench {
         Self {
             group: Cia402Group::new(bus.clone(), config, axes).unwrap(),
             bus,
-            stores: axes.iter().map(|axis| Store::epos4(axis.node.raw())).collect(),
+            stores: axes
+                .iter()
+                .map(|axis| Store::epos4(axis.node.raw()))
+                .collect(),
             now: Instant::ZERO,
             states: vec![AxisState::default(); axes.len()],
             seen: 0,
@@ -274,8 +303,12 @@ impl Bench {
         let at = self.now + PERIOD / 2;
         for i in self.seen..bus.sent.len() {
             let frame = bus.sent[i];
-            let replies = self.stores.iter_mut().filter_map(|store| store.handle(&frame));
-            bus.inbox.extend(replies.map(|frame| Received { frame, at }));
+            let replies = self
+                .stores
+                .iter_mut()
+                .filter_map(|store| store.handle(&frame));
+            bus.inbox
+                .extend(replies.map(|frame| Received { frame, at }));
         }
         self.seen = bus.sent.len();
     }
@@ -289,7 +322,10 @@ impl Bench {
         self.now += PERIOD;
         let at = self.now - PERIOD / 2;
         let mut bus = self.bus.0.lock().unwrap();
-        let frames = answers.iter().map(|text| Received { frame: frame(text.as_ref()), at });
+        let frames = answers.iter().map(|text| Received {
+            frame: frame(text.as_ref()),
+            at,
+        });
         bus.inbox.extend(frames);
         let before = bus.sent.len();
         drop(bus);
@@ -307,11 +343,18 @@ impl Bench {
         for statusword in [0x0740, 0x0721, 0x0723, 0x0737, 0x0737, 0x0737, 0x0737] {
             self.cycle(&self.answers(statusword, 1_000), &commands);
         }
-        assert!(self.states.iter().all(|state| state.power == Power::On && state.following));
+        assert!(
+            self.states
+                .iter()
+                .all(|state| state.power == Power::On && state.following)
+        );
     }
 
     pub(super) fn answers(&self, statusword: u16, position: i32) -> Vec<String> {
-        self.stores.iter().map(|store| answer(store.raw, statusword, position)).collect()
+        self.stores
+            .iter()
+            .map(|store| answer(store.raw, statusword, position))
+            .collect()
     }
 }
 

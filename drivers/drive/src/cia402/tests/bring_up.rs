@@ -8,7 +8,15 @@ use crate::cia402::*;
 use crate::{Homing, Power};
 
 fn sent(bench: &Bench) -> Vec<String> {
-    bench.bus.0.lock().unwrap().sent.iter().map(Frame::to_string).collect()
+    bench
+        .bus
+        .0
+        .lock()
+        .unwrap()
+        .sent
+        .iter()
+        .map(Frame::to_string)
+        .collect()
 }
 
 /// What node 2 is told, in order. Each is read back before the next.
@@ -89,11 +97,25 @@ fn an_epos4_is_asked_and_told_this_frame_by_frame() {
 #[test]
 fn velocity_and_torque_drives_get_their_own_target() {
     let table = [
-        (CyclicMode::Csv, "602#230016022000FF60", "602#2F60600009000000"),
-        (CyclicMode::Cst, "602#2300160210007160", "602#2F6060000A000000"),
+        (
+            CyclicMode::Csv,
+            "602#230016022000FF60",
+            "602#2F60600009000000",
+        ),
+        (
+            CyclicMode::Cst,
+            "602#2300160210007160",
+            "602#2F6060000A000000",
+        ),
     ];
     for (mode, mapped, told) in table {
-        let mut bench = Bench::new(group_config(), &[AxisConfig { mode, ..axis_config(2) }]);
+        let mut bench = Bench::new(
+            group_config(),
+            &[AxisConfig {
+                mode,
+                ..axis_config(2)
+            }],
+        );
         assert_eq!(bench.bring_up(), Ok(()));
         let sent = sent(&bench);
         assert!(sent.iter().any(|frame| frame == mapped));
@@ -104,11 +126,17 @@ fn velocity_and_torque_drives_get_their_own_target() {
 #[test]
 fn after_it_nothing_is_enabled_and_the_position_is_known() {
     let mut bench = Bench::new(group_config(), &[axis_config(2)]);
-    bench.stores[0].objects.insert((0x6041, 0), vec![0x40, 0x86]);
+    bench.stores[0].put(0x6041, 0, &[0x40, 0x86]);
     assert_eq!(bench.bring_up(), Ok(()));
-    assert_eq!(bench.cycle(NONE, &[AxisCommand::Off])[1], "202#0000E8030000");
+    assert_eq!(
+        bench.cycle(NONE, &[AxisCommand::Off])[1],
+        "202#0000E8030000"
+    );
     let state = bench.states[0];
-    assert_eq!((state.power, state.fault, state.increments.0), (Power::Off, None, 1_000));
+    assert_eq!(
+        (state.power, state.fault, state.increments.0),
+        (Power::Off, None, 1_000)
+    );
     // Bit 15: the drive kept its reference.
     assert_eq!(state.homing, Homing::Attained);
 }
@@ -116,11 +144,17 @@ fn after_it_nothing_is_enabled_and_the_position_is_known() {
 #[test]
 fn a_drive_in_fault_comes_up_with_the_fault_latched() {
     let mut bench = Bench::new(group_config(), &[axis_config(2)]);
-    bench.stores[0].objects.insert((0x6041, 0), vec![0x08, 0x02]);
-    bench.stores[0].objects.insert((0x603F, 0), vec![0x20, 0x73]);
+    bench.stores[0].put(0x6041, 0, &[0x08, 0x02]);
+    bench.stores[0].put(0x603F, 0, &[0x20, 0x73]);
     assert_eq!(bench.bring_up(), Ok(()));
     bench.cycle(NONE, &[AxisCommand::Off]);
-    assert_eq!(bench.states[0].fault, Some(Fault::Drive { node: 2, code: 0x7320 }));
+    assert_eq!(
+        bench.states[0].fault,
+        Some(Fault::Drive {
+            node: 2,
+            code: 0x7320
+        })
+    );
 }
 
 #[test]
@@ -143,13 +177,22 @@ fn a_node_that_boots_again_is_configured_again_and_not_for_ever() {
             bench.now += PERIOD;
             calls += 1;
             if calls % 20 == 0 && calls / 20 <= boots {
-                let booted = Received { frame: frame("702#00"), at: bench.now };
+                let booted = Received {
+                    frame: frame("702#00"),
+                    at: bench.now,
+                };
                 bench.bus.0.lock().unwrap().inbox.push_back(booted);
             }
         };
         assert_eq!(ended.map_err(|_| ()), result);
-        assert!(matches!(ended, Ok(()) | Err(BringUpError::NeverBooted { node: 2, .. })));
-        let vendor = sent(&bench).iter().filter(|frame| **frame == "602#4018100100000000").count();
+        assert!(matches!(
+            ended,
+            Ok(()) | Err(BringUpError::NeverBooted { node: 2, .. })
+        ));
+        let vendor = sent(&bench)
+            .iter()
+            .filter(|frame| **frame == "602#4018100100000000")
+            .count();
         assert_eq!(vendor, if boots == 1 { 2 } else { 4 });
     }
 }
@@ -164,7 +207,10 @@ fn drives_come_up_side_by_side_with_few_frames_a_call() {
         loop {
             let before = sent(&bench).len();
             let ended = bench.group.bring_up(bench.now);
-            let sdo = sent(&bench)[before..].iter().filter(|frame| frame.starts_with('6')).count();
+            let sdo = sent(&bench)[before..]
+                .iter()
+                .filter(|frame| frame.starts_with('6'))
+                .count();
             most = most.max(sdo);
             if ended.is_ready() {
                 assert_eq!(ended, Poll::Ready(Ok(())));
@@ -188,18 +234,29 @@ fn every_failure_names_the_node_and_what_it_said() {
     let table: &[(Break, BringUpError)] = &[
         (
             |store| (store.boots, store.mute) = (false, Some((0x1000, 0))),
-            BringUpError::NeverBooted { node, waited: Duration::from_millis(1_002) },
+            BringUpError::NeverBooted {
+                node,
+                waited: Duration::from_millis(1_002),
+            },
         ),
         (
-            |store| _ = store.objects.insert((0x1000, 0), vec![0x91, 0x01, 0x0F, 0x00]),
-            BringUpError::NotADrive { node, device_type: 0x000F_0191 },
+            |store| store.put(0x1000, 0, &[0x91, 0x01, 0x0F, 0x00]),
+            BringUpError::NotADrive {
+                node,
+                device_type: 0x000F_0191,
+            },
         ),
         (
-            |store| _ = store.objects.insert((0x1018, 1), vec![0xFC, 0, 0, 0]),
-            BringUpError::WrongIdentity { node, subindex: 1, expected: 0xFB, found: 0xFC },
+            |store| store.put(0x1018, 1, &[0xFC, 0, 0, 0]),
+            BringUpError::WrongIdentity {
+                node,
+                subindex: 1,
+                expected: 0xFB,
+                found: 0xFC,
+            },
         ),
         (
-            |store| _ = store.objects.insert((0x1018, 2), vec![0, 0, 0x50, 0x61]),
+            |store| store.put(0x1018, 2, &[0, 0, 0x50, 0x61]),
             BringUpError::WrongIdentity {
                 node,
                 subindex: 2,
@@ -208,28 +265,57 @@ fn every_failure_names_the_node_and_what_it_said() {
             },
         ),
         (
-            |store| _ = store.objects.insert((0x6502, 0), vec![0x25, 0x03, 0, 0]),
-            BringUpError::ModeUnsupported { node, mode: 8, supported: 0x325 },
+            |store| store.put(0x6502, 0, &[0x25, 0x03, 0, 0]),
+            BringUpError::ModeUnsupported {
+                node,
+                mode: 8,
+                supported: 0x325,
+            },
         ),
         (
-            |store| _ = store.objects.insert((0x6502, 0), vec![0x85, 0x03, 0, 0]),
-            BringUpError::ModeUnsupported { node, mode: 6, supported: 0x385 },
+            |store| store.put(0x6502, 0, &[0x85, 0x03, 0, 0]),
+            BringUpError::ModeUnsupported {
+                node,
+                mode: 6,
+                supported: 0x385,
+            },
         ),
         (
-            |store| _ = store.objects.insert((0x1018, 1), vec![0xFB, 0]),
-            BringUpError::Aborted { node, index: 0x1018, subindex: 1, code: 0x0607_0010 },
+            |store| store.put(0x1018, 1, &[0xFB, 0]),
+            BringUpError::Aborted {
+                node,
+                index: 0x1018,
+                subindex: 1,
+                code: 0x0607_0010,
+            },
         ),
         (
             |store| _ = store.aborts.insert((0x60C2, 1), 0x0609_0030),
-            BringUpError::Aborted { node, index: 0x60C2, subindex: 1, code: 0x0609_0030 },
+            BringUpError::Aborted {
+                node,
+                index: 0x60C2,
+                subindex: 1,
+                code: 0x0609_0030,
+            },
         ),
         (
             |store| _ = store.objects.remove(&(0x6007, 0)),
-            BringUpError::Aborted { node, index: 0x6007, subindex: 0, code: 0x0602_0000 },
+            BringUpError::Aborted {
+                node,
+                index: 0x6007,
+                subindex: 0,
+                code: 0x0602_0000,
+            },
         ),
         (
             |store| store.forgetful = Some((0x6007, 0)),
-            BringUpError::ReadBack { node, index: 0x6007, subindex: 0, written: 3, found: 1 },
+            BringUpError::ReadBack {
+                node,
+                index: 0x6007,
+                subindex: 0,
+                written: 3,
+                found: 1,
+            },
         ),
         (
             |store| store.mute = Some((0x6085, 0)),
@@ -243,7 +329,10 @@ fn every_failure_names_the_node_and_what_it_said() {
         ),
         (
             |store| store.starts = false,
-            BringUpError::NotOperational { node, waited: Duration::from_millis(1_002) },
+            BringUpError::NotOperational {
+                node,
+                waited: Duration::from_millis(1_002),
+            },
         ),
     ];
     for (break_it, error) in table {
@@ -252,10 +341,21 @@ fn every_failure_names_the_node_and_what_it_said() {
         assert_eq!(bench.bring_up(), Err(*error));
         let sent = sent(&bench);
         let started = matches!(error, BringUpError::NotOperational { .. });
-        assert_eq!(sent.iter().any(|frame| frame.starts_with("000#01")), started, "{error}");
+        assert_eq!(
+            sent.iter().any(|frame| frame.starts_with("000#01")),
+            started,
+            "{error}"
+        );
         // No RPDO, so no controlword but the one that takes the voltage away.
-        assert!(sent.iter().all(|frame| frame.starts_with("000") || frame.starts_with('6')));
-        assert!(!sent.iter().any(|frame| frame.contains("#2B406000") && !frame.ends_with("00000000")));
+        assert!(
+            sent.iter()
+                .all(|frame| frame.starts_with("000") || frame.starts_with('6'))
+        );
+        assert!(
+            !sent
+                .iter()
+                .any(|frame| frame.contains("#2B406000") && !frame.ends_with("00000000"))
+        );
         // Mended, it comes up from the beginning.
         bench.stores[1] = Store::epos4(node);
         assert_eq!(bench.bring_up(), Ok(()), "{error}");
@@ -266,8 +366,13 @@ fn every_failure_names_the_node_and_what_it_said() {
 fn a_mode_that_never_shows_ends_the_wait() {
     let mut bench = Bench::new(group_config(), &[axis_config(2)]);
     bench.stores[0].shows_modes = false;
-    let error =
-        BringUpError::ReadBack { node: 2, index: 0x6061, subindex: 0, written: 8, found: 1 };
+    let error = BringUpError::ReadBack {
+        node: 2,
+        index: 0x6061,
+        subindex: 0,
+        written: 8,
+        found: 1,
+    };
     assert_eq!(bench.bring_up(), Err(error));
     assert!(bench.now.as_nanos() < 1_000_000_000);
 }
@@ -289,11 +394,20 @@ fn configurations_that_cannot_work_are_refused() {
     };
     let out_of_range = |what| Some(ConfigError::OutOfRange { node: 2, what });
     assert_eq!(with(|_, _| {}), None);
-    assert_eq!(with(|config, _| config.period = Duration::from_micros(2_500)), None);
+    assert_eq!(
+        with(|config, _| config.period = Duration::from_micros(2_500)),
+        None
+    );
     let table = [
         (with(|_, axes| axes.clear()), Some(ConfigError::Axes(0))),
-        (with(|_, axes| axes[1].node = node(1)), Some(ConfigError::DuplicateNode(1))),
-        (with(|config, _| config.host_node = node(2)), Some(ConfigError::DuplicateNode(2))),
+        (
+            with(|_, axes| axes[1].node = node(1)),
+            Some(ConfigError::DuplicateNode(1)),
+        ),
+        (
+            with(|config, _| config.host_node = node(2)),
+            Some(ConfigError::DuplicateNode(2)),
+        ),
         (
             with(|config, _| config.period = Duration::from_micros(1_001)),
             Some(ConfigError::Period(Duration::from_micros(1_001))),
@@ -310,14 +424,26 @@ fn configurations_that_cannot_work_are_refused() {
             with(|config, _| config.heartbeat_period = Duration::from_micros(1_500)),
             Some(ConfigError::HeartbeatPeriod(Duration::from_micros(1_500))),
         ),
-        (with(|_, axes| axes[1].rated_torque = 0.0), out_of_range("rated torque")),
-        (with(|_, axes| axes[1].following_error = f64::NAN), out_of_range("following error")),
+        (
+            with(|_, axes| axes[1].rated_torque = 0.0),
+            out_of_range("rated torque"),
+        ),
+        (
+            with(|_, axes| axes[1].following_error = f64::NAN),
+            out_of_range("following error"),
+        ),
         (
             with(|_, axes| axes[1].quick_stop_deceleration = -1.0),
             out_of_range("quick stop deceleration"),
         ),
-        (with(|_, axes| axes[1].homing.zero_speed = 0.01), out_of_range("homing zero speed")),
-        (with(|_, axes| axes[1].parameters[0].size = 3), out_of_range("parameter size")),
+        (
+            with(|_, axes| axes[1].homing.zero_speed = 0.01),
+            out_of_range("homing zero speed"),
+        ),
+        (
+            with(|_, axes| axes[1].parameters[0].size = 3),
+            out_of_range("parameter size"),
+        ),
     ];
     for (found, expected) in table {
         assert_eq!(found, expected);
