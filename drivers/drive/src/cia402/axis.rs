@@ -20,8 +20,9 @@ pub(super) const ANSWERS_TO_EFFECT: u32 = 4;
 /// One drive during operation: what it said, what it is told, and what stands in the way.
 ///
 /// Nothing here waits or allocates. The order within a cycle is [`answered`](Self::answered),
-/// [`heard`](Self::heard) and [`emergency`](Self::emergency) as frames come,
-/// [`state`](Self::end_of_read), [`check`](Self::check) for all axes, [`command`](Self::command).
+/// [`heard`](Self::heard) and [`emergency`](Self::emergency) as frames come, then
+/// [`end_of_read`](Self::end_of_read); [`check`](Self::check) for all axes, then
+/// [`command`](Self::command).
 #[derive(Clone, Debug)]
 pub(super) struct Axis {
     node: NodeId,
@@ -57,7 +58,6 @@ pub(super) struct Axis {
     /// Whether the last cycle's target was one to hold on to.
     held: bool,
     target: i32,
-    rpdo: Frame,
 }
 
 /// What the drive is led to.
@@ -138,7 +138,6 @@ impl Axis {
             unserved: false,
             held: false,
             target: 0,
-            rpdo: process_data::encode(axis.node, axis.mode, cia402::Controlword(0), 0),
         };
         new.begin(Instant::ZERO, Learnt::default());
         new
@@ -235,7 +234,13 @@ impl Axis {
             | PowerState::SwitchedOn
             | PowerState::QuickStopActive
             | PowerState::Unknown => {
-                if dropped {
+                // A reaction to lost communication ends without the fault state, and yet has a code.
+                if dropped && self.error_code != 0 {
+                    self.latch(Fault::Drive {
+                        node,
+                        code: self.error_code,
+                    });
+                } else if dropped {
                     self.latch(Fault::PowerLost {
                         node,
                         statusword: self.statusword.0,
@@ -416,8 +421,7 @@ impl Axis {
                 .controlword(self.power.step(self.statusword, goal)),
             _ => self.power.step(self.statusword, goal),
         };
-        self.rpdo = process_data::encode(self.node, self.mode, word, self.target);
-        self.rpdo
+        process_data::encode(self.node, self.mode, word, self.target)
     }
 
     /// Clears what the drive and the bus do not show any more. What they still show is latched

@@ -337,7 +337,8 @@ impl NodeBringUp {
             }
             Phase::Starting { since } => {
                 let waited = now.since(since);
-                if waited > self.group.boot_timeout {
+                // The heartbeat that says so may be a period away.
+                if waited > self.group.boot_timeout + self.group.heartbeat_period {
                     return Err(BringUpError::NotOperational { node, waited });
                 }
                 Ok(())

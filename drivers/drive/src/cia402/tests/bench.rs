@@ -19,7 +19,7 @@ pub(super) fn group_config() -> GroupConfig {
     GroupConfig {
         period: PERIOD,
         tolerated_missing: 2,
-        heartbeat_period: Duration::from_secs(10),
+        heartbeat_period: Duration::from_secs(2),
         host_node: node(127),
         sdo_timeout: Duration::from_millis(100),
         sdo_retries: 1,

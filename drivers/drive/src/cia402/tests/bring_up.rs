@@ -23,8 +23,8 @@ fn sent(bench: &Bench) -> Vec<String> {
 const TOLD: &[&str] = &[
     // Voltage off; our heartbeat is watched, the drive's is produced.
     "602#2B40600000000000",
-    "602#2B17100010270000",
-    "602#2316100130757F00",
+    "602#2B171000D0070000",
+    "602#2316100170177F00",
     // When it loses us it brakes at 6000 rpm/s and holds.
     "602#2B07600003000000",
     "602#2B5A600006000000",
@@ -331,7 +331,7 @@ fn every_failure_names_the_node_and_what_it_said() {
             |store| store.starts = false,
             BringUpError::NotOperational {
                 node,
-                waited: Duration::from_millis(1_002),
+                waited: Duration::from_millis(3_002),
             },
         ),
     ];

@@ -220,6 +220,22 @@ fn power_lost_unasked_is_a_fault_and_power_given_up_is_not() {
 }
 
 #[test]
+fn a_drive_that_stopped_because_it_lost_us_says_why() {
+    let mut bench = enabled();
+    bench.cycle(
+        &["082#3081110000000000".to_owned(), answer(2, 0x0707, 1_000)],
+        STAND,
+    );
+    assert_eq!(
+        bench.states[0].fault,
+        Some(Fault::Drive {
+            node: 2,
+            code: 0x8130
+        })
+    );
+}
+
+#[test]
 fn a_moment_of_off_is_no_loss_of_power() {
     let mut bench = enabled();
     bench.cycle(&bench.answers(0x0737, 1_000), OFF);
