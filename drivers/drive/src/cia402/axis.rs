@@ -424,14 +424,14 @@ impl Axis {
         process_data::encode(self.node, self.mode, word, self.target)
     }
 
-    /// Clears what the drive and the bus do not show any more. What they still show is latched
-    /// again by the next reading, and a node that booted needs bring-up.
+    /// Clears the fault, unless it is the drive's to leave first. What the drive and the bus
+    /// still show is latched again by the next reading.
     fn reset(&mut self) {
         let faulted = matches!(
             self.statusword.power_state(),
             PowerState::Fault | PowerState::FaultReactionActive
         );
-        if !faulted && !self.booted {
+        if !faulted {
             self.state.fault = None;
             self.error_code = 0;
             self.unserved = false;

@@ -215,7 +215,7 @@ impl Store {
     }
 
     fn serve(&mut self, specifier: u8, object: (u16, u8), data: &[u8]) -> Option<(u8, [u8; 4])> {
-        if self.mute == Some(object) {
+        if specifier == 0x80 || self.mute == Some(object) {
             return None;
         }
         if let Some(code) = self.aborts.get(&object) {

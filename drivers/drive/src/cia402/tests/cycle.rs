@@ -208,6 +208,18 @@ fn what_the_port_does_not_take_is_counted_and_never_sent_later() {
 }
 
 #[test]
+fn only_a_cycle_that_asked_misses_an_answer() {
+    let mut bench = Bench::up(&[2]);
+    bench.enable();
+    bench.cycle(&bench.answers(0x0737, 1_000), &[AxisCommand::Stand]);
+    for age in [1, 1, 1] {
+        bench.group.read(bench.now, &mut bench.states);
+        assert_eq!(bench.states[0].age, age);
+    }
+    assert_eq!(bench.group.counters().missed_answers, 1);
+}
+
+#[test]
 fn a_batch_that_was_not_sent_is_replaced() {
     let mut bench = Bench::up(&[2]);
     bench.enable();

@@ -169,6 +169,23 @@ fn a_fault_whose_emcy_was_lost_is_asked_for() {
 }
 
 #[test]
+fn a_drive_that_does_not_tell_its_error_code_is_asked_once() {
+    for refuses in [true, false] {
+        let mut bench = enabled();
+        if refuses {
+            bench.stores[0].aborts.insert((0x603F, 0), 0x0602_0000);
+        }
+        let cycles = (0..20).map(|_| bench.cycle(&[answer(2, 0x0208, 1_000)], STAND));
+        let asked = cycles.filter(|frames| frames.len() > 2).count();
+        assert_eq!(asked, 1);
+        assert_eq!(
+            bench.states[0].fault,
+            Some(Fault::Drive { node: 2, code: 0 })
+        );
+    }
+}
+
+#[test]
 fn a_drive_fault_is_reset_by_an_edge_and_leaves_when_the_drive_says_so() {
     let mut bench = enabled();
     let fault = Some(Fault::Drive {

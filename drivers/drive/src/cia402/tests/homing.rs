@@ -261,6 +261,58 @@ fn a_drive_that_refuses_the_mode_or_does_not_answer_is_faulted() {
 }
 
 #[test]
+fn a_drive_that_cannot_come_back_is_asked_again_after_the_reset() {
+    let mut bench = Bench::up(&[2]);
+    bench.enable();
+    for statusword in [0x0737, 0x0737, 0x0737, 0x0237, 0x9637] {
+        cycle(&mut bench, statusword, 0, HOME);
+    }
+    bench.stores[0].aborts.insert((0x6060, 0), 0x0800_0022);
+    let told = |service: &str| service == "602#2F60600008000000";
+    let asked = (0..20)
+        .filter(|_| told(&cycle(&mut bench, 0x9637, 0, STAND)[1]))
+        .count();
+    assert_eq!(asked, 1);
+    bench.stores[0].aborts.clear();
+    assert!(told(
+        &cycle(&mut bench, 0x9640, 0, &[AxisCommand::ResetFault])[1]
+    ));
+    cycle(&mut bench, 0x9640, 0, &[AxisCommand::Off]);
+    cycle(&mut bench, 0x9640, 0, &[AxisCommand::Off]);
+    assert_eq!(bench.states[0].fault, None);
+}
+
+#[test]
+fn a_mode_on_its_way_is_none_to_follow_in() {
+    let mut bench = Bench::up(&[2]);
+    bench.enable();
+    bench.stores[0].mute = Some((0x6060, 0));
+    cycle(&mut bench, 0x0737, 1_000, HOME);
+    bench.stores[0].mute = None;
+    // It may or may not have heard; asked again after 100 ms, it goes to HM and then back.
+    let mut services = Vec::new();
+    for _ in 0..100 {
+        let [rpdo, service] = cycle(&mut bench, 0x0737, 1_000, &[follow(1_100.0)]);
+        let set_point = if bench.states[0].following {
+            "4C040000"
+        } else {
+            "E8030000"
+        };
+        assert_eq!(rpdo, format!("202#0F00{set_point}"));
+        services.extend((!service.is_empty()).then_some(service));
+    }
+    let times_out = "602#8060600000000405";
+    let expected = [
+        times_out,
+        "602#2F60600006000000",
+        "602#2F60600008000000",
+        "602#4061600000000000",
+    ];
+    assert_eq!(services, expected);
+    assert_eq!(bench.states[0].fault, None);
+}
+
+#[test]
 fn a_mode_that_never_shows_is_a_fault() {
     let mut bench = Bench::up(&[2]);
     bench.enable();
