@@ -330,6 +330,7 @@ impl Axis {
         }
     }
 
+    /// Bit 12 is not relied on: a recorded EPOS shows 0x0737 once it is enabled.
     fn following(&self) -> bool {
         self.state.power == Power::On
             && self.state.fault.is_none()

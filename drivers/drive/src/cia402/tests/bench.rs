@@ -159,6 +159,7 @@ impl Store {
             (1..=3).for_each(|subindex| _ = put(index, subindex, &[0; 4]));
         }
         put(0x3001, 1, &[0; 4]);
+        put(0x30B0, 0, &[9, 0, 0, 0]);
         put(0x6007, 0, &[1, 0]);
         put(0x603F, 0, &[0; 2]);
         put(0x6040, 0, &[0; 2]);
