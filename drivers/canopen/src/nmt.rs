@@ -382,6 +382,16 @@ mod tests {
     }
 
     #[test]
+    fn a_boot_is_told_as_a_boot_alone() {
+        let mut master = Master::new();
+        for frame in ["702#05", "702#00"] {
+            master.handle(&parse(frame));
+        }
+        assert_eq!(master.poll(), Some(Event::Booted(node(2))));
+        assert_eq!(master.poll(), None);
+    }
+
+    #[test]
     fn a_reset_forgets_what_its_nodes_said() {
         let mut master = Master::new();
         for frame in ["702#05", "703#05"] {

@@ -1,0 +1,547 @@
+//! A port on a SocketCAN interface: real cards, `vcan` and `slcan` alike.
+//!
+//! It promises one system call for each send or receive, no allocation after opening, time stamps
+//! taken by the kernel, and honest back-pressure: the socket's send buffer is kept so small that it
+//! fills before the interface's queue does, where the kernel would throw frames away.
+//!
+//! Bit rates and restarts after bus-off are left to `ip link`. This is the rim: it makes system calls
+//! and reads the clock. Read [`SocketCanPort::open`] first.
+
+#![expect(
+    unsafe_code,
+    reason = "batched system calls that no safe wrapper offers"
+)]
+
+use std::fmt;
+use std::io;
+use std::mem;
+use std::os::fd::{AsFd, AsRawFd, BorrowedFd};
+use std::ptr;
+
+use socketcan::{CanAddr, CanFilter, CanSocket, Socket, SocketOptions};
+use thiserror::Error;
+
+use crate::{
+    ControllerState, Counters, ErrorFrame, Frame, Instant, Port, PortError, Received, StandardId,
+    clock,
+};
+
+/// Frames that one system call moves at most. The rest of a longer send is refused.
+///
+/// 256 frames keep a bus of 1 Mbit/s busy for 28 ms.
+pub const BATCH: usize = 256;
+
+/// How a [`SocketCanPort`] is set up.
+#[derive(Clone, Debug)]
+pub struct SocketCanOptions {
+    /// Data frames with these identifiers are received and all others are not; empty accepts every
+    /// frame. The kernel takes at most 512. Error frames always come.
+    pub accept: Vec<StandardId>,
+    /// Receive buffer, bytes. The kernel counts some 750 bytes for each frame.
+    pub receive_buffer: usize,
+    /// Send buffer, bytes, which the kernel doubles and then raises to its minimum of 4608 bytes. That
+    /// minimum holds seven frames.
+    ///
+    /// Back-pressure is exact while the buffer holds fewer frames than the interface's queue
+    /// (`txqueuelen`, 10 on most cards); a larger one needs a longer queue.
+    pub send_buffer: usize,
+}
+
+impl Default for SocketCanOptions {
+    fn default() -> Self {
+        Self {
+            accept: Vec::new(),
+            receive_buffer: 4 << 20,
+            send_buffer: 0,
+        }
+    }
+}
+
+/// The name of a network interface, as Linux limits it: 1 to 15 bytes.
+#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+pub struct InterfaceName {
+    bytes: [u8; 15],
+    len: u8,
+}
+
+impl InterfaceName {
+    /// `None` if `name` is empty, longer than 15 bytes, or has a NUL, a slash or white space in it.
+    pub fn new(name: &str) -> Option<Self> {
+        let forbidden = |c: char| c == '\0' || c == '/' || c.is_whitespace();
+        if name.is_empty() || name.contains(forbidden) {
+            return None;
+        }
+        let mut bytes = [0; 15];
+        bytes
+            .get_mut(..name.len())?
+            .copy_from_slice(name.as_bytes());
+        Some(Self {
+            bytes,
+            len: name.len() as u8,
+        })
+    }
+
+    /// The name.
+    pub fn as_str(&self) -> &str {
+        str::from_utf8(&self.bytes[..usize::from(self.len)]).expect("copied from a str")
+    }
+}
+
+impl fmt::Display for InterfaceName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.as_str())
+    }
+}
+
+impl fmt::Debug for InterfaceName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.as_str())
+    }
+}
+
+/// Why a port could not be opened, and what to do about it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum OpenError {
+    /// No interface can have such a name.
+    #[error("an interface name has 1 to 15 bytes, none of them blank or a slash")]
+    BadName,
+    /// The running kernel was built or booted without CAN.
+    #[error("{0}: this kernel has no CAN: load its module `can-raw`, or run inside `mrroc vm uml`")]
+    NoCan(InterfaceName),
+    /// There is no such interface.
+    #[error(
+        "{0}: no such interface: plug the card in and load its driver, or make a virtual one with \
+         `ip link add dev {0} type vcan`"
+    )]
+    Absent(InterfaceName),
+    /// The interface exists and is not a CAN interface.
+    #[error("{0}: not a CAN interface: `ip -d link show type can` lists those that are")]
+    NotCan(InterfaceName),
+    /// The interface is down.
+    #[error(
+        "{0}: interface is down: `ip link set {0} type can bitrate 1000000` on a card, then \
+         `ip link set {0} up`"
+    )]
+    Down(InterfaceName),
+    /// More identifiers to accept than the kernel filters.
+    #[error("{interface}: {given} identifiers to accept, the kernel takes 512")]
+    TooManyFilters {
+        /// The interface.
+        interface: InterfaceName,
+        /// How many identifiers were to be accepted.
+        given: usize,
+    },
+    /// Anything else the operating system said.
+    #[error("{interface}: errno {errno}")]
+    Os {
+        /// The interface.
+        interface: InterfaceName,
+        /// Its answer.
+        errno: i32,
+    },
+}
+
+/// A raw socket on one CAN interface.
+///
+/// Frames sent are seen by the other sockets of the interface and not by this one. An interface that
+/// goes down is reported by every send, and once by receive; a removed one by every call.
+pub struct SocketCanPort {
+    socket: CanSocket,
+    batch: Box<Batch>,
+    counters: Counters,
+    state: ControllerState,
+    /// The kernel's own count of frames dropped, as last seen; it wraps.
+    overflow: u32,
+    /// No received frame was stamped earlier than the one before it.
+    last_received: Instant,
+    gone: bool,
+}
+
+impl SocketCanPort {
+    /// Opens `interface`, which must exist and be up.
+    pub fn open(interface: &str, options: &SocketCanOptions) -> Result<Self, OpenError> {
+        let interface = InterfaceName::new(interface).ok_or(OpenError::BadName)?;
+        if options.accept.len() > 512 {
+            let given = options.accept.len();
+            return Err(OpenError::TooManyFilters { interface, given });
+        }
+        let socket = CanSocket::open(interface.as_str())
+            .map_err(|error| why_not_opened(interface, &error))?;
+        set_up(&socket, options).map_err(|error| os(interface, &error))?;
+        // A socket may be bound to an interface that is down; the kernel then leaves this word.
+        match socket.as_raw_socket().take_error() {
+            Ok(Some(error)) if error.raw_os_error() == Some(libc::ENETDOWN) => {
+                return Err(OpenError::Down(interface));
+            }
+            Ok(Some(error)) | Err(error) => return Err(os(interface, &error)),
+            Ok(None) => {}
+        }
+        Ok(Self {
+            socket,
+            batch: Batch::new(),
+            counters: Counters::default(),
+            state: ControllerState::Active,
+            overflow: 0,
+            last_received: Instant::ZERO,
+            gone: false,
+        })
+    }
+
+    /// Waits until there is something to receive or `CLOCK_MONOTONIC` shows `until`, and says which.
+    ///
+    /// `true` also when there is an error to receive. Wakes some 50 µs late on an ordinary thread.
+    pub fn wait_readable(&self, until: Instant) -> Result<bool, PortError> {
+        if self.gone {
+            return Err(PortError::Gone);
+        }
+        loop {
+            let remaining = until.since(clock::now());
+            let timeout = libc::timespec {
+                tv_sec: libc::time_t::try_from(remaining.as_secs()).unwrap_or(libc::time_t::MAX),
+                tv_nsec: libc::c_long::from(remaining.subsec_nanos() as i32),
+            };
+            let mut poll = libc::pollfd {
+                fd: self.socket.as_raw_fd(),
+                events: libc::POLLIN,
+                revents: 0,
+            };
+            // SAFETY: one valid pollfd, a valid timespec, and no signal mask.
+            match unsafe { libc::ppoll(&mut poll, 1, &timeout, ptr::null()) } {
+                0 => return Ok(false),
+                1.. => return Ok(true),
+                _ => match errno() {
+                    libc::EINTR => {}
+                    other => return Err(PortError::Os(other)),
+                },
+            }
+        }
+    }
+
+    fn failed(&mut self, errno: i32) -> PortError {
+        match errno {
+            libc::ENETDOWN => PortError::Down,
+            libc::ENODEV | libc::ENXIO => {
+                self.gone = true;
+                PortError::Gone
+            }
+            other => PortError::Os(other),
+        }
+    }
+
+    /// Sorts the first `count` messages of the batch into `into` and the counters.
+    fn sort(&mut self, count: usize, into: &mut [Received]) -> usize {
+        let read_at = clock::now();
+        let realtime_offset = clock::realtime_offset();
+        let mut kept = 0;
+        for index in 0..count {
+            let ancillary = self.batch.ancillary(index);
+            if let Some(overflow) = ancillary.overflow {
+                self.counters.dropped += u64::from(overflow.wrapping_sub(self.overflow));
+                self.overflow = overflow;
+            }
+            let Some(frame) = self.batch.frame(index) else {
+                self.counters.dropped += 1;
+                continue;
+            };
+            if let Some(error) = ErrorFrame::parse(&frame) {
+                self.counters.errors += 1;
+                self.state = error.state_after(self.state);
+                continue;
+            }
+            // The stamp is of CLOCK_REALTIME, which may have been set since it was taken.
+            let at = ancillary.realtime_nanos.map_or(read_at, |nanos| {
+                Instant::from_nanos(nanos.saturating_sub(realtime_offset))
+                    .clamp(self.last_received, read_at)
+            });
+            self.last_received = at;
+            into[kept] = Received { frame, at };
+            kept += 1;
+        }
+        self.counters.received += kept as u64;
+        kept
+    }
+}
+
+impl Port for SocketCanPort {
+    /// Takes at most [`BATCH`] frames at once. `now` is not looked at: the kernel sends at once.
+    fn send(&mut self, _now: Instant, frames: &[Frame]) -> Result<usize, PortError> {
+        if frames.is_empty() {
+            return Ok(0);
+        }
+        let result = if self.gone {
+            Err(PortError::Gone)
+        } else {
+            match self.batch.send(&self.socket, frames) {
+                Ok(taken) => Ok(taken),
+                Err(libc::EAGAIN | libc::ENOBUFS | libc::EINTR) => Ok(0),
+                Err(errno) => Err(self.failed(errno)),
+            }
+        };
+        let taken = result.unwrap_or(0);
+        self.counters.sent += taken as u64;
+        self.counters.refused += (frames.len() - taken) as u64;
+        result
+    }
+
+    /// Takes at most [`BATCH`] frames at once. `now` is not looked at: the frames are stamped by the
+    /// kernel, and those that came since `now` was read are among them.
+    fn receive(&mut self, _now: Instant, into: &mut [Received]) -> Result<usize, PortError> {
+        if self.gone {
+            return Err(PortError::Gone);
+        }
+        if into.is_empty() {
+            return Ok(0);
+        }
+        match self.batch.receive(&self.socket, into.len()) {
+            Ok(count) => Ok(self.sort(count, into)),
+            Err(libc::EAGAIN | libc::EINTR) => Ok(0),
+            Err(errno) => Err(self.failed(errno)),
+        }
+    }
+
+    fn counters(&self) -> Counters {
+        self.counters
+    }
+
+    fn state(&self) -> ControllerState {
+        self.state
+    }
+}
+
+/// For loops that wait on several things at once.
+impl AsFd for SocketCanPort {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.socket.as_fd()
+    }
+}
+
+fn set_up(socket: &CanSocket, options: &SocketCanOptions) -> io::Result<()> {
+    const EXACT: u32 = libc::CAN_SFF_MASK | libc::CAN_EFF_FLAG | libc::CAN_RTR_FLAG;
+    const ON: libc::c_int = 1;
+    socket.set_nonblocking(true)?;
+    socket.set_error_filter_accept_all()?;
+    if !options.accept.is_empty() {
+        let filters: Vec<_> = options
+            .accept
+            .iter()
+            .map(|id| CanFilter::new(u32::from(id.raw()), EXACT))
+            .collect();
+        socket.set_filters(&filters)?;
+    }
+    let size = |bytes| libc::c_int::try_from(bytes).unwrap_or(libc::c_int::MAX);
+    let set = |name, value| socket.set_socket_option_int(libc::SOL_SOCKET, name, value);
+    set(libc::SO_RXQ_OVFL, ON)?;
+    set(libc::SO_TIMESTAMPNS, ON)?;
+    set(libc::SO_SNDBUF, size(options.send_buffer))?;
+    // Beyond the system's limit if we may, up to it if not.
+    let receive_buffer = size(options.receive_buffer);
+    set(libc::SO_RCVBUFFORCE, receive_buffer).or_else(|_| set(libc::SO_RCVBUF, receive_buffer))
+}
+
+fn why_not_opened(interface: InterfaceName, error: &io::Error) -> OpenError {
+    // The kernel says ENODEV for an absent interface and for one of another kind; and the interface is
+    // looked up first, so an absent one hides that there is no CAN at all.
+    let kernel_lacks_can = || {
+        let any = CanSocket::open_iface(0);
+        any.is_err_and(|error| error.raw_os_error() == Some(libc::EAFNOSUPPORT))
+    };
+    match error.raw_os_error() {
+        Some(libc::EAFNOSUPPORT) => OpenError::NoCan(interface),
+        Some(libc::ENODEV) if kernel_lacks_can() => OpenError::NoCan(interface),
+        Some(libc::ENODEV) if CanAddr::from_iface(interface.as_str()).is_ok() => {
+            OpenError::NotCan(interface)
+        }
+        Some(libc::ENODEV) => OpenError::Absent(interface),
+        _ => os(interface, error),
+    }
+}
+
+fn os(interface: InterfaceName, error: &io::Error) -> OpenError {
+    let errno = error.raw_os_error().unwrap_or(libc::EIO);
+    OpenError::Os { interface, errno }
+}
+
+fn errno() -> i32 {
+    io::Error::last_os_error()
+        .raw_os_error()
+        .unwrap_or(libc::EIO)
+}
+
+/// What `sendmmsg` and `recvmmsg` read and write.
+struct Batch {
+    headers: [libc::mmsghdr; BATCH],
+    slices: [libc::iovec; BATCH],
+    frames: [RawFrame; BATCH],
+    controls: [Control; BATCH],
+}
+
+/// `struct can_frame`.
+#[derive(Clone, Copy)]
+#[repr(C, align(8))]
+struct RawFrame {
+    id_and_flags: u32,
+    len: u8,
+    padding: [u8; 3],
+    data: [u8; 8],
+}
+
+/// Room for a time stamp (32 bytes with its header) and a count of dropped frames (24 bytes).
+#[derive(Clone, Copy)]
+#[repr(C, align(8))]
+struct Control([u8; 64]);
+
+/// What the kernel says beside a frame.
+#[derive(Default)]
+struct Ancillary {
+    realtime_nanos: Option<u64>,
+    overflow: Option<u32>,
+}
+
+// SAFETY: the pointers in headers and slices are written anew before each system call and not followed
+// after it.
+unsafe impl Send for Batch {}
+
+impl Batch {
+    fn new() -> Box<Self> {
+        // SAFETY: plain integers and pointers, for all of which zero is a value.
+        Box::new(unsafe { mem::zeroed() })
+    }
+
+    fn send(&mut self, socket: &CanSocket, frames: &[Frame]) -> Result<usize, i32> {
+        const { assert!(size_of::<Frame>() == size_of::<libc::can_frame>()) };
+        let count = frames.len().min(BATCH);
+        for (index, frame) in frames[..count].iter().enumerate() {
+            // The kernel only reads what a sent slice points to.
+            self.slices[index].iov_base = ptr::from_ref(frame).cast_mut().cast();
+            self.slices[index].iov_len = size_of::<Frame>();
+            let header = &mut self.headers[index].msg_hdr;
+            header.msg_iov = &mut self.slices[index];
+            header.msg_iovlen = 1;
+            header.msg_control = ptr::null_mut();
+            header.msg_controllen = 0;
+        }
+        let headers = self.headers.as_mut_ptr();
+        // SAFETY: the first `count` headers point to valid slices, those to frames that outlive the call.
+        let taken = unsafe {
+            libc::sendmmsg(
+                socket.as_raw_fd(),
+                headers,
+                count as u32,
+                libc::MSG_DONTWAIT,
+            )
+        };
+        usize::try_from(taken).map_err(|_| errno())
+    }
+
+    fn receive(&mut self, socket: &CanSocket, limit: usize) -> Result<usize, i32> {
+        let count = limit.min(BATCH);
+        for index in 0..count {
+            self.slices[index].iov_base = ptr::from_mut(&mut self.frames[index]).cast();
+            self.slices[index].iov_len = size_of::<RawFrame>();
+            let header = &mut self.headers[index].msg_hdr;
+            header.msg_iov = &mut self.slices[index];
+            header.msg_iovlen = 1;
+            header.msg_control = ptr::from_mut(&mut self.controls[index]).cast();
+            header.msg_controllen = size_of::<Control>();
+        }
+        let headers = self.headers.as_mut_ptr();
+        // SAFETY: the first `count` headers point to valid slices, frames and controls of this batch.
+        let received = unsafe {
+            libc::recvmmsg(
+                socket.as_raw_fd(),
+                headers,
+                count as u32,
+                libc::MSG_DONTWAIT,
+                ptr::null_mut(),
+            )
+        };
+        usize::try_from(received).map_err(|_| errno())
+    }
+
+    fn frame(&self, index: usize) -> Option<Frame> {
+        let raw = self.frames[index];
+        Frame::from_raw(raw.id_and_flags, raw.len, raw.data)
+    }
+
+    fn ancillary(&self, index: usize) -> Ancillary {
+        let mut found = Ancillary::default();
+        let control = ptr::from_ref(&self.controls[index]).cast_mut().cast();
+        let header = libc::msghdr {
+            msg_control: control,
+            ..self.headers[index].msg_hdr
+        };
+        // SAFETY: the kernel filled `msg_controllen` bytes of the control buffer with well-formed
+        // messages, which these macros walk; the data is read unaligned, in the type of its kind.
+        unsafe {
+            let mut message = libc::CMSG_FIRSTHDR(&header);
+            while let Some(it) = message.as_ref() {
+                let data = libc::CMSG_DATA(message);
+                match (it.cmsg_level, it.cmsg_type) {
+                    (libc::SOL_SOCKET, libc::SCM_TIMESTAMPNS) => {
+                        let stamp: libc::timespec = data.cast::<libc::timespec>().read_unaligned();
+                        found.realtime_nanos =
+                            Some(stamp.tv_sec as u64 * 1_000_000_000 + stamp.tv_nsec as u64);
+                    }
+                    (libc::SOL_SOCKET, libc::SO_RXQ_OVFL) => {
+                        found.overflow = Some(data.cast::<u32>().read_unaligned());
+                    }
+                    _ => {}
+                }
+                message = libc::CMSG_NXTHDR(&header, message);
+            }
+        }
+        found
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn refusal(interface: &str, options: &SocketCanOptions) -> OpenError {
+        SocketCanPort::open(interface, options)
+            .err()
+            .expect("a refusal")
+    }
+
+    #[test]
+    fn impossible_names_are_refused_before_the_kernel_is_asked() {
+        for name in ["", "sixteen-letters-", "can 0", "can/0", "can\0"] {
+            assert_eq!(
+                refusal(name, &SocketCanOptions::default()),
+                OpenError::BadName
+            );
+        }
+    }
+
+    #[test]
+    fn more_filters_than_the_kernel_has_are_refused() {
+        let options = SocketCanOptions {
+            accept: vec![StandardId::MAX; 513],
+            ..SocketCanOptions::default()
+        };
+        let interface = InterfaceName::new("can0").unwrap();
+        let expected = OpenError::TooManyFilters {
+            interface,
+            given: 513,
+        };
+        assert_eq!(refusal("can0", &options), expected);
+    }
+
+    #[test]
+    fn an_open_error_says_what_to_do() {
+        let name = InterfaceName::new("can7").unwrap();
+        for (error, advice) in [
+            (OpenError::NoCan(name), "mrroc vm uml"),
+            (OpenError::Absent(name), "ip link add dev can7 type vcan"),
+            (OpenError::NotCan(name), "ip -d link show type can"),
+            (OpenError::Down(name), "ip link set can7 up"),
+        ] {
+            let text = error.to_string();
+            assert!(
+                text.starts_with("can7: ") && text.contains(advice),
+                "{text}"
+            );
+        }
+    }
+}

@@ -1,0 +1,281 @@
+//! A port without a card: the host holds one end, a bus model the other.
+//!
+//! Frames keep their order and carry times in both directions; nothing here waits, locks or
+//! allocates after [`virtual_port`] returned. Bit times and arbitration are the bus model's work.
+//! Read [`VirtualPort`] for what a driver sees, [`VirtualPeer`] for what a bus does with it.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use rtrb::{Consumer, Producer, RingBuffer};
+
+use crate::{ControllerState, Counters, ErrorFrame, Frame, Instant, Port, PortError, Received};
+
+/// Both ends of a virtual port, with room for `capacity` frames each way.
+///
+/// The capacity stands for the card's transmit queue one way and for the receive buffer the other.
+pub fn virtual_port(capacity: usize) -> (VirtualPort, VirtualPeer) {
+    let (to_bus, sent) = RingBuffer::new(capacity);
+    let (to_host, received) = RingBuffer::new(capacity);
+    let dropped = Arc::new(AtomicU64::new(0));
+    let port = VirtualPort {
+        to_bus,
+        received,
+        dropped: Arc::clone(&dropped),
+        counters: Counters::default(),
+        state: ControllerState::Active,
+    };
+    let peer = VirtualPeer {
+        sent,
+        to_host,
+        dropped,
+    };
+    (port, peer)
+}
+
+/// The host's end.
+///
+/// [`Port::send`] takes what fits and no more. [`Port::receive`] holds back frames later than `now`.
+/// Once the bus's end was dropped, sending is [`PortError::Gone`], and so is receiving as soon as the
+/// queue is empty.
+pub struct VirtualPort {
+    to_bus: Producer<Received>,
+    received: Consumer<Received>,
+    dropped: Arc<AtomicU64>,
+    counters: Counters,
+    state: ControllerState,
+}
+
+impl Port for VirtualPort {
+    fn send(&mut self, now: Instant, frames: &[Frame]) -> Result<usize, PortError> {
+        if self.to_bus.is_abandoned() {
+            self.counters.refused += frames.len() as u64;
+            return Err(PortError::Gone);
+        }
+        let mut taken = 0;
+        for &frame in frames {
+            if self.to_bus.push(Received { frame, at: now }).is_err() {
+                break;
+            }
+            taken += 1;
+        }
+        self.counters.sent += taken as u64;
+        self.counters.refused += (frames.len() - taken) as u64;
+        Ok(taken)
+    }
+
+    fn receive(&mut self, now: Instant, into: &mut [Received]) -> Result<usize, PortError> {
+        // Asked before the queue is read: what was delivered before the end was dropped still counts.
+        let gone = self.received.is_abandoned();
+        let mut count = 0;
+        while count < into.len() {
+            let Ok(&received) = self.received.peek() else {
+                if gone && count == 0 {
+                    return Err(PortError::Gone);
+                }
+                break;
+            };
+            if received.at > now {
+                break;
+            }
+            self.received.pop().expect("one was peeked");
+            if let Some(error) = ErrorFrame::parse(&received.frame) {
+                self.counters.errors += 1;
+                self.state = error.state_after(self.state);
+                continue;
+            }
+            into[count] = received;
+            count += 1;
+        }
+        self.counters.received += count as u64;
+        Ok(count)
+    }
+
+    fn counters(&self) -> Counters {
+        Counters {
+            dropped: self.dropped.load(Ordering::Relaxed),
+            ..self.counters
+        }
+    }
+
+    fn state(&self) -> ControllerState {
+        self.state
+    }
+}
+
+/// The bus's end.
+///
+/// It takes frames in the order they were sent and delivers them in the order of their times.
+pub struct VirtualPeer {
+    sent: Consumer<Received>,
+    to_host: Producer<Received>,
+    dropped: Arc<AtomicU64>,
+}
+
+impl VirtualPeer {
+    /// The oldest frame the host sent and when it handed it over, left in the queue: the one in the
+    /// card's mailbox, which takes part in arbitration until it is taken.
+    pub fn peek_sent(&self) -> Option<&Received> {
+        self.sent.peek().ok()
+    }
+
+    /// Takes the oldest frame the host sent, with the time at which it was handed over, and so makes
+    /// room for another.
+    pub fn take_sent(&mut self) -> Option<Received> {
+        self.sent.pop().ok()
+    }
+
+    /// Hands a frame to the host, who sees it once its clock reaches `received.at`.
+    ///
+    /// `false` if the host's queue is full: the frame is lost and shows in [`Counters::dropped`].
+    /// Times must not decrease: a frame holds back those delivered after it. Error frames reach the
+    /// host's counters and state, as from the kernel.
+    pub fn deliver(&mut self, received: Received) -> bool {
+        let delivered = self.to_host.push(received).is_ok();
+        if !delivered {
+            self.dropped.fetch_add(1, Ordering::Relaxed);
+        }
+        delivered
+    }
+
+    /// Whether the host dropped its end.
+    pub fn is_abandoned(&self) -> bool {
+        self.to_host.is_abandoned()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::StandardId;
+
+    fn frame(id: u16) -> Frame {
+        Frame::new(StandardId::new(id).unwrap(), &[]).unwrap()
+    }
+
+    fn at(nanos: u64) -> Instant {
+        Instant::from_nanos(nanos)
+    }
+
+    fn receive(port: &mut VirtualPort, now: u64) -> Result<Vec<Received>, PortError> {
+        let mut into = [Received {
+            frame: frame(0),
+            at: at(0),
+        }; 4];
+        port.receive(at(now), &mut into)
+            .map(|count| into[..count].to_vec())
+    }
+
+    #[test]
+    fn a_full_queue_takes_only_what_fits_and_counts_the_rest() {
+        let (mut port, mut peer) = virtual_port(2);
+        assert_eq!(port.send(at(7), &[frame(1), frame(2), frame(3)]), Ok(2));
+        assert_eq!(port.send(at(8), &[frame(3)]), Ok(0));
+        assert_eq!(
+            peer.peek_sent(),
+            Some(&Received {
+                frame: frame(1),
+                at: at(7)
+            })
+        );
+        assert_eq!(
+            peer.take_sent(),
+            Some(Received {
+                frame: frame(1),
+                at: at(7)
+            })
+        );
+        assert_eq!(port.send(at(9), &[frame(3)]), Ok(1));
+        assert_eq!(
+            peer.take_sent(),
+            Some(Received {
+                frame: frame(2),
+                at: at(7)
+            })
+        );
+        assert_eq!(
+            peer.take_sent(),
+            Some(Received {
+                frame: frame(3),
+                at: at(9)
+            })
+        );
+        assert_eq!(peer.take_sent(), None);
+        let expected = Counters {
+            sent: 3,
+            refused: 2,
+            ..Counters::default()
+        };
+        assert_eq!(port.counters(), expected);
+    }
+
+    #[test]
+    fn a_frame_is_held_back_until_its_time() {
+        let (mut port, mut peer) = virtual_port(4);
+        let frames = [10, 10, 20].map(|nanos| Received {
+            frame: frame(1),
+            at: at(nanos),
+        });
+        assert!(frames.iter().all(|&received| peer.deliver(received)));
+        assert_eq!(receive(&mut port, 9).unwrap(), []);
+        assert_eq!(receive(&mut port, 10).unwrap(), frames[..2]);
+        assert_eq!(receive(&mut port, 19).unwrap(), []);
+        assert_eq!(receive(&mut port, 20).unwrap(), frames[2..]);
+        assert_eq!(port.counters().received, 3);
+    }
+
+    #[test]
+    fn a_frame_for_a_full_host_is_dropped_and_counted() {
+        let (mut port, mut peer) = virtual_port(1);
+        assert!(peer.deliver(Received {
+            frame: frame(1),
+            at: at(1)
+        }));
+        assert!(!peer.deliver(Received {
+            frame: frame(2),
+            at: at(2)
+        }));
+        assert_eq!(
+            receive(&mut port, 2).unwrap(),
+            [Received {
+                frame: frame(1),
+                at: at(1)
+            }]
+        );
+        assert_eq!(port.counters().dropped, 1);
+    }
+
+    #[test]
+    fn an_error_frame_shows_in_state_and_counters_alone() {
+        let (mut port, mut peer) = virtual_port(2);
+        let bus_off = Frame::from_raw(0x2000_0040, 8, [0; 8]).unwrap();
+        for frame in [bus_off, frame(1)] {
+            peer.deliver(Received { frame, at: at(5) });
+        }
+        assert_eq!(port.state(), ControllerState::Active);
+        assert_eq!(receive(&mut port, 5).unwrap().len(), 1);
+        assert_eq!(port.state(), ControllerState::BusOff);
+        assert_eq!(port.counters().errors, 1);
+    }
+
+    #[test]
+    fn a_dropped_bus_is_gone_once_its_frames_were_read() {
+        let (mut port, mut peer) = virtual_port(4);
+        peer.deliver(Received {
+            frame: frame(1),
+            at: at(1),
+        });
+        drop(peer);
+        assert_eq!(port.send(at(1), &[frame(1)]), Err(PortError::Gone));
+        assert_eq!(receive(&mut port, 1).unwrap().len(), 1);
+        assert_eq!(receive(&mut port, 1), Err(PortError::Gone));
+    }
+
+    #[test]
+    fn the_bus_sees_that_the_host_left() {
+        let (port, peer) = virtual_port(1);
+        assert!(!peer.is_abandoned());
+        drop(port);
+        assert!(peer.is_abandoned());
+    }
+}

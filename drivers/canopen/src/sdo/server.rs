@@ -1,0 +1,412 @@
+//! The SDO server: the device's side of a transfer, expedited and segmented.
+//!
+//! It has one channel, as devices do: a new initiate request replaces the transfer in progress. A
+//! transfer whose client falls silent ends after the time-out with [`AbortCode::TIME_OUT`]. Objects
+//! are read and written whole, up to [`MAX_SIZE`] bytes. Block transfer is refused as an unknown
+//! command. Only emulated devices use it; read [`Dictionary`] first.
+
+use std::time::Duration;
+
+use can::Instant;
+
+use super::{AbortCode, Expedited, Initiate, Request, Response, Segment};
+use crate::Object;
+
+/// The longest object a server transfers, bytes.
+pub const MAX_SIZE: usize = 128;
+
+/// The objects behind a server.
+pub trait Dictionary {
+    /// The size of an object in bytes; `None` where it varies or there is no such object.
+    fn size(&self, object: Object) -> Option<usize>;
+
+    /// Writes an object's data to the front of `into` and returns how many bytes there are.
+    fn read(&mut self, object: Object, into: &mut [u8; MAX_SIZE]) -> Result<usize, AbortCode>;
+
+    /// Takes an object's data, all of them or none.
+    fn write(&mut self, object: Object, data: &[u8]) -> Result<(), AbortCode>;
+}
+
+/// One server channel.
+#[derive(Clone, Debug)]
+pub struct Server {
+    time_out: Duration,
+    transfer: Option<Transfer>,
+    buffer: [u8; MAX_SIZE],
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Transfer {
+    object: Object,
+    direction: Direction,
+    /// Bytes that went across so far.
+    done: usize,
+    /// Expected of the next segment.
+    toggle: bool,
+    deadline: Instant,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Direction {
+    Upload { size: usize },
+    Download { size: Option<usize> },
+}
+
+impl Server {
+    /// A server that gives a segmented transfer up `time_out` after the client's last request.
+    pub fn new(time_out: Duration) -> Self {
+        Self {
+            time_out,
+            transfer: None,
+            buffer: [0; MAX_SIZE],
+        }
+    }
+
+    /// Forgets the transfer in progress.
+    pub fn reset(&mut self) {
+        self.transfer = None;
+    }
+
+    /// Takes a request and answers it. An abort has no answer.
+    pub fn handle<D: Dictionary>(
+        &mut self,
+        request: Request,
+        dictionary: &mut D,
+        now: Instant,
+    ) -> Option<Response> {
+        let (object, answer) = match request {
+            Request::Abort { .. } => {
+                self.transfer = None;
+                return None;
+            }
+            Request::InitiateDownload { object, initiate } => {
+                (object, self.download(object, initiate, dictionary, now))
+            }
+            Request::InitiateUpload { object } => (object, self.upload(object, dictionary, now)),
+            Request::DownloadSegment(segment) => {
+                (self.object(), self.take(segment, dictionary, now))
+            }
+            Request::UploadSegment { toggle } => (self.object(), self.give(toggle, now)),
+            Request::Unsupported(unsupported) => {
+                let object = self
+                    .transfer
+                    .map_or(unsupported.object(), |transfer| transfer.object);
+                (object, Err(AbortCode::COMMAND_SPECIFIER))
+            }
+        };
+        Some(answer.unwrap_or_else(|code| {
+            self.transfer = None;
+            Response::Abort { object, code }
+        }))
+    }
+
+    /// When the transfer in progress times out.
+    pub fn poll_timeout(&self) -> Option<Instant> {
+        self.transfer.map(|transfer| transfer.deadline)
+    }
+
+    /// Ends a transfer whose time is over.
+    pub fn handle_timeout(&mut self, now: Instant) -> Option<Response> {
+        let transfer = self.transfer.take_if(|transfer| transfer.deadline <= now)?;
+        Some(Response::Abort {
+            object: transfer.object,
+            code: AbortCode::TIME_OUT,
+        })
+    }
+
+    fn object(&self) -> Object {
+        self.transfer
+            .map_or(Object::new(0, 0), |transfer| transfer.object)
+    }
+
+    fn begin(&mut self, object: Object, direction: Direction, now: Instant) {
+        self.transfer = Some(Transfer {
+            object,
+            direction,
+            done: 0,
+            toggle: false,
+            deadline: now + self.time_out,
+        });
+    }
+
+    fn download<D: Dictionary>(
+        &mut self,
+        object: Object,
+        initiate: Initiate,
+        dictionary: &mut D,
+        now: Instant,
+    ) -> Result<Response, AbortCode> {
+        self.transfer = None;
+        match initiate {
+            Initiate::Expedited(data) => {
+                let size = if data.size_given() {
+                    data.data().len()
+                } else {
+                    dictionary.size(object).unwrap_or(4).min(4)
+                };
+                dictionary.write(object, &data.data()[..size])?;
+            }
+            Initiate::Segmented { size } => {
+                let size = size.map(|size| size as usize);
+                if size.is_some_and(|size| size > MAX_SIZE) {
+                    return Err(AbortCode::OUT_OF_MEMORY);
+                }
+                self.begin(object, Direction::Download { size }, now);
+            }
+        }
+        Ok(Response::InitiateDownload { object })
+    }
+
+    fn upload<D: Dictionary>(
+        &mut self,
+        object: Object,
+        dictionary: &mut D,
+        now: Instant,
+    ) -> Result<Response, AbortCode> {
+        self.transfer = None;
+        let size = dictionary.read(object, &mut self.buffer)?;
+        let initiate = match Expedited::new(&self.buffer[..size]) {
+            Some(data) => Initiate::Expedited(data),
+            None => {
+                self.begin(object, Direction::Upload { size }, now);
+                Initiate::Segmented {
+                    size: Some(size as u32),
+                }
+            }
+        };
+        Ok(Response::InitiateUpload { object, initiate })
+    }
+
+    fn take<D: Dictionary>(
+        &mut self,
+        segment: Segment,
+        dictionary: &mut D,
+        now: Instant,
+    ) -> Result<Response, AbortCode> {
+        let transfer = self.transfer.as_mut().ok_or(AbortCode::COMMAND_SPECIFIER)?;
+        let Direction::Download { size } = transfer.direction else {
+            return Err(AbortCode::COMMAND_SPECIFIER);
+        };
+        if segment.toggle != transfer.toggle {
+            return Err(AbortCode::TOGGLE);
+        }
+        let end = transfer.done + segment.data().len();
+        if size.is_some_and(|size| end > size) {
+            return Err(AbortCode::TOO_LONG);
+        }
+        self.buffer
+            .get_mut(transfer.done..end)
+            .ok_or(AbortCode::OUT_OF_MEMORY)?
+            .copy_from_slice(segment.data());
+        transfer.done = end;
+        transfer.toggle = !transfer.toggle;
+        transfer.deadline = now + self.time_out;
+        if segment.last {
+            if size.is_some_and(|size| end < size) {
+                return Err(AbortCode::TOO_SHORT);
+            }
+            dictionary.write(transfer.object, &self.buffer[..end])?;
+            self.transfer = None;
+        }
+        Ok(Response::DownloadSegment {
+            toggle: segment.toggle,
+        })
+    }
+
+    fn give(&mut self, toggle: bool, now: Instant) -> Result<Response, AbortCode> {
+        let transfer = self.transfer.as_mut().ok_or(AbortCode::COMMAND_SPECIFIER)?;
+        let Direction::Upload { size } = transfer.direction else {
+            return Err(AbortCode::COMMAND_SPECIFIER);
+        };
+        if toggle != transfer.toggle {
+            return Err(AbortCode::TOGGLE);
+        }
+        let end = size.min(transfer.done + 7);
+        let last = end == size;
+        let segment = Segment::new(&self.buffer[transfer.done..end], toggle, last)
+            .expect("at most 7 bytes were cut off");
+        transfer.done = end;
+        transfer.toggle = !toggle;
+        transfer.deadline = now + self.time_out;
+        if last {
+            self.transfer = None;
+        }
+        Ok(Response::UploadSegment(segment))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{NodeId, cob};
+    use can::Frame;
+
+    const NODE: NodeId = NodeId::new(2).unwrap();
+    const TIME_OUT: Duration = Duration::from_millis(500);
+    const TEXT: Object = Object::new(0x1008, 0);
+    const WORD: Object = Object::new(0x6040, 0);
+
+    struct Two {
+        text: Vec<u8>,
+        word: u16,
+    }
+
+    impl Dictionary for Two {
+        fn size(&self, object: Object) -> Option<usize> {
+            (object == WORD).then_some(2)
+        }
+        fn read(&mut self, object: Object, into: &mut [u8; MAX_SIZE]) -> Result<usize, AbortCode> {
+            let data = match object {
+                TEXT => self.text.clone(),
+                WORD => self.word.to_le_bytes().to_vec(),
+                _ => return Err(AbortCode::NO_OBJECT),
+            };
+            into[..data.len()].copy_from_slice(&data);
+            Ok(data.len())
+        }
+        fn write(&mut self, object: Object, data: &[u8]) -> Result<(), AbortCode> {
+            match object {
+                TEXT => self.text = data.to_vec(),
+                WORD => {
+                    let word = data.try_into().map_err(|_| AbortCode::LENGTH_MISMATCH)?;
+                    self.word = u16::from_le_bytes(word);
+                }
+                _ => return Err(AbortCode::NO_OBJECT),
+            }
+            Ok(())
+        }
+    }
+
+    /// Plays requests against a fresh server and compares its answers; "" is none.
+    fn check(dialogue: &[(&str, &str)]) -> Two {
+        let mut server = Server::new(TIME_OUT);
+        let mut objects = Two {
+            text: b"EPOS4 50/5".to_vec(),
+            word: 0x0737,
+        };
+        for (step, &(request, expected)) in dialogue.iter().enumerate() {
+            let bytes: Vec<u8> = (0..8)
+                .map(|at| u8::from_str_radix(&request[2 * at..2 * at + 2], 16).unwrap())
+                .collect();
+            let frame = Frame::new(cob::sdo_request(NODE), &bytes).unwrap();
+            let request = Request::decode(&frame, NODE).unwrap();
+            let answer = server.handle(request, &mut objects, Instant::ZERO);
+            let answer = answer.map_or(String::new(), |answer| {
+                answer.encode(NODE).to_string()[4..].to_owned()
+            });
+            assert_eq!(answer, expected, "step {step}");
+        }
+        objects
+    }
+
+    #[test]
+    fn short_objects_travel_in_one_frame_each_way() {
+        let objects = check(&[
+            ("4040600000000000", "4B40600037070000"),
+            ("2B4060000F000000", "6040600000000000"),
+            ("4040600000000000", "4B4060000F000000"),
+            // The size is not given: the object's own counts.
+            ("2240600034120000", "6040600000000000"),
+        ]);
+        assert_eq!(objects.word, 0x1234);
+    }
+
+    #[test]
+    fn long_objects_travel_in_segments() {
+        let objects = check(&[
+            ("4008100000000000", "410810000A000000"),
+            ("6000000000000000", "0045504F53342035"),
+            ("7000000000000000", "19302F3500000000"),
+            ("2108100009000000", "6008100000000000"),
+            ("0041424344454647", "2000000000000000"),
+            ("1B48490000000000", "3000000000000000"),
+        ]);
+        assert_eq!(objects.text, b"ABCDEFGHI");
+    }
+
+    #[test]
+    fn refusals_name_their_reason() {
+        let table: &[&[(&str, &str)]] = &[
+            // No such object, read and written.
+            &[("4000200000000000", "8000200000000206")],
+            &[("2F00200001000000", "8000200000000206")],
+            // A byte for a word.
+            &[("2F40600001000000", "8040600010000706")],
+            // Segments without a transfer, or of the other direction.
+            &[("6000000000000000", "8000000001000405")],
+            &[("0041424344454647", "8000000001000405")],
+            &[
+                ("4008100000000000", "410810000A000000"),
+                ("0041424344454647", "8008100001000405"),
+                ("6000000000000000", "8000000001000405"),
+            ],
+            // The toggle bit begins with 0 and alternates.
+            &[
+                ("4008100000000000", "410810000A000000"),
+                ("7000000000000000", "8008100000000305"),
+            ],
+            &[
+                ("2008100000000000", "6008100000000000"),
+                ("0041424344454647", "2000000000000000"),
+                ("0041424344454647", "8008100000000305"),
+            ],
+            // More and fewer bytes than announced, and more than there is room for.
+            &[
+                ("2108100003000000", "6008100000000000"),
+                ("0141424344454647", "8008100012000706"),
+            ],
+            &[
+                ("2108100009000000", "6008100000000000"),
+                ("0141424344454647", "8008100013000706"),
+            ],
+            &[("2108100081000000", "8008100005000405")],
+            // Block transfer, and a specifier that nobody knows.
+            &[("C608100007000000", "8008100001000405")],
+            &[("E008100007000000", "8008100001000405")],
+            // An abort is not answered, and ends the transfer.
+            &[
+                ("4008100000000000", "410810000A000000"),
+                ("8008100000000405", ""),
+                ("6000000000000000", "8000000001000405"),
+            ],
+        ];
+        for dialogue in table {
+            check(dialogue);
+        }
+    }
+
+    #[test]
+    fn a_new_initiate_replaces_the_transfer() {
+        check(&[
+            ("4008100000000000", "410810000A000000"),
+            ("4040600000000000", "4B40600037070000"),
+            ("6000000000000000", "8000000001000405"),
+        ]);
+    }
+
+    #[test]
+    fn a_transfer_whose_client_falls_silent_is_aborted() {
+        let mut server = Server::new(TIME_OUT);
+        let mut objects = Two {
+            text: vec![0; 20],
+            word: 0,
+        };
+        assert_eq!(server.poll_timeout(), None);
+        let upload = Request::InitiateUpload { object: TEXT };
+        server.handle(upload, &mut objects, Instant::ZERO);
+        let later = Instant::ZERO + Duration::from_millis(400);
+        server.handle(
+            Request::UploadSegment { toggle: false },
+            &mut objects,
+            later,
+        );
+        assert_eq!(server.poll_timeout(), Some(later + TIME_OUT));
+        assert_eq!(server.handle_timeout(Instant::ZERO + TIME_OUT), None);
+        let abort = Response::Abort {
+            object: TEXT,
+            code: AbortCode::TIME_OUT,
+        };
+        assert_eq!(server.handle_timeout(later + TIME_OUT), Some(abort));
+        assert_eq!(server.poll_timeout(), None);
+    }
+}
