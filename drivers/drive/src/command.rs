@@ -39,7 +39,8 @@ pub enum AxisCommand {
     Off,
     /// No torque, and a latched drive fault is to be cleared.
     ResetFault,
-    /// Torque on, standing where the drive was when it was enabled.
+    /// Torque on, standing where the drive was when it was enabled, or where the last set-point
+    /// left it. Velocity or torque zero, for drives that close only those loops.
     Stand,
     /// Torque on, homing by the method the drive was configured with. Leaving it stops homing.
     Home,

@@ -20,18 +20,12 @@ pub(super) const ANSWERS_TO_EFFECT: u32 = 4;
 /// One drive during operation: what it said, what it is told, and what stands in the way.
 ///
 /// Nothing here waits or allocates. The order within a cycle is [`answered`](Self::answered),
-/// [`heard`](Self::heard) and [`emergency`](Self::emergency) as frames come,
-/// [`state`](Self::end_of_read), [`check`](Self::check) for all axes, [`command`](Self::command).
+/// [`heard`](Self::heard) and [`emergency`](Self::emergency) as frames come, then
+/// [`end_of_read`](Self::end_of_read); [`check`](Self::check) for all axes, then
+/// [`command`](Self::command).
 #[derive(Clone, Debug)]
 pub(super) struct Axis {
-    node: NodeId,
-    mode: CyclicMode,
-    scale: Scale,
-    rated_torque: f64,
-    search_speed: f64,
-    tolerated_missing: u32,
-    heartbeat_lost_after: Duration,
-    transition_timeout: Duration,
+    setup: Setup,
 
     state: AxisState,
     statusword: Statusword,
@@ -57,7 +51,19 @@ pub(super) struct Axis {
     /// Whether the last cycle's target was one to hold on to.
     held: bool,
     target: i32,
-    rpdo: Frame,
+}
+
+/// What does not change while the group lives.
+#[derive(Clone, Copy, Debug)]
+struct Setup {
+    node: NodeId,
+    mode: CyclicMode,
+    scale: Scale,
+    rated_torque: f64,
+    search_speed: f64,
+    tolerated_missing: u32,
+    heartbeat_lost_after: Duration,
+    transition_timeout: Duration,
 }
 
 /// What the drive is led to.
@@ -111,7 +117,7 @@ pub(super) struct Learnt {
 
 impl Axis {
     pub(super) fn new(group: &GroupConfig, axis: &AxisConfig) -> Self {
-        let mut new = Self {
+        let setup = Setup {
             node: axis.node,
             mode: axis.mode,
             scale: axis.scale,
@@ -120,61 +126,50 @@ impl Axis {
             tolerated_missing: group.tolerated_missing,
             heartbeat_lost_after: group.heartbeat_lost_after(),
             transition_timeout: group.transition_timeout,
-            state: AxisState::default(),
-            statusword: Statusword(0),
+        };
+        Self::started(setup, Instant::ZERO, Learnt::default())
+    }
+
+    /// Starts operation after bring-up: un-enabled, and with the position known before any word
+    /// that could enable.
+    pub(super) fn begin(&mut self, now: Instant, learnt: Learnt) {
+        *self = Self::started(self.setup, now, learnt);
+    }
+
+    fn started(setup: Setup, now: Instant, learnt: Learnt) -> Self {
+        let mut axis = Self {
+            setup,
+            state: AxisState {
+                at: now,
+                increments: learnt.position,
+                position: setup.scale.position(learnt.position),
+                ..AxisState::default()
+            },
+            statusword: learnt.statusword,
             sampled: None,
             answered: false,
-            error_code: 0,
+            error_code: learnt.error_code,
             heartbeat: None,
-            operational: false,
+            operational: true,
             booted: false,
             goal: Goal::Off,
             answers: 0,
             unsettled_since: None,
             power: PowerStateMachine::new(),
             search: Search::default(),
-            modes: ModeSwitch::settled(axis.mode.of_operation()),
+            modes: ModeSwitch::settled(setup.mode.of_operation()),
             telling: false,
             unserved: false,
             held: false,
             target: 0,
-            rpdo: process_data::encode(axis.node, axis.mode, cia402::Controlword(0), 0),
         };
-        new.begin(Instant::ZERO, Learnt::default());
-        new
+        axis.search.answered(learnt.statusword);
+        axis.judge_power(PowerState::NotReadyToSwitchOn);
+        axis
     }
 
     pub(super) fn node(&self) -> NodeId {
-        self.node
-    }
-
-    /// Starts operation after bring-up: un-enabled, and with the position known before any word
-    /// that could enable.
-    pub(super) fn begin(&mut self, now: Instant, learnt: Learnt) {
-        self.state = AxisState {
-            at: now,
-            ..AxisState::default()
-        };
-        self.sampled = None;
-        self.heartbeat = None;
-        self.operational = true;
-        self.booted = false;
-        self.goal = Goal::Off;
-        self.answers = 0;
-        self.unsettled_since = None;
-        self.power = PowerStateMachine::new();
-        self.search.forget();
-        self.modes = ModeSwitch::settled(self.mode.of_operation());
-        self.telling = false;
-        self.unserved = false;
-        self.held = false;
-        self.statusword = learnt.statusword;
-        self.error_code = learnt.error_code;
-        self.state.increments = learnt.position;
-        self.state.position = self.scale.position(learnt.position);
-        self.search.answered(learnt.statusword);
-        self.judge_power(PowerState::NotReadyToSwitchOn);
-        self.target = self.resting_target();
+        self.setup.node
     }
 
     /// Takes an answer received at `at`, which is a sample of the SYNC sent at `sampled`.
@@ -186,7 +181,10 @@ impl Axis {
         self.search.answered(answer.statusword);
         self.measure(answer.position, sampled);
         self.state.at = at;
-        self.state.torque = self.scale.torque(answer.torque, self.rated_torque);
+        self.state.torque = self
+            .setup
+            .scale
+            .torque(answer.torque, self.setup.rated_torque);
         self.judge_power(before);
     }
 
@@ -199,25 +197,26 @@ impl Axis {
             .map_or(0.0, |before| sampled.since(before).as_secs_f64());
         if dt > 0.0 {
             let moved = f64::from(position.0.wrapping_sub(self.state.increments.0))
-                / self.scale.increments_per_radian();
+                / self.setup.scale.increments_per_radian();
             // A search sets the counter anew; a step that no search could move is that, and no motion.
             let recounted = self.search.needs_homing_mode()
-                && moved.abs() > 4.0 * self.search_speed * dt + 2.0 / self.counts_per_radian();
+                && moved.abs()
+                    > 4.0 * self.setup.search_speed * dt + 2.0 / self.counts_per_radian();
             if !recounted {
                 self.state.velocity = moved / dt;
             }
         }
         self.sampled = Some(sampled);
         self.state.increments = position;
-        self.state.position = self.scale.position(position);
+        self.state.position = self.setup.scale.position(position);
     }
 
     fn counts_per_radian(&self) -> f64 {
-        self.scale.increments_per_radian().abs()
+        self.setup.scale.increments_per_radian().abs()
     }
 
     fn judge_power(&mut self, before: PowerState) {
-        let node = self.node.raw();
+        let node = self.setup.node.raw();
         let dropped = before == PowerState::OperationEnabled
             && self.goal == Goal::On
             && self.answers > ANSWERS_TO_EFFECT;
@@ -235,7 +234,13 @@ impl Axis {
             | PowerState::SwitchedOn
             | PowerState::QuickStopActive
             | PowerState::Unknown => {
-                if dropped {
+                // A reaction to lost communication ends without the fault state, and yet has a code.
+                if dropped && self.error_code != 0 {
+                    self.latch(Fault::Drive {
+                        node,
+                        code: self.error_code,
+                    });
+                } else if dropped {
                     self.latch(Fault::PowerLost {
                         node,
                         statusword: self.statusword.0,
@@ -274,7 +279,7 @@ impl Axis {
     /// Ends the reading of a cycle: what was to come and did not. `due` says whether the
     /// cycle before asked for an answer. Returns the state and whether the answer is missing.
     pub(super) fn end_of_read(&mut self, now: Instant, due: bool) -> (AxisState, bool) {
-        let node = self.node.raw();
+        let node = self.setup.node.raw();
         let missing = due && !self.answered;
         if self.answered {
             self.state.age = 0;
@@ -286,13 +291,13 @@ impl Axis {
         if !self.operational || self.booted {
             self.latch(Fault::LeftOperational { node });
         }
-        if self.state.age > self.tolerated_missing {
+        if self.state.age > self.setup.tolerated_missing {
             self.latch(Fault::Silent {
                 node,
                 cycles: self.state.age,
             });
         }
-        if waited > self.heartbeat_lost_after {
+        if waited > self.setup.heartbeat_lost_after {
             self.latch(Fault::HeartbeatLost { node, waited });
         }
         self.state.power = self.power();
@@ -325,12 +330,13 @@ impl Axis {
         }
     }
 
+    /// Bit 12 is not relied on: a recorded EPOS shows 0x0737 once it is enabled.
     fn following(&self) -> bool {
         self.state.power == Power::On
             && self.state.fault.is_none()
             && !self.search.needs_homing_mode()
             && !self.telling
-            && self.modes.is(self.mode.of_operation())
+            && self.modes.is(self.setup.mode.of_operation())
     }
 
     /// The set-point in the drive's units, if the command brings one; the reason if it cannot
@@ -342,16 +348,20 @@ impl Axis {
         if self.state.fault.is_some() {
             return Ok(None);
         }
-        let raw = match (self.mode, setpoint) {
+        let raw = match (self.setup.mode, setpoint) {
             (CyclicMode::Csp, Setpoint::Position(position)) => self
+                .setup
                 .scale
                 .increments(position.get())
                 .map(|increments| increments.0),
             (CyclicMode::Csv, Setpoint::Velocity(velocity)) => {
-                self.scale.rpm(velocity.get()).map(|rpm| rpm.0)
+                self.setup.scale.rpm(velocity.get()).map(|rpm| rpm.0)
             }
             (CyclicMode::Cst, Setpoint::Torque(torque)) => {
-                let permille = self.scale.permille(torque.get(), self.rated_torque);
+                let permille = self
+                    .setup
+                    .scale
+                    .permille(torque.get(), self.setup.rated_torque);
                 permille.map(|permille| i32::from(permille.0))
             }
             (CyclicMode::Csp, Setpoint::Velocity(_) | Setpoint::Torque(_))
@@ -368,7 +378,7 @@ impl Axis {
 
     pub(super) fn refuse(&mut self, refusal: Refusal) {
         self.latch(Fault::Refused {
-            node: self.node.raw(),
+            node: self.setup.node.raw(),
             refusal,
         });
     }
@@ -416,18 +426,17 @@ impl Axis {
                 .controlword(self.power.step(self.statusword, goal)),
             _ => self.power.step(self.statusword, goal),
         };
-        self.rpdo = process_data::encode(self.node, self.mode, word, self.target);
-        self.rpdo
+        process_data::encode(self.setup.node, self.setup.mode, word, self.target)
     }
 
-    /// Clears what the drive and the bus do not show any more. What they still show is latched
-    /// again by the next reading, and a node that booted needs bring-up.
+    /// Clears the fault, unless it is the drive's to leave first. What the drive and the bus
+    /// still show is latched again by the next reading.
     fn reset(&mut self) {
         let faulted = matches!(
             self.statusword.power_state(),
             PowerState::Fault | PowerState::FaultReactionActive
         );
-        if !faulted && !self.booted {
+        if !faulted {
             self.state.fault = None;
             self.error_code = 0;
             self.unserved = false;
@@ -451,7 +460,7 @@ impl Axis {
     /// Chooses the target. While the drive does not act on it, it is where the drive stands, so that
     /// the first one it acts on moves nothing; from then on it changes by set-points alone.
     fn aim(&mut self, command: AxisCommand, setpoint: Option<i32>, hold: bool, powered: bool) {
-        let holding = powered && self.modes.is(self.mode.of_operation());
+        let holding = powered && self.modes.is(self.setup.mode.of_operation());
         if !(holding && self.held) {
             self.target = self.resting_target();
         }
@@ -461,13 +470,13 @@ impl Axis {
         }
         match (command, setpoint) {
             (AxisCommand::Follow(_), Some(setpoint)) if self.following() => self.target = setpoint,
-            _ if self.mode != CyclicMode::Csp => self.target = 0,
+            _ if self.setup.mode != CyclicMode::Csp => self.target = 0,
             _ => {}
         }
     }
 
     fn resting_target(&self) -> i32 {
-        match self.mode {
+        match self.setup.mode {
             CyclicMode::Csp => self.state.increments.0,
             CyclicMode::Csv | CyclicMode::Cst => 0,
         }
@@ -477,7 +486,7 @@ impl Axis {
         if self.search.needs_homing_mode() {
             ModeOfOperation::Homing
         } else {
-            self.mode.of_operation()
+            self.setup.mode.of_operation()
         }
     }
 
@@ -504,8 +513,8 @@ impl Axis {
             return;
         }
         let waited = now.since(*self.unsettled_since.get_or_insert(now));
-        if waited > self.transition_timeout {
-            let (node, statusword) = (self.node.raw(), self.statusword.0);
+        if waited > self.setup.transition_timeout {
+            let (node, statusword) = (self.setup.node.raw(), self.statusword.0);
             self.latch(Fault::Stuck {
                 node,
                 statusword,
@@ -521,7 +530,7 @@ impl Axis {
         }
         if self.state.fault
             == Some(Fault::Drive {
-                node: self.node.raw(),
+                node: self.setup.node.raw(),
                 code: 0,
             })
         {
@@ -546,7 +555,7 @@ impl Axis {
                 let Object { index, subindex } = service.object();
                 self.unserved = true;
                 self.latch(Fault::Aborted {
-                    node: self.node.raw(),
+                    node: self.setup.node.raw(),
                     index,
                     subindex,
                     code,

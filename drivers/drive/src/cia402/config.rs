@@ -26,7 +26,7 @@ pub struct GroupConfig {
     pub sdo_timeout: Duration,
     /// How often a service request is repeated before it counts as timed out.
     pub sdo_retries: u8,
-    /// How long a node may take to boot, and again to become operational.
+    /// How long a node may take to boot, and again to become operational, less a heartbeat period.
     pub boot_timeout: Duration,
     /// How long a drive may take to reach an asked power state or mode of operation.
     pub transition_timeout: Duration,

@@ -24,7 +24,7 @@
 //! No set-point is clamped, queued or sent twice.
 //!
 //! Left out: profile modes, interpolated position (EPOS2), several axes behind one node-ID. Read
-//! [`DriveGroup`] first, then `axis` and `bring_up`.
+//! [`DriveGroup`] first, then `axis`, `bring_up` and `program`.
 
 mod axis;
 mod bring_up;
@@ -32,6 +32,7 @@ mod config;
 mod homing;
 mod mode;
 mod process_data;
+mod program;
 mod traffic;
 
 #[cfg(test)]

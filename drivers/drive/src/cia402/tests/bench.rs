@@ -19,7 +19,7 @@ pub(super) fn group_config() -> GroupConfig {
     GroupConfig {
         period: PERIOD,
         tolerated_missing: 2,
-        heartbeat_period: Duration::from_secs(10),
+        heartbeat_period: Duration::from_secs(2),
         host_node: node(127),
         sdo_timeout: Duration::from_millis(100),
         sdo_retries: 1,
@@ -132,6 +132,7 @@ pub(super) struct Store {
     pub(super) mute: Option<(u16, u8)>,
     pub(super) boots: bool,
     pub(super) starts: bool,
+    pub(super) shows_modes: bool,
 }
 
 impl Store {
@@ -158,6 +159,7 @@ impl Store {
             (1..=3).for_each(|subindex| _ = put(index, subindex, &[0; 4]));
         }
         put(0x3001, 1, &[0; 4]);
+        put(0x30B0, 0, &[9, 0, 0, 0]);
         put(0x6007, 0, &[1, 0]);
         put(0x603F, 0, &[0; 2]);
         put(0x6040, 0, &[0; 2]);
@@ -183,7 +185,12 @@ impl Store {
             mute: None,
             boots: true,
             starts: true,
+            shows_modes: true,
         }
+    }
+
+    pub(super) fn put(&mut self, index: u16, subindex: u8, bytes: &[u8]) {
+        self.objects.insert((index, subindex), bytes.to_vec());
     }
 
     pub(super) fn handle(&mut self, frame: &Frame) -> Option<Frame> {
@@ -209,7 +216,7 @@ impl Store {
     }
 
     fn serve(&mut self, specifier: u8, object: (u16, u8), data: &[u8]) -> Option<(u8, [u8; 4])> {
-        if self.mute == Some(object) {
+        if specifier == 0x80 || self.mute == Some(object) {
             return None;
         }
         if let Some(code) = self.aborts.get(&object) {
@@ -232,7 +239,7 @@ impl Store {
             let length = stored.len();
             stored.copy_from_slice(&data[..length]);
         }
-        if object == (0x6060, 0) {
+        if object == (0x6060, 0) && self.shows_modes {
             let mode = data[0];
             self.objects.insert((0x6061, 0), vec![mode]);
         }

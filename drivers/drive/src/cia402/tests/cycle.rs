@@ -208,6 +208,18 @@ fn what_the_port_does_not_take_is_counted_and_never_sent_later() {
 }
 
 #[test]
+fn only_a_cycle_that_asked_misses_an_answer() {
+    let mut bench = Bench::up(&[2]);
+    bench.enable();
+    bench.cycle(&bench.answers(0x0737, 1_000), &[AxisCommand::Stand]);
+    for age in [1, 1, 1] {
+        bench.group.read(bench.now, &mut bench.states);
+        assert_eq!(bench.states[0].age, age);
+    }
+    assert_eq!(bench.group.counters().missed_answers, 1);
+}
+
+#[test]
 fn a_batch_that_was_not_sent_is_replaced() {
     let mut bench = Bench::up(&[2]);
     bench.enable();
@@ -274,13 +286,13 @@ fn traffic_lists_every_frame_of_a_cycle() {
         .collect();
     let expected = [
         (0x080, 0, 2),
-        (0x77F, 1, 10_000),
+        (0x77F, 1, 2_000),
         (0x201, 6, 2),
         (0x181, 8, 2),
-        (0x701, 1, 10_000),
+        (0x701, 1, 2_000),
         (0x202, 4, 2),
         (0x182, 8, 2),
-        (0x702, 1, 10_000),
+        (0x702, 1, 2_000),
         (0x601, 8, 2),
         (0x581, 8, 2),
     ];

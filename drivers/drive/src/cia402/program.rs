@@ -1,0 +1,131 @@
+use canopen::Object;
+use canopen::cia402::{HomingMethod, ModeOfOperation};
+use canopen::objects::*;
+use canopen::sdo::{Expedited, Write};
+
+use super::config::{AxisConfig, ConfigError, GroupConfig, Parameter};
+use super::process_data;
+
+/// Vendor-ID of maxon.
+const MAXON: u32 = 0x0000_00FB;
+/// Object 0x6007: a broken connection makes the drive brake by a quick stop.
+const ABORT_CONNECTION_BY_QUICK_STOP: i16 = 3;
+/// Object 0x605A: a quick stop brakes on its ramp, and the drive then holds the axis.
+const QUICK_STOP_RAMP_AND_HOLD: i16 = 6;
+
+/// One thing that a node is asked or told.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Step {
+    /// Object 0x1018 must say this.
+    Identity(Object, u32),
+    /// Object 0x6502 must have these modes.
+    Modes([ModeOfOperation; 2]),
+    /// Write, and read back.
+    Set(Write),
+    /// Write, and read back; a drive without the object has no other value either.
+    SetIfPresent(Write),
+    /// Object 0x6061 must come to show this mode.
+    Shown(ModeOfOperation),
+    /// Object 0x6041.
+    Statusword,
+    /// Object 0x6064.
+    Position,
+    /// Object 0x603F, which counts if the drive is in fault.
+    ErrorCode,
+}
+
+impl Step {
+    pub(super) fn object(&self) -> Object {
+        match self {
+            Self::Identity(object, _) => *object,
+            Self::Modes(_) => SUPPORTED_MODES,
+            Self::Set(write) | Self::SetIfPresent(write) => write.object,
+            Self::Shown(_) => MODE_OF_OPERATION_DISPLAY,
+            Self::Statusword => STATUSWORD,
+            Self::Position => POSITION_ACTUAL,
+            Self::ErrorCode => ERROR_CODE,
+        }
+    }
+
+    /// What it writes; `None` if it only reads.
+    pub(super) fn write(&self) -> Option<Write> {
+        match self {
+            Self::Set(write) | Self::SetIfPresent(write) => Some(*write),
+            Self::Identity(..)
+            | Self::Modes(_)
+            | Self::Shown(_)
+            | Self::Statusword
+            | Self::Position
+            | Self::ErrorCode => None,
+        }
+    }
+}
+
+impl Parameter {
+    fn write(&self) -> Option<Write> {
+        let data = Expedited::new(self.value.to_le_bytes().get(..usize::from(self.size))?)?;
+        Some(Write {
+            object: Object::new(self.index, self.subindex),
+            data,
+        })
+    }
+}
+
+/// All that a drive is asked and told before it is started.
+pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step>, ConfigError> {
+    let units = axis.drive_units()?;
+    let (period, exponent) = group.interpolation_period()?;
+    let (heartbeat, lost) = group.heartbeat_times()?;
+    let consumer = u32::from(group.host_node.raw()) << 16 | u32::from(lost);
+    let mode = axis.mode.of_operation();
+    let identity = [
+        (VENDOR_ID, Some(axis.identity.vendor)),
+        (PRODUCT_CODE, axis.identity.product),
+        (REVISION, axis.identity.revision),
+    ];
+
+    let mut steps: Vec<Step> = identity
+        .into_iter()
+        .filter_map(|(object, expected)| Some(Step::Identity(object, expected?)))
+        .collect();
+    steps.push(Step::Modes([mode, ModeOfOperation::Homing]));
+    steps.extend(
+        [
+            // A controller before us may have left the drive enabled.
+            Write::new(CONTROLWORD, 0_u16),
+            Write::new(PRODUCER_HEARTBEAT, heartbeat),
+            Write::new(CONSUMER_HEARTBEAT_1, consumer),
+            Write::new(ABORT_CONNECTION_OPTION, ABORT_CONNECTION_BY_QUICK_STOP),
+            Write::new(QUICK_STOP_OPTION, QUICK_STOP_RAMP_AND_HOLD),
+            Write::new(QUICK_STOP_DECELERATION, units.quick_stop_deceleration),
+            Write::new(INTERPOLATION_PERIOD_VALUE, period),
+            Write::new(INTERPOLATION_PERIOD_INDEX, exponent),
+            Write::new(FOLLOWING_ERROR_WINDOW, units.following_error),
+            Write::new(HOMING_METHOD, HomingMethod(axis.homing.method).0),
+            Write::new(HOMING_SWITCH_SPEED, units.search_speed),
+            Write::new(HOMING_ZERO_SPEED, units.zero_speed),
+            Write::new(HOMING_ACCELERATION, units.homing_acceleration),
+        ]
+        .map(Step::Set),
+    );
+    // The homed counter reads zero at home. EPOS4 has no home offset, but an object of its own.
+    steps.push(Step::SetIfPresent(Write::new(HOME_OFFSET, 0_i32)));
+    if axis.identity.vendor == MAXON {
+        steps.push(Step::SetIfPresent(Write::new(EPOS4_HOME_POSITION, 0_i32)));
+    }
+    steps.extend(
+        axis.parameters
+            .iter()
+            .filter_map(Parameter::write)
+            .map(Step::Set),
+    );
+    steps.extend(process_data::mapping_writes(axis.node, axis.mode).map(Step::Set));
+    steps.push(Step::Set(Write::new(MODE_OF_OPERATION, mode.raw())));
+    steps.extend([
+        Step::Shown(mode),
+        Step::Statusword,
+        Step::Position,
+        Step::ErrorCode,
+    ]);
+    Ok(steps)
+}

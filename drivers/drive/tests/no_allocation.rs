@@ -1,0 +1,254 @@
+//! The cycle does not allocate, whatever the drives say: enabling, following, homing, faults.
+#![allow(
+    unsafe_code,
+    reason = "a counting allocator implements an unsafe trait"
+)]
+#![allow(clippy::unwrap_used, reason = "a test")]
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::collections::{BTreeMap, VecDeque};
+use std::f64::consts::TAU;
+use std::task::Poll;
+use std::time::Duration;
+
+use can::{ControllerState, Counters, Frame, Instant, Port, PortError, Received, StandardId};
+use canopen::NodeId;
+use mrroc_drive::cia402::{
+    AxisConfig, Cia402Group, CyclicMode, GroupConfig, HomingConfig, Identity,
+};
+use mrroc_drive::{AxisCommand, AxisState, DriveGroup, Finite, Homing, Power, Scale, Setpoint};
+
+struct Counting;
+
+thread_local! {
+    static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
+}
+
+fn count() {
+    ALLOCATIONS.with(|count| count.set(count.get() + 1));
+}
+
+// SAFETY: every call goes unchanged to the system's allocator.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count();
+        // SAFETY: the caller's promise is passed on.
+        unsafe { System.alloc(layout) }
+    }
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        count();
+        // SAFETY: the caller's promise is passed on.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        count();
+        // SAFETY: the caller's promise is passed on.
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+const AXES: usize = 6;
+const PERIOD: Duration = Duration::from_millis(2);
+
+/// Every drive of the bus at once: a store of objects for service requests, and for every SYNC
+/// the same statusword from each of them.
+struct Drives {
+    /// By request identifier, index and sub-index; under identifier 0, what each drive has at first.
+    objects: BTreeMap<(u16, u16, u8), [u8; 4]>,
+    statusword: u16,
+    inbox: VecDeque<Received>,
+}
+
+impl Drives {
+    fn reply(&mut self, id: u16, data: &[u8], at: Instant) {
+        let id = StandardId::new(id).unwrap();
+        self.inbox.push_back(Received {
+            frame: Frame::new(id, data).unwrap(),
+            at,
+        });
+    }
+
+    fn hear(&mut self, frame: &Frame, at: Instant) {
+        let id = frame.standard_data_id().unwrap().raw();
+        match (id, frame.data()) {
+            (0, &[0x82, node]) => self.reply(0x700 + u16::from(node), &[0], at),
+            (0, &[0x01, node]) => self.reply(0x700 + u16::from(node), &[5], at),
+            (0x080, _) => {
+                let [low, high] = self.statusword.to_le_bytes();
+                for node in 1..=AXES as u16 {
+                    self.reply(0x180 + node, &[low, high, 0xE8, 3, 0, 0, 0, 0], at);
+                }
+            }
+            (0x600.., &[specifier, low, high, subindex, a, b, c, d]) => {
+                let index = match u16::from_le_bytes([low, high]) {
+                    0x6061 => 0x6060,
+                    index => index,
+                };
+                let first = self
+                    .objects
+                    .get(&(0, index, subindex))
+                    .copied()
+                    .unwrap_or_default();
+                let stored = self.objects.entry((id, index, subindex)).or_insert(first);
+                let (specifier, [a, b, c, d]) = if specifier == 0x40 {
+                    (0x42, *stored)
+                } else {
+                    *stored = [a, b, c, d];
+                    (0x60, [0; 4])
+                };
+                self.reply(id - 0x80, &[specifier, low, high, subindex, a, b, c, d], at);
+            }
+            _ => {}
+        }
+    }
+}
+
+impl Port for Drives {
+    fn send(&mut self, now: Instant, frames: &[Frame]) -> Result<usize, PortError> {
+        frames
+            .iter()
+            .for_each(|frame| self.hear(frame, now + PERIOD / 2));
+        Ok(frames.len())
+    }
+    fn receive(&mut self, _now: Instant, into: &mut [Received]) -> Result<usize, PortError> {
+        let count = into.len().min(self.inbox.len());
+        into.iter_mut()
+            .zip(self.inbox.drain(..count))
+            .for_each(|(to, from)| *to = from);
+        Ok(count)
+    }
+    fn counters(&self) -> Counters {
+        Counters::default()
+    }
+    fn state(&self) -> ControllerState {
+        ControllerState::Active
+    }
+}
+
+/// The port stays in the test's hands, so that it can say what the drives say.
+struct Shared(std::sync::Arc<std::sync::Mutex<Drives>>);
+
+impl Port for Shared {
+    fn send(&mut self, now: Instant, frames: &[Frame]) -> Result<usize, PortError> {
+        self.0.lock().unwrap().send(now, frames)
+    }
+    fn receive(&mut self, now: Instant, into: &mut [Received]) -> Result<usize, PortError> {
+        self.0.lock().unwrap().receive(now, into)
+    }
+    fn counters(&self) -> Counters {
+        self.0.lock().unwrap().counters()
+    }
+    fn state(&self) -> ControllerState {
+        ControllerState::Active
+    }
+}
+
+fn axis(raw: u8) -> AxisConfig {
+    AxisConfig {
+        node: NodeId::new(raw).unwrap(),
+        identity: Identity {
+            vendor: 0xFB,
+            product: None,
+            revision: None,
+        },
+        mode: CyclicMode::Csp,
+        scale: Scale::new(2_000, 0.0).unwrap(),
+        rated_torque: 0.1,
+        homing: HomingConfig {
+            method: 37,
+            search_speed: TAU,
+            zero_speed: TAU,
+            acceleration: TAU,
+        },
+        following_error: TAU,
+        quick_stop_deceleration: TAU,
+        parameters: Vec::new(),
+    }
+}
+
+#[test]
+fn no_cycle_allocates() {
+    let config = GroupConfig {
+        period: PERIOD,
+        tolerated_missing: 2,
+        heartbeat_period: Duration::from_secs(20),
+        host_node: NodeId::MAX,
+        sdo_timeout: Duration::from_millis(100),
+        sdo_retries: 1,
+        boot_timeout: Duration::from_secs(1),
+        transition_timeout: Duration::from_millis(200),
+    };
+    let axes: Vec<AxisConfig> = (1..=AXES as u8).map(axis).collect();
+    let objects = BTreeMap::from([
+        ((0, 0x1000, 0), [0x92, 1, 2, 0]),
+        ((0, 0x1018, 1), [0xFB, 0, 0, 0]),
+        ((0, 0x6502, 0), [0xA5, 3, 0, 0]),
+        ((0, 0x6060, 0), [0; 4]),
+        ((0, 0x603F, 0), [0x10, 0x23, 0, 0]),
+    ]);
+    let inbox = VecDeque::with_capacity(1_024);
+    let drives = Drives {
+        objects,
+        statusword: 0x0740,
+        inbox,
+    };
+    let drives = std::sync::Arc::new(std::sync::Mutex::new(drives));
+    let mut group = Cia402Group::new(Shared(drives.clone()), config, &axes).unwrap();
+
+    let mut now = Instant::ZERO;
+    loop {
+        match group.bring_up(now) {
+            Poll::Pending => now += PERIOD,
+            Poll::Ready(result) => break assert_eq!(result, Ok(())),
+        }
+    }
+    let mut states = [AxisState::default(); AXES];
+    let follow = AxisCommand::Follow(Setpoint::Position(Finite::new(TAU / 2.0).unwrap()));
+    let wrong = AxisCommand::Follow(Setpoint::Torque(Finite::ZERO));
+    let (mut followed, mut homed, mut faulted) = (false, false, false);
+    let acts = [
+        (0x0740, AxisCommand::Off),
+        (0x0740, AxisCommand::Stand),
+        (0x0721, AxisCommand::Stand),
+        (0x0723, AxisCommand::Stand),
+        (0x0737, AxisCommand::Stand),
+        (0x0737, follow),
+        (0x0737, AxisCommand::Home),
+        (0x0237, AxisCommand::Home),
+        (0x9637, AxisCommand::Home),
+        (0x9737, AxisCommand::Stand),
+        (0x0737, wrong),
+        (0x0208, AxisCommand::Stand),
+        (0x0208, AxisCommand::ResetFault),
+        (0x0240, AxisCommand::ResetFault),
+        (0x0240, AxisCommand::Off),
+    ];
+    for (statusword, command) in acts {
+        drives.lock().unwrap().statusword = statusword;
+        for _ in 0..30 {
+            now += PERIOD;
+            let before = ALLOCATIONS.get();
+            group.read(now, &mut states);
+            group.write(now, &[command; AXES]);
+            group.send(now);
+            assert_eq!(
+                ALLOCATIONS.get() - before,
+                0,
+                "{statusword:#06x} {command:?}"
+            );
+            followed |= states[0].following && command == follow;
+            homed |= states[0].homing == Homing::Attained;
+            faulted |= states[0].fault.is_some();
+        }
+    }
+    assert!(followed && homed && faulted);
+    assert_eq!((states[0].power, states[0].fault), (Power::Off, None));
+    // The counting itself works.
+    let before = ALLOCATIONS.get();
+    drop(Box::new(1));
+    assert_eq!(ALLOCATIONS.get() - before, 2);
+}
