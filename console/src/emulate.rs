@@ -41,7 +41,7 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
         let port = port.with_context(|| format!("bus {}", file.cell.bus[index].name))?;
         buses.push(EmulatedBus {
             port,
-            devices: emulation::devices(&file, index),
+            devices: emulation::devices(&file, index, clock::now()),
         });
     }
     let stop = Arc::new(AtomicBool::new(false));

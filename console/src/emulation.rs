@@ -1,7 +1,7 @@
 //! From a cell to the emulated axis controllers that stand in for its drives.
 
-use can::VirtualPort;
 use can::timing::Bitrate;
+use can::{Instant, VirtualPort};
 use canopen::NodeId;
 use controller::cell::{Model, Plant};
 use hil::epos4::{Epos4, Epos4Config};
@@ -20,16 +20,16 @@ pub(crate) struct Emulation {
 }
 
 impl Emulation {
-    /// The world of a cell and the host's port of each of its buses.
-    pub(crate) fn of(file: &CellFile) -> (Self, Vec<VirtualPort>) {
-        let mut world = World::new();
+    /// The world of a cell, switched on at `start`, and the host's port of each of its buses.
+    pub(crate) fn of(file: &CellFile, start: Instant) -> (Self, Vec<VirtualPort>) {
+        let mut world = World::starting_at(start);
         let mut ports = Vec::new();
         for (index, bus) in file.cell.bus.iter().enumerate() {
             let bitrate =
                 Bitrate::from_kbps(bus.bitrate_kbps).expect("a parsed cell has possible bit rates");
             let id = world.add_bus(bitrate);
             ports.push(world.host_port(id, QUEUE));
-            for device in devices(file, index) {
+            for device in devices(file, index, start) {
                 world.add_device(id, device);
             }
         }
@@ -37,17 +37,17 @@ impl Emulation {
     }
 }
 
-/// The devices on bus `bus`.
-pub(crate) fn devices(file: &CellFile, bus: usize) -> Vec<Box<dyn Device>> {
+/// The devices on bus `bus`, switched on at `power_on`.
+pub(crate) fn devices(file: &CellFile, bus: usize, power_on: Instant) -> Vec<Box<dyn Device>> {
     let present =
         |&(robot, axis): &(usize, usize)| !file.cell.robot[robot].axis[axis].emulator.absent;
     setup::axes_on(&file.cell, bus)
         .filter(present)
-        .map(|(robot, axis)| device(file, robot, axis))
+        .map(|(robot, axis)| device(file, robot, axis, power_on))
         .collect()
 }
 
-fn device(file: &CellFile, robot: usize, number: usize) -> Box<dyn Device> {
+fn device(file: &CellFile, robot: usize, number: usize, power_on: Instant) -> Box<dyn Device> {
     let axis = &file.cell.robot[robot].axis[number];
     let home = file.arms[robot].robot().home()[number];
     let limits = file.arms[robot].robot().motor_limits()[number];
@@ -84,6 +84,7 @@ fn device(file: &CellFile, robot: usize, number: usize) -> Box<dyn Device> {
     let config = Epos4Config {
         vendor,
         seed,
+        power_on,
         ..Epos4Config::new(node, plant)
     };
     Box::new(Epos4::new(config))

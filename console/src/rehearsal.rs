@@ -112,6 +112,10 @@ impl DriveGroup for IdealDrives {
         self.axes.len()
     }
 
+    fn delay(&self) -> usize {
+        2
+    }
+
     fn bring_up(&mut self, _: Instant) -> Poll<Result<(), BringUpError>> {
         Poll::Ready(Ok(()))
     }

@@ -51,8 +51,9 @@ impl Report {
                 .axis
                 .iter()
                 .zip(ran.servo.tracking(robot))
+                .zip(ran.servo.homing_offsets(robot))
                 .enumerate()
-                .map(move |(number, (axis, error))| {
+                .map(move |(number, ((axis, error), homing_offset_counts))| {
                     let counts =
                         f64::from(axis.drive.counts_per_revolution) / std::f64::consts::TAU;
                     AxisReport {
@@ -61,7 +62,7 @@ impl Report {
                         tracking_peak_rad: error.peak(),
                         tracking_rms_counts: error.rms() * counts,
                         tracking_peak_counts: error.peak() * counts,
-                        homing_offset_counts: None,
+                        homing_offset_counts,
                     }
                 })
         });
@@ -133,7 +134,7 @@ pub(crate) struct AxisReport {
     pub tracking_rms_counts: f64,
     /// The same in increments of the encoder.
     pub tracking_peak_counts: f64,
-    /// How far the homed counter was from the one at power-on, increments.
+    /// What the counter since power-on showed at the reference, increments; null without a search.
     pub homing_offset_counts: Option<i64>,
 }
 

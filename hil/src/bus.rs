@@ -27,6 +27,7 @@ pub struct VirtualBus {
     bitrate: Bitrate,
     hosts: Vec<VirtualPeer>,
     devices: Vec<Attached>,
+    start: Instant,
     now: Instant,
     /// When the intermission of the last frame ends.
     free_at: Instant,
@@ -80,14 +81,15 @@ impl BusStatistics {
 }
 
 impl VirtualBus {
-    /// A free bus without ends, at [`Instant::ZERO`].
-    pub fn new(bitrate: Bitrate) -> Self {
+    /// A free bus without ends, whose time begins at `start`.
+    pub fn new(bitrate: Bitrate, start: Instant) -> Self {
         Self {
             bitrate,
             hosts: Vec::new(),
             devices: Vec::new(),
-            now: Instant::ZERO,
-            free_at: Instant::ZERO,
+            start,
+            now: start,
+            free_at: start,
             on_wire: None,
             statistics: BusStatistics::default(),
         }
@@ -138,7 +140,7 @@ impl VirtualBus {
         if until > self.now {
             self.now = until;
         }
-        self.statistics.elapsed = self.now.since(Instant::ZERO);
+        self.statistics.elapsed = self.now.since(self.start);
     }
 
     fn next_event(&self) -> Option<(Instant, Event)> {

@@ -33,6 +33,7 @@ use crate::bus::{BusStatistics, VirtualBus};
 /// Buses with their devices, advanced together. Buses do not influence each other.
 #[derive(Default)]
 pub struct World {
+    start: Instant,
     buses: Vec<VirtualBus>,
 }
 
@@ -53,9 +54,17 @@ impl World {
         Self::default()
     }
 
+    /// Without buses; its time begins at `start`, as does a run's on the wall clock.
+    pub fn starting_at(start: Instant) -> Self {
+        Self {
+            start,
+            ..Self::default()
+        }
+    }
+
     /// Adds a bus.
     pub fn add_bus(&mut self, bitrate: Bitrate) -> BusId {
-        self.buses.push(VirtualBus::new(bitrate));
+        self.buses.push(VirtualBus::new(bitrate, self.start));
         BusId(self.buses.len() - 1)
     }
 

@@ -23,6 +23,10 @@ impl DriveGroup for Trivial {
     fn axes(&self) -> usize {
         AXES
     }
+    fn delay(&self) -> usize {
+        2
+    }
+
     fn bring_up(&mut self, _: Instant) -> Poll<Result<(), BringUpError>> {
         Poll::Ready(Ok(()))
     }

@@ -4,10 +4,6 @@ use drive::{AxisCommand, AxisState, Finite, Homing, Power, Setpoint};
 
 use crate::{Knot, ServoAxisConfig, StopCause, TrackingError, limit};
 
-/// Periods from a command to the sample that shows its effect: written in cycle *n*, latched by the
-/// SYNC of *n* + 1 together with the sample, read in *n* + 2.
-const DELAY: usize = 2;
-
 /// Commands remembered per axis; a sample older than that is compared with the oldest.
 const REMEMBERED: usize = 16;
 
@@ -17,6 +13,8 @@ const STILL: f64 = 0.01;
 /// An axis.
 pub(crate) struct Axis {
     pub(crate) config: ServoAxisConfig,
+    /// [`DriveGroup::delay`](drive::DriveGroup::delay) of its group.
+    delay: usize,
     /// What the drive says.
     pub(crate) state: AxisState,
     /// The set-point of this cycle.
@@ -29,12 +27,14 @@ pub(crate) struct Axis {
     pub(crate) searched: bool,
     pub(crate) command: AxisCommand,
     pub(crate) tracking: TrackingError,
+    reference: ReferenceWatch,
 }
 
 impl Axis {
-    pub(crate) fn new(config: ServoAxisConfig) -> Self {
+    pub(crate) fn new(config: ServoAxisConfig, delay: usize) -> Self {
         Self {
             config,
+            delay,
             state: AxisState::default(),
             knot: Knot::default(),
             commanded: [0.0; REMEMBERED],
@@ -42,7 +42,26 @@ impl Axis {
             searched: false,
             command: AxisCommand::Off,
             tracking: TrackingError::default(),
+            reference: ReferenceWatch::default(),
         }
+    }
+
+    /// Takes what the drive says; `dt` is the period, s.
+    pub(crate) fn observe(&mut self, state: AxisState, dt: f64) {
+        self.state = state;
+        self.reference
+            .observe(&state, self.config.max_acceleration, dt);
+    }
+
+    /// A search for the reference begins.
+    pub(crate) fn begin_homing(&mut self) {
+        self.searched = false;
+        self.reference = ReferenceWatch::default();
+    }
+
+    /// What the counter showed at the reference before it was set there; `None` without a search.
+    pub(crate) fn homing_offset(&self) -> Option<i64> {
+        self.searched.then_some(self.reference.offset)
     }
 
     /// Whether the drive, by a sample taken under a set-point of ours, follows set-points.
@@ -77,13 +96,13 @@ impl Axis {
     /// Whether a sample taken under a set-point of ours is there. A drive that then does not follow
     /// is none the less watched: the growing error is how it shows.
     pub(crate) fn is_watched(&self) -> bool {
-        self.followed >= DELAY
+        self.followed >= self.delay
     }
 
-    /// Commanded minus measured, rad, for the command that was latched when the sample was taken.
+    /// Commanded minus measured, rad, for the command that the sample shows the effect of.
     pub(crate) fn error(&self) -> f64 {
         // This cycle's command is not in `commanded` yet, so the newest there is one period old.
-        let age = (DELAY - 1)
+        let age = (self.delay - 1)
             .saturating_add(self.state.age as usize)
             .min(REMEMBERED - 1);
         self.commanded[age] - self.state.position
@@ -121,5 +140,44 @@ impl Axis {
             // time-out of what it settles for names it.
             None => AxisCommand::Off,
         }
+    }
+}
+
+/// Sees a drive set its counter at the reference: a step that no motor can make.
+#[derive(Clone, Copy, Debug, Default)]
+struct ReferenceWatch {
+    /// The last sample and the one before.
+    last: Option<(f64, i64)>,
+    before_last: Option<(f64, i64)>,
+    /// Sum of the steps seen, increments.
+    offset: i64,
+}
+
+impl ReferenceWatch {
+    /// A step is the counter's own if the motor would need this many times its greatest acceleration.
+    const IMPOSSIBLE: f64 = 4.0;
+
+    fn observe(&mut self, state: &AxisState, max_acceleration: f64, dt: f64) {
+        if state.age > 0 {
+            *self = Self {
+                offset: self.offset,
+                ..Self::default()
+            };
+            return;
+        }
+        let sample = (state.position, i64::from(state.increments.0));
+        if let (Some(last), Some(before_last)) = (self.last, self.before_last) {
+            let expected = (2.0 * last.0 - before_last.0, 2 * last.1 - before_last.1);
+            let step = (sample.0 - expected.0).abs();
+            if state.homing != Homing::NotHomed
+                && step > Self::IMPOSSIBLE * max_acceleration * dt * dt
+            {
+                self.offset += expected.1 - sample.1;
+                // Samples from before the step are of another count.
+                self.last = None;
+            }
+        }
+        self.before_last = self.last;
+        self.last = Some(sample);
     }
 }

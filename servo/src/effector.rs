@@ -57,7 +57,11 @@ pub(crate) struct Effector {
 }
 
 impl Effector {
-    pub(crate) fn new(index: u8, config: &EffectorConfig) -> (Self, EffectorLink) {
+    pub(crate) fn new(
+        index: u8,
+        config: &EffectorConfig,
+        delays: &[usize],
+    ) -> (Self, EffectorLink) {
         let (order_sender, orders) = rtrb::RingBuffer::new(config.queue);
         // One report per macrostep, and the few changes of phase that one order can cause.
         let (reports, report_receiver) = rtrb::RingBuffer::new(config.queue + 16);
@@ -67,7 +71,11 @@ impl Effector {
             .map(|axis| axis.max_velocity / axis.max_acceleration);
         let effector = Self {
             index,
-            axes: config.axes.iter().copied().map(Axis::new).collect(),
+            axes: config
+                .axes
+                .iter()
+                .map(|axis| Axis::new(*axis, delays[axis.group]))
+                .collect(),
             enabling_timeout: config.enabling_timeout,
             homing_timeout: config.homing_timeout,
             orders,
@@ -115,14 +123,18 @@ impl Effector {
         self.axes.iter().any(|axis| axis.state.power != Power::Off)
     }
 
+    pub(crate) fn homing_offsets(&self) -> impl Iterator<Item = Option<i64>> {
+        self.axes.iter().map(Axis::homing_offset)
+    }
+
     pub(crate) fn tracking(&self) -> impl Iterator<Item = TrackingError> {
         self.axes.iter().map(|axis| axis.tracking)
     }
 
     /// Takes what the drives say, by group and index in it.
-    pub(crate) fn set_states(&mut self, state: impl Fn(usize, usize) -> AxisState) {
+    pub(crate) fn set_states(&mut self, state: impl Fn(usize, usize) -> AxisState, dt: f64) {
         for axis in &mut self.axes {
-            axis.state = state(axis.config.group, axis.config.index_in_group);
+            axis.observe(state(axis.config.group, axis.config.index_in_group), dt);
         }
     }
 
@@ -275,7 +287,7 @@ impl Effector {
                 self.segment = None;
             }
             (_, State::Halting(_)) => self.halted = false,
-            (_, State::Homing) => self.axes.iter_mut().for_each(|axis| axis.searched = false),
+            (_, State::Homing) => self.axes.iter_mut().for_each(Axis::begin_homing),
             (State::Resetting, State::Off) => self.fault = None,
             _ => {}
         }

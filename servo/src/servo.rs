@@ -76,9 +76,10 @@ impl Servo {
     ) -> Result<(Self, Vec<EffectorLink>), ServoError> {
         let axes: Vec<usize> = groups.iter().map(|group| group.axes()).collect();
         config.check(&axes)?;
+        let delays: Vec<usize> = groups.iter().map(|group| group.delay()).collect();
         let effectors = config.effectors.iter().zip(0..);
         let (effectors, links) = effectors
-            .map(|(config, index)| Effector::new(index, config))
+            .map(|(config, index)| Effector::new(index, config, &delays))
             .unzip();
         let group = |drives: Box<dyn DriveGroup>| Group {
             states: vec![AxisState::default(); drives.axes()],
@@ -132,7 +133,7 @@ impl Servo {
             group.drives.read(now, &mut group.states);
         }
         for effector in &mut self.effectors {
-            effector.set_states(|group, index| self.groups[group].states[index]);
+            effector.set_states(|group, index| self.groups[group].states[index], tick.dt);
             effector.step(&tick);
             for (group, index, command) in effector.commands() {
                 self.groups[group].commands[index] = command;
@@ -241,6 +242,16 @@ impl Servo {
             .get(index)
             .into_iter()
             .flat_map(Effector::tracking)
+    }
+
+    /// How far the counters of the axes of effector `index` were moved when homing found the reference,
+    /// increments, to about one cycle's motion: what the counter since power-on showed there. `None`
+    /// for an axis that did not home in this run.
+    pub fn homing_offsets(&self, index: usize) -> impl Iterator<Item = Option<i64>> {
+        self.effectors
+            .get(index)
+            .into_iter()
+            .flat_map(Effector::homing_offsets)
     }
 
     /// What was counted so far.

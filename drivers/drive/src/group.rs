@@ -18,6 +18,10 @@ pub trait DriveGroup: Send {
     /// How many axes the group has; slices given to it have this length.
     fn axes(&self) -> usize;
 
+    /// Cycles from the one that writes a set-point to the one that reads a sample of the motor having
+    /// got there: 2 for drives that follow at once, 3 for drives that interpolate until the next SYNC.
+    fn delay(&self) -> usize;
+
     /// Moves bring-up forward: boot, identity, parameters with read-back, mapping, start.
     ///
     /// Called again and again (every period, say) until it is ready. It sends and receives on

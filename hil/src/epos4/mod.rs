@@ -60,6 +60,8 @@ pub struct Epos4Config {
     pub revision: u32,
     /// Object 0x1018:4.
     pub serial: u32,
+    /// When it is switched on: no later than the first instant it is told of.
+    pub power_on: Instant,
     /// From power-on or reset to the boot-up frame.
     pub boot_delay: Duration,
     /// From an SDO request to its answer.
@@ -85,6 +87,7 @@ impl Epos4Config {
             product: 0x6150_0000,
             revision: 0x0170_0000,
             serial: 0x1000_0000 + u32::from(node.raw()),
+            power_on: Instant::ZERO,
             boot_delay: Duration::from_millis(50),
             answer_delay: Duration::from_micros(300),
             cyclic_status: CyclicStatus::FollowsCommand,
@@ -154,7 +157,7 @@ const CONSUMERS: Slot = Slot::of(named::CONSUMER_HEARTBEAT_1);
 const PRODUCER: Slot = Slot::of(named::PRODUCER_HEARTBEAT);
 
 impl Epos4 {
-    /// Power-on at [`Instant::ZERO`].
+    /// Switched on at [`Epos4Config::power_on`].
     pub fn new(config: Epos4Config) -> Self {
         let amps = config.axis.amplifier.max_current;
         let torque_constant = match &config.axis.plant {
@@ -180,7 +183,7 @@ impl Epos4 {
             config.cyclic_status,
             config.vendor_bits,
         );
-        let boots_at = Instant::ZERO + config.boot_delay;
+        let boots_at = config.power_on + config.boot_delay;
         Self {
             objects: Objects::new(config.node, &identity),
             drive,
@@ -192,7 +195,7 @@ impl Epos4 {
             boots_at: Some(boots_at),
             heartbeat_at: None,
             consumers: [Consumer::default(); 2],
-            inner: Instant::ZERO,
+            inner: config.power_on,
             last_sync: None,
             wake_at: Some(boots_at),
             config,

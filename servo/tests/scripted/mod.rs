@@ -196,6 +196,10 @@ impl DriveGroup for Scripted {
         self.axes
     }
 
+    fn delay(&self) -> usize {
+        2
+    }
+
     fn bring_up(&mut self, _: Instant) -> Poll<Result<(), BringUpError>> {
         let mut world = self.world();
         if world.absent {

@@ -295,6 +295,11 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
         self.nodes.len()
     }
 
+    /// A drive interpolates from the set-point it held to the one it latched, over one period (0x60C2).
+    fn delay(&self) -> usize {
+        3
+    }
+
     /// Called after it was ready, or after an error, it begins anew with a reset of communication.
     /// The error of the first failing axis decides.
     fn bring_up(&mut self, now: Instant) -> Poll<Result<(), BringUpError>> {
