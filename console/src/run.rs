@@ -12,7 +12,7 @@ use can::{Instant, clock};
 use clap::Args;
 use controller::ecp::{Ecp, EcpError};
 use indicatif::{ProgressBar, ProgressStyle};
-use servo::{EffectorLink, Servo, Timing, lockstep, thread};
+use servo::{EffectorLink, Servo, ServoFault, Timing, lockstep, thread};
 
 use crate::bench::{Bench, BenchKind};
 use crate::cell_file::CellFile;
@@ -90,17 +90,19 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
 
     let began = clock::now();
     let mut ran = match options.bench {
-        BenchKind::Lockstep => in_lockstep(&file, servo, programs, logs, emulation)?,
-        _ => by_the_clock(&file, servo, programs, logs, emulation)?,
+        BenchKind::Lockstep => in_lockstep(&file, servo, programs, logs, emulation, &interrupted)?,
+        _ => by_the_clock(&file, servo, programs, logs, emulation, &interrupted)?,
     };
-    let outcome = match (interrupted.load(Ordering::Relaxed), ran.faults.is_empty()) {
-        (true, _) => Outcome::Stopped,
-        (false, true) => Outcome::Completed,
-        (false, false) => Outcome::Faulted,
-    };
-    if outcome == Outcome::Stopped {
-        ran.faults.clear();
+    let interrupted = interrupted.load(Ordering::Relaxed);
+    if interrupted {
+        // What the programs say of it is that they were broken off; what the servo latched meanwhile is a fault.
+        ran.faults = servo_faults(&file, &ran.servo);
     }
+    let outcome = match (interrupted, ran.faults.is_empty()) {
+        (_, false) => Outcome::Faulted,
+        (true, true) => Outcome::Stopped,
+        (false, true) => Outcome::Completed,
+    };
     let report = Report::of(
         &file,
         options.bench.name(),
@@ -139,7 +141,6 @@ pub(crate) struct Ran {
 /// The effector control processes of a run and how far they are.
 struct Programs {
     names: Vec<String>,
-    axis_names: Vec<Vec<String>>,
     ecps: Vec<Ecp>,
     faults: Vec<String>,
     progress: ProgressBar,
@@ -168,11 +169,6 @@ impl Programs {
             ProgressStyle::with_template("{elapsed:>4} [{bar:30}] {pos}/{len} {msg}")?
                 .progress_chars("=> "),
         );
-        let axis_names = |robot: usize| {
-            (0..file.cell.robot[robot].axis.len())
-                .map(|axis| file.axis_name(robot, axis))
-                .collect()
-        };
         Ok(Self {
             names: file
                 .cell
@@ -180,7 +176,6 @@ impl Programs {
                 .iter()
                 .map(|robot| robot.name.clone())
                 .collect(),
-            axis_names: (0..file.cell.robot.len()).map(axis_names).collect(),
             ecps,
             faults: Vec::new(),
             progress: bar,
@@ -188,12 +183,12 @@ impl Programs {
     }
 
     /// Lets every effector control process do what is due; `false` once all are done. The first failure stops all.
-    fn poll(&mut self, now: Instant) -> bool {
+    fn poll(&mut self, file: &CellFile, now: Instant) -> bool {
         for robot in 0..self.ecps.len() {
             while let Some(event) = self.ecps[robot].poll(now) {
                 self.progress.inc(1);
                 if let Err(error) = event.outcome {
-                    self.faults.push(self.describe(robot, &error));
+                    self.faults.push(describe(file, robot, &error));
                     self.ecps.iter_mut().for_each(Ecp::stop);
                 }
             }
@@ -213,21 +208,27 @@ impl Programs {
             .iter()
             .any(|ecp| ecp.status().instruction.is_some())
     }
+}
 
-    fn describe(&self, robot: usize, error: &EcpError) -> String {
-        match error {
-            EcpError::Servo(fault) => {
-                let axis = self.axis_names[robot].get(usize::from(fault.axis));
-                format!(
-                    "{}, axis {}: {}",
-                    self.names[robot],
-                    axis.map_or("?", String::as_str),
-                    fault.cause
-                )
-            }
-            error => format!("{}: {error}", self.names[robot]),
-        }
+/// The failure of an instruction, in the words of the cell.
+fn describe(file: &CellFile, robot: usize, error: &EcpError) -> String {
+    match error {
+        EcpError::Servo(fault) => describe_fault(file, robot, fault),
+        error => format!("{}: {error}", file.cell.robot[robot].name),
     }
+}
+
+fn describe_fault(file: &CellFile, robot: usize, fault: &ServoFault) -> String {
+    let value = &file.cell.robot[robot];
+    let axis = value.axis.get(usize::from(fault.axis));
+    let axis = axis.map_or("?", |axis| &axis.name);
+    format!("{}, axis {axis}: {}", value.name, fault.cause)
+}
+
+/// What the servo has latched of each robot.
+fn servo_faults(file: &CellFile, servo: &Servo) -> Vec<String> {
+    let fault = |robot| Some(describe_fault(file, robot, &servo.fault(robot)?));
+    (0..file.cell.robot.len()).filter_map(fault).collect()
 }
 
 /// The files of a run.
@@ -278,11 +279,17 @@ fn in_lockstep(
     mut programs: Programs,
     logs: Logs,
     emulation: Option<Emulation>,
+    interrupted: &AtomicBool,
 ) -> anyhow::Result<Ran> {
     let world = RefCell::new(emulation.expect("lockstep has emulated drives").world);
     let between = |next| world.borrow_mut().advance(next);
-    let start = lockstep::bring_up(&mut servo, Instant::ZERO, between)
-        .map_err(|error| not_up(file, error))?;
+    let start = match lockstep::bring_up(&mut servo, Instant::ZERO, between) {
+        Ok(start) => start,
+        Err(error) => {
+            logs.finish()?;
+            return Err(not_up(file, error));
+        }
+    };
     let (done, failed) = (Shared::new(false), RefCell::new(None));
     let logs = RefCell::new(logs);
     let mut timing = Timing::default();
@@ -291,7 +298,7 @@ fn in_lockstep(
         &mut servo,
         start,
         |now| {
-            done.set(!programs.poll(now));
+            done.set(!programs.poll(file, now) || interrupted.load(Ordering::Relaxed));
             if let Err(error) = logs.borrow_mut().drain() {
                 failed.replace(Some(error));
             }
@@ -324,6 +331,7 @@ fn by_the_clock(
     mut programs: Programs,
     mut logs: Logs,
     emulation: Option<Emulation>,
+    interrupted: &AtomicBool,
 ) -> anyhow::Result<Ran> {
     let began = clock::now();
     let mut world = emulation.map(|emulation| emulation.world);
@@ -332,7 +340,10 @@ fn by_the_clock(
             world.advance(next);
         }
     };
-    thread::bring_up(&mut servo, &mut between).map_err(|error| not_up(file, error))?;
+    if let Err(error) = thread::bring_up(&mut servo, &mut between) {
+        logs.finish()?;
+        return Err(not_up(file, error));
+    }
     let done = Arc::new(AtomicBool::new(false));
     let finished = done.clone();
     let running = thread::start(
@@ -342,7 +353,11 @@ fn by_the_clock(
         move |_| finished.load(Ordering::Relaxed),
     )?;
     let mut logged = Ok(());
-    while programs.poll(clock::now()) && !running.is_finished() && logged.is_ok() {
+    while programs.poll(file, clock::now())
+        && !interrupted.load(Ordering::Relaxed)
+        && !running.is_finished()
+        && logged.is_ok()
+    {
         logged = logs.drain();
         clock::sleep_until(clock::now() + POLL);
     }
