@@ -2,6 +2,8 @@
 
 mod architecture;
 mod bench;
+mod cli_run;
+mod mrroc;
 mod regression;
 mod socketcan;
 mod uml;
