@@ -531,6 +531,196 @@ fn profile_velocity_reaches_its_target_and_halts() {
 }
 
 #[test]
+fn cyclic_velocity_and_torque_go_straight_to_their_loops() {
+    let mut bench = Bench::booted(config());
+    bench.enable(9);
+    assert_eq!(bench.statusword() & 0x1000, 0x1000, "follows");
+    bench.write("FF6000", 150, 4);
+    bench.write("B16000", -50, 4);
+    bench.run(300);
+    assert!((bench.read("6C6000") - 100).abs() <= 3);
+    bench.write("606000", 10, 1);
+    bench.write("716000", -50, 2);
+    bench.write("B26000", 30, 2);
+    bench.run(5);
+    assert_eq!(bench.read("776000") as i16, -20);
+    bench.run(100);
+    assert!(bench.read("6C6000") < 100);
+}
+
+#[test]
+fn bits_of_the_cyclic_modes_are_shown_or_not_as_configured() {
+    let mut bench = Bench::booted(Epos4Config {
+        cyclic_status: CyclicStatus::Silent,
+        ..config()
+    });
+    bench.enable(8);
+    assert_eq!(bench.statusword() & 0x1400, 0);
+}
+
+#[test]
+fn a_cyclic_drive_enabled_without_a_set_point_jumps_to_its_old_one() {
+    let mut bench = Bench::booted(config());
+    bench.write("986000", 37, 1);
+    bench.write("B03000", 50_000, 4);
+    bench.enable(6);
+    bench.write("406000", 0x1F, 2);
+    bench.run(10);
+    bench.write("406000", 0x06, 2);
+    bench.enable(8);
+    bench.say("000#0102");
+    let heard = bench.say("080#");
+    assert_eq!(heard.first().unwrap(), "082#1186810000000000");
+}
+
+#[test]
+fn commands_brake_on_the_ramp_of_their_option() {
+    // Controlword, option and its value, how long the way to a stand takes from 100 rpm.
+    let cases: [(i64, &str, i64, u64); 4] = [
+        // Disable operation and shutdown on 0x6084, 500 rpm/s.
+        (0x07, "5C6000", 1, 200),
+        (0x06, "5B6000", 1, 200),
+        // Quick stop on 0x6084, and on 0x6085, 1000 rpm/s.
+        (0x0B, "5A6000", 5, 200),
+        (0x0B, "5A6000", 2, 100),
+    ];
+    for (word, option, value, millis) in cases {
+        let mut bench = Bench::booted(config());
+        bench.write(option, value, 2);
+        bench.write("846000", 500, 4);
+        bench.write("856000", 1000, 4);
+        bench.enable(3);
+        bench.write("FF6000", 100, 4);
+        bench.run(300);
+        bench.write("406000", word, 2);
+        bench.run(millis / 2 - 5);
+        let halfway = bench.read("6B6000");
+        assert!((40..=60).contains(&halfway), "{option} {value}: {halfway}");
+        bench.run(millis / 2 + 10);
+        let state = bench.statusword() & 0x6F;
+        let expected = match (word, value) {
+            (0x07, _) => 0x23,
+            (0x06, _) => 0x21,
+            (_, 5) => 0x07,
+            _ => 0x40,
+        };
+        assert_eq!(state, expected, "{option} {value}");
+        assert!(bench.read("6C6000").abs() <= 5);
+    }
+}
+
+#[test]
+fn enabling_again_ends_the_braking() {
+    let mut bench = Bench::booted(config());
+    bench.write("846000", 500, 4);
+    bench.enable(3);
+    bench.write("FF6000", 100, 4);
+    bench.run(300);
+    bench.write("406000", 0x07, 2);
+    bench.run(50);
+    bench.write("406000", 0x0F, 2);
+    bench.run(300);
+    assert_eq!(bench.statusword() & 0x6F, 0x27);
+    assert!((bench.read("6C6000") - 100).abs() <= 3);
+}
+
+#[test]
+fn silence_is_answered_as_the_abort_connection_option_says() {
+    // Option, error register of the EMCY, state afterwards.
+    for (option, state) in [(0, 0x27), (1, 0x08), (2, 0x40), (3, 0x07)] {
+        let mut bench = Bench::booted(config());
+        bench.write("076000", option, 2);
+        bench.write("161001", 127 << 16 | 20, 4);
+        bench.enable(1);
+        // Never heard, never missed.
+        assert_eq!(bench.run(100), [""; 0]);
+        bench.say("77F#05");
+        assert_eq!(bench.run(100), ["082#3081110000000000"]);
+        let found = bench.statusword() & 0x6F;
+        assert_eq!(found, state, "0x6007 = {option}");
+    }
+}
+
+#[test]
+fn stopping_or_resetting_a_node_in_motion_stops_its_axis() {
+    for (command, state) in [("000#0202", 0x07), ("000#8102", 0x40), ("000#8202", 0x07)] {
+        let mut bench = Bench::booted(config());
+        bench.enable(3);
+        bench.write("FF6000", 100, 4);
+        bench.run(200);
+        bench.say(command);
+        bench.run(1000);
+        bench.say("000#8002");
+        assert!(bench.read("6C6000").abs() <= 1, "{command}");
+        assert_eq!(bench.statusword() & 0x6F, state, "{command}");
+    }
+}
+
+#[test]
+fn a_limit_switch_is_a_fault_from_which_one_can_drive_away() {
+    let mut axis = AxisConfig::wut(Irp6Axis::ALL[0]);
+    axis.positive_limit = Some(crate::plant::Switch {
+        from: axis.start_angle + 3.0,
+        to: f64::INFINITY,
+        bounce: 0,
+    });
+    let mut bench = Bench::booted(Epos4Config {
+        axis,
+        ..Epos4Config::new(NodeId::new(2).unwrap(), axis)
+    });
+    bench.enable(3);
+    bench.write("FF6000", 100, 4);
+    assert_eq!(bench.run(1000), ["082#818A810000000000"]);
+    assert_eq!(bench.statusword() & 0x6F, 0x08);
+    assert_eq!(bench.read("FD6000"), 0b10);
+    bench.write("FF6000", -100, 4);
+    bench.say("602#2B40600080000000");
+    bench.enable(3);
+    assert_eq!(bench.run(1000), [""; 0]);
+    assert_eq!(bench.read("FD6000"), 0);
+}
+
+#[test]
+fn transmission_types_decide_when_a_pdo_is_sent() {
+    let mut bench = Bench::booted(config());
+    // Every second SYNC.
+    bench.write("001802", 2, 1);
+    bench.say("000#0102");
+    let heard: Vec<usize> = (0..4).map(|_| bench.say("080#").len()).collect();
+    assert_eq!(heard, [0, 1, 0, 1]);
+    // At a SYNC after a change.
+    bench.say("000#8002");
+    bench.write("001802", 0, 1);
+    bench.say("000#0102");
+    assert_eq!(bench.say("080#"), ["182#4006"]);
+    assert_eq!(bench.say("080#"), [""; 0]);
+    bench.say("202#0600");
+    assert_eq!(bench.say("080#"), ["182#2106"]);
+    // On a change or when the event timer expires.
+    bench.say("000#8002");
+    bench.write("001802", 255, 1);
+    bench.write("001805", 10, 2);
+    assert_eq!(bench.say("000#0102").len(), 1);
+    assert_eq!(bench.run(50).len(), 5);
+}
+
+#[test]
+fn other_nodes_frames_change_nothing() {
+    let mut bench = Bench::booted(config());
+    bench.say("000#0102");
+    for frame in [
+        "203#0600",
+        "603#4041600000000000",
+        "183#4006",
+        "000#0203",
+        "703#05",
+    ] {
+        assert_eq!(bench.say(frame), [""; 0], "{frame}");
+    }
+    assert_eq!(bench.statusword(), 0x0640);
+}
+
+#[test]
 fn finer_velocity_units_scale_targets_and_answers() {
     let mut bench = Bench::booted(config());
     bench.write("A96000", 0xFDB4_4700, 4);
