@@ -1,5 +1,5 @@
 use super::*;
-use crate::{Irp6Axis, World};
+use crate::{DeviceId, Irp6Axis, World};
 use can::timing::Bitrate;
 use can::{Port, Received, StandardId, VirtualPort};
 
@@ -7,6 +7,7 @@ use can::{Port, Received, StandardId, VirtualPort};
 struct Bench {
     world: World,
     port: VirtualPort,
+    device: DeviceId,
     now: Instant,
 }
 
@@ -33,10 +34,11 @@ impl Bench {
         let mut world = World::new();
         let bus = world.add_bus(Bitrate::KBPS_1000);
         let port = world.host_port(bus, 256);
-        world.add_device(bus, Box::new(Epos4::new(config)));
+        let device = world.add_device(bus, Box::new(Epos4::new(config)));
         Self {
             world,
             port,
+            device,
             now: Instant::ZERO,
         }
     }
@@ -758,6 +760,34 @@ fn homing_sets_the_counter_and_the_referenced_bit() {
     bench.run(60);
     assert_eq!(bench.statusword() & 0x8000, 0);
     assert_eq!(bench.read("646000"), 0);
+}
+
+#[test]
+fn each_axis_of_an_irp6_is_homed_to_its_index() {
+    for which in Irp6Axis::ALL {
+        let axis = AxisConfig::irp6(which);
+        let mut bench = Bench::booted(Epos4Config {
+            axis,
+            ..Epos4Config::new(NodeId::new(2).unwrap(), axis)
+        });
+        bench.write("986000", 11, 1);
+        bench.write("996001", 143, 4);
+        bench.write("996002", 33, 4);
+        bench.enable(6);
+        bench.write("406000", 0x1F, 2);
+        bench.run(10_000);
+        let word = bench.statusword();
+        assert_eq!(word & 0xB400, 0x9400, "{which:?}: {word:#06x}");
+        let counts = f64::from(bench.read("646000"));
+        let device: &Epos4 = bench.world.device(bench.device).unwrap();
+        let count = std::f64::consts::TAU / f64::from(axis.counts_per_revolution);
+        let angle = (device.axis().angle() - axis.index_angle) / count;
+        assert!(
+            (counts - angle).abs() <= 1.5,
+            "{which:?}: {counts} at {angle}"
+        );
+        assert!(counts.abs() <= 5.0, "{which:?} rests at {counts}");
+    }
 }
 
 #[test]
