@@ -108,6 +108,16 @@ impl Bench {
         i32::from_le_bytes([byte(0), byte(1), byte(2), byte(3)])
     }
 
+    /// Back to how it left the factory, whatever was stored.
+    fn write_factory_values(&mut self) {
+        self.say("000#8002");
+        self.say("000#8102");
+        self.run(60);
+        self.write("111001", 0x6461_6F6C, 4);
+        self.say("000#8102");
+        self.run(60);
+    }
+
     fn statusword(&mut self) -> u16 {
         self.read("416000") as u16
     }

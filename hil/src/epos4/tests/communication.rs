@@ -326,3 +326,52 @@ fn other_nodes_frames_change_nothing() {
     }
     assert_eq!(bench.statusword(), 0x0640);
 }
+
+#[test]
+fn a_storm_of_arbitrary_frames_leaves_a_device_that_a_reset_revives() {
+    use crate::epos4::table::TABLE;
+    let mut state = 0x2545_F491_4F6C_DD1D_u64;
+    let mut random = move || {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        state
+    };
+    let mut bench = Bench::booted(config());
+    let ids = [
+        0x000, 0x080, 0x202, 0x302, 0x402, 0x502, 0x602, 0x602, 0x602, 0x602, 0x77F,
+    ];
+    for round in 0..20_000 {
+        let id = ids[random() as usize % ids.len()];
+        let mut data = random().to_le_bytes();
+        let object = TABLE[random() as usize % TABLE.len()].object;
+        match (id, random() % 8) {
+            // Mostly start, so that PDOs are alive.
+            (0x000, 0..6) => data = [1, 2, 0, 0, 0, 0, 0, 0],
+            (0x602, 0..7) => {
+                data[1..3].copy_from_slice(&object.index.to_le_bytes());
+                data[3] = object.subindex;
+                if random() % 2 == 0 {
+                    // Small values, and mappings of objects there are.
+                    data[5..].fill(0);
+                }
+                data[0] = [0x23, 0x27, 0x2B, 0x2F, 0x40, 0x60, 0x21][random() as usize % 7];
+            }
+            _ => {}
+        }
+        let length = if random() % 8 == 0 {
+            random() as usize % 9
+        } else if id == 0x000 {
+            2
+        } else {
+            8
+        };
+        let frame = Frame::new(StandardId::new(id).unwrap(), &data[..length]).unwrap();
+        bench.port.send(bench.now, &[frame]).unwrap();
+        let heard = bench.run_micros(300 + random() % 3000);
+        assert!(heard.len() < 200, "round {round}");
+    }
+    bench.write_factory_values();
+    assert_eq!(bench.statusword() & 0x4F, 0x40);
+    assert_eq!(bench.read("656000"), 2000);
+}
