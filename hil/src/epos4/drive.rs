@@ -14,6 +14,8 @@ mod modes;
 mod slots;
 mod status;
 
+pub(super) use modes::interpolation_period;
+
 use canopen::cia402::{Controlword, ModeOfOperation, PowerCommand, PowerState};
 
 use super::CyclicStatus;
@@ -24,7 +26,6 @@ use super::power::{Brake, Options, Transition, on_command, on_fault};
 use super::profile::Motion;
 use crate::plant::SUB_STEP;
 use crate::{Axis, AxisConfig, Demand, Feedback, Trip};
-pub(super) use modes::interpolation_period;
 use slots::*;
 
 /// Sub-steps of a whole chunk: 1 ms.
@@ -173,10 +174,11 @@ impl Drive {
         }
         self.mode = mode;
         // On the move, a mode goes on from where the one before it was.
-        let motion = self.motion;
+        let (motion, braking) = (self.motion, self.braking);
         self.stand();
         self.motion = motion;
         self.segment.0 = motion.position;
+        self.braking = braking;
     }
 
     /// Takes over object 0x6040. `true` is a fault reset that was obeyed.
@@ -214,17 +216,12 @@ impl Drive {
 
     /// Does what an error asks for; a drive without power only shows it.
     pub(super) fn react(&mut self, error: Error, objects: &Objects) {
-        let options = options(objects);
-        let transition = match error.reaction {
-            Reaction::Disable => Some(on_fault(self.power, true, &options)),
-            Reaction::Fault => Some(on_fault(self.power, false, &options)),
-            Reaction::AbortConnection => {
-                return self.abort_connection(objects);
-            }
+        let at_once = match error.reaction {
+            Reaction::Disable => true,
+            Reaction::Fault => false,
+            Reaction::AbortConnection => return self.abort_connection(objects),
         };
-        if let Some(transition) = transition {
-            self.perform(transition);
-        }
+        self.perform(on_fault(self.power, at_once, &options(objects)));
     }
 
     /// Object 0x6007: what to do once the host is not heard any more.
@@ -243,22 +240,22 @@ impl Drive {
 
     fn perform(&mut self, transition: Transition) {
         let was_powered = self.powered();
-        let stays = transition.brake.is_none() && transition.now == self.power;
-        if stays && self.braking.is_none() {
+        // A command that is repeated each cycle goes on with what it began.
+        let braking = transition.brake.map(|brake| (brake, transition.then));
+        if transition.now == self.power && braking == self.braking {
             return;
         }
         self.power = transition.now;
-        match transition.brake {
-            Some(brake) => {
+        match braking {
+            Some(_) => {
                 // The demand may be far off, or absurd: braking begins with what the axis does.
                 self.motion.velocity = self.feedback.velocity;
                 if transition.now == PowerState::FaultReactionActive {
                     self.motion.position = self.position();
                 }
-                self.braking = Some((brake, transition.then));
+                self.braking = braking;
             }
             None => {
-                self.braking = None;
                 let motion = self.motion;
                 self.stand();
                 // An axis that keeps its power goes on from where it was told to be.

@@ -213,6 +213,45 @@ fn commands_brake_on_the_ramp_of_their_option() {
 }
 
 #[test]
+fn a_command_repeated_each_cycle_brakes_as_one_given_once() {
+    let mut bench = Bench::booted(config());
+    bench.write("846000", 500, 4);
+    bench.write("021402", 1, 1);
+    bench.enable(3);
+    bench.write("FF6000", 100, 4);
+    bench.run(300);
+    bench.say("000#0102");
+    for cycle in 0..102 {
+        let batch = [parse("080#"), parse("202#0700")];
+        bench.port.send(bench.now, &batch).unwrap();
+        bench.run(2);
+        if cycle == 50 {
+            let halfway = bench.read("6B6000");
+            assert!((40..=60).contains(&halfway), "{halfway}");
+        }
+    }
+    assert_eq!(bench.statusword() & 0x6F, 0x23);
+}
+
+#[test]
+fn a_change_of_mode_does_not_keep_a_fault_from_its_end() {
+    let mut bench = Bench::booted(config());
+    bench.write("846000", 500, 4);
+    bench.write("5E6000", 1, 2);
+    bench.write("076000", 1, 2);
+    bench.write("161001", 127 << 16 | 20, 4);
+    bench.enable(3);
+    bench.write("FF6000", 100, 4);
+    bench.run(300);
+    bench.say("77F#05");
+    bench.run(50);
+    assert_eq!(bench.statusword() & 0x4F, 0x0F, "reacting");
+    bench.write("606000", 8, 1);
+    bench.run(300);
+    assert_eq!(bench.statusword() & 0x4F, 0x08);
+}
+
+#[test]
 fn enabling_again_ends_the_braking() {
     let mut bench = Bench::booted(config());
     bench.write("846000", 500, 4);
