@@ -13,12 +13,12 @@ use clap::Args;
 use controller::ecp::{Ecp, EcpError};
 use indicatif::{ProgressBar, ProgressStyle};
 use servo::thread::{self, CellTime};
-use servo::{EffectorLink, Servo, Timing, lockstep};
+use servo::{EffectorLink, Servo, StopRequest, Timing, lockstep};
 
 use crate::bench::{Bench, BenchKind};
 use crate::cell_file::CellFile;
 use crate::emulation::Emulation;
-use crate::report::{Outcome, Report};
+use crate::report::{FaultReport, Outcome, Ran, Report};
 use crate::trace::{AxisLog, FrameLog};
 use crate::{rehearsal, setup};
 
@@ -79,9 +79,14 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
             None => None,
         },
     };
-    let programs = Programs::of(&file, links, !options.json)?;
-
     let interrupted = Arc::new(AtomicBool::new(false));
+    let programs = Programs::of(
+        &file,
+        links,
+        servo.stop_request(),
+        interrupted.clone(),
+        !options.json,
+    )?;
     let (stop, flag) = (servo.stop_request(), interrupted.clone());
     ctrlc::set_handler(move || {
         flag.store(true, Ordering::Relaxed);
@@ -90,18 +95,15 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
     .context("Ctrl-C cannot be caught, so the arm could not be stopped by it")?;
 
     let began = clock::now();
-    let mut ran = match options.bench {
+    let ran = match options.bench {
         BenchKind::Lockstep => in_lockstep(&file, servo, programs, logs, emulation)?,
         _ => by_the_clock(&file, servo, programs, logs, emulation)?,
     };
-    let outcome = match (interrupted.load(Ordering::Relaxed), ran.faults.is_empty()) {
-        (true, _) => Outcome::Stopped,
-        (false, true) => Outcome::Completed,
-        (false, false) => Outcome::Faulted,
+    let outcome = match (ran.faults.is_empty(), interrupted.load(Ordering::Relaxed)) {
+        (false, _) => Outcome::Faulted,
+        (true, true) => Outcome::Stopped,
+        (true, false) => Outcome::Completed,
     };
-    if outcome == Outcome::Stopped {
-        ran.faults.clear();
-    }
     let report = Report::of(
         &file,
         options.bench.name(),
@@ -127,27 +129,25 @@ fn print(report: &Report, json: bool) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What a run leaves behind.
-pub(crate) struct Ran {
-    pub(crate) servo: Servo,
-    pub(crate) timing: Timing,
-    pub(crate) denied: Vec<String>,
-    pub(crate) faults: Vec<String>,
-    /// Time that passed in the cell.
-    pub(crate) cell_time: Duration,
-}
-
 /// The effector control processes of a run and how far they are.
 struct Programs {
     names: Vec<String>,
     axis_names: Vec<Vec<String>>,
     ecps: Vec<Ecp>,
-    faults: Vec<String>,
+    faults: Vec<FaultReport>,
+    stop: StopRequest,
+    interrupted: Arc<AtomicBool>,
     progress: ProgressBar,
 }
 
 impl Programs {
-    fn of(file: &CellFile, links: Vec<EffectorLink>, progress: bool) -> anyhow::Result<Self> {
+    fn of(
+        file: &CellFile,
+        links: Vec<EffectorLink>,
+        stop: StopRequest,
+        interrupted: Arc<AtomicBool>,
+        progress: bool,
+    ) -> anyhow::Result<Self> {
         let mut ecps = Vec::new();
         let mut instructions = 0;
         for (robot, link) in links.into_iter().enumerate() {
@@ -184,18 +184,26 @@ impl Programs {
             axis_names: (0..file.cell.robot.len()).map(axis_names).collect(),
             ecps,
             faults: Vec::new(),
+            stop,
+            interrupted,
             progress: bar,
         })
     }
 
-    /// Lets every effector control process do what is due; `false` once all are done. The first failure stops all.
+    /// Lets every effector control process do what is due; `false` once all are done. The first failure
+    /// stops every effector.
     fn poll(&mut self, now: Instant) -> bool {
         for robot in 0..self.ecps.len() {
             while let Some(event) = self.ecps[robot].poll(now) {
                 self.progress.inc(1);
                 if let Err(error) = event.outcome {
-                    self.faults.push(self.describe(robot, &error));
-                    self.ecps.iter_mut().for_each(Ecp::stop);
+                    self.stop.request();
+                    // That the motion broke off is what Ctrl-C is for.
+                    let expected = self.interrupted.load(Ordering::Relaxed)
+                        && !matches!(error, EcpError::Servo(_));
+                    if !expected {
+                        self.faults.push(self.describe(robot, &error));
+                    }
                 }
             }
         }
@@ -215,18 +223,18 @@ impl Programs {
             .any(|ecp| ecp.status().instruction.is_some())
     }
 
-    fn describe(&self, robot: usize, error: &EcpError) -> String {
-        match error {
+    fn describe(&self, robot: usize, error: &EcpError) -> FaultReport {
+        let (axis, what) = match error {
             EcpError::Servo(fault) => {
                 let axis = self.axis_names[robot].get(usize::from(fault.axis));
-                format!(
-                    "{}, axis {}: {}",
-                    self.names[robot],
-                    axis.map_or("?", String::as_str),
-                    fault.cause
-                )
+                (axis.cloned(), fault.cause.to_string())
             }
-            error => format!("{}: {error}", self.names[robot]),
+            error => (None, error.to_string()),
+        };
+        FaultReport {
+            robot: Some(self.names[robot].clone()),
+            axis,
+            what,
         }
     }
 }
@@ -355,7 +363,11 @@ fn by_the_clock(
     logs.finish()?;
     let mut faults = programs.faults;
     if let Some(panicked) = ended.panicked {
-        faults.push(format!("the servo thread panicked: {panicked:?}"));
+        faults.push(FaultReport {
+            robot: None,
+            axis: None,
+            what: format!("the servo thread panicked: {panicked:?}"),
+        });
     }
     Ok(Ran {
         servo: ended.servo,
