@@ -13,7 +13,7 @@ use clap::Args;
 use controller::ecp::{Ecp, EcpError};
 use indicatif::{ProgressBar, ProgressStyle};
 use servo::thread::{self, CellTime};
-use servo::{EffectorLink, Servo, StopRequest, Timing, lockstep};
+use servo::{EffectorLink, Servo, ServoFault, StopRequest, Timing, lockstep};
 
 use crate::bench::{Bench, BenchKind};
 use crate::cell_file::CellFile;
@@ -80,13 +80,7 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
         },
     };
     let interrupted = Arc::new(AtomicBool::new(false));
-    let programs = Programs::of(
-        &file,
-        links,
-        servo.stop_request(),
-        interrupted.clone(),
-        !options.json,
-    )?;
+    let programs = Programs::of(&file, links, servo.stop_request(), !options.json)?;
     let (stop, flag) = (servo.stop_request(), interrupted.clone());
     ctrlc::set_handler(move || {
         flag.store(true, Ordering::Relaxed);
@@ -95,14 +89,20 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
     .context("Ctrl-C cannot be caught, so the arm could not be stopped by it")?;
 
     let began = clock::now();
-    let ran = match options.bench {
-        BenchKind::Lockstep => in_lockstep(&file, servo, programs, logs, emulation)?,
-        _ => by_the_clock(&file, servo, programs, logs, emulation)?,
+    let mut ran = match options.bench {
+        BenchKind::Lockstep => in_lockstep(&file, servo, programs, logs, emulation, &interrupted)?,
+        _ => by_the_clock(&file, servo, programs, logs, emulation, &interrupted)?,
     };
-    let outcome = match (ran.faults.is_empty(), interrupted.load(Ordering::Relaxed)) {
-        (false, _) => Outcome::Faulted,
+    let interrupted = interrupted.load(Ordering::Relaxed);
+    if interrupted {
+        // What the programs say of it is that they were broken off; what the servo latched meanwhile is a fault.
+        ran.faults.retain(|fault| fault.robot.is_none());
+        ran.faults.extend(servo_faults(&file, &ran.servo));
+    }
+    let outcome = match (interrupted, ran.faults.is_empty()) {
+        (_, false) => Outcome::Faulted,
         (true, true) => Outcome::Stopped,
-        (true, false) => Outcome::Completed,
+        (false, true) => Outcome::Completed,
     };
     let report = Report::of(
         &file,
@@ -132,11 +132,9 @@ fn print(report: &Report, json: bool) -> anyhow::Result<()> {
 /// The effector control processes of a run and how far they are.
 struct Programs {
     names: Vec<String>,
-    axis_names: Vec<Vec<String>>,
     ecps: Vec<Ecp>,
     faults: Vec<FaultReport>,
     stop: StopRequest,
-    interrupted: Arc<AtomicBool>,
     progress: ProgressBar,
 }
 
@@ -145,7 +143,6 @@ impl Programs {
         file: &CellFile,
         links: Vec<EffectorLink>,
         stop: StopRequest,
-        interrupted: Arc<AtomicBool>,
         progress: bool,
     ) -> anyhow::Result<Self> {
         let mut ecps = Vec::new();
@@ -169,11 +166,6 @@ impl Programs {
             ProgressStyle::with_template("{elapsed:>4} [{bar:30}] {pos}/{len} {msg}")?
                 .progress_chars("=> "),
         );
-        let axis_names = |robot: usize| {
-            (0..file.cell.robot[robot].axis.len())
-                .map(|axis| file.axis_name(robot, axis))
-                .collect()
-        };
         Ok(Self {
             names: file
                 .cell
@@ -181,29 +173,22 @@ impl Programs {
                 .iter()
                 .map(|robot| robot.name.clone())
                 .collect(),
-            axis_names: (0..file.cell.robot.len()).map(axis_names).collect(),
             ecps,
             faults: Vec::new(),
             stop,
-            interrupted,
             progress: bar,
         })
     }
 
     /// Lets every effector control process do what is due; `false` once all are done. The first failure
     /// stops every effector.
-    fn poll(&mut self, now: Instant) -> bool {
+    fn poll(&mut self, file: &CellFile, now: Instant) -> bool {
         for robot in 0..self.ecps.len() {
             while let Some(event) = self.ecps[robot].poll(now) {
                 self.progress.inc(1);
                 if let Err(error) = event.outcome {
                     self.stop.request();
-                    // That the motion broke off is what Ctrl-C is for.
-                    let expected = self.interrupted.load(Ordering::Relaxed)
-                        && !matches!(error, EcpError::Servo(_));
-                    if !expected {
-                        self.faults.push(self.describe(robot, &error));
-                    }
+                    self.faults.push(describe(file, robot, &error));
                 }
             }
         }
@@ -222,21 +207,33 @@ impl Programs {
             .iter()
             .any(|ecp| ecp.status().instruction.is_some())
     }
+}
 
-    fn describe(&self, robot: usize, error: &EcpError) -> FaultReport {
-        let (axis, what) = match error {
-            EcpError::Servo(fault) => {
-                let axis = self.axis_names[robot].get(usize::from(fault.axis));
-                (axis.cloned(), fault.cause.to_string())
-            }
-            error => (None, error.to_string()),
-        };
-        FaultReport {
-            robot: Some(self.names[robot].clone()),
-            axis,
-            what,
-        }
+/// The failure of an instruction, in the words of the cell.
+fn describe(file: &CellFile, robot: usize, error: &EcpError) -> FaultReport {
+    match error {
+        EcpError::Servo(fault) => describe_fault(file, robot, fault),
+        error => FaultReport {
+            robot: Some(file.cell.robot[robot].name.clone()),
+            axis: None,
+            what: error.to_string(),
+        },
     }
+}
+
+fn describe_fault(file: &CellFile, robot: usize, fault: &ServoFault) -> FaultReport {
+    let axis = usize::from(fault.axis);
+    FaultReport {
+        robot: Some(file.cell.robot[robot].name.clone()),
+        axis: (axis < file.cell.robot[robot].axis.len()).then(|| file.axis_name(robot, axis)),
+        what: fault.cause.to_string(),
+    }
+}
+
+/// What the servo has latched of each robot.
+fn servo_faults(file: &CellFile, servo: &Servo) -> Vec<FaultReport> {
+    let fault = |robot| Some(describe_fault(file, robot, &servo.fault(robot)?));
+    (0..file.cell.robot.len()).filter_map(fault).collect()
 }
 
 /// The files of a run.
@@ -272,8 +269,15 @@ impl Logs {
     }
 }
 
-/// The refusal of a bus that did not come up, in the words of the cell.
-fn not_up(file: &CellFile, (bus, error): (usize, drive::BringUpError)) -> anyhow::Error {
+/// The refusal of a bus that did not come up, in the words of the cell. The files keep what led to it.
+fn not_up(
+    file: &CellFile,
+    logs: Logs,
+    (bus, error): (usize, drive::BringUpError),
+) -> anyhow::Error {
+    if let Err(error) = logs.finish() {
+        return error;
+    }
     let axis = setup::axes_on(&file.cell, bus)
         .find(|&(robot, axis)| error.node() == Some(file.cell.robot[robot].axis[axis].node))
         .map(|(robot, axis)| format!(", axis {}", file.axis_name(robot, axis)))
@@ -287,11 +291,14 @@ fn in_lockstep(
     mut programs: Programs,
     logs: Logs,
     emulation: Option<Emulation>,
+    interrupted: &AtomicBool,
 ) -> anyhow::Result<Ran> {
     let world = RefCell::new(emulation.expect("lockstep has emulated drives").world);
     let between = |next| world.borrow_mut().advance(next);
-    let start = lockstep::bring_up(&mut servo, Instant::ZERO, between)
-        .map_err(|error| not_up(file, error))?;
+    let start = match lockstep::bring_up(&mut servo, Instant::ZERO, between) {
+        Ok(start) => start,
+        Err(error) => return Err(not_up(file, logs, error)),
+    };
     let (done, failed) = (Shared::new(false), RefCell::new(None));
     let logs = RefCell::new(logs);
     let mut timing = Timing::default();
@@ -300,7 +307,7 @@ fn in_lockstep(
         &mut servo,
         start,
         |now| {
-            done.set(!programs.poll(now));
+            done.set(!programs.poll(file, now) || interrupted.load(Ordering::Relaxed));
             if let Err(error) = logs.borrow_mut().drain() {
                 failed.replace(Some(error));
             }
@@ -333,6 +340,7 @@ fn by_the_clock(
     mut programs: Programs,
     mut logs: Logs,
     emulation: Option<Emulation>,
+    interrupted: &AtomicBool,
 ) -> anyhow::Result<Ran> {
     let began = clock::now();
     let policy = |time| setup::realtime_policy(&file.cell, time);
@@ -340,19 +348,26 @@ fn by_the_clock(
     let finished = done.clone();
     let until = move |_: &Servo| finished.load(Ordering::Relaxed);
     let running = match emulation {
-        None => {
-            thread::bring_up(&mut servo, |_| {}).map_err(|error| not_up(file, error))?;
-            thread::start(servo, policy(CellTime::Wall), |_| {}, until)
-        }
+        None => match thread::bring_up(&mut servo, |_| {}) {
+            Ok(()) => thread::start(servo, policy(CellTime::Wall), |_| {}, until)?,
+            Err(error) => return Err(not_up(file, logs, error)),
+        },
         Some(Emulation { mut world }) => {
             let mut between = move |next| world.advance(next);
-            let first = lockstep::bring_up(&mut servo, Instant::ZERO, &mut between)
-                .map_err(|error| not_up(file, error))?;
-            thread::start(servo, policy(CellTime::Nominal(first)), between, until)
+            match lockstep::bring_up(&mut servo, Instant::ZERO, &mut between) {
+                Ok(first) => {
+                    thread::start(servo, policy(CellTime::Nominal(first)), between, until)?
+                }
+                Err(error) => return Err(not_up(file, logs, error)),
+            }
         }
-    }?;
+    };
     let mut logged = Ok(());
-    while programs.poll(clock::now()) && !running.is_finished() && logged.is_ok() {
+    while programs.poll(file, clock::now())
+        && !interrupted.load(Ordering::Relaxed)
+        && !running.is_finished()
+        && logged.is_ok()
+    {
         logged = logs.drain();
         clock::sleep_until(clock::now() + POLL);
     }
