@@ -12,12 +12,13 @@ use can::{Instant, clock};
 use clap::Args;
 use controller::ecp::{Ecp, EcpError};
 use indicatif::{ProgressBar, ProgressStyle};
-use servo::{EffectorLink, Servo, ServoFault, Timing, lockstep, thread};
+use servo::thread::{self, CellTime};
+use servo::{EffectorLink, Servo, ServoFault, StopRequest, Timing, lockstep};
 
 use crate::bench::{Bench, BenchKind};
 use crate::cell_file::CellFile;
 use crate::emulation::Emulation;
-use crate::report::{Outcome, Report};
+use crate::report::{FaultReport, Outcome, Ran, Report};
 use crate::trace::{AxisLog, FrameLog};
 use crate::{rehearsal, setup};
 
@@ -78,9 +79,8 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
             None => None,
         },
     };
-    let programs = Programs::of(&file, links, !options.json)?;
-
     let interrupted = Arc::new(AtomicBool::new(false));
+    let programs = Programs::of(&file, links, servo.stop_request(), !options.json)?;
     let (stop, flag) = (servo.stop_request(), interrupted.clone());
     ctrlc::set_handler(move || {
         flag.store(true, Ordering::Relaxed);
@@ -96,7 +96,8 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
     let interrupted = interrupted.load(Ordering::Relaxed);
     if interrupted {
         // What the programs say of it is that they were broken off; what the servo latched meanwhile is a fault.
-        ran.faults = servo_faults(&file, &ran.servo);
+        ran.faults.retain(|fault| fault.robot.is_none());
+        ran.faults.extend(servo_faults(&file, &ran.servo));
     }
     let outcome = match (interrupted, ran.faults.is_empty()) {
         (_, false) => Outcome::Faulted,
@@ -128,26 +129,22 @@ fn print(report: &Report, json: bool) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What a run leaves behind.
-pub(crate) struct Ran {
-    pub(crate) servo: Servo,
-    pub(crate) timing: Timing,
-    pub(crate) denied: Vec<String>,
-    pub(crate) faults: Vec<String>,
-    /// Time that passed in the cell.
-    pub(crate) cell_time: Duration,
-}
-
 /// The effector control processes of a run and how far they are.
 struct Programs {
     names: Vec<String>,
     ecps: Vec<Ecp>,
-    faults: Vec<String>,
+    faults: Vec<FaultReport>,
+    stop: StopRequest,
     progress: ProgressBar,
 }
 
 impl Programs {
-    fn of(file: &CellFile, links: Vec<EffectorLink>, progress: bool) -> anyhow::Result<Self> {
+    fn of(
+        file: &CellFile,
+        links: Vec<EffectorLink>,
+        stop: StopRequest,
+        progress: bool,
+    ) -> anyhow::Result<Self> {
         let mut ecps = Vec::new();
         let mut instructions = 0;
         for (robot, link) in links.into_iter().enumerate() {
@@ -178,18 +175,20 @@ impl Programs {
                 .collect(),
             ecps,
             faults: Vec::new(),
+            stop,
             progress: bar,
         })
     }
 
-    /// Lets every effector control process do what is due; `false` once all are done. The first failure stops all.
+    /// Lets every effector control process do what is due; `false` once all are done. The first failure
+    /// stops every effector.
     fn poll(&mut self, file: &CellFile, now: Instant) -> bool {
         for robot in 0..self.ecps.len() {
             while let Some(event) = self.ecps[robot].poll(now) {
                 self.progress.inc(1);
                 if let Err(error) = event.outcome {
+                    self.stop.request();
                     self.faults.push(describe(file, robot, &error));
-                    self.ecps.iter_mut().for_each(Ecp::stop);
                 }
             }
         }
@@ -211,22 +210,28 @@ impl Programs {
 }
 
 /// The failure of an instruction, in the words of the cell.
-fn describe(file: &CellFile, robot: usize, error: &EcpError) -> String {
+fn describe(file: &CellFile, robot: usize, error: &EcpError) -> FaultReport {
     match error {
         EcpError::Servo(fault) => describe_fault(file, robot, fault),
-        error => format!("{}: {error}", file.cell.robot[robot].name),
+        error => FaultReport {
+            robot: Some(file.cell.robot[robot].name.clone()),
+            axis: None,
+            what: error.to_string(),
+        },
     }
 }
 
-fn describe_fault(file: &CellFile, robot: usize, fault: &ServoFault) -> String {
-    let value = &file.cell.robot[robot];
-    let axis = value.axis.get(usize::from(fault.axis));
-    let axis = axis.map_or("?", |axis| &axis.name);
-    format!("{}, axis {axis}: {}", value.name, fault.cause)
+fn describe_fault(file: &CellFile, robot: usize, fault: &ServoFault) -> FaultReport {
+    let axis = usize::from(fault.axis);
+    FaultReport {
+        robot: Some(file.cell.robot[robot].name.clone()),
+        axis: (axis < file.cell.robot[robot].axis.len()).then(|| file.axis_name(robot, axis)),
+        what: fault.cause.to_string(),
+    }
 }
 
 /// What the servo has latched of each robot.
-fn servo_faults(file: &CellFile, servo: &Servo) -> Vec<String> {
+fn servo_faults(file: &CellFile, servo: &Servo) -> Vec<FaultReport> {
     let fault = |robot| Some(describe_fault(file, robot, &servo.fault(robot)?));
     (0..file.cell.robot.len()).filter_map(fault).collect()
 }
@@ -264,8 +269,15 @@ impl Logs {
     }
 }
 
-/// The refusal of a bus that did not come up, in the words of the cell.
-fn not_up(file: &CellFile, (bus, error): (usize, drive::BringUpError)) -> anyhow::Error {
+/// The refusal of a bus that did not come up, in the words of the cell. The files keep what led to it.
+fn not_up(
+    file: &CellFile,
+    logs: Logs,
+    (bus, error): (usize, drive::BringUpError),
+) -> anyhow::Error {
+    if let Err(error) = logs.finish() {
+        return error;
+    }
     let axis = setup::axes_on(&file.cell, bus)
         .find(|&(robot, axis)| error.node() == Some(file.cell.robot[robot].axis[axis].node))
         .map(|(robot, axis)| format!(", axis {}", file.axis_name(robot, axis)))
@@ -285,10 +297,7 @@ fn in_lockstep(
     let between = |next| world.borrow_mut().advance(next);
     let start = match lockstep::bring_up(&mut servo, Instant::ZERO, between) {
         Ok(start) => start,
-        Err(error) => {
-            logs.finish()?;
-            return Err(not_up(file, error));
-        }
+        Err(error) => return Err(not_up(file, logs, error)),
     };
     let (done, failed) = (Shared::new(false), RefCell::new(None));
     let logs = RefCell::new(logs);
@@ -334,24 +343,25 @@ fn by_the_clock(
     interrupted: &AtomicBool,
 ) -> anyhow::Result<Ran> {
     let began = clock::now();
-    let mut world = emulation.map(|emulation| emulation.world);
-    let mut between = move |next| {
-        if let Some(world) = &mut world {
-            world.advance(next);
-        }
-    };
-    if let Err(error) = thread::bring_up(&mut servo, &mut between) {
-        logs.finish()?;
-        return Err(not_up(file, error));
-    }
+    let policy = |time| setup::realtime_policy(&file.cell, time);
     let done = Arc::new(AtomicBool::new(false));
     let finished = done.clone();
-    let running = thread::start(
-        servo,
-        setup::realtime_policy(&file.cell),
-        between,
-        move |_| finished.load(Ordering::Relaxed),
-    )?;
+    let until = move |_: &Servo| finished.load(Ordering::Relaxed);
+    let running = match emulation {
+        None => match thread::bring_up(&mut servo, |_| {}) {
+            Ok(()) => thread::start(servo, policy(CellTime::Wall), |_| {}, until)?,
+            Err(error) => return Err(not_up(file, logs, error)),
+        },
+        Some(Emulation { mut world }) => {
+            let mut between = move |next| world.advance(next);
+            match lockstep::bring_up(&mut servo, Instant::ZERO, &mut between) {
+                Ok(first) => {
+                    thread::start(servo, policy(CellTime::Nominal(first)), between, until)?
+                }
+                Err(error) => return Err(not_up(file, logs, error)),
+            }
+        }
+    };
     let mut logged = Ok(());
     while programs.poll(file, clock::now())
         && !interrupted.load(Ordering::Relaxed)
@@ -368,7 +378,11 @@ fn by_the_clock(
     logs.finish()?;
     let mut faults = programs.faults;
     if let Some(panicked) = ended.panicked {
-        faults.push(format!("the servo thread panicked: {panicked:?}"));
+        faults.push(FaultReport {
+            robot: None,
+            axis: None,
+            what: format!("the servo thread panicked: {panicked:?}"),
+        });
     }
     Ok(Ran {
         servo: ended.servo,

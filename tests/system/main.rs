@@ -1,5 +1,7 @@
 //! System tests: whole cells, on the bench that `HIL_CAN` names.
 
+#![expect(clippy::unwrap_used, reason = "in a test it is a verdict")]
+
 mod architecture;
 mod bench;
 mod cli_run;
