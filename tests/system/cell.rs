@@ -29,15 +29,18 @@ const ENABLING: Duration = Duration::from_secs(5);
 const HOMING: Duration = Duration::from_secs(120);
 const LEAD: u16 = 8;
 
+type Alteration = Box<dyn Fn(usize, &mut hil::AxisConfig)>;
+type Wrapping = Box<dyn FnOnce(VirtualPort) -> Box<dyn Port>>;
+
 /// What a robot is made of before it is brought up.
 pub(crate) struct Setup {
     pub(crate) cell: Cell,
     /// Which of the robot's axes there are; the others are left out of the servo and off the bus.
     pub(crate) axes: Vec<usize>,
     /// Alters the plant of an axis.
-    pub(crate) plant: Box<dyn Fn(usize, &mut hil::AxisConfig)>,
+    pub(crate) plant: Alteration,
     /// Stands between the drive group and the bus.
-    pub(crate) port: Box<dyn FnOnce(VirtualPort) -> Box<dyn Port>>,
+    pub(crate) port: Wrapping,
 }
 
 impl Setup {
@@ -292,6 +295,12 @@ pub(crate) struct Rig {
 impl Rig {
     /// One cycle of the servo, and the world until the next.
     pub(crate) fn cycle(&mut self) {
+        self.servo_cycle();
+        self.pass();
+    }
+
+    /// One cycle of the servo alone.
+    pub(crate) fn servo_cycle(&mut self) {
         let before = crate::allocations::count();
         self.servo.prepare(self.now);
         self.servo.send(self.now);
@@ -300,7 +309,6 @@ impl Rig {
             self.last = record;
         }
         (self.after_cycle)(&self.last);
-        self.pass();
     }
 
     /// A period in which the servo does nothing.
@@ -384,7 +392,7 @@ impl Rig {
     /// Feeds a motion to the servo as far as its queue has room.
     pub(crate) fn feed(&mut self, motion: &mut Motion) {
         let link = self.link.as_mut().expect("no program runs");
-        while motion.sent < motion.macrosteps && link.orders.slots() > 2 {
+        while !motion.is_sent() && link.orders.slots() > 2 {
             let next = motion.next(self.period);
             link.orders.push(Order::Move(next)).expect("there is room");
         }
@@ -479,6 +487,11 @@ impl Motion {
             sent: 0,
             macrosteps: (duration / macrostep).ceil() as u64,
         }
+    }
+
+    /// Whether all of it was given to the servo.
+    pub(crate) fn is_sent(&self) -> bool {
+        self.sent == self.macrosteps
     }
 
     fn next(&mut self, period: Duration) -> Macrostep {

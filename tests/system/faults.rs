@@ -235,9 +235,12 @@ fn drives_whose_host_dies_stop_by_themselves() {
     assert!(matches!(cause, StopCause::Drive(_)), "{cause}");
 }
 
+/// What it is, how a macrostep becomes it, and what it has to be refused for.
+type BadStep = (&'static str, fn(&mut Macrostep), fn(&StopCause) -> bool);
+
 #[test]
 fn what_may_not_be_commanded_never_reaches_the_bus() {
-    let bad: [(&str, fn(&mut Macrostep), fn(&StopCause) -> bool); 6] = [
+    let bad: [BadStep; 6] = [
         (
             "NaN",
             |step| step.position[3] = f64::NAN,

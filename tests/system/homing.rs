@@ -14,7 +14,7 @@ const EDGE: f64 = 2.0;
 fn home(start: f64, index: f64) -> (f64, f64) {
     let mut setup = Setup::one_axis(0);
     let robot = &mut setup.cell.robot[0];
-    let home = robot.arm().unwrap().robot().home()[0];
+    let home = robot.arm().expect("parameters are sound").robot().home()[0];
     robot.axis[0].emulator.start = Some(home + start);
     let mut rig = setup
         .with_plant(move |_, plant| {

@@ -19,7 +19,7 @@ fn run(seed: u64) -> (u64, u64) {
         }
         assert_eq!(trace.lost(), 0);
     });
-    rig.run_program().unwrap();
+    rig.run_program().expect("the program is done");
     let (hasher, frames) = &*hash.borrow();
     (hasher.finish(), *frames)
 }
