@@ -1,7 +1,7 @@
 //! What a run runs on: the ports to the drives, and the emulated world behind them where there is one.
 
 use anyhow::{Context, bail};
-use can::{Instant, Port, SocketCanOptions, SocketCanPort, TraceReader, Tracer, clock};
+use can::{Port, SocketCanOptions, SocketCanPort, TraceReader, Tracer};
 use clap::ValueEnum;
 
 use crate::cell_file::CellFile;
@@ -55,15 +55,10 @@ impl Bench {
     ) -> anyhow::Result<Self> {
         let (ports, emulation): (Vec<Box<dyn Port>>, _) = match kind {
             BenchKind::Lockstep | BenchKind::Emulated => {
-                let start = if kind == BenchKind::Lockstep {
-                    Instant::ZERO
-                } else {
-                    clock::now()
-                };
                 if !can.is_empty() {
                     bail!("--can needs --bench vcan or --bench card");
                 }
-                let (emulation, ports) = Emulation::of(file, start);
+                let (emulation, ports) = Emulation::of(file);
                 (
                     ports.into_iter().map(|port| Box::new(port) as _).collect(),
                     Some(emulation),

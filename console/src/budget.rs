@@ -22,6 +22,8 @@ pub(crate) struct BusBudget {
     /// Share of the period after which the last frame of a cycle has left at the latest, percent.
     pub(crate) worst_case_percent: f64,
     pub(crate) messages: Vec<MessageBudget>,
+    /// The bit rate.
+    pub(crate) bits_per_second: f64,
 }
 
 /// One message of a bus.
@@ -72,6 +74,7 @@ fn check_bus(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
                 response_us: (message.every == Every::Cycle).then_some(response.as_micros()),
             })
             .collect(),
+        bits_per_second: 1e3 * f64::from(bus.bitrate_kbps),
     };
     if analysis.busy <= period {
         return Ok(budget);

@@ -20,16 +20,16 @@ pub(crate) struct Emulation {
 }
 
 impl Emulation {
-    /// The world of a cell, switched on at `start`, and the host's port of each of its buses.
-    pub(crate) fn of(file: &CellFile, start: Instant) -> (Self, Vec<VirtualPort>) {
-        let mut world = World::starting_at(start);
+    /// The world of a cell, switched on at [`Instant::ZERO`], and the host's port of each of its buses.
+    pub(crate) fn of(file: &CellFile) -> (Self, Vec<VirtualPort>) {
+        let mut world = World::new();
         let mut ports = Vec::new();
         for (index, bus) in file.cell.bus.iter().enumerate() {
             let bitrate =
                 Bitrate::from_kbps(bus.bitrate_kbps).expect("a parsed cell has possible bit rates");
             let id = world.add_bus(bitrate);
             ports.push(world.host_port(id, QUEUE));
-            for device in devices(file, index, start) {
+            for device in devices(file, index, Instant::ZERO) {
                 world.add_device(id, device);
             }
         }

@@ -73,7 +73,8 @@ impl Report {
             .map(|(group, budget)| BusReport {
                 name: budget.name.clone(),
                 frames: group.port.sent + group.port.received,
-                load_percent: budget.load_percent,
+                load_percent: 100.0 * group.port.bits as f64
+                    / (budget.bits_per_second * ran.cell_time.as_secs_f64()),
                 worst_case_percent: budget.worst_case_percent,
                 dropped_setpoints: group.dropped_setpoints,
                 missed_answers: group.missed_answers,
@@ -187,8 +188,7 @@ pub(crate) struct BusReport {
     pub name: String,
     /// Frames sent and received by the host.
     pub frames: u64,
-    /// Share of the bus's time that those frames took, counted without stuff bits where the bench
-    /// cannot see them, percent.
+    /// Share of the bus's time that those frames took, from bring-up to switch-off, percent.
     pub load_percent: f64,
     /// Share of the period after which the last frame of a cycle has left at the latest, percent.
     pub worst_case_percent: f64,

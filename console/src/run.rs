@@ -12,7 +12,8 @@ use can::{Instant, clock};
 use clap::Args;
 use controller::ecp::{Ecp, EcpError};
 use indicatif::{ProgressBar, ProgressStyle};
-use servo::{EffectorLink, Servo, Timing, lockstep, thread};
+use servo::thread::{self, CellTime};
+use servo::{EffectorLink, Servo, Timing, lockstep};
 
 use crate::bench::{Bench, BenchKind};
 use crate::cell_file::CellFile;
@@ -326,21 +327,22 @@ fn by_the_clock(
     emulation: Option<Emulation>,
 ) -> anyhow::Result<Ran> {
     let began = clock::now();
-    let mut world = emulation.map(|emulation| emulation.world);
-    let mut between = move |next| {
-        if let Some(world) = &mut world {
-            world.advance(next);
-        }
-    };
-    thread::bring_up(&mut servo, &mut between).map_err(|error| not_up(file, error))?;
+    let policy = |time| setup::realtime_policy(&file.cell, time);
     let done = Arc::new(AtomicBool::new(false));
     let finished = done.clone();
-    let running = thread::start(
-        servo,
-        setup::realtime_policy(&file.cell),
-        between,
-        move |_| finished.load(Ordering::Relaxed),
-    )?;
+    let until = move |_: &Servo| finished.load(Ordering::Relaxed);
+    let running = match emulation {
+        None => {
+            thread::bring_up(&mut servo, |_| {}).map_err(|error| not_up(file, error))?;
+            thread::start(servo, policy(CellTime::Wall), |_| {}, until)
+        }
+        Some(Emulation { mut world }) => {
+            let mut between = move |next| world.advance(next);
+            let first = lockstep::bring_up(&mut servo, Instant::ZERO, &mut between)
+                .map_err(|error| not_up(file, error))?;
+            thread::start(servo, policy(CellTime::Nominal(first)), between, until)
+        }
+    }?;
     let mut logged = Ok(());
     while programs.poll(clock::now()) && !running.is_finished() && logged.is_ok() {
         logged = logs.drain();

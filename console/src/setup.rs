@@ -11,7 +11,7 @@ use drive::cia402::{
     AxisConfig, Cia402Group, CyclicMode, GroupConfig, HomingConfig, Identity, Parameter,
 };
 use drive::{DriveGroup, Scale};
-use servo::thread::{Realtime, RealtimePolicy};
+use servo::thread::{CellTime, Realtime, RealtimePolicy};
 use servo::{EffectorConfig, ServoAxisConfig, ServoConfig};
 
 use crate::cell_file::CellFile;
@@ -167,14 +167,14 @@ pub(crate) fn ecp_config(cell: &Cell) -> EcpConfig {
         steps: cell.macrostep,
         report_at: cell.macrostep.saturating_sub(2).max(1),
         lead: LEAD,
-        silence: Duration::from_secs(2),
+        silence: Duration::from_secs(10),
         switching: ENABLING * 2,
         homing: HOMING + ENABLING,
     }
 }
 
 /// What the servo thread asks of the host.
-pub(crate) fn realtime_policy(cell: &Cell) -> RealtimePolicy {
+pub(crate) fn realtime_policy(cell: &Cell, time: CellTime) -> RealtimePolicy {
     let realtime = &cell.realtime;
     RealtimePolicy {
         realtime: match realtime.policy {
@@ -185,5 +185,6 @@ pub(crate) fn realtime_policy(cell: &Cell) -> RealtimePolicy {
         cpu: realtime.cpu,
         lock_memory: realtime.lock_memory,
         lead: Duration::ZERO,
+        time,
     }
 }

@@ -16,6 +16,8 @@ use mrroc_hil::{AxisConfig, Epos4, Epos4Config, Irp6Axis, World};
 
 const PERIOD: Duration = Duration::from_millis(2);
 
+type Axes = fn(Irp6Axis) -> AxisConfig;
+
 struct Robot {
     world: World,
     port: VirtualPort,
@@ -25,7 +27,7 @@ struct Robot {
 }
 
 impl Robot {
-    fn new(axis: fn(Irp6Axis) -> AxisConfig) -> Self {
+    fn new(axis: Axes) -> Self {
         let mut world = World::new();
         let bus = world.add_bus(Bitrate::KBPS_1000);
         let port = world.host_port(bus, 256);
@@ -132,7 +134,7 @@ impl Robot {
 fn second(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("six axes, 2 ms, one simulated second");
     group.throughput(Throughput::Elements(500));
-    let plants: [(&str, fn(Irp6Axis) -> AxisConfig); 2] = [
+    let plants: [(&str, Axes); 2] = [
         ("motors", AxisConfig::irp6),
         ("regression model", AxisConfig::wut),
     ];

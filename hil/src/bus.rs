@@ -27,7 +27,6 @@ pub struct VirtualBus {
     bitrate: Bitrate,
     hosts: Vec<VirtualPeer>,
     devices: Vec<Attached>,
-    start: Instant,
     now: Instant,
     /// When the intermission of the last frame ends.
     free_at: Instant,
@@ -81,15 +80,14 @@ impl BusStatistics {
 }
 
 impl VirtualBus {
-    /// A free bus without ends, whose time begins at `start`.
-    pub fn new(bitrate: Bitrate, start: Instant) -> Self {
+    /// A free bus without ends, at [`Instant::ZERO`].
+    pub fn new(bitrate: Bitrate) -> Self {
         Self {
             bitrate,
             hosts: Vec::new(),
             devices: Vec::new(),
-            start,
-            now: start,
-            free_at: start,
+            now: Instant::ZERO,
+            free_at: Instant::ZERO,
             on_wire: None,
             statistics: BusStatistics::default(),
         }
@@ -140,7 +138,7 @@ impl VirtualBus {
         if until > self.now {
             self.now = until;
         }
-        self.statistics.elapsed = self.now.since(self.start);
+        self.statistics.elapsed = self.now.since(Instant::ZERO);
     }
 
     fn next_event(&self) -> Option<(Instant, Event)> {

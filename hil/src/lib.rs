@@ -2,7 +2,8 @@
 //!
 //! A [`Device`] is what hangs on a bus; the [virtual bus](bus) carries frames between devices and
 //! the host with true arbitration and bit times, a [`World`] is all the buses of a cell, and a
-//! [plant] is the physics behind a device.
+//! [plant] is the physics behind a device. Of devices there is the axis controller [`Epos4`]. Read
+//! [`Device`] and [`World`] first.
 
 mod amplifier;
 pub mod bus;

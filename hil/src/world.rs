@@ -33,7 +33,6 @@ use crate::bus::{BusStatistics, VirtualBus};
 /// Buses with their devices, advanced together. Buses do not influence each other.
 #[derive(Default)]
 pub struct World {
-    start: Instant,
     buses: Vec<VirtualBus>,
 }
 
@@ -54,17 +53,9 @@ impl World {
         Self::default()
     }
 
-    /// Without buses; its time begins at `start`, as does a run's on the wall clock.
-    pub fn starting_at(start: Instant) -> Self {
-        Self {
-            start,
-            ..Self::default()
-        }
-    }
-
     /// Adds a bus.
     pub fn add_bus(&mut self, bitrate: Bitrate) -> BusId {
-        self.buses.push(VirtualBus::new(bitrate, self.start));
+        self.buses.push(VirtualBus::new(bitrate));
         BusId(self.buses.len() - 1)
     }
 

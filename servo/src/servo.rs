@@ -162,6 +162,12 @@ impl Servo {
         self.missed = self.missed.saturating_add(count);
     }
 
+    /// Says that `count` deadlines passed while the cell's own time stood still: they are counted and
+    /// have no other effect.
+    pub fn slipped(&mut self, count: u32) {
+        self.missed_ever += u64::from(count);
+    }
+
     fn tick(&mut self, now: Instant) -> Tick {
         let missed = std::mem::take(&mut self.missed);
         self.missed_ever += u64::from(missed);

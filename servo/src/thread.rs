@@ -6,7 +6,8 @@
 //!
 //! **A missed deadline** is counted and skipped, never caught up: a thread that is half a period
 //! late or later lets that slot go and waits for the next, so two SYNCs are never closer than half a
-//! period. What follows from too many is in [`Servo::missed`].
+//! period. What follows from too many is in [`Servo::missed`]. An emulated cell need not suffer from it:
+//! see [`CellTime`].
 //!
 //! **The end** is always drives off. When `until` says so the servo is asked to stop, and cycles go
 //! on until every effector is braked and without power, or for as long as that can take. A panic
@@ -77,16 +78,30 @@ pub struct RealtimePolicy {
     /// How long before the deadline to wake and prepare, spinning until it. The answers to the
     /// SYNC before must have come by then. At most half a period is used.
     pub lead: Duration,
+    /// The time that cycles are given.
+    pub time: CellTime,
+}
+
+/// The time that cycles are given.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CellTime {
+    /// `CLOCK_MONOTONIC`: for drives that live by the wall clock.
+    Wall,
+    /// The nominal time of each cycle, of which this is the first one's: for an emulated cell. The host
+    /// that takes the processor from the servo takes it from the emulators too, so their time stands
+    /// still while deadlines are missed. They are counted and have no other effect.
+    Nominal(Instant),
 }
 
 impl RealtimePolicy {
-    /// SCHED_FIFO 80 and locked memory if the host grants it, no CPU, no lead.
+    /// SCHED_FIFO 80 and locked memory if the host grants it, no CPU, no lead, by the wall clock.
     pub const BEST_EFFORT: Self = Self {
         realtime: Realtime::BestEffort,
         priority: 80,
         cpu: None,
         lock_memory: true,
         lead: Duration::ZERO,
+        time: CellTime::Wall,
     };
 }
 
@@ -297,8 +312,9 @@ struct Run {
     panicked: Option<Panicked>,
     period: Duration,
     lead: Duration,
-    /// Of the cycle that is due next.
+    /// Of the cycle that is due next, by the wall clock.
     deadline: Instant,
+    time: CellTime,
 }
 
 impl Run {
@@ -313,6 +329,7 @@ impl Run {
             period,
             lead,
             deadline: Instant::ZERO,
+            time: policy.time,
         }
     }
 
@@ -321,7 +338,7 @@ impl Run {
         let mut over = false;
         while !over && self.cycle() {
             let caller = catch_unwind(AssertUnwindSafe(|| {
-                between(self.deadline);
+                between(self.next());
                 until(&self.servo)
             }));
             over = caller.unwrap_or_else(|_| {
@@ -342,24 +359,40 @@ impl Run {
         self.wait();
         let stepped = catch_unwind(AssertUnwindSafe(|| {
             let begun = now();
-            self.servo.prepare(self.deadline.max(begun));
+            self.servo.prepare(self.cell_time(self.deadline.max(begun)));
             let prepared = now();
             while now() < self.deadline {
                 hint::spin_loop();
             }
             let sending = now();
             self.timing.sync.record(sending.since(self.deadline));
-            self.servo.send(sending);
+            self.servo.send(self.cell_time(sending));
             self.timing
                 .step
                 .record(prepared.since(begun) + now().since(sending));
             self.timing.record_bus(&self.servo);
         }));
         self.deadline += self.period;
+        if let CellTime::Nominal(next) = &mut self.time {
+            *next += self.period;
+        }
         if stepped.is_err() {
             self.panicked = Some(Panicked::Cycle);
         }
         stepped.is_ok()
+    }
+
+    /// The cycle's own time, where the wall clock shows `wall`.
+    fn cell_time(&self, wall: Instant) -> Instant {
+        match self.time {
+            CellTime::Wall => wall,
+            CellTime::Nominal(cycle) => cycle,
+        }
+    }
+
+    /// When the next cycle is due, in the cycles' time.
+    fn next(&self) -> Instant {
+        self.cell_time(self.deadline)
     }
 
     /// Sleeps to the lead before the deadline; a deadline that has long passed is skipped.
@@ -378,7 +411,10 @@ impl Run {
             }
             let slots = (late - self.period / 2).as_nanos() / self.period.as_nanos() + 1;
             let slots = u32::try_from(slots).unwrap_or(u32::MAX);
-            self.servo.missed(slots);
+            match self.time {
+                CellTime::Wall => self.servo.missed(slots),
+                CellTime::Nominal(_) => self.servo.slipped(slots),
+            }
             self.deadline += self.period.saturating_mul(slots);
         }
     }
@@ -391,7 +427,7 @@ impl Run {
         let mut cycles = 0;
         while (cycles < OFF_CYCLES || !self.servo.is_off()) && self.deadline < end && self.cycle() {
             cycles += 1;
-            if alive && catch_unwind(AssertUnwindSafe(|| between(self.deadline))).is_err() {
+            if alive && catch_unwind(AssertUnwindSafe(|| between(self.next()))).is_err() {
                 self.panicked = Some(Panicked::Caller);
                 alive = false;
             }
@@ -402,8 +438,13 @@ impl Run {
     fn cut_power(&mut self) {
         for _ in 0..CUTS {
             sleep_until(self.deadline);
-            let _ = catch_unwind(AssertUnwindSafe(|| self.servo.cut_power(now())));
+            let _ = catch_unwind(AssertUnwindSafe(|| {
+                self.servo.cut_power(self.cell_time(now()))
+            }));
             self.deadline += self.period;
+            if let CellTime::Nominal(next) = &mut self.time {
+                *next += self.period;
+            }
         }
     }
 }

@@ -130,6 +130,7 @@ fn every_kind_of_frame_comes_back_in_order_and_stamped() {
                 here.counters(),
                 Counters {
                     sent: 5,
+                    bits: there.counters().bits,
                     ..Counters::default()
                 }
             );
@@ -137,6 +138,7 @@ fn every_kind_of_frame_comes_back_in_order_and_stamped() {
                 there.counters(),
                 Counters {
                     received: 5,
+                    bits: here.counters().bits,
                     ..Counters::default()
                 }
             );

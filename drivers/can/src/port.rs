@@ -1,5 +1,6 @@
 use thiserror::Error;
 
+use crate::timing::bits_on_wire;
 use crate::{Frame, Instant};
 
 /// One end of a bus: a SocketCAN interface, or an end of the virtual bus.
@@ -77,6 +78,28 @@ pub struct Counters {
     pub dropped: u64,
     /// Error frames received.
     pub errors: u64,
+    /// Bits that the frames sent and received took on the wire, intermissions included.
+    pub bits: u64,
+}
+
+impl Counters {
+    /// Counts frames taken for sending.
+    pub(crate) fn count_sent(&mut self, frames: &[Frame]) {
+        self.sent += frames.len() as u64;
+        self.bits += frames
+            .iter()
+            .map(|frame| u64::from(bits_on_wire(frame)))
+            .sum::<u64>();
+    }
+
+    /// Counts frames received.
+    pub(crate) fn count_received(&mut self, received: &[Received]) {
+        self.received += received.len() as u64;
+        let bits = received
+            .iter()
+            .map(|received| u64::from(bits_on_wire(&received.frame)));
+        self.bits += bits.sum::<u64>();
+    }
 }
 
 /// The fault confinement state of a CAN controller (ISO 11898-1 §12.1.4).

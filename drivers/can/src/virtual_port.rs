@@ -59,7 +59,7 @@ impl Port for VirtualPort {
             }
             taken += 1;
         }
-        self.counters.sent += taken as u64;
+        self.counters.count_sent(&frames[..taken]);
         self.counters.refused += (frames.len() - taken) as u64;
         Ok(taken)
     }
@@ -87,7 +87,7 @@ impl Port for VirtualPort {
             into[count] = received;
             count += 1;
         }
-        self.counters.received += count as u64;
+        self.counters.count_received(&into[..count]);
         Ok(count)
     }
 
@@ -148,6 +148,7 @@ impl VirtualPeer {
 mod tests {
     use super::*;
     use crate::StandardId;
+    use crate::timing::bits_on_wire;
 
     fn frame(id: u16) -> Frame {
         Frame::new(StandardId::new(id).unwrap(), &[]).unwrap()
@@ -204,6 +205,10 @@ mod tests {
         let expected = Counters {
             sent: 3,
             refused: 2,
+            bits: [1, 2, 3]
+                .map(|id| u64::from(bits_on_wire(&frame(id))))
+                .iter()
+                .sum(),
             ..Counters::default()
         };
         assert_eq!(port.counters(), expected);

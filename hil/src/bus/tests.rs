@@ -11,7 +11,7 @@ fn at(micros: u64) -> Instant {
 
 /// A bus with `ports` hosts and, as the last, one that only listens.
 fn hosts(ports: usize) -> (VirtualBus, Vec<VirtualPort>) {
-    let mut bus = VirtualBus::new(Bitrate::KBPS_1000, Instant::ZERO);
+    let mut bus = VirtualBus::new(Bitrate::KBPS_1000);
     let ports = (0..=ports)
         .map(|_| {
             let (port, peer) = virtual_port(64);
@@ -88,7 +88,7 @@ fn frames_end_after_exactly_their_bits_and_follow_each_other_without_a_gap() {
 
 #[test]
 fn slower_rates_stretch_every_bit() {
-    let mut bus = VirtualBus::new(Bitrate::KBPS_125, Instant::ZERO);
+    let mut bus = VirtualBus::new(Bitrate::KBPS_125);
     let (mut sender, peer) = virtual_port(1);
     bus.attach_host(peer);
     let (mut listener, peer) = virtual_port(1);
@@ -215,7 +215,7 @@ fn a_device_that_is_never_content_does_not_stop_time() {
         }
         fn handle_timeout(&mut self, _: Instant) {}
     }
-    let mut bus = VirtualBus::new(Bitrate::KBPS_1000, Instant::ZERO);
+    let mut bus = VirtualBus::new(Bitrate::KBPS_1000);
     bus.attach_device(Box::new(Restless));
     bus.advance(at(1000));
     assert_eq!(bus.statistics().elapsed, Duration::from_millis(1));

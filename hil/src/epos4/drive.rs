@@ -10,82 +10,26 @@
 //! position; software limits and set-point checks begin with the reference; cyclic modes ignore
 //! halt; bits 10 and 12 in the cyclic modes are [`CyclicStatus`]'s choice.
 
-use canopen::cia402::{
-    Controlword, HomingMethod, HomingStatus, ModeOfOperation, PowerState, Statusword,
-};
-use canopen::objects as named;
+mod modes;
+mod slots;
+mod status;
+
+pub(super) use modes::interpolation_period;
+
+use canopen::cia402::{Controlword, ModeOfOperation, PowerCommand, PowerState};
 
 use super::CyclicStatus;
 use super::errors::{self, Error, Reaction};
-use super::homing::{Progress, Search, Surroundings};
+use super::homing::Search;
 use super::objects::Objects;
 use super::power::{Brake, Options, Transition, on_command, on_fault};
-use super::profile::{Limits, Motion};
-use super::table::Slot;
+use super::profile::Motion;
 use crate::plant::SUB_STEP;
 use crate::{Axis, AxisConfig, Demand, Feedback, Trip};
+use slots::*;
 
 /// Sub-steps of a whole chunk: 1 ms.
 pub(super) const CHUNK: u32 = 10;
-
-macro_rules! slots {
-    ($($name:ident),* $(,)?) => { $(const $name: Slot = Slot::of(named::$name);)* };
-}
-
-slots!(
-    CONTROLWORD,
-    STATUSWORD,
-    MODE_OF_OPERATION,
-    MODE_OF_OPERATION_DISPLAY,
-    POSITION_ACTUAL,
-    VELOCITY_ACTUAL,
-    TORQUE_ACTUAL,
-    TARGET_POSITION,
-    TARGET_VELOCITY,
-    TARGET_TORQUE,
-    POSITION_OFFSET,
-    VELOCITY_OFFSET,
-    TORQUE_OFFSET,
-    FOLLOWING_ERROR_WINDOW,
-    FOLLOWING_ERROR_ACTUAL,
-    MIN_POSITION_LIMIT,
-    MAX_POSITION_LIMIT,
-    MAX_PROFILE_VELOCITY,
-    MAX_MOTOR_SPEED,
-    PROFILE_VELOCITY,
-    PROFILE_ACCELERATION,
-    PROFILE_DECELERATION,
-    QUICK_STOP_DECELERATION,
-    QUICK_STOP_OPTION,
-    SHUTDOWN_OPTION,
-    DISABLE_OPERATION_OPTION,
-    HALT_OPTION,
-    FAULT_REACTION_OPTION,
-    HOMING_METHOD,
-    HOMING_SWITCH_SPEED,
-    HOMING_ZERO_SPEED,
-    HOMING_ACCELERATION,
-    EPOS4_HOME_POSITION,
-    EPOS4_HOME_OFFSET_MOVE,
-    EPOS4_HOMING_CURRENT_THRESHOLD,
-    EPOS4_NOMINAL_CURRENT,
-    EPOS4_TORQUE_CONSTANT,
-    EPOS4_CURRENT_ACTUAL,
-    MOTOR_RATED_TORQUE,
-    VELOCITY_UNIT,
-    INTERPOLATION_PERIOD_VALUE,
-    INTERPOLATION_PERIOD_INDEX,
-    MAX_ACCELERATION,
-    DIGITAL_INPUTS,
-    ABORT_CONNECTION_OPTION,
-);
-const POSITION_DEMAND: Slot = Slot::of(canopen::Object::new(0x6062, 0));
-const VELOCITY_DEMAND: Slot = Slot::of(canopen::Object::new(0x606B, 0));
-const CURRENT_AVERAGE: Slot = Slot::of(canopen::Object::new(0x30D1, 1));
-const OUTPUT_CURRENT_LIMIT: Slot = Slot::of(canopen::Object::new(0x3001, 2));
-const INPUT_STATES: Slot = Slot::of(canopen::Object::new(0x3141, 1));
-const POSITION_WINDOW: Slot = Slot::of(canopen::Object::new(0x6067, 0));
-const POSITION_WINDOW_TIME: Slot = Slot::of(canopen::Object::new(0x6068, 0));
 
 /// The drive.
 #[derive(Clone, Debug)]
@@ -229,10 +173,12 @@ impl Drive {
             return;
         }
         self.mode = mode;
-        let velocity = self.motion.velocity;
+        // On the move, a mode goes on from where the one before it was.
+        let (motion, braking) = (self.motion, self.braking);
         self.stand();
-        // On the move, a profile goes on from the velocity that the axis has.
-        self.motion.velocity = velocity;
+        self.motion = motion;
+        self.segment.0 = motion.position;
+        self.braking = braking;
     }
 
     /// Takes over object 0x6040. `true` is a fault reset that was obeyed.
@@ -270,22 +216,16 @@ impl Drive {
 
     /// Does what an error asks for; a drive without power only shows it.
     pub(super) fn react(&mut self, error: Error, objects: &Objects) {
-        let options = options(objects);
-        let transition = match error.reaction {
-            Reaction::Disable => Some(on_fault(self.power, true, &options)),
-            Reaction::Fault => Some(on_fault(self.power, false, &options)),
-            Reaction::AbortConnection => {
-                return self.abort_connection(objects);
-            }
+        let at_once = match error.reaction {
+            Reaction::Disable => true,
+            Reaction::Fault => false,
+            Reaction::AbortConnection => return self.abort_connection(objects),
         };
-        if let Some(transition) = transition {
-            self.perform(transition);
-        }
+        self.perform(on_fault(self.power, at_once, &options(objects)));
     }
 
     /// Object 0x6007: what to do once the host is not heard any more.
     pub(super) fn abort_connection(&mut self, objects: &Objects) {
-        use canopen::cia402::PowerCommand;
         let options = options(objects);
         let transition = match objects.i(ABORT_CONNECTION_OPTION) {
             1 => Some(on_fault(self.power, false, &options)),
@@ -300,22 +240,22 @@ impl Drive {
 
     fn perform(&mut self, transition: Transition) {
         let was_powered = self.powered();
-        let stays = transition.brake.is_none() && transition.now == self.power;
-        if stays && self.braking.is_none() {
+        // A command that is repeated each cycle goes on with what it began.
+        let braking = transition.brake.map(|brake| (brake, transition.then));
+        if transition.now == self.power && braking == self.braking {
             return;
         }
         self.power = transition.now;
-        match transition.brake {
-            Some(brake) => {
+        match braking {
+            Some(_) => {
                 // The demand may be far off, or absurd: braking begins with what the axis does.
                 self.motion.velocity = self.feedback.velocity;
                 if transition.now == PowerState::FaultReactionActive {
                     self.motion.position = self.position();
                 }
-                self.braking = Some((brake, transition.then));
+                self.braking = braking;
             }
             None => {
-                self.braking = None;
                 let motion = self.motion;
                 self.stand();
                 // An axis that keeps its power goes on from where it was told to be.
@@ -347,45 +287,6 @@ impl Drive {
             self.mode,
             M::ProfileVelocity | M::CyclicSynchronousVelocity | M::CyclicSynchronousTorque
         )
-    }
-
-    fn new_setpoint(&mut self, started: bool, objects: &Objects) {
-        let word = self.controlword;
-        let profile = &mut self.profile;
-        if started && profile.next.is_none() {
-            let base = profile.active.unwrap_or(self.motion.position);
-            let target = f64::from(objects.i(TARGET_POSITION));
-            let target = if word.has(Controlword::RELATIVE) {
-                base + target
-            } else {
-                target
-            };
-            let waits = profile.active.is_some() && !word.has(Controlword::CHANGE_IMMEDIATELY);
-            if waits {
-                profile.next = Some(target);
-            } else {
-                profile.active = Some(target);
-            }
-            profile.acknowledged = true;
-            self.in_window = 0.0;
-        } else if !word.has(Controlword::START) {
-            profile.acknowledged = false;
-        }
-    }
-
-    fn start_or_stop_homing(&mut self, started: bool, objects: &Objects) {
-        if started {
-            let method = HomingMethod(objects.i(HOMING_METHOD) as i8);
-            self.referenced = false;
-            self.homing = match Search::new(method) {
-                Some(search) => Homing::Searching(search),
-                None => Homing::Failed { standing: false },
-            };
-        } else if !self.controlword.has(Controlword::START)
-            && matches!(self.homing, Homing::Searching(_) | Homing::Resting(_))
-        {
-            self.homing = Homing::Idle;
-        }
     }
 
     /// SYNC, or a set-point outside of it: the cyclic modes' set-points take effect.
@@ -436,222 +337,6 @@ impl Drive {
         error
     }
 
-    /// The straight way from `start` to where the motion is now.
-    fn ramp_demand(&self, start: Motion, dt: f64) -> Demand {
-        Demand::Position {
-            counts: start.position - f64::from(self.offset),
-            velocity: (self.motion.position - start.position) / dt,
-        }
-    }
-
-    fn limits(&self, objects: &Objects) -> Limits {
-        let top = objects.f(MAX_ACCELERATION);
-        let rpm = self.counts_per_turn / 60.0;
-        Limits {
-            velocity: objects
-                .f(MAX_PROFILE_VELOCITY)
-                .min(objects.f(MAX_MOTOR_SPEED))
-                * self.counts_per_velocity(objects),
-            acceleration: objects.f(PROFILE_ACCELERATION).min(top).max(1.0) * rpm,
-            deceleration: objects.f(PROFILE_DECELERATION).min(top).max(1.0) * rpm,
-        }
-    }
-
-    /// Counts/s of one velocity unit (0x60A9): revolutions per minute times a power of ten.
-    fn counts_per_velocity(&self, objects: &Objects) -> f64 {
-        let exponent = (objects.u(VELOCITY_UNIT) >> 24) as u8 as i8;
-        self.counts_per_turn / 60.0 * POWERS_OF_TEN[usize::from(exponent.unsigned_abs().min(6))]
-    }
-
-    fn brake(
-        &mut self,
-        brake: Brake,
-        then: PowerState,
-        limits: &Limits,
-        objects: &Objects,
-        dt: f64,
-    ) -> Demand {
-        let start = self.motion;
-        let standing = self
-            .motion
-            .ramp(0.0, &self.braking_limits(brake, limits, objects), dt);
-        let demand = if self.demands_velocity() {
-            Demand::Velocity(self.motion.velocity)
-        } else {
-            self.ramp_demand(start, dt)
-        };
-        if standing {
-            let position = self.motion.position;
-            self.power = then;
-            self.stand();
-            if !self.demands_velocity() {
-                self.motion.position = position;
-            }
-        }
-        demand
-    }
-
-    fn braking_limits(&self, brake: Brake, limits: &Limits, objects: &Objects) -> Limits {
-        let deceleration = match brake {
-            Brake::SlowDown => limits.deceleration,
-            Brake::QuickStop => {
-                objects.f(QUICK_STOP_DECELERATION).max(1.0) * self.counts_per_turn / 60.0
-            }
-        };
-        Limits {
-            deceleration,
-            ..*limits
-        }
-    }
-
-    /// One chunk of the mode of operation.
-    fn operate(&mut self, limits: &Limits, objects: &Objects, dt: f64) -> Demand {
-        use ModeOfOperation as M;
-        let mut start = self.motion;
-        let halted = self.controlword.has(Controlword::HALT);
-        let unit = self.counts_per_velocity(objects);
-        match self.mode {
-            M::ProfilePosition | M::ProfileVelocity | M::Homing if halted => {
-                let brake = match objects.i(HALT_OPTION) {
-                    2 => Brake::QuickStop,
-                    _ => Brake::SlowDown,
-                };
-                let limits = self.braking_limits(brake, limits, objects);
-                self.motion.ramp(0.0, &limits, dt);
-            }
-            M::ProfilePosition => {
-                let limits = Limits {
-                    velocity: limits.velocity.min(objects.f(PROFILE_VELOCITY) * unit),
-                    ..*limits
-                };
-                match self.profile.active {
-                    Some(target) => {
-                        if self.motion.approach(target, &limits, dt) {
-                            self.profile.active = self.profile.next.take();
-                        }
-                    }
-                    None => {
-                        self.motion.ramp(0.0, &limits, dt);
-                    }
-                }
-            }
-            M::ProfileVelocity => {
-                let target =
-                    (objects.f(TARGET_VELOCITY) * unit).clamp(-limits.velocity, limits.velocity);
-                self.motion.ramp(target, limits, dt);
-            }
-            M::Homing => start = self.home(objects, dt),
-            M::CyclicSynchronousPosition => self.interpolate(dt),
-            M::CyclicSynchronousVelocity => {
-                let top = objects.f(MAX_MOTOR_SPEED) * unit;
-                let target = objects.f(TARGET_VELOCITY) + objects.f(VELOCITY_OFFSET);
-                self.motion.velocity = (target * unit).clamp(-top, top);
-            }
-            M::CyclicSynchronousTorque => {
-                let constant = objects.f(EPOS4_TORQUE_CONSTANT) * 1e-6;
-                let top = objects.f(OUTPUT_CURRENT_LIMIT) * 1e-3 * constant;
-                let share = objects.f(TARGET_TORQUE) + objects.f(TORQUE_OFFSET);
-                let torque = share * 1e-3 * rated_torque(objects);
-                return Demand::Torque(torque.clamp(-top, top));
-            }
-            _ => {}
-        }
-        if self.demands_velocity() {
-            Demand::Velocity(self.motion.velocity)
-        } else {
-            self.ramp_demand(start, dt)
-        }
-    }
-
-    /// Goes on along the segment that the last SYNC began, and stands at its end.
-    fn interpolate(&mut self, dt: f64) {
-        let (target, left) = self.segment;
-        if left > dt {
-            self.motion.velocity = (target - self.motion.position) / left;
-            self.motion.position += self.motion.velocity * dt;
-            self.segment.1 = left - dt;
-        } else {
-            let way = target - self.motion.position;
-            self.motion.velocity = if left > 0.0 { way / dt } else { 0.0 };
-            self.motion.position = target;
-            self.segment.1 = 0.0;
-        }
-    }
-
-    /// Returns where this chunk begins: elsewhere than the last one ended if the counter was set.
-    fn home(&mut self, objects: &Objects, dt: f64) -> Motion {
-        let unit = self.counts_per_velocity(objects);
-        let acceleration = objects.f(HOMING_ACCELERATION).max(1.0) * self.counts_per_turn / 60.0;
-        let limits = Limits {
-            velocity: objects.f(HOMING_ZERO_SPEED) * unit,
-            acceleration,
-            deceleration: acceleration,
-        };
-        let mut start = self.motion;
-        match self.homing {
-            Homing::Idle | Homing::Done | Homing::Failed { .. } => {
-                let standing = self.motion.ramp(0.0, &limits, dt);
-                if let Homing::Failed { .. } = self.homing {
-                    self.homing = Homing::Failed { standing };
-                }
-            }
-            Homing::Resting(target) => {
-                if self.motion.approach(target, &limits, dt) {
-                    self.homing = Homing::Done;
-                }
-            }
-            Homing::Searching(mut search) => {
-                let around = Surroundings {
-                    velocity: self.motion.velocity,
-                    stop_torque: objects.f(EPOS4_HOMING_CURRENT_THRESHOLD)
-                        * 1e-3
-                        * (objects.f(EPOS4_TORQUE_CONSTANT) * 1e-6),
-                    turn: self.counts_per_turn,
-                    dt,
-                };
-                let progress = search.step(&self.feedback, &around);
-                self.homing = Homing::Searching(search);
-                let fast = objects.f(HOMING_SWITCH_SPEED) * unit;
-                let velocity = match progress {
-                    Progress::Fast(direction) => direction * fast,
-                    Progress::Slow(direction) => direction * limits.velocity,
-                    Progress::ArmIndex(direction) => {
-                        self.axis.take_index();
-                        direction * limits.velocity
-                    }
-                    Progress::Found(counts) => {
-                        self.reference(counts, objects);
-                        start = self.motion;
-                        0.0
-                    }
-                    Progress::Failed => {
-                        self.homing = Homing::Failed { standing: false };
-                        0.0
-                    }
-                };
-                self.motion.ramp(velocity, &limits, dt);
-            }
-        }
-        start
-    }
-
-    /// The raw counter's `counts` is the home position.
-    fn reference(&mut self, counts: i32, objects: &Objects) {
-        if matches!(self.homing, Homing::Searching(search) if search.feels_for_stop()) {
-            // The stop held the axis back; what it was told meanwhile is void.
-            self.motion.position = self.position();
-        }
-        let home = objects.i(EPOS4_HOME_POSITION);
-        let offset = home.wrapping_sub(counts);
-        let shift = f64::from(offset.wrapping_sub(self.offset));
-        self.offset = offset;
-        self.motion.position += shift;
-        self.segment.0 += shift;
-        self.referenced = true;
-        let rest = home.wrapping_add(objects.i(EPOS4_HOME_OFFSET_MOVE));
-        self.homing = Homing::Resting(f64::from(rest));
-    }
-
     fn check(
         &mut self,
         demand: &Demand,
@@ -688,107 +373,6 @@ impl Drive {
         self.beyond_limits(target, objects)
             .then_some(errors::SOFTWARE_LIMIT)
     }
-
-    /// Writes what can be read to the dictionary.
-    pub(super) fn publish(&mut self, objects: &mut Objects, dt: f64) {
-        let unit = self.counts_per_velocity(objects);
-        let position = self.feedback.counts.wrapping_add(self.offset);
-        let demand = self.motion.position.round() as i64 as i32;
-        let per_amp = objects.f(EPOS4_TORQUE_CONSTANT) * 1e-9;
-        let current = self.feedback.torque / per_amp.max(1e-12);
-        let rated = rated_torque(objects);
-        self.average_current += (current - self.average_current) * (dt / 0.01).min(1.0);
-        let late = demand.wrapping_sub(position);
-        let settled = f64::from(late.unsigned_abs()) <= objects.f(POSITION_WINDOW);
-        self.in_window = if settled { self.in_window + dt } else { 0.0 };
-        let signed = |value: f64| value.round() as i32 as u32;
-        objects.set(POSITION_ACTUAL, position as u32);
-        objects.set(POSITION_DEMAND, demand as u32);
-        objects.set(FOLLOWING_ERROR_ACTUAL, late as u32);
-        objects.set(VELOCITY_ACTUAL, signed(self.feedback.velocity / unit));
-        objects.set(VELOCITY_DEMAND, signed(self.motion.velocity / unit));
-        let share = (self.feedback.torque / rated.max(1e-12) * 1e3).clamp(-32_768.0, 32_767.0);
-        objects.set(TORQUE_ACTUAL, signed(share));
-        objects.set(EPOS4_CURRENT_ACTUAL, signed(current));
-        objects.set(CURRENT_AVERAGE, signed(self.average_current));
-        objects.set(MOTOR_RATED_TORQUE, (rated * 1e6).round() as u32);
-        objects.set(MODE_OF_OPERATION_DISPLAY, i32::from(self.mode.raw()) as u32);
-        let inputs = u32::from(self.feedback.negative_limit)
-            | u32::from(self.feedback.positive_limit) << 1
-            | u32::from(self.feedback.home_switch) << 2;
-        objects.set(DIGITAL_INPUTS, inputs);
-        objects.set(INPUT_STATES, inputs);
-        let word = self.statusword(objects);
-        objects.set(STATUSWORD, u32::from(word));
-    }
-
-    fn statusword(&self, objects: &Objects) -> u16 {
-        use ModeOfOperation as M;
-        let operational = objects.nmt == canopen::nmt::State::Operational;
-        let state = self.power.bits().unwrap_or_default();
-        let limit = self.feedback.negative_limit || self.feedback.positive_limit;
-        let word = state
-            .with(self.vendor_bits, true)
-            .with(Statusword::VOLTAGE_ENABLED, self.powered())
-            .with(Statusword::REMOTE, operational)
-            .with(Statusword::INTERNAL_LIMIT, limit)
-            .with(Statusword::EPOS_REFERENCED, self.referenced)
-            .with(Statusword::MODE_SPECIFIC_13, self.following_error);
-        let halted = self.controlword.has(Controlword::HALT) || self.braking.is_some();
-        let standing = self.motion.velocity == 0.0;
-        const REACHED: u16 = Statusword::TARGET_REACHED;
-        const BIT_12: u16 = Statusword::MODE_SPECIFIC_12;
-        let word = match self.mode {
-            M::ProfilePosition => {
-                let profile = &self.profile;
-                let settled = objects.u(POSITION_WINDOW) == u32::MAX
-                    || self.in_window * 1e3 >= objects.f(POSITION_WINDOW_TIME);
-                let arrived = profile.active.is_none() && settled;
-                word.with(REACHED, if halted { standing } else { arrived })
-                    .with(BIT_12, profile.acknowledged || profile.next.is_some())
-            }
-            M::ProfileVelocity => {
-                let target = objects.f(TARGET_VELOCITY) * self.counts_per_velocity(objects);
-                let arrived = (self.motion.velocity - target).abs() < 0.5;
-                // Standing is less than one revolution per minute.
-                let slow = self.feedback.velocity.abs() < self.counts_per_turn / 60.0;
-                word.with(REACHED, if halted { standing } else { arrived })
-                    .with(BIT_12, slow)
-            }
-            M::Homing => {
-                let status = match self.homing {
-                    Homing::Idle if standing => HomingStatus::Interrupted,
-                    Homing::Idle | Homing::Searching(_) => HomingStatus::InProgress,
-                    Homing::Resting(_) => HomingStatus::Attained,
-                    Homing::Done => HomingStatus::Done,
-                    Homing::Failed { standing: false } => HomingStatus::ErrorMoving,
-                    Homing::Failed { standing: true } => HomingStatus::ErrorStanding,
-                };
-                word.with(status.bits(), true)
-            }
-            M::CyclicSynchronousPosition
-            | M::CyclicSynchronousVelocity
-            | M::CyclicSynchronousTorque => {
-                let shown = self.cyclic_status == CyclicStatus::FollowsCommand;
-                word.with(BIT_12, shown && self.follows())
-            }
-            _ => word,
-        };
-        word.0
-    }
-}
-
-const POWERS_OF_TEN: [f64; 7] = [1.0, 1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6];
-
-/// The interpolation period 0x60C2, s; zero is none.
-pub(super) fn interpolation_period(objects: &Objects) -> f64 {
-    let index = objects.i(INTERPOLATION_PERIOD_INDEX).unsigned_abs();
-    objects.f(INTERPOLATION_PERIOD_VALUE) * POWERS_OF_TEN[(index as usize).min(6)]
-}
-
-/// Nominal current times torque constant, N·m.
-fn rated_torque(objects: &Objects) -> f64 {
-    objects.f(EPOS4_NOMINAL_CURRENT) * 1e-3 * (objects.f(EPOS4_TORQUE_CONSTANT) * 1e-6)
 }
 
 fn options(objects: &Objects) -> Options {

@@ -109,6 +109,31 @@ fn missed_slots_are_skipped_and_never_caught_up() {
 }
 
 #[test]
+fn nominal_time_stands_still_while_deadlines_are_missed() {
+    let (mut config, (group, _world)) = (scripted::config(2), scripted::group(2));
+    config.max_missed_in_row = 0;
+    let (servo, mut links) = Servo::new(&config, vec![group]).unwrap();
+    links[0].orders.push(Order::Enable).unwrap();
+    let first = Instant::from_nanos(7);
+    let mut expected = first;
+    let between = move |next: Instant| {
+        expected += PERIOD;
+        assert_eq!(next, expected);
+        if next == first + 5 * PERIOD {
+            sleep_until(now() + 4 * PERIOD);
+        }
+    };
+    let policy = RealtimePolicy {
+        time: CellTime::Nominal(first),
+        ..RealtimePolicy::BEST_EFFORT
+    };
+    let finished = run(servo, policy, between, is_standing).unwrap();
+    assert_eq!(finished.panicked, None);
+    assert_eq!(finished.servo.fault(0), None);
+    assert!(finished.servo.counters().missed_cycles >= 3);
+}
+
+#[test]
 fn what_is_required_and_denied_is_named_before_any_cycle() {
     // Neither exists on any host.
     for (priority, cpu) in [(100, None), (80, Some(1023)), (80, Some(usize::MAX))] {
@@ -119,7 +144,7 @@ fn what_is_required_and_denied_is_named_before_any_cycle() {
             priority,
             cpu,
             lock_memory: false,
-            lead: Duration::ZERO,
+            ..RealtimePolicy::BEST_EFFORT
         };
         let refused = start(servo, policy, |_| {}, |_| true).unwrap_err();
         let StartError::Denied(denial) = refused else {

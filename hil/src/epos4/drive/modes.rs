@@ -1,0 +1,286 @@
+//! The modes of operation: from set-points and profiles to what the axis is asked for.
+
+use canopen::cia402::{Controlword, HomingMethod, ModeOfOperation, PowerState};
+
+use super::slots::*;
+use super::{Drive, Homing};
+use crate::Demand;
+use crate::epos4::homing::{Progress, Search, Surroundings};
+use crate::epos4::objects::Objects;
+use crate::epos4::power::Brake;
+use crate::epos4::profile::{Limits, Motion};
+
+impl Drive {
+    pub(super) fn new_setpoint(&mut self, started: bool, objects: &Objects) {
+        let word = self.controlword;
+        let profile = &mut self.profile;
+        if started && profile.next.is_none() {
+            let base = profile.active.unwrap_or(self.motion.position);
+            let target = f64::from(objects.i(TARGET_POSITION));
+            let target = if word.has(Controlword::RELATIVE) {
+                base + target
+            } else {
+                target
+            };
+            let waits = profile.active.is_some() && !word.has(Controlword::CHANGE_IMMEDIATELY);
+            if waits {
+                profile.next = Some(target);
+            } else {
+                profile.active = Some(target);
+            }
+            profile.acknowledged = true;
+            self.in_window = 0.0;
+        } else if !word.has(Controlword::START) {
+            profile.acknowledged = false;
+        }
+    }
+
+    pub(super) fn start_or_stop_homing(&mut self, started: bool, objects: &Objects) {
+        if started {
+            let method = HomingMethod(objects.i(HOMING_METHOD) as i8);
+            self.referenced = false;
+            self.homing = match Search::new(method) {
+                Some(search) => Homing::Searching(search),
+                None => Homing::Failed { standing: false },
+            };
+        } else if !self.controlword.has(Controlword::START)
+            && matches!(self.homing, Homing::Searching(_) | Homing::Resting(_))
+        {
+            self.homing = Homing::Idle;
+        }
+    }
+
+    /// The straight way from `start` to where the motion is now.
+    pub(super) fn ramp_demand(&self, start: Motion, dt: f64) -> Demand {
+        Demand::Position {
+            counts: start.position - f64::from(self.offset),
+            velocity: (self.motion.position - start.position) / dt,
+        }
+    }
+
+    pub(super) fn limits(&self, objects: &Objects) -> Limits {
+        let top = objects.f(MAX_ACCELERATION);
+        let rpm = self.counts_per_turn / 60.0;
+        Limits {
+            velocity: objects
+                .f(MAX_PROFILE_VELOCITY)
+                .min(objects.f(MAX_MOTOR_SPEED))
+                * self.counts_per_velocity(objects),
+            acceleration: objects.f(PROFILE_ACCELERATION).min(top).max(1.0) * rpm,
+            deceleration: objects.f(PROFILE_DECELERATION).min(top).max(1.0) * rpm,
+        }
+    }
+
+    /// Counts/s of one velocity unit (0x60A9): revolutions per minute times a power of ten.
+    pub(super) fn counts_per_velocity(&self, objects: &Objects) -> f64 {
+        let exponent = (objects.u(VELOCITY_UNIT) >> 24) as u8 as i8;
+        self.counts_per_turn / 60.0 * POWERS_OF_TEN[usize::from(exponent.unsigned_abs().min(6))]
+    }
+
+    pub(super) fn brake(
+        &mut self,
+        brake: Brake,
+        then: PowerState,
+        limits: &Limits,
+        objects: &Objects,
+        dt: f64,
+    ) -> Demand {
+        let start = self.motion;
+        let standing = self
+            .motion
+            .ramp(0.0, &self.braking_limits(brake, limits, objects), dt);
+        let demand = if self.demands_velocity() {
+            Demand::Velocity(self.motion.velocity)
+        } else {
+            self.ramp_demand(start, dt)
+        };
+        if standing {
+            let position = self.motion.position;
+            self.power = then;
+            self.stand();
+            if !self.demands_velocity() {
+                self.motion.position = position;
+            }
+        }
+        demand
+    }
+
+    pub(super) fn braking_limits(
+        &self,
+        brake: Brake,
+        limits: &Limits,
+        objects: &Objects,
+    ) -> Limits {
+        let deceleration = match brake {
+            Brake::SlowDown => limits.deceleration,
+            Brake::QuickStop => {
+                objects.f(QUICK_STOP_DECELERATION).max(1.0) * self.counts_per_turn / 60.0
+            }
+        };
+        Limits {
+            deceleration,
+            ..*limits
+        }
+    }
+
+    /// One chunk of the mode of operation.
+    pub(super) fn operate(&mut self, limits: &Limits, objects: &Objects, dt: f64) -> Demand {
+        use ModeOfOperation as M;
+        let mut start = self.motion;
+        let halted = self.controlword.has(Controlword::HALT);
+        let unit = self.counts_per_velocity(objects);
+        match self.mode {
+            M::ProfilePosition | M::ProfileVelocity | M::Homing if halted => {
+                let brake = match objects.i(HALT_OPTION) {
+                    2 => Brake::QuickStop,
+                    _ => Brake::SlowDown,
+                };
+                let limits = self.braking_limits(brake, limits, objects);
+                self.motion.ramp(0.0, &limits, dt);
+            }
+            M::ProfilePosition => {
+                let limits = Limits {
+                    velocity: limits.velocity.min(objects.f(PROFILE_VELOCITY) * unit),
+                    ..*limits
+                };
+                match self.profile.active {
+                    Some(target) => {
+                        if self.motion.approach(target, &limits, dt) {
+                            self.profile.active = self.profile.next.take();
+                        }
+                    }
+                    None => {
+                        self.motion.ramp(0.0, &limits, dt);
+                    }
+                }
+            }
+            M::ProfileVelocity => {
+                let target =
+                    (objects.f(TARGET_VELOCITY) * unit).clamp(-limits.velocity, limits.velocity);
+                self.motion.ramp(target, limits, dt);
+            }
+            M::Homing => start = self.home(objects, dt),
+            M::CyclicSynchronousPosition => self.interpolate(dt),
+            M::CyclicSynchronousVelocity => {
+                let top = objects.f(MAX_MOTOR_SPEED) * unit;
+                let target = objects.f(TARGET_VELOCITY) + objects.f(VELOCITY_OFFSET);
+                self.motion.velocity = (target * unit).clamp(-top, top);
+            }
+            M::CyclicSynchronousTorque => {
+                let constant = objects.f(EPOS4_TORQUE_CONSTANT) * 1e-6;
+                let top = objects.f(OUTPUT_CURRENT_LIMIT) * 1e-3 * constant;
+                let share = objects.f(TARGET_TORQUE) + objects.f(TORQUE_OFFSET);
+                let torque = share * 1e-3 * rated_torque(objects);
+                return Demand::Torque(torque.clamp(-top, top));
+            }
+            _ => {}
+        }
+        if self.demands_velocity() {
+            Demand::Velocity(self.motion.velocity)
+        } else {
+            self.ramp_demand(start, dt)
+        }
+    }
+
+    /// Goes on along the segment that the last SYNC began, and stands at its end.
+    pub(super) fn interpolate(&mut self, dt: f64) {
+        let (target, left) = self.segment;
+        if left > dt {
+            self.motion.velocity = (target - self.motion.position) / left;
+            self.motion.position += self.motion.velocity * dt;
+            self.segment.1 = left - dt;
+        } else {
+            let way = target - self.motion.position;
+            self.motion.velocity = if left > 0.0 { way / dt } else { 0.0 };
+            self.motion.position = target;
+            self.segment.1 = 0.0;
+        }
+    }
+
+    /// Returns where this chunk begins: elsewhere than the last one ended if the counter was set.
+    pub(super) fn home(&mut self, objects: &Objects, dt: f64) -> Motion {
+        let unit = self.counts_per_velocity(objects);
+        let acceleration = objects.f(HOMING_ACCELERATION).max(1.0) * self.counts_per_turn / 60.0;
+        let limits = Limits {
+            velocity: objects.f(HOMING_ZERO_SPEED) * unit,
+            acceleration,
+            deceleration: acceleration,
+        };
+        let mut start = self.motion;
+        match self.homing {
+            Homing::Idle | Homing::Done | Homing::Failed { .. } => {
+                let standing = self.motion.ramp(0.0, &limits, dt);
+                if let Homing::Failed { .. } = self.homing {
+                    self.homing = Homing::Failed { standing };
+                }
+            }
+            Homing::Resting(target) => {
+                if self.motion.approach(target, &limits, dt) {
+                    self.homing = Homing::Done;
+                }
+            }
+            Homing::Searching(mut search) => {
+                let around = Surroundings {
+                    velocity: self.motion.velocity,
+                    stop_torque: objects.f(EPOS4_HOMING_CURRENT_THRESHOLD)
+                        * 1e-3
+                        * (objects.f(EPOS4_TORQUE_CONSTANT) * 1e-6),
+                    turn: self.counts_per_turn,
+                    dt,
+                };
+                let progress = search.step(&self.feedback, &around);
+                self.homing = Homing::Searching(search);
+                let fast = objects.f(HOMING_SWITCH_SPEED) * unit;
+                let velocity = match progress {
+                    Progress::Fast(direction) => direction * fast,
+                    Progress::Slow(direction) => direction * limits.velocity,
+                    Progress::ArmIndex(direction) => {
+                        self.axis.take_index();
+                        direction * limits.velocity
+                    }
+                    Progress::Found(counts) => {
+                        self.reference(counts, objects);
+                        start = self.motion;
+                        0.0
+                    }
+                    Progress::Failed => {
+                        self.homing = Homing::Failed { standing: false };
+                        0.0
+                    }
+                };
+                self.motion.ramp(velocity, &limits, dt);
+            }
+        }
+        start
+    }
+
+    /// The raw counter's `counts` is the home position.
+    pub(super) fn reference(&mut self, counts: i32, objects: &Objects) {
+        if matches!(self.homing, Homing::Searching(search) if search.feels_for_stop()) {
+            // The stop held the axis back; what it was told meanwhile is void.
+            self.motion.position = self.position();
+        }
+        let home = objects.i(EPOS4_HOME_POSITION);
+        let offset = home.wrapping_sub(counts);
+        let shift = f64::from(offset.wrapping_sub(self.offset));
+        self.offset = offset;
+        self.motion.position += shift;
+        self.segment.0 += shift;
+        self.referenced = true;
+        let rest = home.wrapping_add(objects.i(EPOS4_HOME_OFFSET_MOVE));
+        self.homing = Homing::Resting(f64::from(rest));
+    }
+}
+
+const POWERS_OF_TEN: [f64; 7] = [1.0, 1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6];
+
+/// The interpolation period 0x60C2, s; zero is none.
+pub(in crate::epos4) fn interpolation_period(objects: &Objects) -> f64 {
+    let index = objects.i(INTERPOLATION_PERIOD_INDEX).unsigned_abs();
+    objects.f(INTERPOLATION_PERIOD_VALUE) * POWERS_OF_TEN[(index as usize).min(6)]
+}
+
+/// Nominal current times torque constant, N·m.
+pub(super) fn rated_torque(objects: &Objects) -> f64 {
+    objects.f(EPOS4_NOMINAL_CURRENT) * 1e-3 * (objects.f(EPOS4_TORQUE_CONSTANT) * 1e-6)
+}

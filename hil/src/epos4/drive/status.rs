@@ -1,0 +1,99 @@
+//! What the drive says of itself: the objects that can be read or mapped to transmit.
+
+use canopen::cia402::{Controlword, HomingStatus, ModeOfOperation, Statusword};
+
+use super::modes::rated_torque;
+use super::slots::*;
+use super::{Drive, Homing};
+use crate::epos4::CyclicStatus;
+use crate::epos4::objects::Objects;
+
+impl Drive {
+    /// Writes what can be read to the dictionary.
+    pub(in crate::epos4) fn publish(&mut self, objects: &mut Objects, dt: f64) {
+        let unit = self.counts_per_velocity(objects);
+        let position = self.feedback.counts.wrapping_add(self.offset);
+        let demand = self.motion.position.round() as i64 as i32;
+        let per_amp = objects.f(EPOS4_TORQUE_CONSTANT) * 1e-9;
+        let current = self.feedback.torque / per_amp.max(1e-12);
+        let rated = rated_torque(objects);
+        self.average_current += (current - self.average_current) * (dt / 0.01).min(1.0);
+        let late = demand.wrapping_sub(position);
+        let settled = f64::from(late.unsigned_abs()) <= objects.f(POSITION_WINDOW);
+        self.in_window = if settled { self.in_window + dt } else { 0.0 };
+        let signed = |value: f64| value.round() as i32 as u32;
+        objects.set(POSITION_ACTUAL, position as u32);
+        objects.set(POSITION_DEMAND, demand as u32);
+        objects.set(FOLLOWING_ERROR_ACTUAL, late as u32);
+        objects.set(VELOCITY_ACTUAL, signed(self.feedback.velocity / unit));
+        objects.set(VELOCITY_DEMAND, signed(self.motion.velocity / unit));
+        let share = (self.feedback.torque / rated.max(1e-12) * 1e3).clamp(-32_768.0, 32_767.0);
+        objects.set(TORQUE_ACTUAL, signed(share));
+        objects.set(EPOS4_CURRENT_ACTUAL, signed(current));
+        objects.set(CURRENT_AVERAGE, signed(self.average_current));
+        objects.set(MOTOR_RATED_TORQUE, (rated * 1e6).round() as u32);
+        objects.set(MODE_OF_OPERATION_DISPLAY, i32::from(self.mode.raw()) as u32);
+        let inputs = u32::from(self.feedback.negative_limit)
+            | u32::from(self.feedback.positive_limit) << 1
+            | u32::from(self.feedback.home_switch) << 2;
+        objects.set(DIGITAL_INPUTS, inputs);
+        objects.set(INPUT_STATES, inputs);
+        let word = self.statusword(objects);
+        objects.set(STATUSWORD, u32::from(word));
+    }
+
+    fn statusword(&self, objects: &Objects) -> u16 {
+        use ModeOfOperation as M;
+        let operational = objects.nmt == canopen::nmt::State::Operational;
+        let state = self.power.bits().unwrap_or_default();
+        let limit = self.feedback.negative_limit || self.feedback.positive_limit;
+        let word = state
+            .with(self.vendor_bits, true)
+            .with(Statusword::VOLTAGE_ENABLED, self.powered())
+            .with(Statusword::REMOTE, operational)
+            .with(Statusword::INTERNAL_LIMIT, limit)
+            .with(Statusword::EPOS_REFERENCED, self.referenced)
+            .with(Statusword::MODE_SPECIFIC_13, self.following_error);
+        let halted = self.controlword.has(Controlword::HALT) || self.braking.is_some();
+        let standing = self.motion.velocity == 0.0;
+        const REACHED: u16 = Statusword::TARGET_REACHED;
+        const BIT_12: u16 = Statusword::MODE_SPECIFIC_12;
+        let word = match self.mode {
+            M::ProfilePosition => {
+                let profile = &self.profile;
+                let settled = objects.u(POSITION_WINDOW) == u32::MAX
+                    || self.in_window * 1e3 >= objects.f(POSITION_WINDOW_TIME);
+                let arrived = profile.active.is_none() && settled;
+                word.with(REACHED, if halted { standing } else { arrived })
+                    .with(BIT_12, profile.acknowledged || profile.next.is_some())
+            }
+            M::ProfileVelocity => {
+                let target = objects.f(TARGET_VELOCITY) * self.counts_per_velocity(objects);
+                let arrived = (self.motion.velocity - target).abs() < 0.5;
+                // Standing is less than one revolution per minute.
+                let slow = self.feedback.velocity.abs() < self.counts_per_turn / 60.0;
+                word.with(REACHED, if halted { standing } else { arrived })
+                    .with(BIT_12, slow)
+            }
+            M::Homing => {
+                let status = match self.homing {
+                    Homing::Idle if standing => HomingStatus::Interrupted,
+                    Homing::Idle | Homing::Searching(_) => HomingStatus::InProgress,
+                    Homing::Resting(_) => HomingStatus::Attained,
+                    Homing::Done => HomingStatus::Done,
+                    Homing::Failed { standing: false } => HomingStatus::ErrorMoving,
+                    Homing::Failed { standing: true } => HomingStatus::ErrorStanding,
+                };
+                word.with(status.bits(), true)
+            }
+            M::CyclicSynchronousPosition
+            | M::CyclicSynchronousVelocity
+            | M::CyclicSynchronousTorque => {
+                let shown = self.cyclic_status == CyclicStatus::FollowsCommand;
+                word.with(BIT_12, shown && self.follows())
+            }
+            _ => word,
+        };
+        word.0
+    }
+}
