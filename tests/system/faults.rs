@@ -1,10 +1,13 @@
 //! What goes wrong while the arm moves: each case ends with the arm at rest, the fault by its name, and
 //! no motion beyond what braking takes.
 
+use std::cell::RefCell;
 use std::f64::consts::TAU;
+use std::rc::Rc;
 use std::time::Duration;
 
 use can::candump::Direction;
+use canopen::emcy::Emergency;
 use drive::Fault;
 use hil::PlantConfig;
 use servo::{MAX_AXES, Macrostep, Order, Phase, StopCause};
@@ -109,7 +112,10 @@ fn a_silent_drive_is_ridden_through_for_as_long_as_the_cell_allows() {
     let expected = StopCause::Drive(Fault::Silent { node: 3, cycles });
     let fault = rig.servo.fault(0).expect("one cycle more is a fault");
     assert_eq!((fault.axis, fault.cause), (2, expected));
+    // Back before it missed our heartbeat, it stays where it is and can be enabled again.
+    rig.unplug(2, false);
     assert_eq!(fault_of(&mut rig, &mut motion), (2, expected));
+    resume(&mut rig);
 }
 
 #[test]
@@ -120,7 +126,7 @@ fn a_blocked_motor_trips_its_drive() {
         plant: Box::new(move |axis, plant| {
             block(axis, plant);
             if axis == 0 {
-                plant.amplifier.trip_current = 8.0;
+                plant.amplifier.trip_current = 16.0;
             }
         }),
         ..over_current
@@ -210,8 +216,18 @@ fn refused_set_points_are_dropped_and_never_sent_later() {
 #[test]
 fn drives_whose_host_dies_stop_by_themselves() {
     let (mut rig, mut trace) = traced(Setup::of("irb6"));
-    rig.after_cycle = Box::new(move |_| while trace.read().is_some() {});
+    let emergencies = Rc::new(RefCell::new(Vec::new()));
+    let heard = emergencies.clone();
+    rig.after_cycle = Box::new(move |_| {
+        while let Some(traced) = trace.read() {
+            let emergency = Emergency::decode(&traced.frame);
+            heard
+                .borrow_mut()
+                .extend(emergency.map(|found| (found.node.raw(), found.code)));
+        }
+    });
     rig.home();
+    assert_eq!(*emergencies.borrow(), []);
     let mut motion = rig.in_motion();
     let (watched, nodes) = (rig.heartbeat() * 3, rig.scales.len());
     let died_at = rig.angles();
@@ -230,9 +246,17 @@ fn drives_whose_host_dies_stop_by_themselves() {
         let way = (rig.angle(axis) - died_at[axis]).abs();
         assert!(way < BRAKING, "axis {axis} went on for {way:.2} rad");
     }
-    let (axis, cause) = fault_of(&mut rig, &mut motion);
-    assert_eq!(axis, 0);
+    let (_, cause) = fault_of(&mut rig, &mut motion);
     assert!(matches!(cause, StopCause::Drive(_)), "{cause}");
+    // Each drive noticed by itself, and says so: heartbeat error.
+    let expected: Vec<_> = (1..=nodes as u8).map(|node| (node, 0x8130)).collect();
+    assert_eq!(emergencies.borrow()[..nodes], expected);
+    // Having left NMT state operational, they need a new bring-up; a reset is not enough.
+    rig.order(Order::ResetFault);
+    for _ in 0..500 {
+        rig.cycle();
+        assert!(rig.servo.fault(0).is_some());
+    }
 }
 
 /// What it is, how a macrostep becomes it, and what it has to be refused for.
