@@ -2,10 +2,17 @@
 
 #![expect(clippy::unwrap_used, reason = "in a test it is a verdict")]
 
+mod allocations;
 mod architecture;
 mod bench;
+mod cell;
 mod cli_run;
+mod cycle;
+mod faults;
+mod homing;
 mod mrroc;
 mod regression;
+mod repetition;
 mod socketcan;
 mod uml;
+mod watch;

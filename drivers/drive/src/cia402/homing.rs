@@ -68,7 +68,8 @@ impl Search {
     /// Takes the statusword of an answer.
     ///
     /// Bits 10, 12 and 13 may still be those of a search before, so what would end this one
-    /// counts only once the drive was seen searching or had time to begin.
+    /// counts only once the drive was seen searching or had time to begin. A drive that was not told to
+    /// search yet may look as if it did until it stands, and interrupted then: that counts once it had time.
     pub(super) fn answered(&mut self, word: Statusword) {
         if self.kept && !word.epos_referenced() {
             self.attained = false;
@@ -78,7 +79,8 @@ impl Search {
             Step::Idle | Step::Preparing | Step::Ended { .. } => {}
             Step::Searching { answers, begun } => {
                 *answers = answers.saturating_add(1);
-                let timely = *begun || *answers > ANSWERS_TO_EFFECT;
+                let had_time = *answers > ANSWERS_TO_EFFECT;
+                let timely = *begun || had_time;
                 match word.homing() {
                     HomingStatus::InProgress => *begun = true,
                     HomingStatus::Attained => {}
@@ -86,7 +88,7 @@ impl Search {
                         self.attained = true;
                         self.step = Step::Ended { attained: true };
                     }
-                    HomingStatus::Interrupted if *begun => {
+                    HomingStatus::Interrupted if *begun && had_time => {
                         self.step = Step::Ended { attained: false };
                     }
                     HomingStatus::ErrorMoving
@@ -168,6 +170,15 @@ mod tests {
         search.controlword(Controlword::ENABLE_OPERATION).0
     }
 
+    /// Until the start of the search surely shows in an answer.
+    fn begun() -> Search {
+        let mut search = searching();
+        for _ in 0..ANSWERS_TO_EFFECT {
+            search.answered(Statusword(SEARCHING));
+        }
+        search
+    }
+
     #[test]
     fn a_search_ends_as_the_drive_says() {
         let table: &[(&[u16], Homing)] = &[
@@ -177,32 +188,42 @@ mod tests {
             (&[SEARCHING, FAILED], Homing::Failed),
             (&[SEARCHING, INTERRUPTED], Homing::Failed),
             (&[SEARCHING, 0x3637], Homing::Failed),
-            // Left over from a search before.
-            (&[DONE, DONE, SEARCHING], Homing::InProgress),
-            (&[FAILED, SEARCHING], Homing::InProgress),
-            (
-                &[
-                    INTERRUPTED,
-                    INTERRUPTED,
-                    INTERRUPTED,
-                    INTERRUPTED,
-                    INTERRUPTED,
-                ],
-                Homing::InProgress,
-            ),
-            // Done before an answer could show it searching: method 37.
-            (
-                &[INTERRUPTED, INTERRUPTED, DONE, DONE, DONE],
-                Homing::Attained,
-            ),
         ];
         for (words, state) in table {
-            let mut search = searching();
+            let mut search = begun();
             words
                 .iter()
                 .for_each(|&word| search.answered(Statusword(word)));
             assert_eq!(search.state(), *state, "{words:04X?}");
             assert_eq!(word(&search), 0x001F);
+        }
+    }
+
+    #[test]
+    fn what_the_drive_said_before_it_could_begin_ends_no_search() {
+        const STALE: usize = ANSWERS_TO_EFFECT as usize;
+        let table: &[(&[u16], u16, Homing)] = &[
+            // Left over from a search before.
+            (&[DONE; STALE], SEARCHING, Homing::InProgress),
+            (&[FAILED; STALE], SEARCHING, Homing::InProgress),
+            (&[INTERRUPTED; STALE], INTERRUPTED, Homing::InProgress),
+            // Just come to mode HM, and not told to search yet.
+            (&[SEARCHING, INTERRUPTED], SEARCHING, Homing::InProgress),
+            // Done before an answer could show it searching: method 37.
+            (
+                &[INTERRUPTED, INTERRUPTED, DONE, DONE],
+                DONE,
+                Homing::Attained,
+            ),
+        ];
+        for (words, last, state) in table {
+            let mut search = searching();
+            for &word in *words {
+                search.answered(Statusword(word));
+                assert_eq!(search.state(), Homing::InProgress, "{words:04X?}");
+            }
+            search.answered(Statusword(*last));
+            assert_eq!(search.state(), *state, "{words:04X?} {last:04X}");
         }
     }
 

@@ -1,0 +1,532 @@
+//! A robot of an example cell: its servo, its drive group and its emulated drives on a virtual bus, in
+//! virtual time.
+//!
+//! What a command line makes of a cell file is made here once more, shorter: one robot on one bus, any
+//! of its axes, and ports, plants and drives that a test may alter.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, mpsc};
+use std::time::Duration;
+
+use can::timing::Bitrate;
+use can::{Frame, Instant, Port, TraceReader, Tracer, VirtualPort};
+use canopen::NodeId;
+use controller::cell::{Axis, Cell};
+use controller::ecp::{Ecp, EcpConfig};
+use controller::generator::Arm;
+use drive::cia402::{
+    AxisConfig, Cia402Group, CyclicMode, GroupConfig, HomingConfig, Identity, Parameter,
+};
+use drive::{DriveGroup, Scale};
+use hil::plant::Switch;
+use hil::{Device, DeviceId, Epos4, Epos4Config, Irp6Axis, World};
+use servo::{
+    EffectorConfig, EffectorLink, Macrostep, Order, Phase, Record, Servo, ServoAxisConfig,
+    ServoConfig,
+};
+
+const ENABLING: Duration = Duration::from_secs(5);
+const HOMING: Duration = Duration::from_secs(120);
+const LEAD: u16 = 8;
+
+type Alteration = Box<dyn Fn(usize, &mut hil::AxisConfig)>;
+type Wrapping = Box<dyn FnOnce(VirtualPort) -> Box<dyn Port>>;
+
+/// What a robot is made of before it is brought up.
+pub(crate) struct Setup {
+    pub(crate) cell: Cell,
+    /// Which of the robot's axes there are; the others are left out of the servo and off the bus.
+    pub(crate) axes: Vec<usize>,
+    /// Alters the plant of an axis.
+    pub(crate) plant: Alteration,
+    /// Stands between the drive group and the bus.
+    pub(crate) port: Wrapping,
+}
+
+impl Setup {
+    /// All axes of `cells/{name}.toml`.
+    pub(crate) fn of(name: &str) -> Self {
+        let path = format!("{}/../cells/{name}.toml", env!("CARGO_MANIFEST_DIR"));
+        let text = std::fs::read_to_string(&path).expect("the example cells are there");
+        let cell = Cell::parse(&text).expect("the example cells are sound");
+        Self {
+            axes: (0..cell.robot[0].axis.len()).collect(),
+            cell,
+            plant: Box::new(|_, _| {}),
+            port: Box::new(|port| Box::new(port)),
+        }
+    }
+
+    /// One axis of the IRb-6.
+    pub(crate) fn one_axis(axis: usize) -> Self {
+        Self {
+            axes: vec![axis],
+            ..Self::of("irb6")
+        }
+    }
+
+    /// With the plants of its axes altered.
+    pub(crate) fn with_plant(self, plant: impl Fn(usize, &mut hil::AxisConfig) + 'static) -> Self {
+        Self {
+            plant: Box::new(plant),
+            ..self
+        }
+    }
+
+    /// The servo period.
+    pub(crate) fn period(&self) -> Duration {
+        Duration::from_micros(u64::from(self.cell.period_us))
+    }
+
+    fn axis(&self, number: usize) -> &Axis {
+        &self.cell.robot[0].axis[number]
+    }
+
+    fn group_config(&self) -> GroupConfig {
+        let bus = &self.cell.bus[0];
+        let milliseconds = |count: u32| Duration::from_millis(u64::from(count));
+        GroupConfig {
+            period: self.period(),
+            tolerated_missing: bus.tolerated_missing,
+            heartbeat_period: milliseconds(u32::from(bus.heartbeat_ms)),
+            host_node: node(bus.host_node),
+            sdo_timeout: milliseconds(bus.sdo_timeout_ms),
+            sdo_retries: 2,
+            boot_timeout: milliseconds(bus.boot_timeout_ms),
+            transition_timeout: ENABLING,
+        }
+    }
+
+    /// The driver's scale of an axis.
+    pub(crate) fn scale(&self, arm: &Arm, number: usize) -> Scale {
+        let counts = self.axis(number).drive.counts_per_revolution as i32;
+        Scale::new(counts, arm.robot().home()[number]).expect("counts and home are sound")
+    }
+
+    fn axis_config(&self, arm: &Arm, number: usize) -> AxisConfig {
+        let axis = self.axis(number);
+        let parameter = |given: &controller::cell::Parameter| Parameter {
+            index: given.index,
+            subindex: given.subindex,
+            value: given.value,
+            size: given.bytes,
+        };
+        AxisConfig {
+            node: node(axis.node),
+            identity: Identity {
+                vendor: axis.drive.vendor,
+                product: axis.drive.product,
+                revision: None,
+            },
+            mode: CyclicMode::Csp,
+            scale: self.scale(arm, number),
+            rated_torque: axis.drive.rated_torque,
+            homing: HomingConfig {
+                method: axis.homing.method,
+                search_speed: axis.homing.search_velocity,
+                zero_speed: axis.homing.zero_velocity,
+                acceleration: axis.homing.acceleration,
+            },
+            following_error: axis.following_error,
+            quick_stop_deceleration: axis.max_acceleration,
+            parameters: axis.drive.parameter.iter().map(parameter).collect(),
+        }
+    }
+
+    fn servo_config(&self, arm: &Arm) -> ServoConfig {
+        let axis = |(index_in_group, &number): (usize, &usize)| {
+            let axis = self.axis(number);
+            let limits = arm.robot().motor_limits()[number];
+            ServoAxisConfig {
+                group: 0,
+                index_in_group,
+                min_position: axis.min_position.unwrap_or(limits.low),
+                max_position: axis.max_position.unwrap_or(limits.high),
+                max_velocity: axis.max_velocity,
+                max_acceleration: axis.max_acceleration,
+                following_error: axis.following_error,
+                homing_order: axis.homing.order,
+            }
+        };
+        ServoConfig {
+            period: self.period(),
+            max_missed_in_row: self.cell.max_missed_in_row,
+            effectors: vec![EffectorConfig {
+                name: self.cell.name.clone(),
+                axes: self.axes.iter().enumerate().map(axis).collect(),
+                queue: usize::from(LEAD) + 8,
+                enabling_timeout: ENABLING,
+                homing_timeout: HOMING,
+            }],
+        }
+    }
+
+    fn device(&self, arm: &Arm, number: usize) -> Socket {
+        let axis = self.axis(number);
+        let home = arm.robot().home()[number];
+        let limits = arm.robot().motor_limits()[number];
+        let switch = |from, to| {
+            Some(Switch {
+                from,
+                to,
+                bounce: 0,
+            })
+        };
+        let mut plant = hil::AxisConfig {
+            counts_per_revolution: axis.drive.counts_per_revolution,
+            index_angle: home,
+            start_angle: axis.emulator.start.unwrap_or(home + 20.0),
+            home_switch: switch(home - 20.0, home - 2.0),
+            negative_limit: switch(f64::NEG_INFINITY, limits.low),
+            positive_limit: switch(limits.high, f64::INFINITY),
+            ..hil::AxisConfig::irp6(Irp6Axis::ALL[number])
+        };
+        (self.plant)(number, &mut plant);
+        Socket {
+            drive: Epos4::new(Epos4Config {
+                seed: self.cell.seed * 1000 + number as u64,
+                ..Epos4Config::new(node(axis.node), plant)
+            }),
+            unplugged: Arc::default(),
+        }
+    }
+
+    /// Switches the drives on and brings the group up; nothing is enabled yet.
+    pub(crate) fn bring_up(self) -> Rig {
+        let arm = self.cell.robot[0].arm().expect("parameters are sound");
+        let bus = &self.cell.bus[0];
+        let mut world = World::new();
+        let id = world.add_bus(Bitrate::from_kbps(bus.bitrate_kbps).expect("a possible bit rate"));
+        let port = world.host_port(id, 256);
+        let mut plugs = Vec::new();
+        let mut drives = Vec::new();
+        for &axis in &self.axes {
+            let device = self.device(&arm, axis);
+            plugs.push(device.unplugged.clone());
+            drives.push(world.add_device(id, Box::new(device)));
+        }
+        let configs: Vec<_> = self
+            .axes
+            .iter()
+            .map(|&axis| self.axis_config(&arm, axis))
+            .collect();
+        let scales = configs.iter().map(|config| config.scale).collect();
+        let servo_config = self.servo_config(&arm);
+        let (period, group_config) = (self.period(), self.group_config());
+        let group = Cia402Group::new((self.port)(port), group_config, &configs)
+            .expect("the group's configuration is sound");
+        let delay = group.delay();
+        let (mut servo, mut links) = Servo::new(&servo_config, vec![Box::new(group)])
+            .expect("the servo's configuration is sound");
+        let records = servo.record(4);
+        let now = servo::lockstep::bring_up(&mut servo, Instant::ZERO, |next| world.advance(next))
+            .expect("emulated drives come up");
+        Rig {
+            servo,
+            link: links.pop(),
+            world,
+            now,
+            period,
+            scales,
+            delay,
+            last: Record::default(),
+            allocations: 0,
+            records,
+            drives,
+            plugs,
+            cell: self.cell,
+            after_cycle: Box::new(|_| {}),
+            arm,
+        }
+    }
+}
+
+/// A drive on a cable that can be pulled.
+struct Socket {
+    drive: Epos4,
+    unplugged: Arc<AtomicBool>,
+}
+
+impl Device for Socket {
+    fn handle(&mut self, frame: &Frame, now: Instant) {
+        if !self.unplugged.load(Ordering::Relaxed) {
+            self.drive.handle(frame, now);
+        }
+    }
+    fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
+        while self.unplugged.load(Ordering::Relaxed) {
+            self.drive.poll_transmit(now)?;
+        }
+        self.drive.poll_transmit(now)
+    }
+    fn poll_timeout(&self) -> Option<Instant> {
+        self.drive.poll_timeout()
+    }
+    fn handle_timeout(&mut self, now: Instant) {
+        self.drive.handle_timeout(now);
+    }
+}
+
+/// A robot that was brought up. Axes are counted among those that it has.
+pub(crate) struct Rig {
+    pub(crate) servo: Servo,
+    /// Gone once a program runs.
+    pub(crate) link: Option<EffectorLink>,
+    /// When the next cycle is due.
+    pub(crate) now: Instant,
+    pub(crate) period: Duration,
+    pub(crate) scales: Vec<Scale>,
+    /// The group's own word.
+    pub(crate) delay: usize,
+    /// The last cycle.
+    pub(crate) last: Record,
+    /// Allocations in all cycles, those of the emulated world not counted.
+    pub(crate) allocations: u64,
+    pub(crate) cell: Cell,
+    /// Called after each cycle, before the world moves on.
+    pub(crate) after_cycle: Box<dyn FnMut(&Record)>,
+    world: World,
+    records: rtrb::Consumer<Record>,
+    drives: Vec<DeviceId>,
+    plugs: Vec<Arc<AtomicBool>>,
+    arm: Arm,
+}
+
+impl Rig {
+    /// One cycle of the servo, and the world until the next.
+    pub(crate) fn cycle(&mut self) {
+        self.servo_cycle();
+        self.pass();
+    }
+
+    /// One cycle of the servo alone.
+    pub(crate) fn servo_cycle(&mut self) {
+        let before = crate::allocations::count();
+        self.servo.prepare(self.now);
+        self.servo.send(self.now);
+        self.allocations += crate::allocations::count() - before;
+        if let Ok(record) = self.records.pop() {
+            self.last = record;
+        }
+        (self.after_cycle)(&self.last);
+    }
+
+    /// A period in which the servo does nothing.
+    pub(crate) fn pass(&mut self) {
+        self.now += self.period;
+        self.world.advance(self.now);
+    }
+
+    /// Cycles until something holds, which is to be within `limit`.
+    #[track_caller]
+    pub(crate) fn until(&mut self, limit: Duration, what: &str, done: impl Fn(&Self) -> bool) {
+        let end = self.now + limit;
+        while !done(self) {
+            assert!(
+                self.now < end,
+                "{what}: not within {limit:?}, {:?}, {:?}",
+                self.phase(),
+                self.servo.fault(0)
+            );
+            self.cycle();
+        }
+    }
+
+    /// Offers an order that there is room for.
+    pub(crate) fn order(&mut self, order: Order) {
+        let link = self.link.as_mut().expect("no program runs");
+        link.orders.push(order).expect("there is room");
+    }
+
+    /// Gives an order that leads to standing, and waits for that.
+    #[track_caller]
+    pub(crate) fn stand_by(&mut self, order: Order) {
+        self.order(order);
+        self.cycle();
+        self.until(HOMING, "standing", |rig| {
+            rig.phase() == Phase::Standing || rig.servo.fault(0).is_some()
+        });
+        assert_eq!(self.servo.fault(0), None, "{order:?}");
+    }
+
+    /// Enables and homes every axis.
+    pub(crate) fn home(&mut self) {
+        self.stand_by(Order::Enable);
+        self.stand_by(Order::Home);
+    }
+
+    /// What the servo says it does.
+    pub(crate) fn phase(&self) -> Phase {
+        self.servo.state(0).expect("there is one effector").phase()
+    }
+
+    /// The true angle of a motor, rad.
+    pub(crate) fn angle(&self, axis: usize) -> f64 {
+        let socket: &Socket = self.world.device(self.drives[axis]).expect("a drive");
+        socket.drive.axis().angle()
+    }
+
+    /// The true angles of all motors, rad.
+    pub(crate) fn angles(&self) -> Vec<f64> {
+        (0..self.drives.len())
+            .map(|axis| self.angle(axis))
+            .collect()
+    }
+
+    /// Answers that the drive group has missed.
+    pub(crate) fn missed_answers(&self) -> u64 {
+        let groups = self.servo.group_counters();
+        groups.map(|group| group.missed_answers).sum()
+    }
+
+    /// The period of every heartbeat on the bus.
+    pub(crate) fn heartbeat(&self) -> Duration {
+        Duration::from_millis(u64::from(self.cell.bus[0].heartbeat_ms))
+    }
+
+    /// Pulls the cable of a drive, or plugs it in again.
+    pub(crate) fn unplug(&self, axis: usize, unplugged: bool) {
+        self.plugs[axis].store(unplugged, Ordering::Relaxed);
+    }
+
+    /// Feeds a motion to the servo as far as its queue has room.
+    pub(crate) fn feed(&mut self, motion: &mut Motion) {
+        let link = self.link.as_mut().expect("no program runs");
+        while !motion.is_sent() && link.orders.slots() > 2 {
+            let next = motion.next(self.period);
+            link.orders.push(Order::Move(next)).expect("there is room");
+        }
+        while link.reports.pop().is_ok() {}
+    }
+
+    /// Runs a motion until `done`, which is to come before its end.
+    #[track_caller]
+    pub(crate) fn follow(&mut self, motion: &mut Motion, done: impl Fn(&Self) -> bool) {
+        while !done(self) {
+            assert!(self.servo.fault(0).is_none(), "{:?}", self.servo.fault(0));
+            self.feed(motion);
+            self.cycle();
+        }
+    }
+
+    /// Begins to move every axis by 60 rad at 50 rad/s, and is at full speed.
+    pub(crate) fn in_motion(&mut self) -> Motion {
+        let mut motion = Motion::new(self, 60.0);
+        let half_a_second = self.now + Duration::from_millis(500);
+        self.follow(&mut motion, |rig| rig.now >= half_a_second);
+        assert_eq!(self.phase(), Phase::Moving);
+        assert!((self.last.axis[0].velocity - Motion::VELOCITY).abs() < 5.0);
+        motion
+    }
+
+    /// The robot's program, begun by enabling and homing, to its end; how the run ended.
+    pub(crate) fn run_program(&mut self) -> Result<(), String> {
+        let robot = &self.cell.robot[0];
+        let task = robot.task(&self.arm).expect("the program is sound");
+        let link = self.link.take().expect("no program runs yet");
+        let config = EcpConfig {
+            period: self.period,
+            steps: self.cell.macrostep,
+            report_at: self.cell.macrostep - 2,
+            lead: LEAD,
+            homing: HOMING,
+            ..EcpConfig::usual()
+        };
+        let mut ecp = Ecp::new(self.arm.clone(), link, config);
+        ecp.execute(task).expect("a new process is idle");
+        loop {
+            self.cycle();
+            while let Some(event) = ecp.poll(self.now) {
+                event.outcome.map_err(|error| error.to_string())?;
+            }
+            if ecp.status().instruction.is_none() && self.servo.is_off() {
+                return Ok(());
+            }
+        }
+    }
+}
+
+/// Brings a robot up behind a port that records every frame.
+pub(crate) fn traced(setup: Setup) -> (Rig, TraceReader) {
+    let (sender, receiver) = mpsc::channel();
+    let port = Box::new(move |port| {
+        let (port, trace) = Tracer::new(port, 1 << 16);
+        sender.send(trace).expect("the test waits for it");
+        Box::new(port) as Box<dyn Port>
+    });
+    let rig = Setup { port, ..setup }.bring_up();
+    (rig, receiver.recv().expect("bring-up made the port"))
+}
+
+/// All axes moved by the same distance, rest to rest, at [`Motion::VELOCITY`].
+pub(crate) struct Motion {
+    from: [f64; servo::MAX_AXES],
+    distance: f64,
+    first: u64,
+    sent: u64,
+    macrosteps: u64,
+}
+
+impl Motion {
+    /// rad/s.
+    pub(crate) const VELOCITY: f64 = 50.0;
+    /// rad/s².
+    pub(crate) const ACCELERATION: f64 = 200.0;
+    /// No motion and no stop takes longer.
+    pub(crate) const LONGEST: Duration = Duration::from_secs(5);
+    const STEPS: u16 = 10;
+
+    /// By `distance` rad from where the robot was commanded last.
+    pub(crate) fn new(rig: &Rig, distance: f64) -> Self {
+        let duration = distance.abs() / Self::VELOCITY + Self::VELOCITY / Self::ACCELERATION;
+        let macrostep = rig.period.as_secs_f64() * f64::from(Self::STEPS);
+        Self {
+            from: rig.last.axis.map(|axis| axis.commanded),
+            distance,
+            first: rig.last.cycle,
+            sent: 0,
+            macrosteps: (duration / macrostep).ceil() as u64,
+        }
+    }
+
+    /// Whether all of it was given to the servo.
+    pub(crate) fn is_sent(&self) -> bool {
+        self.sent == self.macrosteps
+    }
+
+    fn next(&mut self, period: Duration) -> Macrostep {
+        self.sent += 1;
+        let t = self.sent as f64 * period.as_secs_f64() * f64::from(Self::STEPS);
+        let (way, velocity) = if self.sent == self.macrosteps {
+            (self.distance, 0.0)
+        } else {
+            self.at(t)
+        };
+        Macrostep {
+            number: self.first + self.sent,
+            steps: Self::STEPS,
+            report_at: Self::STEPS,
+            position: self.from.map(|from| from + way),
+            velocity: [velocity; servo::MAX_AXES],
+        }
+    }
+
+    fn at(&self, t: f64) -> (f64, f64) {
+        let (v, a, sign) = (Self::VELOCITY, Self::ACCELERATION, self.distance.signum());
+        let ramp = v / a;
+        let end = self.distance.abs() / v + ramp;
+        let (way, velocity) = if t < ramp {
+            (0.5 * a * t * t, a * t)
+        } else if t < end - ramp {
+            (v * (t - 0.5 * ramp), v)
+        } else {
+            let left = (end - t).max(0.0);
+            (self.distance.abs() - 0.5 * a * left * left, a * left)
+        };
+        (sign * way, sign * velocity)
+    }
+}
+
+fn node(raw: u8) -> NodeId {
+    NodeId::new(raw).expect("a parsed cell has valid node-IDs")
+}

@@ -1,0 +1,55 @@
+//! Whole programs of the example cells, again and again.
+
+use std::hash::{DefaultHasher, Hash, Hasher};
+
+use crate::cell::{Setup, traced};
+
+/// A hash over every frame of a whole run with its time and direction, and how many there were.
+fn run(seed: u64) -> (u64, u64) {
+    let mut setup = Setup::of("irb6");
+    setup.cell.seed = seed;
+    let (mut rig, mut trace) = traced(setup);
+    let hash = std::rc::Rc::new(std::cell::RefCell::new((DefaultHasher::new(), 0)));
+    let shared = hash.clone();
+    rig.after_cycle = Box::new(move |_| {
+        let (hasher, frames) = &mut *shared.borrow_mut();
+        while let Some(traced) = trace.read() {
+            (traced.at, traced.frame, traced.direction as u8).hash(hasher);
+            *frames += 1;
+        }
+        assert_eq!(trace.lost(), 0);
+    });
+    rig.run_program().expect("the program is done");
+    let (hasher, frames) = &*hash.borrow();
+    (hasher.finish(), *frames)
+}
+
+#[test]
+fn the_same_seed_gives_the_same_frames_at_the_same_times() {
+    let (one, two) = (run(1), run(1));
+    assert!(one.1 > 50_000, "{} frames", one.1);
+    assert_eq!(one, two);
+    assert_ne!(one, run(2), "the seed has no part in it");
+}
+
+fn twenty_seeds(name: &str) {
+    for seed in 1..=20 {
+        let mut setup = Setup::of(name);
+        setup.cell.seed = seed;
+        let mut rig = setup.bring_up();
+        if let Err(error) = rig.run_program() {
+            panic!("{name}, seed {seed}: {error}");
+        }
+        assert_eq!(rig.servo.fault(0), None, "{name}, seed {seed}");
+    }
+}
+
+#[test]
+fn the_irb6_completes_its_program_with_twenty_seeds() {
+    twenty_seeds("irb6");
+}
+
+#[test]
+fn the_irp6_completes_its_program_with_twenty_seeds() {
+    twenty_seeds("irp6");
+}
