@@ -9,6 +9,7 @@ mod check;
 mod emulate;
 mod emulation;
 mod interfaces;
+mod programs;
 mod rehearsal;
 mod report;
 mod run;

@@ -17,9 +17,6 @@ use servo::{Servo, lockstep};
 use crate::cell_file::CellFile;
 use crate::setup;
 
-/// Instructions of a task before those of the program: enable and home.
-pub(crate) const PREAMBLE: usize = 2;
-
 /// No program is longer than this.
 const LONGEST: Duration = Duration::from_secs(24 * 3600);
 
@@ -50,12 +47,11 @@ pub(crate) fn rehearse(file: &CellFile) -> anyhow::Result<Duration> {
             for (robot, ecp) in ecps.iter_mut().enumerate() {
                 while let Some(event) = ecp.poll(now) {
                     let Err(error) = event.outcome else { continue };
-                    let key = match event.instruction.checked_sub(PREAMBLE) {
-                        Some(index) if index < file.cell.robot[robot].program.len() => {
-                            instruction_path(robot, index)
-                        }
-                        _ => Path::default().then("robot").then(robot),
-                    };
+                    let place = file.cell.robot[robot].instruction_of(event.instruction);
+                    let key = place.map_or_else(
+                        || Path::default().then("robot").then(robot),
+                        |index| instruction_path(robot, index),
+                    );
                     failure.get_or_insert_with(|| file.refuse(&key, error));
                 }
             }

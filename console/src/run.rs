@@ -5,19 +5,19 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{RecvTimeoutError, sync_channel};
 use std::time::Duration;
 
 use anyhow::{Context, anyhow};
 use can::{Instant, clock};
 use clap::Args;
-use controller::ecp::{Ecp, EcpError};
-use indicatif::{ProgressBar, ProgressStyle};
 use servo::thread::{self, CellTime};
-use servo::{EffectorLink, Servo, ServoFault, StopRequest, Timing, lockstep};
+use servo::{Servo, Timing, lockstep};
 
 use crate::bench::{Bench, BenchKind};
 use crate::cell_file::CellFile;
 use crate::emulation::Emulation;
+use crate::programs::{Programs, Progress, servo_faults};
 use crate::report::{FaultReport, Outcome, Ran, Report};
 use crate::trace::{AxisLog, FrameLog};
 use crate::{rehearsal, setup};
@@ -27,6 +27,15 @@ const RECORDS: usize = 1 << 13;
 
 /// How often the controller looks at its effectors, at the least: a tenth of the usual macrostep.
 const POLL: Duration = Duration::from_millis(2);
+
+/// How far the controller's priority is below the servo's.
+const BELOW_SERVO: u8 = 10;
+
+/// News of the controller that the progress bar may lag behind; what does not fit is not shown.
+const SEEN: usize = 64;
+
+/// How often the files of a run are written, at the least.
+const DRAIN: Duration = Duration::from_millis(20);
 
 /// Options of `mrroc run`.
 #[derive(Args)]
@@ -80,7 +89,8 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
         },
     };
     let interrupted = Arc::new(AtomicBool::new(false));
-    let programs = Programs::of(&file, links, servo.stop_request(), !options.json)?;
+    let programs = Programs::of(&file, links, servo.stop_request())?;
+    let progress = Progress::new(&file, !options.json)?;
     let (stop, flag) = (servo.stop_request(), interrupted.clone());
     ctrlc::set_handler(move || {
         flag.store(true, Ordering::Relaxed);
@@ -90,8 +100,24 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
 
     let began = clock::now();
     let mut ran = match options.bench {
-        BenchKind::Lockstep => in_lockstep(&file, servo, programs, logs, emulation, &interrupted)?,
-        _ => by_the_clock(&file, servo, programs, logs, emulation, &interrupted)?,
+        BenchKind::Lockstep => in_lockstep(
+            &file,
+            servo,
+            programs,
+            logs,
+            emulation,
+            &interrupted,
+            progress,
+        )?,
+        _ => by_the_clock(
+            &file,
+            servo,
+            programs,
+            logs,
+            emulation,
+            &interrupted,
+            progress,
+        )?,
     };
     let interrupted = interrupted.load(Ordering::Relaxed);
     if interrupted {
@@ -127,113 +153,6 @@ fn print(report: &Report, json: bool) -> anyhow::Result<()> {
         println!("{report}");
     }
     Ok(())
-}
-
-/// The effector control processes of a run and how far they are.
-struct Programs {
-    names: Vec<String>,
-    ecps: Vec<Ecp>,
-    faults: Vec<FaultReport>,
-    stop: StopRequest,
-    progress: ProgressBar,
-}
-
-impl Programs {
-    fn of(
-        file: &CellFile,
-        links: Vec<EffectorLink>,
-        stop: StopRequest,
-        progress: bool,
-    ) -> anyhow::Result<Self> {
-        let mut ecps = Vec::new();
-        let mut instructions = 0;
-        for (robot, link) in links.into_iter().enumerate() {
-            let arm = &file.arms[robot];
-            let task = file.cell.robot[robot]
-                .task(arm)
-                .map_err(|(_, error)| anyhow!(error))?;
-            instructions += task.len();
-            let mut ecp = Ecp::new(arm.clone(), link, setup::ecp_config(&file.cell));
-            ecp.execute(task)?;
-            ecps.push(ecp);
-        }
-        let bar = if progress {
-            ProgressBar::new(instructions as u64)
-        } else {
-            ProgressBar::hidden()
-        };
-        bar.set_style(
-            ProgressStyle::with_template("{elapsed:>4} [{bar:30}] {pos}/{len} {msg}")?
-                .progress_chars("=> "),
-        );
-        Ok(Self {
-            names: file
-                .cell
-                .robot
-                .iter()
-                .map(|robot| robot.name.clone())
-                .collect(),
-            ecps,
-            faults: Vec::new(),
-            stop,
-            progress: bar,
-        })
-    }
-
-    /// Lets every effector control process do what is due; `false` once all are done. The first failure
-    /// stops every effector.
-    fn poll(&mut self, file: &CellFile, now: Instant) -> bool {
-        for robot in 0..self.ecps.len() {
-            while let Some(event) = self.ecps[robot].poll(now) {
-                self.progress.inc(1);
-                if let Err(error) = event.outcome {
-                    self.stop.request();
-                    self.faults.push(describe(file, robot, &error));
-                }
-            }
-        }
-        if !self.progress.is_hidden() {
-            let what = |(name, ecp): (&String, &Ecp)| format!("{name}: {:?}", ecp.status().phase);
-            self.progress.set_message(
-                self.names
-                    .iter()
-                    .zip(&self.ecps)
-                    .map(what)
-                    .collect::<Vec<_>>()
-                    .join(", "),
-            );
-        }
-        self.ecps
-            .iter()
-            .any(|ecp| ecp.status().instruction.is_some())
-    }
-}
-
-/// The failure of an instruction, in the words of the cell.
-fn describe(file: &CellFile, robot: usize, error: &EcpError) -> FaultReport {
-    match error {
-        EcpError::Servo(fault) => describe_fault(file, robot, fault),
-        error => FaultReport {
-            robot: Some(file.cell.robot[robot].name.clone()),
-            axis: None,
-            what: error.to_string(),
-        },
-    }
-}
-
-fn describe_fault(file: &CellFile, robot: usize, fault: &ServoFault) -> FaultReport {
-    let axis = usize::from(fault.axis);
-    FaultReport {
-        robot: Some(file.cell.robot[robot].name.clone()),
-        axis: (axis < file.cell.robot[robot].axis.len()).then(|| file.axis_name(robot, axis)),
-        what: fault.cause.to_string(),
-    }
-}
-
-/// What the servo has latched of each robot.
-fn servo_faults(file: &CellFile, servo: &Servo) -> Vec<FaultReport> {
-    let fault = |robot| Some(describe_fault(file, robot, &servo.fault(robot)?));
-    (0..file.cell.robot.len()).filter_map(fault).collect()
 }
 
 /// The files of a run.
@@ -292,6 +211,7 @@ fn in_lockstep(
     logs: Logs,
     emulation: Option<Emulation>,
     interrupted: &AtomicBool,
+    mut progress: Progress,
 ) -> anyhow::Result<Ran> {
     let world = RefCell::new(emulation.expect("lockstep has emulated drives").world);
     let between = |next| world.borrow_mut().advance(next);
@@ -307,7 +227,8 @@ fn in_lockstep(
         &mut servo,
         start,
         |now| {
-            done.set(!programs.poll(file, now) || interrupted.load(Ordering::Relaxed));
+            let busy = programs.poll(file, now, |seen| progress.show(seen));
+            done.set(!busy || interrupted.load(Ordering::Relaxed));
             if let Err(error) = logs.borrow_mut().drain() {
                 failed.replace(Some(error));
             }
@@ -320,7 +241,7 @@ fn in_lockstep(
             (done.get() && servo.is_off()) || failed.borrow().is_some()
         },
     );
-    programs.progress.finish_and_clear();
+    progress.finish();
     if let Some(error) = failed.take() {
         return Err(error);
     }
@@ -341,8 +262,10 @@ fn by_the_clock(
     mut logs: Logs,
     emulation: Option<Emulation>,
     interrupted: &AtomicBool,
+    mut progress: Progress,
 ) -> anyhow::Result<Ran> {
     let began = clock::now();
+    let stop = servo.stop_request();
     let policy = |time| setup::realtime_policy(&file.cell, time);
     let done = Arc::new(AtomicBool::new(false));
     let finished = done.clone();
@@ -362,18 +285,44 @@ fn by_the_clock(
             }
         }
     };
-    let mut logged = Ok(());
-    while programs.poll(file, clock::now())
-        && !interrupted.load(Ordering::Relaxed)
-        && !running.is_finished()
-        && logged.is_ok()
-    {
-        logged = logs.drain();
-        clock::sleep_until(clock::now() + POLL);
-    }
-    done.store(true, Ordering::Relaxed);
+    let (tell, told) = sync_channel(SEEN);
+    let logged = std::thread::scope(|scope| {
+        scope.spawn(|| {
+            // Below the servo and above everything else; a host that denies this was named by the servo thread.
+            let _ = thread::set_fifo(
+                file.cell
+                    .realtime
+                    .priority
+                    .saturating_sub(BELOW_SERVO)
+                    .max(1),
+            );
+            let show = |seen| _ = tell.try_send(seen);
+            while programs.poll(file, clock::now(), show)
+                && !interrupted.load(Ordering::Relaxed)
+                && !running.is_finished()
+            {
+                clock::sleep_until(clock::now() + POLL);
+            }
+            done.store(true, Ordering::Relaxed);
+            drop(tell);
+        });
+        let mut logged = Ok(());
+        loop {
+            match told.recv_timeout(DRAIN) {
+                Ok(seen) => progress.show(seen),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => return logged,
+            }
+            // A file that cannot be written any more stops the arm, and is reported once it stands.
+            if logged.is_ok() {
+                logged = logs.drain();
+            } else {
+                stop.request();
+            }
+        }
+    });
     let ended = running.join();
-    programs.progress.finish_and_clear();
+    progress.finish();
     logged?;
     logs.finish()?;
     let mut faults = programs.faults;

@@ -23,8 +23,8 @@ const ENABLING: Duration = Duration::from_secs(5);
 const HOMING: Duration = Duration::from_secs(120);
 
 /// Macrosteps that a generator may be ahead of the servo if it need not see what the servo does: at the usual 20 ms
-/// this rides through half a second in which only the servo thread gets the processor.
-const LEAD: u16 = 25;
+/// this rides through two seconds in which only the servo thread gets the processor. A stop drops them.
+const LEAD: u16 = 100;
 
 /// The axes on bus `bus` as pairs of robot and axis numbers, in the order of the bus's drive group.
 pub(crate) fn axes_on(cell: &Cell, bus: usize) -> impl Iterator<Item = (usize, usize)> {

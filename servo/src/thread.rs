@@ -462,7 +462,9 @@ fn demand(policy: &RealtimePolicy) -> Vec<Denial> {
     denied
 }
 
-fn set_fifo(priority: u8) -> Result<(), Denial> {
+/// Puts the calling thread under SCHED_FIFO at this priority; for threads that the servo needs, such as
+/// the controller's, each below it.
+pub fn set_fifo(priority: u8) -> Result<(), Denial> {
     let denial = |errno| Denial::Fifo { priority, errno };
     let value = ThreadPriorityValue::try_from(priority).map_err(|_| denial(libc::EINVAL))?;
     let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);

@@ -29,6 +29,9 @@ const LINE_RISE: f64 = 0.1;
 /// Rotation allowed per metre of the tool's way, rad/m: a line's angular limits are its linear ones times this.
 const TURN_PER_METRE: f64 = 5.0;
 
+/// Instructions of a task before those of the program: enable and home.
+const PREAMBLE: usize = 2;
+
 /// Why a program cannot be run.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum ProgramError {
@@ -50,6 +53,25 @@ pub fn instruction_path(robot: usize, index: usize) -> Path {
 }
 
 impl Robot {
+    /// How many instructions [`task`](Self::task) has.
+    pub fn task_len(&self) -> usize {
+        PREAMBLE + self.program.iter().map(moves).sum::<usize>() + 1
+    }
+
+    /// Which instruction of the program instruction `index` of [`task`](Self::task) is of; `None` for
+    /// those before and behind it.
+    pub fn instruction_of(&self, index: usize) -> Option<usize> {
+        let mut left = index.checked_sub(PREAMBLE)?;
+        self.program.iter().position(|instruction| {
+            let (mine, others) = (
+                left < moves(instruction),
+                left.saturating_sub(moves(instruction)),
+            );
+            left = others;
+            mine
+        })
+    }
+
     /// Its program as a task: enable, home, the instructions one by one, disable.
     ///
     /// Every pose is looked at here, from where the instruction before it will have ended; the error comes with the
@@ -162,6 +184,18 @@ impl Robot {
             limits.max_jerk[joint] = jerk * limits.max_acceleration[joint] / acceleration;
         }
         limits
+    }
+}
+
+/// How many instructions of a task one of a program becomes.
+fn moves(instruction: &Instruction) -> usize {
+    match instruction {
+        Instruction::Joints(Joints {
+            generator: JointGenerator::JerkLimited,
+            poses,
+            ..
+        }) => poses.len(),
+        Instruction::Joints(_) | Instruction::Line(_) => 1,
     }
 }
 

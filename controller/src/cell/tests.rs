@@ -18,7 +18,7 @@ fn example_cells_parse_and_their_programs_can_be_built() {
         for robot in &cell.robot {
             let arm = robot.arm().unwrap();
             let task = robot.task(&arm).unwrap();
-            assert!(task.len() >= 3 + robot.program.len(), "{}", cell.name);
+            assert_eq!(task.len(), robot.task_len(), "{}", cell.name);
         }
     }
 }
@@ -200,4 +200,17 @@ fn every_motor_stays_within_its_share_when_all_joints_move_at_once() {
         let velocity = (after[motor] - before[motor]).abs() / dt;
         assert!(velocity <= axis.max_velocity, "motor {motor}: {velocity}");
     }
+}
+
+#[test]
+fn each_instruction_of_a_task_is_of_one_of_the_program() {
+    let two_poses = IRB6.replacen("[[-0.5, ", "[[-0.4, -1.6, 0.0, 0.9, 1.0], [-0.5, ", 1);
+    let cell = Cell::parse(&two_poses).unwrap();
+    let robot = &cell.robot[0];
+    let expected = [None, None, Some(0), Some(1), Some(2), Some(2), None, None];
+    assert_eq!(
+        std::array::from_fn(|index| robot.instruction_of(index)),
+        expected
+    );
+    assert_eq!(robot.task_len(), 7);
 }

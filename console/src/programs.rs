@@ -1,0 +1,152 @@
+//! The effector control processes of a run, and how far they are.
+
+use anyhow::anyhow;
+use can::Instant;
+use controller::ecp::{Ecp, EcpError};
+use indicatif::{ProgressBar, ProgressStyle};
+use servo::{EffectorLink, Phase, Servo, ServoFault, StopRequest};
+
+use crate::cell_file::CellFile;
+use crate::report::FaultReport;
+use crate::setup;
+
+/// One effector control process per robot, each with its program.
+pub(crate) struct Programs {
+    ecps: Vec<Ecp>,
+    /// The phase of each that was last told.
+    phases: Vec<Phase>,
+    pub(crate) faults: Vec<FaultReport>,
+    stop: StopRequest,
+}
+
+/// What is new of one robot.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Seen {
+    robot: usize,
+    phase: Phase,
+    /// Instructions that ended.
+    done: u64,
+}
+
+impl Programs {
+    /// The programs of a cell's robots on the links to its servo; the first failure uses `stop`.
+    pub(crate) fn of(
+        file: &CellFile,
+        links: Vec<EffectorLink>,
+        stop: StopRequest,
+    ) -> anyhow::Result<Self> {
+        let mut ecps = Vec::new();
+        for ((robot, arm), link) in file.cell.robot.iter().zip(&file.arms).zip(links) {
+            let mut ecp = Ecp::new(arm.clone(), link, setup::ecp_config(&file.cell));
+            ecp.execute(robot.task(arm).map_err(|(_, error)| anyhow!(error))?)?;
+            ecps.push(ecp);
+        }
+        Ok(Self {
+            phases: vec![Phase::Off; ecps.len()],
+            ecps,
+            faults: Vec::new(),
+            stop,
+        })
+    }
+
+    /// Lets every effector control process do what is due; `false` once all are done. The first failure
+    /// stops every effector. `tell` hears of what is new, and must not wait.
+    pub(crate) fn poll(
+        &mut self,
+        file: &CellFile,
+        now: Instant,
+        mut tell: impl FnMut(Seen),
+    ) -> bool {
+        for (robot, ecp) in self.ecps.iter_mut().enumerate() {
+            let mut done = 0;
+            while let Some(event) = ecp.poll(now) {
+                done += 1;
+                if let Err(error) = event.outcome {
+                    self.stop.request();
+                    self.faults.push(describe(file, robot, &error));
+                }
+            }
+            let phase = ecp.status().phase;
+            if done > 0 || phase != self.phases[robot] {
+                self.phases[robot] = phase;
+                tell(Seen { robot, phase, done });
+            }
+        }
+        self.ecps
+            .iter()
+            .any(|ecp| ecp.status().instruction.is_some())
+    }
+}
+
+/// The progress bar of a run.
+pub(crate) struct Progress {
+    bar: ProgressBar,
+    names: Vec<String>,
+    phases: Vec<Phase>,
+}
+
+impl Progress {
+    /// A bar over every instruction of every robot, or none.
+    pub(crate) fn new(file: &CellFile, shown: bool) -> anyhow::Result<Self> {
+        let moves = |robot: &controller::cell::Robot| robot.task_len() as u64;
+        let bar = match shown {
+            true => ProgressBar::new(file.cell.robot.iter().map(moves).sum()),
+            false => ProgressBar::hidden(),
+        };
+        let style = ProgressStyle::with_template("{elapsed:>4} [{bar:30}] {pos}/{len} {msg}")?;
+        bar.set_style(style.progress_chars("=> "));
+        Ok(Self {
+            bar,
+            names: file
+                .cell
+                .robot
+                .iter()
+                .map(|robot| robot.name.clone())
+                .collect(),
+            phases: vec![Phase::Off; file.cell.robot.len()],
+        })
+    }
+
+    /// Shows what is new.
+    pub(crate) fn show(&mut self, seen: Seen) {
+        self.bar.inc(seen.done);
+        self.phases[seen.robot] = seen.phase;
+        let robots = self.names.iter().zip(&self.phases);
+        let message: Vec<_> = robots
+            .map(|(name, phase)| format!("{name}: {phase:?}"))
+            .collect();
+        self.bar.set_message(message.join(", "));
+    }
+
+    /// Takes the bar away.
+    pub(crate) fn finish(self) {
+        self.bar.finish_and_clear();
+    }
+}
+
+/// The failure of an instruction, in the words of the cell.
+fn describe(file: &CellFile, robot: usize, error: &EcpError) -> FaultReport {
+    match error {
+        EcpError::Servo(fault) => describe_fault(file, robot, fault),
+        error => FaultReport {
+            robot: Some(file.cell.robot[robot].name.clone()),
+            axis: None,
+            what: error.to_string(),
+        },
+    }
+}
+
+fn describe_fault(file: &CellFile, robot: usize, fault: &ServoFault) -> FaultReport {
+    let axis = usize::from(fault.axis);
+    FaultReport {
+        robot: Some(file.cell.robot[robot].name.clone()),
+        axis: (axis < file.cell.robot[robot].axis.len()).then(|| file.axis_name(robot, axis)),
+        what: fault.cause.to_string(),
+    }
+}
+
+/// What the servo has latched of each robot.
+pub(crate) fn servo_faults(file: &CellFile, servo: &Servo) -> Vec<FaultReport> {
+    let fault = |robot| Some(describe_fault(file, robot, &servo.fault(robot)?));
+    (0..file.cell.robot.len()).filter_map(fault).collect()
+}
