@@ -12,7 +12,8 @@ use drive::Fault;
 use hil::PlantConfig;
 use servo::{MAX_AXES, Macrostep, Order, Phase, StopCause};
 
-use crate::cell::{Motion, Rig, Setup, traced};
+use crate::cell::{Rig, Setup, traced};
+use crate::motion::Motion;
 use crate::watch::Watcher;
 
 /// Motion left when a fault is latched: braking from full speed at the IRb-6's 1500 rad/s², what the

@@ -7,6 +7,7 @@ mod cell;
 mod cycle;
 mod faults;
 mod homing;
+mod motion;
 mod regression;
 mod repetition;
 mod socketcan;
