@@ -23,7 +23,7 @@ use clap::{Parser, Subcommand};
 
 /// A multi-robot research-oriented controller with its hardware in the loop.
 #[derive(Parser)]
-#[command(version, about)]
+#[command(name = "mrroc", version)]
 struct Arguments {
     #[command(subcommand)]
     command: Command,

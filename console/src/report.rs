@@ -4,12 +4,21 @@ use std::fmt::{self, Write as _};
 use std::time::Duration;
 
 use serde::Serialize;
-use servo::Histogram;
+use servo::{Histogram, Servo, Timing};
 
 use crate::budget::BusBudget;
 use crate::cell_file::CellFile;
-use crate::run::Ran;
 use crate::setup;
+
+/// What a run leaves behind.
+pub(crate) struct Ran {
+    pub servo: Servo,
+    pub timing: Timing,
+    pub denied: Vec<String>,
+    pub faults: Vec<FaultReport>,
+    /// Time that passed in the cell.
+    pub cell_time: Duration,
+}
 
 /// The report of one run.
 #[derive(Debug, Serialize)]
@@ -24,8 +33,8 @@ pub(crate) struct Report {
     pub cycle: CycleReport,
     /// Every bus.
     pub buses: Vec<BusReport>,
-    /// What went wrong, a line each.
-    pub faults: Vec<String>,
+    /// What went wrong.
+    pub faults: Vec<FaultReport>,
     /// What the host denied of the real-time requests.
     pub denied: Vec<String>,
     /// Time of the cell over time of the host: above 1 is faster than real time.
@@ -100,6 +109,29 @@ impl Report {
     }
 }
 
+/// One fault: whose, and what happened.
+#[derive(Debug, Serialize)]
+pub(crate) struct FaultReport {
+    /// The robot; absent if it is not of one.
+    pub robot: Option<String>,
+    /// The axis, as in [`AxisReport::name`]; absent if it is not of one.
+    pub axis: Option<String>,
+    /// What happened.
+    pub what: String,
+}
+
+impl fmt::Display for FaultReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(robot) = &self.robot {
+            write!(f, "{robot}: ")?;
+        }
+        if let Some(axis) = &self.axis {
+            write!(f, "axis {axis}: ")?;
+        }
+        f.write_str(&self.what)
+    }
+}
+
 /// How a run ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
@@ -171,7 +203,7 @@ pub(crate) struct Percentiles {
 
 impl From<&Histogram> for Percentiles {
     fn from(histogram: &Histogram) -> Self {
-        let microseconds = |time: Duration| time.as_secs_f64() * 1e6;
+        let microseconds = |time: Duration| time.as_nanos() as f64 / 1e3;
         Self {
             p50: microseconds(histogram.quantile(0.5)),
             p99: microseconds(histogram.quantile(0.99)),
@@ -209,16 +241,18 @@ impl fmt::Display for Report {
             .max(4);
         writeln!(
             f,
-            "{:names$}  {:>12} {:>12} {:>10} {:>10} {:>10}",
-            "axis", "rms rad", "peak rad", "rms cnt", "peak cnt", "homing cnt"
+            "{:names$}  {:>12} {:>12} {:>10} {:>10} {:>10} {:>7}",
+            "axis", "rms rad", "peak rad", "rms cnt", "peak cnt", "homing cnt", "faults"
         )?;
         for axis in &self.axes {
             let offset = axis
                 .homing_offset_counts
                 .map_or("-".to_owned(), |counts| counts.to_string());
+            let of_axis = |fault: &&FaultReport| fault.axis.as_ref() == Some(&axis.name);
+            let faults = self.faults.iter().filter(of_axis).count();
             writeln!(
                 f,
-                "{:names$}  {:>12.6} {:>12.6} {:>10.2} {:>10.1} {offset:>10}",
+                "{:names$}  {:>12.6} {:>12.6} {:>10.2} {:>10.1} {offset:>10} {faults:>7}",
                 axis.name,
                 axis.tracking_rms_rad,
                 axis.tracking_peak_rad,

@@ -13,12 +13,12 @@ use clap::Args;
 use controller::ecp::{Ecp, EcpError};
 use indicatif::{ProgressBar, ProgressStyle};
 use servo::thread::{self, CellTime};
-use servo::{EffectorLink, Servo, Timing, lockstep};
+use servo::{EffectorLink, Servo, ServoFault, StopRequest, Timing, lockstep};
 
 use crate::bench::{Bench, BenchKind};
 use crate::cell_file::CellFile;
 use crate::emulation::Emulation;
-use crate::report::{Outcome, Report};
+use crate::report::{FaultReport, Outcome, Ran, Report};
 use crate::trace::{AxisLog, FrameLog};
 use crate::{rehearsal, setup};
 
@@ -79,9 +79,8 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
             None => None,
         },
     };
-    let programs = Programs::of(&file, links, !options.json)?;
-
     let interrupted = Arc::new(AtomicBool::new(false));
+    let programs = Programs::of(&file, links, servo.stop_request(), !options.json)?;
     let (stop, flag) = (servo.stop_request(), interrupted.clone());
     ctrlc::set_handler(move || {
         flag.store(true, Ordering::Relaxed);
@@ -91,17 +90,20 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
 
     let began = clock::now();
     let mut ran = match options.bench {
-        BenchKind::Lockstep => in_lockstep(&file, servo, programs, logs, emulation)?,
-        _ => by_the_clock(&file, servo, programs, logs, emulation)?,
+        BenchKind::Lockstep => in_lockstep(&file, servo, programs, logs, emulation, &interrupted)?,
+        _ => by_the_clock(&file, servo, programs, logs, emulation, &interrupted)?,
     };
-    let outcome = match (interrupted.load(Ordering::Relaxed), ran.faults.is_empty()) {
-        (true, _) => Outcome::Stopped,
-        (false, true) => Outcome::Completed,
-        (false, false) => Outcome::Faulted,
-    };
-    if outcome == Outcome::Stopped {
-        ran.faults.clear();
+    let interrupted = interrupted.load(Ordering::Relaxed);
+    if interrupted {
+        // What the programs say of it is that they were broken off; what the servo latched meanwhile is a fault.
+        ran.faults.retain(|fault| fault.robot.is_none());
+        ran.faults.extend(servo_faults(&file, &ran.servo));
     }
+    let outcome = match (interrupted, ran.faults.is_empty()) {
+        (_, false) => Outcome::Faulted,
+        (true, true) => Outcome::Stopped,
+        (false, true) => Outcome::Completed,
+    };
     let report = Report::of(
         &file,
         options.bench.name(),
@@ -127,27 +129,22 @@ fn print(report: &Report, json: bool) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What a run leaves behind.
-pub(crate) struct Ran {
-    pub(crate) servo: Servo,
-    pub(crate) timing: Timing,
-    pub(crate) denied: Vec<String>,
-    pub(crate) faults: Vec<String>,
-    /// Time that passed in the cell.
-    pub(crate) cell_time: Duration,
-}
-
 /// The effector control processes of a run and how far they are.
 struct Programs {
     names: Vec<String>,
-    axis_names: Vec<Vec<String>>,
     ecps: Vec<Ecp>,
-    faults: Vec<String>,
+    faults: Vec<FaultReport>,
+    stop: StopRequest,
     progress: ProgressBar,
 }
 
 impl Programs {
-    fn of(file: &CellFile, links: Vec<EffectorLink>, progress: bool) -> anyhow::Result<Self> {
+    fn of(
+        file: &CellFile,
+        links: Vec<EffectorLink>,
+        stop: StopRequest,
+        progress: bool,
+    ) -> anyhow::Result<Self> {
         let mut ecps = Vec::new();
         let mut instructions = 0;
         for (robot, link) in links.into_iter().enumerate() {
@@ -169,11 +166,6 @@ impl Programs {
             ProgressStyle::with_template("{elapsed:>4} [{bar:30}] {pos}/{len} {msg}")?
                 .progress_chars("=> "),
         );
-        let axis_names = |robot: usize| {
-            (0..file.cell.robot[robot].axis.len())
-                .map(|axis| file.axis_name(robot, axis))
-                .collect()
-        };
         Ok(Self {
             names: file
                 .cell
@@ -181,21 +173,22 @@ impl Programs {
                 .iter()
                 .map(|robot| robot.name.clone())
                 .collect(),
-            axis_names: (0..file.cell.robot.len()).map(axis_names).collect(),
             ecps,
             faults: Vec::new(),
+            stop,
             progress: bar,
         })
     }
 
-    /// Lets every effector control process do what is due; `false` once all are done. The first failure stops all.
-    fn poll(&mut self, now: Instant) -> bool {
+    /// Lets every effector control process do what is due; `false` once all are done. The first failure
+    /// stops every effector.
+    fn poll(&mut self, file: &CellFile, now: Instant) -> bool {
         for robot in 0..self.ecps.len() {
             while let Some(event) = self.ecps[robot].poll(now) {
                 self.progress.inc(1);
                 if let Err(error) = event.outcome {
-                    self.faults.push(self.describe(robot, &error));
-                    self.ecps.iter_mut().for_each(Ecp::stop);
+                    self.stop.request();
+                    self.faults.push(describe(file, robot, &error));
                 }
             }
         }
@@ -214,21 +207,33 @@ impl Programs {
             .iter()
             .any(|ecp| ecp.status().instruction.is_some())
     }
+}
 
-    fn describe(&self, robot: usize, error: &EcpError) -> String {
-        match error {
-            EcpError::Servo(fault) => {
-                let axis = self.axis_names[robot].get(usize::from(fault.axis));
-                format!(
-                    "{}, axis {}: {}",
-                    self.names[robot],
-                    axis.map_or("?", String::as_str),
-                    fault.cause
-                )
-            }
-            error => format!("{}: {error}", self.names[robot]),
-        }
+/// The failure of an instruction, in the words of the cell.
+fn describe(file: &CellFile, robot: usize, error: &EcpError) -> FaultReport {
+    match error {
+        EcpError::Servo(fault) => describe_fault(file, robot, fault),
+        error => FaultReport {
+            robot: Some(file.cell.robot[robot].name.clone()),
+            axis: None,
+            what: error.to_string(),
+        },
     }
+}
+
+fn describe_fault(file: &CellFile, robot: usize, fault: &ServoFault) -> FaultReport {
+    let axis = usize::from(fault.axis);
+    FaultReport {
+        robot: Some(file.cell.robot[robot].name.clone()),
+        axis: (axis < file.cell.robot[robot].axis.len()).then(|| file.axis_name(robot, axis)),
+        what: fault.cause.to_string(),
+    }
+}
+
+/// What the servo has latched of each robot.
+fn servo_faults(file: &CellFile, servo: &Servo) -> Vec<FaultReport> {
+    let fault = |robot| Some(describe_fault(file, robot, &servo.fault(robot)?));
+    (0..file.cell.robot.len()).filter_map(fault).collect()
 }
 
 /// The files of a run.
@@ -264,8 +269,15 @@ impl Logs {
     }
 }
 
-/// The refusal of a bus that did not come up, in the words of the cell.
-fn not_up(file: &CellFile, (bus, error): (usize, drive::BringUpError)) -> anyhow::Error {
+/// The refusal of a bus that did not come up, in the words of the cell. The files keep what led to it.
+fn not_up(
+    file: &CellFile,
+    logs: Logs,
+    (bus, error): (usize, drive::BringUpError),
+) -> anyhow::Error {
+    if let Err(error) = logs.finish() {
+        return error;
+    }
     let axis = setup::axes_on(&file.cell, bus)
         .find(|&(robot, axis)| error.node() == Some(file.cell.robot[robot].axis[axis].node))
         .map(|(robot, axis)| format!(", axis {}", file.axis_name(robot, axis)))
@@ -279,11 +291,14 @@ fn in_lockstep(
     mut programs: Programs,
     logs: Logs,
     emulation: Option<Emulation>,
+    interrupted: &AtomicBool,
 ) -> anyhow::Result<Ran> {
     let world = RefCell::new(emulation.expect("lockstep has emulated drives").world);
     let between = |next| world.borrow_mut().advance(next);
-    let start = lockstep::bring_up(&mut servo, Instant::ZERO, between)
-        .map_err(|error| not_up(file, error))?;
+    let start = match lockstep::bring_up(&mut servo, Instant::ZERO, between) {
+        Ok(start) => start,
+        Err(error) => return Err(not_up(file, logs, error)),
+    };
     let (done, failed) = (Shared::new(false), RefCell::new(None));
     let logs = RefCell::new(logs);
     let mut timing = Timing::default();
@@ -292,7 +307,7 @@ fn in_lockstep(
         &mut servo,
         start,
         |now| {
-            done.set(!programs.poll(now));
+            done.set(!programs.poll(file, now) || interrupted.load(Ordering::Relaxed));
             if let Err(error) = logs.borrow_mut().drain() {
                 failed.replace(Some(error));
             }
@@ -325,6 +340,7 @@ fn by_the_clock(
     mut programs: Programs,
     mut logs: Logs,
     emulation: Option<Emulation>,
+    interrupted: &AtomicBool,
 ) -> anyhow::Result<Ran> {
     let began = clock::now();
     let policy = |time| setup::realtime_policy(&file.cell, time);
@@ -332,19 +348,26 @@ fn by_the_clock(
     let finished = done.clone();
     let until = move |_: &Servo| finished.load(Ordering::Relaxed);
     let running = match emulation {
-        None => {
-            thread::bring_up(&mut servo, |_| {}).map_err(|error| not_up(file, error))?;
-            thread::start(servo, policy(CellTime::Wall), |_| {}, until)
-        }
+        None => match thread::bring_up(&mut servo, |_| {}) {
+            Ok(()) => thread::start(servo, policy(CellTime::Wall), |_| {}, until)?,
+            Err(error) => return Err(not_up(file, logs, error)),
+        },
         Some(Emulation { mut world }) => {
             let mut between = move |next| world.advance(next);
-            let first = lockstep::bring_up(&mut servo, Instant::ZERO, &mut between)
-                .map_err(|error| not_up(file, error))?;
-            thread::start(servo, policy(CellTime::Nominal(first)), between, until)
+            match lockstep::bring_up(&mut servo, Instant::ZERO, &mut between) {
+                Ok(first) => {
+                    thread::start(servo, policy(CellTime::Nominal(first)), between, until)?
+                }
+                Err(error) => return Err(not_up(file, logs, error)),
+            }
         }
-    }?;
+    };
     let mut logged = Ok(());
-    while programs.poll(clock::now()) && !running.is_finished() && logged.is_ok() {
+    while programs.poll(file, clock::now())
+        && !interrupted.load(Ordering::Relaxed)
+        && !running.is_finished()
+        && logged.is_ok()
+    {
         logged = logs.drain();
         clock::sleep_until(clock::now() + POLL);
     }
@@ -355,7 +378,11 @@ fn by_the_clock(
     logs.finish()?;
     let mut faults = programs.faults;
     if let Some(panicked) = ended.panicked {
-        faults.push(format!("the servo thread panicked: {panicked:?}"));
+        faults.push(FaultReport {
+            robot: None,
+            axis: None,
+            what: format!("the servo thread panicked: {panicked:?}"),
+        });
     }
     Ok(Ran {
         servo: ended.servo,

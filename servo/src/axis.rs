@@ -143,13 +143,14 @@ impl Axis {
     }
 }
 
-/// Sees a drive set its counter at the reference: a step that no motor can make.
+/// Sees a drive set its counter at the reference: the greatest step during a search that no motor can make.
 #[derive(Clone, Copy, Debug, Default)]
 struct ReferenceWatch {
     /// The last sample and the one before.
     last: Option<(f64, i64)>,
     before_last: Option<(f64, i64)>,
-    /// Sum of the steps seen, increments.
+    searching: bool,
+    /// The step, increments. Samples that came early or late make steps too, but smaller ones.
     offset: i64,
 }
 
@@ -158,26 +159,64 @@ impl ReferenceWatch {
     const IMPOSSIBLE: f64 = 4.0;
 
     fn observe(&mut self, state: &AxisState, max_acceleration: f64, dt: f64) {
+        // The sample that tells of success may be the first one after the step.
+        let searched = std::mem::replace(&mut self.searching, state.homing == Homing::InProgress);
         if state.age > 0 {
-            *self = Self {
-                offset: self.offset,
-                ..Self::default()
-            };
+            (self.last, self.before_last) = (None, None);
             return;
         }
         let sample = (state.position, i64::from(state.increments.0));
         if let (Some(last), Some(before_last)) = (self.last, self.before_last) {
             let expected = (2.0 * last.0 - before_last.0, 2 * last.1 - before_last.1);
             let step = (sample.0 - expected.0).abs();
-            if state.homing != Homing::NotHomed
-                && step > Self::IMPOSSIBLE * max_acceleration * dt * dt
+            if (searched || self.searching) && step > Self::IMPOSSIBLE * max_acceleration * dt * dt
             {
-                self.offset += expected.1 - sample.1;
+                let counts = expected.1 - sample.1;
+                if counts.abs() > self.offset.abs() {
+                    self.offset = counts;
+                }
                 // Samples from before the step are of another count.
                 self.last = None;
             }
         }
         self.before_last = self.last;
         self.last = Some(sample);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use drive::Increments;
+
+    use super::*;
+
+    const COUNTS: f64 = 4000.0 / std::f64::consts::TAU;
+
+    /// What the watch makes of samples of homing state and counts, a period of 2 ms apart.
+    fn offset(samples: &[(Homing, i32)]) -> i64 {
+        let mut watch = ReferenceWatch::default();
+        for &(homing, counts) in samples {
+            let state = AxisState {
+                position: f64::from(counts) / COUNTS,
+                increments: Increments(counts),
+                homing,
+                ..AxisState::default()
+            };
+            watch.observe(&state, 1500.0, 0.002);
+        }
+        watch.offset
+    }
+
+    #[test]
+    fn the_step_to_the_reference_is_the_offset_and_jitter_is_not() {
+        use Homing::{Attained, InProgress};
+        let search = [(InProgress, -100), (InProgress, -96), (InProgress, -92)];
+        let home = [(Attained, 4), (Attained, 4), (Attained, 4)];
+        assert_eq!(offset(&[&search[..], &home].concat()), -92);
+        // Two periods' way in one: the sample was taken late.
+        let late = [(InProgress, -140), (InProgress, -120), (InProgress, -80)];
+        assert_eq!(offset(&[&late[..], &search, &home].concat()), -92);
+        let fast = [(Attained, 100), (Attained, 200), (Attained, 400)];
+        assert_eq!(offset(&[&search[..], &home, &fast].concat()), -92);
     }
 }

@@ -439,7 +439,7 @@ impl Run {
         for _ in 0..CUTS {
             sleep_until(self.deadline);
             let _ = catch_unwind(AssertUnwindSafe(|| {
-                self.servo.cut_power(self.cell_time(now()))
+                self.servo.cut_power(self.cell_time(now()));
             }));
             self.deadline += self.period;
             if let CellTime::Nominal(next) = &mut self.time {

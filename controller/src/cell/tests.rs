@@ -192,8 +192,8 @@ fn every_motor_stays_within_its_share_when_all_joints_move_at_once() {
     let before = arm.motors(&home).unwrap();
     let dt = 1e-4;
     let mut joints = home;
-    for joint in 0..arm.axes() {
-        joints[joint] += limits.max_velocity[joint] * dt;
+    for (joint, limit) in joints.iter_mut().zip(limits.max_velocity).take(arm.axes()) {
+        *joint += limit * dt;
     }
     let after = arm.motors(&joints).unwrap();
     for (motor, axis) in robot.axis.iter().enumerate() {

@@ -20,6 +20,7 @@ mod task;
 #[cfg(test)]
 mod tests;
 
+use std::collections::VecDeque;
 use std::time::Duration;
 
 use can::Instant;
@@ -140,9 +141,9 @@ pub struct Ecp {
     instruction: usize,
     activity: Activity,
     report: Option<Report>,
-    /// The order that waits for room in the queue.
-    outbox: Option<Order>,
-    /// Numbers of the last macrostep sent, of the last one reported, and of the last one before this motion.
+    /// The orders that wait for room in the queue.
+    outbox: VecDeque<Order>,
+    /// Numbers of the last macrostep made, of the last one reported, and of the last one before this motion.
     sent: u64,
     executed: u64,
     base: u64,
@@ -161,7 +162,7 @@ impl Ecp {
             instruction: 0,
             activity: Activity::Idle,
             report: None,
-            outbox: None,
+            outbox: VecDeque::with_capacity(usize::from(config.lead.max(1)) + 1),
             sent: 0,
             executed: 0,
             base: 0,
@@ -225,9 +226,9 @@ impl Ecp {
                 return Some(self.end(outcome));
             }
         }
+        let outcome = self.advance(now);
         self.offer(now);
-        let outcome = self.advance(now)?;
-        Some(self.end(outcome))
+        Some(self.end(outcome?))
     }
 
     fn phase(&self) -> Phase {
@@ -257,19 +258,34 @@ impl Ecp {
         event
     }
 
-    /// Sends the order waiting, if there is one and the queue takes it.
+    /// Sends the orders waiting, as many as the queue takes. The servo sees them all at once: were it to
+    /// see the first macrostep of a motion alone, a thread that loses the processor there would starve it.
     fn offer(&mut self, now: Instant) {
-        let Some(order) = self.outbox else { return };
-        if self.link.orders.push(order).is_err() {
+        let count = self.outbox.len().min(self.link.orders.slots());
+        if count == 0 {
             return;
         }
-        self.outbox = None;
+        let stopping = self.outbox.front() == Some(&Order::Stop);
+        let room = self
+            .link
+            .orders
+            .write_chunk_uninit(count)
+            .expect("the queue has this many slots");
+        room.fill_from_iter(self.outbox.drain(..count));
         self.heard = now;
-        match (order, &mut self.activity) {
-            (Order::Move(macrostep), _) => self.sent = macrostep.number,
-            (Order::Stop, Activity::Stopping { since, .. }) => *since = Some(now),
-            _ => {}
+        if let (true, Activity::Stopping { since, .. }) = (stopping, &mut self.activity) {
+            *since = Some(now);
         }
+    }
+
+    /// Drops what waits to be sent.
+    fn clear_outbox(&mut self) {
+        let moves = self
+            .outbox
+            .iter()
+            .filter(|order| matches!(order, Order::Move(_)));
+        self.sent -= moves.count() as u64;
+        self.outbox.clear();
     }
 
     fn begin(&mut self, instruction: Instruction, now: Instant) -> Option<Result<(), EcpError>> {
@@ -288,7 +304,7 @@ impl Ecp {
         if self.is_done(order) {
             return Some(Ok(()));
         }
-        self.outbox = Some(order);
+        self.outbox.push_back(order);
         self.activity = Activity::Switching { order, since: now };
         None
     }
@@ -329,7 +345,7 @@ impl Ecp {
             }
         );
         if phase == Phase::Faulted && !clearing {
-            self.outbox = None;
+            self.clear_outbox();
             return Some(Err(self.fault()));
         }
         match self.activity {
@@ -341,7 +357,7 @@ impl Ecp {
                 } else {
                     self.config.switching
                 };
-                if self.outbox.is_none() && self.is_done(order) {
+                if self.outbox.is_empty() && self.is_done(order) {
                     return Some(Ok(()));
                 }
                 if waited > patience {
@@ -378,7 +394,7 @@ impl Ecp {
         if !matches!(phase, Phase::Standing | Phase::Moving) {
             let fault = self.report.and_then(|report| report.fault);
             let outcome = Err(fault.map_or(EcpError::BrokenOff { phase }, EcpError::Servo));
-            self.outbox = None;
+            self.clear_outbox();
             self.activity = Activity::Stopping {
                 since: Some(now),
                 outcome,
@@ -391,13 +407,12 @@ impl Ecp {
         } else {
             for _ in 0..self.config.lead.max(1) {
                 self.step();
-                self.offer(now);
             }
         }
         None
     }
 
-    /// Asks the generator for the next macrostep if one is due and the one before is on its way.
+    /// Asks the generator for the next macrostep if one is due.
     fn step(&mut self) {
         let Activity::Running { run } = &mut self.activity else {
             return;
@@ -407,7 +422,7 @@ impl Ecp {
         } else {
             1
         };
-        if self.outbox.is_some() || self.sent - self.executed.max(self.base) >= lead {
+        if self.sent - self.executed.max(self.base) >= lead {
             return;
         }
         match run.next_step(&self.effector) {
@@ -438,8 +453,9 @@ impl Ecp {
             .motors(setpoint)
             .map_err(|error| EcpError::OutOfReach { step, error })?;
         self.effector.commanded = motors;
-        self.outbox = Some(Order::Move(Macrostep {
-            number: self.sent + 1,
+        self.sent += 1;
+        self.outbox.push_back(Order::Move(Macrostep {
+            number: self.sent,
             steps: self.config.steps,
             report_at: self.config.report_at,
             position: motors.position,
@@ -450,7 +466,8 @@ impl Ecp {
 
     /// Drops the generator and what it wanted next, and stops the effector.
     fn brake(&mut self, outcome: Result<(), EcpError>) {
-        self.outbox = Some(Order::Stop);
+        self.clear_outbox();
+        self.outbox.push_back(Order::Stop);
         self.activity = Activity::Stopping {
             since: None,
             outcome,

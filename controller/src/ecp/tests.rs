@@ -690,3 +690,15 @@ fn an_ecp_can_be_given_to_a_thread() {
     fn given<T: Send>() {}
     given::<Ecp>();
 }
+
+#[test]
+fn the_first_macrosteps_of_a_motion_reach_the_servo_at_once() {
+    let mut bench = Bench::ready();
+    bench
+        .ecp
+        .execute(Task::new().run(to(0.5, 0.0, 0.0)))
+        .unwrap();
+    assert_eq!(bench.ecp.poll(bench.now), None);
+    assert_eq!(bench.servo.orders.slots(), usize::from(CONFIG.lead));
+    assert_eq!(bench.go_on(|_| {}), finished(1));
+}

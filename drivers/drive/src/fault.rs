@@ -1,6 +1,7 @@
 use std::time::Duration;
 
 use canopen::cia402::FaultTable;
+use canopen::sdo::AbortCode;
 use thiserror::Error;
 
 /// A latched condition of one axis, cleared by [`AxisCommand::ResetFault`](crate::AxisCommand::ResetFault).
@@ -23,7 +24,7 @@ pub enum Fault {
         cycles: u32,
     },
     /// The node's heartbeat stopped.
-    #[error("node {node}: no heartbeat for {waited:?}")]
+    #[error("node {node}: no heartbeat for {waited:.1?}")]
     HeartbeatLost {
         /// Node-ID.
         node: u8,
@@ -46,7 +47,7 @@ pub enum Fault {
     },
     /// The drive did not reach the asked state in time.
     #[error(
-        "node {node}: did not reach the asked state within {waited:?} (statusword {statusword:#06x})"
+        "node {node}: did not reach the asked state within {waited:.1?} (statusword {statusword:#06x})"
     )]
     Stuck {
         /// Node-ID.
@@ -57,7 +58,7 @@ pub enum Fault {
         waited: Duration,
     },
     /// The drive refused a service request, or did not answer it in time.
-    #[error("node {node}: {index:#06x}:{subindex:02x} failed with abort {code:#010x}")]
+    #[error("node {node}: {index:#06x}:{subindex:02x} failed: {abort}", abort = AbortCode(*.code))]
     Aborted {
         /// Node-ID.
         node: u8,
@@ -99,7 +100,7 @@ pub enum Refusal {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum BringUpError {
     /// No boot-up message and no answer.
-    #[error("node {node}: never booted, waited {waited:?}")]
+    #[error("node {node}: never booted, waited {waited:.1?}")]
     NeverBooted {
         /// Node-ID.
         node: u8,
@@ -115,7 +116,7 @@ pub enum BringUpError {
         device_type: u32,
     },
     /// The node was started and no heartbeat said that it became operational.
-    #[error("node {node}: not operational, waited {waited:?}")]
+    #[error("node {node}: not operational, waited {waited:.1?}")]
     NotOperational {
         /// Node-ID.
         node: u8,
@@ -124,7 +125,7 @@ pub enum BringUpError {
     },
     /// Object 0x1018 does not say what the cell says.
     #[error(
-        "node {node}: identity {subindex:02x} is {found:#010x}, the cell expects {expected:#010x}"
+        "node {node}: identity 0x1018:{subindex:02x} is {found:#010x}, the cell expects {expected:#010x}"
     )]
     WrongIdentity {
         /// Node-ID.
@@ -137,7 +138,7 @@ pub enum BringUpError {
         found: u32,
     },
     /// The drive refused a parameter.
-    #[error("node {node}: {index:#06x}:{subindex:02x} refused with abort {code:#010x}")]
+    #[error("node {node}: {index:#06x}:{subindex:02x} refused: {abort}", abort = AbortCode(*.code))]
     Aborted {
         /// Node-ID.
         node: u8,
@@ -163,7 +164,7 @@ pub enum BringUpError {
         found: u32,
     },
     /// The drive did not answer a service request in time.
-    #[error("node {node}: {index:#06x}:{subindex:02x} timed out after {waited:?}")]
+    #[error("node {node}: {index:#06x}:{subindex:02x} timed out after {waited:.1?}")]
     TimedOut {
         /// Node-ID.
         node: u8,

@@ -1,0 +1,280 @@
+//! `mrroc run` as a user sees it: what it prints, what it writes, how it ends.
+
+use std::collections::HashMap;
+use std::fs;
+
+use controller::cell::{Cell, Plant};
+use serde_json::Value;
+
+use crate::mrroc::{
+    CELLS, Directory, Output, Running, enables, example, mrroc, shorten, text, trace,
+};
+
+/// No motor is further than this from its set-point in a lockstep run of an example cell, rad.
+const TRACKING: f64 = 0.05;
+
+/// Where emulated axes stand when they are switched on, above their home positions, rad.
+const START: f64 = 20.0;
+
+#[test]
+fn lockstep_runs_are_the_same_bit_for_bit() {
+    let directory = Directory::new();
+    for cell in CELLS {
+        let logs = ["a.log", "b.log"].map(|name| directory.path(name));
+        for log in &logs {
+            let run = mrroc([
+                "run".as_ref(),
+                example(cell).as_os_str(),
+                "--bench=lockstep".as_ref(),
+                "--trace".as_ref(),
+                log.as_os_str(),
+            ]);
+            assert_eq!(run.status.code(), Some(0), "{run:?}");
+            assert!(run.stdout.contains("completed"), "{run:?}");
+            assert!(run.stdout.contains("times real time"), "{run:?}");
+        }
+        let [first, second] = logs.each_ref().map(|log| fs::read(log).unwrap());
+        assert!(first == second, "{cell}: the traces differ");
+        let trace = trace(&logs[0]);
+        assert!(trace.len() > 10_000, "{cell}: {} frames", trace.len());
+        assert!(enables(&trace) > 1000, "{cell} never moved");
+        assert!(trace.is_sorted_by_key(|entry| entry.at), "{cell}");
+    }
+}
+
+#[test]
+fn json_is_one_object_with_every_figure() {
+    for name in CELLS {
+        let run = mrroc([
+            "run".as_ref(),
+            example(name).as_os_str(),
+            "--bench=lockstep".as_ref(),
+            "--json".as_ref(),
+        ]);
+        assert_eq!(run.status.code(), Some(0), "{run:?}");
+        assert_eq!(run.stdout.lines().count(), 1, "{run:?}");
+        assert_eq!(run.stderr, "", "{name}");
+        let report = run.json();
+        assert_eq!(report["outcome"], "completed");
+        assert_eq!(report["faults"], Value::Array(Vec::new()));
+        assert!(number(&report["realtime_factor"]) > 1.0, "{report}");
+
+        let cycle = &report["cycle"];
+        assert_eq!(cycle["period_us"], 2000);
+        assert_eq!(cycle["missed"], 0);
+        assert!(number(&cycle["cycles"]) > 5000.0, "{report}");
+        for times in ["wake_us", "step_us", "bus_us"] {
+            let [p50, p99, p999, max] =
+                ["p50", "p99", "p999", "max"].map(|key| number(&cycle[times][key]));
+            assert!(p50 <= p99 && p99 <= p999 && p999 <= max, "{times}: {cycle}");
+        }
+        assert!(number(&cycle["bus_us"]["p50"]) > 100.0, "{cycle}");
+
+        let buses = report["buses"].as_array().unwrap();
+        assert_eq!(buses.len(), 1);
+        assert_eq!(buses[0]["name"], "arm");
+        assert!(number(&buses[0]["frames"]) > 10_000.0, "{report}");
+        for percent in ["load_percent", "worst_case_percent"] {
+            let percent = number(&buses[0][percent]);
+            assert!(percent > 10.0 && percent < 100.0, "{report}");
+        }
+        check_axes(name, report["axes"].as_array().unwrap());
+    }
+}
+
+fn check_axes(name: &str, reports: &[Value]) {
+    let cell = Cell::parse(&text(name)).unwrap();
+    let robot = &cell.robot[0];
+    let home = robot.arm().unwrap().robot().home();
+    assert_eq!(reports.len(), robot.axis.len());
+    for ((axis, report), home) in robot.axis.iter().zip(reports).zip(home.iter()) {
+        assert_eq!(report["name"], axis.name.as_str());
+        let rms = number(&report["tracking_rms_rad"]);
+        let peak = number(&report["tracking_peak_rad"]);
+        assert!(
+            0.0 < rms && rms < peak && peak < TRACKING,
+            "{name}: {report}"
+        );
+        let scale = f64::from(axis.drive.counts_per_revolution) / std::f64::consts::TAU;
+        let expected = (home * scale).floor() - ((home + START) * scale).floor();
+        let offset = number(&report["homing_offset_counts"]);
+        assert!(
+            (offset - expected).abs() <= 1.0,
+            "{name}: {report}, expected {expected}"
+        );
+    }
+}
+
+#[test]
+fn the_wall_clock_bench_completes_without_a_fault() {
+    let run = mrroc([
+        "run".as_ref(),
+        example("irp6").as_os_str(),
+        "--json".as_ref(),
+    ]);
+    assert_eq!(run.status.code(), Some(0), "{run:?}");
+    let report = run.json();
+    assert_eq!(report["outcome"], "completed");
+    assert_eq!(report["bench"], "emulated");
+    assert_eq!(report["faults"], Value::Array(Vec::new()));
+    let factor = number(&report["realtime_factor"]);
+    assert!((0.9..1.1).contains(&factor), "{report}");
+    let seconds = number(&report["cycle"]["cycles"]) * 0.002;
+    assert!(seconds < 60.0, "{seconds} s");
+}
+
+#[test]
+fn the_table_names_every_axis_and_the_outcome() {
+    let run = mrroc([
+        "run".as_ref(),
+        example("irb6").as_os_str(),
+        "--bench=lockstep".as_ref(),
+    ]);
+    for needle in [
+        "column",
+        "wrist-roll",
+        "rms rad",
+        "homing",
+        "p99.9",
+        "wake-up",
+        "missed",
+        "bus arm",
+        "load",
+    ] {
+        assert!(run.stdout.contains(needle), "{needle}: {}", run.stdout);
+    }
+}
+
+#[test]
+fn ctrl_c_in_motion_brakes_the_arm() {
+    stops_in_motion("INT");
+}
+
+#[test]
+fn sigterm_in_motion_brakes_the_arm() {
+    stops_in_motion("TERM");
+}
+
+#[test]
+fn ctrl_c_while_homing_ends_the_run_at_once() {
+    let (run, record) = interrupted("INT", |_| {}, "Homing", 200);
+    stopped(&run);
+    let last = record.lines().last().unwrap();
+    assert!(last.contains(",Off,"), "{last}");
+    let cycles = number(&run.json()["cycle"]["cycles"]);
+    assert!(
+        cycles < 2500.0,
+        "{cycles} cycles for a stop after 200 of 5000"
+    );
+}
+
+fn stopped(run: &Output) {
+    assert_eq!(run.status.code(), Some(1), "{run:?}");
+    let report = run.json();
+    assert_eq!(report["outcome"], "stopped", "{report}");
+    assert_eq!(report["faults"], Value::Array(Vec::new()));
+}
+
+/// Runs the IRb-6 by the wall clock, sends `signal` once axes were in `phase` for some cycles, and
+/// returns what it said and its record.
+fn interrupted(
+    signal: &str,
+    change: impl FnOnce(&mut Cell),
+    phase: &str,
+    cycles: usize,
+) -> (Output, String) {
+    let directory = Directory::new();
+    let cell = directory.cell("irb6", change);
+    let record = directory.path("axes.csv");
+    let run = Running::start([
+        "run".as_ref(),
+        cell.as_os_str(),
+        "--json".as_ref(),
+        "--record".as_ref(),
+        record.as_os_str(),
+    ]);
+    let phase = format!(",wrist-roll,{phase},");
+    run.wait_for(&record, |text| text.matches(&phase).count() > cycles);
+    run.signal(signal);
+    let output = run.output();
+    (output, fs::read_to_string(&record).unwrap())
+}
+
+fn stops_in_motion(signal: &str) {
+    let change = |cell: &mut Cell| {
+        shorten(cell);
+        // Without gravity and friction the motor ends where the set-points end.
+        let axes = cell.robot[0].axis.iter_mut();
+        axes.for_each(|axis| axis.emulator.plant = Plant::Wut);
+    };
+    let (run, record) = interrupted(signal, change, "Moving", 150);
+    stopped(&run);
+
+    let period = 0.002;
+    let limit = Cell::parse(&text("irb6")).unwrap().robot[0].axis[0].max_acceleration;
+    let mut axes: HashMap<&str, Vec<Row>> = HashMap::new();
+    for line in record.lines().skip(1) {
+        let row = Row::parse(line);
+        axes.entry(row.axis).or_default().push(row);
+    }
+    let mut fastest = 0.0_f64;
+    for (name, rows) in &axes {
+        let braking = rows.iter().position(|row| row.phase == "Stopping").unwrap();
+        let set_points: Vec<&Row> = rows[braking - 2..]
+            .iter()
+            .take_while(|row| row.phase != "Off")
+            .collect();
+        let velocity = |pair: &[&Row]| (pair[1].commanded - pair[0].commanded) / period;
+        let velocities: Vec<f64> = set_points.windows(2).map(velocity).collect();
+        fastest = fastest.max(velocities[0].abs());
+        for pair in velocities.windows(2) {
+            let acceleration = (pair[1] - pair[0]).abs() / period;
+            assert!(
+                acceleration <= limit * 1.001,
+                "{name}: {acceleration} rad/s²"
+            );
+        }
+        assert_eq!(
+            *velocities.last().unwrap(),
+            0.0,
+            "{name} was switched off in motion"
+        );
+        let last = rows.last().unwrap();
+        assert_eq!(last.phase, "Off", "{name}");
+        assert!(
+            last.velocity.abs() < 1.0,
+            "{name} ends at {} rad/s",
+            last.velocity
+        );
+    }
+    assert!(fastest > 10.0, "nothing was in motion: {fastest} rad/s");
+}
+
+/// A line of a record.
+struct Row<'a> {
+    axis: &'a str,
+    phase: &'a str,
+    commanded: f64,
+    velocity: f64,
+}
+
+impl<'a> Row<'a> {
+    fn parse(line: &'a str) -> Self {
+        let fields: Vec<&str> = line.split(',').collect();
+        let [_, _, axis, phase, commanded, _, _, velocity, _] = fields[..] else {
+            panic!("{line}");
+        };
+        Self {
+            axis,
+            phase,
+            commanded: commanded.parse().unwrap(),
+            velocity: velocity.parse().unwrap(),
+        }
+    }
+}
+
+fn number(value: &Value) -> f64 {
+    value
+        .as_f64()
+        .unwrap_or_else(|| panic!("{value} is no number"))
+}

@@ -1,0 +1,244 @@
+//! The `mrroc` command as a child process: built once, run with a deadline, its words captured.
+
+use std::ffi::OsStr;
+use std::fs;
+use std::io::{BufReader, Read};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::mpsc::{self, Receiver};
+use std::thread;
+use std::time::Duration;
+
+use can::candump;
+use controller::cell::Cell;
+
+/// Nothing these tests run takes longer.
+const DEADLINE: Duration = Duration::from_secs(90);
+
+/// The example cells by name.
+pub(crate) const CELLS: [&str; 2] = ["irb6", "irp6"];
+
+/// The root of the workspace.
+pub(crate) fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .parent()
+        .expect("the tests' room is inside the workspace")
+}
+
+/// The file of an example cell.
+pub(crate) fn example(name: &str) -> PathBuf {
+    root().join(format!("cells/{name}.toml"))
+}
+
+/// The binary, built in the profile and the target directory of this test.
+pub(crate) fn binary() -> &'static Path {
+    static BINARY: OnceLock<PathBuf> = OnceLock::new();
+    BINARY.get_or_init(|| {
+        let test = std::env::current_exe().expect("a test binary knows its own path");
+        let profile = test
+            .ancestors()
+            .nth(2)
+            .expect("cargo puts tests into target/<profile>/deps");
+        let name = match profile.file_name().and_then(OsStr::to_str) {
+            None | Some("debug") => "dev",
+            Some(name) => name,
+        };
+        let target = profile.parent().expect("a profile is in a directory");
+        let built = Command::new(env!("CARGO"))
+            .args(["build", "--quiet", "--locked", "--package", "mrroc-console"])
+            .args(["--profile", name, "--target-dir"])
+            .arg(target)
+            .current_dir(root())
+            .status();
+        assert!(built.expect("cargo runs").success(), "mrroc does not build");
+        profile.join("mrroc")
+    })
+}
+
+/// What the command said.
+#[derive(Debug)]
+pub(crate) struct Output {
+    pub(crate) status: ExitStatus,
+    pub(crate) stdout: String,
+    pub(crate) stderr: String,
+}
+
+impl Output {
+    /// The one JSON object that is all of stdout.
+    pub(crate) fn json(&self) -> serde_json::Value {
+        let value: serde_json::Value = serde_json::from_str(&self.stdout)
+            .unwrap_or_else(|error| panic!("stdout is not one JSON value: {error}\n{self:?}"));
+        assert!(value.is_object(), "{self:?}");
+        value
+    }
+}
+
+/// Runs `mrroc` to its end.
+pub(crate) fn mrroc(arguments: impl IntoIterator<Item: AsRef<OsStr>>) -> Output {
+    Running::start(arguments).output()
+}
+
+/// A running `mrroc`, killed if it is dropped before its end.
+pub(crate) struct Running {
+    child: Child,
+    stdout: Receiver<String>,
+    stderr: Receiver<String>,
+}
+
+impl Running {
+    pub(crate) fn start(arguments: impl IntoIterator<Item: AsRef<OsStr>>) -> Self {
+        let mut child = Command::new(binary())
+            .args(arguments)
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("mrroc starts");
+        let stdout = read(child.stdout.take().expect("stdout is piped"));
+        let stderr = read(child.stderr.take().expect("stderr is piped"));
+        Self {
+            child,
+            stdout,
+            stderr,
+        }
+    }
+
+    /// Sends a signal by its name, such as `INT`.
+    pub(crate) fn signal(&self, name: &str) {
+        let kill = format!("kill -{name} {}", self.child.id());
+        let sent = Command::new("sh").args(["-c", &kill]).status();
+        assert!(sent.expect("sh runs").success(), "{kill}");
+    }
+
+    /// Waits until `file` satisfies `wanted`; panics if the command ends before, or at the deadline.
+    pub(crate) fn wait_for(&self, file: &Path, wanted: impl Fn(&str) -> bool) {
+        const LOOK: Duration = Duration::from_millis(20);
+        for _ in 0..DEADLINE.as_millis() / LOOK.as_millis() {
+            if fs::read_to_string(file).is_ok_and(|text| wanted(&text)) {
+                return;
+            }
+            // What it prints comes at its end.
+            if let Ok(stdout) = self.stdout.recv_timeout(LOOK) {
+                panic!("mrroc ended early: {stdout} {:?}", self.stderr.recv());
+            }
+        }
+        panic!("{} never became what it should", file.display());
+    }
+
+    /// Waits for the end.
+    pub(crate) fn output(mut self) -> Output {
+        let closed = "mrroc closes its outputs in time";
+        let stdout = self.stdout.recv_timeout(DEADLINE).expect(closed);
+        let stderr = self.stderr.recv_timeout(DEADLINE).expect(closed);
+        let status = self.child.wait().expect("mrroc can be waited for");
+        Output {
+            status,
+            stdout,
+            stderr,
+        }
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // Both fail if it has ended, which is as well.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// The whole of `source`, when it ends.
+fn read(source: impl Read + Send + 'static) -> Receiver<String> {
+    let (tell, told) = mpsc::sync_channel(1);
+    thread::spawn(move || {
+        let text = std::io::read_to_string(source).expect("mrroc speaks UTF-8");
+        // Nobody listens any more if the test has failed.
+        let _ = tell.send(text);
+    });
+    told
+}
+
+/// A directory that goes with the test.
+pub(crate) struct Directory(PathBuf);
+
+impl Directory {
+    pub(crate) fn new() -> Self {
+        static COUNT: AtomicU32 = AtomicU32::new(0);
+        let number = COUNT.fetch_add(1, Ordering::Relaxed);
+        let name = format!("mrroc-{}-{number}", std::process::id());
+        let path = std::env::temp_dir().join(name);
+        fs::create_dir(&path).expect("a directory of a new name");
+        Self(path)
+    }
+
+    pub(crate) fn path(&self, name: &str) -> PathBuf {
+        self.0.join(name)
+    }
+
+    /// Writes a file and returns its path.
+    pub(crate) fn write(&self, name: &str, text: &str) -> PathBuf {
+        let path = self.path(name);
+        fs::write(&path, text).expect("the directory is writable");
+        path
+    }
+
+    /// Writes a cell, changed by `change`.
+    pub(crate) fn cell(&self, example: &str, change: impl FnOnce(&mut Cell)) -> PathBuf {
+        let mut cell = Cell::parse(&text(example)).expect("example cells are right");
+        change(&mut cell);
+        let text = toml::to_string(&cell).expect("a cell is TOML");
+        self.write("cell.toml", &text)
+    }
+}
+
+impl Drop for Directory {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+/// The text of an example cell.
+pub(crate) fn text(example_cell: &str) -> String {
+    fs::read_to_string(example(example_cell)).expect("example cells are there")
+}
+
+/// Puts every axis just off its index pulse and lets all home together: a second instead of ten.
+pub(crate) fn shorten(cell: &mut Cell) {
+    for robot in &mut cell.robot {
+        let home = robot
+            .arm()
+            .expect("a parsed cell has an arm")
+            .robot()
+            .home();
+        for (number, axis) in robot.axis.iter_mut().enumerate() {
+            axis.emulator.start = Some(home[number] - 2.5);
+            axis.homing.order = 0;
+        }
+    }
+}
+
+/// A trace that `--trace` wrote.
+pub(crate) fn trace(path: &Path) -> Vec<candump::Entry> {
+    let file = fs::File::open(path).expect("the trace is there");
+    candump::Reader::new(BufReader::new(file))
+        .map(|entry| entry.expect("a trace is a candump log"))
+        .collect()
+}
+
+/// How many RPDOs of a trace carry a controlword that enables operation.
+pub(crate) fn enables(trace: &[candump::Entry]) -> usize {
+    let enables = |entry: &&candump::Entry| {
+        let Some(can::Id::Standard(id)) = entry.frame.id() else {
+            return false;
+        };
+        let rpdo = matches!(id.raw() & 0x780, 0x200 | 0x300 | 0x400 | 0x500);
+        rpdo && entry
+            .frame
+            .data()
+            .first()
+            .is_some_and(|low| low & 0x0F == 0x0F)
+    };
+    trace.iter().filter(enables).count()
+}
