@@ -233,7 +233,7 @@ fn drives_whose_host_dies_stop_by_themselves() {
     let (watched, nodes) = (rig.heartbeat() * 3, rig.scales.len());
     let died_at = rig.angles();
     let braking = Duration::from_secs_f64(Motion::VELOCITY / 1500.0);
-    let end = rig.now + watched + rig.heartbeat() + braking;
+    let end = rig.now + watched + braking;
     while rig.now < end {
         rig.pass();
     }
