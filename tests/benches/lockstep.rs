@@ -4,9 +4,13 @@
 //! second has, that is how many times faster than real time a lockstep run is. `servo cycle` is the servo and the
 //! group alone, on a port that answers every SYNC from a table and makes no system call.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use can::{ControllerState, Counters, Frame, Instant, Port, PortError, Received, VirtualPort};
+use can::{
+    ControllerState, Counters, Frame, Instant, Port, PortError, Received, StandardId, VirtualPort,
+};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use servo::Phase;
 
@@ -15,8 +19,11 @@ mod allocations;
 #[allow(dead_code, reason = "the tests use the rest")]
 #[path = "../system/cell.rs"]
 mod cell;
+#[path = "../system/motion.rs"]
+mod motion;
 
-use cell::{Motion, Rig, Setup};
+use cell::{Rig, Setup};
+use motion::Motion;
 
 /// Cycles in one iteration of the lockstep benchmark: a second.
 const SECOND: u64 = 500;
@@ -68,14 +75,14 @@ fn lockstep(criterion: &mut Criterion) {
 /// that came last.
 struct Echo {
     port: VirtualPort,
-    cut: std::sync::Arc<std::sync::atomic::AtomicBool>,
+    cut: Arc<AtomicBool>,
     answers: Vec<Received>,
     synchronised: Option<Instant>,
 }
 
 impl Echo {
     fn is_cut(&self) -> bool {
-        self.cut.load(std::sync::atomic::Ordering::Relaxed)
+        self.cut.load(Ordering::Relaxed)
     }
 }
 
@@ -110,10 +117,10 @@ impl Port for Echo {
                 ..*answer
             };
         }
-        // The heartbeats, all in one cycle: more than a robot sends.
+        // All heartbeats in each cycle, which is more than drives send.
         let mut count = self.answers.len();
         for (place, node) in into[count..].iter_mut().zip(1..=self.answers.len() as u16) {
-            let id = can::StandardId::new(0x700 + node).expect("a heartbeat's identifier");
+            let id = StandardId::new(0x700 + node).expect("a heartbeat's identifier");
             let frame = Frame::new(id, &[5]).expect("a byte");
             *place = Received { frame, at };
             count += 1;
@@ -131,13 +138,13 @@ impl Port for Echo {
 }
 
 fn servo_cycle(criterion: &mut Criterion) {
-    let cut = std::sync::Arc::default();
+    let cut = Arc::default();
     let mut setup = Setup::of("irp6");
     // The drives stay where they are while the commands go to and fro.
     for axis in &mut setup.cell.robot[0].axis {
         axis.following_error = 100.0;
     }
-    let switch = std::sync::Arc::clone(&cut);
+    let switch = Arc::clone(&cut);
     setup.port = Box::new(move |port| {
         Box::new(Echo {
             port,
@@ -148,7 +155,7 @@ fn servo_cycle(criterion: &mut Criterion) {
     });
     let mut rig = setup.bring_up();
     rig.home();
-    cut.store(true, std::sync::atomic::Ordering::Relaxed);
+    cut.store(true, Ordering::Relaxed);
     let mut motion = ToAndFro::new(&rig);
     criterion.bench_function("servo cycle, six moving axes", |bencher| {
         bencher.iter(|| {

@@ -21,12 +21,14 @@ use drive::{DriveGroup, Scale};
 use hil::plant::Switch;
 use hil::{Device, DeviceId, Epos4, Epos4Config, Irp6Axis, World};
 use servo::{
-    EffectorConfig, EffectorLink, Macrostep, Order, Phase, Record, Servo, ServoAxisConfig,
-    ServoConfig,
+    EffectorConfig, EffectorLink, Order, Phase, Record, Servo, ServoAxisConfig, ServoConfig,
 };
+
+use crate::motion::Motion;
 
 const ENABLING: Duration = Duration::from_secs(5);
 const HOMING: Duration = Duration::from_secs(120);
+const LONGEST_PROGRAM: Duration = Duration::from_secs(600);
 const LEAD: u16 = 8;
 
 type Alteration = Box<dyn Fn(usize, &mut hil::AxisConfig)>;
@@ -402,8 +404,10 @@ impl Rig {
     /// Runs a motion until `done`, which is to come before its end.
     #[track_caller]
     pub(crate) fn follow(&mut self, motion: &mut Motion, done: impl Fn(&Self) -> bool) {
+        let end = self.now + Motion::LONGEST;
         while !done(self) {
-            assert!(self.servo.fault(0).is_none(), "{:?}", self.servo.fault(0));
+            assert_eq!(self.servo.fault(0), None);
+            assert!(self.now < end, "{:?} after the motion", self.phase());
             self.feed(motion);
             self.cycle();
         }
@@ -434,7 +438,8 @@ impl Rig {
         };
         let mut ecp = Ecp::new(self.arm.clone(), link, config);
         ecp.execute(task).expect("a new process is idle");
-        loop {
+        let end = self.now + LONGEST_PROGRAM;
+        while self.now < end {
             self.cycle();
             while let Some(event) = ecp.poll(self.now) {
                 event.outcome.map_err(|error| error.to_string())?;
@@ -443,6 +448,7 @@ impl Rig {
                 return Ok(());
             }
         }
+        Err(format!("not done within {LONGEST_PROGRAM:?}"))
     }
 }
 
@@ -456,75 +462,6 @@ pub(crate) fn traced(setup: Setup) -> (Rig, TraceReader) {
     });
     let rig = Setup { port, ..setup }.bring_up();
     (rig, receiver.recv().expect("bring-up made the port"))
-}
-
-/// All axes moved by the same distance, rest to rest, at [`Motion::VELOCITY`].
-pub(crate) struct Motion {
-    from: [f64; servo::MAX_AXES],
-    distance: f64,
-    first: u64,
-    sent: u64,
-    macrosteps: u64,
-}
-
-impl Motion {
-    /// rad/s.
-    pub(crate) const VELOCITY: f64 = 50.0;
-    /// rad/s².
-    pub(crate) const ACCELERATION: f64 = 200.0;
-    /// No motion and no stop takes longer.
-    pub(crate) const LONGEST: Duration = Duration::from_secs(5);
-    const STEPS: u16 = 10;
-
-    /// By `distance` rad from where the robot was commanded last.
-    pub(crate) fn new(rig: &Rig, distance: f64) -> Self {
-        let duration = distance.abs() / Self::VELOCITY + Self::VELOCITY / Self::ACCELERATION;
-        let macrostep = rig.period.as_secs_f64() * f64::from(Self::STEPS);
-        Self {
-            from: rig.last.axis.map(|axis| axis.commanded),
-            distance,
-            first: rig.last.cycle,
-            sent: 0,
-            macrosteps: (duration / macrostep).ceil() as u64,
-        }
-    }
-
-    /// Whether all of it was given to the servo.
-    pub(crate) fn is_sent(&self) -> bool {
-        self.sent == self.macrosteps
-    }
-
-    fn next(&mut self, period: Duration) -> Macrostep {
-        self.sent += 1;
-        let t = self.sent as f64 * period.as_secs_f64() * f64::from(Self::STEPS);
-        let (way, velocity) = if self.sent == self.macrosteps {
-            (self.distance, 0.0)
-        } else {
-            self.at(t)
-        };
-        Macrostep {
-            number: self.first + self.sent,
-            steps: Self::STEPS,
-            report_at: Self::STEPS,
-            position: self.from.map(|from| from + way),
-            velocity: [velocity; servo::MAX_AXES],
-        }
-    }
-
-    fn at(&self, t: f64) -> (f64, f64) {
-        let (v, a, sign) = (Self::VELOCITY, Self::ACCELERATION, self.distance.signum());
-        let ramp = v / a;
-        let end = self.distance.abs() / v + ramp;
-        let (way, velocity) = if t < ramp {
-            (0.5 * a * t * t, a * t)
-        } else if t < end - ramp {
-            (v * (t - 0.5 * ramp), v)
-        } else {
-            let left = (end - t).max(0.0);
-            (self.distance.abs() - 0.5 * a * left * left, a * left)
-        };
-        (sign * way, sign * velocity)
-    }
 }
 
 fn node(raw: u8) -> NodeId {

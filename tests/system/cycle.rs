@@ -5,7 +5,8 @@ use can::Frame;
 use can::candump::Direction;
 use servo::{Macrostep, Order, Phase};
 
-use crate::cell::{Motion, Setup, traced};
+use crate::cell::{Setup, traced};
+use crate::motion::Motion;
 use crate::watch::Watcher;
 
 #[test]

@@ -12,7 +12,8 @@ use drive::Fault;
 use hil::PlantConfig;
 use servo::{MAX_AXES, Macrostep, Order, Phase, StopCause};
 
-use crate::cell::{Motion, Rig, Setup, traced};
+use crate::cell::{Rig, Setup, traced};
+use crate::motion::Motion;
 use crate::watch::Watcher;
 
 /// Motion left when a fault is latched: braking from full speed at the IRb-6's 1500 rad/s², what the
@@ -232,7 +233,7 @@ fn drives_whose_host_dies_stop_by_themselves() {
     let (watched, nodes) = (rig.heartbeat() * 3, rig.scales.len());
     let died_at = rig.angles();
     let braking = Duration::from_secs_f64(Motion::VELOCITY / 1500.0);
-    let end = rig.now + watched + rig.heartbeat() + braking;
+    let end = rig.now + watched + braking;
     while rig.now < end {
         rig.pass();
     }

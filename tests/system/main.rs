@@ -10,6 +10,7 @@ mod cli_run;
 mod cycle;
 mod faults;
 mod homing;
+mod motion;
 mod mrroc;
 mod regression;
 mod repetition;
