@@ -150,7 +150,7 @@ impl Programs {
         for (robot, link) in links.into_iter().enumerate() {
             let arm = &file.arms[robot];
             let task = file.cell.robot[robot]
-                .task(arm)
+                .task(robot, arm)
                 .map_err(|(_, error)| anyhow!(error))?;
             instructions += task.len();
             let mut ecp = Ecp::new(arm.clone(), link, setup::ecp_config(&file.cell));
