@@ -4,6 +4,8 @@
 
 mod architecture;
 mod bench;
+mod cli_check;
+mod cli_refusals;
 mod cli_run;
 mod mrroc;
 mod regression;
