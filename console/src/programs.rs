@@ -36,9 +36,11 @@ impl Programs {
         stop: StopRequest,
     ) -> anyhow::Result<Self> {
         let mut ecps = Vec::new();
-        for ((robot, arm), link) in file.cell.robot.iter().zip(&file.arms).zip(links) {
+        for (robot, link) in links.into_iter().enumerate() {
+            let arm = &file.arms[robot];
             let mut ecp = Ecp::new(arm.clone(), link, setup::ecp_config(&file.cell));
-            ecp.execute(robot.task(arm).map_err(|(_, error)| anyhow!(error))?)?;
+            let task = file.cell.robot[robot].task(robot, arm);
+            ecp.execute(task.map_err(|(_, error)| anyhow!(error))?)?;
             ecps.push(ecp);
         }
         Ok(Self {

@@ -28,9 +28,12 @@ pub(crate) fn rehearse(file: &CellFile) -> anyhow::Result<Duration> {
     let mut ecps = Vec::new();
     for (robot, link) in links.into_iter().enumerate() {
         let arm = file.arms[robot].clone();
-        let task = file.cell.robot[robot].task(&arm);
-        let task =
-            task.map_err(|(index, error)| file.refuse(&instruction_path(robot, index), error))?;
+        let task = file.cell.robot[robot].task(robot, &arm);
+        let task = task.map_err(|(key, error)| {
+            let axis = error.axis().map(|axis| file.axis_name(robot, axis));
+            let axis = axis.map_or(String::new(), |name| name + ", ");
+            file.refuse(&key, format_args!("{axis}{error}"))
+        })?;
         let mut ecp = Ecp::new(arm, link, setup::ecp_config(&file.cell));
         ecp.execute(task).expect("a new ECP has nothing under way");
         ecps.push(ecp);

@@ -426,7 +426,7 @@ impl Rig {
     /// The robot's program, begun by enabling and homing, to its end; how the run ended.
     pub(crate) fn run_program(&mut self) -> Result<(), String> {
         let robot = &self.cell.robot[0];
-        let task = robot.task(&self.arm).expect("the program is sound");
+        let task = robot.task(0, &self.arm).expect("the program is sound");
         let link = self.link.take().expect("no program runs yet");
         let config = EcpConfig {
             period: self.period,

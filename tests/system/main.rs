@@ -6,6 +6,8 @@ mod allocations;
 mod architecture;
 mod bench;
 mod cell;
+mod cli_check;
+mod cli_refusals;
 mod cli_run;
 mod cycle;
 mod faults;

@@ -43,6 +43,18 @@ pub enum ProgramError {
     Generator(#[from] GeneratorError),
 }
 
+impl ProgramError {
+    /// The axis it is about.
+    pub fn axis(&self) -> Option<usize> {
+        match *self {
+            Self::Kinematics(cause) | Self::Generator(GeneratorError::Path { cause, .. }) => {
+                cause.axis()
+            }
+            Self::Generator(_) => None,
+        }
+    }
+}
+
 /// The key of instruction `index` of the program of robot `robot`.
 pub fn instruction_path(robot: usize, index: usize) -> Path {
     Path::default()
@@ -75,34 +87,42 @@ impl Robot {
     /// Its program as a task: enable, home, the instructions one by one, disable.
     ///
     /// Every pose is looked at here, from where the instruction before it will have ended; the error comes with the
-    /// index of its instruction.
-    pub fn task(&self, arm: &Arm) -> Result<Task, (usize, ProgramError)> {
+    /// key of the instruction or the pose of this robot, which is number `robot` of its cell.
+    pub fn task(&self, robot: usize, arm: &Arm) -> Result<Task, (Path, ProgramError)> {
         let mut task = Task::new().enable().home();
         let mut joints = arm
             .joints(&arm.robot().home().padded())
-            .map_err(|error| (0, error.into()))?;
+            .map_err(|error| (instruction_path(robot, 0), error.into()))?;
         for (index, instruction) in self.program.iter().enumerate() {
+            let key = instruction_path(robot, index);
             let (next, end) = match instruction {
-                Instruction::Joints(motion) => self.joint_motion(arm, motion, task),
-                Instruction::Line(line) => self.line(arm, line, &joints, task),
-            }
-            .map_err(|error| (index, error))?;
+                Instruction::Joints(motion) => {
+                    let key = key.then("joints").then("poses");
+                    self.joint_motion(arm, motion, task)
+                        .map_err(|(pose, error)| (key.then(pose), error))
+                }
+                Instruction::Line(line) => self
+                    .line(arm, line, &joints, task)
+                    .map_err(|error| (key.then("line"), error)),
+            }?;
             (task, joints) = (next, end);
         }
         Ok(task.disable())
     }
 
+    /// The error comes with the number of its pose.
     fn joint_motion(
         &self,
         arm: &Arm,
         motion: &Joints,
         task: Task,
-    ) -> Result<(Task, Axes), ProgramError> {
+    ) -> Result<(Task, Axes), (usize, ProgramError)> {
         let poses: Vec<Axes> = motion.poses.iter().map(|pose| padded(pose)).collect();
-        for pose in &poses {
-            arm.motors(pose)?;
+        for (number, pose) in poses.iter().enumerate() {
+            arm.motors(pose).map_err(|error| (number, error.into()))?;
         }
-        let end = *poses.last().ok_or(GeneratorError::NoPoses)?;
+        let no_pose = (0, GeneratorError::NoPoses.into());
+        let end = *poses.last().ok_or(no_pose)?;
         let limits = self.motion_limits(arm);
         let task = match motion.generator {
             JointGenerator::Newsmooth => {
@@ -111,12 +131,10 @@ impl Robot {
                     velocity: [motion.velocity; MAX_AXES],
                     acceleration: [motion.acceleration; MAX_AXES],
                 };
-                task.run(Newsmooth::new(
-                    Space::Joint,
-                    arm.axes(),
-                    limits,
-                    poses.into_iter().map(pose).collect(),
-                )?)
+                let poses = poses.into_iter().map(pose).collect();
+                Newsmooth::new(Space::Joint, arm.axes(), limits, poses)
+                    .map(|generator| task.run(generator))
+                    .map_err(|error| (0, error.into()))?
             }
             JointGenerator::JerkLimited => {
                 let limits = MotionLimits {
@@ -126,9 +144,11 @@ impl Robot {
                         .map(|limit| limit * motion.acceleration),
                     max_jerk: limits.max_jerk.map(|limit| limit * motion.acceleration),
                 };
-                poses.iter().try_fold(task, |task, pose| {
+                let mut poses = poses.iter().enumerate();
+                poses.try_fold(task, |task, (number, pose)| {
                     JerkLimited::new(Space::Joint, arm.axes(), limits, &[*pose])
                         .map(|generator| task.run(generator))
+                        .map_err(|error| (number, error.into()))
                 })?
             }
         };

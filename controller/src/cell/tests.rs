@@ -17,7 +17,7 @@ fn example_cells_parse_and_their_programs_can_be_built() {
         let cell = Cell::parse(text).unwrap();
         for robot in &cell.robot {
             let arm = robot.arm().unwrap();
-            let task = robot.task(&arm).unwrap();
+            let task = robot.task(0, &arm).unwrap();
             assert_eq!(task.len(), robot.task_len(), "{}", cell.name);
         }
     }
@@ -156,28 +156,33 @@ fn a_refusal_names_line_key_and_reason() {
 #[test]
 fn a_pose_that_the_arm_cannot_take_names_its_instruction() {
     let cases = [
-        ("[[0.4, -1.8,", "[[0.4, -0.5,", 0, "axis 1"),
+        (
+            "[[0.4, -1.8,",
+            "[[0.4, -0.5,",
+            "robot[0].program[0].joints.poses[0]",
+            "axis 1",
+        ),
         (
             "position = [0.85, 0.0, 0.85]",
             "position = [3.0, 0.0, 0.85]",
-            1,
+            "robot[0].program[1].line",
             "out of reach",
         ),
         (
             "position = [0.85, 0.0, 0.85]",
             "position = [0.85, 0.3, 0.85]",
-            1,
+            "robot[0].program[1].line",
             "out of the arm's plane",
         ),
     ];
-    for (good, bad, index, reason) in cases {
+    for (good, bad, key, reason) in cases {
         let text = IRB6.replacen(good, bad, 1);
         assert_ne!(text, IRB6, "{good}");
         let cell = Cell::parse(&text).unwrap();
         let (found, error) = cell.robot[0]
-            .task(&cell.robot[0].arm().unwrap())
+            .task(0, &cell.robot[0].arm().unwrap())
             .unwrap_err();
-        assert_eq!(found, index, "{bad}: {error}");
+        assert_eq!(found.to_string(), key, "{bad}: {error}");
         assert!(error.to_string().contains(reason), "{bad}: {error}");
     }
 }

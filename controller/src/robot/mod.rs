@@ -178,3 +178,16 @@ pub enum KinematicsError {
         residual: f64,
     },
 }
+
+impl KinematicsError {
+    /// The axis it is about.
+    pub fn axis(&self) -> Option<usize> {
+        match *self {
+            Self::Singular { axis } | Self::BeyondLimit { axis, .. } => Some(usize::from(axis)),
+            Self::NotFinite
+            | Self::AxisCount { .. }
+            | Self::Unreachable { .. }
+            | Self::ToolPlane { .. } => None,
+        }
+    }
+}

@@ -1,0 +1,271 @@
+//! `mrroc check`, `mrroc schema` and the help of every command, as a user sees them.
+
+use std::fs;
+
+use controller::cell::{Bus, Cell, Robot};
+use serde_json::Value;
+
+use crate::mrroc::{CELLS, Directory, Output, example, mrroc, root, text};
+
+#[test]
+fn check_accepts_the_example_cells_and_says_what_their_buses_carry() {
+    for name in CELLS {
+        let cell = example(name);
+        let check = mrroc(["check".as_ref(), cell.as_os_str()]);
+        assert_eq!(check.status.code(), Some(0), "{check:?}");
+        for needle in [
+            "bus arm: load ",
+            "response µs",
+            "SYNC",
+            "set-point",
+            "is ready",
+        ] {
+            assert!(check.stdout.contains(needle), "{needle}: {check:?}");
+        }
+        let json = mrroc(["check".as_ref(), cell.as_os_str(), "--json".as_ref()]);
+        assert_eq!(json.stdout.lines().count(), 1, "{json:?}");
+        let bus = &json.json()["buses"][0];
+        assert_eq!(bus["name"], "arm");
+        let load = bus["load_percent"].as_f64().unwrap();
+        let busy = bus["worst_case_percent"].as_f64().unwrap();
+        assert!(load > 50.0 && load < busy && busy < 100.0, "{bus}");
+        for message in bus["messages"].as_array().unwrap() {
+            let cyclic = message["period_us"] == 2000 && message["what"] != "service request";
+            if let Some(response) = message["response_us"].as_u64() {
+                assert!(cyclic && response > 0 && response <= 2000, "{message}");
+            }
+        }
+        assert!(bus["messages"].as_array().unwrap().len() > 10, "{bus}");
+    }
+}
+
+/// The check of a cell of two IRb-6 on one bus, or each on its own.
+fn two_arms(period_us: u32, buses: usize) -> Output {
+    let directory = Directory::new();
+    let cell = directory.cell("irb6", |cell| {
+        cell.period_us = period_us;
+        let (robot, bus) = (cell.robot[0].clone(), cell.bus[0].clone());
+        let second = if buses == 1 {
+            bus.name.clone()
+        } else {
+            "second".into()
+        };
+        let mut axes = robot.axis.clone();
+        for axis in &mut axes {
+            axis.node += 10;
+            axis.bus.clone_from(&second);
+        }
+        cell.robot.push(Robot {
+            name: "other".into(),
+            axis: axes,
+            ..robot
+        });
+        if buses > 1 {
+            cell.bus.push(Bus {
+                name: second,
+                interface: "can1".into(),
+                ..bus
+            });
+        }
+    });
+    mrroc(["check".as_ref(), cell.as_os_str()])
+}
+
+/// The whole number in front of `words`.
+fn number_before(line: &str, words: &str) -> u32 {
+    let before = line
+        .split(words)
+        .next()
+        .filter(|before| before.len() < line.len());
+    let number = before.and_then(|before| before.split_whitespace().next_back());
+    let number = number.unwrap_or_else(|| panic!("nothing before {words:?} in {line:?}"));
+    let number = number.trim_start_matches('(');
+    number
+        .parse()
+        .unwrap_or_else(|_| panic!("{number:?} is no number: {line:?}"))
+}
+
+#[test]
+fn ten_axes_at_1_khz_on_one_bus_are_refused_with_what_would_fit() {
+    let check = two_arms(1000, 1);
+    assert_eq!(check.status.code(), Some(2), "{check:?}");
+    assert_eq!(
+        (check.stdout.as_str(), check.stderr.lines().count()),
+        ("", 1)
+    );
+    let line = check.stderr.as_str();
+    for needle in [
+        "mrroc: ",
+        "cell.toml:",
+        "bus[0]: ",
+        "10 axes",
+        "\"arm\"",
+        "of each 1000 µs",
+        "at most 100 %",
+    ] {
+        assert!(line.contains(needle), "{needle}: {line}");
+    }
+    assert!(number_before(line, " %, at most") > 100, "{line}");
+    let axes = number_before(line, " axes would fit");
+    assert!((1..7).contains(&axes), "{line}");
+    // What it says would fit does, and no less.
+    let period: String = line
+        .split("a period of ")
+        .nth(1)
+        .unwrap()
+        .chars()
+        .take_while(char::is_ascii_digit)
+        .collect();
+    let period = 1000 * period.parse::<u32>().unwrap();
+    let fits = two_arms(period, 1);
+    assert_eq!(fits.status.code(), Some(0), "{fits:?}");
+    let tight = two_arms(period - 1000, 1);
+    assert_eq!(tight.status.code(), Some(2), "{tight:?}");
+}
+
+#[test]
+fn two_buses_carry_what_one_cannot() {
+    assert_eq!(two_arms(2000, 1).status.code(), Some(2));
+    let check = two_arms(2000, 2);
+    assert_eq!(check.status.code(), Some(0), "{check:?}");
+    for bus in ["bus arm: ", "bus second: "] {
+        assert!(check.stdout.contains(bus), "{check:?}");
+    }
+}
+
+#[test]
+fn a_run_refuses_the_overloaded_bus_as_well() {
+    let directory = Directory::new();
+    let cell = directory.cell("irp6", |cell| cell.period_us = 1000);
+    let run = mrroc([
+        "run".as_ref(),
+        cell.as_os_str(),
+        "--bench=lockstep".as_ref(),
+    ]);
+    assert_eq!(run.status.code(), Some(2), "{run:?}");
+    assert!(run.stderr.contains("axes would fit"), "{run:?}");
+}
+
+#[test]
+fn the_published_schema_is_the_one_the_command_prints() {
+    let printed = mrroc(["schema"]);
+    assert_eq!(printed.status.code(), Some(0));
+    let published = fs::read_to_string(root().join("cells/cell.schema.json")).unwrap();
+    assert!(
+        printed.stdout == published,
+        "cells/cell.schema.json is not what the command reads: `mrroc schema > cells/cell.schema.json`"
+    );
+}
+
+/// Keys of `value` that `schema` knows not, and keys it requires that are missing.
+fn strangers(root: &Value, schema: &Value, value: &Value, place: &str) -> Vec<String> {
+    let schema = match schema["$ref"].as_str() {
+        Some(reference) => root
+            .pointer(&reference[1..])
+            .expect("a reference leads somewhere"),
+        None => schema,
+    };
+    for either in ["anyOf", "oneOf"] {
+        if let Some(options) = schema[either].as_array() {
+            let found = options
+                .iter()
+                .map(|option| strangers(root, option, value, place));
+            return found.min_by_key(Vec::len).unwrap_or_default();
+        }
+    }
+    match value {
+        Value::Object(table) => {
+            let inner = table.iter().flat_map(|(key, value)| {
+                let place = format!("{place}.{key}");
+                match schema["properties"].get(key) {
+                    Some(schema) => strangers(root, schema, value, &place),
+                    None => vec![place],
+                }
+            });
+            let required = schema["required"].as_array().into_iter().flatten();
+            let missing = required
+                .filter_map(Value::as_str)
+                .filter(|key| !table.contains_key(*key))
+                .map(|key| format!("{place}.{key} is missing"));
+            inner.chain(missing).collect()
+        }
+        Value::Array(items) => items
+            .iter()
+            .flat_map(|item| strangers(root, &schema["items"], item, &format!("{place}[]")))
+            .collect(),
+        _ => Vec::new(),
+    }
+}
+
+#[test]
+fn every_key_of_the_example_cells_is_in_the_schema() {
+    let schema = mrroc(["schema"]).json();
+    for name in CELLS {
+        let text = text(name);
+        let check = |text: &str| {
+            let cell: Value = toml::from_str(text).unwrap();
+            strangers(&schema, &schema, &cell, name)
+        };
+        assert_eq!(check(&text), Vec::<String>::new());
+        let wrong = text.replacen("search_velocity", "serch_velocity", 1);
+        let place = format!("{name}.robot[].axis[].homing");
+        assert_eq!(
+            check(&wrong),
+            [
+                format!("{place}.serch_velocity"),
+                format!("{place}.search_velocity is missing")
+            ]
+        );
+        let wrong = text.replacen("line = { position", "line = { posture", 1);
+        assert!(!check(&wrong).is_empty());
+        Cell::parse(&text).unwrap();
+    }
+}
+
+#[test]
+fn every_command_explains_itself() {
+    let commands: [&[&str]; 7] = [
+        &[],
+        &["check"],
+        &["run"],
+        &["emulate"],
+        &["vm"],
+        &["vm", "uml"],
+        &["schema"],
+    ];
+    for command in commands {
+        let help = mrroc(command.iter().chain(&["--help"]));
+        assert_eq!(help.status.code(), Some(0), "{help:?}");
+        assert!(help.stdout.contains("Usage: mrroc"), "{help:?}");
+        assert_eq!(help.stderr, "", "{command:?}");
+    }
+    let run = mrroc(["run", "--help"]).stdout;
+    for option in [
+        "--bench", "--can", "--json", "--trace", "--record", "lockstep", "emulated", "vcan", "card",
+    ] {
+        assert!(run.contains(option), "{option}: {run}");
+    }
+}
+
+#[test]
+fn the_version_is_that_of_the_workspace() {
+    let version = mrroc(["--version"]);
+    assert_eq!(version.status.code(), Some(0));
+    assert_eq!(
+        version.stdout,
+        format!("mrroc {}\n", env!("CARGO_PKG_VERSION"))
+    );
+}
+
+#[test]
+fn an_unknown_command_or_bench_is_refused_with_the_known_ones() {
+    for (arguments, needle) in [
+        (&["fly"][..], "--help"),
+        (&["run", "x.toml", "--bench", "moon"], "lockstep"),
+    ] {
+        let run = mrroc(arguments);
+        assert_eq!(run.status.code(), Some(2), "{run:?}");
+        assert!(run.stderr.contains(needle), "{run:?}");
+        assert_eq!(run.stdout, "");
+    }
+}
