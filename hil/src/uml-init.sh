@@ -2,9 +2,9 @@
 # First process of the test machine. Its root is the host's file system, read-only.
 #
 # This script lies in a directory of its own inside the output directory, which is the only place on
-# the host that the machine can write to. Beside it lies `command`, a shell script: its exit status
-# goes to `status`. A step of the boot that fails goes to `failed` instead. On the console, a mark
-# stands before and behind what the command prints.
+# the host that the machine can write to. Beside it lie two more: `mounts` brings back what our own
+# mounts hide, and the exit status of `command` goes to `status`. A step of the boot that fails goes
+# to `failed` instead. On the console, a mark stands before and behind what the command prints.
 export PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin
 control=${0%/*}
 output=${control%/*}
@@ -36,11 +36,15 @@ mount -t sysfs sysfs /sys
 stty -opost -echo </dev/console
 mkdir /dev/pts /dev/shm
 mount -t devpts devpts /dev/pts
+# Read before the mounts hide it. The output directory comes last: it may lie inside one of these.
+mounts=$(cat "$control/mounts")
 for directory in /dev/shm /run /tmp /var/tmp; do
     mount -t tmpfs tmpfs "$directory"
 done
+unseen=$(sh -ec "$mounts" 2>&1)
 mkdir -p "$output"
 mount -t hostfs -o "$output" none "$output" || power_off
+[ -z "$unseen" ] || step false "$unseen"
 
 step load net/can/can
 step load net/can/can-raw

@@ -4,7 +4,8 @@
 //! It promises that the command inside can write to one directory of the host and nowhere else, that
 //! it ends within its time, and that no process and no file is left behind. Interface `vcan0` is up;
 //! `can-utils`, `ip` and `tc` work as on any host. There is one processor, and its timing proves
-//! nothing. What lies under `/tmp`, `/run` and `/dev` on the host is not seen inside.
+//! nothing. `/tmp`, `/var/tmp`, `/run` and `/dev` are the machine's own: what lies there on the host is not
+//! seen inside, but for the working directory, the program's directory and those of [`Options::visible`].
 //!
 //! Read [`Options`], then [`run`]; the machine's first process is `uml-init.sh`.
 
@@ -29,6 +30,8 @@ const MODULES: &str = "/usr/lib/uml/modules";
 const INIT: &str = include_str!("uml-init.sh");
 /// Lines on their way from the console; a full queue stops the machine's writer.
 const CONSOLE_LINES: usize = 256;
+/// Where `uml-init.sh` mounts file systems of the machine's own.
+const HIDDEN: [&str; 4] = ["/tmp", "/var/tmp", "/run", "/dev"];
 /// How long killed processes may take to vanish.
 const GRACE: Duration = Duration::from_secs(5);
 /// What is kept of the boot's messages, to be shown if it fails.
@@ -44,6 +47,8 @@ pub struct Options {
     pub env: Vec<(OsString, OsString)>,
     /// Working directory of the program.
     pub directory: PathBuf,
+    /// Further directories of the host to be seen inside, read-only, wherever they lie.
+    pub visible: Vec<PathBuf>,
     /// The one directory of the host that the program can write to; `None` makes one and removes it.
     pub output: Option<PathBuf>,
     /// Memory of the machine, MiB.
@@ -59,6 +64,7 @@ impl Options {
             command: command.into_iter().map(Into::into).collect(),
             env: Vec::new(),
             directory: PathBuf::from("/"),
+            visible: Vec::new(),
             output: None,
             memory_mib: 256,
             timeout: Duration::from_secs(60),
@@ -191,6 +197,7 @@ impl Control {
         let init = self.path.join("init");
         fs::write(&init, INIT)?;
         fs::set_permissions(&init, fs::Permissions::from_mode(0o755))?;
+        fs::write(self.path.join("mounts"), mount_script(options))?;
         fs::write(self.path.join("command"), command_script(options))
     }
 
@@ -214,6 +221,38 @@ impl Drop for Control {
         // Nothing can be done about a directory that somebody else holds.
         let _ = fs::remove_dir_all(&self.remove);
     }
+}
+
+/// Mounts what is to be seen inside and would be hidden.
+fn mount_script(options: &Options) -> Vec<u8> {
+    let program = options
+        .command
+        .first()
+        .filter(|program| program.as_bytes().contains(&b'/'))
+        .map(|program| options.directory.join(program));
+    let program = program.as_deref().and_then(Path::parent);
+    let mut script = Vec::new();
+    let directories = options.visible.iter().map(PathBuf::as_path);
+    for directory in directories
+        .chain([options.directory.as_path()])
+        .chain(program)
+    {
+        if HIDDEN.iter().any(|hidden| directory.starts_with(hidden)) {
+            let mut place = Vec::new();
+            quote(directory.as_os_str(), &mut place);
+            let words: [&[u8]; 7] = [
+                b"mkdir -p ",
+                &place,
+                b"; mount -t hostfs -r -o ",
+                &place,
+                b" none ",
+                &place,
+                b"\n",
+            ];
+            script.extend(words.concat());
+        }
+    }
+    script
 }
 
 fn command_script(options: &Options) -> Vec<u8> {
@@ -364,6 +403,27 @@ mod tests {
             String::from_utf8(command_script(&options)).unwrap(),
             expected
         );
+    }
+
+    #[test]
+    fn what_would_be_hidden_is_mounted() {
+        let mounts = |directory: &str, visible: &str, program: &str| {
+            let options = Options {
+                directory: directory.into(),
+                visible: vec![visible.into()],
+                ..Options::new([program])
+            };
+            String::from_utf8(mount_script(&options)).unwrap()
+        };
+        let mount = |place: &str| {
+            format!("mkdir -p '{place}'; mount -t hostfs -r -o '{place}' none '{place}'\n")
+        };
+        assert_eq!(mounts("/", "/tmpfs", "sh"), "");
+        assert_eq!(mounts("/home/x", "/usr", "target/mrroc"), "");
+        assert_eq!(mounts("/tmp/a b", "/usr", "sh"), mount("/tmp/a b"));
+        let all = [mount("/run/it"), mount("/tmp/x"), mount("/tmp/x/target")].concat();
+        assert_eq!(mounts("/tmp/x", "/run/it", "target/mrroc"), all);
+        assert_eq!(mounts("/usr", "/", "/dev/shm/mrroc"), mount("/dev/shm"));
     }
 
     #[test]
