@@ -3,10 +3,11 @@
 use anyhow::{Context, bail};
 use can::{Port, SocketCanOptions, SocketCanPort, TraceReader, Tracer};
 use clap::ValueEnum;
+use drive::cia402;
 
 use crate::cell_file::CellFile;
 use crate::emulation::Emulation;
-use crate::interfaces;
+use crate::{interfaces, setup};
 
 /// Frames that a trace may lag behind the bus: some seconds of a full one.
 const TRACE: usize = 1 << 16;
@@ -66,14 +67,20 @@ impl Bench {
             }
             BenchKind::Vcan | BenchKind::Card => {
                 let interfaces = interfaces::resolve(&file.cell, can)?;
-                let open = |(interface, bus): (&String, &controller::cell::Bus)| {
-                    let port = SocketCanPort::open(interface, &SocketCanOptions::default());
+                let open = |(index, interface): (usize, &String)| {
+                    let bus = &file.cell.bus[index];
+                    let setpoints = setup::axes_on(&file.cell, index).count();
+                    let options = SocketCanOptions {
+                        send_queue: setpoints + cia402::BESIDE_SETPOINTS,
+                        ..SocketCanOptions::default()
+                    };
+                    let port = SocketCanPort::open(interface, &options);
                     Ok(Box::new(port.with_context(|| format!("bus {}", bus.name))?) as _)
                 };
                 (
                     interfaces
                         .iter()
-                        .zip(&file.cell.bus)
+                        .enumerate()
                         .map(open)
                         .collect::<anyhow::Result<_>>()?,
                     None,

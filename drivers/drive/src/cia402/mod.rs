@@ -64,6 +64,10 @@ use process_data::Answer;
 /// SDO frames that one call of bring-up sends at most: what a transmit queue of ten still takes.
 const SDO_FRAMES_PER_CALL: usize = 8;
 
+/// Frames that a cycle sends beside one set-point for each axis: SYNC, our heartbeat and a service request. A
+/// port must take them all at once, or set-points are dropped.
+pub const BESIDE_SETPOINTS: usize = 3;
+
 /// CiA 402 drives behind one port. The module says what it does with each command.
 pub struct Cia402Group<P: Port> {
     port: P,
@@ -158,7 +162,7 @@ impl<P: Port> Cia402Group<P> {
             config,
             // A cycle brings an answer, a heartbeat, an EMCY and an SDO frame of each node at most.
             received: vec![nothing; 16 + 8 * nodes.len()],
-            batch: Vec::with_capacity(nodes.len().max(SDO_FRAMES_PER_CALL) + 3),
+            batch: Vec::with_capacity(nodes.len().max(SDO_FRAMES_PER_CALL) + BESIDE_SETPOINTS),
             nodes,
             index,
             stage: Stage::Down,
