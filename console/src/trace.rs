@@ -6,6 +6,7 @@ use std::path::Path;
 
 use anyhow::Context;
 use can::{TraceReader, candump};
+use drive::AxisCommand;
 use servo::Record;
 
 use crate::cell_file::CellFile;
@@ -85,7 +86,8 @@ impl AxisLog {
         let mut writer = BufWriter::new(sink);
         writeln!(
             writer,
-            "cycle,time_s,axis,phase,commanded_rad,measured_rad,counts,velocity_rad_per_s,torque_nm"
+            "cycle,time_s,axis,phase,command,commanded_rad,measured_rad,counts,\
+             velocity_rad_per_s,torque_nm,homing"
         )?;
         let robots = file.cell.robot.iter().enumerate();
         let names = robots.map(|(robot, value)| {
@@ -108,17 +110,30 @@ impl AxisLog {
                 let seconds = record.at.as_nanos() as f64 / 1e9;
                 writeln!(
                     self.writer,
-                    "{},{seconds:.9},{name},{:?},{},{},{},{},{}",
+                    "{},{seconds:.9},{name},{:?},{},{},{},{},{},{},{:?}",
                     record.cycle,
                     record.phase,
+                    word(axis.command),
                     axis.commanded,
                     axis.measured,
                     axis.increments.0,
                     axis.velocity,
                     axis.torque,
+                    axis.homing,
                 )?;
             }
         }
         self.writer.flush()
+    }
+}
+
+/// What the CSV file calls a command; the set-point of `Follow` stands in a column of its own.
+fn word(command: AxisCommand) -> &'static str {
+    match command {
+        AxisCommand::Off => "Off",
+        AxisCommand::ResetFault => "ResetFault",
+        AxisCommand::Stand => "Stand",
+        AxisCommand::Home => "Home",
+        AxisCommand::Follow(_) => "Follow",
     }
 }

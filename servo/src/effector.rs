@@ -575,10 +575,12 @@ impl Effector {
         for (axis, kept) in self.axes.iter().zip(&mut record.axis) {
             *kept = AxisRecord {
                 commanded: axis.knot.position,
+                command: axis.command,
                 measured: axis.state.position,
                 increments: axis.state.increments,
                 velocity: axis.state.velocity,
                 torque: axis.state.torque,
+                homing: axis.state.homing,
             };
         }
         record

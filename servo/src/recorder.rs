@@ -1,7 +1,7 @@
 //! Per-cycle records in a bounded ring, drained by a thread that may be late.
 
 use can::Instant;
-use drive::Increments;
+use drive::{AxisCommand, Homing, Increments};
 
 use crate::{MAX_AXES, Phase};
 
@@ -27,6 +27,8 @@ pub struct Record {
 pub struct AxisRecord {
     /// Motor position commanded in this cycle, rad.
     pub commanded: f64,
+    /// What its drive is told in this cycle.
+    pub command: AxisCommand,
     /// Motor position as last measured, rad; it answers the command of two cycles before.
     pub measured: f64,
     /// The same as the drive counts it.
@@ -35,6 +37,8 @@ pub struct AxisRecord {
     pub velocity: f64,
     /// Motor torque measured, N·m.
     pub torque: f64,
+    /// What the drive says of its reference.
+    pub homing: Homing,
 }
 
 /// The servo's end of a recording.
