@@ -33,6 +33,7 @@ mod homing;
 mod mode;
 mod process_data;
 mod program;
+mod recording;
 mod traffic;
 
 #[cfg(test)]
@@ -52,6 +53,7 @@ use canopen::{NodeId, cob, nmt};
 pub use config::{
     AxisConfig, ConfigError, CyclicMode, GroupConfig, HomingConfig, Identity, Parameter,
 };
+pub use recording::Recording;
 pub use traffic::Traffic;
 
 #[cfg(doc)]
@@ -312,6 +314,8 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
             Ok(true) => {
                 self.stage = Stage::Up;
                 self.batch.clear();
+                // Operation owes nothing to how bring-up was timed.
+                self.turn = 0;
                 self.syncs = Syncs::default();
                 self.heartbeat_due = now;
                 for node in &mut self.nodes {

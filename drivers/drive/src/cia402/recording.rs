@@ -1,0 +1,146 @@
+use std::task::Poll;
+use std::time::Duration;
+
+use can::{Frame, Instant, Received, ReplayPort};
+use canopen::heartbeat::Heartbeat;
+use canopen::{NodeId, cob};
+
+use crate::{BringUpError, DriveGroup};
+
+/// What a recorded bus carried during one run of its host, to be played back through a group of the
+/// same configuration.
+///
+/// The drives' frames come again in their order; the host's own tell when the group was called:
+/// - Bring-up is called at every frame. The run called it as often as once a period, so here it is
+///   never later: each request is made again before the recorded answer to it comes.
+/// - A cycle is read, written and sent at its SYNC. The run read shortly before, so only a frame that came
+///   between its reading and its sending is read a cycle early. A cycle whose SYNC the port
+///   refused is not in the recording.
+///
+/// ```text
+/// group = Cia402Group::new(recording.port(), config, axes)
+/// recording.bring_up(group)
+/// for now in recording.syncs(): group.read(now, states); group.write(now, commands); group.send(now)
+/// ```
+#[derive(Clone, Debug)]
+pub struct Recording {
+    /// From the host's first frame on, no two at one time.
+    frames: Vec<Received>,
+    host_node: NodeId,
+}
+
+impl Recording {
+    /// Takes the frames of one bus in the order in which they passed. What came before the host's
+    /// first frame is left out: it was not listening yet.
+    pub fn new(frames: impl IntoIterator<Item = Received>, host_node: NodeId) -> Self {
+        let from_host = |received: &Received| is_from_host(&received.frame, host_node);
+        let frames = frames
+            .into_iter()
+            .skip_while(|received| !from_host(received));
+        // A recording's times are rounded; the order is what counts.
+        let next = |last: &mut Instant, Received { frame, at }| {
+            *last = at.max(*last + Duration::from_nanos(1));
+            Some(Received { frame, at: *last })
+        };
+        Self {
+            frames: frames.scan(Instant::ZERO, next).collect(),
+            host_node,
+        }
+    }
+
+    /// A port that brings what the drives sent, at their times.
+    pub fn port(&self) -> ReplayPort {
+        let drives = |received: &&Received| !is_from_host(&received.frame, self.host_node);
+        ReplayPort::new(self.frames.iter().filter(drives).copied().collect())
+    }
+
+    /// What the host sent.
+    pub fn from_host(&self) -> impl Iterator<Item = Received> {
+        let host = |received: &Received| is_from_host(&received.frame, self.host_node);
+        self.frames.iter().copied().filter(host)
+    }
+
+    /// When each cycle sent its SYNC.
+    pub fn syncs(&self) -> impl Iterator<Item = Instant> {
+        let sync = |received: Received| is_sync(&received.frame).then_some(received.at);
+        self.from_host().filter_map(sync)
+    }
+
+    /// Brings up a group that has [`Self::port`]; pending if the first SYNC came before that was done.
+    pub fn bring_up(&self, group: &mut dyn DriveGroup) -> Poll<Result<(), BringUpError>> {
+        let before = self
+            .frames
+            .iter()
+            .take_while(|received| !is_sync(&received.frame));
+        before
+            .map(|received| group.bring_up(received.at))
+            .find(Poll::is_ready)
+            .unwrap_or(Poll::Pending)
+    }
+}
+
+fn is_sync(frame: &Frame) -> bool {
+    frame.standard_data_id() == Some(cob::SYNC)
+}
+
+fn is_from_host(frame: &Frame, host_node: NodeId) -> bool {
+    use cob::Function;
+    match frame.standard_data_id().and_then(Function::of) {
+        Some(Function::Nmt | Function::Sync | Function::Time) => true,
+        Some(Function::Rpdo(..) | Function::SdoRequest(_)) => true,
+        Some(Function::Heartbeat(_)) => {
+            Heartbeat::decode(frame).is_some_and(|heartbeat| heartbeat.node == host_node)
+        }
+        Some(Function::Tpdo(..) | Function::SdoResponse(_) | Function::Emcy(_)) | None => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use can::StandardId;
+
+    use super::*;
+
+    fn recorded(frames: &[(u64, u16)]) -> Recording {
+        let received = |&(nanos, id): &(u64, u16)| Received {
+            frame: Frame::new(StandardId::new(id).unwrap(), &[5]).unwrap(),
+            at: Instant::from_nanos(nanos),
+        };
+        Recording::new(frames.iter().map(received), NodeId::new(127).unwrap())
+    }
+
+    fn ids(frames: impl Iterator<Item = Received>) -> Vec<(u64, u16)> {
+        let plain = |received: Received| {
+            let id = received.frame.standard_data_id().unwrap().raw();
+            (received.at.as_nanos(), id)
+        };
+        frames.map(plain).collect()
+    }
+
+    #[test]
+    fn the_two_sides_are_told_apart_and_the_order_is_kept() {
+        let recording = recorded(&[
+            (1, 0x701), // before the host came
+            (5, 0x000),
+            (5, 0x701),
+            (5, 0x601),
+            (5, 0x581),
+            (4, 0x080),
+            (20, 0x201),
+            (20, 0x77F),
+            (30, 0x081),
+            (30, 0x181),
+        ]);
+        let host = [(5, 0x000), (7, 0x601), (9, 0x080), (20, 0x201), (21, 0x77F)];
+        assert_eq!(ids(recording.from_host()), host);
+        assert_eq!(
+            recording.syncs().collect::<Vec<_>>(),
+            [Instant::from_nanos(9)]
+        );
+        let mut into = [recording.frames[0]; 8];
+        let mut port = recording.port();
+        let count = can::Port::receive(&mut port, Instant::from_nanos(100), &mut into).unwrap();
+        let drives = [(6, 0x701), (8, 0x581), (30, 0x081), (31, 0x181)];
+        assert_eq!(ids(into[..count].iter().copied()), drives);
+    }
+}
