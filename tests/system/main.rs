@@ -18,4 +18,5 @@ mod regression;
 mod repetition;
 mod socketcan;
 mod uml;
+mod vcan;
 mod watch;
