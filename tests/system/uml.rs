@@ -1,12 +1,14 @@
 //! The test machine itself: what gets in, what comes out, what stays behind.
 
 use std::path::{Path, PathBuf};
+use std::process::Command;
 use std::time::Duration;
 use std::{env, fs, process};
 
 use hil::uml::{Options, UmlError, run};
 
 use crate::bench::left_out;
+use crate::mrroc;
 
 fn shell(script: &str) -> Options {
     Options::new(["sh", "-c", script])
@@ -111,4 +113,54 @@ fn a_machine_out_of_time_is_killed_with_all_its_processes() {
     assert_eq!(String::from_utf8(output).unwrap(), "begun\n");
     assert_eq!(processes_of(&scratch.0), 0);
     assert!(scratch.names().is_empty());
+}
+
+#[test]
+fn the_working_directory_is_seen_inside_wherever_it_lies() {
+    if left_out("uml") {
+        return;
+    }
+    let scratch = Scratch::new("seen");
+    let place = |name: &str| scratch.0.join(name);
+    for directory in ["work", "further", "unlisted", "work/out"] {
+        fs::create_dir(place(directory)).unwrap();
+        fs::write(place(directory).join("file"), directory).unwrap();
+    }
+    let script = "pwd; cat file ../further/file out/file; touch lost ../further/lost && exit 1; \
+                  test ! -e ../unlisted && touch out/kept";
+    let options = Options {
+        directory: place("work"),
+        visible: vec![place("further")],
+        output: Some(place("work/out")),
+        ..shell(script)
+    };
+    let mut output = Vec::new();
+    let status = run(&options, &mut output);
+    let output = String::from_utf8(output).unwrap();
+    assert_eq!(status, Ok(0), "{output}");
+    let expected = format!("{}\nworkfurtherwork/out", place("work").display());
+    assert!(output.starts_with(&expected), "{output}");
+    assert!(place("work/out/kept").exists());
+    assert!(!place("work/lost").exists() && !place("further/lost").exists());
+}
+
+#[test]
+fn the_command_of_the_readme_runs_where_it_is_called() {
+    if left_out("uml") {
+        return;
+    }
+    let scratch = Scratch::new("vm");
+    fs::write(scratch.0.join("here"), "").unwrap();
+    let script =
+        "test -e here && mrroc --version && ip link show vcan0 >\"$MRROC_OUT/link\"; exit 7";
+    let vm = Command::new(mrroc::binary())
+        .args(["vm", "uml", "--out", "out", "--", "sh", "-c", script])
+        .current_dir(&scratch.0)
+        .output()
+        .unwrap();
+    let printed = String::from_utf8(vm.stdout).unwrap();
+    assert_eq!(vm.status.code(), Some(7), "{printed}");
+    assert!(printed.starts_with("mrroc "), "{printed}");
+    let link = fs::read_to_string(scratch.0.join("out/link")).unwrap();
+    assert!(link.contains("vcan0"), "{link}");
 }
