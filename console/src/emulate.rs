@@ -39,9 +39,11 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
     for (index, interface) in interfaces.iter().enumerate() {
         let port = SocketCanPort::open(interface, &SocketCanOptions::default());
         let port = port.with_context(|| format!("bus {}", file.cell.bus[index].name))?;
+        let now = clock::now();
         buses.push(EmulatedBus {
             port,
-            devices: emulation::devices(&file, index, clock::now()),
+            devices: emulation::devices(&file, index, now),
+            passed: now,
         });
     }
     let stop = Arc::new(AtomicBool::new(false));
@@ -77,6 +79,8 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
 struct EmulatedBus {
     port: SocketCanPort,
     devices: Vec<Box<dyn Device>>,
+    /// How far time has passed for the devices.
+    passed: Instant,
 }
 
 impl EmulatedBus {
@@ -93,21 +97,30 @@ impl EmulatedBus {
                 .filter_map(|device| device.poll_timeout());
             let wake = timeouts.fold(clock::now() + LOOK, Instant::min);
             self.port.wait_readable(wake)?;
+            let count = self.port.receive(clock::now(), &mut received)?;
+            // Read after the frames came, so that none is ahead of it.
             let now = clock::now();
-            let count = self.port.receive(now, &mut received)?;
-            for device in &mut self.devices {
-                if device.poll_timeout().is_some_and(|due| due <= now) {
-                    device.handle_timeout(now);
-                }
-            }
-            for received in &received[..count] {
+            for Received { frame, at } in &received[..count] {
+                self.let_pass(*at);
                 self.devices
                     .iter_mut()
-                    .for_each(|device| device.handle(&received.frame, now));
+                    .for_each(|device| device.handle(frame, self.passed));
             }
+            self.let_pass(now);
             self.transmit(now)?;
         }
         Ok(())
+    }
+
+    /// Lets time pass to `to`. A frame is handled at the time it came, however late that is noticed: what
+    /// a drive watches is the bus and not this program.
+    fn let_pass(&mut self, to: Instant) {
+        self.passed = self.passed.max(to);
+        for device in &mut self.devices {
+            if device.poll_timeout().is_some_and(|due| due <= self.passed) {
+                device.handle_timeout(self.passed);
+            }
+        }
     }
 
     /// Sends what the devices have to say, each to the interface and to the other devices.
