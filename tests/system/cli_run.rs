@@ -261,7 +261,7 @@ struct Row<'a> {
 impl<'a> Row<'a> {
     fn parse(line: &'a str) -> Self {
         let fields: Vec<&str> = line.split(',').collect();
-        let [_, _, axis, phase, commanded, _, _, velocity, _] = fields[..] else {
+        let [_, _, axis, phase, _, commanded, _, _, velocity, _, _] = fields[..] else {
             panic!("{line}");
         };
         Self {
