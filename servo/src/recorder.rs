@@ -27,7 +27,8 @@ pub struct Record {
 pub struct AxisRecord {
     /// Motor position commanded in this cycle, rad.
     pub commanded: f64,
-    /// Motor position as last measured, rad; it answers the command of two cycles before.
+    /// Motor position as last measured, rad; it answers the command of as many cycles before as
+    /// [`DriveGroup::delay`](drive::DriveGroup::delay) says.
     pub measured: f64,
     /// The same as the drive counts it.
     pub increments: Increments,
