@@ -1,4 +1,4 @@
-//! A cell file that was read, checked and rehearsed.
+//! A cell file that was read and checked; what its programs ask for is not yet looked at.
 
 use std::path::{Path, PathBuf};
 

@@ -67,6 +67,10 @@ pub(crate) fn rehearse(file: &CellFile) -> anyhow::Result<Duration> {
     );
     match failure {
         Some(failure) => Err(failure),
+        None if end.get() != Instant::FAR_FUTURE => Err(file.refuse(
+            &Path::default().then("robot"),
+            format!("a program takes longer than {} h", LONGEST.as_secs() / 3600),
+        )),
         None => {
             Ok(Duration::from_nanos(servo.counters().cycles) * servo.period().as_nanos() as u32)
         }

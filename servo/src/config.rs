@@ -49,10 +49,8 @@ pub struct ServoAxisConfig {
     /// It is for the interpolated sequence. Where a planned acceleration changes sign in the middle
     /// of a macrostep, the cubic through its ends needs up to 1.5 times the planned value.
     pub max_acceleration: f64,
-    /// Largest distance, rad, between the motor and the command that its drive latched when it sampled.
-    ///
-    /// A drive that interpolates towards a set-point over the period after latching it is one
-    /// period of motion behind by that measure, 0.1 rad at 100 rad/s and 1 ms.
+    /// Largest distance, rad, between the motor and the command whose effect its drive sampled,
+    /// [`DriveGroup::delay`](drive::DriveGroup::delay) cycles before.
     pub following_error: f64,
     /// Axes of equal order home together, lower orders first.
     pub homing_order: u8,

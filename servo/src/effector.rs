@@ -473,7 +473,7 @@ impl Effector {
             position,
             velocity,
         } = macrostep;
-        if report_at < &1 || report_at > steps {
+        if *report_at < 1 || report_at > steps {
             return Err((0, StopCause::Malformed { number: *number }));
         }
         for (index, axis) in self.axes.iter().enumerate() {

@@ -29,7 +29,8 @@ pub struct AxisRecord {
     pub commanded: f64,
     /// What its drive is told in this cycle.
     pub command: AxisCommand,
-    /// Motor position as last measured, rad; it answers the command of two cycles before.
+    /// Motor position as last measured, rad; it answers the command of as many cycles before as
+    /// [`DriveGroup::delay`](drive::DriveGroup::delay) says.
     pub measured: f64,
     /// The same as the drive counts it.
     pub increments: Increments,

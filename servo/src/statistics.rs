@@ -1,7 +1,7 @@
 /// How far one axis was from its command while its effector moved.
 ///
-/// The command is the one its drive had latched when it sampled, so the two periods of transport
-/// are not in it.
+/// The command is the one whose effect the drive sampled, [`DriveGroup::delay`](drive::DriveGroup::delay)
+/// cycles before, so the periods of transport are not in it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TrackingError {
     samples: u64,

@@ -6,6 +6,7 @@ use thiserror::Error;
 
 use super::locate::{self, Path};
 use super::{Axis, Cell, Instruction, Robot};
+use crate::robot::Limits;
 
 /// A refused cell file: where and why, in one line.
 #[derive(Clone, Debug, PartialEq)]
@@ -61,6 +62,14 @@ pub enum Problem {
     /// Limits upside down.
     #[error("is {low}, not below the upper limit {high}")]
     UpsideDown {
+        /// The lower limit.
+        low: f64,
+        /// The upper limit.
+        high: f64,
+    },
+    /// An upper limit below the lower one that the model has.
+    #[error("is {high}, not above the lower limit {low}")]
+    BelowLow {
         /// The lower limit.
         low: f64,
         /// The upper limit.
@@ -276,9 +285,19 @@ fn check_robots(cell: &Cell) -> Checked {
                 },
             ));
         }
+        let axes = path.then("axis");
         for (number, axis) in robot.axis.iter().enumerate() {
-            let path = path.then("axis").then(number);
-            check_axis(&path, axis)?;
+            let path = axes.then(number);
+            check_axis(&path, axis, kinematics.motor_limits()[number])?;
+            if let Some(first) = robot.axis[..number]
+                .iter()
+                .position(|other| other.name == axis.name)
+            {
+                return Err((
+                    path.then("name"),
+                    twice(format!("axis {:?}", axis.name), &axes.then(first)),
+                ));
+            }
             let Some(bus) = cell.bus.iter().find(|bus| bus.name == axis.bus) else {
                 return Err((
                     path.then("bus"),
@@ -314,7 +333,8 @@ fn check_robots(cell: &Cell) -> Checked {
     Ok(())
 }
 
-fn check_axis(path: &Path, axis: &Axis) -> Checked {
+/// `model` is what the model says of the motor where the axis says nothing.
+fn check_axis(path: &Path, axis: &Axis, model: Limits) -> Checked {
     in_range(
         &path.then("node"),
         f64::from(axis.node),
@@ -325,10 +345,14 @@ fn check_axis(path: &Path, axis: &Axis) -> Checked {
     positive(&path.then("max_velocity"), axis.max_velocity)?;
     positive(&path.then("max_acceleration"), axis.max_acceleration)?;
     positive(&path.then("following_error"), axis.following_error)?;
-    if let (Some(low), Some(high)) = (axis.min_position, axis.max_position)
-        && low >= high
-    {
-        return Err((path.then("min_position"), Problem::UpsideDown { low, high }));
+    let low = axis.min_position.unwrap_or(model.low);
+    let high = axis.max_position.unwrap_or(model.high);
+    if low >= high {
+        return Err(if axis.min_position.is_some() {
+            (path.then("min_position"), Problem::UpsideDown { low, high })
+        } else {
+            (path.then("max_position"), Problem::BelowLow { low, high })
+        });
     }
     let drive = path.then("drive");
     let counts = f64::from(axis.drive.counts_per_revolution);

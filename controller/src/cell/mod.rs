@@ -1,8 +1,8 @@
 //! The cell file: robots, buses and drives of one controller, in TOML.
 //!
 //! These structs are the file, key for key; the JSON schema beside the example cells is generated
-//! from them. [`Cell::parse`] is the only way to get one: what it returns has been checked whole,
-//! so the rest of the program does not check again. Units are SI at the **motor shaft** for an
+//! from them. What [`Cell::parse`] returns has been checked whole, so the rest of the program does
+//! not check again: take no `Cell` from serde alone. Units are SI at the **motor shaft** for an
 //! axis (rad, rad/s, rad/s²) and joint rad or metres for a program; a key that holds something
 //! else says so in its name.
 

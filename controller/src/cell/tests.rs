@@ -25,7 +25,7 @@ fn example_cells_parse_and_their_programs_can_be_built() {
 
 #[test]
 fn a_refusal_names_line_key_and_reason() {
-    let cases: [(&str, &str, &str, &str); 19] = [
+    let cases: [(&str, &str, &str, &str); 22] = [
         (
             "period_us = 2000",
             "period_us = 0",
@@ -116,6 +116,24 @@ fn a_refusal_names_line_key_and_reason() {
             "min_position = 5.0\nmax_position = -5.0\nmax_velocity = 1.0",
             "robot[0].axis[0].min_position",
             "is 5, not below the upper limit -5",
+        ),
+        (
+            "max_velocity = 250.0",
+            "min_position = 500.0\nmax_velocity = 1.0",
+            "robot[0].axis[0].min_position",
+            "is 500, not below the upper limit 450",
+        ),
+        (
+            "max_velocity = 250.0",
+            "max_position = -500.0\nmax_velocity = 1.0",
+            "robot[0].axis[0].max_position",
+            "is -500, not above the lower limit -470",
+        ),
+        (
+            "name = \"lower-arm\"",
+            "name = \"column\"",
+            "robot[0].axis[1].name",
+            "axis \"column\" is used twice, first by robot[0].axis[0]",
         ),
         (
             "[[0.4, ",

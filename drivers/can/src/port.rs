@@ -102,7 +102,7 @@ impl Counters {
     }
 }
 
-/// The fault confinement state of a CAN controller (ISO 11898-1 §12.1.4).
+/// The fault confinement state of a CAN controller (ISO 11898-1, fault confinement).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub enum ControllerState {
     /// Takes full part in the bus.

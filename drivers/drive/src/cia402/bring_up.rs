@@ -14,6 +14,7 @@ const BOOTS: u8 = 3;
 
 /// Device profile of a drive, in the low half of object 0x1000.
 const PROFILE_402: u32 = 402;
+
 /// Brings one node from whatever state it is in to configured, and then to operational.
 ///
 /// ```text
