@@ -450,3 +450,38 @@ fn configurations_that_cannot_work_are_refused() {
         assert_eq!(found, expected);
     }
 }
+
+/// A node that has lost its configuration must not be taken for one that has it.
+#[test]
+fn a_node_that_boots_while_others_still_start_fails_it() {
+    let mut bench = Bench::new(group_config(), &[axis_config(2), axis_config(3)]);
+    bench.stores[1].starts = false;
+    let mut since_start = 0;
+    let result = (0..5_000).find_map(|_| {
+        if let Poll::Ready(result) = bench.group.bring_up(bench.now) {
+            return Some(result);
+        }
+        bench.serve();
+        bench.now += PERIOD;
+        let at = bench.now;
+        let mut bus = bench.bus.0.lock().unwrap();
+        since_start += u32::from(bus.sent.contains(&frame("000#0102")));
+        let heard = match since_start {
+            3 => "702#00",
+            5 => "703#05",
+            _ => return None,
+        };
+        bus.inbox.push_back(Received {
+            frame: frame(heard),
+            at,
+        });
+        None
+    });
+    assert!(
+        matches!(
+            result,
+            Some(Err(BringUpError::NotOperational { node: 2, .. }))
+        ),
+        "{result:?}"
+    );
+}
