@@ -7,7 +7,7 @@ use super::config::{AxisConfig, ConfigError, GroupConfig, Parameter};
 use super::process_data;
 
 /// Vendor-ID of maxon.
-const MAXON: u32 = 0x0000_00FB;
+pub(super) const MAXON: u32 = 0x0000_00FB;
 /// Object 0x6007: a broken connection makes the drive brake by a quick stop.
 const ABORT_CONNECTION_BY_QUICK_STOP: i16 = 3;
 /// Object 0x605A: a quick stop brakes on its ramp, and the drive then holds the axis.
