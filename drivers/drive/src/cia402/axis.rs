@@ -389,6 +389,13 @@ impl Axis {
         raw.map(Some).ok_or(Refusal::OutOfRange)
     }
 
+    /// We left the drive alone for so long that it has braked by itself. A word that enables would take it
+    /// back to a target of before, so it is led to a quick stop instead.
+    pub(super) fn left_alone(&mut self, waited: Duration) {
+        let node = self.setup.node.raw();
+        self.latch(Fault::HostLate { node, waited });
+    }
+
     pub(super) fn refuse(&mut self, refusal: Refusal) {
         self.latch(Fault::Refused {
             node: self.setup.node.raw(),

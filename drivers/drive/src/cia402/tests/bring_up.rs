@@ -83,7 +83,9 @@ fn an_epos4_is_asked_and_told_this_frame_by_frame() {
         expected.push((*told).to_owned());
         expected.push(format!("602#40{}00000000", &told[6..12]));
         if told.starts_with("602#239A60") {
-            // The home offset, which an EPOS4 has no such object for.
+            // The reaction to a lost connection, which this store lacks, and the home offset, which an
+            // EPOS4 has no such object for.
+            expected.push("602#2F29100101000000".to_owned());
             expected.push("602#237C600000000000".to_owned());
         }
     }
