@@ -31,6 +31,14 @@ pub enum Fault {
         /// Time since the last one.
         waited: Duration,
     },
+    /// We sent no SYNC for longer than the drives wait for our heartbeat: they have stopped by themselves.
+    #[error("node {node}: no SYNC was sent for {waited:.1?}")]
+    HostLate {
+        /// Node-ID.
+        node: u8,
+        /// Time since the last one.
+        waited: Duration,
+    },
     /// The node booted again, or left NMT state operational, during operation.
     #[error("node {node}: left operational state")]
     LeftOperational {

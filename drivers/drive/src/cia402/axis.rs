@@ -11,6 +11,7 @@ use super::config::{AxisConfig, CyclicMode, GroupConfig};
 use super::homing::Search;
 use super::mode::{ModeRequest, ModeSwitch};
 use super::process_data::{self, Answer};
+use super::program::MAXON;
 use crate::{AxisCommand, AxisState, Fault, Increments, Power, Refusal, Scale, Setpoint};
 
 /// Answers until a word handed over in some cycle surely shows: it is latched at the next SYNC, acts
@@ -61,9 +62,19 @@ struct Setup {
     scale: Scale,
     rated_torque: f64,
     search_speed: f64,
+    /// Bit 15 of the statusword says that the drive has its reference; it is the vendor's to use.
+    tells_reference: bool,
     tolerated_missing: u32,
     heartbeat_lost_after: Duration,
     transition_timeout: Duration,
+}
+
+impl Setup {
+    /// A statusword without what only maxon means by it.
+    fn homing_word(&self, word: Statusword) -> Statusword {
+        let told = self.tells_reference && word.epos_referenced();
+        word.with(Statusword::EPOS_REFERENCED, told)
+    }
 }
 
 /// What the drive is led to.
@@ -123,6 +134,7 @@ impl Axis {
             scale: axis.scale,
             rated_torque: axis.rated_torque,
             search_speed: axis.homing.search_speed,
+            tells_reference: axis.identity.vendor == MAXON,
             tolerated_missing: group.tolerated_missing,
             heartbeat_lost_after: group.heartbeat_lost_after(),
             transition_timeout: group.transition_timeout,
@@ -163,7 +175,7 @@ impl Axis {
             held: false,
             target: 0,
         };
-        axis.search.answered(learnt.statusword);
+        axis.search.answered(setup.homing_word(learnt.statusword));
         axis.judge_power(PowerState::NotReadyToSwitchOn);
         axis
     }
@@ -178,7 +190,8 @@ impl Axis {
         self.statusword = answer.statusword;
         self.answered = true;
         self.answers = self.answers.saturating_add(1);
-        self.search.answered(answer.statusword);
+        self.search
+            .answered(self.setup.homing_word(answer.statusword));
         self.measure(answer.position, sampled);
         self.state.at = at;
         self.state.torque = self
@@ -374,6 +387,13 @@ impl Axis {
             return Err(Refusal::NotOn);
         }
         raw.map(Some).ok_or(Refusal::OutOfRange)
+    }
+
+    /// We left the drive alone for so long that it has braked by itself. A word that enables would take it
+    /// back to a target of before, so it is led to a quick stop instead.
+    pub(super) fn left_alone(&mut self, waited: Duration) {
+        let node = self.setup.node.raw();
+        self.latch(Fault::HostLate { node, waited });
     }
 
     pub(super) fn refuse(&mut self, refusal: Refusal) {

@@ -99,6 +99,10 @@ impl NodeBringUp {
     pub(super) fn heard(&mut self, state: nmt::State, sdo: &mut Client, now: Instant) {
         match (self.phase, state) {
             (Phase::Starting { .. }, nmt::State::Operational) => self.phase = Phase::Operational,
+            // Nothing in a node that left operational again is as it was told; the start's deadline ends it.
+            (Phase::Operational, state) if state != nmt::State::Operational => {
+                self.phase = Phase::Starting { since: now };
+            }
             (Phase::Booting { since, .. }, nmt::State::Initialising) => {
                 *sdo = self.client();
                 self.phase = Phase::Booting {

@@ -346,7 +346,12 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
         let Syncs {
             attempted, sent, ..
         } = self.syncs;
+        let alone = self.syncs.last.map(|last| now.since(last));
+        let alone = alone.filter(|waited| *waited > self.config.heartbeat_lost_after());
         for (node, state) in self.nodes.iter_mut().zip(states) {
+            if let Some(waited) = alone {
+                node.axis.left_alone(waited);
+            }
             node.finish_service(now);
             let (read, missing) = node.axis.end_of_read(now, attempted);
             *state = read;

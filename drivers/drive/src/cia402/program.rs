@@ -7,9 +7,12 @@ use super::config::{AxisConfig, ConfigError, GroupConfig, Parameter};
 use super::process_data;
 
 /// Vendor-ID of maxon.
-const MAXON: u32 = 0x0000_00FB;
+pub(super) const MAXON: u32 = 0x0000_00FB;
 /// Object 0x6007: a broken connection makes the drive brake by a quick stop.
 const ABORT_CONNECTION_BY_QUICK_STOP: i16 = 3;
+/// Object 0x1029:1: a lost connection leaves the NMT state alone. A drive that went to pre-operational would
+/// hold its axis with torque and hear no controlword that takes it away.
+const STAY_OPERATIONAL: u8 = 1;
 /// Object 0x605A: a quick stop brakes on its ramp, and the drive then holds the axis.
 const QUICK_STOP_RAMP_AND_HOLD: i16 = 6;
 
@@ -108,6 +111,10 @@ pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
         ]
         .map(Step::Set),
     );
+    steps.push(Step::SetIfPresent(Write::new(
+        ERROR_BEHAVIOUR,
+        STAY_OPERATIONAL,
+    )));
     // The homed counter reads zero at home. EPOS4 has no home offset, but an object of its own.
     steps.push(Step::SetIfPresent(Write::new(HOME_OFFSET, 0_i32)));
     if axis.identity.vendor == MAXON {

@@ -83,7 +83,9 @@ fn an_epos4_is_asked_and_told_this_frame_by_frame() {
         expected.push((*told).to_owned());
         expected.push(format!("602#40{}00000000", &told[6..12]));
         if told.starts_with("602#239A60") {
-            // The home offset, which an EPOS4 has no such object for.
+            // The reaction to a lost connection, which this store lacks, and the home offset, which an
+            // EPOS4 has no such object for.
+            expected.push("602#2F29100101000000".to_owned());
             expected.push("602#237C600000000000".to_owned());
         }
     }
@@ -449,4 +451,39 @@ fn configurations_that_cannot_work_are_refused() {
     for (found, expected) in table {
         assert_eq!(found, expected);
     }
+}
+
+/// A node that has lost its configuration must not be taken for one that has it.
+#[test]
+fn a_node_that_boots_while_others_still_start_fails_it() {
+    let mut bench = Bench::new(group_config(), &[axis_config(2), axis_config(3)]);
+    bench.stores[1].starts = false;
+    let mut since_start = 0;
+    let result = (0..5_000).find_map(|_| {
+        if let Poll::Ready(result) = bench.group.bring_up(bench.now) {
+            return Some(result);
+        }
+        bench.serve();
+        bench.now += PERIOD;
+        let at = bench.now;
+        let mut bus = bench.bus.0.lock().unwrap();
+        since_start += u32::from(bus.sent.contains(&frame("000#0102")));
+        let heard = match since_start {
+            3 => "702#00",
+            5 => "703#05",
+            _ => return None,
+        };
+        bus.inbox.push_back(Received {
+            frame: frame(heard),
+            at,
+        });
+        None
+    });
+    assert!(
+        matches!(
+            result,
+            Some(Err(BringUpError::NotOperational { node: 2, .. }))
+        ),
+        "{result:?}"
+    );
 }

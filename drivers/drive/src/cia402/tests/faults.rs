@@ -326,3 +326,17 @@ fn the_first_fault_stays_and_enabling_waits_for_its_reset() {
     assert_eq!(stand(&mut bench, 0x0740), "202#0600E8030000");
     assert_eq!(bench.states[0].fault, None);
 }
+
+/// The drives have braked by themselves long ago; a word that enables would take them back.
+#[test]
+fn after_we_were_silent_too_long_no_drive_is_enabled_blindly() {
+    let mut bench = enabled();
+    stand(&mut bench, 0x0737);
+    bench.now += 4 * group_config().heartbeat_period;
+    let frames = bench.cycle(&["702#05"], STAND);
+    assert_eq!(&frames[1][..8], "202#0200");
+    assert!(matches!(
+        bench.states[0].fault,
+        Some(Fault::HostLate { node: 2, .. })
+    ));
+}

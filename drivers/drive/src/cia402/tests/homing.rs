@@ -354,3 +354,22 @@ fn drives_that_follow_velocity_or_torque_home_as_well() {
         assert!(bench.states[0].following);
     }
 }
+
+#[test]
+fn bit_15_is_a_reference_only_where_maxon_says_so() {
+    for (vendor, homing) in [(0xFB, Homing::Attained), (0x1234, Homing::NotHomed)] {
+        let mut axis = axis_config(2);
+        axis.identity = Identity {
+            vendor,
+            product: None,
+            revision: None,
+        };
+        let mut bench = Bench::new(group_config(), &[axis]);
+        bench.stores[0].put(0x1018, 1, &vendor.to_le_bytes());
+        assert_eq!(bench.bring_up(), Ok(()));
+        for _ in 0..2 {
+            bench.cycle(&[answer(2, 0x8740, 1_000)], &[AxisCommand::Off]);
+        }
+        assert_eq!(bench.states[0].homing, homing, "vendor {vendor:#x}");
+    }
+}
