@@ -139,10 +139,11 @@ fn describe(file: &CellFile, robot: usize, error: &EcpError) -> FaultReport {
 }
 
 fn describe_fault(file: &CellFile, robot: usize, fault: &ServoFault) -> FaultReport {
-    let axis = usize::from(fault.axis);
     FaultReport {
         robot: Some(file.cell.robot[robot].name.clone()),
-        axis: (axis < file.cell.robot[robot].axis.len()).then(|| file.axis_name(robot, axis)),
+        axis: fault
+            .axis
+            .map(|axis| file.axis_name(robot, usize::from(axis))),
         what: fault.cause.to_string(),
     }
 }

@@ -143,7 +143,7 @@ impl DriveGroup for IdealDrives {
         }
     }
 
-    fn send(&mut self, now: Instant) {
+    fn send(&mut self, now: Instant) -> bool {
         self.now = now;
         for axis in &mut self.axes {
             axis.latched = std::mem::replace(&mut axis.sent, axis.written);
@@ -151,6 +151,7 @@ impl DriveGroup for IdealDrives {
                 axis.position = position.get();
             }
         }
+        true
     }
 
     fn counters(&self) -> GroupCounters {

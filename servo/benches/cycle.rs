@@ -36,7 +36,9 @@ impl DriveGroup for Trivial {
     fn write(&mut self, _: Instant, commands: &[AxisCommand]) {
         black_box(commands);
     }
-    fn send(&mut self, _: Instant) {}
+    fn send(&mut self, _: Instant) -> bool {
+        true
+    }
     fn counters(&self) -> GroupCounters {
         GroupCounters::default()
     }

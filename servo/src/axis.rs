@@ -78,6 +78,12 @@ impl Axis {
         self.commanded = [self.state.position; REMEMBERED];
     }
 
+    /// Takes the motor for standing at the last set-point.
+    pub(crate) fn rest(&mut self) {
+        self.knot.velocity = 0.0;
+        self.commanded[1] = self.commanded[0];
+    }
+
     /// The last position sent and the step to it.
     pub(crate) fn last_step(&self, dt: f64) -> Knot {
         let [last, before_last, ..] = self.commanded;

@@ -27,6 +27,8 @@ pub(crate) struct Tick {
     pub(crate) stop: bool,
     /// Deadlines missed in a row, if they are too many.
     pub(crate) overrun: Option<u32>,
+    /// A bus did not take the batch of the last cycle: its set-points are due again.
+    pub(crate) repeat: bool,
 }
 
 /// One effector as its servo knows it.
@@ -150,8 +152,14 @@ impl Effector {
         self.check(tick);
         self.take_stops(tick);
         self.take_orders(tick);
-        self.advance(tick);
-        self.command();
+        let follows = matches!(
+            self.state,
+            State::Standing | State::Moving | State::Braking(_)
+        );
+        if !(tick.repeat && follows) {
+            self.advance(tick);
+            self.command();
+        }
         let due = self.state == State::Moving && self.segment.is_some_and(|s| s.is_at_report());
         if due || self.news {
             self.report(tick);
@@ -161,7 +169,9 @@ impl Effector {
     /// Faults of drives, following errors, overruns, time-outs; the tracking statistics.
     fn check(&mut self, tick: &Tick) {
         if let Some(missed) = tick.overrun {
-            self.fail(tick, 0, StopCause::Overrun { missed });
+            // The drives have stood at their last set-points meanwhile.
+            self.axes.iter_mut().for_each(Axis::rest);
+            self.fail(tick, None, StopCause::Overrun { missed });
         }
         for index in 0..self.axes.len() {
             let axis = &mut self.axes[index];
@@ -189,9 +199,9 @@ impl Effector {
     }
 
     /// Latches the first fault and leaves the present state for it.
-    fn fail(&mut self, tick: &Tick, axis: usize, cause: StopCause) {
+    fn fail(&mut self, tick: &Tick, axis: impl Into<Option<usize>>, cause: StopCause) {
         self.fault.get_or_insert(ServoFault {
-            axis: axis as u8,
+            axis: axis.into().map(|axis| axis as u8),
             cause,
         });
         self.apply(tick, Event::Fault);
@@ -404,7 +414,7 @@ impl Effector {
         }
     }
 
-    fn try_follow(&mut self, tick: &Tick) -> Result<(), (usize, StopCause)> {
+    fn try_follow(&mut self, tick: &Tick) -> Result<(), (Option<usize>, StopCause)> {
         let mut segment = match self.segment {
             Some(segment) if !segment.is_over() => segment,
             _ => match self.begin(tick)? {
@@ -417,7 +427,7 @@ impl Effector {
         for (index, axis) in self.axes.iter().enumerate() {
             let knot = segment.at(index);
             axis.vet(knot.position, tick.dt)
-                .map_err(|cause| (index, cause))?;
+                .map_err(|cause| (Some(index), cause))?;
             knots[index] = knot;
         }
         // Only now is any of it taken: an effector is never half commanded.
@@ -430,12 +440,12 @@ impl Effector {
     }
 
     /// Takes the next macrostep from the queue; `None` if the last one ended at rest.
-    fn begin(&mut self, tick: &Tick) -> Result<Option<Segment>, (usize, StopCause)> {
+    fn begin(&mut self, tick: &Tick) -> Result<Option<Segment>, (Option<usize>, StopCause)> {
         self.segment = None;
         if !matches!(self.orders.peek(), Ok(Order::Move(_))) {
             if let Some(axis) = self.axes.iter().position(|axis| axis.knot.velocity != 0.0) {
                 return Err((
-                    axis,
+                    Some(axis),
                     StopCause::Starved {
                         last: self.macrostep,
                     },
@@ -444,7 +454,7 @@ impl Effector {
             // A macrostep may claim an end at rest and yet arrive with speed.
             for (index, axis) in self.axes.iter().enumerate() {
                 axis.vet(axis.knot.position, tick.dt)
-                    .map_err(|cause| (index, cause))?;
+                    .map_err(|cause| (Some(index), cause))?;
             }
             self.apply(tick, Event::Done);
             return Ok(None);
@@ -465,7 +475,7 @@ impl Effector {
     }
 
     /// Whether a macrostep can be begun at all.
-    fn admit(&self, macrostep: &Macrostep) -> Result<(), (usize, StopCause)> {
+    fn admit(&self, macrostep: &Macrostep) -> Result<(), (Option<usize>, StopCause)> {
         let Macrostep {
             number,
             steps,
@@ -474,14 +484,14 @@ impl Effector {
             velocity,
         } = macrostep;
         if *report_at < 1 || report_at > steps {
-            return Err((0, StopCause::Malformed { number: *number }));
+            return Err((None, StopCause::Malformed { number: *number }));
         }
         for (index, axis) in self.axes.iter().enumerate() {
             if !position[index].is_finite() || !velocity[index].is_finite() {
-                return Err((index, StopCause::NotFinite));
+                return Err((Some(index), StopCause::NotFinite));
             }
             if !axis.is_homed() {
-                return Err((index, StopCause::NotHomed));
+                return Err((Some(index), StopCause::NotHomed));
             }
         }
         Ok(())

@@ -1,3 +1,5 @@
+use std::fmt;
+
 use std::time::Duration;
 
 use can::Instant;
@@ -85,13 +87,23 @@ pub struct Report {
 }
 
 /// Why the servo stopped an effector.
-#[derive(Clone, Copy, Debug, PartialEq, Error)]
-#[error("axis {axis}: {cause}")]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ServoFault {
-    /// Index of the axis within its effector.
-    pub axis: u8,
+    /// Index of the axis within its effector; `None` if it is not of one.
+    pub axis: Option<u8>,
     /// What happened.
     pub cause: StopCause,
+}
+
+impl std::error::Error for ServoFault {}
+
+impl fmt::Display for ServoFault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(axis) = self.axis {
+            write!(f, "axis {axis}: ")?;
+        }
+        self.cause.fmt(f)
+    }
 }
 
 /// What a servo stops for. Positions in motor rad.

@@ -37,6 +37,8 @@ pub struct Servo {
     stop: StopRequest,
     recorder: Option<Recorder>,
     cycles: u64,
+    /// Every bus took the whole batch of the last cycle.
+    was_taken: bool,
     /// Missed since the last cycle, in a row up to it, and ever.
     missed: u32,
     missed_in_row: u32,
@@ -95,6 +97,7 @@ impl Servo {
             stop: StopRequest::default(),
             recorder: None,
             cycles: 0,
+            was_taken: true,
             missed: 0,
             missed_in_row: 0,
             missed_ever: 0,
@@ -148,16 +151,21 @@ impl Servo {
     }
 
     /// Sends SYNC and what was prepared, on every bus.
+    ///
+    /// If a bus does not take all of it, the next cycle repeats its set-points: motion is then late by a
+    /// period, and no drive is ever handed two steps at once.
     pub fn send(&mut self, now: Instant) {
+        self.was_taken = true;
         for group in &mut self.groups {
-            group.drives.send(now);
+            self.was_taken &= group.drives.send(now);
         }
     }
 
     /// Says that `count` deadlines passed without a cycle since the last one.
     ///
     /// Cycles that each missed some count as one row; a punctual one ends it. A row longer than
-    /// [`ServoConfig::max_missed_in_row`] is a fault of every effector.
+    /// [`ServoConfig::max_missed_in_row`] is a fault of every effector: its drives have stood at their last
+    /// set-points, and there it stops.
     pub fn missed(&mut self, count: u32) {
         self.missed = self.missed.saturating_add(count);
     }
@@ -185,6 +193,7 @@ impl Servo {
             dt: self.period.as_secs_f64(),
             stop: self.stop.is_requested(),
             overrun: (row > self.max_missed_in_row).then_some(row),
+            repeat: !self.was_taken,
         }
     }
 

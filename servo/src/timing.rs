@@ -16,7 +16,7 @@ pub struct Timing {
 
 impl Timing {
     /// Counts the bus times that the groups of `servo` report.
-    pub(crate) fn record_bus(&mut self, servo: &Servo) {
+    pub fn record_bus(&mut self, servo: &Servo) {
         for counters in servo.group_counters() {
             if !counters.last_bus_time.is_zero() {
                 self.bus.record(counters.last_bus_time);

@@ -34,7 +34,7 @@ fn fault_of(rig: &mut Rig, motion: &mut Motion) -> (u8, StopCause) {
     });
     at_rest(rig, &latched_at, BRAKING);
     let fault = rig.servo.fault(0).expect("it is latched");
-    (fault.axis, fault.cause)
+    (fault.axis.expect("the fault is of an axis"), fault.cause)
 }
 
 /// After a while for the last drive to brake, nothing moves, and nothing went further than `bound` from `start`.
@@ -112,7 +112,7 @@ fn a_silent_drive_is_ridden_through_for_as_long_as_the_cell_allows() {
     let cycles = tolerated + 1;
     let expected = StopCause::Drive(Fault::Silent { node: 3, cycles });
     let fault = rig.servo.fault(0).expect("one cycle more is a fault");
-    assert_eq!((fault.axis, fault.cause), (2, expected));
+    assert_eq!((fault.axis, fault.cause), (Some(2), expected));
     // Back before it missed our heartbeat, it stays where it is and can be enabled again.
     rig.unplug(2, false);
     assert_eq!(fault_of(&mut rig, &mut motion), (2, expected));

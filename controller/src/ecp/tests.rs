@@ -162,7 +162,7 @@ impl Script {
         let Some(macrostep) = self.queue.front().copied() else {
             if self.moving != [0.0; MAX_AXES] {
                 self.fail(ServoFault {
-                    axis: 0,
+                    axis: Some(0),
                     cause: StopCause::Starved {
                         last: self.report.macrostep,
                     },
@@ -538,7 +538,7 @@ fn what_a_generator_must_not_ask_for_is_refused_with_everything_at_rest() {
 #[test]
 fn a_servo_fault_ends_the_task_and_is_passed_on() {
     let fault = ServoFault {
-        axis: 1,
+        axis: Some(1),
         cause: StopCause::FollowingError {
             error: 2.0,
             limit: 1.5,

@@ -36,8 +36,9 @@ pub trait DriveGroup: Send {
     /// [`send`](Self::send) will hand over. A batch that was not sent is replaced, never queued.
     fn write(&mut self, now: Instant, commands: &[AxisCommand]);
 
-    /// Sends SYNC and the batch. What the port refuses is dropped and counted.
-    fn send(&mut self, now: Instant);
+    /// Sends SYNC and the batch; whether the port took all of it. What it refuses is dropped and
+    /// counted, and the servo repeats its set-points instead of going on to the next ones.
+    fn send(&mut self, now: Instant) -> bool;
 
     /// What the group has counted.
     fn counters(&self) -> GroupCounters;

@@ -57,6 +57,8 @@ pub struct World {
     pub absent: bool,
     /// The next call of `write` panics.
     pub panic: bool,
+    /// Batches that the bus does not take.
+    pub refuses: u32,
 }
 
 /// One ideal drive.
@@ -227,8 +229,12 @@ impl DriveGroup for Scripted {
         }
     }
 
-    fn send(&mut self, _: Instant) {
+    fn send(&mut self, _: Instant) -> bool {
         let mut world = self.world();
+        if world.refuses > 0 {
+            world.refuses -= 1;
+            return false;
+        }
         for (drive, command) in world.axes.iter_mut().zip(&self.written) {
             drive.sync(PERIOD.as_secs_f64());
             drive.pending = *command;
@@ -237,6 +243,7 @@ impl DriveGroup for Scripted {
             let batch = self.written.clone();
             world.sent.push(batch);
         }
+        true
     }
 
     fn counters(&self) -> GroupCounters {

@@ -383,7 +383,7 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
 
     /// Behind the set-points come our heartbeat, when it is due, and at most one service frame, which
     /// alone is offered again if the port does not take it.
-    fn send(&mut self, now: Instant) {
+    fn send(&mut self, now: Instant) -> bool {
         if self.batch.is_empty() {
             self.batch.push(Sync::default().encode());
         }
@@ -414,6 +414,7 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
             self.service = None;
         }
         self.batch.clear();
+        taken > setpoints
     }
 
     fn counters(&self) -> GroupCounters {

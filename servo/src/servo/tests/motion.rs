@@ -136,7 +136,7 @@ fn an_effector_that_is_not_homed_does_not_move() {
     rig.order(Order::Move(macrostep(1, 10, 0.01, 0.0)));
     rig.run(30);
     assert_eq!(rig.cause(), Some(StopCause::NotHomed));
-    assert_eq!(rig.servo.fault(0).unwrap().axis, 1);
+    assert_eq!(rig.servo.fault(0).unwrap().axis, Some(1));
 }
 
 #[test]

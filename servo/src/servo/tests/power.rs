@@ -60,7 +60,7 @@ fn following_begins_only_after_every_drive_has_power() {
         "{:?}",
         rig.cause()
     );
-    assert_eq!(rig.servo.fault(0).unwrap().axis, 0);
+    assert_eq!(rig.servo.fault(0).unwrap().axis, Some(0));
     assert_eq!(rig.last_sent(), [AxisCommand::Off; 2]);
 }
 
@@ -71,7 +71,7 @@ fn a_drive_that_ignores_set_points_is_not_ready() {
     rig.order(Order::Enable);
     rig.run_until(Phase::Faulted);
     assert!(matches!(rig.cause(), Some(StopCause::NotReady { .. })));
-    assert_eq!(rig.servo.fault(0).unwrap().axis, 1);
+    assert_eq!(rig.servo.fault(0).unwrap().axis, Some(1));
 }
 
 #[test]
@@ -129,7 +129,7 @@ fn homing_fails_by_the_drive_and_by_time_and_halts_first() {
         assert_eq!(rig.last_sent(), [AxisCommand::Stand; 2]);
         rig.run_until(Phase::Faulted);
         assert_eq!(rig.cause(), Some(StopCause::HomingFailed));
-        assert_eq!(rig.servo.fault(0).unwrap().axis, 1);
+        assert_eq!(rig.servo.fault(0).unwrap().axis, Some(1));
         assert_eq!(rig.last_sent(), [AxisCommand::Off; 2]);
     }
 }
