@@ -16,6 +16,9 @@ use crate::{
 /// is taken from them.
 const STANDSTILL_WAIT: Duration = Duration::from_millis(100);
 
+/// Cycles in a row that a bus may refuse the set-points of a stop; then the drives count as standing.
+const REFUSED_IN_STOP: u32 = 3;
+
 /// What a servo's cycle tells each of its effectors.
 #[derive(Clone, Copy)]
 pub(crate) struct Tick {
@@ -27,8 +30,8 @@ pub(crate) struct Tick {
     pub(crate) stop: bool,
     /// Deadlines missed in a row, if they are too many.
     pub(crate) overrun: Option<u32>,
-    /// A bus did not take the batch of the last cycle: its set-points are due again.
-    pub(crate) repeat: bool,
+    /// Cycles in a row, up to the last, whose batch a bus did not take: its set-points are due again.
+    pub(crate) refused: u32,
 }
 
 /// One effector as its servo knows it.
@@ -152,11 +155,7 @@ impl Effector {
         self.check(tick);
         self.take_stops(tick);
         self.take_orders(tick);
-        let follows = matches!(
-            self.state,
-            State::Standing | State::Moving | State::Braking(_)
-        );
-        if !(tick.repeat && follows) {
+        if !self.is_held(tick) {
             self.advance(tick);
             self.command();
         }
@@ -164,6 +163,21 @@ impl Effector {
         if due || self.news {
             self.report(tick);
         }
+    }
+
+    /// Whether the set-points of the last cycle are due again, because a bus did not take them.
+    fn is_held(&mut self, tick: &Tick) -> bool {
+        if matches!(self.state, State::Braking(_)) && tick.refused > REFUSED_IN_STOP {
+            // Nobody hears where to brake, and the drives stand by now.
+            self.axes.iter_mut().for_each(Axis::rest);
+            self.begin_stop(tick);
+            return false;
+        }
+        let follows = matches!(
+            self.state,
+            State::Standing | State::Moving | State::Braking(_)
+        );
+        tick.refused > 0 && follows
     }
 
     /// Faults of drives, following errors, overruns, time-outs; the tracking statistics.
@@ -286,14 +300,7 @@ impl Effector {
                 return;
             }
             (_, State::Braking(_)) => {
-                let mut knots = [Knot::default(); MAX_AXES];
-                let mut accelerations = [0.0; MAX_AXES];
-                for (index, axis) in self.axes.iter().enumerate() {
-                    knots[index] = axis.last_step(tick.dt);
-                    accelerations[index] = axis.config.max_acceleration;
-                }
-                let used = self.axes.len();
-                self.stop = StraightStop::new(&knots[..used], &accelerations[..used], tick.dt);
+                self.begin_stop(tick);
                 self.segment = None;
             }
             (_, State::Halting(_)) => self.halted = false,
@@ -302,6 +309,18 @@ impl Effector {
             _ => {}
         }
         self.since = tick.now;
+    }
+
+    /// A straight stop from the last set-points.
+    fn begin_stop(&mut self, tick: &Tick) {
+        let mut knots = [Knot::default(); MAX_AXES];
+        let mut accelerations = [0.0; MAX_AXES];
+        for (index, axis) in self.axes.iter().enumerate() {
+            knots[index] = axis.last_step(tick.dt);
+            accelerations[index] = axis.config.max_acceleration;
+        }
+        let used = self.axes.len();
+        self.stop = StraightStop::new(&knots[..used], &accelerations[..used], tick.dt);
     }
 
     /// Moves the set-points one period on, and the state with them.

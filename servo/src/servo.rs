@@ -37,8 +37,8 @@ pub struct Servo {
     stop: StopRequest,
     recorder: Option<Recorder>,
     cycles: u64,
-    /// Every bus took the whole batch of the last cycle.
-    was_taken: bool,
+    /// Cycles in a row, up to the last, whose batch a bus did not take whole.
+    refused_in_row: u32,
     /// Missed since the last cycle, in a row up to it, and ever.
     missed: u32,
     missed_in_row: u32,
@@ -97,7 +97,7 @@ impl Servo {
             stop: StopRequest::default(),
             recorder: None,
             cycles: 0,
-            was_taken: true,
+            refused_in_row: 0,
             missed: 0,
             missed_in_row: 0,
             missed_ever: 0,
@@ -155,10 +155,15 @@ impl Servo {
     /// If a bus does not take all of it, the next cycle repeats its set-points: motion is then late by a
     /// period, and no drive is ever handed two steps at once.
     pub fn send(&mut self, now: Instant) {
-        self.was_taken = true;
+        let mut taken = true;
         for group in &mut self.groups {
-            self.was_taken &= group.drives.send(now);
+            taken &= group.drives.send(now);
         }
+        self.refused_in_row = if taken {
+            0
+        } else {
+            self.refused_in_row.saturating_add(1)
+        };
     }
 
     /// Says that `count` deadlines passed without a cycle since the last one.
@@ -193,7 +198,7 @@ impl Servo {
             dt: self.period.as_secs_f64(),
             stop: self.stop.is_requested(),
             overrun: (row > self.max_missed_in_row).then_some(row),
-            repeat: !self.was_taken,
+            refused: self.refused_in_row,
         }
     }
 

@@ -284,3 +284,14 @@ fn an_overrun_stops_where_the_drives_already_stand() {
     assert_eq!(rig.servo.fault(0).unwrap().axis, None);
     assert_eq!(*rig.positions(0).last().unwrap(), stood);
 }
+
+#[test]
+fn a_bus_that_takes_nothing_does_not_hold_up_a_stop() {
+    let mut rig = Rig::standing(2);
+    rig.accelerate(500.0, 4, 50);
+    rig.run(60);
+    rig.world().refuses = u32::MAX;
+    rig.order(Order::Disable);
+    rig.run(200);
+    assert_eq!(rig.phase(), Phase::Off);
+}
