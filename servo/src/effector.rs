@@ -1,9 +1,11 @@
 //! The cycle of one effector: check its axes, take orders, find the next set-points, vet them.
 
+mod homing;
+
 use std::time::Duration;
 
 use can::Instant;
-use drive::{AxisCommand, AxisState, Homing, Power};
+use drive::{AxisCommand, AxisState, Power};
 
 use crate::axis::Axis;
 use crate::interpolate::Segment;
@@ -388,41 +390,6 @@ impl Effector {
         self.axes.iter().position(what).unwrap_or(0)
     }
 
-    /// Target := actual for every axis that does not follow yet; true once all do.
-    fn settle(&mut self) -> bool {
-        let mut settled = true;
-        for axis in &mut self.axes {
-            if !axis.follows() {
-                axis.capture();
-                settled = false;
-            }
-        }
-        settled
-    }
-
-    /// Watches homing: a search that failed, the time-out, the end.
-    fn home(&mut self, tick: &Tick, waited: Duration) {
-        for index in 0..self.axes.len() {
-            let axis = &mut self.axes[index];
-            match axis.state.homing {
-                Homing::InProgress => axis.searched = true,
-                // Before the search was seen, it is the verdict on an earlier one.
-                Homing::Failed if axis.searched => {
-                    return self.fail(tick, index, StopCause::HomingFailed);
-                }
-                Homing::Failed | Homing::NotHomed | Homing::Attained => {}
-            }
-        }
-        if self.axes.iter().all(Axis::is_homed) && self.settle() {
-            self.apply(tick, Event::Done);
-        } else if waited > self.homing_timeout {
-            let order = self.homing_order();
-            let late =
-                self.first(|axis| !axis.is_homed() && Some(axis.config.homing_order) == order);
-            self.fail(tick, late, StopCause::HomingFailed);
-        }
-    }
-
     /// Interpolates, beginning the next macrostep where one ends, and brakes if it cannot go on.
     fn follow_macrosteps(&mut self, tick: &Tick) {
         if let Err((axis, cause)) = self.try_follow(tick) {
@@ -524,12 +491,6 @@ impl Effector {
         } else {
             STANDSTILL_WAIT
         }
-    }
-
-    /// The order whose turn it is to home; `None` once all are.
-    fn homing_order(&self) -> Option<u8> {
-        let missing = self.axes.iter().filter(|axis| !axis.is_homed());
-        missing.map(|axis| axis.config.homing_order).min()
     }
 
     /// Takes the set-points of the straight stop.

@@ -1,0 +1,52 @@
+//! Homing of an effector: its axes in their order, and the return to set-points at its end.
+
+use std::time::Duration;
+
+use drive::Homing;
+
+use super::{Effector, Tick};
+use crate::axis::Axis;
+use crate::{Event, StopCause};
+
+impl Effector {
+    /// Watches homing: a search that failed, the time-out, the end.
+    pub(super) fn home(&mut self, tick: &Tick, waited: Duration) {
+        for index in 0..self.axes.len() {
+            let axis = &mut self.axes[index];
+            match axis.state.homing {
+                Homing::InProgress => axis.searched = true,
+                // Before the search was seen, it is the verdict on an earlier one.
+                Homing::Failed if axis.searched => {
+                    return self.fail(tick, index, StopCause::HomingFailed);
+                }
+                Homing::Failed | Homing::NotHomed | Homing::Attained => {}
+            }
+        }
+        if self.axes.iter().all(Axis::is_homed) && self.settle() {
+            self.apply(tick, Event::Done);
+        } else if waited > self.homing_timeout {
+            let order = self.homing_order();
+            let late =
+                self.first(|axis| !axis.is_homed() && Some(axis.config.homing_order) == order);
+            self.fail(tick, late, StopCause::HomingFailed);
+        }
+    }
+
+    /// Target := actual for every axis that does not follow yet; true once all do.
+    pub(super) fn settle(&mut self) -> bool {
+        let mut settled = true;
+        for axis in &mut self.axes {
+            if !axis.follows() {
+                axis.capture();
+                settled = false;
+            }
+        }
+        settled
+    }
+
+    /// The order whose turn it is to home; `None` once all are.
+    pub(super) fn homing_order(&self) -> Option<u8> {
+        let missing = self.axes.iter().filter(|axis| !axis.is_homed());
+        missing.map(|axis| axis.config.homing_order).min()
+    }
+}
