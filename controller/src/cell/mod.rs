@@ -205,10 +205,12 @@ pub struct Axis {
     pub max_velocity: f64,
     /// Greatest motor acceleration, rad/s².
     pub max_acceleration: f64,
-    /// Lowest motor position, rad; the model's own limit where absent.
+    /// Lowest motor position, rad, within the model's own limits and below `max_position`; the model's own
+    /// where absent.
     #[serde(default)]
     pub min_position: Option<f64>,
-    /// Highest motor position, rad; the model's own limit where absent.
+    /// Highest motor position, rad, within the model's own limits and above `min_position`; the model's own
+    /// where absent.
     #[serde(default)]
     pub max_position: Option<f64>,
     /// Greatest distance between commanded and measured motor position, rad.
