@@ -35,7 +35,9 @@ pub struct Cell {
     /// Servo periods in one macrostep, the step of the generators.
     #[serde(default = "defaults::macrostep")]
     pub macrostep: u16,
-    /// Deadlines missed in a row before the cell stops with category 1.
+    /// Deadlines that may be missed in a row; one more stops the cell with category 1. The drives hold
+    /// their last set-point while deadlines are missed, so this bounds how long an arm in motion stands
+    /// still before it would jump. Without effect on the emulated benches, whose time waits for the host.
     #[serde(default = "defaults::max_missed_in_row")]
     pub max_missed_in_row: u32,
     /// Seed of everything that is random in the emulators.
@@ -373,7 +375,7 @@ mod defaults {
         10
     }
     pub(super) fn max_missed_in_row() -> u32 {
-        100
+        3
     }
     pub(super) fn seed() -> u64 {
         1
