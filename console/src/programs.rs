@@ -3,8 +3,9 @@
 use anyhow::anyhow;
 use can::Instant;
 use controller::ecp::{Ecp, EcpError};
+use drive::Fault;
 use indicatif::{ProgressBar, ProgressStyle};
-use servo::{EffectorLink, Phase, Servo, ServoFault, StopRequest};
+use servo::{EffectorLink, Phase, Servo, ServoFault, StopCause, StopRequest};
 
 use crate::cell_file::CellFile;
 use crate::report::FaultReport;
@@ -140,8 +141,19 @@ fn describe(file: &CellFile, robot: usize, error: &EcpError) -> FaultReport {
 
 fn describe_fault(file: &CellFile, robot: usize, fault: &ServoFault) -> FaultReport {
     let axis = usize::from(fault.axis);
+    let name = Some(file.cell.robot[robot].name.clone());
+    if let StopCause::Drive(Fault::Port(error)) = fault.cause
+        && let Some(axis) = file.cell.robot[robot].axis.get(axis)
+    {
+        // It is the bus's, and of every axis on it.
+        return FaultReport {
+            robot: name,
+            axis: None,
+            what: format!("bus {}: {error}", axis.bus),
+        };
+    }
     FaultReport {
-        robot: Some(file.cell.robot[robot].name.clone()),
+        robot: name,
         axis: (axis < file.cell.robot[robot].axis.len()).then(|| file.axis_name(robot, axis)),
         what: fault.cause.to_string(),
     }
