@@ -66,6 +66,7 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
     let budget = crate::budget::check(&file)?;
     let Bench {
         ports,
+        interfaces,
         traces,
         emulation,
     } = Bench::open(&file, options.bench, &options.can, options.trace.is_some())?;
@@ -77,7 +78,7 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
         frames: options
             .trace
             .as_ref()
-            .map(|path| FrameLog::create(path, &file, traces))
+            .map(|path| FrameLog::create(path, &interfaces, traces))
             .transpose()?,
         axes: match &options.record {
             Some(path) => Some(AxisLog::create(
