@@ -159,8 +159,19 @@ fn describe_fault(file: &CellFile, robot: usize, fault: &ServoFault) -> FaultRep
     }
 }
 
-/// What the servo has latched of each robot.
+/// What the servo has latched of each robot, and that not all are without power.
 pub(crate) fn servo_faults(file: &CellFile, servo: &Servo) -> Vec<FaultReport> {
-    let fault = |robot| Some(describe_fault(file, robot, &servo.fault(robot)?));
-    (0..file.cell.robot.len()).filter_map(fault).collect()
+    let robots = &file.cell.robot;
+    let latched = |robot| Some(describe_fault(file, robot, &servo.fault(robot)?));
+    let mut faults: Vec<_> = (0..robots.len()).filter_map(latched).collect();
+    if !servo.is_off() {
+        // The servo answers for all of them at once.
+        let names: Vec<_> = robots.iter().map(|robot| robot.name.as_str()).collect();
+        faults.push(FaultReport {
+            robot: Some(names.join(" or ")),
+            axis: None,
+            what: "still has power, or did not say otherwise".into(),
+        });
+    }
+    faults
 }

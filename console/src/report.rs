@@ -110,7 +110,7 @@ impl Report {
 }
 
 /// One fault: whose, and what happened.
-#[derive(Debug, Serialize)]
+#[derive(Debug, PartialEq, Serialize)]
 pub(crate) struct FaultReport {
     /// The robot; absent if it is not of one.
     pub robot: Option<String>,

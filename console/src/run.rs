@@ -124,7 +124,11 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
     if interrupted {
         // What the programs say of it is that they were broken off; what the servo latched meanwhile is a fault.
         ran.faults.retain(|fault| fault.robot.is_none());
-        ran.faults.extend(servo_faults(&file, &ran.servo));
+    }
+    for fault in servo_faults(&file, &ran.servo) {
+        if !ran.faults.contains(&fault) {
+            ran.faults.push(fault);
+        }
     }
     let outcome = match (interrupted, ran.faults.is_empty()) {
         (_, false) => Outcome::Faulted,
