@@ -34,6 +34,9 @@ const BELOW_SERVO: u8 = 10;
 /// News of the controller that the progress bar may lag behind; what does not fit is not shown.
 const SEEN: usize = 64;
 
+/// Longest time in the cell for the drives to report that they have no power, once they are told.
+const POWER_OFF_WAIT: Duration = Duration::from_millis(500);
+
 /// How often the files of a run are written, at the least.
 const DRAIN: Duration = Duration::from_millis(20);
 
@@ -226,6 +229,7 @@ fn in_lockstep(
     };
     let (done, failed) = (Shared::new(false), RefCell::new(None));
     let logs = RefCell::new(logs);
+    let mut over = None;
     let mut timing = Timing::default();
     let bus_times = RefCell::new(&mut timing.bus);
     let end = lockstep::run(
@@ -239,11 +243,18 @@ fn in_lockstep(
             }
         },
         between,
-        |servo, _| {
+        |servo, now| {
             servo
                 .group_counters()
                 .for_each(|group| bus_times.borrow_mut().record(group.last_bus_time));
-            (done.get() && servo.is_off()) || failed.borrow().is_some()
+            if failed.borrow().is_some() || !done.get() {
+                return failed.borrow().is_some();
+            }
+            let over = *over.get_or_insert_with(|| {
+                servo.stop_request().request();
+                now + servo.longest_stop() + POWER_OFF_WAIT
+            });
+            servo.is_off() || now >= over
         },
     );
     progress.finish();
