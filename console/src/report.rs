@@ -120,6 +120,17 @@ pub(crate) struct FaultReport {
     pub what: String,
 }
 
+impl FaultReport {
+    /// A fault of the run itself.
+    pub(crate) fn of_run(what: impl fmt::Display) -> Self {
+        Self {
+            robot: None,
+            axis: None,
+            what: format!("{what:#}"),
+        }
+    }
+}
+
 impl fmt::Display for FaultReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if let Some(robot) = &self.robot {

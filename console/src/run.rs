@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{RecvTimeoutError, sync_channel};
+use std::sync::mpsc::{Receiver, sync_channel};
 use std::time::Duration;
 
 use anyhow::{Context, anyhow};
@@ -36,6 +36,9 @@ const SEEN: usize = 64;
 
 /// Longest time in the cell for the drives to report that they have no power, once they are told.
 const POWER_OFF_WAIT: Duration = Duration::from_millis(500);
+
+/// Longest wait for the files of a run once it has ended.
+const FILES_WAIT: Duration = Duration::from_secs(2);
 
 /// How often the files of a run are written, at the least.
 const DRAIN: Duration = Duration::from_millis(20);
@@ -96,9 +99,14 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
     let programs = Programs::of(&file, links, servo.stop_request())?;
     let progress = Progress::new(&file, !options.json)?;
     let (stop, flag) = (servo.stop_request(), interrupted.clone());
+    let nothing_moves = options.bench == BenchKind::Lockstep;
     ctrlc::set_handler(move || {
-        flag.store(true, Ordering::Relaxed);
+        let again = flag.swap(true, Ordering::Relaxed);
         stop.request();
+        if again && nothing_moves {
+            // A file may hold up the only thread that there is.
+            std::process::exit(1);
+        }
     })
     .context("Ctrl-C cannot be caught, so the arm could not be stopped by it")?;
 
@@ -196,13 +204,53 @@ impl Logs {
     }
 }
 
+/// The files of a run, written by a thread of its own: a file that takes nothing any more holds up nothing else.
+struct Writing {
+    what: &'static str,
+    over: Arc<AtomicBool>,
+    told: Receiver<anyhow::Result<()>>,
+}
+
+impl Writing {
+    /// Begins. A file that cannot be written raises `failed`.
+    fn start(mut logs: Logs, failed: Arc<AtomicBool>) -> Self {
+        let what = match (&logs.frames, &logs.axes) {
+            (_, None) => "trace",
+            (None, Some(_)) => "record",
+            (Some(_), Some(_)) => "trace or the record",
+        };
+        let over = Arc::new(AtomicBool::new(false));
+        let (tell, told) = sync_channel(1);
+        let last = over.clone();
+        std::thread::spawn(move || {
+            let mut written = Ok(());
+            while written.is_ok() && !last.load(Ordering::Relaxed) {
+                std::thread::park_timeout(DRAIN);
+                written = logs.drain();
+            }
+            failed.fetch_or(written.is_err(), Ordering::Relaxed);
+            // Nobody listens any more if it took too long.
+            let _ = tell.send(written.and_then(|()| logs.finish()));
+        });
+        Self { what, over, told }
+    }
+
+    /// Writes the rest, unless that takes too long.
+    fn finish(self) -> anyhow::Result<()> {
+        self.over.store(true, Ordering::Relaxed);
+        self.told
+            .recv_timeout(FILES_WAIT)
+            .unwrap_or_else(|_| Err(anyhow!("the {} cannot be written in time", self.what)))
+    }
+}
+
 /// The refusal of a bus that did not come up, in the words of the cell. The files keep what led to it.
 fn not_up(
     file: &CellFile,
-    logs: Logs,
+    written: anyhow::Result<()>,
     (bus, error): (usize, drive::BringUpError),
 ) -> anyhow::Error {
-    if let Err(error) = logs.finish() {
+    if let Err(error) = written {
         return error;
     }
     let axis = setup::axes_on(&file.cell, bus)
@@ -225,30 +273,32 @@ fn in_lockstep(
     let between = |next| world.borrow_mut().advance(next);
     let start = match lockstep::bring_up(&mut servo, Instant::ZERO, between) {
         Ok(start) => start,
-        Err(error) => return Err(not_up(file, logs, error)),
+        Err(error) => return Err(not_up(file, logs.finish(), error)),
     };
     let (done, failed) = (Shared::new(false), RefCell::new(None));
-    let logs = RefCell::new(logs);
     let mut over = None;
+    let logs = RefCell::new(logs);
     let mut timing = Timing::default();
     let bus_times = RefCell::new(&mut timing.bus);
     let end = lockstep::run(
         &mut servo,
         start,
         |now| {
-            let busy = programs.poll(file, now, |seen| progress.show(seen));
-            done.set(!busy || interrupted.load(Ordering::Relaxed));
-            if let Err(error) = logs.borrow_mut().drain() {
-                failed.replace(Some(error));
+            if failed.borrow().is_some() {
+                return;
             }
+            let busy = programs.poll(file, now, |seen| progress.show(seen));
+            let drained = logs.borrow_mut().drain();
+            done.set(!busy || interrupted.load(Ordering::Relaxed) || drained.is_err());
+            failed.replace(drained.err());
         },
         between,
         |servo, now| {
             servo
                 .group_counters()
                 .for_each(|group| bus_times.borrow_mut().record(group.last_bus_time));
-            if failed.borrow().is_some() || !done.get() {
-                return failed.borrow().is_some();
+            if !done.get() {
+                return false;
             }
             let over = *over.get_or_insert_with(|| {
                 servo.stop_request().request();
@@ -258,15 +308,16 @@ fn in_lockstep(
         },
     );
     progress.finish();
-    if let Some(error) = failed.take() {
-        return Err(error);
-    }
-    logs.into_inner().finish()?;
+    let written = failed
+        .take()
+        .map_or_else(|| logs.into_inner().finish(), Err);
+    let mut faults = programs.faults;
+    faults.extend(written.err().map(FaultReport::of_run));
     Ok(Ran {
         servo,
         timing,
         denied: Vec::new(),
-        faults: programs.faults,
+        faults,
         cell_time: end.since(Instant::ZERO),
     })
 }
@@ -275,21 +326,21 @@ fn by_the_clock(
     file: &CellFile,
     mut servo: Servo,
     mut programs: Programs,
-    mut logs: Logs,
+    logs: Logs,
     emulation: Option<Emulation>,
     interrupted: &AtomicBool,
     mut progress: Progress,
 ) -> anyhow::Result<Ran> {
     let began = clock::now();
-    let stop = servo.stop_request();
     let policy = |time| setup::realtime_policy(&file.cell, time);
     let done = Arc::new(AtomicBool::new(false));
+    let writing = Writing::start(logs, done.clone());
     let finished = done.clone();
     let until = move |_: &Servo| finished.load(Ordering::Relaxed);
     let running = match emulation {
         None => match thread::bring_up(&mut servo, |_| {}) {
             Ok(()) => thread::start(servo, policy(CellTime::Wall), |_| {}, until)?,
-            Err(error) => return Err(not_up(file, logs, error)),
+            Err(error) => return Err(not_up(file, writing.finish(), error)),
         },
         Some(Emulation { mut world }) => {
             let mut between = move |next| world.advance(next);
@@ -297,12 +348,12 @@ fn by_the_clock(
                 Ok(first) => {
                     thread::start(servo, policy(CellTime::Nominal(first)), between, until)?
                 }
-                Err(error) => return Err(not_up(file, logs, error)),
+                Err(error) => return Err(not_up(file, writing.finish(), error)),
             }
         }
     };
     let (tell, told) = sync_channel(SEEN);
-    let logged = std::thread::scope(|scope| {
+    std::thread::scope(|scope| {
         scope.spawn(|| {
             // Below the servo and above everything else; a host that denies this was named by the servo thread.
             let _ = thread::set_fifo(
@@ -313,7 +364,8 @@ fn by_the_clock(
                     .max(1),
             );
             let show = |seen| _ = tell.try_send(seen);
-            while programs.poll(file, clock::now(), show)
+            while !done.load(Ordering::Relaxed)
+                && programs.poll(file, clock::now(), show)
                 && !interrupted.load(Ordering::Relaxed)
                 && !running.is_finished()
             {
@@ -322,38 +374,22 @@ fn by_the_clock(
             done.store(true, Ordering::Relaxed);
             drop(tell);
         });
-        let mut logged = Ok(());
-        loop {
-            match told.recv_timeout(DRAIN) {
-                Ok(seen) => progress.show(seen),
-                Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => return logged,
-            }
-            // A file that cannot be written any more stops the arm, and is reported once it stands.
-            if logged.is_ok() {
-                logged = logs.drain();
-            } else {
-                stop.request();
-            }
-        }
+        told.iter().for_each(|seen| progress.show(seen));
     });
     let ended = running.join();
+    let cell_time = clock::now().since(began);
     progress.finish();
-    logged?;
-    logs.finish()?;
     let mut faults = programs.faults;
+    faults.extend(writing.finish().err().map(FaultReport::of_run));
     if let Some(panicked) = ended.panicked {
-        faults.push(FaultReport {
-            robot: None,
-            axis: None,
-            what: format!("the servo thread panicked: {panicked:?}"),
-        });
+        let what = format!("the servo thread panicked: {panicked:?}");
+        faults.push(FaultReport::of_run(what));
     }
     Ok(Ran {
         servo: ended.servo,
         timing: ended.timing,
         denied: ended.denied.iter().map(ToString::to_string).collect(),
         faults,
-        cell_time: clock::now().since(began),
+        cell_time,
     })
 }
