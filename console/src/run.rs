@@ -1,4 +1,10 @@
 //! `mrroc run`: brings a cell up, homes it, runs its programs, switches it off and reports.
+//!
+//! By the wall clock four threads take part: the servo's, the controller's below it, one that writes the
+//! files, and the main thread, which shows the progress. However a run ends, the servo thread is waited
+//! for until it has braked the arms and switched them off: at the programs' end, on a signal, when a file
+//! cannot be written, and by a panic of the main thread or the controller's. A file that takes nothing is
+//! not waited for. Whatever may still have power afterwards is a fault of the run.
 
 use std::cell::{Cell as Shared, RefCell};
 use std::path::PathBuf;
@@ -11,7 +17,7 @@ use std::time::Duration;
 use anyhow::{Context, anyhow};
 use can::{Instant, clock};
 use clap::Args;
-use servo::thread::{self, CellTime};
+use servo::thread::{self, CellTime, Finished, Running};
 use servo::{Servo, Timing, lockstep};
 
 use crate::bench::{Bench, BenchKind};
@@ -244,6 +250,48 @@ impl Writing {
     }
 }
 
+/// A servo thread that is stopped in order and waited for when this is dropped, by a panic too.
+struct Turning {
+    running: Option<Running>,
+    over: Over,
+}
+
+impl Turning {
+    fn is_finished(&self) -> bool {
+        self.running.as_ref().is_none_or(Running::is_finished)
+    }
+
+    fn end(mut self) -> Finished {
+        self.over.raise();
+        let running = self.running.take();
+        running.expect("taken at its end alone").join()
+    }
+}
+
+impl Drop for Turning {
+    fn drop(&mut self) {
+        self.over.raise();
+        if let Some(running) = self.running.take() {
+            let _ = running.join();
+        }
+    }
+}
+
+/// Ends the cycles when it is raised or dropped: the servo thread brakes the arms and switches them off.
+struct Over(Arc<AtomicBool>);
+
+impl Over {
+    fn raise(&self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+impl Drop for Over {
+    fn drop(&mut self) {
+        self.raise();
+    }
+}
+
 /// The refusal of a bus that did not come up, in the words of the cell. The files keep what led to it.
 fn not_up(
     file: &CellFile,
@@ -352,8 +400,14 @@ fn by_the_clock(
             }
         }
     };
+    let turning = Turning {
+        running: Some(running),
+        over: Over(done.clone()),
+    };
     let (tell, told) = sync_channel(SEEN);
     std::thread::scope(|scope| {
+        // The scope waits for the controller: a panic of this thread must end that too.
+        let _over = Over(done.clone());
         scope.spawn(|| {
             // Below the servo and above everything else; a host that denies this was named by the servo thread.
             let _ = thread::set_fifo(
@@ -367,16 +421,15 @@ fn by_the_clock(
             while !done.load(Ordering::Relaxed)
                 && programs.poll(file, clock::now(), show)
                 && !interrupted.load(Ordering::Relaxed)
-                && !running.is_finished()
+                && !turning.is_finished()
             {
                 clock::sleep_until(clock::now() + POLL);
             }
-            done.store(true, Ordering::Relaxed);
             drop(tell);
         });
         told.iter().for_each(|seen| progress.show(seen));
     });
-    let ended = running.join();
+    let ended = turning.end();
     let cell_time = clock::now().since(began);
     progress.finish();
     let mut faults = programs.faults;
