@@ -40,6 +40,8 @@ impl BenchKind {
 pub(crate) struct Bench {
     /// One per bus of the cell.
     pub(crate) ports: Vec<Box<dyn Port>>,
+    /// What each of them is on: the cell's interface, or the one given in its place.
+    pub(crate) interfaces: Vec<String>,
     /// What passed each port, if a trace was asked for.
     pub(crate) traces: Vec<TraceReader>,
     /// The emulated cell, on the benches without hardware.
@@ -54,6 +56,7 @@ impl Bench {
         can: &[String],
         trace: bool,
     ) -> anyhow::Result<Self> {
+        let interfaces = interfaces::resolve(&file.cell, can)?;
         let (ports, emulation): (Vec<Box<dyn Port>>, _) = match kind {
             BenchKind::Lockstep | BenchKind::Emulated => {
                 if !can.is_empty() {
@@ -66,7 +69,6 @@ impl Bench {
                 )
             }
             BenchKind::Vcan | BenchKind::Card => {
-                let interfaces = interfaces::resolve(&file.cell, can)?;
                 let open = |(index, interface): (usize, &String)| {
                     let bus = &file.cell.bus[index];
                     let setpoints = setup::axes_on(&file.cell, index).count();
@@ -90,6 +92,7 @@ impl Bench {
         if !trace {
             return Ok(Self {
                 ports,
+                interfaces,
                 traces: Vec::new(),
                 emulation,
             });
@@ -101,6 +104,7 @@ impl Bench {
         let (ports, traces) = traced.unzip();
         Ok(Self {
             ports,
+            interfaces,
             traces,
             emulation,
         })

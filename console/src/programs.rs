@@ -3,8 +3,9 @@
 use anyhow::anyhow;
 use can::Instant;
 use controller::ecp::{Ecp, EcpError};
+use drive::Fault;
 use indicatif::{ProgressBar, ProgressStyle};
-use servo::{EffectorLink, Phase, Servo, ServoFault, StopRequest};
+use servo::{EffectorLink, Phase, Servo, ServoFault, StopCause, StopRequest};
 
 use crate::cell_file::CellFile;
 use crate::report::FaultReport;
@@ -139,17 +140,37 @@ fn describe(file: &CellFile, robot: usize, error: &EcpError) -> FaultReport {
 }
 
 fn describe_fault(file: &CellFile, robot: usize, fault: &ServoFault) -> FaultReport {
+    let name = Some(file.cell.robot[robot].name.clone());
+    let axis = fault.axis.map(usize::from);
+    if let (StopCause::Drive(Fault::Port(error)), Some(axis)) = (fault.cause, axis) {
+        // It is the bus's, and of every axis on it.
+        let bus = &file.cell.robot[robot].axis[axis].bus;
+        return FaultReport {
+            robot: name,
+            axis: None,
+            what: format!("bus {bus}: {error}"),
+        };
+    }
     FaultReport {
-        robot: Some(file.cell.robot[robot].name.clone()),
-        axis: fault
-            .axis
-            .map(|axis| file.axis_name(robot, usize::from(axis))),
+        robot: name,
+        axis: axis.map(|axis| file.axis_name(robot, axis)),
         what: fault.cause.to_string(),
     }
 }
 
-/// What the servo has latched of each robot.
+/// What the servo has latched of each robot, and that not all are without power.
 pub(crate) fn servo_faults(file: &CellFile, servo: &Servo) -> Vec<FaultReport> {
-    let fault = |robot| Some(describe_fault(file, robot, &servo.fault(robot)?));
-    (0..file.cell.robot.len()).filter_map(fault).collect()
+    let robots = &file.cell.robot;
+    let latched = |robot| Some(describe_fault(file, robot, &servo.fault(robot)?));
+    let mut faults: Vec<_> = (0..robots.len()).filter_map(latched).collect();
+    if !servo.is_off() {
+        // The servo answers for all of them at once.
+        let names: Vec<_> = robots.iter().map(|robot| robot.name.as_str()).collect();
+        faults.push(FaultReport {
+            robot: Some(names.join(" or ")),
+            axis: None,
+            what: "still has power, or did not say otherwise".into(),
+        });
+    }
+    faults
 }

@@ -110,7 +110,7 @@ impl Report {
 }
 
 /// One fault: whose, and what happened.
-#[derive(Debug, Serialize)]
+#[derive(Debug, PartialEq, Serialize)]
 pub(crate) struct FaultReport {
     /// The robot; absent if it is not of one.
     pub robot: Option<String>,
@@ -118,6 +118,17 @@ pub(crate) struct FaultReport {
     pub axis: Option<String>,
     /// What happened.
     pub what: String,
+}
+
+impl FaultReport {
+    /// A fault of the run itself.
+    pub(crate) fn of_run(what: impl fmt::Display) -> Self {
+        Self {
+            robot: None,
+            axis: None,
+            what: format!("{what:#}"),
+        }
+    }
 }
 
 impl fmt::Display for FaultReport {

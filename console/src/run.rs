@@ -1,17 +1,23 @@
 //! `mrroc run`: brings a cell up, homes it, runs its programs, switches it off and reports.
+//!
+//! By the wall clock four threads take part: the servo's, the controller's below it, one that writes the
+//! files, and the main thread, which shows the progress. However a run ends, the servo thread is waited
+//! for until it has braked the arms and switched them off: at the programs' end, on a signal, when a file
+//! cannot be written, and by a panic of the main thread or the controller's. A file that takes nothing is
+//! not waited for. Whatever may still have power afterwards is a fault of the run.
 
 use std::cell::{Cell as Shared, RefCell};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{RecvTimeoutError, sync_channel};
+use std::sync::mpsc::{Receiver, sync_channel};
 use std::time::Duration;
 
 use anyhow::{Context, anyhow};
 use can::{Instant, clock};
 use clap::Args;
-use servo::thread::{self, CellTime};
+use servo::thread::{self, CellTime, Finished, Running};
 use servo::{Servo, Timing, lockstep};
 
 use crate::bench::{Bench, BenchKind};
@@ -33,6 +39,12 @@ const BELOW_SERVO: u8 = 10;
 
 /// News of the controller that the progress bar may lag behind; what does not fit is not shown.
 const SEEN: usize = 64;
+
+/// Longest time in the cell for the drives to report that they have no power, once they are told.
+const POWER_OFF_WAIT: Duration = Duration::from_millis(500);
+
+/// Longest wait for the files of a run once it has ended.
+const FILES_WAIT: Duration = Duration::from_secs(2);
 
 /// How often the files of a run are written, at the least.
 const DRAIN: Duration = Duration::from_millis(20);
@@ -66,6 +78,7 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
     let budget = crate::budget::check(&file)?;
     let Bench {
         ports,
+        interfaces,
         traces,
         emulation,
     } = Bench::open(&file, options.bench, &options.can, options.trace.is_some())?;
@@ -77,7 +90,7 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
         frames: options
             .trace
             .as_ref()
-            .map(|path| FrameLog::create(path, &file, traces))
+            .map(|path| FrameLog::create(path, &interfaces, traces))
             .transpose()?,
         axes: match &options.record {
             Some(path) => Some(AxisLog::create(
@@ -92,9 +105,14 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
     let programs = Programs::of(&file, links, servo.stop_request())?;
     let progress = Progress::new(&file, !options.json)?;
     let (stop, flag) = (servo.stop_request(), interrupted.clone());
+    let nothing_moves = options.bench == BenchKind::Lockstep;
     ctrlc::set_handler(move || {
-        flag.store(true, Ordering::Relaxed);
+        let again = flag.swap(true, Ordering::Relaxed);
         stop.request();
+        if again && nothing_moves {
+            // A file may hold up the only thread that there is.
+            std::process::exit(1);
+        }
     })
     .context("Ctrl-C cannot be caught, so the arm could not be stopped by it")?;
 
@@ -123,7 +141,11 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
     if interrupted {
         // What the programs say of it is that they were broken off; what the servo latched meanwhile is a fault.
         ran.faults.retain(|fault| fault.robot.is_none());
-        ran.faults.extend(servo_faults(&file, &ran.servo));
+    }
+    for fault in servo_faults(&file, &ran.servo) {
+        if !ran.faults.contains(&fault) {
+            ran.faults.push(fault);
+        }
     }
     let outcome = match (interrupted, ran.faults.is_empty()) {
         (_, false) => Outcome::Faulted,
@@ -188,13 +210,95 @@ impl Logs {
     }
 }
 
+/// The files of a run, written by a thread of its own: a file that takes nothing any more holds up nothing else.
+struct Writing {
+    what: &'static str,
+    over: Arc<AtomicBool>,
+    told: Receiver<anyhow::Result<()>>,
+}
+
+impl Writing {
+    /// Begins. A file that cannot be written raises `failed`.
+    fn start(mut logs: Logs, failed: Arc<AtomicBool>) -> Self {
+        let what = match (&logs.frames, &logs.axes) {
+            (_, None) => "trace",
+            (None, Some(_)) => "record",
+            (Some(_), Some(_)) => "trace or the record",
+        };
+        let over = Arc::new(AtomicBool::new(false));
+        let (tell, told) = sync_channel(1);
+        let last = over.clone();
+        std::thread::spawn(move || {
+            let mut written = Ok(());
+            while written.is_ok() && !last.load(Ordering::Relaxed) {
+                std::thread::park_timeout(DRAIN);
+                written = logs.drain();
+            }
+            failed.fetch_or(written.is_err(), Ordering::Relaxed);
+            // Nobody listens any more if it took too long.
+            let _ = tell.send(written.and_then(|()| logs.finish()));
+        });
+        Self { what, over, told }
+    }
+
+    /// Writes the rest, unless that takes too long.
+    fn finish(self) -> anyhow::Result<()> {
+        self.over.store(true, Ordering::Relaxed);
+        self.told
+            .recv_timeout(FILES_WAIT)
+            .unwrap_or_else(|_| Err(anyhow!("the {} cannot be written in time", self.what)))
+    }
+}
+
+/// A servo thread that is stopped in order and waited for when this is dropped, by a panic too.
+struct Turning {
+    running: Option<Running>,
+    over: Over,
+}
+
+impl Turning {
+    fn is_finished(&self) -> bool {
+        self.running.as_ref().is_none_or(Running::is_finished)
+    }
+
+    fn end(mut self) -> Finished {
+        self.over.raise();
+        let running = self.running.take();
+        running.expect("taken at its end alone").join()
+    }
+}
+
+impl Drop for Turning {
+    fn drop(&mut self) {
+        self.over.raise();
+        if let Some(running) = self.running.take() {
+            let _ = running.join();
+        }
+    }
+}
+
+/// Ends the cycles when it is raised or dropped: the servo thread brakes the arms and switches them off.
+struct Over(Arc<AtomicBool>);
+
+impl Over {
+    fn raise(&self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+impl Drop for Over {
+    fn drop(&mut self) {
+        self.raise();
+    }
+}
+
 /// The refusal of a bus that did not come up, in the words of the cell. The files keep what led to it.
 fn not_up(
     file: &CellFile,
-    logs: Logs,
+    written: anyhow::Result<()>,
     (bus, error): (usize, drive::BringUpError),
 ) -> anyhow::Error {
-    if let Err(error) = logs.finish() {
+    if let Err(error) = written {
         return error;
     }
     let axis = setup::axes_on(&file.cell, bus)
@@ -217,40 +321,48 @@ fn in_lockstep(
     let between = |next| world.borrow_mut().advance(next);
     let start = match lockstep::bring_up(&mut servo, Instant::ZERO, between) {
         Ok(start) => start,
-        Err(error) => return Err(not_up(file, logs, error)),
+        Err(error) => return Err(not_up(file, logs.finish(), error)),
     };
     let (done, failed) = (Shared::new(false), RefCell::new(None));
+    let mut over = None;
     let logs = RefCell::new(logs);
     let mut timing = Timing::default();
-    let bus_times = RefCell::new(&mut timing.bus);
     let end = lockstep::run(
         &mut servo,
         start,
         |now| {
-            let busy = programs.poll(file, now, |seen| progress.show(seen));
-            done.set(!busy || interrupted.load(Ordering::Relaxed));
-            if let Err(error) = logs.borrow_mut().drain() {
-                failed.replace(Some(error));
+            if failed.borrow().is_some() {
+                return;
             }
+            let busy = programs.poll(file, now, |seen| progress.show(seen));
+            let drained = logs.borrow_mut().drain();
+            done.set(!busy || interrupted.load(Ordering::Relaxed) || drained.is_err());
+            failed.replace(drained.err());
         },
         between,
-        |servo, _| {
-            servo
-                .group_counters()
-                .for_each(|group| bus_times.borrow_mut().record(group.last_bus_time));
-            (done.get() && servo.is_off()) || failed.borrow().is_some()
+        |servo, now| {
+            timing.record_bus(servo);
+            if !done.get() {
+                return false;
+            }
+            let over = *over.get_or_insert_with(|| {
+                servo.stop_request().request();
+                now + servo.longest_stop() + POWER_OFF_WAIT
+            });
+            servo.is_off() || now >= over
         },
     );
     progress.finish();
-    if let Some(error) = failed.take() {
-        return Err(error);
-    }
-    logs.into_inner().finish()?;
+    let written = failed
+        .take()
+        .map_or_else(|| logs.into_inner().finish(), Err);
+    let mut faults = programs.faults;
+    faults.extend(written.err().map(FaultReport::of_run));
     Ok(Ran {
         servo,
         timing,
         denied: Vec::new(),
-        faults: programs.faults,
+        faults,
         cell_time: end.since(Instant::ZERO),
     })
 }
@@ -259,34 +371,42 @@ fn by_the_clock(
     file: &CellFile,
     mut servo: Servo,
     mut programs: Programs,
-    mut logs: Logs,
+    logs: Logs,
     emulation: Option<Emulation>,
     interrupted: &AtomicBool,
     mut progress: Progress,
 ) -> anyhow::Result<Ran> {
     let began = clock::now();
-    let stop = servo.stop_request();
     let policy = |time| setup::realtime_policy(&file.cell, time);
     let done = Arc::new(AtomicBool::new(false));
+    let writing = Writing::start(logs, done.clone());
     let finished = done.clone();
     let until = move |_: &Servo| finished.load(Ordering::Relaxed);
+    let mut emulated_since = None;
     let running = match emulation {
         None => match thread::bring_up(&mut servo, |_| {}) {
             Ok(()) => thread::start(servo, policy(CellTime::Wall), |_| {}, until)?,
-            Err(error) => return Err(not_up(file, logs, error)),
+            Err(error) => return Err(not_up(file, writing.finish(), error)),
         },
         Some(Emulation { mut world }) => {
             let mut between = move |next| world.advance(next);
             match lockstep::bring_up(&mut servo, Instant::ZERO, &mut between) {
                 Ok(first) => {
+                    emulated_since = Some(first);
                     thread::start(servo, policy(CellTime::Nominal(first)), between, until)?
                 }
-                Err(error) => return Err(not_up(file, logs, error)),
+                Err(error) => return Err(not_up(file, writing.finish(), error)),
             }
         }
     };
+    let turning = Turning {
+        running: Some(running),
+        over: Over(done.clone()),
+    };
     let (tell, told) = sync_channel(SEEN);
-    let logged = std::thread::scope(|scope| {
+    std::thread::scope(|scope| {
+        // The scope waits for the controller: a panic of this thread must end that too.
+        let _over = Over(done.clone());
         scope.spawn(|| {
             // Below the servo and above everything else; a host that denies this was named by the servo thread.
             let _ = thread::set_fifo(
@@ -297,47 +417,37 @@ fn by_the_clock(
                     .max(1),
             );
             let show = |seen| _ = tell.try_send(seen);
-            while programs.poll(file, clock::now(), show)
+            while !done.load(Ordering::Relaxed)
+                && programs.poll(file, clock::now(), show)
                 && !interrupted.load(Ordering::Relaxed)
-                && !running.is_finished()
+                && !turning.is_finished()
             {
                 clock::sleep_until(clock::now() + POLL);
             }
-            done.store(true, Ordering::Relaxed);
             drop(tell);
         });
-        let mut logged = Ok(());
-        loop {
-            match told.recv_timeout(DRAIN) {
-                Ok(seen) => progress.show(seen),
-                Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => return logged,
-            }
-            // A file that cannot be written any more stops the arm, and is reported once it stands.
-            if logged.is_ok() {
-                logged = logs.drain();
-            } else {
-                stop.request();
-            }
-        }
+        told.iter().for_each(|seen| progress.show(seen));
     });
-    let ended = running.join();
+    let ended = turning.end();
+    // An emulated cell's time stands still while the host misses deadlines.
+    let cycles =
+        |first: Instant| first + ended.servo.period() * ended.servo.counters().cycles as u32;
+    let cell_time = match emulated_since {
+        Some(first) => cycles(first).since(Instant::ZERO),
+        None => clock::now().since(began),
+    };
     progress.finish();
-    logged?;
-    logs.finish()?;
     let mut faults = programs.faults;
+    faults.extend(writing.finish().err().map(FaultReport::of_run));
     if let Some(panicked) = ended.panicked {
-        faults.push(FaultReport {
-            robot: None,
-            axis: None,
-            what: format!("the servo thread panicked: {panicked:?}"),
-        });
+        let what = format!("the servo thread panicked: {panicked:?}");
+        faults.push(FaultReport::of_run(what));
     }
     Ok(Ran {
         servo: ended.servo,
         timing: ended.timing,
         denied: ended.denied.iter().map(ToString::to_string).collect(),
         faults,
-        cell_time: clock::now().since(began),
+        cell_time,
     })
 }

@@ -20,23 +20,18 @@ pub(crate) struct FrameLog {
 }
 
 impl FrameLog {
-    /// Creates the file.
+    /// Creates the file. `interfaces` are what the buses run on.
     pub(crate) fn create(
         path: &Path,
-        file: &CellFile,
+        interfaces: &[String],
         readers: Vec<TraceReader>,
     ) -> anyhow::Result<Self> {
         let sink = File::create(path).with_context(|| path.display().to_string())?;
-        let name = |bus: &controller::cell::Bus| {
-            can::InterfaceName::new(&bus.interface)
-                .with_context(|| format!("{:?} is no interface name", bus.interface))
+        let name = |interface: &String| {
+            can::InterfaceName::new(interface)
+                .with_context(|| format!("{interface:?} is no interface name"))
         };
-        let names = file
-            .cell
-            .bus
-            .iter()
-            .map(name)
-            .collect::<anyhow::Result<_>>()?;
+        let names = interfaces.iter().map(name).collect::<anyhow::Result<_>>()?;
         Ok(Self {
             readers,
             names,

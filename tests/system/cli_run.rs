@@ -1,7 +1,9 @@
 //! `mrroc run` as a user sees it: what it prints, what it writes, how it ends.
 
+use std::cell::Cell as Shared;
 use std::collections::HashMap;
 use std::fs;
+use std::process::Command;
 
 use controller::cell::{Cell, Plant};
 use serde_json::Value;
@@ -166,6 +168,75 @@ fn ctrl_c_while_homing_ends_the_run_at_once() {
         cycles < 2500.0,
         "{cycles} cycles for a stop after 200 of 5000"
     );
+}
+
+#[test]
+fn a_record_that_cannot_be_written_stops_the_arm() {
+    for bench in ["lockstep", "emulated"] {
+        let run = mrroc([
+            "run".as_ref(),
+            example("irb6").as_os_str(),
+            "--bench".as_ref(),
+            bench.as_ref(),
+            "--json".as_ref(),
+            "--record=/dev/full".as_ref(),
+        ]);
+        assert_eq!(run.status.code(), Some(1), "{run:?}");
+        assert_eq!(run.stderr, "", "{bench}");
+        let report = run.json();
+        assert_eq!(report["outcome"], "faulted", "{report}");
+        let faults = report["faults"].as_array().unwrap();
+        assert_eq!(faults.len(), 1, "{report}");
+        let what = faults[0]["what"].as_str().unwrap();
+        assert!(
+            what.contains("record cannot be written: No space"),
+            "{what}"
+        );
+        let cycles = number(&report["cycle"]["cycles"]);
+        assert!(cycles < 2500.0, "{bench}: {cycles} cycles");
+    }
+}
+
+#[test]
+fn a_stalled_trace_does_not_hold_up_a_stop() {
+    let directory = Directory::new();
+    let [trace, record] = ["trace", "axes.csv"].map(|name| directory.path(name));
+    let made = Command::new("mkfifo").arg(&trace).status();
+    assert!(made.unwrap().success());
+    // Open, so that it can be written to, and never read.
+    let pipe = fs::File::options().read(true).write(true).open(&trace);
+    let run = Running::start([
+        "run".as_ref(),
+        example("irb6").as_os_str(),
+        "--json".as_ref(),
+        "--trace".as_ref(),
+        trace.as_os_str(),
+        "--record".as_ref(),
+        record.as_os_str(),
+    ]);
+    // One thread writes both files: once the pipe is full, the record grows no more.
+    let (length, looks) = (Shared::new(0), Shared::new(0));
+    run.wait_for(&record, |text| {
+        let before = length.replace(text.len());
+        looks.set(if before < text.len() {
+            0
+        } else {
+            looks.get() + 1
+        });
+        text.contains(",Homing,") && looks.get() > 20
+    });
+    run.signal("INT");
+    let output = run.output();
+    assert_eq!(output.status.code(), Some(1), "{output:?}");
+    let report = output.json();
+    assert_eq!(report["outcome"], "faulted", "{report}");
+    let faults = report["faults"].as_array().unwrap();
+    assert_eq!(faults.len(), 1, "{report}");
+    assert_eq!(
+        faults[0]["what"],
+        "the trace or the record cannot be written in time"
+    );
+    drop(pipe);
 }
 
 fn stopped(run: &Output) {

@@ -393,7 +393,7 @@ fn an_interface_that_goes_down_in_motion_is_a_fault() {
             let output = controller.output();
             let up = ["link", "set", stage.interface, "up"];
             assert!(Command::new("ip").args(up).status().unwrap().success());
-            faulted(&output, &["bus: interface is down"]);
+            faulted(&output, &["bus arm: interface is down"]);
         },
     );
 }

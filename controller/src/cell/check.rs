@@ -75,6 +75,16 @@ pub enum Problem {
         /// The upper limit.
         high: f64,
     },
+    /// A limit outside those that the model has.
+    #[error("is {value}, must lie within the model's limits {low} and {high}")]
+    BeyondModel {
+        /// The limit.
+        value: f64,
+        /// The model's lower limit.
+        low: f64,
+        /// The model's upper limit.
+        high: f64,
+    },
     /// A second use of something that must be unique.
     #[error("{what} is used twice, first by {first}")]
     Twice {
@@ -333,7 +343,7 @@ fn check_robots(cell: &Cell) -> Checked {
     Ok(())
 }
 
-/// `model` is what the model says of the motor where the axis says nothing.
+/// `model` is what the model says of the motor: the axis may narrow it.
 fn check_axis(path: &Path, axis: &Axis, model: Limits) -> Checked {
     in_range(
         &path.then("node"),
@@ -345,6 +355,17 @@ fn check_axis(path: &Path, axis: &Axis, model: Limits) -> Checked {
     positive(&path.then("max_velocity"), axis.max_velocity)?;
     positive(&path.then("max_acceleration"), axis.max_acceleration)?;
     positive(&path.then("following_error"), axis.following_error)?;
+    let given = [
+        ("min_position", axis.min_position),
+        ("max_position", axis.max_position),
+    ];
+    for (key, value) in given {
+        let Some(value) = value else { continue };
+        if !(model.low..=model.high).contains(&value) {
+            let Limits { low, high } = model;
+            return Err((path.then(key), Problem::BeyondModel { value, low, high }));
+        }
+    }
     let low = axis.min_position.unwrap_or(model.low);
     let high = axis.max_position.unwrap_or(model.high);
     if low >= high {

@@ -35,7 +35,9 @@ pub struct Cell {
     /// Servo periods in one macrostep, the step of the generators.
     #[serde(default = "defaults::macrostep")]
     pub macrostep: u16,
-    /// Deadlines missed in a row before the cell stops with category 1.
+    /// Deadlines that may be missed in a row; one more stops the cell with category 1. The drives hold
+    /// their last set-point while deadlines are missed, so this bounds how long an arm in motion stands
+    /// still before it would jump. Without effect on the emulated benches, whose time waits for the host.
     #[serde(default = "defaults::max_missed_in_row")]
     pub max_missed_in_row: u32,
     /// Seed of everything that is random in the emulators.
@@ -205,10 +207,12 @@ pub struct Axis {
     pub max_velocity: f64,
     /// Greatest motor acceleration, rad/s².
     pub max_acceleration: f64,
-    /// Lowest motor position, rad; the model's own limit where absent.
+    /// Lowest motor position, rad, within the model's own limits and below `max_position`; the model's own
+    /// where absent.
     #[serde(default)]
     pub min_position: Option<f64>,
-    /// Highest motor position, rad; the model's own limit where absent.
+    /// Highest motor position, rad, within the model's own limits and above `min_position`; the model's own
+    /// where absent.
     #[serde(default)]
     pub max_position: Option<f64>,
     /// Greatest distance between commanded and measured motor position, rad.
@@ -371,7 +375,7 @@ mod defaults {
         10
     }
     pub(super) fn max_missed_in_row() -> u32 {
-        100
+        3
     }
     pub(super) fn seed() -> u64 {
         1

@@ -25,7 +25,7 @@ fn example_cells_parse_and_their_programs_can_be_built() {
 
 #[test]
 fn a_refusal_names_line_key_and_reason() {
-    let cases: [(&str, &str, &str, &str); 22] = [
+    let cases: [(&str, &str, &str, &str); 26] = [
         (
             "period_us = 2000",
             "period_us = 0",
@@ -119,15 +119,39 @@ fn a_refusal_names_line_key_and_reason() {
         ),
         (
             "max_velocity = 250.0",
+            "min_position = 450.0\nmax_velocity = 1.0",
+            "robot[0].axis[0].min_position",
+            "is 450, not below the upper limit 450",
+        ),
+        (
+            "max_velocity = 250.0",
+            "max_position = -470.0\nmax_velocity = 1.0",
+            "robot[0].axis[0].max_position",
+            "is -470, not above the lower limit -470",
+        ),
+        (
+            "max_velocity = 250.0",
+            "min_position = -470.1\nmax_velocity = 1.0",
+            "robot[0].axis[0].min_position",
+            "is -470.1, must lie within the model's limits -470 and 450",
+        ),
+        (
+            "max_velocity = 250.0",
             "min_position = 500.0\nmax_velocity = 1.0",
             "robot[0].axis[0].min_position",
-            "is 500, not below the upper limit 450",
+            "is 500, must lie within the model's limits -470 and 450",
+        ),
+        (
+            "max_velocity = 250.0",
+            "max_position = 450.1\nmax_velocity = 1.0",
+            "robot[0].axis[0].max_position",
+            "is 450.1, must lie within the model's limits -470 and 450",
         ),
         (
             "max_velocity = 250.0",
             "max_position = -500.0\nmax_velocity = 1.0",
             "robot[0].axis[0].max_position",
-            "is -500, not above the lower limit -470",
+            "is -500, must lie within the model's limits -470 and 450",
         ),
         (
             "name = \"lower-arm\"",
