@@ -20,8 +20,8 @@ pub(super) const ANSWERS_TO_EFFECT: u32 = 4;
 
 /// One drive during operation: what it said, what it is told, and what stands in the way.
 ///
-/// Nothing here waits or allocates. The order within a cycle is [`answered`](Self::answered),
-/// [`heard`](Self::heard) and [`emergency`](Self::emergency) as frames come, then
+/// Nothing here waits or allocates. The order within a cycle is [`in_time`](Self::in_time) and
+/// [`answered`](Self::answered), [`heard`](Self::heard) and [`emergency`](Self::emergency) as frames come, then
 /// [`end_of_read`](Self::end_of_read); [`check`](Self::check) for all axes, then
 /// [`command`](Self::command).
 #[derive(Clone, Debug)]
@@ -32,6 +32,7 @@ pub(super) struct Axis {
     statusword: Statusword,
     /// When the SYNC was sent that sampled `state`.
     sampled: Option<Instant>,
+    /// The last SYNC was answered.
     answered: bool,
     error_code: u16,
     heartbeat: Option<Instant>,
@@ -39,7 +40,7 @@ pub(super) struct Axis {
     booted: bool,
 
     goal: Goal,
-    /// Answers since the goal changed.
+    /// Answers in time since the goal changed.
     answers: u32,
     unsettled_since: Option<Instant>,
     power: PowerStateMachine,
@@ -184,12 +185,17 @@ impl Axis {
         self.setup.node
     }
 
+    /// The answer to the last SYNC is here. Without it a cycle misses one, whatever older answers it reads:
+    /// a drive that lags behind is not one that is heard.
+    pub(super) fn in_time(&mut self) {
+        self.answered = true;
+        self.answers = self.answers.saturating_add(1);
+    }
+
     /// Takes an answer received at `at`, which is a sample of the SYNC sent at `sampled`.
     pub(super) fn answered(&mut self, answer: Answer, sampled: Instant, at: Instant) {
         let before = self.statusword.power_state();
         self.statusword = answer.statusword;
-        self.answered = true;
-        self.answers = self.answers.saturating_add(1);
         self.search
             .answered(self.setup.homing_word(answer.statusword));
         self.measure(answer.position, sampled);

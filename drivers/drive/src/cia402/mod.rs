@@ -119,12 +119,13 @@ struct Syncs {
 }
 
 impl Syncs {
-    /// The SYNC that an answer received at `at` belongs to: the last one sent before it.
+    /// The SYNC that an answer received at `at` belongs to: the last one sent before it. `None` for
+    /// answers from so long ago that it is not known any more.
     fn of_answer(&self, at: Instant) -> Option<Instant> {
-        match (self.last, self.before) {
-            (Some(last), Some(before)) if at < last => Some(before),
-            (last, _) => last,
-        }
+        [self.last, self.before]
+            .into_iter()
+            .flatten()
+            .find(|sync| at >= *sync)
     }
 
     fn send(&mut self, now: Instant, sent: bool) {
@@ -192,8 +193,13 @@ impl<P: Port> Cia402Group<P> {
             cob::Function::Tpdo(PdoNumber::One, node) => {
                 let answer = Answer::decode(frame.data())?;
                 let sampled = self.syncs.of_answer(at)?;
-                self.node(node)?.axis.answered(answer, sampled, at);
-                if Some(sampled) == self.syncs.last {
+                let fresh = Some(sampled) == self.syncs.last;
+                let axis = &mut self.node(node)?.axis;
+                if fresh {
+                    axis.in_time();
+                }
+                axis.answered(answer, sampled, at);
+                if fresh {
                     let bus_time = &mut self.counters.last_bus_time;
                     *bus_time = at.since(sampled).max(*bus_time);
                 }

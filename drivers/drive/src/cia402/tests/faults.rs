@@ -74,6 +74,39 @@ fn syncs_that_the_port_never_takes_end_as_silence() {
 }
 
 #[test]
+fn answers_to_an_older_sync_are_missing_ones() {
+    let mut bench = enabled();
+    stand(&mut bench, 0x0737);
+    for age in 1..=3 {
+        // Each came shortly before the last SYNC, and so belongs to the one before.
+        let (frame, at) = (
+            frame(&answer(2, 0x0737, 1_000 + age)),
+            bench.now - PERIOD / 4,
+        );
+        let late = Received { frame, at };
+        bench.bus.0.lock().unwrap().inbox.push_back(late);
+        bench.cycle(NONE, STAND);
+        // What it says is news all the same.
+        assert_eq!(bench.states[0].increments.0, 1_000 + age);
+        assert_eq!((bench.states[0].age, bench.states[0].at), (age as u32, at));
+    }
+    let silent = Fault::Silent { node: 2, cycles: 3 };
+    assert_eq!(bench.states[0].fault, Some(silent));
+    assert_eq!(bench.group.counters().missed_answers, 3);
+    let unexpected = bench.group.counters().unexpected;
+    // Nobody knows which SYNC an answer from before those two belongs to.
+    let (frame, at) = (frame(&answer(2, 0x0737, 7)), bench.now - 2 * PERIOD);
+    let old = Received { frame, at };
+    bench.bus.0.lock().unwrap().inbox.push_back(old);
+    bench.cycle(NONE, STAND);
+    assert_eq!(
+        (bench.states[0].age, bench.states[0].increments.0),
+        (4, 1_003)
+    );
+    assert_eq!(bench.group.counters().unexpected, unexpected + 1);
+}
+
+#[test]
 fn a_lost_heartbeat_stops_the_axis() {
     let config = GroupConfig {
         heartbeat_period: Duration::from_millis(10),
