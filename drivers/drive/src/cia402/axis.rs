@@ -23,7 +23,7 @@ pub(super) const ANSWERS_TO_EFFECT: u32 = 4;
 /// Nothing here waits or allocates. The order within a cycle is [`in_time`](Self::in_time) and
 /// [`answered`](Self::answered), [`heard`](Self::heard) and [`emergency`](Self::emergency) as frames come, then
 /// [`end_of_read`](Self::end_of_read); [`check`](Self::check) for all axes, then
-/// [`command`](Self::command).
+/// [`command`](Self::command) and [`handed_over`](Self::handed_over).
 #[derive(Clone, Debug)]
 pub(super) struct Axis {
     setup: Setup,
@@ -34,6 +34,8 @@ pub(super) struct Axis {
     sampled: Option<Instant>,
     /// The last SYNC was answered.
     answered: bool,
+    /// Cycles in a row whose set-point the port did not take.
+    not_sent: u32,
     error_code: u16,
     heartbeat: Option<Instant>,
     operational: bool,
@@ -161,6 +163,7 @@ impl Axis {
             statusword: learnt.statusword,
             sampled: None,
             answered: false,
+            not_sent: 0,
             error_code: learnt.error_code,
             heartbeat: None,
             operational: true,
@@ -310,6 +313,13 @@ impl Axis {
         if !self.operational || self.booted {
             self.latch(Fault::LeftOperational { node });
         }
+        // Before silence, which it may be the cause of.
+        if self.not_sent > self.setup.tolerated_missing {
+            self.latch(Fault::NotSent {
+                node,
+                cycles: self.not_sent,
+            });
+        }
         if self.state.age > self.setup.tolerated_missing {
             self.latch(Fault::Silent {
                 node,
@@ -453,6 +463,15 @@ impl Axis {
             _ => self.power.step(self.statusword, goal),
         };
         process_data::encode(self.setup.node, self.setup.mode, word, self.target)
+    }
+
+    /// Whether the port took what [`command`](Self::command) gave it, and the SYNC before it.
+    pub(super) fn handed_over(&mut self, taken: bool) {
+        self.not_sent = if taken {
+            0
+        } else {
+            self.not_sent.saturating_add(1)
+        };
     }
 
     /// Clears the fault, unless it is the drive's to leave first. What the drive and the bus

@@ -411,6 +411,10 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
             }
         };
         self.syncs.send(now, taken > 0);
+        for (i, node) in self.nodes.iter_mut().enumerate() {
+            // A SYNC alone has no set-point to lose.
+            node.axis.handed_over(taken > setpoints.min(i + 1));
+        }
         self.counters.dropped_syncs += u64::from(taken == 0);
         self.counters.dropped_setpoints += setpoints.saturating_sub(taken.saturating_sub(1)) as u64;
         if heartbeat && taken > setpoints + 1 {

@@ -57,7 +57,7 @@ fn missing_answers_are_ridden_through_and_then_the_drive_is_silent() {
 }
 
 #[test]
-fn syncs_that_the_port_never_takes_end_as_silence() {
+fn syncs_that_the_port_never_takes_are_named_and_not_the_silence_after_them() {
     let mut bench = enabled();
     stand(&mut bench, 0x0737);
     bench.bus.0.lock().unwrap().takes = Some(0);
@@ -66,11 +66,39 @@ fn syncs_that_the_port_never_takes_end_as_silence() {
     for _ in 0..3 {
         bench.cycle(NONE, STAND);
     }
-    assert_eq!(
-        bench.states[0].fault,
-        Some(Fault::Silent { node: 2, cycles: 3 })
-    );
+    let fault = bench.states[0].fault.unwrap();
+    assert_eq!(fault, Fault::NotSent { node: 2, cycles: 3 });
+    let text = "node 2: set-point not taken by the bus for 3 cycles";
+    assert_eq!(fault.to_string(), text);
     assert_eq!(bench.group.counters().missed_answers, 0);
+}
+
+#[test]
+fn set_points_that_the_port_does_not_take_are_ridden_through_and_then_a_fault_of_their_axis() {
+    let stand = &[AxisCommand::Stand; 2];
+    let mut bench = Bench::up(&[1, 2]);
+    bench.enable();
+    let answers = bench.answers(0x0737, 1_000);
+    let mut cycles = |takes: Option<usize>, count: usize, command: &[AxisCommand]| {
+        bench.bus.0.lock().unwrap().takes = takes;
+        for _ in 0..count {
+            bench.cycle(&answers, command);
+        }
+        [bench.states[0].fault, bench.states[1].fault]
+    };
+    // The SYNC and the first set-point fit; both drives go on answering.
+    assert_eq!(cycles(Some(2), 2, stand), [None, None]);
+    // One that is taken ends the row.
+    assert_eq!(cycles(None, 1, stand), [None, None]);
+    assert_eq!(cycles(Some(2), 3, stand), [None, None]);
+    let fault = Some(Fault::NotSent { node: 2, cycles: 3 });
+    assert_eq!(cycles(Some(2), 1, stand), [None, fault]);
+    // It cannot be reset away; a set-point that is taken lets it.
+    let reset = &[AxisCommand::Stand, AxisCommand::ResetFault];
+    let fault = Some(Fault::NotSent { node: 2, cycles: 5 });
+    assert_eq!(cycles(Some(2), 2, reset), [None, fault]);
+    cycles(None, 1, reset);
+    assert_eq!(cycles(None, 2, reset), [None, None]);
 }
 
 #[test]
