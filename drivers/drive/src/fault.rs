@@ -97,6 +97,9 @@ pub enum Fault {
     /// The port cannot send or receive.
     #[error("bus: {0}")]
     Port(can::PortError),
+    /// Our controller made too many errors and left the bus: no drive hears us.
+    #[error("bus: the controller is bus-off")]
+    BusOff,
 }
 
 /// What was wrong with a set-point.

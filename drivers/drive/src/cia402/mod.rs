@@ -42,7 +42,7 @@ mod tests;
 use std::task::Poll;
 use std::time::Duration;
 
-use can::{Frame, Instant, Port, PortError, Received};
+use can::{ControllerState, Frame, Instant, Port, Received};
 use canopen::emcy::Emergency;
 use canopen::heartbeat::Heartbeat;
 use canopen::pdo::PdoNumber;
@@ -222,10 +222,10 @@ impl<P: Port> Cia402Group<P> {
         Some(())
     }
 
-    fn latch_all(&mut self, error: PortError) {
+    fn latch_all(&mut self, fault: Fault) {
         self.nodes
             .iter_mut()
-            .for_each(|node| node.axis.latch(Fault::Port(error)));
+            .for_each(|node| node.axis.latch(fault));
     }
 
     /// The next service frame of any node, each having its turn.
@@ -347,7 +347,11 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
                     }
                 }
             }
-            Err(error) => self.latch_all(error),
+            Err(error) => self.latch_all(Fault::Port(error)),
+        }
+        // Before what follows from it is judged.
+        if self.port.state() == ControllerState::BusOff {
+            self.latch_all(Fault::BusOff);
         }
         let Syncs {
             attempted, sent, ..
@@ -406,7 +410,7 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
         let taken = match self.port.send(now, &self.batch) {
             Ok(taken) => taken,
             Err(error) => {
-                self.latch_all(error);
+                self.latch_all(Fault::Port(error));
                 0
             }
         };

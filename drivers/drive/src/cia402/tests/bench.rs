@@ -65,6 +65,7 @@ pub(super) struct Bus {
     pub(super) inbox: VecDeque<Received>,
     pub(super) takes: Option<usize>,
     pub(super) error: Option<PortError>,
+    pub(super) state: ControllerState,
 }
 
 #[derive(Clone, Default)]
@@ -98,7 +99,7 @@ impl Port for BusEnd {
     }
 
     fn state(&self) -> ControllerState {
-        ControllerState::Active
+        self.0.lock().unwrap().state
     }
 }
 

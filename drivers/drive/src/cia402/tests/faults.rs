@@ -1,6 +1,6 @@
 use std::time::Duration;
 
-use can::PortError;
+use can::{ControllerState, PortError};
 
 use super::bench::*;
 use crate::Power;
@@ -368,6 +368,33 @@ fn a_port_that_fails_faults_every_axis_until_it_works_again() {
     bench.cycle(&bench.answers(0x0740, 1_000), &[AxisCommand::ResetFault; 2]);
     bench.cycle(&bench.answers(0x0740, 1_000), &[AxisCommand::Off; 2]);
     assert!(bench.states.iter().all(|state| state.fault.is_none()));
+}
+
+#[test]
+fn a_controller_that_left_the_bus_faults_every_axis_until_it_is_back() {
+    let mut bench = Bench::up(&[1, 2]);
+    bench.enable();
+    let mut faults = |state, answers: &[String], command| {
+        bench.bus.0.lock().unwrap().state = state;
+        bench.cycle(answers, &[command; 2]);
+        [bench.states[0].fault, bench.states[1].fault]
+    };
+    let answers = [answer(1, 0x0737, 1_000), answer(2, 0x0737, 1_000)];
+    let (stand, reset) = (AxisCommand::Stand, AxisCommand::ResetFault);
+    for state in [ControllerState::Warning, ControllerState::Passive] {
+        assert_eq!(faults(state, &answers, stand), [None; 2]);
+    }
+    // It is named, and not the silence that follows; while it lasts it cannot be reset away.
+    for command in [stand, stand, stand, stand, reset, reset, stand] {
+        let seen = faults(ControllerState::BusOff, &[], command);
+        assert_eq!(seen, [Some(Fault::BusOff); 2]);
+    }
+    let seen = faults(ControllerState::Active, &answers, stand);
+    assert_eq!(seen, [Some(Fault::BusOff); 2]);
+    faults(ControllerState::Active, &answers, reset);
+    assert_eq!(faults(ControllerState::Active, &answers, stand), [None; 2]);
+    let text = Fault::BusOff.to_string();
+    assert_eq!(text, "bus: the controller is bus-off");
 }
 
 #[test]
