@@ -198,7 +198,11 @@ impl SocketCanPort {
 
     fn failed(&mut self, errno: i32) -> PortError {
         match errno {
-            libc::ENETDOWN => PortError::Down,
+            libc::ENETDOWN => {
+                // A controller comes up active, and no error frame says so.
+                self.state = ControllerState::Active;
+                PortError::Down
+            }
             libc::ENODEV | libc::ENXIO => {
                 self.gone = true;
                 PortError::Gone
@@ -510,6 +514,25 @@ mod tests {
             given: 513,
         };
         assert_eq!(refusal("can0", &options), expected);
+    }
+
+    #[test]
+    fn an_interface_that_goes_down_ends_bus_off() {
+        let other = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
+        let mut port = SocketCanPort {
+            socket: CanSocket::from(std::os::fd::OwnedFd::from(other)),
+            receive_queue: 0,
+            batch: Batch::new(),
+            counters: Counters::default(),
+            state: ControllerState::BusOff,
+            overflow: 0,
+            last_received: Instant::ZERO,
+            gone: false,
+        };
+        assert_eq!(port.failed(libc::EIO), PortError::Os(libc::EIO));
+        assert_eq!(port.state(), ControllerState::BusOff);
+        assert_eq!(port.failed(libc::ENETDOWN), PortError::Down);
+        assert_eq!(port.state(), ControllerState::Active);
     }
 
     #[test]

@@ -23,6 +23,15 @@ pub enum Fault {
         /// Cycles without an answer.
         cycles: u32,
     },
+    /// The port took no set-point for the node, or not even the SYNC, for more cycles than the cell
+    /// allows: the drive goes on by an old one.
+    #[error("node {node}: set-point not taken by the bus for {cycles} cycles")]
+    NotSent {
+        /// Node-ID.
+        node: u8,
+        /// Cycles in a row.
+        cycles: u32,
+    },
     /// The node's heartbeat stopped.
     #[error("node {node}: no heartbeat for {waited:.1?}")]
     HeartbeatLost {
@@ -88,6 +97,9 @@ pub enum Fault {
     /// The port cannot send or receive.
     #[error("bus: {0}")]
     Port(can::PortError),
+    /// Our controller made too many errors and left the bus: no drive hears us.
+    #[error("bus: the controller is bus-off")]
+    BusOff,
 }
 
 /// What was wrong with a set-point.

@@ -7,7 +7,7 @@ use crate::{Fault, Increments};
 pub struct AxisState {
     /// When the drive's last answer was received.
     pub at: Instant,
-    /// Cycles since that answer: 0 in the cycle that read it.
+    /// Cycles without an answer to their SYNC: 0 in a cycle that read one. Older answers do not count.
     pub age: u32,
     /// Motor position, rad. Meaningless as an absolute position until [`Homing::Attained`].
     pub position: f64,

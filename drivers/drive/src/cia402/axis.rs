@@ -20,10 +20,10 @@ pub(super) const ANSWERS_TO_EFFECT: u32 = 4;
 
 /// One drive during operation: what it said, what it is told, and what stands in the way.
 ///
-/// Nothing here waits or allocates. The order within a cycle is [`answered`](Self::answered),
-/// [`heard`](Self::heard) and [`emergency`](Self::emergency) as frames come, then
+/// Nothing here waits or allocates. The order within a cycle is [`in_time`](Self::in_time) and
+/// [`answered`](Self::answered), [`heard`](Self::heard) and [`emergency`](Self::emergency) as frames come, then
 /// [`end_of_read`](Self::end_of_read); [`check`](Self::check) for all axes, then
-/// [`command`](Self::command).
+/// [`command`](Self::command) and [`handed_over`](Self::handed_over).
 #[derive(Clone, Debug)]
 pub(super) struct Axis {
     setup: Setup,
@@ -32,14 +32,17 @@ pub(super) struct Axis {
     statusword: Statusword,
     /// When the SYNC was sent that sampled `state`.
     sampled: Option<Instant>,
+    /// The last SYNC was answered.
     answered: bool,
+    /// Cycles in a row whose set-point the port did not take.
+    not_sent: u32,
     error_code: u16,
     heartbeat: Option<Instant>,
     operational: bool,
     booted: bool,
 
     goal: Goal,
-    /// Answers since the goal changed.
+    /// Answers in time since the goal changed.
     answers: u32,
     unsettled_since: Option<Instant>,
     power: PowerStateMachine,
@@ -160,6 +163,7 @@ impl Axis {
             statusword: learnt.statusword,
             sampled: None,
             answered: false,
+            not_sent: 0,
             error_code: learnt.error_code,
             heartbeat: None,
             operational: true,
@@ -184,12 +188,17 @@ impl Axis {
         self.setup.node
     }
 
+    /// The answer to the last SYNC is here. Without it a cycle misses one, whatever older answers it reads:
+    /// a drive that lags behind is not one that is heard.
+    pub(super) fn in_time(&mut self) {
+        self.answered = true;
+        self.answers = self.answers.saturating_add(1);
+    }
+
     /// Takes an answer received at `at`, which is a sample of the SYNC sent at `sampled`.
     pub(super) fn answered(&mut self, answer: Answer, sampled: Instant, at: Instant) {
         let before = self.statusword.power_state();
         self.statusword = answer.statusword;
-        self.answered = true;
-        self.answers = self.answers.saturating_add(1);
         self.search
             .answered(self.setup.homing_word(answer.statusword));
         self.measure(answer.position, sampled);
@@ -303,6 +312,13 @@ impl Axis {
         let waited = now.since(*self.heartbeat.get_or_insert(now));
         if !self.operational || self.booted {
             self.latch(Fault::LeftOperational { node });
+        }
+        // Before silence, which it may be the cause of.
+        if self.not_sent > self.setup.tolerated_missing {
+            self.latch(Fault::NotSent {
+                node,
+                cycles: self.not_sent,
+            });
         }
         if self.state.age > self.setup.tolerated_missing {
             self.latch(Fault::Silent {
@@ -447,6 +463,15 @@ impl Axis {
             _ => self.power.step(self.statusword, goal),
         };
         process_data::encode(self.setup.node, self.setup.mode, word, self.target)
+    }
+
+    /// Whether the port took what [`command`](Self::command) gave it, and the SYNC before it.
+    pub(super) fn handed_over(&mut self, taken: bool) {
+        self.not_sent = if taken {
+            0
+        } else {
+            self.not_sent.saturating_add(1)
+        };
     }
 
     /// Clears the fault, unless it is the drive's to leave first. What the drive and the bus

@@ -16,6 +16,7 @@ pub struct GroupConfig {
     /// The SYNC period, which is the servo period. Whole milliseconds up to 100 are what an EPOS4 takes.
     pub period: Duration,
     /// Missing answers in a row that are ridden through; one more is [`Fault::Silent`](crate::Fault::Silent).
+    /// As many set-points in a row may be refused by the port; one more is [`Fault::NotSent`](crate::Fault::NotSent).
     pub tolerated_missing: u32,
     /// Period of the drives' heartbeats and of ours, whole milliseconds. Three periods of silence are a
     /// loss, here and in the drives (object 0x1016).

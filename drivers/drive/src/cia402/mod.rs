@@ -42,7 +42,7 @@ mod tests;
 use std::task::Poll;
 use std::time::Duration;
 
-use can::{Frame, Instant, Port, PortError, Received};
+use can::{ControllerState, Frame, Instant, Port, Received};
 use canopen::emcy::Emergency;
 use canopen::heartbeat::Heartbeat;
 use canopen::pdo::PdoNumber;
@@ -119,12 +119,13 @@ struct Syncs {
 }
 
 impl Syncs {
-    /// The SYNC that an answer received at `at` belongs to: the last one sent before it.
+    /// The SYNC that an answer received at `at` belongs to: the last one sent before it. `None` for
+    /// answers from so long ago that it is not known any more.
     fn of_answer(&self, at: Instant) -> Option<Instant> {
-        match (self.last, self.before) {
-            (Some(last), Some(before)) if at < last => Some(before),
-            (last, _) => last,
-        }
+        [self.last, self.before]
+            .into_iter()
+            .flatten()
+            .find(|sync| at >= *sync)
     }
 
     fn send(&mut self, now: Instant, sent: bool) {
@@ -192,8 +193,13 @@ impl<P: Port> Cia402Group<P> {
             cob::Function::Tpdo(PdoNumber::One, node) => {
                 let answer = Answer::decode(frame.data())?;
                 let sampled = self.syncs.of_answer(at)?;
-                self.node(node)?.axis.answered(answer, sampled, at);
-                if Some(sampled) == self.syncs.last {
+                let fresh = Some(sampled) == self.syncs.last;
+                let axis = &mut self.node(node)?.axis;
+                if fresh {
+                    axis.in_time();
+                }
+                axis.answered(answer, sampled, at);
+                if fresh {
                     let bus_time = &mut self.counters.last_bus_time;
                     *bus_time = at.since(sampled).max(*bus_time);
                 }
@@ -216,10 +222,10 @@ impl<P: Port> Cia402Group<P> {
         Some(())
     }
 
-    fn latch_all(&mut self, error: PortError) {
+    fn latch_all(&mut self, fault: Fault) {
         self.nodes
             .iter_mut()
-            .for_each(|node| node.axis.latch(Fault::Port(error)));
+            .for_each(|node| node.axis.latch(fault));
     }
 
     /// The next service frame of any node, each having its turn.
@@ -341,7 +347,11 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
                     }
                 }
             }
-            Err(error) => self.latch_all(error),
+            Err(error) => self.latch_all(Fault::Port(error)),
+        }
+        // Before what follows from it is judged.
+        if self.port.state() == ControllerState::BusOff {
+            self.latch_all(Fault::BusOff);
         }
         let Syncs {
             attempted, sent, ..
@@ -400,11 +410,15 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
         let taken = match self.port.send(now, &self.batch) {
             Ok(taken) => taken,
             Err(error) => {
-                self.latch_all(error);
+                self.latch_all(Fault::Port(error));
                 0
             }
         };
         self.syncs.send(now, taken > 0);
+        for (i, node) in self.nodes.iter_mut().enumerate() {
+            // A SYNC alone has no set-point to lose.
+            node.axis.handed_over(taken > setpoints.min(i + 1));
+        }
         self.counters.dropped_syncs += u64::from(taken == 0);
         self.counters.dropped_setpoints += setpoints.saturating_sub(taken.saturating_sub(1)) as u64;
         if heartbeat && taken > setpoints + 1 {

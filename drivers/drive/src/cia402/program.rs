@@ -115,10 +115,14 @@ pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
         ERROR_BEHAVIOUR,
         STAY_OPERATIONAL,
     )));
-    // The homed counter reads zero at home. EPOS4 has no home offset, but an object of its own.
+    // The homed counter reads zero at home, and home is where the reference was found. EPOS4 has no
+    // home offset, but two objects of its own.
     steps.push(Step::SetIfPresent(Write::new(HOME_OFFSET, 0_i32)));
     if axis.identity.vendor == MAXON {
-        steps.push(Step::SetIfPresent(Write::new(EPOS4_HOME_POSITION, 0_i32)));
+        steps.extend(
+            [EPOS4_HOME_POSITION, EPOS4_HOME_OFFSET_MOVE]
+                .map(|object| Step::SetIfPresent(Write::new(object, 0_i32))),
+        );
     }
     steps.extend(
         axis.parameters

@@ -65,6 +65,7 @@ pub(super) struct Bus {
     pub(super) inbox: VecDeque<Received>,
     pub(super) takes: Option<usize>,
     pub(super) error: Option<PortError>,
+    pub(super) state: ControllerState,
 }
 
 #[derive(Clone, Default)]
@@ -98,7 +99,7 @@ impl Port for BusEnd {
     }
 
     fn state(&self) -> ControllerState {
-        ControllerState::Active
+        self.0.lock().unwrap().state
     }
 }
 
@@ -160,6 +161,7 @@ impl Store {
         }
         put(0x3001, 1, &[0; 4]);
         put(0x30B0, 0, &[9, 0, 0, 0]);
+        put(0x30B1, 0, &[9, 0, 0, 0]);
         put(0x6007, 0, &[1, 0]);
         put(0x603F, 0, &[0; 2]);
         put(0x6040, 0, &[0; 2]);

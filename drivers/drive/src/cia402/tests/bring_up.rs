@@ -38,8 +38,9 @@ const TOLD: &[&str] = &[
     "602#239960013C000000",
     "602#239960020A000000",
     "602#239A600058020000",
-    // The homed counter reads zero; then the cell's own parameter.
+    // The homed counter reads zero, without a move from the reference; then the cell's own parameter.
     "602#23B0300000000000",
+    "602#23B1300000000000",
     "602#23013001D0070000",
     // RPDO 2 to 4 and TPDO 2 to 4 off.
     "602#2301140102030080",

@@ -1,6 +1,6 @@
 use std::time::Duration;
 
-use can::PortError;
+use can::{ControllerState, PortError};
 
 use super::bench::*;
 use crate::Power;
@@ -57,7 +57,7 @@ fn missing_answers_are_ridden_through_and_then_the_drive_is_silent() {
 }
 
 #[test]
-fn syncs_that_the_port_never_takes_end_as_silence() {
+fn syncs_that_the_port_never_takes_are_named_and_not_the_silence_after_them() {
     let mut bench = enabled();
     stand(&mut bench, 0x0737);
     bench.bus.0.lock().unwrap().takes = Some(0);
@@ -66,11 +66,72 @@ fn syncs_that_the_port_never_takes_end_as_silence() {
     for _ in 0..3 {
         bench.cycle(NONE, STAND);
     }
-    assert_eq!(
-        bench.states[0].fault,
-        Some(Fault::Silent { node: 2, cycles: 3 })
-    );
+    let fault = bench.states[0].fault.unwrap();
+    assert_eq!(fault, Fault::NotSent { node: 2, cycles: 3 });
+    let text = "node 2: set-point not taken by the bus for 3 cycles";
+    assert_eq!(fault.to_string(), text);
     assert_eq!(bench.group.counters().missed_answers, 0);
+}
+
+#[test]
+fn set_points_that_the_port_does_not_take_are_ridden_through_and_then_a_fault_of_their_axis() {
+    let stand = &[AxisCommand::Stand; 2];
+    let mut bench = Bench::up(&[1, 2]);
+    bench.enable();
+    let answers = bench.answers(0x0737, 1_000);
+    let mut cycles = |takes: Option<usize>, count: usize, command: &[AxisCommand]| {
+        bench.bus.0.lock().unwrap().takes = takes;
+        for _ in 0..count {
+            bench.cycle(&answers, command);
+        }
+        [bench.states[0].fault, bench.states[1].fault]
+    };
+    // The SYNC and the first set-point fit; both drives go on answering.
+    assert_eq!(cycles(Some(2), 2, stand), [None, None]);
+    // One that is taken ends the row.
+    assert_eq!(cycles(None, 1, stand), [None, None]);
+    assert_eq!(cycles(Some(2), 3, stand), [None, None]);
+    let fault = Some(Fault::NotSent { node: 2, cycles: 3 });
+    assert_eq!(cycles(Some(2), 1, stand), [None, fault]);
+    // It cannot be reset away; a set-point that is taken lets it.
+    let reset = &[AxisCommand::Stand, AxisCommand::ResetFault];
+    let fault = Some(Fault::NotSent { node: 2, cycles: 5 });
+    assert_eq!(cycles(Some(2), 2, reset), [None, fault]);
+    cycles(None, 1, reset);
+    assert_eq!(cycles(None, 2, reset), [None, None]);
+}
+
+#[test]
+fn answers_to_an_older_sync_are_missing_ones() {
+    let mut bench = enabled();
+    stand(&mut bench, 0x0737);
+    for age in 1..=3 {
+        // Each came shortly before the last SYNC, and so belongs to the one before.
+        let (frame, at) = (
+            frame(&answer(2, 0x0737, 1_000 + age)),
+            bench.now - PERIOD / 4,
+        );
+        let late = Received { frame, at };
+        bench.bus.0.lock().unwrap().inbox.push_back(late);
+        bench.cycle(NONE, STAND);
+        // What it says is news all the same.
+        assert_eq!(bench.states[0].increments.0, 1_000 + age);
+        assert_eq!((bench.states[0].age, bench.states[0].at), (age as u32, at));
+    }
+    let silent = Fault::Silent { node: 2, cycles: 3 };
+    assert_eq!(bench.states[0].fault, Some(silent));
+    assert_eq!(bench.group.counters().missed_answers, 3);
+    let unexpected = bench.group.counters().unexpected;
+    // Nobody knows which SYNC an answer from before those two belongs to.
+    let (frame, at) = (frame(&answer(2, 0x0737, 7)), bench.now - 2 * PERIOD);
+    let old = Received { frame, at };
+    bench.bus.0.lock().unwrap().inbox.push_back(old);
+    bench.cycle(NONE, STAND);
+    assert_eq!(
+        (bench.states[0].age, bench.states[0].increments.0),
+        (4, 1_003)
+    );
+    assert_eq!(bench.group.counters().unexpected, unexpected + 1);
 }
 
 #[test]
@@ -307,6 +368,33 @@ fn a_port_that_fails_faults_every_axis_until_it_works_again() {
     bench.cycle(&bench.answers(0x0740, 1_000), &[AxisCommand::ResetFault; 2]);
     bench.cycle(&bench.answers(0x0740, 1_000), &[AxisCommand::Off; 2]);
     assert!(bench.states.iter().all(|state| state.fault.is_none()));
+}
+
+#[test]
+fn a_controller_that_left_the_bus_faults_every_axis_until_it_is_back() {
+    let mut bench = Bench::up(&[1, 2]);
+    bench.enable();
+    let mut faults = |state, answers: &[String], command| {
+        bench.bus.0.lock().unwrap().state = state;
+        bench.cycle(answers, &[command; 2]);
+        [bench.states[0].fault, bench.states[1].fault]
+    };
+    let answers = [answer(1, 0x0737, 1_000), answer(2, 0x0737, 1_000)];
+    let (stand, reset) = (AxisCommand::Stand, AxisCommand::ResetFault);
+    for state in [ControllerState::Warning, ControllerState::Passive] {
+        assert_eq!(faults(state, &answers, stand), [None; 2]);
+    }
+    // It is named, and not the silence that follows; while it lasts it cannot be reset away.
+    for command in [stand, stand, stand, stand, reset, reset, stand] {
+        let seen = faults(ControllerState::BusOff, &[], command);
+        assert_eq!(seen, [Some(Fault::BusOff); 2]);
+    }
+    let seen = faults(ControllerState::Active, &answers, stand);
+    assert_eq!(seen, [Some(Fault::BusOff); 2]);
+    faults(ControllerState::Active, &answers, reset);
+    assert_eq!(faults(ControllerState::Active, &answers, stand), [None; 2]);
+    let text = Fault::BusOff.to_string();
+    assert_eq!(text, "bus: the controller is bus-off");
 }
 
 #[test]
