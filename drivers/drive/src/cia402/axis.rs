@@ -3,8 +3,6 @@ use std::time::Duration;
 use can::{Frame, Instant};
 use canopen::cia402::{self, ModeOfOperation, PowerState, PowerStateMachine, Statusword};
 use canopen::emcy::Emergency;
-use canopen::objects::{ERROR_CODE, MODE_OF_OPERATION, MODE_OF_OPERATION_DISPLAY};
-use canopen::sdo::Write;
 use canopen::{NodeId, Object, nmt};
 
 use super::config::{AxisConfig, CyclicMode, GroupConfig};
@@ -12,6 +10,7 @@ use super::homing::Search;
 use super::mode::{ModeRequest, ModeSwitch};
 use super::process_data::{self, Answer};
 use super::program::MAXON;
+use super::service::Service;
 use crate::{AxisCommand, AxisState, Fault, Increments, Power, Refusal, Scale, Setpoint};
 
 /// Answers until a word handed over in some cycle surely shows: it is latched at the next SYNC, acts
@@ -92,32 +91,6 @@ enum Goal {
     On,
     /// Braked by its own ramp, for a fault that the drive does not know of.
     Stopped,
-}
-
-/// One service request of the cycle.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Service {
-    Mode(ModeRequest),
-    /// Read object 0x603F, after a fault without EMCY.
-    ErrorCode,
-}
-
-impl Service {
-    pub(super) fn object(self) -> Object {
-        match self {
-            Self::Mode(ModeRequest::Tell(_)) => MODE_OF_OPERATION,
-            Self::Mode(ModeRequest::Look) => MODE_OF_OPERATION_DISPLAY,
-            Self::ErrorCode => ERROR_CODE,
-        }
-    }
-
-    /// What to write; `None` to read.
-    pub(super) fn write(self) -> Option<Write> {
-        match self {
-            Self::Mode(ModeRequest::Tell(mode)) => Some(Write::new(self.object(), mode.raw())),
-            Self::Mode(ModeRequest::Look) | Self::ErrorCode => None,
-        }
-    }
 }
 
 /// What bring-up learnt of a drive.

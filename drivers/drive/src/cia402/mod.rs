@@ -34,6 +34,7 @@ mod mode;
 mod process_data;
 mod program;
 mod recording;
+mod service;
 mod traffic;
 
 #[cfg(test)]
@@ -59,9 +60,10 @@ pub use traffic::Traffic;
 #[cfg(doc)]
 use crate::Power;
 use crate::{AxisCommand, AxisState, BringUpError, DriveGroup, Fault, GroupCounters};
-use axis::{Axis, Service};
+use axis::Axis;
 use bring_up::NodeBringUp;
 use process_data::Answer;
+use service::Service;
 
 /// SDO frames that one call of bring-up sends at most: what a transmit queue of ten still takes.
 const SDO_FRAMES_PER_CALL: usize = 8;
