@@ -24,6 +24,8 @@ pub(crate) fn on_vcan(test: &str, body: impl FnOnce(&str)) {
     let options = uml::Options {
         env: vec![("HIL_CAN".into(), "vcan0".into())],
         directory: env::current_dir().expect("cargo runs tests in the package's directory"),
+        // The example cells are there.
+        visible: vec![concat!(env!("CARGO_MANIFEST_DIR"), "/..").into()],
         timeout: Duration::from_secs(120),
         ..uml::Options::new([
             binary.as_os_str(),
