@@ -7,6 +7,7 @@
 //! not waited for. Whatever may still have power afterwards is a fault of the run.
 
 use std::cell::{Cell as Shared, RefCell};
+use std::io::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -168,13 +169,17 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
     }))
 }
 
+/// Prints the report; a reader that has gone, such as `head`, is no failure of the run.
 fn print(report: &Report, json: bool) -> anyhow::Result<()> {
-    if json {
-        println!("{}", serde_json::to_string(report)?);
+    let text = if json {
+        serde_json::to_string(report)?
     } else {
-        println!("{report}");
+        report.to_string()
+    };
+    match writeln!(std::io::stdout(), "{text}") {
+        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(error.into()),
+        _ => Ok(()),
     }
-    Ok(())
 }
 
 /// The files of a run.

@@ -398,10 +398,29 @@ fn check_axis(path: &Path, axis: &Axis, model: Limits) -> Checked {
         }
     }
     let homing = path.then("homing");
-    positive(&homing.then("search_velocity"), axis.homing.search_velocity)?;
-    positive(&homing.then("zero_velocity"), axis.homing.zero_velocity)?;
+    if !METHODS.contains(&axis.homing.method) {
+        let value = f64::from(axis.homing.method);
+        let range = "37, 34, 33, 27, 23, 18, 17, 11, 7, 2, 1 or -1 to -4";
+        return Err((homing.then("method"), Problem::OutOfRange { value, range }));
+    }
+    for (key, value) in [
+        ("search_velocity", axis.homing.search_velocity),
+        ("zero_velocity", axis.homing.zero_velocity),
+    ] {
+        let range = "above 0 and at most the axis's max_velocity (rad/s of the motor)";
+        in_range(
+            &homing.then(key),
+            value,
+            f64::MIN_POSITIVE,
+            axis.max_velocity,
+            range,
+        )?;
+    }
     positive(&homing.then("acceleration"), axis.homing.acceleration)
 }
+
+/// The homing methods of an EPOS4.
+const METHODS: [i8; 15] = [37, 34, 33, 27, 23, 18, 17, 11, 7, 2, 1, -1, -2, -3, -4];
 
 fn check_program(path: &Path, robot: &Robot) -> Checked {
     for (number, instruction) in robot.program.iter().enumerate() {

@@ -25,7 +25,19 @@ fn example_cells_parse_and_their_programs_can_be_built() {
 
 #[test]
 fn a_refusal_names_line_key_and_reason() {
-    let cases: [(&str, &str, &str, &str); 26] = [
+    let cases: [(&str, &str, &str, &str); 28] = [
+        (
+            "method = 11",
+            "method = 12",
+            "robot[0].axis[0].homing.method",
+            "must be 37, 34,",
+        ),
+        (
+            "search_velocity = 15.0",
+            "search_velocity = 1500.0",
+            "robot[0].axis[0].homing.search_velocity",
+            "at most the axis's max_velocity",
+        ),
         (
             "period_us = 2000",
             "period_us = 0",
