@@ -7,7 +7,7 @@ use drive::cia402;
 
 use crate::cell_file::CellFile;
 use crate::emulation::Emulation;
-use crate::{interfaces, setup};
+use crate::interfaces;
 
 /// Frames that a trace may lag behind the bus: some seconds of a full one.
 const TRACE: usize = 1 << 16;
@@ -71,7 +71,7 @@ impl Bench {
             BenchKind::Vcan | BenchKind::Card => {
                 let open = |(index, interface): (usize, &String)| {
                     let bus = &file.cell.bus[index];
-                    let setpoints = setup::axes_on(&file.cell, index).count();
+                    let setpoints = file.cell.axes_on(index).count();
                     let options = SocketCanOptions {
                         send_queue: setpoints + cia402::BESIDE_SETPOINTS,
                         ..SocketCanOptions::default()

@@ -46,11 +46,11 @@ pub(crate) fn check(file: &CellFile) -> anyhow::Result<Vec<BusBudget>> {
 
 fn check_bus(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
     let bus = &file.cell.bus[index];
-    let period = setup::period(&file.cell);
+    let period = file.cell.period();
     let bitrate =
         Bitrate::from_kbps(bus.bitrate_kbps).expect("a parsed cell has possible bit rates");
     let configs = (
-        setup::group_config(&file.cell, bus),
+        file.cell.group_config(index),
         setup::axis_configs(file, index),
     );
     let mut traffic = Cia402Group::<Box<dyn can::Port>>::traffic(&configs.0, &configs.1);
@@ -79,7 +79,7 @@ fn check_bus(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
     if analysis.busy <= period {
         return Ok(budget);
     }
-    let axes = setup::axes_on(&file.cell, index).count();
+    let axes = file.cell.axes_on(index).count();
     let key = Path::default().then("bus").then(index);
     Err(file.refuse(&key, anyhow!(
         "{axes} axes keep bus {:?} busy for {} µs of each {} µs at the worst ({:.0} %, at most 100 %); {}",

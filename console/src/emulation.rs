@@ -9,7 +9,6 @@ use hil::plant::Switch;
 use hil::{AxisConfig, Device, Irp6Axis, World};
 
 use crate::cell_file::CellFile;
-use crate::setup;
 
 /// Frames that the host's end of a virtual bus holds each way.
 const QUEUE: usize = 256;
@@ -41,7 +40,8 @@ impl Emulation {
 pub(crate) fn devices(file: &CellFile, bus: usize, power_on: Instant) -> Vec<Box<dyn Device>> {
     let present =
         |&(robot, axis): &(usize, usize)| !file.cell.robot[robot].axis[axis].emulator.absent;
-    setup::axes_on(&file.cell, bus)
+    file.cell
+        .axes_on(bus)
         .filter(present)
         .map(|(robot, axis)| device(file, robot, axis, power_on))
         .collect()

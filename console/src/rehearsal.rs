@@ -104,7 +104,7 @@ impl IdealDrives {
             position: home(place),
         };
         Self {
-            axes: setup::axes_on(&file.cell, bus).map(axis).collect(),
+            axes: file.cell.axes_on(bus).map(axis).collect(),
             now: Instant::ZERO,
         }
     }

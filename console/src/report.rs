@@ -8,7 +8,6 @@ use servo::{Histogram, Servo, Timing};
 
 use crate::budget::BusBudget;
 use crate::cell_file::CellFile;
-use crate::setup;
 
 /// What a run leaves behind.
 pub(crate) struct Ran {
@@ -93,7 +92,7 @@ impl Report {
             bench,
             axes: axes.collect(),
             cycle: CycleReport {
-                period_us: setup::period(&file.cell).as_micros() as u32,
+                period_us: file.cell.period().as_micros() as u32,
                 cycles: counters.cycles,
                 missed: counters.missed_cycles,
                 wake_us: Percentiles::from(&ran.timing.wake_up),

@@ -306,7 +306,9 @@ fn not_up(
     if let Err(error) = written {
         return error;
     }
-    let axis = setup::axes_on(&file.cell, bus)
+    let axis = file
+        .cell
+        .axes_on(bus)
         .find(|&(robot, axis)| error.node() == Some(file.cell.robot[robot].axis[axis].node))
         .map(|(robot, axis)| format!(", axis {}", file.axis_name(robot, axis)))
         .unwrap_or_default();

@@ -14,19 +14,14 @@ use canopen::NodeId;
 use controller::cell::{Axis, Cell};
 use controller::ecp::{Ecp, EcpConfig};
 use controller::generator::Arm;
-use drive::cia402::{
-    AxisConfig, Cia402Group, CyclicMode, GroupConfig, HomingConfig, Identity, Parameter,
-};
+use drive::cia402::Cia402Group;
 use drive::{DriveGroup, Scale};
 use hil::plant::Switch;
 use hil::{Device, DeviceId, Epos4, Epos4Config, Irp6Axis, World};
-use servo::{
-    EffectorConfig, EffectorLink, Order, Phase, Record, Servo, ServoAxisConfig, ServoConfig,
-};
+use servo::{EffectorConfig, EffectorLink, Order, Phase, Record, Servo, ServoConfig};
 
 use crate::motion::Motion;
 
-const ENABLING: Duration = Duration::from_secs(5);
 const HOMING: Duration = Duration::from_secs(120);
 const LONGEST_PROGRAM: Duration = Duration::from_secs(600);
 const LEAD: u16 = 8;
@@ -84,71 +79,10 @@ impl Setup {
         &self.cell.robot[0].axis[number]
     }
 
-    fn group_config(&self) -> GroupConfig {
-        let bus = &self.cell.bus[0];
-        let milliseconds = |count: u32| Duration::from_millis(u64::from(count));
-        GroupConfig {
-            period: self.period(),
-            tolerated_missing: bus.tolerated_missing,
-            heartbeat_period: milliseconds(u32::from(bus.heartbeat_ms)),
-            host_node: node(bus.host_node),
-            sdo_timeout: milliseconds(bus.sdo_timeout_ms),
-            sdo_retries: 2,
-            boot_timeout: milliseconds(bus.boot_timeout_ms),
-            transition_timeout: ENABLING,
-        }
-    }
-
-    /// The driver's scale of an axis.
-    pub(crate) fn scale(&self, arm: &Arm, number: usize) -> Scale {
-        let counts = self.axis(number).drive.counts_per_revolution as i32;
-        Scale::new(counts, arm.robot().home()[number]).expect("counts and home are sound")
-    }
-
-    fn axis_config(&self, arm: &Arm, number: usize) -> AxisConfig {
-        let axis = self.axis(number);
-        let parameter = |given: &controller::cell::Parameter| Parameter {
-            index: given.index,
-            subindex: given.subindex,
-            value: given.value,
-            size: given.bytes,
-        };
-        AxisConfig {
-            node: node(axis.node),
-            identity: Identity {
-                vendor: axis.drive.vendor,
-                product: axis.drive.product,
-                revision: None,
-            },
-            mode: CyclicMode::Csp,
-            scale: self.scale(arm, number),
-            rated_torque: axis.drive.rated_torque,
-            homing: HomingConfig {
-                method: axis.homing.method,
-                search_speed: axis.homing.search_velocity,
-                zero_speed: axis.homing.zero_velocity,
-                acceleration: axis.homing.acceleration,
-            },
-            following_error: axis.following_error,
-            quick_stop_deceleration: axis.max_acceleration,
-            parameters: axis.drive.parameter.iter().map(parameter).collect(),
-        }
-    }
-
     fn servo_config(&self, arm: &Arm) -> ServoConfig {
         let axis = |(index_in_group, &number): (usize, &usize)| {
-            let axis = self.axis(number);
             let limits = arm.robot().motor_limits()[number];
-            ServoAxisConfig {
-                group: 0,
-                index_in_group,
-                min_position: axis.min_position.unwrap_or(limits.low),
-                max_position: axis.max_position.unwrap_or(limits.high),
-                max_velocity: axis.max_velocity,
-                max_acceleration: axis.max_acceleration,
-                following_error: axis.following_error,
-                homing_order: axis.homing.order,
-            }
+            self.axis(number).servo_config(0, index_in_group, limits)
         };
         ServoConfig {
             period: self.period(),
@@ -157,7 +91,7 @@ impl Setup {
                 name: self.cell.name.clone(),
                 axes: self.axes.iter().enumerate().map(axis).collect(),
                 queue: usize::from(LEAD) + 8,
-                enabling_timeout: ENABLING,
+                enabling_timeout: controller::cell::ENABLING,
                 homing_timeout: HOMING,
             }],
         }
@@ -210,11 +144,11 @@ impl Setup {
         let configs: Vec<_> = self
             .axes
             .iter()
-            .map(|&axis| self.axis_config(&arm, axis))
+            .map(|&axis| self.axis(axis).drive_config(arm.robot().home()[axis]))
             .collect();
         let scales = configs.iter().map(|config| config.scale).collect();
         let servo_config = self.servo_config(&arm);
-        let (period, group_config) = (self.period(), self.group_config());
+        let (period, group_config) = (self.period(), self.cell.group_config(0));
         let group = Cia402Group::new((self.port)(port), group_config, &configs)
             .expect("the group's configuration is sound");
         let delay = group.delay();

@@ -22,10 +22,8 @@ use canopen::objects::{POSITION_ACTUAL, STATUSWORD};
 use canopen::sdo::{Initiate, Request, Response};
 use canopen::{NodeId, Object, cob};
 use controller::cell::Cell;
-use drive::cia402::{
-    AxisConfig, Cia402Group, CyclicMode, GroupConfig, HomingConfig, Identity, Recording,
-};
-use drive::{AxisCommand, AxisState, DriveGroup, Finite, Homing, Increments, Scale, Setpoint};
+use drive::cia402::{AxisConfig, Cia402Group, GroupConfig, Recording};
+use drive::{AxisCommand, AxisState, DriveGroup, Finite, Homing, Increments, Setpoint};
 
 use crate::bench::on_vcan;
 use crate::mrroc::{self, Directory, Output, Running};
@@ -198,42 +196,11 @@ fn faulted(output: &Output, named: &[&str]) {
 
 /// What the run had its drives configured to, as its own start made it from the cell.
 fn drives_of(cell: &Cell) -> (GroupConfig, Vec<AxisConfig>) {
-    let milliseconds = |count| Duration::from_millis(u64::from(count));
-    let bus = &cell.bus[0];
-    let group = GroupConfig {
-        period: Duration::from_micros(cell.period_us.into()),
-        tolerated_missing: bus.tolerated_missing,
-        heartbeat_period: milliseconds(bus.heartbeat_ms.into()),
-        host_node: NodeId::new(bus.host_node).unwrap(),
-        sdo_timeout: milliseconds(bus.sdo_timeout_ms),
-        sdo_retries: 2,
-        boot_timeout: milliseconds(bus.boot_timeout_ms),
-        transition_timeout: Duration::from_secs(5),
-    };
     let arm = cell.robot[0].arm().unwrap();
     let home = arm.robot().home();
-    let axis = |(number, axis): (usize, &controller::cell::Axis)| AxisConfig {
-        node: NodeId::new(axis.node).unwrap(),
-        identity: Identity {
-            vendor: axis.drive.vendor,
-            product: axis.drive.product,
-            revision: None,
-        },
-        mode: CyclicMode::Csp,
-        scale: Scale::new(axis.drive.counts_per_revolution as i32, home[number]).unwrap(),
-        rated_torque: axis.drive.rated_torque,
-        homing: HomingConfig {
-            method: axis.homing.method,
-            search_speed: axis.homing.search_velocity,
-            zero_speed: axis.homing.zero_velocity,
-            acceleration: axis.homing.acceleration,
-        },
-        following_error: axis.following_error,
-        quick_stop_deceleration: axis.max_acceleration,
-        parameters: Vec::new(),
-    };
-    let axes = cell.robot[0].axis.iter().enumerate();
-    (group, axes.map(axis).collect())
+    let axes = cell.robot[0].axis.iter().zip(home.iter());
+    let config = |(axis, home): (&controller::cell::Axis, &f64)| axis.drive_config(*home);
+    (cell.group_config(0), axes.map(config).collect())
 }
 
 /// One axis in one cycle, as the run recorded it.

@@ -7,6 +7,7 @@
 //! else says so in its name.
 
 mod check;
+mod drives;
 mod locate;
 mod program;
 #[cfg(test)]
@@ -21,6 +22,7 @@ use crate::generator::{Arm, Pose};
 use crate::robot::{Irb6, Irb6Parameters, Irp6, Irp6Parameters, ParameterError};
 
 pub use check::{CellError, Problem};
+pub use drives::ENABLING;
 pub use locate::{Path, Step};
 pub use program::{ProgramError, instruction_path};
 

@@ -49,8 +49,9 @@ use canopen::heartbeat::Heartbeat;
 use canopen::pdo::PdoNumber;
 use canopen::sdo::Client;
 use canopen::sync::Sync;
-use canopen::{NodeId, cob, nmt};
+use canopen::{cob, nmt};
 
+pub use canopen::NodeId;
 pub use config::{
     AxisConfig, ConfigError, CyclicMode, GroupConfig, HomingConfig, Identity, Parameter,
 };
