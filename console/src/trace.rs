@@ -130,5 +130,6 @@ fn word(command: AxisCommand) -> &'static str {
         AxisCommand::Stand => "Stand",
         AxisCommand::Home => "Home",
         AxisCommand::Follow(_) => "Follow",
+        AxisCommand::Seek(_) => "Seek",
     }
 }
