@@ -16,6 +16,7 @@ mod motion;
 mod mrroc;
 mod regression;
 mod repetition;
+mod service;
 mod socketcan;
 mod uml;
 mod vcan;
