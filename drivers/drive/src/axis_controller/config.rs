@@ -143,12 +143,18 @@ pub enum ConfigError {
 }
 
 impl Protocol {
-    /// Bytes of a cyclic request and of its answer.
-    pub(super) const fn exchange(self) -> usize {
+    /// Bytes of a cyclic request, and of the answer to it.
+    pub const fn telegrams(self) -> (usize, usize) {
         match self {
-            Self::Nfv2 => NFV2_REQUEST + NFV2_ANSWER,
-            Self::HiMoxa => hi_moxa::CYCLIC_REQUEST + hi_moxa::ANSWER,
+            Self::Nfv2 => (NFV2_REQUEST, NFV2_ANSWER),
+            Self::HiMoxa => (hi_moxa::CYCLIC_REQUEST, hi_moxa::ANSWER),
         }
+    }
+
+    /// Bytes of both.
+    pub(super) const fn exchange(self) -> usize {
+        let (request, answer) = self.telegrams();
+        request + answer
     }
 }
 

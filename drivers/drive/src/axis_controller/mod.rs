@@ -10,6 +10,8 @@ use std::task::Poll;
 use can::Instant;
 use serial::Line;
 
+pub use serial::{Settings, StopBits};
+
 pub use config::{AxisConfig, ConfigError, Control, CurrentGains, GroupConfig, Protocol};
 
 use crate::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters};
