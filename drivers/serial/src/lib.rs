@@ -7,7 +7,9 @@
 pub mod hi_moxa;
 mod line;
 pub mod nfv2;
+mod tty;
 mod virtual_line;
 
 pub use line::{Line, LineCounters, LineError, Settings, StopBits};
+pub use tty::{OpenError, Tty};
 pub use virtual_line::{TimedByte, VirtualLine, VirtualLinePeer, virtual_line};
