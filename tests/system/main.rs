@@ -17,6 +17,7 @@ mod mrroc;
 mod regression;
 mod repetition;
 mod service;
+mod slcan;
 mod socketcan;
 mod uml;
 mod vcan;

@@ -104,7 +104,7 @@ pub struct Bus {
     /// Bit rate, kbit/s.
     #[serde(default = "defaults::bitrate_kbps")]
     pub bitrate_kbps: u32,
-    /// The network interface, on the benches that have one.
+    /// The interface on the benches that have one: SocketCAN's, or `slcan:PATH[@BAUD]` for an adapter on a tty.
     pub interface: String,
     /// Node-ID of the host, whose heartbeat the drives watch.
     #[serde(default = "defaults::host_node")]
