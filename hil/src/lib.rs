@@ -3,7 +3,9 @@
 //! A [`Device`] is what hangs on a bus; the [virtual bus](bus) carries frames between devices and
 //! the host with true arbitration and bit times. A [`LineDevice`] is what hangs on a [serial
 //! line](line), which carries bytes in their true times. A [`World`] is all buses and lines of a
-//! cell, and a [plant] is the physics behind a device. Read [`Device`] and [`World`] first.
+//! cell, and a [plant] is the physics behind a device. Of devices on a bus there are the axis
+//! controller [`Epos4`] and the adapter [`SlcanDevice`], by which a host without a CAN card reaches
+//! one. Read [`Device`] and [`World`] first.
 
 mod amplifier;
 pub mod bus;
@@ -12,6 +14,8 @@ pub mod epos4;
 pub mod line;
 mod line_device;
 pub mod plant;
+pub mod pty;
+mod slcan;
 pub mod uml;
 mod world;
 
@@ -22,4 +26,6 @@ pub use epos4::{Epos4, Epos4Config};
 pub use line::{LineFaults, LineStatistics, Stuck, WireFaults};
 pub use line_device::LineDevice;
 pub use plant::{Axis, AxisConfig, Demand, Feedback, Irp6Axis, PlantConfig, Trip};
+pub use pty::{Pty, PtyError};
+pub use slcan::{Acknowledge, SlcanConfig, SlcanCounts, SlcanDevice};
 pub use world::{BusId, DeviceId, LineId, World};

@@ -120,6 +120,26 @@ impl World {
         buses.chain(lines).min()
     }
 
+    /// When something happens next on any bus, unless it is brought about from outside before.
+    pub fn poll_timeout(&self) -> Option<Instant> {
+        self.next_event()
+    }
+
+    /// Lets `change` work on a device at `now`, up to which its bus is advanced before: how bytes get
+    /// in and out of a device that has a serial line beside its bus. `None` if it is no `D`.
+    pub fn change<D: Device, R>(
+        &mut self,
+        id: DeviceId,
+        now: Instant,
+        change: impl FnOnce(&mut D) -> R,
+    ) -> Option<R> {
+        let bus = self.buses.get_mut(id.bus.0)?;
+        bus.change_device(id.number, now, |device| {
+            let device: &mut dyn Any = device;
+            device.downcast_mut().map(change)
+        })?
+    }
+
     /// What a bus has counted. `bus` must be of this world.
     pub fn bus(&self, bus: BusId) -> BusStatistics {
         self.buses[bus.0].statistics()
