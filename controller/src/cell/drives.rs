@@ -65,7 +65,7 @@ impl Axis {
             identity: Identity {
                 vendor: self.drive.vendor,
                 product: self.drive.product,
-                revision: None,
+                revision: self.drive.revision,
             },
             mode: CyclicMode::Csp,
             scale: self.scale(home),

@@ -1,7 +1,5 @@
 //! Data sheets as they are found: every trait of the format, every refusal at its line, and bytes that are none.
 
-#![expect(clippy::unwrap_used, reason = "in a test it is a verdict")]
-
 use mrroc_canopen::dcf;
 use mrroc_canopen::eds::{Access, DataType, Eds, EdsError, ObjectType, ParameterValue, Value};
 use mrroc_canopen::{NodeId, Object};
