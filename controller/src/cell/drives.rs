@@ -127,7 +127,7 @@ impl Axis {
             identity: Identity {
                 vendor: drive.vendor,
                 product: drive.product,
-                revision: None,
+                revision: drive.revision,
             },
             mode: CyclicMode::Csp,
             scale: self.scale(home),
