@@ -6,6 +6,7 @@
 //! cell, and a [plant] is the physics behind a device. Read [`Device`] and [`World`] first.
 
 mod amplifier;
+pub mod axis_controller;
 pub mod bus;
 mod device;
 pub mod epos4;
@@ -16,6 +17,7 @@ pub mod uml;
 mod world;
 
 pub use amplifier::AmplifierConfig;
+pub use axis_controller::{AxisControllerConfig, HiMoxaAxisController, Nfv2AxisController};
 pub use bus::BusStatistics;
 pub use device::Device;
 pub use epos4::{Epos4, Epos4Config};
