@@ -8,6 +8,7 @@
 //! one. Read [`Device`] and [`World`] first.
 
 mod amplifier;
+pub mod axis_controller;
 pub mod bus;
 mod device;
 pub mod epos4;
@@ -20,6 +21,7 @@ pub mod uml;
 mod world;
 
 pub use amplifier::AmplifierConfig;
+pub use axis_controller::{AxisControllerConfig, HiMoxaAxisController, Nfv2AxisController};
 pub use bus::BusStatistics;
 pub use device::Device;
 pub use epos4::{Epos4, Epos4Config};

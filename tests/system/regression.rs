@@ -96,6 +96,7 @@ const LARGE: WutConfig = WutConfig {
     inertia: 1.5e-4,
     viscous: 0.02,
     friction: FrictionConfig::NONE,
+    resistance: 0.6,
 };
 const SMALL: WutConfig = WutConfig {
     inertia: 1.5e-5,
