@@ -14,6 +14,8 @@
 
 pub mod cia402;
 pub mod cob;
+pub mod dcf;
+pub mod eds;
 pub mod emcy;
 pub mod heartbeat;
 pub mod lss;
