@@ -9,22 +9,29 @@ use controller::cell::Cell;
 pub(crate) fn resolve(cell: &Cell, overrides: &[String]) -> anyhow::Result<Vec<String>> {
     let mut interfaces: Vec<String> = cell.bus.iter().map(|bus| bus.interface.clone()).collect();
     for given in overrides {
-        let (index, interface) = match given.split_once('=') {
-            Some((name, interface)) => {
-                let index = cell.bus.iter().position(|bus| bus.name == name);
-                (
-                    index
-                        .with_context(|| format!("--can {given}: the cell has no bus {name:?}"))?,
-                    interface,
-                )
-            }
-            None if cell.bus.len() == 1 => (0, given.as_str()),
-            None => bail!(
-                "--can {given}: the cell has {} buses, say which as BUS=IFACE",
-                cell.bus.len()
-            ),
-        };
+        let (index, interface) = bus_of(cell, "--can", given)?;
         interface.clone_into(&mut interfaces[index]);
     }
     Ok(interfaces)
+}
+
+/// What an option says of which bus: `VALUE` for a cell of one bus, or `BUS=VALUE`.
+pub(crate) fn bus_of<'a>(
+    cell: &Cell,
+    option: &str,
+    given: &'a str,
+) -> anyhow::Result<(usize, &'a str)> {
+    match given.split_once('=') {
+        Some((name, value)) => {
+            let index = cell.bus.iter().position(|bus| bus.name == name);
+            let index =
+                index.with_context(|| format!("{option} {given}: the cell has no bus {name:?}"))?;
+            Ok((index, value))
+        }
+        None if cell.bus.len() == 1 => Ok((0, given)),
+        None => bail!(
+            "{option} {given}: the cell has {} buses, say which as BUS=VALUE",
+            cell.bus.len()
+        ),
+    }
 }

@@ -2,6 +2,7 @@
 //!
 //! Exit status: 0 done, 1 stopped by a fault or on request, 2 refused before anything moved.
 
+mod adapters;
 mod bench;
 mod budget;
 mod cell_file;
@@ -9,6 +10,7 @@ mod check;
 mod emulate;
 mod emulation;
 mod interfaces;
+mod lines;
 mod programs;
 mod rehearsal;
 mod report;
@@ -42,7 +44,7 @@ enum Command {
     },
     /// Bring a cell up, home it, run its programs and report. Moves hardware on the card bench.
     Run(run::Options),
-    /// Stand in for the axis controllers of a cell on a CAN interface.
+    /// Stand in for the axis controllers of a cell on a CAN interface or behind an slcan adapter.
     Emulate(emulate::Options),
     /// Run a command in a virtual machine that has CAN.
     Vm {

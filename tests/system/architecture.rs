@@ -30,7 +30,7 @@ const ARROWS: [(&str, &[&str]); 8] = [
 ];
 
 /// The files that read clocks or wait, and what each is for.
-const RIM: [&str; 7] = [
+const RIM: [&str; 8] = [
     "drivers/can/src/clock.rs",
     "drivers/can/src/socketcan.rs",
     "servo/src/thread.rs",
@@ -38,6 +38,7 @@ const RIM: [&str; 7] = [
     "hil/src/uml.rs",
     "console/src/run.rs",
     "console/src/emulate.rs",
+    "console/src/lines.rs",
 ];
 
 const CLOCKS: [&str; 8] = [

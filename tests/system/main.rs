@@ -16,6 +16,7 @@ mod motion;
 mod mrroc;
 mod regression;
 mod repetition;
+mod slcan;
 mod socketcan;
 mod uml;
 mod vcan;
