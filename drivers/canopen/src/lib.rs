@@ -15,6 +15,7 @@ pub mod cia402;
 pub mod cob;
 pub mod emcy;
 pub mod heartbeat;
+pub mod lss;
 pub mod nmt;
 mod node_id;
 pub mod objects;
