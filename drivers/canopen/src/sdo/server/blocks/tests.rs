@@ -270,7 +270,7 @@ fn every_size_comes_whole_through_a_wire_that_loses_segments() {
             for frame in frames {
                 let segment = Segment::decode(&frame, cob::sdo_response(NODE))
                     .unwrap_or_else(|| panic!("{frame} for {size} of {block_size}"));
-                if segment.sequence() == sequence + 1 && xorshift(&mut random) % 8 != 0 {
+                if segment.sequence() == sequence + 1 && !xorshift(&mut random).is_multiple_of(8) {
                     sequence += 1;
                     got.extend(segment.data);
                 }
@@ -304,7 +304,7 @@ fn every_size_comes_whole_through_a_wire_that_loses_segments() {
                 let last = from + sequence == segments;
                 let segment = Segment::new(sequence as u8, last, seven).unwrap();
                 // The one that ends a sub-block has to arrive: nobody else asks for an answer.
-                if sequence < count && xorshift(&mut random) % 8 == 0 {
+                if sequence < count && xorshift(&mut random).is_multiple_of(8) {
                     continue;
                 }
                 let frame = segment.encode(cob::sdo_request(NODE));
