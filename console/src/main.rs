@@ -5,6 +5,7 @@
 
 mod adapters;
 mod bench;
+mod bridge;
 mod budget;
 mod bus_port;
 mod cell_file;
