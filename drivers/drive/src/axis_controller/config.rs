@@ -143,6 +143,13 @@ pub enum ConfigError {
 }
 
 impl Protocol {
+    pub(super) const fn other(self) -> Self {
+        match self {
+            Self::Nfv2 => Self::HiMoxa,
+            Self::HiMoxa => Self::Nfv2,
+        }
+    }
+
     /// Bytes of a cyclic request and of its answer.
     pub(super) const fn exchange(self) -> usize {
         match self {
