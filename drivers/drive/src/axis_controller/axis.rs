@@ -237,9 +237,7 @@ impl Axis {
         let scale = &self.setup.scale;
         self.state.increments = answer.position;
         self.state.position = scale.position(answer.position);
-        if let Some(velocity) = self.gate.velocity() {
-            self.state.velocity = velocity / scale.increments_per_radian();
-        }
+        self.state.velocity = self.gate.velocity() / scale.increments_per_radian();
         self.state.torque = scale.torque_of(answer.current, self.setup.torque_constant);
     }
 

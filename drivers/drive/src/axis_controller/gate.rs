@@ -125,9 +125,9 @@ impl Gate {
         Verdict::Jumped(last.position)
     }
 
-    /// Velocity between the last two that passed, increments/s.
-    pub(super) fn velocity(&self) -> Option<f64> {
-        self.velocity.map(|(velocity, _)| velocity)
+    /// Velocity between the last two that passed, increments/s; zero at the beginning.
+    pub(super) fn velocity(&self) -> f64 {
+        self.velocity.map_or(0.0, |(velocity, _)| velocity)
     }
 
     fn pass(&mut self, new: Sample, velocity: Option<f64>, dt: f64) {

@@ -25,7 +25,8 @@
 //!   axes' power too, and they say so. Both protocols have such a state.
 //!
 //! Power and mode are no part of an answer: a drive is where it was told to be once it has answered two
-//! telegrams that said so, and it is not told again, so that one that was switched off and on stays off.
+//! telegrams that said so, and it is not told again, so that one that was switched off and on stays off. That it was is
+//! known by its counter and its reference; of one that had no reference and stood at zero it is not.
 //!
 //! # What is believed
 //! The CRC of NFv2 lets one damaged frame in 32 through, the older protocol has none. So a position must be where

@@ -115,7 +115,7 @@ impl Dialect {
     /// [`Aim::Error`]. In the older protocol the first goes before the second, except on the way to an error.
     pub(super) fn rest(self, aim: Aim, answers: u32) -> Telegram {
         match (self.protocol, aim) {
-            (Protocol::Nfv2, _) => self.follow(aim, 0, true, false),
+            (Protocol::Nfv2, _) => prefixed(self.follow(aim, 0, true, false)),
             (Protocol::HiMoxa, Aim::Error) => set(Parameter::DriverMode(DriverMode::Error)),
             (Protocol::HiMoxa, _) if answers == 0 => self.zero(),
             (Protocol::HiMoxa, _) => set(Parameter::DriverMode(DriverMode::Manual)),
@@ -134,11 +134,11 @@ impl Dialect {
     pub(super) fn setting(self, setting: Setting) -> Telegram {
         match (self.protocol, setting) {
             (Protocol::Nfv2, Setting::MaxCurrent(current)) => {
-                read(self.frame(0).command(Command::SetMaxCurrent(current)))
+                prefixed(read(self.frame(0).command(Command::SetMaxCurrent(current))))
             }
-            (Protocol::Nfv2, Setting::CurrentGains(gains)) => {
-                read(self.frame(0).command(Command::SetCurrentRegulator(gains)))
-            }
+            (Protocol::Nfv2, Setting::CurrentGains(gains)) => prefixed(read(
+                self.frame(0).command(Command::SetCurrentRegulator(gains)),
+            )),
             (Protocol::HiMoxa, Setting::MaxCurrent(current)) => set(Parameter::MaxCurrent(current)),
             // There are none: the configuration was refused.
             (Protocol::HiMoxa, Setting::CurrentGains(_)) => self.rest(Aim::Manual, 1),
@@ -189,6 +189,12 @@ fn read(frame: FrameBuilder) -> Telegram {
         .finish()
         .expect("a frame of some commands fits 256 bytes");
     Telegram::NONE.append(bytes)
+}
+
+/// Behind five zeros, as the laboratory's host sends parameters and panics: they end a torn frame that the drive still
+/// waits for.
+fn prefixed(frame: Telegram) -> Telegram {
+    Telegram::NONE.append(&[0; 5]).append(frame.bytes())
 }
 
 fn set(parameter: Parameter) -> Telegram {
@@ -275,7 +281,11 @@ mod tests {
     #[test]
     fn a_set_point_stands_before_the_mode_that_it_is_for() {
         let nfv2 = dialect(Protocol::Nfv2, Control::Current);
-        let items = |telegram: Telegram| telegram.bytes()[4..telegram.bytes().len() - 1].to_vec();
+        let items = |telegram: Telegram| {
+            let bytes = telegram.bytes();
+            let start = bytes.iter().position(|byte| *byte == 0x23).unwrap();
+            bytes[start + 4..bytes.len() - 1].to_vec()
+        };
         // 12 set-point, 1E forget the reference, 10 mode, then the reads.
         assert_eq!(
             items(nfv2.follow(Aim::Index, -250, true, true)),
