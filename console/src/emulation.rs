@@ -48,6 +48,16 @@ pub(crate) fn devices(file: &CellFile, bus: usize, power_on: Instant) -> Vec<Box
 }
 
 fn device(file: &CellFile, robot: usize, number: usize, power_on: Instant) -> Box<dyn Device> {
+    Box::new(Epos4::new(config(file, robot, number, power_on)))
+}
+
+/// What stands in for the drive of an axis.
+pub(crate) fn config(
+    file: &CellFile,
+    robot: usize,
+    number: usize,
+    power_on: Instant,
+) -> Epos4Config {
     let axis = &file.cell.robot[robot].axis[number];
     let home = file.arms[robot].robot().home()[number];
     let limits = file.arms[robot].robot().motor_limits()[number];
@@ -80,12 +90,15 @@ fn device(file: &CellFile, robot: usize, number: usize, power_on: Instant) -> Bo
         .wrapping_mul(1000)
         .wrapping_add((robot * 16 + number) as u64);
     let node = NodeId::new(axis.node).expect("a parsed cell has valid node-IDs");
-    let vendor = axis.emulator.vendor.unwrap_or(axis.drive.vendor);
-    let config = Epos4Config {
-        vendor,
+    let identity = file.identity(robot, number);
+    let usual = Epos4Config::new(node, plant);
+    let revision = axis.emulator.revision.or(identity.revision);
+    Epos4Config {
+        vendor: axis.emulator.vendor.unwrap_or(identity.vendor),
+        product: identity.product.unwrap_or(usual.product),
+        revision: revision.unwrap_or(usual.revision),
         seed,
         power_on,
-        ..Epos4Config::new(node, plant)
-    };
-    Box::new(Epos4::new(config))
+        ..usual
+    }
 }

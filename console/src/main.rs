@@ -6,6 +6,8 @@ mod bench;
 mod budget;
 mod cell_file;
 mod check;
+mod configuration;
+mod eds;
 mod emulate;
 mod emulation;
 mod interfaces;
@@ -44,6 +46,13 @@ enum Command {
     Run(run::Options),
     /// Stand in for the axis controllers of a cell on a CAN interface.
     Emulate(emulate::Options),
+    /// Print the electronic data sheet (EDS of CiA 306) of the drive emulated for an axis.
+    Eds {
+        /// The cell file.
+        cell: PathBuf,
+        /// The axis: ROBOT/AXIS, the axis's name, or its node-ID.
+        axis: String,
+    },
     /// Run a command in a virtual machine that has CAN.
     Vm {
         #[command(subcommand)]
@@ -58,6 +67,7 @@ fn main() -> ExitCode {
         Command::Check { cell, json } => check::check(&cell, json),
         Command::Run(options) => run::run(&options),
         Command::Emulate(options) => emulate::emulate(&options),
+        Command::Eds { cell, axis } => eds::eds(&cell, &axis),
         Command::Vm { machine } => vm::vm(&machine),
         Command::Schema => check::schema(),
     };

@@ -78,6 +78,7 @@ impl Axis {
             },
             following_error: self.following_error,
             quick_stop_deceleration: self.max_acceleration,
+            configuration: Vec::new(),
             parameters: self.drive.parameter.iter().map(parameter).collect(),
         }
     }
