@@ -9,6 +9,7 @@ mod cell;
 mod cli_check;
 mod cli_refusals;
 mod cli_run;
+mod configuration;
 mod cycle;
 mod faults;
 mod homing;

@@ -37,7 +37,7 @@ pub struct ObjectWrite {
 
 /// Why a DCF cannot be downloaded: the line, what is wrong there, what to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[allow(missing_docs, reason = "every field is in the message")]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum DownloadError {
     /// A value for what cannot be written.
     #[error(

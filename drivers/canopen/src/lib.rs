@@ -4,7 +4,8 @@
 //! be built can be encoded, unknown values are kept, and what is not the layout's frame decodes to
 //! `None`. Both ends of the wire share them. The *objects* ([`sdo::Client`], [`nmt::Master`],
 //! [`heartbeat::Consumer`], [`sync::Producer`] …) are state machines that own no port and no clock:
-//! frames and the time are handed in, frames and events are taken out. Nothing allocates.
+//! frames and the time are handed in, frames and events are taken out. Nothing of either allocates. Beside them stand the
+//! files that describe devices, [`eds`] and [`dcf`], which do.
 //!
 //! Left out: node guarding (it needs remote frames, CiA advises against it), LSS, SDO block
 //! transfer, and PDO mappings that are not byte aligned.
