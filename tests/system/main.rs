@@ -9,6 +9,7 @@ mod cell;
 mod cli_check;
 mod cli_refusals;
 mod cli_run;
+mod configuration;
 mod cycle;
 mod emulate_slcan;
 mod faults;
