@@ -14,6 +14,7 @@ mod faults;
 mod homing;
 mod motion;
 mod mrroc;
+mod peers;
 mod regression;
 mod repetition;
 mod socketcan;
