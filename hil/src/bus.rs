@@ -117,6 +117,26 @@ impl VirtualBus {
             .map(|attached| attached.device.as_ref())
     }
 
+    /// Lets `change` work on a device at `now`, up to which the bus is advanced before; `None` without
+    /// such a device. What the device wants sent after it is pending since `now`.
+    pub fn change_device<R>(
+        &mut self,
+        number: usize,
+        now: Instant,
+        change: impl FnOnce(&mut dyn Device) -> R,
+    ) -> Option<R> {
+        self.advance(now);
+        let attached = self.devices.get_mut(number)?;
+        let result = change(attached.device.as_mut());
+        attached.collect(self.now);
+        Some(result)
+    }
+
+    /// When something happens next, unless a host or [`VirtualBus::change_device`] brings it about.
+    pub fn poll_timeout(&self) -> Option<Instant> {
+        self.next_event().map(|(at, _)| at)
+    }
+
     /// What was counted up to the last [`VirtualBus::advance`].
     pub fn statistics(&self) -> BusStatistics {
         self.statistics

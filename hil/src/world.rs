@@ -24,6 +24,8 @@
 //! turn, ahead of time: nothing comes in before that deadline, and frames are held back until their
 //! own times by the port.
 
+use std::any::Any;
+
 use can::timing::Bitrate;
 use can::{Instant, VirtualPort, virtual_port};
 
@@ -79,6 +81,26 @@ impl World {
         }
     }
 
+    /// When something happens next on any bus, unless it is brought about from outside before.
+    pub fn poll_timeout(&self) -> Option<Instant> {
+        self.buses.iter().filter_map(VirtualBus::poll_timeout).min()
+    }
+
+    /// Lets `change` work on a device at `now`, up to which its bus is advanced before: how bytes get
+    /// in and out of a device that has a serial line beside its bus. `None` if it is no `D`.
+    pub fn change<D: Device, R>(
+        &mut self,
+        id: DeviceId,
+        now: Instant,
+        change: impl FnOnce(&mut D) -> R,
+    ) -> Option<R> {
+        let bus = self.buses.get_mut(id.bus.0)?;
+        bus.change_device(id.number, now, |device| {
+            let device: &mut dyn Any = device;
+            device.downcast_mut().map(change)
+        })?
+    }
+
     /// What a bus has counted. `bus` must be of this world.
     pub fn bus(&self, bus: BusId) -> BusStatistics {
         self.buses[bus.0].statistics()
@@ -86,7 +108,7 @@ impl World {
 
     /// A device as what it was added as, to look at its true state; `None` if it is no `D`.
     pub fn device<D: Device>(&self, id: DeviceId) -> Option<&D> {
-        let device: &dyn std::any::Any = self.buses.get(id.bus.0)?.device(id.number)?;
+        let device: &dyn Any = self.buses.get(id.bus.0)?.device(id.number)?;
         device.downcast_ref()
     }
 }

@@ -12,6 +12,7 @@ mod instant;
 mod interface;
 mod port;
 pub mod schedule;
+pub mod slcan;
 mod socketcan;
 pub mod timing;
 mod tracer;

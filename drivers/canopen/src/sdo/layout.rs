@@ -32,7 +32,7 @@ pub enum Request {
         /// Why.
         code: AbortCode,
     },
-    /// Any other command specifier; those of block transfer (0xA0 ..= 0xC7) among them.
+    /// Any other command specifier; those of [block transfer](super::block) among them.
     Unsupported(Unsupported),
 }
 
@@ -65,7 +65,7 @@ pub enum Response {
         /// Why.
         code: AbortCode,
     },
-    /// Any other command specifier; those of block transfer (0xA0 ..= 0xC7) among them.
+    /// Any other command specifier; those of [block transfer](super::block) among them.
     Unsupported(Unsupported),
 }
 
@@ -330,13 +330,13 @@ impl Initiate {
     }
 }
 
-fn addressed(specifier: u8, object: Object, data: [u8; 4]) -> [u8; 8] {
+pub(super) fn addressed(specifier: u8, object: Object, data: [u8; 4]) -> [u8; 8] {
     let [low, high] = object.index.to_le_bytes();
     let [a, b, c, d] = data;
     [specifier, low, high, object.subindex, a, b, c, d]
 }
 
-fn object(bytes: [u8; 8]) -> Object {
+pub(super) fn object(bytes: [u8; 8]) -> Object {
     Object::new(u16::from_le_bytes([bytes[1], bytes[2]]), bytes[3])
 }
 

@@ -1,9 +1,10 @@
 //! SDO (CiA 301): reading (upload) and writing (download) one object of a node's dictionary.
 //!
 //! [`Request`] goes from client to server, [`Response`] back; both are always 8 bytes. A server has
-//! one channel, so a [`Client`] asks one thing at a time.
+//! one channel, so a [`Client`] asks one thing at a time. Large objects go faster by [`block`] transfer.
 
 mod abort;
+pub mod block;
 mod client;
 mod layout;
 mod server;

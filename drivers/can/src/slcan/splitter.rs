@@ -1,0 +1,123 @@
+use super::text::LONGEST;
+
+const BELL: u8 = 0x07;
+
+/// Cuts a stream of bytes into lines, with room for one line of [`LONGEST`] bytes.
+///
+/// A line with a byte that is no printable ASCII, or longer than any line can be, is dropped as a
+/// whole and counted: the stream is in step again behind the next carriage return or bell. Line
+/// feeds are passed over, for those who end lines with both.
+#[derive(Clone, Debug, Default)]
+pub struct Splitter {
+    line: [u8; LONGEST],
+    /// Bytes of the current line, those that found no room included.
+    len: usize,
+    spoilt: bool,
+    dropped: Dropped,
+}
+
+/// What stands between two line ends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Piece<'a> {
+    /// A line without its end; may be empty.
+    Line(&'a [u8]),
+    /// A bell; whatever stood in front of it without a line's end was dropped.
+    Bell,
+}
+
+/// What a [`Splitter`] could make no line of. Counters only grow.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Dropped {
+    /// Lines.
+    pub lines: u64,
+    /// Bytes of those lines, without their ends.
+    pub bytes: u64,
+}
+
+impl Splitter {
+    /// Takes the next byte of the stream and returns what it ends.
+    pub fn push(&mut self, byte: u8) -> Option<Piece<'_>> {
+        match byte {
+            b'\r' if self.spoilt => {
+                self.drop_line();
+                None
+            }
+            b'\r' => {
+                let len = std::mem::take(&mut self.len);
+                Some(Piece::Line(&self.line[..len]))
+            }
+            BELL => {
+                if self.len > 0 {
+                    self.drop_line();
+                }
+                Some(Piece::Bell)
+            }
+            b'\n' => None,
+            _ => {
+                match self.line.get_mut(self.len) {
+                    Some(place) if byte == b' ' || byte.is_ascii_graphic() => *place = byte,
+                    _ => self.spoilt = true,
+                }
+                self.len = self.len.saturating_add(1);
+                None
+            }
+        }
+    }
+
+    /// What was dropped so far.
+    pub fn dropped(&self) -> Dropped {
+        self.dropped
+    }
+
+    fn drop_line(&mut self) {
+        self.dropped.lines += 1;
+        self.dropped.bytes += self.len as u64;
+        self.len = 0;
+        self.spoilt = false;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The pieces of a stream, a bell as `<bell>`, and what was dropped.
+    fn split(stream: &[u8]) -> (Vec<String>, Dropped) {
+        let mut splitter = Splitter::default();
+        let mut pieces = Vec::new();
+        for &byte in stream {
+            match splitter.push(byte) {
+                Some(Piece::Line(line)) => pieces.push(String::from_utf8(line.to_vec()).unwrap()),
+                Some(Piece::Bell) => pieces.push("<bell>".to_owned()),
+                None => {}
+            }
+        }
+        (pieces, splitter.dropped())
+    }
+
+    #[test]
+    fn a_stream_is_cut_at_its_line_ends() {
+        let longest = b"T1111222281122334455667788EA5F\r";
+        assert_eq!(longest.len(), LONGEST);
+        let over_long = [&[b'1'; LONGEST + 1], b"\rO\r".as_slice()].concat();
+        let endless = [&[b'1'; 1000], b"\rO\r".as_slice()].concat();
+        type Case<'a> = (&'a [u8], &'a [&'a str], (u64, u64));
+        let cases: [Case; 10] = [
+            (b"C\rS8\rO\r", &["C", "S8", "O"], (0, 0)),
+            (b"C\rS8", &["C"], (0, 0)),
+            (b"\r\r", &["", ""], (0, 0)),
+            (b"C\r\nS8\r\n", &["C", "S8"], (0, 0)),
+            (b"\x07\r\x07", &["<bell>", "", "<bell>"], (0, 0)),
+            (b"t08\x07O\r", &["<bell>", "O"], (1, 3)),
+            (b"\xFF\x00t0800\rt0810\r", &["t0810"], (1, 7)),
+            (longest, &["T1111222281122334455667788EA5F"], (0, 0)),
+            (&over_long, &["O"], (1, LONGEST as u64 + 1)),
+            (&endless, &["O"], (1, 1000)),
+        ];
+        for (stream, pieces, (lines, bytes)) in cases {
+            let found = split(stream);
+            assert_eq!(found.0, pieces, "{}", stream.escape_ascii());
+            assert_eq!(found.1, Dropped { lines, bytes });
+        }
+    }
+}

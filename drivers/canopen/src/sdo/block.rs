@@ -1,0 +1,508 @@
+//! The frames of SDO block transfer (CiA 301).
+//!
+//! Data go in sub-blocks of up to 127 [`Segment`]s, which the receiver acknowledges together; a
+//! checksum ends them. What the sender of the data sends and what their receiver answers is the same in both
+//! directions:
+//!
+//! ```text
+//!   download   client                                server
+//!              InitiateDownload ───────────────────►
+//!              ◄─────────────────── InitiateDownload (block size)
+//!              Segment 1 ..= block size ───────────►
+//!              ◄─────────────────── Acknowledge (last in order, next block size)
+//!              EndDownload (checksum) ─────────────►
+//!              ◄─────────────────── EndDownload
+//!
+//!   upload     InitiateUpload (block size) ────────►
+//!              ◄─────────────────── InitiateUpload (or that of an ordinary upload, if short)
+//!              StartUpload ────────────────────────►
+//!              ◄─────────────────── Segment 1 ..= block size
+//!              Acknowledge ────────────────────────►
+//!              ◄─────────────────── EndUpload (checksum)
+//!              EndUpload ──────────────────────────►
+//! ```
+//!
+//! The first byte of a segment takes every value but 0x00 and 0x80, so it cannot be told from the other
+//! requests or responses by its bytes. Who is in the middle of a sub-block tries [`Segment::decode`];
+//! only an abort (0x80) still comes between. Everybody else tries [`Request::decode`] or
+//! [`Response::decode`] on what [`super::Request`] or [`super::Response`] calls unsupported.
+
+use can::{Frame, StandardId};
+use crc::{CRC_16_XMODEM, Crc};
+
+use super::layout::{addressed, object};
+use crate::{NodeId, Object, cob, frame, payload};
+
+/// The most segments of a sub-block. A block size outside 1 ..= this is refused with
+/// [`AbortCode::BLOCK_SIZE`](super::AbortCode::BLOCK_SIZE).
+pub const MAX_BLOCK_SIZE: u8 = 127;
+
+/// The bytes of a segment.
+pub const SEGMENT: usize = 7;
+
+/// What a client sends to a server, on `0x600 + node`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Request {
+    /// Begin to write an object.
+    InitiateDownload {
+        /// The object to write.
+        object: Object,
+        /// Whether the client can make the checksum.
+        crc: bool,
+        /// Bytes to come, where the client says.
+        size: Option<u32>,
+    },
+    /// All segments were acknowledged.
+    EndDownload(End),
+    /// Read an object.
+    InitiateUpload {
+        /// The object to read.
+        object: Object,
+        /// Whether the client can check the checksum.
+        crc: bool,
+        /// Segments of the first sub-block.
+        block_size: u8,
+        /// Protocol switch threshold, bytes: a server may answer an object of this size or
+        /// less as an ordinary upload. 0 forbids that.
+        threshold: u8,
+    },
+    /// Send the first sub-block.
+    StartUpload,
+    /// A sub-block of an upload came to its end.
+    Acknowledge(Acknowledge),
+    /// The upload is complete.
+    EndUpload,
+}
+
+/// What a server answers, on `0x580 + node`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Response {
+    /// Send the first sub-block.
+    InitiateDownload {
+        /// The object being written.
+        object: Object,
+        /// Whether the server can check the checksum.
+        crc: bool,
+        /// Segments of the first sub-block.
+        block_size: u8,
+    },
+    /// A sub-block of a download came to its end.
+    Acknowledge(Acknowledge),
+    /// The download is complete.
+    EndDownload,
+    /// The upload may start.
+    InitiateUpload {
+        /// The object being read.
+        object: Object,
+        /// Whether the server can make the checksum.
+        crc: bool,
+        /// Bytes to come, where the server says.
+        size: Option<u32>,
+    },
+    /// All segments were acknowledged.
+    EndUpload(End),
+}
+
+/// What the receiver of a sub-block says at its end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Acknowledge {
+    /// The last segment that came in order; those after it are sent again. 0 for none of them.
+    pub sequence: u8,
+    /// Segments of the next sub-block.
+    pub block_size: u8,
+}
+
+/// What the sender of the data says when all of them are acknowledged.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct End {
+    unused: u8,
+    /// The [`checksum`] of all the data if both sides have said that they know it, else 0.
+    pub crc: u16,
+}
+
+impl End {
+    /// `None` if more than the 7 bytes of the last segment are `unused`.
+    pub const fn new(unused: u8, crc: u16) -> Option<Self> {
+        if unused <= 7 {
+            Some(Self { unused, crc })
+        } else {
+            None
+        }
+    }
+
+    /// The end of `size` bytes. No bytes at all travel as one segment that is all unused.
+    pub const fn of(size: usize, crc: u16) -> Self {
+        let used = size % SEGMENT;
+        let unused = if size > 0 && used == 0 {
+            0
+        } else {
+            (SEGMENT - used) as u8
+        };
+        Self { unused, crc }
+    }
+
+    /// Bytes of the last segment that are none of the data's, 0 ..= 7.
+    pub const fn unused(self) -> usize {
+        self.unused as usize
+    }
+
+    fn encode(self) -> [u8; 8] {
+        let [low, high] = self.crc.to_le_bytes();
+        [0xC1 | self.unused << 2, low, high, 0, 0, 0, 0, 0]
+    }
+
+    fn decode(bytes: [u8; 8]) -> Self {
+        Self {
+            unused: bytes[0] >> 2 & 0b111,
+            crc: u16::from_le_bytes([bytes[1], bytes[2]]),
+        }
+    }
+}
+
+/// Seven bytes of a sub-block, under [`cob::sdo_request`] or [`cob::sdo_response`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Segment {
+    sequence: u8,
+    /// Whether no segment follows, in this sub-block or another.
+    pub last: bool,
+    /// The data; of the last segment [`End::unused`] bytes are to be dropped.
+    pub data: [u8; SEGMENT],
+}
+
+impl Segment {
+    /// `None` for a sequence number outside 1 ..= 127.
+    pub const fn new(sequence: u8, last: bool, data: [u8; SEGMENT]) -> Option<Self> {
+        match sequence {
+            1..=MAX_BLOCK_SIZE => Some(Self {
+                sequence,
+                last,
+                data,
+            }),
+            _ => None,
+        }
+    }
+
+    /// Its number in its sub-block, 1 ..= 127.
+    pub const fn sequence(self) -> u8 {
+        self.sequence
+    }
+
+    /// The frame sent under `id`.
+    pub fn encode(self, id: StandardId) -> Frame {
+        let [a, b, c, d, e, f, g] = self.data;
+        let first = u8::from(self.last) << 7 | self.sequence;
+        frame(id, [first, a, b, c, d, e, f, g])
+    }
+
+    /// What the frame is in the middle of a sub-block: `None` for an abort, for sequence number 0 and for
+    /// frames under another identifier or of another length.
+    pub fn decode(frame: &Frame, id: StandardId) -> Option<Self> {
+        let [first, data @ ..] = <[u8; 8]>::try_from(payload(frame, id)?).ok()?;
+        Self::new(first & 0x7F, first & 0x80 != 0, data)
+    }
+}
+
+/// The checksum of the data of a block transfer, unused bytes left out: CRC-16/XMODEM.
+pub fn checksum(data: &[u8]) -> u16 {
+    static TABLE: Crc<u16> = Crc::<u16>::new(&CRC_16_XMODEM);
+    TABLE.checksum(data)
+}
+
+impl Request {
+    /// The frame to the server `node`.
+    pub fn encode(self, node: NodeId) -> Frame {
+        let bytes = match self {
+            Self::InitiateDownload { object, crc, size } => initiate(object, crc, size),
+            Self::EndDownload(end) => end.encode(),
+            Self::InitiateUpload {
+                object,
+                crc,
+                block_size,
+                threshold,
+            } => addressed(0xA0 | crc_bit(crc), object, [block_size, threshold, 0, 0]),
+            Self::StartUpload => [0xA3, 0, 0, 0, 0, 0, 0, 0],
+            Self::Acknowledge(acknowledge) => acknowledge.encode(),
+            Self::EndUpload => [0xA1, 0, 0, 0, 0, 0, 0, 0],
+        };
+        frame(cob::sdo_request(node), bytes)
+    }
+
+    /// `None` unless it is a frame of 8 bytes to the server `node`, with a command specifier of block
+    /// transfer. In the middle of a sub-block of a download it may be a [`Segment`] all the same.
+    pub fn decode(frame: &Frame, node: NodeId) -> Option<Self> {
+        let bytes: [u8; 8] = payload(frame, cob::sdo_request(node))?.try_into().ok()?;
+        Some(match bytes[0] {
+            0xA0 | 0xA4 => Self::InitiateUpload {
+                object: object(bytes),
+                crc: has_crc(bytes),
+                block_size: bytes[4],
+                threshold: bytes[5],
+            },
+            0xA1 => Self::EndUpload,
+            0xA2 => Self::Acknowledge(Acknowledge::decode(bytes)),
+            0xA3 => Self::StartUpload,
+            0xC0 | 0xC2 | 0xC4 | 0xC6 => Self::InitiateDownload {
+                object: object(bytes),
+                crc: has_crc(bytes),
+                size: size(bytes),
+            },
+            first if is_end(first) => Self::EndDownload(End::decode(bytes)),
+            _ => return None,
+        })
+    }
+}
+
+impl Response {
+    /// The frame from the server `node`.
+    pub fn encode(self, node: NodeId) -> Frame {
+        let bytes = match self {
+            Self::InitiateDownload {
+                object,
+                crc,
+                block_size,
+            } => addressed(0xA0 | crc_bit(crc), object, [block_size, 0, 0, 0]),
+            Self::Acknowledge(acknowledge) => acknowledge.encode(),
+            Self::EndDownload => [0xA1, 0, 0, 0, 0, 0, 0, 0],
+            Self::InitiateUpload { object, crc, size } => initiate(object, crc, size),
+            Self::EndUpload(end) => end.encode(),
+        };
+        frame(cob::sdo_response(node), bytes)
+    }
+
+    /// `None` unless it is a frame of 8 bytes from the server `node`, with a command specifier of block
+    /// transfer. In the middle of a sub-block of an upload it may be a [`Segment`] all the same.
+    pub fn decode(frame: &Frame, node: NodeId) -> Option<Self> {
+        let bytes: [u8; 8] = payload(frame, cob::sdo_response(node))?.try_into().ok()?;
+        Some(match bytes[0] {
+            0xA0 | 0xA4 => Self::InitiateDownload {
+                object: object(bytes),
+                crc: has_crc(bytes),
+                block_size: bytes[4],
+            },
+            0xA1 => Self::EndDownload,
+            0xA2 => Self::Acknowledge(Acknowledge::decode(bytes)),
+            0xC0 | 0xC2 | 0xC4 | 0xC6 => Self::InitiateUpload {
+                object: object(bytes),
+                crc: has_crc(bytes),
+                size: size(bytes),
+            },
+            first if is_end(first) => Self::EndUpload(End::decode(bytes)),
+            _ => return None,
+        })
+    }
+}
+
+impl Acknowledge {
+    fn encode(self) -> [u8; 8] {
+        [0xA2, self.sequence, self.block_size, 0, 0, 0, 0, 0]
+    }
+
+    fn decode(bytes: [u8; 8]) -> Self {
+        Self {
+            sequence: bytes[1],
+            block_size: bytes[2],
+        }
+    }
+}
+
+const SIZE_GIVEN: u8 = 0b10;
+const CRC_SUPPORTED: u8 = 0b100;
+
+/// The first frame of the side that has the data.
+fn initiate(object: Object, crc: bool, size: Option<u32>) -> [u8; 8] {
+    let given = if size.is_some() { SIZE_GIVEN } else { 0 };
+    let size = size.unwrap_or(0).to_le_bytes();
+    addressed(0xC0 | crc_bit(crc) | given, object, size)
+}
+
+fn size(bytes: [u8; 8]) -> Option<u32> {
+    let [first, _, _, _, size @ ..] = bytes;
+    (first & SIZE_GIVEN != 0).then_some(u32::from_le_bytes(size))
+}
+
+/// `110n nn01`.
+fn is_end(first: u8) -> bool {
+    first & 0b1110_0011 == 0xC1
+}
+
+fn crc_bit(crc: bool) -> u8 {
+    if crc { CRC_SUPPORTED } else { 0 }
+}
+
+fn has_crc(bytes: [u8; 8]) -> bool {
+    bytes[0] & CRC_SUPPORTED != 0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::objects::DEVICE_NAME;
+    use crate::parse;
+    use crate::sdo;
+
+    const NODE: NodeId = NodeId::new(2).unwrap();
+    const ACKNOWLEDGE: Acknowledge = Acknowledge {
+        sequence: 126,
+        block_size: 4,
+    };
+
+    fn end(unused: u8) -> End {
+        End::new(unused, 0x31C3).unwrap()
+    }
+
+    fn download(crc: bool, size: Option<u32>) -> Request {
+        Request::InitiateDownload {
+            object: DEVICE_NAME,
+            crc,
+            size,
+        }
+    }
+
+    fn upload(crc: bool, block_size: u8, threshold: u8) -> Request {
+        Request::InitiateUpload {
+            object: DEVICE_NAME,
+            crc,
+            block_size,
+            threshold,
+        }
+    }
+
+    #[test]
+    fn requests_are_these_bytes() {
+        let table = [
+            (download(true, Some(0x0001_0203)), "602#C608100003020100"),
+            (download(false, Some(9)), "602#C208100009000000"),
+            (download(true, None), "602#C408100000000000"),
+            (download(false, None), "602#C008100000000000"),
+            (Request::EndDownload(end(0)), "602#C1C3310000000000"),
+            (Request::EndDownload(end(5)), "602#D5C3310000000000"),
+            (Request::EndDownload(end(7)), "602#DDC3310000000000"),
+            (upload(true, 127, 0), "602#A40810007F000000"),
+            (upload(false, 1, 255), "602#A008100001FF0000"),
+            (Request::StartUpload, "602#A300000000000000"),
+            (Request::Acknowledge(ACKNOWLEDGE), "602#A27E040000000000"),
+            (Request::EndUpload, "602#A100000000000000"),
+        ];
+        for (request, bytes) in table {
+            assert_eq!(request.encode(NODE).to_string(), bytes);
+            assert_eq!(Request::decode(&parse(bytes), NODE), Some(request));
+        }
+    }
+
+    #[test]
+    fn responses_are_these_bytes() {
+        let initiated = |crc, block_size| Response::InitiateDownload {
+            object: DEVICE_NAME,
+            crc,
+            block_size,
+        };
+        let upload = |crc, size| Response::InitiateUpload {
+            object: DEVICE_NAME,
+            crc,
+            size,
+        };
+        let table = [
+            (initiated(true, 127), "582#A40810007F000000"),
+            (initiated(false, 4), "582#A008100004000000"),
+            (Response::Acknowledge(ACKNOWLEDGE), "582#A27E040000000000"),
+            (Response::EndDownload, "582#A100000000000000"),
+            (upload(true, Some(0x0001_0203)), "582#C608100003020100"),
+            (upload(false, Some(9)), "582#C208100009000000"),
+            (upload(true, None), "582#C408100000000000"),
+            (upload(false, None), "582#C008100000000000"),
+            (Response::EndUpload(end(6)), "582#D9C3310000000000"),
+        ];
+        for (response, bytes) in table {
+            assert_eq!(response.encode(NODE).to_string(), bytes);
+            assert_eq!(Response::decode(&parse(bytes), NODE), Some(response));
+        }
+    }
+
+    #[test]
+    fn segments_are_a_number_and_seven_bytes_in_both_directions() {
+        let data = [1, 2, 3, 4, 5, 6, 7];
+        let table = [
+            (1, false, "0101020304050607"),
+            (127, false, "7F01020304050607"),
+            (1, true, "8101020304050607"),
+            (127, true, "FF01020304050607"),
+        ];
+        for id in [cob::sdo_request(NODE), cob::sdo_response(NODE)] {
+            for (sequence, last, bytes) in table {
+                let segment = Segment::new(sequence, last, data).unwrap();
+                let text = format!("{:03X}#{bytes}", id.raw());
+                assert_eq!(segment.encode(id).to_string(), text);
+                assert_eq!(Segment::decode(&parse(&text), id), Some(segment));
+            }
+        }
+        assert_eq!(Segment::new(0, false, data), None);
+        assert_eq!(Segment::new(128, false, data), None);
+    }
+
+    #[test]
+    fn no_abort_is_a_segment_though_every_other_request_could_be() {
+        let abort = sdo::Request::Abort {
+            object: DEVICE_NAME,
+            code: sdo::AbortCode::CRC,
+        };
+        let id = cob::sdo_request(NODE);
+        assert_eq!(Segment::decode(&abort.encode(NODE), id), None);
+        assert_eq!(Segment::decode(&parse("602#0001020304050607"), id), None);
+        for request in [
+            download(true, None),
+            Request::StartUpload,
+            Request::EndUpload,
+        ] {
+            assert!(Segment::decode(&request.encode(NODE), id).is_some());
+        }
+    }
+
+    #[test]
+    fn other_specifiers_lengths_and_identifiers_are_refused() {
+        for first in (0..=0x9F).chain(0xA5..=0xBF).chain(0xE0..=0xFF) {
+            let bytes = [first, 0x08, 0x10, 0, 1, 0, 0, 0];
+            let request = Frame::new(cob::sdo_request(NODE), &bytes).unwrap();
+            assert_eq!(Request::decode(&request, NODE), None, "{first:#04x}");
+            let response = Frame::new(cob::sdo_response(NODE), &bytes).unwrap();
+            assert_eq!(Response::decode(&response, NODE), None, "{first:#04x}");
+        }
+        assert_eq!(Response::decode(&parse("582#A300000000000000"), NODE), None);
+        for text in ["602#A1000000000000", "603#A100000000000000", "602#"] {
+            assert_eq!(Request::decode(&parse(text), NODE), None, "{text}");
+            assert_eq!(Segment::decode(&parse(text), cob::sdo_request(NODE)), None);
+        }
+        assert_eq!(Request::decode(&parse("582#A100000000000000"), NODE), None);
+        assert_eq!(Response::decode(&parse("602#A100000000000000"), NODE), None);
+    }
+
+    #[test]
+    fn bits_and_bytes_that_are_not_used_are_ignored() {
+        let frame = parse("602#D5C331AA55AA55AA");
+        assert_eq!(
+            Request::decode(&frame, NODE),
+            Some(Request::EndDownload(end(5)))
+        );
+        let frame = parse("582#C008100009000000");
+        let Some(Response::InitiateUpload { size, .. }) = Response::decode(&frame, NODE) else {
+            panic!("it begins an upload");
+        };
+        assert_eq!(size, None);
+    }
+
+    #[test]
+    fn the_last_segment_is_filled_up_with_unused_bytes() {
+        let table = [(0, 7), (1, 6), (6, 1), (7, 0), (8, 6), (889, 0), (890, 6)];
+        for (size, unused) in table {
+            assert_eq!(End::of(size, 0).unused(), unused, "{size} bytes");
+        }
+        assert_eq!(End::new(8, 0), None);
+    }
+
+    #[test]
+    fn the_checksum_is_crc_16_xmodem() {
+        let table: [(&[u8], u16); 3] = [(b"123456789", 0x31C3), (b"", 0), (b"A", 0x58E5)];
+        for (data, crc) in table {
+            assert_eq!(checksum(data), crc);
+        }
+    }
+}

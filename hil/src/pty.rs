@@ -1,0 +1,350 @@
+//! Pseudo-terminals: serial lines whose other end a host opens as it would a tty's.
+//!
+//! A [`Pty`] is raw from the start, so nothing is echoed or translated before the host has set the line
+//! up, and stays open when the host closes its end. It has no bit rate: bytes pass as fast as they
+//! are read. This is the rim: it makes system calls, and [`wait`] waits.
+
+#![expect(
+    unsafe_code,
+    reason = "pseudo-terminals and waiting for several of them are system calls"
+)]
+
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Read, Write};
+use std::os::fd::{AsFd, AsRawFd, BorrowedFd, FromRawFd};
+use std::os::unix::fs::{OpenOptionsExt, symlink};
+use std::path::{Path, PathBuf};
+
+use can::{Instant, clock};
+use thiserror::Error;
+
+/// The device's end of a pseudo-terminal. Neither reading nor writing waits.
+///
+/// What is written while nobody has the host's end open waits for whoever opens it next, unless
+/// they discard it, as most do.
+#[derive(Debug)]
+pub struct Pty {
+    master: File,
+    /// While it is open, the host's closing is no error here.
+    _slave: File,
+    path: PathBuf,
+    link: Option<PathBuf>,
+}
+
+/// Why there is no pseudo-terminal, or none under the name wanted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum PtyError {
+    /// The system has none to give.
+    #[error("no pseudo-terminal can be opened (errno {0})")]
+    Open(i32),
+    /// Something that is no symbolic link has the name wanted; it was left alone.
+    #[error("the name is taken by something that is no symbolic link")]
+    NameTaken,
+    /// The symbolic link could not be made.
+    #[error("the symbolic link cannot be made (errno {0})")]
+    Link(i32),
+}
+
+impl Pty {
+    /// Opens a pair of ends.
+    pub fn open() -> Result<Self, PtyError> {
+        let open = || -> io::Result<Self> {
+            let master = OpenOptions::new()
+                .read(true)
+                .write(true)
+                .custom_flags(libc::O_NOCTTY | libc::O_NONBLOCK)
+                .open("/dev/ptmx")?;
+            let (number, slave) = unlock(&master)?;
+            make_raw(&slave)?;
+            Ok(Self {
+                master,
+                _slave: slave,
+                path: PathBuf::from(format!("/dev/pts/{number}")),
+                link: None,
+            })
+        };
+        open().map_err(|error| PtyError::Open(errno(&error)))
+    }
+
+    /// Opens a pair of ends and makes `link` a symbolic link to the host's, for as long as this lives.
+    /// A symbolic link of that name is replaced.
+    pub fn linked(link: &Path) -> Result<Self, PtyError> {
+        match fs::symlink_metadata(link) {
+            Ok(found) if !found.is_symlink() => return Err(PtyError::NameTaken),
+            _ => {}
+        }
+        let mut pty = Self::open()?;
+        let replace = || -> io::Result<()> {
+            match fs::remove_file(link) {
+                Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+                _ => symlink(&pty.path, link),
+            }
+        };
+        replace().map_err(|error| PtyError::Link(errno(&error)))?;
+        pty.link = Some(link.to_owned());
+        Ok(pty)
+    }
+
+    /// The host's end: `/dev/pts/N`.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Fills `into` from the front with what the host has written; 0 if there is nothing.
+    pub fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
+        not_yet(self.master.read(into))
+    }
+
+    /// Sends the front of `bytes` and returns how many found room; 0 while the host does not read.
+    pub fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        not_yet(self.master.write(bytes))
+    }
+}
+
+impl AsFd for Pty {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.master.as_fd()
+    }
+}
+
+impl Drop for Pty {
+    fn drop(&mut self) {
+        // A link that somebody has put elsewhere is theirs.
+        if let Some(link) = &self.link
+            && fs::read_link(link).is_ok_and(|to| to == self.path)
+        {
+            // Nobody is left to be told if it fails.
+            let _ = fs::remove_file(link);
+        }
+    }
+}
+
+/// Waits until one of `ends` can be read, or written where its flag is set, or until `until`. Which
+/// one it was, reading and writing tell. Signals do not shorten the wait.
+pub fn wait<'a>(
+    ends: impl IntoIterator<Item = (BorrowedFd<'a>, bool)>,
+    until: Instant,
+) -> io::Result<()> {
+    let interest = |(end, write): (BorrowedFd, bool)| libc::pollfd {
+        fd: end.as_raw_fd(),
+        events: libc::POLLIN | if write { libc::POLLOUT } else { 0 },
+        revents: 0,
+    };
+    let mut ends: Vec<_> = ends.into_iter().map(interest).collect();
+    loop {
+        let remaining = until.since(clock::now());
+        let timeout = libc::timespec {
+            tv_sec: libc::time_t::try_from(remaining.as_secs()).unwrap_or(libc::time_t::MAX),
+            tv_nsec: remaining.subsec_nanos() as libc::c_long,
+        };
+        let count = ends.len() as libc::nfds_t;
+        // SAFETY: `count` valid pollfds of descriptors that are borrowed, a valid timespec, no signal mask.
+        let result = unsafe {
+            libc::ppoll(
+                ends.as_mut_ptr(),
+                count,
+                &raw const timeout,
+                std::ptr::null(),
+            )
+        };
+        match checked(result) {
+            Ok(_) => return Ok(()),
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(error),
+        }
+    }
+}
+
+/// The number of the host's end, and that end.
+fn unlock(master: &File) -> io::Result<(libc::c_uint, File)> {
+    let (locked, mut number): (libc::c_int, libc::c_uint) = (0, 0);
+    let fd = master.as_raw_fd();
+    // SAFETY: the request reads one int.
+    checked(unsafe { libc::ioctl(fd, libc::TIOCSPTLCK, &raw const locked) })?;
+    // SAFETY: the request writes one unsigned int.
+    checked(unsafe { libc::ioctl(fd, libc::TIOCGPTN, &raw mut number) })?;
+    let flags = libc::O_RDWR | libc::O_NOCTTY | libc::O_CLOEXEC;
+    // SAFETY: the request takes flags by value.
+    let slave = checked(unsafe { libc::ioctl(fd, libc::TIOCGPTPEER, flags) })?;
+    // SAFETY: the request returned a descriptor that nothing else owns.
+    Ok((number, unsafe { File::from_raw_fd(slave) }))
+}
+
+fn make_raw(slave: &File) -> io::Result<()> {
+    let fd = slave.as_raw_fd();
+    // SAFETY: plain integers, for all of which zero is a value.
+    let mut settings: libc::termios = unsafe { std::mem::zeroed() };
+    // SAFETY: a valid termios to be filled.
+    checked(unsafe { libc::tcgetattr(fd, &raw mut settings) })?;
+    // SAFETY: a valid termios to be changed.
+    unsafe { libc::cfmakeraw(&raw mut settings) };
+    // SAFETY: a valid termios to be read.
+    checked(unsafe { libc::tcsetattr(fd, libc::TCSANOW, &raw const settings) })?;
+    Ok(())
+}
+
+fn checked(result: libc::c_int) -> io::Result<libc::c_int> {
+    if result < 0 {
+        return Err(io::Error::last_os_error());
+    }
+    Ok(result)
+}
+
+fn not_yet(result: io::Result<usize>) -> io::Result<usize> {
+    match result {
+        Err(error) if error.kind() == io::ErrorKind::WouldBlock => Ok(0),
+        result => result,
+    }
+}
+
+fn errno(error: &io::Error) -> i32 {
+    error.raw_os_error().unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::Duration;
+
+    /// A directory that goes with the test.
+    struct Directory(PathBuf);
+
+    impl Directory {
+        fn new(name: &str) -> Self {
+            let path =
+                std::env::temp_dir().join(format!("mrroc-pty-{}-{name}", std::process::id()));
+            fs::create_dir(&path).unwrap();
+            Self(path)
+        }
+    }
+
+    impl Drop for Directory {
+        fn drop(&mut self) {
+            let _ = fs::remove_dir_all(&self.0);
+        }
+    }
+
+    fn host(path: &Path) -> File {
+        OpenOptions::new()
+            .read(true)
+            .write(true)
+            .custom_flags(libc::O_NOCTTY | libc::O_NONBLOCK)
+            .open(path)
+            .unwrap()
+    }
+
+    /// Reads `count` bytes within a second.
+    fn read(fd: &impl AsFd, count: usize, mut read: impl FnMut(&mut [u8]) -> usize) -> Vec<u8> {
+        let end = clock::now() + Duration::from_secs(1);
+        let mut got = Vec::new();
+        while got.len() < count && clock::now() < end {
+            let mut buffer = [0; 512];
+            let count = read(&mut buffer);
+            got.extend(&buffer[..count]);
+            if count == 0 {
+                wait([(fd.as_fd(), false)], end).unwrap();
+            }
+        }
+        got
+    }
+
+    #[test]
+    fn every_byte_passes_unchanged_both_ways_and_nothing_is_echoed() {
+        let mut pty = Pty::open().unwrap();
+        let mut host = host(pty.path());
+        let all: Vec<u8> = (0..=255).collect();
+        host.write_all(&all).unwrap();
+        let mut end = pty.master.try_clone().unwrap();
+        let heard = read(&pty.as_fd(), 256, |buffer| {
+            not_yet(end.read(buffer)).unwrap()
+        });
+        assert_eq!(heard, all);
+        assert_eq!(pty.write(&all).unwrap(), 256);
+        let mut end = host.try_clone().unwrap();
+        let heard = read(&host, 256, |buffer| not_yet(end.read(buffer)).unwrap());
+        assert_eq!(heard, all);
+        // What the host hears is what was written and no echo.
+        assert_eq!(not_yet(host.read(&mut [0; 8])).unwrap(), 0);
+        assert_eq!(pty.read(&mut [0; 8]).unwrap(), 0);
+    }
+
+    #[test]
+    fn a_host_may_close_its_end_and_come_back() {
+        let mut pty = Pty::open().unwrap();
+        for _ in 0..2 {
+            let mut host = host(pty.path());
+            host.write_all(b"C\r").unwrap();
+            drop(host);
+            let mut end = pty.master.try_clone().unwrap();
+            let heard = read(&pty, 2, |buffer| not_yet(end.read(buffer)).unwrap());
+            assert_eq!(heard, b"C\r");
+            assert_eq!(pty.read(&mut [0; 8]).unwrap(), 0);
+        }
+    }
+
+    #[test]
+    fn a_host_that_does_not_read_fills_the_line() {
+        let mut pty = Pty::open().unwrap();
+        let mut written = 0;
+        loop {
+            match pty.write(&[b'x'; 4096]).unwrap() {
+                0 => break,
+                count => written += count,
+            }
+            assert!(written < 1 << 20, "a line holds a bounded number of bytes");
+        }
+        assert!(written >= 1024);
+    }
+
+    #[test]
+    fn waiting_ends_with_a_byte_or_at_its_time() {
+        let pty = [Pty::open().unwrap(), Pty::open().unwrap()];
+        let ends = || pty.iter().map(|pty| (pty.as_fd(), false));
+        let start = clock::now();
+        wait(ends(), start + Duration::from_millis(20)).unwrap();
+        assert!(clock::now() >= start + Duration::from_millis(20));
+        host(pty[1].path()).write_all(b"\r").unwrap();
+        wait(ends(), start + Duration::from_secs(60)).unwrap();
+        assert!(clock::now() < start + Duration::from_secs(30));
+        // Room to write is there at once.
+        let ends = [(pty[0].as_fd(), true)];
+        wait(ends, start + Duration::from_secs(60)).unwrap();
+        assert!(clock::now() < start + Duration::from_secs(30));
+    }
+
+    #[test]
+    fn a_link_lives_as_long_as_its_line() {
+        let directory = Directory::new("lives");
+        let link = directory.0.join("can0");
+        symlink("/nowhere", &link).unwrap();
+        let pty = Pty::linked(&link).unwrap();
+        assert_eq!(fs::read_link(&link).unwrap(), pty.path());
+        drop(pty);
+        assert!(fs::symlink_metadata(&link).is_err());
+    }
+
+    #[test]
+    fn a_link_that_another_took_over_is_left_to_it() {
+        let directory = Directory::new("another");
+        let link = directory.0.join("can0");
+        let first = Pty::linked(&link).unwrap();
+        let second = Pty::linked(&link).unwrap();
+        drop(first);
+        assert_eq!(fs::read_link(&link).unwrap(), second.path());
+    }
+
+    #[test]
+    fn what_is_no_link_is_not_replaced() {
+        let directory = Directory::new("taken");
+        let file = directory.0.join("can0");
+        fs::write(&file, "precious").unwrap();
+        assert_eq!(Pty::linked(&file).unwrap_err(), PtyError::NameTaken);
+        assert_eq!(Pty::linked(&directory.0).unwrap_err(), PtyError::NameTaken);
+        assert_eq!(fs::read_to_string(&file).unwrap(), "precious");
+        let nowhere = directory.0.join("missing/can0");
+        assert_eq!(
+            Pty::linked(&nowhere).unwrap_err(),
+            PtyError::Link(libc::ENOENT)
+        );
+    }
+}

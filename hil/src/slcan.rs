@@ -1,0 +1,416 @@
+//! A CAN adapter on a serial line that speaks slcan, as a function of (bytes, frames, now).
+//!
+//! [`SlcanDevice`] is a [`Device`] of a [`World`](crate::World), so several adapters and drives share one bus. Its other
+//! side is a line: bytes of the host go in with [`SlcanDevice::handle_bytes`], those for the host are
+//! in [`SlcanDevice::bytes`] until [`SlcanDevice::consume`] takes them off.
+//!
+//! It does what Linux's slcan driver, slcand and python-can ask of an adapter at start-up, in any
+//! order of theirs: closing a closed channel and opening an open one is well, an empty line too. What
+//! else Lawicel's manual restricts is refused with a bell: setting up an open channel, opening one without a
+//! bit rate, sending without one that is open. Opening starts the controller anew. A bit
+//! rate other than the bus's is a fault as on a real bus, only that the others' frames stay whole: the
+//! first frame sent ends in bus-off, each frame that comes is a receive error.
+//!
+//! Every queue is bounded; what finds no room is counted in [`SlcanCounts`] and shows in the flags that
+//! the host can ask for. Left out: the speed of the serial line, and storing settings.
+
+use std::collections::VecDeque;
+
+use can::slcan::{BusErrors, Command, Piece, Report, Splitter, StatusFlags};
+use can::timing::{Bitrate, Format};
+use can::{ControllerState, Frame, Id, Instant};
+
+use crate::Device;
+
+/// Frames that wait for the bus, beside those that the bus has taken over.
+const TO_BUS: usize = 32;
+/// Frames that wait to be polled.
+const TO_POLL: usize = 64;
+/// Bytes that wait for the host: some 150 frames.
+const TO_HOST: usize = 4096;
+/// Of those, kept free of frames for the answers to commands.
+const FOR_ANSWERS: usize = 256;
+
+/// What distinguishes one adapter from another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SlcanConfig {
+    /// The bit rate of the bus it hangs on.
+    pub bus: Bitrate,
+    /// How it acknowledges a frame from the host.
+    pub acknowledge: Acknowledge,
+    /// Letters and digits.
+    pub serial_number: [u8; 4],
+}
+
+impl SlcanConfig {
+    /// An adapter that acknowledges with an empty line.
+    pub fn new(bus: Bitrate) -> Self {
+        Self {
+            bus,
+            acknowledge: Acknowledge::Line,
+            serial_number: *b"HIL1",
+        }
+    }
+}
+
+/// What an adapter answers to a frame that it took for sending.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Acknowledge {
+    /// An empty line.
+    Line,
+    /// `z` or `Z` by the frame's format while it reports frames unasked, an empty line otherwise.
+    Letter,
+}
+
+/// What an adapter has counted. Counters only grow.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SlcanCounts {
+    /// Lines refused with a bell.
+    pub refused: u64,
+    /// Frames taken from the host.
+    pub sent: u64,
+    /// Frames from the bus that were reported or wait to be polled.
+    pub received: u64,
+    /// Frames from the bus that found no room.
+    pub lost: u64,
+    /// Answers that found no room: the host does not read.
+    pub unsaid: u64,
+}
+
+/// An emulated adapter.
+pub struct SlcanDevice {
+    config: SlcanConfig,
+    splitter: Splitter,
+    channel: Channel,
+    /// Whether the bit rate that was set is the bus's.
+    in_tune: Option<bool>,
+    time_stamps: bool,
+    auto_poll: bool,
+    acceptance: Acceptance,
+    flags: StatusFlags,
+    state: ControllerState,
+    receive_errors: u16,
+    transmit_errors: u16,
+    to_bus: VecDeque<Frame>,
+    to_poll: VecDeque<Report>,
+    to_host: VecDeque<u8>,
+    counts: SlcanCounts,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Channel {
+    Closed,
+    Open,
+    ListenOnly,
+    Loopback,
+}
+
+/// The acceptance filter of an SJA1000 in dual filter mode.
+#[derive(Clone, Copy)]
+struct Acceptance {
+    code: u32,
+    /// A set bit is not looked at.
+    mask: u32,
+}
+
+impl SlcanDevice {
+    /// With a closed channel.
+    pub fn new(config: SlcanConfig) -> Self {
+        Self {
+            config,
+            splitter: Splitter::default(),
+            channel: Channel::Closed,
+            in_tune: None,
+            time_stamps: false,
+            auto_poll: true,
+            acceptance: Acceptance {
+                code: 0,
+                mask: u32::MAX,
+            },
+            flags: StatusFlags::default(),
+            state: ControllerState::Active,
+            receive_errors: 0,
+            transmit_errors: 0,
+            to_bus: VecDeque::with_capacity(TO_BUS),
+            to_poll: VecDeque::with_capacity(TO_POLL),
+            to_host: VecDeque::with_capacity(TO_HOST),
+            counts: SlcanCounts::default(),
+        }
+    }
+
+    /// Takes bytes that the host sent.
+    pub fn handle_bytes(&mut self, bytes: &[u8], now: Instant) {
+        for &byte in bytes {
+            let dropped = self.splitter.dropped();
+            let command = match self.splitter.push(byte) {
+                Some(Piece::Line(line)) => Some(Command::parse(line)),
+                Some(Piece::Bell) | None => None,
+            };
+            let command = match command {
+                Some(parsed) => parsed.ok(),
+                None if self.splitter.dropped() != dropped => None,
+                None => continue,
+            };
+            let answer = command.map_or(Report::Refused, |command| self.obey(command, now));
+            self.counts.refused += u64::from(answer == Report::Refused);
+            if !self.say(&answer, TO_HOST) {
+                self.counts.unsaid += 1;
+            }
+        }
+    }
+
+    /// Bytes for the host, as many as lie together; empty when there are none.
+    pub fn bytes(&self) -> &[u8] {
+        self.to_host.as_slices().0
+    }
+
+    /// Takes off the first `count` of [`SlcanDevice::bytes`], which the host has been sent.
+    pub fn consume(&mut self, count: usize) {
+        self.to_host.drain(..count);
+    }
+
+    /// What was counted.
+    pub fn counts(&self) -> SlcanCounts {
+        self.counts
+    }
+
+    /// Puts the controller's error counters where faults on the bus would have brought them; the state
+    /// follows (ISO 11898-1), and a change of it is reported. Nothing happens to a closed channel.
+    pub fn set_error_counters(&mut self, receive: u16, transmit: u16) {
+        if self.channel == Channel::Closed {
+            return;
+        }
+        let before = self.state;
+        self.receive_errors = receive;
+        self.transmit_errors = transmit;
+        self.state = match receive.max(transmit) {
+            _ if transmit >= 256 => ControllerState::BusOff,
+            128.. => ControllerState::Passive,
+            96.. => ControllerState::Warning,
+            _ => ControllerState::Active,
+        };
+        if self.state >= ControllerState::Warning {
+            self.flags.0 |= StatusFlags::ERROR_WARNING;
+        }
+        if self.state >= ControllerState::Passive {
+            self.flags.0 |= StatusFlags::ERROR_PASSIVE;
+        }
+        if self.state == ControllerState::BusOff {
+            self.to_bus.clear();
+        }
+        if self.state != before {
+            let state = Report::State {
+                state: self.state,
+                receive,
+                transmit,
+            };
+            self.volunteer(&state);
+        }
+    }
+
+    /// Reports errors as if they had been seen on the bus. Nothing happens to a closed channel.
+    pub fn report_errors(&mut self, errors: BusErrors) {
+        if self.channel != Channel::Closed {
+            self.flags.0 |= StatusFlags::BUS_ERROR;
+            self.volunteer(&Report::Errors(errors));
+        }
+    }
+
+    fn obey(&mut self, command: Command, now: Instant) -> Report {
+        let closed = self.channel == Channel::Closed;
+        match command {
+            Command::Empty | Command::LineSpeed(_) => {}
+            Command::Bitrate(bitrate) if closed => {
+                self.in_tune = Some(bitrate == self.config.bus);
+            }
+            Command::BitTiming { btr0, btr1 } if closed => {
+                self.in_tune =
+                    Some(nanos_per_bit(btr0, btr1) == 1_000_000 / self.config.bus.kbps());
+            }
+            Command::TimeStamps(on) if closed => self.time_stamps = on,
+            Command::AutoPoll(on) if closed => self.auto_poll = on,
+            Command::AcceptanceCode(code) if closed => self.acceptance.code = code,
+            Command::AcceptanceMask(mask) if closed => self.acceptance.mask = mask,
+            Command::Bitrate(_)
+            | Command::BitTiming { .. }
+            | Command::TimeStamps(_)
+            | Command::AutoPoll(_)
+            | Command::AcceptanceCode(_)
+            | Command::AcceptanceMask(_) => return Report::Refused,
+            Command::Open => return self.open(Channel::Open),
+            Command::ListenOnly => return self.open(Channel::ListenOnly),
+            Command::Loopback => return self.open(Channel::Loopback),
+            Command::Close => self.close(),
+            Command::Transmit(frame) => return self.transmit(frame, now),
+            Command::Version => {
+                return Report::Version {
+                    hardware: 0x10,
+                    software: 0x10,
+                };
+            }
+            Command::Firmware => return Report::Firmware { major: 1, minor: 0 },
+            Command::SerialNumber => return Report::SerialNumber(self.config.serial_number),
+            Command::Flags => return Report::Flags(std::mem::take(&mut self.flags)),
+            Command::Poll | Command::PollAll if closed || self.auto_poll => {
+                return Report::Refused;
+            }
+            Command::Poll => return self.to_poll.pop_front().unwrap_or(Report::Done),
+            Command::PollAll => {
+                while let Some(&report) = self.to_poll.front()
+                    && self.say(&report, TO_HOST - FOR_ANSWERS)
+                {
+                    self.to_poll.pop_front();
+                }
+                return Report::PollEnd;
+            }
+        }
+        Report::Done
+    }
+
+    fn open(&mut self, how: Channel) -> Report {
+        match (self.channel, self.in_tune) {
+            (Channel::Closed, Some(_)) => {
+                self.channel = how;
+                self.state = ControllerState::Active;
+                (self.receive_errors, self.transmit_errors) = (0, 0);
+                Report::Done
+            }
+            (as_before, _) if as_before == how => Report::Done,
+            _ => Report::Refused,
+        }
+    }
+
+    fn close(&mut self) {
+        self.channel = Channel::Closed;
+        self.to_bus.clear();
+        self.to_poll.clear();
+    }
+
+    fn transmit(&mut self, frame: Frame, now: Instant) -> Report {
+        match self.channel {
+            _ if self.state == ControllerState::BusOff => return Report::Refused,
+            Channel::Closed | Channel::ListenOnly => return Report::Refused,
+            Channel::Loopback => self.report(frame, now),
+            Channel::Open if self.in_tune == Some(false) => {
+                self.set_error_counters(self.receive_errors, 256);
+            }
+            Channel::Open if self.to_bus.len() == TO_BUS => {
+                self.flags.0 |= StatusFlags::TRANSMIT_QUEUE_FULL;
+                return Report::Refused;
+            }
+            Channel::Open => self.to_bus.push_back(frame),
+        }
+        self.counts.sent += 1;
+        match (self.config.acknowledge, frame.id()) {
+            (Acknowledge::Letter, Some(id)) if self.auto_poll => Report::Transmitted(match id {
+                Id::Standard(_) => Format::Standard,
+                Id::Extended(_) => Format::Extended,
+            }),
+            _ => Report::Done,
+        }
+    }
+
+    /// Brings a frame to the host, or to where it can be polled.
+    fn report(&mut self, frame: Frame, now: Instant) {
+        let millis = now.as_nanos() / 1_000_000 % 60_000;
+        let stamp = self.time_stamps.then_some(millis as u16);
+        let report = Report::Received { frame, stamp };
+        if self.auto_poll {
+            if self.volunteer(&report) {
+                self.counts.received += 1;
+            }
+        } else if self.to_poll.len() < TO_POLL {
+            self.to_poll.push_back(report);
+            self.counts.received += 1;
+        } else {
+            self.flags.0 |= StatusFlags::RECEIVE_QUEUE_FULL;
+            self.counts.lost += 1;
+        }
+    }
+
+    /// Says what is no answer, if there is room.
+    fn volunteer(&mut self, report: &Report) -> bool {
+        let said = self.say(report, TO_HOST - FOR_ANSWERS);
+        if !said {
+            self.flags.0 |= StatusFlags::DATA_OVERRUN;
+            self.counts.lost += 1;
+        }
+        said
+    }
+
+    fn say(&mut self, report: &Report, room: usize) -> bool {
+        // Whatever this device reports is a frame from the bus or within a line's means.
+        let Some(line) = report.encode() else {
+            return false;
+        };
+        let fits = self.to_host.len() + line.len() <= room;
+        if fits {
+            self.to_host.extend(line.iter());
+        }
+        fits
+    }
+}
+
+impl Device for SlcanDevice {
+    fn handle(&mut self, frame: &Frame, now: Instant) {
+        let listening = matches!(self.channel, Channel::Open | Channel::ListenOnly);
+        if !listening || self.state == ControllerState::BusOff {
+            return;
+        }
+        if self.in_tune == Some(false) {
+            self.flags.0 |= StatusFlags::BUS_ERROR;
+            if self.channel == Channel::Open {
+                // A controller stops counting in error passive.
+                let receive = (self.receive_errors + 1).min(128);
+                self.set_error_counters(receive, self.transmit_errors);
+            }
+        } else if self.acceptance.accepts(frame) {
+            self.report(*frame, now);
+        }
+    }
+
+    fn poll_transmit(&mut self, _now: Instant) -> Option<Frame> {
+        self.to_bus.pop_front()
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        None
+    }
+
+    fn handle_timeout(&mut self, _now: Instant) {}
+}
+
+impl Acceptance {
+    /// Whether either filter lets the frame through. The first sees an 11-bit identifier, RTR and
+    /// the first data byte, the second identifier and RTR; of a 29-bit identifier both see the upper 16 bits.
+    fn accepts(self, frame: &Frame) -> bool {
+        let remote = u32::from(frame.is_remote());
+        let (seen, first, second) = match frame.id() {
+            Some(Id::Standard(id)) => {
+                let word = u32::from(id.raw()) << 5 | remote << 4;
+                let byte = frame.data().first().copied();
+                let data = u32::from(byte.unwrap_or(0));
+                let nibbles = (data >> 4) << 16 | data & 0xF;
+                let first = 0xFFF0_0000 | if byte.is_some() { 0x000F_000F } else { 0 };
+                (word << 16 | word | nibbles, first, 0x0000_FFF0)
+            }
+            Some(Id::Extended(id)) => {
+                let word = id.raw() >> 13;
+                (word << 16 | word, 0xFFFF_0000, 0x0000_FFFF)
+            }
+            None => return false,
+        };
+        let differs = (seen ^ self.code) & !self.mask;
+        differs & first == 0 || differs & second == 0
+    }
+}
+
+/// The bit time that the registers of an SJA1000 at 16 MHz stand for.
+fn nanos_per_bit(btr0: u8, btr1: u8) -> u32 {
+    let prescaler = u32::from(btr0 & 0x3F) + 1;
+    let quanta = 3 + u32::from(btr1 & 0xF) + u32::from(btr1 >> 4 & 0x7);
+    125 * prescaler * quanta
+}
+
+#[cfg(test)]
+mod tests;
