@@ -2,6 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "in a test it is a verdict")]
 
+mod adapter;
 mod allocations;
 mod architecture;
 mod bench;

@@ -16,7 +16,7 @@ use crate::vcan::{frames_of, on_stage, started, wait_until};
 /// Longest time that anything here may take.
 const PATIENCE: Duration = Duration::from_secs(10);
 
-fn open(interface: &str) -> SocketCanPort {
+pub(super) fn open(interface: &str) -> SocketCanPort {
     SocketCanPort::open(interface, &SocketCanOptions::default()).unwrap()
 }
 
@@ -39,12 +39,12 @@ fn receive(port: &mut (impl Port + ?Sized), count: usize) -> Vec<Frame> {
 }
 
 /// Frame `number` as cansequence counts them.
-fn sequence(number: usize) -> Frame {
+pub(super) fn sequence(number: usize) -> Frame {
     Frame::new(StandardId::new(2).unwrap(), &[number as u8]).unwrap()
 }
 
 /// A process killed on drop.
-struct Killed(Child);
+pub(super) struct Killed(pub(super) Child);
 
 impl Drop for Killed {
     fn drop(&mut self) {

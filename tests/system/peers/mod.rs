@@ -6,6 +6,7 @@
 
 mod linux;
 mod master;
+mod serial;
 mod slave;
 
 use std::path::{Path, PathBuf};
