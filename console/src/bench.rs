@@ -1,13 +1,14 @@
 //! What a run runs on: the ports to the drives, and the emulated world behind them where there is one.
 
 use anyhow::{Context, bail};
-use can::{Port, SocketCanOptions, SocketCanPort, TraceReader, Tracer};
+use can::{Port, SocketCanOptions, TraceReader, Tracer};
 use clap::ValueEnum;
 use drive::cia402;
 
+use crate::bus_port::BusPort;
 use crate::cell_file::CellFile;
 use crate::emulation::Emulation;
-use crate::interfaces;
+use crate::interfaces::{self, Interface};
 
 /// Frames that a trace may lag behind the bus: some seconds of a full one.
 const TRACE: usize = 1 << 16;
@@ -41,7 +42,7 @@ pub(crate) struct Bench {
     /// One per bus of the cell.
     pub(crate) ports: Vec<Box<dyn Port>>,
     /// What each of them is on: the cell's interface, or the one given in its place.
-    pub(crate) interfaces: Vec<String>,
+    pub(crate) interfaces: Vec<Interface>,
     /// What passed each port, if a trace was asked for.
     pub(crate) traces: Vec<TraceReader>,
     /// The emulated cell, on the benches without hardware.
@@ -69,14 +70,14 @@ impl Bench {
                 )
             }
             BenchKind::Vcan | BenchKind::Card => {
-                let open = |(index, interface): (usize, &String)| {
+                let open = |(index, interface): (usize, &Interface)| {
                     let bus = &file.cell.bus[index];
                     let setpoints = file.cell.axes_on(index).count();
                     let options = SocketCanOptions {
                         send_queue: setpoints + cia402::BESIDE_SETPOINTS,
                         ..SocketCanOptions::default()
                     };
-                    let port = SocketCanPort::open(interface, &options);
+                    let port = BusPort::with_options(interface, bus.bitrate_kbps, &options);
                     Ok(Box::new(port.with_context(|| format!("bus {}", bus.name))?) as _)
                 };
                 (

@@ -7,11 +7,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::Context;
-use can::{Instant, Port, Received, SocketCanOptions, SocketCanPort, clock};
+use can::{Instant, Port, Received, clock};
 use canopen::sync::Sync;
 use clap::Args;
 use hil::Device;
 
+use crate::bus_port::BusPort;
 use crate::cell_file::CellFile;
 use crate::{emulation, interfaces};
 
@@ -37,8 +38,9 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
     let interfaces = interfaces::resolve(&file.cell, &options.can)?;
     let mut buses = Vec::new();
     for (index, interface) in interfaces.iter().enumerate() {
-        let port = SocketCanPort::open(interface, &SocketCanOptions::default());
-        let port = port.with_context(|| format!("bus {}", file.cell.bus[index].name))?;
+        let bus = &file.cell.bus[index];
+        let port = BusPort::open(interface, bus.bitrate_kbps);
+        let port = port.with_context(|| format!("bus {}", bus.name))?;
         let now = clock::now();
         buses.push(EmulatedBus {
             port,
@@ -77,7 +79,7 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
 
 /// The devices of one bus and their interface.
 struct EmulatedBus {
-    port: SocketCanPort,
+    port: BusPort,
     devices: Vec<Box<dyn Device>>,
     /// How far time has passed for the devices.
     passed: Instant,

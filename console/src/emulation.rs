@@ -66,7 +66,7 @@ fn device(file: &CellFile, robot: usize, number: usize, power_on: Instant) -> Bo
         })
     };
     let plant = AxisConfig {
-        counts_per_revolution: axis.drive.counts_per_revolution,
+        counts_per_revolution: axis.counts_per_revolution(),
         index_angle: home,
         start_angle: axis.emulator.start.unwrap_or(home + 20.0),
         home_switch: switch(home - 20.0, home - 2.0),
@@ -80,7 +80,7 @@ fn device(file: &CellFile, robot: usize, number: usize, power_on: Instant) -> Bo
         .wrapping_mul(1000)
         .wrapping_add((robot * 16 + number) as u64);
     let node = NodeId::new(axis.node).expect("a parsed cell has valid node-IDs");
-    let vendor = axis.emulator.vendor.unwrap_or(axis.drive.vendor);
+    let vendor = axis.emulator.vendor.unwrap_or(axis.cia402().vendor);
     let config = Epos4Config {
         vendor,
         seed,

@@ -1,9 +1,11 @@
 //! The `mrroc` command: the only room that opens ports, spawns threads and prints.
 //!
-//! Exit status: 0 done, 1 stopped by a fault or on request, 2 refused before anything moved.
+//! Exit status: 0 done; 1 stopped by a fault or on request, or a node was told and did not do it; 2 refused before
+//! anything moved, or no answer.
 
 mod bench;
 mod budget;
+mod bus_port;
 mod cell_file;
 mod check;
 mod emulate;
@@ -13,6 +15,7 @@ mod programs;
 mod rehearsal;
 mod report;
 mod run;
+mod service;
 mod setup;
 mod trace;
 mod vm;
@@ -22,9 +25,13 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
+/// What scripts may build upon.
+const EXIT_STATUS: &str = "Exit status: 0 done; 1 stopped by a fault or by Ctrl-C, or a node was told and did not do \
+it; 2 refused before anything moved, aborted by the node, or no answer.";
+
 /// A multi-robot research-oriented controller with its hardware in the loop.
 #[derive(Parser)]
-#[command(name = "mrroc", version)]
+#[command(name = "mrroc", version, after_help = EXIT_STATUS)]
 struct Arguments {
     #[command(subcommand)]
     command: Command,
@@ -44,6 +51,17 @@ enum Command {
     Run(run::Options),
     /// Stand in for the axis controllers of a cell on a CAN interface.
     Emulate(emulate::Options),
+    /// Who is on a bus: asks every node-ID by SDO and listens to heartbeats. Not while another master uses SDO.
+    Scan(service::scan::Options),
+    /// Read or write one object of a node.
+    Sdo {
+        #[command(subcommand)]
+        action: service::sdo::Action,
+    },
+    /// Tell a node, or all, to change its NMT state. Resets and stops take the power from drives; a brakeless arm falls.
+    Nmt(service::nmt::Options),
+    /// Show the frames of a bus in words until Ctrl-C. Sends nothing, unless --map asks.
+    Monitor(service::monitor::Options),
     /// Run a command in a virtual machine that has CAN.
     Vm {
         #[command(subcommand)]
@@ -58,6 +76,10 @@ fn main() -> ExitCode {
         Command::Check { cell, json } => check::check(&cell, json),
         Command::Run(options) => run::run(&options),
         Command::Emulate(options) => emulate::emulate(&options),
+        Command::Scan(options) => service::scan::scan(&options),
+        Command::Sdo { action } => service::sdo::sdo(&action),
+        Command::Nmt(options) => service::nmt::nmt(&options),
+        Command::Monitor(options) => service::monitor::monitor(&options),
         Command::Vm { machine } => vm::vm(&machine),
         Command::Schema => check::schema(),
     };

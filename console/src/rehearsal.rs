@@ -22,7 +22,7 @@ const LONGEST: Duration = Duration::from_secs(24 * 3600);
 
 /// Rehearses every program and returns how long the longest takes after homing.
 pub(crate) fn rehearse(file: &CellFile) -> anyhow::Result<Duration> {
-    let groups = (0..file.cell.bus.len())
+    let groups = (0..file.cell.groups().count())
         .map(|bus| Box::new(IdealDrives::of(file, bus)) as Box<dyn DriveGroup>);
     let (mut servo, links) = Servo::new(&setup::servo_config(file), groups.collect())?;
     let mut ecps = Vec::new();

@@ -63,7 +63,7 @@ impl Report {
                 .enumerate()
                 .map(move |(number, ((axis, error), homing_offset_counts))| {
                     let counts =
-                        f64::from(axis.drive.counts_per_revolution) / std::f64::consts::TAU;
+                        f64::from(axis.counts_per_revolution()) / std::f64::consts::TAU;
                     AxisReport {
                         name: file.axis_name(robot, number),
                         tracking_rms_rad: error.rms(),

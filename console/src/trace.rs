@@ -10,6 +10,7 @@ use drive::AxisCommand;
 use servo::Record;
 
 use crate::cell_file::CellFile;
+use crate::interfaces::Interface;
 
 /// A candump log of every frame that passed the ports of a run.
 pub(crate) struct FrameLog {
@@ -23,15 +24,16 @@ impl FrameLog {
     /// Creates the file. `interfaces` are what the buses run on.
     pub(crate) fn create(
         path: &Path,
-        interfaces: &[String],
+        interfaces: &[Interface],
         readers: Vec<TraceReader>,
     ) -> anyhow::Result<Self> {
         let sink = File::create(path).with_context(|| path.display().to_string())?;
-        let name = |interface: &String| {
-            can::InterfaceName::new(interface)
-                .with_context(|| format!("{interface:?} is no interface name"))
+        let name = |(bus, interface): (usize, &Interface)| {
+            let name = interface.log_name(bus);
+            can::InterfaceName::new(&name).with_context(|| format!("{name:?} is no interface name"))
         };
-        let names = interfaces.iter().map(name).collect::<anyhow::Result<_>>()?;
+        let interfaces = interfaces.iter().enumerate();
+        let names = interfaces.map(name).collect::<anyhow::Result<_>>()?;
         Ok(Self {
             readers,
             names,
@@ -130,5 +132,6 @@ fn word(command: AxisCommand) -> &'static str {
         AxisCommand::Stand => "Stand",
         AxisCommand::Home => "Home",
         AxisCommand::Follow(_) => "Follow",
+        AxisCommand::Seek(_) => "Seek",
     }
 }

@@ -124,7 +124,7 @@ impl Axis {
 
     /// Keeps `command` for the write and remembers the set-point.
     pub(crate) fn command(&mut self, command: AxisCommand) {
-        let follows = matches!(command, AxisCommand::Follow(_));
+        let follows = matches!(command, AxisCommand::Follow(_) | AxisCommand::Seek(_));
         self.followed = if follows {
             self.followed.saturating_add(1)
         } else {

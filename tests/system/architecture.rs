@@ -12,20 +12,37 @@ fn root() -> PathBuf {
 }
 
 /// Each room and the rooms it may import, by their names in the workspace.
-const ARROWS: [(&str, &[&str]); 8] = [
+const ARROWS: [(&str, &[&str]); 9] = [
     ("drivers/can", &[]),
     ("drivers/canopen", &["can"]),
-    ("drivers/drive", &["can", "canopen"]),
+    ("drivers/serial", &["can"]),
+    ("drivers/drive", &["can", "canopen", "serial"]),
     ("servo", &["can", "drive"]),
     ("controller", &["can", "drive", "servo"]),
-    ("hil", &["can", "canopen"]),
+    ("hil", &["can", "canopen", "serial"]),
     (
         "console",
-        &["can", "canopen", "drive", "servo", "controller", "hil"],
+        &[
+            "can",
+            "canopen",
+            "serial",
+            "drive",
+            "servo",
+            "controller",
+            "hil",
+        ],
     ),
     (
         "tests",
-        &["can", "canopen", "drive", "servo", "controller", "hil"],
+        &[
+            "can",
+            "canopen",
+            "serial",
+            "drive",
+            "servo",
+            "controller",
+            "hil",
+        ],
     ),
 ];
 

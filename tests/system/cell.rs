@@ -109,7 +109,7 @@ impl Setup {
             })
         };
         let mut plant = hil::AxisConfig {
-            counts_per_revolution: axis.drive.counts_per_revolution,
+            counts_per_revolution: axis.counts_per_revolution(),
             index_angle: home,
             start_angle: axis.emulator.start.unwrap_or(home + 20.0),
             home_switch: switch(home - 20.0, home - 2.0),

@@ -97,7 +97,7 @@ fn check_axes(name: &str, reports: &[Value]) {
             0.0 < rms && rms < peak && peak < TRACKING,
             "{name}: {report}"
         );
-        let scale = f64::from(axis.drive.counts_per_revolution) / std::f64::consts::TAU;
+        let scale = f64::from(axis.counts_per_revolution()) / std::f64::consts::TAU;
         let expected = (home * scale).floor() - ((home + START) * scale).floor();
         let offset = number(&report["homing_offset_counts"]);
         assert!(

@@ -152,7 +152,8 @@ fn the_servo_sees_a_blocked_motor_that_its_drive_overlooks() {
         bytes: 4,
     };
     let axis = &mut setup.cell.robot[0].axis[0];
-    axis.drive.parameter.push(following_error_window);
+    let drive = axis.drive.as_mut().unwrap();
+    drive.parameter.push(following_error_window);
     let allowed = axis.following_error;
     let mut rig = setup.bring_up();
     rig.home();

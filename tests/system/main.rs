@@ -18,6 +18,7 @@ mod mrroc;
 mod peers;
 mod regression;
 mod repetition;
+mod service;
 mod socketcan;
 mod uml;
 mod vcan;

@@ -4,9 +4,11 @@ use std::fmt;
 
 use thiserror::Error;
 
+mod axis;
+
 use super::locate::{self, Path};
-use super::{Axis, Cell, Instruction, Robot};
-use crate::robot::Limits;
+use super::{Cell, Instruction, Robot};
+use axis::Place;
 
 /// A refused cell file: where and why, in one line.
 #[derive(Clone, Debug, PartialEq)]
@@ -183,12 +185,17 @@ fn check(cell: &Cell) -> Checked {
         "between 1 and 99",
     )?;
     check_buses(cell)?;
+    check_serial(cell)?;
     check_robots(cell)
 }
 
 fn check_buses(cell: &Cell) -> Checked {
     let buses = Path::default().then("bus");
-    at_least_one(&buses, cell.bus.len(), "buses")?;
+    at_least_one(
+        &buses,
+        cell.bus.len() + cell.serial.len(),
+        "buses, and no serial lines either",
+    )?;
     for (index, bus) in cell.bus.iter().enumerate() {
         let path = buses.then(index);
         if let Some(first) = cell.bus[..index]
@@ -258,10 +265,57 @@ fn check_buses(cell: &Cell) -> Checked {
     Ok(())
 }
 
+fn check_serial(cell: &Cell) -> Checked {
+    let bundles = Path::default().then("serial");
+    for (index, bundle) in cell.serial.iter().enumerate() {
+        let path = bundles.then(index);
+        let buses = cell.bus.iter().map(|bus| &bus.name).enumerate();
+        let buses = buses.map(|(number, name)| (Path::default().then("bus").then(number), name));
+        let before = cell.serial[..index].iter().map(|other| &other.name);
+        let before = before
+            .enumerate()
+            .map(|(number, name)| (bundles.then(number), name));
+        if let Some((first, _)) = buses.chain(before).find(|(_, name)| **name == bundle.name) {
+            let what = format!("bus {:?}", bundle.name);
+            return Err((path.then("name"), twice(what, &first)));
+        }
+        let ranges = [
+            (
+                "baud",
+                bundle.baud,
+                (9_600.0, 4e6),
+                "between 9600 and 4000000",
+            ),
+            (
+                "tolerated_missing",
+                bundle.tolerated_missing,
+                (0.0, 1000.0),
+                "at most 1000 (cycles)",
+            ),
+            (
+                "answer_timeout_ms",
+                bundle.answer_timeout_ms,
+                (1.0, 60_000.0),
+                "between 1 and 60000 (ms)",
+            ),
+            (
+                "emulated_latency_ms",
+                bundle.emulated_latency_ms.unwrap_or(1),
+                (1.0, 255.0),
+                "between 1 and 255 (ms)",
+            ),
+        ];
+        for (key, value, (low, high), range) in ranges {
+            in_range(&path.then(key), f64::from(value), low, high, range)?;
+        }
+    }
+    Ok(())
+}
+
 fn check_robots(cell: &Cell) -> Checked {
     let robots = Path::default().then("robot");
     at_least_one(&robots, cell.robot.len(), "robots")?;
-    let mut nodes: Vec<(&str, u8, Path)> = Vec::new();
+    let mut taken: Vec<(String, Path)> = Vec::new();
     for (index, robot) in cell.robot.iter().enumerate() {
         let path = robots.then(index);
         if let Some(first) = cell.robot[..index]
@@ -298,7 +352,6 @@ fn check_robots(cell: &Cell) -> Checked {
         let axes = path.then("axis");
         for (number, axis) in robot.axis.iter().enumerate() {
             let path = axes.then(number);
-            check_axis(&path, axis, kinematics.motor_limits()[number])?;
             if let Some(first) = robot.axis[..number]
                 .iter()
                 .position(|other| other.name == axis.name)
@@ -308,7 +361,7 @@ fn check_robots(cell: &Cell) -> Checked {
                     twice(format!("axis {:?}", axis.name), &axes.then(first)),
                 ));
             }
-            let Some(bus) = cell.bus.iter().find(|bus| bus.name == axis.bus) else {
+            let Some(place) = Place::of(cell, &axis.bus) else {
                 return Err((
                     path.then("bus"),
                     Problem::Unknown {
@@ -317,110 +370,34 @@ fn check_robots(cell: &Cell) -> Checked {
                     },
                 ));
             };
-            if axis.node == bus.host_node {
-                let what = format!("node {} of bus {:?}", axis.node, bus.name);
-                return Err((
-                    path.then("node"),
-                    Problem::Twice {
-                        what,
-                        first: "the host".into(),
-                    },
-                ));
+            axis::check(&path, axis, place, kinematics.motor_limits()[number])?;
+            let unique = match place {
+                Place::Bus(bus) if axis.node == bus.host_node => {
+                    let what = format!("node {} of bus {:?}", axis.node, bus.name);
+                    return Err((
+                        path.then("node"),
+                        Problem::Twice {
+                            what,
+                            first: "the host".into(),
+                        },
+                    ));
+                }
+                Place::Bus(bus) => ("node", format!("node {} of bus {:?}", axis.node, bus.name)),
+                Place::Serial(_) => {
+                    let line = axis.controller.as_ref().map_or("", |it| it.line.as_str());
+                    ("controller", format!("line {line:?}"))
+                }
+            };
+            let (key, what) = unique;
+            if let Some((_, first)) = taken.iter().find(|(other, _)| *other == what) {
+                return Err((path.then(key), twice(what, first)));
             }
-            if let Some((_, _, first)) = nodes
-                .iter()
-                .find(|(bus, node, _)| *bus == axis.bus && *node == axis.node)
-            {
-                return Err((
-                    path.then("node"),
-                    twice(format!("node {} of bus {:?}", axis.node, axis.bus), first),
-                ));
-            }
-            nodes.push((&axis.bus, axis.node, path));
+            taken.push((what, path));
         }
         check_program(&path.then("program"), robot)?;
     }
     Ok(())
 }
-
-/// `model` is what the model says of the motor: the axis may narrow it.
-fn check_axis(path: &Path, axis: &Axis, model: Limits) -> Checked {
-    in_range(
-        &path.then("node"),
-        f64::from(axis.node),
-        1.0,
-        127.0,
-        "between 1 and 127",
-    )?;
-    positive(&path.then("max_velocity"), axis.max_velocity)?;
-    positive(&path.then("max_acceleration"), axis.max_acceleration)?;
-    positive(&path.then("following_error"), axis.following_error)?;
-    let given = [
-        ("min_position", axis.min_position),
-        ("max_position", axis.max_position),
-    ];
-    for (key, value) in given {
-        let Some(value) = value else { continue };
-        if !(model.low..=model.high).contains(&value) {
-            let Limits { low, high } = model;
-            return Err((path.then(key), Problem::BeyondModel { value, low, high }));
-        }
-    }
-    let low = axis.min_position.unwrap_or(model.low);
-    let high = axis.max_position.unwrap_or(model.high);
-    if low >= high {
-        return Err(if axis.min_position.is_some() {
-            (path.then("min_position"), Problem::UpsideDown { low, high })
-        } else {
-            (path.then("max_position"), Problem::BelowLow { low, high })
-        });
-    }
-    let drive = path.then("drive");
-    let counts = f64::from(axis.drive.counts_per_revolution);
-    in_range(
-        &drive.then("counts_per_revolution"),
-        counts,
-        4.0,
-        1e7,
-        "between 4 and 10000000 (quadrature counts)",
-    )?;
-    positive(&drive.then("rated_torque"), axis.drive.rated_torque)?;
-    for (number, parameter) in axis.drive.parameter.iter().enumerate() {
-        if !matches!(parameter.bytes, 1 | 2 | 4) {
-            let value = f64::from(parameter.bytes);
-            return Err((
-                drive.then("parameter").then(number).then("bytes"),
-                Problem::OutOfRange {
-                    value,
-                    range: "1, 2 or 4",
-                },
-            ));
-        }
-    }
-    let homing = path.then("homing");
-    if !METHODS.contains(&axis.homing.method) {
-        let value = f64::from(axis.homing.method);
-        let range = "37, 34, 33, 27, 23, 18, 17, 11, 7, 2, 1 or -1 to -4";
-        return Err((homing.then("method"), Problem::OutOfRange { value, range }));
-    }
-    for (key, value) in [
-        ("search_velocity", axis.homing.search_velocity),
-        ("zero_velocity", axis.homing.zero_velocity),
-    ] {
-        let range = "above 0 and at most the axis's max_velocity (rad/s of the motor)";
-        in_range(
-            &homing.then(key),
-            value,
-            f64::MIN_POSITIVE,
-            axis.max_velocity,
-            range,
-        )?;
-    }
-    positive(&homing.then("acceleration"), axis.homing.acceleration)
-}
-
-/// The homing methods of an EPOS4.
-const METHODS: [i8; 15] = [37, 34, 33, 27, 23, 18, 17, 11, 7, 2, 1, -1, -2, -3, -4];
 
 fn check_program(path: &Path, robot: &Robot) -> Checked {
     for (number, instruction) in robot.program.iter().enumerate() {

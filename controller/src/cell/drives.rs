@@ -6,7 +6,7 @@ use drive::Scale;
 use drive::cia402::{AxisConfig, CyclicMode, GroupConfig, HomingConfig, Identity, NodeId};
 use servo::ServoAxisConfig;
 
-use super::{Axis, Cell, Parameter};
+use super::{Axis, Cell, Drive, Parameter};
 use crate::robot::Limits;
 
 /// Longest time from switching an effector's drives on to the last of them following.
@@ -18,12 +18,20 @@ impl Cell {
         Duration::from_micros(u64::from(self.period_us))
     }
 
-    /// The axes on bus `bus` as pairs of robot and axis numbers, in the order of the bus's drive group.
-    pub fn axes_on(&self, bus: usize) -> impl Iterator<Item = (usize, usize)> {
+    /// The names of the drive groups: every CAN bus, then every bundle of serial lines.
+    pub fn groups(&self) -> impl Iterator<Item = &str> {
+        let buses = self.bus.iter().map(|bus| bus.name.as_str());
+        buses.chain(self.serial.iter().map(|serial| serial.name.as_str()))
+    }
+
+    /// The axes of drive group `group` of [`groups`](Self::groups) as pairs of robot and axis numbers, in
+    /// their order within it.
+    pub fn axes_on(&self, group: usize) -> impl Iterator<Item = (usize, usize)> {
+        let name = self.groups().nth(group);
         let robots = self.robot.iter().enumerate();
         let axes =
             robots.flat_map(|(robot, value)| (0..value.axis.len()).map(move |axis| (robot, axis)));
-        axes.filter(move |&(robot, axis)| self.robot[robot].axis[axis].bus == self.bus[bus].name)
+        axes.filter(move |&(robot, axis)| Some(self.robot[robot].axis[axis].bus.as_str()) == name)
     }
 
     /// What the drives of bus `bus` have in common.
@@ -47,13 +55,33 @@ impl Axis {
     /// Between motor positions, rad, and the counts of its drive, whose homed counter reads zero at the
     /// motor position `home`, rad.
     pub fn scale(&self, home: f64) -> Scale {
-        let counts = self.drive.counts_per_revolution as i32;
-        let signed = if self.drive.reversed { -counts } else { counts };
-        Scale::new(signed, home).expect("a parsed cell has counts and finite home positions")
+        let reversed = match (&self.drive, &self.controller) {
+            (Some(drive), _) => drive.reversed,
+            (None, Some(controller)) => controller.reversed,
+            (None, None) => false,
+        };
+        let counts = self.counts_per_revolution() as i32;
+        Scale::new(if reversed { -counts } else { counts }, home)
+            .expect("a parsed cell has counts and finite home positions")
     }
 
-    /// Its drive, homed at the motor position `home`, rad.
+    /// Quadrature counts per motor revolution.
+    pub fn counts_per_revolution(&self) -> u32 {
+        match (&self.drive, &self.controller) {
+            (Some(drive), _) => drive.counts_per_revolution,
+            (None, Some(controller)) => controller.counts_per_revolution,
+            (None, None) => unreachable!("{HAS_DRIVE}"),
+        }
+    }
+
+    /// Its drive on a CAN bus. Not for an axis on a serial line.
+    pub fn cia402(&self) -> &Drive {
+        self.drive.as_ref().expect(HAS_DRIVE)
+    }
+
+    /// Its drive on a CAN bus, homed at the motor position `home`, rad.
     pub fn drive_config(&self, home: f64) -> AxisConfig {
+        let drive = self.cia402();
         let parameter = |given: &Parameter| drive::cia402::Parameter {
             index: given.index,
             subindex: given.subindex,
@@ -63,22 +91,25 @@ impl Axis {
         AxisConfig {
             node: node(self.node),
             identity: Identity {
-                vendor: self.drive.vendor,
-                product: self.drive.product,
+                vendor: drive.vendor,
+                product: drive.product,
                 revision: None,
             },
             mode: CyclicMode::Csp,
             scale: self.scale(home),
-            rated_torque: self.drive.rated_torque,
+            rated_torque: drive.rated_torque,
             homing: HomingConfig {
-                method: self.homing.method,
+                method: self
+                    .homing
+                    .method
+                    .expect("a parsed cell's drives have homing methods"),
                 search_speed: self.homing.search_velocity,
                 zero_speed: self.homing.zero_velocity,
                 acceleration: self.homing.acceleration,
             },
             following_error: self.following_error,
             quick_stop_deceleration: self.max_acceleration,
-            parameters: self.drive.parameter.iter().map(parameter).collect(),
+            parameters: drive.parameter.iter().map(parameter).collect(),
         }
     }
 
@@ -102,6 +133,8 @@ impl Axis {
         }
     }
 }
+
+const HAS_DRIVE: &str = "a parsed cell's axes have the drive that their bus needs";
 
 fn node(raw: u8) -> NodeId {
     NodeId::new(raw).expect("a parsed cell has valid node-IDs")

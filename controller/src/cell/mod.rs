@@ -1,4 +1,4 @@
-//! The cell file: robots, buses and drives of one controller, in TOML.
+//! The cell file: robots, buses, lines and drives of one controller, in TOML.
 //!
 //! These structs are the file, key for key; the JSON schema beside the example cells is generated
 //! from them. What [`Cell::parse`] returns has been checked whole, so the rest of the program does
@@ -6,6 +6,7 @@
 //! axis (rad, rad/s, rad/s²) and joint rad or metres for a program; a key that holds something
 //! else says so in its name.
 
+mod axis_controller;
 mod check;
 mod drives;
 mod locate;
@@ -21,6 +22,7 @@ use serde::{Deserialize, Serialize};
 use crate::generator::{Arm, Pose};
 use crate::robot::{Irb6, Irb6Parameters, Irp6, Irp6Parameters, ParameterError};
 
+pub use axis_controller::{AxisController, Control, Protocol, Serial};
 pub use check::{CellError, Problem};
 pub use drives::ENABLING;
 pub use locate::{Path, Step};
@@ -49,7 +51,11 @@ pub struct Cell {
     #[serde(default)]
     pub realtime: Realtime,
     /// The CAN buses.
+    #[serde(default)]
     pub bus: Vec<Bus>,
+    /// The bundles of serial lines.
+    #[serde(default)]
+    pub serial: Vec<Serial>,
     /// The robots.
     pub robot: Vec<Robot>,
 }
@@ -199,12 +205,17 @@ impl Model {
 pub struct Axis {
     /// What reports call it.
     pub name: String,
-    /// The bus its drive hangs on.
+    /// The CAN bus its drive hangs on, or the bundle of lines its axis controller is of.
     pub bus: String,
-    /// Node-ID of its drive.
+    /// Node-ID of its drive, or NFv2 address of its axis controller; the older protocol has none.
+    #[serde(default)]
     pub node: u8,
-    /// The drive.
-    pub drive: Drive,
+    /// The drive, on a CAN bus.
+    #[serde(default)]
+    pub drive: Option<Drive>,
+    /// The axis controller, on a serial line.
+    #[serde(default)]
+    pub controller: Option<AxisController>,
     /// Greatest motor velocity, rad/s.
     pub max_velocity: f64,
     /// Greatest motor acceleration, rad/s².
@@ -262,12 +273,17 @@ pub struct Parameter {
     pub bytes: u8,
 }
 
-/// Homing by the drive (CiA 402 mode HM).
+/// Homing: by the drive on CAN (CiA 402 mode HM), by the host on a serial line.
 #[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Homing {
-    /// Homing method, object 0x6098.
-    pub method: i8,
+    /// Homing method of a drive, object 0x6098. An axis on a serial line has none: it searches for its home
+    /// switch, and back for the index pulse beside it.
+    #[serde(default)]
+    pub method: Option<i8>,
+    /// Where an axis on a serial line searches for its home switch.
+    #[serde(default)]
+    pub direction: Direction,
     /// Axes home in ascending order of this; equal ones together.
     #[serde(default)]
     pub order: u8,
@@ -277,6 +293,17 @@ pub struct Homing {
     pub zero_velocity: f64,
     /// Motor acceleration, rad/s².
     pub acceleration: f64,
+}
+
+/// A direction of the motor.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Direction {
+    /// Towards lower positions.
+    #[default]
+    Negative,
+    /// Towards higher positions.
+    Positive,
 }
 
 /// What stands in for an axis on the benches without hardware.

@@ -84,7 +84,7 @@ pub struct Counters {
 
 impl Counters {
     /// Counts frames taken for sending.
-    pub(crate) fn count_sent(&mut self, frames: &[Frame]) {
+    pub fn count_sent(&mut self, frames: &[Frame]) {
         self.sent += frames.len() as u64;
         self.bits += frames
             .iter()
@@ -93,7 +93,7 @@ impl Counters {
     }
 
     /// Counts frames received.
-    pub(crate) fn count_received(&mut self, received: &[Received]) {
+    pub fn count_received(&mut self, received: &[Received]) {
         self.received += received.len() as u64;
         let bits = received
             .iter()

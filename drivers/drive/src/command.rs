@@ -24,8 +24,11 @@ pub enum Setpoint {
     Position(Finite),
     /// Motor velocity, rad/s. The host closes the position loop (CSV).
     Velocity(Finite),
-    /// Motor torque, N·m. The host closes every other loop (CST).
+    /// Motor torque, N·m. The host closes every other loop (CST, and axis controllers by current).
     Torque(Finite),
+    /// Fraction of the full pulse width, -1 to 1: the share of the supply voltage that the motor gets.
+    /// The host closes every loop.
+    Duty(Finite),
 }
 
 /// What one axis is asked to do in one cycle.
@@ -46,4 +49,8 @@ pub enum AxisCommand {
     Home,
     /// Torque on, following the set-point. Only after [`Power::On`](crate::Power::On) was seen.
     Follow(Setpoint),
+    /// The same, and the drive takes the next index pulse for its reference: for drives that the host
+    /// homes. The counter is set there, and then the state says
+    /// [`Homing::Attained`](crate::Homing::Attained).
+    Seek(Setpoint),
 }

@@ -15,4 +15,4 @@ pub use command::{AxisCommand, Finite, Setpoint};
 pub use fault::{BringUpError, Fault, Refusal};
 pub use group::{DriveGroup, GroupCounters};
 pub use scale::{Increments, Permille, Rpm, Scale};
-pub use state::{AxisState, Homing, Power};
+pub use state::{AxisState, Homing, Power, Switches};

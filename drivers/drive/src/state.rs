@@ -23,8 +23,21 @@ pub struct AxisState {
     pub homing: Homing,
     /// Whether the drive follows the set-points it is sent.
     pub following: bool,
+    /// The switches of the axis; open where the drive does not say.
+    pub switches: Switches,
     /// What stands in the way, latched until reset.
     pub fault: Option<Fault>,
+}
+
+/// Which switches of an axis are closed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Switches {
+    /// The home (synchronisation) switch.
+    pub home: bool,
+    /// The limit switch at the lower end of the counter's travel.
+    pub lower_limit: bool,
+    /// The limit switch at its upper end.
+    pub upper_limit: bool,
 }
 
 /// Whether a drive's power stage is on.

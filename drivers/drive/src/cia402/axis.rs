@@ -344,8 +344,10 @@ impl Axis {
     /// The set-point in the drive's units, if the command brings one; the reason if it cannot
     /// be followed. A faulted axis has none: it is being stopped, whatever it is told.
     pub(super) fn check(&self, command: AxisCommand) -> Result<Option<i32>, Refusal> {
-        let AxisCommand::Follow(setpoint) = command else {
-            return Ok(None);
+        let setpoint = match command {
+            AxisCommand::Follow(setpoint) => setpoint,
+            AxisCommand::Seek(_) if self.state.fault.is_none() => return Err(Refusal::WrongKind),
+            _ => return Ok(None),
         };
         if self.state.fault.is_some() {
             return Ok(None);
@@ -366,9 +368,12 @@ impl Axis {
                     .permille(torque.get(), self.setup.rated_torque);
                 permille.map(|permille| i32::from(permille.0))
             }
-            (CyclicMode::Csp, Setpoint::Velocity(_) | Setpoint::Torque(_))
-            | (CyclicMode::Csv, Setpoint::Position(_) | Setpoint::Torque(_))
-            | (CyclicMode::Cst, Setpoint::Position(_) | Setpoint::Velocity(_)) => {
+            (CyclicMode::Csp, Setpoint::Velocity(_) | Setpoint::Torque(_) | Setpoint::Duty(_))
+            | (CyclicMode::Csv, Setpoint::Position(_) | Setpoint::Torque(_) | Setpoint::Duty(_))
+            | (
+                CyclicMode::Cst,
+                Setpoint::Position(_) | Setpoint::Velocity(_) | Setpoint::Duty(_),
+            ) => {
                 return Err(Refusal::WrongKind);
             }
         };
@@ -465,7 +470,10 @@ impl Axis {
         match command {
             AxisCommand::Off => Goal::Off,
             AxisCommand::ResetFault => Goal::ResetFault,
-            AxisCommand::Stand | AxisCommand::Home | AxisCommand::Follow(_) => {
+            AxisCommand::Stand
+            | AxisCommand::Home
+            | AxisCommand::Follow(_)
+            | AxisCommand::Seek(_) => {
                 if self.state.fault.is_some() {
                     Goal::Stopped
                 } else {

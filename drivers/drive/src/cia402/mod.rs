@@ -55,6 +55,7 @@ pub use canopen::NodeId;
 pub use config::{
     AxisConfig, ConfigError, CyclicMode, GroupConfig, HomingConfig, Identity, Parameter,
 };
+pub use process_data::pdo_setups;
 pub use recording::Recording;
 pub use traffic::Traffic;
 

@@ -36,17 +36,14 @@ pub(super) const fn request_len(mode: CyclicMode) -> usize {
     (word.bits as usize + target.bits as usize) / 8
 }
 
-/// What to write so that a drive exchanges these two PDOs at every SYNC and no others.
+/// The PDOs that a drive exchanges at every SYNC in a mode: the request it receives and the answer it transmits.
 ///
 /// EPOS4 comes with event-driven PDOs and an inhibit time of 1 ms, longer than some periods.
-pub(super) fn mapping_writes(node: NodeId, mode: CyclicMode) -> impl Iterator<Item = Write> {
-    const OTHERS: [PdoNumber; 3] = [PdoNumber::Two, PdoNumber::Three, PdoNumber::Four];
-    let rpdo = |number| PdoCobId::new(cob::rpdo(number, node));
-    let tpdo = |number| PdoCobId::new(cob::tpdo(number, node)).without_rtr();
+pub fn pdo_setups(node: NodeId, mode: CyclicMode) -> [PdoSetup; 2] {
     let request = PdoSetup {
         kind: PdoKind::Rpdo,
         number: PdoNumber::One,
-        cob_id: rpdo(PdoNumber::One),
+        cob_id: PdoCobId::new(cob::rpdo(PdoNumber::One, node)),
         mapping: PdoMapping::new(&request(mode)).expect("six bytes fit"),
         transmission: TransmissionType::EVERY_SYNC,
         inhibit_time: None,
@@ -55,15 +52,24 @@ pub(super) fn mapping_writes(node: NodeId, mode: CyclicMode) -> impl Iterator<It
     let answer = PdoSetup {
         kind: PdoKind::Tpdo,
         number: PdoNumber::One,
-        cob_id: tpdo(PdoNumber::One),
+        cob_id: PdoCobId::new(cob::tpdo(PdoNumber::One, node)).without_rtr(),
         mapping: PdoMapping::new(&ANSWER).expect("eight bytes fit"),
         transmission: TransmissionType::EVERY_SYNC,
         inhibit_time: Some(0),
         event_timer: None,
     };
+    [request, answer]
+}
+
+/// What to write so that a drive exchanges these two PDOs and no others.
+pub(super) fn mapping_writes(node: NodeId, mode: CyclicMode) -> impl Iterator<Item = Write> {
+    const OTHERS: [PdoNumber; 3] = [PdoNumber::Two, PdoNumber::Three, PdoNumber::Four];
+    let rpdo = |number| PdoCobId::new(cob::rpdo(number, node));
+    let tpdo = |number| PdoCobId::new(cob::tpdo(number, node)).without_rtr();
     let off = |kind: PdoKind, number, cob_id: PdoCobId| {
         Write::new(kind.communication(number, 1), cob_id.invalid().0)
     };
+    let [request, answer] = pdo_setups(node, mode);
     OTHERS
         .map(|number| off(PdoKind::Rpdo, number, rpdo(number)))
         .into_iter()

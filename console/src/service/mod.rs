@@ -1,0 +1,185 @@
+//! The service commands: who is on a bus, and one thing asked of or told to it.
+//!
+//! What a command says on the bus is a [`Conversation`](talk::Conversation), a function of (state, frame, now), so that
+//! the tests hold it with emulated drives in virtual time; [`talk`] holds it by the clock.
+//!
+//! Exit status: 0 done; 1 told, and the node did not do it, or broken off by Ctrl-C; 2 refused or no answer.
+
+pub(crate) mod decode;
+pub(crate) mod monitor;
+pub(crate) mod nmt;
+mod pdo_map;
+pub(crate) mod scan;
+pub(crate) mod sdo;
+mod survey;
+mod talk;
+#[cfg(test)]
+mod tests;
+mod value;
+mod words;
+
+use std::io::{ErrorKind, Write};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use anyhow::{Context, bail};
+use can::{ControllerState, Instant, Port, clock};
+use canopen::NodeId;
+use clap::Args;
+
+use crate::bus_port::BusPort;
+use crate::cell_file::CellFile;
+use crate::interfaces::Interface;
+use talk::{Conversation, Ended};
+
+/// Which bus a command speaks on.
+#[derive(Args)]
+pub(crate) struct BusArgs {
+    /// The interface: can0, or slcan:PATH for an slcan adapter, such as slcan:/dev/serial/by-id/…
+    #[arg(long, value_name = "IFACE", required_unless_present = "cell")]
+    can: Option<String>,
+    /// Bit rate that an slcan adapter is opened at, kbit/s; that of a SocketCAN interface is set by `ip link`.
+    /// [default: the cell's, or 1000]
+    #[arg(long, value_name = "KBPS")]
+    bitrate_kbps: Option<u32>,
+    /// A cell file: its bus is spoken on, unless --can names another interface, and its axes are called by their names.
+    #[arg(long, value_name = "FILE")]
+    cell: Option<PathBuf>,
+    /// Which bus of the cell, if it has several.
+    #[arg(long, value_name = "NAME", requires = "cell")]
+    bus: Option<String>,
+}
+
+/// An opened bus.
+pub(crate) struct Bus {
+    port: BusPort,
+    /// What it is on.
+    interface: Interface,
+    /// The cell, and which of its buses this is.
+    cell: Option<(CellFile, usize)>,
+    /// Set by Ctrl-C.
+    interrupted: Arc<AtomicBool>,
+}
+
+impl BusArgs {
+    /// Opens the bus.
+    pub(crate) fn open(&self) -> anyhow::Result<Bus> {
+        let cell = match &self.cell {
+            Some(path) => {
+                let file = CellFile::read(path)?;
+                let index = self.index_in(&file)?;
+                Some((file, index))
+            }
+            None => None,
+        };
+        let of_cell = cell.as_ref().map(|(file, index)| &file.cell.bus[*index]);
+        let interface = match (&self.can, of_cell) {
+            (Some(given), _) => given,
+            (None, Some(bus)) => &bus.interface,
+            (None, None) => bail!("--can or --cell must say which bus"),
+        };
+        let interface = Interface::parse(interface);
+        let kbps = self
+            .bitrate_kbps
+            .or(of_cell.map(|bus| bus.bitrate_kbps))
+            .unwrap_or(1000);
+        let interrupted = Arc::new(AtomicBool::new(false));
+        let flag = interrupted.clone();
+        ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed))
+            .context("Ctrl-C cannot be caught")?;
+        Ok(Bus {
+            port: BusPort::open(&interface, kbps)?,
+            interface,
+            cell,
+            interrupted,
+        })
+    }
+
+    fn index_in(&self, file: &CellFile) -> anyhow::Result<usize> {
+        let buses = &file.cell.bus;
+        match &self.bus {
+            None if buses.len() == 1 => Ok(0),
+            None => bail!("the cell has {} buses, say which with --bus", buses.len()),
+            Some(name) => buses
+                .iter()
+                .position(|bus| bus.name == *name)
+                .with_context(|| format!("--bus {name}: the cell has no such bus")),
+        }
+    }
+}
+
+impl Bus {
+    /// Holds a conversation to its end, or until Ctrl-C.
+    fn hold(&mut self, conversation: &mut impl Conversation) -> anyhow::Result<Ended> {
+        talk::hold(&mut self.port, conversation, &self.interrupted)
+            .with_context(|| self.interface.to_string())
+    }
+
+    /// What reports call `node`: the axis's name beside it, where the cell has one.
+    fn name_of(&self, node: NodeId) -> String {
+        let axis = self.cell.as_ref().and_then(|(file, bus)| {
+            let on_bus = |&(robot, axis): &(usize, usize)| {
+                file.cell.robot[robot].axis[axis].node == node.raw()
+            };
+            let (robot, axis) = file.cell.axes_on(*bus).find(on_bus)?;
+            Some(file.axis_name(robot, axis))
+        });
+        match axis {
+            Some(axis) => format!("node {node} ({axis})"),
+            None => format!("node {node}"),
+        }
+    }
+
+    /// Why nobody may have answered.
+    fn silence(&self) -> String {
+        let counters = self.port.counters();
+        let interface = &self.interface;
+        match (counters.received, self.port.state()) {
+            (1.., _) => format!(
+                "{interface} carries other frames, so its bit rate is right: the node has another node-ID, is \
+                 switched off, or is stopped (a stopped node answers no SDO)"
+            ),
+            (0, ControllerState::Active) if counters.errors == 0 => format!(
+                "nothing at all is heard on {interface}: wrong bit rate, no power at the nodes, CAN_H and CAN_L \
+                 swapped, or no termination"
+            ),
+            (0, state) => format!(
+                "the controller of {interface} is {}: nobody acknowledges its frames. Wrong bit rate, no \
+                 termination, or no node with power",
+                words::controller_state(state)
+            ),
+        }
+    }
+}
+
+/// Broken off by Ctrl-C.
+fn interrupted() -> ExitCode {
+    ExitCode::from(1)
+}
+
+/// Writes to standard output; whether anybody still reads. A reader that has gone, such as `head`, is no failure.
+fn say(line: impl std::fmt::Display) -> anyhow::Result<bool> {
+    match writeln!(std::io::stdout(), "{line}") {
+        Ok(()) => Ok(true),
+        Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(false),
+        Err(error) => Err(error).context("standard output"),
+    }
+}
+
+/// Now, by the clock of the conversations.
+fn now() -> Instant {
+    clock::now()
+}
+
+fn milliseconds(count: u64) -> Duration {
+    Duration::from_millis(count)
+}
+
+/// A node-ID on the command line.
+fn node_id(text: &str) -> Result<NodeId, String> {
+    let raw = text.parse().map_err(|_| "a node-ID is a number")?;
+    NodeId::new(raw).ok_or_else(|| "node-IDs are 1 to 127".to_owned())
+}

@@ -1,0 +1,141 @@
+//! What the PDOs of nodes carry, asked of the nodes themselves or known from a cell.
+
+use std::collections::BTreeMap;
+
+use canopen::pdo::{Entry, PdoCobId, PdoKind, PdoNumber};
+use canopen::sdo::SdoError;
+use canopen::{NodeId, Object};
+
+use super::survey::Questions;
+use super::value;
+
+/// More entries than a PDO of CiA 301 can have are a node's mistake.
+const MOST_ENTRIES: u64 = 64;
+
+/// One PDO of one node.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Pdo {
+    pub(super) node: NodeId,
+    pub(super) kind: PdoKind,
+    pub(super) number: PdoNumber,
+    pub(super) entries: Vec<Entry>,
+}
+
+/// The PDOs of a bus by their identifiers.
+pub(super) type PdoMap = BTreeMap<u16, Pdo>;
+
+/// Asks one node for its eight PDOs.
+#[derive(Debug)]
+pub(super) struct MappingQuestions {
+    node: NodeId,
+    /// Vendor-ID, which also shows whether the node is there.
+    pub(super) vendor: Option<u32>,
+    stage: Stage,
+    pdos: [(PdoKind, PdoNumber); 8],
+    /// Which of them is being asked for.
+    pdo: usize,
+    id: u16,
+    entries: Vec<Entry>,
+    count: u64,
+    map: PdoMap,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stage {
+    Vendor,
+    CobId,
+    Count,
+    Entry,
+    Done,
+}
+
+impl MappingQuestions {
+    pub(super) fn of(node: NodeId) -> Self {
+        let of_kind = |kind| PdoNumber::ALL.map(|number| (kind, number));
+        let [a, b, c, d] = of_kind(PdoKind::Rpdo);
+        let [e, f, g, h] = of_kind(PdoKind::Tpdo);
+        Self {
+            node,
+            vendor: None,
+            stage: Stage::Vendor,
+            pdos: [a, b, c, d, e, f, g, h],
+            pdo: 0,
+            id: 0,
+            entries: Vec::new(),
+            count: 0,
+            map: PdoMap::new(),
+        }
+    }
+
+    /// The PDOs that exist.
+    pub(super) fn into_map(self) -> PdoMap {
+        self.map
+    }
+
+    fn next_pdo(&mut self) {
+        self.pdo += 1;
+        self.stage = if self.pdo < self.pdos.len() {
+            Stage::CobId
+        } else {
+            Stage::Done
+        };
+    }
+}
+
+impl Questions for MappingQuestions {
+    fn next(&self) -> Option<Object> {
+        let (kind, number) = self.pdos[self.pdo.min(self.pdos.len() - 1)];
+        Some(match self.stage {
+            Stage::Vendor => canopen::objects::VENDOR_ID,
+            Stage::CobId => kind.communication(number, 1),
+            Stage::Count => kind.mapping(number, 0),
+            Stage::Entry => kind.mapping(number, self.entries.len() as u8 + 1),
+            Stage::Done => return None,
+        })
+    }
+
+    fn answer(&mut self, answer: Result<&[u8], SdoError>) {
+        if let Err(SdoError::TimedOut { .. }) = answer {
+            self.stage = Stage::Done;
+            return;
+        }
+        let raw = answer.ok().and_then(value::unsigned);
+        match (self.stage, raw) {
+            (Stage::Vendor, raw) => {
+                self.vendor = raw.map(|raw| raw as u32);
+                self.stage = Stage::CobId;
+            }
+            (Stage::CobId, Some(raw)) => {
+                let cob_id = PdoCobId(raw as u32);
+                match cob_id.id().filter(|_| cob_id.is_valid()) {
+                    Some(id) => {
+                        self.id = id.raw();
+                        self.stage = Stage::Count;
+                    }
+                    None => self.next_pdo(),
+                }
+            }
+            (Stage::Count, Some(count @ 1..=MOST_ENTRIES)) => {
+                self.count = count;
+                self.entries.clear();
+                self.stage = Stage::Entry;
+            }
+            (Stage::Entry, Some(raw)) => {
+                self.entries.push(Entry::from_raw(raw as u32));
+                if self.entries.len() as u64 == self.count {
+                    let (kind, number) = self.pdos[self.pdo];
+                    let pdo = Pdo {
+                        node: self.node,
+                        kind,
+                        number,
+                        entries: self.entries.clone(),
+                    };
+                    self.map.insert(self.id, pdo);
+                    self.next_pdo();
+                }
+            }
+            (Stage::CobId | Stage::Count | Stage::Entry, _) => self.next_pdo(),
+            (Stage::Done, _) => {}
+        }
+    }
+}

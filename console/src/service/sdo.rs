@@ -1,0 +1,278 @@
+//! `mrroc sdo`: reading and writing one object of one node.
+
+use std::process::ExitCode;
+use std::time::Duration;
+
+use anyhow::anyhow;
+use can::{Frame, Instant};
+use canopen::objects::{ERROR_CODE, ERROR_HISTORY_NEWEST, VENDOR_ID};
+use canopen::sdo::{self, AbortCode, SdoError, StartError};
+use canopen::{NodeId, Object};
+use clap::{Args, Subcommand};
+use serde::Serialize;
+
+use super::talk::{Conversation, Ended};
+use super::value::{self, Shown, Type};
+use super::{Bus, BusArgs, interrupted, milliseconds, node_id, now, say, words};
+
+/// How often a transfer is begun anew if no answer comes.
+const RETRIES: u8 = 2;
+
+/// What to do with an object.
+#[derive(Subcommand)]
+pub(crate) enum Action {
+    /// Read an object (SDO upload).
+    Read {
+        #[command(flatten)]
+        target: Target,
+        /// What to show it as; without it, in every way that makes sense.
+        #[arg(long = "type", value_name = "TYPE")]
+        ty: Option<Type>,
+    },
+    /// Write an object (SDO download) and read it back. Some objects move the drive, store or erase its parameters.
+    #[command(allow_negative_numbers = true)]
+    Write {
+        #[command(flatten)]
+        target: Target,
+        /// The value, decimal or 0x…, or the text or the bytes.
+        value: String,
+        /// What it is.
+        #[arg(long = "type", value_name = "TYPE")]
+        ty: Type,
+        /// Do not read it back.
+        #[arg(long)]
+        no_read_back: bool,
+    },
+}
+
+/// Which object of which node, and on which bus.
+#[derive(Args)]
+pub(crate) struct Target {
+    #[command(flatten)]
+    bus: BusArgs,
+    /// The node-ID.
+    #[arg(value_parser = node_id)]
+    node: NodeId,
+    /// The object, such as 0x6041:0; its numbers are hexadecimal with 0x and decimal without.
+    #[arg(value_name = "INDEX:SUB", value_parser = object)]
+    object: Object,
+    /// How long an answer may take, ms; storing parameters may take seconds.
+    #[arg(long, value_name = "MS", default_value_t = 1000)]
+    timeout: u64,
+    /// Print one JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
+/// An object on the command line.
+fn object(text: &str) -> Result<Object, String> {
+    let (index, subindex) = text.split_once(':').unwrap_or((text, "0"));
+    let index = value::number(index).and_then(|index| u16::try_from(index).ok());
+    let subindex = value::number(subindex).and_then(|subindex| u8::try_from(subindex).ok());
+    match (index, subindex) {
+        (Some(index), Some(subindex)) => Ok(Object::new(index, subindex)),
+        _ => Err("an object is INDEX:SUB, such as 0x6041:0".to_owned()),
+    }
+}
+
+/// Reads or writes.
+pub(crate) fn sdo(action: &Action) -> anyhow::Result<ExitCode> {
+    match action {
+        Action::Read { target, ty } => read(target, *ty),
+        Action::Write {
+            target,
+            value,
+            ty,
+            no_read_back,
+        } => write(target, value, *ty, !no_read_back),
+    }
+}
+
+fn read(target: &Target, ty: Option<Type>) -> anyhow::Result<ExitCode> {
+    let mut bus = target.bus.open()?;
+    match transfer(&mut bus, target, target.object, None)? {
+        None => Ok(interrupted()),
+        Some(Ok(data)) => {
+            let vendor = vendor(&mut bus, target)?;
+            show(target, &data, ty, vendor)?;
+            Ok(ExitCode::SUCCESS)
+        }
+        Some(Err(error)) => Err(refusal(&bus, target, error)),
+    }
+}
+
+/// Whose error codes the node has, if it is an error code that is read.
+fn vendor(bus: &mut Bus, target: &Target) -> anyhow::Result<Option<u32>> {
+    if !matches!(target.object, ERROR_CODE | ERROR_HISTORY_NEWEST) {
+        return Ok(None);
+    }
+    let answer = transfer(bus, target, VENDOR_ID, None)?;
+    let data = answer.and_then(Result::ok);
+    Ok(data
+        .and_then(|data| value::unsigned(&data))
+        .map(|raw| raw as u32))
+}
+
+fn write(target: &Target, text: &str, ty: Type, read_back: bool) -> anyhow::Result<ExitCode> {
+    let data = ty.encode(text)?;
+    let mut bus = target.bus.open()?;
+    match transfer(&mut bus, target, target.object, Some(&data))? {
+        None => return Ok(interrupted()),
+        Some(Err(error)) => return Err(refusal(&bus, target, error)),
+        Some(Ok(_)) => {}
+    }
+    if !read_back {
+        return Ok(ExitCode::SUCCESS);
+    }
+    match transfer(&mut bus, target, target.object, None)? {
+        None => Ok(interrupted()),
+        Some(Ok(found)) => {
+            show(target, &found, Some(ty), None)?;
+            if found == data {
+                return Ok(ExitCode::SUCCESS);
+            }
+            let (object, wrote) = (target.object, Shown::of(&data, Some(ty), false));
+            let found = Shown::of(&found, Some(ty), false);
+            eprintln!("mrroc: {object} was written as {wrote} and reads back as {found}");
+            Ok(ExitCode::from(1))
+        }
+        Some(Err(SdoError::Aborted {
+            code: AbortCode::WRITE_ONLY,
+            ..
+        })) => {
+            eprintln!(
+                "mrroc: {} is written; it cannot be read back",
+                target.object
+            );
+            Ok(ExitCode::SUCCESS)
+        }
+        Some(Err(error)) => {
+            eprintln!(
+                "mrroc: {} is written; reading it back failed: {error}",
+                target.object
+            );
+            Ok(ExitCode::from(1))
+        }
+    }
+}
+
+/// What was read, or written; `None` if Ctrl-C came before.
+fn transfer(
+    bus: &mut Bus,
+    target: &Target,
+    object: Object,
+    data: Option<&[u8]>,
+) -> anyhow::Result<Option<Result<Vec<u8>, SdoError>>> {
+    let timeout = milliseconds(target.timeout);
+    let mut transfer = Transfer::start(target.node, object, data, timeout, now())?;
+    if bus.hold(&mut transfer)? == Ended::Interrupted {
+        return Ok(None);
+    }
+    Ok(transfer.result)
+}
+
+/// An abort or silence in one line.
+fn refusal(bus: &Bus, target: &Target, error: SdoError) -> anyhow::Error {
+    let node = bus.name_of(target.node);
+    let error = match error {
+        SdoError::Aborted { code, .. } => match words::hint(code) {
+            Some(hint) => anyhow!("{error}: {hint}"),
+            None => anyhow!("{error}"),
+        },
+        SdoError::TimedOut { .. } => anyhow!("{error}: {}", bus.silence()),
+        other => anyhow!(other),
+    };
+    error.context(node)
+}
+
+#[derive(Serialize)]
+struct Answer {
+    node: u8,
+    index: u16,
+    subindex: u8,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    name: Option<String>,
+    #[serde(flatten)]
+    shown: Shown,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    meaning: Option<String>,
+}
+
+fn show(target: &Target, data: &[u8], ty: Option<Type>, vendor: Option<u32>) -> anyhow::Result<()> {
+    let object = target.object;
+    let shown = Shown::of(data, ty, words::is_signed(object));
+    let raw = value::unsigned(data);
+    let faults = words::fault_table(vendor);
+    let answer = Answer {
+        node: target.node.raw(),
+        index: object.index,
+        subindex: object.subindex,
+        name: words::object(object),
+        meaning: raw.and_then(|raw| words::meaning(object, raw, faults)),
+        shown,
+    };
+    if target.json {
+        say(serde_json::to_string(&answer)?)?;
+        return Ok(());
+    }
+    let name = answer.name.map_or(String::new(), |name| format!(" {name}"));
+    let meaning = answer
+        .meaning
+        .map_or(String::new(), |it| format!(" ({it})"));
+    say(format_args!("{object}{name} = {}{meaning}", answer.shown))?;
+    Ok(())
+}
+
+/// One transfer as a conversation.
+pub(super) struct Transfer {
+    client: sdo::Client,
+    /// Once it is over.
+    pub(super) result: Option<Result<Vec<u8>, SdoError>>,
+}
+
+impl Transfer {
+    /// Starts to write `data`, or to read where there are none.
+    pub(super) fn start(
+        node: NodeId,
+        object: Object,
+        data: Option<&[u8]>,
+        timeout: Duration,
+        now: Instant,
+    ) -> Result<Self, StartError> {
+        let mut client = sdo::Client::new(node, timeout, RETRIES);
+        match data {
+            Some(data) => client.download(object, data, now)?,
+            None => client.upload(object, now)?,
+        }
+        Ok(Self {
+            client,
+            result: None,
+        })
+    }
+
+    fn take_result(&mut self) {
+        if let Some(result) = self.client.poll() {
+            self.result = Some(result.map(|transfer| transfer.data.to_vec()));
+        }
+    }
+}
+
+impl Conversation for Transfer {
+    fn handle(&mut self, frame: &Frame, now: Instant) {
+        self.client.handle(frame, now);
+        self.take_result();
+    }
+
+    fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
+        self.client.poll_transmit(now)
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        self.client.poll_timeout()
+    }
+
+    fn handle_timeout(&mut self, now: Instant) {
+        self.client.handle_timeout(now);
+        self.take_result();
+    }
+}

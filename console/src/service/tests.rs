@@ -1,0 +1,286 @@
+//! The conversations, held with emulated drives on a virtual bus in virtual time.
+
+use std::time::Duration;
+
+use can::timing::Bitrate;
+use can::{Frame, Instant, Port, Received, VirtualPort};
+use canopen::nmt::{Command, Request, State};
+use canopen::objects::{DEVICE_NAME, PRODUCER_HEARTBEAT, STATUSWORD};
+use canopen::sdo::{AbortCode, SdoError};
+use canopen::sync::Sync;
+use canopen::{NodeId, Object};
+use hil::epos4::{Epos4, Epos4Config};
+use hil::{AxisConfig, Irp6Axis, World};
+
+use super::nmt::{Report, Told};
+use super::pdo_map::MappingQuestions;
+use super::scan::Scan;
+use super::sdo::Transfer;
+use super::survey::Survey;
+use super::talk::Conversation;
+
+/// Time between two looks at the bus.
+const TICK: Duration = Duration::from_micros(100);
+
+/// Nothing here takes longer.
+const LONGEST: Duration = Duration::from_secs(10);
+
+const TIMEOUT: Duration = Duration::from_millis(200);
+
+fn node(raw: u8) -> NodeId {
+    NodeId::new(raw).unwrap()
+}
+
+/// A bus with emulated EPOS4 drives.
+struct Stage {
+    world: World,
+    port: VirtualPort,
+    now: Instant,
+    sent: Vec<Frame>,
+}
+
+impl Stage {
+    fn with(nodes: &[u8]) -> Self {
+        let mut world = World::new();
+        let bus = world.add_bus(Bitrate::KBPS_1000);
+        let port = world.host_port(bus, 256);
+        for &raw in nodes {
+            let config = Epos4Config::new(node(raw), AxisConfig::irp6(Irp6Axis::ALL[0]));
+            world.add_device(bus, Box::new(Epos4::new(config)));
+        }
+        let mut stage = Self {
+            world,
+            port,
+            now: Instant::ZERO,
+            sent: Vec::new(),
+        };
+        // They boot.
+        stage.pass(Duration::from_secs(1));
+        stage
+    }
+
+    fn pass(&mut self, time: Duration) {
+        self.now += time;
+        self.world.advance(self.now);
+        while !self.receive().is_empty() {}
+    }
+
+    fn receive(&mut self) -> Vec<Received> {
+        let frame = Sync::default().encode();
+        let mut received = [Received {
+            frame,
+            at: Instant::ZERO,
+        }; 64];
+        let count = self.port.receive(self.now, &mut received).unwrap();
+        received[..count].to_vec()
+    }
+
+    /// Holds a conversation to its end, and says how long it took.
+    fn hold(&mut self, conversation: &mut impl Conversation) -> Duration {
+        let began = self.now;
+        let mut untaken = None;
+        loop {
+            conversation.handle_timeout(self.now);
+            while let Some(frame) = untaken
+                .take()
+                .or_else(|| conversation.poll_transmit(self.now))
+            {
+                if self.port.send(self.now, &[frame]).unwrap() == 0 {
+                    untaken = Some(frame);
+                    break;
+                }
+                self.sent.push(frame);
+            }
+            if conversation.poll_timeout().is_none() {
+                return self.now.since(began);
+            }
+            assert!(self.now.since(began) < LONGEST, "it does not end");
+            self.now += TICK;
+            self.world.advance(self.now);
+            for Received { frame, at } in self.receive() {
+                conversation.handle(&frame, at);
+            }
+        }
+    }
+
+    fn read(&mut self, from: u8, object: Object) -> Result<Vec<u8>, SdoError> {
+        self.transfer(from, object, None)
+    }
+
+    fn transfer(
+        &mut self,
+        with: u8,
+        object: Object,
+        data: Option<&[u8]>,
+    ) -> Result<Vec<u8>, SdoError> {
+        let mut transfer = Transfer::start(node(with), object, data, TIMEOUT, self.now).unwrap();
+        self.hold(&mut transfer);
+        transfer.result.unwrap()
+    }
+
+    fn tell(&mut self, request: Request) -> Report {
+        let mut told = Told::new(request, Duration::from_secs(2), self.now);
+        self.hold(&mut told);
+        told.report()
+    }
+
+    fn scan(&mut self) -> (Vec<String>, Duration) {
+        let mut scan = Scan::new(TIMEOUT, self.now);
+        let took = self.hold(&mut scan);
+        let nodes = scan.into_nodes().map(|node| node.to_string());
+        (nodes.collect(), took)
+    }
+}
+
+#[test]
+fn a_scan_of_a_whole_bus_takes_about_a_second_and_finds_everybody() {
+    let everybody: Vec<u8> = (1..=127).collect();
+    for (nodes, most) in [(&[][..], 1100), (&[1, 64, 127], 1100), (&everybody, 1500)] {
+        let (found, took) = Stage::with(nodes).scan();
+        assert_eq!(found.len(), nodes.len());
+        assert!(took <= Duration::from_millis(most), "{took:?}");
+    }
+}
+
+#[test]
+fn a_scan_tells_who_a_node_is_and_what_its_heartbeat_says() {
+    let mut stage = Stage::with(&[3, 5]);
+    stage
+        .transfer(5, PRODUCER_HEARTBEAT, Some(&700_u16.to_le_bytes()))
+        .unwrap();
+    let (found, _) = stage.scan();
+    assert!(found[0].starts_with("CiA 402, servo drive"), "{found:?}");
+    assert!(found[0].contains(", maxon, product 0x"), "{found:?}");
+    assert!(
+        found[0].ends_with("NMT state unknown, sends no heartbeat"),
+        "{found:?}"
+    );
+    assert!(
+        found[1].ends_with("pre-operational, heartbeat each 700 ms"),
+        "{found:?}"
+    );
+}
+
+#[test]
+fn a_stopped_node_is_found_by_its_heartbeat() {
+    let mut stage = Stage::with(&[3]);
+    stage
+        .transfer(3, PRODUCER_HEARTBEAT, Some(&300_u16.to_le_bytes()))
+        .unwrap();
+    assert!(stage.tell(Command::Stop.to(node(3))).confirmed());
+    let (found, _) = stage.scan();
+    assert_eq!(
+        found,
+        ["is heard and answers no SDO, stopped, heard each 300 ms"]
+    );
+}
+
+#[test]
+fn an_object_is_read_written_and_read_back() {
+    let mut stage = Stage::with(&[3]);
+    let value = 250_u16.to_le_bytes();
+    assert_eq!(stage.read(3, PRODUCER_HEARTBEAT).unwrap(), [0, 0]);
+    stage.transfer(3, PRODUCER_HEARTBEAT, Some(&value)).unwrap();
+    assert_eq!(stage.read(3, PRODUCER_HEARTBEAT).unwrap(), value);
+    // Segmented.
+    assert!(stage.read(3, DEVICE_NAME).unwrap().len() >= 4);
+}
+
+#[test]
+fn a_refusal_ends_a_transfer_and_silence_does() {
+    let mut stage = Stage::with(&[3]);
+    let refused = |answer: Result<Vec<u8>, SdoError>, expected: AbortCode| match answer {
+        Err(SdoError::Aborted { code, .. }) => assert_eq!(code, expected),
+        other => panic!("{other:?}"),
+    };
+    refused(
+        stage.transfer(3, STATUSWORD, Some(&[0, 0])),
+        AbortCode::READ_ONLY,
+    );
+    refused(stage.read(3, Object::new(0x5FFF, 0)), AbortCode::NO_OBJECT);
+    let silent = stage.read(4, STATUSWORD);
+    assert!(matches!(silent, Err(SdoError::TimedOut { waited, .. }) if waited >= 3 * TIMEOUT));
+    // Three requests, each given up by an abort.
+    let to_4 = |frame: &&Frame| frame.to_string().starts_with("604#");
+    assert_eq!(stage.sent.iter().filter(to_4).count(), 6);
+}
+
+#[test]
+fn commands_are_confirmed_by_what_the_node_says_next() {
+    let mut stage = Stage::with(&[3, 5]);
+    // Without a heartbeat a node shows no more than that it is not stopped.
+    let told = stage.tell(Command::Start.to(node(3)));
+    assert!(told.confirmed(), "{told:?}");
+    assert_eq!(told.silent, Some((node(3), Some(Ok(0)))));
+    let told = stage.tell(Command::Stop.to(node(3)));
+    assert!(!told.confirmed(), "{told:?}");
+    let told = stage.tell(Command::ResetNode.to(node(3)));
+    assert!(told.confirmed(), "{told:?}");
+    assert_eq!(told.heard, [(node(3), State::Initialising)]);
+
+    stage.pass(Duration::from_secs(1));
+    stage
+        .transfer(5, PRODUCER_HEARTBEAT, Some(&100_u16.to_le_bytes()))
+        .unwrap();
+    let cases = [
+        (Command::Start, State::Operational),
+        (Command::Stop, State::Stopped),
+        (Command::EnterPreOperational, State::PreOperational),
+        (Command::ResetCommunication, State::Initialising),
+    ];
+    for (command, state) in cases {
+        let told = stage.tell(command.to(node(5)));
+        assert!(told.confirmed(), "{command:?} {told:?}");
+        assert_eq!(told.heard, [(node(5), state)]);
+    }
+}
+
+#[test]
+fn a_node_that_is_not_there_confirms_nothing() {
+    let mut stage = Stage::with(&[3]);
+    let commands = [
+        Command::Start,
+        Command::Stop,
+        Command::EnterPreOperational,
+        Command::ResetNode,
+        Command::ResetCommunication,
+    ];
+    for command in commands {
+        assert!(!stage.tell(command.to(node(4))).confirmed(), "{command:?}");
+    }
+    assert!(
+        !Stage::with(&[])
+            .tell(Command::ResetNode.to_all())
+            .confirmed()
+    );
+}
+
+#[test]
+fn all_nodes_are_told_at_once_and_each_is_heard() {
+    let mut stage = Stage::with(&[3, 5]);
+    let told = stage.tell(Command::ResetNode.to_all());
+    assert!(told.confirmed(), "{told:?}");
+    let booted = [
+        (node(3), State::Initialising),
+        (node(5), State::Initialising),
+    ];
+    assert_eq!(told.heard, booted);
+}
+
+#[test]
+fn nodes_tell_what_their_pdos_carry() {
+    let mut stage = Stage::with(&[3]);
+    let nodes = [3, 4].map(|raw| (node(raw), MappingQuestions::of(node(raw))));
+    let mut survey = Survey::new(nodes.into_iter(), TIMEOUT);
+    stage.hold(&mut survey);
+    let mut answers = survey.into_answers();
+    let (_, drive) = answers.next().unwrap();
+    assert_eq!(drive.vendor, Some(0xFB));
+    let map = drive.into_map();
+    // EPOS4 comes with PDO 1 of each direction switched on.
+    let of = |id: u16| map[&id].entries.iter().map(|entry| entry.object);
+    assert_eq!(map.keys().copied().collect::<Vec<_>>(), [0x183, 0x203]);
+    assert!(of(0x183).eq([STATUSWORD]));
+    let (_, absent) = answers.next().unwrap();
+    assert!(absent.vendor.is_none() && absent.into_map().is_empty());
+}

@@ -1,0 +1,178 @@
+//! What one axis of a cell must satisfy, on a CAN bus or on a serial line.
+
+use super::{Checked, Path, Problem, in_range, positive};
+use crate::cell::{Axis, AxisController, Bus, Cell, Control, Drive, Plant, Protocol, Serial};
+use crate::robot::Limits;
+
+/// What an axis hangs on.
+#[derive(Clone, Copy)]
+pub(super) enum Place<'a> {
+    Bus(&'a Bus),
+    Serial(&'a Serial),
+}
+
+impl<'a> Place<'a> {
+    /// The bus or the bundle of lines called `name`.
+    pub(super) fn of(cell: &'a Cell, name: &str) -> Option<Self> {
+        let bus = cell.bus.iter().find(|bus| bus.name == name).map(Self::Bus);
+        let serial = || cell.serial.iter().find(|serial| serial.name == name);
+        bus.or_else(|| serial().map(Self::Serial))
+    }
+}
+
+/// `model` is what the model says of the motor: the axis may narrow it.
+pub(super) fn check(path: &Path, axis: &Axis, place: Place<'_>, model: Limits) -> Checked {
+    let node = match place {
+        Place::Bus(_) => (1.0, 127.0, "between 1 and 127"),
+        Place::Serial(_) => (0.0, 253.0, "between 0 and 253"),
+    };
+    let (low, high, range) = node;
+    in_range(&path.then("node"), f64::from(axis.node), low, high, range)?;
+    positive(&path.then("max_velocity"), axis.max_velocity)?;
+    positive(&path.then("max_acceleration"), axis.max_acceleration)?;
+    positive(&path.then("following_error"), axis.following_error)?;
+    let given = [
+        ("min_position", axis.min_position),
+        ("max_position", axis.max_position),
+    ];
+    for (key, value) in given {
+        let Some(value) = value else { continue };
+        if !(model.low..=model.high).contains(&value) {
+            let Limits { low, high } = model;
+            return Err((path.then(key), Problem::BeyondModel { value, low, high }));
+        }
+    }
+    let low = axis.min_position.unwrap_or(model.low);
+    let high = axis.max_position.unwrap_or(model.high);
+    if low >= high {
+        return Err(if axis.min_position.is_some() {
+            (path.then("min_position"), Problem::UpsideDown { low, high })
+        } else {
+            (path.then("max_position"), Problem::BelowLow { low, high })
+        });
+    }
+    let refused =
+        |key: &'static str, why: &str| Err((path.then(key), Problem::Refused(why.into())));
+    match (place, &axis.drive, &axis.controller) {
+        (Place::Bus(_), Some(drive), None) => check_drive(&path.then("drive"), drive)?,
+        (Place::Serial(serial), None, Some(controller)) => {
+            check_controller(&path.then("controller"), controller, serial, axis)?;
+        }
+        (Place::Bus(_), None, _) => {
+            return refused("drive", "is missing: an axis on a CAN bus has a drive");
+        }
+        (Place::Bus(_), _, Some(_)) => {
+            return refused(
+                "controller",
+                "is for an axis on a serial line, not on a CAN bus",
+            );
+        }
+        (Place::Serial(_), _, None) => {
+            return refused(
+                "controller",
+                "is missing: an axis on a serial line has an axis controller",
+            );
+        }
+        (Place::Serial(_), Some(_), _) => {
+            return refused("drive", "is for an axis on a CAN bus, not on a serial line");
+        }
+    }
+    check_homing(&path.then("homing"), axis, place)
+}
+
+fn check_drive(drive: &Path, given: &Drive) -> Checked {
+    check_counts(drive, given.counts_per_revolution)?;
+    positive(&drive.then("rated_torque"), given.rated_torque)?;
+    for (number, parameter) in given.parameter.iter().enumerate() {
+        if !matches!(parameter.bytes, 1 | 2 | 4) {
+            let value = f64::from(parameter.bytes);
+            return Err((
+                drive.then("parameter").then(number).then("bytes"),
+                Problem::OutOfRange {
+                    value,
+                    range: "1, 2 or 4",
+                },
+            ));
+        }
+    }
+    Ok(())
+}
+
+fn check_counts(path: &Path, counts: u32) -> Checked {
+    in_range(
+        &path.then("counts_per_revolution"),
+        f64::from(counts),
+        4.0,
+        1e7,
+        "between 4 and 10000000 (quadrature counts)",
+    )
+}
+
+fn check_controller(
+    path: &Path,
+    controller: &AxisController,
+    serial: &Serial,
+    axis: &Axis,
+) -> Checked {
+    check_counts(path, controller.counts_per_revolution)?;
+    positive(&path.then("torque_constant"), controller.torque_constant)?;
+    // The telegrams hold 16 bits of milliamperes.
+    in_range(
+        &path.then("max_current"),
+        controller.max_current,
+        1e-3,
+        32.767,
+        "between 0.001 and 32.767 (A)",
+    )?;
+    let refused =
+        |key: &'static str, why: &str| Err((path.then(key), Problem::Refused(why.into())));
+    match (controller.control, serial.protocol, axis.emulator.plant) {
+        (Control::Current, Protocol::HiMoxa, _) => refused(
+            "control",
+            "is current, which the older protocol's axis controllers do not follow: use pwm",
+        ),
+        (Control::Pwm, _, Plant::Wut) => refused(
+            "control",
+            "is pwm, which the emulator's plant wut cannot follow, having no voltage: use the \
+             physical one",
+        ),
+        _ => Ok(()),
+    }
+}
+
+fn check_homing(homing: &Path, axis: &Axis, place: Place<'_>) -> Checked {
+    let method = homing.then("method");
+    match (place, axis.homing.method) {
+        (Place::Bus(_), Some(given)) if !METHODS.contains(&given) => {
+            let value = f64::from(given);
+            let range = "37, 34, 33, 27, 23, 18, 17, 11, 7, 2, 1 or -1 to -4";
+            return Err((method, Problem::OutOfRange { value, range }));
+        }
+        (Place::Bus(_), None) => {
+            let why = "is missing: a drive homes by one of its methods";
+            return Err((method, Problem::Refused(why.into())));
+        }
+        (Place::Serial(_), Some(_)) => {
+            let why = "is a drive's: an axis on a serial line is homed by the host";
+            return Err((method, Problem::Refused(why.into())));
+        }
+        (Place::Bus(_), Some(_)) | (Place::Serial(_), None) => {}
+    }
+    for (key, value) in [
+        ("search_velocity", axis.homing.search_velocity),
+        ("zero_velocity", axis.homing.zero_velocity),
+    ] {
+        let range = "above 0 and at most the axis's max_velocity (rad/s of the motor)";
+        in_range(
+            &homing.then(key),
+            value,
+            f64::MIN_POSITIVE,
+            axis.max_velocity,
+            range,
+        )?;
+    }
+    positive(&homing.then("acceleration"), axis.homing.acceleration)
+}
+
+/// The homing methods of an EPOS4.
+const METHODS: [i8; 15] = [37, 34, 33, 27, 23, 18, 17, 11, 7, 2, 1, -1, -2, -3, -4];

@@ -1,0 +1,15 @@
+//! Serial lines and the telegrams of axis controllers on them.
+//!
+//! A [`Line`] carries bytes and never waits. [`hi_moxa`] and [`nfv2`] are what the axis controllers
+//! of the IRb-6 and IRp-6 at Warsaw University of Technology speak: layouts only, both ways, which
+//! drivers and emulators share. Read [`Line`] first.
+
+pub mod hi_moxa;
+mod line;
+pub mod nfv2;
+mod slcan_port;
+mod virtual_line;
+
+pub use line::{Line, LineCounters, LineError, Settings, StopBits};
+pub use slcan_port::{SlcanError, SlcanPort};
+pub use virtual_line::{TimedByte, VirtualLine, VirtualLinePeer, virtual_line};

@@ -1,0 +1,115 @@
+use std::time::Duration;
+
+use can::Instant;
+use thiserror::Error;
+
+/// One end of a serial line: a tty, or an end of a virtual line.
+///
+/// Neither call waits. A driver cannot tell which of the implementors it has.
+pub trait Line: Send {
+    /// Hands `bytes` over in order and returns how many were taken: fewer than all of them means
+    /// back-pressure, and the rest is the caller's to drop or to offer again.
+    ///
+    /// At most one system call.
+    fn write(&mut self, now: Instant, bytes: &[u8]) -> Result<usize, LineError>;
+
+    /// Fills `into` from the front with what has arrived by `now` and returns how many bytes there are.
+    ///
+    /// At most one system call.
+    fn read(&mut self, now: Instant, into: &mut [u8]) -> Result<usize, LineError>;
+
+    /// What this line has counted since it was opened.
+    fn counters(&self) -> LineCounters;
+}
+
+impl<L: Line + ?Sized> Line for Box<L> {
+    fn write(&mut self, now: Instant, bytes: &[u8]) -> Result<usize, LineError> {
+        (**self).write(now, bytes)
+    }
+    fn read(&mut self, now: Instant, into: &mut [u8]) -> Result<usize, LineError> {
+        (**self).read(now, into)
+    }
+    fn counters(&self) -> LineCounters {
+        (**self).counters()
+    }
+}
+
+/// Why a line could not be written or read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum LineError {
+    /// The device is gone: unplugged, or its other end was closed. It must be opened anew.
+    #[error("line is gone")]
+    Gone,
+    /// Anything else the operating system said.
+    #[error("errno {0}")]
+    Os(i32),
+}
+
+/// What a line counts. Counters only grow.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LineCounters {
+    /// Bytes taken for sending.
+    pub sent: u64,
+    /// Bytes received.
+    pub received: u64,
+    /// Bytes offered to [`Line::write`] and not taken.
+    pub refused: u64,
+    /// Bytes lost before we read them, as far as the line knows.
+    pub dropped: u64,
+}
+
+/// How a line is set: always 8 data bits, no parity, no flow control.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Settings {
+    /// Bits per second.
+    pub baud: u32,
+    /// Stop bits of a byte.
+    pub stop_bits: StopBits,
+}
+
+/// Stop bits of a byte.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StopBits {
+    /// As in 8N1.
+    One,
+    /// As in 8N2.
+    Two,
+}
+
+impl Settings {
+    /// The axis controllers of the IRb-6 and IRp-6: 921600 8N2.
+    pub const AXIS_CONTROLLER: Self = Self {
+        baud: 921_600,
+        stop_bits: StopBits::Two,
+    };
+
+    /// maxon EPOS2 and EPOS4 by default: 115200 8N1.
+    pub const EPOS: Self = Self {
+        baud: 115_200,
+        stop_bits: StopBits::One,
+    };
+
+    /// The time that `count` bytes take on the line, start and stop bits included, rounded up.
+    pub const fn line_time(self, count: usize) -> Duration {
+        let bits = match self.stop_bits {
+            StopBits::One => 10,
+            StopBits::Two => 11,
+        };
+        let nanoseconds = (bits * count as u64 * 1_000_000_000).div_ceil(self.baud as u64);
+        Duration::from_nanos(nanoseconds)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_byte_takes_its_start_data_and_stop_bits() {
+        let nanoseconds = |settings: Settings, count| settings.line_time(count).as_nanos();
+        assert_eq!(nanoseconds(Settings::AXIS_CONTROLLER, 1), 11_936);
+        assert_eq!(nanoseconds(Settings::AXIS_CONTROLLER, 14 + 19), 393_881);
+        assert_eq!(nanoseconds(Settings::EPOS, 1), 86_806);
+        assert_eq!(nanoseconds(Settings::EPOS, 0), 0);
+    }
+}
