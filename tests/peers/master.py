@@ -345,6 +345,7 @@ def a_pdo_too_short_is_an_emergency(m):
 
 @check
 def a_synchronous_tpdo_carries_what_sdo_reads(m):
+    m.fresh()
     tpdo = m.node.tpdo[1]
     m.map(tpdo, 1, (0x6041,), (0x6064,))
     m.node.nmt.send_command(1)
