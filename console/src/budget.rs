@@ -30,7 +30,8 @@ pub(crate) struct BusBudget {
 #[derive(Debug, Serialize)]
 pub(crate) struct MessageBudget {
     pub(crate) what: &'static str,
-    pub(crate) cob_id: u16,
+    /// COB-ID; absent for a telegram of a serial line.
+    pub(crate) cob_id: Option<u16>,
     pub(crate) bytes: u8,
     pub(crate) period_us: u128,
     /// From the start of the cycle to its last bit at the latest, µs; absent for what may take longer than a cycle.
@@ -39,9 +40,9 @@ pub(crate) struct MessageBudget {
 
 /// Computes the budget of every bus and refuses a cell that does not fit.
 pub(crate) fn check(file: &CellFile) -> anyhow::Result<Vec<BusBudget>> {
-    (0..file.cell.bus.len())
-        .map(|bus| check_bus(file, bus))
-        .collect()
+    let buses = (0..file.cell.bus.len()).map(|bus| check_bus(file, bus));
+    let lines = (0..file.cell.serial.len()).map(|bundle| check_lines(file, bundle));
+    buses.chain(lines).collect()
 }
 
 fn check_bus(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
@@ -68,7 +69,7 @@ fn check_bus(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
             .zip(messages.iter().zip(&analysis.responses))
             .map(|(traffic, (message, response))| MessageBudget {
                 what: traffic.what,
-                cob_id: traffic.cob_id.raw(),
+                cob_id: Some(traffic.cob_id.raw()),
                 bytes: traffic.bytes,
                 period_us: traffic.period.as_micros(),
                 response_us: (message.every == Every::Cycle).then_some(response.as_micros()),
@@ -85,6 +86,45 @@ fn check_bus(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
         "{axes} axes keep bus {:?} busy for {} µs of each {} µs at the worst ({:.0} %, at most 100 %); {}",
         bus.name, analysis.busy.as_micros(), period.as_micros(), share(analysis.busy),
         what_fits(bitrate, period, &messages, axes),
+    )))
+}
+
+/// Each line carries one telegram each way per period; the answer leaves once the request has come.
+fn check_lines(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
+    let bundle = &file.cell.serial[index];
+    let period = file.cell.period();
+    let settings = bundle.settings();
+    let (request, answer) = bundle.telegrams();
+    let (asked, answered) = (
+        settings.line_time(request),
+        settings.line_time(request + answer),
+    );
+    let share = |time: Duration| 100.0 * time.as_secs_f64() / period.as_secs_f64();
+    let message = |what, bytes: usize, response: Duration| MessageBudget {
+        what,
+        cob_id: None,
+        bytes: bytes as u8,
+        period_us: period.as_micros(),
+        response_us: Some(response.as_micros()),
+    };
+    let lines = file.cell.axes_on(file.cell.bus.len() + index).count();
+    let budget = BusBudget {
+        name: bundle.name.clone(),
+        load_percent: share(settings.line_time(request.max(answer))),
+        worst_case_percent: share(answered),
+        messages: vec![
+            message("request", request, asked),
+            message("answer", answer, answered),
+        ],
+        bits_per_second: f64::from(bundle.baud) * lines as f64,
+    };
+    if answered <= period {
+        return Ok(budget);
+    }
+    let key = Path::default().then("serial").then(index).then("baud");
+    Err(file.refuse(&key, anyhow!(
+        "a request of {request} and an answer of {answer} bytes take {} µs of each {} µs ({:.0} %, at most 100 %)",
+        answered.as_micros(), period.as_micros(), share(answered),
     )))
 }
 

@@ -74,9 +74,12 @@ fn print(checked: &Checked) {
             let response = message
                 .response_us
                 .map_or("-".to_owned(), |response| response.to_string());
+            let id = message
+                .cob_id
+                .map_or("-".to_owned(), |id| format!("{id:#x}"));
             println!(
-                "  {:16} {:>#6x} {:>5} {:>10} {response:>11}",
-                message.what, message.cob_id, message.bytes, message.period_us
+                "  {:16} {id:>6} {:>5} {:>10} {response:>11}",
+                message.what, message.bytes, message.period_us
             );
         }
     }

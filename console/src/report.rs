@@ -62,8 +62,7 @@ impl Report {
                 .zip(ran.servo.homing_offsets(robot))
                 .enumerate()
                 .map(move |(number, ((axis, error), homing_offset_counts))| {
-                    let counts =
-                        f64::from(axis.counts_per_revolution()) / std::f64::consts::TAU;
+                    let counts = f64::from(axis.counts_per_revolution()) / std::f64::consts::TAU;
                     AxisReport {
                         name: file.axis_name(robot, number),
                         tracking_rms_rad: error.rms(),

@@ -134,7 +134,7 @@ impl VirtualBus {
 
     /// When something happens next, unless a host or [`VirtualBus::change_device`] brings it about.
     pub fn poll_timeout(&self) -> Option<Instant> {
-        self.next_event().map(|(at, _)| at)
+        self.next_event()
     }
 
     /// What was counted up to the last [`VirtualBus::advance`].
@@ -147,7 +147,7 @@ impl VirtualBus {
     /// May be called ahead of time if the host hands over nothing before `until`; what it hands over
     /// for an instant that is past becomes pending at once.
     pub fn advance(&mut self, until: Instant) {
-        while let Some((at, event)) = self.next_event().filter(|&(at, _)| at <= until) {
+        while let Some((at, event)) = self.next().filter(|&(at, _)| at <= until) {
             self.now = self.now.max(at);
             match event {
                 Event::TimeOut => self.time_out(),
@@ -161,7 +161,14 @@ impl VirtualBus {
         self.statistics.elapsed = self.now.since(Instant::ZERO);
     }
 
-    fn next_event(&self) -> Option<(Instant, Event)> {
+    /// When next something happens, as far as is known now: the instant to advance to on a bench
+    /// that waits.
+    pub fn next_event(&self) -> Option<Instant> {
+        let (at, _) = self.next()?;
+        Some(at)
+    }
+
+    fn next(&self) -> Option<(Instant, Event)> {
         let time_out = self
             .devices
             .iter()

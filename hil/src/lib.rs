@@ -1,15 +1,17 @@
 //! The other side of the wire: it shares frame layouts with the drivers and nothing else.
 //!
 //! A [`Device`] is what hangs on a bus; the [virtual bus](bus) carries frames between devices and
-//! the host with true arbitration and bit times, a [`World`] is all the buses of a cell, and a
-//! [plant] is the physics behind a device. Of devices there are the axis controller [`Epos4`] and the
-//! adapter [`SlcanDevice`], by which a host without a CAN card reaches a bus. Read [`Device`] and
-//! [`World`] first.
+//! the host with true arbitration and bit times. A [`LineDevice`] is what hangs on a [serial
+//! line](line), which carries bytes in their true times. A [`World`] is all buses and lines of a
+//! cell, and a [plant] is the physics behind a device. Of devices on a bus there are the axis controller [`Epos4`]
+//! and the adapter [`SlcanDevice`], by which a host without a CAN card reaches it. Read [`Device`] and [`World`] first.
 
 mod amplifier;
 pub mod bus;
 mod device;
 pub mod epos4;
+pub mod line;
+mod line_device;
 pub mod plant;
 pub mod pty;
 mod slcan;
@@ -20,7 +22,9 @@ pub use amplifier::AmplifierConfig;
 pub use bus::BusStatistics;
 pub use device::Device;
 pub use epos4::{Epos4, Epos4Config};
+pub use line::{LineFaults, LineStatistics, Stuck, WireFaults};
+pub use line_device::LineDevice;
 pub use plant::{Axis, AxisConfig, Demand, Feedback, Irp6Axis, PlantConfig, Trip};
 pub use pty::{Pty, PtyError};
 pub use slcan::{Acknowledge, SlcanConfig, SlcanCounts, SlcanDevice};
-pub use world::{BusId, DeviceId, World};
+pub use world::{BusId, DeviceId, LineId, World};

@@ -1,4 +1,4 @@
-//! The emulated side of a cell: its buses with everything that hangs on them.
+//! The emulated side of a cell: its buses and serial lines with everything that hangs on them.
 //!
 //! In a lockstep or emulated bench the host and the world take turns:
 //!
@@ -25,17 +25,21 @@
 //! own times by the port.
 
 use std::any::Any;
+use std::time::Duration;
 
 use can::timing::Bitrate;
 use can::{Instant, VirtualPort, virtual_port};
+use serial::{Settings, VirtualLine, virtual_line};
 
-use crate::Device;
 use crate::bus::{BusStatistics, VirtualBus};
+use crate::line::{LineFaults, LineStatistics, SerialLine};
+use crate::{Device, LineDevice};
 
-/// Buses with their devices, advanced together. Buses do not influence each other.
+/// Buses and lines with their devices, advanced together. They do not influence each other.
 #[derive(Default)]
 pub struct World {
     buses: Vec<VirtualBus>,
+    lines: Vec<SerialLine>,
 }
 
 /// One bus of one [`World`].
@@ -49,8 +53,12 @@ pub struct DeviceId {
     number: usize,
 }
 
+/// One serial line of one [`World`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct LineId(usize);
+
 impl World {
-    /// Without buses, at [`Instant::ZERO`].
+    /// Without buses and lines, at [`Instant::ZERO`].
     pub fn new() -> Self {
         Self::default()
     }
@@ -74,11 +82,42 @@ impl World {
         port
     }
 
-    /// Processes everything up to and including `until`, on every bus in order of events.
+    /// Adds a serial line with a device at its end, and with a USB adapter towards the host if it is
+    /// to have the `latency` of one: [`FTDI_LATENCY`](crate::line::FTDI_LATENCY) for example.
+    pub fn add_line(
+        &mut self,
+        settings: Settings,
+        latency: Option<Duration>,
+        device: Box<dyn LineDevice>,
+    ) -> LineId {
+        self.lines.push(SerialLine::new(settings, latency, device));
+        LineId(self.lines.len() - 1)
+    }
+
+    /// The host's end of a line with room for `capacity` bytes each way; one handed out before is
+    /// gone. `line` must be of this world.
+    pub fn host_line(&mut self, line: LineId, capacity: usize) -> VirtualLine {
+        let (host, peer) = virtual_line(capacity);
+        self.lines[line.0].attach_host(peer);
+        host
+    }
+
+    /// Processes everything up to and including `until`, on every bus and line in order of events.
     pub fn advance(&mut self, until: Instant) {
         for bus in &mut self.buses {
             bus.advance(until);
         }
+        for line in &mut self.lines {
+            line.advance(until);
+        }
+    }
+
+    /// When next something happens, as far as is known now; `None` if nothing will unless a host
+    /// sends. A bench that waits advances to this instant, or to that of what a host sent before.
+    pub fn next_event(&self) -> Option<Instant> {
+        let buses = self.buses.iter().filter_map(VirtualBus::next_event);
+        let lines = self.lines.iter().filter_map(SerialLine::next_event);
+        buses.chain(lines).min()
     }
 
     /// When something happens next on any bus, unless it is brought about from outside before.
@@ -110,5 +149,81 @@ impl World {
     pub fn device<D: Device>(&self, id: DeviceId) -> Option<&D> {
         let device: &dyn Any = self.buses.get(id.bus.0)?.device(id.number)?;
         device.downcast_ref()
+    }
+
+    /// What a line has counted. `line` must be of this world.
+    pub fn line(&self, line: LineId) -> LineStatistics {
+        self.lines[line.0].statistics()
+    }
+
+    /// What goes wrong on a line from now on. `line` must be of this world.
+    pub fn set_line_faults(&mut self, line: LineId, faults: &LineFaults) {
+        self.lines[line.0].set_faults(faults);
+    }
+
+    /// The device of a line as what it was added as, to look at its true state; `None` if it is no `D`.
+    pub fn line_device<D: LineDevice>(&self, line: LineId) -> Option<&D> {
+        let device: &dyn Any = self.lines.get(line.0)?.device();
+        device.downcast_ref()
+    }
+
+    /// The same, to do to it what a host cannot.
+    pub fn line_device_mut<D: LineDevice>(&mut self, line: LineId) -> Option<&mut D> {
+        let device: &mut dyn Any = self.lines.get_mut(line.0)?.device_mut();
+        device.downcast_mut()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use can::{Frame, Port, StandardId};
+    use serial::Line;
+
+    /// Sends every byte back at once.
+    struct Echo(Option<u8>);
+
+    impl LineDevice for Echo {
+        fn receive(&mut self, byte: u8, _now: Instant) {
+            self.0 = Some(byte);
+        }
+        fn poll_transmit(&mut self, _now: Instant) -> Option<u8> {
+            self.0.take()
+        }
+        fn poll_timeout(&self) -> Option<Instant> {
+            None
+        }
+        fn handle_timeout(&mut self, _now: Instant) {}
+    }
+
+    #[test]
+    fn a_bench_that_wakes_at_the_next_event_misses_none() {
+        let mut world = World::new();
+        let bus = world.add_bus(Bitrate::KBPS_1000);
+        let line = world.add_line(Settings::EPOS, None, Box::new(Echo(None)));
+        let (mut port, mut listener) = (world.host_port(bus, 4), world.host_port(bus, 4));
+        let mut host = world.host_line(line, 4);
+        assert_eq!(world.next_event(), None);
+        host.write(Instant::ZERO, &[7]).expect("it is there");
+        let sync = Frame::new(StandardId::new(0x080).expect("11 bits"), &[]).expect("no bytes");
+        port.send(Instant::ZERO, &[sync]).expect("it is there");
+        let mut wakings = Vec::new();
+        while let Some(at) = world.next_event() {
+            world.advance(at);
+            wakings.push(at.as_nanos());
+        }
+        // The frame begins and ends; the byte ends at the device, then at the host.
+        assert_eq!(wakings, [0, 48_000, 86_806, 2 * 86_806]);
+        let mut byte = [0];
+        let end = Instant::from_nanos(2 * 86_806);
+        assert_eq!(host.read(end, &mut byte), Ok(1));
+        let mut frame = [can::Received {
+            frame: sync,
+            at: end,
+        }];
+        assert_eq!(listener.receive(end, &mut frame), Ok(1));
+        assert!(world.line_device::<Echo>(line).is_some());
+        world.line_device_mut::<Echo>(line).expect("the same").0 = Some(1);
+        assert_eq!(world.line(line).to_host, 1);
     }
 }

@@ -56,6 +56,14 @@ pub struct AxisController {
     pub max_current: f64,
     /// Torque of the motor per current, N·m/A.
     pub torque_constant: f64,
+    /// Greatest velocity that the motor can physically have, rad/s: a position that would need more is not
+    /// believed. Twice the axis's `max_velocity` where absent.
+    #[serde(default)]
+    pub plausible_velocity: Option<f64>,
+    /// Greatest acceleration that it can physically have, rad/s², for the same purpose. Twenty times the
+    /// axis's `max_acceleration` where absent.
+    #[serde(default)]
+    pub plausible_acceleration: Option<f64>,
 }
 
 /// What an axis controller is commanded by.
@@ -74,9 +82,9 @@ mod defaults {
         921_600
     }
     pub(super) fn tolerated_missing_on_lines() -> u32 {
-        3
+        2
     }
     pub(super) fn answer_timeout_ms() -> u32 {
-        50
+        10
     }
 }

@@ -289,8 +289,8 @@ fn check_serial(cell: &Cell) -> Checked {
             (
                 "tolerated_missing",
                 bundle.tolerated_missing,
-                (0.0, 1000.0),
-                "at most 1000 (cycles)",
+                (1.0, 1000.0),
+                "between 1 and 1000 (cycles)",
             ),
             (
                 "answer_timeout_ms",

@@ -3,10 +3,11 @@
 use std::time::Duration;
 
 use drive::Scale;
+use drive::axis_controller::{self, Settings, StopBits};
 use drive::cia402::{AxisConfig, CyclicMode, GroupConfig, HomingConfig, Identity, NodeId};
 use servo::ServoAxisConfig;
 
-use super::{Axis, Cell, Drive, Parameter};
+use super::{Axis, AxisController, Cell, Control, Drive, Parameter, Protocol, Serial};
 use crate::robot::Limits;
 
 /// Longest time from switching an effector's drives on to the last of them following.
@@ -47,6 +48,39 @@ impl Cell {
             sdo_retries: 2,
             boot_timeout: milliseconds(bus.boot_timeout_ms),
             transition_timeout: ENABLING,
+        }
+    }
+}
+
+impl Serial {
+    /// How its lines are set.
+    pub fn settings(&self) -> Settings {
+        Settings {
+            baud: self.baud,
+            stop_bits: StopBits::Two,
+        }
+    }
+
+    /// Bytes of a cyclic request on one of its lines, and of the answer to it.
+    pub fn telegrams(&self) -> (usize, usize) {
+        self.drive_protocol().telegrams()
+    }
+
+    fn drive_protocol(&self) -> axis_controller::Protocol {
+        match self.protocol {
+            Protocol::Nfv2 => axis_controller::Protocol::Nfv2,
+            Protocol::HiMoxa => axis_controller::Protocol::HiMoxa,
+        }
+    }
+
+    /// What its axis controllers have in common, at the servo period `period`.
+    pub fn group_config(&self, period: Duration) -> axis_controller::GroupConfig {
+        axis_controller::GroupConfig {
+            period,
+            settings: self.settings(),
+            tolerated_missing: self.tolerated_missing,
+            answer_timeout: Duration::from_millis(u64::from(self.answer_timeout_ms)),
+            ..axis_controller::GroupConfig::new(self.drive_protocol())
         }
     }
 }
@@ -110,6 +144,33 @@ impl Axis {
             following_error: self.following_error,
             quick_stop_deceleration: self.max_acceleration,
             parameters: drive.parameter.iter().map(parameter).collect(),
+        }
+    }
+
+    /// Its axis controller on a serial line. Not for an axis on a CAN bus.
+    pub fn axis_controller(&self) -> &AxisController {
+        self.controller.as_ref().expect(HAS_DRIVE)
+    }
+
+    /// Its axis controller on a serial line, homed at the motor position `home`, rad.
+    pub fn controller_config(&self, home: f64) -> axis_controller::AxisConfig {
+        let controller = self.axis_controller();
+        let plausible = |given: Option<f64>, otherwise| given.unwrap_or(otherwise);
+        axis_controller::AxisConfig {
+            address: self.node,
+            scale: self.scale(home),
+            torque_constant: controller.torque_constant,
+            control: match controller.control {
+                Control::Current => axis_controller::Control::Current,
+                Control::Pwm => axis_controller::Control::Pwm,
+            },
+            max_current: controller.max_current,
+            max_velocity: plausible(controller.plausible_velocity, 2.0 * self.max_velocity),
+            max_acceleration: plausible(
+                controller.plausible_acceleration,
+                20.0 * self.max_acceleration,
+            ),
+            current_gains: None,
         }
     }
 

@@ -4,6 +4,7 @@
 //! the drive trains of `controller` turn joints into motors, and [`Scale`] turns motor positions
 //! into what the device counts in, at one place.
 
+pub mod axis_controller;
 pub mod cia402;
 mod command;
 mod fault;
@@ -14,5 +15,5 @@ mod state;
 pub use command::{AxisCommand, Finite, Setpoint};
 pub use fault::{BringUpError, Fault, Refusal};
 pub use group::{DriveGroup, GroupCounters};
-pub use scale::{Increments, Permille, Rpm, Scale};
+pub use scale::{Increments, Milliamperes, Permille, PulseWidth, Rpm, Scale};
 pub use state::{AxisState, Homing, Power, Switches};

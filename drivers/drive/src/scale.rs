@@ -17,7 +17,15 @@ pub struct Rpm(pub i32);
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Permille(pub i16);
 
-/// Turns motor positions, velocities and torques into what a device counts in and back: the only
+/// A motor current as an axis controller counts it, mA, positive towards a rising counter.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Milliamperes(pub i16);
+
+/// A pulse width as an axis controller counts it: thousandths, positive towards a rising counter.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct PulseWidth(pub i16);
+
+/// Turns motor positions, velocities, torques and duties into what a device counts in and back: the only
 /// place that does.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scale {
@@ -70,6 +78,27 @@ impl Scale {
     /// Motor torque, N·m, of a motor of `rated_torque`, N·m.
     pub fn torque(&self, permille: Permille, rated_torque: f64) -> f64 {
         f64::from(permille.0) / 1_000.0 * rated_torque * self.increments_per_radian.signum()
+    }
+
+    /// The nearest current to that which makes `torque`, N·m, in a motor of `torque_constant`, N·m/A; `None`
+    /// beyond 16 bits.
+    pub fn milliamperes(&self, torque: f64, torque_constant: f64) -> Option<Milliamperes> {
+        let current = torque / torque_constant * self.increments_per_radian.signum();
+        nearest_i32(current * 1_000.0)
+            .and_then(|n| i16::try_from(n).ok())
+            .map(Milliamperes)
+    }
+
+    /// Motor torque, N·m, that a current makes in a motor of `torque_constant`, N·m/A.
+    pub fn torque_of(&self, current: Milliamperes, torque_constant: f64) -> f64 {
+        f64::from(current.0) / 1_000.0 * torque_constant * self.increments_per_radian.signum()
+    }
+
+    /// The nearest pulse width to `duty`, -1 to 1; `None` beyond.
+    pub fn pulse_width(&self, duty: f64) -> Option<PulseWidth> {
+        (-1.0..=1.0).contains(&duty).then(|| {
+            PulseWidth((duty * 1_000.0 * self.increments_per_radian.signum()).round() as i16)
+        })
     }
 
     /// The number of increments in `distance`, rad, whatever its direction; `None` beyond 32 bits.
@@ -126,6 +155,19 @@ mod tests {
     }
 
     #[test]
+    fn currents_and_pulse_widths_have_the_sign_of_the_counter() {
+        let (rising, falling) = scales();
+        assert_eq!(rising.milliamperes(0.105, 0.105), Some(Milliamperes(1_000)));
+        assert_eq!(
+            falling.milliamperes(0.105, 0.105),
+            Some(Milliamperes(-1_000))
+        );
+        assert_eq!(falling.torque_of(Milliamperes(-2_000), 0.105), 0.21);
+        assert_eq!(rising.pulse_width(-1.0), Some(PulseWidth(-1_000)));
+        assert_eq!(falling.pulse_width(0.7451), Some(PulseWidth(-745)));
+    }
+
+    #[test]
     fn what_does_not_fit_is_refused_not_wrapped() {
         let (rising, _) = scales();
         let furthest = rising.position(Increments(i32::MAX));
@@ -134,6 +176,10 @@ mod tests {
         assert_eq!(rising.increments(f64::NAN), None);
         assert_eq!(rising.rpm(3e8), None);
         assert_eq!(rising.permille(3.3, 0.1), None);
+        assert_eq!(rising.milliamperes(3.45, 0.105), None);
+        assert_eq!(rising.milliamperes(f64::NAN, 0.105), None);
+        assert_eq!(rising.pulse_width(1.0001), None);
+        assert_eq!(rising.pulse_width(f64::NAN), None);
         assert_eq!(rpm_magnitude(-1.0), None);
         assert_eq!(Scale::new(0, 0.0), None);
         assert_eq!(Scale::new(1, f64::INFINITY), None);

@@ -8,8 +8,10 @@ pub mod hi_moxa;
 mod line;
 pub mod nfv2;
 mod slcan_port;
+mod tty;
 mod virtual_line;
 
 pub use line::{Line, LineCounters, LineError, Settings, StopBits};
 pub use slcan_port::{SlcanError, SlcanPort};
+pub use tty::{OpenError, Tty};
 pub use virtual_line::{TimedByte, VirtualLine, VirtualLinePeer, virtual_line};

@@ -124,6 +124,23 @@ fn check_controller(
         32.767,
         "between 0.001 and 32.767 (A)",
     )?;
+    let plausible = [
+        (
+            "plausible_velocity",
+            controller.plausible_velocity,
+            axis.max_velocity,
+        ),
+        (
+            "plausible_acceleration",
+            controller.plausible_acceleration,
+            axis.max_acceleration,
+        ),
+    ];
+    for (key, given, least) in plausible {
+        let value = given.unwrap_or(least);
+        let range = "at least what the axis is allowed to do";
+        in_range(&path.then(key), value, least, f64::MAX, range)?;
+    }
     let refused =
         |key: &'static str, why: &str| Err((path.then(key), Problem::Refused(why.into())));
     match (controller.control, serial.protocol, axis.emulator.plant) {

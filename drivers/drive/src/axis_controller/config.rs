@@ -1,0 +1,257 @@
+use std::time::Duration;
+
+use serial::{Settings, hi_moxa, nfv2};
+use thiserror::Error;
+
+use super::stream::{NFV2_ANSWER, NFV2_REQUEST};
+use crate::{Milliamperes, Scale};
+
+/// The farthest a counter may be able to move in a cycle: half the way round it, and a gate sees nothing.
+const FARTHEST: f64 = (1 << 24) as f64;
+
+/// Which telegrams the drives of a group speak.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Protocol {
+    /// The later ones, with addresses and a CRC: [`serial::nfv2`].
+    Nfv2,
+    /// The older ones, without a checksum: [`serial::hi_moxa`]. Pulse widths only.
+    HiMoxa,
+}
+
+/// What the axis controllers of a group have in common.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct GroupConfig {
+    /// The servo period; a request and its answer must fit into it.
+    pub period: Duration,
+    /// What the drives speak.
+    pub protocol: Protocol,
+    /// How their lines are set; [`Settings::AXIS_CONTROLLER`].
+    pub settings: Settings,
+    /// Missing answers in a row that are ridden through; one more is a fault, and a panic (the module says
+    /// what that is). A refused answer counts as missing. As many set-points in a row may be refused by the
+    /// line. At least 1: an index pulse takes two answers to be believed.
+    pub tolerated_missing: u32,
+    /// Bring-up: how long an answer to one request may take, rounded up to calls of it.
+    pub answer_timeout: Duration,
+    /// Bring-up: how often a request is made before its silence counts, at least 1.
+    pub attempts: u8,
+}
+
+impl GroupConfig {
+    /// As the laboratory ran its robots: 921600 8N2, a cycle of 2 ms, the third missing answer in a row is a panic,
+    /// three attempts for a parameter.
+    pub const fn new(protocol: Protocol) -> Self {
+        Self {
+            period: Duration::from_millis(2),
+            protocol,
+            settings: Settings::AXIS_CONTROLLER,
+            tolerated_missing: 2,
+            answer_timeout: Duration::from_millis(10),
+            attempts: 3,
+        }
+    }
+}
+
+/// One drive, its motor and its line.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AxisConfig {
+    /// Address on the line; 0 to 15 at the laboratory. Without meaning in [`Protocol::HiMoxa`].
+    pub address: u8,
+    /// Between motor positions and the drive's counts.
+    pub scale: Scale,
+    /// Torque constant of the motor, N·m/A.
+    pub torque_constant: f64,
+    /// What its set-points are.
+    pub control: Control,
+    /// Current at which the drive's protection acts, A, and the greatest that a set-point may ask for.
+    pub max_current: f64,
+    /// Greatest velocity that the motor can physically have, rad/s: no limit of motion, but the width of the gate
+    /// that positions must pass.
+    pub max_velocity: f64,
+    /// Greatest acceleration that it can physically have, rad/s², for the same gate.
+    pub max_acceleration: f64,
+    /// Gains of the drive's current regulator; `None` leaves those it has after power-on.
+    pub current_gains: Option<CurrentGains>,
+}
+
+/// What an axis controller's set-points are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Control {
+    /// Currents, from [`Setpoint::Torque`](crate::Setpoint::Torque). Only [`Protocol::Nfv2`].
+    Current,
+    /// Pulse widths, from [`Setpoint::Duty`](crate::Setpoint::Duty).
+    Pwm,
+}
+
+/// Gains of a drive's current regulator, fractions below 2 of what only its firmware knows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CurrentGains {
+    /// Proportional; 0.06 after power-on.
+    pub p: f64,
+    /// Integral; 0.05 after power-on.
+    pub i: f64,
+    /// Differential; 0 after power-on.
+    pub d: f64,
+}
+
+/// Why a group cannot be configured so.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum ConfigError {
+    /// No axis at all, or more than a line index holds.
+    #[error("a group has 1 to 255 axes, not {0}")]
+    Axes(usize),
+    /// Each axis has a line of its own.
+    #[error("{axes} axes need as many lines, not {lines}")]
+    Lines {
+        /// How many axes.
+        axes: usize,
+        /// How many lines.
+        lines: usize,
+    },
+    /// A request and its answer do not fit into the period.
+    #[error("a period of {period:?} is too short for {exchange:?} of bytes on the line")]
+    Period {
+        /// The period.
+        period: Duration,
+        /// Time that a request and its answer take.
+        exchange: Duration,
+    },
+    /// A count or time of the group that must be at least something.
+    #[error("{what} must be at least {least}")]
+    TooSmall {
+        /// Which.
+        what: &'static str,
+        /// How much.
+        least: u32,
+    },
+    /// A quantity of an axis that is zero, negative, not finite, or beyond what the drive can hold.
+    #[error("line {line}: {what} is out of range")]
+    OutOfRange {
+        /// Index of the axis in its group.
+        line: u8,
+        /// Which quantity.
+        what: &'static str,
+    },
+    /// A thing that only the later protocol has.
+    #[error("line {line}: {what} takes protocol nfv2; hi_moxa has pulse widths only")]
+    NeedsNfv2 {
+        /// Index of the axis in its group.
+        line: u8,
+        /// Which thing.
+        what: &'static str,
+    },
+}
+
+impl Protocol {
+    /// Bytes of a cyclic request, and of the answer to it.
+    pub const fn telegrams(self) -> (usize, usize) {
+        match self {
+            Self::Nfv2 => (NFV2_REQUEST, NFV2_ANSWER),
+            Self::HiMoxa => (hi_moxa::CYCLIC_REQUEST, hi_moxa::ANSWER),
+        }
+    }
+
+    /// Bytes of both.
+    pub(super) const fn exchange(self) -> usize {
+        let (request, answer) = self.telegrams();
+        request + answer
+    }
+}
+
+impl AxisConfig {
+    /// Its greatest current; `None` if that is no current or beyond 16 bits.
+    pub(super) fn limit(&self) -> Option<Milliamperes> {
+        let torque = self.max_current * self.torque_constant;
+        let signed = self.scale.milliamperes(torque, self.torque_constant)?;
+        Some(Milliamperes(signed.0.abs())).filter(|limit| limit.0 > 0)
+    }
+}
+
+impl CurrentGains {
+    pub(super) fn raw(self) -> Option<nfv2::Gains> {
+        let fraction = |value: f64| {
+            let raw = (value * 32_768.0).round();
+            (0.0..=f64::from(u16::MAX))
+                .contains(&raw)
+                .then_some(raw as u16)
+        };
+        Some(nfv2::Gains {
+            p: fraction(self.p)?,
+            i: fraction(self.i)?,
+            d: fraction(self.d)?,
+            t: 0,
+        })
+    }
+}
+
+/// Refuses what cannot work before a byte is sent.
+pub(super) fn check(
+    config: &GroupConfig,
+    axes: &[AxisConfig],
+    lines: usize,
+) -> Result<(), ConfigError> {
+    if !(1..=usize::from(u8::MAX)).contains(&axes.len()) {
+        return Err(ConfigError::Axes(axes.len()));
+    }
+    if axes.len() != lines {
+        let axes = axes.len();
+        return Err(ConfigError::Lines { axes, lines });
+    }
+    let exchange = config.settings.line_time(config.protocol.exchange());
+    if exchange >= config.period {
+        let period = config.period;
+        return Err(ConfigError::Period { period, exchange });
+    }
+    for (what, value) in [
+        (
+            "the number of tolerated missing answers",
+            config.tolerated_missing,
+        ),
+        ("the number of attempts", u32::from(config.attempts)),
+    ] {
+        if value == 0 {
+            return Err(ConfigError::TooSmall { what, least: 1 });
+        }
+    }
+    for (line, axis) in (0..).zip(axes) {
+        check_axis(config, axis, line)?;
+    }
+    Ok(())
+}
+
+fn check_axis(config: &GroupConfig, axis: &AxisConfig, line: u8) -> Result<(), ConfigError> {
+    let needs_nfv2 = |what| Err(ConfigError::NeedsNfv2 { line, what });
+    match config.protocol {
+        Protocol::HiMoxa if axis.control == Control::Current => {
+            return needs_nfv2("control by current");
+        }
+        Protocol::HiMoxa if axis.current_gains.is_some() => return needs_nfv2("a current gain"),
+        Protocol::HiMoxa | Protocol::Nfv2 => {}
+    }
+    let positive = |value: f64| value > 0.0 && value.is_finite();
+    let reach = axis.max_velocity * config.period.as_secs_f64();
+    let counts = |distance: f64| distance * axis.scale.increments_per_radian().abs();
+    let gains = axis.current_gains.map(CurrentGains::raw);
+    for (what, right) in [
+        (
+            "address",
+            config.protocol == Protocol::HiMoxa || axis.address < nfv2::MASTER,
+        ),
+        ("torque constant", positive(axis.torque_constant)),
+        (
+            "greatest current",
+            axis.max_current > 0.0 && axis.limit().is_some(),
+        ),
+        (
+            "greatest velocity",
+            positive(axis.max_velocity) && (1.0..FARTHEST).contains(&counts(reach)),
+        ),
+        ("greatest acceleration", positive(axis.max_acceleration)),
+        ("current gain", gains != Some(None)),
+    ] {
+        if !right {
+            return Err(ConfigError::OutOfRange { line, what });
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,450 @@
+//! A line on a tty: a card's, a USB adapter's or a pseudo-terminal's.
+//!
+//! It promises one `read(2)` or `write(2)` for each call, neither of which waits, and no allocation after
+//! opening. `tokio-serial` opens and sets the device, for which it takes no reactor; from then on only the
+//! descriptor is used. This is the rim: it makes system calls. Read [`Tty::open`] first.
+
+#![expect(
+    unsafe_code,
+    reason = "system calls that no safe wrapper offers without a second one before them"
+)]
+
+use std::fs::OpenOptions;
+use std::io;
+use std::mem;
+use std::os::fd::{AsFd, AsRawFd, BorrowedFd, FromRawFd, IntoRawFd, OwnedFd};
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::Path;
+
+use can::Instant;
+use thiserror::Error;
+use tokio_serial::{DataBits, FlowControl, Parity, SerialPort};
+
+use crate::{Line, LineCounters, LineError, Settings, StopBits};
+
+/// Why a tty could not be opened, and what to do about it.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum OpenError {
+    /// There is no such file, or no device behind it.
+    #[error(
+        "{0}: no such device: plug the adapter in and load its driver; `ls /dev/serial/by-id` lists those there are"
+    )]
+    Absent(Box<Path>),
+    /// We may not open it.
+    #[error(
+        "{0}: permission denied: join the group that owns it, `sudo usermod -aG dialout $USER` on Debian, and log in again"
+    )]
+    Denied(Box<Path>),
+    /// Another process has it.
+    #[error("{0}: in use by another process: `fuser -v {0}` says which")]
+    Busy(Box<Path>),
+    /// It exists and is no serial line.
+    #[error("{0}: not a tty")]
+    NotATty(Box<Path>),
+    /// The device runs at another speed than it was set to.
+    #[error("{path}: cannot do {asked} baud, the nearest is {nearest}")]
+    Baud {
+        /// The tty.
+        path: Box<Path>,
+        /// What was asked for, bit/s.
+        asked: u32,
+        /// What it would do, bit/s.
+        nearest: u32,
+    },
+    /// Anything else the operating system said.
+    #[error("{path}: errno {errno}")]
+    Os {
+        /// The tty.
+        path: Box<Path>,
+        /// Its answer.
+        errno: i32,
+    },
+}
+
+/// A tty, raw and ours alone.
+pub struct Tty {
+    device: OwnedFd,
+    low_latency: bool,
+    gone: bool,
+    counters: LineCounters,
+}
+
+impl Tty {
+    /// Opens the tty at `path`, a link in `/dev/serial/by-id` for instance, which keeps its name when others are
+    /// plugged in. What came before is not received.
+    pub fn open(path: impl AsRef<Path>, settings: Settings) -> Result<Self, OpenError> {
+        let path = path.as_ref();
+        let stop_bits = match settings.stop_bits {
+            StopBits::One => tokio_serial::StopBits::One,
+            StopBits::Two => tokio_serial::StopBits::Two,
+        };
+        let port = tokio_serial::new(path.to_string_lossy(), settings.baud)
+            .data_bits(DataBits::Eight)
+            .parity(Parity::None)
+            .stop_bits(stop_bits)
+            .flow_control(FlowControl::None)
+            .open_native()
+            .map_err(|error| why_not_opened(path, &error))?;
+        let os = |error: &io::Error| OpenError::Os {
+            path: path.into(),
+            errno: error.raw_os_error().unwrap_or(libc::EIO),
+        };
+        let nearest = port.baud_rate().map_err(|error| os(&error.into()))?;
+        // A receiver that samples in the middle of a bit stands 4 % over ten of them.
+        if nearest.abs_diff(settings.baud) > settings.baud / 25 {
+            let (path, asked) = (path.into(), settings.baud);
+            return Err(OpenError::Baud {
+                path,
+                asked,
+                nearest,
+            });
+        }
+        // SAFETY: the port has given the descriptor away, and nobody else has it.
+        let device = unsafe { OwnedFd::from_raw_fd(port.into_raw_fd()) };
+        let fd = device.as_raw_fd();
+        let low_latency = set_low_latency(fd);
+        // SAFETY: the descriptor is open, and both calls take plain integers.
+        let set = unsafe {
+            libc::fcntl(fd, libc::F_SETFL, libc::O_NONBLOCK) >= 0
+                && libc::tcflush(fd, libc::TCIOFLUSH) >= 0
+        };
+        if !set {
+            return Err(os(&io::Error::last_os_error()));
+        }
+        Ok(Self {
+            device,
+            low_latency,
+            gone: false,
+            counters: LineCounters::default(),
+        })
+    }
+
+    /// Whether the driver hands bytes over as they come. One that cannot be told to, as an FTDI adapter whose
+    /// latency timer stands at 16 ms, is too late for a cycle; a driver without such a timer has nothing to
+    /// be told.
+    pub fn low_latency(&self) -> bool {
+        self.low_latency
+    }
+
+    fn failed(&mut self, errno: i32) -> LineError {
+        match errno {
+            libc::EIO | libc::ENXIO | libc::ENODEV | libc::EBADF => {
+                self.gone = true;
+                LineError::Gone
+            }
+            other => LineError::Os(other),
+        }
+    }
+}
+
+impl Line for Tty {
+    /// `now` is not looked at: the kernel sends at once.
+    fn write(&mut self, _now: Instant, bytes: &[u8]) -> Result<usize, LineError> {
+        let written = if self.gone {
+            Err(libc::EIO)
+        } else {
+            // SAFETY: the pointer and length are of one slice, which the call only reads.
+            let result =
+                unsafe { libc::write(self.device.as_raw_fd(), bytes.as_ptr().cast(), bytes.len()) };
+            usize::try_from(result).map_err(|_| errno())
+        };
+        let result = match written {
+            Err(libc::EAGAIN | libc::EINTR) => Ok(0),
+            Err(errno) => Err(self.failed(errno)),
+            Ok(count) => Ok(count),
+        };
+        let taken = result.unwrap_or(0);
+        self.counters.sent += taken as u64;
+        self.counters.refused += (bytes.len() - taken) as u64;
+        result
+    }
+
+    /// `now` is not looked at: what came since it was read is among the bytes.
+    fn read(&mut self, _now: Instant, into: &mut [u8]) -> Result<usize, LineError> {
+        if self.gone {
+            return Err(LineError::Gone);
+        }
+        if into.is_empty() {
+            return Ok(0);
+        }
+        // SAFETY: the pointer and length are of one slice that is ours alone.
+        let result = unsafe {
+            libc::read(
+                self.device.as_raw_fd(),
+                into.as_mut_ptr().cast(),
+                into.len(),
+            )
+        };
+        match usize::try_from(result).map_err(|_| errno()) {
+            // A raw tty with nothing to read says EAGAIN (VMIN is 1); zero bytes are a hang-up.
+            Ok(0) => Err(self.failed(libc::EIO)),
+            Ok(count) => {
+                self.counters.received += count as u64;
+                Ok(count)
+            }
+            Err(libc::EAGAIN | libc::EINTR) => Ok(0),
+            Err(errno) => Err(self.failed(errno)),
+        }
+    }
+
+    /// What a driver loses before the tty it tells nobody: [`LineCounters::dropped`] stays zero.
+    fn counters(&self) -> LineCounters {
+        self.counters
+    }
+}
+
+/// For loops that wait on several things at once.
+impl AsFd for Tty {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.device.as_fd()
+    }
+}
+
+/// A tty stays exclusive for as long as anybody has it open, the other end of a pty for one.
+impl Drop for Tty {
+    fn drop(&mut self) {
+        // SAFETY: the descriptor is open, and the call takes nothing.
+        unsafe { libc::ioctl(self.device.as_raw_fd(), libc::TIOCNXCL) };
+    }
+}
+
+fn errno() -> i32 {
+    io::Error::last_os_error()
+        .raw_os_error()
+        .unwrap_or(libc::EIO)
+}
+
+/// The opener keeps no errno, so that the kernel is asked once more.
+fn why_not_opened(path: &Path, error: &tokio_serial::Error) -> OpenError {
+    use tokio_serial::ErrorKind;
+    let again = OpenOptions::new()
+        .read(true)
+        .write(true)
+        .custom_flags(libc::O_NOCTTY | libc::O_NONBLOCK)
+        .open(path);
+    let errno = match again {
+        // SAFETY: the descriptor is open.
+        Ok(file) if unsafe { libc::isatty(file.as_raw_fd()) } == 0 => libc::ENOTTY,
+        Ok(_) if error.kind == ErrorKind::NoDevice => libc::EBUSY,
+        Ok(_) => libc::EIO,
+        Err(error) => error.raw_os_error().unwrap_or(libc::EIO),
+    };
+    let path = path.into();
+    match errno {
+        libc::ENOENT | libc::ENOTDIR | libc::ENXIO | libc::ENODEV => OpenError::Absent(path),
+        libc::EACCES | libc::EPERM => OpenError::Denied(path),
+        libc::EBUSY => OpenError::Busy(path),
+        libc::ENOTTY | libc::EISDIR => OpenError::NotATty(path),
+        errno => OpenError::Os { path, errno },
+    }
+}
+
+/// `struct serial_struct` of `linux/serial.h`.
+#[repr(C)]
+struct SerialStruct {
+    kind: libc::c_int,
+    line: libc::c_int,
+    port: libc::c_uint,
+    irq: libc::c_int,
+    flags: libc::c_int,
+    xmit_fifo_size: libc::c_int,
+    custom_divisor: libc::c_int,
+    baud_base: libc::c_int,
+    close_delay: libc::c_ushort,
+    io_type: libc::c_char,
+    reserved: libc::c_char,
+    hub6: libc::c_int,
+    closing_wait: libc::c_ushort,
+    closing_wait2: libc::c_ushort,
+    iomem_base: *mut libc::c_uchar,
+    iomem_reg_shift: libc::c_ushort,
+    port_high: libc::c_uint,
+    iomap_base: libc::c_ulong,
+}
+
+/// `ASYNC_LOW_LATENCY` of `linux/tty_flags.h`.
+const LOW_LATENCY: libc::c_int = 1 << 13;
+
+/// Whether the driver was told to hand bytes over as they come. Ptys and many drivers know nothing of it, and
+/// only root may change other flags: neither is an error.
+fn set_low_latency(fd: libc::c_int) -> bool {
+    // SAFETY: plain integers and a pointer, for all of which zero is a value.
+    let mut serial: SerialStruct = unsafe { mem::zeroed() };
+    // SAFETY: the call fills a structure that is as large as it expects.
+    if unsafe { libc::ioctl(fd, libc::TIOCGSERIAL, &raw mut serial) } < 0 {
+        return false;
+    }
+    serial.flags |= LOW_LATENCY;
+    // SAFETY: the call reads such a structure.
+    unsafe { libc::ioctl(fd, libc::TIOCSSERIAL, &raw const serial) >= 0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs::File;
+    use std::io::{Read, Write};
+    use std::os::fd::FromRawFd;
+    use std::path::PathBuf;
+
+    use super::*;
+
+    /// The other end of a new pseudo-terminal, and the path of the end that is a tty.
+    fn pty() -> (File, PathBuf) {
+        // SAFETY: the descriptor returned is new and ours; the name fits its buffer.
+        unsafe {
+            let flags = libc::O_RDWR | libc::O_NOCTTY | libc::O_CLOEXEC;
+            let master = libc::posix_openpt(flags);
+            assert!(master >= 0 && libc::grantpt(master) == 0 && libc::unlockpt(master) == 0);
+            let mut name = [0; 64];
+            assert_eq!(libc::ptsname_r(master, name.as_mut_ptr(), name.len()), 0);
+            let name = std::ffi::CStr::from_ptr(name.as_ptr()).to_str().unwrap();
+            (File::from_raw_fd(master), name.into())
+        }
+    }
+
+    fn open(path: &Path) -> Result<Tty, OpenError> {
+        Tty::open(path, Settings::AXIS_CONTROLLER)
+    }
+
+    const NOW: Instant = Instant::ZERO;
+
+    /// What is there once `count` bytes are, which a kernel thread carries across.
+    fn read(tty: &mut Tty, count: usize) -> Vec<u8> {
+        let mut seen = Vec::new();
+        while seen.len() < count {
+            wait(tty);
+            let mut into = [0; 512];
+            let count = tty.read(NOW, &mut into).unwrap();
+            seen.extend_from_slice(&into[..count]);
+        }
+        seen
+    }
+
+    fn wait(device: &impl AsFd) {
+        let mut poll = libc::pollfd {
+            fd: device.as_fd().as_raw_fd(),
+            events: libc::POLLIN,
+            revents: 0,
+        };
+        // SAFETY: one valid pollfd.
+        let ready = unsafe { libc::poll(&raw mut poll, 1, 2_000) };
+        assert_eq!(ready, 1, "nothing came within two seconds");
+    }
+
+    #[test]
+    fn every_byte_crosses_unchanged_and_neither_call_waits() {
+        let (mut master, path) = pty();
+        let mut tty = open(&path).unwrap();
+        let mut into = [0; 512];
+        assert_eq!(tty.read(NOW, &mut into), Ok(0));
+        let all: Vec<u8> = (0..=u8::MAX).collect();
+        assert_eq!(tty.write(NOW, &all), Ok(256));
+        let mut seen = [0; 256];
+        master.read_exact(&mut seen).unwrap();
+        assert_eq!(seen[..], all);
+        // Written last, so that an echo of it would be read with it.
+        master.write_all(&all).unwrap();
+        assert_eq!(read(&mut tty, 256), all);
+        assert_eq!(tty.read(NOW, &mut into), Ok(0));
+        let (sent, received) = (tty.counters().sent, tty.counters().received);
+        assert_eq!((sent, received), (256, 256));
+        assert!(!tty.low_latency(), "a pty has no such flag");
+    }
+
+    #[test]
+    fn the_line_is_set_as_asked() {
+        let (_master, path) = pty();
+        let tty = open(&path).unwrap();
+        // SAFETY: the call fills a structure of plain integers.
+        let set: libc::termios2 = unsafe {
+            let mut set = mem::zeroed();
+            let fd = tty.as_fd().as_raw_fd();
+            assert_eq!(libc::ioctl(fd, libc::TCGETS2, &raw mut set), 0);
+            set
+        };
+        assert_eq!((set.c_ispeed, set.c_ospeed), (921_600, 921_600));
+        let framing = libc::CSIZE | libc::CSTOPB | libc::PARENB | libc::CRTSCTS;
+        assert_eq!(set.c_cflag & framing, libc::CS8 | libc::CSTOPB);
+        assert_eq!(set.c_lflag & (libc::ECHO | libc::ICANON), 0);
+        assert_eq!(
+            (
+                set.c_iflag & (libc::IXON | libc::ICRNL),
+                set.c_oflag & libc::OPOST
+            ),
+            (0, 0)
+        );
+    }
+
+    #[test]
+    fn what_came_before_it_was_opened_is_not_received() {
+        let (mut master, path) = pty();
+        // Raw from here on, so that nothing waits for the end of a line.
+        drop(open(&path).unwrap());
+        master.write_all(b"old").unwrap();
+        wait(&File::open(&path).unwrap());
+        let mut into = [0; 8];
+        let mut tty = open(&path).unwrap();
+        assert_eq!(tty.read(NOW, &mut into), Ok(0));
+        master.write_all(b"new").unwrap();
+        assert_eq!(read(&mut tty, 3), b"new");
+    }
+
+    #[test]
+    fn a_line_whose_device_was_unplugged_is_gone_for_good() {
+        let (master, path) = pty();
+        let mut tty = open(&path).unwrap();
+        drop(master);
+        let mut into = [0; 8];
+        assert_eq!(tty.read(NOW, &mut into), Err(LineError::Gone));
+        assert_eq!(tty.read(NOW, &mut into), Err(LineError::Gone));
+        assert_eq!(tty.write(NOW, b"ab"), Err(LineError::Gone));
+        assert_eq!(tty.counters().refused, 2);
+    }
+
+    #[test]
+    fn a_full_line_refuses_what_it_does_not_take() {
+        let (_master, path) = pty();
+        let mut tty = open(&path).unwrap();
+        let taken: usize = (0..200).map(|_| tty.write(NOW, &[0; 1_024]).unwrap()).sum();
+        assert!(taken < 200 * 1_024, "nobody reads: {taken} bytes taken");
+        assert_eq!(tty.write(NOW, &[0]), Ok(0));
+    }
+
+    #[test]
+    fn errors_say_which_device_and_what_to_do() {
+        let (_master, path) = pty();
+        let text = |path: &Path| match open(path) {
+            Ok(_) => String::from("opened"),
+            Err(error) => error.to_string(),
+        };
+        let held = open(&path).unwrap();
+        assert!(
+            text(&path).contains("in use by another process"),
+            "{}",
+            text(&path)
+        );
+        drop(held);
+        assert_eq!(text(&path), "opened");
+        for (path, word) in [
+            ("/dev/serial/by-id/none", "no such device"),
+            ("/dev/null", "not a tty"),
+            ("/dev", "not a tty"),
+        ] {
+            let text = text(Path::new(path));
+            assert!(text.starts_with(path) && text.contains(word), "{text}");
+        }
+        let denied = OpenError::Denied(Path::new("/dev/ttyUSB0").into()).to_string();
+        assert!(denied.contains("dialout"), "{denied}");
+    }
+
+    #[test]
+    fn a_link_is_as_good_as_the_device() {
+        let (mut master, path) = pty();
+        let link = std::env::temp_dir().join(format!("mrroc-tty-{}", std::process::id()));
+        std::os::unix::fs::symlink(&path, &link).unwrap();
+        let tty = open(&link);
+        std::fs::remove_file(&link).unwrap();
+        master.write_all(b"x").unwrap();
+        assert_eq!(read(&mut tty.unwrap(), 1), b"x");
+    }
+}

@@ -1,0 +1,334 @@
+//! A serial line that takes its time: each byte lasts its start, data and stop bits, in each direction.
+//!
+//! Both directions carry bytes at once and independently. A byte reaches its receiver when its last
+//! stop bit ends. Events are processed in the order of their times and, at one instant, of their kind:
+//! the device's time-out, the end of a byte to the device, the end of a byte to the host. The same
+//! input gives the same bytes at the same instants.
+//!
+//! A USB adapter between line and host, if there is one, collects what arrives and hands it over in
+//! packets of up to [`USB_PACKET`] bytes: when one is full, or when its latency timer runs out, which
+//! it does at fixed intervals from the last packet on, as FTDI's does. Towards the device it adds
+//! nothing here. Left out: the transfer on the USB itself, framing and parity errors, breaks.
+//!
+//! What can go wrong on the wire is [`LineFaults`]'s. Read [`SerialLine::advance`] first.
+
+mod faults;
+#[cfg(test)]
+mod tests;
+
+pub use faults::{LineFaults, Stuck, WireFaults};
+
+use std::time::Duration;
+
+use can::Instant;
+use serial::{Settings, TimedByte, VirtualLinePeer};
+
+use crate::LineDevice;
+use faults::Wire;
+
+/// Bytes of the line in a full packet of a USB adapter; two more tell its state.
+pub const USB_PACKET: usize = 62;
+
+/// The latency timer of an FTDI adapter as it comes.
+pub const FTDI_LATENCY: Duration = Duration::from_millis(16);
+
+/// The same with the low-latency flag set.
+pub const FTDI_LOW_LATENCY: Duration = Duration::from_millis(1);
+
+/// A line with a device at one end; the host's end comes and goes.
+pub struct SerialLine {
+    device: Box<dyn LineDevice>,
+    host: Option<VirtualLinePeer>,
+    now: Instant,
+    time_out: Option<Instant>,
+    to_device: Direction,
+    to_host: Direction,
+    adapter: Option<Adapter>,
+}
+
+/// What a line has counted, before and after what its faults did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LineStatistics {
+    /// Bytes that the host put on the line.
+    pub to_device: u64,
+    /// Bytes that the device put on the line.
+    pub to_host: u64,
+    /// Bytes that arrived with another value.
+    pub corrupted: u64,
+    /// Bytes that did not arrive.
+    pub lost: u64,
+    /// Bytes that arrived twice.
+    pub duplicated: u64,
+}
+
+/// One direction of the line.
+struct Direction {
+    settings: Settings,
+    /// When the bytes now following each other without a gap began, and how many there are.
+    burst: Instant,
+    count: usize,
+    free_at: Instant,
+    /// With the instant at which it ends.
+    on_wire: Option<TimedByte>,
+    wire: Wire,
+    carried: u64,
+}
+
+impl Direction {
+    /// A burst is counted anew after so many bytes, each time with less than 1 ns of rounding.
+    const BURST: usize = 1000;
+
+    fn new(settings: Settings) -> Self {
+        Self {
+            settings,
+            burst: Instant::ZERO,
+            count: 0,
+            free_at: Instant::ZERO,
+            on_wire: None,
+            wire: Wire::default(),
+            carried: 0,
+        }
+    }
+
+    /// When a byte ends that is offered at `at`, and the burst it belongs to with its new count.
+    fn end(&self, at: Instant) -> (Instant, Instant, usize) {
+        let (burst, count) = if at > self.free_at || self.count >= Self::BURST {
+            (at.max(self.free_at), 1)
+        } else {
+            (self.burst, self.count + 1)
+        };
+        (burst + self.settings.line_time(count), burst, count)
+    }
+
+    fn start(&mut self, byte: u8, at: Instant) {
+        if at > self.free_at {
+            self.wire.pause();
+        }
+        (self.free_at, self.burst, self.count) = self.end(at);
+        self.on_wire = Some(TimedByte {
+            byte,
+            at: self.free_at,
+        });
+        self.carried += 1;
+    }
+
+    /// What arrives of the byte that ends now.
+    fn finish(&mut self) -> impl Iterator<Item = TimedByte> + use<> {
+        let ended = self.on_wire.take();
+        let arrives = ended.map(|ended| {
+            let arriving = self.wire.carry(ended.byte);
+            arriving
+                .into_iter()
+                .flatten()
+                .map(move |byte| TimedByte { byte, ..ended })
+        });
+        arrives.into_iter().flatten()
+    }
+}
+
+/// A USB adapter's receive side.
+struct Adapter {
+    latency: Duration,
+    /// When its timer last began.
+    since: Instant,
+    bytes: [u8; USB_PACKET],
+    count: usize,
+}
+
+impl Adapter {
+    fn expires(&self) -> Instant {
+        self.since + self.latency
+    }
+
+    /// Takes a byte off the line.
+    fn collect(&mut self, byte: TimedByte, host: Option<&mut VirtualLinePeer>) {
+        self.bytes[self.count] = byte.byte;
+        self.count += 1;
+        if self.count == USB_PACKET {
+            self.hand_over(byte.at, host);
+        }
+    }
+
+    fn hand_over(&mut self, at: Instant, host: Option<&mut VirtualLinePeer>) {
+        if let Some(host) = host {
+            for &byte in &self.bytes[..self.count] {
+                host.deliver(TimedByte { byte, at });
+            }
+        }
+        self.count = 0;
+        self.since = at;
+    }
+
+    /// Lets the timer run to `now`.
+    fn run(&mut self, now: Instant, host: Option<&mut VirtualLinePeer>) {
+        if self.count > 0 && self.expires() <= now {
+            self.hand_over(self.expires(), host);
+        }
+        if self.count == 0 {
+            let whole = now.since(self.since).as_nanos() / self.latency.as_nanos();
+            // Both are below 2⁶⁴ ns.
+            self.since += Duration::from_nanos((whole * self.latency.as_nanos()) as u64);
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Event {
+    TimeOut,
+    ToDevice,
+    ToHost,
+    Packet,
+}
+
+impl SerialLine {
+    /// A line at rest, at [`Instant::ZERO`]. With `latency`, above zero, a USB adapter with such a
+    /// timer stands between it and the host.
+    pub fn new(settings: Settings, latency: Option<Duration>, device: Box<dyn LineDevice>) -> Self {
+        let latency = latency.filter(|latency| !latency.is_zero());
+        let mut line = Self {
+            time_out: None,
+            device,
+            host: None,
+            now: Instant::ZERO,
+            to_device: Direction::new(settings),
+            to_host: Direction::new(settings),
+            adapter: latency.map(|latency| Adapter {
+                latency,
+                since: Instant::ZERO,
+                bytes: [0; USB_PACKET],
+                count: 0,
+            }),
+        };
+        line.collect();
+        line
+    }
+
+    /// Connects a host's end in place of the one before, which is gone with what it had not sent yet.
+    pub fn attach_host(&mut self, peer: VirtualLinePeer) {
+        self.host = Some(peer);
+    }
+
+    /// The device on the line.
+    pub fn device(&self) -> &dyn LineDevice {
+        self.device.as_ref()
+    }
+
+    /// The same, to meddle with it.
+    pub fn device_mut(&mut self) -> &mut dyn LineDevice {
+        self.device.as_mut()
+    }
+
+    /// What goes wrong from now on. The same faults give the same damage to the same bytes.
+    pub fn set_faults(&mut self, faults: &LineFaults) {
+        self.to_device.wire.set(faults.to_device, faults.seed);
+        self.to_host.wire.set(faults.to_host, !faults.seed);
+    }
+
+    /// What was counted up to the last [`SerialLine::advance`].
+    pub fn statistics(&self) -> LineStatistics {
+        let (down, up) = (&self.to_device.wire, &self.to_host.wire);
+        LineStatistics {
+            to_device: self.to_device.carried,
+            to_host: self.to_host.carried,
+            corrupted: down.corrupted + up.corrupted,
+            lost: down.lost + up.lost,
+            duplicated: down.duplicated + up.duplicated,
+        }
+    }
+
+    /// Processes everything up to and including `until`; a byte that lasts longer stays on the wire.
+    ///
+    /// May be called ahead of time if the host hands over nothing before `until`; what it hands over
+    /// for an instant that is past goes on the line at once.
+    pub fn advance(&mut self, until: Instant) {
+        self.take_from_host();
+        while let Some((at, event)) = self.next().filter(|&(at, _)| at <= until) {
+            self.now = self.now.max(at);
+            match event {
+                Event::TimeOut => {
+                    self.device.handle_timeout(self.now);
+                    self.collect();
+                    // A device that is never content must not hold up time.
+                    if self.time_out.is_some_and(|at| at <= self.now) {
+                        self.time_out = Some(self.now + self.to_host.settings.line_time(1));
+                    }
+                }
+                Event::ToDevice => {
+                    for arrived in self.to_device.finish() {
+                        self.device.receive(arrived.byte, self.now);
+                    }
+                    self.take_from_host();
+                    self.collect();
+                }
+                Event::ToHost => {
+                    for arrived in self.to_host.finish() {
+                        match (&mut self.adapter, &mut self.host) {
+                            (Some(adapter), host) => adapter.collect(arrived, host.as_mut()),
+                            (None, Some(host)) => host.deliver(arrived),
+                            (None, None) => {}
+                        }
+                    }
+                    self.collect();
+                }
+                Event::Packet => self.run_adapter(),
+            }
+        }
+        self.now = self.now.max(until);
+    }
+
+    /// When next something happens, as far as is known now: the instant to advance to on a bench
+    /// that waits.
+    pub fn next_event(&self) -> Option<Instant> {
+        let (at, _) = self.next()?;
+        Some(at)
+    }
+
+    fn next(&self) -> Option<(Instant, Event)> {
+        let on_wire = |direction: &Direction| direction.on_wire.map(|byte| byte.at);
+        let offered = || {
+            let byte = self.host.as_ref()?.peek()?;
+            let (end, ..) = self.to_device.end(byte.at.max(self.now));
+            Some(end)
+        };
+        let packet = self.adapter.as_ref().filter(|adapter| adapter.count > 0);
+        let events = [
+            (self.time_out, Event::TimeOut),
+            (on_wire(&self.to_device).or_else(offered), Event::ToDevice),
+            (on_wire(&self.to_host), Event::ToHost),
+            (packet.map(Adapter::expires), Event::Packet),
+        ];
+        let due = events
+            .into_iter()
+            .filter_map(|(at, event)| Some((at?, event)));
+        due.min_by_key(|&(at, _)| at)
+    }
+
+    fn take_from_host(&mut self) {
+        let free = self.to_device.on_wire.is_none();
+        if let Some(next) = self
+            .host
+            .as_mut()
+            .filter(|_| free)
+            .and_then(|host| host.take())
+        {
+            self.to_device.start(next.byte, next.at.max(self.now));
+        }
+    }
+
+    /// Takes the device's next byte, if the line is free for it, and its next time-out.
+    fn collect(&mut self) {
+        if self.to_host.on_wire.is_none()
+            && let Some(byte) = self.device.poll_transmit(self.now)
+        {
+            self.run_adapter();
+            self.to_host.start(byte, self.now);
+        }
+        self.time_out = self.device.poll_timeout();
+    }
+
+    fn run_adapter(&mut self) {
+        if let Some(adapter) = &mut self.adapter {
+            adapter.run(self.now, self.host.as_mut());
+        }
+    }
+}

@@ -1,0 +1,277 @@
+use super::*;
+use serial::{Line, VirtualLine, virtual_line};
+use std::collections::VecDeque;
+
+const SETTINGS: Settings = Settings::AXIS_CONTROLLER;
+
+fn at(micros: u64) -> Instant {
+    Instant::from_nanos(micros * 1000)
+}
+
+/// Sends back what it received, `delay` later.
+struct Echo {
+    delay: Duration,
+    heard: Vec<(u8, Instant)>,
+    pending: VecDeque<(u8, Instant)>,
+}
+
+impl LineDevice for Echo {
+    fn receive(&mut self, byte: u8, now: Instant) {
+        self.heard.push((byte, now));
+        self.pending.push_back((byte, now + self.delay));
+    }
+    fn poll_transmit(&mut self, now: Instant) -> Option<u8> {
+        let &(byte, _) = self.pending.front().filter(|(_, at)| *at <= now)?;
+        self.pending.pop_front();
+        Some(byte)
+    }
+    fn poll_timeout(&self) -> Option<Instant> {
+        self.pending.front().map(|&(_, at)| at)
+    }
+    fn handle_timeout(&mut self, _now: Instant) {}
+}
+
+struct Rig {
+    line: SerialLine,
+    host: VirtualLine,
+}
+
+fn rig(latency: Option<Duration>, delay: Duration) -> Rig {
+    let echo = Echo {
+        delay,
+        heard: Vec::new(),
+        pending: VecDeque::new(),
+    };
+    let mut line = SerialLine::new(SETTINGS, latency, Box::new(echo));
+    let (host, peer) = virtual_line(1024);
+    line.attach_host(peer);
+    Rig { line, host }
+}
+
+impl Rig {
+    fn heard(&self) -> &[(u8, Instant)] {
+        let device: &dyn std::any::Any = self.line.device();
+        &device.downcast_ref::<Echo>().unwrap().heard
+    }
+
+    /// Advances from event to event until `until`, and says when how many bytes could be read.
+    fn reads(&mut self, until: Instant) -> Vec<(u64, usize)> {
+        let mut reads = Vec::new();
+        loop {
+            let now = self.line.next_event().map_or(until, |at| at.min(until));
+            self.line.advance(now);
+            let count = self.host.read(now, &mut [0; 1024]).unwrap();
+            if count > 0 {
+                reads.push((now.as_nanos(), count));
+            }
+            if now == until {
+                return reads;
+            }
+        }
+    }
+}
+
+fn nanos(count: usize) -> u64 {
+    SETTINGS.line_time(count).as_nanos() as u64
+}
+
+#[test]
+fn bytes_take_their_line_times_both_ways() {
+    let delay = Duration::from_micros(300);
+    let mut rig = rig(None, delay);
+    rig.host.write(at(1000), b"abc").unwrap();
+    let reads = rig.reads(at(5000));
+    let expected = [1, 2, 3].map(|count| 1_000_000 + nanos(count));
+    assert_eq!(
+        rig.heard()
+            .iter()
+            .map(|&(_, at)| at.as_nanos())
+            .collect::<Vec<_>>(),
+        expected
+    );
+    // Each byte goes back a delay after it came: one byte behind the other, again without a gap
+    // beyond what rounding leaves.
+    let first = 1_000_000 + nanos(1) + 300_000;
+    assert_eq!(reads[0], (first + nanos(1), 1));
+    assert_eq!(reads.len(), 3);
+    assert!(reads[2].0 - first <= nanos(3) + 3, "{reads:?}");
+}
+
+#[test]
+fn a_long_burst_does_not_gather_rounding() {
+    let mut rig = rig(None, Duration::from_secs(1));
+    rig.host.write(at(0), &[0; 1000]).unwrap();
+    rig.line.advance(at(100_000));
+    assert_eq!(rig.heard()[999].1.as_nanos(), nanos(1000));
+}
+
+#[test]
+fn both_directions_carry_at_once() {
+    let mut rig = rig(None, Duration::ZERO);
+    rig.host.write(at(0), &[7; 100]).unwrap();
+    let reads = rig.reads(at(5000));
+    let (last, _) = *reads.last().unwrap();
+    assert!(
+        last <= nanos(101) + 100,
+        "one byte behind the request, not after all of it: {last}"
+    );
+}
+
+#[test]
+fn what_is_handed_over_late_goes_on_the_line_at_once() {
+    let mut rig = rig(None, Duration::from_secs(1));
+    rig.line.advance(at(500));
+    rig.host.write(at(100), &[1]).unwrap();
+    rig.line.advance(at(505));
+    assert_eq!(rig.heard(), [], "still on the wire");
+    rig.line.advance(at(1000));
+    assert_eq!(rig.heard()[0].1.as_nanos(), 500_000 + nanos(1));
+}
+
+#[test]
+fn an_adapter_hands_over_when_its_timer_runs_out_or_a_packet_is_full() {
+    // Bytes written at an instant, and what the host reads when.
+    type Reads = &'static [(u64, usize)];
+    let cases: [(u64, usize, Reads); 4] = [
+        (100, 3, &[(16_000_000, 3)]),
+        // The timer is not started by the byte.
+        (15_000, 3, &[(16_000_000, 3)]),
+        (15_990, 3, &[(32_000_000, 3)]),
+        (
+            0,
+            100,
+            // 62 once they are there, one byte of the request behind, the rest 16 ms later.
+            &[(11_936 + 740_018, 62), (16_751_954, 38)],
+        ),
+    ];
+    for (micros, count, expected) in cases {
+        let mut rig = rig(Some(FTDI_LATENCY), Duration::ZERO);
+        rig.host.write(at(micros), &vec![5; count]).unwrap();
+        let reads = rig.reads(at(100_000));
+        assert_eq!(reads.len(), expected.len(), "{reads:?}");
+        for (read, expected) in reads.iter().zip(expected) {
+            assert_eq!(read.1, expected.1);
+            assert!(read.0.abs_diff(expected.0) < 100, "{reads:?}");
+        }
+    }
+}
+
+#[test]
+fn a_low_latency_adapter_is_sixteen_times_as_quick() {
+    let mut rig = rig(Some(FTDI_LOW_LATENCY), Duration::ZERO);
+    rig.host.write(at(100), &[1, 2, 3]).unwrap();
+    assert_eq!(rig.reads(at(100_000)), [(1_000_000, 3)]);
+}
+
+#[test]
+fn a_new_host_end_takes_over_from_the_old_one() {
+    let mut rig = rig(None, Duration::ZERO);
+    let (host, peer) = virtual_line(8);
+    rig.line.attach_host(peer);
+    let mut old = std::mem::replace(&mut rig.host, host);
+    assert!(old.write(at(0), &[1]).is_err());
+    rig.host.write(at(0), &[2]).unwrap();
+    assert_eq!(rig.reads(at(1000)).len(), 1);
+    assert_eq!(rig.heard()[0].0, 2);
+}
+
+#[test]
+fn faults_damage_their_direction_at_their_rate_and_are_counted() {
+    const COUNT: usize = 1000;
+    let wire = WireFaults::default();
+    let some = |rate: f64| 0.8 * rate * COUNT as f64..1.2 * rate * COUNT as f64;
+    type Check = fn(&LineStatistics) -> u64;
+    let cases: [(WireFaults, Check, std::ops::Range<f64>); 6] = [
+        (wire, |s| s.corrupted + s.lost + s.duplicated, 0.0..0.5),
+        (
+            WireFaults {
+                bit_error_rate: 0.05,
+                ..wire
+            },
+            |s| s.corrupted,
+            some(1.0 - 0.95_f64.powi(8)),
+        ),
+        (
+            WireFaults {
+                duplicate: 0.2,
+                ..wire
+            },
+            |s| s.duplicated,
+            some(0.2),
+        ),
+        // Bursts of ten: what follows the lost byte is lost as well.
+        (
+            WireFaults { tear: 0.1, ..wire },
+            |s| s.lost,
+            some(1.0 - (0.9 - 0.9_f64.powi(11)) / 0.1 / 10.0),
+        ),
+        (
+            WireFaults {
+                stuck: Some(Stuck::Silent),
+                ..wire
+            },
+            |s| s.lost,
+            some(1.0),
+        ),
+        (
+            WireFaults {
+                stuck: Some(Stuck::At(0xFF)),
+                ..wire
+            },
+            |s| s.corrupted,
+            some(1.0),
+        ),
+    ];
+    for (faults, count, expected) in cases {
+        for towards_device in [true, false] {
+            let mut rig = rig(None, Duration::ZERO);
+            let mut both = LineFaults {
+                seed: 5,
+                ..LineFaults::default()
+            };
+            if towards_device {
+                both.to_device = faults;
+            } else {
+                both.to_host = faults;
+            }
+            rig.line.set_faults(&both);
+            let mut read = 0;
+            for burst in 0..COUNT as u64 / 10 {
+                rig.host.write(at(burst * 1000), &[0x5A; 10]).unwrap();
+                let reads = rig.reads(at(burst * 1000 + 999));
+                read += reads.into_iter().map(|(_, count)| count).sum::<usize>();
+            }
+            let statistics = rig.line.statistics();
+            let counted = count(&statistics);
+            assert!(
+                expected.contains(&(counted as f64)),
+                "{faults:?}: {counted}"
+            );
+            assert_eq!(statistics.to_device, COUNT as u64);
+            let arrived = COUNT as u64 + statistics.duplicated - statistics.lost;
+            assert_eq!(read as u64, arrived);
+            assert_eq!(
+                rig.heard().len() as u64 == arrived,
+                towards_device || arrived == 1000
+            );
+        }
+    }
+}
+
+#[test]
+fn a_device_that_is_never_content_does_not_stop_time() {
+    struct Restless;
+    impl LineDevice for Restless {
+        fn receive(&mut self, _: u8, _: Instant) {}
+        fn poll_transmit(&mut self, _: Instant) -> Option<u8> {
+            None
+        }
+        fn poll_timeout(&self) -> Option<Instant> {
+            Some(Instant::ZERO)
+        }
+        fn handle_timeout(&mut self, _: Instant) {}
+    }
+    let mut line = SerialLine::new(SETTINGS, None, Box::new(Restless));
+    line.advance(at(1000));
+    assert!(line.next_event().unwrap() > at(1000));
+}
