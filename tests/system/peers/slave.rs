@@ -227,7 +227,8 @@ fn a_drive_group_runs_a_local_node() {
         };
         let follow =
             |cycle| AxisCommand::Follow(Setpoint::Position(Finite::new(way(cycle)).unwrap()));
-        let counts = stage.cell.robot[0].axis[0].drive.counts_per_revolution;
+        let drive = stage.cell.robot[0].axis[0].drive.as_ref().unwrap();
+        let counts = drive.counts_per_revolution;
         let full = |state: &AxisState| i64::from(state.increments.0) == i64::from(counts);
         cycles(&follow, &full);
         let (_, stood) = cycles(&|cycle| follow(cycle + 100), &|state| {
