@@ -15,13 +15,10 @@
 use std::os::fd::AsFd;
 use std::path::Path;
 use std::process::{Command, ExitCode};
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread;
 use std::time::Duration;
 
 use can::timing::Bitrate;
 use can::{Instant, Port, Received, clock};
-use canopen::NodeId;
 use canopen::objects::DEVICE_TYPE;
 use canopen::sdo::Client;
 use canopen::sync::Sync;
@@ -33,19 +30,23 @@ use serial::{Settings, SlcanPort, Tty};
 #[path = "../system/adapter.rs"]
 mod adapter;
 
-use adapter::Adapter;
+use adapter::{Adapter, NODE, drive};
 
-const NODE: NodeId = NodeId::new(1).unwrap();
+/// How long a side is measured in a round.
+const MEASURED: Duration = Duration::from_secs(1);
 
-/// How long each side is measured.
-const MEASURED: Duration = Duration::from_secs(3);
+/// How often each side is measured; its best round counts, as the one least disturbed.
+const ROUNDS: usize = 4;
 
 fn main() -> ExitCode {
-    let (theirs, ours) = over_slcan();
-    let slcan = Comparison::new("slcan", ours, theirs, 2.0);
-    let theirs = python_canopen(&[]);
-    let on_bus = Comparison::new("virtual", on_the_virtual_bus(), theirs, 50.0);
-    let all = [slcan, on_bus];
+    let all = [
+        Comparison::new("slcan", over_slcan(), 2.0),
+        Comparison::new(
+            "virtual",
+            in_turns(|| python_canopen(&[]), on_the_virtual_bus),
+            50.0,
+        ),
+    ];
     all.iter().for_each(Comparison::print);
     println!(
         "{}",
@@ -64,7 +65,7 @@ struct Comparison {
 }
 
 impl Comparison {
-    fn new(name: &'static str, ours: f64, theirs: f64, at_least: f64) -> Self {
+    fn new(name: &'static str, (theirs, ours): (f64, f64), at_least: f64) -> Self {
         Self {
             name,
             ours,
@@ -106,20 +107,18 @@ impl Comparison {
 
 /// What python-canopen does and what we do on one adapter.
 fn over_slcan() -> (f64, f64) {
-    let drive = Epos4::new(Epos4Config {
-        answer_delay: Duration::ZERO,
-        power_on: clock::now(),
-        ..drive_config()
-    });
-    let mut adapter = Adapter::new(Some(drive));
-    let tty = adapter.pty.path().to_owned();
-    let done = AtomicBool::new(false);
-    thread::scope(|scope| {
-        scope.spawn(|| adapter.serve(Duration::MAX, |_| done.load(Ordering::Relaxed)));
-        let theirs = python_canopen(&["--interface", "slcan", "--channel", tty.to_str().unwrap()]);
-        let ours = on_the_adapter(&tty);
-        done.store(true, Ordering::Relaxed);
-        (theirs, ours)
+    let adapter = Adapter::new(Some(drive(Duration::ZERO)));
+    adapter.served(|tty| {
+        let channel = tty.to_str().expect("a path of digits and letters");
+        let theirs = || python_canopen(&["--interface", "slcan", "--channel", channel]);
+        in_turns(theirs, || on_the_adapter(tty))
+    })
+}
+
+/// Both in turns, so that whatever else the machine does disturbs both; the best round of each.
+fn in_turns(mut theirs: impl FnMut() -> f64, mut ours: impl FnMut() -> f64) -> (f64, f64) {
+    (0..ROUNDS).fold((0.0_f64, 0.0_f64), |best, _| {
+        (best.0.max(theirs()), best.1.max(ours()))
     })
 }
 
@@ -152,7 +151,8 @@ fn on_the_virtual_bus() -> f64 {
     let mut world = World::new();
     let bus = world.add_bus(Bitrate::KBPS_1000);
     let mut port = world.host_port(bus, 16);
-    world.add_device(bus, Box::new(Epos4::new(drive_config())));
+    let axis = AxisConfig::irp6(Irp6Axis::ALL[0]);
+    world.add_device(bus, Box::new(Epos4::new(Epos4Config::new(NODE, axis))));
     let mut now = Instant::ZERO + Duration::from_secs(1);
     world.advance(now);
     let mut client = client();
@@ -162,10 +162,6 @@ fn on_the_virtual_bus() -> f64 {
             now + STEP
         });
     })
-}
-
-fn drive_config() -> Epos4Config {
-    Epos4Config::new(NODE, AxisConfig::irp6(Irp6Axis::ALL[0]))
 }
 
 fn client() -> Client {

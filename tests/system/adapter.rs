@@ -5,11 +5,27 @@
 
 use std::io;
 use std::os::fd::AsFd;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
 use std::time::Duration;
 
 use can::timing::Bitrate;
 use can::{Frame, Instant, clock};
-use hil::{Device, Epos4, Pty, SlcanConfig, SlcanDevice, pty};
+use canopen::NodeId;
+use hil::{AxisConfig, Device, Epos4, Epos4Config, Irp6Axis, Pty, SlcanConfig, SlcanDevice, pty};
+
+/// The drive's node-ID.
+pub(crate) const NODE: NodeId = NodeId::new(1).unwrap();
+
+/// A drive that is switched on now and answers after `answer_delay`, on an axis with room for a turn each way.
+pub(crate) fn drive(answer_delay: Duration) -> Epos4 {
+    Epos4::new(Epos4Config {
+        answer_delay,
+        power_on: clock::now(),
+        ..Epos4Config::new(NODE, AxisConfig::irp6(Irp6Axis::ALL[0]))
+    })
+}
 
 pub(crate) struct Adapter {
     pub(crate) pty: Pty,
@@ -24,6 +40,24 @@ impl Adapter {
             device: SlcanDevice::new(SlcanConfig::new(Bitrate::KBPS_1000)),
             drive,
         }
+    }
+
+    /// Serves the host while `body` runs, which is given the host's end.
+    pub(crate) fn served<T>(mut self, body: impl FnOnce(&Path) -> T) -> T {
+        /// Ends the serving however `body` ends.
+        struct Done<'a>(&'a AtomicBool);
+        impl Drop for Done<'_> {
+            fn drop(&mut self) {
+                self.0.store(true, Ordering::Relaxed);
+            }
+        }
+        let tty = self.pty.path().to_owned();
+        let done = AtomicBool::new(false);
+        thread::scope(|scope| {
+            scope.spawn(|| self.serve(Duration::MAX, |_| done.load(Ordering::Relaxed)));
+            let _done = Done(&done);
+            body(&tty)
+        })
     }
 
     /// Serves the host for `time`, or until `done`; whether it was.

@@ -43,6 +43,13 @@ impl<'a> Bus<'a> {
         }
     }
 
+    fn slcan(tty: &'a Path) -> Self {
+        Self {
+            interface: "slcan",
+            channel: tty,
+        }
+    }
+
     /// A script on this bus, with the emulator's data sheet.
     fn script(&self, python: &Path, name: &str) -> Command {
         let mut command = Command::new("timeout");

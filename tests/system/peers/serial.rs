@@ -12,16 +12,33 @@ use super::linux::{Killed, open, sequence};
 use crate::adapter::Adapter;
 use crate::bench::on_vcan;
 use crate::socketcan::sh;
-use crate::vcan::started;
+use crate::vcan::{started, wait_until};
 
 /// Longest time that anything here may take.
 const PATIENCE: Duration = Duration::from_secs(10);
 
-/// Attaches the kernel's driver to a tty as `interface`; it goes when this is dropped.
-pub(super) fn attach(tty: &Path, interface: &str, speed: u8) -> Killed {
+/// The kernel's driver on a tty. It goes when this is dropped.
+pub(super) struct Attached {
+    pub(super) interface: &'static str,
+    _slcand: Killed,
+}
+
+/// Attaches the driver, while somebody serves the tty's other end.
+pub(super) fn attach(tty: &Path, interface: &'static str) -> Attached {
+    let slcand = start_slcand(tty, interface);
+    wait_until("the interface is there", || is_there(interface));
+    // The ten that it has by default overflow when python-canopen searches its bus.
+    sh(&format!("ip link set {interface} txqueuelen 100 up"));
+    Attached {
+        interface,
+        _slcand: slcand,
+    }
+}
+
+fn start_slcand(tty: &Path, interface: &str) -> Killed {
     let slcand = Command::new("slcand")
-        .args(["-F", "-o", "-c", &format!("-s{speed}")])
-        .arg(fs::canonicalize(tty).unwrap())
+        .args(["-F", "-o", "-c", "-s8"])
+        .arg(tty)
         .arg(interface)
         .stdout(Stdio::null())
         .spawn();
@@ -43,7 +60,7 @@ fn the_kernels_driver_takes_frames_states_and_errors_of_an_adapter() {
     on_vcan(test, |_| {
         let interface = "slcan0";
         let mut adapter = Adapter::new(None);
-        let _slcand = attach(adapter.pty.path(), interface, 8);
+        let _slcand = start_slcand(adapter.pty.path(), interface);
         assert!(adapter.serve(PATIENCE, |_| is_there(interface)));
         sh(&format!("ip link set {interface} up"));
         let log = std::env::temp_dir().join("slcan0.log");
