@@ -1,16 +1,22 @@
 //! A bus of the real world: a SocketCAN interface or an slcan adapter.
 
-use anyhow::bail;
+use std::os::fd::AsFd;
+use std::task::Poll;
+
+use anyhow::Context;
+use can::timing::Bitrate;
 use can::{
     ControllerState, Counters, Frame, Instant, Port, PortError, Received, SocketCanOptions,
-    SocketCanPort,
+    SocketCanPort, clock,
 };
+use serial::{Settings, SlcanPort, StopBits, Tty};
 
 use crate::interfaces::Interface;
 
 /// A port that can be waited for.
 pub(crate) enum BusPort {
     SocketCan(SocketCanPort),
+    Slcan(SlcanPort<Tty>),
 }
 
 impl BusPort {
@@ -19,15 +25,26 @@ impl BusPort {
         Self::with_options(interface, kbps, &SocketCanOptions::default())
     }
 
-    /// The same, with `options` where it is a SocketCAN interface.
+    /// The same, with `options` where it is a SocketCAN interface. An slcan adapter is given 0.7 s to answer.
     pub(crate) fn with_options(
         interface: &Interface,
-        _kbps: u32,
+        kbps: u32,
         options: &SocketCanOptions,
     ) -> anyhow::Result<Self> {
         match interface {
             Interface::SocketCan(name) => Ok(Self::SocketCan(SocketCanPort::open(name, options)?)),
-            Interface::Slcan(path) => bail!("{path}: slcan adapters are not served"),
+            Interface::Slcan { path, baud } => {
+                let stop_bits = StopBits::One;
+                let tty = Tty::open(
+                    path,
+                    Settings {
+                        baud: *baud,
+                        stop_bits,
+                    },
+                )?;
+                let opened = open_slcan(tty, kbps);
+                Ok(Self::Slcan(opened.with_context(|| path.clone())?))
+            }
         }
     }
 
@@ -35,29 +52,53 @@ impl BusPort {
     pub(crate) fn wait_readable(&self, until: Instant) -> Result<bool, PortError> {
         match self {
             Self::SocketCan(port) => port.wait_readable(until),
+            Self::Slcan(port) => {
+                clock::wait_readable(port.line().as_fd(), until).map_err(PortError::Os)
+            }
         }
+    }
+
+    fn port(&self) -> &dyn Port {
+        match self {
+            Self::SocketCan(port) => port,
+            Self::Slcan(port) => port,
+        }
+    }
+
+    fn port_mut(&mut self) -> &mut dyn Port {
+        match self {
+            Self::SocketCan(port) => port,
+            Self::Slcan(port) => port,
+        }
+    }
+}
+
+fn open_slcan(tty: Tty, kbps: u32) -> anyhow::Result<SlcanPort<Tty>> {
+    let bitrate = Bitrate::from_kbps(kbps)
+        .with_context(|| format!("{kbps} kbit/s is no bit rate of CAN, 10 to 1000 kbit/s"))?;
+    let mut port = SlcanPort::new(tty, bitrate, clock::now())?;
+    loop {
+        if let Poll::Ready(result) = port.poll_open(clock::now()) {
+            return result.map(|()| port).map_err(Into::into);
+        }
+        let until = port
+            .poll_timeout()
+            .expect("it has a deadline while it is being opened");
+        clock::wait_readable(port.line().as_fd(), until).map_err(PortError::Os)?;
     }
 }
 
 impl Port for BusPort {
     fn send(&mut self, now: Instant, frames: &[Frame]) -> Result<usize, PortError> {
-        match self {
-            Self::SocketCan(port) => port.send(now, frames),
-        }
+        self.port_mut().send(now, frames)
     }
     fn receive(&mut self, now: Instant, into: &mut [Received]) -> Result<usize, PortError> {
-        match self {
-            Self::SocketCan(port) => port.receive(now, into),
-        }
+        self.port_mut().receive(now, into)
     }
     fn counters(&self) -> Counters {
-        match self {
-            Self::SocketCan(port) => port.counters(),
-        }
+        self.port().counters()
     }
     fn state(&self) -> ControllerState {
-        match self {
-            Self::SocketCan(port) => port.state(),
-        }
+        self.port().state()
     }
 }

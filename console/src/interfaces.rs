@@ -8,29 +8,42 @@ use controller::cell::Cell;
 /// What begins the name of an slcan adapter.
 const SLCAN: &str = "slcan:";
 
+/// Speed of the tty of an adapter whose name says none. Adapters that are USB devices themselves do not look at it.
+const BAUD: u32 = 115_200;
+
 /// An interface by the name that options and cell files give it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Interface {
     /// That of SocketCAN, such as `can0`.
     SocketCan(String),
-    /// An slcan adapter on the tty at this path: `slcan:/dev/ttyACM0`.
-    Slcan(String),
+    /// An slcan adapter on a tty: `slcan:/dev/ttyACM0`, or `slcan:/dev/ttyUSB0@921600`.
+    Slcan {
+        /// The tty.
+        path: String,
+        /// Its speed, bit/s.
+        baud: u32,
+    },
 }
 
 impl Interface {
     /// Whatever does not begin with `slcan:` is SocketCAN's.
     pub(crate) fn parse(name: &str) -> Self {
-        match name.strip_prefix(SLCAN) {
-            Some(path) => Self::Slcan(path.to_owned()),
-            None => Self::SocketCan(name.to_owned()),
-        }
+        let Some(tty) = name.strip_prefix(SLCAN) else {
+            return Self::SocketCan(name.to_owned());
+        };
+        let with_baud = tty.rsplit_once('@');
+        let (path, baud) = with_baud
+            .and_then(|(path, baud)| Some((path, baud.parse().ok()?)))
+            .unwrap_or((tty, BAUD));
+        let path = path.to_owned();
+        Self::Slcan { path, baud }
     }
 
     /// What a candump log calls the interface, as bus `bus` of the cell: paths are too long for it.
     pub(crate) fn log_name(&self, bus: usize) -> String {
         match self {
             Self::SocketCan(name) => name.clone(),
-            Self::Slcan(_) => format!("slcan{bus}"),
+            Self::Slcan { .. } => format!("slcan{bus}"),
         }
     }
 }
@@ -39,7 +52,8 @@ impl fmt::Display for Interface {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::SocketCan(name) => f.write_str(name),
-            Self::Slcan(path) => write!(f, "{SLCAN}{path}"),
+            Self::Slcan { path, baud: BAUD } => write!(f, "{SLCAN}{path}"),
+            Self::Slcan { path, baud } => write!(f, "{SLCAN}{path}@{baud}"),
         }
     }
 }
@@ -69,4 +83,28 @@ pub(crate) fn resolve(cell: &Cell, overrides: &[String]) -> anyhow::Result<Vec<I
         interfaces[index] = Interface::parse(interface);
     }
     Ok(interfaces)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn slcan_adapters_are_named_by_their_tty_and_its_speed() {
+        let slcan = |path: &str, baud| Interface::Slcan {
+            path: path.to_owned(),
+            baud,
+        };
+        let table = [
+            ("can0", Interface::SocketCan("can0".to_owned())),
+            ("slcan0", Interface::SocketCan("slcan0".to_owned())),
+            ("slcan:/dev/ttyACM0", slcan("/dev/ttyACM0", 115_200)),
+            ("slcan:/dev/ttyUSB0@921600", slcan("/dev/ttyUSB0", 921_600)),
+            ("slcan:/dev/a@b", slcan("/dev/a@b", 115_200)),
+        ];
+        for (name, interface) in table {
+            assert_eq!(Interface::parse(name), interface);
+            assert_eq!(interface.to_string(), name);
+        }
+    }
 }

@@ -6,7 +6,7 @@
 
 use std::f64::consts::TAU;
 
-use crate::plant::{Demand, PlantConfig, SUB_STEP};
+use crate::plant::{Demand, PlantConfig, SUB_STEP, Wut};
 
 /// What a drive is set to.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -119,6 +119,8 @@ pub(crate) struct Amplifier {
     current: f64,
     /// Of the current loop, V.
     voltage_integral: f64,
+    /// Put out without a loop, V.
+    fixed: Option<f64>,
 }
 
 impl Amplifier {
@@ -144,7 +146,17 @@ impl Amplifier {
             torque_integral: 0.0,
             current: 0.0,
             voltage_integral: 0.0,
+            fixed: None,
         }
+    }
+
+    pub(crate) fn set_trip_current(&mut self, current: f64) {
+        self.config.trip_current = current;
+    }
+
+    pub(crate) fn set_current_gains(&mut self, proportional: f64, integral: f64) {
+        self.gains.current = proportional;
+        self.gains.current_integral = integral;
     }
 
     /// Takes an encoder reading; each sub-step, power or not. A count stands for its middle.
@@ -162,12 +174,35 @@ impl Amplifier {
         self.torque_integral = 0.0;
         self.current = 0.0;
         self.voltage_integral = 0.0;
+        self.fixed = None;
+    }
+
+    /// Takes over what a demand says about the current loop itself. The loop goes on from the voltage
+    /// that was put out.
+    pub(crate) fn command(&mut self, demand: &Demand) {
+        self.fixed = None;
+        match *demand {
+            Demand::Current(current) => {
+                self.closed = false;
+                self.current = current;
+                self.torque_integral = current * self.torque_constant;
+            }
+            Demand::Duty(share) => {
+                self.closed = false;
+                self.torque_integral = 0.0;
+                let voltage = share.clamp(-1.0, 1.0) * self.config.max_voltage;
+                self.voltage_integral = voltage;
+                self.fixed = Some(voltage);
+            }
+            Demand::Off | Demand::Position { .. } | Demand::Velocity(_) | Demand::Torque(_) => {}
+        }
     }
 
     /// A turn of the outer loops, `sub_step` sub-steps into the demand.
     pub(crate) fn regulate(&mut self, demand: &Demand, sub_step: u32, counts: i32) {
         let (velocity, correction) = match *demand {
             Demand::Off => return self.release(),
+            Demand::Current(_) | Demand::Duty(_) => return,
             Demand::Torque(torque) => {
                 self.closed = false;
                 self.current = self.limited(torque / self.torque_constant);
@@ -216,6 +251,9 @@ impl Amplifier {
 
     /// One turn of the current loop: the voltage for a measured current.
     pub(crate) fn voltage(&mut self, measured: f64) -> f64 {
+        if let Some(voltage) = self.fixed {
+            return voltage;
+        }
         let error = self.current - measured;
         let wanted = self.gains.current * error + self.voltage_integral;
         let voltage = wanted.clamp(-self.config.max_voltage, self.config.max_voltage);
@@ -223,6 +261,15 @@ impl Amplifier {
             self.voltage_integral += self.gains.current_integral * error;
         }
         voltage
+    }
+
+    /// The current of a motor that has no inductance, A: what the outer loops ask for, or what a fixed
+    /// voltage drives against the back-EMF.
+    pub(crate) fn settle(&mut self, wut: &Wut) -> f64 {
+        if let Some(voltage) = self.fixed {
+            self.current = wut.static_current(voltage);
+        }
+        self.current
     }
 
     /// Current that the outer loops ask for, A.

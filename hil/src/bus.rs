@@ -132,11 +132,6 @@ impl VirtualBus {
         Some(result)
     }
 
-    /// When something happens next, unless a host or [`VirtualBus::change_device`] brings it about.
-    pub fn poll_timeout(&self) -> Option<Instant> {
-        self.next_event()
-    }
-
     /// What was counted up to the last [`VirtualBus::advance`].
     pub fn statistics(&self) -> BusStatistics {
         self.statistics

@@ -3,10 +3,12 @@
 //! A [`Device`] is what hangs on a bus; the [virtual bus](bus) carries frames between devices and
 //! the host with true arbitration and bit times. A [`LineDevice`] is what hangs on a [serial
 //! line](line), which carries bytes in their true times. A [`World`] is all buses and lines of a
-//! cell, and a [plant] is the physics behind a device. Of devices on a bus there are the axis controller [`Epos4`]
-//! and the adapter [`SlcanDevice`], by which a host without a CAN card reaches it. Read [`Device`] and [`World`] first.
+//! cell, and a [plant] is the physics behind a device. Of devices on a bus there are the axis
+//! controller [`Epos4`] and the adapter [`SlcanDevice`], by which a host without a CAN card reaches
+//! one. Read [`Device`] and [`World`] first.
 
 mod amplifier;
+pub mod axis_controller;
 pub mod bus;
 mod device;
 pub mod epos4;
@@ -19,6 +21,7 @@ pub mod uml;
 mod world;
 
 pub use amplifier::AmplifierConfig;
+pub use axis_controller::{AxisControllerConfig, HiMoxaAxisController, Nfv2AxisController};
 pub use bus::BusStatistics;
 pub use device::Device;
 pub use epos4::{Epos4, Epos4Config};

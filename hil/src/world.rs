@@ -122,7 +122,7 @@ impl World {
 
     /// When something happens next on any bus, unless it is brought about from outside before.
     pub fn poll_timeout(&self) -> Option<Instant> {
-        self.buses.iter().filter_map(VirtualBus::poll_timeout).min()
+        self.next_event()
     }
 
     /// Lets `change` work on a device at `now`, up to which its bus is advanced before: how bytes get

@@ -9,8 +9,8 @@ use can::Instant;
 use criterion::{Criterion, criterion_group, criterion_main};
 use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Homing, Power};
 use mrroc_servo::{
-    EffectorConfig, EffectorLink, MAX_AXES, Macrostep, Order, Phase, Servo, ServoAxisConfig,
-    ServoConfig,
+    EffectorConfig, EffectorLink, MAX_AXES, Macrostep, Order, Phase, PositionLoop, Servo,
+    ServoAxisConfig, ServoConfig,
 };
 
 const AXES: usize = 6;
@@ -54,6 +54,9 @@ fn servo() -> (Servo, EffectorLink) {
         max_acceleration: 1000.0,
         following_error: 1.0,
         homing_order: 0,
+        increments_per_radian: 4000.0 / std::f64::consts::TAU,
+        position_loop: PositionLoop::Drive,
+        homing: None,
     };
     let config = ServoConfig {
         period: PERIOD,

@@ -1,6 +1,12 @@
+mod host_homing;
+mod position_loop;
+
 use std::time::Duration;
 
 use thiserror::Error;
+
+pub use host_homing::{Direction, HomingLeg, HostHoming};
+pub use position_loop::{FeedForward, HostLoop, Law, Output, PositionLoop};
 
 use crate::{AxisLimits, MAX_AXES};
 
@@ -54,6 +60,14 @@ pub struct ServoAxisConfig {
     pub following_error: f64,
     /// Axes of equal order home together, lower orders first.
     pub homing_order: u8,
+    /// Encoder increments per radian of motor rotation, negative if they fall while the motor turns in
+    /// its positive direction: [`Scale::increments_per_radian`](drive::Scale::increments_per_radian).
+    pub increments_per_radian: f64,
+    /// Who closes the position loop.
+    pub position_loop: PositionLoop,
+    /// How the servo homes the axis; `None` if its drive does,
+    /// [`AxisCommand::Home`](drive::AxisCommand::Home).
+    pub homing: Option<HostHoming>,
 }
 
 impl ServoAxisConfig {
@@ -213,8 +227,15 @@ impl ServoAxisConfig {
             Some("max_acceleration")
         } else if !positive(self.following_error) {
             Some("following_error")
+        } else if !positive(self.increments_per_radian.abs()) {
+            Some("increments_per_radian")
+        } else if let PositionLoop::Host(host) = &self.position_loop
+            && let Some(field) = host.nonsense(self.max_velocity)
+        {
+            Some(field)
         } else {
-            None
+            let homing = self.homing.as_ref();
+            homing.and_then(|homing| homing.nonsense(self.max_velocity, self.max_acceleration))
         }
     }
 }
@@ -222,6 +243,7 @@ impl ServoAxisConfig {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::regulator::{CascadeConfig, IRP6, IRP6_DUTY, IncrementalConfig};
     use crate::scripted::config;
 
     fn refusal(change: impl FnOnce(&mut ServoConfig)) -> Result<(), ServoError> {
@@ -310,6 +332,147 @@ mod tests {
         ];
         for (number, (change, expected)) in cases.into_iter().enumerate() {
             assert_eq!(refusal(change), expected, "case {number}");
+        }
+    }
+
+    const HOST: HostLoop = HostLoop {
+        law: Law::Incremental(IRP6_DUTY[0]),
+        output: Output::Duty,
+        feed_forward: FeedForward {
+            velocity: 0.0,
+            acceleration: 0.0,
+            coulomb: 0.0,
+            constant: 0.0,
+        },
+        runaway_velocity: 120.0,
+    };
+    const CASCADE: CascadeConfig = CascadeConfig {
+        position_gain: 40.0,
+        velocity_gain: 0.02,
+        integral_rate: 50.0,
+        limit: 1.0,
+    };
+    const HOMING: HostHoming = HostHoming {
+        direction: Direction::Negative,
+        search: LEG,
+        zero: LEG,
+        acceleration: 500.0,
+        pause: Duration::ZERO,
+        debounce: 1,
+        reverse_at_limit: true,
+    };
+    const LEG: HomingLeg = HomingLeg {
+        velocity: 15.0,
+        distance: 60.0,
+        timeout: Duration::from_secs(5),
+    };
+
+    fn refused_limit(change: impl FnOnce(&mut ServoAxisConfig)) -> Option<&'static str> {
+        let result = refusal(|config| change(&mut config.effectors[0].axes[0]));
+        match result {
+            Ok(()) => None,
+            Err(ServoError::BadLimit { limit, .. }) => Some(limit),
+            Err(other) => panic!("{other}"),
+        }
+    }
+
+    #[test]
+    fn a_loop_of_the_host_is_refused_for_the_field_that_is_wrong() {
+        type Case = (fn(&mut HostLoop), Option<&'static str>);
+        let cases: [Case; 11] = [
+            (|_| {}, None),
+            (
+                |l| l.runaway_velocity = 100.0,
+                Some("runaway_velocity, not above max_velocity,"),
+            ),
+            (
+                |l| l.feed_forward.velocity = -1.0,
+                Some("feed_forward.velocity"),
+            ),
+            (
+                |l| l.feed_forward.acceleration = f64::NAN,
+                Some("feed_forward.acceleration"),
+            ),
+            (
+                |l| l.feed_forward.coulomb = -0.1,
+                Some("feed_forward.coulomb"),
+            ),
+            (
+                |l| l.feed_forward.constant = f64::INFINITY,
+                Some("feed_forward.constant"),
+            ),
+            // The table by torque has limits above 1.
+            (
+                |l| l.law = Law::Incremental(IRP6[0]),
+                Some("limit of its loop, a duty above 1,"),
+            ),
+            (
+                |l| l.law = Law::Incremental(IncrementalConfig { a: 1.0, ..IRP6[0] }),
+                Some("a of its loop"),
+            ),
+            (|l| l.law = Law::Cascade(CASCADE), None),
+            (
+                |l| {
+                    l.law = Law::Cascade(CascadeConfig {
+                        position_gain: f64::NAN,
+                        ..CASCADE
+                    });
+                },
+                Some("position_gain of its loop"),
+            ),
+            (
+                |l| {
+                    l.law = Law::Cascade(CascadeConfig {
+                        integral_rate: -1.0,
+                        ..CASCADE
+                    });
+                },
+                Some("integral_rate of its loop"),
+            ),
+        ];
+        for (number, (change, expected)) in cases.into_iter().enumerate() {
+            let mut host = HOST;
+            change(&mut host);
+            let found = refused_limit(|axis| axis.position_loop = PositionLoop::Host(host));
+            assert_eq!(found, expected, "case {number}");
+        }
+        let unscaled = refused_limit(|axis| axis.increments_per_radian = 0.0);
+        assert_eq!(unscaled, Some("increments_per_radian"));
+        let falling = refused_limit(|axis| axis.increments_per_radian = -636.6);
+        assert_eq!(falling, None);
+    }
+
+    #[test]
+    fn homing_by_the_host_is_refused_for_the_field_that_is_wrong() {
+        type Case = (fn(&mut HostHoming), Option<&'static str>);
+        let cases: [Case; 9] = [
+            (|_| {}, None),
+            (
+                |h| h.search.velocity = 101.0,
+                Some("homing.search.velocity"),
+            ),
+            (|h| h.search.distance = 0.0, Some("homing.search.distance")),
+            (
+                |h| h.search.timeout = Duration::ZERO,
+                Some("homing.search.timeout"),
+            ),
+            (|h| h.zero.velocity = -3.0, Some("homing.zero.velocity")),
+            (
+                |h| h.zero.distance = f64::INFINITY,
+                Some("homing.zero.distance"),
+            ),
+            (
+                |h| h.zero.timeout = Duration::ZERO,
+                Some("homing.zero.timeout"),
+            ),
+            (|h| h.acceleration = 1001.0, Some("homing.acceleration")),
+            (|h| h.debounce = 0, Some("homing.debounce")),
+        ];
+        for (number, (change, expected)) in cases.into_iter().enumerate() {
+            let mut homing = HOMING;
+            change(&mut homing);
+            let found = refused_limit(|axis| axis.homing = Some(homing));
+            assert_eq!(found, expected, "case {number}");
         }
     }
 }

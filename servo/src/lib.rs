@@ -29,7 +29,10 @@ pub mod thread;
 mod timing;
 
 pub use brake::StraightStop;
-pub use config::{EffectorConfig, ServoAxisConfig, ServoConfig, ServoError};
+pub use config::{
+    Direction, EffectorConfig, FeedForward, HomingLeg, HostHoming, HostLoop, Law, Output,
+    PositionLoop, ServoAxisConfig, ServoConfig, ServoError,
+};
 pub use histogram::Histogram;
 pub use interpolate::{Knot, hermite};
 pub use limit::{AxisLimits, check};

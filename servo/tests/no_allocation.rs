@@ -7,8 +7,8 @@ use std::time::Duration;
 use can::Instant;
 use drive::Homing;
 use mrroc_servo::{
-    EffectorConfig, MAX_AXES, Macrostep, Order, Phase, Servo, ServoAxisConfig, ServoConfig,
-    StopCause, Timing,
+    EffectorConfig, MAX_AXES, Macrostep, Order, Phase, PositionLoop, Servo, ServoAxisConfig,
+    ServoConfig, StopCause, Timing,
 };
 
 mod scripted;

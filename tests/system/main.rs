@@ -19,6 +19,7 @@ mod peers;
 mod regression;
 mod repetition;
 mod service;
+mod slcan;
 mod socketcan;
 mod uml;
 mod vcan;

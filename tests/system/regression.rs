@@ -7,9 +7,8 @@
 
 use std::f64::consts::TAU;
 
-use drive::Increments;
 use hil::plant::{FrictionConfig, Wut, WutConfig};
-use servo::regulator::{IRP6, Incremental, IncrementalConfig, Milliamperes};
+use servo::regulator::{IRP6, Incremental, IncrementalConfig};
 
 const PERIOD: f64 = 0.002;
 
@@ -49,21 +48,23 @@ type Sample = (f64, i32);
 /// The motion and two seconds of rest after it.
 fn run(
     regulator: IncrementalConfig,
-    motor: WutConfig,
+    motor_config: WutConfig,
     counts: f64,
     motion: Trapezoid,
 ) -> Vec<Sample> {
     let per_radian = counts / TAU;
     let mut regulator = Incremental::new(regulator);
-    let mut motor = Wut::new(&motor, 0.0);
+    let mut motor = Wut::new(&motor_config, 0.0);
     let (mut last_demand, mut last_count) = (0.0, 0);
     let periods = (motion.duration() / PERIOD) as u32 + 1000;
     (0..periods)
         .map(|k| {
             let count = (motor.angle() * per_radian).floor() as i32;
             let demand = motion.at(f64::from(k) * PERIOD) * per_radian;
-            let moved = Increments(count - last_count);
-            let Milliamperes(current) = regulator.step(demand - last_demand, moved);
+            let moved = f64::from(count - last_count);
+            let torque = regulator.step(demand - last_demand - moved, 0.0);
+            // Whole milliamperes are what a drive is sent.
+            let current = (torque / motor_config.torque_constant * 1000.0) as i32;
             motor.step(f64::from(current) / 1000.0, PERIOD);
             (last_demand, last_count) = (demand, count);
             (demand - f64::from(count), current)
@@ -95,6 +96,7 @@ const LARGE: WutConfig = WutConfig {
     inertia: 1.5e-4,
     viscous: 0.02,
     friction: FrictionConfig::NONE,
+    resistance: 0.6,
 };
 const SMALL: WutConfig = WutConfig {
     inertia: 1.5e-5,

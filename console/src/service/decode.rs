@@ -1,8 +1,11 @@
 //! Frames in words.
 //!
 //! [`Decoder::describe`] is a function of the frame and of what is known of the bus beforehand: what its PDOs carry
-//! and whose error codes its nodes send. It keeps nothing between frames, so the segments of an SDO transfer are shown
-//! without their object.
+//! and whose error codes its nodes send. It keeps nothing between frames: the segments of an SDO transfer are shown
+//! without their object, and those of a block, which begin with their number, as what that number would otherwise mean.
+
+mod block;
+mod lss;
 
 use can::Frame;
 use canopen::cia402::FaultTable;
@@ -108,11 +111,12 @@ impl Decoder {
         if let Some(pdo) = self.pdos.get(&id.raw()) {
             return self.mapped(pdo, frame.data());
         }
-        if let Some(text) = lss(id.raw(), frame.data()) {
+        if matches!(id, cob::LSS_REQUEST | cob::LSS_RESPONSE) {
+            let text = lss::request(frame).or_else(|| lss::response(frame));
             return Described {
                 kind: Kind::Lss,
                 node: None,
-                text,
+                text: text.unwrap_or_else(|| malformed(Kind::Lss, frame)),
             };
         }
         let Some(function) = cob::Function::of(id) else {
@@ -135,11 +139,10 @@ impl Decoder {
                 (Kind::Pdo, Some(node), Some(text))
             }
         };
-        let malformed = || format!("malformed {}: {}", kind.name(), bytes(frame.data()));
         Described {
             kind,
             node,
-            text: text.unwrap_or_else(malformed),
+            text: text.unwrap_or_else(|| malformed(kind, frame)),
         }
     }
 
@@ -231,7 +234,9 @@ impl Decoder {
             Request::DownloadSegment(segment) => segment_text(&segment),
             Request::UploadSegment { .. } => "next segment, please".to_owned(),
             Request::Abort { object, code } => format!("client aborts {}: {code}", named(object)),
-            Request::Unsupported(_) => format!("block transfer: {}", bytes(frame.data())),
+            Request::Unsupported(_) => {
+                block::request(frame, node).unwrap_or_else(|| block::segment(frame))
+            }
         })
     }
 
@@ -254,7 +259,9 @@ impl Decoder {
             Response::UploadSegment(segment) => segment_text(&segment),
             Response::DownloadSegment { .. } => "segment taken".to_owned(),
             Response::Abort { object, code } => format!("aborts {}: {code}", named(object)),
-            Response::Unsupported(_) => format!("block transfer: {}", bytes(frame.data())),
+            Response::Unsupported(_) => {
+                block::response(frame, node).unwrap_or_else(|| block::segment(frame))
+            }
         })
     }
 
@@ -277,6 +284,10 @@ fn bits(data: &[u8], from: usize, bits: u8) -> Option<u64> {
     padded.get_mut(..data.len())?.copy_from_slice(data);
     let value = u64::from_le_bytes(padded) >> from;
     Some(value & u64::MAX >> (64 - u32::from(bits)))
+}
+
+fn malformed(kind: Kind, frame: &Frame) -> String {
+    format!("malformed {}: {}", kind.name(), bytes(frame.data()))
 }
 
 fn named(object: Object) -> String {
@@ -383,375 +394,5 @@ fn date(days: u16) -> (u32, u32, u32) {
     (year, month, rest + 1)
 }
 
-/// Layer setting services (CiA 305) by their command specifiers.
-fn lss(id: u16, data: &[u8]) -> Option<String> {
-    let from_master = match id {
-        0x7E5 => true,
-        0x7E4 => false,
-        _ => return None,
-    };
-    let &[specifier, a, b, c, d, ..] = data else {
-        return Some(format!("malformed LSS: {}", bytes(data)));
-    };
-    let number = u32::from_le_bytes([a, b, c, d]);
-    let part = |first: u8| match specifier - first {
-        0 => "vendor-ID",
-        1 => "product code",
-        2 => "revision number",
-        _ => "serial number",
-    };
-    let error = match a {
-        0 => "done",
-        1 => "refused",
-        _ => "refused by the vendor",
-    };
-    let text = match (specifier, from_master) {
-        (0x04, true) if a == 0 => "all nodes to waiting".to_owned(),
-        (0x04, true) => "all nodes to configuration".to_owned(),
-        (0x40..=0x43, true) => format!("select {} {number:#010x}", part(0x40)),
-        (0x44, false) => "selected".to_owned(),
-        (0x11, true) if a == 0xFF => "take the node-ID away".to_owned(),
-        (0x11, true) => format!("configure node-ID {a}"),
-        (0x11, false) => format!("configure node-ID: {error}"),
-        (0x13, true) => format!("configure bit timing, table {a}, index {b}"),
-        (0x13, false) => format!("configure bit timing: {error}"),
-        (0x15, true) => format!(
-            "activate bit timing after {} ms",
-            u16::from_le_bytes([a, b])
-        ),
-        (0x17, true) => "store".to_owned(),
-        (0x17, false) => format!("store: {error}"),
-        (0x5A..=0x5D, true) => format!("inquire {}", part(0x5A)),
-        (0x5A..=0x5D, false) => format!("{} {number:#010x}", part(0x5A)),
-        (0x5E, true) => "inquire node-ID".to_owned(),
-        (0x5E, false) => format!("node-ID {a}"),
-        (0x46..=0x4B, true) => format!("identify remote slave, {:#010x}", number),
-        (0x4F, false) => "identified".to_owned(),
-        (0x4C, true) => "identify unconfigured slaves".to_owned(),
-        (0x50, false) => "unconfigured slave".to_owned(),
-        (0x51, true) => match data.get(5) {
-            Some(0x80) => "fastscan, who is unconfigured".to_owned(),
-            Some(bit) => format!("fastscan {number:#010x} down to bit {bit}"),
-            None => return Some(format!("malformed LSS: {}", bytes(data))),
-        },
-        _ => bytes(data),
-    };
-    Some(format!("LSS {text}"))
-}
-
 #[cfg(test)]
-mod tests {
-    use can::{ExtendedId, StandardId};
-    use canopen::objects::{POSITION_ACTUAL, STATUSWORD, TORQUE_ACTUAL};
-    use canopen::pdo::PdoNumber;
-
-    use super::*;
-
-    /// The frame that candump prints as `text`.
-    fn parse(text: &str) -> Frame {
-        let (id, data) = text.split_once('#').unwrap();
-        let raw = u32::from_str_radix(id, 16).unwrap();
-        let bytes: Vec<u8> = (0..data.len())
-            .step_by(2)
-            .map(|at| u8::from_str_radix(&data[at..at + 2], 16).unwrap())
-            .collect();
-        match id.len() {
-            3 => Frame::new(StandardId::new(raw as u16).unwrap(), &bytes).unwrap(),
-            _ => Frame::new(ExtendedId::new(raw).unwrap(), &bytes).unwrap(),
-        }
-    }
-
-    fn check(decoder: &Decoder, table: &[(&str, Kind, Option<u8>, &str)]) {
-        for (frame, kind, node, text) in table {
-            let expected = Described {
-                kind: *kind,
-                node: node.and_then(NodeId::new),
-                text: (*text).to_owned(),
-            };
-            assert_eq!(decoder.describe(&parse(frame)), expected, "{frame}");
-        }
-    }
-
-    #[test]
-    fn network_management_is_told_in_words() {
-        use Kind::{Heartbeat, Nmt, Sync, Time};
-        check(
-            &Decoder::default(),
-            &[
-                ("000#0105", Nmt, None, "start, node 5"),
-                ("000#8000", Nmt, None, "enter pre-operational, all nodes"),
-                ("000#8102", Nmt, None, "reset node, node 2"),
-                ("000#0300", Nmt, None, "malformed NMT: 03 00"),
-                ("080#", Sync, None, "SYNC"),
-                ("080#05", Sync, None, "SYNC 5"),
-                ("702#00", Heartbeat, Some(2), "booted"),
-                ("702#7F", Heartbeat, Some(2), "pre-operational"),
-                ("702#05", Heartbeat, Some(2), "operational"),
-                ("702#", Heartbeat, Some(2), "malformed heartbeat: "),
-                (
-                    "100#952CB302313D",
-                    Time,
-                    None,
-                    "TIME 2026-11-21 12:34:56.789",
-                ),
-                (
-                    "100#000000003C00",
-                    Time,
-                    None,
-                    "TIME 1984-03-01 00:00:00.000",
-                ),
-                ("100#00", Time, None, "malformed TIME: 00"),
-            ],
-        );
-    }
-
-    #[test]
-    fn emergencies_are_told_by_the_vendors_own_texts() {
-        let mut decoder = Decoder::default();
-        let over_current = "error 0x2310 (continuous over-current); present: current";
-        check(
-            &decoder,
-            &[
-                ("082#1023030000000000", Kind::Emcy, Some(2), over_current),
-                (
-                    "082#0000000000000000",
-                    Kind::Emcy,
-                    Some(2),
-                    "error gone; still present: none",
-                ),
-                (
-                    "082#0CFF800102030405",
-                    Kind::Emcy,
-                    Some(2),
-                    "error 0xff0c (device specific); present: vendor, vendor's bytes 01 02 03 04 05",
-                ),
-                ("082#1023", Kind::Emcy, Some(2), "malformed EMCY: 10 23"),
-            ],
-        );
-        let generic = decoder.describe(&parse("082#8152010000000000")).text;
-        decoder.set_vendor(NodeId::new(2).unwrap(), 0xFB);
-        let maxon = decoder.describe(&parse("082#8152010000000000")).text;
-        assert_ne!(generic, maxon);
-    }
-
-    #[test]
-    fn sdo_transfers_are_told_by_object_and_value() {
-        use Kind::Sdo;
-        check(
-            &Decoder::default(),
-            &[
-                (
-                    "602#4041600000000000",
-                    Sdo,
-                    Some(2),
-                    "read 0x6041:00 statusword",
-                ),
-                (
-                    "582#4B41600037070000",
-                    Sdo,
-                    Some(2),
-                    "0x6041:00 statusword = 0x0737, 1847 (operation enabled, target reached)",
-                ),
-                (
-                    "602#2B4060000F000000",
-                    Sdo,
-                    Some(2),
-                    "write 0x6040:00 controlword = 0x000f, 15 (enable operation)",
-                ),
-                (
-                    "582#6040600000000000",
-                    Sdo,
-                    Some(2),
-                    "0x6040:00 controlword taken",
-                ),
-                (
-                    "602#237A6000FEFFFFFF",
-                    Sdo,
-                    Some(2),
-                    "write 0x607a:00 target position = 0xfffffffe, -2",
-                ),
-                (
-                    "582#8041600002000106",
-                    Sdo,
-                    Some(2),
-                    "aborts 0x6041:00 statusword: 0x06010002 (attempt to write a read-only object)",
-                ),
-                (
-                    "602#80FF5F0000000405",
-                    Sdo,
-                    Some(2),
-                    "client aborts 0x5fff:00: 0x05040000 (SDO protocol timed out)",
-                ),
-                (
-                    "582#4108100005000000",
-                    Sdo,
-                    Some(2),
-                    "0x1008:00 manufacturer device name: 5 bytes in segments",
-                ),
-                ("602#6000000000000000", Sdo, Some(2), "next segment, please"),
-                (
-                    "582#0545504F53340000",
-                    Sdo,
-                    Some(2),
-                    "last segment 45 50 4f 53 34 \"EPOS4\"",
-                ),
-                (
-                    "582#C600000000000000",
-                    Sdo,
-                    Some(2),
-                    "block transfer: c6 00 00 00 00 00 00 00",
-                ),
-                ("602#40", Sdo, Some(2), "malformed SDO: 40"),
-            ],
-        );
-    }
-
-    #[test]
-    fn pdos_are_told_by_their_mapping_where_it_is_known() {
-        let node = NodeId::new(2).unwrap();
-        let mut decoder = Decoder::default();
-        let tpdo = |entries: &[Entry]| {
-            let pdo = Pdo {
-                node,
-                kind: PdoKind::Tpdo,
-                number: PdoNumber::One,
-                entries: entries.to_vec(),
-            };
-            PdoMap::from([(0x182, pdo)])
-        };
-        check(
-            &decoder,
-            &[
-                ("182#3702", Kind::Pdo, Some(2), "TPDO 1: 37 02"),
-                ("302#", Kind::Pdo, Some(2), "RPDO 2: "),
-            ],
-        );
-        decoder.add_pdos(tpdo(&[
-            Entry::new(STATUSWORD, 16),
-            Entry::new(POSITION_ACTUAL, 32),
-            Entry::new(TORQUE_ACTUAL, 16),
-        ]));
-        let whole = "TPDO 1: statusword 0x0237 (operation enabled); position actual value -2; torque actual value 12";
-        let short =
-            "TPDO 1: statusword 0x0237 (operation enabled); too short for its mapping; and fe ff";
-        check(
-            &decoder,
-            &[
-                ("182#3702FEFFFFFF0C00", Kind::Pdo, Some(2), whole),
-                ("182#3702FEFF", Kind::Pdo, Some(2), short),
-            ],
-        );
-        // Bits, room that nothing uses, an object without a name, and more bytes than are mapped.
-        decoder.add_pdos(tpdo(&[
-            Entry::new(Object::new(0x2000, 1), 1),
-            Entry::new(Object::new(0x2000, 2), 3),
-            Entry::new(Object::new(0x0005, 0), 4),
-            Entry::new(Object::new(0x6061, 0), 8),
-        ]));
-        let bits = "TPDO 1: 0x2000:01 0x1; 0x2000:02 0x6; unused; \
-                    modes of operation display -3 (mode -3); and 07";
-        check(&decoder, &[("182#ADFD07", Kind::Pdo, Some(2), bits)]);
-    }
-
-    #[test]
-    fn layer_setting_services_are_told_in_words() {
-        use Kind::Lss;
-        check(
-            &Decoder::default(),
-            &[
-                (
-                    "7E5#0401000000000000",
-                    Lss,
-                    None,
-                    "LSS all nodes to configuration",
-                ),
-                (
-                    "7E5#0400000000000000",
-                    Lss,
-                    None,
-                    "LSS all nodes to waiting",
-                ),
-                (
-                    "7E5#40FB000000000000",
-                    Lss,
-                    None,
-                    "LSS select vendor-ID 0x000000fb",
-                ),
-                ("7E4#4400000000000000", Lss, None, "LSS selected"),
-                ("7E5#1105000000000000", Lss, None, "LSS configure node-ID 5"),
-                (
-                    "7E5#11FF000000000000",
-                    Lss,
-                    None,
-                    "LSS take the node-ID away",
-                ),
-                (
-                    "7E4#1101000000000000",
-                    Lss,
-                    None,
-                    "LSS configure node-ID: refused",
-                ),
-                ("7E4#1700000000000000", Lss, None, "LSS store: done"),
-                (
-                    "7E4#5D78563412000000",
-                    Lss,
-                    None,
-                    "LSS serial number 0x12345678",
-                ),
-                (
-                    "7E5#5100000000800000",
-                    Lss,
-                    None,
-                    "LSS fastscan, who is unconfigured",
-                ),
-                (
-                    "7E5#51FB0000001F0000",
-                    Lss,
-                    None,
-                    "LSS fastscan 0x000000fb down to bit 31",
-                ),
-                ("7E4#4F00000000000000", Lss, None, "LSS identified"),
-                ("7E4#04", Lss, None, "malformed LSS: 04"),
-            ],
-        );
-    }
-
-    #[test]
-    fn what_is_not_known_is_shown_in_hexadecimal() {
-        let remote = Frame::remote(StandardId::new(0x701).unwrap(), 1).unwrap();
-        assert_eq!(Decoder::default().describe(&remote).text, "remote frame");
-        check(
-            &Decoder::default(),
-            &[
-                ("7FF#0102", Kind::Other, None, "unknown identifier: 01 02"),
-                ("00012345#AB", Kind::Other, None, "29-bit identifier: ab"),
-            ],
-        );
-    }
-
-    #[test]
-    fn no_frame_is_too_odd_to_be_told() {
-        let mut decoder = Decoder::default();
-        let pdo = Pdo {
-            node: NodeId::MAX,
-            kind: PdoKind::Rpdo,
-            number: PdoNumber::Four,
-            entries: (0..=u8::MAX)
-                .map(|bits| Entry::new(Object::new(0x6064, 0), bits))
-                .collect(),
-        };
-        decoder.add_pdos(PdoMap::from([(0x57F, pdo)]));
-        // A seeded walk over identifiers, lengths and bytes.
-        let mut random = 0x2545_F491_4F6C_DD1D_u64;
-        for id in 0..=0x7FF {
-            for length in 0..=8 {
-                random ^= random << 13;
-                random ^= random >> 7;
-                random ^= random << 17;
-                let data = random.to_le_bytes();
-                let frame = Frame::new(StandardId::new(id).unwrap(), &data[..length]).unwrap();
-                assert!(!decoder.describe(&frame).text.is_empty());
-            }
-        }
-    }
-}
+mod tests;

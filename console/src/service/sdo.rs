@@ -18,6 +18,9 @@ use super::{Bus, BusArgs, interrupted, milliseconds, node_id, now, say, words};
 /// How often a transfer is begun anew if no answer comes.
 const RETRIES: u8 = 2;
 
+/// The longest object that is transferred, bytes: programs and tables of drives are shorter.
+const CAPACITY: usize = 1 << 20;
+
 /// What to do with an object.
 #[derive(Subcommand)]
 pub(crate) enum Action {
@@ -56,6 +59,9 @@ pub(crate) struct Target {
     /// The object, such as 0x6041:0; its numbers are hexadecimal with 0x and decimal without.
     #[arg(value_name = "INDEX:SUB", value_parser = object)]
     object: Object,
+    /// Transfer by blocks, faster for large objects; a node that knows none is asked for an ordinary transfer.
+    #[arg(long)]
+    block: bool,
     /// How long an answer may take, ms; storing parameters may take seconds.
     #[arg(long, value_name = "MS", default_value_t = 1000)]
     timeout: u64,
@@ -164,7 +170,7 @@ fn transfer(
     data: Option<&[u8]>,
 ) -> anyhow::Result<Option<Result<Vec<u8>, SdoError>>> {
     let timeout = milliseconds(target.timeout);
-    let mut transfer = Transfer::start(target.node, object, data, timeout, now())?;
+    let mut transfer = Transfer::start(target.node, object, data, target.block, timeout, now())?;
     if bus.hold(&mut transfer)? == Ended::Interrupted {
         return Ok(None);
     }
@@ -236,13 +242,16 @@ impl Transfer {
         node: NodeId,
         object: Object,
         data: Option<&[u8]>,
+        by_blocks: bool,
         timeout: Duration,
         now: Instant,
     ) -> Result<Self, StartError> {
-        let mut client = sdo::Client::new(node, timeout, RETRIES);
-        match data {
-            Some(data) => client.download(object, data, now)?,
-            None => client.upload(object, now)?,
+        let mut client = sdo::Client::with_capacity(node, timeout, RETRIES, CAPACITY);
+        match (data, by_blocks) {
+            (Some(data), false) => client.download(object, data, now)?,
+            (Some(data), true) => client.block_download(object, data, now)?,
+            (None, false) => client.upload(object, now)?,
+            (None, true) => client.block_upload(object, now)?,
         }
         Ok(Self {
             client,

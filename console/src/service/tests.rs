@@ -113,7 +113,19 @@ impl Stage {
         object: Object,
         data: Option<&[u8]>,
     ) -> Result<Vec<u8>, SdoError> {
-        let mut transfer = Transfer::start(node(with), object, data, TIMEOUT, self.now).unwrap();
+        self.transfer_by(false, with, object, data)
+    }
+
+    fn transfer_by(
+        &mut self,
+        blocks: bool,
+        with: u8,
+        object: Object,
+        data: Option<&[u8]>,
+    ) -> Result<Vec<u8>, SdoError> {
+        let with = node(with);
+        let transfer = Transfer::start(with, object, data, blocks, TIMEOUT, self.now);
+        let mut transfer = transfer.unwrap();
         self.hold(&mut transfer);
         transfer.result.unwrap()
     }
@@ -182,8 +194,11 @@ fn an_object_is_read_written_and_read_back() {
     assert_eq!(stage.read(3, PRODUCER_HEARTBEAT).unwrap(), [0, 0]);
     stage.transfer(3, PRODUCER_HEARTBEAT, Some(&value)).unwrap();
     assert_eq!(stage.read(3, PRODUCER_HEARTBEAT).unwrap(), value);
-    // Segmented.
-    assert!(stage.read(3, DEVICE_NAME).unwrap().len() >= 4);
+    let segmented = stage.read(3, DEVICE_NAME).unwrap();
+    assert!(segmented.len() > 4);
+    // To a drive without block transfer the client falls back.
+    let by_blocks = stage.transfer_by(true, 3, DEVICE_NAME, None);
+    assert_eq!(by_blocks, Ok(segmented));
 }
 
 #[test]

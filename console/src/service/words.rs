@@ -4,6 +4,7 @@ use can::ControllerState;
 use canopen::Object;
 use canopen::cia402::{Controlword, FaultTable, ModeOfOperation, PowerCommand, Statusword};
 use canopen::emcy::ErrorRegister;
+use canopen::lss::{Outcome, Part};
 use canopen::objects::{
     CONTROLWORD, DEVICE_TYPE, ERROR_CODE, ERROR_HISTORY_NEWEST, ERROR_REGISTER, MODE_OF_OPERATION,
     MODE_OF_OPERATION_DISPLAY, STATUSWORD, VENDOR_ID,
@@ -207,6 +208,27 @@ pub(super) fn hint(code: AbortCode) -> Option<&'static str> {
         AbortCode::COMMAND_SPECIFIER => "the device may not know this kind of transfer",
         _ => return None,
     })
+}
+
+/// One number of an identity.
+pub(super) fn identity_part(part: Part) -> &'static str {
+    match part {
+        Part::Vendor => "vendor-ID",
+        Part::Product => "product code",
+        Part::Revision => "revision number",
+        Part::Serial => "serial number",
+    }
+}
+
+/// What became of an LSS request that configures.
+pub(super) fn lss_outcome(outcome: Outcome) -> String {
+    match outcome.error {
+        Outcome::SUCCESS => "done".to_owned(),
+        Outcome::OUT_OF_RANGE => "refused, out of range or not supported".to_owned(),
+        Outcome::STORAGE => "refused, the storage cannot be accessed".to_owned(),
+        Outcome::VENDOR => format!("refused by the vendor's code {:#04x}", outcome.specific),
+        other => format!("refused by code {other:#04x}"),
+    }
 }
 
 /// A CAN controller's state.

@@ -5,7 +5,7 @@ use std::time::Duration;
 use drive::Scale;
 use drive::axis_controller::{self, Settings, StopBits};
 use drive::cia402::{AxisConfig, CyclicMode, GroupConfig, HomingConfig, Identity, NodeId};
-use servo::ServoAxisConfig;
+use servo::{PositionLoop, ServoAxisConfig};
 
 use super::{Axis, AxisController, Cell, Control, Drive, Parameter, Protocol, Serial};
 use crate::robot::Limits;
@@ -127,7 +127,7 @@ impl Axis {
             identity: Identity {
                 vendor: drive.vendor,
                 product: drive.product,
-                revision: None,
+                revision: drive.revision,
             },
             mode: CyclicMode::Csp,
             scale: self.scale(home),
@@ -191,6 +191,9 @@ impl Axis {
             max_acceleration: self.max_acceleration,
             following_error: self.following_error,
             homing_order: self.homing.order,
+            increments_per_radian: self.scale(0.0).increments_per_radian(),
+            position_loop: PositionLoop::Drive,
+            homing: None,
         }
     }
 }

@@ -104,7 +104,7 @@ pub struct Bus {
     /// Bit rate, kbit/s.
     #[serde(default = "defaults::bitrate_kbps")]
     pub bitrate_kbps: u32,
-    /// The network interface, on the benches that have one.
+    /// The interface on the benches that have one: SocketCAN's, or `slcan:PATH[@BAUD]` for an adapter on a tty.
     pub interface: String,
     /// Node-ID of the host, whose heartbeat the drives watch.
     #[serde(default = "defaults::host_node")]
@@ -246,6 +246,13 @@ pub struct Drive {
     /// Product code, object 0x1018:02; not checked where absent.
     #[serde(default)]
     pub product: Option<u32>,
+    /// Revision number, object 0x1018:03; not checked where absent.
+    #[serde(default)]
+    pub revision: Option<u32>,
+    /// Device configuration file (DCF of CiA 306) whose values are written before operation and read back, relative to the
+    /// cell file. What the controller itself sets, and `parameter`, come after it and win.
+    #[serde(default)]
+    pub dcf: Option<String>,
     /// Quadrature counts per motor revolution.
     pub counts_per_revolution: u32,
     /// Whether the counter falls while the motor turns in its positive direction.
@@ -317,6 +324,8 @@ pub struct Emulator {
     pub start: Option<f64>,
     /// Vendor-ID it answers with; the drive's own where absent.
     pub vendor: Option<u32>,
+    /// Revision number it answers with; the drive's own where absent.
+    pub revision: Option<u32>,
     /// Whether the bus lacks it: a drive that never boots.
     pub absent: bool,
 }

@@ -173,27 +173,7 @@ impl SocketCanPort {
         if self.gone {
             return Err(PortError::Gone);
         }
-        loop {
-            let remaining = until.since(clock::now());
-            let timeout = libc::timespec {
-                tv_sec: libc::time_t::try_from(remaining.as_secs()).unwrap_or(libc::time_t::MAX),
-                tv_nsec: libc::c_long::from(remaining.subsec_nanos() as i32),
-            };
-            let mut poll = libc::pollfd {
-                fd: self.socket.as_raw_fd(),
-                events: libc::POLLIN,
-                revents: 0,
-            };
-            // SAFETY: one valid pollfd, a valid timespec, and no signal mask.
-            match unsafe { libc::ppoll(&mut poll, 1, &timeout, ptr::null()) } {
-                0 => return Ok(false),
-                1.. => return Ok(true),
-                _ => match errno() {
-                    libc::EINTR => {}
-                    other => return Err(PortError::Os(other)),
-                },
-            }
-        }
+        clock::wait_readable(self.socket.as_fd(), until).map_err(PortError::Os)
     }
 
     fn failed(&mut self, errno: i32) -> PortError {

@@ -15,6 +15,10 @@ pub const NMT: StandardId = id(0x000);
 pub const SYNC: StandardId = id(0x080);
 /// Time stamp (object 0x1012).
 pub const TIME: StandardId = id(0x100);
+/// LSS, slaves to master (CiA 305).
+pub const LSS_RESPONSE: StandardId = id(0x7E4);
+/// LSS, master to slaves (CiA 305).
+pub const LSS_REQUEST: StandardId = id(0x7E5);
 
 /// EMCY of a node (object 0x1014).
 pub const fn emcy(node: NodeId) -> StandardId {
@@ -62,7 +66,7 @@ pub const fn reserved(id: StandardId) -> bool {
     )
 }
 
-/// What a frame is for, by its identifier alone.
+/// What a frame is for, by its identifier alone. [LSS](crate::lss) is none of them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Function {
     /// NMT command.
@@ -140,6 +144,8 @@ mod tests {
             (NMT, 0x000),
             (SYNC, 0x080),
             (TIME, 0x100),
+            (LSS_RESPONSE, 0x7E4),
+            (LSS_REQUEST, 0x7E5),
             (emcy(node), 0x082),
             (tpdo(PdoNumber::One, node), 0x182),
             (tpdo(PdoNumber::Four, node), 0x482),

@@ -4,17 +4,21 @@
 //! be built can be encoded, unknown values are kept, and what is not the layout's frame decodes to
 //! `None`. Both ends of the wire share them. The *objects* ([`sdo::Client`], [`nmt::Master`],
 //! [`heartbeat::Consumer`], [`sync::Producer`] …) are state machines that own no port and no clock:
-//! frames and the time are handed in, frames and events are taken out. Nothing allocates.
+//! frames and the time are handed in, frames and events are taken out. Nothing allocates, but for the
+//! room for data that a [`sdo::Client`] makes when it is made.
 //!
-//! Left out: node guarding (it needs remote frames, CiA advises against it), LSS, SDO block
-//! transfer, and PDO mappings that are not byte aligned.
+//! Left out: node guarding (it needs remote frames, CiA advises against it), and PDO mappings
+//! that are not byte aligned.
 //!
 //! Read [`cob`] and [`sdo`] first, then [`cia402`].
 
 pub mod cia402;
 pub mod cob;
+pub mod dcf;
+pub mod eds;
 pub mod emcy;
 pub mod heartbeat;
+pub mod lss;
 pub mod nmt;
 mod node_id;
 pub mod objects;

@@ -5,6 +5,8 @@ use std::fmt;
 pub struct NodeId(u8);
 
 impl NodeId {
+    /// The smallest node-ID, 1.
+    pub const MIN: Self = Self(1);
     /// The largest node-ID, 127.
     pub const MAX: Self = Self(127);
 

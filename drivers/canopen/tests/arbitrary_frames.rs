@@ -9,9 +9,9 @@ use mrroc_canopen::cob::Function;
 use mrroc_canopen::emcy::{self, Emergency};
 use mrroc_canopen::heartbeat::{self, Heartbeat};
 use mrroc_canopen::pdo::{Entry, PdoMapping};
-use mrroc_canopen::sdo::{self, Expedited, Initiate, Request, Response, Segment};
+use mrroc_canopen::sdo::{self, Expedited, Initiate, Request, Response, Segment, block};
 use mrroc_canopen::sync::Sync;
-use mrroc_canopen::{NodeId, Object, nmt};
+use mrroc_canopen::{NodeId, Object, cob, lss, nmt};
 use proptest::prelude::*;
 
 const NODE: NodeId = NodeId::new(2).unwrap();
@@ -22,13 +22,27 @@ fn frames() -> impl Strategy<Value = Frame> {
     let id = prop_oneof![
         4 => Just(0x582_u32),
         1 => Just(0x602),
+        1 => prop_oneof![Just(0x7E4), Just(0x7E5)],
         1 => Just(0x702),
         1 => Just(0x082),
         1 => prop_oneof![Just(0x000), Just(0x080), Just(0x182)],
         1 => 0..0x800_u32,
         1 => any::<u32>(),
     ];
+    let block = prop_oneof![Just(0xA2), Just(0xA4), Just(0xC6), Just(0xC1), Just(0xA1)];
     let data = prop_oneof![
+        (block, any::<[u8; 4]>()).prop_map(|(specifier, [a, b, c, d])| [
+            specifier,
+            0x08,
+            0x10,
+            0,
+            a & 0x7F,
+            b & 1,
+            c & 1,
+            d & 1
+        ]),
+        (0..6_u8, any::<[u8; 6]>())
+            .prop_map(|(number, [a, b, c, d, e, f])| [number, a, b, c, d, e, f, 0]),
         any::<[u8; 8]>(),
         (any::<u8>(), any::<[u8; 4]>())
             .prop_map(|(specifier, [a, b, c, d])| [specifier, 0x08, 0x10, 0, a, b, c, d]),
@@ -74,6 +88,25 @@ proptest! {
             if let Some(response) = Response::decode(&frame, node) {
                 prop_assert_eq!(Response::decode(&response.encode(node), node), Some(response));
             }
+        }
+        for node in [NODE, NodeId::MAX] {
+            if let Some(request) = block::Request::decode(&frame, node) {
+                prop_assert_eq!(block::Request::decode(&request.encode(node), node), Some(request));
+            }
+            if let Some(response) = block::Response::decode(&frame, node) {
+                prop_assert_eq!(block::Response::decode(&response.encode(node), node), Some(response));
+            }
+            for id in [cob::sdo_request(node), cob::sdo_response(node)] {
+                if let Some(segment) = block::Segment::decode(&frame, id) {
+                    prop_assert_eq!(segment.encode(id), frame);
+                }
+            }
+        }
+        if let Some(request) = lss::Request::decode(&frame) {
+            prop_assert_eq!(lss::Request::decode(&request.encode()), Some(request));
+        }
+        if let Some(response) = lss::Response::decode(&frame) {
+            prop_assert_eq!(lss::Response::decode(&response.encode()), Some(response));
         }
         if let Some(request) = nmt::Request::decode(&frame) {
             prop_assert_eq!(request.encode(), frame);
@@ -124,14 +157,17 @@ proptest! {
     #[test]
     fn a_transfer_ends_whatever_is_answered(
         data in proptest::option::of(proptest::collection::vec(any::<u8>(), 0..=sdo::CAPACITY)),
+        by_blocks in any::<bool>(),
         answers in proptest::collection::vec((frames(), 0..150_u64), 0..200),
     ) {
         let object = Object::new(0x1008, 0);
         let mut now = Instant::ZERO;
         let mut client = sdo::Client::new(NODE, TIME_OUT, 2);
-        match &data {
-            None => client.upload(object, now).unwrap(),
-            Some(data) => client.download(object, data, now).unwrap(),
+        match (&data, by_blocks) {
+            (None, false) => client.upload(object, now).unwrap(),
+            (None, true) => client.block_upload(object, now).unwrap(),
+            (Some(data), false) => client.download(object, data, now).unwrap(),
+            (Some(data), true) => client.block_download(object, data, now).unwrap(),
         }
         for (frame, millis) in answers {
             now += Duration::from_millis(millis);
@@ -142,9 +178,11 @@ proptest! {
                 prop_assert!(Request::decode(&frame, NODE).is_some());
                 sent += 1;
             }
-            prop_assert!(sent <= 2, "{sent} frames at once");
+            let sub_block = sdo::CAPACITY / 7 + 1;
+            prop_assert!(sent <= if by_blocks { 2 + sub_block } else { 2 }, "{sent} frames at once");
         }
-        for _ in 0..=2 {
+        // A sub-block under way is acknowledged up to seven times, each half as large as the one before.
+        for _ in 0..=2 + 7 {
             if let Some(deadline) = client.poll_timeout() {
                 client.handle_timeout(deadline);
             }

@@ -1,9 +1,11 @@
 //! Serial lines and the telegrams of axis controllers on them.
 //!
 //! A [`Line`] carries bytes and never waits. [`hi_moxa`] and [`nfv2`] are what the axis controllers
-//! of the IRb-6 and IRp-6 at Warsaw University of Technology speak: layouts only, both ways, which
-//! drivers and emulators share. Read [`Line`] first.
+//! of the IRb-6 and IRp-6 at Warsaw University of Technology speak, [`epos2`] and [`epos4`] the service
+//! ports of maxon's: layouts only, both ways, which drivers and emulators share. Read [`Line`] first.
 
+pub mod epos2;
+pub mod epos4;
 pub mod hi_moxa;
 mod line;
 pub mod nfv2;

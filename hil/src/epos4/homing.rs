@@ -261,6 +261,7 @@ mod tests {
                 } else {
                     0.1
                 },
+                current: 0.0,
                 index: self.latched,
                 home_switch: self.home && (1000.0..=2000.0).contains(&self.counts),
                 negative_limit: self.limits && self.counts <= -5000.0,

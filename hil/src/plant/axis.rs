@@ -59,6 +59,10 @@ pub enum Demand {
     Velocity(f64),
     /// Hold a torque, N·m.
     Torque(f64),
+    /// Hold a current, A, from this sub-step on; beyond [`AmplifierConfig::max_current`] as well.
+    Current(f64),
+    /// Put out this share of [`AmplifierConfig::max_voltage`], -1 to 1, from this sub-step on.
+    Duty(f64),
 }
 
 /// What the drive's sensors tell.
@@ -70,6 +74,8 @@ pub struct Feedback {
     pub velocity: f64,
     /// From the measured current, N·m.
     pub torque: f64,
+    /// Measured, A.
+    pub current: f64,
     /// Count at which the index pulse last passed since [`Axis::take_index`].
     pub index: Option<i32>,
     /// Whether the home switch is closed.
@@ -152,6 +158,17 @@ impl Axis {
         }
     }
 
+    /// Has the power stage trip beyond another current than the configured one, A.
+    pub fn set_trip_current(&mut self, current: f64) {
+        self.amplifier.set_trip_current(current);
+    }
+
+    /// Gives the current loop other gains than those that follow from the motor: voltage per current
+    /// error, Ω, and per error and sub-step. The regression model has no use for them.
+    pub fn set_current_gains(&mut self, proportional: f64, integral: f64) {
+        self.amplifier.set_current_gains(proportional, integral);
+    }
+
     /// Moves on by `dt_steps` sub-steps of 100 µs under one demand.
     ///
     /// In each, the drive reads encoder and current, computes, and the plant integrates under the
@@ -160,6 +177,8 @@ impl Axis {
         if demand == Demand::Off {
             self.amplifier.release();
             self.trip = self.trip.filter(|trip| *trip != Trip::OverCurrent);
+        } else if self.trip.is_none() {
+            self.amplifier.command(&demand);
         }
         for sub_step in 0..dt_steps {
             let counts = self.encoder.counts();
@@ -188,11 +207,14 @@ impl Axis {
     fn integrate(&mut self, on: bool) {
         let brake = if on { 0.0 } else { self.brake };
         match &mut self.plant {
-            Plant::Wut(wut) => wut.step_braked(
-                if on { self.amplifier.current() } else { 0.0 },
-                SUB_STEP,
-                brake,
-            ),
+            Plant::Wut(wut) => {
+                let current = if on { self.amplifier.settle(wut) } else { 0.0 };
+                if self.amplifier.overloaded(current) {
+                    self.trip = Some(Trip::OverCurrent);
+                    self.amplifier.release();
+                }
+                wut.step_braked(self.amplifier.current(), SUB_STEP, brake);
+            }
             Plant::Physical(motor) => {
                 let voltage = on.then(|| self.amplifier.voltage(motor.current()));
                 motor.step(voltage, brake);
@@ -213,13 +235,15 @@ impl Axis {
     /// What the sensors tell after the last sub-step.
     pub fn feedback(&self) -> Feedback {
         let closed = |contact: &Option<Contact>| contact.as_ref().is_some_and(Contact::closed);
+        let current = match &self.plant {
+            Plant::Wut(_) => self.amplifier.current(),
+            Plant::Physical(motor) => motor.current(),
+        };
         Feedback {
             counts: self.encoder.counts(),
             velocity: self.amplifier.observed_velocity(),
-            torque: self.amplifier.torque(match &self.plant {
-                Plant::Wut(_) => self.amplifier.current(),
-                Plant::Physical(motor) => motor.current(),
-            }),
+            torque: self.amplifier.torque(current),
+            current,
             index: self.encoder.index(),
             home_switch: closed(&self.home_switch),
             negative_limit: closed(&self.negative_limit),

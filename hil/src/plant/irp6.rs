@@ -219,6 +219,7 @@ impl AxisConfig {
                 inertia,
                 viscous,
                 friction: FrictionConfig::NONE,
+                resistance: row.winding.0,
             }),
             amplifier: AmplifierConfig {
                 max_current: row.max_current,

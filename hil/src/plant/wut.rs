@@ -12,6 +12,11 @@ pub struct WutConfig {
     pub viscous: f64,
     /// Dry friction, of which the original has none.
     pub friction: FrictionConfig,
+    /// Of the winding, Ω. The original has none and so no pulse widths: under [`Demand::Duty`] the current
+    /// is (voltage - torque_constant · w) / resistance at once. Nothing else looks at it.
+    ///
+    /// [`Demand::Duty`]: super::Demand::Duty
+    pub resistance: f64,
 }
 
 /// The regression model: `dw/dt = (torque_constant · current - viscous · w) / inertia`.
@@ -25,6 +30,7 @@ pub struct Wut {
     inertia: f64,
     viscous: f64,
     friction: Friction,
+    resistance: f64,
     angle: f64,
     velocity: f64,
 }
@@ -37,6 +43,7 @@ impl Wut {
             inertia: config.inertia,
             viscous: config.viscous,
             friction: Friction::new(&config.friction),
+            resistance: config.resistance,
             angle,
             velocity: 0.0,
         }
@@ -55,6 +62,11 @@ impl Wut {
             self.friction
                 .apply(self.velocity, self.velocity + torque * gain, gain, brake);
         self.angle += self.velocity * dt;
+    }
+
+    /// The current that a voltage drives at the present speed, A.
+    pub(crate) fn static_current(&self, voltage: f64) -> f64 {
+        (voltage - self.torque_constant * self.velocity) / self.resistance
     }
 
     /// Angle, rad.
@@ -78,6 +90,7 @@ mod tests {
         inertia: 1.5e-4,
         viscous: 0.02,
         friction: FrictionConfig::NONE,
+        resistance: 0.6,
     };
 
     fn spun_up(config: &WutConfig, current: f64) -> Wut {

@@ -13,7 +13,7 @@ use drive::{
     Power, Setpoint,
 };
 
-use super::{EffectorConfig, ServoAxisConfig, ServoConfig};
+use super::{EffectorConfig, PositionLoop, ServoAxisConfig, ServoConfig};
 
 pub const PERIOD: Duration = Duration::from_millis(1);
 pub const MAX_VELOCITY: f64 = 100.0;
@@ -30,6 +30,9 @@ pub fn config(axes: usize) -> ServoConfig {
         max_acceleration: MAX_ACCELERATION,
         following_error: 0.5,
         homing_order: (axes - index) as u8,
+        increments_per_radian: 1000.0,
+        position_loop: PositionLoop::Drive,
+        homing: None,
     };
     ServoConfig {
         period: PERIOD,

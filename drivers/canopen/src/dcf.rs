@@ -1,0 +1,487 @@
+//! What a DCF asks to be written to its device: in which order, and as a concise DCF.
+//!
+//! Read [`crate::eds`] first. [`download`] gives the writes of a DCF; [`encode`] and [`decode`] are the format of object
+//! 0x1F22 (CiA 302), in which a manager keeps them.
+
+use std::collections::BTreeMap;
+
+use thiserror::Error;
+
+use crate::eds::{DataType, Eds, Parameter, ParameterValue, Variable};
+use crate::pdo::PdoCobId;
+use crate::{NodeId, Object};
+
+/// The writes of a DCF.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Download {
+    /// In the order in which to do them.
+    pub writes: Vec<ObjectWrite>,
+    /// Values that are stated and not written, since the file says so of their objects (`ObjFlags`, bit 0): where a tool has
+    /// put down all that it found in a device.
+    pub left_out: usize,
+}
+
+/// One write.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ObjectWrite {
+    /// What to write.
+    pub object: Object,
+    /// The value, as it goes over the bus.
+    pub data: Vec<u8>,
+    /// Whether it can be read back.
+    pub readable: bool,
+    /// The line of the file that asks for it, from 1.
+    pub line: u32,
+}
+
+/// Why a DCF cannot be downloaded: the line, what is wrong there, what to do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[allow(missing_docs, reason = "every field is in the message")]
+pub enum DownloadError {
+    /// A value for what cannot be written.
+    #[error(
+        "{line}: {object} is read-only; remove its ParameterValue, or set bit 0 of its ObjFlags to keep it as a note"
+    )]
+    ReadOnly { line: u32, object: Object },
+    /// A value of a type without known layout.
+    #[error(
+        "{line}: {object} has data type {code:#06x}, whose values cannot be written; remove its ParameterValue"
+    )]
+    DataType {
+        line: u32,
+        object: Object,
+        code: u16,
+    },
+    /// A value in another file.
+    #[error(
+        "{line}: {object} is to be written from a file, which is not supported; remove its DownloadFile"
+    )]
+    File { line: u32, object: Object },
+    /// A PDO that cannot be switched off and on.
+    #[error(
+        "{line}: a PDO is changed whose {object} has neither ParameterValue nor DefaultValue; state it"
+    )]
+    NoPdoState { line: u32, object: Object },
+}
+
+impl DownloadError {
+    /// The line, from 1.
+    pub const fn line(self) -> u32 {
+        match self {
+            Self::ReadOnly { line, .. }
+            | Self::DataType { line, .. }
+            | Self::File { line, .. }
+            | Self::NoPdoState { line, .. } => line,
+        }
+    }
+}
+
+/// What `dcf` states, for a device with this node-ID: every stated value, one equal to the default as well, since a device may
+/// have stored another.
+///
+/// Objects are written in ascending order, PDOs last. A PDO of which anything is stated is switched off (COB-ID with bit 31),
+/// its mapping emptied, filled and counted, its other parameters written and its COB-ID last (CiA 301); entries
+/// beyond the count have no effect and are not written.
+pub fn download(dcf: &Eds, node: NodeId) -> Result<Download, DownloadError> {
+    let mut download = Download::default();
+    let mut pdos: BTreeMap<u16, BTreeMap<Object, ObjectWrite>> = BTreeMap::new();
+    for (object, variable) in dcf.variables() {
+        let Some(parameter) = &variable.parameter else {
+            continue;
+        };
+        if variable.refuses_download {
+            download.left_out += 1;
+            continue;
+        }
+        let write = write(object, variable, parameter, node)?;
+        match communication_parameter(object.index) {
+            Some(pdo) => {
+                pdos.entry(pdo).or_default().insert(object, write);
+            }
+            None => download.writes.push(write),
+        }
+    }
+    for (communication, stated) in pdos {
+        remap(dcf, node, communication, stated, &mut download.writes)?;
+    }
+    Ok(download)
+}
+
+fn write(
+    object: Object,
+    variable: &Variable,
+    parameter: &Parameter,
+    node: NodeId,
+) -> Result<ObjectWrite, DownloadError> {
+    let line = parameter.line;
+    if !variable.access.writable() {
+        return Err(DownloadError::ReadOnly { line, object });
+    }
+    let value = match &parameter.value {
+        ParameterValue::Value(value) => value,
+        ParameterValue::File(_) => return Err(DownloadError::File { line, object }),
+    };
+    let code = variable.data_type.code();
+    let data = value.encode(variable.data_type, node);
+    Ok(ObjectWrite {
+        object,
+        data: data.ok_or(DownloadError::DataType { line, object, code })?,
+        readable: variable.access.readable(),
+        line,
+    })
+}
+
+/// The index of the communication parameter of the PDO that `index` is about.
+fn communication_parameter(index: u16) -> Option<u16> {
+    match index {
+        0x1400..=0x15FF | 0x1800..=0x19FF => Some(index),
+        0x1600..=0x17FF | 0x1A00..=0x1BFF => Some(index - 0x200),
+        _ => None,
+    }
+}
+
+/// The writes of one PDO, of which `stated` is stated.
+fn remap(
+    dcf: &Eds,
+    node: NodeId,
+    communication: u16,
+    mut stated: BTreeMap<Object, ObjectWrite>,
+    writes: &mut Vec<ObjectWrite>,
+) -> Result<(), DownloadError> {
+    let line = stated.values().next().map_or(0, |first| first.line);
+    let mapping = communication + 0x200;
+    let cob_id = Object::new(communication, 1);
+    let on = take(dcf, node, &mut stated, cob_id, DataType::Unsigned32, line)?;
+    let off = PdoCobId(number(&on.data)).invalid();
+    let off = ObjectWrite {
+        data: off.0.to_le_bytes().to_vec(),
+        ..on.clone()
+    };
+    let stays_off = off == on;
+    writes.push(off);
+    if stated.keys().any(|object| object.index == mapping) {
+        let count = Object::new(mapping, 0);
+        let full = take(dcf, node, &mut stated, count, DataType::Unsigned8, line)?;
+        let entries = number(&full.data);
+        writes.push(ObjectWrite {
+            data: vec![0],
+            ..full.clone()
+        });
+        let effective = |object: &Object| u32::from(object.subindex) <= entries;
+        let mapped = stated.iter().filter(|(object, _)| object.index == mapping);
+        let mapped = mapped.filter(|(object, _)| effective(object));
+        writes.extend(mapped.map(|(_, write)| write.clone()));
+        writes.push(full);
+    }
+    let others = stated.into_iter();
+    let others = others.filter(|(object, _)| object.index == communication);
+    writes.extend(others.map(|(_, write)| write));
+    if !stays_off {
+        writes.push(on);
+    }
+    Ok(())
+}
+
+/// The write of `object` as stated, else of its default: what a device has that was told nothing else.
+fn take(
+    dcf: &Eds,
+    node: NodeId,
+    stated: &mut BTreeMap<Object, ObjectWrite>,
+    object: Object,
+    data_type: DataType,
+    line: u32,
+) -> Result<ObjectWrite, DownloadError> {
+    let default = || {
+        let value = dcf.variable(object)?.default.as_ref()?;
+        Some(ObjectWrite {
+            object,
+            data: value.encode(data_type, node)?,
+            readable: true,
+            line,
+        })
+    };
+    let write = stated.remove(&object).or_else(default);
+    let right_size = |write: &ObjectWrite| Some(write.data.len()) == data_type.size();
+    let error = DownloadError::NoPdoState { line, object };
+    write.filter(right_size).ok_or(error)
+}
+
+/// Up to four bytes as a number.
+fn number(data: &[u8]) -> u32 {
+    let bytes = data.iter().take(4).rev();
+    bytes.fold(0, |number, &byte| number << 8 | u32::from(byte))
+}
+
+/// Why bytes are no concise DCF.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum ConciseError {
+    /// Fewer bytes than the counts in it ask for.
+    #[error("ends after {length} bytes, inside or before entry {entry} of {entries}")]
+    Truncated {
+        /// Bytes there are.
+        length: usize,
+        /// The entry, from 1; 0 is the count itself.
+        entry: u32,
+        /// How many there should be.
+        entries: u32,
+    },
+    /// More bytes than the counts in it ask for.
+    #[error("{left} bytes follow the last of {entries} entries")]
+    Surplus {
+        /// Bytes left over.
+        left: usize,
+        /// How many entries there are.
+        entries: u32,
+    },
+}
+
+/// A concise DCF: the number of entries, then index, sub-index, size and data of each (object 0x1F22, CiA 302), little endian.
+pub fn encode<'a>(writes: impl IntoIterator<Item = (Object, &'a [u8])>) -> Vec<u8> {
+    let mut bytes = vec![0; 4];
+    let mut entries = 0_u32;
+    for (object, data) in writes {
+        entries += 1;
+        bytes.extend(object.index.to_le_bytes());
+        bytes.push(object.subindex);
+        bytes.extend((data.len() as u32).to_le_bytes());
+        bytes.extend(data);
+    }
+    bytes[..4].copy_from_slice(&entries.to_le_bytes());
+    bytes
+}
+
+/// The entries of a concise DCF.
+pub fn decode(bytes: &[u8]) -> Result<Vec<(Object, &[u8])>, ConciseError> {
+    let truncated = |entry, entries| ConciseError::Truncated {
+        length: bytes.len(),
+        entry,
+        entries,
+    };
+    let (count, mut rest) = bytes.split_first_chunk().ok_or(truncated(0, 0))?;
+    let entries = u32::from_le_bytes(*count);
+    let mut found = Vec::new();
+    for entry in 1..=entries {
+        let error = truncated(entry, entries);
+        let ([i0, i1, subindex, s0, s1, s2, s3], data) = rest.split_first_chunk().ok_or(error)?;
+        let size = u32::from_le_bytes([*s0, *s1, *s2, *s3]);
+        let size = usize::try_from(size).map_err(|_| error)?;
+        let (data, behind) = data.split_at_checked(size).ok_or(error)?;
+        let index = u16::from_le_bytes([*i0, *i1]);
+        found.push((Object::new(index, *subindex), data));
+        rest = behind;
+    }
+    match rest.len() {
+        0 => Ok(found),
+        left => Err(ConciseError::Surplus { left, entries }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const DEVICE: &str = "
+[1017]
+ParameterName=heartbeat
+DataType=6
+AccessType=rw
+DefaultValue=0
+[1018]
+ObjectType=9
+[1018sub1]
+ParameterName=vendor
+DataType=7
+AccessType=ro
+[1801]
+ObjectType=9
+[1801sub1]
+DataType=7
+AccessType=rw
+DefaultValue=$NODEID+0xC0000280
+[1801sub2]
+DataType=5
+AccessType=rw
+[1801sub3]
+DataType=6
+AccessType=rw
+[1A01]
+ObjectType=9
+[1A01sub0]
+DataType=5
+AccessType=rw
+DefaultValue=1
+[1A01sub1]
+DataType=7
+AccessType=rw
+[1A01sub2]
+DataType=7
+AccessType=rw
+[1A01sub3]
+DataType=7
+AccessType=rw
+[2000]
+DataType=9
+AccessType=wo
+[6065]
+DataType=7
+AccessType=rw
+[7000]
+DataType=0x40
+AccessType=rw
+";
+
+    /// The device with these values, as `1801sub3=10`.
+    fn dcf(values: &[&str]) -> Eds {
+        let mut text = DEVICE.to_owned();
+        for value in values {
+            let (name, value) = value.split_once('=').unwrap();
+            let section = format!("[{name}]\n");
+            let key = if value.contains('.') {
+                "DownloadFile"
+            } else {
+                "ParameterValue"
+            };
+            assert!(text.contains(&section));
+            text = text.replace(&section, &format!("{section}{key}={value}\n"));
+        }
+        Eds::read(text.as_bytes()).unwrap()
+    }
+
+    fn writes(values: &[&str]) -> Result<Vec<String>, DownloadError> {
+        let written = download(&dcf(values), NodeId::new(2).unwrap())?.writes;
+        let write = |write: &ObjectWrite| {
+            let data: String = write
+                .data
+                .iter()
+                .map(|byte| format!("{byte:02X}"))
+                .collect();
+            format!("{} {data}", write.object)
+        };
+        Ok(written.iter().map(write).collect())
+    }
+
+    #[test]
+    fn stated_values_are_written_in_ascending_order() {
+        let expected = ["0x1017:00 6400", "0x2000:00 4142", "0x6065:00 FFFFFFFF"];
+        let asked = ["6065=0xFFFFFFFF", "1017=100", "2000=AB"];
+        assert_eq!(writes(&asked).unwrap(), expected);
+        assert_eq!(
+            writes(&["1017=0"]).unwrap(),
+            ["0x1017:00 0000"],
+            "the default"
+        );
+        assert_eq!(writes(&[]).unwrap(), [""; 0]);
+        let readable = |name| {
+            let asked = dcf(&[name]);
+            download(&asked, NodeId::MIN).unwrap().writes[0].readable
+        };
+        assert!(readable("1017=1") && !readable("2000=A"));
+    }
+
+    #[test]
+    fn a_pdo_is_off_and_empty_while_it_is_mapped() {
+        let asked = [
+            "1801sub1=$NODEID+0x40000280",
+            "1801sub2=1",
+            "1801sub3=0",
+            "1A01sub0=2",
+            "1A01sub1=0x60410010",
+            "1A01sub2=0x60640020",
+            "1A01sub3=0",
+            "6065=1",
+        ];
+        let expected = [
+            "0x6065:00 01000000",
+            "0x1801:01 820200C0",
+            "0x1a01:00 00",
+            "0x1a01:01 10004160",
+            "0x1a01:02 20006460",
+            "0x1a01:00 02",
+            "0x1801:02 01",
+            "0x1801:03 0000",
+            "0x1801:01 82020040",
+        ];
+        assert_eq!(writes(&asked).unwrap(), expected);
+    }
+
+    #[test]
+    fn what_a_pdo_needs_and_the_file_does_not_state_is_the_default() {
+        // Off by default: it stays so, and is told once.
+        let expected = ["0x1801:01 820200C0", "0x1801:02 01"];
+        assert_eq!(writes(&["1801sub2=1"]).unwrap(), expected);
+        let expected = [
+            "0x1801:01 820200C0",
+            "0x1a01:00 00",
+            "0x1a01:01 10004160",
+            "0x1a01:00 01",
+        ];
+        assert_eq!(writes(&["1A01sub1=0x60410010"]).unwrap(), expected);
+        let mut unknown = dcf(&["1801sub2=1"]);
+        let entry = unknown.objects.get_mut(&0x1801).unwrap();
+        entry.variables.get_mut(&1).unwrap().default = None;
+        let error = download(&unknown, NodeId::MIN).unwrap_err();
+        let object = Object::new(0x1801, 1);
+        assert!(
+            matches!(error, DownloadError::NoPdoState { object: found, .. } if found == object)
+        );
+    }
+
+    #[test]
+    fn what_cannot_be_written_is_refused_at_its_line() {
+        let line_of = |name: &str| {
+            let at = DEVICE.find(name).unwrap();
+            DEVICE[..at].matches('\n').count() as u32 + 2
+        };
+        let vendor = Object::new(0x1018, 1);
+        let line = line_of("[1018sub1]");
+        let error = DownloadError::ReadOnly {
+            line,
+            object: vendor,
+        };
+        assert_eq!(writes(&["1018sub1=0xFB"]), Err(error));
+        assert_eq!(error.line(), line);
+        let (line, object) = (line_of("[7000]"), Object::new(0x7000, 0));
+        let error = DownloadError::DataType {
+            line,
+            object,
+            code: 0x40,
+        };
+        assert_eq!(writes(&["7000=1"]), Err(error));
+        let error = DownloadError::File { line, object };
+        assert_eq!(writes(&["7000=table.bin"]), Err(error));
+    }
+
+    #[test]
+    fn values_of_objects_that_refuse_a_download_are_left_out() {
+        let mut asked = dcf(&["1018sub1=0xFB", "1017=100"]);
+        let identity = asked.objects.get_mut(&0x1018).unwrap();
+        identity.variables.get_mut(&1).unwrap().refuses_download = true;
+        let download = download(&asked, NodeId::MIN).unwrap();
+        assert_eq!((download.writes.len(), download.left_out), (1, 1));
+    }
+
+    #[test]
+    fn a_concise_dcf_is_count_then_index_subindex_size_data() {
+        let entries: [(Object, &[u8]); 2] = [
+            (Object::new(0x1017, 0), &[0xE8, 0x03]),
+            (Object::new(0x6099, 2), &[]),
+        ];
+        let bytes = [
+            2, 0, 0, 0, 0x17, 0x10, 0, 2, 0, 0, 0, 0xE8, 0x03, 0x99, 0x60, 2, 0, 0, 0, 0,
+        ];
+        assert_eq!(encode(entries), bytes);
+        assert_eq!(decode(&bytes).unwrap(), entries);
+        assert_eq!(encode([]), [0; 4]);
+        for length in 0..bytes.len() {
+            let error = decode(&bytes[..length]).unwrap_err();
+            assert!(matches!(error, ConciseError::Truncated { length: l, .. } if l == length));
+        }
+        let longer = [bytes.as_slice(), &[0]].concat();
+        let surplus = ConciseError::Surplus {
+            left: 1,
+            entries: 2,
+        };
+        assert_eq!(decode(&longer), Err(surplus));
+        assert!(decode(&[0xFF; 11]).is_err());
+    }
+}

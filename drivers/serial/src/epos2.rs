@@ -1,0 +1,387 @@
+//! What maxon's EPOS2 speaks on RS-232: telegrams of words, each half of them acknowledged by a byte.
+//!
+//! ```text
+//! host    opcode              len-1  words…  crc            O              O
+//! drive           O (ready)                        O  0x00     len-1  words…  crc
+//! ```
+//!
+//! The side that has something to send sends an opcode and waits for the other's ready byte; then come
+//! the number of data words less one, the words, low byte first, and a CRC, low byte first, and the other
+//! side says whether it was right. `F` in place of `O` ends it. An answer's opcode is 0x00 and its first
+//! two words are an error code as of an SDO abort, zero for none. Nothing is sent before the exchange is
+//! over or the frame time-out has passed: after anything went wrong, both sides wait it out.
+//!
+//! Layouts only. Left out, for want of a source: segmented transfer (0x12 to 0x15), LSS (0x30, 0x31) and
+//! frames through the gateway to CAN (0x20, 0x21). On USB an EPOS2 has other frames.
+
+use std::time::Duration;
+
+/// What ready and end acknowledgements say.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Acknowledge {
+    /// `O`.
+    Okay,
+    /// `F`: not ready, or the CRC was wrong.
+    Failed,
+}
+
+impl Acknowledge {
+    /// As on the line.
+    pub const fn byte(self) -> u8 {
+        match self {
+            Self::Okay => b'O',
+            Self::Failed => b'F',
+        }
+    }
+
+    /// `None` for what is neither.
+    pub const fn from_byte(byte: u8) -> Option<Self> {
+        match byte {
+            b'O' => Some(Self::Okay),
+            b'F' => Some(Self::Failed),
+            _ => None,
+        }
+    }
+}
+
+/// The frame time-out as delivered (object 0x2005).
+pub const TIME_OUT: Duration = Duration::from_millis(500);
+
+/// Opcode of every answer.
+pub const ANSWER: u8 = 0x00;
+
+/// The most data words that a telegram says it has.
+pub const MAX_WORDS: usize = 256;
+
+/// Bytes between the ready and the end acknowledgement of a telegram of so many words: their number, the
+/// words, the CRC.
+pub const fn body_length(words: usize) -> usize {
+    1 + 2 * words + 2
+}
+
+/// CRC-16, polynomial 0x1021, initial 0, most significant bit first, of the bytes in this order.
+pub(crate) fn crc16(crc: u16, byte: u8) -> u16 {
+    (0..8).fold(crc ^ u16::from(byte) << 8, |crc, _| {
+        if crc & 0x8000 != 0 {
+            crc << 1 ^ 0x1021
+        } else {
+            crc << 1
+        }
+    })
+}
+
+/// Over opcode, number and words, of each word the high byte first.
+fn crc(opcode: u8, body: &[u8]) -> u16 {
+    let [count, words @ ..] = body else {
+        return 0;
+    };
+    let head = crc16(crc16(0, opcode), *count);
+    let (words, _) = words.as_chunks::<2>();
+    words
+        .iter()
+        .fold(head, |crc, &[low, high]| crc16(crc16(crc, high), low))
+}
+
+/// A telegram as on the line, without acknowledgements.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Telegram {
+    opcode: u8,
+    body: [u8; Self::LONGEST],
+    length: usize,
+}
+
+impl Telegram {
+    /// Six data words: the longest that is laid out here has four.
+    const LONGEST: usize = body_length(6);
+
+    fn new(opcode: u8, data: &[u8]) -> Self {
+        debug_assert!(data.len().is_multiple_of(2) && data.len() >= 2);
+        let mut body = [0; Self::LONGEST];
+        body[0] = (data.len() / 2 - 1) as u8;
+        body[1..=data.len()].copy_from_slice(data);
+        let crc = crc(opcode, &body[..=data.len()]).to_le_bytes();
+        body[data.len() + 1..data.len() + 3].copy_from_slice(&crc);
+        Self {
+            opcode,
+            body,
+            length: data.len() + 3,
+        }
+    }
+
+    /// What is sent before the ready acknowledgement.
+    pub fn opcode(&self) -> u8 {
+        self.opcode
+    }
+
+    /// What is sent after it.
+    pub fn body(&self) -> &[u8] {
+        &self.body[..self.length]
+    }
+}
+
+/// Why a telegram means nothing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Malformed {
+    /// It is to be answered with [`Acknowledge::Failed`].
+    #[error("crc or length is wrong")]
+    Damaged,
+    /// It arrived whole and means nothing here.
+    #[error("opcode {opcode:#04x} with {words} words is not understood")]
+    Unknown {
+        /// What it began with.
+        opcode: u8,
+        /// How many words it has.
+        words: usize,
+    },
+}
+
+/// The data words of a telegram that arrived whole: number, words, CRC.
+fn data(opcode: u8, body: &[u8]) -> Result<&[u8], Malformed> {
+    match body {
+        [count, .., low, high]
+            if body.len() == body_length(usize::from(*count) + 1)
+                && crc(opcode, &body[..body.len() - 2]) == u16::from_le_bytes([*low, *high]) =>
+        {
+            Ok(&body[1..body.len() - 2])
+        }
+        _ => Err(Malformed::Damaged),
+    }
+}
+
+/// What the host asks for. Node 0 is the device on the line; it stands in for others on its CAN bus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Request {
+    /// Reads an object of up to four bytes.
+    Read {
+        /// Node-ID.
+        node: u8,
+        /// Of the object.
+        index: u16,
+        /// Of the object.
+        subindex: u8,
+    },
+    /// Writes an object of up to four bytes.
+    Write {
+        /// Node-ID.
+        node: u8,
+        /// Of the object.
+        index: u16,
+        /// Of the object.
+        subindex: u8,
+        /// In the low bytes what the object is long.
+        value: u32,
+    },
+    /// Sends an NMT command; it has no answer.
+    Nmt {
+        /// Node-ID, 0 for all.
+        node: u16,
+        /// Command specifier (CiA 301 §7.2.8.2.1).
+        command: u16,
+    },
+}
+
+impl Request {
+    /// The request as on the line.
+    pub fn encode(self) -> Telegram {
+        match self {
+            Self::Read {
+                node,
+                index,
+                subindex,
+            } => {
+                let [low, high] = index.to_le_bytes();
+                Telegram::new(0x10, &[low, high, subindex, node])
+            }
+            Self::Write {
+                node,
+                index,
+                subindex,
+                value,
+            } => {
+                let [low, high] = index.to_le_bytes();
+                let [a, b, c, d] = value.to_le_bytes();
+                Telegram::new(0x11, &[low, high, subindex, node, a, b, c, d])
+            }
+            Self::Nmt { node, command } => {
+                let ([n0, n1], [c0, c1]) = (node.to_le_bytes(), command.to_le_bytes());
+                Telegram::new(0x0E, &[n0, n1, c0, c1])
+            }
+        }
+    }
+
+    /// What a device takes from an opcode and the bytes behind its ready acknowledgement.
+    pub fn decode(opcode: u8, body: &[u8]) -> Result<Self, Malformed> {
+        match (opcode, data(opcode, body)?) {
+            (0x10, &[low, high, subindex, node]) => Ok(Self::Read {
+                node,
+                index: u16::from_le_bytes([low, high]),
+                subindex,
+            }),
+            (0x11, &[low, high, subindex, node, a, b, c, d]) => Ok(Self::Write {
+                node,
+                index: u16::from_le_bytes([low, high]),
+                subindex,
+                value: u32::from_le_bytes([a, b, c, d]),
+            }),
+            (0x0E, &[n0, n1, c0, c1]) => Ok(Self::Nmt {
+                node: u16::from_le_bytes([n0, n1]),
+                command: u16::from_le_bytes([c0, c1]),
+            }),
+            (opcode, data) => Err(Malformed::Unknown {
+                opcode,
+                words: data.len() / 2,
+            }),
+        }
+    }
+
+    /// Whether the device answers it with a telegram of its own.
+    pub const fn is_answered(self) -> bool {
+        !matches!(self, Self::Nmt { .. })
+    }
+}
+
+/// What a device answers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Answer {
+    /// The value read; what is longer than the object is zero.
+    Value(u32),
+    /// Written.
+    Done,
+    /// Refused, with the code of an SDO abort or one of maxon's own 0x0F00_FFxx; not 0.
+    Refused(u32),
+}
+
+impl Answer {
+    /// The answer as on the line. A refusal has a value of zero behind it if it is one to read.
+    pub fn encode(self, to: &Request) -> Telegram {
+        let (code, value) = match self {
+            Self::Value(value) => (0_u32, Some(value)),
+            Self::Done => (0, None),
+            Self::Refused(code) => (code, matches!(to, Request::Read { .. }).then_some(0)),
+        };
+        let [a, b, c, d] = code.to_le_bytes();
+        match value.map(u32::to_le_bytes) {
+            Some([e, f, g, h]) => Telegram::new(ANSWER, &[a, b, c, d, e, f, g, h]),
+            None => Telegram::new(ANSWER, &[a, b, c, d]),
+        }
+    }
+
+    /// What a host takes from the bytes behind its ready acknowledgement of [`ANSWER`].
+    pub fn decode(body: &[u8]) -> Result<Self, Malformed> {
+        match *data(ANSWER, body)? {
+            [0, 0, 0, 0] => Ok(Self::Done),
+            [0, 0, 0, 0, a, b, c, d] => Ok(Self::Value(u32::from_le_bytes([a, b, c, d]))),
+            [a, b, c, d] | [a, b, c, d, _, _, _, _] => {
+                Ok(Self::Refused(u32::from_le_bytes([a, b, c, d])))
+            }
+            ref data => Err(Malformed::Unknown {
+                opcode: ANSWER,
+                words: data.len() / 2,
+            }),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const READ: Request = Request::Read {
+        node: 1,
+        index: 0x6041,
+        subindex: 0,
+    };
+    const WRITE: Request = Request::Write {
+        node: 1,
+        index: 0x6040,
+        subindex: 0,
+        value: 0x000F,
+    };
+
+    #[test]
+    fn requests_are_the_bytes_of_the_line() {
+        let nmt = Request::Nmt {
+            node: 1,
+            command: 0x81,
+        };
+        let cases: [(Request, u8, &[u8]); 3] = [
+            (READ, 0x10, &[0x01, 0x41, 0x60, 0x00, 0x01, 0xAB, 0xF0]),
+            (
+                WRITE,
+                0x11,
+                &[
+                    0x03, 0x40, 0x60, 0x00, 0x01, 0x0F, 0x00, 0x00, 0x00, 0x52, 0xEF,
+                ],
+            ),
+            (nmt, 0x0E, &[0x01, 0x01, 0x00, 0x81, 0x00, 0x6B, 0x9C]),
+        ];
+        for (request, opcode, body) in cases {
+            let telegram = request.encode();
+            assert_eq!(telegram.opcode(), opcode);
+            assert_eq!(telegram.body(), body, "{:02x?}", telegram.body());
+            assert_eq!(Request::decode(opcode, body), Ok(request));
+        }
+    }
+
+    #[test]
+    fn answers_are_the_bytes_of_the_line() {
+        let cases: [(Request, Answer, &[u8]); 4] = [
+            (
+                READ,
+                Answer::Value(0x0137),
+                &[0x03, 0, 0, 0, 0, 0x37, 0x01, 0, 0, 0xC5, 0x1B],
+            ),
+            (WRITE, Answer::Done, &[0x01, 0, 0, 0, 0, 0x51, 0xAA]),
+            (
+                READ,
+                Answer::Refused(0x0602_0000),
+                &[0x03, 0, 0, 0x02, 0x06, 0, 0, 0, 0, 0x26, 0xE4],
+            ),
+            (
+                WRITE,
+                Answer::Refused(0x0601_0002),
+                &[0x01, 0x02, 0, 0x01, 0x06, 0xB6, 0x7E],
+            ),
+        ];
+        for (request, answer, body) in cases {
+            let telegram = answer.encode(&request);
+            assert_eq!(telegram.opcode(), ANSWER);
+            assert_eq!(telegram.body(), body, "{:02x?}", telegram.body());
+            assert_eq!(Answer::decode(body), Ok(answer));
+        }
+    }
+
+    #[test]
+    fn a_damaged_telegram_is_none() {
+        let telegram = WRITE.encode();
+        let body = telegram.body();
+        for (index, bit) in (0..body.len()).flat_map(|index| (0..8).map(move |bit| (index, bit))) {
+            let mut bytes = body.to_vec();
+            bytes[index] ^= 1 << bit;
+            assert_eq!(Request::decode(0x11, &bytes), Err(Malformed::Damaged));
+        }
+        for length in 0..body.len() {
+            let damaged = Request::decode(0x11, &body[..length]);
+            assert_eq!(damaged, Err(Malformed::Damaged));
+        }
+        let other = Request::decode(0x10, body);
+        assert_eq!(other, Err(Malformed::Damaged), "the opcode is in the crc");
+    }
+
+    #[test]
+    fn what_arrived_whole_and_means_nothing_is_said_so() {
+        let unknown = Telegram::new(0x12, &[1, 2, 3, 4]);
+        let expected = Malformed::Unknown {
+            opcode: 0x12,
+            words: 2,
+        };
+        assert_eq!(
+            Request::decode(unknown.opcode(), unknown.body()),
+            Err(expected)
+        );
+        let short = Telegram::new(0x10, &[1, 2]);
+        assert!(Request::decode(0x10, short.body()).is_err());
+        let long = Telegram::new(ANSWER, &[0; 12]);
+        assert!(Answer::decode(long.body()).is_err());
+    }
+}

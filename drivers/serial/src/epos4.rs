@@ -1,0 +1,662 @@
+//! What maxon's EPOS4 speaks on USB and RS-232: stuffed frames, one answer for each request.
+//!
+//! ```text
+//! 90 02 | opcode  len  words…  crc      every 0x90 behind 02 doubled; len: data words
+//! ```
+//!
+//! Words go low byte first. The CRC covers len, opcode, and of each data word the high byte first, before
+//! stuffing. An answer has opcode 0x00, and its first two words are an error code as of an SDO abort,
+//! zero for none (EPOS4 Communication Guide 2019-11, §2). The host sends nothing before the answer has come
+//! or the frame time-out has passed (objects 0x2005 RS-232, 0x2006 USB).
+//!
+//! A request whose payload names an object begins with the node, then index and sub-index: another order
+//! than EPOS2's. Layouts only: [`Frame`] and [`Deframer`] for any service, [`Request`] and [`Answer`] for
+//! those on the object dictionary and NMT. Left out: LSS and CAN frames through the gateway.
+
+use std::time::Duration;
+
+use crate::epos2::crc16;
+
+/// First byte of a frame, doubled where it is data.
+pub const DLE: u8 = 0x90;
+
+/// Second byte of a frame.
+pub const STX: u8 = 0x02;
+
+/// Opcode of every answer.
+pub const ANSWER: u8 = 0x00;
+
+/// The most data words of a frame.
+pub const MAX_WORDS: usize = 143;
+
+/// The most bytes a frame has on the line.
+pub const LONGEST: usize = 2 + 2 * (2 + 2 * MAX_WORDS + 2);
+
+/// The most bytes of an object in one segment.
+pub const MAX_SEGMENT: usize = 254;
+
+/// The frame time-out as delivered (objects 0x2005, 0x2006).
+pub const TIME_OUT: Duration = Duration::from_millis(500);
+
+fn crc(opcode: u8, data: &[u8]) -> u16 {
+    let head = crc16(crc16(0, (data.len() / 2) as u8), opcode);
+    let (words, _) = data.as_chunks::<2>();
+    words
+        .iter()
+        .fold(head, |crc, &[low, high]| crc16(crc16(crc, high), low))
+}
+
+/// A frame without its wrapping: an opcode and up to [`MAX_WORDS`] data words.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Frame {
+    opcode: u8,
+    data: [u8; 2 * MAX_WORDS],
+    length: usize,
+}
+
+impl Frame {
+    /// `None` for more data than fit. An odd byte is followed by a zero, since words are what goes across.
+    pub fn new(opcode: u8, data: &[u8]) -> Option<Self> {
+        let mut padded = [0; 2 * MAX_WORDS];
+        padded.get_mut(..data.len())?.copy_from_slice(data);
+        Some(Self {
+            opcode,
+            data: padded,
+            length: data.len().next_multiple_of(2),
+        })
+    }
+
+    fn of(opcode: u8, parts: &[&[u8]]) -> Self {
+        let mut data = [0; 2 * MAX_WORDS];
+        let mut length = 0;
+        for part in parts {
+            data[length..length + part.len()].copy_from_slice(part);
+            length += part.len();
+        }
+        Self {
+            opcode,
+            data,
+            length: length.next_multiple_of(2),
+        }
+    }
+
+    /// What is asked for, or [`ANSWER`].
+    pub fn opcode(&self) -> u8 {
+        self.opcode
+    }
+
+    /// Its data words as bytes, low byte first.
+    pub fn data(&self) -> &[u8] {
+        &self.data[..self.length]
+    }
+
+    /// Writes the frame as on the line to the front of `into`, and returns how long it is.
+    pub fn encode(&self, into: &mut [u8; LONGEST]) -> usize {
+        into[..2].copy_from_slice(&[DLE, STX]);
+        let mut length = 2;
+        let head = [self.opcode, (self.length / 2) as u8];
+        let crc = crc(self.opcode, self.data()).to_le_bytes();
+        for &byte in head.iter().chain(self.data()).chain(&crc) {
+            into[length] = byte;
+            length += 1;
+            if byte == DLE {
+                into[length] = DLE;
+                length += 1;
+            }
+        }
+        length
+    }
+}
+
+/// Why what arrived is no frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum FrameError {
+    /// A new frame began inside this one, or a lone 0x90 stood in it.
+    #[error("frame was torn")]
+    Torn,
+    /// More data words than a frame can have.
+    #[error("{0} data words are more than a frame has")]
+    TooLong(u8),
+    /// It was wrong.
+    #[error("crc is wrong")]
+    Crc,
+}
+
+/// Finds frames in a stream of bytes.
+///
+/// Time is its user's: who sees the frame time-out pass in the middle of one calls
+/// [`reset`](Deframer::reset).
+#[derive(Clone, Debug)]
+pub struct Deframer {
+    /// Opcode, number, data, CRC.
+    bytes: [u8; 2 + 2 * MAX_WORDS + 2],
+    count: usize,
+    state: Deframing,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Deframing {
+    Outside,
+    /// After a 0x90 outside.
+    Starting,
+    Inside,
+    /// After a 0x90 inside, which is to be doubled.
+    Doubling,
+}
+
+impl Default for Deframer {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Deframer {
+    /// Outside of any frame.
+    pub fn new() -> Self {
+        Self {
+            bytes: [0; _],
+            count: 0,
+            state: Deframing::Outside,
+        }
+    }
+
+    /// Whether it has the beginning of a frame.
+    pub fn is_inside(&self) -> bool {
+        self.state != Deframing::Outside
+    }
+
+    /// Forgets the beginning of a frame.
+    pub fn reset(&mut self) {
+        self.count = 0;
+        self.state = Deframing::Outside;
+    }
+
+    /// Takes a byte, and hands out the frame that it ends.
+    pub fn take(&mut self, byte: u8) -> Option<Result<Frame, FrameError>> {
+        match (self.state, byte) {
+            (Deframing::Outside, DLE) => self.state = Deframing::Starting,
+            (Deframing::Outside, _) => {}
+            (Deframing::Starting, STX) => self.begin(),
+            (Deframing::Starting, DLE) => {}
+            (Deframing::Starting, _) => self.reset(),
+            (Deframing::Inside, DLE) => self.state = Deframing::Doubling,
+            (Deframing::Inside, byte) => return self.add(byte),
+            (Deframing::Doubling, DLE) => {
+                self.state = Deframing::Inside;
+                return self.add(DLE);
+            }
+            // A start inside a frame: that frame was torn, and this one counts.
+            (Deframing::Doubling, STX) => {
+                self.begin();
+                return Some(Err(FrameError::Torn));
+            }
+            (Deframing::Doubling, _) => {
+                self.reset();
+                return Some(Err(FrameError::Torn));
+            }
+        }
+        None
+    }
+
+    fn begin(&mut self) {
+        self.count = 0;
+        self.state = Deframing::Inside;
+    }
+
+    fn add(&mut self, byte: u8) -> Option<Result<Frame, FrameError>> {
+        self.bytes[self.count] = byte;
+        self.count += 1;
+        let [opcode, words, ref rest @ ..] = self.bytes;
+        if self.count < 2 {
+            return None;
+        }
+        if usize::from(words) > MAX_WORDS {
+            self.reset();
+            return Some(Err(FrameError::TooLong(words)));
+        }
+        let length = 2 * usize::from(words);
+        if self.count < 2 + length + 2 {
+            return None;
+        }
+        let (data, rest) = rest.split_at(length);
+        let right = crc(opcode, data).to_le_bytes() == [rest[0], rest[1]];
+        let frame = Frame::of(opcode, &[data]);
+        self.reset();
+        Some(if right {
+            Ok(frame)
+        } else {
+            Err(FrameError::Crc)
+        })
+    }
+}
+
+/// An object of a node; node 0 is the device on the line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Address {
+    /// Node-ID.
+    pub node: u8,
+    /// Of the object.
+    pub index: u16,
+    /// Of the object.
+    pub subindex: u8,
+}
+
+impl Address {
+    fn encode(self) -> [u8; 4] {
+        let [low, high] = self.index.to_le_bytes();
+        [self.node, low, high, self.subindex]
+    }
+
+    fn decode([node, low, high, subindex]: [u8; 4]) -> Self {
+        Self {
+            node,
+            index: u16::from_le_bytes([low, high]),
+            subindex,
+        }
+    }
+}
+
+/// What the host asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Request<'a> {
+    /// Reads an object of up to four bytes: [`Answer::Value`].
+    Read(Address),
+    /// Writes an object of up to four bytes, which are the low ones: [`Answer::Done`].
+    Write(Address, u32),
+    /// Begins to read an object in segments: [`Answer::Started`].
+    InitiateSegmentedRead(Address),
+    /// Reads the next segment: [`Answer::Segment`].
+    SegmentRead {
+        /// Alternates, `false` in the first after the initiation.
+        toggle: bool,
+    },
+    /// Begins to write an object of so many bytes in segments: [`Answer::Done`].
+    InitiateSegmentedWrite(Address, u32),
+    /// Writes the next segment of up to [`MAX_SEGMENT`] bytes: [`Answer::Taken`].
+    SegmentWrite {
+        /// Alternates, `false` in the first after the initiation.
+        toggle: bool,
+        /// Whether the object is complete with it.
+        last: bool,
+        /// The segment.
+        data: &'a [u8],
+    },
+    /// Sends an NMT command: [`Answer::Done`].
+    Nmt {
+        /// Node-ID, 0 for all.
+        node: u16,
+        /// Command specifier (CiA 301 §7.2.8.2.1).
+        command: u16,
+    },
+}
+
+const TOGGLE: u8 = 0x01;
+const LAST: u8 = 0x02;
+
+const fn control(toggle: bool, last: bool) -> u8 {
+    (if toggle { TOGGLE } else { 0 }) | (if last { LAST } else { 0 })
+}
+
+impl<'a> Request<'a> {
+    /// The request as a frame; of a segment that is too long the first [`MAX_SEGMENT`] bytes.
+    pub fn encode(self) -> Frame {
+        match self {
+            Self::Read(address) => Frame::of(0x60, &[&address.encode()]),
+            Self::Write(address, value) => {
+                Frame::of(0x68, &[&address.encode(), &value.to_le_bytes()])
+            }
+            Self::InitiateSegmentedRead(address) => Frame::of(0x81, &[&address.encode()]),
+            Self::SegmentRead { toggle } => Frame::of(0x62, &[&[control(toggle, false), 0]]),
+            Self::InitiateSegmentedWrite(address, length) => {
+                Frame::of(0x69, &[&address.encode(), &length.to_le_bytes()])
+            }
+            Self::SegmentWrite { toggle, last, data } => {
+                let data = &data[..data.len().min(MAX_SEGMENT)];
+                Frame::of(0x6A, &[&[data.len() as u8, control(toggle, last)], data])
+            }
+            Self::Nmt { node, command } => {
+                Frame::of(0x70, &[&node.to_le_bytes(), &command.to_le_bytes()])
+            }
+        }
+    }
+
+    /// What a device understands; `None` for an opcode it does not know or another length.
+    pub fn decode(frame: &'a Frame) -> Option<Self> {
+        Some(match (frame.opcode, frame.data()) {
+            (0x60, &[a, b, c, d]) => Self::Read(Address::decode([a, b, c, d])),
+            (0x68, &[a, b, c, d, e, f, g, h]) => Self::Write(
+                Address::decode([a, b, c, d]),
+                u32::from_le_bytes([e, f, g, h]),
+            ),
+            (0x81, &[a, b, c, d]) => Self::InitiateSegmentedRead(Address::decode([a, b, c, d])),
+            (0x62, &[control, _]) => Self::SegmentRead {
+                toggle: control & TOGGLE != 0,
+            },
+            (0x69, &[a, b, c, d, e, f, g, h]) => Self::InitiateSegmentedWrite(
+                Address::decode([a, b, c, d]),
+                u32::from_le_bytes([e, f, g, h]),
+            ),
+            (0x6A, [length, control, rest @ ..]) => Self::SegmentWrite {
+                toggle: control & TOGGLE != 0,
+                last: control & LAST != 0,
+                data: unpadded(*length, rest)?,
+            },
+            (0x70, &[n0, n1, c0, c1]) => Self::Nmt {
+                node: u16::from_le_bytes([n0, n1]),
+                command: u16::from_le_bytes([c0, c1]),
+            },
+            _ => return None,
+        })
+    }
+}
+
+/// The bytes that `length` claims, if they and at most a byte of padding are there.
+fn unpadded(length: u8, data: &[u8]) -> Option<&[u8]> {
+    let length = usize::from(length);
+    (data.len() == length || data.len() == length + 1).then(|| &data[..length])
+}
+
+/// What a device answers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Answer<'a> {
+    /// The value read; what is longer than the object is zero.
+    Value(u32),
+    /// It is done.
+    Done,
+    /// An object of so many bytes begins with these.
+    Started(u32, &'a [u8]),
+    /// More of it.
+    Segment {
+        /// As in the request.
+        toggle: bool,
+        /// Whether the object is complete with it.
+        last: bool,
+        /// The segment.
+        data: &'a [u8],
+    },
+    /// So many bytes of a segment were taken.
+    Taken {
+        /// As in the request.
+        toggle: bool,
+        /// Bytes.
+        length: u8,
+    },
+    /// Refused, with the code of an SDO abort or one of maxon's own 0x0F00_FFxx; not 0.
+    Refused(u32),
+}
+
+impl<'a> Answer<'a> {
+    /// The answer as a frame; of data that are too long the first [`MAX_SEGMENT`] bytes.
+    pub fn encode(self) -> Frame {
+        let cut = |data: &'a [u8]| &data[..data.len().min(MAX_SEGMENT)];
+        let okay = &[0; 4];
+        match self {
+            Self::Value(value) => Frame::of(ANSWER, &[okay, &value.to_le_bytes()]),
+            Self::Done => Frame::of(ANSWER, &[okay]),
+            Self::Started(length, data) => {
+                let data = cut(data);
+                let count = [data.len() as u8];
+                Frame::of(ANSWER, &[okay, &length.to_le_bytes(), &count, data])
+            }
+            Self::Segment { toggle, last, data } => {
+                let data = cut(data);
+                let head = [data.len() as u8, control(toggle, last)];
+                Frame::of(ANSWER, &[okay, &head, data])
+            }
+            Self::Taken { toggle, length } => {
+                Frame::of(ANSWER, &[okay, &[length, control(toggle, false)]])
+            }
+            Self::Refused(code) => Frame::of(ANSWER, &[&code.to_le_bytes()]),
+        }
+    }
+
+    /// What a host takes from the answer to its request; `None` if it is no answer to that.
+    ///
+    /// A refusal may have anything behind its code.
+    pub fn decode(frame: &'a Frame, to: &Request) -> Option<Self> {
+        let [a, b, c, d, ref rest @ ..] = *frame.data() else {
+            return None;
+        };
+        let code = u32::from_le_bytes([a, b, c, d]);
+        if frame.opcode != ANSWER {
+            return None;
+        }
+        if code != 0 {
+            return Some(Self::Refused(code));
+        }
+        Some(match (to, rest) {
+            (Request::Read(_), &[a, b, c, d]) => Self::Value(u32::from_le_bytes([a, b, c, d])),
+            (
+                Request::Write(..) | Request::InitiateSegmentedWrite(..) | Request::Nmt { .. },
+                [],
+            ) => Self::Done,
+            (Request::InitiateSegmentedRead(_), [a, b, c, d, length, rest @ ..]) => Self::Started(
+                u32::from_le_bytes([*a, *b, *c, *d]),
+                unpadded(*length, rest)?,
+            ),
+            (Request::SegmentRead { .. }, [length, control, rest @ ..]) => Self::Segment {
+                toggle: control & TOGGLE != 0,
+                last: control & LAST != 0,
+                data: unpadded(*length, rest)?,
+            },
+            (Request::SegmentWrite { .. }, &[length, control]) => Self::Taken {
+                toggle: control & TOGGLE != 0,
+                length,
+            },
+            _ => return None,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const STATUSWORD: Address = Address {
+        node: 1,
+        index: 0x6041,
+        subindex: 0,
+    };
+    const HOME_POSITION: Address = Address {
+        index: 0x30B0,
+        ..STATUSWORD
+    };
+    const CONTROLWORD: Address = Address {
+        index: 0x6040,
+        ..STATUSWORD
+    };
+    const NAME: Address = Address {
+        index: 0x1008,
+        ..STATUSWORD
+    };
+
+    fn encoded(frame: &Frame) -> Vec<u8> {
+        let mut into = [0; LONGEST];
+        let length = frame.encode(&mut into);
+        into[..length].to_vec()
+    }
+
+    fn frames(bytes: &[u8]) -> Vec<Result<Frame, FrameError>> {
+        let mut deframer = Deframer::new();
+        bytes
+            .iter()
+            .filter_map(|&byte| deframer.take(byte))
+            .collect()
+    }
+
+    #[test]
+    fn requests_are_the_bytes_of_the_line() {
+        let cases: [(Request, &[u8]); 3] = [
+            (
+                Request::Read(HOME_POSITION),
+                &[0x90, 0x02, 0x60, 0x02, 0x01, 0xB0, 0x30, 0x00, 0x2E, 0x62],
+            ),
+            (
+                Request::Read(STATUSWORD),
+                &[0x90, 0x02, 0x60, 0x02, 0x01, 0x41, 0x60, 0x00, 0x22, 0xD1],
+            ),
+            (
+                Request::Write(CONTROLWORD, 0x000F),
+                &[
+                    0x90, 0x02, 0x68, 0x04, 0x01, 0x40, 0x60, 0x00, 0x0F, 0x00, 0x00, 0x00, 0xB3,
+                    0x07,
+                ],
+            ),
+        ];
+        for (request, bytes) in cases {
+            assert_eq!(encoded(&request.encode()), bytes, "{request:?}");
+        }
+    }
+
+    #[test]
+    fn answers_are_the_bytes_of_the_line() {
+        let cases: [(Request, Answer, &[u8]); 2] = [
+            (
+                Request::Read(HOME_POSITION),
+                Answer::Value(0x0000_9001),
+                &[
+                    0x90, 0x02, 0x00, 0x04, 0x00, 0x00, 0x00, 0x00, 0x01, 0x90, 0x90, 0x00, 0x00,
+                    0x9A, 0x5C,
+                ],
+            ),
+            (
+                Request::Write(CONTROLWORD, 0x000F),
+                Answer::Done,
+                &[0x90, 0x02, 0x00, 0x02, 0x00, 0x00, 0x00, 0x00, 0x40, 0x8B],
+            ),
+        ];
+        for (request, answer, bytes) in cases {
+            assert_eq!(encoded(&answer.encode()), bytes, "{answer:?}");
+            let frame = frames(bytes).remove(0).unwrap();
+            assert_eq!(Answer::decode(&frame, &request), Some(answer));
+        }
+    }
+
+    #[test]
+    fn every_service_survives_the_line_both_ways() {
+        let object: Vec<u8> = (0..=253).collect();
+        let odd = &object[..41];
+        let pairs = [
+            (Request::Read(NAME), Answer::Value(u32::MAX)),
+            (Request::Write(NAME, 0x9090_9090), Answer::Done),
+            (
+                Request::InitiateSegmentedRead(NAME),
+                Answer::Started(300, &object),
+            ),
+            (
+                Request::InitiateSegmentedRead(NAME),
+                Answer::Started(41, odd),
+            ),
+            (
+                Request::SegmentRead { toggle: true },
+                Answer::Segment {
+                    toggle: true,
+                    last: true,
+                    data: odd,
+                },
+            ),
+            (Request::InitiateSegmentedWrite(NAME, 300), Answer::Done),
+            (
+                Request::SegmentWrite {
+                    toggle: false,
+                    last: false,
+                    data: &object,
+                },
+                Answer::Taken {
+                    toggle: false,
+                    length: 254,
+                },
+            ),
+            (
+                Request::SegmentWrite {
+                    toggle: true,
+                    last: true,
+                    data: odd,
+                },
+                Answer::Refused(0x0F00_FFBF),
+            ),
+            (
+                Request::Nmt {
+                    node: 0x90,
+                    command: 0x81,
+                },
+                Answer::Done,
+            ),
+        ];
+        for (request, answer) in pairs {
+            let there = frames(&encoded(&request.encode())).remove(0).unwrap();
+            assert_eq!(Request::decode(&there), Some(request));
+            let back = frames(&encoded(&answer.encode())).remove(0).unwrap();
+            assert_eq!(Answer::decode(&back, &request), Some(answer), "{request:?}");
+        }
+    }
+
+    #[test]
+    fn a_frame_full_of_starts_has_each_of_them_doubled() {
+        let frame = Frame::new(DLE, &[DLE; 2 * MAX_WORDS]).unwrap();
+        let bytes = encoded(&frame);
+        assert!(bytes.len() <= LONGEST);
+        assert_eq!(frames(&bytes), [Ok(frame)]);
+        assert_eq!(Frame::new(0, &[0; 2 * MAX_WORDS + 1]), None);
+    }
+
+    #[test]
+    fn a_torn_frame_does_not_cost_the_one_behind_it() {
+        let bytes = encoded(&Request::Write(CONTROLWORD, 0x9002_0290).encode());
+        for offset in 2..bytes.len() {
+            let found = frames(&[&bytes[..offset], &bytes].concat());
+            let whole = found.iter().filter(|frame| frame.is_ok()).count();
+            // Torn within a doubled 0x90, the next start looks like its second half.
+            let half = bytes[..offset]
+                .iter()
+                .rev()
+                .take_while(|&&b| b == DLE)
+                .count()
+                % 2
+                == 1;
+            assert_eq!(whole, usize::from(!half), "torn at {offset}: {found:?}");
+        }
+    }
+
+    #[test]
+    fn a_damaged_frame_is_none() {
+        let bytes = encoded(&Request::Read(STATUSWORD).encode());
+        for (index, bit) in (2..bytes.len()).flat_map(|index| (0..8).map(move |bit| (index, bit))) {
+            let mut damaged = bytes.clone();
+            damaged[index] ^= 1 << bit;
+            assert!(
+                frames(&damaged).iter().all(Result::is_err),
+                "bit {bit} of byte {index}"
+            );
+        }
+        let long = [DLE, STX, 0x60, 145];
+        assert_eq!(frames(&long), [Err(FrameError::TooLong(145))]);
+    }
+
+    #[test]
+    fn what_means_nothing_is_refused() {
+        let frame = |opcode, data: &[u8]| Frame::new(opcode, data).unwrap();
+        for (opcode, data) in [
+            (0x10, &[1, 2, 3, 4][..]),
+            (0x60, &[1, 2]),
+            (0x6A, &[3, 0, 1, 2]),
+            (0x6A, &[1, 0, 1, 2, 3, 4]),
+            (0x70, &[]),
+        ] {
+            assert_eq!(Request::decode(&frame(opcode, data)), None, "{opcode:#x}");
+        }
+        let read = Request::Read(STATUSWORD);
+        for (opcode, data) in [
+            (ANSWER, &[0, 0][..]),
+            (ANSWER, &[0, 0, 0, 0]),
+            (0x60, &[0; 8]),
+        ] {
+            assert_eq!(Answer::decode(&frame(opcode, data), &read), None);
+        }
+        let refused = frame(ANSWER, &[0, 0, 2, 6, 9, 9]);
+        assert_eq!(
+            Answer::decode(&refused, &read),
+            Some(Answer::Refused(0x0602_0000))
+        );
+    }
+}

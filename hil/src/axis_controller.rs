@@ -1,0 +1,95 @@
+//! The serial axis controllers of the IRb-6 and IRp-6, one drive per line, with either of their telegrams.
+//!
+//! [`Nfv2AxisController`] speaks [`serial::nfv2`], [`HiMoxaAxisController`] the older
+//! [`serial::hi_moxa`]; the drive behind both is one. It is a power stage on 48 V that follows pulse
+//! widths or, by its own loop, currents; a position counter that it can have zeroed by an index pulse;
+//! and protections that act without the host: over-current and limit switches. The host closes all
+//! other loops. A set-point stays until the next one, however long that takes, and the drive knows
+//! counter and reference as long as it has power, whoever restarts at the other end.
+//!
+//! When the last byte of a request arrives, the drive reads its sensors, does what it was told, and
+//! answers after [`AxisControllerConfig::answer_delay`]. The plant moves in sub-steps of 100 µs from
+//! power-on on, so what is read is up to a sub-step old and what is set acts up to one earlier; with a
+//! steady period both are constant.
+//!
+//! The telegrams are documented, the drive is not. These are choices: the current loop turns each
+//! sub-step and its gains are pulse width per mA; over-current trips at the first sub-step beyond the
+//! limit; a closed limit switch shorts the winding against set-points further into it and lets go of
+//! others; positive counts run towards the upper switch; the index flag stays until the search is left;
+//! a set-point for a mode the drive is not in is ignored; what follows an incomplete request after a pause
+//! of [`GAP`] is a new one. Left out: speed and position modes, which no host used, the limit flags 10 to 12
+//! of NFv2, and the emergency stop of the cabinet, which a drive in error opens for all.
+
+mod drive;
+mod hi_moxa;
+mod nfv2;
+mod outbox;
+#[cfg(test)]
+mod tests;
+
+pub use hi_moxa::HiMoxaAxisController;
+pub use nfv2::Nfv2AxisController;
+pub(crate) use outbox::Outbox;
+
+use std::time::Duration;
+
+use can::Instant;
+
+use crate::AxisConfig;
+
+/// A request that stops in its middle for so long does not go on.
+pub const GAP: Duration = Duration::from_micros(500);
+
+/// What distinguishes one unit from another.
+#[derive(Clone, Debug)]
+pub struct AxisControllerConfig {
+    /// When it is switched on.
+    pub power_on: Instant,
+    /// Decides noise and ripple.
+    pub seed: u64,
+    /// Motor, load and sensors. Of the amplifier only the trip current counts, until the host sends its own.
+    pub axis: AxisConfig,
+    /// What a pulse width of 1000 puts on the winding, V.
+    pub supply: f64,
+    /// From the last byte of a request to the first of its answer.
+    pub answer_delay: Duration,
+    /// What the position counter shows at first, encoder pulses: of a drive that had power before.
+    pub counter: i32,
+    /// Whether that counter is referenced.
+    pub synchronized: bool,
+    /// After so long without a set-point the drive takes it for zero. The real ones have no such thing.
+    pub watchdog: Option<Duration>,
+}
+
+impl AxisControllerConfig {
+    /// A drive that was just switched on, quick to answer and without a watchdog.
+    pub fn new(axis: AxisConfig) -> Self {
+        Self {
+            power_on: Instant::ZERO,
+            seed: 0,
+            axis,
+            supply: 48.0,
+            answer_delay: Duration::from_micros(100),
+            counter: 0,
+            synchronized: false,
+            watchdog: None,
+        }
+    }
+}
+
+/// What a device has heard. Counters only grow.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Heard {
+    /// Requests obeyed.
+    pub obeyed: u64,
+    /// Requests to other addresses.
+    pub foreign: u64,
+    /// Requests that were right and not understood, or of which the drive can do nothing.
+    pub refused: u64,
+    /// Frames whose checksum was wrong.
+    pub damaged: u64,
+    /// Bytes that belonged to no request.
+    pub skipped: u64,
+    /// Bytes of answers that found no room in the transmit buffer.
+    pub overrun: u64,
+}

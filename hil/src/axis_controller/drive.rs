@@ -1,0 +1,240 @@
+//! The drive behind both telegrams.
+
+use std::time::Duration;
+
+use can::Instant;
+use serial::nfv2::Gains;
+
+use super::AxisControllerConfig;
+use crate::{Axis, Demand, Feedback};
+
+const SUB_STEP: Duration = Duration::from_micros(100);
+/// Sub-steps after which switches and index pulse are looked at: 1 ms.
+const CHUNK: u32 = 10;
+/// The axis is moved on at least this often.
+const LAZIEST: Duration = Duration::from_millis(20);
+/// A fully driven power stage.
+const FULL: f64 = 1000.0;
+/// Gains are fractions of this.
+const ONE: f64 = 32_768.0;
+
+/// What the power stage does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Mode {
+    /// Open, until a mode is set.
+    Manual,
+    /// Follows pulse widths.
+    Pwm,
+    /// Follows currents.
+    Current,
+    /// Open, until [`Mode::Manual`] is set.
+    Error,
+}
+
+/// What the index pulse is to do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Search {
+    Off,
+    Armed,
+    Found,
+}
+
+/// What is latched until [`Mode::Manual`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Faults {
+    pub(super) over_current: bool,
+    /// The winding is too hot, or the supply was off.
+    pub(super) power_stage: bool,
+}
+
+/// What the sensors tell at one instant, as both telegrams report it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Sample {
+    pub(super) position: i32,
+    /// mA.
+    pub(super) current: i16,
+    pub(super) upper_limit: bool,
+    pub(super) lower_limit: bool,
+    pub(super) home_switch: bool,
+    pub(super) index: bool,
+    pub(super) synchronized: bool,
+    pub(super) faults: Faults,
+    pub(super) error: bool,
+}
+
+pub(super) struct Drive {
+    axis: Axis,
+    feedback: Feedback,
+    /// The time up to which the axis has moved.
+    inner: Instant,
+    supply: f64,
+    supplied: bool,
+    mode: Mode,
+    /// Of the mode: pulse width, or mA.
+    set_point: f64,
+    search: Search,
+    /// Position counter = raw counter + offset.
+    offset: i32,
+    synchronized: bool,
+    faults: Faults,
+    watchdog: Option<Duration>,
+    commanded_at: Instant,
+}
+
+impl Drive {
+    pub(super) fn new(config: &AxisControllerConfig) -> Self {
+        let mut settings = config.axis;
+        settings.amplifier.max_voltage = config.supply;
+        let axis = Axis::new(&settings, config.seed);
+        let mut drive = Self {
+            feedback: axis.feedback(),
+            axis,
+            inner: config.power_on,
+            supply: config.supply,
+            supplied: true,
+            mode: Mode::Manual,
+            set_point: 0.0,
+            search: Search::Off,
+            offset: config.counter,
+            synchronized: config.synchronized,
+            faults: Faults::default(),
+            watchdog: config.watchdog,
+            commanded_at: config.power_on,
+        };
+        drive.set_current_gains(Gains::POWER_ON);
+        drive
+    }
+
+    pub(super) fn axis(&self) -> &Axis {
+        &self.axis
+    }
+
+    /// Moves the axis on to the last sub-step before `now`.
+    pub(super) fn catch_up(&mut self, now: Instant) {
+        loop {
+            let left = now.since(self.inner).as_nanos() / SUB_STEP.as_nanos();
+            let steps = CHUNK.min(u32::try_from(left).unwrap_or(CHUNK));
+            if steps == 0 {
+                return;
+            }
+            self.axis.advance(steps, self.demand());
+            self.inner += steps * SUB_STEP;
+            self.feedback = self.axis.feedback();
+            match self.feedback.trip {
+                Some(crate::Trip::OverCurrent) => self.faults.over_current = true,
+                Some(crate::Trip::OverTemperature) => self.faults.power_stage = true,
+                None => {}
+            }
+            if self.search == Search::Armed
+                && let Some(at) = self.axis.take_index()
+            {
+                self.offset = at.wrapping_neg();
+                self.synchronized = true;
+                self.search = Search::Found;
+            }
+        }
+    }
+
+    /// When the axis has to be moved on at the latest.
+    pub(super) fn poll_timeout(&self) -> Instant {
+        self.inner + LAZIEST
+    }
+
+    fn demand(&self) -> Demand {
+        if self.faults != Faults::default() {
+            return Demand::Off;
+        }
+        let overdue = self
+            .watchdog
+            .is_some_and(|within| self.inner.since(self.commanded_at) >= within);
+        let into_switch = self.set_point > 0.0 && self.feedback.positive_limit
+            || self.set_point < 0.0 && self.feedback.negative_limit;
+        match self.mode {
+            Mode::Manual | Mode::Error => Demand::Off,
+            Mode::Pwm | Mode::Current if overdue || into_switch => Demand::Duty(0.0),
+            Mode::Pwm => Demand::Duty(self.set_point / FULL),
+            Mode::Current => Demand::Current(self.set_point * 1e-3),
+        }
+    }
+
+    /// Changes the mode; one that is kept keeps its set-point. Only manual mode leads out of error.
+    pub(super) fn set_mode(&mut self, mode: Mode) {
+        if self.mode == Mode::Error && mode != Mode::Manual {
+            return;
+        }
+        if mode == Mode::Manual {
+            self.faults = Faults {
+                over_current: false,
+                power_stage: !self.supplied,
+            };
+        }
+        if mode != self.mode {
+            self.mode = mode;
+            self.set_point = 0.0;
+            self.commanded_at = self.inner;
+        }
+    }
+
+    /// Takes a pulse width or a current, mA, for the mode that follows it.
+    pub(super) fn set_point(&mut self, mode: Mode, value: i16, now: Instant) {
+        if mode == self.mode {
+            let value = f64::from(value);
+            self.set_point = match mode {
+                Mode::Pwm => value.clamp(-FULL, FULL),
+                Mode::Current => value,
+                Mode::Manual | Mode::Error => 0.0,
+            };
+            self.commanded_at = now;
+        }
+    }
+
+    /// Whether the next index pulse is to zero the counter.
+    pub(super) fn search_index(&mut self, on: bool) {
+        match (on, self.search) {
+            (true, Search::Off) => {
+                self.axis.take_index();
+                self.search = Search::Armed;
+            }
+            (false, _) => self.search = Search::Off,
+            (true, Search::Armed | Search::Found) => {}
+        }
+    }
+
+    pub(super) fn set_synchronized(&mut self, synchronized: bool) {
+        self.synchronized = synchronized;
+    }
+
+    /// mA; with none that is positive any current trips.
+    pub(super) fn set_max_current(&mut self, current: i16) {
+        self.axis.set_trip_current(f64::from(current.max(0)) * 1e-3);
+    }
+
+    pub(super) fn set_current_gains(&mut self, gains: Gains) {
+        // Pulse width per mA, in V/A.
+        let scale = self.supply / FULL * 1e3 / ONE;
+        let (p, i) = (f64::from(gains.p) * scale, f64::from(gains.i) * scale);
+        // The loop's integral lags a sub-step behind: one share more makes up for it.
+        self.axis.set_current_gains(p + i, i);
+    }
+
+    /// Switches the supply of the power stage, as a cabinet's emergency stop does.
+    pub(super) fn set_supply(&mut self, on: bool) {
+        self.supplied = on;
+        self.faults.power_stage |= !on;
+    }
+
+    pub(super) fn sample(&self) -> Sample {
+        let feedback = &self.feedback;
+        Sample {
+            position: feedback.counts.wrapping_add(self.offset),
+            current: (feedback.current * 1e3).round() as i16,
+            upper_limit: feedback.positive_limit,
+            lower_limit: feedback.negative_limit,
+            home_switch: feedback.home_switch,
+            index: self.search == Search::Found,
+            synchronized: self.synchronized,
+            faults: self.faults,
+            error: self.mode == Mode::Error,
+        }
+    }
+}

@@ -1,0 +1,175 @@
+use can::Instant;
+use serial::hi_moxa::{
+    Answer, DriverMode, Flags, Mode as Follows, PREAMBLE, Parameter, REQUEST, Request,
+};
+
+use super::drive::{Drive, Mode, Sample};
+use super::{AxisControllerConfig, GAP, Heard, Outbox};
+use crate::{Axis, LineDevice};
+
+/// What its answers begin with; no source says which byte that is.
+const START: u8 = 0x23;
+
+/// A serial axis controller with the older telegrams.
+///
+/// Ten bytes from a preamble on are a request; whatever stands between requests is skipped. A preamble
+/// within a request begins a new one. With neither length nor checksum, what follows a torn request
+/// without a pause can be taken for the rest of it. Gains are accepted without effect: no source
+/// says their scale.
+pub struct HiMoxaAxisController {
+    config: AxisControllerConfig,
+    drive: Drive,
+    /// The last bytes.
+    window: [u8; REQUEST],
+    /// Bytes since the last preamble, while they may become a request.
+    since: Option<usize>,
+    last: Instant,
+    outbox: Outbox,
+    heard: Heard,
+}
+
+impl HiMoxaAxisController {
+    /// Switched on in manual mode.
+    pub fn new(config: AxisControllerConfig) -> Self {
+        Self {
+            drive: Drive::new(&config),
+            window: NOTHING,
+            since: None,
+            last: config.power_on,
+            outbox: Outbox::new(),
+            heard: Heard::default(),
+            config,
+        }
+    }
+
+    /// The axis with what no drive can know of it.
+    pub fn axis(&self) -> &Axis {
+        self.drive.axis()
+    }
+
+    /// What it has heard. Without a checksum nothing is known as damaged, without an address nothing
+    /// as foreign.
+    pub fn heard(&self) -> Heard {
+        self.heard
+    }
+
+    /// Switches the supply of the power stage, as the cabinet's emergency stop does.
+    pub fn set_supply(&mut self, on: bool) {
+        self.drive.set_supply(on);
+    }
+
+    fn serve(&mut self, request: Request, now: Instant) {
+        self.drive.catch_up(now);
+        if !obey(&mut self.drive, request, now) {
+            self.heard.refused += 1;
+            return;
+        }
+        self.heard.obeyed += 1;
+        let answer = answer(&self.drive.sample()).encode();
+        let at = now + self.config.answer_delay;
+        self.heard.overrun += self.outbox.put(at, &answer) as u64;
+    }
+}
+
+/// A window that no byte has entered yet.
+const NOTHING: [u8; REQUEST] = [0xFF; REQUEST];
+
+impl LineDevice for HiMoxaAxisController {
+    fn receive(&mut self, byte: u8, now: Instant) {
+        self.outbox.run(now);
+        if now.since(self.last) > GAP {
+            self.window = NOTHING;
+            self.since = None;
+        }
+        self.last = now;
+        self.window.rotate_left(1);
+        self.window[REQUEST - 1] = byte;
+        self.heard.skipped += 1;
+        if self.window.ends_with(&PREAMBLE) {
+            self.since = Some(0);
+            return;
+        }
+        self.since = self.since.map(|count| count + 1);
+        if self.since == Some(REQUEST - PREAMBLE.len()) {
+            self.since = None;
+            self.heard.skipped -= REQUEST as u64;
+            match Request::decode(&self.window) {
+                Some(request) => self.serve(request, now),
+                None => self.heard.refused += 1,
+            }
+        }
+    }
+
+    fn poll_transmit(&mut self, now: Instant) -> Option<u8> {
+        self.outbox.poll_transmit(now)
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        let moves = self.drive.poll_timeout();
+        let answers = self.outbox.poll_timeout();
+        Some(answers.map_or(moves, |at| at.min(moves)))
+    }
+
+    fn handle_timeout(&mut self, now: Instant) {
+        self.outbox.run(now);
+        if self.drive.poll_timeout() <= now {
+            self.drive.catch_up(now);
+        }
+    }
+}
+
+/// `false` if the drive can do nothing of the kind.
+fn obey(drive: &mut Drive, request: Request, now: Instant) -> bool {
+    match request {
+        Request::Drive {
+            mode: Follows::Position,
+            ..
+        } => return false,
+        Request::Drive {
+            mode,
+            value,
+            latch_index,
+        } => {
+            let mode = if mode == Follows::Pwm {
+                Mode::Pwm
+            } else {
+                Mode::Current
+            };
+            // The host sends no other command to leave manual mode.
+            drive.set_mode(mode);
+            drive.search_index(latch_index);
+            drive.set_point(mode, value, now);
+        }
+        Request::Set(parameter) => match parameter {
+            Parameter::Synchronized(synchronized) => drive.set_synchronized(synchronized),
+            Parameter::MaxCurrent(current) => drive.set_max_current(current),
+            Parameter::PositionGain(..) | Parameter::CurrentGain(..) => {}
+            Parameter::DriverMode(mode) => drive.set_mode(match mode {
+                DriverMode::Manual => Mode::Manual,
+                DriverMode::Pwm => Mode::Pwm,
+                DriverMode::Error => Mode::Error,
+            }),
+        },
+    }
+    true
+}
+
+fn answer(sample: &Sample) -> Answer {
+    let bits = [
+        (sample.upper_limit, Flags::UPPER_LIMIT),
+        (sample.lower_limit, Flags::LOWER_LIMIT),
+        (sample.home_switch, Flags::HOME_SWITCH),
+        (sample.index, Flags::INDEX),
+        (sample.faults.power_stage, Flags::POWER_STAGE_FAULT),
+        (sample.faults.over_current, Flags::OVERCURRENT),
+        (sample.error, Flags::ERROR),
+        (sample.synchronized, Flags::SYNCHRONIZED),
+    ];
+    let set = bits.into_iter().filter(|(is, _)| *is);
+    Answer {
+        start: START,
+        flags: Flags(set.fold(0, |flags, (_, bit)| flags | bit)),
+        current: sample.current,
+        position: sample.position,
+    }
+}

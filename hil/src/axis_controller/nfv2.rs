@@ -1,0 +1,235 @@
+use can::Instant;
+use serial::nfv2::{
+    Answer, BROADCAST, Command, Frame, FrameBuilder, LONGEST, Malformed, START, Status,
+};
+
+use super::drive::{Drive, Mode, Sample};
+use super::{AxisControllerConfig, GAP, Heard, Outbox};
+use crate::{Axis, LineDevice};
+
+/// A serial axis controller with NFv2 telegrams.
+///
+/// A frame is obeyed whole or not at all, in the order of its commands, and answered if it reads
+/// something. One to everybody is obeyed and not answered. After what is no frame, or not one to the end,
+/// the next `#` that begins one counts.
+pub struct Nfv2AxisController {
+    address: u8,
+    config: AxisControllerConfig,
+    drive: Drive,
+    stream: Stream,
+    outbox: Outbox,
+    heard: Heard,
+}
+
+impl Nfv2AxisController {
+    /// Switched on in manual mode.
+    pub fn new(address: u8, config: AxisControllerConfig) -> Self {
+        Self {
+            address,
+            drive: Drive::new(&config),
+            stream: Stream::new(),
+            outbox: Outbox::new(),
+            heard: Heard::default(),
+            config,
+        }
+    }
+
+    /// The axis with what no drive can know of it.
+    pub fn axis(&self) -> &Axis {
+        self.drive.axis()
+    }
+
+    /// What it has heard.
+    pub fn heard(&self) -> Heard {
+        let stream = &self.stream;
+        Heard {
+            damaged: stream.damaged,
+            skipped: stream.skipped,
+            ..self.heard
+        }
+    }
+
+    /// Switches the supply of the power stage, as the cabinet's emergency stop does.
+    pub fn set_supply(&mut self, on: bool) {
+        self.drive.set_supply(on);
+    }
+}
+
+impl LineDevice for Nfv2AxisController {
+    fn receive(&mut self, byte: u8, now: Instant) {
+        self.outbox.run(now);
+        self.stream.push(byte, now);
+        while let Some(frame) = self.stream.next() {
+            if frame.address != self.address && frame.address != BROADCAST {
+                self.heard.foreign += 1;
+                continue;
+            }
+            if !frame.commands().all(|command| command.is_ok_and(possible)) {
+                self.heard.refused += 1;
+                continue;
+            }
+            self.heard.obeyed += 1;
+            self.drive.catch_up(now);
+            let mut answer = FrameBuilder::new(self.address);
+            for command in frame.commands().filter_map(Result::<_, Malformed>::ok) {
+                answer = obey(&mut self.drive, command, answer, now);
+            }
+            if frame.address == self.address
+                && let Some(bytes) = answer.finish()
+            {
+                let at = now + self.config.answer_delay;
+                self.heard.overrun += self.outbox.put(at, bytes) as u64;
+            }
+        }
+    }
+
+    fn poll_transmit(&mut self, now: Instant) -> Option<u8> {
+        self.outbox.poll_transmit(now)
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        let moves = self.drive.poll_timeout();
+        let answers = self.outbox.poll_timeout();
+        Some(answers.map_or(moves, |at| at.min(moves)))
+    }
+
+    fn handle_timeout(&mut self, now: Instant) {
+        self.outbox.run(now);
+        if self.drive.poll_timeout() <= now {
+            self.drive.catch_up(now);
+        }
+    }
+}
+
+/// Whether the drive can do what a command asks.
+fn possible(command: Command) -> bool {
+    use serial::nfv2::Mode as M;
+    !matches!(
+        command,
+        Command::SetSpeed(_)
+            | Command::SetPosition(_)
+            | Command::SetMode(M::Speed | M::Position | M::SyncPosition)
+    )
+}
+
+fn obey(drive: &mut Drive, command: Command, answer: FrameBuilder, now: Instant) -> FrameBuilder {
+    use serial::nfv2::Mode as M;
+    match command {
+        Command::SetMode(mode) => {
+            match mode {
+                M::Error => drive.set_mode(Mode::Error),
+                M::Manual => drive.set_mode(Mode::Manual),
+                M::Pwm | M::SyncPwm => drive.set_mode(Mode::Pwm),
+                M::Current | M::SyncCurrent => drive.set_mode(Mode::Current),
+                M::Speed | M::Position | M::SyncPosition => {}
+            }
+            drive.search_index(matches!(mode, M::SyncPwm | M::SyncCurrent));
+        }
+        Command::SetPwm(value) => drive.set_point(Mode::Pwm, value, now),
+        Command::SetCurrent(value) => drive.set_point(Mode::Current, value, now),
+        Command::SetSpeed(_) | Command::SetPosition(_) => {}
+        Command::SetMaxCurrent(current) => drive.set_max_current(current),
+        Command::SetMisc(bits) => {
+            if bits & Command::SET_SYNCHRONIZED != 0 {
+                drive.set_synchronized(true);
+            }
+            if bits & Command::RESET_SYNCHRONIZED != 0 {
+                drive.set_synchronized(false);
+            }
+        }
+        Command::SetCurrentRegulator(gains) => drive.set_current_gains(gains),
+        Command::ReadPosition => return answer.answer(Answer::Position(drive.sample().position)),
+        Command::ReadCurrent => return answer.answer(Answer::Current(drive.sample().current)),
+        Command::ReadStatus => return answer.answer(Answer::Status(status(&drive.sample()))),
+    }
+    answer
+}
+
+fn status(sample: &Sample) -> Status {
+    let bits = [
+        (sample.upper_limit, Status::UPPER_LIMIT),
+        (sample.lower_limit, Status::LOWER_LIMIT),
+        (sample.home_switch, Status::HOME_SWITCH),
+        (sample.index, Status::INDEX),
+        (sample.synchronized, Status::SYNCHRONIZED),
+        (sample.faults.over_current, Status::OVERCURRENT),
+        (sample.faults.power_stage, Status::POWER_STAGE_FAULT),
+        (sample.error, Status::ERROR),
+    ];
+    let set = bits.into_iter().filter(|(is, _)| *is);
+    Status(set.fold(0, |status, (_, bit)| status | bit))
+}
+
+/// Finds frames in what arrives.
+struct Stream {
+    bytes: [u8; LONGEST],
+    count: usize,
+    /// Bytes of the frame handed out last, still in front.
+    used: usize,
+    last: Instant,
+    damaged: u64,
+    skipped: u64,
+}
+
+impl Stream {
+    fn new() -> Self {
+        Self {
+            bytes: [0; LONGEST],
+            count: 0,
+            used: 0,
+            last: Instant::ZERO,
+            damaged: 0,
+            skipped: 0,
+        }
+    }
+
+    /// Takes a byte. There is room for it once [`Stream::next`] has said `None`.
+    fn push(&mut self, byte: u8, now: Instant) {
+        if self.count > 0 && now.since(self.last) > GAP {
+            self.skipped += self.count as u64;
+            self.count = 0;
+        }
+        self.last = now;
+        self.bytes[self.count] = byte;
+        self.count += 1;
+    }
+
+    /// The next whole frame; called until it says `None`, which leaves at most the beginning of one.
+    fn next(&mut self) -> Option<Frame<'_>> {
+        let used = std::mem::take(&mut self.used);
+        self.remove(used);
+        self.used = self.find()?;
+        Frame::parse(&self.bytes[..self.used])
+    }
+
+    /// Drops what cannot begin a frame, and returns the length of one that is there and right.
+    fn find(&mut self) -> Option<usize> {
+        loop {
+            let bytes = &self.bytes[..self.count];
+            let start = bytes.iter().position(|&byte| byte == START);
+            let before = start.unwrap_or(self.count);
+            self.skipped += before as u64;
+            self.remove(before);
+            if self.count < 3 {
+                return None;
+            }
+            match Frame::length(&self.bytes[..self.count]) {
+                Some(length) if length > self.count => return None,
+                Some(length) if Frame::parse(&self.bytes[..length]).is_some() => {
+                    return Some(length);
+                }
+                Some(_) => self.damaged += 1,
+                None => {}
+            }
+            self.skipped += 1;
+            self.remove(1);
+        }
+    }
+
+    fn remove(&mut self, count: usize) {
+        if count > 0 {
+            self.bytes.copy_within(count..self.count, 0);
+            self.count -= count;
+        }
+    }
+}

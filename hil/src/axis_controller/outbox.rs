@@ -1,0 +1,48 @@
+use std::collections::VecDeque;
+
+use can::Instant;
+
+/// Bytes that a device is going to send, each not before its time.
+#[derive(Clone, Debug)]
+pub(crate) struct Outbox {
+    bytes: VecDeque<(Instant, u8)>,
+    now: Instant,
+}
+
+impl Outbox {
+    /// Bytes that find room: some dozens of answers.
+    const CAPACITY: usize = 1024;
+
+    pub(crate) fn new() -> Self {
+        Self {
+            bytes: VecDeque::with_capacity(Self::CAPACITY),
+            now: Instant::ZERO,
+        }
+    }
+
+    /// Adds what fits, and returns how many bytes did not. `at` must not decrease.
+    pub(crate) fn put(&mut self, at: Instant, bytes: &[u8]) -> usize {
+        let fit = bytes.len().min(Self::CAPACITY - self.bytes.len());
+        self.bytes
+            .extend(bytes[..fit].iter().map(|&byte| (at, byte)));
+        bytes.len() - fit
+    }
+
+    pub(crate) fn poll_transmit(&mut self, now: Instant) -> Option<u8> {
+        let &(_, byte) = self.bytes.front().filter(|(at, _)| *at <= now)?;
+        self.bytes.pop_front();
+        Some(byte)
+    }
+
+    /// Tells the time.
+    pub(crate) fn run(&mut self, now: Instant) {
+        self.now = now;
+    }
+
+    /// When the next byte may go, if that is still to come. What is due already goes as soon as the
+    /// line is free, which needs no time-out.
+    pub(crate) fn poll_timeout(&self) -> Option<Instant> {
+        let &(at, _) = self.bytes.front()?;
+        (at > self.now).then_some(at)
+    }
+}

@@ -1,0 +1,77 @@
+use std::time::Duration;
+
+/// How the servo homes an axis whose drive has an index latch but no homing of its own.
+///
+/// The axis searches its home switch, stops, pauses and leaves the switch again slowly, in the
+/// opposite sense, with [`AxisCommand::Seek`](drive::AxisCommand::Seek): the first index pulse on that way
+/// is the reference. If the switch is closed at the start the axis leaves it first, so that it is always
+/// entered from the same side. A limit switch in the way turns a search round once, if `reverse_at_limit`
+/// says so; anywhere else it ends homing.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HostHoming {
+    /// Sense in which the home switch is searched.
+    pub direction: Direction,
+    /// The search for the home switch.
+    pub search: HomingLeg,
+    /// The way to the index pulse.
+    pub zero: HomingLeg,
+    /// Acceleration at both ends of each leg, rad/s².
+    pub acceleration: f64,
+    /// Rest after each leg.
+    pub pause: Duration,
+    /// Samples in a row that have to agree before a switch counts as closed or open; at least 1.
+    pub debounce: u32,
+    /// A search that meets a limit switch goes back across the home switch and begins again, once.
+    pub reverse_at_limit: bool,
+}
+
+/// One leg of homing.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HomingLeg {
+    /// Motor speed, rad/s.
+    pub velocity: f64,
+    /// Longest way without finding what it is for, rad.
+    pub distance: f64,
+    /// Longest time without finding what it is for.
+    pub timeout: Duration,
+}
+
+/// A sense of rotation of the motor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Direction {
+    /// Towards lower positions.
+    Negative,
+    /// Towards higher positions.
+    Positive,
+}
+
+impl HostHoming {
+    /// The first field that makes no sense.
+    pub(super) fn nonsense(
+        &self,
+        max_velocity: f64,
+        max_acceleration: f64,
+    ) -> Option<&'static str> {
+        let within = |value: f64, limit: f64| value > 0.0 && value <= limit;
+        let distance = |value: f64| value.is_finite() && value > 0.0;
+        if !within(self.search.velocity, max_velocity) {
+            Some("homing.search.velocity")
+        } else if !distance(self.search.distance) {
+            Some("homing.search.distance")
+        } else if self.search.timeout.is_zero() {
+            Some("homing.search.timeout")
+        } else if !within(self.zero.velocity, max_velocity) {
+            Some("homing.zero.velocity")
+        } else if !distance(self.zero.distance) {
+            Some("homing.zero.distance")
+        } else if self.zero.timeout.is_zero() {
+            Some("homing.zero.timeout")
+        } else if !within(self.acceleration, max_acceleration) {
+            Some("homing.acceleration")
+        } else if self.debounce == 0 {
+            Some("homing.debounce")
+        } else {
+            None
+        }
+    }
+}

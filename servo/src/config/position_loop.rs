@@ -1,0 +1,107 @@
+use crate::regulator::{CascadeConfig, IncrementalConfig};
+
+/// Who closes the position loop of an axis.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum PositionLoop {
+    /// Its drive: the servo sends positions.
+    #[default]
+    Drive,
+    /// The servo: the drive is sent torque or pulse width.
+    Host(HostLoop),
+}
+
+/// A position loop that the servo closes.
+///
+/// It compares each sample with the command that it shows the effect of,
+/// [`DriveGroup::delay`](drive::DriveGroup::delay) cycles before. Where an answer is missing the axis is
+/// taken to have moved as it was told to, until the next sample says how far it did move.
+///
+/// A loop that does not work cannot brake either: where the motor gets faster than
+/// `runaway_velocity`, or further from its command than
+/// [`ServoAxisConfig::following_error`](crate::ServoAxisConfig::following_error), the power of the
+/// effector is taken at once (category 0).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HostLoop {
+    /// From position error to output.
+    pub law: Law,
+    /// What the output is.
+    pub output: Output,
+    /// What the motion asked for is known to need; added before the output is limited.
+    pub feed_forward: FeedForward,
+    /// Measured motor speed, rad/s, that no working loop reaches; above
+    /// [`ServoAxisConfig::max_velocity`](crate::ServoAxisConfig::max_velocity).
+    pub runaway_velocity: f64,
+}
+
+/// A control law.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Law {
+    /// The incremental law of the IRp-6. Its coefficients hold for one period and count encoder increments.
+    Incremental(IncrementalConfig),
+    /// Proportional position loop over a proportional-integral velocity loop.
+    Cascade(CascadeConfig),
+}
+
+/// What a drive that closes no position loop is sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Output {
+    /// Torque of the motor, N·m.
+    Torque,
+    /// Share of the full pulse width, -1 to 1.
+    Duty,
+}
+
+/// Output that the commanded motion needs, in the loop's unit of output at the motor shaft.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct FeedForward {
+    /// Per commanded velocity, output·s/rad: viscous friction, and back-EMF where the output is a duty.
+    pub velocity: f64,
+    /// Per commanded acceleration, output·s²/rad: inertia.
+    pub acceleration: f64,
+    /// In the sense of the commanded velocity: dry friction.
+    pub coulomb: f64,
+    /// Always: the mean weight of the load.
+    pub constant: f64,
+}
+
+impl HostLoop {
+    /// The first field that makes no sense.
+    pub(super) fn nonsense(&self, max_velocity: f64) -> Option<&'static str> {
+        let limit = match &self.law {
+            Law::Incremental(law) => {
+                if let Some(field) = law.nonsense() {
+                    return Some(field);
+                }
+                law.limit
+            }
+            Law::Cascade(law) => {
+                if let Some(field) = law.nonsense() {
+                    return Some(field);
+                }
+                law.limit
+            }
+        };
+        let FeedForward {
+            velocity,
+            acceleration,
+            coulomb,
+            constant,
+        } = self.feed_forward;
+        let not_negative = |value: f64| value.is_finite() && value >= 0.0;
+        if self.output == Output::Duty && limit > 1.0 {
+            Some("limit of its loop, a duty above 1,")
+        } else if !not_negative(velocity) {
+            Some("feed_forward.velocity")
+        } else if !not_negative(acceleration) {
+            Some("feed_forward.acceleration")
+        } else if !not_negative(coulomb) {
+            Some("feed_forward.coulomb")
+        } else if !constant.is_finite() {
+            Some("feed_forward.constant")
+        } else if !self.runaway_velocity.is_finite() || self.runaway_velocity <= max_velocity {
+            Some("runaway_velocity, not above max_velocity,")
+        } else {
+            None
+        }
+    }
+}

@@ -1,0 +1,235 @@
+//! The host's end of slcan with an emulated adapter on a pseudo-terminal, behind which emulated drives hang.
+
+use std::os::fd::AsFd;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
+
+use can::timing::Bitrate;
+use can::{Instant, clock};
+use canopen::NodeId;
+use hil::epos4::{Epos4, Epos4Config};
+use hil::pty::{self, Pty};
+use hil::{AxisConfig, DeviceId, Irp6Axis, SlcanConfig, SlcanCounts, SlcanDevice, World};
+
+use crate::mrroc::{self, Directory, Output, Running, mrroc};
+
+/// How often the adapter looks whether it is to be unplugged.
+const LOOK: Duration = Duration::from_millis(20);
+
+/// Emulated adapters on one bus, at work in a thread of their own and unplugged on drop.
+struct Adapters {
+    interfaces: Vec<String>,
+    unplugged: Arc<AtomicBool>,
+    thread: Option<JoinHandle<Vec<SlcanCounts>>>,
+}
+
+impl Adapters {
+    /// `count` of them on a bus of 1 Mbit/s with a drive for each of `nodes`.
+    fn with(count: usize, nodes: &[u8]) -> Self {
+        let ptys: Vec<_> = (0..count).map(|_| Pty::open().unwrap()).collect();
+        let interface = |pty: &Pty| format!("slcan:{}", pty.path().display());
+        let interfaces = ptys.iter().map(interface).collect();
+        let unplugged = Arc::new(AtomicBool::new(false));
+        let (flag, nodes) = (unplugged.clone(), nodes.to_vec());
+        let thread = thread::spawn(move || serve(ptys, &nodes, &flag));
+        Self {
+            interfaces,
+            unplugged,
+            thread: Some(thread),
+        }
+    }
+
+    fn run(&self, words: &str) -> Output {
+        mrroc(words.split(' ').chain(["--can", &self.interfaces[0]]))
+    }
+
+    /// What it prints, where it does as it was told.
+    fn says(&self, words: &str) -> String {
+        let output = self.run(words);
+        assert_eq!(output.status.code(), Some(0), "{words}: {output:?}");
+        assert_eq!(output.stderr, "", "{words}: {output:?}");
+        output.stdout
+    }
+
+    fn unplug(&mut self) -> Vec<SlcanCounts> {
+        self.unplugged.store(true, Ordering::Relaxed);
+        let thread = self.thread.take().expect("it is unplugged once");
+        thread.join().expect("the adapters do not panic")
+    }
+}
+
+impl Drop for Adapters {
+    fn drop(&mut self) {
+        self.unplugged.store(true, Ordering::Relaxed);
+    }
+}
+
+fn serve(mut ptys: Vec<Pty>, nodes: &[u8], unplugged: &AtomicBool) -> Vec<SlcanCounts> {
+    let mut world = World::new();
+    let bus = world.add_bus(Bitrate::KBPS_1000);
+    let power_on = clock::now();
+    for &raw in nodes {
+        let node = NodeId::new(raw).unwrap();
+        let config = Epos4Config {
+            power_on,
+            ..Epos4Config::new(node, AxisConfig::irp6(Irp6Axis::ALL[0]))
+        };
+        world.add_device(bus, Box::new(Epos4::new(config)));
+    }
+    let adapter = || Box::new(SlcanDevice::new(SlcanConfig::new(Bitrate::KBPS_1000)));
+    let adapters: Vec<_> = ptys
+        .iter()
+        .map(|_| world.add_device(bus, adapter()))
+        .collect();
+    let mut bytes = [0; 4096];
+    while !unplugged.load(Ordering::Relaxed) {
+        let now = clock::now();
+        let mut more = Vec::new();
+        for (pty, adapter) in ptys.iter_mut().zip(&adapters) {
+            let count = pty.read(&mut bytes).unwrap();
+            let change = |device: &mut SlcanDevice| {
+                device.handle_bytes(&bytes[..count], now);
+                let sent = pty.write(device.bytes()).unwrap();
+                device.consume(sent);
+                !device.bytes().is_empty()
+            };
+            more.push(world.change(*adapter, now, change).unwrap());
+        }
+        world.advance(now);
+        let wake = world.next_event().unwrap_or(Instant::FAR_FUTURE);
+        let ends = ptys.iter().map(Pty::as_fd).zip(more);
+        pty::wait(ends, wake.min(now + LOOK)).unwrap();
+    }
+    let counts = |id: &DeviceId| world.device::<SlcanDevice>(*id).unwrap().counts();
+    adapters.iter().map(counts).collect()
+}
+
+#[test]
+fn service_commands_reach_drives_behind_an_adapter() {
+    let adapter = Adapters::with(1, &[3, 7]);
+    let found = adapter.says("scan");
+    assert_eq!(found.lines().count(), 2, "{found}");
+    assert!(found.starts_with("node 3: CiA 402, servo drive"), "{found}");
+
+    let wrote = adapter.says("sdo write 7 0x1017 --type u16 50");
+    assert_eq!(wrote, "0x1017:00 heartbeat producer time = 0x0032, 50\n");
+    // Segmented.
+    assert!(
+        adapter
+            .says("sdo read 3 0x1008 --type string")
+            .contains('"')
+    );
+    assert_eq!(adapter.says("nmt start 7"), "node 7: operational\n");
+    let shown = adapter.says("monitor --count 2 --only heartbeat");
+    assert!(
+        shown
+            .lines()
+            .all(|line| line.ends_with("node 7: operational")),
+        "{shown}"
+    );
+    let silent = adapter.run("sdo read 9 0x1000 --timeout 100");
+    assert_eq!(silent.status.code(), Some(2), "{silent:?}");
+    assert!(
+        silent.stderr.contains("its bit rate is right"),
+        "{silent:?}"
+    );
+}
+
+#[test]
+fn a_bit_rate_that_is_not_the_buss_is_silence_and_one_that_slcan_lacks_is_refused() {
+    let adapter = Adapters::with(1, &[3]);
+    let wrong = adapter.run("scan --bitrate-kbps 500");
+    assert_eq!(wrong.status.code(), Some(2), "{wrong:?}");
+    assert!(
+        wrong.stderr.to_lowercase().contains("wrong bit rate"),
+        "{wrong:?}"
+    );
+    let lacking = adapter.run("scan --bitrate-kbps 40");
+    assert_eq!(lacking.status.code(), Some(2), "{lacking:?}");
+    assert!(
+        lacking.stderr.contains("slcan has no 40 kbit/s"),
+        "{lacking:?}"
+    );
+    // It works again at the right one.
+    assert!(adapter.says("scan").starts_with("node 3: "));
+}
+
+#[test]
+fn a_tty_that_is_not_there_or_no_adapter_is_refused_in_one_line() {
+    let mute = Pty::open().unwrap();
+    let nobody = format!("slcan:{}", mute.path().display());
+    let cases = [
+        ("slcan:/dev/serial/by-id/none", "no such device"),
+        ("slcan:/dev/null", "not a tty"),
+        (&nobody, "no answer: there is no slcan adapter on this tty"),
+    ];
+    for (interface, needle) in cases {
+        let output = mrroc(["scan", "--can", interface]);
+        assert_eq!(output.status.code(), Some(2), "{output:?}");
+        assert_eq!(output.stderr.lines().count(), 1, "{output:?}");
+        assert!(output.stderr.contains(needle), "{output:?}");
+    }
+}
+
+#[test]
+fn an_adapter_that_is_unplugged_ends_a_monitor() {
+    let mut adapter = Adapters::with(1, &[3]);
+    let heartbeat = "sdo write 3 0x1017 --type u16 20 --no-read-back";
+    assert_eq!(adapter.says(heartbeat), "");
+    let monitor = Running::start(["monitor", "--can", &adapter.interfaces[0]]);
+    clock::sleep_until(clock::now() + Duration::from_secs(1));
+    adapter.unplug();
+    let ended = monitor.output();
+    assert_eq!(ended.status.code(), Some(2), "{ended:?}");
+    assert!(ended.stderr.contains("removed"), "{ended:?}");
+    assert!(
+        ended.stdout.contains("node 3: pre-operational"),
+        "{ended:?}"
+    );
+}
+
+#[test]
+fn an_arm_runs_over_one_adapter_with_its_drives_emulated_behind_another() {
+    let mut adapters = Adapters::with(2, &[]);
+    let directory = Directory::new();
+    // As patient as on the other benches that real time passes on.
+    let cell = directory.cell("irb6", |cell| {
+        mrroc::shorten(cell);
+        cell.robot[0].program.truncate(1);
+        cell.period_us = 10_000;
+        cell.macrostep = 4;
+        cell.max_missed_in_row = 300;
+        cell.bus[0].tolerated_missing = 50;
+        cell.bus[0].heartbeat_ms = 1000;
+        cell.bus[0].boot_timeout_ms = 10_000;
+        for axis in &mut cell.robot[0].axis {
+            axis.following_error = 100.0;
+        }
+    });
+    let [here, there] = &adapters.interfaces[..] else {
+        panic!("two adapters");
+    };
+    let cell = cell.display().to_string();
+    let emulators = Running::start(["emulate", &cell, "--can", there]);
+    let trace = directory.path("trace.log").display().to_string();
+    let run = [
+        "run", &cell, "--bench", "card", "--can", here, "--json", "--trace", &trace,
+    ];
+    let run = mrroc(run);
+    assert_eq!(run.status.code(), Some(0), "{run:?}");
+    let report = run.json();
+    assert_eq!(report["outcome"], "completed", "{report}");
+    assert!(mrroc::enables(&mrroc::trace(&directory.path("trace.log"))) > 100);
+    emulators.signal("INT");
+    assert_eq!(emulators.output().status.code(), Some(0));
+    let counts = adapters.unplug();
+    let [here, there] = counts[..] else {
+        panic!("two adapters");
+    };
+    assert_eq!((here.sent, there.sent), (there.received, here.received));
+    for counts in [here, there] {
+        assert_eq!((counts.refused, counts.lost, counts.unsaid), (0, 0, 0));
+    }
+}
