@@ -6,7 +6,7 @@ use canopen::NodeId;
 use controller::cell::{Model, Plant};
 use hil::epos4::{Epos4, Epos4Config};
 use hil::plant::Switch;
-use hil::{AxisConfig, Device, Irp6Axis, World};
+use hil::{AxisConfig, BusId, Device, Irp6Axis, World};
 
 use crate::cell_file::CellFile;
 
@@ -23,17 +23,27 @@ impl Emulation {
     pub(crate) fn of(file: &CellFile) -> (Self, Vec<VirtualPort>) {
         let mut world = World::new();
         let mut ports = Vec::new();
-        for (index, bus) in file.cell.bus.iter().enumerate() {
-            let bitrate =
-                Bitrate::from_kbps(bus.bitrate_kbps).expect("a parsed cell has possible bit rates");
-            let id = world.add_bus(bitrate);
-            ports.push(world.host_port(id, QUEUE));
-            for device in devices(file, index, Instant::ZERO) {
-                world.add_device(id, device);
-            }
+        for index in 0..file.cell.bus.len() {
+            let bus = add_bus(&mut world, file, index);
+            ports.push(world.host_port(bus, QUEUE));
         }
         (Self { world }, ports)
     }
+}
+
+/// Adds bus `bus` of a cell with its devices, switched on at [`Instant::ZERO`].
+pub(crate) fn add_bus(world: &mut World, file: &CellFile, bus: usize) -> BusId {
+    let id = world.add_bus(bitrate(file, bus));
+    for device in devices(file, bus, Instant::ZERO) {
+        world.add_device(id, device);
+    }
+    id
+}
+
+/// The bit rate of bus `bus`.
+pub(crate) fn bitrate(file: &CellFile, bus: usize) -> Bitrate {
+    Bitrate::from_kbps(file.cell.bus[bus].bitrate_kbps)
+        .expect("a parsed cell has possible bit rates")
 }
 
 /// The devices on bus `bus`, switched on at `power_on`.
