@@ -2,6 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "in a test it is a verdict")]
 
+mod adapter;
 mod allocations;
 mod architecture;
 mod bench;
@@ -16,6 +17,7 @@ mod faults;
 mod homing;
 mod motion;
 mod mrroc;
+mod peers;
 mod regression;
 mod repetition;
 mod service;
