@@ -5,6 +5,7 @@
 //! the open loop is the ratio, with its sign turned: where that is 1 is the crossover.
 
 mod cascades;
+mod homing;
 mod motors;
 
 use std::f64::consts::TAU;
@@ -137,7 +138,40 @@ struct Running {
     start: f64,
 }
 
+/// A servo with one effector of `axes` on one group.
+fn servo(axes: Vec<ServoAxisConfig>, group: Box<dyn DriveGroup>) -> (Servo, servo::EffectorLink) {
+    let config = ServoConfig {
+        period: PERIOD,
+        max_missed_in_row: 0,
+        effectors: vec![EffectorConfig {
+            name: "arm".into(),
+            axes,
+            queue: 1000,
+            enabling_timeout: Duration::from_secs(1),
+            homing_timeout: Duration::from_secs(20),
+        }],
+    };
+    let (servo, mut links) = Servo::new(&config, vec![group]).unwrap();
+    (servo, links.remove(0))
+}
+
 impl Rig {
+    fn axis_config(&self) -> ServoAxisConfig {
+        ServoAxisConfig {
+            group: 0,
+            index_in_group: 0,
+            min_position: -5000.0,
+            max_position: 5000.0,
+            max_velocity: 260.0,
+            max_acceleration: 2500.0,
+            following_error: 5.0,
+            homing_order: 0,
+            increments_per_radian: self.counts / TAU,
+            position_loop: PositionLoop::Host(self.host),
+            homing: None,
+        }
+    }
+
     fn enable(&self) -> Running {
         let probe = Arc::new(Mutex::new(Probe::default()));
         let group = Group {
@@ -150,34 +184,10 @@ impl Rig {
             probe: Arc::clone(&probe),
         };
         let start = group.motor.angle();
-        let axis = ServoAxisConfig {
-            group: 0,
-            index_in_group: 0,
-            min_position: -5000.0,
-            max_position: 5000.0,
-            max_velocity: 260.0,
-            max_acceleration: 2500.0,
-            following_error: 5.0,
-            homing_order: 0,
-            increments_per_radian: self.counts / TAU,
-            position_loop: PositionLoop::Host(self.host),
-            homing: None,
-        };
-        let config = ServoConfig {
-            period: PERIOD,
-            max_missed_in_row: 0,
-            effectors: vec![EffectorConfig {
-                name: "axis".into(),
-                axes: vec![axis],
-                queue: 1000,
-                enabling_timeout: Duration::from_secs(1),
-                homing_timeout: Duration::from_secs(1),
-            }],
-        };
-        let (servo, mut links) = Servo::new(&config, vec![Box::new(group)]).unwrap();
+        let (servo, link) = servo(vec![self.axis_config()], Box::new(group));
         let mut running = Running {
             servo,
-            link: links.remove(0),
+            link,
             probe,
             now: Instant::ZERO,
             start,

@@ -60,7 +60,7 @@ fn by_duty(axis: Irp6Axis) -> HostLoop {
 }
 
 /// Over a serial line: a period from sample to effect.
-fn serial(axis: Irp6Axis, output: Output) -> Rig {
+pub(super) fn serial(axis: Irp6Axis, output: Output) -> Rig {
     let (host, motor): (_, MakeMotor) = match output {
         Output::Torque => (by_torque(axis), |axis| Box::new(ByCurrent::new(axis))),
         Output::Duty => (by_duty(axis), |axis| Box::new(ByPulseWidth::new(axis))),
