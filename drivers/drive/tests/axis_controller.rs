@@ -461,6 +461,40 @@ fn the_index_pulse_sets_the_counter_while_seeking() {
 }
 
 #[test]
+fn an_index_pulse_in_the_last_cycle_of_a_search_counts() {
+    for protocol in BOTH {
+        let mut rig = Rig::on(Drive {
+            velocity: 20,
+            ..Drive::new(protocol, 8)
+        });
+        rig.run(5, AxisCommand::Seek(raw(protocol, 3)));
+        let index = rig.drive().position + 10;
+        rig.drive().index = Some(index);
+        rig.cycle(AxisCommand::Seek(raw(protocol, 3)));
+        assert_eq!(rig.drive().index, None);
+        let state = rig.run(4, AxisCommand::Stand);
+        assert_eq!(
+            (state.homing, state.fault),
+            (Homing::Attained, None),
+            "{protocol:?}"
+        );
+    }
+}
+
+#[test]
+fn what_nobody_asked_for_is_no_answer() {
+    for protocol in BOTH {
+        let mut rig = Rig::on(Drive::new(protocol, 8));
+        rig.drive().full = true;
+        rig.cycle(AxisCommand::Stand);
+        let stale = rig.drive().last_answer.clone();
+        rig.drive().outbox.extend(stale);
+        assert_eq!(rig.cycle(AxisCommand::Stand).age, 1, "{protocol:?}");
+        assert_eq!(rig.counters().surplus, 1);
+    }
+}
+
+#[test]
 fn a_drive_that_kept_its_reference_is_homed_at_once() {
     for protocol in BOTH {
         let mut rig = Rig::up(Drive {
