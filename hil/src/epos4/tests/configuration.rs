@@ -251,8 +251,14 @@ fn a_long_object_goes_by_blocks_as_fast_as_the_bus_takes_it() {
         .port
         .send(bench.now, &[parse("602#A300000000000000")])
         .unwrap();
+    let asked = bench.now;
     let first = bench.run_micros(30_000);
     assert_eq!(first.len(), 127);
+    let request = can::timing::bits_on_wire(&parse("602#A300000000000000"));
+    let segment = can::timing::bits_on_wire(&first[0].frame);
+    let carried = Bitrate::KBPS_1000.duration(request + segment - 2 * can::timing::INTERMISSION);
+    let delay = config().answer_delay;
+    assert_eq!(first[0].at.since(asked), carried + delay);
     // Back to back, and not before the drive's time to answer.
     let bits = |received: &Received| can::timing::bits_on_wire(&received.frame);
     let expected: u32 = first.iter().skip(1).map(bits).sum();
