@@ -26,7 +26,12 @@ impl Adapters {
         self.adapters.push(self.world.add_device(bus, adapter));
     }
 
-    fn adapter(&mut self, line: usize, now: Instant, change: impl FnOnce(&mut SlcanDevice)) {
+    fn adapter(&self, line: usize) -> &SlcanDevice {
+        let adapter = self.world.device(self.adapters[line]);
+        adapter.expect("it was added as an adapter")
+    }
+
+    fn change(&mut self, line: usize, now: Instant, change: impl FnOnce(&mut SlcanDevice)) {
         let id = self.adapters[line];
         let adapter = self.world.change(id, now, change);
         adapter.expect("it was added as an adapter");
@@ -36,16 +41,19 @@ impl Adapters {
 impl Lines for Adapters {
     fn handle_bytes(&mut self, line: usize, bytes: &[u8], now: Instant) {
         self.passed = now;
-        self.adapter(line, now, |adapter| adapter.handle_bytes(bytes, now));
+        self.change(line, now, |adapter| adapter.handle_bytes(bytes, now));
+    }
+
+    fn room(&self, line: usize) -> usize {
+        self.adapter(line).room()
     }
 
     fn bytes(&self, line: usize) -> &[u8] {
-        let adapter = self.world.device::<SlcanDevice>(self.adapters[line]);
-        adapter.expect("it was added as an adapter").bytes()
+        self.adapter(line).bytes()
     }
 
     fn consume(&mut self, line: usize, count: usize) {
-        self.adapter(line, self.passed, |adapter| adapter.consume(count));
+        self.change(line, self.passed, |adapter| adapter.consume(count));
     }
 
     fn poll_timeout(&self) -> Option<Instant> {

@@ -11,7 +11,8 @@ use std::time::Duration;
 
 use anyhow::Context;
 use can::{Instant, clock};
-use hil::{Pty, pty};
+use hil::Pty;
+use hil::pty::{self, Interest};
 use serial::{Line, LineCounters, LineError, Settings, Tty, VirtualLine};
 
 /// Longest wait for the kernel; what is later is taken in the next cycle.
@@ -19,6 +20,12 @@ const KERNEL: Duration = Duration::from_millis(50);
 
 /// Time between two looks at what the host's end holds.
 const LOOK: Duration = Duration::from_micros(20);
+
+/// What a bridge waits for.
+const READ: Interest = Interest {
+    read: true,
+    write: false,
+};
 
 /// Bytes that pass at a time.
 const CHUNK: usize = 4096;
@@ -69,7 +76,7 @@ impl Bridge {
         while self.taken < written {
             match self.pty.read(&mut bytes) {
                 Ok(0) if clock::now() < give_up => {
-                    if pty::wait([(self.pty.as_fd(), false)], give_up).is_err() {
+                    if pty::wait([(self.pty.as_fd(), READ)], give_up).is_err() {
                         return;
                     }
                 }

@@ -20,6 +20,9 @@ pub(crate) trait Lines {
     /// Takes what the host wrote on a line.
     fn handle_bytes(&mut self, line: usize, bytes: &[u8], now: Instant);
 
+    /// How many bytes a line takes; the host is held up for the rest.
+    fn room(&self, line: usize) -> usize;
+
     /// What a line has for the host, or the front of it.
     fn bytes(&self, line: usize) -> &[u8];
 
@@ -42,8 +45,14 @@ pub(crate) fn serve(lines: &mut impl Lines, ptys: &mut [Pty], stop: &AtomicBool)
     while !stop.load(Ordering::Relaxed) {
         let due = lines.poll_timeout().unwrap_or(Instant::FAR_FUTURE);
         let wake = start + due.since(Instant::ZERO);
-        let ends = ptys.iter().zip(&full);
-        let ends = ends.map(|(pty, &full)| (pty.as_fd(), full));
+        let ends = ptys.iter().zip(&full).enumerate();
+        let ends = ends.map(|(line, (pty, &full))| {
+            let interest = pty::Interest {
+                read: lines.room(line) > 0,
+                write: full,
+            };
+            (pty.as_fd(), interest)
+        });
         pty::wait(ends, wake.min(clock::now() + LOOK))?;
         // A pseudo-terminal does not tell when its bytes came. If this program slept too long, they are
         // taken for older than what falls due in between: what a device watches is its host's silence and
@@ -51,7 +60,12 @@ pub(crate) fn serve(lines: &mut impl Lines, ptys: &mut [Pty], stop: &AtomicBool)
         let now = Instant::ZERO + clock::now().since(start);
         passed = passed.max(now.min(due - Duration::from_nanos(1)));
         for (line, pty) in ptys.iter_mut().enumerate() {
-            let count = pty.read(&mut buffer)?;
+            let room = lines.room(line).min(CHUNK);
+            let count = if room > 0 {
+                pty.read(&mut buffer[..room])?
+            } else {
+                0
+            };
             if count > 0 {
                 lines.handle_bytes(line, &buffer[..count], passed);
             }

@@ -127,18 +127,31 @@ impl Drop for Pty {
     }
 }
 
-/// Waits until one of `ends` can be read, or written where its flag is set, or until `until`. Which
-/// one it was, reading and writing tell. Signals do not shorten the wait.
+/// What is waited for at one end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Interest {
+    /// That there is something to read.
+    pub read: bool,
+    /// That there is room to write.
+    pub write: bool,
+}
+
+/// Waits until one of `ends` is ready for what is of interest, or until `until`. Which one it was,
+/// reading and writing tell. Signals do not shorten the wait.
 pub fn wait<'a>(
-    ends: impl IntoIterator<Item = (BorrowedFd<'a>, bool)>,
+    ends: impl IntoIterator<Item = (BorrowedFd<'a>, Interest)>,
     until: Instant,
 ) -> io::Result<()> {
-    let interest = |(end, write): (BorrowedFd, bool)| libc::pollfd {
-        fd: end.as_raw_fd(),
-        events: libc::POLLIN | if write { libc::POLLOUT } else { 0 },
-        revents: 0,
+    let waited = |(end, interest): (BorrowedFd, Interest)| {
+        let read = if interest.read { libc::POLLIN } else { 0 };
+        let write = if interest.write { libc::POLLOUT } else { 0 };
+        libc::pollfd {
+            fd: end.as_raw_fd(),
+            events: read | write,
+            revents: 0,
+        }
     };
-    let mut ends: Vec<_> = ends.into_iter().map(interest).collect();
+    let mut ends: Vec<_> = ends.into_iter().map(waited).collect();
     loop {
         let remaining = until.since(clock::now());
         let timeout = libc::timespec {
@@ -214,6 +227,15 @@ mod tests {
     use super::*;
     use std::time::Duration;
 
+    const READ: Interest = Interest {
+        read: true,
+        write: false,
+    };
+    const WRITE: Interest = Interest {
+        read: false,
+        write: true,
+    };
+
     /// A directory that goes with the test.
     struct Directory(PathBuf);
 
@@ -250,7 +272,7 @@ mod tests {
             let count = read(&mut buffer);
             got.extend(&buffer[..count]);
             if count == 0 {
-                wait([(fd.as_fd(), false)], end).unwrap();
+                wait([(fd.as_fd(), READ)], end).unwrap();
             }
         }
         got
@@ -307,15 +329,23 @@ mod tests {
     #[test]
     fn waiting_ends_with_a_byte_or_at_its_time() {
         let pty = [Pty::open().unwrap(), Pty::open().unwrap()];
-        let ends = || pty.iter().map(|pty| (pty.as_fd(), false));
+        let ends = || pty.iter().map(|pty| (pty.as_fd(), READ));
         let start = clock::now();
         wait(ends(), start + Duration::from_millis(20)).unwrap();
         assert!(clock::now() >= start + Duration::from_millis(20));
         host(pty[1].path()).write_all(b"\r").unwrap();
         wait(ends(), start + Duration::from_secs(60)).unwrap();
         assert!(clock::now() < start + Duration::from_secs(30));
+        // Who does not want to read is not woken by what there is to read.
+        let nothing = Interest {
+            read: false,
+            ..READ
+        };
+        let later = clock::now() + Duration::from_millis(20);
+        wait([(pty[1].as_fd(), nothing)], later).unwrap();
+        assert!(clock::now() >= later);
         // Room to write is there at once.
-        let ends = [(pty[0].as_fd(), true)];
+        let ends = [(pty[0].as_fd(), WRITE)];
         wait(ends, start + Duration::from_secs(60)).unwrap();
         assert!(clock::now() < start + Duration::from_secs(30));
     }

@@ -11,8 +11,10 @@
 //! rate other than the bus's is a fault as on a real bus, only that the others' frames stay whole: the
 //! first frame sent ends in bus-off, each frame that comes is a receive error.
 //!
-//! Every queue is bounded; what finds no room is counted in [`SlcanCounts`] and shows in the flags that
-//! the host can ask for. Left out: the speed of the serial line, and storing settings.
+//! Every queue is bounded. While the bus takes no more frames, lines wait, and the host is held up by
+//! what [`SlcanDevice::room`] says, as USB and flow control do; what finds no room otherwise is counted in
+//! [`SlcanCounts`] and shows in the flags that the host can ask for. Left out: the speed of the serial
+//! line, and storing settings.
 
 use std::collections::VecDeque;
 
@@ -22,6 +24,8 @@ use can::{ControllerState, Frame, Id, Instant};
 
 use crate::Device;
 
+/// Bytes of the host that wait while the bus takes no frames.
+const FROM_HOST: usize = 1024;
 /// Frames that wait for the bus, beside those that the bus has taken over.
 const TO_BUS: usize = 32;
 /// Frames that wait to be polled.
@@ -75,11 +79,14 @@ pub struct SlcanCounts {
     pub lost: u64,
     /// Answers that found no room: the host does not read.
     pub unsaid: u64,
+    /// Bytes of the host that found no room: it sent more than there was.
+    pub overrun: u64,
 }
 
 /// An emulated adapter.
 pub struct SlcanDevice {
     config: SlcanConfig,
+    from_host: VecDeque<u8>,
     splitter: Splitter,
     channel: Channel,
     /// Whether the bit rate that was set is the bus's.
@@ -118,6 +125,7 @@ impl SlcanDevice {
     pub fn new(config: SlcanConfig) -> Self {
         Self {
             config,
+            from_host: VecDeque::with_capacity(FROM_HOST),
             splitter: Splitter::default(),
             channel: Channel::Closed,
             in_tune: None,
@@ -138,9 +146,24 @@ impl SlcanDevice {
         }
     }
 
-    /// Takes bytes that the host sent.
+    /// Takes bytes that the host sent, no more than there is [room](SlcanDevice::room) for.
     pub fn handle_bytes(&mut self, bytes: &[u8], now: Instant) {
-        for &byte in bytes {
+        let taken = bytes.len().min(self.room());
+        self.from_host.extend(&bytes[..taken]);
+        self.counts.overrun += (bytes.len() - taken) as u64;
+        self.work(now);
+    }
+
+    /// How many bytes the host may send.
+    pub fn room(&self) -> usize {
+        FROM_HOST - self.from_host.len()
+    }
+
+    /// Obeys the host for as long as the bus takes what it sends.
+    fn work(&mut self, now: Instant) {
+        while self.to_bus.len() < TO_BUS
+            && let Some(byte) = self.from_host.pop_front()
+        {
             let dropped = self.splitter.dropped();
             let command = match self.splitter.push(byte) {
                 Some(Piece::Line(line)) => Some(Command::parse(line)),
@@ -294,10 +317,6 @@ impl SlcanDevice {
             Channel::Open if self.in_tune == Some(false) => {
                 self.set_error_counters(self.receive_errors, 256);
             }
-            Channel::Open if self.to_bus.len() == TO_BUS => {
-                self.flags.0 |= StatusFlags::TRANSMIT_QUEUE_FULL;
-                return Report::Refused;
-            }
             Channel::Open => self.to_bus.push_back(frame),
         }
         self.counts.sent += 1;
@@ -369,8 +388,10 @@ impl Device for SlcanDevice {
         }
     }
 
-    fn poll_transmit(&mut self, _now: Instant) -> Option<Frame> {
-        self.to_bus.pop_front()
+    fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
+        let frame = self.to_bus.pop_front();
+        self.work(now);
+        frame
     }
 
     fn poll_timeout(&self) -> Option<Instant> {

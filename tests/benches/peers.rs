@@ -32,6 +32,11 @@ mod adapter;
 
 use adapter::{Adapter, NODE, drive};
 
+const READ: pty::Interest = pty::Interest {
+    read: true,
+    write: false,
+};
+
 /// How long a side is measured in a round.
 const MEASURED: Duration = Duration::from_secs(1);
 
@@ -127,7 +132,7 @@ fn on_the_adapter(tty: &Path) -> f64 {
     let tty = Tty::open(tty, Settings::EPOS).unwrap();
     let mut port = SlcanPort::new(tty, Bitrate::KBPS_1000, clock::now()).unwrap();
     let wait = |port: &SlcanPort<Tty>, until| {
-        pty::wait([(port.line().as_fd(), false)], until).unwrap();
+        pty::wait([(port.line().as_fd(), READ)], until).unwrap();
         clock::now()
     };
     while port

@@ -13,7 +13,8 @@ use std::time::Duration;
 use can::timing::Bitrate;
 use can::{Frame, Instant, clock};
 use canopen::NodeId;
-use hil::{AxisConfig, Device, Epos4, Epos4Config, Irp6Axis, Pty, SlcanConfig, SlcanDevice, pty};
+use hil::pty::{self, Interest};
+use hil::{AxisConfig, Device, Epos4, Epos4Config, Irp6Axis, Pty, SlcanConfig, SlcanDevice};
 
 /// The drive's node-ID.
 pub(crate) const NODE: NodeId = NodeId::new(1).unwrap();
@@ -77,9 +78,12 @@ impl Adapter {
         const LOOK: Duration = Duration::from_millis(20);
         let due = self.drive.as_ref().and_then(Device::poll_timeout);
         let look = clock::now() + LOOK;
-        let waiting = !self.device.bytes().is_empty();
+        let interest = Interest {
+            read: true,
+            write: !self.device.bytes().is_empty(),
+        };
         pty::wait(
-            [(self.pty.as_fd(), waiting)],
+            [(self.pty.as_fd(), interest)],
             due.map_or(look, |due| due.min(look)),
         )?;
         let mut bytes = [0; 512];

@@ -11,6 +11,7 @@ use can::timing::Bitrate;
 use can::{Frame, Instant, clock};
 use canopen::sdo::{Expedited, Initiate, Request, Response};
 use canopen::{NodeId, nmt, objects};
+use hil::pty::{self, Interest};
 
 use crate::mrroc::{Directory, Running, example, mrroc, text};
 
@@ -56,7 +57,11 @@ impl Host {
             if clock::now() >= until {
                 return false;
             }
-            hil::pty::wait([(self.tty.as_fd(), false)], until).unwrap();
+            let readable = Interest {
+                read: true,
+                write: false,
+            };
+            pty::wait([(self.tty.as_fd(), readable)], until).unwrap();
             if clock::now() >= until {
                 return false;
             }

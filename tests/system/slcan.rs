@@ -10,7 +10,7 @@ use can::timing::Bitrate;
 use can::{Instant, clock};
 use canopen::NodeId;
 use hil::epos4::{Epos4, Epos4Config};
-use hil::pty::{self, Pty};
+use hil::pty::{self, Interest, Pty};
 use hil::{AxisConfig, DeviceId, Irp6Axis, SlcanConfig, SlcanCounts, SlcanDevice, World};
 
 use crate::mrroc::{self, Directory, Output, Running, mrroc};
@@ -99,7 +99,8 @@ fn serve(mut ptys: Vec<Pty>, nodes: &[u8], unplugged: &AtomicBool) -> Vec<SlcanC
         }
         world.advance(now);
         let wake = world.next_event().unwrap_or(Instant::FAR_FUTURE);
-        let ends = ptys.iter().map(Pty::as_fd).zip(more);
+        let interest = more.into_iter().map(|write| Interest { read: true, write });
+        let ends = ptys.iter().map(Pty::as_fd).zip(interest);
         pty::wait(ends, wake.min(now + LOOK)).unwrap();
     }
     let counts = |id: &DeviceId| world.device::<SlcanDevice>(*id).unwrap().counts();

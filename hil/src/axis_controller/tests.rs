@@ -264,7 +264,7 @@ fn what_it_does_not_understand_it_does_not_answer() {
     ];
     for (what, bytes) in cases {
         // A burst of 300 bytes takes longer than a period.
-        assert_eq!(rig.exchange(&bytes), [], "{what}");
+        assert_eq!(rig.exchange(&bytes), [0_u8; 0], "{what}");
         rig.now += 3 * PERIOD;
         assert_eq!(rig.exchange(&good).len(), 19, "after {what}");
     }
@@ -283,7 +283,7 @@ fn random_noise_is_never_answered_without_a_frame_in_it() {
             .filter(|&byte| byte != 0x23)
             .take(100)
             .collect();
-        assert_eq!(rig.exchange(&bytes), []);
+        assert_eq!(rig.exchange(&bytes), [0_u8; 0]);
     }
     assert_eq!(rig.cycle(&[]).status, Status(0));
 }
@@ -296,12 +296,12 @@ fn a_torn_request_does_not_cost_the_one_behind_it() {
         let mut rig = Rig::nfv2(column());
         let torn = [&request[..offset], &request].concat();
         assert_eq!(rig.exchange(&torn).len(), 19, "at once, torn at {offset}");
-        assert_eq!(rig.exchange(&request[..offset]), []);
+        assert_eq!(rig.exchange(&request[..offset]), [0_u8; 0]);
         assert_eq!(rig.exchange(&request).len(), 19, "torn at {offset}");
         assert_eq!(rig.device().heard().obeyed, 2);
         // Its end alone is nothing either.
         if offset > 0 {
-            assert_eq!(rig.exchange(&request[offset..]), []);
+            assert_eq!(rig.exchange(&request[offset..]), [0_u8; 0]);
             assert_eq!(rig.exchange(&request).len(), 19, "tail from {offset}");
         }
     }
@@ -309,10 +309,10 @@ fn a_torn_request_does_not_cost_the_one_behind_it() {
     let request = hi_moxa::Request::Set(hi_moxa::Parameter::Synchronized(true)).encode();
     for offset in 0..request.len() {
         let mut rig = Rig::hi_moxa(column());
-        assert_eq!(rig.exchange(&request[..offset]), []);
+        assert_eq!(rig.exchange(&request[..offset]), [0_u8; 0]);
         assert_eq!(rig.exchange(&request).len(), 8, "torn at {offset}");
         if offset > 0 {
-            assert_eq!(rig.exchange(&request[offset..]), []);
+            assert_eq!(rig.exchange(&request[offset..]), [0_u8; 0]);
             assert_eq!(rig.exchange(&request).len(), 8, "tail from {offset}");
         }
         // Without one the drive is at a loss for a telegram at most.
@@ -326,7 +326,7 @@ fn a_torn_request_does_not_cost_the_one_behind_it() {
 fn a_pause_ends_a_request_whose_length_is_wrong() {
     let mut rig = Rig::nfv2(column());
     // The beginning of a frame of 256 bytes, which would swallow a dozen good ones.
-    assert_eq!(rig.exchange(&[0x23, 0xFF, 0x00, ADDRESS]), []);
+    assert_eq!(rig.exchange(&[0x23, 0xFF, 0x00, ADDRESS]), [0_u8; 0]);
     assert!(PERIOD > GAP);
     assert_eq!(rig.cycle(&[]).position, 0);
     assert_eq!(rig.device().heard().skipped, 4);
@@ -658,7 +658,7 @@ fn the_older_drive_does_not_answer_what_is_no_request() {
     ];
     let mut rig = Rig::hi_moxa(column());
     for (what, bytes) in cases {
-        assert_eq!(rig.exchange(bytes), [], "{what}");
+        assert_eq!(rig.exchange(bytes), [0_u8; 0], "{what}");
         assert_eq!(rig.exchange(&good).len(), 8, "after {what}");
     }
     let device: &HiMoxaAxisController = rig.world.line_device(rig.line).unwrap();

@@ -60,6 +60,12 @@ const NAMES: &[(u16, ObjectType, &str, &[&str])] = &[
         &["Power supply voltage"],
     ),
     (
+        0x2FF0,
+        ObjectType::Record,
+        "Record of the emulator",
+        &["Text of the emulator", "Bytes for the emulator"],
+    ),
+    (
         0x3001,
         ObjectType::Record,
         "Motor data",
@@ -305,6 +311,7 @@ fn variable(entry: &table::Entry, stated: Option<u32>) -> Variable {
             Kind::U32 => DataType::Unsigned32,
             Kind::I32 => DataType::Integer32,
             Kind::Text(_) => DataType::VisibleString,
+            Kind::Domain => DataType::Domain,
         },
         access: match (writable, entry.mappable.receive, entry.mappable.transmit) {
             (false, ..) => Access::ReadOnly,
@@ -312,7 +319,7 @@ fn variable(entry: &table::Entry, stated: Option<u32>) -> Variable {
             (true, false, true) => Access::ReadWriteInput,
             (true, ..) => Access::ReadWrite,
         },
-        default: (!measured).then_some(default),
+        default: (!measured && entry.kind != Kind::Domain).then_some(default),
         low: (entry.min != i64::MIN).then(|| number(entry.min)),
         high: (entry.max != i64::MAX).then(|| number(entry.max)),
         pdo_mapping: entry.mappable.receive || entry.mappable.transmit,

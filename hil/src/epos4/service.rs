@@ -59,7 +59,7 @@ impl Epos4 {
         };
         let frame = Frame::new(cob::NMT, &[command, node]).expect("two bytes fit");
         let request = nmt::Request::decode(&frame).ok_or(AbortCode::MAXON_ILLEGAL_COMMAND)?;
-        if !request.concerns(self.config.node) {
+        if !self.node.is_some_and(|node| request.concerns(node)) {
             return Err(AbortCode::MAXON_NODE_ID);
         }
         self.catch_up(now, false);
@@ -70,7 +70,7 @@ impl Epos4 {
 
     /// Whether `node` is this one: by its address, or 0 for the one at the end of the line.
     pub(crate) fn is_node(&self, node: u8) -> bool {
-        node == 0 || node == self.config.node.raw()
+        node == 0 || self.node.is_some_and(|own| own.raw() == node)
     }
 
     fn check_state(&self) -> Result<(), AbortCode> {

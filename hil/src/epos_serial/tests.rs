@@ -73,7 +73,7 @@ impl Rig {
         }
         assert_eq!(end, b"O\x00");
         let body = self.send(b"O");
-        assert_eq!(self.send(b"O"), []);
+        assert_eq!(self.send(b"O"), [0_u8; 0]);
         Some(epos2::Answer::decode(&body).unwrap())
     }
 
@@ -145,7 +145,7 @@ fn epos2_exchanges_are_the_bytes_of_the_line() {
     assert_eq!(rig.send(&read), b"O\x00");
     let answer = rig.send(b"O");
     assert_eq!(answer[..9], [0x03, 0, 0, 0, 0, 0x40, 0x05, 0, 0]);
-    assert_eq!(rig.send(b"O"), []);
+    assert_eq!(rig.send(b"O"), [0_u8; 0]);
     // Controlword.
     assert_eq!(rig.send(&[0x11]), b"O");
     let write = [
@@ -153,7 +153,7 @@ fn epos2_exchanges_are_the_bytes_of_the_line() {
     ];
     assert_eq!(rig.send(&write), b"O\x00");
     assert_eq!(rig.send(b"O"), [0x01, 0, 0, 0, 0, 0x51, 0xAA]);
-    assert_eq!(rig.send(b"O"), []);
+    assert_eq!(rig.send(b"O"), [0_u8; 0]);
     // An object that is not there.
     assert_eq!(rig.send(&[0x10]), b"O");
     let missing = epos2::Request::Read {
@@ -356,7 +356,7 @@ fn a_restarting_device_is_silent_until_it_has_booted() {
         command: 0x81,
     };
     rig.epos4_exchange(reset, Answer::Done);
-    assert_eq!(rig.send(&read), [], "40 ms of 50 have gone by");
+    assert_eq!(rig.send(&read), [0_u8; 0], "40 ms of 50 have gone by");
     assert_eq!(rig.send(&read).len(), 14);
     let mut rig = Rig::epos4(EposSerialConfig {
         epos: Epos4Config {
@@ -365,7 +365,7 @@ fn a_restarting_device_is_silent_until_it_has_booted() {
         },
         ..config()
     });
-    assert_eq!(rig.send(&read), []);
+    assert_eq!(rig.send(&read), [0_u8; 0]);
     rig.wait(Duration::from_millis(300));
     assert_eq!(rig.send(&read).len(), 14);
 }
@@ -441,12 +441,12 @@ fn after_the_frame_time_out_a_torn_exchange_is_over() {
     let mut rig = Rig::epos2(config());
     rig.send(&[0x10]);
     rig.wait(Duration::from_millis(400));
-    assert_eq!(rig.send(&[0x10]), [], "taken for a number of words");
+    assert_eq!(rig.send(&[0x10]), [0_u8; 0], "taken for a number of words");
 
     let bytes = [0x90, 0x02, 0x60, 0x02, 0x01, 0x41, 0x60, 0x00, 0x22, 0xD1];
     for offset in 0..bytes.len() {
         let mut rig = Rig::epos4(config());
-        assert_eq!(rig.send(&bytes[..offset]), []);
+        assert_eq!(rig.send(&bytes[..offset]), [0_u8; 0]);
         rig.wait(Duration::from_millis(501));
         assert_eq!(rig.send(&bytes).len(), 14, "torn at {offset}");
     }
@@ -471,7 +471,7 @@ fn a_damaged_telegram_is_acknowledged_as_failed_and_not_obeyed() {
     // The host that does not take the answer ends the exchange as well.
     assert_eq!(rig.send(&[0x10]), b"O");
     assert_eq!(rig.send(read.encode().body()), b"O\x00");
-    assert_eq!(rig.send(b"F"), []);
+    assert_eq!(rig.send(b"F"), [0_u8; 0]);
     assert_eq!(rig.epos2_exchange(read), Some(epos2::Answer::Value(0)));
 }
 

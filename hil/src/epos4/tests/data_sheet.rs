@@ -25,7 +25,9 @@ fn the_device_is_what_its_data_sheet_says() {
         if let Some(default) = &variable.default
             && answer[..2] == specifier
         {
-            let bytes = default.encode(variable.data_type, config().node).unwrap();
+            let bytes = default
+                .encode(variable.data_type, config().node.unwrap())
+                .unwrap();
             let bytes: String = bytes.iter().map(|byte| format!("{byte:02X}")).collect();
             assert_eq!(answer[8..8 + 2 * size], bytes, "{object}");
             defaults += 1;
