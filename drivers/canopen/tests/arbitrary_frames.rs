@@ -29,8 +29,27 @@ fn frames() -> impl Strategy<Value = Frame> {
         1 => 0..0x800_u32,
         1 => any::<u32>(),
     ];
+    let lss = prop_oneof![
+        Just(0x11),
+        Just(0x13),
+        Just(0x17),
+        Just(0x44),
+        Just(0x4F),
+        Just(0x50),
+        0x5A..=0x5E_u8
+    ];
     let block = prop_oneof![Just(0xA2), Just(0xA4), Just(0xC6), Just(0xC1), Just(0xA1)];
     let data = prop_oneof![
+        (lss, any::<[u8; 2]>()).prop_map(|(specifier, [a, b])| [
+            specifier,
+            a & 1,
+            b,
+            0,
+            0,
+            0,
+            0,
+            0
+        ]),
         (block, any::<[u8; 4]>()).prop_map(|(specifier, [a, b, c, d])| [
             specifier,
             0x08,
@@ -192,6 +211,47 @@ proptest! {
             prop_assert_eq!(transfer.data, &data[..]);
         }
         prop_assert_eq!(client.poll_timeout(), None);
+    }
+
+    #[test]
+    fn an_lss_service_ends_whatever_is_answered(
+        service in 0..10_usize,
+        answers in proptest::collection::vec((frames(), 0..150_u64), 0..200),
+    ) {
+        let services = [
+            lss::Service::SwitchGlobal(lss::Mode::Configuration),
+            lss::Service::SwitchSelective(lss::Identity::default()),
+            lss::Service::ConfigureNodeId(Some(NODE)),
+            lss::Service::ConfigureBitTiming(lss::BitRate::Kbps500),
+            lss::Service::ActivateBitTiming { delay_ms: 100 },
+            lss::Service::Store,
+            lss::Service::InquireIdentity,
+            lss::Service::InquireNodeId,
+            lss::Service::IdentifyUnconfigured,
+            lss::Service::Fastscan,
+        ];
+        let mut now = Instant::ZERO;
+        let mut master = lss::Master::new();
+        master.start(services[service], TIME_OUT, now).unwrap();
+        let mut sent = 0;
+        for (frame, millis) in answers {
+            now += Duration::from_millis(millis);
+            master.handle_timeout(now);
+            master.handle(&frame, now);
+            while let Some(frame) = master.poll_transmit(now) {
+                prop_assert!(lss::Request::decode(&frame).is_some());
+                sent += 1;
+            }
+        }
+        for _ in 0..133 {
+            if let Some(deadline) = master.poll_timeout() {
+                master.handle_timeout(deadline);
+                sent += usize::from(master.poll_transmit(deadline).is_some());
+            }
+        }
+        prop_assert!(sent <= 133);
+        prop_assert!(master.poll().is_some());
+        prop_assert_eq!(master.poll_timeout(), None);
     }
 
     #[test]
