@@ -51,7 +51,8 @@ enum Command {
     Run(run::Options),
     /// Stand in for the axis controllers of a cell on a CAN interface.
     Emulate(emulate::Options),
-    /// Who is on a bus: asks every node-ID by SDO and listens to heartbeats. Not while another master uses SDO.
+    /// Who is on a bus: asks every node-ID by SDO, whoever has none by LSS, and listens to heartbeats. Not while another
+    /// master is at work.
     Scan(service::scan::Options),
     /// Read or write one object of a node.
     Sdo {
@@ -60,6 +61,11 @@ enum Command {
     },
     /// Tell a node, or all, to change its NMT state. Resets and stops take the power from drives; a brakeless arm falls.
     Nmt(service::nmt::Options),
+    /// Give node-IDs to nodes that have none, by layer setting services. A running cell is disturbed by it.
+    Lss {
+        #[command(subcommand)]
+        action: service::lss::Action,
+    },
     /// Show the frames of a bus in words until Ctrl-C. Sends nothing, unless --map asks.
     Monitor(service::monitor::Options),
     /// Run a command in a virtual machine that has CAN.
@@ -79,6 +85,7 @@ fn main() -> ExitCode {
         Command::Scan(options) => service::scan::scan(&options),
         Command::Sdo { action } => service::sdo::sdo(&action),
         Command::Nmt(options) => service::nmt::nmt(&options),
+        Command::Lss { action } => service::lss::lss(&action),
         Command::Monitor(options) => service::monitor::monitor(&options),
         Command::Vm { machine } => vm::vm(&machine),
         Command::Schema => check::schema(),

@@ -6,6 +6,7 @@
 //! Exit status: 0 done; 1 told, and the node did not do it, or broken off by Ctrl-C; 2 refused or no answer.
 
 pub(crate) mod decode;
+pub(crate) mod lss;
 pub(crate) mod monitor;
 pub(crate) mod nmt;
 mod pdo_map;
