@@ -1,9 +1,13 @@
 //! What a run runs on: the ports to the drives, and the emulated world behind them where there is one.
 
+use std::path::Path;
+
 use anyhow::{Context, bail};
 use can::{Port, SocketCanOptions, TraceReader, Tracer};
 use clap::ValueEnum;
+use controller::cell::Serial;
 use drive::cia402;
+use serial::{Line, Tty, VirtualLine};
 
 use crate::bus_port::BusPort;
 use crate::cell_file::CellFile;
@@ -41,6 +45,8 @@ impl BenchKind {
 pub(crate) struct Bench {
     /// One per bus of the cell.
     pub(crate) ports: Vec<Box<dyn Port>>,
+    /// The lines of each bundle of the cell.
+    pub(crate) lines: Vec<Vec<Box<dyn Line>>>,
     /// What each of them is on: the cell's interface, or the one given in its place.
     pub(crate) interfaces: Vec<Interface>,
     /// What passed each port, if a trace was asked for.
@@ -50,24 +56,25 @@ pub(crate) struct Bench {
 }
 
 impl Bench {
-    /// Opens the bench `kind` for a cell.
+    /// Opens the bench `kind` for a cell: `can` in place of the cell's interfaces, and the ttys in the directory
+    /// `serial` in place of the cell's lines.
     pub(crate) fn open(
         file: &CellFile,
         kind: BenchKind,
         can: &[String],
+        serial: Option<&Path>,
         trace: bool,
     ) -> anyhow::Result<Self> {
         let interfaces = interfaces::resolve(&file.cell, can)?;
-        let (ports, emulation): (Vec<Box<dyn Port>>, _) = match kind {
+        let (ports, lines, emulation): (Vec<Box<dyn Port>>, _, _) = match kind {
             BenchKind::Lockstep | BenchKind::Emulated => {
-                if !can.is_empty() {
-                    bail!("--can needs --bench vcan or --bench card");
+                if !can.is_empty() || serial.is_some() {
+                    bail!("--can and --serial need --bench vcan or --bench card");
                 }
-                let (emulation, ports) = Emulation::of(file);
-                (
-                    ports.into_iter().map(|port| Box::new(port) as _).collect(),
-                    Some(emulation),
-                )
+                let (mut emulation, ends) = Emulation::of(file);
+                let lines = emulated_lines(file, kind, &mut emulation, ends.lines)?;
+                let ports = ends.ports.into_iter().map(|port| Box::new(port) as _);
+                (ports.collect(), lines, Some(emulation))
             }
             BenchKind::Vcan | BenchKind::Card => {
                 let open = |(index, interface): (usize, &Interface)| {
@@ -80,19 +87,15 @@ impl Bench {
                     let port = BusPort::with_options(interface, bus.bitrate_kbps, &options);
                     Ok(Box::new(port.with_context(|| format!("bus {}", bus.name))?) as _)
                 };
-                (
-                    interfaces
-                        .iter()
-                        .enumerate()
-                        .map(open)
-                        .collect::<anyhow::Result<_>>()?,
-                    None,
-                )
+                let ports = interfaces.iter().enumerate().map(open);
+                let ports = ports.collect::<anyhow::Result<_>>()?;
+                (ports, ttys(file, serial)?, None)
             }
         };
         if !trace {
             return Ok(Self {
                 ports,
+                lines,
                 interfaces,
                 traces: Vec::new(),
                 emulation,
@@ -105,9 +108,48 @@ impl Bench {
         let (ports, traces) = traced.unzip();
         Ok(Self {
             ports,
+            lines,
             interfaces,
             traces,
             emulation,
         })
     }
+}
+
+/// The host's ends of emulated lines: as they are in lockstep, as ttys by the wall clock.
+fn emulated_lines(
+    file: &CellFile,
+    kind: BenchKind,
+    emulation: &mut Emulation,
+    lines: Vec<Vec<VirtualLine>>,
+) -> anyhow::Result<Vec<Vec<Box<dyn Line>>>> {
+    let bundles = lines.into_iter().zip(&file.cell.serial);
+    let bundle = |(lines, bundle): (Vec<VirtualLine>, &Serial)| {
+        let line = |line| -> anyhow::Result<Box<dyn Line>> {
+            Ok(match kind {
+                BenchKind::Emulated => Box::new(emulation.on_tty(line, bundle.settings())?),
+                _ => Box::new(line),
+            })
+        };
+        lines.into_iter().map(line).collect()
+    };
+    bundles.map(bundle).collect()
+}
+
+/// The ttys of a cell: those it names, or those that `mrroc emulate --serial` put into `directory`.
+fn ttys(file: &CellFile, directory: Option<&Path>) -> anyhow::Result<Vec<Vec<Box<dyn Line>>>> {
+    let bundles = file.cell.serial.iter().enumerate();
+    let bundle = |(index, bundle): (usize, &Serial)| {
+        let open = |(robot, number): (usize, usize)| {
+            let axis = file.axis_name(robot, number);
+            let own =
+                || Path::new(&file.cell.robot[robot].axis[number].axis_controller().line).into();
+            let path = directory.map_or_else(own, |directory| directory.join(&axis));
+            let tty = Tty::open(&path, bundle.settings());
+            Ok(Box::new(tty.with_context(|| format!("axis {axis}"))?) as Box<dyn Line>)
+        };
+        let axes = file.cell.axes_on(file.cell.bus.len() + index);
+        axes.map(open).collect()
+    };
+    bundles.map(bundle).collect()
 }

@@ -1,20 +1,21 @@
-//! `mrroc emulate`: the axis controllers of a cell on CAN interfaces.
+//! `mrroc emulate`: the axis controllers of a cell on CAN interfaces, or behind emulated slcan adapters.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use can::{Instant, Port, Received, clock};
 use canopen::sync::Sync;
 use clap::Args;
-use hil::Device;
+use hil::{Device, Pty};
 
+use crate::adapters::Adapters;
 use crate::bus_port::BusPort;
 use crate::cell_file::CellFile;
-use crate::{emulation, interfaces};
+use crate::{emulation, interfaces, lines};
 
 /// Longest time between two looks at whether somebody pressed Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);
@@ -30,35 +31,54 @@ pub(crate) struct Options {
     /// The interface of a bus, IFACE or BUS=IFACE, in place of the cell's.
     #[arg(long, value_name = "IFACE")]
     can: Vec<String>,
+    /// An emulated slcan adapter for a bus, LINK or BUS=LINK, in place of an interface: LINK will be a symbolic
+    /// link to its tty.
+    #[arg(long, value_name = "LINK")]
+    slcan: Vec<String>,
 }
 
 /// Emulates the drives of a cell until Ctrl-C.
 pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
     let file = CellFile::read(&options.cell)?;
     let interfaces = interfaces::resolve(&file.cell, &options.can)?;
+    let mut links = vec![None; interfaces.len()];
+    for given in &options.slcan {
+        let (index, link) = interfaces::bus_of(&file.cell, "--slcan", given)?;
+        let named = |can: &String| {
+            interfaces::bus_of(&file.cell, "--can", can).is_ok_and(|(bus, _)| bus == index)
+        };
+        if options.can.iter().any(named) || links[index].is_some() {
+            bail!("--slcan {given}: the bus is already elsewhere");
+        }
+        links[index] = Some(link);
+    }
     let mut buses = Vec::new();
-    for (index, interface) in interfaces.iter().enumerate() {
-        let bus = &file.cell.bus[index];
-        let port = BusPort::open(interface, bus.bitrate_kbps);
-        let port = port.with_context(|| format!("bus {}", bus.name))?;
-        let now = clock::now();
-        buses.push(EmulatedBus {
-            port,
-            devices: emulation::devices(&file, index, now),
-            passed: now,
-        });
+    let mut adapters = Adapters::default();
+    let mut ptys = Vec::new();
+    let mut names = Vec::new();
+    for (index, bus) in file.cell.bus.iter().enumerate() {
+        if let Some(link) = links[index] {
+            let pty = Pty::linked(Path::new(link)).with_context(|| format!("--slcan {link}"))?;
+            names.push(format!("{} behind {link}", bus.name));
+            adapters.add(&file, index);
+            ptys.push(pty);
+        } else {
+            let interface = &interfaces[index];
+            let port = BusPort::open(interface, bus.bitrate_kbps);
+            let port = port.with_context(|| format!("bus {}", bus.name))?;
+            names.push(format!("{} on {interface}", bus.name));
+            let now = clock::now();
+            buses.push(EmulatedBus {
+                port,
+                devices: emulation::devices(&file, index, now),
+                passed: now,
+            });
+        }
     }
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed))
         .context("Ctrl-C cannot be caught")?;
-    let names: Vec<_> = file
-        .cell
-        .bus
-        .iter()
-        .zip(&interfaces)
-        .map(|(bus, interface)| format!("{} on {interface}", bus.name))
-        .collect();
     println!(
         "{} emulated: bus {}; Ctrl-C ends it",
         file.cell.name,
@@ -67,12 +87,25 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
     std::thread::scope(|scope| {
         let serve = |bus: EmulatedBus| {
             let stop = &stop;
-            scope.spawn(move || bus.serve(stop))
+            scope.spawn(move || {
+                let served = bus.serve(stop);
+                // If it failed, the others end with it.
+                stop.store(true, Ordering::Relaxed);
+                served
+            })
         };
         let threads: Vec<_> = buses.into_iter().map(serve).collect();
+        let served = if ptys.is_empty() {
+            Ok(())
+        } else {
+            let served = lines::serve(&mut adapters, &mut ptys, &stop);
+            stop.store(true, Ordering::Relaxed);
+            served.context("a pseudo-terminal fails")
+        };
         threads
             .into_iter()
-            .try_for_each(|thread| thread.join().expect("serving a bus does not panic"))
+            .map(|thread| thread.join().expect("serving a bus does not panic"))
+            .fold(served, Result::and)
     })?;
     Ok(ExitCode::SUCCESS)
 }

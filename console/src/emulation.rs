@@ -1,39 +1,162 @@
 //! From a cell to the emulated axis controllers that stand in for its drives.
 
+use std::time::Duration;
+
 use can::timing::Bitrate;
 use can::{Instant, VirtualPort};
 use canopen::NodeId;
-use controller::cell::{Model, Plant};
+use controller::cell::{Model, Plant, Protocol};
 use hil::epos4::{Epos4, Epos4Config};
 use hil::plant::Switch;
-use hil::{AxisConfig, Device, Irp6Axis, World};
+use hil::{
+    AxisConfig, AxisControllerConfig, BusId, Device, HiMoxaAxisController, Irp6Axis, LineDevice,
+    Nfv2AxisController, World,
+};
+use serial::{Settings, VirtualLine};
 
+use crate::bridge::{Bridge, BridgedTty};
 use crate::cell_file::CellFile;
 
 /// Frames that the host's end of a virtual bus holds each way.
 const QUEUE: usize = 256;
 
-/// The emulated cell on virtual buses.
+/// Bytes that the host's end of a virtual line holds each way: as a tty's buffer.
+const LINE: usize = 4096;
+
+/// The emulated cell on virtual buses and lines.
 pub(crate) struct Emulation {
-    pub(crate) world: World,
+    world: World,
+    /// Where the host's ends of lines are ttys.
+    bridges: Vec<Bridge>,
+    /// Up to when time has passed.
+    passed: Instant,
+}
+
+/// The host's ends of an emulated cell.
+pub(crate) struct HostEnds {
+    /// The port of each CAN bus.
+    pub(crate) ports: Vec<VirtualPort>,
+    /// Each bundle's lines, in the order of [`Cell::axes_on`](controller::cell::Cell::axes_on).
+    pub(crate) lines: Vec<Vec<VirtualLine>>,
 }
 
 impl Emulation {
-    /// The world of a cell, switched on at [`Instant::ZERO`], and the host's port of each of its buses.
-    pub(crate) fn of(file: &CellFile) -> (Self, Vec<VirtualPort>) {
+    /// The world of a cell, switched on at [`Instant::ZERO`].
+    pub(crate) fn of(file: &CellFile) -> (Self, HostEnds) {
         let mut world = World::new();
         let mut ports = Vec::new();
-        for (index, bus) in file.cell.bus.iter().enumerate() {
-            let bitrate =
-                Bitrate::from_kbps(bus.bitrate_kbps).expect("a parsed cell has possible bit rates");
-            let id = world.add_bus(bitrate);
-            ports.push(world.host_port(id, QUEUE));
-            for device in devices(file, index, Instant::ZERO) {
-                world.add_device(id, device);
-            }
+        for index in 0..file.cell.bus.len() {
+            let bus = add_bus(&mut world, file, index);
+            ports.push(world.host_port(bus, QUEUE));
         }
-        (Self { world }, ports)
+        let lines = (0..file.cell.serial.len()).map(|bundle| {
+            let axes = file.cell.axes_on(file.cell.bus.len() + bundle);
+            axes.map(|axis| add_line(&mut world, file, bundle, axis))
+                .collect()
+        });
+        let ends = HostEnds {
+            lines: lines.collect(),
+            ports,
+        };
+        let emulation = Self {
+            world,
+            bridges: Vec::new(),
+            passed: Instant::ZERO,
+        };
+        (emulation, ends)
     }
+
+    /// Puts a pseudo-terminal between the host and its end of a line, and returns the tty.
+    pub(crate) fn on_tty(
+        &mut self,
+        line: VirtualLine,
+        settings: Settings,
+    ) -> anyhow::Result<BridgedTty> {
+        let (bridge, tty) = Bridge::new(line, settings)?;
+        self.bridges.push(bridge);
+        Ok(tty)
+    }
+
+    /// Lets time pass to `until`, at which the host is to have whatever has arrived by then.
+    pub(crate) fn advance(&mut self, until: Instant) {
+        for bridge in &mut self.bridges {
+            bridge.take(self.passed);
+        }
+        self.world.advance(until);
+        for bridge in &mut self.bridges {
+            bridge.deliver(until);
+        }
+        self.passed = until;
+    }
+}
+
+/// Adds bus `bus` of a cell with its devices, switched on at [`Instant::ZERO`].
+pub(crate) fn add_bus(world: &mut World, file: &CellFile, bus: usize) -> BusId {
+    let id = world.add_bus(bitrate(file, bus));
+    for device in devices(file, bus, Instant::ZERO) {
+        world.add_device(id, device);
+    }
+    id
+}
+
+/// The bit rate of bus `bus`.
+pub(crate) fn bitrate(file: &CellFile, bus: usize) -> Bitrate {
+    Bitrate::from_kbps(file.cell.bus[bus].bitrate_kbps)
+        .expect("a parsed cell has possible bit rates")
+}
+
+/// Adds the line of an axis of bundle `bundle`, its axis controller switched on at [`Instant::ZERO`], and returns
+/// the host's end.
+pub(crate) fn add_line(
+    world: &mut World,
+    file: &CellFile,
+    bundle: usize,
+    (robot, number): (usize, usize),
+) -> VirtualLine {
+    let bundle = &file.cell.serial[bundle];
+    let latency = bundle
+        .emulated_latency_ms
+        .map(|latency| Duration::from_millis(u64::from(latency)));
+    let device = axis_controller(file, bundle.protocol, robot, number);
+    let line = world.add_line(bundle.settings(), latency, device);
+    world.host_line(line, LINE)
+}
+
+fn axis_controller(
+    file: &CellFile,
+    protocol: Protocol,
+    robot: usize,
+    number: usize,
+) -> Box<dyn LineDevice> {
+    let axis = &file.cell.robot[robot].axis[number];
+    if axis.emulator.absent {
+        return Box::new(Absent);
+    }
+    let config = AxisControllerConfig {
+        seed: seed(file, robot, number),
+        ..AxisControllerConfig::new(plant(file, robot, number))
+    };
+    match axis.emulator.protocol.unwrap_or(protocol) {
+        Protocol::Nfv2 => {
+            let address = axis.emulator.address.unwrap_or(axis.node);
+            Box::new(Nfv2AxisController::new(address, config))
+        }
+        Protocol::HiMoxa => Box::new(HiMoxaAxisController::new(config)),
+    }
+}
+
+/// The end of a line that nothing is plugged into.
+struct Absent;
+
+impl LineDevice for Absent {
+    fn receive(&mut self, _byte: u8, _now: Instant) {}
+    fn poll_transmit(&mut self, _now: Instant) -> Option<u8> {
+        None
+    }
+    fn poll_timeout(&self) -> Option<Instant> {
+        None
+    }
+    fn handle_timeout(&mut self, _now: Instant) {}
 }
 
 /// The devices on bus `bus`, switched on at `power_on`.
@@ -48,6 +171,25 @@ pub(crate) fn devices(file: &CellFile, bus: usize, power_on: Instant) -> Vec<Box
 }
 
 fn device(file: &CellFile, robot: usize, number: usize, power_on: Instant) -> Box<dyn Device> {
+    let axis = &file.cell.robot[robot].axis[number];
+    let node = NodeId::new(axis.node).expect("a parsed cell has valid node-IDs");
+    let vendor = axis.emulator.vendor.unwrap_or(axis.cia402().vendor);
+    let config = Epos4Config {
+        vendor,
+        seed: seed(file, robot, number),
+        power_on,
+        ..Epos4Config::new(node, plant(file, robot, number))
+    };
+    Box::new(Epos4::new(config))
+}
+
+fn seed(file: &CellFile, robot: usize, number: usize) -> u64 {
+    let axis = (robot * 16 + number) as u64;
+    file.cell.seed.wrapping_mul(1000).wrapping_add(axis)
+}
+
+/// Motor, load, sensors and switches of an axis.
+fn plant(file: &CellFile, robot: usize, number: usize) -> AxisConfig {
     let axis = &file.cell.robot[robot].axis[number];
     let home = file.arms[robot].robot().home()[number];
     let limits = file.arms[robot].robot().motor_limits()[number];
@@ -65,7 +207,7 @@ fn device(file: &CellFile, robot: usize, number: usize, power_on: Instant) -> Bo
             bounce: 0,
         })
     };
-    let plant = AxisConfig {
+    AxisConfig {
         counts_per_revolution: axis.counts_per_revolution(),
         index_angle: home,
         start_angle: axis.emulator.start.unwrap_or(home + 20.0),
@@ -73,19 +215,5 @@ fn device(file: &CellFile, robot: usize, number: usize, power_on: Instant) -> Bo
         negative_limit: switch(f64::NEG_INFINITY, limits.low),
         positive_limit: switch(limits.high, f64::INFINITY),
         ..preset
-    };
-    let seed = file
-        .cell
-        .seed
-        .wrapping_mul(1000)
-        .wrapping_add((robot * 16 + number) as u64);
-    let node = NodeId::new(axis.node).expect("a parsed cell has valid node-IDs");
-    let vendor = axis.emulator.vendor.unwrap_or(axis.cia402().vendor);
-    let config = Epos4Config {
-        vendor,
-        seed,
-        power_on,
-        ..Epos4Config::new(node, plant)
-    };
-    Box::new(Epos4::new(config))
+    }
 }

@@ -65,24 +65,31 @@ pub(crate) fn resolve(cell: &Cell, overrides: &[String]) -> anyhow::Result<Vec<I
     let of_cell = cell.bus.iter().map(|bus| Interface::parse(&bus.interface));
     let mut interfaces: Vec<_> = of_cell.collect();
     for given in overrides {
-        let (index, interface) = match given.split_once('=') {
-            Some((name, interface)) => {
-                let index = cell.bus.iter().position(|bus| bus.name == name);
-                (
-                    index
-                        .with_context(|| format!("--can {given}: the cell has no bus {name:?}"))?,
-                    interface,
-                )
-            }
-            None if cell.bus.len() == 1 => (0, given.as_str()),
-            None => bail!(
-                "--can {given}: the cell has {} buses, say which as BUS=IFACE",
-                cell.bus.len()
-            ),
-        };
+        let (index, interface) = bus_of(cell, "--can", given)?;
         interfaces[index] = Interface::parse(interface);
     }
     Ok(interfaces)
+}
+
+/// What an option says of which bus: `VALUE` for a cell of one bus, or `BUS=VALUE`.
+pub(crate) fn bus_of<'a>(
+    cell: &Cell,
+    option: &str,
+    given: &'a str,
+) -> anyhow::Result<(usize, &'a str)> {
+    match given.split_once('=') {
+        Some((name, value)) => {
+            let index = cell.bus.iter().position(|bus| bus.name == name);
+            let index =
+                index.with_context(|| format!("{option} {given}: the cell has no bus {name:?}"))?;
+            Ok((index, value))
+        }
+        None if cell.bus.len() == 1 => Ok((0, given)),
+        None => bail!(
+            "{option} {given}: the cell has {} buses, say which as BUS=VALUE",
+            cell.bus.len()
+        ),
+    }
 }
 
 #[cfg(test)]

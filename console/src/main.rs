@@ -3,7 +3,9 @@
 //! Exit status: 0 done; 1 stopped by a fault or on request, or a node was told and did not do it; 2 refused before
 //! anything moved, or no answer.
 
+mod adapters;
 mod bench;
+mod bridge;
 mod budget;
 mod bus_port;
 mod cell_file;
@@ -11,6 +13,7 @@ mod check;
 mod emulate;
 mod emulation;
 mod interfaces;
+mod lines;
 mod programs;
 mod rehearsal;
 mod report;
@@ -49,7 +52,7 @@ enum Command {
     },
     /// Bring a cell up, home it, run its programs and report. Moves hardware on the card bench.
     Run(run::Options),
-    /// Stand in for the axis controllers of a cell on a CAN interface.
+    /// Stand in for the axis controllers of a cell on a CAN interface or behind an slcan adapter.
     Emulate(emulate::Options),
     /// Who is on a bus: asks every node-ID by SDO, whoever has none by LSS, and listens to heartbeats. Not while another
     /// master is at work.

@@ -12,7 +12,7 @@ use controller::ecp::Ecp;
 use drive::{
     AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Homing, Power, Setpoint,
 };
-use servo::{Servo, lockstep};
+use servo::{PositionLoop, Servo, lockstep};
 
 use crate::cell_file::CellFile;
 use crate::setup;
@@ -24,7 +24,13 @@ const LONGEST: Duration = Duration::from_secs(24 * 3600);
 pub(crate) fn rehearse(file: &CellFile) -> anyhow::Result<Duration> {
     let groups = (0..file.cell.groups().count())
         .map(|bus| Box::new(IdealDrives::of(file, bus)) as Box<dyn DriveGroup>);
-    let (mut servo, links) = Servo::new(&setup::servo_config(file), groups.collect())?;
+    let mut config = setup::servo_config(file);
+    // Ideal drives follow positions, and are where they should be from the start.
+    for axis in config.effectors.iter_mut().flat_map(|it| &mut it.axes) {
+        axis.position_loop = PositionLoop::Drive;
+        axis.homing = None;
+    }
+    let (mut servo, links) = Servo::new(&config, groups.collect())?;
     let mut ecps = Vec::new();
     for (robot, link) in links.into_iter().enumerate() {
         let arm = file.arms[robot].clone();

@@ -61,6 +61,10 @@ pub(crate) struct Options {
     /// The interface of a bus, IFACE or BUS=IFACE, in place of the cell's.
     #[arg(long, value_name = "IFACE")]
     can: Vec<String>,
+    /// The directory of the lines' ttys, one per axis by its name, in place of the cell's lines: as `mrroc emulate
+    /// --serial` makes it.
+    #[arg(long, value_name = "DIR")]
+    serial: Option<PathBuf>,
     /// Print one JSON object at the end.
     #[arg(long)]
     json: bool,
@@ -79,13 +83,20 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
     let budget = crate::budget::check(&file)?;
     let Bench {
         ports,
+        lines,
         interfaces,
         traces,
         emulation,
-    } = Bench::open(&file, options.bench, &options.can, options.trace.is_some())?;
+    } = Bench::open(
+        &file,
+        options.bench,
+        &options.can,
+        options.serial.as_deref(),
+        options.trace.is_some(),
+    )?;
     let (mut servo, links) = Servo::new(
         &setup::servo_config(&file),
-        setup::drive_groups(&file, ports)?,
+        setup::drive_groups(&file, ports, lines)?,
     )?;
     let logs = Logs {
         frames: options
@@ -324,8 +335,8 @@ fn in_lockstep(
     interrupted: &AtomicBool,
     mut progress: Progress,
 ) -> anyhow::Result<Ran> {
-    let world = RefCell::new(emulation.expect("lockstep has emulated drives").world);
-    let between = |next| world.borrow_mut().advance(next);
+    let emulation = RefCell::new(emulation.expect("lockstep has emulated drives"));
+    let between = |next| emulation.borrow_mut().advance(next);
     let start = match lockstep::bring_up(&mut servo, Instant::ZERO, between) {
         Ok(start) => start,
         Err(error) => return Err(not_up(file, logs.finish(), error)),
@@ -395,8 +406,8 @@ fn by_the_clock(
             Ok(()) => thread::start(servo, policy(CellTime::Wall), |_| {}, until)?,
             Err(error) => return Err(not_up(file, writing.finish(), error)),
         },
-        Some(Emulation { mut world }) => {
-            let mut between = move |next| world.advance(next);
+        Some(mut emulation) => {
+            let mut between = move |next| emulation.advance(next);
             match lockstep::bring_up(&mut servo, Instant::ZERO, &mut between) {
                 Ok(first) => {
                     emulated_since = Some(first);

@@ -4,10 +4,12 @@ use std::time::Duration;
 
 use anyhow::Context;
 use can::Port;
-use controller::cell::{Bus, Cell, ENABLING, Policy};
+use controller::cell::{Bus, Cell, ENABLING, Policy, Serial};
 use controller::ecp::EcpConfig;
 use drive::DriveGroup;
+use drive::axis_controller::AxisControllerGroup;
 use drive::cia402::{AxisConfig, Cia402Group};
+use serial::Line;
 use servo::thread::{CellTime, Realtime, RealtimePolicy};
 use servo::{EffectorConfig, ServoConfig};
 
@@ -29,10 +31,11 @@ pub(crate) fn axis_configs(file: &CellFile, bus: usize) -> Vec<AxisConfig> {
     file.cell.axes_on(bus).map(config).collect()
 }
 
-/// One drive group per bus, on the given ports.
+/// One drive group per bus and bundle of lines, on the given ports and lines.
 pub(crate) fn drive_groups(
     file: &CellFile,
     ports: Vec<Box<dyn Port>>,
+    lines: Vec<Vec<Box<dyn Line>>>,
 ) -> anyhow::Result<Vec<Box<dyn DriveGroup>>> {
     let group = |((index, bus), port): ((usize, &Bus), _)| {
         let group = Cia402Group::new(
@@ -42,13 +45,22 @@ pub(crate) fn drive_groups(
         );
         Ok(Box::new(group.with_context(|| format!("bus {}", bus.name))?) as Box<dyn DriveGroup>)
     };
-    file.cell
-        .bus
-        .iter()
-        .enumerate()
-        .zip(ports)
-        .map(group)
-        .collect()
+    let bundle = |((index, bundle), lines): ((usize, &Serial), _)| {
+        let config = |(robot, number): (usize, usize)| {
+            let axis = &file.cell.robot[robot].axis[number];
+            axis.controller_config(file.arms[robot].robot().home()[number])
+        };
+        let axes: Vec<_> = file
+            .cell
+            .axes_on(file.cell.bus.len() + index)
+            .map(config)
+            .collect();
+        let group = AxisControllerGroup::new(lines, bundle.group_config(file.cell.period()), &axes);
+        Ok(Box::new(group.with_context(|| format!("bus {}", bundle.name))?) as Box<dyn DriveGroup>)
+    };
+    let buses = file.cell.bus.iter().enumerate().zip(ports).map(group);
+    let bundles = file.cell.serial.iter().enumerate().zip(lines).map(bundle);
+    buses.chain(bundles).collect()
 }
 
 /// The servo of the whole cell.
@@ -58,9 +70,8 @@ pub(crate) fn servo_config(file: &CellFile) -> ServoConfig {
         let axis = &cell.robot[robot].axis[number];
         let limits = file.arms[robot].robot().motor_limits()[number];
         let group = cell
-            .bus
-            .iter()
-            .position(|bus| bus.name == axis.bus)
+            .groups()
+            .position(|name| name == axis.bus)
             .expect("a parsed cell has the bus");
         let index_in_group = cell
             .axes_on(group)

@@ -23,13 +23,11 @@
 mod drive;
 mod hi_moxa;
 mod nfv2;
-mod outbox;
 #[cfg(test)]
 mod tests;
 
 pub use hi_moxa::HiMoxaAxisController;
 pub use nfv2::Nfv2AxisController;
-pub(crate) use outbox::Outbox;
 
 use std::time::Duration;
 
@@ -75,21 +73,4 @@ impl AxisControllerConfig {
             watchdog: None,
         }
     }
-}
-
-/// What a device has heard. Counters only grow.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Heard {
-    /// Requests obeyed.
-    pub obeyed: u64,
-    /// Requests to other addresses.
-    pub foreign: u64,
-    /// Requests that were right and not understood, or of which the drive can do nothing.
-    pub refused: u64,
-    /// Frames whose checksum was wrong.
-    pub damaged: u64,
-    /// Bytes that belonged to no request.
-    pub skipped: u64,
-    /// Bytes of answers that found no room in the transmit buffer.
-    pub overrun: u64,
 }

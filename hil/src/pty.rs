@@ -26,7 +26,7 @@ use thiserror::Error;
 pub struct Pty {
     master: File,
     /// While it is open, the host's closing is no error here.
-    _slave: File,
+    slave: File,
     path: PathBuf,
     link: Option<PathBuf>,
 }
@@ -58,7 +58,7 @@ impl Pty {
             make_raw(&slave)?;
             Ok(Self {
                 master,
-                _slave: slave,
+                slave,
                 path: PathBuf::from(format!("/dev/pts/{number}")),
                 link: None,
             })
@@ -93,6 +93,14 @@ impl Pty {
     /// Fills `into` from the front with what the host has written; 0 if there is nothing.
     pub fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
         not_yet(self.master.read(into))
+    }
+
+    /// How many bytes the host can read at once.
+    pub fn readable(&self) -> io::Result<usize> {
+        let mut count: libc::c_int = 0;
+        // SAFETY: the descriptor is open, and FIONREAD stores one int.
+        checked(unsafe { libc::ioctl(self.slave.as_raw_fd(), libc::FIONREAD, &raw mut count) })?;
+        Ok(count as usize)
     }
 
     /// Sends the front of `bytes` and returns how many found room; 0 while the host does not read.

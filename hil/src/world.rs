@@ -120,11 +120,6 @@ impl World {
         buses.chain(lines).min()
     }
 
-    /// When something happens next on any bus, unless it is brought about from outside before.
-    pub fn poll_timeout(&self) -> Option<Instant> {
-        self.next_event()
-    }
-
     /// Lets `change` work on a device at `now`, up to which its bus is advanced before: how bytes get
     /// in and out of a device that has a serial line beside its bus. `None` if it is no `D`.
     pub fn change<D: Device, R>(

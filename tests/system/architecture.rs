@@ -47,7 +47,7 @@ const ARROWS: [(&str, &[&str]); 9] = [
 ];
 
 /// The files that read clocks or wait, and what each is for.
-const RIM: [&str; 7] = [
+const RIM: [&str; 8] = [
     "drivers/can/src/clock.rs",
     "drivers/can/src/socketcan.rs",
     "servo/src/thread.rs",
@@ -55,6 +55,7 @@ const RIM: [&str; 7] = [
     "hil/src/uml.rs",
     "console/src/run.rs",
     "console/src/emulate.rs",
+    "console/src/lines.rs",
 ];
 
 const CLOCKS: [&str; 8] = [

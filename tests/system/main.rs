@@ -10,6 +10,7 @@ mod cli_check;
 mod cli_refusals;
 mod cli_run;
 mod cycle;
+mod emulate_slcan;
 mod faults;
 mod homing;
 mod motion;

@@ -56,6 +56,8 @@ pub struct AxisController {
     pub max_current: f64,
     /// Torque of the motor per current, N·m/A.
     pub torque_constant: f64,
+    /// How the host closes the position loop.
+    pub r#loop: Loop,
     /// Greatest velocity that the motor can physically have, rad/s: a position that would need more is not
     /// believed. Twice the axis's `max_velocity` where absent.
     #[serde(default)]
@@ -64,6 +66,82 @@ pub struct AxisController {
     /// axis's `max_acceleration` where absent.
     #[serde(default)]
     pub plausible_acceleration: Option<f64>,
+}
+
+/// A position loop that the host closes. What it puts out is torque, N·m, under `control = "current"`, and a
+/// share of the full pulse width, -1 to 1, under `control = "pwm"`.
+#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Loop {
+    /// From position error to output.
+    pub law: Law,
+    /// What the commanded motion needs, put out beforehand.
+    #[serde(default)]
+    pub feed_forward: FeedForward,
+    /// Measured motor velocity, rad/s, that no working loop reaches: beyond it the power is taken at once. Above
+    /// the axis's `max_velocity`; 1.5 times that where absent.
+    #[serde(default)]
+    pub runaway_velocity: Option<f64>,
+}
+
+/// A control law.
+#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Law {
+    /// The law of the IRp-6: two zeros, one pole, one integrator, in encoder counts and periods.
+    Incremental(Incremental),
+    /// Proportional position loop over a proportional-integral velocity loop.
+    Cascade(Cascade),
+}
+
+/// Coefficients of `gain (b0 - b1/z) ((1 + eps) - (1 - eps)/z) / ((1 - 1/z) (1 - a/z))`, which acts on the position
+/// error in counts; they hold for one servo period.
+#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Incremental {
+    /// Pole, from 0 to below 1.
+    pub a: f64,
+    /// Weight of the filtered error.
+    pub b0: f64,
+    /// Weight of the filtered error one period ago.
+    pub b1: f64,
+    /// How far the first zero lies from 1, about half of it.
+    pub eps: f64,
+    /// Whether the position error is integrated; a lead filter otherwise, in which eps means nothing.
+    #[serde(default = "super::defaults::yes")]
+    pub integral: bool,
+    /// Output per unit of the law's own.
+    pub gain: f64,
+    /// The most that is put out either way.
+    pub limit: f64,
+}
+
+/// Gains of `velocity_gain (1 + integral_rate / s) (position_gain + s)`, which acts on the position error in rad.
+#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Cascade {
+    /// Velocity asked for per position error, 1/s.
+    pub position_gain: f64,
+    /// Output per velocity error, 1/(rad/s).
+    pub velocity_gain: f64,
+    /// How fast the velocity error is integrated, 1/s; zero for not at all.
+    pub integral_rate: f64,
+    /// The most that is put out either way.
+    pub limit: f64,
+}
+
+/// Output that the commanded motion needs.
+#[derive(Clone, Copy, Debug, Default, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct FeedForward {
+    /// Per commanded velocity, output·s/rad: viscous friction, and back-EMF under `control = "pwm"`.
+    pub velocity: f64,
+    /// Per commanded acceleration, output·s²/rad: inertia.
+    pub acceleration: f64,
+    /// In the sense of the commanded velocity: dry friction.
+    pub coulomb: f64,
+    /// Always: the mean weight of the load.
+    pub constant: f64,
 }
 
 /// What an axis controller is commanded by.

@@ -5,10 +5,24 @@ use std::time::Duration;
 use drive::Scale;
 use drive::axis_controller::{self, Settings, StopBits};
 use drive::cia402::{AxisConfig, CyclicMode, GroupConfig, HomingConfig, Identity, NodeId};
-use servo::{PositionLoop, ServoAxisConfig};
+use servo::regulator::{CascadeConfig, IncrementalConfig};
+use servo::{FeedForward, HomingLeg, HostHoming, HostLoop, Output, PositionLoop, ServoAxisConfig};
 
-use super::{Axis, AxisController, Cell, Control, Drive, Parameter, Protocol, Serial};
+use super::{
+    Axis, AxisController, Cell, Control, Direction, Drive, Homing, Law, Loop, Parameter, Protocol,
+    Serial,
+};
 use crate::robot::Limits;
+
+/// Longest way back from the home switch to the index pulse beside it, rad: five turns of the motor, most of
+/// which a switch may be wide.
+const FARTHEST_INDEX: f64 = 5.0 * std::f64::consts::TAU;
+
+/// Rest between the legs of a search by the host.
+const REST: Duration = Duration::from_millis(500);
+
+/// Samples in a row that have to agree on a switch.
+const AGREEING: u32 = 3;
 
 /// Longest time from switching an effector's drives on to the last of them following.
 pub const ENABLING: Duration = Duration::from_secs(5);
@@ -192,8 +206,80 @@ impl Axis {
             following_error: self.following_error,
             homing_order: self.homing.order,
             increments_per_radian: self.scale(0.0).increments_per_radian(),
-            position_loop: PositionLoop::Drive,
-            homing: None,
+            position_loop: self
+                .controller
+                .as_ref()
+                .map_or(PositionLoop::Drive, |controller| {
+                    PositionLoop::Host(controller.host_loop(self.max_velocity))
+                }),
+            homing: self
+                .controller
+                .as_ref()
+                .map(|_| self.homing.by_host(limits)),
+        }
+    }
+}
+
+impl AxisController {
+    fn host_loop(&self, max_velocity: f64) -> HostLoop {
+        let Loop {
+            law,
+            feed_forward,
+            runaway_velocity,
+        } = self.r#loop;
+        HostLoop {
+            law: match law {
+                Law::Incremental(law) => servo::Law::Incremental(IncrementalConfig {
+                    a: law.a,
+                    b0: law.b0,
+                    b1: law.b1,
+                    eps: law.eps,
+                    integral: law.integral,
+                    gain: law.gain,
+                    limit: law.limit,
+                }),
+                Law::Cascade(law) => servo::Law::Cascade(CascadeConfig {
+                    position_gain: law.position_gain,
+                    velocity_gain: law.velocity_gain,
+                    integral_rate: law.integral_rate,
+                    limit: law.limit,
+                }),
+            },
+            output: match self.control {
+                Control::Current => Output::Torque,
+                Control::Pwm => Output::Duty,
+            },
+            feed_forward: FeedForward {
+                velocity: feed_forward.velocity,
+                acceleration: feed_forward.acceleration,
+                coulomb: feed_forward.coulomb,
+                constant: feed_forward.constant,
+            },
+            runaway_velocity: runaway_velocity.unwrap_or(1.5 * max_velocity),
+        }
+    }
+}
+
+impl Homing {
+    /// The search that the host makes on a motor with these `limits`.
+    fn by_host(&self, limits: Limits) -> HostHoming {
+        let leg = |velocity: f64, distance: f64| HomingLeg {
+            velocity,
+            distance,
+            // Its ramps, and as much again for a loop that lags.
+            timeout: Duration::from_secs_f64(2.0 * distance / velocity + 2.0),
+        };
+        HostHoming {
+            direction: match self.direction {
+                Direction::Negative => servo::Direction::Negative,
+                Direction::Positive => servo::Direction::Positive,
+            },
+            search: leg(self.search_velocity, limits.high - limits.low),
+            zero: leg(self.zero_velocity, FARTHEST_INDEX),
+            acceleration: self.acceleration,
+            pause: REST,
+            debounce: AGREEING,
+            reverse_at_limit: self.reverse_at_limit,
         }
     }
 }

@@ -22,7 +22,9 @@ use serde::{Deserialize, Serialize};
 use crate::generator::{Arm, Pose};
 use crate::robot::{Irb6, Irb6Parameters, Irp6, Irp6Parameters, ParameterError};
 
-pub use axis_controller::{AxisController, Control, Protocol, Serial};
+pub use axis_controller::{
+    AxisController, Cascade, Control, FeedForward, Incremental, Law, Loop, Protocol, Serial,
+};
 pub use check::{CellError, Problem};
 pub use drives::ENABLING;
 pub use locate::{Path, Step};
@@ -294,6 +296,10 @@ pub struct Homing {
     /// Axes home in ascending order of this; equal ones together.
     #[serde(default)]
     pub order: u8,
+    /// Whether a search by the host that meets a limit switch goes back across the home switch and begins
+    /// again, once.
+    #[serde(default = "defaults::yes")]
+    pub reverse_at_limit: bool,
     /// Motor velocity while searching for the switch, rad/s.
     pub search_velocity: f64,
     /// Motor velocity while searching for the index pulse, rad/s.
@@ -326,7 +332,11 @@ pub struct Emulator {
     pub vendor: Option<u32>,
     /// Revision number it answers with; the drive's own where absent.
     pub revision: Option<u32>,
-    /// Whether the bus lacks it: a drive that never boots.
+    /// NFv2 address it answers with; the axis's own where absent.
+    pub address: Option<u8>,
+    /// What it speaks on its line; what the axis expects where absent.
+    pub protocol: Option<Protocol>,
+    /// Whether the bus or line lacks it: a drive that never boots.
     pub absent: bool,
 }
 
@@ -409,6 +419,9 @@ impl Cell {
 }
 
 mod defaults {
+    pub(super) fn yes() -> bool {
+        true
+    }
     pub(super) fn macrostep() -> u16 {
         10
     }

@@ -7,8 +7,7 @@
 //! frames and the time are handed in, frames and events are taken out. Nothing allocates, but for the
 //! room for data that a [`sdo::Client`] makes when it is made.
 //!
-//! Left out: node guarding (it needs remote frames, CiA advises against it), and PDO mappings
-//! that are not byte aligned.
+//! Left out: PDO mappings that are not byte aligned.
 //!
 //! Read [`cob`] and [`sdo`] first, then [`cia402`].
 
@@ -17,6 +16,7 @@ pub mod cob;
 pub mod dcf;
 pub mod eds;
 pub mod emcy;
+pub mod guarding;
 pub mod heartbeat;
 pub mod lss;
 pub mod nmt;
@@ -25,6 +25,7 @@ pub mod objects;
 pub mod pdo;
 pub mod sdo;
 pub mod sync;
+pub mod time;
 
 pub use node_id::NodeId;
 pub use objects::Object;

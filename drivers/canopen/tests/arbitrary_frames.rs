@@ -11,7 +11,8 @@ use mrroc_canopen::heartbeat::{self, Heartbeat};
 use mrroc_canopen::pdo::{Entry, PdoMapping};
 use mrroc_canopen::sdo::{self, Expedited, Initiate, Request, Response, Segment, block};
 use mrroc_canopen::sync::Sync;
-use mrroc_canopen::{NodeId, Object, cob, lss, nmt};
+use mrroc_canopen::time::TimeOfDay;
+use mrroc_canopen::{NodeId, Object, cob, guarding, lss, nmt};
 use proptest::prelude::*;
 
 const NODE: NodeId = NodeId::new(2).unwrap();
@@ -25,7 +26,7 @@ fn frames() -> impl Strategy<Value = Frame> {
         1 => prop_oneof![Just(0x7E4), Just(0x7E5)],
         1 => Just(0x702),
         1 => Just(0x082),
-        1 => prop_oneof![Just(0x000), Just(0x080), Just(0x182)],
+        1 => prop_oneof![Just(0x000), Just(0x080), Just(0x100), Just(0x182), Just(0x4000_0702)],
         1 => 0..0x800_u32,
         1 => any::<u32>(),
     ];
@@ -132,6 +133,15 @@ proptest! {
         }
         if let Some(heartbeat) = Heartbeat::decode(&frame) {
             prop_assert_eq!(heartbeat.encode(), frame);
+        }
+        if let Some(guarded) = guarding::Response::decode(&frame) {
+            prop_assert_eq!(guarded.encode(), frame);
+        }
+        if let Some(asked) = guarding::Request::decode(&frame) {
+            prop_assert_eq!(guarding::Request::decode(&asked.encode()), Some(asked));
+        }
+        if let Some(time) = TimeOfDay::decode(&frame) {
+            prop_assert_eq!(TimeOfDay::decode(&time.encode()), Some(time));
         }
         if let Some(sync) = Sync::decode(&frame) {
             prop_assert_eq!(sync.encode(), frame);
@@ -260,10 +270,29 @@ proptest! {
         let mut heartbeats = heartbeat::Consumer::new(NODE, TIME_OUT);
         let mut emergencies = emcy::Consumer::new(NODE);
         let mut now = Instant::ZERO;
+        let mut guard = guarding::Guard::new(NODE, TIME_OUT, 2, now).expect("times above zero");
+        let mut guarded = true;
         let mut alive = false;
         for (frame, millis) in frames {
             now += Duration::from_millis(millis);
             heartbeats.handle_timeout(now);
+            guard.handle_timeout(now);
+            guard.handle(&frame, now);
+            while let Some(event) = guard.poll() {
+                match event {
+                    guarding::Event::Lost { waited } => {
+                        prop_assert!(guarded && waited >= 2 * TIME_OUT);
+                        guarded = false;
+                    }
+                    guarding::Event::Recovered { .. } => {
+                        prop_assert!(!guarded);
+                        guarded = true;
+                    }
+                    guarding::Event::Changed { state } => prop_assert_eq!(guard.state(), Some(state)),
+                    guarding::Event::Toggle => {}
+                }
+            }
+            prop_assert_eq!(guard.is_lost(), !guarded);
             master.handle(&frame);
             heartbeats.handle(&frame, now);
             emergencies.handle(&frame, now);

@@ -4,6 +4,8 @@ use canopen::cia402::FaultTable;
 use canopen::sdo::AbortCode;
 use thiserror::Error;
 
+use crate::axis_controller::{AxisControllerError, AxisControllerFault};
+
 /// A latched condition of one axis, cleared by [`AxisCommand::ResetFault`](crate::AxisCommand::ResetFault).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum Fault {
@@ -93,6 +95,14 @@ pub enum Fault {
         node: u8,
         /// Why.
         refusal: Refusal,
+    },
+    /// A fault of an axis controller on a serial line.
+    #[error("line {line}: {fault}")]
+    AxisController {
+        /// Index of its axis in the group.
+        line: u8,
+        /// Which.
+        fault: AxisControllerFault,
     },
     /// The port cannot send or receive.
     #[error("bus: {0}")]
@@ -205,13 +215,21 @@ pub enum BringUpError {
         /// Object 0x6502.
         supported: u32,
     },
+    /// An axis controller on a serial line.
+    #[error("line {line}: {error}")]
+    AxisController {
+        /// Index of its axis in the group.
+        line: u8,
+        /// Why.
+        error: AxisControllerError,
+    },
     /// The port cannot send or receive.
     #[error("bus: {0}")]
     Port(#[from] can::PortError),
 }
 
 impl BringUpError {
-    /// The node it is about.
+    /// The node it is about; `None` on a serial line, whose index is [`line`](Self::line).
     pub fn node(&self) -> Option<u8> {
         match *self {
             Self::NeverBooted { node, .. }
@@ -222,7 +240,15 @@ impl BringUpError {
             | Self::ReadBack { node, .. }
             | Self::TimedOut { node, .. }
             | Self::ModeUnsupported { node, .. } => Some(node),
-            Self::Port(_) => None,
+            Self::AxisController { .. } | Self::Port(_) => None,
+        }
+    }
+
+    /// The index in its group of the axis that it is about, on a serial line.
+    pub fn line(&self) -> Option<usize> {
+        match *self {
+            Self::AxisController { line, .. } => Some(usize::from(line)),
+            _ => None,
         }
     }
 }

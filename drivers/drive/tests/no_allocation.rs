@@ -5,6 +5,8 @@
 )]
 #![allow(clippy::unwrap_used, reason = "a test")]
 
+mod scripted;
+
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::collections::{BTreeMap, VecDeque};
@@ -14,6 +16,7 @@ use std::time::Duration;
 
 use can::{ControllerState, Counters, Frame, Instant, Port, PortError, Received, StandardId};
 use canopen::NodeId;
+use mrroc_drive::axis_controller::{self, AxisControllerGroup, Control, Protocol};
 use mrroc_drive::cia402::{
     AxisConfig, Cia402Group, CyclicMode, GroupConfig, HomingConfig, Identity,
 };
@@ -251,4 +254,80 @@ fn no_cycle_allocates() {
     let before = ALLOCATIONS.get();
     drop(Box::new(1));
     assert_eq!(ALLOCATIONS.get() - before, 2);
+}
+
+#[test]
+fn no_cycle_of_serial_lines_allocates() {
+    use serial::nfv2::Status;
+    type Act = fn(&mut scripted::Drive);
+    for protocol in [Protocol::Nfv2, Protocol::HiMoxa] {
+        let config = axis_controller::AxisConfig {
+            address: 8,
+            scale: Scale::new(4_000, 0.0).unwrap(),
+            torque_constant: 0.1,
+            control: Control::Pwm,
+            max_current: 15.0,
+            max_velocity: 100.0,
+            max_acceleration: 10_000.0,
+            current_gains: None,
+        };
+        let drives = |_| scripted::Drive::new(protocol, 8).shared();
+        let lines: Vec<scripted::Shared> = (0..AXES).map(drives).collect();
+        let group = axis_controller::GroupConfig::new(protocol);
+        let mut group = AxisControllerGroup::new(lines.clone(), group, &[config; AXES]).unwrap();
+        let mut now = Instant::ZERO;
+        while group.bring_up(now).map(Result::unwrap).is_pending() {
+            now += PERIOD;
+        }
+        let duty = Setpoint::Duty(Finite::new(0.3).unwrap());
+        let (follow, seek) = (AxisCommand::Follow(duty), AxisCommand::Seek(duty));
+        let wrong = AxisCommand::Follow(Setpoint::Torque(Finite::ZERO));
+        let nothing: Act = |_| ();
+        let acts: [(Act, AxisCommand); 14] = [
+            (nothing, AxisCommand::Off),
+            (|drive| drive.velocity = 1, AxisCommand::Stand),
+            (nothing, follow),
+            (
+                |drive| (drive.velocity, drive.index) = (9, Some(1_200)),
+                seek,
+            ),
+            (|drive| drive.outbox.extend([0x23, 0x12, 0xED, 8]), follow),
+            (|drive| drive.mute = 2, follow),
+            (nothing, wrong),
+            (nothing, AxisCommand::ResetFault),
+            (|drive| drive.position = 90_000, AxisCommand::Stand),
+            (nothing, AxisCommand::ResetFault),
+            (
+                |drive| drive.status = Status::OVERCURRENT,
+                AxisCommand::Stand,
+            ),
+            (|drive| drive.full = true, AxisCommand::Stand),
+            (
+                |drive| (drive.full, drive.mute) = (false, 5),
+                AxisCommand::Off,
+            ),
+            (|drive| drive.status = 0, AxisCommand::ResetFault),
+        ];
+        let mut states = [AxisState::default(); AXES];
+        let (mut homed, mut faulted, mut silent) = (false, false, false);
+        for (act, command) in acts {
+            for line in &lines {
+                line.drive().keep_heard = false;
+                act(&mut line.drive());
+            }
+            for _ in 0..50 {
+                now += PERIOD;
+                let before = ALLOCATIONS.get();
+                group.read(now, &mut states);
+                group.write(now, &[command; AXES]);
+                group.send(now);
+                assert_eq!(ALLOCATIONS.get() - before, 0, "{protocol:?} {command:?}");
+                homed |= states[0].homing == Homing::Attained;
+                faulted |= states[0].fault.is_some();
+                silent |= states[0].age > 0;
+            }
+        }
+        assert!(homed && faulted && silent, "{homed} {faulted} {silent}");
+        assert_eq!((states[0].power, states[0].fault), (Power::Off, None));
+    }
 }

@@ -4,7 +4,8 @@ use serial::hi_moxa::{
 };
 
 use super::drive::{Drive, Mode, Sample};
-use super::{AxisControllerConfig, GAP, Heard, Outbox};
+use super::{AxisControllerConfig, GAP};
+use crate::outbox::{Heard, Outbox};
 use crate::{Axis, LineDevice};
 
 /// What its answers begin with; no source says which byte that is.

@@ -4,7 +4,8 @@ use serial::nfv2::{
 };
 
 use super::drive::{Drive, Mode, Sample};
-use super::{AxisControllerConfig, GAP, Heard, Outbox};
+use super::{AxisControllerConfig, GAP};
+use crate::outbox::{Heard, Outbox};
 use crate::{Axis, LineDevice};
 
 /// A serial axis controller with NFv2 telegrams.

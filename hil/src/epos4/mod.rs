@@ -21,6 +21,7 @@ mod objects;
 mod pdo;
 mod power;
 mod profile;
+mod service;
 mod table;
 #[cfg(test)]
 mod tests;

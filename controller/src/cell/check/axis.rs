@@ -1,7 +1,9 @@
 //! What one axis of a cell must satisfy, on a CAN bus or on a serial line.
 
 use super::{Checked, Path, Problem, in_range, positive};
-use crate::cell::{Axis, AxisController, Bus, Cell, Control, Drive, Plant, Protocol, Serial};
+use crate::cell::{
+    Axis, AxisController, Bus, Cell, Control, Drive, Law, Loop, Plant, Protocol, Serial,
+};
 use crate::robot::Limits;
 
 /// What an axis hangs on.
@@ -124,6 +126,12 @@ fn check_controller(
         32.767,
         "between 0.001 and 32.767 (A)",
     )?;
+    check_loop(
+        &path.then("loop"),
+        &controller.r#loop,
+        controller.control,
+        axis.max_velocity,
+    )?;
     let plausible = [
         (
             "plausible_velocity",
@@ -153,6 +161,64 @@ fn check_controller(
             "is pwm, which the emulator's plant wut cannot follow, having no voltage: use the \
              physical one",
         ),
+        _ => Ok(()),
+    }
+}
+
+fn check_loop(path: &Path, given: &Loop, control: Control, max_velocity: f64) -> Checked {
+    let most = match control {
+        Control::Current => (f64::MAX, "above 0 (N·m)"),
+        Control::Pwm => (1.0, "above 0 and at most 1 (of the full pulse width)"),
+    };
+    let limit = |path: &Path, value| in_range(path, value, f64::MIN_POSITIVE, most.0, most.1);
+    let fraction = (0.0, 1.0 - f64::EPSILON, "at least 0 and below 1");
+    let not_negative = (0.0, f64::MAX, "at least 0");
+    let any = (f64::MIN, f64::MAX, "a number");
+    let above = (f64::MIN_POSITIVE, f64::MAX, "above 0");
+    let law = path.then("law");
+    let numbers = match given.law {
+        Law::Incremental(it) => {
+            let law = law.then("incremental");
+            limit(&law.then("limit"), it.limit)?;
+            [
+                (law.then("a"), it.a, fraction),
+                (law.then("b0"), it.b0, above),
+                (law.then("b1"), it.b1, not_negative),
+                (law.then("eps"), it.eps, fraction),
+                (law.then("gain"), it.gain, above),
+            ]
+            .to_vec()
+        }
+        Law::Cascade(it) => {
+            let law = law.then("cascade");
+            limit(&law.then("limit"), it.limit)?;
+            [
+                (law.then("position_gain"), it.position_gain, above),
+                (law.then("velocity_gain"), it.velocity_gain, above),
+                (law.then("integral_rate"), it.integral_rate, not_negative),
+            ]
+            .to_vec()
+        }
+    };
+    let forward = path.then("feed_forward");
+    let it = given.feed_forward;
+    let known = [
+        (forward.then("velocity"), it.velocity, not_negative),
+        (forward.then("acceleration"), it.acceleration, not_negative),
+        (forward.then("coulomb"), it.coulomb, not_negative),
+        (forward.then("constant"), it.constant, any),
+    ];
+    for (path, value, (low, high, range)) in numbers.into_iter().chain(known) {
+        in_range(&path, value, low, high, range)?;
+    }
+    match given.runaway_velocity {
+        Some(value) if value <= max_velocity => {
+            let range = "above the axis's max_velocity (rad/s of the motor)";
+            Err((
+                path.then("runaway_velocity"),
+                Problem::OutOfRange { value, range },
+            ))
+        }
         _ => Ok(()),
     }
 }

@@ -1,19 +1,22 @@
-//! The SDO server: the device's side of a transfer, expedited and segmented.
+//! The SDO server: the device's side of a transfer, expedited, segmented or by blocks.
 //!
 //! It has one channel, as devices do: a new initiate request replaces the transfer in progress. A
 //! transfer whose client falls silent ends after the time-out with [`AbortCode::TIME_OUT`]. Objects
-//! are read and written whole, up to [`MAX_SIZE`] bytes. Block transfer is refused as an unknown
-//! command. Only emulated devices use it; read [`Dictionary`] first.
+//! are read and written whole, up to [`MAX_SIZE`] bytes. Only emulated devices use it; read
+//! [`Dictionary`] first, then [`Server::handle_frame`].
+
+mod blocks;
 
 use std::time::Duration;
 
-use can::Instant;
+use can::{Frame, Instant};
 
-use super::{AbortCode, Expedited, Initiate, Request, Response, Segment};
-use crate::Object;
+use super::block::MAX_BLOCK_SIZE;
+use super::{AbortCode, Expedited, Initiate, Request, Response, Segment, block};
+use crate::{NodeId, Object, cob};
 
-/// The longest object a server transfers, bytes.
-pub const MAX_SIZE: usize = 128;
+/// The longest object a server transfers, bytes: a whole number of a block transfer's segments.
+pub const MAX_SIZE: usize = 146 * block::SEGMENT;
 
 /// The objects behind a server.
 pub trait Dictionary {
@@ -31,6 +34,8 @@ pub trait Dictionary {
 #[derive(Clone, Debug)]
 pub struct Server {
     time_out: Duration,
+    /// Segments of a sub-block that it takes, 1 ..= 127.
+    block_size: u8,
     transfer: Option<Transfer>,
     buffer: [u8; MAX_SIZE],
 }
@@ -50,16 +55,50 @@ struct Transfer {
 enum Direction {
     Upload { size: usize },
     Download { size: Option<usize> },
+    BlockUpload(blocks::Upload),
+    BlockDownload(blocks::Download),
 }
 
 impl Server {
-    /// A server that gives a segmented transfer up `time_out` after the client's last request.
+    /// A server that gives a transfer up `time_out` after the client's last request, and takes blocks of
+    /// the greatest size.
     pub fn new(time_out: Duration) -> Self {
         Self {
             time_out,
+            block_size: MAX_BLOCK_SIZE,
             transfer: None,
             buffer: [0; MAX_SIZE],
         }
+    }
+
+    /// The same server, but it takes blocks of `block_size` segments, 1 ..= 127.
+    pub fn with_block_size(mut self, block_size: u8) -> Self {
+        self.block_size = block_size.clamp(1, MAX_BLOCK_SIZE);
+        self
+    }
+
+    /// Takes a frame to the server of `node` and returns the answer to it, if it has one; what else there
+    /// is to send, [`Server::poll_transmit`] tells. Other frames are ignored.
+    pub fn handle_frame<D: Dictionary>(
+        &mut self,
+        frame: &Frame,
+        node: NodeId,
+        dictionary: &mut D,
+        now: Instant,
+    ) -> Option<Frame> {
+        if self.receives_blocks()
+            && let Some(segment) = block::Segment::decode(frame, cob::sdo_request(node))
+        {
+            return self.take_of_block(segment, node, now);
+        }
+        let request = Request::decode(frame, node)?;
+        if matches!(request, Request::Unsupported(_))
+            && let Some(request) = block::Request::decode(frame, node)
+        {
+            return self.handle_block(request, node, dictionary, now);
+        }
+        let answer = self.handle(request, dictionary, now)?;
+        Some(answer.encode(node))
     }
 
     /// Forgets the transfer in progress.
@@ -67,7 +106,7 @@ impl Server {
         self.transfer = None;
     }
 
-    /// Takes a request and answers it. An abort has no answer.
+    /// Takes a request that is none of block transfer and answers it. An abort has no answer.
     pub fn handle<D: Dictionary>(
         &mut self,
         request: Request,
@@ -114,6 +153,7 @@ impl Server {
         })
     }
 
+    /// That of the transfer in progress, as an abort names it.
     fn object(&self) -> Object {
         self.transfer
             .map_or(Object::new(0, 0), |transfer| transfer.object)
@@ -359,9 +399,8 @@ mod tests {
                 ("2108100009000000", "6008100000000000"),
                 ("0141424344454647", "8008100013000706"),
             ],
-            &[("2108100081000000", "8008100005000405")],
-            // Block transfer, and a specifier that nobody knows.
-            &[("C608100007000000", "8008100001000405")],
+            &[("21081000FF030000", "8008100005000405")],
+            // A specifier that nobody knows.
             &[("E008100007000000", "8008100001000405")],
             // An abort is not answered, and ends the transfer.
             &[

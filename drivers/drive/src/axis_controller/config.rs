@@ -143,6 +143,13 @@ pub enum ConfigError {
 }
 
 impl Protocol {
+    pub(super) const fn other(self) -> Self {
+        match self {
+            Self::Nfv2 => Self::HiMoxa,
+            Self::HiMoxa => Self::Nfv2,
+        }
+    }
+
     /// Bytes of a cyclic request, and of the answer to it.
     pub const fn telegrams(self) -> (usize, usize) {
         match self {

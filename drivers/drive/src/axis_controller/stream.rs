@@ -1,5 +1,233 @@
+use serial::hi_moxa::{self, Flags};
+use serial::nfv2::{self, Answer as Item, Frame, Status};
+
+use super::AxisCounters;
+use super::config::Protocol;
+use crate::{Increments, Milliamperes};
+
 /// Bytes of a cyclic NFv2 request: a set-point and three reads.
 pub(super) const NFV2_REQUEST: usize = 15;
 
-/// Bytes of the only NFv2 answer we ask for: position, current and status.
+/// Bytes of the only NFv2 answer there is to our requests: position, current and status.
 pub(super) const NFV2_ANSWER: usize = 19;
+
+/// What a drive says in one answer, of either protocol.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Answer {
+    pub(super) position: Increments,
+    pub(super) current: Milliamperes,
+    /// In the bits of NFv2, which has more of them.
+    pub(super) status: Status,
+}
+
+/// Finds answers among the bytes of a line.
+///
+/// NFv2 is searched byte by byte for a header that only our answer can have; after a header, an item or a CRC that is
+/// wrong the search goes on at the very next byte, so that whatever is damaged costs one answer.
+///
+/// The older protocol has nothing to search for. Its answers are cut by time: between one exchange and the next the
+/// line is idle, and so what was read since the last request is the answer if it has the length of one. Anything
+/// else is refused whole, and what follows it begins anew.
+#[derive(Clone, Debug)]
+pub(super) struct Stream {
+    protocol: Protocol,
+    address: u8,
+    /// The beginning of what may become an answer.
+    held: [u8; NFV2_ANSWER],
+    length: usize,
+    start: StartByte,
+    /// The last address other than ours.
+    foreign: Option<u8>,
+}
+
+/// What is known of the first byte of the older protocol's answers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum StartByte {
+    Unknown,
+    Constant(u8),
+    Varies,
+}
+
+/// What one reading of a line held.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Found {
+    /// The last answer.
+    pub(super) answer: Option<Answer>,
+    /// How many there were.
+    pub(super) count: u32,
+}
+
+impl Stream {
+    pub(super) fn new(protocol: Protocol, address: u8) -> Self {
+        Self {
+            protocol,
+            address,
+            held: [0; NFV2_ANSWER],
+            length: 0,
+            start: StartByte::Unknown,
+            foreign: None,
+        }
+    }
+
+    /// Somebody else's address among the frames seen since the stream was new.
+    pub(super) fn foreign(&self) -> Option<u8> {
+        self.foreign
+    }
+
+    /// Takes the bytes of one reading. `owed` says how many requests were not answered yet.
+    pub(super) fn take(&mut self, bytes: &[u8], owed: u32, counters: &mut AxisCounters) -> Found {
+        match self.protocol {
+            Protocol::Nfv2 => self.search(bytes, counters),
+            Protocol::HiMoxa => self.cut(bytes, owed, counters),
+        }
+    }
+
+    fn search(&mut self, bytes: &[u8], counters: &mut AxisCounters) -> Found {
+        let mut found = Found::default();
+        for &byte in bytes {
+            self.held[self.length] = byte;
+            self.length += 1;
+            // At most as many turns as bytes are held, each of which drops one.
+            while self.length > 0 {
+                let held = &self.held[..self.length];
+                if !begins_answer(held) {
+                    self.drop_first();
+                    continue;
+                }
+                if self.length < NFV2_ANSWER {
+                    break;
+                }
+                match Frame::parse(held).and_then(|frame| Some((frame.address, items(frame)?))) {
+                    Some((address, answer)) if address == self.address => {
+                        found.answer = Some(answer);
+                        found.count += 1;
+                        self.length = 0;
+                    }
+                    Some((address, _)) => {
+                        self.foreign = Some(address);
+                        counters.foreign += 1;
+                        self.length = 0;
+                    }
+                    None => {
+                        counters.damaged += 1;
+                        self.drop_first();
+                    }
+                }
+            }
+        }
+        found
+    }
+
+    fn drop_first(&mut self) {
+        self.held.copy_within(1..self.length, 0);
+        self.length -= 1;
+    }
+
+    fn cut(&mut self, bytes: &[u8], owed: u32, counters: &mut AxisCounters) -> Found {
+        let before = std::mem::take(&mut self.length);
+        let (count, whole) = match (before + bytes.len(), bytes.len()) {
+            (0, _) => return Found::default(),
+            // What was torn stays torn, and this is the next one.
+            (_, hi_moxa::ANSWER) => (1, true),
+            // One that was torn by our reading in the midst of it, alone or with the next one behind it.
+            (all, 1..) => {
+                let count = all / hi_moxa::ANSWER;
+                let owed = owed.max(1) as usize;
+                (count, all % hi_moxa::ANSWER == 0 && count <= owed)
+            }
+            (_, 0) => return Found::default(),
+        };
+        let mut answer = [0; hi_moxa::ANSWER];
+        if whole {
+            let last = bytes.len().min(hi_moxa::ANSWER);
+            let (front, back) = answer.split_at_mut(hi_moxa::ANSWER - last);
+            front.copy_from_slice(&self.held[..front.len()]);
+            back.copy_from_slice(&bytes[bytes.len() - last..]);
+            let answer = hi_moxa::Answer::decode(answer);
+            if matches!(self.start, StartByte::Constant(start) if start != answer.start) {
+                counters.damaged += 1;
+                return Found::default();
+            }
+            return Found {
+                answer: Some(translated(answer)),
+                count: count as u32,
+            };
+        }
+        counters.damaged += 1;
+        if bytes.len() < hi_moxa::ANSWER {
+            self.held[..bytes.len()].copy_from_slice(bytes);
+            self.length = bytes.len();
+        }
+        Found::default()
+    }
+
+    /// Looks at an answer's start byte while bring-up exchanges parameters.
+    pub(super) fn learn(&mut self, bytes: &[u8]) {
+        if let (Protocol::HiMoxa, &[start, ..]) = (self.protocol, bytes) {
+            self.start = match self.start {
+                StartByte::Unknown => StartByte::Constant(start),
+                StartByte::Constant(known) if known == start => self.start,
+                StartByte::Constant(_) | StartByte::Varies => StartByte::Varies,
+            };
+        }
+    }
+}
+
+/// Whether bytes may be the beginning of an answer to one of our requests, whoever sends it.
+fn begins_answer(bytes: &[u8]) -> bool {
+    const INDEX: u8 = NFV2_ANSWER as u8 - 1;
+    bytes
+        .iter()
+        .zip([nfv2::START, INDEX, !INDEX])
+        .all(|(byte, right)| *byte == right)
+}
+
+/// Position, current and status, each once and nothing else.
+fn items(frame: Frame) -> Option<Answer> {
+    let (mut position, mut current, mut status) = (None, None, None);
+    for item in frame.answers() {
+        let before = match item.ok()? {
+            Item::Position(counts) => position.replace(Increments(counts)).is_some(),
+            Item::Current(raw) => current.replace(Milliamperes(raw)).is_some(),
+            Item::Status(bits) => status.replace(bits).is_some(),
+        };
+        if before {
+            return None;
+        }
+    }
+    Some(Answer {
+        position: position?,
+        current: current?,
+        status: status?,
+    })
+}
+
+fn translated(answer: hi_moxa::Answer) -> Answer {
+    let bits = [
+        (Flags::UPPER_LIMIT, Status::UPPER_LIMIT),
+        (Flags::LOWER_LIMIT, Status::LOWER_LIMIT),
+        (Flags::HOME_SWITCH, Status::HOME_SWITCH),
+        (Flags::INDEX, Status::INDEX),
+        (Flags::POWER_STAGE_FAULT, Status::POWER_STAGE_FAULT),
+        (Flags::OVERCURRENT, Status::OVERCURRENT),
+        (Flags::ERROR, Status::ERROR),
+        (Flags::SYNCHRONIZED, Status::SYNCHRONIZED),
+    ];
+    let set = bits.into_iter().filter(|(flag, _)| answer.flags.any(*flag));
+    Answer {
+        position: Increments(answer.position),
+        current: Milliamperes(answer.current),
+        status: Status(set.fold(0, |status, (_, bit)| status | bit)),
+    }
+}
+
+/// Which protocol somebody speaks who said `bytes` to a request in it.
+pub(super) fn speaks(protocol: Protocol, bytes: &[u8]) -> Option<u8> {
+    match protocol {
+        Protocol::Nfv2 => bytes
+            .windows(NFV2_ANSWER)
+            .filter_map(Frame::parse)
+            .find_map(|frame| items(frame).map(|_| frame.address)),
+        Protocol::HiMoxa => (bytes.len() == hi_moxa::ANSWER).then_some(0),
+    }
+}

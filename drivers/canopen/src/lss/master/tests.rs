@@ -144,12 +144,23 @@ fn an_answer_that_does_not_come_in_time_fails_the_service() {
         for _ in 0..frames {
             assert!(master.poll_transmit(at(50)).is_some());
         }
-        // Answers to others, and one to nobody.
-        play(
-            &mut master,
-            at(60),
-            "7E4#4F00000000000000 7E4#5000000000000000 7E4#5DFB000000000000 582#4F60600008000000",
-        );
+        let own = match service {
+            Service::SwitchSelective(_) => "7E4#44",
+            Service::ConfigureNodeId(_) => "7E4#11",
+            Service::ConfigureBitTiming(_) => "7E4#13",
+            Service::Store => "7E4#17",
+            Service::InquireIdentity => "7E4#5A",
+            _ => "7E4#5E",
+        };
+        let answers = "7E4#1100000000000000 7E4#1300000000000000 7E4#1700000000000000
+             7E4#4400000000000000 7E4#4F00000000000000 7E4#5000000000000000 7E4#5A00000000000000
+             7E4#5D00000000000000 7E4#5E05000000000000 582#4F60600008000000";
+        for late in answers
+            .split_whitespace()
+            .filter(|line| !line.starts_with(own))
+        {
+            play(&mut master, at(60), late);
+        }
         assert_eq!(master.poll_timeout(), Some(at(150)), "{service}");
         master.handle_timeout(at(149));
         assert_eq!(master.poll(), None);

@@ -2,6 +2,23 @@ use std::collections::VecDeque;
 
 use can::Instant;
 
+/// What a device has heard. Counters only grow.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Heard {
+    /// Requests obeyed.
+    pub obeyed: u64,
+    /// Requests to other addresses.
+    pub foreign: u64,
+    /// Requests that were right and not understood, or of which the drive can do nothing.
+    pub refused: u64,
+    /// Frames whose checksum was wrong.
+    pub damaged: u64,
+    /// Bytes that belonged to no request.
+    pub skipped: u64,
+    /// Bytes of answers that found no room in the transmit buffer.
+    pub overrun: u64,
+}
+
 /// Bytes that a device is going to send, each not before its time.
 #[derive(Clone, Debug)]
 pub(crate) struct Outbox {
@@ -32,6 +49,10 @@ impl Outbox {
         let &(_, byte) = self.bytes.front().filter(|(at, _)| *at <= now)?;
         self.bytes.pop_front();
         Some(byte)
+    }
+
+    pub(crate) fn is_empty(&self) -> bool {
+        self.bytes.is_empty()
     }
 
     /// Tells the time.

@@ -1,0 +1,226 @@
+use std::time::Duration;
+
+use can::Instant;
+use serial::Line;
+use serial::nfv2::Status;
+
+use super::config::{AxisConfig, CurrentGains, GroupConfig, Protocol};
+use super::fault::AxisControllerError;
+use super::gate::{Gate, Verdict};
+use super::stream::{Answer, Stream, speaks};
+use super::telegram::{Aim, Dialect, Setting, Telegram};
+use super::{AxisCounters, axis::Learnt};
+
+/// Calls that a line may take to fall silent before it is spoken to anyway.
+const CALLS_TO_DRAIN: u8 = 3;
+
+/// Brings one drive up: to manual mode, where latched errors clear, with its limits set.
+///
+/// ```text
+/// drain → manual → manual → greatest current → (gains) → manual → ready
+///           each until it is answered, `attempts` times
+///                └ silence → asked in the other protocol, and as anybody → the error that says so
+/// ```
+///
+/// The last answers are where operation begins: the gate has passed them, and the power stage is on.
+#[derive(Clone, Debug)]
+pub(super) struct BringUp {
+    dialect: Dialect,
+    answer_timeout: Duration,
+    attempts_allowed: u8,
+    /// What to say, one after the other.
+    script: Vec<Telegram>,
+    fresh_gate: Gate,
+
+    stage: Stage,
+    stream: Stream,
+    gate: Gate,
+    attempts: u8,
+    asked_at: Instant,
+    since: Instant,
+    /// Bytes heard since the last answer.
+    heard: u32,
+    last: Option<Answer>,
+    /// Why the last answer was not taken.
+    objection: Option<AxisControllerError>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stage {
+    Draining(u8),
+    /// The line of the script that is next, or said.
+    Asking(usize),
+    /// Whoever is there is asked in this protocol.
+    Probing(Protocol),
+    Ready,
+}
+
+impl BringUp {
+    pub(super) fn new(group: &GroupConfig, config: &AxisConfig, dialect: Dialect) -> Self {
+        let manual = dialect.rest(Aim::Manual, 1);
+        let mut script = vec![dialect.zero(), manual, manual];
+        let limit = config.limit().map(|limit| Setting::MaxCurrent(limit.0));
+        let gains = config.current_gains.and_then(CurrentGains::raw);
+        let settings = [limit, gains.map(Setting::CurrentGains)];
+        let settings = settings.into_iter().flatten();
+        script.extend(settings.map(|setting| dialect.setting(setting)));
+        script.push(manual);
+        Self {
+            dialect,
+            answer_timeout: group.answer_timeout,
+            attempts_allowed: group.attempts,
+            script,
+            fresh_gate: Gate::new(group, config),
+            stage: Stage::Draining(0),
+            stream: Stream::new(dialect.protocol, dialect.address),
+            gate: Gate::new(group, config),
+            attempts: 0,
+            asked_at: Instant::ZERO,
+            since: Instant::ZERO,
+            heard: 0,
+            last: None,
+            objection: None,
+        }
+    }
+
+    /// Begins anew.
+    pub(super) fn reset(&mut self, now: Instant) {
+        self.stage = Stage::Draining(0);
+        self.stream = Stream::new(self.dialect.protocol, self.dialect.address);
+        self.gate = self.fresh_gate.clone();
+        (self.attempts, self.heard) = (0, 0);
+        (self.asked_at, self.since) = (now, now);
+        (self.last, self.objection) = (None, None);
+    }
+
+    /// What operation begins with, once the drive is ready.
+    pub(super) fn learnt(&self) -> Option<Learnt> {
+        let answer = self.last.filter(|_| self.stage == Stage::Ready)?;
+        Some(Learnt {
+            answer,
+            at: self.asked_at,
+            stream: self.stream.clone(),
+        })
+    }
+
+    /// Reads, and says what is next; whether the drive is ready.
+    pub(super) fn advance(
+        &mut self,
+        line: &mut impl Line,
+        buffer: &mut [u8],
+        counters: &mut AxisCounters,
+        now: Instant,
+    ) -> Result<bool, AxisControllerError> {
+        let count = line.read(now, buffer).map_err(AxisControllerError::Line)?;
+        let bytes = &buffer[..count];
+        let late = now.since(self.asked_at) >= self.answer_timeout;
+        let next = match self.stage {
+            Stage::Ready => return Ok(true),
+            Stage::Draining(calls) if count > 0 && calls < CALLS_TO_DRAIN => {
+                self.stage = Stage::Draining(calls + 1);
+                None
+            }
+            Stage::Draining(_) => Some(Stage::Asking(0)),
+            Stage::Asking(step) => {
+                self.heard = self.heard.saturating_add(count as u32);
+                if self.answered(bytes, counters, step) {
+                    (self.heard, self.attempts, self.since) = (0, 0, now);
+                    Some(if step + 1 < self.script.len() {
+                        Stage::Asking(step + 1)
+                    } else {
+                        Stage::Ready
+                    })
+                } else if !late {
+                    None
+                } else {
+                    self.attempts += 1;
+                    Some(if self.attempts < self.attempts_allowed {
+                        self.stage
+                    } else {
+                        self.unanswered()?
+                    })
+                }
+            }
+            Stage::Probing(protocol) => match speaks(protocol, bytes) {
+                Some(found) => return Err(self.stranger(protocol, found)),
+                None if !late => None,
+                None if protocol == self.dialect.protocol => Some(Stage::Probing(protocol.other())),
+                None => {
+                    let waited = now.since(self.since);
+                    return Err(AxisControllerError::Silent { waited });
+                }
+            },
+        };
+        let telegram = match next {
+            None => return Ok(false),
+            Some(Stage::Asking(step)) => self.script[step],
+            Some(Stage::Probing(protocol)) => self.dialect.probe(protocol),
+            Some(Stage::Draining(_) | Stage::Ready) => Telegram::NONE,
+        };
+        self.stage = next.unwrap_or(self.stage);
+        if self.stage != Stage::Ready {
+            self.asked_at = now;
+            // What the line does not take is not answered either.
+            line.write(now, telegram.bytes())
+                .map_err(AxisControllerError::Line)?;
+        }
+        Ok(self.stage == Stage::Ready)
+    }
+
+    /// Whether the question is answered. The last one must be so by a drive that has power.
+    fn answered(&mut self, bytes: &[u8], counters: &mut AxisCounters, step: usize) -> bool {
+        let Some(answer) = self.stream.take(bytes, 1, counters).answer else {
+            return false;
+        };
+        self.stream.learn(bytes);
+        let before = self.last.map(|last| last.position.0);
+        self.objection = match self.gate.judge(answer, self.asked_at, false) {
+            Verdict::Refused | Verdict::Jumped(_) | Verdict::Indexed(_) => {
+                let to = answer.position.0;
+                let from = before.unwrap_or(to);
+                Some(AxisControllerError::Unsteady { from, to })
+            }
+            Verdict::Passed if step + 1 < self.script.len() => None,
+            Verdict::Passed => answer
+                .status
+                .any(Status::POWER_STAGE_FAULT)
+                .then_some(AxisControllerError::PowerStage),
+        };
+        if self.objection.is_none() {
+            self.last = Some(answer);
+        }
+        self.objection.is_none()
+    }
+
+    /// What follows when a question was not answered in any attempt.
+    fn unanswered(&self) -> Result<Stage, AxisControllerError> {
+        if let Some(objection) = self.objection {
+            return Err(objection);
+        }
+        if let Some(found) = self.stream.foreign() {
+            return Err(self.stranger(Protocol::Nfv2, found));
+        }
+        if self.heard > 0 {
+            let bytes = self.heard;
+            return Err(AxisControllerError::Garbled { bytes });
+        }
+        Ok(Stage::Probing(self.dialect.protocol))
+    }
+
+    fn stranger(&self, found: Protocol, address: u8) -> AxisControllerError {
+        let expected = self.dialect.protocol;
+        if found != expected {
+            return AxisControllerError::OtherProtocol { expected, found };
+        }
+        if address == self.dialect.address || found == Protocol::HiMoxa {
+            // It answers when it is called by another name, or late.
+            return AxisControllerError::Silent {
+                waited: self.asked_at.since(self.since),
+            };
+        }
+        AxisControllerError::OtherAddress {
+            expected: self.dialect.address,
+            found: address,
+        }
+    }
+}

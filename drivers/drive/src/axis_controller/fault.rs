@@ -1,0 +1,128 @@
+use std::time::Duration;
+
+use serial::LineError;
+use thiserror::Error;
+
+use super::config::Protocol;
+use crate::Refusal;
+
+/// A latched condition of an axis controller on a serial line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum AxisControllerFault {
+    /// Answers were missing, damaged or implausible for more cycles than the cell allows. A panic.
+    #[error("no answer to be believed for {cycles} cycles: check cable and power")]
+    Silent {
+        /// Cycles without one.
+        cycles: u32,
+    },
+    /// The line took no set-point for more cycles than the cell allows: the drive goes on by an old one. A panic.
+    #[error("set-point not taken by the line for {cycles} cycles")]
+    NotSent {
+        /// Cycles in a row.
+        cycles: u32,
+    },
+    /// The line cannot be read or written. A panic, for whoever still hears it.
+    #[error("{0}: open it anew")]
+    Line(LineError),
+    /// The counter is, and stays, where the motor cannot have moved it. A panic.
+    #[error(
+        "counter went from {from} to {to}, farther than the motor can move: home the axis again"
+    )]
+    Jumped {
+        /// Where it was, increments.
+        from: i32,
+        /// Where it is.
+        to: i32,
+    },
+    /// Its answers stayed the same in every bit while its set-points changed. A panic.
+    #[error("the same answer for {cycles} cycles while the set-points changed")]
+    Frozen {
+        /// Cycles.
+        cycles: u32,
+    },
+    /// It lost its reference without being told to: it was switched off and on.
+    #[error("restarted: home the axis again")]
+    Restarted,
+    /// It reports that its power stage is off or has failed.
+    #[error(
+        "power stage is off or has failed: check the emergency stop and the power of the cabinet"
+    )]
+    PowerStage,
+    /// It reports that its protection against too much current acted.
+    #[error("overcurrent protection acted")]
+    Overcurrent,
+    /// It reports its error state.
+    #[error("drive is in its error state")]
+    Error,
+    /// A set-point that was not sent, nor any other of its cycle.
+    #[error("set-point {0}")]
+    Refused(Refusal),
+}
+
+impl AxisControllerFault {
+    /// Whether the drive is told to open its power stage and the emergency-stop circuit of its cabinet, since
+    /// nobody knows what it does.
+    pub fn is_panic(self) -> bool {
+        match self {
+            Self::Silent { .. }
+            | Self::NotSent { .. }
+            | Self::Line(_)
+            | Self::Jumped { .. }
+            | Self::Frozen { .. } => true,
+            Self::Restarted
+            | Self::PowerStage
+            | Self::Overcurrent
+            | Self::Error
+            | Self::Refused(_) => false,
+        }
+    }
+}
+
+/// Why an axis controller could not be brought up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum AxisControllerError {
+    /// It said nothing at all.
+    #[error(
+        "no answer, waited {waited:.1?}: check that the cabinet is on, the cable, and the baud rate"
+    )]
+    Silent {
+        /// Time waited.
+        waited: Duration,
+    },
+    /// Something came, and no answer was in it.
+    #[error("{bytes} bytes and no answer among them: check the baud rate and what is on the line")]
+    Garbled {
+        /// How many bytes.
+        bytes: u32,
+    },
+    /// It answers in the other protocol.
+    #[error("speaks {found:?}, the cell says {expected:?}")]
+    OtherProtocol {
+        /// What the cell says.
+        expected: Protocol,
+        /// What it speaks.
+        found: Protocol,
+    },
+    /// It answers for another axis.
+    #[error("answers as address {found}, the cell says {expected}: check which line goes where")]
+    OtherAddress {
+        /// What the cell says.
+        expected: u8,
+        /// Who answers.
+        found: u8,
+    },
+    /// It answers, and its counter is each time somewhere else.
+    #[error("its counter is at {from} and then at {to}, farther than the motor can move")]
+    Unsteady {
+        /// Increments.
+        from: i32,
+        /// Increments.
+        to: i32,
+    },
+    /// It answers, and has no power.
+    #[error("power stage is off: switch the cabinet on and release its emergency stop")]
+    PowerStage,
+    /// The line cannot be read or written.
+    #[error("{0}")]
+    Line(LineError),
+}

@@ -1,0 +1,300 @@
+use serial::hi_moxa::{DriverMode, Parameter, Request};
+use serial::nfv2::{Command, FrameBuilder, Gains, Mode};
+use serial::{hi_moxa, nfv2};
+
+use super::config::{Control, Protocol};
+
+/// The longest that we send: gains, a mode, a flag, a set-point and three reads are fewer.
+const LONGEST: usize = 64;
+
+/// Answers to telegrams with a mode until it is taken to be there: one could be that to an earlier telegram.
+pub(super) const ANSWERS_TO_EFFECT: u32 = 2;
+
+/// What a drive is told to be.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum Aim {
+    /// By hand: no torque, latched errors cleared.
+    #[default]
+    Manual,
+    /// In its error state: power stage and emergency-stop circuit open.
+    Error,
+    /// Follows set-points.
+    Drive,
+    /// Follows set-points, and takes the next index pulse for its reference.
+    Index,
+}
+
+/// A parameter, in the units of the drive.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Setting {
+    /// mA.
+    MaxCurrent(i16),
+    CurrentGains(Gains),
+}
+
+/// Who is spoken to, and how.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Dialect {
+    pub(super) protocol: Protocol,
+    pub(super) address: u8,
+    pub(super) control: Control,
+}
+
+/// Bytes to write.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Telegram {
+    bytes: [u8; LONGEST],
+    length: usize,
+}
+
+impl Telegram {
+    pub(super) const NONE: Self = Self {
+        bytes: [0; LONGEST],
+        length: 0,
+    };
+
+    pub(super) fn bytes(&self) -> &[u8] {
+        &self.bytes[..self.length]
+    }
+
+    pub(super) fn append(mut self, bytes: &[u8]) -> Self {
+        let end = self.length + bytes.len();
+        self.bytes[self.length..end].copy_from_slice(bytes);
+        self.length = end;
+        self
+    }
+}
+
+impl Dialect {
+    /// A set-point. `tell` says that the drive has still to be told of its aim; `unreference`, that it is to forget its
+    /// reference.
+    ///
+    /// NFv2 carries everything in one frame. The older protocol tells its aim by a flag of every set-point, and has
+    /// a telegram of its own for a parameter: while that goes, the set-point before it holds.
+    pub(super) fn follow(self, aim: Aim, setpoint: i16, tell: bool, unreference: bool) -> Telegram {
+        match self.protocol {
+            Protocol::Nfv2 => {
+                let mut frame = self.frame(setpoint);
+                if unreference {
+                    frame = frame.command(Command::SetMisc(Command::RESET_SYNCHRONIZED));
+                }
+                if tell {
+                    frame = frame.command(Command::SetMode(self.mode(aim)));
+                }
+                read(frame)
+            }
+            Protocol::HiMoxa if unreference => set(Parameter::Synchronized(false)),
+            Protocol::HiMoxa => moxa_setpoint(setpoint, aim == Aim::Index),
+        }
+    }
+
+    /// A zero set-point with which no aim changes.
+    pub(super) fn zero(self) -> Telegram {
+        self.follow(Aim::Drive, 0, false, false)
+    }
+
+    /// Gives a drive torque, after `answers` that it gave to such telegrams: a zero set-point is there before the
+    /// mode, so that no mode begins with an old one.
+    pub(super) fn switch_on(self, answers: u32) -> Telegram {
+        match self.protocol {
+            Protocol::Nfv2 => self.follow(Aim::Drive, 0, true, false),
+            Protocol::HiMoxa if answers < ANSWERS_TO_EFFECT => self.zero(),
+            Protocol::HiMoxa => set(Parameter::DriverMode(DriverMode::Pwm)),
+        }
+    }
+
+    /// Answers until a drive has been switched on.
+    pub(super) fn answers_to_switch_on(self) -> u32 {
+        match self.protocol {
+            Protocol::Nfv2 => ANSWERS_TO_EFFECT,
+            Protocol::HiMoxa => 2 * ANSWERS_TO_EFFECT,
+        }
+    }
+
+    /// Takes torque away, after `answers` to such telegrams: a zero set-point, and the mode [`Aim::Manual`] or
+    /// [`Aim::Error`]. In the older protocol the first goes before the second, except on the way to an error.
+    pub(super) fn rest(self, aim: Aim, answers: u32) -> Telegram {
+        match (self.protocol, aim) {
+            (Protocol::Nfv2, _) => prefixed(self.follow(aim, 0, true, false)),
+            (Protocol::HiMoxa, Aim::Error) => set(Parameter::DriverMode(DriverMode::Error)),
+            (Protocol::HiMoxa, _) if answers == 0 => self.zero(),
+            (Protocol::HiMoxa, _) => set(Parameter::DriverMode(DriverMode::Manual)),
+        }
+    }
+
+    /// All of [`rest`](Self::rest) at once, for a drive whose answers nobody reads.
+    pub(super) fn farewell(self, aim: Aim) -> Telegram {
+        match self.protocol {
+            Protocol::Nfv2 => self.rest(aim, 0),
+            Protocol::HiMoxa => self.zero().append(self.rest(aim, 1).bytes()),
+        }
+    }
+
+    /// A request to set a parameter.
+    pub(super) fn setting(self, setting: Setting) -> Telegram {
+        match (self.protocol, setting) {
+            (Protocol::Nfv2, Setting::MaxCurrent(current)) => {
+                prefixed(read(self.frame(0).command(Command::SetMaxCurrent(current))))
+            }
+            (Protocol::Nfv2, Setting::CurrentGains(gains)) => prefixed(read(
+                self.frame(0).command(Command::SetCurrentRegulator(gains)),
+            )),
+            (Protocol::HiMoxa, Setting::MaxCurrent(current)) => set(Parameter::MaxCurrent(current)),
+            // There are none: the configuration was refused.
+            (Protocol::HiMoxa, Setting::CurrentGains(_)) => self.rest(Aim::Manual, 1),
+        }
+    }
+
+    /// Asks whoever is there, in `protocol`, to be in manual mode: in NFv2 also those who have another address.
+    pub(super) fn probe(self, protocol: Protocol) -> Telegram {
+        let manual = |address| {
+            let dialect = Self {
+                protocol,
+                address,
+                ..self
+            };
+            dialect.rest(Aim::Manual, 1)
+        };
+        match protocol {
+            Protocol::Nfv2 => manual(nfv2::BROADCAST),
+            Protocol::HiMoxa => manual(self.address),
+        }
+    }
+
+    fn frame(self, setpoint: i16) -> FrameBuilder {
+        FrameBuilder::new(self.address).command(match self.control {
+            Control::Current => Command::SetCurrent(setpoint),
+            Control::Pwm => Command::SetPwm(setpoint),
+        })
+    }
+
+    fn mode(self, aim: Aim) -> Mode {
+        match (aim, self.control) {
+            (Aim::Manual, _) => Mode::Manual,
+            (Aim::Error, _) => Mode::Error,
+            (Aim::Drive, Control::Current) => Mode::Current,
+            (Aim::Drive, Control::Pwm) => Mode::Pwm,
+            (Aim::Index, Control::Current) => Mode::SyncCurrent,
+            (Aim::Index, Control::Pwm) => Mode::SyncPwm,
+        }
+    }
+}
+
+fn read(frame: FrameBuilder) -> Telegram {
+    let mut frame = frame
+        .command(Command::ReadPosition)
+        .command(Command::ReadCurrent)
+        .command(Command::ReadStatus);
+    let bytes = frame
+        .finish()
+        .expect("a frame of some commands fits 256 bytes");
+    Telegram::NONE.append(bytes)
+}
+
+/// Behind five zeros, as the laboratory's host sends parameters and panics: they end a torn frame that the drive still
+/// waits for.
+fn prefixed(frame: Telegram) -> Telegram {
+    Telegram::NONE.append(&[0; 5]).append(frame.bytes())
+}
+
+fn set(parameter: Parameter) -> Telegram {
+    Telegram::NONE.append(&Request::Set(parameter).encode())
+}
+
+fn moxa_setpoint(value: i16, latch_index: bool) -> Telegram {
+    let request = Request::Drive {
+        mode: hi_moxa::Mode::Pwm,
+        value,
+        latch_index,
+    };
+    Telegram::NONE.append(&request.encode_cyclic())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn dialect(protocol: Protocol, control: Control) -> Dialect {
+        Dialect {
+            protocol,
+            address: 8,
+            control,
+        }
+    }
+
+    #[test]
+    fn a_cycle_is_the_bytes_of_the_line() {
+        let nfv2 = dialect(Protocol::Nfv2, Control::Pwm);
+        let moxa = dialect(Protocol::HiMoxa, Control::Pwm);
+        let cases: [(Telegram, &[u8]); 8] = [
+            (
+                nfv2.follow(Aim::Drive, 100, false, false),
+                &[
+                    0x23, 0x0E, 0xF1, 0x08, 0x14, 0x02, 0x64, 0x00, 0x1A, 0x00, 0x1B, 0x00, 0x1F,
+                    0x00, 0xE0,
+                ],
+            ),
+            (
+                moxa.follow(Aim::Drive, 745, true, false),
+                &[0, 0, 0, 0, 0x23, 0x00, 0xE9, 0x02, 0, 0, 0x20, 0x20],
+            ),
+            (
+                moxa.follow(Aim::Index, -1, true, false),
+                &[0, 0, 0, 0, 0x23, 0x10, 0xFF, 0xFF, 0, 0, 0x20, 0x20],
+            ),
+            (
+                moxa.follow(Aim::Drive, 5, true, true),
+                &[0, 0, 0, 0, 0x23, 0x1F, 0x00, 0x00, 0, 0],
+            ),
+            (
+                moxa.rest(Aim::Manual, 1),
+                &[0, 0, 0, 0, 0x23, 0x9F, 0x00, 0x00, 0, 0],
+            ),
+            (
+                moxa.rest(Aim::Error, 0),
+                &[0, 0, 0, 0, 0x23, 0x9F, 0x04, 0x00, 0, 0],
+            ),
+            (
+                moxa.switch_on(2),
+                &[0, 0, 0, 0, 0x23, 0x9F, 0x03, 0x00, 0, 0],
+            ),
+            (
+                moxa.farewell(Aim::Manual),
+                &[
+                    0, 0, 0, 0, 0x23, 0x00, 0, 0, 0, 0, 0x20, 0x20, 0, 0, 0, 0, 0x23, 0x9F, 0, 0,
+                    0, 0,
+                ],
+            ),
+        ];
+        for (telegram, bytes) in cases {
+            assert_eq!(telegram.bytes(), bytes);
+        }
+        for first in [
+            moxa.switch_on(0),
+            moxa.switch_on(1),
+            moxa.rest(Aim::Manual, 0),
+        ] {
+            assert_eq!(first.bytes(), moxa.zero().bytes());
+        }
+    }
+
+    #[test]
+    fn a_set_point_stands_before_the_mode_that_it_is_for() {
+        let nfv2 = dialect(Protocol::Nfv2, Control::Current);
+        let items = |telegram: Telegram| {
+            let bytes = telegram.bytes();
+            let start = bytes.iter().position(|byte| *byte == 0x23).unwrap();
+            bytes[start + 4..bytes.len() - 1].to_vec()
+        };
+        // 12 set-point, 1E forget the reference, 10 mode, then the reads.
+        assert_eq!(
+            items(nfv2.follow(Aim::Index, -250, true, true)),
+            [
+                0x12, 2, 0x06, 0xFF, 0x1E, 4, 2, 0, 0, 0, 0x10, 1, 0x11, 0x1A, 0, 0x1B, 0, 0x1F, 0
+            ]
+        );
+        let off = [0x12, 2, 0, 0, 0x10, 1, 0x01, 0x1A, 0, 0x1B, 0, 0x1F, 0];
+        assert_eq!(items(nfv2.rest(Aim::Manual, 0)), off);
+        assert_eq!(items(nfv2.farewell(Aim::Manual)), off);
+    }
+}

@@ -1,0 +1,123 @@
+//! The service port of maxon's axis controllers: the object dictionary of an emulated EPOS over a serial line.
+//!
+//! [`Epos4Serial`] speaks [`serial::epos4`], [`Epos2Serial`] [`serial::epos2`]. Behind both is an [`Epos4`] of
+//! its own with its axis, that hangs on no CAN bus: an EPOS2's dictionary differs from it, and what is served
+//! is EPOS4's, of which the objects of CiA 301 and CiA 402 are common to both.
+//!
+//! Choices where maxon's documents, as far as read, are silent: a device that boots says nothing; in the NMT
+//! state stopped objects are refused with 0x0F00_FFC0; other nodes, there being no bus to reach them, with
+//! 0x0F00_FFB9; a frame with a wrong CRC is answered with 0x0504_0004 by an EPOS4; an object of more than
+//! four bytes can only be read in segments; what comes before the answer to an earlier request is not heard.
+
+mod epos2;
+mod epos4;
+#[cfg(test)]
+mod tests;
+
+pub use epos2::Epos2Serial;
+pub use epos4::Epos4Serial;
+
+use std::time::Duration;
+
+use can::Instant;
+use canopen::Object;
+use canopen::sdo::{AbortCode, MAX_SIZE};
+
+use crate::{Device, Epos4, Epos4Config};
+
+/// What distinguishes one unit's port from another's.
+#[derive(Clone, Debug)]
+pub struct EposSerialConfig {
+    /// The device.
+    pub epos: Epos4Config,
+    /// From the last byte of what it answers or acknowledges to the first of its own.
+    pub turn_around: Duration,
+    /// After such a pause in the middle of a frame or an exchange it is over (objects 0x2005, 0x2006).
+    pub time_out: Duration,
+    /// The most bytes an EPOS4 puts in one segment, 1 to [`serial::epos4::MAX_SEGMENT`].
+    pub segment: u8,
+}
+
+impl EposSerialConfig {
+    /// Quick to answer, with maxon's frame time-out.
+    pub fn new(epos: Epos4Config) -> Self {
+        Self {
+            epos,
+            turn_around: Duration::from_micros(100),
+            time_out: serial::epos4::TIME_OUT,
+            segment: serial::epos4::MAX_SEGMENT as u8,
+        }
+    }
+}
+
+/// The device behind a port.
+struct Service {
+    epos: Epos4,
+}
+
+impl Service {
+    fn new(config: &Epos4Config) -> Self {
+        Self {
+            epos: Epos4::new(config.clone()),
+        }
+    }
+
+    /// Runs the device to `now`; what it says on CAN nobody hears.
+    fn run(&mut self, now: Instant) {
+        if self.epos.poll_timeout().is_some_and(|at| at <= now) {
+            self.epos.handle_timeout(now);
+        }
+        while self.epos.poll_transmit(now).is_some() {}
+    }
+
+    /// Reads an object of up to four bytes.
+    fn read(&mut self, node: u8, object: Object, now: Instant) -> Result<u32, AbortCode> {
+        let mut bytes = [0; MAX_SIZE];
+        match self.read_whole(node, object, &mut bytes, now)? {
+            0..=4 => Ok(u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]])),
+            _ => Err(AbortCode::TOO_LONG),
+        }
+    }
+
+    fn read_whole(
+        &mut self,
+        node: u8,
+        object: Object,
+        into: &mut [u8; MAX_SIZE],
+        now: Instant,
+    ) -> Result<usize, AbortCode> {
+        self.check_node(node)?;
+        self.epos.read(object, into, now)
+    }
+
+    /// Writes the low bytes of `value`, as many as the object has.
+    fn write(
+        &mut self,
+        node: u8,
+        object: Object,
+        value: u32,
+        now: Instant,
+    ) -> Result<(), AbortCode> {
+        let size = self.epos.size(object).map_or(4, |size| size.min(4));
+        self.write_whole(node, object, &value.to_le_bytes()[..size], now)
+    }
+
+    fn write_whole(
+        &mut self,
+        node: u8,
+        object: Object,
+        data: &[u8],
+        now: Instant,
+    ) -> Result<(), AbortCode> {
+        self.check_node(node)?;
+        self.epos.write(object, data, now)
+    }
+
+    fn check_node(&self, node: u8) -> Result<(), AbortCode> {
+        if self.epos.is_node(node) {
+            Ok(())
+        } else {
+            Err(AbortCode::MAXON_NODE_ID)
+        }
+    }
+}

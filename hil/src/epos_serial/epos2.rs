@@ -1,0 +1,208 @@
+use can::Instant;
+use canopen::Object;
+use canopen::sdo::AbortCode;
+use serial::epos2::{
+    ANSWER, Acknowledge, Answer, MAX_WORDS, Malformed, Request, Telegram, body_length,
+};
+
+use super::{EposSerialConfig, Service};
+use crate::outbox::{Heard, Outbox};
+use crate::{Device, Epos4, LineDevice};
+
+/// The RS-232 port of an EPOS2.
+///
+/// ```text
+/// Idle --opcode, O--> Body --whole, O--> Answering --O--> Ending --any--> Idle
+///                      |  damaged, F        | other
+///                      +--> Idle            +--> Idle          pause: --> Idle
+/// ```
+///
+/// An opcode it does not know is taken to its end and refused with 0x0F00_FFBF. An NMT command goes from
+/// Body straight to Idle. While it has something to send, it does not listen.
+pub struct Epos2Serial {
+    config: EposSerialConfig,
+    service: Service,
+    state: State,
+    body: [u8; body_length(MAX_WORDS)],
+    last: Instant,
+    outbox: Outbox,
+    heard: Heard,
+}
+
+#[derive(Clone, Copy)]
+enum State {
+    Idle,
+    /// So many bytes behind this opcode are there.
+    Body {
+        opcode: u8,
+        count: usize,
+    },
+    /// The opcode of an answer is sent, and its ready acknowledgement awaited.
+    Answering(Telegram),
+    /// All of the answer is sent, and its end acknowledgement awaited.
+    Ending,
+}
+
+impl Epos2Serial {
+    /// Switched on with the device behind it.
+    pub fn new(config: EposSerialConfig) -> Self {
+        Self {
+            service: Service::new(&config.epos),
+            state: State::Idle,
+            body: [0; body_length(MAX_WORDS)],
+            last: config.epos.power_on,
+            outbox: Outbox::new(),
+            heard: Heard::default(),
+            config,
+        }
+    }
+
+    /// The device.
+    pub fn epos(&self) -> &Epos4 {
+        &self.service.epos
+    }
+
+    /// What it has heard.
+    pub fn heard(&self) -> Heard {
+        self.heard
+    }
+
+    fn send(&mut self, bytes: &[u8], now: Instant) {
+        let at = now + self.config.turn_around;
+        self.heard.overrun += self.outbox.put(at, bytes) as u64;
+    }
+
+    fn take(&mut self, byte: u8, now: Instant) -> State {
+        match self.state {
+            State::Idle => {
+                self.send(&[Acknowledge::Okay.byte()], now);
+                State::Body {
+                    opcode: byte,
+                    count: 0,
+                }
+            }
+            State::Body { opcode, count } => {
+                self.body[count] = byte;
+                let count = count + 1;
+                if count < body_length(usize::from(self.body[0]) + 1) {
+                    State::Body { opcode, count }
+                } else {
+                    self.finish(opcode, count, now)
+                }
+            }
+            State::Answering(telegram) => {
+                if Acknowledge::from_byte(byte) == Some(Acknowledge::Okay) {
+                    self.send(telegram.body(), now);
+                    State::Ending
+                } else {
+                    self.heard.skipped += 1;
+                    State::Idle
+                }
+            }
+            State::Ending => State::Idle,
+        }
+    }
+
+    /// A telegram has arrived.
+    fn finish(&mut self, opcode: u8, count: usize, now: Instant) -> State {
+        let request = Request::decode(opcode, &self.body[..count]);
+        if request == Err(Malformed::Damaged) {
+            self.heard.damaged += 1;
+            self.send(&[Acknowledge::Failed.byte()], now);
+            return State::Idle;
+        }
+        let answer = match request {
+            Ok(request) => {
+                let done = self.obey(request, now);
+                self.count(done.is_ok());
+                let answer = done.unwrap_or_else(|code| Answer::Refused(code.0));
+                request.is_answered().then(|| answer.encode(&request))
+            }
+            Err(_) => {
+                self.count(false);
+                let shape = Request::Nmt {
+                    node: 0,
+                    command: 0,
+                };
+                Some(Answer::Refused(AbortCode::MAXON_ILLEGAL_COMMAND.0).encode(&shape))
+            }
+        };
+        let Some(answer) = answer else {
+            self.send(&[Acknowledge::Okay.byte()], now);
+            return State::Idle;
+        };
+        self.send(&[Acknowledge::Okay.byte(), ANSWER], now);
+        State::Answering(answer)
+    }
+
+    fn obey(&mut self, request: Request, now: Instant) -> Result<Answer, AbortCode> {
+        match request {
+            Request::Read {
+                node,
+                index,
+                subindex,
+            } => {
+                let value = self.service.read(node, Object::new(index, subindex), now)?;
+                Ok(Answer::Value(value))
+            }
+            Request::Write {
+                node,
+                index,
+                subindex,
+                value,
+            } => {
+                let object = Object::new(index, subindex);
+                self.service.write(node, object, value, now)?;
+                Ok(Answer::Done)
+            }
+            Request::Nmt { node, command } => {
+                self.service.epos.command_nmt(command, node, now)?;
+                Ok(Answer::Done)
+            }
+        }
+    }
+
+    fn count(&mut self, obeyed: bool) {
+        if obeyed {
+            self.heard.obeyed += 1;
+        } else {
+            self.heard.refused += 1;
+        }
+    }
+}
+
+impl LineDevice for Epos2Serial {
+    fn receive(&mut self, byte: u8, now: Instant) {
+        self.outbox.run(now);
+        self.service.run(now);
+        if now.since(self.last) > self.config.time_out {
+            if let State::Body { count, .. } = self.state {
+                self.heard.skipped += count as u64 + 1;
+            }
+            self.state = State::Idle;
+        }
+        self.last = now;
+        if !self.service.epos.has_booted() || !self.outbox.is_empty() {
+            self.heard.skipped += 1;
+        } else {
+            self.state = self.take(byte, now);
+        }
+    }
+
+    fn poll_transmit(&mut self, now: Instant) -> Option<u8> {
+        self.outbox.poll_transmit(now)
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        let answers = self.outbox.poll_timeout();
+        answers
+            .into_iter()
+            .chain(self.service.epos.poll_timeout())
+            .min()
+    }
+
+    fn handle_timeout(&mut self, now: Instant) {
+        self.outbox.run(now);
+        self.service.run(now);
+    }
+}

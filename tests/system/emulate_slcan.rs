@@ -1,0 +1,155 @@
+//! `mrroc emulate --slcan`: an arm behind an emulated adapter, reached as any slcan adapter is.
+
+use std::fs::{self, File};
+use std::io::{Read, Write};
+use std::os::fd::AsFd;
+use std::path::Path;
+use std::time::Duration;
+
+use can::slcan::{Command, Report, Splitter};
+use can::timing::Bitrate;
+use can::{Frame, Instant, clock};
+use canopen::sdo::{Expedited, Initiate, Request, Response};
+use canopen::{NodeId, nmt, objects};
+
+use crate::mrroc::{Directory, Running, example, mrroc, text};
+
+/// Nothing here takes longer.
+const DEADLINE: Duration = Duration::from_secs(30);
+/// After which a request is made again: a drive that still boots does not answer.
+const AGAIN: Duration = Duration::from_millis(200);
+
+/// The host's end of an adapter.
+struct Host {
+    tty: File,
+    splitter: Splitter,
+    reports: Vec<Report>,
+}
+
+impl Host {
+    /// Opens the tty as soon as it is there.
+    fn open(link: &Path) -> Self {
+        let end = clock::now() + DEADLINE;
+        while fs::symlink_metadata(link).is_err() {
+            assert!(clock::now() < end, "no link appeared");
+            clock::sleep_until(clock::now() + Duration::from_millis(10));
+        }
+        let tty = File::options().read(true).write(true).open(link).unwrap();
+        Self {
+            tty,
+            splitter: Splitter::default(),
+            reports: Vec::new(),
+        }
+    }
+
+    fn say(&mut self, command: Command) {
+        self.tty.write_all(&command.encode().unwrap()).unwrap();
+    }
+
+    /// Hears reports until one is `wanted`, or until `until`.
+    fn hear(&mut self, until: Instant, wanted: impl Fn(&Report) -> bool) -> bool {
+        loop {
+            if let Some(at) = self.reports.iter().position(&wanted) {
+                self.reports.drain(..=at);
+                return true;
+            }
+            if clock::now() >= until {
+                return false;
+            }
+            hil::pty::wait([(self.tty.as_fd(), false)], until).unwrap();
+            if clock::now() >= until {
+                return false;
+            }
+            let mut bytes = [0; 512];
+            let count = self.tty.read(&mut bytes).unwrap();
+            for &byte in &bytes[..count] {
+                if let Some(piece) = self.splitter.push(byte) {
+                    self.reports.push(Report::parse(piece).unwrap());
+                }
+            }
+        }
+    }
+
+    /// Sends a frame again and again until it is answered by `answer`.
+    fn ask(&mut self, frame: Frame, answer: Frame) {
+        let answered =
+            |report: &Report| matches!(report, Report::Received { frame, .. } if *frame == answer);
+        let end = clock::now() + DEADLINE;
+        while clock::now() < end {
+            self.say(Command::Transmit(frame));
+            if self.hear(clock::now() + AGAIN, answered) {
+                return;
+            }
+        }
+        panic!("no {answer} came; last {:?}", self.reports);
+    }
+}
+
+#[test]
+fn drives_behind_an_adapter_answer_and_the_adapter_goes_with_its_emulator() {
+    let directory = Directory::new();
+    let cell = directory.write("cell.toml", &text("irb6"));
+    let link = directory.path("can0");
+    let emulator = Running::start([
+        "emulate".as_ref(),
+        cell.as_os_str(),
+        "--slcan".as_ref(),
+        link.as_os_str(),
+    ]);
+    let mut host = Host::open(&link);
+    let soon = clock::now() + DEADLINE;
+    for command in [
+        Command::Close,
+        Command::Bitrate(Bitrate::KBPS_1000),
+        Command::Open,
+    ] {
+        host.say(command);
+        assert!(host.hear(soon, |report| *report == Report::Done));
+    }
+    for number in 1..=5 {
+        let node = NodeId::new(number).unwrap();
+        let object = objects::VENDOR_ID;
+        let initiate = Initiate::Expedited(Expedited::from(0x0000_00FB_u32));
+        host.ask(
+            Request::InitiateUpload { object }.encode(node),
+            Response::InitiateUpload { object, initiate }.encode(node),
+        );
+    }
+    // All nodes hear it, and boot.
+    let reset = nmt::Command::ResetNode.to_all();
+    host.say(Command::Transmit(reset.encode()));
+    let booted = |report: &Report| matches!(report, Report::Received { frame, .. } if frame.to_string() == "705#00");
+    assert!(host.hear(soon, booted));
+    emulator.signal("INT");
+    let output = emulator.output();
+    assert!(output.status.success(), "{output:?}");
+    assert!(output.stdout.contains("behind"), "{output:?}");
+    assert!(fs::symlink_metadata(&link).is_err());
+}
+
+#[test]
+fn a_link_that_cannot_be_made_is_refused_before_anything_runs() {
+    let directory = Directory::new();
+    let file = directory.write("can0", "precious");
+    let cell = example("irb6");
+    let emulate = |options: &[&str]| {
+        let cell = cell.to_str().unwrap();
+        mrroc([&["emulate", cell], options].concat())
+    };
+    let taken = file.to_str().unwrap();
+    let cases: [(&[&str], &str); 4] = [
+        (&["--slcan", taken], "no symbolic link"),
+        (&["--slcan", "leg=/tmp/can0"], "no bus \"leg\""),
+        (&["--slcan", "/tmp/a", "--can", "can0"], "already elsewhere"),
+        (
+            &["--slcan", "/tmp/a", "--slcan", "arm=/tmp/b"],
+            "already elsewhere",
+        ),
+    ];
+    for (options, word) in cases {
+        let output = emulate(options);
+        assert_eq!(output.status.code(), Some(2), "{output:?}");
+        assert!(output.stderr.contains(word), "{output:?}");
+    }
+    assert_eq!(fs::read_to_string(&file).unwrap(), "precious");
+}
