@@ -5,6 +5,7 @@
 //!
 //! Exit status: 0 done; 1 told, and the node did not do it, or broken off by Ctrl-C; 2 refused or no answer.
 
+mod data_sheet;
 pub(crate) mod decode;
 pub(crate) mod lss;
 pub(crate) mod monitor;
