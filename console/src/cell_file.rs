@@ -1,10 +1,14 @@
-//! A cell file that was read and checked; what its programs ask for is not yet looked at.
+//! A cell file that was read and checked, with the device configuration files it names; what its programs ask for is not
+//! yet looked at.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use controller::cell::{Cell, CellError};
 use controller::generator::Arm;
+use drive::cia402::Identity;
+
+use crate::configuration::Configuration;
 
 /// A cell with the arms of its robots, and the text it came from.
 pub(crate) struct CellFile {
@@ -13,6 +17,8 @@ pub(crate) struct CellFile {
     pub(crate) cell: Cell,
     /// One per robot.
     pub(crate) arms: Vec<Arm>,
+    /// Of each axis of each robot that has a device configuration file.
+    configurations: Vec<Vec<Option<Configuration>>>,
 }
 
 impl CellFile {
@@ -25,12 +31,37 @@ impl CellFile {
             .iter()
             .map(|robot| robot.arm().expect("a parsed cell has sound parameters"))
             .collect();
-        Ok(Self {
+        let mut file = Self {
             path: path.to_owned(),
             text,
             cell,
             arms,
-        })
+            configurations: Vec::new(),
+        };
+        for robot in 0..file.cell.robot.len() {
+            let axes = 0..file.cell.robot[robot].axis.len();
+            let read = axes.map(|axis| Configuration::read(&file, robot, axis));
+            let read = read.collect::<anyhow::Result<_>>()?;
+            file.configurations.push(read);
+        }
+        Ok(file)
+    }
+
+    /// The device configuration of axis `axis` of robot `robot`, if it has one.
+    pub(crate) fn configuration(&self, robot: usize, axis: usize) -> Option<&Configuration> {
+        self.configurations[robot][axis].as_ref()
+    }
+
+    /// Who the drive of an axis must be: by the cell, and by its device configuration file where the cell does not say.
+    pub(crate) fn identity(&self, robot: usize, axis: usize) -> Identity {
+        let drive = self.cell.robot[robot].axis[axis].cia402();
+        let configured = self.configuration(robot, axis);
+        let configured = |of: fn(&Configuration) -> Option<u32>| configured.and_then(of);
+        Identity {
+            vendor: drive.vendor,
+            product: drive.product.or(configured(|dcf| dcf.product)),
+            revision: drive.revision.or(configured(|dcf| dcf.revision)),
+        }
     }
 
     /// The error of the value at `key`, with its line.

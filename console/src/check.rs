@@ -26,6 +26,17 @@ struct CheckedRobot {
     name: String,
     axes: usize,
     instructions: usize,
+    configurations: Vec<CheckedConfiguration>,
+}
+
+/// What a device configuration file asks for.
+#[derive(Serialize)]
+struct CheckedConfiguration {
+    axis: String,
+    file: String,
+    writes: usize,
+    /// Values that the file only notes.
+    left_out: usize,
 }
 
 /// Checks a cell file, its programs and its buses.
@@ -33,10 +44,12 @@ pub(crate) fn check(path: &Path, json: bool) -> anyhow::Result<ExitCode> {
     let file = CellFile::read(path)?;
     let buses = budget::check(&file)?;
     let program = rehearsal::rehearse(&file)?;
-    let robots = file.cell.robot.iter().map(|robot| CheckedRobot {
+    let robots = file.cell.robot.iter().enumerate();
+    let robots = robots.map(|(number, robot)| CheckedRobot {
         name: robot.name.clone(),
         axes: robot.axis.len(),
         instructions: robot.program.len(),
+        configurations: configurations(&file, number),
     });
     let checked = Checked {
         cell: file.cell.name.clone(),
@@ -53,12 +66,32 @@ pub(crate) fn check(path: &Path, json: bool) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
+fn configurations(file: &CellFile, robot: usize) -> Vec<CheckedConfiguration> {
+    let axes = file.cell.robot[robot].axis.iter().enumerate();
+    let configured = axes.filter_map(|(number, axis)| {
+        let configuration = file.configuration(robot, number)?;
+        Some(CheckedConfiguration {
+            axis: axis.name.clone(),
+            file: configuration.path.display().to_string(),
+            writes: configuration.download.writes.len(),
+            left_out: configuration.download.left_out,
+        })
+    });
+    configured.collect()
+}
+
 fn print(checked: &Checked) {
     for robot in &checked.robots {
         println!(
             "robot {}: {} axes, {} instructions",
             robot.name, robot.axes, robot.instructions
         );
+        for configured in &robot.configurations {
+            println!(
+                "  axis {}: {} asks for {} writes and notes {} values more",
+                configured.axis, configured.file, configured.writes, configured.left_out
+            );
+        }
     }
     println!("programs take {:.1} s after homing", checked.program_s);
     for bus in &checked.buses {

@@ -171,16 +171,29 @@ pub(crate) fn devices(file: &CellFile, bus: usize, power_on: Instant) -> Vec<Box
 }
 
 fn device(file: &CellFile, robot: usize, number: usize, power_on: Instant) -> Box<dyn Device> {
+    Box::new(Epos4::new(config(file, robot, number, power_on)))
+}
+
+/// What stands in for the drive of an axis.
+pub(crate) fn config(
+    file: &CellFile,
+    robot: usize,
+    number: usize,
+    power_on: Instant,
+) -> Epos4Config {
     let axis = &file.cell.robot[robot].axis[number];
     let node = NodeId::new(axis.node).expect("a parsed cell has valid node-IDs");
-    let vendor = axis.emulator.vendor.unwrap_or(axis.cia402().vendor);
-    let config = Epos4Config {
-        vendor,
+    let identity = file.identity(robot, number);
+    let usual = Epos4Config::new(node, plant(file, robot, number));
+    let revision = axis.emulator.revision.or(identity.revision);
+    Epos4Config {
+        vendor: axis.emulator.vendor.unwrap_or(identity.vendor),
+        product: identity.product.unwrap_or(usual.product),
+        revision: revision.unwrap_or(usual.revision),
         seed: seed(file, robot, number),
         power_on,
-        ..Epos4Config::new(node, plant(file, robot, number))
-    };
-    Box::new(Epos4::new(config))
+        ..usual
+    }
 }
 
 fn seed(file: &CellFile, robot: usize, number: usize) -> u64 {

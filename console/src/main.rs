@@ -10,6 +10,8 @@ mod budget;
 mod bus_port;
 mod cell_file;
 mod check;
+mod configuration;
+mod eds;
 mod emulate;
 mod emulation;
 mod interfaces;
@@ -71,6 +73,13 @@ enum Command {
     },
     /// Show the frames of a bus in words until Ctrl-C. Sends nothing, unless --map asks.
     Monitor(service::monitor::Options),
+    /// Print the electronic data sheet (EDS of CiA 306) of the drive emulated for an axis.
+    Eds {
+        /// The cell file.
+        cell: PathBuf,
+        /// The axis: ROBOT/AXIS, the axis's name, or its node-ID.
+        axis: String,
+    },
     /// Run a command in a virtual machine that has CAN.
     Vm {
         #[command(subcommand)]
@@ -90,6 +99,7 @@ fn main() -> ExitCode {
         Command::Nmt(options) => service::nmt::nmt(&options),
         Command::Lss { action } => service::lss::lss(&action),
         Command::Monitor(options) => service::monitor::monitor(&options),
+        Command::Eds { cell, axis } => eds::eds(&cell, &axis),
         Command::Vm { machine } => vm::vm(&machine),
         Command::Schema => check::schema(),
     };

@@ -14,6 +14,7 @@ use servo::thread::{CellTime, Realtime, RealtimePolicy};
 use servo::{EffectorConfig, ServoConfig};
 
 use crate::cell_file::CellFile;
+use crate::configuration::Configuration;
 
 /// Longest time that all axes of an effector may take to home.
 const HOMING: Duration = Duration::from_secs(120);
@@ -26,7 +27,12 @@ const LEAD: u16 = 100;
 pub(crate) fn axis_configs(file: &CellFile, bus: usize) -> Vec<AxisConfig> {
     let config = |(robot, number): (usize, usize)| {
         let axis = &file.cell.robot[robot].axis[number];
-        axis.drive_config(file.arms[robot].robot().home()[number])
+        let configuration = file.configuration(robot, number);
+        AxisConfig {
+            identity: file.identity(robot, number),
+            configuration: configuration.map_or_else(Vec::new, Configuration::settings),
+            ..axis.drive_config(file.arms[robot].robot().home()[number])
+        }
     };
     file.cell.axes_on(bus).map(config).collect()
 }

@@ -48,8 +48,10 @@ mount -t hostfs -o "$output" none "$output" || power_off
 
 step load net/can/can
 step load net/can/can-raw
+step load net/can/can-bcm
 step load drivers/net/can/dev/can-dev
 step load drivers/net/can/vcan
+step load drivers/net/can/slcan/slcan
 step load net/sched/sch_tbf
 step ip link set lo up
 step ip link add dev vcan0 type vcan

@@ -5,6 +5,7 @@
 //! `MRROC_LEAVE_OUT=vcan` says that it may be left out.
 
 use std::env;
+use std::fmt::Display;
 use std::time::Duration;
 
 use hil::uml;
@@ -49,14 +50,18 @@ pub(crate) fn on_vcan(test: &str, body: impl FnOnce(&str)) {
 /// Whether `test` is to be left out for want of user-mode Linux; panics if it is wanting and
 /// `MRROC_LEAVE_OUT` does not say so.
 pub(crate) fn left_out(test: &str) -> bool {
-    let Err(error) = uml::installed() else {
-        return false;
-    };
+    let wanting = uml::installed().err();
+    wanting
+        .inspect(|error| may_leave_out("vcan", test, error))
+        .is_some()
+}
+
+/// Says that `test` is left out for want of `what`; panics if `MRROC_LEAVE_OUT` does not ask for that.
+pub(crate) fn may_leave_out(what: &str, test: &str, wanting: &dyn Display) {
     let allowed = env::var("MRROC_LEAVE_OUT").unwrap_or_default();
     assert!(
-        allowed.split(',').any(|bench| bench == "vcan"),
-        "{error}; or leave these tests out with MRROC_LEAVE_OUT=vcan"
+        allowed.split(',').any(|bench| bench == what),
+        "{wanting}; or leave these tests out with MRROC_LEAVE_OUT={what}"
     );
-    eprintln!("left out: vcan ({test})");
-    true
+    eprintln!("left out: {what} ({test})");
 }

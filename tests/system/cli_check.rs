@@ -224,11 +224,12 @@ fn every_key_of_the_example_cells_is_in_the_schema() {
 
 #[test]
 fn every_command_explains_itself() {
-    let commands: [&[&str]; 7] = [
+    let commands: [&[&str]; 8] = [
         &[],
         &["check"],
         &["run"],
         &["emulate"],
+        &["eds"],
         &["vm"],
         &["vm", "uml"],
         &["schema"],

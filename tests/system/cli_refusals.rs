@@ -5,7 +5,7 @@ use std::path::Path;
 use crate::mrroc::{Directory, Output, enables, example, mrroc, text, trace};
 
 /// Asserts one line on stderr with each of `needles`, silence on stdout, and exit status 2.
-fn refused(run: &Output, needles: &[&str]) {
+pub(crate) fn refused(run: &Output, needles: &[&str]) {
     assert_eq!(run.status.code(), Some(2), "{run:?}");
     assert_eq!(run.stdout, "", "{run:?}");
     assert_eq!(run.stderr.lines().count(), 1, "{run:?}");
@@ -15,7 +15,7 @@ fn refused(run: &Output, needles: &[&str]) {
     }
 }
 
-fn run_in_lockstep(cell: &Path, log: &Path) -> Output {
+pub(crate) fn run_in_lockstep(cell: &Path, log: &Path) -> Output {
     mrroc([
         "run".as_ref(),
         cell.as_os_str(),

@@ -2,6 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "in a test it is a verdict")]
 
+mod adapter;
 mod allocations;
 mod architecture;
 mod bench;
@@ -9,12 +10,14 @@ mod cell;
 mod cli_check;
 mod cli_refusals;
 mod cli_run;
+mod configuration;
 mod cycle;
 mod emulate_slcan;
 mod faults;
 mod homing;
 mod motion;
 mod mrroc;
+mod peers;
 mod regression;
 mod repetition;
 mod service;

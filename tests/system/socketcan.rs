@@ -17,16 +17,16 @@ use crate::bench::on_vcan;
 /// Long enough for anything that happens at all.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-fn sh(command: &str) {
+pub(crate) fn sh(command: &str) {
     let status = Command::new("sh").args(["-c", command]).status().unwrap();
     assert!(status.success(), "{command}: {status}");
 }
 
 /// A virtual interface of the test's own, removed on drop.
-struct Vcan(&'static str);
+pub(crate) struct Vcan(pub(crate) &'static str);
 
 impl Vcan {
-    fn new(name: &'static str) -> Self {
+    pub(crate) fn new(name: &'static str) -> Self {
         sh(&format!(
             "ip link add dev {name} type vcan && ip link set {name} up"
         ));

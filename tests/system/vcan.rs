@@ -35,14 +35,14 @@ const PATIENCE: Duration = Duration::from_secs(10);
 const LOST: u32 = 3;
 
 /// One test's interface, its cell, and where its processes write.
-struct Stage<'a> {
-    interface: &'a str,
-    directory: Directory,
-    cell: Cell,
+pub(crate) struct Stage<'a> {
+    pub(crate) interface: &'a str,
+    pub(crate) directory: Directory,
+    pub(crate) cell: Cell,
 }
 
 /// Runs `body` where `test` has an interface, with the program built before.
-fn on_stage(test: &str, body: impl FnOnce(&mut Stage)) {
+pub(crate) fn on_stage(test: &str, body: impl FnOnce(&mut Stage)) {
     // One at a time: a machine that waits for its processor misses deadlines.
     static TURN: Mutex<()> = Mutex::new(());
     let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
@@ -75,7 +75,7 @@ fn shorten(cell: &mut Cell) {
 }
 
 impl Stage<'_> {
-    fn change(&mut self, change: impl FnOnce(&mut Cell)) {
+    pub(crate) fn change(&mut self, change: impl FnOnce(&mut Cell)) {
         change(&mut self.cell);
         let text = toml::to_string(&self.cell).unwrap();
         self.directory.write("cell.toml", &text);
@@ -86,7 +86,7 @@ impl Stage<'_> {
     }
 
     /// Starts `candump`, and returns once it listens.
-    fn start_candump(&self) -> Recorder {
+    pub(crate) fn start_candump(&self) -> Recorder {
         let log = File::create(self.directory.path("bus.log")).unwrap();
         let mut candump = Command::new("candump");
         candump.args(["-L", self.interface]);
@@ -94,7 +94,7 @@ impl Stage<'_> {
     }
 
     /// Starts the emulators, and returns once they listen.
-    fn start_emulators(&self) -> Running {
+    pub(crate) fn start_emulators(&self) -> Running {
         let cell = self.directory.path("cell.toml");
         started(|| {
             let arguments = ["emulate".as_ref(), cell.as_os_str()];
@@ -139,7 +139,7 @@ impl Stage<'_> {
 }
 
 /// A `candump` at work, killed on drop.
-struct Recorder(Child);
+pub(crate) struct Recorder(Child);
 
 impl Drop for Recorder {
     fn drop(&mut self) {
@@ -148,17 +148,20 @@ impl Drop for Recorder {
     }
 }
 
-/// Starts what listens to every frame, and waits until it does.
-fn started<T>(start: impl FnOnce() -> T) -> T {
-    let listeners =
-        || fs::read_to_string("/proc/net/can/rcvlist_all").map_or(0, |list| list.lines().count());
+/// Starts what listens to frames, and waits until it does.
+pub(crate) fn started<T>(start: impl FnOnce() -> T) -> T {
+    let lines = |kind| {
+        let list = fs::read_to_string(format!("/proc/net/can/rcvlist_{kind}"));
+        list.map_or(0, |list| list.lines().count())
+    };
+    let listeners = || ["all", "fil", "sff"].into_iter().map(lines).sum::<usize>();
     let before = listeners();
     let it = start();
     wait_until("it listens", || listeners() > before);
     it
 }
 
-fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
+pub(crate) fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
     let deadline = clock::now() + PATIENCE;
     while !is_so() {
         assert!(clock::now() < deadline, "waited too long: {what}");
@@ -167,7 +170,7 @@ fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
 }
 
 /// What a recording holds; its last line may still be on its way.
-fn frames_of(path: &Path) -> Vec<Received> {
+pub(crate) fn frames_of(path: &Path) -> Vec<Received> {
     let mut whole = String::new();
     let mut file = BufReader::new(File::open(path).unwrap());
     while file.read_line(&mut whole).unwrap() > 0 {}

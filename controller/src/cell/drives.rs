@@ -157,6 +157,7 @@ impl Axis {
             },
             following_error: self.following_error,
             quick_stop_deceleration: self.max_acceleration,
+            configuration: Vec::new(),
             parameters: drive.parameter.iter().map(parameter).collect(),
         }
     }

@@ -8,6 +8,7 @@ use std::collections::BTreeMap;
 use thiserror::Error;
 
 use crate::eds::{DataType, Eds, Parameter, ParameterValue, Variable};
+use crate::objects::VENDOR_ID;
 use crate::pdo::PdoCobId;
 use crate::{NodeId, Object};
 
@@ -16,8 +17,8 @@ use crate::{NodeId, Object};
 pub struct Download {
     /// In the order in which to do them.
     pub writes: Vec<ObjectWrite>,
-    /// Values that are stated and not written, since the file says so of their objects (`ObjFlags`, bit 0): where a tool has
-    /// put down all that it found in a device.
+    /// Values that are stated and not written: those of objects of which the file says so (`ObjFlags`, bit 0), where a tool
+    /// has put down all that it found in a device, and of object 0x1018, which say what device it is.
     pub left_out: usize,
 }
 
@@ -36,7 +37,7 @@ pub struct ObjectWrite {
 
 /// Why a DCF cannot be downloaded: the line, what is wrong there, what to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[allow(missing_docs, reason = "every field is in the message")]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum DownloadError {
     /// A value for what cannot be written.
     #[error(
@@ -89,7 +90,8 @@ pub fn download(dcf: &Eds, node: NodeId) -> Result<Download, DownloadError> {
         let Some(parameter) = &variable.parameter else {
             continue;
         };
-        if variable.refuses_download {
+        let identity = object.index == VENDOR_ID.index && !variable.access.writable();
+        if variable.refuses_download || identity {
             download.left_out += 1;
             continue;
         }
@@ -319,6 +321,9 @@ AccessType=rw
 [1A01sub3]
 DataType=7
 AccessType=rw
+[1019]
+DataType=5
+AccessType=const
 [2000]
 DataType=9
 AccessType=wo
@@ -432,13 +437,9 @@ AccessType=rw
             let at = DEVICE.find(name).unwrap();
             DEVICE[..at].matches('\n').count() as u32 + 2
         };
-        let vendor = Object::new(0x1018, 1);
-        let line = line_of("[1018sub1]");
-        let error = DownloadError::ReadOnly {
-            line,
-            object: vendor,
-        };
-        assert_eq!(writes(&["1018sub1=0xFB"]), Err(error));
+        let (line, object) = (line_of("[1019]"), Object::new(0x1019, 0));
+        let error = DownloadError::ReadOnly { line, object };
+        assert_eq!(writes(&["1019=1"]), Err(error));
         assert_eq!(error.line(), line);
         let (line, object) = (line_of("[7000]"), Object::new(0x7000, 0));
         let error = DownloadError::DataType {
@@ -452,12 +453,12 @@ AccessType=rw
     }
 
     #[test]
-    fn values_of_objects_that_refuse_a_download_are_left_out() {
-        let mut asked = dcf(&["1018sub1=0xFB", "1017=100"]);
-        let identity = asked.objects.get_mut(&0x1018).unwrap();
-        identity.variables.get_mut(&1).unwrap().refuses_download = true;
+    fn the_identity_and_objects_that_refuse_a_download_are_left_out() {
+        let mut asked = dcf(&["1018sub1=0xFB", "1017=100", "6065=1"]);
+        let window = asked.objects.get_mut(&0x6065).unwrap();
+        window.variables.get_mut(&0).unwrap().refuses_download = true;
         let download = download(&asked, NodeId::MIN).unwrap();
-        assert_eq!((download.writes.len(), download.left_out), (1, 1));
+        assert_eq!((download.writes.len(), download.left_out), (1, 2));
     }
 
     #[test]

@@ -5,7 +5,8 @@
 //! `None`. Both ends of the wire share them. The *objects* ([`sdo::Client`], [`nmt::Master`],
 //! [`heartbeat::Consumer`], [`sync::Producer`] …) are state machines that own no port and no clock:
 //! frames and the time are handed in, frames and events are taken out. Nothing allocates, but for the
-//! room for data that a [`sdo::Client`] makes when it is made.
+//! room for data that a [`sdo::Client`] makes when it is made, and the files that describe devices, [`eds`] and
+//! [`dcf`].
 //!
 //! Left out: PDO mappings that are not byte aligned.
 //!

@@ -44,7 +44,7 @@ Line2=second
 Dummy0005=1
 
 [MandatoryObjects]
-SupportedObjects=2
+SupportedObjects=3
 1=0x1000
 2=4120
 [OptionalObjects]
@@ -342,14 +342,6 @@ const REFUSALS: &[Case] = &[
             found: 4,
         },
     ),
-    ("SupportedObjects=2", "SupportedObjects=3", 0, |line| {
-        EdsError::Count {
-            line,
-            key: "SupportedObjects",
-            said: 3,
-            found: 2,
-        }
-    }),
     ("NrOfEntries=1", "NrOfEntries=2", 0, |line| {
         EdsError::Count {
             line,

@@ -193,6 +193,24 @@ pub enum BringUpError {
         /// What was read back.
         found: u32,
     },
+    /// The drive took bytes and holds others.
+    #[error(
+        "node {node}: {index:#06x}:{subindex:02x} reads back {found} bytes, wrote {written}, the first {same} are equal"
+    )]
+    ReadBackBytes {
+        /// Node-ID.
+        node: u8,
+        /// Object index.
+        index: u16,
+        /// Sub-index.
+        subindex: u8,
+        /// Bytes written.
+        written: usize,
+        /// Bytes read back.
+        found: usize,
+        /// Bytes that are equal, from the first.
+        same: usize,
+    },
     /// The drive did not answer a service request in time.
     #[error("node {node}: {index:#06x}:{subindex:02x} timed out after {waited:.1?}")]
     TimedOut {
@@ -238,6 +256,7 @@ impl BringUpError {
             | Self::WrongIdentity { node, .. }
             | Self::Aborted { node, .. }
             | Self::ReadBack { node, .. }
+            | Self::ReadBackBytes { node, .. }
             | Self::TimedOut { node, .. }
             | Self::ModeUnsupported { node, .. } => Some(node),
             Self::AxisController { .. } | Self::Port(_) => None,

@@ -15,6 +15,7 @@
 //! device whose host sends SYNC costs nothing between SYNCs.
 
 mod drive;
+mod eds;
 mod errors;
 mod homing;
 mod objects;
@@ -123,6 +124,28 @@ pub enum SyncLoss {
     },
 }
 
+/// What one unit has in place of the table's defaults.
+fn identity(config: &Epos4Config) -> [(Slot, u32); 7] {
+    let amps = config.axis.amplifier.max_current;
+    let torque_constant = match &config.axis.plant {
+        PlantConfig::Wut(wut) => wut.torque_constant,
+        PlantConfig::Physical(motor) => motor.torque_constant,
+    };
+    let milliamps = (amps * 1e3).round() as u32;
+    [
+        (Slot::of(named::VENDOR_ID), config.vendor),
+        (Slot::of(named::PRODUCT_CODE), config.product),
+        (Slot::of(named::REVISION), config.revision),
+        (Slot::of(named::SERIAL_NUMBER), config.serial),
+        (Slot::of(named::EPOS4_NOMINAL_CURRENT), milliamps),
+        (Slot::of(named::EPOS4_NOMINAL_CURRENT).plus(1), milliamps),
+        (
+            Slot::of(named::EPOS4_TORQUE_CONSTANT),
+            (torque_constant * 1e6).round() as u32,
+        ),
+    ]
+}
+
 /// An emulated axis controller.
 pub struct Epos4 {
     config: Epos4Config,
@@ -160,24 +183,6 @@ const PRODUCER: Slot = Slot::of(named::PRODUCER_HEARTBEAT);
 impl Epos4 {
     /// Switched on at [`Epos4Config::power_on`].
     pub fn new(config: Epos4Config) -> Self {
-        let amps = config.axis.amplifier.max_current;
-        let torque_constant = match &config.axis.plant {
-            PlantConfig::Wut(wut) => wut.torque_constant,
-            PlantConfig::Physical(motor) => motor.torque_constant,
-        };
-        let milliamps = (amps * 1e3).round() as u32;
-        let identity = [
-            (Slot::of(named::VENDOR_ID), config.vendor),
-            (Slot::of(named::PRODUCT_CODE), config.product),
-            (Slot::of(named::REVISION), config.revision),
-            (Slot::of(named::SERIAL_NUMBER), config.serial),
-            (Slot::of(named::EPOS4_NOMINAL_CURRENT), milliamps),
-            (Slot::of(named::EPOS4_NOMINAL_CURRENT).plus(1), milliamps),
-            (
-                Slot::of(named::EPOS4_TORQUE_CONSTANT),
-                (torque_constant * 1e6).round() as u32,
-            ),
-        ];
         let drive = Drive::new(
             &config.axis,
             config.seed,
@@ -186,7 +191,7 @@ impl Epos4 {
         );
         let boots_at = config.power_on + config.boot_delay;
         Self {
-            objects: Objects::new(config.node, &identity),
+            objects: Objects::new(config.node, &identity(&config)),
             drive,
             errors: Errors::new(config.node),
             pdos: Pdos::NONE,
@@ -201,6 +206,11 @@ impl Epos4 {
             wake_at: Some(boots_at),
             config,
         }
+    }
+
+    /// The electronic data sheet of such a unit.
+    pub fn eds(config: &Epos4Config) -> canopen::eds::Eds {
+        eds::eds(config)
     }
 
     /// The axis with what no drive can know of it.

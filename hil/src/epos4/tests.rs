@@ -1,6 +1,7 @@
 //! A host that speaks to one device byte by byte.
 
 mod communication;
+mod data_sheet;
 mod motion;
 
 use super::*;

@@ -4,7 +4,7 @@ use super::MAX_VARIABLES;
 
 /// Why a file is no electronic data sheet: the line, what is wrong there, what to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[allow(missing_docs, reason = "every field is in the message")]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum EdsError {
     /// A line of no known form.
     #[error("{line}: neither a [section] nor key=value nor a comment behind `;`")]

@@ -356,8 +356,7 @@ impl DataType {
 }
 
 impl Eds {
-    /// Reads the bytes of an EDS or a DCF, in time that grows with their number and no faster but for the logarithm of
-    /// sorting.
+    /// Reads the bytes of an EDS or a DCF, in time proportional to their number (but for the logarithm of a sorted map).
     pub fn read(bytes: &[u8]) -> Result<Self, EdsError> {
         read::read(&ini::decode(bytes))
     }

@@ -383,12 +383,11 @@ fn compact_variable(eds: &mut Eds, index: u16, subindex: u8) -> &mut Variable {
     variable.expect("every sub-index of a compact array was made with it")
 }
 
-/// The indices of a list of objects, each with its line.
+/// The indices of a list of objects, each with its line. `SupportedObjects` counts them, and is off by one in vendors' files that
+/// every tool reads; nothing depends on it.
 fn listed(section: &Section<'_>) -> Result<Vec<(u32, u16)>, EdsError> {
-    let lines: Vec<_> = section.numbered().map(|(_, text)| text).collect();
-    section.count("SupportedObjects", lines.len())?;
     let index = |text: Text<'_>| Ok((text.line, unsigned(text, u16::MAX.into())?));
-    lines.into_iter().map(index).collect()
+    section.numbered().map(|(_, text)| index(text)).collect()
 }
 
 fn file_info(section: &Section<'_>) -> FileInfo {

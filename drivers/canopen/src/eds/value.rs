@@ -87,6 +87,11 @@ impl Value {
 impl fmt::Display for Value {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
+            // A number of this size is a COB-ID, a mapping, an identity or a mask.
+            Self::Integer {
+                value: value @ 0x1_0000..,
+                plus_node: false,
+            } => write!(f, "{value:#010x}"),
             Self::Integer {
                 value,
                 plus_node: false,

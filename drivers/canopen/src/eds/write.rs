@@ -10,15 +10,19 @@ use super::{
 impl Display for Eds {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         self.file.write(f)?;
+        writeln!(f)?;
         self.device.write(f)?;
         if let Some(commissioning) = &self.commissioning {
+            writeln!(f)?;
             commissioning.write(f)?;
         }
-        section(f, format_args!("DummyUsage"))?;
+        writeln!(f)?;
+        section(f, "DummyUsage")?;
         for (dummy, number) in self.dummies.iter().zip(1..) {
             key(f, format_args!("Dummy{number:04}"), u8::from(*dummy))?;
         }
-        section(f, format_args!("Comments"))?;
+        writeln!(f)?;
+        section(f, "Comments")?;
         key(f, "Lines", self.comments.len())?;
         for (line, number) in self.comments.iter().zip(1..) {
             text(f, format_args!("Line{number}"), line)?;
@@ -28,6 +32,7 @@ impl Display for Eds {
                 let indices = self.objects.keys();
                 indices.filter(|index| list_of(**index) == name)
             };
+            writeln!(f)?;
             section(f, name)?;
             key(f, "SupportedObjects", indices().count())?;
             for (index, number) in indices().zip(1..) {

@@ -267,8 +267,8 @@ impl<L: Line> DriveGroup for AxisControllerGroup<L> {
     fn counters(&self) -> GroupCounters {
         let mut counters = self.counters;
         let bits_of_a_byte = match self.config.settings.stop_bits {
-            serial::StopBits::One => 10,
-            serial::StopBits::Two => 11,
+            StopBits::One => 10,
+            StopBits::Two => 11,
         };
         for Controller { line, axis, .. } in &self.controllers {
             let axis = axis.counters;

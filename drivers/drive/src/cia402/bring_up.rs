@@ -5,7 +5,7 @@ use canopen::sdo::{AbortCode, Client, SdoError, Transfer, Write};
 use canopen::{NodeId, Object, nmt};
 
 use super::axis::Learnt;
-use super::config::{AxisConfig, ConfigError, GroupConfig};
+use super::config::{AxisConfig, ConfigError, GroupConfig, Setting};
 use super::program::{Step, program};
 use crate::{BringUpError, Increments};
 
@@ -28,6 +28,7 @@ pub(super) struct NodeBringUp {
     node: NodeId,
     group: GroupConfig,
     program: Vec<Step>,
+    configuration: Vec<Setting>,
     phase: Phase,
     boots: u8,
     learnt: Learnt,
@@ -61,6 +62,7 @@ impl NodeBringUp {
             node: axis.node,
             group: *group,
             program: program(group, axis)?,
+            configuration: axis.configuration.clone(),
             phase: Phase::Operational,
             boots: 0,
             learnt: Learnt::default(),
@@ -186,8 +188,17 @@ impl NodeBringUp {
                     return Ok(());
                 };
                 if !asked {
-                    let write = current.write().filter(|_| !reading_back);
-                    begin(sdo, current.object(), write, now);
+                    match (current, reading_back) {
+                        (Step::Configure(object, number), false) => {
+                            let data = &self.configuration[number].data;
+                            let started = sdo.download(object, data, now);
+                            started.expect("the client is idle and the length was checked");
+                        }
+                        _ => {
+                            let write = current.write().filter(|_| !reading_back);
+                            begin(sdo, current.object(), write, now);
+                        }
+                    }
                     self.phase = Phase::Configuring {
                         step,
                         reading_back,
@@ -281,20 +292,23 @@ impl NodeBringUp {
                 }
             }
             Step::Set(_) | Step::SetIfPresent(_) if !reading_back => return Ok(Next::ReadBack),
+            Step::Configure(_, number) if !reading_back => {
+                return Ok(if self.configuration[number].readable {
+                    Next::ReadBack
+                } else {
+                    Next::Step
+                });
+            }
+            Step::Configure(object, number) => {
+                compare(
+                    self.node,
+                    object,
+                    &self.configuration[number].data,
+                    transfer.data,
+                )?;
+            }
             Step::Set(write) | Step::SetIfPresent(write) => {
-                // A drive that does not give sizes fills up to four bytes.
-                let wrote = write.data.data();
-                if !transfer.data.starts_with(wrote) || transfer.data.len() > 4 {
-                    let Object { index, subindex } = write.object;
-                    let (written, found) = (number(wrote), number(transfer.data));
-                    return Err(BringUpError::ReadBack {
-                        node,
-                        index,
-                        subindex,
-                        written,
-                        found,
-                    });
-                }
+                compare(self.node, write.object, write.data.data(), transfer.data)?;
             }
             Step::Shown(mode) => {
                 let found = transfer.number::<i8>().map_err(error)?;
@@ -328,6 +342,36 @@ impl NodeBringUp {
             }
         }
         Ok(Next::Step)
+    }
+}
+
+/// Whether a drive holds what was written.
+fn compare(node: NodeId, object: Object, wrote: &[u8], found: &[u8]) -> Result<(), BringUpError> {
+    let node = node.raw();
+    let Object { index, subindex } = object;
+    let number_like = (1..=4).contains(&wrote.len()) && found.len() <= 4;
+    // A drive that does not give sizes fills up to four bytes.
+    if found == wrote || number_like && found.starts_with(wrote) {
+        Ok(())
+    } else if number_like {
+        let (written, found) = (number(wrote), number(found));
+        Err(BringUpError::ReadBack {
+            node,
+            index,
+            subindex,
+            written,
+            found,
+        })
+    } else {
+        let same = wrote.iter().zip(found).take_while(|(a, b)| a == b).count();
+        Err(BringUpError::ReadBackBytes {
+            node,
+            index,
+            subindex,
+            written: wrote.len(),
+            found: found.len(),
+            same,
+        })
     }
 }
 

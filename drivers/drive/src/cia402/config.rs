@@ -1,7 +1,9 @@
 use std::time::Duration;
 
-use canopen::NodeId;
 use canopen::cia402::ModeOfOperation;
+use canopen::objects::CONTROLWORD;
+use canopen::sdo::CAPACITY;
+use canopen::{NodeId, Object};
 use thiserror::Error;
 
 use crate::Scale;
@@ -52,7 +54,11 @@ pub struct AxisConfig {
     pub following_error: f64,
     /// Deceleration of a quick stop, rad/s² (object 0x6085).
     pub quick_stop_deceleration: f64,
-    /// Further objects to download, in order, after all that this driver sets itself.
+    /// What its device configuration file states, in order, before all that this driver sets itself and before
+    /// `parameters`: those win.
+    pub configuration: Vec<Setting>,
+    /// Further objects to download, in order, after all that this driver sets itself but the PDOs and the mode of
+    /// operation.
     pub parameters: Vec<Parameter>,
 }
 
@@ -104,6 +110,41 @@ pub struct Parameter {
     pub size: u8,
 }
 
+/// A value of any length for one object of a drive.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Setting {
+    /// Object index.
+    pub index: u16,
+    /// Sub-index.
+    pub subindex: u8,
+    /// The value as it goes over the bus, up to [`CAPACITY`] bytes.
+    pub data: Vec<u8>,
+    /// Whether it can be read back, and is.
+    pub readable: bool,
+}
+
+impl Setting {
+    pub(super) fn object(&self) -> Object {
+        Object::new(self.index, self.subindex)
+    }
+
+    fn check(&self, node: NodeId) -> Result<(), ConfigError> {
+        let why = if self.object() == CONTROLWORD {
+            "the controlword commands the drive"
+        } else if self.data.len() > CAPACITY {
+            "256 bytes at most are transferred"
+        } else {
+            return Ok(());
+        };
+        Err(ConfigError::Setting {
+            node: node.raw(),
+            index: self.index,
+            subindex: self.subindex,
+            why,
+        })
+    }
+}
+
 /// Why a group cannot be configured so.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum ConfigError {
@@ -119,6 +160,18 @@ pub enum ConfigError {
     /// Objects 0x1016 and 0x1017 cannot say this period, or the watch over it.
     #[error("a heartbeat period of {0:?} is not 1 to 21845 whole milliseconds")]
     HeartbeatPeriod(Duration),
+    /// A setting that cannot be, or must not be, written.
+    #[error("node {node}: {index:#06x}:{subindex:02x} cannot be configured: {why}")]
+    Setting {
+        /// Node-ID.
+        node: u8,
+        /// Object index.
+        index: u16,
+        /// Sub-index.
+        subindex: u8,
+        /// Why.
+        why: &'static str,
+    },
     /// A quantity of an axis that is zero, negative, not finite, or beyond what the drive can hold.
     #[error("node {node}: {what} is out of range")]
     OutOfRange {
@@ -244,6 +297,9 @@ pub(super) fn check(config: &GroupConfig, axes: &[AxisConfig]) -> Result<(), Con
             return Err(ConfigError::DuplicateNode(axis.node.raw()));
         }
         axis.drive_units()?;
+        axis.configuration
+            .iter()
+            .try_for_each(|setting| setting.check(axis.node))?;
     }
     config.interpolation_period()?;
     config.heartbeat_times()?;

@@ -23,6 +23,13 @@
 //!
 //! No set-point is clamped, queued or sent twice.
 //!
+//! # Who has the last word on an object
+//! [`AxisConfig::configuration`] is written first. Then this driver sets heartbeats (0x1016:01, 0x1017), reactions (0x1029:01,
+//! 0x6007, 0x605A, 0x6085), the interpolation period (0x60C2), the following error window (0x6065), homing (0x6098, 0x6099,
+//! 0x609A, 0x607C and maxon's 0x30B0, 0x30B1); then [`AxisConfig::parameters`] are written; and last this driver maps
+//! RPDO 1 and TPDO 1, switches the others off, and sets the mode of operation (0x6060). The controlword (0x6040) cannot be
+//! configured.
+//!
 //! Left out: profile modes, interpolated position (EPOS2), several axes behind one node-ID. Read
 //! [`DriveGroup`] first, then `axis`, `bring_up` and `program`.
 
@@ -53,7 +60,7 @@ use canopen::{cob, nmt};
 
 pub use canopen::NodeId;
 pub use config::{
-    AxisConfig, ConfigError, CyclicMode, GroupConfig, HomingConfig, Identity, Parameter,
+    AxisConfig, ConfigError, CyclicMode, GroupConfig, HomingConfig, Identity, Parameter, Setting,
 };
 pub use process_data::pdo_setups;
 pub use recording::Recording;

@@ -23,6 +23,8 @@ pub(super) enum Step {
     Identity(Object, u32),
     /// Object 0x6502 must have these modes.
     Modes([ModeOfOperation; 2]),
+    /// Write this setting of [`AxisConfig::configuration`], and read it back if that can be.
+    Configure(Object, usize),
     /// Write, and read back.
     Set(Write),
     /// Write, and read back; a drive without the object has no other value either.
@@ -40,7 +42,7 @@ pub(super) enum Step {
 impl Step {
     pub(super) fn object(&self) -> Object {
         match self {
-            Self::Identity(object, _) => *object,
+            Self::Identity(object, _) | Self::Configure(object, _) => *object,
             Self::Modes(_) => SUPPORTED_MODES,
             Self::Set(write) | Self::SetIfPresent(write) => write.object,
             Self::Shown(_) => MODE_OF_OPERATION_DISPLAY,
@@ -50,11 +52,12 @@ impl Step {
         }
     }
 
-    /// What it writes; `None` if it only reads.
+    /// The number it writes; `None` if it writes a setting, or only reads.
     pub(super) fn write(&self) -> Option<Write> {
         match self {
             Self::Set(write) | Self::SetIfPresent(write) => Some(*write),
             Self::Identity(..)
+            | Self::Configure(..)
             | Self::Modes(_)
             | Self::Shown(_)
             | Self::Statusword
@@ -92,10 +95,12 @@ pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
         .filter_map(|(object, expected)| Some(Step::Identity(object, expected?)))
         .collect();
     steps.push(Step::Modes([mode, ModeOfOperation::Homing]));
+    // A controller before us may have left the drive enabled.
+    steps.push(Step::Set(Write::new(CONTROLWORD, 0_u16)));
+    let settings = axis.configuration.iter().enumerate();
+    steps.extend(settings.map(|(number, setting)| Step::Configure(setting.object(), number)));
     steps.extend(
         [
-            // A controller before us may have left the drive enabled.
-            Write::new(CONTROLWORD, 0_u16),
             Write::new(PRODUCER_HEARTBEAT, heartbeat),
             Write::new(CONSUMER_HEARTBEAT_1, consumer),
             Write::new(ABORT_CONNECTION_OPTION, ABORT_CONNECTION_BY_QUICK_STOP),

@@ -2,6 +2,7 @@
 
 mod bench;
 mod bring_up;
+mod configuration;
 mod cycle;
 mod faults;
 mod homing;

@@ -49,6 +49,7 @@ pub(super) fn axis_config(raw: u8) -> AxisConfig {
         },
         following_error: tau / 2.0,
         quick_stop_deceleration: tau * 100.0,
+        configuration: Vec::new(),
         parameters: vec![Parameter {
             index: 0x3001,
             subindex: 1,
@@ -134,6 +135,8 @@ pub(super) struct Store {
     pub(super) boots: bool,
     pub(super) starts: bool,
     pub(super) shows_modes: bool,
+    /// The object that is transferred in segments, and its bytes so far, or those left.
+    segments: ((u16, u8), Vec<u8>),
 }
 
 impl Store {
@@ -188,6 +191,7 @@ impl Store {
             boots: true,
             starts: true,
             shows_modes: true,
+            segments: ((0, 0), Vec::new()),
         }
     }
 
@@ -202,6 +206,11 @@ impl Store {
         match (id, frame.data()) {
             (0, &[0x82, raw]) if raw == self.raw && self.boots => new(heartbeat, &[0]),
             (0, &[0x01, raw]) if raw == self.raw && self.starts => new(heartbeat, &[5]),
+            (id, &[specifier @ (0x00..0x20 | 0x60..0x80), ref data @ ..])
+                if id == 0x600 + u16::from(self.raw) =>
+            {
+                new(0x580 + u16::from(self.raw), &self.segment(specifier, data))
+            }
             (id, &[specifier, low, high, subindex, ref data @ ..])
                 if id == 0x600 + u16::from(self.raw) =>
             {
@@ -217,6 +226,26 @@ impl Store {
         }
     }
 
+    /// The next seven bytes, either way.
+    fn segment(&mut self, specifier: u8, data: &[u8]) -> [u8; 8] {
+        let (object, bytes) = &mut self.segments;
+        let mut answer = [0; 8];
+        if specifier < 0x20 {
+            let unused = usize::from(specifier >> 1 & 7);
+            bytes.extend(&data[..7 - unused]);
+            answer[0] = 0x20 | specifier & 0x10;
+            if specifier & 1 == 1 && self.forgetful != Some(*object) {
+                self.objects.insert(*object, std::mem::take(bytes));
+            }
+        } else {
+            let count = bytes.len().min(7);
+            answer[1..=count].copy_from_slice(&bytes[..count]);
+            bytes.drain(..count);
+            answer[0] = specifier & 0x10 | (7 - count as u8) << 1 | u8::from(bytes.is_empty());
+        }
+        answer
+    }
+
     fn serve(&mut self, specifier: u8, object: (u16, u8), data: &[u8]) -> Option<(u8, [u8; 4])> {
         if specifier == 0x80 || self.mute == Some(object) {
             return None;
@@ -227,6 +256,14 @@ impl Store {
         let Some(stored) = self.objects.get_mut(&object) else {
             return Some((0x80, 0x0602_0000_u32.to_le_bytes()));
         };
+        if specifier == 0x21 {
+            self.segments = (object, Vec::new());
+            return Some((0x60, [0; 4]));
+        }
+        if specifier == 0x40 && !(1..=4).contains(&stored.len()) {
+            self.segments = (object, stored.clone());
+            return Some((0x41, (stored.len() as u32).to_le_bytes()));
+        }
         if specifier == 0x40 {
             let mut bytes = [0; 4];
             bytes[..stored.len()].copy_from_slice(stored);

@@ -1,0 +1,155 @@
+"""A drive made of python-canopen's LocalNode: its SDO server, its heartbeats and its PDO maps, and here the rest.
+
+The rest is little: what NMT resets do, SYNC, the power states of CiA 402, and modes of operation that reach every
+set-point at once. It boots, and serves until its standard input ends.
+"""
+
+import argparse
+import sys
+import threading
+
+import canopen
+
+from wire import Wire, add_arguments
+
+PRE_OPERATIONAL, OPERATIONAL = 127, 5
+RPDOS, TPDOS = range(1, 5), range(1, 5)
+HOMING, CSP = 6, 8
+
+# Low byte of the statusword.
+DISABLED, READY, SWITCHED_ON, ENABLED, QUICK_STOP, FAULT = 0x50, 0x31, 0x33, 0x37, 0x17, 0x18
+REMOTE, REACHED, SPECIAL = 0x0200, 0x0400, 0x1000
+
+
+def next_power(power, word, before):
+    """The power state that a controlword leads to."""
+    if power == FAULT:
+        return DISABLED if word & 0x80 and not before & 0x80 else FAULT
+    if not word & 0x02:
+        return DISABLED
+    if not word & 0x04:
+        return QUICK_STOP if power in (ENABLED, QUICK_STOP) else DISABLED
+    if not word & 0x01:
+        return power if power == QUICK_STOP else READY
+    if power == DISABLED:
+        return DISABLED
+    if not word & 0x08:
+        return SWITCHED_ON if power in (READY, SWITCHED_ON, ENABLED) else power
+    return {READY: SWITCHED_ON, SWITCHED_ON: ENABLED, QUICK_STOP: ENABLED}.get(power, power)
+
+
+class Drive:
+    def __init__(self, network, node, eds):
+        self.node = canopen.LocalNode(node, canopen.import_od(eds, node))
+        self.lock = threading.Lock()
+        self.word = 0
+        self.power = DISABLED
+        network.add_node(self.node)
+        self.node.add_write_callback(self.written)
+        network.subscribe(0, self.commanded)
+        network.subscribe(0x80, self.synchronised)
+        self.network = network
+        self.boot()
+
+    def boot(self):
+        self.power, self.word = DISABLED, 0
+        self.set(0x6064, 1000)
+        self.set(0x6061, self.get(0x6060))
+        self.show()
+        self.node.nmt.state = "INITIALISING"
+        self.node.nmt.state = "PRE-OPERATIONAL"
+
+    def get(self, index):
+        variable = self.node.object_dictionary[index]
+        return variable.decode_raw(self.node.get_data(index, 0))
+
+    def set(self, index, value):
+        variable = self.node.object_dictionary[index]
+        self.node.data_store.setdefault(index, {})[0] = variable.encode_raw(value)
+
+    def commanded(self, _, data, __):
+        """After LocalNode has taken an NMT command, which is all that it does with one."""
+        command, node = data
+        if node not in (0, self.node.id):
+            return
+        with self.lock:
+            if command in (0x81, 0x82):
+                self.node.nmt.stop_heartbeat()
+                kept = {} if command == 0x81 else {k: v for k, v in self.node.data_store.items() if k >= 0x2000}
+                self.node.data_store.clear()
+                self.node.data_store.update(kept)
+                self.boot()
+            elif command == 0x01:
+                for pdo in (self.node.tpdo, self.node.rpdo):
+                    for number in RPDOS:
+                        pdo[number].read()
+                for number in RPDOS:
+                    if self.node.rpdo[number].enabled:
+                        self.network.subscribe(self.node.rpdo[number].cob_id, self.received)
+
+    def received(self, identifier, data, _):
+        """An RPDO: synchronous ones wait for SYNC."""
+        for number in RPDOS:
+            pdo = self.node.rpdo[number]
+            if pdo.enabled and pdo.cob_id == identifier and pdo.trans_type > 240:
+                with self.lock:
+                    self.take(pdo, data)
+
+    def take(self, pdo, data):
+        pdo.data = bytearray(data)
+        for variable in pdo:
+            # As by SDO, so that `written` is called.
+            self.node.set_data(variable.index, variable.subindex, bytes(variable.data))
+
+    def synchronised(self, *_):
+        with self.lock:
+            if self.node.nmt.state != "OPERATIONAL":
+                return
+            for number in RPDOS:
+                pdo = self.node.rpdo[number]
+                if pdo.enabled and pdo.trans_type <= 240 and pdo.is_received:
+                    pdo.is_received = False
+                    self.take(pdo, pdo.data)
+            if self.power == ENABLED and self.get(0x6061) == CSP:
+                self.set(0x6064, self.get(0x607A))
+            self.show()
+            for number in TPDOS:
+                pdo = self.node.tpdo[number]
+                if pdo.enabled and pdo.trans_type <= 240:
+                    for variable in pdo:
+                        variable.set_data(self.node.get_data(variable.index, variable.subindex))
+                    pdo.transmit()
+
+    def written(self, index, data, **_):
+        value = int.from_bytes(data, "little", signed=True)
+        if index == 0x6040:
+            word = value & 0xFFFF
+            self.power = next_power(self.power, word, self.word)
+            if self.get(0x6061) == HOMING and self.power == ENABLED and word & 0x10 and not self.word & 0x10:
+                self.set(0x6064, 0)
+            self.word = word
+        elif index == 0x6060:
+            self.set(0x6061, value)
+        self.show()
+
+    def show(self):
+        status = self.power
+        if self.node.nmt.state == "OPERATIONAL":
+            status |= REMOTE
+        mode = self.get(0x6061)
+        if self.power == ENABLED and (mode == CSP or mode == HOMING and self.word & 0x10):
+            status |= SPECIAL | (REACHED if mode == HOMING else 0)
+        self.set(0x6041, status)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    add_arguments(parser)
+    arguments = parser.parse_args()
+    wire = Wire(arguments)
+    Drive(wire.network, arguments.node, arguments.eds)
+    sys.stdin.read()
+    wire.network.disconnect()
+
+
+main()

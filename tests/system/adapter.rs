@@ -1,0 +1,120 @@
+//! An slcan adapter on a pseudo-terminal with at most one drive behind it, on a bus that takes no time.
+//!
+//! `mrroc emulate --slcan` has the true bit times of a bus; here the adapter is in the test's hands, and nothing but the
+//! host's end takes any time.
+
+use std::io;
+use std::os::fd::AsFd;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::Duration;
+
+use can::timing::Bitrate;
+use can::{Frame, Instant, clock};
+use canopen::NodeId;
+use hil::{AxisConfig, Device, Epos4, Epos4Config, Irp6Axis, Pty, SlcanConfig, SlcanDevice, pty};
+
+/// The drive's node-ID.
+pub(crate) const NODE: NodeId = NodeId::new(1).unwrap();
+
+/// A drive that is switched on now and answers after `answer_delay`, on an axis with room for a turn each way.
+pub(crate) fn drive(answer_delay: Duration) -> Epos4 {
+    Epos4::new(Epos4Config {
+        answer_delay,
+        power_on: clock::now(),
+        ..Epos4Config::new(NODE, AxisConfig::irp6(Irp6Axis::ALL[0]))
+    })
+}
+
+pub(crate) struct Adapter {
+    pub(crate) pty: Pty,
+    pub(crate) device: SlcanDevice,
+    drive: Option<Epos4>,
+}
+
+impl Adapter {
+    pub(crate) fn new(drive: Option<Epos4>) -> Self {
+        Self {
+            pty: Pty::open().unwrap(),
+            device: SlcanDevice::new(SlcanConfig::new(Bitrate::KBPS_1000)),
+            drive,
+        }
+    }
+
+    /// Serves the host while `body` runs, which is given the host's end.
+    pub(crate) fn served<T>(mut self, body: impl FnOnce(&Path) -> T) -> T {
+        /// Ends the serving however `body` ends.
+        struct Done<'a>(&'a AtomicBool);
+        impl Drop for Done<'_> {
+            fn drop(&mut self) {
+                self.0.store(true, Ordering::Relaxed);
+            }
+        }
+        let tty = self.pty.path().to_owned();
+        let done = AtomicBool::new(false);
+        thread::scope(|scope| {
+            scope.spawn(|| self.serve(Duration::MAX, |_| done.load(Ordering::Relaxed)));
+            let _done = Done(&done);
+            body(&tty)
+        })
+    }
+
+    /// Serves the host for `time`, or until `done`; whether it was.
+    pub(crate) fn serve(&mut self, time: Duration, mut done: impl FnMut(&Self) -> bool) -> bool {
+        let end = clock::now() + time;
+        while !done(self) {
+            if clock::now() >= end {
+                return false;
+            }
+            self.turn().unwrap();
+        }
+        true
+    }
+
+    /// Waits for the host or for the drive's time, and passes on what there is.
+    fn turn(&mut self) -> io::Result<()> {
+        const LOOK: Duration = Duration::from_millis(20);
+        let due = self.drive.as_ref().and_then(Device::poll_timeout);
+        let look = clock::now() + LOOK;
+        let waiting = !self.device.bytes().is_empty();
+        pty::wait(
+            [(self.pty.as_fd(), waiting)],
+            due.map_or(look, |due| due.min(look)),
+        )?;
+        let mut bytes = [0; 512];
+        let count = self.pty.read(&mut bytes)?;
+        let now = clock::now();
+        self.device.handle_bytes(&bytes[..count], now);
+        self.exchange(now);
+        while !self.device.bytes().is_empty() {
+            match self.pty.write(self.device.bytes())? {
+                0 => break,
+                written => self.device.consume(written),
+            }
+        }
+        Ok(())
+    }
+
+    fn exchange(&mut self, now: Instant) {
+        let Some(drive) = &mut self.drive else {
+            // Frames for a bus on which nobody is.
+            while self.device.poll_transmit(now).is_some() {}
+            return;
+        };
+        while let Some(frame) = self.device.poll_transmit(now) {
+            drive.handle(&frame, now);
+        }
+        while drive.poll_timeout().is_some_and(|due| due <= now) {
+            drive.handle_timeout(now);
+        }
+        while let Some(frame) = drive.poll_transmit(now) {
+            self.device.handle(&frame, now);
+        }
+    }
+
+    /// A frame from the bus.
+    pub(crate) fn deliver(&mut self, frame: &Frame) {
+        self.device.handle(frame, clock::now());
+    }
+}

@@ -1,0 +1,297 @@
+//! Data sheets and device configuration files: what `mrroc eds` prints, and what a DCF does to a drive.
+
+use std::fs;
+use std::path::PathBuf;
+
+use can::candump;
+use canopen::eds::Eds;
+
+use crate::cli_refusals::{refused, run_in_lockstep};
+use crate::mrroc::{Directory, enables, example, mrroc, root, shorten, trace};
+
+fn sheet() -> String {
+    let sheet = fs::read_to_string(root().join("cells/epos4-emulated.eds"));
+    sheet.expect("the data sheet is beside the cells")
+}
+
+/// The emulated drive's data sheet with lines put in below these headings, and the line, from 1, of the first of them.
+fn dcf(lines: &[(&str, &str)]) -> (String, usize) {
+    let mut text = sheet();
+    for (section, line) in lines {
+        let heading = format!("[{section}]\n");
+        assert!(text.contains(&heading), "{section}");
+        text = text.replacen(&heading, &format!("{heading}{line}\n"), 1);
+    }
+    let (section, _) = lines[0];
+    let at = text.find(&format!("[{section}]\n")).unwrap();
+    let line = text[..at].matches('\n').count() + 2;
+    (text, line)
+}
+
+/// A cell whose first axis has the DCF `motor.dcf`, with that axis changed.
+fn cell(directory: &Directory, dcf: &str, change: Change) -> PathBuf {
+    directory.write("motor.dcf", dcf);
+    directory.cell("irb6", |cell| {
+        shorten(cell);
+        let axis = &mut cell.robot[0].axis[0];
+        axis.drive.dcf = Some("motor.dcf".into());
+        change(axis);
+    })
+}
+
+/// The frames of node 1's SDO, as candump prints them.
+fn sdo(trace: &[candump::Entry]) -> Vec<String> {
+    let frames = trace.iter().map(|entry| entry.frame.to_string());
+    let of_node_1 = |frame: &String| frame.starts_with("601#") || frame.starts_with("581#");
+    frames.filter(of_node_1).collect()
+}
+
+#[test]
+fn the_published_data_sheet_is_the_one_the_command_prints() {
+    let cell = example("irb6");
+    for axis in ["irb6/column", "column", "1"] {
+        let printed = mrroc(["eds".as_ref(), cell.as_os_str(), axis.as_ref()]);
+        assert_eq!(printed.status.code(), Some(0), "{printed:?}");
+        assert!(
+            printed.stdout == sheet(),
+            "cells/epos4-emulated.eds is not what the drive is: `mrroc eds cells/irb6.toml irb6/column > cells/epos4-emulated.eds`"
+        );
+    }
+    Eds::read(sheet().as_bytes()).unwrap();
+    let nobody = mrroc(["eds".as_ref(), cell.as_os_str(), "elbow".as_ref()]);
+    refused(
+        &nobody,
+        &["no axis is called \"elbow\"", "irb6/column (node 1)"],
+    );
+}
+
+#[test]
+fn a_dcf_is_in_the_drive_before_it_is_switched_on() {
+    let (text, _) = dcf(&[
+        // Windows of the position, which nobody else sets.
+        ("6067", "ParameterValue=1234"),
+        ("6068", "ParameterValue=0x7B"),
+        ("607Dsub1", "ParameterValue=-2000000000"),
+        ("607Dsub2", "ParameterValue=0x77359400"),
+        // What the drive group sets itself: 2 ms at 10^-3 s, and CSP.
+        ("60C2sub1", "ParameterValue=9"),
+        ("6060", "ParameterValue=3"),
+        // TPDO 3 with another content, in the order that the drive takes.
+        ("1802sub1", "ParameterValue=$NODEID+0x40000380"),
+        ("1802sub2", "ParameterValue=1"),
+        ("1802sub3", "ParameterValue=0"),
+        ("1A02sub0", "ParameterValue=1"),
+        ("1A02sub1", "ParameterValue=0x60640020"),
+        ("1018sub2", "ParameterValue=0x61500000"),
+    ]);
+    let directory = Directory::new();
+    let cell = cell(&directory, &text, |_| {});
+    let log = directory.path("run.log");
+    let run = run_in_lockstep(&cell, &log);
+    assert_eq!(run.status.code(), Some(0), "{run:?}");
+    let frames = trace(&log);
+    assert!(enables(&frames) > 0);
+    let sdo = sdo(&frames);
+    assert!(
+        !sdo.iter()
+            .any(|frame| frame.starts_with("581#80") && frame != "581#8029100100000206"),
+        "{sdo:#?}"
+    );
+    // What the drive answers when it is read: the last of each is what it keeps.
+    let holds = |answer: &str| {
+        let mut answers = sdo.iter().rev();
+        answers.find(|frame| {
+            frame.len() >= 12 && frame[6..12] == answer[6..12] && frame.starts_with("581#4")
+        })
+    };
+    for answer in [
+        "581#43676000D2040000",
+        "581#4B6860007B000000",
+        "581#437D6001006CCA88",
+        "581#4FC2600102000000",
+        "581#4F60600008000000",
+        // Off again, with the content of the file.
+        "581#43021801810300C0",
+        "581#43021A0120006460",
+        "581#4F021A0001000000",
+        "581#4B02180300000000",
+    ] {
+        assert_eq!(holds(answer).map(String::as_str), Some(answer));
+    }
+    // In between it was on.
+    let position = |frame: &str| sdo.iter().position(|sent| sent == frame);
+    let on = position("601#2302180181030040").expect("TPDO 3 is switched on");
+    let off = position("601#23021801810300C0").expect("and off before it is mapped");
+    assert!(off < on);
+
+    let check = mrroc(["check".as_ref(), cell.as_os_str()]);
+    let line = "motor.dcf asks for 13 writes and notes 1 values more";
+    assert!(check.stdout.contains(line), "{check:?}");
+}
+
+/// What is done to the axis of the cell.
+type Change = fn(&mut controller::cell::Axis);
+
+/// A name, what is put into the sheet, what is done to the axis, and what the refusal must say; `@` stands for file and line of
+/// the first value.
+type Case = (
+    &'static str,
+    &'static [(&'static str, &'static str)],
+    Change,
+    &'static [&'static str],
+);
+
+const VALUE: (&str, &str) = ("6067", "ParameterValue=1");
+
+const REFUSALS: &[Case] = &[
+    (
+        "a value that does not fit",
+        &[("6067", "ParameterValue=0x100000000")],
+        |_| {},
+        &["@", "out of range; 0 to 4294967295 fit"],
+    ),
+    (
+        "a value beyond the object's limits",
+        &[("60C2sub1", "ParameterValue=101")],
+        |_| {},
+        &["@", "beyond the object's limits 0 to 100"],
+    ),
+    (
+        "a write to a read-only object",
+        &[("6041", "ParameterValue=0x0637"), VALUE],
+        |_| {},
+        &["@", "0x6041:00 is read-only", "remove its ParameterValue"],
+    ),
+    (
+        "no number of sub-indices",
+        &[("1018", "CompactSubObj=0\nsubnumber=5"), VALUE],
+        |_| {},
+        &["motor.dcf:", "stands on line", "already"],
+    ),
+    (
+        "no value at all",
+        &[("6067", "Denotation=window")],
+        |_| {},
+        &["robot[0].axis[0].drive.dcf: ", "asks for no write"],
+    ),
+    (
+        "another product than the cell's",
+        &[VALUE],
+        |axis| axis.drive.product = Some(0x6552_0000),
+        &[
+            "robot[0].axis[0].drive.dcf: ",
+            "motor.dcf",
+            "0x61500000 (0x1018:02), the cell says 0x65520000",
+        ],
+    ),
+    (
+        "another vendor than the cell's",
+        &[VALUE],
+        |axis| axis.drive.vendor = 0x1234,
+        &["0x000000fb (0x1018:01), the cell says 0x00001234"],
+    ),
+    (
+        "another revision than the cell's",
+        &[VALUE],
+        |axis| axis.drive.revision = Some(0x0168_0000),
+        &["0x01700000 (0x1018:03), the cell says 0x01680000"],
+    ),
+    (
+        "the file of another node",
+        &[
+            ("Comments", "[DeviceComissioning]\nNodeID=2\n[More]"),
+            VALUE,
+        ],
+        |_| {},
+        &["is of node 2, the axis of node 1"],
+    ),
+    (
+        "the file of another bus",
+        &[
+            ("Comments", "[DeviceComissioning]\nBaudrate=500\n[More]"),
+            VALUE,
+        ],
+        |_| {},
+        &["is for 500 kbit/s, the bus has 1000"],
+    ),
+    (
+        "no such file",
+        &[VALUE],
+        |axis| axis.drive.dcf = Some("missing.dcf".into()),
+        &["robot[0].axis[0].drive.dcf: ", "missing.dcf: No such file"],
+    ),
+];
+
+#[test]
+fn a_dcf_that_cannot_be_meant_is_refused_before_a_bus_is_opened() {
+    let directory = Directory::new();
+    let log = directory.path("refused.log");
+    for (name, lines, change, needles) in REFUSALS {
+        let (text, line) = dcf(lines);
+        let cell = cell(&directory, &text, *change);
+        let place = format!("{}:{line}: ", directory.path("motor.dcf").display());
+        let needles: Vec<&str> = needles
+            .iter()
+            .map(|needle| {
+                if *needle == "@" {
+                    place.as_str()
+                } else {
+                    *needle
+                }
+            })
+            .collect();
+        for run in [
+            run_in_lockstep(&cell, &log),
+            mrroc(["check".as_ref(), cell.as_os_str()]),
+        ] {
+            refused(&run, &needles);
+            assert!(!log.exists(), "{name}: a bus was opened");
+        }
+    }
+}
+
+#[test]
+fn a_dcf_never_commands_the_drive() {
+    let (text, line) = dcf(&[("6040", "ParameterValue=0x000F")]);
+    let command = text.find("[6040]\n").unwrap();
+    let text = text[..command].to_owned() + &text[command..].replacen("ObjFlags=1\n", "", 1);
+    let directory = Directory::new();
+    let cell = cell(&directory, &text, |_| {});
+    let place = format!("motor.dcf:{line}: 0x6040:00 is the controlword");
+    refused(&mrroc(["check".as_ref(), cell.as_os_str()]), &[&place]);
+}
+
+#[test]
+fn a_drive_that_is_not_the_files_is_refused_and_none_is_switched_on() {
+    let (text, _) = dcf(&[VALUE]);
+    let unknown = "\n[2FFF]\nParameterName=none\nDataType=7\nAccessType=rw\nParameterValue=1\n";
+    let cases: [(String, Change, &[&str]); 2] = [
+        (
+            text.clone(),
+            |axis| axis.emulator.revision = Some(0x0168_0000),
+            &[
+                "bus arm, axis column: node 1: ",
+                "0x1018:03 is 0x01680000",
+                "expects 0x01700000",
+            ],
+        ),
+        (
+            text + unknown,
+            |_| {},
+            &[
+                "bus arm, axis column: node 1: ",
+                "0x2fff:00 refused",
+                "object does not exist",
+            ],
+        ),
+    ];
+    let directory = Directory::new();
+    for (text, change, needles) in cases {
+        let cell = cell(&directory, &text, change);
+        let log = directory.path("drives.log");
+        refused(&run_in_lockstep(&cell, &log), needles);
+        let frames = trace(&log);
+        assert!(!frames.is_empty());
+        assert_eq!(enables(&frames), 0);
+    }
+}

@@ -1,0 +1,83 @@
+//! Independent peers on the wires: python-canopen, can-utils, and the kernel's own drivers.
+//!
+//! What other hands have written from the same standards makes no mistake of ours. The scripts in `tests/peers` need
+//! the Python packages that `tests/run` puts into `target/peers`; without them these tests fail, unless
+//! `MRROC_LEAVE_OUT=peers` says that they may be left out.
+
+mod linux;
+mod master;
+mod serial;
+mod slave;
+
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+
+use crate::bench::may_leave_out;
+use crate::mrroc;
+
+/// Seconds that a script may take.
+const PATIENCE: &str = "90";
+
+/// The Python that has the packages; `None` if `test` is to be left out for want of it.
+fn python(test: &str) -> Option<PathBuf> {
+    let python = mrroc::root().join("target/peers/bin/python");
+    if python.exists() {
+        return Some(python);
+    }
+    let wanting = format_args!("no {}: `tests/run` makes it", python.display());
+    may_leave_out("peers", test, &wanting);
+    None
+}
+
+/// A bus as python-can knows it.
+struct Bus<'a> {
+    interface: &'a str,
+    channel: &'a Path,
+}
+
+impl<'a> Bus<'a> {
+    fn socketcan(interface: &'a str) -> Self {
+        Self {
+            interface: "socketcan",
+            channel: Path::new(interface),
+        }
+    }
+
+    fn slcan(tty: &'a Path) -> Self {
+        Self {
+            interface: "slcan",
+            channel: tty,
+        }
+    }
+
+    /// A script on this bus, with the emulator's data sheet.
+    fn script(&self, python: &Path, name: &str) -> Command {
+        let mut command = Command::new("timeout");
+        command
+            .args(["--signal=KILL", PATIENCE])
+            .arg(python)
+            .args(["-B", "-u"])
+            .arg(mrroc::root().join("tests/peers").join(name))
+            .args(["--interface", self.interface, "--channel"])
+            .arg(self.channel)
+            .arg("--eds")
+            .arg(mrroc::root().join("cells/epos4-emulated.eds"));
+        command
+    }
+}
+
+/// A script at work: it ends with its standard input.
+struct Script(Child);
+
+impl Script {
+    fn start(command: &mut Command) -> Self {
+        Self(command.stdin(Stdio::piped()).spawn().expect("timeout runs"))
+    }
+}
+
+impl Drop for Script {
+    fn drop(&mut self) {
+        drop(self.0.stdin.take());
+        let _ = self.0.wait();
+    }
+}
