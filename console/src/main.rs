@@ -32,7 +32,7 @@ use clap::{Parser, Subcommand};
 
 /// What scripts may build upon.
 const EXIT_STATUS: &str = "Exit status: 0 done; 1 stopped by a fault or by Ctrl-C, or a node was told and did not do \
-it; 2 refused before anything moved, aborted by the node, or no answer.";
+it; 2 refused before anything moved, aborted by the node, no answer, or no bus.";
 
 /// A multi-robot research-oriented controller with its hardware in the loop.
 #[derive(Parser)]
