@@ -2,7 +2,7 @@
 //!
 //! A [`Device`] is what hangs on a bus; the [virtual bus](bus) carries frames between devices and
 //! the host with true arbitration and bit times. A [`LineDevice`] is what hangs on a [serial
-//! line](line), which carries bytes in their true times. A [`World`] is all buses and lines of a
+//! line](mod@line), which carries bytes in their true times. A [`World`] is all buses and lines of a
 //! cell, and a [plant] is the physics behind a device. Of devices on a bus there are the axis
 //! controller [`Epos4`] and the adapter [`SlcanDevice`], by which a host without a CAN card reaches
 //! one. Read [`Device`] and [`World`] first.

@@ -112,17 +112,13 @@ impl Direction {
         self.carried += 1;
     }
 
-    /// What arrives of the byte that ends now.
-    fn finish(&mut self) -> impl Iterator<Item = TimedByte> + use<> {
-        let ended = self.on_wire.take();
-        let arrives = ended.map(|ended| {
-            let arriving = self.wire.carry(ended.byte);
-            arriving
-                .into_iter()
-                .flatten()
-                .map(move |byte| TimedByte { byte, ..ended })
-        });
-        arrives.into_iter().flatten()
+    /// What arrives of the byte that ends now: nothing, one byte, or two.
+    fn finish(&mut self) -> [Option<TimedByte>; 2] {
+        let Some(ended) = self.on_wire.take() else {
+            return [None, None];
+        };
+        let arrives = self.wire.carry(ended.byte);
+        arrives.map(|byte| byte.map(|byte| TimedByte { byte, ..ended }))
     }
 }
 
@@ -254,14 +250,14 @@ impl SerialLine {
                     }
                 }
                 Event::ToDevice => {
-                    for arrived in self.to_device.finish() {
+                    for arrived in self.to_device.finish().into_iter().flatten() {
                         self.device.receive(arrived.byte, self.now);
                     }
                     self.take_from_host();
                     self.collect();
                 }
                 Event::ToHost => {
-                    for arrived in self.to_host.finish() {
+                    for arrived in self.to_host.finish().into_iter().flatten() {
                         match (&mut self.adapter, &mut self.host) {
                             (Some(adapter), host) => adapter.collect(arrived, host.as_mut()),
                             (None, Some(host)) => host.deliver(arrived),
@@ -290,17 +286,23 @@ impl SerialLine {
             let (end, ..) = self.to_device.end(byte.at.max(self.now));
             Some(end)
         };
-        let packet = self.adapter.as_ref().filter(|adapter| adapter.count > 0);
-        let events = [
-            (self.time_out, Event::TimeOut),
-            (on_wire(&self.to_device).or_else(offered), Event::ToDevice),
-            (on_wire(&self.to_host), Event::ToHost),
-            (packet.map(Adapter::expires), Event::Packet),
-        ];
-        let due = events
-            .into_iter()
-            .filter_map(|(at, event)| Some((at?, event)));
-        due.min_by_key(|&(at, _)| at)
+        let packet = || {
+            let adapter = self.adapter.as_ref().filter(|adapter| adapter.count > 0)?;
+            Some(adapter.expires())
+        };
+        // One by one: this is asked for each byte, and an iterator over pairs doubled the cost of a
+        // whole cell.
+        let mut first = (Instant::FAR_FUTURE, Event::TimeOut);
+        let mut consider = |at: Option<Instant>, event| {
+            if let Some(at) = at.filter(|&at| at < first.0) {
+                first = (at, event);
+            }
+        };
+        consider(self.time_out, Event::TimeOut);
+        consider(on_wire(&self.to_device).or_else(offered), Event::ToDevice);
+        consider(on_wire(&self.to_host), Event::ToHost);
+        consider(packet(), Event::Packet);
+        (first.0 < Instant::FAR_FUTURE).then_some(first)
     }
 
     fn take_from_host(&mut self) {

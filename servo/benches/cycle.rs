@@ -1,5 +1,5 @@
 //! The cost of one cycle of a moving six-axis effector, on a group that does nothing: no system
-//! call, no encoding.
+//! call, no encoding. Drives close the position loops, or the servo does by either law.
 
 use std::hint::black_box;
 use std::task::Poll;
@@ -8,9 +8,10 @@ use std::time::Duration;
 use can::Instant;
 use criterion::{Criterion, criterion_group, criterion_main};
 use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Homing, Power};
+use mrroc_servo::regulator::{CascadeConfig, IRP6};
 use mrroc_servo::{
-    EffectorConfig, EffectorLink, MAX_AXES, Macrostep, Order, Phase, PositionLoop, Servo,
-    ServoAxisConfig, ServoConfig,
+    EffectorConfig, EffectorLink, FeedForward, HostLoop, Law, MAX_AXES, Macrostep, Order, Output,
+    Phase, PositionLoop, Servo, ServoAxisConfig, ServoConfig,
 };
 
 const AXES: usize = 6;
@@ -44,7 +45,7 @@ impl DriveGroup for Trivial {
     }
 }
 
-fn servo() -> (Servo, EffectorLink) {
+fn servo(position_loop: PositionLoop) -> (Servo, EffectorLink) {
     let axis = |index_in_group| ServoAxisConfig {
         group: 0,
         index_in_group,
@@ -55,7 +56,7 @@ fn servo() -> (Servo, EffectorLink) {
         following_error: 1.0,
         homing_order: 0,
         increments_per_radian: 4000.0 / std::f64::consts::TAU,
-        position_loop: PositionLoop::Drive,
+        position_loop,
         homing: None,
     };
     let config = ServoConfig {
@@ -80,8 +81,8 @@ fn servo() -> (Servo, EffectorLink) {
     (servo, links.remove(0))
 }
 
-fn cycle(criterion: &mut Criterion) {
-    let (mut servo, mut link) = servo();
+fn bench(criterion: &mut Criterion, name: &str, position_loop: PositionLoop) {
+    let (mut servo, mut link) = servo(position_loop);
     link.orders.push(Order::Enable).expect("the queue is empty");
     let mut now = Instant::ZERO;
     for _ in 0..10 {
@@ -89,7 +90,7 @@ fn cycle(criterion: &mut Criterion) {
         now += PERIOD;
     }
     let mut number = 0;
-    criterion.bench_function("six moving axes, one step", |bencher| {
+    criterion.bench_function(name, |bencher| {
         bencher.iter(|| {
             if link.orders.slots() == 16 {
                 // To and fro by 0.01 rad, ten periods each.
@@ -116,6 +117,39 @@ fn cycle(criterion: &mut Criterion) {
             Some(Phase::Moving)
         );
     });
+}
+
+fn cycle(criterion: &mut Criterion) {
+    let by = |law| {
+        PositionLoop::Host(HostLoop {
+            law,
+            output: Output::Torque,
+            feed_forward: FeedForward {
+                velocity: 1e-3,
+                acceleration: 6.6e-4,
+                coulomb: 0.08,
+                constant: 0.0,
+            },
+            runaway_velocity: 300.0,
+        })
+    };
+    let cascade = CascadeConfig {
+        position_gain: 25.0,
+        velocity_gain: 0.066,
+        integral_rate: 10.0,
+        limit: 2.1,
+    };
+    let rows = [
+        ("six moving axes, one step", PositionLoop::Drive),
+        (
+            "six moving axes, incremental law",
+            by(Law::Incremental(IRP6[0])),
+        ),
+        ("six moving axes, cascade", by(Law::Cascade(cascade))),
+    ];
+    for (name, position_loop) in rows {
+        bench(criterion, name, position_loop);
+    }
 }
 
 criterion_group!(benches, cycle);

@@ -1,11 +1,14 @@
 //! One axis as its servo knows it: what its drive says, and what was commanded when.
 
+use can::Instant;
 use drive::{AxisCommand, AxisState, Finite, Homing, Power, Setpoint};
 
-use crate::{Knot, ServoAxisConfig, StopCause, TrackingError, limit};
+use crate::host_loop::Loop;
+use crate::search::Search;
+use crate::{HomingFailure, Knot, PositionLoop, ServoAxisConfig, StopCause, TrackingError, limit};
 
 /// Commands remembered per axis; a sample older than that is compared with the oldest.
-const REMEMBERED: usize = 16;
+pub(crate) const REMEMBERED: usize = 16;
 
 /// Share of its greatest velocity below which a motor counts as still.
 const STILL: f64 = 0.01;
@@ -28,6 +31,10 @@ pub(crate) struct Axis {
     pub(crate) command: AxisCommand,
     pub(crate) tracking: TrackingError,
     reference: ReferenceWatch,
+    /// The position loop, if it is closed here.
+    host: Option<Loop>,
+    /// The search of this homing, if it is made here.
+    search: Option<Search>,
 }
 
 impl Axis {
@@ -43,20 +50,93 @@ impl Axis {
             command: AxisCommand::Off,
             tracking: TrackingError::default(),
             reference: ReferenceWatch::default(),
+            host: match config.position_loop {
+                PositionLoop::Drive => None,
+                PositionLoop::Host(host) => {
+                    Some(Loop::new(host, config.increments_per_radian, delay))
+                }
+            },
+            search: None,
         }
     }
 
-    /// Takes what the drive says; `dt` is the period, s.
-    pub(crate) fn observe(&mut self, state: AxisState, dt: f64) {
+    /// Takes what the drive says, `periods` of `dt` seconds after the last cycle.
+    pub(crate) fn observe(&mut self, state: AxisState, periods: u32, dt: f64) {
+        let seeking = matches!(self.command, AxisCommand::Seek(_));
+        // The pulse may come in the very cycle in which a stop ends the search.
+        let attained = self.followed > 0
+            && self.state.homing != Homing::Attained
+            && state.homing == Homing::Attained;
+        let step =
+            self.reference
+                .observe(&state, seeking, attained, self.config.max_acceleration, dt);
+        if let Some(step) = step
+            && (seeking || attained)
+        {
+            self.shift(step);
+        }
+        if let Some(host) = &mut self.host {
+            host.observe(&state, periods, dt);
+        }
         self.state = state;
-        self.reference
-            .observe(&state, self.config.max_acceleration, dt);
+    }
+
+    /// The counter was set while the axis followed: every position so far is `step`, rad, further.
+    fn shift(&mut self, step: f64) {
+        self.knot.position += step;
+        self.commanded.iter_mut().for_each(|at| *at += step);
+        if let Some(host) = &mut self.host {
+            host.shift(step);
+        }
     }
 
     /// A search for the reference begins.
     pub(crate) fn begin_homing(&mut self) {
         self.searched = false;
         self.reference = ReferenceWatch::default();
+        let homing = self.config.homing.filter(|_| !self.is_homed());
+        self.search = homing.map(|homing| Search::new(homing, self.config.increments_per_radian));
+    }
+
+    /// Whether it is homed here, and it is its turn: `order` is what homes now.
+    pub(crate) fn is_searching(&self, order: Option<u8>) -> bool {
+        let under_way = self.search.is_some_and(|search| !search.is_done());
+        under_way && order == Some(self.config.homing_order)
+    }
+
+    /// Whether its drive is to home it now.
+    pub(crate) fn homes_itself(&self, order: Option<u8>) -> bool {
+        self.config.homing.is_none() && !self.is_homed() && order == Some(self.config.homing_order)
+    }
+
+    /// Whether it has no reference yet, or still moves from having found it.
+    pub(crate) fn needs_homing(&self) -> bool {
+        !self.is_homed() || self.search.is_some_and(|search| !search.is_done())
+    }
+
+    /// Moves the search one period on.
+    pub(crate) fn advance_search(&mut self, now: Instant, dt: f64) -> Result<(), HomingFailure> {
+        let follows = self.follows();
+        let Some(mut search) = self.search else {
+            return Ok(());
+        };
+        if search.is_waiting() && !follows && self.host.is_none() {
+            self.capture();
+        }
+        let result = search.advance(&mut self.knot, &self.state, follows, now, dt);
+        if result.is_err() {
+            search.brake(&mut self.knot, dt);
+        }
+        self.searched |= search.is_seeking();
+        self.search = Some(search);
+        result
+    }
+
+    /// Brakes a search that was stopped in the middle.
+    pub(crate) fn brake_search(&mut self, dt: f64) {
+        if let Some(search) = &mut self.search {
+            search.brake(&mut self.knot, dt);
+        }
     }
 
     /// What the counter showed at the reference before it was set there; `None` without a search.
@@ -76,12 +156,48 @@ impl Axis {
             velocity: 0.0,
         };
         self.commanded = [self.state.position; REMEMBERED];
+        if let Some(host) = &mut self.host {
+            host.capture(self.state.position);
+        }
     }
 
-    /// Takes the motor for standing at the last set-point.
-    pub(crate) fn rest(&mut self) {
-        self.knot.velocity = 0.0;
-        self.commanded[1] = self.commanded[0];
+    /// Takes the motor for standing at the last set-point; or, if its loop is closed here, for what it
+    /// was last seen to do, since torque does not stop at a set-point, nor in
+    /// deadlines `missed`.
+    pub(crate) fn rest(&mut self, missed: u32, dt: f64) {
+        let Some(host) = &mut self.host else {
+            self.knot.velocity = 0.0;
+            self.commanded[1] = self.commanded[0];
+            return;
+        };
+        let velocity = host.measured_velocity();
+        // The sample shows the command of `delay` cycles ago, and the newest is one old.
+        let shown = self.delay - 1 + self.state.age as usize + missed as usize;
+        self.commanded = std::array::from_fn(|age| {
+            self.state.position + velocity * dt * (shown as f64 - age as f64)
+        });
+        self.knot = Knot {
+            position: self.commanded[0],
+            velocity,
+        };
+        host.follow(self.commanded, velocity);
+    }
+
+    /// Whether its position loop is closed here.
+    pub(crate) fn is_host_closed(&self) -> bool {
+        self.host.is_some()
+    }
+
+    /// Whether its motor is the servo's to move or to hold, whatever the effector does.
+    pub(crate) fn is_led(&self) -> bool {
+        let holds = self.host.is_some() && self.state.power == Power::On;
+        let found = self.search.is_some() && self.followed > 0;
+        holds || found
+    }
+
+    /// Measured velocity and limit, rad/s, if the motor is faster than a loop closed here allows.
+    pub(crate) fn runaway(&self) -> Option<(f64, f64)> {
+        self.host.as_ref().and_then(Loop::runaway)
     }
 
     /// The last position sent and the step to it.
@@ -107,6 +223,9 @@ impl Axis {
 
     /// Commanded minus measured, rad, for the command that the sample shows the effect of.
     pub(crate) fn error(&self) -> f64 {
+        if let Some(host) = &self.host {
+            return host.error(&self.state);
+        }
         // This cycle's command is not in `commanded` yet, so the newest there is one period old.
         let age = (self.delay - 1)
             .saturating_add(self.state.age as usize)
@@ -135,16 +254,34 @@ impl Axis {
         self.command = command;
     }
 
-    /// Turns the set-point into what its drive is to follow.
-    ///
-    /// Drives that close the position loop get the position as it is; a loop closed here, for
-    /// velocity or torque, belongs in this place.
-    pub(crate) fn regulate(&self) -> AxisCommand {
-        match Finite::new(self.knot.position) {
-            Some(position) => AxisCommand::Follow(Setpoint::Position(position)),
-            // Only a measured position taken over can be it; such an axis never settles, and the
-            // time-out of what it settles for names it.
-            None => AxisCommand::Off,
+    /// Turns the set-point into what its drive is to follow: the position itself, or what the loop
+    /// closed here makes of it.
+    pub(crate) fn regulate(&mut self, dt: f64) -> AxisCommand {
+        let waits = self.search.is_some_and(|search| search.is_waiting());
+        if self.followed == 0 && (self.host.is_some() || waits) {
+            self.capture();
+        }
+        // Only a measured position taken over can be NaN; such an axis never settles, and the
+        // time-out of what it settles for names it.
+        let Some(position) = Finite::new(self.knot.position) else {
+            return AxisCommand::Off;
+        };
+        let setpoint = match &mut self.host {
+            Some(host) => host.regulate(self.knot, dt),
+            None => Setpoint::Position(position),
+        };
+        if self.search.is_some_and(|search| search.is_seeking()) {
+            AxisCommand::Seek(setpoint)
+        } else {
+            AxisCommand::Follow(setpoint)
+        }
+    }
+
+    /// A cycle in which the set-point stands still: a loop closed here goes on.
+    pub(crate) fn hold(&mut self, dt: f64) {
+        let follows = matches!(self.command, AxisCommand::Follow(_) | AxisCommand::Seek(_));
+        if self.host.is_some() && follows {
+            self.command = self.regulate(dt);
         }
     }
 }
@@ -152,9 +289,12 @@ impl Axis {
 /// Sees a drive set its counter at the reference: the greatest step during a search that no motor can make.
 #[derive(Clone, Copy, Debug, Default)]
 struct ReferenceWatch {
-    /// The last sample and the one before.
+    /// The last sample: rad, increments.
     last: Option<(f64, i64)>,
-    before_last: Option<(f64, i64)>,
+    /// The way to it in one period.
+    way: Option<(f64, f64)>,
+    /// Cycles since that brought no sample.
+    gap: u32,
     searching: bool,
     /// The step, increments. Samples that came early or late make steps too, but smaller ones.
     offset: i64,
@@ -164,29 +304,41 @@ impl ReferenceWatch {
     /// A step is the counter's own if the motor would need this many times its greatest acceleration.
     const IMPOSSIBLE: f64 = 4.0;
 
-    fn observe(&mut self, state: &AxisState, max_acceleration: f64, dt: f64) {
+    /// Takes a sample; the step of the counter in it, rad, if it was set in between. It was if a motor
+    /// cannot have made the step, or if the drive now first says that it `attained` the reference.
+    fn observe(
+        &mut self,
+        state: &AxisState,
+        seeking: bool,
+        attained: bool,
+        max_acceleration: f64,
+        dt: f64,
+    ) -> Option<f64> {
         // The sample that tells of success may be the first one after the step.
-        let searched = std::mem::replace(&mut self.searching, state.homing == Homing::InProgress);
+        let searching = seeking || state.homing == Homing::InProgress;
+        let searched = std::mem::replace(&mut self.searching, searching) || searching;
         if state.age > 0 {
-            (self.last, self.before_last) = (None, None);
-            return;
+            self.gap = self.gap.saturating_add(1);
+            return None;
         }
+        let periods = f64::from(std::mem::take(&mut self.gap)) + 1.0;
         let sample = (state.position, i64::from(state.increments.0));
-        if let (Some(last), Some(before_last)) = (self.last, self.before_last) {
-            let expected = (2.0 * last.0 - before_last.0, 2 * last.1 - before_last.1);
-            let step = (sample.0 - expected.0).abs();
-            if (searched || self.searching) && step > Self::IMPOSSIBLE * max_acceleration * dt * dt
-            {
-                let counts = expected.1 - sample.1;
-                if counts.abs() > self.offset.abs() {
-                    self.offset = counts;
-                }
-                // Samples from before the step are of another count.
-                self.last = None;
-            }
+        let last = self.last.replace(sample)?;
+        let moved = (sample.0 - last.0, (sample.1 - last.1) as f64);
+        let way = self.way.replace((moved.0 / periods, moved.1 / periods))?;
+        let step = moved.0 - way.0 * periods;
+        let possible = Self::IMPOSSIBLE * max_acceleration * (periods * dt).powi(2);
+        let set = attained || searched && step.abs() > possible;
+        if !set {
+            return None;
         }
-        self.before_last = self.last;
-        self.last = Some(sample);
+        let counts = (way.1 * periods - moved.1).round() as i64;
+        if counts.abs() > self.offset.abs() {
+            self.offset = counts;
+        }
+        // The way to this sample is of two counts.
+        self.way = None;
+        Some(step)
     }
 }
 
@@ -208,7 +360,7 @@ mod tests {
                 homing,
                 ..AxisState::default()
             };
-            watch.observe(&state, 1500.0, 0.002);
+            watch.observe(&state, false, false, 1500.0, 0.002);
         }
         watch.offset
     }

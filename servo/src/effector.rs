@@ -1,6 +1,7 @@
 //! The cycle of one effector: check its axes, take orders, find the next set-points, vet them.
 
 mod homing;
+mod motion;
 
 use std::time::Duration;
 
@@ -11,7 +12,7 @@ use crate::axis::Axis;
 use crate::interpolate::Segment;
 use crate::{
     After, Answer, AxisRecord, Counters, EffectorConfig, EffectorLink, Event, Knot, MAX_AXES,
-    Macrostep, Order, Record, Report, ServoFault, State, StopCause, StraightStop, TrackingError,
+    Order, Record, Report, ServoFault, State, StopCause, StraightStop, TrackingError,
 };
 
 /// Longest time the drives get to come to rest after the last set-point of a stop, before power
@@ -32,6 +33,8 @@ pub(crate) struct Tick {
     pub(crate) stop: bool,
     /// Deadlines missed in a row, if they are too many.
     pub(crate) overrun: Option<u32>,
+    /// Periods since the last cycle: 1 and the deadlines missed.
+    pub(crate) periods: u32,
     /// Cycles in a row, up to the last, whose batch a bus did not take: its set-points are due again.
     pub(crate) refused: u32,
 }
@@ -139,9 +142,10 @@ impl Effector {
     }
 
     /// Takes what the drives say, by group and index in it.
-    pub(crate) fn set_states(&mut self, state: impl Fn(usize, usize) -> AxisState, dt: f64) {
+    pub(crate) fn set_states(&mut self, state: impl Fn(usize, usize) -> AxisState, tick: &Tick) {
         for axis in &mut self.axes {
-            axis.observe(state(axis.config.group, axis.config.index_in_group), dt);
+            let state = state(axis.config.group, axis.config.index_in_group);
+            axis.observe(state, tick.periods, tick.dt);
         }
     }
 
@@ -157,9 +161,11 @@ impl Effector {
         self.check(tick);
         self.take_stops(tick);
         self.take_orders(tick);
-        if !self.is_held(tick) {
+        if self.is_held(tick) {
+            self.axes.iter_mut().for_each(|axis| axis.hold(tick.dt));
+        } else {
             self.advance(tick);
-            self.command();
+            self.command(tick);
         }
         let due = self.state == State::Moving && self.segment.is_some_and(|s| s.is_at_report());
         if due || self.news {
@@ -171,7 +177,7 @@ impl Effector {
     fn is_held(&mut self, tick: &Tick) -> bool {
         if matches!(self.state, State::Braking(_)) && tick.refused > REFUSED_IN_STOP {
             // Nobody hears where to brake, and the drives stand by now.
-            self.axes.iter_mut().for_each(Axis::rest);
+            self.axes.iter_mut().for_each(|axis| axis.rest(0, tick.dt));
             self.begin_stop(tick);
             return false;
         }
@@ -185,8 +191,10 @@ impl Effector {
     /// Faults of drives, following errors, overruns, time-outs; the tracking statistics.
     fn check(&mut self, tick: &Tick) {
         if let Some(missed) = tick.overrun {
-            // The drives have stood at their last set-points meanwhile.
-            self.axes.iter_mut().for_each(Axis::rest);
+            // The drives have stood at their last set-points meanwhile, or run on by them.
+            let late = tick.periods - 1;
+            let axes = self.axes.iter_mut();
+            axes.for_each(|axis| axis.rest(late, tick.dt));
             self.fail(tick, None, StopCause::Overrun { missed });
         }
         for index in 0..self.axes.len() {
@@ -202,25 +210,47 @@ impl Effector {
                 self.state,
                 State::Standing | State::Moving | State::Braking(_)
             );
-            if !commanding || !axis.is_watched() {
+            if !axis.is_watched() || !commanding && !axis.is_led() {
+                continue;
+            }
+            if let Some((velocity, limit)) = axis.runaway() {
+                self.lose(tick, index, StopCause::Runaway { velocity, limit });
+                continue;
+            }
+            if tick.overrun.is_some() && axis.is_host_closed() {
+                // Its commands are those of now, its sample is from before the deadlines missed.
                 continue;
             }
             if self.state == State::Moving && axis.state.age == 0 {
                 axis.tracking.record(error);
             }
             if error.abs() > limit || error.is_nan() {
-                self.fail(tick, index, StopCause::FollowingError { error, limit });
+                let host_closed = axis.is_host_closed();
+                let cause = StopCause::FollowingError { error, limit };
+                if host_closed {
+                    self.lose(tick, index, cause);
+                } else {
+                    self.fail(tick, index, cause);
+                }
             }
         }
     }
 
     /// Latches the first fault and leaves the present state for it.
     fn fail(&mut self, tick: &Tick, axis: impl Into<Option<usize>>, cause: StopCause) {
-        self.fault.get_or_insert(ServoFault {
-            axis: axis.into().map(|axis| axis as u8),
-            cause,
-        });
+        self.latch(axis.into(), cause);
         self.apply(tick, Event::Fault);
+    }
+
+    /// The same for a loop that does not work, and so cannot brake: power goes at once.
+    fn lose(&mut self, tick: &Tick, axis: usize, cause: StopCause) {
+        self.latch(Some(axis), cause);
+        self.apply(tick, Event::ControlLost);
+    }
+
+    fn latch(&mut self, axis: Option<usize>, cause: StopCause) {
+        let axis = axis.map(|axis| axis as u8);
+        self.fault.get_or_insert(ServoFault { axis, cause });
     }
 
     /// Finds stops anywhere in the queue and carries them out before all else: what was queued
@@ -358,6 +388,8 @@ impl Effector {
                 }
             }
             State::Halting(after) => {
+                let axes = self.axes.iter_mut();
+                axes.for_each(|axis| axis.brake_search(tick.dt));
                 // A search may reverse, so a moment without motion is not yet the end of it.
                 let still = self.axes.iter().all(Axis::is_still);
                 self.halted |= waited >= self.longest_stop() || still && waited >= STANDSTILL_WAIT;
@@ -390,99 +422,6 @@ impl Effector {
         self.axes.iter().position(what).unwrap_or(0)
     }
 
-    /// Interpolates, beginning the next macrostep where one ends, and brakes if it cannot go on.
-    fn follow_macrosteps(&mut self, tick: &Tick) {
-        if let Err((axis, cause)) = self.try_follow(tick) {
-            self.fail(tick, axis, cause);
-            if matches!(self.state, State::Braking(_)) && self.stop.advance() {
-                self.place_stop();
-            }
-        }
-    }
-
-    fn try_follow(&mut self, tick: &Tick) -> Result<(), (Option<usize>, StopCause)> {
-        let mut segment = match self.segment {
-            Some(segment) if !segment.is_over() => segment,
-            _ => match self.begin(tick)? {
-                Some(segment) => segment,
-                None => return Ok(()),
-            },
-        };
-        segment.advance();
-        let mut knots = [Knot::default(); MAX_AXES];
-        for (index, axis) in self.axes.iter().enumerate() {
-            let knot = segment.at(index);
-            axis.vet(knot.position, tick.dt)
-                .map_err(|cause| (Some(index), cause))?;
-            knots[index] = knot;
-        }
-        // Only now is any of it taken: an effector is never half commanded.
-        self.axes
-            .iter_mut()
-            .zip(knots)
-            .for_each(|(axis, knot)| axis.knot = knot);
-        self.segment = Some(segment);
-        Ok(())
-    }
-
-    /// Takes the next macrostep from the queue; `None` if the last one ended at rest.
-    fn begin(&mut self, tick: &Tick) -> Result<Option<Segment>, (Option<usize>, StopCause)> {
-        self.segment = None;
-        if !matches!(self.orders.peek(), Ok(Order::Move(_))) {
-            if let Some(axis) = self.axes.iter().position(|axis| axis.knot.velocity != 0.0) {
-                return Err((
-                    Some(axis),
-                    StopCause::Starved {
-                        last: self.macrostep,
-                    },
-                ));
-            }
-            // A macrostep may claim an end at rest and yet arrive with speed.
-            for (index, axis) in self.axes.iter().enumerate() {
-                axis.vet(axis.knot.position, tick.dt)
-                    .map_err(|cause| (Some(index), cause))?;
-            }
-            self.apply(tick, Event::Done);
-            return Ok(None);
-        }
-        let Some(Order::Move(macrostep)) = self.pop() else {
-            return Ok(None);
-        };
-        self.admit(&macrostep)?;
-        self.apply(tick, Event::Move);
-        self.macrostep = macrostep.number;
-        self.counters.macrosteps += 1;
-        let mut from = [Knot::default(); MAX_AXES];
-        self.axes
-            .iter()
-            .zip(&mut from)
-            .for_each(|(axis, from)| *from = axis.knot);
-        Ok(Some(Segment::new(macrostep, from, tick.dt)))
-    }
-
-    /// Whether a macrostep can be begun at all.
-    fn admit(&self, macrostep: &Macrostep) -> Result<(), (Option<usize>, StopCause)> {
-        let Macrostep {
-            number,
-            steps,
-            report_at,
-            position,
-            velocity,
-        } = macrostep;
-        if *report_at < 1 || report_at > steps {
-            return Err((None, StopCause::Malformed { number: *number }));
-        }
-        for (index, axis) in self.axes.iter().enumerate() {
-            if !position[index].is_finite() || !velocity[index].is_finite() {
-                return Err((Some(index), StopCause::NotFinite));
-            }
-            if !axis.is_homed() {
-                return Err((Some(index), StopCause::NotHomed));
-            }
-        }
-        Ok(())
-    }
-
     /// How long after the last set-point of a stop the power may stay on at most. A drive that
     /// brakes by itself gets as long as the set-points could have taken.
     fn standstill_wait(&self) -> Duration {
@@ -501,33 +440,30 @@ impl Effector {
     }
 
     /// Turns state and set-points into one command per axis.
-    fn command(&mut self) {
+    ///
+    /// An axis whose loop is closed here is regulated from its first cycle with power to its last: told to
+    /// stand it would have no torque, and fall. One whose drive has a fault is told so all the same, and its
+    /// group brakes it as the drive can: there is no loop through a drive that has a fault.
+    fn command(&mut self, tick: &Tick) {
         let halted = self.halted;
         let on = self.axes.iter().all(|axis| axis.state.power == Power::On);
         let order = self.homing_order();
         for axis in &mut self.axes {
-            let stand_or_follow = |follow: bool| {
-                if follow {
-                    axis.regulate()
-                } else {
-                    AxisCommand::Stand
-                }
+            let follow = match self.state {
+                State::Enabling => on,
+                State::Standing | State::Moving | State::Braking(_) => true,
+                State::Homing => order.is_none(),
+                State::Halting(after) => halted && after == After::Stand,
+                State::Off | State::Faulted | State::Resetting => false,
             };
             let command = match self.state {
                 State::Off | State::Faulted => AxisCommand::Off,
                 State::Resetting => AxisCommand::ResetFault,
                 // Its group brakes an axis that has a fault; off would let it coast.
                 _ if axis.state.fault.is_some() => AxisCommand::Stand,
-                State::Enabling => stand_or_follow(on),
-                State::Standing | State::Moving | State::Braking(_) => axis.regulate(),
-                State::Homing => match order {
-                    None => axis.regulate(),
-                    Some(order) if !axis.is_homed() && axis.config.homing_order == order => {
-                        AxisCommand::Home
-                    }
-                    Some(_) => AxisCommand::Stand,
-                },
-                State::Halting(after) => stand_or_follow(halted && after == After::Stand),
+                State::Homing if axis.homes_itself(order) => AxisCommand::Home,
+                _ if follow || axis.is_led() || axis.is_searching(order) => axis.regulate(tick.dt),
+                _ => AxisCommand::Stand,
             };
             axis.command(command);
         }

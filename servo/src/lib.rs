@@ -13,6 +13,7 @@ mod brake;
 mod config;
 mod effector;
 mod histogram;
+mod host_loop;
 mod interpolate;
 mod limit;
 mod link;
@@ -22,6 +23,7 @@ pub mod regulator;
 #[cfg(test)]
 #[path = "../tests/scripted/mod.rs"]
 mod scripted;
+mod search;
 mod servo;
 mod state;
 mod statistics;
@@ -38,6 +40,7 @@ pub use interpolate::{Knot, hermite};
 pub use limit::{AxisLimits, check};
 pub use link::{EffectorLink, MAX_AXES, Macrostep, Order, Phase, Report, ServoFault, StopCause};
 pub use recorder::{AxisRecord, Record};
+pub use search::HomingFailure;
 pub use servo::{Servo, StopRequest};
 pub use state::{After, Answer, Event, State};
 pub use statistics::{Counters, TrackingError};

@@ -5,6 +5,8 @@ use std::time::Duration;
 use can::Instant;
 use thiserror::Error;
 
+use crate::HomingFailure;
+
 /// The most axes one effector can have.
 pub const MAX_AXES: usize = 8;
 
@@ -120,6 +122,14 @@ pub enum StopCause {
         /// The cell's limit.
         limit: f64,
     },
+    /// The motor is faster than its loop, which is closed here, could ever make it.
+    #[error("motor runs away at {velocity:.1} rad/s, beyond {limit:.1} rad/s")]
+    Runaway {
+        /// Measured.
+        velocity: f64,
+        /// The cell's limit.
+        limit: f64,
+    },
     /// A set-point beyond a position limit; it was not sent.
     #[error("set-point {position:.4} rad is beyond the limit {limit:.4} rad")]
     PositionLimit {
@@ -168,9 +178,12 @@ pub enum StopCause {
         /// The last macrostep that was executed.
         last: u64,
     },
-    /// Homing failed or took too long.
+    /// Homing by the drive failed, or homing took too long.
     #[error("homing failed")]
     HomingFailed,
+    /// Homing by the servo did not find the reference.
+    #[error("homing: {0}")]
+    NoReference(HomingFailure),
     /// More cycles in a row missed their deadline than the cell allows.
     #[error("{missed} cycles in a row missed their deadline")]
     Overrun {

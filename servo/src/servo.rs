@@ -136,7 +136,7 @@ impl Servo {
             group.drives.read(now, &mut group.states);
         }
         for effector in &mut self.effectors {
-            effector.set_states(|group, index| self.groups[group].states[index], tick.dt);
+            effector.set_states(|group, index| self.groups[group].states[index], &tick);
             effector.step(&tick);
             for (group, index, command) in effector.commands() {
                 self.groups[group].commands[index] = command;
@@ -196,6 +196,7 @@ impl Servo {
             number,
             now,
             dt: self.period.as_secs_f64(),
+            periods: missed.saturating_add(1),
             stop: self.stop.is_requested(),
             overrun: (row > self.max_missed_in_row).then_some(row),
             refused: self.refused_in_row,

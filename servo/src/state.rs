@@ -7,7 +7,8 @@ use crate::Phase;
 /// fault, a stop request) brakes it first: motion that the servo commands is braked by the servo
 /// ([`State::Braking`]), motion that a drive commands, homing, by the drive
 /// ([`State::Halting`]). Where braking leads is decided when it begins and can only get
-/// stricter: stand, then off, then faulted. A fault of an effector at rest takes its power at once.
+/// stricter: stand, then off, then faulted. A fault of an effector at rest takes its power at once,
+/// and so does, wherever it happens, the loss of a loop that the servo closes (category 0).
 ///
 /// ```text
 /// Off ──Enable──▶ Enabling ──Done──▶ Standing ──Move──▶ Moving ──Done──▶ Standing
@@ -20,6 +21,8 @@ use crate::Phase;
 /// Enabling, Standing ──Disable──▶ Off
 /// Off, Enabling, Standing ──Fault──▶ Faulted ──ResetFault──▶ Resetting ──Done──▶ Off
 ///                                    Faulted ◀────Fault───── Resetting
+///
+/// any state ──ControlLost──▶ Faulted
 /// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum State {
@@ -75,6 +78,8 @@ pub enum Event {
     Done,
     /// A drive, a check or a time-out.
     Fault,
+    /// A loop that the servo closes does not work, and so can brake nothing.
+    ControlLost,
 }
 
 /// What becomes of an event.
@@ -96,6 +101,8 @@ impl State {
             Braking, Enabling, Faulted, Halting, Homing, Moving, Off, Resetting, Standing,
         };
         match (self, event) {
+            (_, Event::ControlLost) => To(Faulted),
+
             (Off, Event::Enable) => To(Enabling),
             (Off, Event::Stop | Event::Disable | Event::ResetFault) => To(Off),
             (Off, Event::Home | Event::Move | Event::Done) => Refuse,
@@ -195,22 +202,23 @@ mod tests {
             Event::ResetFault,
             Event::Done,
             Event::Fault,
+            Event::ControlLost,
         ];
         let table = [
-            //                      Enable Home Move Stop Disable Reset Done Fault
-            (Off, "E--...-F"),
-            (Enabling, ".ww.O.SF"),
-            (Standing, ".HM.O.-F"),
-            (Homing, ".ww45.S6"),
-            (Moving, ".w.12.S3"),
-            (Braking(After::Stand), "www.2-S3"),
-            (Braking(After::Off), "www..-O3"),
-            (Braking(After::Fault), "www..-F."),
-            (Halting(After::Stand), "www.5-S6"),
-            (Halting(After::Off), "www..-O6"),
-            (Halting(After::Fault), "www..-F."),
-            (Faulted, "---..R-."),
-            (Resetting, "www...OF"),
+            //                      Enable Home Move Stop Disable Reset Done Fault ControlLost
+            (Off, "E--...-FF"),
+            (Enabling, ".ww.O.SFF"),
+            (Standing, ".HM.O.-FF"),
+            (Homing, ".ww45.S6F"),
+            (Moving, ".w.12.S3F"),
+            (Braking(After::Stand), "www.2-S3F"),
+            (Braking(After::Off), "www..-O3F"),
+            (Braking(After::Fault), "www..-F.F"),
+            (Halting(After::Stand), "www.5-S6F"),
+            (Halting(After::Off), "www..-O6F"),
+            (Halting(After::Fault), "www..-F.F"),
+            (Faulted, "---..R-.."),
+            (Resetting, "www...OFF"),
         ];
         for (state, expected) in table {
             let row: String = events

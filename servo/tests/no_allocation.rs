@@ -7,8 +7,9 @@ use std::time::Duration;
 use can::Instant;
 use drive::Homing;
 use mrroc_servo::{
-    EffectorConfig, MAX_AXES, Macrostep, Order, Phase, PositionLoop, Servo, ServoAxisConfig,
-    ServoConfig, StopCause, Timing,
+    Direction, EffectorConfig, FeedForward, HomingLeg, HostHoming, HostLoop, Law, MAX_AXES,
+    Macrostep, Order, Output, Phase, PositionLoop, Servo, ServoAxisConfig, ServoConfig, StopCause,
+    Timing, regulator,
 };
 
 mod scripted;
@@ -44,7 +45,13 @@ static ALLOCATOR: Counting = Counting;
 
 #[test]
 fn cycles_do_not_allocate() {
-    let axes = 6;
+    for config in [scripted::config(6), scripted::host_config(6)] {
+        moves_and_stops(&config);
+    }
+}
+
+fn moves_and_stops(config: &ServoConfig) {
+    let axes = config.effectors[0].axes.len();
     let (group, world) = scripted::group(axes);
     {
         let mut world = world.lock().expect("nobody else has it yet");
@@ -55,7 +62,7 @@ fn cycles_do_not_allocate() {
             .for_each(|drive| drive.state.homing = Homing::Attained);
     }
     let (mut servo, mut links) =
-        Servo::new(&scripted::config(axes), vec![group]).expect("the configuration is sound");
+        Servo::new(config, vec![group]).expect("the configuration is sound");
     let link = &mut links[0];
     let mut records = servo.record(1000);
     let mut timing = Timing::default();
@@ -113,4 +120,56 @@ fn cycles_do_not_allocate() {
 
     drop(vec![0u8]);
     assert_eq!(CALLS.with(Cell::get) - before, 2, "the counter counts");
+}
+
+#[test]
+fn homing_by_the_servo_does_not_allocate() {
+    let mut config = scripted::host_config(2);
+    config.effectors[0].homing_timeout = Duration::from_secs(20);
+    let leg = |velocity, distance| HomingLeg {
+        velocity,
+        distance,
+        timeout: Duration::from_secs(5),
+    };
+    for axis in &mut config.effectors[0].axes {
+        axis.homing = Some(HostHoming {
+            direction: Direction::Negative,
+            search: leg(15.0, 20.0),
+            zero: leg(3.5, 8.0),
+            acceleration: 300.0,
+            pause: Duration::from_millis(10),
+            debounce: 3,
+            reverse_at_limit: true,
+        });
+    }
+    let (group, world) = scripted::group(2);
+    {
+        let mut world = world.lock().expect("nobody else has it yet");
+        world.log = false;
+        for drive in &mut world.axes {
+            drive.home_below = Some(-5.0);
+            drive.index = -3.0;
+        }
+    }
+    let (mut servo, mut links) =
+        Servo::new(&config, vec![group]).expect("the configuration is sound");
+    let mut now = Instant::ZERO;
+    let mut run = |servo: &mut Servo, cycles| {
+        for _ in 0..cycles {
+            servo.step(now);
+            now += scripted::PERIOD;
+        }
+    };
+    let orders = &mut links[0].orders;
+    orders.push(Order::Enable).expect("the queue is empty");
+    run(&mut servo, 20);
+    let before = CALLS.with(Cell::get);
+    orders.push(Order::Home).expect("the queue is empty");
+    run(&mut servo, 5000);
+    assert_eq!(CALLS.with(Cell::get) - before, 0);
+    assert!(servo.homing_offsets(0).all(|offset| offset.is_some()));
+    assert_eq!(
+        servo.state(0).map(|state| state.phase()),
+        Some(Phase::Standing)
+    );
 }

@@ -34,7 +34,7 @@ fn cell(directory: &Directory, dcf: &str, change: Change) -> PathBuf {
     directory.cell("irb6", |cell| {
         shorten(cell);
         let axis = &mut cell.robot[0].axis[0];
-        axis.drive.dcf = Some("motor.dcf".into());
+        axis.drive.as_mut().unwrap().dcf = Some("motor.dcf".into());
         change(axis);
     })
 }
@@ -177,7 +177,7 @@ const REFUSALS: &[Case] = &[
     (
         "another product than the cell's",
         &[VALUE],
-        |axis| axis.drive.product = Some(0x6552_0000),
+        |axis| axis.drive.as_mut().unwrap().product = Some(0x6552_0000),
         &[
             "robot[0].axis[0].drive.dcf: ",
             "motor.dcf",
@@ -187,13 +187,13 @@ const REFUSALS: &[Case] = &[
     (
         "another vendor than the cell's",
         &[VALUE],
-        |axis| axis.drive.vendor = 0x1234,
+        |axis| axis.drive.as_mut().unwrap().vendor = 0x1234,
         &["0x000000fb (0x1018:01), the cell says 0x00001234"],
     ),
     (
         "another revision than the cell's",
         &[VALUE],
-        |axis| axis.drive.revision = Some(0x0168_0000),
+        |axis| axis.drive.as_mut().unwrap().revision = Some(0x0168_0000),
         &["0x01700000 (0x1018:03), the cell says 0x01680000"],
     ),
     (
@@ -217,7 +217,7 @@ const REFUSALS: &[Case] = &[
     (
         "no such file",
         &[VALUE],
-        |axis| axis.drive.dcf = Some("missing.dcf".into()),
+        |axis| axis.drive.as_mut().unwrap().dcf = Some("missing.dcf".into()),
         &["robot[0].axis[0].drive.dcf: ", "missing.dcf: No such file"],
     ),
 ];

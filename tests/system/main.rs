@@ -15,6 +15,7 @@ mod cycle;
 mod emulate_slcan;
 mod faults;
 mod homing;
+mod loops;
 mod motion;
 mod mrroc;
 mod peers;

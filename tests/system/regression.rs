@@ -14,14 +14,14 @@ const PERIOD: f64 = 0.002;
 
 /// A rest-to-rest motion of the motor: rad, rad/s, rad/s².
 #[derive(Clone, Copy)]
-struct Trapezoid {
-    distance: f64,
-    velocity: f64,
-    acceleration: f64,
+pub(crate) struct Trapezoid {
+    pub(crate) distance: f64,
+    pub(crate) velocity: f64,
+    pub(crate) acceleration: f64,
 }
 
 impl Trapezoid {
-    fn at(self, t: f64) -> f64 {
+    pub(crate) fn at(self, t: f64) -> f64 {
         let Self {
             distance,
             velocity,
@@ -37,7 +37,13 @@ impl Trapezoid {
         }
     }
 
-    fn duration(self) -> f64 {
+    /// rad/s.
+    pub(crate) fn velocity_at(self, t: f64) -> f64 {
+        let to_end = self.duration() - t;
+        (self.acceleration * t.min(to_end)).clamp(0.0, self.velocity)
+    }
+
+    pub(crate) fn duration(self) -> f64 {
         self.distance / self.velocity + self.velocity / self.acceleration
     }
 }
@@ -91,19 +97,19 @@ fn peak_current(samples: &[Sample]) -> i32 {
         .expect("a run has samples")
 }
 
-const LARGE: WutConfig = WutConfig {
+pub(crate) const LARGE: WutConfig = WutConfig {
     torque_constant: 0.105,
     inertia: 1.5e-4,
     viscous: 0.02,
     friction: FrictionConfig::NONE,
     resistance: 0.6,
 };
-const SMALL: WutConfig = WutConfig {
+pub(crate) const SMALL: WutConfig = WutConfig {
     inertia: 1.5e-5,
     viscous: 2e-4,
     ..LARGE
 };
-const MOTION: Trapezoid = Trapezoid {
+pub(crate) const MOTION: Trapezoid = Trapezoid {
     distance: 100.0,
     velocity: 50.0,
     acceleration: 150.0,

@@ -266,6 +266,12 @@ mod tests {
             assert_eq!(response.encode().to_string(), bytes);
             assert_eq!(Response::decode(&parse(bytes)), Some(response));
         }
+        let beyond = Response {
+            node: NODE,
+            toggle: false,
+            state: State::Unknown(0x85),
+        };
+        assert_eq!(beyond.encode().to_string(), "702#05");
         assert_eq!(Response::decode(&request.encode()), None);
         assert_eq!(Response::decode(&parse("702#0500")), None);
     }
@@ -342,14 +348,16 @@ mod tests {
     }
 
     #[test]
-    fn a_node_that_never_answers_is_lost_once() {
+    fn a_node_that_no_longer_answers_is_lost_once() {
         let mut guard = guard();
         assert_eq!(guard.poll_timeout(), Some(at(0)));
-        for millis in [0, 100, 200] {
+        guard.handle(&parse("702#05"), at(50));
+        assert!(guard.poll().is_some());
+        for millis in [0, 100, 200, 300] {
             assert!(guard.poll_transmit(at(millis)).is_some());
         }
-        assert_eq!(guard.poll_timeout(), Some(at(300)));
-        guard.handle_timeout(at(300));
+        assert_eq!(guard.poll_timeout(), Some(at(350)));
+        guard.handle_timeout(at(350));
         guard.handle_timeout(at(700));
         let waited = Duration::from_millis(300);
         assert_eq!(guard.poll(), Some(Event::Lost { waited }));

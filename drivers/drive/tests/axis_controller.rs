@@ -219,6 +219,32 @@ fn bring_up_says_who_is_at_the_other_end() {
         found: 9,
     };
     assert_eq!(error(&mut swapped), other);
+    // Such as answers whatever it is asked.
+    let mut shouting = Rig::of(Drive {
+        deaf: true,
+        ..Drive::new(Protocol::Nfv2, 8)
+    });
+    let frame = [
+        0x23, 0x12, 0xED, 0x09, 0x1A, 0x04, 0x2E, 0xFB, 0xFF, 0xFF, 0x1B, 0x02, 0xFA, 0x00, 0x1F,
+        0x02, 0x10, 0x00,
+    ];
+    let crc = serial::nfv2::crc8(&frame[3..]);
+    let result = (0..1_000).find_map(|_| {
+        shouting
+            .drive()
+            .outbox
+            .extend(frame.into_iter().chain([crc]));
+        shouting.now += PERIOD;
+        match shouting.group.bring_up(shouting.now) {
+            Poll::Ready(result) => Some(result),
+            Poll::Pending => None,
+        }
+    });
+    let error = BringUpError::AxisController {
+        line: 0,
+        error: other,
+    };
+    assert_eq!(result, Some(Err(error)));
     let text = BringUpError::AxisController {
         line: 2,
         error: other,
@@ -431,6 +457,40 @@ fn the_index_pulse_sets_the_counter_while_seeking() {
             assert_eq!((state.homing, state.fault), (Homing::Attained, None));
             assert!(matches!(rig.drive().mode, Mode::Pwm | Mode::Current));
         }
+    }
+}
+
+#[test]
+fn an_index_pulse_in_the_last_cycle_of_a_search_counts() {
+    for protocol in BOTH {
+        let mut rig = Rig::on(Drive {
+            velocity: 20,
+            ..Drive::new(protocol, 8)
+        });
+        rig.run(5, AxisCommand::Seek(raw(protocol, 3)));
+        let index = rig.drive().position + 10;
+        rig.drive().index = Some(index);
+        rig.cycle(AxisCommand::Seek(raw(protocol, 3)));
+        assert_eq!(rig.drive().index, None);
+        let state = rig.run(4, AxisCommand::Stand);
+        assert_eq!(
+            (state.homing, state.fault),
+            (Homing::Attained, None),
+            "{protocol:?}"
+        );
+    }
+}
+
+#[test]
+fn what_nobody_asked_for_is_no_answer() {
+    for protocol in BOTH {
+        let mut rig = Rig::on(Drive::new(protocol, 8));
+        rig.drive().full = true;
+        rig.cycle(AxisCommand::Stand);
+        let stale = rig.drive().last_answer.clone();
+        rig.drive().outbox.extend(stale);
+        assert_eq!(rig.cycle(AxisCommand::Stand).age, 1, "{protocol:?}");
+        assert_eq!(rig.counters().surplus, 1);
     }
 }
 
@@ -650,9 +710,103 @@ fn torn_and_surplus_bytes_cost_two_answers_at_most() {
                 .extend((0..surplus).map(|n| [0x23, 0x12, 0xED, 8][n % 4]));
             let ages: Vec<u32> = (0..3).map(|_| rig.cycle(AxisCommand::Stand).age).collect();
             assert_eq!(ages[2], 0, "{protocol:?} {surplus}: {ages:?}");
+            // What looks like a header hides no answer behind it.
+            assert!(
+                protocol == Protocol::HiMoxa || ages == [0; 3],
+                "{surplus}: {ages:?}"
+            );
             assert_eq!(rig.states[0].increments.0, 1_000);
         }
         assert_eq!(rig.fault(), None);
+    }
+}
+
+#[test]
+fn an_answer_that_is_not_its_own_is_refused() {
+    let mut nfv2 = Rig::on(Drive::new(Protocol::Nfv2, 8));
+    let mut other = Drive::new(Protocol::Nfv2, 9).shared();
+    for _ in 0..2 {
+        let request = nfv2.drive().heard.last().unwrap().clone();
+        // To anybody, whose CRC was computed for address 8.
+        let mut request = request;
+        request[3] = 0xFF;
+        let last = request.len() - 1;
+        request[last] = serial::nfv2::crc8(&request[3..last]);
+        serial::Line::write(&mut other, Instant::ZERO, &request).unwrap();
+        let foreign: Vec<u8> = other.drive().outbox.drain(..).collect();
+        nfv2.drive().outbox = foreign.into();
+        nfv2.cycle(AxisCommand::Stand);
+    }
+    assert_eq!((nfv2.states[0].age, nfv2.counters().foreign), (2, 2));
+
+    let mut moxa = Rig::on(Drive::new(Protocol::HiMoxa, 8));
+    moxa.drive().start = 0x2B;
+    moxa.run(2, AxisCommand::Stand);
+    assert_eq!((moxa.states[0].age, moxa.counters().damaged), (1, 1));
+
+    // Unless its start byte was never the same.
+    let mut restless = Rig::of(Drive::new(Protocol::HiMoxa, 8));
+    while restless.group.bring_up(restless.now).is_pending() {
+        restless.now += PERIOD;
+        restless.drive().start += 1;
+    }
+    restless.drive().start += 1;
+    assert_eq!(restless.run(3, AxisCommand::Off).age, 0);
+}
+
+#[test]
+fn a_whole_answer_after_a_torn_one_is_believed() {
+    let mut rig = Rig::on(Drive::new(Protocol::HiMoxa, 8));
+    rig.drive().outbox.truncate(5);
+    let ages: Vec<u32> = (0..2).map(|_| rig.cycle(AxisCommand::Stand).age).collect();
+    assert_eq!(ages, [1, 0]);
+}
+
+#[test]
+fn an_answer_that_was_read_in_two_parts_is_put_together() {
+    for protocol in BOTH {
+        let mut rig = Rig::on(Drive::new(protocol, 8));
+        let rest: Vec<u8> = rig.drive().outbox.drain(5..).collect();
+        assert_eq!(rig.cycle(AxisCommand::Stand).age, 1);
+        let next: Vec<u8> = rig.drive().outbox.drain(..).collect();
+        rig.drive().outbox.extend(rest.into_iter().chain(next));
+        assert_eq!(rig.cycle(AxisCommand::Stand).age, 0, "{protocol:?}");
+    }
+}
+
+#[test]
+fn a_counter_that_is_set_anew_without_being_asked_to_is_a_panic() {
+    for protocol in BOTH {
+        // A jump to zero with a reference, while following; and one to elsewhere while seeking.
+        for (position, seeks) in [(0, false), (50_000, true)] {
+            let mut rig = Rig::on(Drive::new(protocol, 8));
+            let setpoint = raw(protocol, 1);
+            let command = match seeks {
+                true => AxisCommand::Seek(setpoint),
+                false => AxisCommand::Follow(setpoint),
+            };
+            rig.run(5, command);
+            (rig.drive().position, rig.drive().status) = (position, Status::SYNCHRONIZED);
+            rig.run(6, command);
+            let fault = rig.fault();
+            let jumped = matches!(fault, Some(AxisControllerFault::Jumped { .. }));
+            assert!(jumped, "{protocol:?} {position}: {fault:?}");
+            assert_eq!(rig.counters().indexed, 0);
+        }
+    }
+}
+
+#[test]
+fn a_fault_stays_for_as_long_as_the_drive_reports_it() {
+    for protocol in BOTH {
+        let mut rig = Rig::on(Drive::new(protocol, 8));
+        rig.drive().status = Status::POWER_STAGE_FAULT;
+        rig.run(4, AxisCommand::Stand);
+        for _ in 0..10 {
+            assert!(rig.cycle(AxisCommand::ResetFault).fault.is_some());
+        }
+        rig.drive().status = 0;
+        assert_eq!(rig.run(4, AxisCommand::ResetFault).fault, None);
     }
 }
 

@@ -7,7 +7,7 @@ use serial::nfv2::{Answer, Command, Frame, FrameBuilder, Gains, Mode, Status};
 use serial::{Line, Settings, VirtualLine, hi_moxa};
 
 use super::{AxisControllerConfig, GAP, HiMoxaAxisController, Nfv2AxisController};
-use crate::{AxisConfig, Irp6Axis, LineDevice, LineId, World};
+use crate::{AxisConfig, Irp6Axis, LineDevice, LineFaults, LineId, Stuck, WireFaults, World};
 
 const PERIOD: Duration = Duration::from_millis(2);
 const ADDRESS: u8 = 8;
@@ -248,7 +248,8 @@ fn what_it_does_not_understand_it_does_not_answer() {
     };
     let mut damaged = good.clone();
     damaged[5] ^= 0x10;
-    let cases: [(&str, Vec<u8>); 7] = [
+    let old = hi_moxa::Request::Set(hi_moxa::Parameter::MaxCurrent(18_000));
+    let cases: [(&str, Vec<u8>); 8] = [
         ("unknown code beside a known one", unknown),
         ("damaged", damaged),
         ("speed", frame(ADDRESS, &[Command::SetSpeed(5)])),
@@ -257,6 +258,7 @@ fn what_it_does_not_understand_it_does_not_answer() {
             frame(ADDRESS, &[Command::SetMode(Mode::Position)]),
         ),
         ("other address", frame(9, &[])),
+        ("the older telegram", old.encode_cyclic().to_vec()),
         ("zeros", vec![0; 300]),
         ("starts", vec![0x23; 300]),
     ];
@@ -635,4 +637,91 @@ fn the_same_run_gives_the_same_bytes() {
             .collect::<Vec<u8>>()
     };
     assert_eq!(run(), run());
+}
+
+#[test]
+fn the_older_drive_does_not_answer_what_is_no_request() {
+    let good = hi_moxa::Request::Set(hi_moxa::Parameter::Synchronized(true)).encode();
+    let position = hi_moxa::Request::Drive {
+        mode: hi_moxa::Mode::Position,
+        value: 5,
+        latch_index: false,
+    };
+    let newer = [&[0; 5][..], &frame(ADDRESS, &[Command::SetPwm(100)])].concat();
+    let cases: [(&str, &[u8]); 6] = [
+        ("the newer telegram", &newer),
+        ("position", &position.encode_cyclic()),
+        ("unknown command", &[0, 0, 0, 0, 0x23, 0x03, 0, 0, 0, 0]),
+        ("short preamble", &[1, 0, 0, 0, 0x23, 0x1F, 1, 0, 0, 0]),
+        ("zeros", &[0; 100]),
+        ("spaces", &[0x20; 100]),
+    ];
+    let mut rig = Rig::hi_moxa(column());
+    for (what, bytes) in cases {
+        assert_eq!(rig.exchange(bytes), [], "{what}");
+        assert_eq!(rig.exchange(&good).len(), 8, "after {what}");
+    }
+    let device: &HiMoxaAxisController = rig.world.line_device(rig.line).unwrap();
+    assert_eq!((device.heard().obeyed, device.heard().refused), (6, 3));
+}
+
+#[test]
+fn a_bad_line_costs_telegrams_and_not_the_drive() {
+    let wire = WireFaults {
+        bit_error_rate: 0.002,
+        tear: 0.005,
+        duplicate: 0.005,
+        stuck: None,
+    };
+    for seed in 0..4 {
+        let faults = LineFaults {
+            seed,
+            to_device: wire,
+            to_host: WireFaults::default(),
+        };
+        let mut rig = Rig::nfv2(column());
+        let request = frame(ADDRESS, &[Command::SetMisc(Command::SET_SYNCHRONIZED)]);
+        rig.world.set_line_faults(rig.line, &faults);
+        let answered = (0..1000)
+            .filter(|_| !rig.exchange(&request).is_empty())
+            .count();
+        // 21 bytes of 8 bits and two chances to be hit: a third or so is lost.
+        assert!((500..800).contains(&answered), "seed {seed}: {answered}");
+        let heard = rig.device().heard();
+        assert!(heard.damaged > 50 && heard.skipped > 1000, "{heard:?}");
+        // A CRC of five effective bits lets one of 32 damaged frames through.
+        assert!(heard.obeyed - answered as u64 <= 20, "{heard:?}");
+        rig.world.set_line_faults(rig.line, &LineFaults::default());
+        for _ in 0..10 {
+            assert_eq!(rig.exchange(&request).len(), 19, "seed {seed}");
+        }
+    }
+}
+
+#[test]
+fn a_stuck_line_is_silence() {
+    use Stuck::{At, Silent};
+    for stuck in [Silent, At(0x00), At(0xFF)].map(Some) {
+        let hangs = WireFaults {
+            stuck,
+            ..WireFaults::default()
+        };
+        for to_device in [true, false] {
+            let mut faults = LineFaults::default();
+            if to_device {
+                faults.to_device = hangs;
+            } else {
+                faults.to_host = hangs;
+            }
+            let mut rig = Rig::nfv2(column());
+            rig.world.set_line_faults(rig.line, &faults);
+            let answer = rig.exchange(&frame(ADDRESS, &[]));
+            let expected = match stuck {
+                Some(At(level)) if !to_device => vec![level; 19],
+                _ => vec![],
+            };
+            assert_eq!(answer, expected, "{faults:?}");
+            assert_eq!(rig.device().heard().obeyed, u64::from(!to_device));
+        }
+    }
 }

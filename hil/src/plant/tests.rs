@@ -467,3 +467,54 @@ fn how_time_is_cut_up_changes_nothing() {
     assert_eq!(run(&[20; 300]), whole);
     assert_eq!(run(&[7, 13, 1, 9, 30].repeat(100)), whole);
 }
+
+#[test]
+fn voltages_and_currents_act_from_their_first_sub_step() {
+    // Friction beyond all means: no back-EMF.
+    let mut config = irp6(Irp6Axis::Column, |motor| {
+        motor.friction.coulomb = 100.0;
+        motor.friction.stiction = 100.0;
+    });
+    config.amplifier.max_voltage = 48.0;
+    config.amplifier.trip_current = 100.0;
+    for phase in 0..10 {
+        let mut axis = Axis::new(&config, 1);
+        axis.advance(phase, Demand::Off);
+        for k in 1..=20 {
+            axis.advance(1, Demand::Duty(0.25));
+            // 12 V over 0.6 Ω and 0.5 mH.
+            let exact = 20.0 * (1.0 - (-0.12 * f64::from(k)).exp());
+            let current = axis.feedback().current;
+            assert!((current - exact).abs() < 1e-6, "{current} A for {exact}");
+        }
+        // The loop takes over without a jump, and settles.
+        let before = axis.feedback().current;
+        axis.advance(1, Demand::Current(before));
+        let jump = axis.feedback().current - before;
+        assert!(jump.abs() < 0.7, "{jump} A, where 12 V alone add 0.2");
+        axis.advance(30, Demand::Current(-3.0));
+        let current = axis.feedback().current;
+        assert!((current + 3.0).abs() < 0.03, "{current} A");
+    }
+}
+
+#[test]
+fn an_axis_trips_beyond_the_current_it_was_set_to() {
+    for config in [
+        AxisConfig::irp6(Irp6Axis::Column),
+        AxisConfig::wut(Irp6Axis::Column),
+    ] {
+        for (limit, trips) in [(4.0, true), (6.0, false)] {
+            let mut axis = Axis::new(&config, 1);
+            axis.set_trip_current(limit);
+            axis.advance(100, Demand::Current(5.0));
+            let trip = axis.feedback().trip;
+            assert_eq!(trip == Some(Trip::OverCurrent), trips, "{limit} A");
+            axis.advance(100, Demand::Current(5.0));
+            assert_eq!(axis.feedback().trip, trip, "latched");
+            assert_eq!(axis.feedback().current == 0.0, trips);
+            axis.advance(1, Demand::Off);
+            assert_eq!(axis.feedback().trip, None);
+        }
+    }
+}

@@ -1,3 +1,5 @@
+mod host_homing;
+mod host_loops;
 mod motion;
 mod power;
 mod stops;

@@ -164,7 +164,6 @@ impl Axis {
         (self.telegram, self.setpoint) = (self.setup.dialect.rest(Aim::Manual, 1), 0);
         self.likeness = Likeness::default();
         self.measure(learnt.answer);
-        self.judge_status();
     }
 
     /// Takes what one reading of the line held.
@@ -229,7 +228,6 @@ impl Axis {
             self.referenced = false;
             self.latch(AxisControllerFault::Restarted);
         }
-        self.judge_status();
         self.judge_likeness(answer);
     }
 
@@ -300,6 +298,7 @@ impl Axis {
             self.state.age = self.state.age.saturating_add(1);
         }
         self.answered = false;
+        self.judge_status();
         let (tolerated, age) = (self.setup.tolerated_missing, self.state.age);
         // Before silence, which it may be the cause of.
         if self.not_sent > tolerated {
@@ -471,14 +470,10 @@ impl Axis {
         dialect.farewell(if self.panics { Aim::Error } else { Aim::Manual })
     }
 
-    /// Clears the fault, unless it is the drive's to leave first. What the drive and the line still show is
-    /// latched again by the next reading.
+    /// What the drive and the line still show is latched again by the next reading.
     fn reset(&mut self) {
-        let reported = Status::POWER_STAGE_FAULT | Status::OVERCURRENT | Status::ERROR;
-        if !self.status.any(reported) {
-            self.state.fault = None;
-            self.panics = false;
-        }
+        self.state.fault = None;
+        self.panics = false;
     }
 
     /// The first fault stays until reset: the later ones are mostly its consequences. A panic is one in any

@@ -3,7 +3,7 @@
 #![allow(dead_code, reason = "each test takes what it needs")]
 
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, MutexGuard};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use can::Instant;
 use mrroc_drive::axis_controller::Protocol;
@@ -232,7 +232,7 @@ pub(crate) struct Shared(Arc<Mutex<Drive>>);
 
 impl Shared {
     pub(crate) fn drive(&self) -> MutexGuard<'_, Drive> {
-        self.0.lock().expect("nobody panics with it")
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

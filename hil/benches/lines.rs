@@ -1,0 +1,102 @@
+//! How fast a robot of six serial axis controllers is emulated: six lines of 921600 baud, NFv2, a request
+//! with a pulse width and three reads on each every 2 ms.
+//!
+//! One iteration is one simulated second, so its inverse is simulated seconds per second.
+
+use std::hint::black_box;
+use std::time::Duration;
+
+use can::Instant;
+use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use mrroc_hil::{AxisConfig, AxisControllerConfig, Irp6Axis, Nfv2AxisController, World};
+use serial::nfv2::{Command, FrameBuilder, Mode};
+use serial::{Line, Settings, VirtualLine};
+
+const PERIOD: Duration = Duration::from_millis(2);
+/// Bytes of an answer to three reads.
+const ANSWER: usize = 19;
+
+type Axes = fn(Irp6Axis) -> AxisConfig;
+
+struct Robot {
+    world: World,
+    hosts: Vec<VirtualLine>,
+    now: Instant,
+    cycle: u32,
+}
+
+impl Robot {
+    fn new(axis: Axes) -> Self {
+        let mut world = World::new();
+        let hosts = (0..).zip(Irp6Axis::ALL).map(|(address, which)| {
+            let config = AxisControllerConfig::new(axis(which));
+            let device = Nfv2AxisController::new(address, config);
+            let line = world.add_line(Settings::AXIS_CONTROLLER, None, Box::new(device));
+            world.host_line(line, 256)
+        });
+        let hosts = hosts.collect();
+        let mut robot = Self {
+            world,
+            hosts,
+            now: Instant::ZERO,
+            cycle: 0,
+        };
+        robot.exchange(Command::SetMode(Mode::Pwm));
+        robot
+    }
+
+    /// Returns how many axes answered.
+    fn exchange(&mut self, command: Command) -> usize {
+        for (address, host) in (0..).zip(&mut self.hosts) {
+            let mut frame = FrameBuilder::new(address)
+                .command(command)
+                .command(Command::ReadPosition)
+                .command(Command::ReadCurrent)
+                .command(Command::ReadStatus);
+            let bytes = frame.finish().expect("it fits");
+            host.write(self.now, bytes).expect("the line is there");
+        }
+        self.now += PERIOD;
+        self.world.advance(self.now);
+        let mut into = [0; 64];
+        let mut answered = 0;
+        for host in &mut self.hosts {
+            let count = host.read(self.now, &mut into).expect("the line is there");
+            answered += usize::from(count == ANSWER);
+            black_box(&into);
+        }
+        answered
+    }
+
+    /// One cycle, to and fro.
+    fn step(&mut self) -> usize {
+        self.cycle += 1;
+        let angle = f64::from(self.cycle) * PERIOD.as_secs_f64() * std::f64::consts::TAU;
+        self.exchange(Command::SetPwm((60.0 * angle.sin()) as i16))
+    }
+}
+
+fn second(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("six serial axes, 2 ms, one simulated second");
+    group.throughput(Throughput::Elements(500));
+    let plants: [(&str, Axes); 2] = [
+        ("motors", AxisConfig::irp6),
+        ("regression model", AxisConfig::wut),
+    ];
+    for (name, axis) in plants {
+        let mut robot = Robot::new(axis);
+        assert_eq!(robot.step(), robot.hosts.len(), "every axis answers");
+        group.bench_function(name, |bencher| {
+            bencher.iter(|| {
+                for _ in 0..500 {
+                    black_box(robot.step());
+                }
+            });
+        });
+        assert_eq!(robot.step(), robot.hosts.len(), "every axis still does");
+    }
+    group.finish();
+}
+
+criterion_group!(benches, second);
+criterion_main!(benches);

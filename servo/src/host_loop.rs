@@ -1,0 +1,169 @@
+//! A position loop that the servo closes, at work: set-points and samples in, torque or duty out.
+
+use drive::{AxisState, Finite, Setpoint};
+
+use crate::axis::REMEMBERED;
+use crate::regulator::{Cascade, Incremental};
+use crate::{HostLoop, Knot, Law, Output};
+
+/// The loop of one axis.
+///
+/// Each cycle first [`observe`](Self::observe)s a sample, then [`regulate`](Self::regulate)s. Errors are
+/// those of a sample against the command of [`DriveGroup::delay`](drive::DriveGroup::delay) cycles before.
+/// While answers are missing errors stay as they were, which takes the axis to move as it was told to,
+/// and nothing is integrated; the next sample tells the whole difference.
+#[derive(Clone, Debug)]
+pub(crate) struct Loop {
+    config: HostLoop,
+    law: Regulator,
+    delay: usize,
+    /// Increments per radian, whatever their sign: the law works in the sense of the motor.
+    increments_per_radian: f64,
+    /// Positions commanded, the newest first; a cycle in which the set-points stood still counts too.
+    references: [f64; REMEMBERED],
+    /// Velocity of the last set-point, rad/s.
+    velocity: f64,
+    /// Position of the last sample, rad, and the cycles and periods since.
+    sample: Option<f64>,
+    cycles: usize,
+    periods: u32,
+    /// Periods that the last cycle came after the one before.
+    last_periods: u32,
+    /// Speed between the last two samples, rad/s.
+    measured_velocity: f64,
+    /// Errors of the last sample, rad and rad/s.
+    error: f64,
+    velocity_error: f64,
+    /// Position error as the law has it, rad.
+    taken: f64,
+}
+
+#[derive(Clone, Debug)]
+enum Regulator {
+    Incremental(Incremental),
+    Cascade(Cascade),
+}
+
+impl Loop {
+    pub(crate) fn new(config: HostLoop, increments_per_radian: f64, delay: usize) -> Self {
+        Self {
+            law: match config.law {
+                Law::Incremental(law) => Regulator::Incremental(Incremental::new(law)),
+                Law::Cascade(law) => Regulator::Cascade(Cascade::new(law)),
+            },
+            config,
+            delay,
+            increments_per_radian: increments_per_radian.abs(),
+            references: [0.0; REMEMBERED],
+            velocity: 0.0,
+            sample: None,
+            cycles: 0,
+            periods: 0,
+            last_periods: 1,
+            measured_velocity: 0.0,
+            error: 0.0,
+            velocity_error: 0.0,
+            taken: 0.0,
+        }
+    }
+
+    /// Takes a sample, `periods` of `dt` seconds after the last cycle.
+    pub(crate) fn observe(&mut self, state: &AxisState, periods: u32, dt: f64) {
+        self.cycles += 1;
+        // Such a sample was taken with the batch of the last cycle.
+        let before = std::mem::replace(&mut self.last_periods, periods);
+        let periods = if self.delay > 1 { before } else { periods };
+        self.periods = self.periods.saturating_add(periods);
+        if state.age > 0 {
+            return;
+        }
+        // The set-point that this sample shows, and the one that the sample before showed.
+        let (now, before) = (
+            self.reference(self.delay - 1),
+            self.reference(self.delay - 1 + self.cycles),
+        );
+        self.error = now - state.position;
+        let last = self.sample.replace(state.position);
+        self.measured_velocity = last.map_or(0.0, |last| {
+            (state.position - last) / (f64::from(self.periods) * dt)
+        });
+        self.velocity_error = (now - before) / (self.cycles as f64 * dt) - self.measured_velocity;
+        (self.cycles, self.periods) = (0, 0);
+    }
+
+    /// One cycle: the set-point of this cycle gives what the drive is sent.
+    pub(crate) fn regulate(&mut self, knot: Knot, dt: f64) -> Setpoint {
+        self.references.rotate_right(1);
+        self.references[0] = knot.position;
+        let last_velocity = std::mem::replace(&mut self.velocity, knot.velocity);
+        let feed = &self.config.feed_forward;
+        // The output acts from the last set-point to this one.
+        let velocity = 0.5 * (last_velocity + knot.velocity);
+        let dry = if velocity == 0.0 {
+            0.0
+        } else {
+            feed.coulomb.copysign(velocity)
+        };
+        let feed_forward = feed.velocity * velocity
+            + feed.acceleration * (knot.velocity - last_velocity) / dt
+            + dry
+            + feed.constant;
+        let grown = self.error - std::mem::replace(&mut self.taken, self.error);
+        let output = match &mut self.law {
+            Regulator::Incremental(law) => {
+                law.step(grown * self.increments_per_radian, feed_forward)
+            }
+            Regulator::Cascade(law) => {
+                let integrated = if self.cycles == 0 { dt } else { 0.0 };
+                law.step(self.error, self.velocity_error, feed_forward, integrated)
+            }
+        };
+        let output = Finite::new(output).unwrap_or_default();
+        match self.config.output {
+            Output::Torque => Setpoint::Torque(output),
+            Output::Duty => Setpoint::Duty(output),
+        }
+    }
+
+    /// Begins anew, at rest at `position`.
+    pub(crate) fn capture(&mut self, position: f64) {
+        match &mut self.law {
+            Regulator::Incremental(law) => law.reset(),
+            Regulator::Cascade(law) => law.reset(),
+        }
+        self.follow([position; REMEMBERED], 0.0);
+    }
+
+    /// Goes on with other commands, the newest first, as if the axis had followed them.
+    pub(crate) fn follow(&mut self, commands: [f64; REMEMBERED], velocity: f64) {
+        self.references = commands;
+        self.velocity = velocity;
+        (self.error, self.velocity_error, self.taken) = (0.0, 0.0, 0.0);
+    }
+
+    /// The counter was set: all positions so far are `step`, rad, further.
+    pub(crate) fn shift(&mut self, step: f64) {
+        self.references.iter_mut().for_each(|r| *r += step);
+        self.sample = self.sample.map(|sample| sample + step);
+    }
+
+    /// Commanded minus measured, rad, for a sample `age` cycles old; before this cycle's command.
+    pub(crate) fn error(&self, state: &AxisState) -> f64 {
+        self.reference((self.delay - 1).saturating_add(state.age as usize)) - state.position
+    }
+
+    /// Velocity, rad/s, between the last two samples.
+    pub(crate) fn measured_velocity(&self) -> f64 {
+        self.measured_velocity
+    }
+
+    /// The measured velocity and the limit, both rad/s, if it is beyond.
+    pub(crate) fn runaway(&self) -> Option<(f64, f64)> {
+        let (velocity, limit) = (self.measured_velocity, self.config.runaway_velocity);
+        (velocity.is_nan() || velocity.abs() > limit).then_some((velocity, limit))
+    }
+
+    fn reference(&self, age: usize) -> f64 {
+        self.references[age.min(REMEMBERED - 1)]
+    }
+}

@@ -1,0 +1,387 @@
+//! The position loops that the servo closes, whole: a servo with one axis over a motor, every sample
+//! in its place, and what control engineers ask of a loop measured from outside.
+//!
+//! A sine is added to what the servo puts out. Of what the motor then gets and what the servo makes of it,
+//! the open loop is the ratio, with its sign turned: where that is 1 is the crossover.
+
+mod cascades;
+mod homing;
+mod motors;
+
+use std::f64::consts::TAU;
+use std::sync::{Arc, Mutex};
+use std::task::Poll;
+use std::time::Duration;
+
+use can::Instant;
+use drive::{
+    AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Homing, Increments, Power,
+    Setpoint,
+};
+use hil::AxisConfig;
+use hil::plant::{Irp6Axis, WutConfig};
+use servo::regulator::IRP6;
+use servo::{
+    EffectorConfig, FeedForward, HostLoop, Law, MAX_AXES, Macrostep, Order, Output, Phase,
+    PositionLoop, Servo, ServoAxisConfig, ServoConfig,
+};
+
+use crate::regression::{LARGE, MOTION, SMALL, Trapezoid};
+use motors::{Motor, Regression};
+
+const PERIOD: Duration = Duration::from_millis(2);
+const DT: f64 = 0.002;
+
+/// What is added to the output, and what came of it: output of the servo and input of the motor, cycle by
+/// cycle.
+#[derive(Default)]
+struct Probe {
+    amplitude: f64,
+    frequency: f64,
+    cycles: usize,
+    trace: Vec<(f64, f64)>,
+}
+
+/// A drive group of one motor. Its samples are taken when they are read (delay 1), or, as over a serial
+/// line, when the telegram before was sent (delay 2).
+struct Group {
+    motor: Box<dyn Motor>,
+    counts: f64,
+    delay: usize,
+    sample: i32,
+    last: i32,
+    command: AxisCommand,
+    probe: Arc<Mutex<Probe>>,
+}
+
+impl DriveGroup for Group {
+    fn axes(&self) -> usize {
+        1
+    }
+
+    fn delay(&self) -> usize {
+        self.delay
+    }
+
+    fn bring_up(&mut self, _: Instant) -> Poll<Result<(), BringUpError>> {
+        Poll::Ready(Ok(()))
+    }
+
+    fn read(&mut self, now: Instant, states: &mut [AxisState]) {
+        if self.delay == 1 {
+            self.sample = self.count();
+        }
+        let radians = TAU / self.counts;
+        let moved = self.sample - std::mem::replace(&mut self.last, self.sample);
+        let asked = !matches!(self.command, AxisCommand::Off | AxisCommand::ResetFault);
+        states[0] = AxisState {
+            at: now,
+            position: f64::from(self.sample) * radians,
+            increments: Increments(self.sample),
+            velocity: f64::from(moved) * radians / DT,
+            power: if asked { Power::On } else { Power::Off },
+            homing: Homing::Attained,
+            following: matches!(self.command, AxisCommand::Follow(_)),
+            ..AxisState::default()
+        };
+    }
+
+    fn write(&mut self, _: Instant, commands: &[AxisCommand]) {
+        self.command = commands[0];
+    }
+
+    fn send(&mut self, _: Instant) -> bool {
+        self.sample = self.count();
+        let output = match self.command {
+            AxisCommand::Follow(Setpoint::Torque(output) | Setpoint::Duty(output)) => output.get(),
+            _ => 0.0,
+        };
+        let mut probe = self.probe.lock().unwrap();
+        let angle = TAU * probe.frequency * probe.cycles as f64 * DT;
+        let input = output + probe.amplitude * angle.sin();
+        probe.cycles += 1;
+        probe.trace.push((output, input));
+        self.motor.run(input);
+        true
+    }
+
+    fn counters(&self) -> GroupCounters {
+        GroupCounters::default()
+    }
+}
+
+impl Group {
+    fn count(&self) -> i32 {
+        (self.motor.angle() * self.counts / TAU).floor() as i32
+    }
+}
+
+/// An axis to be measured.
+#[derive(Clone, Copy)]
+struct Rig {
+    host: HostLoop,
+    counts: f64,
+    delay: usize,
+    motor: MakeMotor,
+    axis: Irp6Axis,
+}
+
+type MakeMotor = fn(Irp6Axis) -> Box<dyn Motor>;
+
+/// The servo in the middle of it.
+struct Running {
+    servo: Servo,
+    link: servo::EffectorLink,
+    probe: Arc<Mutex<Probe>>,
+    now: Instant,
+    /// Where it was when it was switched on, rad.
+    start: f64,
+}
+
+/// A servo with one effector of `axes` on one group.
+fn servo(axes: Vec<ServoAxisConfig>, group: Box<dyn DriveGroup>) -> (Servo, servo::EffectorLink) {
+    let config = ServoConfig {
+        period: PERIOD,
+        max_missed_in_row: 0,
+        effectors: vec![EffectorConfig {
+            name: "arm".into(),
+            axes,
+            queue: 1000,
+            enabling_timeout: Duration::from_secs(1),
+            homing_timeout: Duration::from_secs(20),
+        }],
+    };
+    let (servo, mut links) = Servo::new(&config, vec![group]).unwrap();
+    (servo, links.remove(0))
+}
+
+impl Rig {
+    fn axis_config(&self) -> ServoAxisConfig {
+        ServoAxisConfig {
+            group: 0,
+            index_in_group: 0,
+            min_position: -5000.0,
+            max_position: 5000.0,
+            max_velocity: 260.0,
+            max_acceleration: 2500.0,
+            following_error: 5.0,
+            homing_order: 0,
+            increments_per_radian: self.counts / TAU,
+            position_loop: PositionLoop::Host(self.host),
+            homing: None,
+        }
+    }
+
+    fn enable(&self) -> Running {
+        let probe = Arc::new(Mutex::new(Probe::default()));
+        let group = Group {
+            motor: (self.motor)(self.axis),
+            counts: self.counts,
+            delay: self.delay,
+            sample: 0,
+            last: 0,
+            command: AxisCommand::Off,
+            probe: Arc::clone(&probe),
+        };
+        let start = group.motor.angle();
+        let (servo, link) = servo(vec![self.axis_config()], Box::new(group));
+        let mut running = Running {
+            servo,
+            link,
+            probe,
+            now: Instant::ZERO,
+            start,
+        };
+        running.link.orders.push(Order::Enable).unwrap();
+        running.run(500);
+        assert_eq!(running.phase(), Phase::Standing);
+        running
+    }
+
+    /// Magnitude and phase, rad, of the open loop at `frequency`, Hz, while the motor runs at `velocity`.
+    fn open_loop(&self, frequency: f64, velocity: f64) -> (f64, f64) {
+        let mut running = self.enable();
+        running.probe.lock().unwrap().amplitude = self.limit() / 15.0;
+        running.probe.lock().unwrap().frequency = frequency;
+        if velocity != 0.0 {
+            let motion = Trapezoid {
+                distance: 5.0 * velocity,
+                velocity,
+                acceleration: 100.0,
+            };
+            running.follow(motion);
+        }
+        running.run(500);
+        running.probe.lock().unwrap().trace.clear();
+        running.run(1500);
+        assert!(
+            running.servo.fault(0).is_none(),
+            "{:?}",
+            running.servo.fault(0)
+        );
+        let probe = running.probe.lock().unwrap();
+        let length = probe.trace.len() as f64;
+        let (mut output, mut input) = ((0.0, 0.0), (0.0, 0.0));
+        for (k, (u, v)) in probe.trace.iter().enumerate() {
+            let window = 1.0 - (TAU * k as f64 / length).cos();
+            let (sin, cos) = (TAU * frequency * k as f64 * DT).sin_cos();
+            output = (output.0 + window * u * cos, output.1 - window * u * sin);
+            input = (input.0 + window * v * cos, input.1 - window * v * sin);
+        }
+        let magnitude = output.0.hypot(output.1) / input.0.hypot(input.1);
+        let phase = (-output.1).atan2(-output.0) - input.1.atan2(input.0);
+        (magnitude, phase.rem_euclid(TAU) - TAU)
+    }
+
+    /// Crossover, Hz, and phase margin, degrees.
+    fn margin(&self, velocity: f64) -> (f64, f64) {
+        let (mut low, mut high) = (3.0_f64, 120.0_f64);
+        for _ in 0..12 {
+            let middle = (low * high).sqrt();
+            if self.open_loop(middle, velocity).0 > 1.0 {
+                low = middle;
+            } else {
+                high = middle;
+            }
+        }
+        let (_, phase) = self.open_loop(low, velocity);
+        (low, 180.0 + phase.to_degrees())
+    }
+
+    fn limit(&self) -> f64 {
+        match self.host.law {
+            Law::Incremental(law) => law.limit,
+            Law::Cascade(law) => law.limit,
+        }
+    }
+}
+
+impl Running {
+    fn run(&mut self, cycles: usize) {
+        for _ in 0..cycles {
+            self.servo.step(self.now);
+            self.now += PERIOD;
+            while self.link.reports.pop().is_ok() {}
+        }
+    }
+
+    fn phase(&self) -> Phase {
+        self.servo.state(0).unwrap().phase()
+    }
+
+    /// Queues a motion in macrosteps of 10 periods.
+    fn follow(&mut self, motion: Trapezoid) {
+        let steps = (motion.duration() / (10.0 * DT)).ceil() as u64;
+        for number in 1..=steps {
+            let t = number as f64 * 10.0 * DT;
+            let velocity = if number == steps {
+                0.0
+            } else {
+                motion.velocity_at(t)
+            };
+            let macrostep = Macrostep {
+                number,
+                steps: 10,
+                report_at: 10,
+                position: [self.start + motion.at(t); MAX_AXES],
+                velocity: [velocity; MAX_AXES],
+            };
+            self.link.orders.push(Order::Move(macrostep)).unwrap();
+        }
+    }
+}
+
+/// The regression motor under the robot's own law, in the exact order of the original's emulator.
+fn original(axis: Irp6Axis, motor: MakeMotor) -> Rig {
+    Rig {
+        host: HostLoop {
+            law: Law::Incremental(IRP6[axis as usize]),
+            output: Output::Torque,
+            feed_forward: FeedForward::default(),
+            runaway_velocity: 1e4,
+        },
+        counts: f64::from(AxisConfig::irp6(axis).counts_per_revolution),
+        delay: 1,
+        motor,
+        axis,
+    }
+}
+
+/// As the original's emulator integrates it.
+fn coarse(axis: Irp6Axis) -> Box<dyn Motor> {
+    Box::new(Regression::new(regression_motor(axis), 1))
+}
+
+/// As the motor itself would move.
+fn fine(axis: Irp6Axis) -> Box<dyn Motor> {
+    Box::new(Regression::new(regression_motor(axis), 200))
+}
+
+fn regression_motor(axis: Irp6Axis) -> &'static WutConfig {
+    match axis {
+        Irp6Axis::Roll | Irp6Axis::Flange => &SMALL,
+        _ => &LARGE,
+    }
+}
+
+#[test]
+fn the_robots_own_loops_have_the_margins_of_their_table() {
+    let table = [
+        (53.6, 47.7),
+        (22.9, 78.1),
+        (34.8, 77.5),
+        (21.9, 82.3),
+        (74.6, 8.4),
+        (7.3, 52.9),
+    ];
+    println!("axis       crossover, Hz   margin, degrees");
+    for (axis, (crossover, margin)) in Irp6Axis::ALL.into_iter().zip(table) {
+        let found = original(axis, fine).margin(0.0);
+        println!(
+            "{axis:10?} {:8.1} {crossover:6.1} {:8.1} {margin:6.1}",
+            found.0, found.1
+        );
+        assert!(
+            (found.0 / crossover - 1.0).abs() < 0.1,
+            "{axis:?}: {} Hz",
+            found.0
+        );
+        assert!(
+            (found.1 / margin - 1.0).abs() < 0.1,
+            "{axis:?}: {} degrees",
+            found.1
+        );
+    }
+}
+
+#[test]
+fn one_more_sample_of_delay_leaves_the_column_nine_degrees() {
+    let rig = Rig {
+        delay: 2,
+        ..original(Irp6Axis::Column, fine)
+    };
+    let (crossover, margin) = rig.margin(0.0);
+    println!("column with one more sample: {crossover:.1} Hz, {margin:.1} degrees");
+    assert!((crossover / 53.6 - 1.0).abs() < 0.1, "{crossover} Hz");
+    assert!((margin / 9.1 - 1.0).abs() < 0.1, "{margin} degrees");
+}
+
+#[test]
+fn every_axis_follows_by_the_servo_as_it_does_by_the_bare_law() {
+    // Largest errors in counts, as in the table of the bare regulator.
+    let table = [147.0, 287.0, 224.0, 172.0, 3.0, 81.0];
+    for (axis, expected) in Irp6Axis::ALL.into_iter().zip(table) {
+        let rig = original(axis, coarse);
+        let mut running = rig.enable();
+        running.follow(MOTION);
+        running.run(2000);
+        assert_eq!(
+            running.phase(),
+            Phase::Standing,
+            "{:?}",
+            running.servo.fault(0)
+        );
+        let peak = running.servo.tracking(0).next().unwrap().peak() * rig.counts / TAU;
+        assert!((peak - expected).abs() < 3.0, "{axis:?}: {peak} counts");
+    }
+}

@@ -1,0 +1,126 @@
+//! Motors for loops: one period under a constant output at a time.
+
+use hil::AxisConfig;
+use hil::plant::{self, Demand, Irp6Axis, MotorConfig, PlantConfig, Wut, WutConfig};
+
+use super::DT;
+
+/// What a full pulse width puts out, V.
+pub(super) const SUPPLY: f64 = 48.0;
+
+/// A motor that the servo drives.
+pub(super) trait Motor: Send {
+    /// Of its shaft, rad.
+    fn angle(&self) -> f64;
+    /// One period under a torque, N·m, or a duty.
+    fn run(&mut self, input: f64);
+}
+
+/// The regression model. The original integrates it in one step a period; in many it moves as under a
+/// zero-order hold.
+pub(super) struct Regression {
+    steps: u32,
+    motor: Wut,
+    torque_constant: f64,
+}
+
+impl Regression {
+    pub(super) fn new(config: &WutConfig, steps: u32) -> Self {
+        Self {
+            steps,
+            motor: Wut::new(config, 0.0),
+            torque_constant: config.torque_constant,
+        }
+    }
+}
+
+impl Motor for Regression {
+    fn angle(&self) -> f64 {
+        self.motor.angle()
+    }
+
+    fn run(&mut self, input: f64) {
+        for _ in 0..self.steps {
+            let current = input / self.torque_constant;
+            self.motor.step(current, DT / f64::from(self.steps));
+        }
+    }
+}
+
+/// The motor of an axis.
+pub(super) fn physical(axis: Irp6Axis) -> MotorConfig {
+    match AxisConfig::irp6(axis).plant {
+        PlantConfig::Physical(motor) => motor,
+        PlantConfig::Wut(_) => unreachable!("the preset is physical"),
+    }
+}
+
+/// 40 rad below the home position, so that there is room to run.
+fn axis_config(axis: Irp6Axis) -> AxisConfig {
+    let config = AxisConfig::irp6(axis);
+    AxisConfig {
+        start_angle: config.index_angle - 40.0,
+        ..config
+    }
+}
+
+/// The physical axis with a drive that regulates its current.
+pub(super) struct ByCurrent(plant::Axis);
+
+impl ByCurrent {
+    pub(super) fn new(axis: Irp6Axis) -> Self {
+        Self(plant::Axis::new(&axis_config(axis), 7))
+    }
+}
+
+impl Motor for ByCurrent {
+    fn angle(&self) -> f64 {
+        self.0.angle()
+    }
+
+    fn run(&mut self, input: f64) {
+        self.0.advance(20, Demand::Torque(input));
+    }
+}
+
+/// The same motor behind a plain bridge: windings, back-EMF, dry friction, weight.
+pub(super) struct ByPulseWidth {
+    config: MotorConfig,
+    angle: f64,
+    velocity: f64,
+    current: f64,
+}
+
+impl ByPulseWidth {
+    const STEP: f64 = 1e-5;
+
+    pub(super) fn new(axis: Irp6Axis) -> Self {
+        Self {
+            config: physical(axis),
+            angle: axis_config(axis).start_angle,
+            velocity: 0.0,
+            current: 0.0,
+        }
+    }
+}
+
+impl Motor for ByPulseWidth {
+    fn angle(&self) -> f64 {
+        self.angle
+    }
+
+    fn run(&mut self, input: f64) {
+        let c = &self.config;
+        for _ in 0..(DT / Self::STEP).round() as u32 {
+            let voltage = input * SUPPLY - c.torque_constant * self.velocity;
+            self.current += (voltage - c.resistance * self.current) / c.inductance * Self::STEP;
+            let weight =
+                c.gravity.amplitude * (self.angle / c.gravity.ratio + c.gravity.phase).cos();
+            let torque = c.torque_constant * self.current + weight - c.viscous * self.velocity;
+            let free = self.velocity + torque / c.inertia * Self::STEP;
+            let slowing = c.friction.coulomb / c.inertia * Self::STEP;
+            self.velocity = free - free.clamp(-slowing, slowing);
+            self.angle += self.velocity * Self::STEP;
+        }
+    }
+}
