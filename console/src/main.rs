@@ -32,7 +32,7 @@ use clap::{Parser, Subcommand};
 
 /// What scripts may build upon.
 const EXIT_STATUS: &str = "Exit status: 0 done; 1 stopped by a fault or by Ctrl-C, or a node was told and did not do \
-it; 2 refused before anything moved, aborted by the node, or no answer.";
+it; 2 refused before anything moved, aborted by the node, no answer, or no bus.";
 
 /// A multi-robot research-oriented controller with its hardware in the loop.
 #[derive(Parser)]
@@ -56,7 +56,8 @@ enum Command {
     Run(run::Options),
     /// Stand in for the axis controllers of a cell on a CAN interface or behind an slcan adapter.
     Emulate(emulate::Options),
-    /// Who is on a bus: asks every node-ID by SDO and listens to heartbeats. Not while another master uses SDO.
+    /// Who is on a bus: asks every node-ID by SDO, whoever has none by LSS, and listens to heartbeats. Not while another
+    /// master is at work.
     Scan(service::scan::Options),
     /// Read or write one object of a node.
     Sdo {
@@ -65,6 +66,11 @@ enum Command {
     },
     /// Tell a node, or all, to change its NMT state. Resets and stops take the power from drives; a brakeless arm falls.
     Nmt(service::nmt::Options),
+    /// Give node-IDs to nodes that have none, by layer setting services. A running cell is disturbed by it.
+    Lss {
+        #[command(subcommand)]
+        action: service::lss::Action,
+    },
     /// Show the frames of a bus in words until Ctrl-C. Sends nothing, unless --map asks.
     Monitor(service::monitor::Options),
     /// Print the electronic data sheet (EDS of CiA 306) of the drive emulated for an axis.
@@ -91,6 +97,7 @@ fn main() -> ExitCode {
         Command::Scan(options) => service::scan::scan(&options),
         Command::Sdo { action } => service::sdo::sdo(&action),
         Command::Nmt(options) => service::nmt::nmt(&options),
+        Command::Lss { action } => service::lss::lss(&action),
         Command::Monitor(options) => service::monitor::monitor(&options),
         Command::Eds { cell, axis } => eds::eds(&cell, &axis),
         Command::Vm { machine } => vm::vm(&machine),

@@ -139,6 +139,36 @@ fn service_commands_reach_drives_behind_an_adapter() {
 }
 
 #[test]
+fn a_data_sheet_names_types_and_refuses_before_anything_is_sent() {
+    let adapter = Adapters::with(1, &[3]);
+    let directory = Directory::new();
+    let cell = mrroc::example("irb6").display().to_string();
+    let sheet = mrroc(["eds", &cell, "column"]);
+    assert_eq!(sheet.status.code(), Some(0), "{sheet:?}");
+    let sheet = directory
+        .write("drive.eds", &sheet.stdout)
+        .display()
+        .to_string();
+    let with_sheet = |words: &str| adapter.run(&format!("{words} --eds {sheet}"));
+
+    // Its type is not said.
+    let wrote = with_sheet("sdo write 3 0x1017 70");
+    assert_eq!(wrote.status.code(), Some(0), "{wrote:?}");
+    assert!(wrote.stdout.ends_with(" = 0x0046, 70\n"), "{wrote:?}");
+    let cases = [
+        ("sdo write 3 0x6041 0", "is read-only by"),
+        ("sdo write 3 0x1017 65536", "u16"),
+        ("sdo read 3 0x5fff", "has no object 0x5fff:00"),
+    ];
+    for (words, needle) in cases {
+        let refused = with_sheet(words);
+        assert_eq!(refused.status.code(), Some(2), "{refused:?}");
+        assert_eq!(refused.stderr.lines().count(), 1, "{refused:?}");
+        assert!(refused.stderr.contains(needle), "{refused:?}");
+    }
+}
+
+#[test]
 fn a_bit_rate_that_is_not_the_buss_is_silence_and_one_that_slcan_lacks_is_refused() {
     let adapter = Adapters::with(1, &[3]);
     let wrong = adapter.run("scan --bitrate-kbps 500");

@@ -15,6 +15,7 @@ use canopen::nmt::{Command, Request as NmtRequest, State, Target};
 use canopen::pdo::{Entry, PdoKind};
 use canopen::sdo::{Initiate, Request, Response, Segment};
 use canopen::sync::Sync;
+use canopen::time::TimeOfDay;
 use canopen::{NodeId, Object, cob};
 use clap::ValueEnum;
 use serde::Serialize;
@@ -125,7 +126,7 @@ impl Decoder {
         let (kind, node, text) = match function {
             cob::Function::Nmt => (Kind::Nmt, None, nmt(frame)),
             cob::Function::Sync => (Kind::Sync, None, sync(frame)),
-            cob::Function::Time => (Kind::Time, None, time(frame.data())),
+            cob::Function::Time => (Kind::Time, None, time(frame)),
             cob::Function::Emcy(node) => (Kind::Emcy, Some(node), self.emcy(frame)),
             cob::Function::Heartbeat(node) => (Kind::Heartbeat, Some(node), heartbeat(frame)),
             cob::Function::SdoRequest(node) => (Kind::Sdo, Some(node), self.request(frame, node)),
@@ -353,21 +354,16 @@ fn unmapped(name: &str, offset: u16, data: &[u8]) -> String {
     format!("{name} {}: {}", offset + 1, bytes(data))
 }
 
-/// Milliseconds after midnight and days since 1984 (CiA 301, TIME_OF_DAY).
-fn time(data: &[u8]) -> Option<String> {
-    let &[a, b, c, d, days_low, days_high] = data else {
-        return None;
-    };
-    let milliseconds = u32::from_le_bytes([a, b, c, d]) & 0x0FFF_FFFF;
-    let days = u16::from_le_bytes([days_low, days_high]);
-    let (year, month, day) = date(days);
-    let seconds = milliseconds / 1000;
+fn time(frame: &Frame) -> Option<String> {
+    let time = TimeOfDay::decode(frame)?;
+    let (year, month, day) = date(time.days());
+    let seconds = time.millis() / 1000;
     Some(format!(
         "TIME {year}-{month:02}-{day:02} {:02}:{:02}:{:02}.{:03}",
         seconds / 3600,
         seconds / 60 % 60,
         seconds % 60,
-        milliseconds % 1000
+        time.millis() % 1000
     ))
 }
 

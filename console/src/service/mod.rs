@@ -3,9 +3,12 @@
 //! What a command says on the bus is a [`Conversation`](talk::Conversation), a function of (state, frame, now), so that
 //! the tests hold it with emulated drives in virtual time; [`talk`] holds it by the clock.
 //!
-//! Exit status: 0 done; 1 told, and the node did not do it, or broken off by Ctrl-C; 2 refused or no answer.
+//! Exit status: 0 done; 1 told, and the node did not do it, or broken off by Ctrl-C; 2 refused, aborted by the node, no
+//! answer, or the bus went away.
 
+mod data_sheet;
 pub(crate) mod decode;
+pub(crate) mod lss;
 pub(crate) mod monitor;
 pub(crate) mod nmt;
 mod pdo_map;
@@ -101,6 +104,7 @@ impl BusArgs {
     fn index_in(&self, file: &CellFile) -> anyhow::Result<usize> {
         let buses = &file.cell.bus;
         match &self.bus {
+            None if buses.is_empty() => bail!("the cell has no CAN bus"),
             None if buses.len() == 1 => Ok(0),
             None => bail!("the cell has {} buses, say which with --bus", buses.len()),
             Some(name) => buses

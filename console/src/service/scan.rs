@@ -7,6 +7,7 @@ use std::time::Duration;
 use anyhow::bail;
 use can::{Frame, Instant};
 use canopen::heartbeat::Heartbeat;
+use canopen::lss::Answer;
 use canopen::objects::{
     DEVICE_NAME, DEVICE_TYPE, PRODUCER_HEARTBEAT, PRODUCT_CODE, REVISION, SERIAL_NUMBER, VENDOR_ID,
 };
@@ -15,6 +16,7 @@ use canopen::{NodeId, Object, nmt};
 use clap::Args;
 use serde::Serialize;
 
+use super::lss::Dialogue;
 use super::survey::{Questions, Survey};
 use super::talk::{Conversation, Ended};
 use super::{BusArgs, interrupted, milliseconds, now, say, words};
@@ -24,6 +26,9 @@ const LISTEN: Duration = Duration::from_secs(1);
 
 /// How long a heartbeat is waited for at most that a node said it sends.
 const LONGEST_LISTEN: Duration = Duration::from_secs(3);
+
+/// How long nodes without a node-ID may take to say so.
+const LSS_ANSWER: Duration = Duration::from_millis(100);
 
 /// What a node is asked, in this order.
 const ASKED: [Object; 7] = [
@@ -56,13 +61,25 @@ pub(crate) fn scan(options: &Options) -> anyhow::Result<ExitCode> {
     if bus.hold(&mut scan)? == Ended::Interrupted {
         return Ok(interrupted());
     }
+    let mut without_id = Dialogue::anybody(LSS_ANSWER);
+    if bus.hold(&mut without_id)? == Ended::Interrupted {
+        return Ok(interrupted());
+    }
+    let unconfigured = without_id.result()?.contains(&Answer::Unconfigured(true));
     let nodes: Vec<_> = scan.into_nodes().collect();
-    if nodes.is_empty() {
+    if nodes.is_empty() && !unconfigured {
         bail!("no node answers: {}", bus.silence());
     }
     if options.json {
-        say(serde_json::to_string(&Scanned { nodes })?)?;
+        let scanned = Scanned {
+            nodes,
+            unconfigured,
+        };
+        say(serde_json::to_string(&scanned)?)?;
         return Ok(ExitCode::SUCCESS);
+    }
+    if unconfigured {
+        say("there are nodes without a node-ID: `mrroc lss scan` finds them")?;
     }
     for node in &nodes {
         let id = NodeId::new(node.node).expect("it came from a node-ID");
@@ -77,6 +94,8 @@ pub(crate) fn scan(options: &Options) -> anyhow::Result<ExitCode> {
 #[derive(Serialize)]
 struct Scanned {
     nodes: Vec<Node>,
+    /// Whether any node that knows LSS has no node-ID.
+    unconfigured: bool,
 }
 
 /// The questions to every node-ID, and the heartbeats heard meanwhile.

@@ -1,9 +1,10 @@
 //! `mrroc sdo`: reading and writing one object of one node.
 
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
 
-use anyhow::anyhow;
+use anyhow::{Context, anyhow};
 use can::{Frame, Instant};
 use canopen::objects::{ERROR_CODE, ERROR_HISTORY_NEWEST, VENDOR_ID};
 use canopen::sdo::{self, AbortCode, SdoError, StartError};
@@ -11,6 +12,7 @@ use canopen::{NodeId, Object};
 use clap::{Args, Subcommand};
 use serde::Serialize;
 
+use super::data_sheet::DataSheet;
 use super::talk::{Conversation, Ended};
 use super::value::{self, Shown, Type};
 use super::{Bus, BusArgs, interrupted, milliseconds, node_id, now, say, words};
@@ -28,7 +30,7 @@ pub(crate) enum Action {
     Read {
         #[command(flatten)]
         target: Target,
-        /// What to show it as; without it, in every way that makes sense.
+        /// What to show it as; without it, as the data sheet says, or in every way that makes sense.
         #[arg(long = "type", value_name = "TYPE")]
         ty: Option<Type>,
     },
@@ -39,9 +41,9 @@ pub(crate) enum Action {
         target: Target,
         /// The value, decimal or 0x…, or the text or the bytes.
         value: String,
-        /// What it is.
-        #[arg(long = "type", value_name = "TYPE")]
-        ty: Type,
+        /// What it is; without it, what the data sheet says.
+        #[arg(long = "type", value_name = "TYPE", required_unless_present = "eds")]
+        ty: Option<Type>,
         /// Do not read it back.
         #[arg(long)]
         no_read_back: bool,
@@ -59,6 +61,9 @@ pub(crate) struct Target {
     /// The object, such as 0x6041:0; its numbers are hexadecimal with 0x and decimal without.
     #[arg(value_name = "INDEX:SUB", value_parser = object)]
     object: Object,
+    /// The data sheet (EDS or DCF) of the device: names and types come from it, and it refuses what it does not allow.
+    #[arg(long, value_name = "FILE")]
+    eds: Option<PathBuf>,
     /// Transfer by blocks, faster for large objects; a node that knows none is asked for an ordinary transfer.
     #[arg(long)]
     block: bool,
@@ -68,6 +73,13 @@ pub(crate) struct Target {
     /// Print one JSON object.
     #[arg(long)]
     json: bool,
+}
+
+impl Target {
+    fn data_sheet(&self) -> anyhow::Result<Option<DataSheet>> {
+        let read = |path: &PathBuf| DataSheet::read(path, self.object);
+        self.eds.as_ref().map(read).transpose()
+    }
 }
 
 /// An object on the command line.
@@ -95,12 +107,16 @@ pub(crate) fn sdo(action: &Action) -> anyhow::Result<ExitCode> {
 }
 
 fn read(target: &Target, ty: Option<Type>) -> anyhow::Result<ExitCode> {
+    let sheet = target.data_sheet()?;
+    if let Some(sheet) = &sheet {
+        sheet.check_read()?;
+    }
     let mut bus = target.bus.open()?;
     match transfer(&mut bus, target, target.object, None)? {
         None => Ok(interrupted()),
         Some(Ok(data)) => {
             let vendor = vendor(&mut bus, target)?;
-            show(target, &data, ty, vendor)?;
+            show(target, &data, ty, sheet.as_ref(), vendor)?;
             Ok(ExitCode::SUCCESS)
         }
         Some(Err(error)) => Err(refusal(&bus, target, error)),
@@ -119,8 +135,23 @@ fn vendor(bus: &mut Bus, target: &Target) -> anyhow::Result<Option<u32>> {
         .map(|raw| raw as u32))
 }
 
-fn write(target: &Target, text: &str, ty: Type, read_back: bool) -> anyhow::Result<ExitCode> {
+fn write(
+    target: &Target,
+    text: &str,
+    ty: Option<Type>,
+    read_back: bool,
+) -> anyhow::Result<ExitCode> {
+    let sheet = target.data_sheet()?;
+    let ty = ty.or_else(|| sheet.as_ref()?.value_type());
+    let ty = ty.with_context(|| format!("{}: say its --type, such as hex", target.object))?;
     let data = ty.encode(text)?;
+    if let Some(sheet) = &sheet {
+        sheet.check_write(target.node, &data)?;
+    }
+    let read_back = read_back
+        && sheet
+            .as_ref()
+            .is_none_or(|sheet| sheet.check_read().is_ok());
     let mut bus = target.bus.open()?;
     match transfer(&mut bus, target, target.object, Some(&data))? {
         None => return Ok(interrupted()),
@@ -133,7 +164,7 @@ fn write(target: &Target, text: &str, ty: Type, read_back: bool) -> anyhow::Resu
     match transfer(&mut bus, target, target.object, None)? {
         None => Ok(interrupted()),
         Some(Ok(found)) => {
-            show(target, &found, Some(ty), None)?;
+            show(target, &found, Some(ty), sheet.as_ref(), None)?;
             if found == data {
                 return Ok(ExitCode::SUCCESS);
             }
@@ -204,8 +235,15 @@ struct Answer {
     meaning: Option<String>,
 }
 
-fn show(target: &Target, data: &[u8], ty: Option<Type>, vendor: Option<u32>) -> anyhow::Result<()> {
+fn show(
+    target: &Target,
+    data: &[u8],
+    ty: Option<Type>,
+    sheet: Option<&DataSheet>,
+    vendor: Option<u32>,
+) -> anyhow::Result<()> {
     let object = target.object;
+    let ty = ty.or_else(|| sheet?.value_type());
     let shown = Shown::of(data, ty, words::is_signed(object));
     let raw = value::unsigned(data);
     let faults = words::fault_table(vendor);
@@ -213,7 +251,7 @@ fn show(target: &Target, data: &[u8], ty: Option<Type>, vendor: Option<u32>) -> 
         node: target.node.raw(),
         index: object.index,
         subindex: object.subindex,
-        name: words::object(object),
+        name: sheet.map_or_else(|| words::object(object), |sheet| Some(sheet.name.clone())),
         meaning: raw.and_then(|raw| words::meaning(object, raw, faults)),
         shown,
     };

@@ -3,7 +3,8 @@
 use std::time::Duration;
 
 use can::timing::Bitrate;
-use can::{Frame, Instant, Port, Received, VirtualPort};
+use can::{Frame, Instant, Port, Received, StandardId, VirtualPort};
+use canopen::lss::{Answer, Identity, Service};
 use canopen::nmt::{Command, Request, State};
 use canopen::objects::{DEVICE_NAME, PRODUCER_HEARTBEAT, STATUSWORD};
 use canopen::sdo::{AbortCode, SdoError};
@@ -12,6 +13,7 @@ use canopen::{NodeId, Object};
 use hil::epos4::{Epos4, Epos4Config};
 use hil::{AxisConfig, Irp6Axis, World};
 
+use super::lss::Dialogue;
 use super::nmt::{Report, Told};
 use super::pdo_map::MappingQuestions;
 use super::scan::Scan;
@@ -298,4 +300,139 @@ fn nodes_tell_what_their_pdos_carry() {
     assert!(of(0x183).eq([STATUSWORD]));
     let (_, absent) = answers.next().unwrap();
     assert!(absent.vendor.is_none() && absent.into_map().is_empty());
+}
+
+/// Holds a conversation in which each frame said is answered at once, and returns what was said in the end.
+fn answered(
+    conversation: &mut impl Conversation,
+    mut answer: impl FnMut(&str) -> Vec<&'static str>,
+) -> (Vec<String>, Duration) {
+    let (mut now, mut said) = (Instant::ZERO, Vec::new());
+    while now < Instant::ZERO + 3 * LONGEST {
+        conversation.handle_timeout(now);
+        while let Some(frame) = conversation.poll_transmit(now) {
+            said.push(frame.to_string());
+            for text in answer(&frame.to_string()) {
+                conversation.handle(&parse(text), now);
+            }
+        }
+        let Some(due) = conversation.poll_timeout() else {
+            return (said, now.since(Instant::ZERO));
+        };
+        now = due.max(now + TICK);
+    }
+    panic!("it does not end: {said:?}");
+}
+
+/// The frame that candump prints as `text`.
+fn parse(text: &str) -> Frame {
+    let (id, data) = text.split_once('#').unwrap();
+    let byte = |at| u8::from_str_radix(&data[at..at + 2], 16).unwrap();
+    let data: Vec<u8> = (0..data.len()).step_by(2).map(byte).collect();
+    let id = u16::from_str_radix(id, 16).unwrap();
+    Frame::new(StandardId::new(id).unwrap(), &data).unwrap()
+}
+
+#[test]
+fn a_node_is_given_its_node_id_by_these_frames_and_boots() {
+    let identity = Identity {
+        vendor: 0xFB,
+        product: 0x6150_0000,
+        revision: 0x0170_0000,
+        serial: 0x1234_5678,
+    };
+    let services = [
+        (Service::ConfigureNodeId(Some(node(5))), TIMEOUT),
+        (Service::Store, TIMEOUT),
+    ];
+    let mut dialogue = Dialogue::with(Some(identity), &services, Some(node(5)), TIMEOUT);
+    let mut modes = 0;
+    let (said, _) = answered(&mut dialogue, |said| match &said[..6] {
+        "7E5#43" => vec!["7E4#4400000000000000"],
+        "7E5#11" => vec!["7E4#1100000000000000"],
+        "7E5#17" => vec!["7E4#1700000000000000"],
+        "7E5#04" => {
+            modes += 1;
+            if modes == 2 { vec!["705#00"] } else { vec![] }
+        }
+        _ => vec![],
+    });
+    let expected = [
+        "7E5#0400000000000000",
+        "7E5#40FB000000000000",
+        "7E5#4100005061000000",
+        "7E5#4200007001000000",
+        "7E5#4378563412000000",
+        "7E5#1105000000000000",
+        "7E5#1700000000000000",
+        "7E5#0400000000000000",
+    ];
+    assert_eq!(said, expected);
+    assert!(dialogue.booted);
+    assert!(dialogue.result().is_ok());
+}
+
+#[test]
+fn whatever_fails_all_slaves_are_back_in_waiting_mode_at_the_end() {
+    let services = [
+        (Service::ConfigureNodeId(Some(node(5))), TIMEOUT),
+        (Service::Store, TIMEOUT),
+    ];
+    for answer in [None, Some("7E4#1101000000000000")] {
+        let mut dialogue = Dialogue::with(None, &services, Some(node(5)), TIMEOUT);
+        let (said, took) = answered(&mut dialogue, |said| match &said[..6] {
+            "7E5#11" => answer.into_iter().collect(),
+            _ => vec![],
+        });
+        let expected = [
+            "7E5#0400000000000000",
+            "7E5#0401000000000000",
+            "7E5#1105000000000000",
+            "7E5#0400000000000000",
+        ];
+        assert_eq!(said, expected);
+        assert!(took <= 2 * TIMEOUT, "{took:?}");
+        let (booted, result) = (dialogue.booted, dialogue.result());
+        assert!(result.is_err() && !booted, "{result:?}");
+    }
+}
+
+#[test]
+fn a_scan_for_nodes_without_a_node_id_goes_on_until_nobody_answers() {
+    let timeout = Duration::from_millis(20);
+    // As many questions as two nodes take whose identities are all zeros.
+    let mut left = 2 * (1 + 4 * 33);
+    let mut dialogue = Dialogue::scan(timeout);
+    let (said, took) = answered(&mut dialogue, |said| {
+        if said.starts_with("7E5#51") && left > 0 {
+            left -= 1;
+            return vec!["7E4#4F00000000000000"];
+        }
+        vec![]
+    });
+    // The same one twice ends it.
+    let zeros = Some(Identity::default());
+    let answers = dialogue.result().unwrap();
+    assert_eq!(
+        answers[1..],
+        [Answer::Found(zeros), Answer::Found(zeros), Answer::Done]
+    );
+    assert_eq!(said.last().unwrap(), "7E5#0400000000000000");
+    assert!(took < Duration::from_secs(6), "{took:?}");
+
+    let mut nobody = Dialogue::scan(timeout);
+    answered(&mut nobody, |_| vec![]);
+    assert_eq!(nobody.result().unwrap()[1], Answer::Found(None));
+    let mut anybody = Dialogue::anybody(timeout);
+    let unconfigured = |said: &str| match &said[..6] {
+        "7E5#4C" => vec!["7E4#5000000000000000"],
+        _ => vec![],
+    };
+    answered(&mut anybody, unconfigured);
+    assert!(
+        anybody
+            .result()
+            .unwrap()
+            .contains(&Answer::Unconfigured(true))
+    );
 }
