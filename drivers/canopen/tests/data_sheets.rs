@@ -66,8 +66,9 @@ CompactSubObj=3
 DefaultValue=0
 
 [1003Name]
-NrOfEntries=1
+NrOfEntries=2
 2=Older error
+3=
 [1016]
 ParameterName=Consumer
 ObjectType=8
@@ -340,14 +341,17 @@ const REFUSALS: &[Case] = &[
             found: 4,
         },
     ),
-    ("NrOfEntries=1", "NrOfEntries=2", 0, |line| {
-        EdsError::Count {
+    (
+        "NrOfEntries=2\n2=Older",
+        "NrOfEntries=3\n2=Older",
+        0,
+        |line| EdsError::Count {
             line,
             key: "NrOfEntries",
-            said: 2,
-            found: 1,
-        }
-    }),
+            said: 3,
+            found: 2,
+        },
+    ),
     ("2=Older error", "4=Older error", 0, |line| {
         EdsError::Range {
             line,
