@@ -252,7 +252,8 @@ pub struct Drive {
     #[serde(default)]
     pub revision: Option<u32>,
     /// Device configuration file (DCF of CiA 306) whose values are written before operation and read back, relative to the
-    /// cell file. What the controller itself sets, and `parameter`, come after it and win.
+    /// cell file. What the controller itself sets, and `parameter`, come after it and win. One that states no node-ID can
+    /// serve several axes.
     #[serde(default)]
     pub dcf: Option<String>,
     /// Quadrature counts per motor revolution.

@@ -66,8 +66,9 @@ CompactSubObj=3
 DefaultValue=0
 
 [1003Name]
-NrOfEntries=1
+NrOfEntries=2
 2=Older error
+3=
 [1016]
 ParameterName=Consumer
 ObjectType=8
@@ -239,17 +240,15 @@ fn texts_that_a_line_cannot_hold_do_not_break_the_file() {
     let mut eds = Eds::read(SHEET.as_bytes()).unwrap();
     eds.device.vendor_name = "two\r\n[lines] ; of text".into();
     eds.device.product_name = " ; nothing".into();
-    eds.objects
-        .get_mut(&0x1000)
-        .unwrap()
-        .variables
-        .get_mut(&0)
-        .unwrap()
-        .name = " ".into();
-    let again = Eds::read(eds.to_string().as_bytes()).unwrap();
-    assert_eq!(again.device.vendor_name, "two  [lines]");
-    assert_eq!(again.device.product_name, "");
-    assert_eq!(again.objects[&0x1000].name, "1000");
+    for name in [" ", "; nothing", "\n"] {
+        let device_type = eds.objects.get_mut(&0x1000).unwrap();
+        device_type.variables.get_mut(&0).unwrap().name = name.into();
+        let text = eds.to_string();
+        assert!(text.contains("[1000]\nParameterName=1000\n"), "{text}");
+        let again = Eds::read(text.as_bytes()).unwrap();
+        assert_eq!(again.device.vendor_name, "two  [lines]");
+        assert_eq!(again.device.product_name, "");
+    }
 }
 
 /// What stands in the sheet, what stands there instead, by how many lines the error stands below, and the error at line 0.
@@ -342,14 +341,17 @@ const REFUSALS: &[Case] = &[
             found: 4,
         },
     ),
-    ("NrOfEntries=1", "NrOfEntries=2", 0, |line| {
-        EdsError::Count {
+    (
+        "NrOfEntries=2\n2=Older",
+        "NrOfEntries=3\n2=Older",
+        0,
+        |line| EdsError::Count {
             line,
             key: "NrOfEntries",
-            said: 2,
-            found: 1,
-        }
-    }),
+            said: 3,
+            found: 2,
+        },
+    ),
     ("2=Older error", "4=Older error", 0, |line| {
         EdsError::Range {
             line,

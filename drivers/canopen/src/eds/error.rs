@@ -44,7 +44,7 @@ pub enum EdsError {
     },
     /// Not a number.
     #[error(
-        "{line}: not a number; write it in decimal, in hex as 0x1F or in octal as 017, of values after $NODEID+ if it adds the node-ID"
+        "{line}: not a number; write decimal, hex as 0x1F or octal as 017; a value adds the node-ID as $NODEID+0x80"
     )]
     Number { line: u32 },
     /// Neither a decimal fraction nor the 0x… bits of one, or not finite.

@@ -356,8 +356,10 @@ fn compact_names(
     eds: &mut Eds,
 ) -> Result<(), EdsError> {
     for (subindex, text) in compact_lines(section, index, compact)? {
-        text.text
-            .clone_into(&mut compact_variable(eds, index, subindex).name);
+        if !text.text.is_empty() {
+            text.text
+                .clone_into(&mut compact_variable(eds, index, subindex).name);
+        }
     }
     Ok(())
 }

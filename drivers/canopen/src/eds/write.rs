@@ -1,5 +1,6 @@
 use std::fmt::{self, Display, Formatter};
 
+use super::ini::uncommented;
 use super::{
     Access, BAUD_RATES, Commissioning, DeviceInfo, Eds, Entry, FileInfo, ObjectType,
     ParameterValue, Variable,
@@ -67,11 +68,16 @@ fn number(f: &mut Formatter<'_>, name: &str, value: Option<u32>) -> fmt::Result 
 }
 
 fn text(f: &mut Formatter<'_>, name: impl Display, value: &str) -> fmt::Result {
-    let value = value.replace(char::is_control, " ");
-    match super::ini::uncommented(&value) {
+    match line(value).as_str() {
         "" => Ok(()),
         value => key(f, name, value),
     }
+}
+
+/// What of a text a line can hold.
+fn line(text: &str) -> String {
+    let text = text.replace(char::is_control, " ");
+    uncommented(&text).to_owned()
 }
 
 impl FileInfo {
@@ -170,8 +176,9 @@ impl Entry {
 
 /// Every reader wants a name: one that has none is called by its address.
 fn head(f: &mut Formatter<'_>, name: &str, address: &str, object_type: ObjectType) -> fmt::Result {
-    let nothing = name.trim().is_empty();
-    text(f, "ParameterName", if nothing { address } else { name })?;
+    let name = line(name);
+    let name = if name.is_empty() { address } else { &name };
+    key(f, "ParameterName", name)?;
     key(f, "ObjectType", format_args!("{:#x}", object_type as u8))
 }
 

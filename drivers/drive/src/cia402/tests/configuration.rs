@@ -28,7 +28,7 @@ fn bench(settings: Vec<Setting>) -> Bench {
     bench
 }
 
-/// The requests that follow the first that begins with `prefix`, up to and without the next that begins so.
+/// How many frames were sent before the first that begins with `prefix`.
 fn position(bench: &Bench, prefix: &str) -> Option<usize> {
     let bus = bench.bus.0.lock().unwrap();
     let mut sent = bus.sent.iter().map(Frame::to_string);
