@@ -63,7 +63,6 @@ const PRESENT: usize = 8;
 /// The errors that are present.
 #[derive(Clone, Debug)]
 pub(super) struct Errors {
-    node: NodeId,
     present: [Option<Error>; PRESENT],
 }
 
@@ -71,17 +70,16 @@ const REGISTER: Slot = Slot::of(named::ERROR_REGISTER);
 const LAST_CODE: Slot = Slot::of(named::ERROR_CODE);
 
 impl Errors {
-    pub(super) fn new(node: NodeId) -> Self {
+    pub(super) fn new() -> Self {
         Self {
-            node,
             present: [None; PRESENT],
         }
     }
 
-    /// Notes an error and returns the EMCY that says so; `None` if it is present already.
-    pub(super) fn raise(&mut self, error: Error, objects: &mut Objects) -> Option<Frame> {
+    /// Notes an error; `false` if it is present already.
+    pub(super) fn raise(&mut self, error: Error, objects: &mut Objects) -> bool {
         if self.present.contains(&Some(error)) {
-            return None;
+            return false;
         }
         if let Some(place) = self.present.iter_mut().find(|place| place.is_none()) {
             *place = Some(error);
@@ -89,24 +87,21 @@ impl Errors {
         objects.push_history(error.code);
         objects.set(LAST_CODE, u32::from(error.code));
         self.write_register(objects);
-        Some(self.emergency(error.code, objects))
+        true
     }
 
-    /// Removes what `gone` says is gone; the EMCY "no error" once nothing is left.
-    pub(super) fn clear(
-        &mut self,
-        objects: &mut Objects,
-        gone: impl Fn(Error) -> bool,
-    ) -> Option<Frame> {
+    /// Removes what `gone` says is gone; `true` once nothing is left.
+    pub(super) fn clear(&mut self, objects: &mut Objects, gone: impl Fn(Error) -> bool) -> bool {
         let before = self.present;
         for place in &mut self.present {
             *place = place.filter(|error| !gone(*error));
         }
         self.write_register(objects);
-        (!self.any() && self.present != before).then(|| {
+        let none_left = !self.any() && self.present != before;
+        if none_left {
             objects.set(LAST_CODE, 0);
-            self.emergency(0x0000, objects)
-        })
+        }
+        none_left
     }
 
     /// Whether any error is present.
@@ -129,14 +124,15 @@ impl Errors {
             });
         objects.set(REGISTER, u32::from(register.0));
     }
+}
 
-    fn emergency(&self, code: u16, objects: &Objects) -> Frame {
-        Emergency {
-            node: self.node,
-            code,
-            error_register: ErrorRegister(objects.u(REGISTER) as u8),
-            vendor: [0; 5],
-        }
-        .encode()
+/// The EMCY that says `code`; 0 for no error.
+pub(super) fn emergency(node: NodeId, code: u16, objects: &Objects) -> Frame {
+    Emergency {
+        node,
+        code,
+        error_register: ErrorRegister(objects.u(REGISTER) as u8),
+        vendor: [0; 5],
     }
+    .encode()
 }

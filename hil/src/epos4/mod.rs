@@ -1,6 +1,6 @@
 //! An EPOS4-class axis controller: CiA 301 and CiA 402 as a maxon EPOS4 speaks them on CAN.
 //!
-//! [`Epos4`] is a [`Device`]: boot-up, NMT, SDO server, heartbeats both ways, EMCY, four PDOs each
+//! [`Epos4`] is a [`Device`]: LSS, boot-up, NMT, SDO server, heartbeats both ways, EMCY, four PDOs each
 //! way with strict re-mapping, power states with their option codes, modes PP, PV, HM, CSP, CSV and
 //! CST, and an [`Axis`] with its physics behind it. The object dictionary is one table.
 //!
@@ -9,14 +9,17 @@
 //! ([`CyclicStatus`]), a missing SYNC ([`SyncLoss`]), what leaving operational does (reset and stop
 //! act as the abort connection option 0x6007 says), errors of communication (they end when what was
 //! missed is heard again), and the order within a SYNC (TPDOs are sampled before RPDOs take
-//! effect). Left out: LSS, block transfer, store to a file, the torque offset in CSP and CSV.
+//! effect). A bit rate configured by LSS is taken and changes nothing; the record 0x2FF0 is the
+//! emulator's own. Left out: store to a file, the torque offset in CSP and CSV.
 //!
 //! The drive runs at 1 kHz and is caught up lazily, when a frame or a time-out needs to know, so a
 //! device whose host sends SYNC costs nothing between SYNCs.
 
+mod config;
 mod drive;
 mod errors;
 mod homing;
+mod lss;
 mod objects;
 mod pdo;
 mod power;
@@ -32,9 +35,11 @@ use can::{Frame, Instant};
 use canopen::heartbeat::Heartbeat;
 use canopen::{NodeId, cob, nmt, objects as named, sdo};
 
-use crate::{Axis, AxisConfig, Device, PlantConfig};
+use crate::{Axis, Device, PlantConfig};
+pub use config::{CyclicStatus, Epos4Config, SyncLoss};
 use drive::{CHUNK, Drive, interpolation_period};
 use errors::{Error, Errors};
+use lss::Lss;
 use objects::Objects;
 use pdo::{Pdos, Reception};
 use table::Slot;
@@ -47,84 +52,12 @@ const SDO_TIME_OUT: Duration = Duration::from_secs(1);
 /// Frames a device queues; what finds no room is lost, as in a full controller.
 const QUEUE: usize = 32;
 
-/// What distinguishes one unit from another.
-#[derive(Clone, Debug)]
-pub struct Epos4Config {
-    /// Its address.
-    pub node: NodeId,
-    /// Object 0x1018:1; maxon is 0x0000_00FB.
-    pub vendor: u32,
-    /// Object 0x1018:2: hardware version << 16.
-    pub product: u32,
-    /// Object 0x1018:3.
-    pub revision: u32,
-    /// Object 0x1018:4.
-    pub serial: u32,
-    /// When it is switched on: no later than the first instant it is told of.
-    pub power_on: Instant,
-    /// From power-on or reset to the boot-up frame.
-    pub boot_delay: Duration,
-    /// From an SDO request to its answer.
-    pub answer_delay: Duration,
-    /// Bits 10 and 12 in the cyclic modes.
-    pub cyclic_status: CyclicStatus,
-    /// What happens when SYNC stays away.
-    pub sync_loss: SyncLoss,
-    /// Bits that stand in every statusword; EPOS2 has bit 8 in all its states.
-    pub vendor_bits: u16,
-    /// Decides noise and ripple.
-    pub seed: u64,
-    /// Motor, load, sensors and inner loops.
-    pub axis: AxisConfig,
-}
-
-impl Epos4Config {
-    /// A Module 50/5 with firmware 0x0170 on this axis, quick to boot and to answer.
-    pub fn new(node: NodeId, axis: AxisConfig) -> Self {
-        Self {
-            node,
-            vendor: 0x0000_00FB,
-            product: 0x6150_0000,
-            revision: 0x0170_0000,
-            serial: 0x1000_0000 + u32::from(node.raw()),
-            power_on: Instant::ZERO,
-            boot_delay: Duration::from_millis(50),
-            answer_delay: Duration::from_micros(300),
-            cyclic_status: CyclicStatus::FollowsCommand,
-            sync_loss: SyncLoss::Hold,
-            vendor_bits: 0,
-            seed: u64::from(node.raw()),
-            axis,
-        }
-    }
-}
-
-/// What the statusword shows in CSP, CSV and CST; EPOS4's documents do not say.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum CyclicStatus {
-    /// Bit 12 while set-points are followed, as CiA 402 has it.
-    #[default]
-    FollowsCommand,
-    /// Neither bit 10 nor bit 12.
-    Silent,
-}
-
-/// What a drive that follows cyclic set-points does when SYNC stays away.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum SyncLoss {
-    /// Position stays at the last set-point, velocity and torque go on.
-    #[default]
-    Hold,
-    /// After this many interpolation periods (0x60C2) without SYNC, error 0x8250.
-    Fault {
-        /// Periods, at least 1.
-        periods: u32,
-    },
-}
-
 /// An emulated axis controller.
 pub struct Epos4 {
     config: Epos4Config,
+    /// Under which it takes part in the bus; `None` until it is given one.
+    node: Option<NodeId>,
+    lss: Lss,
     objects: Objects,
     drive: Drive,
     errors: Errors,
@@ -132,6 +65,8 @@ pub struct Epos4 {
     server: sdo::Server,
     /// The answer to the last SDO request and when it is due.
     answer: Option<(Instant, Frame)>,
+    /// When the block that was last asked for begins; `None` once it has.
+    block_at: Option<Instant>,
     queue: VecDeque<Frame>,
     /// End of the restart in progress.
     boots_at: Option<Instant>,
@@ -184,13 +119,22 @@ impl Epos4 {
             config.vendor_bits,
         );
         let boots_at = config.power_on + config.boot_delay;
+        let address = lss::Identity {
+            vendor: config.vendor,
+            product: config.product,
+            revision: config.revision,
+            serial: config.serial,
+        };
         Self {
+            node: config.node,
+            lss: Lss::new(config.node, address),
             objects: Objects::new(config.node, &identity),
             drive,
-            errors: Errors::new(config.node),
+            errors: Errors::new(),
             pdos: Pdos::NONE,
             server: sdo::Server::new(SDO_TIME_OUT),
             answer: None,
+            block_at: None,
             queue: VecDeque::with_capacity(QUEUE),
             boots_at: Some(boots_at),
             heartbeat_at: None,
@@ -229,10 +173,8 @@ impl Epos4 {
     }
 
     fn fail(&mut self, error: Error) {
-        if let Some(emergency) = self.errors.raise(error, &mut self.objects) {
-            if self.serving() {
-                self.send(emergency);
-            }
+        if self.errors.raise(error, &mut self.objects) {
+            self.report(error.code);
             self.drive.react(error, &self.objects);
             self.drive.publish(&mut self.objects, 0.0);
         }
@@ -257,9 +199,15 @@ impl Epos4 {
     }
 
     fn clear(&mut self, gone: impl Fn(Error) -> bool) {
-        let emergency = self.errors.clear(&mut self.objects, gone);
-        if let Some(emergency) = emergency.filter(|_| self.serving()) {
-            self.send(emergency);
+        if self.errors.clear(&mut self.objects, gone) {
+            self.report(0);
+        }
+    }
+
+    /// Sends an EMCY.
+    fn report(&mut self, code: u16) {
+        if let Some(node) = self.node.filter(|_| self.serving()) {
+            self.send(errors::emergency(node, code, &self.objects));
         }
     }
 
@@ -301,6 +249,7 @@ impl Epos4 {
             nmt::Command::Stop => self.enter(nmt::State::Stopped, now),
             nmt::Command::EnterPreOperational => self.enter(nmt::State::PreOperational, now),
             nmt::Command::ResetNode => {
+                self.lss.restart();
                 self.drive.restart();
                 self.reset(true, now);
             }
@@ -312,12 +261,18 @@ impl Epos4 {
     }
 
     fn reset(&mut self, all: bool, now: Instant) {
+        self.lss.wait();
+        self.node = self.lss.pending();
+        if let Some(node) = self.node {
+            self.objects.rename(node);
+        }
         self.objects.reset(all);
         self.objects.nmt = nmt::State::Initialising;
         self.errors.reset();
         self.pdos = Pdos::NONE;
         self.server.reset();
         self.answer = None;
+        self.block_at = None;
         self.queue.clear();
         self.heartbeat_at = None;
         self.consumers = [Consumer::default(); 2];
@@ -327,6 +282,10 @@ impl Epos4 {
 
     fn boot(&mut self, now: Instant) {
         self.boots_at = None;
+        if self.node.is_none() {
+            // It stays in initialisation, where there is nothing but LSS.
+            return;
+        }
         self.objects.nmt = nmt::State::PreOperational;
         self.drive.started(&mut self.objects);
         self.send_heartbeat(nmt::State::Initialising);
@@ -334,8 +293,9 @@ impl Epos4 {
     }
 
     fn send_heartbeat(&mut self, state: nmt::State) {
-        let node = self.config.node;
-        self.send(Heartbeat { node, state }.encode());
+        if let Some(node) = self.node {
+            self.send(Heartbeat { node, state }.encode());
+        }
     }
 
     fn read_heartbeat_times(&mut self, now: Instant) {
@@ -425,13 +385,28 @@ impl Epos4 {
         self.send_events(now);
     }
 
-    fn serve(&mut self, request: sdo::Request, now: Instant) {
+    fn serve(&mut self, frame: &Frame, node: NodeId, now: Instant) {
         self.catch_up(now, false);
-        let answer = self.server.handle(request, &mut self.objects, now);
+        let objects = &mut self.objects;
+        let answer = self.server.handle_frame(frame, node, objects, now);
         self.settle(now);
+        let due = now + self.config.answer_delay;
         if let Some(answer) = answer {
-            let frame = answer.encode(self.config.node);
-            self.answer = Some((now + self.config.answer_delay, frame));
+            self.answer = Some((due, answer));
+        }
+        self.block_at = self.server.transmits().then_some(due);
+    }
+
+    /// Does what LSS asks for.
+    fn configure(&mut self, frame: &Frame, now: Instant) {
+        let Some(request) = lss::Request::decode(frame) else {
+            return;
+        };
+        if let Some(answer) = self.lss.handle(request, self.node) {
+            self.send(answer.encode());
+        }
+        if self.node.is_none() && self.lss.given() {
+            self.reset(false, now);
         }
     }
 
@@ -490,6 +465,7 @@ impl Epos4 {
             .chain(self.boots_at)
             .chain(self.heartbeat_at)
             .chain(self.answer.map(|(at, _)| at))
+            .chain(self.block_at)
             .chain(self.server.poll_timeout())
             .chain(self.pdos.poll_timeout())
             .chain(self.sync_deadline())
@@ -506,7 +482,14 @@ impl Device for Epos4 {
         if self.boots_at.is_some() {
             return;
         }
-        let node = self.config.node;
+        if id == cob::LSS_REQUEST {
+            self.configure(frame, now);
+            self.schedule();
+            return;
+        }
+        let Some(node) = self.node else {
+            return;
+        };
         if id == cob::SYNC {
             if self.serving() {
                 self.synchronise(now);
@@ -521,10 +504,10 @@ impl Device for Epos4 {
             self.catch_up(now, false);
             self.manage(request.command, now);
         } else if id == cob::sdo_request(node) {
-            let Some(request) = sdo::Request::decode(frame, node).filter(|_| self.serving()) else {
+            if !self.serving() {
                 return;
-            };
-            self.serve(request, now);
+            }
+            self.serve(frame, node, now);
         } else if !self.receive_pdo(frame, now) {
             // Only the monitored nodes' heartbeats are of further interest.
             let Some(heartbeat) = Heartbeat::decode(frame) else {
@@ -535,8 +518,14 @@ impl Device for Epos4 {
         self.schedule();
     }
 
-    fn poll_transmit(&mut self, _now: Instant) -> Option<Frame> {
-        self.queue.pop_front()
+    fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
+        let segment = |node| match self.block_at {
+            None => self.server.poll_transmit(node, now),
+            Some(_) => None,
+        };
+        self.queue
+            .pop_front()
+            .or_else(|| self.node.and_then(segment))
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
@@ -553,8 +542,11 @@ impl Device for Epos4 {
         {
             self.send(frame);
         }
-        if let Some(abort) = self.server.handle_timeout(now) {
-            self.send(abort.encode(self.config.node));
+        self.block_at = self.block_at.filter(|at| *at > now);
+        if let Some(abort) = self.server.handle_timeout(now)
+            && let Some(node) = self.node
+        {
+            self.send(abort.encode(node));
         }
         if let Some(at) = self.heartbeat_at.filter(|at| *at <= now) {
             self.send_heartbeat(self.objects.nmt);

@@ -38,21 +38,27 @@ pub(super) struct Objects {
     stored: Box<[u32; ROWS]>,
     /// Factory values with this unit's identity.
     factory: Box<[u32; ROWS]>,
+    /// The one domain.
+    domain: Vec<u8>,
     pub(super) nmt: nmt::State,
     pub(super) changes: Changes,
 }
 
 impl Objects {
     /// Factory values, with `identity` of this unit where the table knows none.
-    pub(super) fn new(node: NodeId, identity: &[(Slot, u32)]) -> Self {
+    ///
+    /// Without a node-ID, COB-IDs wait for [`Objects::rename`].
+    pub(super) fn new(node: Option<NodeId>, identity: &[(Slot, u32)]) -> Self {
+        let raw = node.map_or(0, |node| u32::from(node.raw()));
         let mut factory = [0; ROWS];
         for (value, entry) in factory.iter_mut().zip(&TABLE) {
-            *value = entry.default + u32::from(entry.plus_node) * u32::from(node.raw());
+            *value = entry.default + u32::from(entry.plus_node) * raw;
         }
         for &(slot, value) in identity {
             factory[slot.row()] = value;
         }
         Self {
+            domain: factory_domain(),
             values: factory,
             stored: Box::new(factory),
             factory: Box::new(factory),
@@ -68,7 +74,25 @@ impl Objects {
                 self.values[row] = self.stored[row];
             }
         }
+        if all {
+            self.domain = factory_domain();
+        }
         self.changes = Changes::default();
+    }
+
+    /// Makes a node-ID the one that COB-IDs are reckoned from, where nothing else was stored.
+    pub(super) fn rename(&mut self, node: NodeId) {
+        for (row, entry) in TABLE
+            .iter()
+            .enumerate()
+            .filter(|(_, entry)| entry.plus_node)
+        {
+            let factory = entry.default + u32::from(node.raw());
+            if self.stored[row] == self.factory[row] {
+                self.stored[row] = factory;
+            }
+            self.factory[row] = factory;
+        }
     }
 
     /// An unsigned value.
@@ -268,6 +292,11 @@ pub(super) fn mappable(kind: PdoKind, entry: MapEntry) -> Result<Option<Slot>, A
     }
 }
 
+/// Bytes that show when one is out of its place.
+fn factory_domain() -> Vec<u8> {
+    (0..1000_u32).map(|at| (at % 251) as u8).collect()
+}
+
 fn supported(mode: u32) -> bool {
     SupportedModes::EPOS4.contains(ModeOfOperation::from_raw(mode as i32 as i8))
 }
@@ -315,7 +344,10 @@ fn find(object: Object) -> Result<Slot, AbortCode> {
 
 impl Dictionary for Objects {
     fn size(&self, object: Object) -> Option<usize> {
-        Some(Slot::find(object)?.entry().kind.size())
+        match Slot::find(object)?.entry().kind {
+            Kind::Domain => None,
+            kind => Some(kind.size()),
+        }
     }
 
     fn read(&mut self, object: Object, into: &mut [u8; MAX_SIZE]) -> Result<usize, AbortCode> {
@@ -324,6 +356,10 @@ impl Dictionary for Objects {
         if let Kind::Text(text) = entry.kind {
             into[..text.len()].copy_from_slice(text.as_bytes());
             return Ok(text.len());
+        }
+        if entry.kind == Kind::Domain {
+            into[..self.domain.len()].copy_from_slice(&self.domain);
+            return Ok(self.domain.len());
         }
         let count = self.u(Slot::of(named::ERROR_HISTORY_COUNT));
         if object.index == named::ERROR_HISTORY_COUNT.index && u32::from(object.subindex) > count {
@@ -339,6 +375,11 @@ impl Dictionary for Objects {
         let entry = slot.entry();
         if entry.access == Access::Read {
             return Err(AbortCode::READ_ONLY);
+        }
+        if entry.kind == Kind::Domain {
+            // A server takes no more than it can give back.
+            self.domain = data.to_vec();
+            return Ok(());
         }
         let size = entry.kind.size();
         if data.len() != size {

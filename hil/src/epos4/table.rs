@@ -5,7 +5,7 @@
 
 use canopen::Object;
 
-use Kind::{I8, I16, I32, Text, U8, U16, U32};
+use Kind::{Domain, I8, I16, I32, Text, U8, U16, U32};
 
 /// How many mapping entries a PDO has here; an EPOS4 has twelve.
 pub(super) const MAPPED: u8 = 8;
@@ -20,6 +20,8 @@ pub(super) enum Kind {
     U32,
     I32,
     Text(&'static str),
+    /// Bytes, as many as are written; there is one such object.
+    Domain,
 }
 
 impl Kind {
@@ -29,6 +31,7 @@ impl Kind {
             Self::U16 | Self::I16 => 2,
             Self::U32 | Self::I32 => 4,
             Self::Text(text) => text.len(),
+            Self::Domain => 0,
         }
     }
 
@@ -40,7 +43,7 @@ impl Kind {
             Self::I8 => i32::from(a as i8) as u32,
             Self::U16 => u32::from(u16::from_le_bytes([a, b])),
             Self::I16 => i32::from(i16::from_le_bytes([a, b])) as u32,
-            Self::U32 | Self::I32 | Self::Text(_) => u32::from_le_bytes(bytes),
+            Self::U32 | Self::I32 | Self::Text(_) | Self::Domain => u32::from_le_bytes(bytes),
         }
     }
 
@@ -48,7 +51,7 @@ impl Kind {
     pub(super) fn number(self, stored: u32) -> i64 {
         match self {
             Self::I8 | Self::I16 | Self::I32 => i64::from(stored as i32),
-            Self::U8 | Self::U16 | Self::U32 | Self::Text(_) => i64::from(stored),
+            Self::U8 | Self::U16 | Self::U32 | Self::Text(_) | Self::Domain => i64::from(stored),
         }
     }
 }
@@ -166,6 +169,15 @@ const COMMUNICATION: &[Entry] = &[
 const APPLICATION: &[Entry] = &[
     ro(0x2200, 0, U8, 1),
     ro(0x2200, 1, U16, 480).tx(),
+    // Of no EPOS4: something long to try out transfers with.
+    ro(0x2FF0, 0, U8, 2),
+    ro(
+        0x2FF0,
+        1,
+        Text("a record of the emulator, which no EPOS4 has: sub-index 2 takes any bytes"),
+        0,
+    ),
+    rw(0x2FF0, 2, Domain, 0),
     ro(0x3001, 0, U8, 5),
     rw(0x3001, 1, U32, 5_000),
     rw(0x3001, 2, U32, 10_000),

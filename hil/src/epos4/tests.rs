@@ -1,10 +1,11 @@
 //! A host that speaks to one device byte by byte.
 
 mod communication;
+mod configuration;
 mod motion;
 
 use super::*;
-use crate::{DeviceId, Irp6Axis, World};
+use crate::{AxisConfig, DeviceId, Irp6Axis, World};
 use can::timing::Bitrate;
 use can::{Port, Received, StandardId, VirtualPort};
 

@@ -1,0 +1,199 @@
+//! The LSS slave: how a unit gets its node-ID.
+//!
+//! ```text
+//!             switch global, or the fourth number of switch selective, or the end of a fastscan
+//!   waiting ──────────────────────────────────────────────────────────────────────────────────► configuration
+//!           ◄──────────────────────────────────────────────────────────────────────────────────
+//!             switch global, or any reset
+//! ```
+//!
+//! A node-ID that was configured is pending until the communication is reset; a unit without one takes
+//! it on its way back to waiting (CiA 305). Stored, it outlives a reset of the node. What the unit
+//! calls its bit rates is EPOS4's: 20 kbit/s to 1 Mbit/s, 10 kbit/s refused.
+
+use canopen::NodeId;
+use canopen::lss::{
+    BitRate, Bound, CIA_TABLE, FASTSCAN_RESET, Fastscan, Mode, Outcome, Part, Response,
+    UNCONFIGURED,
+};
+pub(super) use canopen::lss::{Identity, Request};
+
+/// The slave's state beside the node-ID in use.
+#[derive(Clone, Debug)]
+pub(super) struct Lss {
+    identity: Identity,
+    mode: Mode,
+    /// The node-ID after the next reset of the communication.
+    pending: Option<NodeId>,
+    /// The node-ID after the next reset of the node.
+    stored: Option<NodeId>,
+    /// How many numbers of a switch selective have agreed, in their order.
+    selected: u8,
+    /// How many bounds of an identify have held, in their order.
+    identified: u8,
+    /// The number that a fastscan asks about.
+    scanned: u8,
+    /// Whether a unit without a node-ID was given one and has gone back to waiting.
+    given: bool,
+}
+
+impl Lss {
+    pub(super) fn new(node: Option<NodeId>, identity: Identity) -> Self {
+        Self {
+            identity,
+            mode: Mode::Waiting,
+            pending: node,
+            stored: node,
+            selected: 0,
+            identified: 0,
+            scanned: 0,
+            given: false,
+        }
+    }
+
+    /// The node-ID for after a reset of the communication.
+    pub(super) fn pending(&self) -> Option<NodeId> {
+        self.pending
+    }
+
+    /// Whether a unit without a node-ID is to start with the pending one.
+    pub(super) fn given(&self) -> bool {
+        self.given
+    }
+
+    /// The communication is reset.
+    pub(super) fn wait(&mut self) {
+        *self = Self {
+            pending: self.pending,
+            stored: self.stored,
+            ..Self::new(None, self.identity)
+        };
+    }
+
+    /// The node is reset: what was not stored is forgotten.
+    pub(super) fn restart(&mut self) {
+        self.pending = self.stored;
+    }
+
+    /// Takes a request and answers it if it has an answer from this unit, whose node-ID is `active`.
+    pub(super) fn handle(&mut self, request: Request, active: Option<NodeId>) -> Option<Response> {
+        let configures = self.mode == Mode::Configuration;
+        match request {
+            Request::SwitchGlobal(mode) => {
+                self.given = configures && mode == Mode::Waiting && self.pending.is_some();
+                self.mode = mode;
+                self.selected = 0;
+                None
+            }
+            Request::SwitchSelective { part, value } if !configures => {
+                let agrees = self.identity.get(part) == value;
+                self.selected = in_order(self.selected, part.index(), agrees);
+                (self.selected == Part::ALL.len() as u8).then(|| {
+                    self.mode = Mode::Configuration;
+                    self.selected = 0;
+                    Response::Selected
+                })
+            }
+            Request::Identify { bound, value } => {
+                let Identity {
+                    vendor,
+                    product,
+                    revision,
+                    serial,
+                } = self.identity;
+                let holds = match bound {
+                    Bound::Vendor => vendor == value,
+                    Bound::Product => product == value,
+                    Bound::RevisionLow => revision >= value,
+                    Bound::RevisionHigh => revision <= value,
+                    Bound::SerialLow => serial >= value,
+                    Bound::SerialHigh => serial <= value,
+                };
+                self.identified = in_order(self.identified, bound as u8, holds);
+                (self.identified == Bound::ALL.len() as u8).then_some(Response::Identified)
+            }
+            Request::IdentifyUnconfigured => {
+                (active.is_none() && self.pending.is_none()).then_some(Response::Unconfigured)
+            }
+            Request::Fastscan(question) => {
+                let asked = !configures && active.is_none() && self.pending.is_none();
+                (asked && self.scan(question)).then_some(Response::Identified)
+            }
+            Request::ConfigureNodeId { node_id } if configures => {
+                let node = NodeId::new(node_id);
+                let known = node.is_some() || node_id == UNCONFIGURED;
+                if known {
+                    self.pending = node;
+                }
+                Some(Response::NodeIdConfigured(outcome(known)))
+            }
+            Request::ConfigureBitTiming { table, index } if configures => {
+                let rate = BitRate::from_index(index).filter(|_| table == CIA_TABLE);
+                let known = rate.is_some_and(|rate| rate != BitRate::Kbps10);
+                Some(Response::BitTimingConfigured(outcome(known)))
+            }
+            Request::Store if configures => {
+                self.stored = self.pending;
+                Some(Response::Stored(outcome(true)))
+            }
+            Request::Inquire(part) if configures => Some(Response::Inquired {
+                part,
+                value: self.identity.get(part),
+            }),
+            Request::InquireNodeId if configures => Some(Response::NodeId {
+                node_id: active.map_or(UNCONFIGURED, NodeId::raw),
+            }),
+            Request::SwitchSelective { .. }
+            | Request::ConfigureNodeId { .. }
+            | Request::ConfigureBitTiming { .. }
+            | Request::ActivateBitTiming { .. }
+            | Request::Store
+            | Request::Inquire(_)
+            | Request::InquireNodeId => None,
+        }
+    }
+
+    /// Whether the unit is one of those that a fastscan still looks for.
+    fn scan(&mut self, question: Fastscan) -> bool {
+        let Fastscan {
+            number,
+            bit,
+            sub,
+            next,
+        } = question;
+        if bit == FASTSCAN_RESET {
+            self.scanned = 0;
+            return true;
+        }
+        let part = Part::ALL.get(usize::from(sub)).copied();
+        let Some(part) = part.filter(|_| sub == self.scanned && bit < 32) else {
+            return false;
+        };
+        let agrees = (self.identity.get(part) ^ number) >> bit == 0;
+        if agrees && bit == 0 {
+            if next < sub {
+                self.mode = Mode::Configuration;
+            }
+            self.scanned = next;
+        }
+        agrees
+    }
+}
+
+/// How many steps have been taken in their order, once step `step` succeeds or not.
+fn in_order(taken: u8, step: u8, succeeds: bool) -> u8 {
+    if succeeds && (step == taken || step == 0) {
+        step + 1
+    } else {
+        0
+    }
+}
+
+fn outcome(success: bool) -> Outcome {
+    let error = if success {
+        Outcome::SUCCESS
+    } else {
+        Outcome::OUT_OF_RANGE
+    };
+    Outcome { error, specific: 0 }
+}
