@@ -19,6 +19,7 @@ use std::time::Duration;
 
 use can::timing::Bitrate;
 use can::{Instant, Port, Received, clock};
+use canopen::NodeId;
 use canopen::objects::DEVICE_TYPE;
 use canopen::sdo::Client;
 use canopen::sync::Sync;
@@ -30,7 +31,9 @@ use serial::{Settings, SlcanPort, Tty};
 #[path = "../system/adapter.rs"]
 mod adapter;
 
-use adapter::{Adapter, NODE, drive};
+use adapter::Adapter;
+
+const NODE: NodeId = NodeId::new(1).unwrap();
 
 const READ: pty::Interest = pty::Interest {
     read: true,
@@ -112,8 +115,12 @@ impl Comparison {
 
 /// What python-canopen does and what we do on one adapter.
 fn over_slcan() -> (f64, f64) {
-    let adapter = Adapter::new(Some(drive(Duration::ZERO)));
-    adapter.served(|tty| {
+    let drive = Epos4::new(Epos4Config {
+        answer_delay: Duration::ZERO,
+        power_on: clock::now(),
+        ..drive_config()
+    });
+    Adapter::new(Some(Box::new(drive))).served(|tty| {
         let channel = tty.to_str().expect("a path of digits and letters");
         let theirs = || python_canopen(&["--interface", "slcan", "--channel", channel]);
         in_turns(theirs, || on_the_adapter(tty))
@@ -156,8 +163,7 @@ fn on_the_virtual_bus() -> f64 {
     let mut world = World::new();
     let bus = world.add_bus(Bitrate::KBPS_1000);
     let mut port = world.host_port(bus, 16);
-    let axis = AxisConfig::irp6(Irp6Axis::ALL[0]);
-    world.add_device(bus, Box::new(Epos4::new(Epos4Config::new(NODE, axis))));
+    world.add_device(bus, Box::new(Epos4::new(drive_config())));
     let mut now = Instant::ZERO + Duration::from_secs(1);
     world.advance(now);
     let mut client = client();
@@ -167,6 +173,10 @@ fn on_the_virtual_bus() -> f64 {
             now + STEP
         });
     })
+}
+
+fn drive_config() -> Epos4Config {
+    Epos4Config::new(NODE, AxisConfig::irp6(Irp6Axis::ALL[0]))
 }
 
 fn client() -> Client {

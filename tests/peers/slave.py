@@ -38,9 +38,19 @@ def next_power(power, word, before):
     return {READY: SWITCHED_ON, SWITCHED_ON: ENABLED, QUICK_STOP: ENABLED}.get(power, power)
 
 
+def dictionary(eds, node):
+    """The drive's, and one object of any length, 0x2F00."""
+    objects = canopen.import_od(eds, node)
+    domain = canopen.objectdictionary.ODVariable("domain", 0x2F00)
+    domain.data_type = canopen.objectdictionary.DOMAIN
+    domain.access_type = "rw"
+    objects.add_object(domain)
+    return objects
+
+
 class Drive:
     def __init__(self, network, node, eds):
-        self.node = canopen.LocalNode(node, canopen.import_od(eds, node))
+        self.node = canopen.LocalNode(node, dictionary(eds, node))
         self.lock = threading.Lock()
         self.word = 0
         self.power = DISABLED

@@ -1,4 +1,4 @@
-//! An slcan adapter on a pseudo-terminal with at most one drive behind it, on a bus that takes no time.
+//! An slcan adapter on a pseudo-terminal with at most one device behind it, on a bus that takes no time.
 //!
 //! `mrroc emulate --slcan` has the true bit times of a bus; here the adapter is in the test's hands, and nothing but the
 //! host's end takes any time.
@@ -12,34 +12,21 @@ use std::time::Duration;
 
 use can::timing::Bitrate;
 use can::{Frame, Instant, clock};
-use canopen::NodeId;
 use hil::pty::{self, Interest};
-use hil::{AxisConfig, Device, Epos4, Epos4Config, Irp6Axis, Pty, SlcanConfig, SlcanDevice};
-
-/// The drive's node-ID.
-pub(crate) const NODE: NodeId = NodeId::new(1).unwrap();
-
-/// A drive that is switched on now and answers after `answer_delay`, on an axis with room for a turn each way.
-pub(crate) fn drive(answer_delay: Duration) -> Epos4 {
-    Epos4::new(Epos4Config {
-        answer_delay,
-        power_on: clock::now(),
-        ..Epos4Config::new(NODE, AxisConfig::irp6(Irp6Axis::ALL[0]))
-    })
-}
+use hil::{Device, Pty, SlcanConfig, SlcanDevice};
 
 pub(crate) struct Adapter {
     pub(crate) pty: Pty,
     pub(crate) device: SlcanDevice,
-    drive: Option<Epos4>,
+    behind: Option<Box<dyn Device>>,
 }
 
 impl Adapter {
-    pub(crate) fn new(drive: Option<Epos4>) -> Self {
+    pub(crate) fn new(behind: Option<Box<dyn Device>>) -> Self {
         Self {
             pty: Pty::open().unwrap(),
             device: SlcanDevice::new(SlcanConfig::new(Bitrate::KBPS_1000)),
-            drive,
+            behind,
         }
     }
 
@@ -73,10 +60,10 @@ impl Adapter {
         true
     }
 
-    /// Waits for the host or for the drive's time, and passes on what there is.
+    /// Waits for the host or for the device's time, and passes on what there is.
     fn turn(&mut self) -> io::Result<()> {
         const LOOK: Duration = Duration::from_millis(20);
-        let due = self.drive.as_ref().and_then(Device::poll_timeout);
+        let due = self.behind.as_ref().and_then(|it| it.poll_timeout());
         let look = clock::now() + LOOK;
         let interest = Interest {
             read: true,
@@ -101,18 +88,18 @@ impl Adapter {
     }
 
     fn exchange(&mut self, now: Instant) {
-        let Some(drive) = &mut self.drive else {
+        let Some(behind) = &mut self.behind else {
             // Frames for a bus on which nobody is.
             while self.device.poll_transmit(now).is_some() {}
             return;
         };
         while let Some(frame) = self.device.poll_transmit(now) {
-            drive.handle(&frame, now);
+            behind.handle(&frame, now);
         }
-        while drive.poll_timeout().is_some_and(|due| due <= now) {
-            drive.handle_timeout(now);
+        while behind.poll_timeout().is_some_and(|due| due <= now) {
+            behind.handle_timeout(now);
         }
-        while let Some(frame) = drive.poll_transmit(now) {
+        while let Some(frame) = behind.poll_transmit(now) {
             self.device.handle(&frame, now);
         }
     }

@@ -1,44 +1,60 @@
 //! python-canopen as the master of an emulated drive.
 
-use std::path::Path;
-use std::time::Duration;
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
 
 use super::serial::attach;
-use super::{Bus, python};
-use crate::adapter::{Adapter, drive};
+use super::{Bus, judged, python};
 use crate::bench::on_vcan;
-use crate::vcan::on_stage;
+use crate::mrroc::{self, Directory, Running};
+use crate::vcan::{on_stage, wait_until};
 
-/// From a request to its answer, as real drives have it.
-const ANSWER_DELAY: Duration = Duration::from_micros(300);
+/// The drives of an arm behind an emulated adapter, and the link to its tty.
+struct Emulated {
+    link: PathBuf,
+    _emulators: Running,
+    _directory: Directory,
+}
+
+impl Emulated {
+    fn start() -> Self {
+        let directory = Directory::new();
+        let cell = directory.cell("irb6", |_| {});
+        let link = directory.path("adapter");
+        let arguments = [OsStr::new("emulate"), cell.as_os_str()];
+        let slcan = [OsStr::new("--slcan"), link.as_os_str()];
+        let emulators = Running::start(arguments.into_iter().chain(slcan));
+        wait_until("the link to the tty is there", || link.exists());
+        Self {
+            link,
+            _emulators: emulators,
+            _directory: directory,
+        }
+    }
+}
 
 /// Every check of the suite holds on this bus.
 fn suite(python: &Path, bus: &Bus) {
-    let output = bus.script(python, "master.py").output().unwrap();
-    let (said, complained) = (
-        String::from_utf8_lossy(&output.stdout),
-        String::from_utf8_lossy(&output.stderr),
-    );
-    assert!(output.status.success(), "{said}\n{complained}");
-    println!("{said}");
+    judged(&mut bus.script(python, "master.py"));
 }
 
 #[test]
 fn python_canopen_finds_an_emulated_drive_right_over_slcan() {
     let test = "peers::master::python_canopen_finds_an_emulated_drive_right_over_slcan";
     let Some(python) = python(test) else { return };
-    Adapter::new(Some(drive(ANSWER_DELAY))).served(|tty| suite(&python, &Bus::slcan(tty)));
+    let emulated = Emulated::start();
+    suite(&python, &Bus::slcan(&emulated.link));
 }
 
 #[test]
 fn python_canopen_finds_an_emulated_drive_right_over_the_kernels_slcan() {
     let test = "peers::master::python_canopen_finds_an_emulated_drive_right_over_the_kernels_slcan";
     let Some(python) = python(test) else { return };
+    mrroc::binary();
     on_vcan(test, |_| {
-        Adapter::new(Some(drive(ANSWER_DELAY))).served(|tty| {
-            let slcan = attach(tty, "slcan0");
-            suite(&python, &Bus::socketcan(slcan.interface));
-        });
+        let emulated = Emulated::start();
+        let slcan = attach(&emulated.link, "slcan0");
+        suite(&python, &Bus::socketcan(slcan.interface));
     });
 }
 

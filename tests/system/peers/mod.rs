@@ -4,6 +4,7 @@
 //! the Python packages that `tests/run` puts into `target/peers`; without them these tests fail, unless
 //! `MRROC_LEAVE_OUT=peers` says that they may be left out.
 
+mod blocks;
 mod linux;
 mod master;
 mod serial;
@@ -64,6 +65,17 @@ impl<'a> Bus<'a> {
             .arg(mrroc::root().join("cells/epos4-emulated.eds"));
         command
     }
+}
+
+/// Runs a script to its end, which is to be a good one.
+fn judged(script: &mut Command) {
+    let output = script.output().expect("timeout runs");
+    let (said, complained) = (
+        String::from_utf8_lossy(&output.stdout),
+        String::from_utf8_lossy(&output.stderr),
+    );
+    assert!(output.status.success(), "{said}\n{complained}");
+    print!("{said}");
 }
 
 /// A script at work: it ends with its standard input.

@@ -38,7 +38,7 @@ pub(super) fn attach(tty: &Path, interface: &'static str) -> Attached {
 fn start_slcand(tty: &Path, interface: &str) -> Killed {
     let slcand = Command::new("slcand")
         .args(["-F", "-o", "-c", "-s8"])
-        .arg(tty)
+        .arg(fs::canonicalize(tty).unwrap())
         .arg(interface)
         .stdout(Stdio::null())
         .spawn();

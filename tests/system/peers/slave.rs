@@ -143,6 +143,14 @@ fn the_service_client_reads_and_writes_a_local_node() {
             host.upload(PROFILE_VELOCITY),
             Ok(0x1234_5678_u32.to_le_bytes().into())
         );
+        // LocalNode refuses blocks one way and answers with an ordinary transfer the other way.
+        let domain = Object::new(0x2F00, 0);
+        let long: Vec<_> = (0..200).collect();
+        let download = |client: &mut Client, now| client.block_download(domain, &long, now);
+        assert_eq!(host.transfer(download).map(|_| ()), Ok(()));
+        assert_eq!(host.upload(domain).as_deref(), Ok(&long[..]));
+        let upload = |client: &mut Client, now| client.block_upload(domain, now);
+        assert_eq!(host.transfer(upload).as_deref(), Ok(&long[..]));
     });
 }
 
