@@ -64,14 +64,14 @@ impl Axis {
     pub(crate) fn observe(&mut self, state: AxisState, periods: u32, dt: f64) {
         let seeking = matches!(self.command, AxisCommand::Seek(_));
         // The pulse may come in the very cycle in which a stop ends the search.
-        let attained = self.followed > 0
-            && self.state.homing != Homing::Attained
-            && state.homing == Homing::Attained;
+        let led = self.search.is_some() && self.followed > 0;
+        let attained =
+            led && self.state.homing != Homing::Attained && state.homing == Homing::Attained;
         let step =
             self.reference
                 .observe(&state, seeking, attained, self.config.max_acceleration, dt);
         if let Some(step) = step
-            && (seeking || attained)
+            && led
         {
             self.shift(step);
         }
@@ -328,16 +328,18 @@ impl ReferenceWatch {
         let way = self.way.replace((moved.0 / periods, moved.1 / periods))?;
         let step = moved.0 - way.0 * periods;
         let possible = Self::IMPOSSIBLE * max_acceleration * (periods * dt).powi(2);
-        let set = attained || searched && step.abs() > possible;
-        if !set {
+        let impossible = searched && step.abs() > possible;
+        if !attained && !impossible {
             return None;
         }
         let counts = (way.1 * periods - moved.1).round() as i64;
         if counts.abs() > self.offset.abs() {
             self.offset = counts;
         }
-        // The way to this sample is of two counts.
-        self.way = None;
+        if impossible {
+            // The way to this sample is of two counts.
+            self.way = None;
+        }
         Some(step)
     }
 }

@@ -214,6 +214,14 @@ impl ServoConfig {
 }
 
 impl ServoAxisConfig {
+    /// How long a stop takes at most, s: from its greatest velocity, or in the middle of homing.
+    pub(crate) fn stopping_time(&self) -> f64 {
+        let homing = self.homing.map_or(0.0, |homing| {
+            homing.search.velocity.max(homing.zero.velocity) / homing.acceleration
+        });
+        homing.max(self.max_velocity / self.max_acceleration)
+    }
+
     /// The first field that makes no sense.
     fn nonsense(&self) -> Option<&'static str> {
         let positive = |value: f64| value.is_finite() && value > 0.0;

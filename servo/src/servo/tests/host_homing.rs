@@ -78,6 +78,18 @@ fn home(rig: &mut Rig) -> (f64, Vec<f64>) {
     (torques.windows(2).map(jump).fold(0.0, f64::max), way)
 }
 
+impl Rig {
+    fn run_until_off(&mut self) {
+        for _ in 0..5000 {
+            self.run(1);
+            if self.phase() == Phase::Off {
+                return;
+            }
+        }
+        panic!("never off, but {:?}", self.servo.state(0));
+    }
+}
+
 fn offset(rig: &Rig) -> Option<i64> {
     rig.servo.homing_offsets(0).next().unwrap()
 }
@@ -352,6 +364,28 @@ fn a_stop_anywhere_in_the_search_is_a_ramp() {
             assert_eq!(rig.phase(), Phase::Standing, "{:?}", rig.cause());
             assert_eq!(rig.world().axes[0].state.homing, Homing::Attained);
         }
+    }
+}
+
+#[test]
+fn power_stays_on_while_a_search_brakes_however_slowly() {
+    for mut config in configs(1) {
+        config.effectors[0].axes[0].homing = Some(HostHoming {
+            acceleration: 10.0,
+            ..HOMING
+        });
+        let mut rig = rig(&config);
+        rig.order(Order::Home);
+        rig.run(1000);
+        rig.order(Order::Disable);
+        rig.run_until_off();
+        assert_eq!(rig.cause(), None);
+        let drive = rig.world().axes[0].clone();
+        assert!(
+            drive.state.velocity.abs() < 1.0,
+            "{} rad/s",
+            drive.state.velocity
+        );
     }
 }
 
