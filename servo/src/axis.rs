@@ -120,9 +120,6 @@ impl Axis {
         let Some(mut search) = self.search else {
             return Ok(());
         };
-        if search.is_waiting() && !follows && self.host.is_none() {
-            self.capture();
-        }
         let result = search.advance(&mut self.knot, &self.state, follows, now, dt);
         if result.is_err() {
             search.brake(&mut self.knot, dt);
@@ -190,9 +187,7 @@ impl Axis {
 
     /// Whether its motor is the servo's to move or to hold, whatever the effector does.
     pub(crate) fn is_led(&self) -> bool {
-        let holds = self.host.is_some() && self.state.power == Power::On;
-        let found = self.search.is_some() && self.followed > 0;
-        holds || found
+        self.host.is_some() && self.state.power == Power::On
     }
 
     /// Measured velocity and limit, rad/s, if the motor is faster than a loop closed here allows.
@@ -257,8 +252,7 @@ impl Axis {
     /// Turns the set-point into what its drive is to follow: the position itself, or what the loop
     /// closed here makes of it.
     pub(crate) fn regulate(&mut self, dt: f64) -> AxisCommand {
-        let waits = self.search.is_some_and(|search| search.is_waiting());
-        if self.followed == 0 && (self.host.is_some() || waits) {
+        if self.host.is_some() && self.followed == 0 {
             self.capture();
         }
         // Only a measured position taken over can be NaN; such an axis never settles, and the

@@ -460,7 +460,7 @@ impl Effector {
                 // Its group brakes an axis that has a fault; off would let it coast.
                 _ if axis.state.fault.is_some() => AxisCommand::Stand,
                 State::Homing if axis.homes_itself(order) => AxisCommand::Home,
-                _ if follow || axis.is_led() || axis.is_searching(order) => axis.regulate(tick.dt),
+                _ if follow || axis.is_led() => axis.regulate(tick.dt),
                 _ => AxisCommand::Stand,
             };
             axis.command(command);

@@ -21,9 +21,9 @@ const HOMING: HostHoming = HostHoming {
     reverse_at_limit: true,
 };
 
-/// Axes as the servo moves them: by torque, or by positions.
+/// Axes under either law.
 fn configs(axes: usize) -> [ServoConfig; 2] {
-    [scripted::host_config(axes), scripted::config(axes)].map(|mut config| {
+    host_loops::laws(axes).map(|mut config| {
         config.effectors[0].homing_timeout = Duration::from_secs(20);
         for axis in &mut config.effectors[0].axes {
             axis.homing = Some(HOMING);
@@ -130,6 +130,27 @@ fn the_servo_finds_switch_and_index_without_a_kick() {
         rig.order(Order::Move(macrostep(1, 100, 1.0, 0.0)));
         rig.run(150);
         assert_eq!(rig.phase(), Phase::Standing, "{:?}", rig.cause());
+    }
+}
+
+#[test]
+fn no_order_of_counter_and_word_kicks_the_motor_nor_do_missing_answers() {
+    use scripted::AtIndex::{CounterLate, Mute, WordLate};
+    for config in configs(1) {
+        for at_index in [WordLate, CounterLate, Mute] {
+            let mut rig = rig(&config);
+            rig.world().axes[0].at_index = at_index;
+            let (kick, _) = home(&mut rig);
+            assert_eq!(
+                rig.phase(),
+                Phase::Standing,
+                "{at_index:?}: {:?}",
+                rig.cause()
+            );
+            assert!(kick < 0.25, "{at_index:?}: {kick} N·m in one cycle");
+            let offset = offset(&rig).unwrap();
+            assert!((1980..=2020).contains(&offset), "{at_index:?}: {offset}");
+        }
     }
 }
 
