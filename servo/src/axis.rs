@@ -64,14 +64,14 @@ impl Axis {
     pub(crate) fn observe(&mut self, state: AxisState, periods: u32, dt: f64) {
         let seeking = matches!(self.command, AxisCommand::Seek(_));
         // The pulse may come in the very cycle in which a stop ends the search.
-        let attained = self.followed > 0
-            && self.state.homing != Homing::Attained
-            && state.homing == Homing::Attained;
+        let led = self.search.is_some() && self.followed > 0;
+        let attained =
+            led && self.state.homing != Homing::Attained && state.homing == Homing::Attained;
         let step =
             self.reference
                 .observe(&state, seeking, attained, self.config.max_acceleration, dt);
         if let Some(step) = step
-            && (seeking || attained)
+            && led
         {
             self.shift(step);
         }
@@ -120,9 +120,6 @@ impl Axis {
         let Some(mut search) = self.search else {
             return Ok(());
         };
-        if search.is_waiting() && !follows && self.host.is_none() {
-            self.capture();
-        }
         let result = search.advance(&mut self.knot, &self.state, follows, now, dt);
         if result.is_err() {
             search.brake(&mut self.knot, dt);
@@ -190,9 +187,7 @@ impl Axis {
 
     /// Whether its motor is the servo's to move or to hold, whatever the effector does.
     pub(crate) fn is_led(&self) -> bool {
-        let holds = self.host.is_some() && self.state.power == Power::On;
-        let found = self.search.is_some() && self.followed > 0;
-        holds || found
+        self.host.is_some() && self.state.power == Power::On
     }
 
     /// Measured velocity and limit, rad/s, if the motor is faster than a loop closed here allows.
@@ -257,8 +252,7 @@ impl Axis {
     /// Turns the set-point into what its drive is to follow: the position itself, or what the loop
     /// closed here makes of it.
     pub(crate) fn regulate(&mut self, dt: f64) -> AxisCommand {
-        let waits = self.search.is_some_and(|search| search.is_waiting());
-        if self.followed == 0 && (self.host.is_some() || waits) {
+        if self.host.is_some() && self.followed == 0 {
             self.capture();
         }
         // Only a measured position taken over can be NaN; such an axis never settles, and the
@@ -328,16 +322,18 @@ impl ReferenceWatch {
         let way = self.way.replace((moved.0 / periods, moved.1 / periods))?;
         let step = moved.0 - way.0 * periods;
         let possible = Self::IMPOSSIBLE * max_acceleration * (periods * dt).powi(2);
-        let set = attained || searched && step.abs() > possible;
-        if !set {
+        let impossible = searched && step.abs() > possible;
+        if !attained && !impossible {
             return None;
         }
         let counts = (way.1 * periods - moved.1).round() as i64;
         if counts.abs() > self.offset.abs() {
             self.offset = counts;
         }
-        // The way to this sample is of two counts.
-        self.way = None;
+        if impossible {
+            // The way to this sample is of two counts.
+            self.way = None;
+        }
         Some(step)
     }
 }

@@ -66,7 +66,8 @@ pub struct ServoAxisConfig {
     /// Who closes the position loop.
     pub position_loop: PositionLoop,
     /// How the servo homes the axis; `None` if its drive does,
-    /// [`AxisCommand::Home`](drive::AxisCommand::Home).
+    /// [`AxisCommand::Home`](drive::AxisCommand::Home). Only where the servo closes the position loop: a
+    /// drive that did would follow positions of the old count, still under way, once its counter is set.
     pub homing: Option<HostHoming>,
 }
 
@@ -214,6 +215,14 @@ impl ServoConfig {
 }
 
 impl ServoAxisConfig {
+    /// How long a stop takes at most, s: from its greatest velocity, or in the middle of homing.
+    pub(crate) fn stopping_time(&self) -> f64 {
+        let homing = self.homing.map_or(0.0, |homing| {
+            homing.search.velocity.max(homing.zero.velocity) / homing.acceleration
+        });
+        homing.max(self.max_velocity / self.max_acceleration)
+    }
+
     /// The first field that makes no sense.
     fn nonsense(&self) -> Option<&'static str> {
         let positive = |value: f64| value.is_finite() && value > 0.0;
@@ -233,6 +242,8 @@ impl ServoAxisConfig {
             && let Some(field) = host.nonsense(self.max_velocity)
         {
             Some(field)
+        } else if self.homing.is_some() && self.position_loop == PositionLoop::Drive {
+            Some("homing, where the drive closes the position loop,")
         } else {
             let homing = self.homing.as_ref();
             homing.and_then(|homing| homing.nonsense(self.max_velocity, self.max_acceleration))
@@ -471,8 +482,15 @@ mod tests {
         for (number, (change, expected)) in cases.into_iter().enumerate() {
             let mut homing = HOMING;
             change(&mut homing);
-            let found = refused_limit(|axis| axis.homing = Some(homing));
+            let found = refused_limit(|axis| {
+                axis.position_loop = PositionLoop::Host(HOST);
+                axis.homing = Some(homing);
+            });
             assert_eq!(found, expected, "case {number}");
         }
+        assert_eq!(
+            refused_limit(|axis| axis.homing = Some(HOMING)),
+            Some("homing, where the drive closes the position loop,")
+        );
     }
 }

@@ -12,7 +12,8 @@ use crate::axis::Axis;
 use crate::interpolate::Segment;
 use crate::{
     After, Answer, AxisRecord, Counters, EffectorConfig, EffectorLink, Event, Knot, MAX_AXES,
-    Order, Record, Report, ServoFault, State, StopCause, StraightStop, TrackingError,
+    Order, Record, Report, ServoAxisConfig, ServoFault, State, StopCause, StraightStop,
+    TrackingError,
 };
 
 /// Longest time the drives get to come to rest after the last set-point of a stop, before power
@@ -75,10 +76,7 @@ impl Effector {
         let (order_sender, orders) = rtrb::RingBuffer::new(config.queue);
         // One report per macrostep, and the few changes of phase that one order can cause.
         let (reports, report_receiver) = rtrb::RingBuffer::new(config.queue + 16);
-        let stops = config
-            .axes
-            .iter()
-            .map(|axis| axis.max_velocity / axis.max_acceleration);
+        let stops = config.axes.iter().map(ServoAxisConfig::stopping_time);
         let effector = Self {
             index,
             axes: config
@@ -462,7 +460,7 @@ impl Effector {
                 // Its group brakes an axis that has a fault; off would let it coast.
                 _ if axis.state.fault.is_some() => AxisCommand::Stand,
                 State::Homing if axis.homes_itself(order) => AxisCommand::Home,
-                _ if follow || axis.is_led() || axis.is_searching(order) => axis.regulate(tick.dt),
+                _ if follow || axis.is_led() => axis.regulate(tick.dt),
                 _ => AxisCommand::Stand,
             };
             axis.command(command);

@@ -123,11 +123,6 @@ impl Search {
         self.phase == Phase::Done
     }
 
-    /// Nothing moves until the drive follows.
-    pub(crate) fn is_waiting(&self) -> bool {
-        self.phase == Phase::Look
-    }
-
     /// Whether the next index pulse is to be taken for the reference.
     pub(crate) fn is_seeking(&self) -> bool {
         self.phase == Phase::Zero

@@ -91,6 +91,20 @@ pub struct World {
     pub refuses: u32,
 }
 
+/// How a drive tells that the index pulse set its counter.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum AtIndex {
+    /// Counter and word in one answer.
+    #[default]
+    Prompt,
+    /// The word an answer after the counter.
+    WordLate,
+    /// The counter an answer after the word.
+    CounterLate,
+    /// Three answers are missing there.
+    Mute,
+}
+
 /// One ideal drive.
 #[derive(Clone, Default)]
 pub struct Drive {
@@ -129,6 +143,9 @@ pub struct Drive {
     pub chatter: u32,
     /// Passing this position while sought sets the counter to zero there.
     pub index: f64,
+    pub at_index: AtIndex,
+    /// Answers still missing by [`AtIndex::Mute`].
+    mute: u32,
     /// The home switch is closed below this position.
     pub home_below: Option<f64>,
     /// The home switch is closed between these positions.
@@ -202,6 +219,7 @@ impl Drive {
             }
         }
         let before_jump = state.position;
+        let homing = state.homing;
         let passed = before.min(state.position)..before.max(state.position);
         if matches!(self.pending, AxisCommand::Seek(_)) && passed.contains(&self.index) {
             state.homing = Homing::Attained;
@@ -228,11 +246,24 @@ impl Drive {
         };
         state.velocity = self.drifts_at.unwrap_or(moved);
         state.increments = Increments((state.position * 1000.0).round() as i32);
-        if self.silent {
+        let set = homing != state.homing && state.homing == Homing::Attained;
+        if set && self.at_index == AtIndex::Mute {
+            self.mute = 3;
+        }
+        self.mute = self.mute.saturating_sub(1);
+        if self.silent || self.mute > 0 {
             self.seen.age += 1;
         } else {
             self.seen = *state;
             self.seen.position = self.frozen.unwrap_or(state.position);
+            match self.at_index {
+                AtIndex::WordLate if set => self.seen.homing = homing,
+                AtIndex::CounterLate if set => {
+                    self.seen.position += self.index;
+                    self.seen.increments.0 += (self.index * 1000.0).round() as i32;
+                }
+                _ => {}
+            }
         }
     }
 }

@@ -21,9 +21,9 @@ const HOMING: HostHoming = HostHoming {
     reverse_at_limit: true,
 };
 
-/// Axes as the servo moves them: by torque, or by positions.
+/// Axes under either law.
 fn configs(axes: usize) -> [ServoConfig; 2] {
-    [scripted::host_config(axes), scripted::config(axes)].map(|mut config| {
+    host_loops::laws(axes).map(|mut config| {
         config.effectors[0].homing_timeout = Duration::from_secs(20);
         for axis in &mut config.effectors[0].axes {
             axis.homing = Some(HOMING);
@@ -78,6 +78,18 @@ fn home(rig: &mut Rig) -> (f64, Vec<f64>) {
     (torques.windows(2).map(jump).fold(0.0, f64::max), way)
 }
 
+impl Rig {
+    fn run_until_off(&mut self) {
+        for _ in 0..5000 {
+            self.run(1);
+            if self.phase() == Phase::Off {
+                return;
+            }
+        }
+        panic!("never off, but {:?}", self.servo.state(0));
+    }
+}
+
 fn offset(rig: &Rig) -> Option<i64> {
     rig.servo.homing_offsets(0).next().unwrap()
 }
@@ -118,6 +130,27 @@ fn the_servo_finds_switch_and_index_without_a_kick() {
         rig.order(Order::Move(macrostep(1, 100, 1.0, 0.0)));
         rig.run(150);
         assert_eq!(rig.phase(), Phase::Standing, "{:?}", rig.cause());
+    }
+}
+
+#[test]
+fn no_order_of_counter_and_word_kicks_the_motor_nor_do_missing_answers() {
+    use scripted::AtIndex::{CounterLate, Mute, WordLate};
+    for config in configs(1) {
+        for at_index in [WordLate, CounterLate, Mute] {
+            let mut rig = rig(&config);
+            rig.world().axes[0].at_index = at_index;
+            let (kick, _) = home(&mut rig);
+            assert_eq!(
+                rig.phase(),
+                Phase::Standing,
+                "{at_index:?}: {:?}",
+                rig.cause()
+            );
+            assert!(kick < 0.25, "{at_index:?}: {kick} N·m in one cycle");
+            let offset = offset(&rig).unwrap();
+            assert!((1980..=2020).contains(&offset), "{at_index:?}: {offset}");
+        }
     }
 }
 
@@ -352,6 +385,28 @@ fn a_stop_anywhere_in_the_search_is_a_ramp() {
             assert_eq!(rig.phase(), Phase::Standing, "{:?}", rig.cause());
             assert_eq!(rig.world().axes[0].state.homing, Homing::Attained);
         }
+    }
+}
+
+#[test]
+fn power_stays_on_while_a_search_brakes_however_slowly() {
+    for mut config in configs(1) {
+        config.effectors[0].axes[0].homing = Some(HostHoming {
+            acceleration: 10.0,
+            ..HOMING
+        });
+        let mut rig = rig(&config);
+        rig.order(Order::Home);
+        rig.run(1000);
+        rig.order(Order::Disable);
+        rig.run_until_off();
+        assert_eq!(rig.cause(), None);
+        let drive = rig.world().axes[0].clone();
+        assert!(
+            drive.state.velocity.abs() < 1.0,
+            "{} rad/s",
+            drive.state.velocity
+        );
     }
 }
 

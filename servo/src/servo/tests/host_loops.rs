@@ -5,9 +5,9 @@ use crate::regulator::IncrementalConfig;
 use crate::{HostLoop, Law, PositionLoop, State};
 
 /// Both laws for the scripted motor. The incremental one is a lead filter with an integrator at 1 ms.
-fn laws() -> [ServoConfig; 2] {
-    let cascade = scripted::host_config(2);
-    let mut incremental = scripted::host_config(2);
+pub(super) fn laws(axes: usize) -> [ServoConfig; 2] {
+    let cascade = scripted::host_config(axes);
+    let mut incremental = scripted::host_config(axes);
     for axis in &mut incremental.effectors[0].axes {
         change(axis, |host| {
             host.law = Law::Incremental(IncrementalConfig {
@@ -54,7 +54,7 @@ impl Rig {
 
 #[test]
 fn an_axis_is_held_against_its_weight_from_its_first_power_to_its_last() {
-    for config in laws() {
+    for config in laws(2) {
         let mut rig = Rig::with(&config);
         for drive in &mut rig.world().axes {
             drive.state.homing = Homing::Attained;
@@ -94,7 +94,7 @@ fn an_axis_is_held_against_its_weight_from_its_first_power_to_its_last() {
 
 #[test]
 fn both_laws_follow_macrosteps() {
-    for config in laws() {
+    for config in laws(2) {
         let mut rig = Rig::cruising(&config);
         rig.run(300);
         let tracking = rig.servo.tracking(0).next().unwrap();
@@ -108,7 +108,7 @@ fn both_laws_follow_macrosteps() {
 
 #[test]
 fn missing_answers_cost_no_kick_and_no_fault() {
-    for config in laws() {
+    for config in laws(2) {
         let mut rig = Rig::cruising(&config);
         let steady = *rig.torques(0).last().unwrap();
         for missing in 1..=3 {
@@ -131,7 +131,7 @@ fn missing_answers_cost_no_kick_and_no_fault() {
 
 #[test]
 fn a_motor_that_never_answers_again_gets_bounded_torque() {
-    for config in laws() {
+    for config in laws(2) {
         let mut rig = Rig::cruising(&config);
         rig.world().axes[0].silent = true;
         rig.world().sent.clear();
@@ -146,7 +146,7 @@ fn a_motor_that_never_answers_again_gets_bounded_torque() {
 
 #[test]
 fn a_loop_of_the_wrong_sign_loses_power_at_once() {
-    for mut config in laws() {
+    for mut config in laws(2) {
         config.effectors[0].axes[1].following_error = 500.0;
         let mut rig = Rig::with(&config).stand();
         rig.world().axes[1].backwards = true;
@@ -172,7 +172,7 @@ fn a_loop_of_the_wrong_sign_loses_power_at_once() {
 
 #[test]
 fn lost_feedback_takes_power_at_once_and_a_nan_does_too() {
-    for config in laws() {
+    for config in laws(2) {
         for nan in [false, true] {
             let mut rig = Rig::cruising(&config);
             let here = rig.world().axes[0].state.position;
@@ -206,7 +206,7 @@ fn a_missed_deadline_is_no_runaway() {
 
 #[test]
 fn a_stop_after_an_overrun_begins_from_the_motion_measured() {
-    for config in laws() {
+    for config in laws(2) {
         let mut rig = Rig::cruising(&config);
         rig.servo.missed(4);
         rig.world().axes[0].state.position += 50.0 * 4.0 * DT;
