@@ -13,9 +13,11 @@
 //! than EPOS2's. Layouts only: [`Frame`] and [`Deframer`] for any service, [`Request`] and [`Answer`] for
 //! those on the object dictionary and NMT. Left out: LSS and CAN frames through the gateway.
 
-use std::time::Duration;
+mod frame;
 
-use crate::epos2::crc16;
+pub use frame::{Deframer, Frame, FrameError};
+
+use std::time::Duration;
 
 /// First byte of a frame, doubled where it is data.
 pub const DLE: u8 = 0x90;
@@ -37,198 +39,6 @@ pub const MAX_SEGMENT: usize = 254;
 
 /// The frame time-out as delivered (objects 0x2005, 0x2006).
 pub const TIME_OUT: Duration = Duration::from_millis(500);
-
-fn crc(opcode: u8, data: &[u8]) -> u16 {
-    let head = crc16(crc16(0, (data.len() / 2) as u8), opcode);
-    let (words, _) = data.as_chunks::<2>();
-    words
-        .iter()
-        .fold(head, |crc, &[low, high]| crc16(crc16(crc, high), low))
-}
-
-/// A frame without its wrapping: an opcode and up to [`MAX_WORDS`] data words.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Frame {
-    opcode: u8,
-    data: [u8; 2 * MAX_WORDS],
-    length: usize,
-}
-
-impl Frame {
-    /// `None` for more data than fit. An odd byte is followed by a zero, since words are what goes across.
-    pub fn new(opcode: u8, data: &[u8]) -> Option<Self> {
-        let mut padded = [0; 2 * MAX_WORDS];
-        padded.get_mut(..data.len())?.copy_from_slice(data);
-        Some(Self {
-            opcode,
-            data: padded,
-            length: data.len().next_multiple_of(2),
-        })
-    }
-
-    fn of(opcode: u8, parts: &[&[u8]]) -> Self {
-        let mut data = [0; 2 * MAX_WORDS];
-        let mut length = 0;
-        for part in parts {
-            data[length..length + part.len()].copy_from_slice(part);
-            length += part.len();
-        }
-        Self {
-            opcode,
-            data,
-            length: length.next_multiple_of(2),
-        }
-    }
-
-    /// What is asked for, or [`ANSWER`].
-    pub fn opcode(&self) -> u8 {
-        self.opcode
-    }
-
-    /// Its data words as bytes, low byte first.
-    pub fn data(&self) -> &[u8] {
-        &self.data[..self.length]
-    }
-
-    /// Writes the frame as on the line to the front of `into`, and returns how long it is.
-    pub fn encode(&self, into: &mut [u8; LONGEST]) -> usize {
-        into[..2].copy_from_slice(&[DLE, STX]);
-        let mut length = 2;
-        let head = [self.opcode, (self.length / 2) as u8];
-        let crc = crc(self.opcode, self.data()).to_le_bytes();
-        for &byte in head.iter().chain(self.data()).chain(&crc) {
-            into[length] = byte;
-            length += 1;
-            if byte == DLE {
-                into[length] = DLE;
-                length += 1;
-            }
-        }
-        length
-    }
-}
-
-/// Why what arrived is no frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum FrameError {
-    /// A new frame began inside this one, or a lone 0x90 stood in it.
-    #[error("frame was torn")]
-    Torn,
-    /// More data words than a frame can have.
-    #[error("{0} data words are more than a frame has")]
-    TooLong(u8),
-    /// It was wrong.
-    #[error("crc is wrong")]
-    Crc,
-}
-
-/// Finds frames in a stream of bytes.
-///
-/// Time is its user's: who sees the frame time-out pass in the middle of one calls
-/// [`reset`](Deframer::reset).
-#[derive(Clone, Debug)]
-pub struct Deframer {
-    /// Opcode, number, data, CRC.
-    bytes: [u8; 2 + 2 * MAX_WORDS + 2],
-    count: usize,
-    state: Deframing,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Deframing {
-    Outside,
-    /// After a 0x90 outside.
-    Starting,
-    Inside,
-    /// After a 0x90 inside, which is to be doubled.
-    Doubling,
-}
-
-impl Default for Deframer {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
-impl Deframer {
-    /// Outside of any frame.
-    pub fn new() -> Self {
-        Self {
-            bytes: [0; _],
-            count: 0,
-            state: Deframing::Outside,
-        }
-    }
-
-    /// Whether it has the beginning of a frame.
-    pub fn is_inside(&self) -> bool {
-        self.state != Deframing::Outside
-    }
-
-    /// Forgets the beginning of a frame.
-    pub fn reset(&mut self) {
-        self.count = 0;
-        self.state = Deframing::Outside;
-    }
-
-    /// Takes a byte, and hands out the frame that it ends.
-    pub fn take(&mut self, byte: u8) -> Option<Result<Frame, FrameError>> {
-        match (self.state, byte) {
-            (Deframing::Outside, DLE) => self.state = Deframing::Starting,
-            (Deframing::Outside, _) => {}
-            (Deframing::Starting, STX) => self.begin(),
-            (Deframing::Starting, DLE) => {}
-            (Deframing::Starting, _) => self.reset(),
-            (Deframing::Inside, DLE) => self.state = Deframing::Doubling,
-            (Deframing::Inside, byte) => return self.add(byte),
-            (Deframing::Doubling, DLE) => {
-                self.state = Deframing::Inside;
-                return self.add(DLE);
-            }
-            // A start inside a frame: that frame was torn, and this one counts.
-            (Deframing::Doubling, STX) => {
-                self.begin();
-                return Some(Err(FrameError::Torn));
-            }
-            (Deframing::Doubling, _) => {
-                self.reset();
-                return Some(Err(FrameError::Torn));
-            }
-        }
-        None
-    }
-
-    fn begin(&mut self) {
-        self.count = 0;
-        self.state = Deframing::Inside;
-    }
-
-    fn add(&mut self, byte: u8) -> Option<Result<Frame, FrameError>> {
-        self.bytes[self.count] = byte;
-        self.count += 1;
-        let [opcode, words, ref rest @ ..] = self.bytes;
-        if self.count < 2 {
-            return None;
-        }
-        if usize::from(words) > MAX_WORDS {
-            self.reset();
-            return Some(Err(FrameError::TooLong(words)));
-        }
-        let length = 2 * usize::from(words);
-        if self.count < 2 + length + 2 {
-            return None;
-        }
-        let (data, rest) = rest.split_at(length);
-        let right = crc(opcode, data).to_le_bytes() == [rest[0], rest[1]];
-        let frame = Frame::of(opcode, &[data]);
-        self.reset();
-        Some(if right {
-            Ok(frame)
-        } else {
-            Err(FrameError::Crc)
-        })
-    }
-}
 
 /// An object of a node; node 0 is the device on the line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -322,7 +132,7 @@ impl<'a> Request<'a> {
 
     /// What a device understands; `None` for an opcode it does not know or another length.
     pub fn decode(frame: &'a Frame) -> Option<Self> {
-        Some(match (frame.opcode, frame.data()) {
+        Some(match (frame.opcode(), frame.data()) {
             (0x60, &[a, b, c, d]) => Self::Read(Address::decode([a, b, c, d])),
             (0x68, &[a, b, c, d, e, f, g, h]) => Self::Write(
                 Address::decode([a, b, c, d]),
@@ -418,7 +228,7 @@ impl<'a> Answer<'a> {
             return None;
         };
         let code = u32::from_le_bytes([a, b, c, d]);
-        if frame.opcode != ANSWER {
+        if frame.opcode() != ANSWER {
             return None;
         }
         if code != 0 {
@@ -589,48 +399,6 @@ mod tests {
             let back = frames(&encoded(&answer.encode())).remove(0).unwrap();
             assert_eq!(Answer::decode(&back, &request), Some(answer), "{request:?}");
         }
-    }
-
-    #[test]
-    fn a_frame_full_of_starts_has_each_of_them_doubled() {
-        let frame = Frame::new(DLE, &[DLE; 2 * MAX_WORDS]).unwrap();
-        let bytes = encoded(&frame);
-        assert!(bytes.len() <= LONGEST);
-        assert_eq!(frames(&bytes), [Ok(frame)]);
-        assert_eq!(Frame::new(0, &[0; 2 * MAX_WORDS + 1]), None);
-    }
-
-    #[test]
-    fn a_torn_frame_does_not_cost_the_one_behind_it() {
-        let bytes = encoded(&Request::Write(CONTROLWORD, 0x9002_0290).encode());
-        for offset in 2..bytes.len() {
-            let found = frames(&[&bytes[..offset], &bytes].concat());
-            let whole = found.iter().filter(|frame| frame.is_ok()).count();
-            // Torn within a doubled 0x90, the next start looks like its second half.
-            let half = bytes[..offset]
-                .iter()
-                .rev()
-                .take_while(|&&b| b == DLE)
-                .count()
-                % 2
-                == 1;
-            assert_eq!(whole, usize::from(!half), "torn at {offset}: {found:?}");
-        }
-    }
-
-    #[test]
-    fn a_damaged_frame_is_none() {
-        let bytes = encoded(&Request::Read(STATUSWORD).encode());
-        for (index, bit) in (2..bytes.len()).flat_map(|index| (0..8).map(move |bit| (index, bit))) {
-            let mut damaged = bytes.clone();
-            damaged[index] ^= 1 << bit;
-            assert!(
-                frames(&damaged).iter().all(Result::is_err),
-                "bit {bit} of byte {index}"
-            );
-        }
-        let long = [DLE, STX, 0x60, 145];
-        assert_eq!(frames(&long), [Err(FrameError::TooLong(145))]);
     }
 
     #[test]
