@@ -12,7 +12,7 @@ use crate::{
     AxisCommand, AxisState, Fault, Homing, Milliamperes, Power, Refusal, Scale, Setpoint, Switches,
 };
 
-/// Answers in a row that may be the same in every bit while the set-points change.
+/// Answers in a row that may be the same in every bit after the set-points have changed.
 const ANSWERS_TO_FREEZE: u32 = 25;
 
 /// Status bits with which a drive says that it does not follow in full, and why its answers may stay the same.
@@ -78,7 +78,7 @@ struct Setup {
     tolerated_missing: u32,
 }
 
-/// How long answers have been alike, and what set-points there were in the meantime.
+/// What set-points there were while answers were alike, and how many came since those changed.
 #[derive(Clone, Copy, Debug, Default)]
 struct Likeness {
     answer: Answer,
@@ -273,11 +273,14 @@ impl Axis {
             };
             return;
         }
-        alike.answers += 1;
         alike.low = alike.low.min(setpoint);
         alike.high = alike.high.max(setpoint);
         let range = i32::from(alike.high) - i32::from(alike.low);
-        if alike.answers >= ANSWERS_TO_FREEZE && range > i32::from(self.setup.full_scale) / 20 {
+        // An axis at rest may well say the same for hours; what counts is from the change on.
+        if range > i32::from(self.setup.full_scale) / 20 {
+            alike.answers += 1;
+        }
+        if alike.answers >= ANSWERS_TO_FREEZE {
             let cycles = alike.answers;
             self.latch(AxisControllerFault::Frozen { cycles });
         }

@@ -35,7 +35,7 @@ pub enum AxisControllerFault {
         to: i32,
     },
     /// Its answers stayed the same in every bit while its set-points changed. A panic.
-    #[error("the same answer for {cycles} cycles while the set-points changed")]
+    #[error("the same answer for {cycles} cycles after the set-points changed")]
     Frozen {
         /// Cycles.
         cycles: u32,
