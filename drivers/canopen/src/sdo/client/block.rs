@@ -1,6 +1,6 @@
 use can::{Frame, Instant};
 
-use super::{Client, SdoError};
+use super::{Client, SdoError, Start};
 use crate::cob;
 use crate::sdo::block::{
     Acknowledge, End, MAX_BLOCK_SIZE, Request, Response, SEGMENT, Segment, checksum,
@@ -65,23 +65,26 @@ pub(super) struct Sending {
 }
 
 impl Client {
-    /// Sends the first frame of a block transfer.
-    pub(super) fn initiate_block(&mut self, state: State, now: Instant) {
-        let object = self.object;
-        let request = if state == State::UploadInitiated {
-            self.length = 0;
-            Request::InitiateUpload {
-                object,
-                crc: true,
-                block_size: MAX_BLOCK_SIZE,
-                threshold: THRESHOLD as u8,
-            }
-        } else {
-            Request::InitiateDownload {
-                object,
-                crc: true,
-                size: u32::try_from(self.length).ok(),
-            }
+    /// Sends the first frame of an upload.
+    pub(super) fn initiate_block_upload(&mut self, now: Instant) {
+        self.length = 0;
+        self.state = super::State::Block(State::UploadInitiated);
+        let request = Request::InitiateUpload {
+            object: self.object,
+            crc: true,
+            block_size: MAX_BLOCK_SIZE,
+            threshold: THRESHOLD as u8,
+        };
+        self.send_block(request, now);
+    }
+
+    /// Sends the first frame of a download.
+    pub(super) fn initiate_block_download(&mut self, now: Instant) {
+        self.state = super::State::Block(State::DownloadInitiated);
+        let request = Request::InitiateDownload {
+            object: self.object,
+            crc: true,
+            size: u32::try_from(self.length).ok(),
         };
         self.send_block(request, now);
     }
@@ -117,10 +120,8 @@ impl Client {
     fn aborted(&mut self, state: State, code: AbortCode, now: Instant) {
         let object = self.object;
         self.start = match (state, code) {
-            (State::UploadInitiated, AbortCode::COMMAND_SPECIFIER) => super::State::UploadInitiated,
-            (State::DownloadInitiated, AbortCode::COMMAND_SPECIFIER) => {
-                super::State::DownloadInitiated
-            }
+            (State::UploadInitiated, AbortCode::COMMAND_SPECIFIER) => Start::Upload,
+            (State::DownloadInitiated, AbortCode::COMMAND_SPECIFIER) => Start::Download,
             _ => return self.finish(Err(SdoError::Aborted { object, code })),
         };
         self.initiate(now);
