@@ -116,14 +116,22 @@ impl Client {
         }
     }
 
-    /// Falls back to an ordinary transfer if it is block transfer that the server refuses.
+    /// Falls back to an ordinary transfer if it is block transfer that the server refuses, and asks again if the
+    /// server that missed an abort took the request for a segment of the sub-block that was given up.
     fn aborted(&mut self, state: State, code: AbortCode, now: Instant) {
         let object = self.object;
-        self.start = match (state, code) {
-            (State::UploadInitiated, AbortCode::COMMAND_SPECIFIER) => Start::Upload,
-            (State::DownloadInitiated, AbortCode::COMMAND_SPECIFIER) => Start::Download,
+        match (state, code) {
+            (State::UploadInitiated, AbortCode::COMMAND_SPECIFIER) => self.start = Start::Upload,
+            (State::DownloadInitiated, AbortCode::COMMAND_SPECIFIER) => {
+                self.start = Start::Download;
+            }
+            (State::UploadInitiated | State::DownloadInitiated, AbortCode::SEQUENCE_NUMBER)
+                if self.retries_left > 0 =>
+            {
+                self.retries_left -= 1;
+            }
             _ => return self.finish(Err(SdoError::Aborted { object, code })),
-        };
+        }
         self.initiate(now);
     }
 
