@@ -54,8 +54,7 @@ pub struct Client {
     timeout: Duration,
     retries: u8,
     state: State,
-    /// The state in which the transfer starts, anew after a time-out.
-    start: State,
+    start: Start,
     object: Object,
     capacity: usize,
     /// `capacity` bytes, rounded up to whole segments.
@@ -70,6 +69,15 @@ pub struct Client {
     /// What ends a transfer; it goes before the request of the next.
     ending: Option<Frame>,
     request: Option<Frame>,
+}
+
+/// How the transfer starts, and starts anew after a time-out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Start {
+    Upload,
+    Download,
+    BlockUpload,
+    BlockDownload,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -105,7 +113,7 @@ impl Client {
             timeout,
             retries,
             state: State::Idle,
-            start: State::Idle,
+            start: Start::Upload,
             object: Object::new(0, 0),
             capacity,
             buffer: vec![0; capacity.next_multiple_of(SEGMENT)].into(),
@@ -126,7 +134,7 @@ impl Client {
 
     /// Starts to read `object`.
     pub fn upload(&mut self, object: Object, now: Instant) -> Result<(), StartError> {
-        self.begin(object, State::UploadInitiated, &[], now)
+        self.begin(object, Start::Upload, &[], now)
     }
 
     /// Starts to write a number.
@@ -141,17 +149,12 @@ impl Client {
         data: &[u8],
         now: Instant,
     ) -> Result<(), StartError> {
-        self.begin(object, State::DownloadInitiated, data, now)
+        self.begin(object, Start::Download, data, now)
     }
 
     /// Starts to read `object` by block transfer.
     pub fn block_upload(&mut self, object: Object, now: Instant) -> Result<(), StartError> {
-        self.begin(
-            object,
-            State::Block(block::State::UploadInitiated),
-            &[],
-            now,
-        )
+        self.begin(object, Start::BlockUpload, &[], now)
     }
 
     /// Starts to write `data` to `object` by block transfer.
@@ -162,9 +165,9 @@ impl Client {
         now: Instant,
     ) -> Result<(), StartError> {
         let start = if data.len() <= block::THRESHOLD {
-            State::DownloadInitiated
+            Start::Download
         } else {
-            State::Block(block::State::DownloadInitiated)
+            Start::BlockDownload
         };
         self.begin(object, start, data, now)
     }
@@ -235,7 +238,7 @@ impl Client {
     fn begin(
         &mut self,
         object: Object,
-        start: State,
+        start: Start,
         data: &[u8],
         now: Instant,
     ) -> Result<(), StartError> {
@@ -261,26 +264,28 @@ impl Client {
         Ok(())
     }
 
-    /// Enters the state in which the transfer starts, and sends its first frame.
+    /// Sends the first frame of the transfer.
     fn initiate(&mut self, now: Instant) {
         let object = self.object;
-        self.state = self.start;
         self.exact = true;
         match self.start {
-            State::Block(state) => self.initiate_block(state, now),
-            State::UploadInitiated => {
+            Start::Upload => {
                 self.length = 0;
+                self.state = State::UploadInitiated;
                 self.send(Request::InitiateUpload { object }, now);
             }
-            _ => {
+            Start::Download => {
                 let initiate = match self.expedited() {
                     Some(data) => Initiate::Expedited(data),
                     None => Initiate::Segmented {
                         size: u32::try_from(self.length).ok(),
                     },
                 };
+                self.state = State::DownloadInitiated;
                 self.send(Request::InitiateDownload { object, initiate }, now);
             }
+            Start::BlockUpload => self.initiate_block_upload(now),
+            Start::BlockDownload => self.initiate_block_download(now),
         }
     }
 

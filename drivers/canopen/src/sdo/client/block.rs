@@ -1,6 +1,6 @@
 use can::{Frame, Instant};
 
-use super::{Client, SdoError};
+use super::{Client, SdoError, Start};
 use crate::cob;
 use crate::sdo::block::{
     Acknowledge, End, MAX_BLOCK_SIZE, Request, Response, SEGMENT, Segment, checksum,
@@ -65,23 +65,26 @@ pub(super) struct Sending {
 }
 
 impl Client {
-    /// Sends the first frame of a block transfer.
-    pub(super) fn initiate_block(&mut self, state: State, now: Instant) {
-        let object = self.object;
-        let request = if state == State::UploadInitiated {
-            self.length = 0;
-            Request::InitiateUpload {
-                object,
-                crc: true,
-                block_size: MAX_BLOCK_SIZE,
-                threshold: THRESHOLD as u8,
-            }
-        } else {
-            Request::InitiateDownload {
-                object,
-                crc: true,
-                size: u32::try_from(self.length).ok(),
-            }
+    /// Sends the first frame of an upload.
+    pub(super) fn initiate_block_upload(&mut self, now: Instant) {
+        self.length = 0;
+        self.state = super::State::Block(State::UploadInitiated);
+        let request = Request::InitiateUpload {
+            object: self.object,
+            crc: true,
+            block_size: MAX_BLOCK_SIZE,
+            threshold: THRESHOLD as u8,
+        };
+        self.send_block(request, now);
+    }
+
+    /// Sends the first frame of a download.
+    pub(super) fn initiate_block_download(&mut self, now: Instant) {
+        self.state = super::State::Block(State::DownloadInitiated);
+        let request = Request::InitiateDownload {
+            object: self.object,
+            crc: true,
+            size: u32::try_from(self.length).ok(),
         };
         self.send_block(request, now);
     }
@@ -113,16 +116,22 @@ impl Client {
         }
     }
 
-    /// Falls back to an ordinary transfer if it is block transfer that the server refuses.
+    /// Falls back to an ordinary transfer if it is block transfer that the server refuses, and asks again if the
+    /// server that missed an abort took the request for a segment of the sub-block that was given up.
     fn aborted(&mut self, state: State, code: AbortCode, now: Instant) {
         let object = self.object;
-        self.start = match (state, code) {
-            (State::UploadInitiated, AbortCode::COMMAND_SPECIFIER) => super::State::UploadInitiated,
+        match (state, code) {
+            (State::UploadInitiated, AbortCode::COMMAND_SPECIFIER) => self.start = Start::Upload,
             (State::DownloadInitiated, AbortCode::COMMAND_SPECIFIER) => {
-                super::State::DownloadInitiated
+                self.start = Start::Download;
+            }
+            (State::UploadInitiated | State::DownloadInitiated, AbortCode::SEQUENCE_NUMBER)
+                if self.retries_left > 0 =>
+            {
+                self.retries_left -= 1;
             }
             _ => return self.finish(Err(SdoError::Aborted { object, code })),
-        };
+        }
         self.initiate(now);
     }
 

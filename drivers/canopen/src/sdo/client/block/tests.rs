@@ -217,6 +217,26 @@ fn a_server_that_refuses_block_transfer_is_asked_for_an_ordinary_one() {
 }
 
 #[test]
+fn a_server_that_missed_the_abort_and_takes_the_request_for_a_segment_is_asked_again() {
+    let refused = "582#8008100003000405 ";
+    for (mut client, ask) in [
+        (uploading(2), "602#A40810007F1C0000 "),
+        (downloading(2), "602#C60810001E000000 "),
+    ] {
+        say(&mut client, 0, ask);
+        client.handle_timeout(at(500));
+        say(
+            &mut client,
+            500,
+            &[ABORT_TIME_OUT, ask, refused, ask].concat(),
+        );
+        say(&mut client, 500, refused);
+        let (object, code) = (OBJECT, AbortCode::SEQUENCE_NUMBER);
+        assert_eq!(result(client), Err(SdoError::Aborted { object, code }));
+    }
+}
+
+#[test]
 fn every_other_abort_ends_the_transfer() {
     let aborted = |code| {
         Err(SdoError::Aborted {
