@@ -1,5 +1,7 @@
 //! The electronic data sheet of the emulator: its one dictionary table, with the names of CiA and maxon.
 
+use std::collections::BTreeMap;
+
 use canopen::eds::{
     Access, DataType, DeviceInfo, Eds, Entry, FileInfo, ObjectType, Value, Variable,
 };
@@ -177,7 +179,7 @@ pub(super) fn eds(config: &Epos4Config) -> Eds {
         let object = eds.objects.entry(index).or_insert_with(|| Entry {
             name: object_name(entry),
             object_type: object_type(index),
-            variables: std::collections::BTreeMap::new(),
+            variables: BTreeMap::new(),
         });
         let stated = identity.iter().find(|(slot, _)| slot.row() == row);
         let variable = variable(entry, stated.map(|(_, value)| *value));

@@ -22,11 +22,8 @@ pub(super) struct Text<'a> {
 impl<'a> Section<'a> {
     /// The value of `key`, whatever the case of its letters in the file.
     pub(super) fn get(&self, key: &str) -> Option<Text<'a>> {
-        let found = match self.keys.get(key) {
-            None => self.keys.get(&key.to_ascii_lowercase()),
-            found => found,
-        };
-        found.copied().filter(|value| !value.text.is_empty())
+        let found = self.keys.get(&key.to_ascii_lowercase()).copied();
+        found.filter(|value| !value.text.is_empty())
     }
 
     /// The keys that are numbers, with their values.
