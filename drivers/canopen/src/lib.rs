@@ -4,16 +4,17 @@
 //! be built can be encoded, unknown values are kept, and what is not the layout's frame decodes to
 //! `None`. Both ends of the wire share them. The *objects* ([`sdo::Client`], [`nmt::Master`],
 //! [`heartbeat::Consumer`], [`sync::Producer`] …) are state machines that own no port and no clock:
-//! frames and the time are handed in, frames and events are taken out. Nothing allocates.
+//! frames and the time are handed in, frames and events are taken out. Nothing allocates, but for the
+//! room for data that a [`sdo::Client`] makes when it is made.
 //!
-//! Left out: node guarding (it needs remote frames, CiA advises against it), LSS, SDO block
-//! transfer, and PDO mappings that are not byte aligned.
+//! Left out: PDO mappings that are not byte aligned.
 //!
 //! Read [`cob`] and [`sdo`] first, then [`cia402`].
 
 pub mod cia402;
 pub mod cob;
 pub mod emcy;
+pub mod guarding;
 pub mod heartbeat;
 pub mod lss;
 pub mod nmt;
@@ -22,6 +23,7 @@ pub mod objects;
 pub mod pdo;
 pub mod sdo;
 pub mod sync;
+pub mod time;
 
 pub use node_id::NodeId;
 pub use objects::Object;

@@ -9,9 +9,10 @@ use mrroc_canopen::cob::Function;
 use mrroc_canopen::emcy::{self, Emergency};
 use mrroc_canopen::heartbeat::{self, Heartbeat};
 use mrroc_canopen::pdo::{Entry, PdoMapping};
-use mrroc_canopen::sdo::{self, Expedited, Initiate, Request, Response, Segment};
+use mrroc_canopen::sdo::{self, Expedited, Initiate, Request, Response, Segment, block};
 use mrroc_canopen::sync::Sync;
-use mrroc_canopen::{NodeId, Object, nmt};
+use mrroc_canopen::time::TimeOfDay;
+use mrroc_canopen::{NodeId, Object, cob, guarding, lss, nmt};
 use proptest::prelude::*;
 
 const NODE: NodeId = NodeId::new(2).unwrap();
@@ -22,13 +23,46 @@ fn frames() -> impl Strategy<Value = Frame> {
     let id = prop_oneof![
         4 => Just(0x582_u32),
         1 => Just(0x602),
+        1 => prop_oneof![Just(0x7E4), Just(0x7E5)],
         1 => Just(0x702),
         1 => Just(0x082),
-        1 => prop_oneof![Just(0x000), Just(0x080), Just(0x182)],
+        1 => prop_oneof![Just(0x000), Just(0x080), Just(0x100), Just(0x182), Just(0x4000_0702)],
         1 => 0..0x800_u32,
         1 => any::<u32>(),
     ];
+    let lss = prop_oneof![
+        Just(0x11),
+        Just(0x13),
+        Just(0x17),
+        Just(0x44),
+        Just(0x4F),
+        Just(0x50),
+        0x5A..=0x5E_u8
+    ];
+    let block = prop_oneof![Just(0xA2), Just(0xA4), Just(0xC6), Just(0xC1), Just(0xA1)];
     let data = prop_oneof![
+        (lss, any::<[u8; 2]>()).prop_map(|(specifier, [a, b])| [
+            specifier,
+            a & 1,
+            b,
+            0,
+            0,
+            0,
+            0,
+            0
+        ]),
+        (block, any::<[u8; 4]>()).prop_map(|(specifier, [a, b, c, d])| [
+            specifier,
+            0x08,
+            0x10,
+            0,
+            a & 0x7F,
+            b & 1,
+            c & 1,
+            d & 1
+        ]),
+        (0..6_u8, any::<[u8; 6]>())
+            .prop_map(|(number, [a, b, c, d, e, f])| [number, a, b, c, d, e, f, 0]),
         any::<[u8; 8]>(),
         (any::<u8>(), any::<[u8; 4]>())
             .prop_map(|(specifier, [a, b, c, d])| [specifier, 0x08, 0x10, 0, a, b, c, d]),
@@ -75,11 +109,39 @@ proptest! {
                 prop_assert_eq!(Response::decode(&response.encode(node), node), Some(response));
             }
         }
+        for node in [NODE, NodeId::MAX] {
+            if let Some(request) = block::Request::decode(&frame, node) {
+                prop_assert_eq!(block::Request::decode(&request.encode(node), node), Some(request));
+            }
+            if let Some(response) = block::Response::decode(&frame, node) {
+                prop_assert_eq!(block::Response::decode(&response.encode(node), node), Some(response));
+            }
+            for id in [cob::sdo_request(node), cob::sdo_response(node)] {
+                if let Some(segment) = block::Segment::decode(&frame, id) {
+                    prop_assert_eq!(segment.encode(id), frame);
+                }
+            }
+        }
+        if let Some(request) = lss::Request::decode(&frame) {
+            prop_assert_eq!(lss::Request::decode(&request.encode()), Some(request));
+        }
+        if let Some(response) = lss::Response::decode(&frame) {
+            prop_assert_eq!(lss::Response::decode(&response.encode()), Some(response));
+        }
         if let Some(request) = nmt::Request::decode(&frame) {
             prop_assert_eq!(request.encode(), frame);
         }
         if let Some(heartbeat) = Heartbeat::decode(&frame) {
             prop_assert_eq!(heartbeat.encode(), frame);
+        }
+        if let Some(guarded) = guarding::Response::decode(&frame) {
+            prop_assert_eq!(guarded.encode(), frame);
+        }
+        if let Some(asked) = guarding::Request::decode(&frame) {
+            prop_assert_eq!(guarding::Request::decode(&asked.encode()), Some(asked));
+        }
+        if let Some(time) = TimeOfDay::decode(&frame) {
+            prop_assert_eq!(TimeOfDay::decode(&time.encode()), Some(time));
         }
         if let Some(sync) = Sync::decode(&frame) {
             prop_assert_eq!(sync.encode(), frame);
@@ -124,14 +186,17 @@ proptest! {
     #[test]
     fn a_transfer_ends_whatever_is_answered(
         data in proptest::option::of(proptest::collection::vec(any::<u8>(), 0..=sdo::CAPACITY)),
+        by_blocks in any::<bool>(),
         answers in proptest::collection::vec((frames(), 0..150_u64), 0..200),
     ) {
         let object = Object::new(0x1008, 0);
         let mut now = Instant::ZERO;
         let mut client = sdo::Client::new(NODE, TIME_OUT, 2);
-        match &data {
-            None => client.upload(object, now).unwrap(),
-            Some(data) => client.download(object, data, now).unwrap(),
+        match (&data, by_blocks) {
+            (None, false) => client.upload(object, now).unwrap(),
+            (None, true) => client.block_upload(object, now).unwrap(),
+            (Some(data), false) => client.download(object, data, now).unwrap(),
+            (Some(data), true) => client.block_download(object, data, now).unwrap(),
         }
         for (frame, millis) in answers {
             now += Duration::from_millis(millis);
@@ -142,9 +207,11 @@ proptest! {
                 prop_assert!(Request::decode(&frame, NODE).is_some());
                 sent += 1;
             }
-            prop_assert!(sent <= 2, "{sent} frames at once");
+            let sub_block = sdo::CAPACITY / 7 + 1;
+            prop_assert!(sent <= if by_blocks { 2 + sub_block } else { 2 }, "{sent} frames at once");
         }
-        for _ in 0..=2 {
+        // A sub-block under way is acknowledged up to seven times, each half as large as the one before.
+        for _ in 0..=2 + 7 {
             if let Some(deadline) = client.poll_timeout() {
                 client.handle_timeout(deadline);
             }
@@ -157,15 +224,75 @@ proptest! {
     }
 
     #[test]
+    fn an_lss_service_ends_whatever_is_answered(
+        service in 0..10_usize,
+        answers in proptest::collection::vec((frames(), 0..150_u64), 0..200),
+    ) {
+        let services = [
+            lss::Service::SwitchGlobal(lss::Mode::Configuration),
+            lss::Service::SwitchSelective(lss::Identity::default()),
+            lss::Service::ConfigureNodeId(Some(NODE)),
+            lss::Service::ConfigureBitTiming(lss::BitRate::Kbps500),
+            lss::Service::ActivateBitTiming { delay_ms: 100 },
+            lss::Service::Store,
+            lss::Service::InquireIdentity,
+            lss::Service::InquireNodeId,
+            lss::Service::IdentifyUnconfigured,
+            lss::Service::Fastscan,
+        ];
+        let mut now = Instant::ZERO;
+        let mut master = lss::Master::new();
+        master.start(services[service], TIME_OUT, now).unwrap();
+        let mut sent = 0;
+        for (frame, millis) in answers {
+            now += Duration::from_millis(millis);
+            master.handle_timeout(now);
+            master.handle(&frame, now);
+            while let Some(frame) = master.poll_transmit(now) {
+                prop_assert!(lss::Request::decode(&frame).is_some());
+                sent += 1;
+            }
+        }
+        for _ in 0..133 {
+            if let Some(deadline) = master.poll_timeout() {
+                master.handle_timeout(deadline);
+                sent += usize::from(master.poll_transmit(deadline).is_some());
+            }
+        }
+        prop_assert!(sent <= 133);
+        prop_assert!(master.poll().is_some());
+        prop_assert_eq!(master.poll_timeout(), None);
+    }
+
+    #[test]
     fn every_listener_takes_any_frame(frames in proptest::collection::vec((frames(), 0..150_u64), 0..100)) {
         let mut master = nmt::Master::new();
         let mut heartbeats = heartbeat::Consumer::new(NODE, TIME_OUT);
         let mut emergencies = emcy::Consumer::new(NODE);
         let mut now = Instant::ZERO;
+        let mut guard = guarding::Guard::new(NODE, TIME_OUT, 2, now).expect("times above zero");
+        let mut guarded = true;
         let mut alive = false;
         for (frame, millis) in frames {
             now += Duration::from_millis(millis);
             heartbeats.handle_timeout(now);
+            guard.handle_timeout(now);
+            guard.handle(&frame, now);
+            while let Some(event) = guard.poll() {
+                match event {
+                    guarding::Event::Lost { waited } => {
+                        prop_assert!(guarded && waited >= 2 * TIME_OUT);
+                        guarded = false;
+                    }
+                    guarding::Event::Recovered { .. } => {
+                        prop_assert!(!guarded);
+                        guarded = true;
+                    }
+                    guarding::Event::Changed { state } => prop_assert_eq!(guard.state(), Some(state)),
+                    guarding::Event::Toggle => {}
+                }
+            }
+            prop_assert_eq!(guard.is_lost(), !guarded);
             master.handle(&frame);
             heartbeats.handle(&frame, now);
             emergencies.handle(&frame, now);

@@ -1,3 +1,5 @@
+use std::fmt;
+
 use can::Frame;
 
 use crate::{cob, frame, payload};
@@ -110,6 +112,27 @@ impl Part {
     /// 0 ..= 3, as fastscan counts them.
     pub const fn index(self) -> u8 {
         self as u8
+    }
+
+    /// The one sent after it.
+    pub const fn next(self) -> Option<Self> {
+        match self {
+            Self::Vendor => Some(Self::Product),
+            Self::Product => Some(Self::Revision),
+            Self::Revision => Some(Self::Serial),
+            Self::Serial => None,
+        }
+    }
+}
+
+impl fmt::Display for Part {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Vendor => "vendor-ID",
+            Self::Product => "product code",
+            Self::Revision => "revision number",
+            Self::Serial => "serial number",
+        })
     }
 }
 

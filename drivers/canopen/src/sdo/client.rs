@@ -1,12 +1,19 @@
 use std::time::Duration;
 
 use can::{Frame, Instant};
-use thiserror::Error;
 
-use super::{AbortCode, Expedited, Initiate, Request, Response, Segment, Write};
+use super::block::SEGMENT;
+use super::{Expedited, Initiate, Request, Response, Segment, Write};
 use crate::{NodeId, Object};
 
-/// The longest object a [`Client`] transfers, bytes.
+mod block;
+mod error;
+mod transfer;
+
+pub use error::{SdoError, StartError};
+pub use transfer::{Number, Transfer};
+
+/// The longest object that a client of [`Client::new`] transfers, bytes.
 pub const CAPACITY: usize = 256;
 
 /// Reads and writes the objects of one node, one at a time.
@@ -18,6 +25,8 @@ pub const CAPACITY: usize = 256;
 ///    │ download            InitiateDownload             last DownloadSegment        │
 ///    ├───────────► DownloadInitiated ───────► DownloadSegments ─────────────────►   │
 ///    │                     └──────── expedited ─────────────────────────────────►   │
+///    │ block_upload, block_download                                                 │
+///    ├───────────► Block ───────────────────────────────────────────────────────►   │
 ///    └◄───────────────────────────────────────────────────────────────────── poll ──┘
 /// ```
 ///
@@ -29,15 +38,28 @@ pub const CAPACITY: usize = 256;
 /// earlier request and are passed over. SDO numbers no request: an answer that comes after
 /// its time-out is taken for that of the retry, or of the next equal request. Read back what matters.
 ///
-/// Block transfer is left out; it would be further states beside the segmented ones.
+/// [Block transfer](super::block) sends up to 127 frames for one answer. [`Client::poll_transmit`] gives them one
+/// at a time: who has a short transmit queue asks for as many as it takes, and again when it has sent them.
+/// * A server that refuses block transfer (0x0504_0001) is asked for an ordinary transfer, and so is any
+///   server for up to 28 bytes, which that moves in no more frames.
+/// * The receiver of the data recovers what is lost: it acknowledges what came in order, after `timeout`
+///   if the end of a sub-block is missing, and the rest is sent again. As receiver, the client
+///   halves the size of its sub-blocks at each loss, for a queue on the way may be too short.
+///   `retries` sub-blocks in a row of which nothing came are borne, then the transfer starts anew as above.
+/// * Data whose checksum is wrong fail the transfer (0x0504_0004). A server that knows no checksum is
+///   taken at its word, but a sub-block whose end is missing then starts the transfer anew.
 #[derive(Clone, Debug)]
 pub struct Client {
     node: NodeId,
     timeout: Duration,
     retries: u8,
     state: State,
+    /// The state in which the transfer starts, anew after a time-out.
+    start: State,
     object: Object,
-    buffer: [u8; CAPACITY],
+    capacity: usize,
+    /// `capacity` bytes, rounded up to whole segments.
+    buffer: Box<[u8]>,
     /// Bytes received by an upload, or to be sent by a download.
     length: usize,
     /// Whether `length` is the object's, and not just the four bytes of an expedited frame.
@@ -45,7 +67,8 @@ pub struct Client {
     started: Instant,
     deadline: Instant,
     retries_left: u8,
-    abort: Option<Frame>,
+    /// What ends a transfer; it goes before the request of the next.
+    ending: Option<Frame>,
     request: Option<Frame>,
 }
 
@@ -64,153 +87,34 @@ enum State {
         toggle: bool,
         sent: usize,
     },
+    Block(block::State),
     Finished(Result<(), SdoError>),
 }
-
-/// Why a transfer was not started.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-pub enum StartError {
-    /// A transfer is under way, or its result was not taken.
-    #[error("{object} is being transferred")]
-    Busy {
-        /// The object of that transfer.
-        object: Object,
-    },
-    /// More data than [`CAPACITY`].
-    #[error("{object} would take {size} bytes, at most {CAPACITY} are transferred")]
-    TooLarge {
-        /// The object to write.
-        object: Object,
-        /// Bytes given.
-        size: usize,
-    },
-}
-
-/// Why a transfer failed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-pub enum SdoError {
-    /// The server aborted.
-    #[error("{object} aborted by the server: {code}")]
-    Aborted {
-        /// The object.
-        object: Object,
-        /// Why.
-        code: AbortCode,
-    },
-    /// No answer, for all the retries.
-    #[error("{object} timed out after {waited:?}")]
-    TimedOut {
-        /// The object.
-        object: Object,
-        /// Since the transfer was started.
-        waited: Duration,
-    },
-    /// A segment came or was confirmed twice, or one is missing.
-    #[error("{object}: toggle bit did not alternate")]
-    Toggle {
-        /// The object.
-        object: Object,
-    },
-    /// A segment without data that is not the last, so that the transfer might never end.
-    #[error("{object}: empty segment")]
-    EmptySegment {
-        /// The object.
-        object: Object,
-    },
-    /// An answer that is none of expedited and segmented transfer.
-    #[error("{object}: unexpected command specifier {specifier:#04x}")]
-    Specifier {
-        /// The object.
-        object: Object,
-        /// Byte 0 of the answer.
-        specifier: u8,
-    },
-    /// The object is longer than [`CAPACITY`].
-    #[error("{object} has at least {size} bytes, at most {CAPACITY} are transferred")]
-    TooLarge {
-        /// The object.
-        object: Object,
-        /// Bytes known of.
-        size: usize,
-    },
-    /// The server sent more or fewer bytes than it announced, or than the reader's type has.
-    #[error("{object} has {found} bytes, expected {expected}")]
-    Length {
-        /// The object.
-        object: Object,
-        /// Bytes announced, or of the type asked for.
-        expected: usize,
-        /// Bytes received.
-        found: usize,
-    },
-}
-
-/// A transfer that succeeded: what was read, or what was written.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Transfer<'a> {
-    /// The object.
-    pub object: Object,
-    /// Its data.
-    pub data: &'a [u8],
-    exact: bool,
-}
-
-impl Transfer<'_> {
-    /// The data as a number of the object's type.
-    ///
-    /// Lengths must agree. From a server that does not give sizes the first bytes of four are taken.
-    pub fn number<T: Number>(&self) -> Result<T, SdoError> {
-        let longer = !self.exact && self.data.len() > T::BYTES;
-        let data = if longer {
-            &self.data[..T::BYTES]
-        } else {
-            self.data
-        };
-        T::from_le(data).ok_or(SdoError::Length {
-            object: self.object,
-            expected: T::BYTES,
-            found: data.len(),
-        })
-    }
-}
-
-/// The integers that objects are read as.
-pub trait Number: Sized {
-    /// Its size.
-    const BYTES: usize;
-    /// `None` unless there are as many bytes as it has.
-    fn from_le(data: &[u8]) -> Option<Self>;
-}
-
-macro_rules! number {
-    ($($number:ty),*) => {
-        $(impl Number for $number {
-            const BYTES: usize = size_of::<Self>();
-            fn from_le(data: &[u8]) -> Option<Self> {
-                Some(Self::from_le_bytes(data.try_into().ok()?))
-            }
-        })*
-    };
-}
-number!(u8, u16, u32, u64, i8, i16, i32, i64);
 
 impl Client {
     /// A client of the server `node` that waits `timeout` for each answer and starts a transfer anew
     /// `retries` times.
     pub fn new(node: NodeId, timeout: Duration, retries: u8) -> Self {
+        Self::with_capacity(node, timeout, retries, CAPACITY)
+    }
+
+    /// One that transfers objects of up to `capacity` bytes, for which it allocates here and nowhere else.
+    pub fn with_capacity(node: NodeId, timeout: Duration, retries: u8, capacity: usize) -> Self {
         Self {
             node,
             timeout,
             retries,
             state: State::Idle,
+            start: State::Idle,
             object: Object::new(0, 0),
-            buffer: [0; CAPACITY],
+            capacity,
+            buffer: vec![0; capacity.next_multiple_of(SEGMENT)].into(),
             length: 0,
             exact: true,
             started: Instant::ZERO,
             deadline: Instant::FAR_FUTURE,
             retries_left: 0,
-            abort: None,
+            ending: None,
             request: None,
         }
     }
@@ -237,31 +141,168 @@ impl Client {
         data: &[u8],
         now: Instant,
     ) -> Result<(), StartError> {
-        if data.len() > CAPACITY {
-            return Err(StartError::TooLarge {
-                object,
-                size: data.len(),
-            });
-        }
         self.begin(object, State::DownloadInitiated, data, now)
+    }
+
+    /// Starts to read `object` by block transfer.
+    pub fn block_upload(&mut self, object: Object, now: Instant) -> Result<(), StartError> {
+        self.begin(
+            object,
+            State::Block(block::State::UploadInitiated),
+            &[],
+            now,
+        )
+    }
+
+    /// Starts to write `data` to `object` by block transfer.
+    pub fn block_download(
+        &mut self,
+        object: Object,
+        data: &[u8],
+        now: Instant,
+    ) -> Result<(), StartError> {
+        let start = if data.len() <= block::THRESHOLD {
+            State::DownloadInitiated
+        } else {
+            State::Block(block::State::DownloadInitiated)
+        };
+        self.begin(object, start, data, now)
+    }
+
+    /// Forgets the transfer under way without a word to the server, as after its boot.
+    pub fn reset(&mut self) {
+        self.state = State::Idle;
+        self.ending = None;
+        self.request = None;
     }
 
     /// Takes a frame from the bus; frames of others are passed over.
     pub fn handle(&mut self, frame: &Frame, now: Instant) {
-        let Some(response) = Response::decode(frame, self.node) else {
-            return;
-        };
-        match (self.state, response) {
+        match (self.state, Response::decode(frame, self.node)) {
             (State::Idle | State::Finished(_), _) => {}
+            (State::Block(state), _) => self.handle_block(state, frame, now),
+            (_, Some(response)) => self.handle_response(response, now),
+            (_, None) => {}
+        }
+    }
+
+    /// The next frame to send, if any: what ends a transfer before what begins the next.
+    pub fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
+        self.ending
+            .take()
+            .or_else(|| self.request.take())
+            .or_else(|| self.next_block_segment(now))
+    }
+
+    /// When the answer is due that it waits for, or the next segment of a sub-block is to be sent.
+    pub fn poll_timeout(&self) -> Option<Instant> {
+        match self.state {
+            State::Idle | State::Finished(_) => None,
+            State::UploadInitiated
+            | State::UploadSegments { .. }
+            | State::DownloadInitiated
+            | State::DownloadSegments { .. }
+            | State::Block(_) => Some(self.deadline),
+        }
+    }
+
+    /// Recovers, starts anew or gives up if the answer is overdue at `now`.
+    pub fn handle_timeout(&mut self, now: Instant) {
+        if self.poll_timeout().is_none_or(|deadline| now < deadline) {
+            return;
+        }
+        if let State::Block(block::State::Upload(receiving)) = self.state
+            && self.acknowledge_overdue(receiving, now)
+        {
+            return;
+        }
+        self.start_anew(now);
+    }
+
+    /// The result of the transfer, once; then the next may be started.
+    pub fn poll(&mut self) -> Option<Result<Transfer<'_>, SdoError>> {
+        let State::Finished(result) = self.state else {
+            return None;
+        };
+        self.state = State::Idle;
+        Some(result.map(|()| Transfer {
+            object: self.object,
+            data: &self.buffer[..self.length],
+            exact: self.exact,
+        }))
+    }
+
+    fn begin(
+        &mut self,
+        object: Object,
+        start: State,
+        data: &[u8],
+        now: Instant,
+    ) -> Result<(), StartError> {
+        if self.state != State::Idle {
+            return Err(StartError::Busy {
+                object: self.object,
+            });
+        }
+        if data.len() > self.capacity {
+            return Err(StartError::TooLarge {
+                object,
+                size: data.len(),
+                capacity: self.capacity,
+            });
+        }
+        self.object = object;
+        self.start = start;
+        self.buffer[..data.len()].copy_from_slice(data);
+        self.length = data.len();
+        self.started = now;
+        self.retries_left = self.retries;
+        self.initiate(now);
+        Ok(())
+    }
+
+    /// Enters the state in which the transfer starts, and sends its first frame.
+    fn initiate(&mut self, now: Instant) {
+        let object = self.object;
+        self.state = self.start;
+        self.exact = true;
+        match self.start {
+            State::Block(state) => self.initiate_block(state, now),
+            State::UploadInitiated => {
+                self.length = 0;
+                self.send(Request::InitiateUpload { object }, now);
+            }
+            _ => {
+                let initiate = match self.expedited() {
+                    Some(data) => Initiate::Expedited(data),
+                    None => Initiate::Segmented {
+                        size: u32::try_from(self.length).ok(),
+                    },
+                };
+                self.send(Request::InitiateDownload { object, initiate }, now);
+            }
+        }
+    }
+
+    /// Aborts, and starts anew while there are retries left.
+    fn start_anew(&mut self, now: Instant) {
+        let (object, waited) = (self.object, now.since(self.started));
+        self.fail(SdoError::TimedOut { object, waited });
+        if self.retries_left > 0 {
+            self.retries_left -= 1;
+            self.initiate(now);
+        }
+    }
+
+    /// Takes an answer of an ordinary transfer.
+    fn handle_response(&mut self, response: Response, now: Instant) {
+        match (self.state, response) {
             (_, Response::Abort { object, code }) if object == self.object => {
                 self.finish(Err(SdoError::Aborted { object, code }));
             }
             (_, Response::Unsupported(response)) => {
                 let (object, specifier) = (self.object, response.specifier());
-                self.fail(
-                    AbortCode::COMMAND_SPECIFIER,
-                    SdoError::Specifier { object, specifier },
-                );
+                self.fail(SdoError::Specifier { object, specifier });
             }
             (State::UploadInitiated, Response::InitiateUpload { object, initiate })
                 if object == self.object =>
@@ -285,12 +326,9 @@ impl Client {
                 Response::DownloadSegment { toggle: taken },
             ) => {
                 if taken != toggle {
-                    self.fail(
-                        AbortCode::TOGGLE,
-                        SdoError::Toggle {
-                            object: self.object,
-                        },
-                    );
+                    self.fail(SdoError::Toggle {
+                        object: self.object,
+                    });
                 } else if sent == self.length {
                     self.finish(Ok(()));
                 } else {
@@ -299,105 +337,16 @@ impl Client {
             }
             // A late answer to an earlier request.
             (
-                State::UploadInitiated
+                State::Idle
+                | State::UploadInitiated
                 | State::UploadSegments { .. }
                 | State::DownloadInitiated
-                | State::DownloadSegments { .. },
+                | State::DownloadSegments { .. }
+                | State::Block(_)
+                | State::Finished(_),
                 _,
             ) => {}
         }
-    }
-
-    /// The next frame to send, if any: an abort before a request.
-    pub fn poll_transmit(&mut self, _now: Instant) -> Option<Frame> {
-        self.abort.take().or_else(|| self.request.take())
-    }
-
-    /// When the answer is due that it waits for.
-    pub fn poll_timeout(&self) -> Option<Instant> {
-        match self.state {
-            State::Idle | State::Finished(_) => None,
-            State::UploadInitiated
-            | State::UploadSegments { .. }
-            | State::DownloadInitiated
-            | State::DownloadSegments { .. } => Some(self.deadline),
-        }
-    }
-
-    /// Starts anew or gives up if the answer is overdue at `now`.
-    pub fn handle_timeout(&mut self, now: Instant) {
-        if self.poll_timeout().is_none_or(|deadline| now < deadline) {
-            return;
-        }
-        let (object, waited) = (self.object, now.since(self.started));
-        let upload = matches!(
-            self.state,
-            State::UploadInitiated | State::UploadSegments { .. }
-        );
-        self.fail(AbortCode::TIME_OUT, SdoError::TimedOut { object, waited });
-        if self.retries_left > 0 {
-            self.retries_left -= 1;
-            self.state = if upload {
-                State::UploadInitiated
-            } else {
-                State::DownloadInitiated
-            };
-            self.initiate(now);
-        }
-    }
-
-    /// The result of the transfer, once; then the next may be started.
-    pub fn poll(&mut self) -> Option<Result<Transfer<'_>, SdoError>> {
-        let State::Finished(result) = self.state else {
-            return None;
-        };
-        self.state = State::Idle;
-        Some(result.map(|()| Transfer {
-            object: self.object,
-            data: &self.buffer[..self.length],
-            exact: self.exact,
-        }))
-    }
-
-    fn begin(
-        &mut self,
-        object: Object,
-        state: State,
-        data: &[u8],
-        now: Instant,
-    ) -> Result<(), StartError> {
-        if self.state != State::Idle {
-            return Err(StartError::Busy {
-                object: self.object,
-            });
-        }
-        self.object = object;
-        self.state = state;
-        self.buffer[..data.len()].copy_from_slice(data);
-        self.length = data.len();
-        self.exact = true;
-        self.started = now;
-        self.retries_left = self.retries;
-        self.initiate(now);
-        Ok(())
-    }
-
-    /// Sends the first frame of the transfer that `state` begins.
-    fn initiate(&mut self, now: Instant) {
-        let object = self.object;
-        let request = if self.state == State::UploadInitiated {
-            self.length = 0;
-            Request::InitiateUpload { object }
-        } else {
-            let initiate = match self.expedited() {
-                Some(data) => Initiate::Expedited(data),
-                None => Initiate::Segmented {
-                    size: Some(self.length as u32),
-                },
-            };
-            Request::InitiateDownload { object, initiate }
-        };
-        self.send(request, now);
     }
 
     /// The data to write, if they fit into the first frame.
@@ -407,27 +356,33 @@ impl Client {
 
     fn upload_initiated(&mut self, initiate: Initiate, now: Instant) {
         match initiate {
-            Initiate::Expedited(data) => {
+            Initiate::Expedited(data) if data.data().len() <= self.capacity => {
                 self.exact = data.size_given();
                 self.append(data.data());
                 self.finish(Ok(()));
             }
+            Initiate::Expedited(data) => self.too_large(data.data().len()),
             Initiate::Segmented { size } => {
-                let announced = size.map(|size| usize::try_from(size).unwrap_or(usize::MAX));
-                if let Some(size) = announced.filter(|size| *size > CAPACITY) {
-                    let object = self.object;
-                    self.fail(
-                        AbortCode::OUT_OF_MEMORY,
-                        SdoError::TooLarge { object, size },
-                    );
-                    return;
+                if let Ok(announced) = self.announced(size) {
+                    self.state = State::UploadSegments {
+                        toggle: false,
+                        announced,
+                    };
+                    self.send(Request::UploadSegment { toggle: false }, now);
                 }
-                self.state = State::UploadSegments {
-                    toggle: false,
-                    announced,
-                };
-                self.send(Request::UploadSegment { toggle: false }, now);
             }
+        }
+    }
+
+    /// The size that the server announced; fails the transfer if there is no room for it.
+    fn announced(&mut self, size: Option<u32>) -> Result<Option<usize>, ()> {
+        let size = size.map(|size| usize::try_from(size).unwrap_or(usize::MAX));
+        match size {
+            Some(size) if size > self.capacity => {
+                self.too_large(size);
+                Err(())
+            }
+            size => Ok(size),
         }
     }
 
@@ -441,42 +396,36 @@ impl Client {
         let object = self.object;
         let found = self.length + segment.data().len();
         if segment.toggle != toggle {
-            self.fail(AbortCode::TOGGLE, SdoError::Toggle { object });
+            self.fail(SdoError::Toggle { object });
         } else if segment.data().is_empty() && !segment.last {
-            self.fail(AbortCode::GENERAL, SdoError::EmptySegment { object });
+            self.fail(SdoError::EmptySegment { object });
         } else if let Some(expected) = announced
             && (found > expected || segment.last && found < expected)
         {
-            self.fail(
-                AbortCode::LENGTH_MISMATCH,
-                SdoError::Length {
-                    object,
-                    expected,
-                    found,
-                },
-            );
-        } else if !self.append(segment.data()) {
-            self.fail(
-                AbortCode::OUT_OF_MEMORY,
-                SdoError::TooLarge {
-                    object,
-                    size: found,
-                },
-            );
-        } else if segment.last {
-            self.finish(Ok(()));
+            self.fail(SdoError::Length {
+                object,
+                expected,
+                found,
+            });
+        } else if found > self.capacity {
+            self.too_large(found);
         } else {
-            self.state = State::UploadSegments {
-                toggle: !toggle,
-                announced,
-            };
-            self.send(Request::UploadSegment { toggle: !toggle }, now);
+            self.append(segment.data());
+            if segment.last {
+                self.finish(Ok(()));
+            } else {
+                self.state = State::UploadSegments {
+                    toggle: !toggle,
+                    announced,
+                };
+                self.send(Request::UploadSegment { toggle: !toggle }, now);
+            }
         }
     }
 
     /// Sends the segment that begins at byte `from`.
     fn send_segment(&mut self, from: usize, toggle: bool, now: Instant) {
-        let sent = self.length.min(from + 7);
+        let sent = self.length.min(from + SEGMENT);
         let segment = Segment::new(&self.buffer[from..sent], toggle, sent == self.length);
         self.state = State::DownloadSegments { toggle, sent };
         self.send(
@@ -485,28 +434,32 @@ impl Client {
         );
     }
 
-    fn append(&mut self, data: &[u8]) -> bool {
-        let Some(free) = self.buffer[self.length..].get_mut(..data.len()) else {
-            return false;
-        };
-        free.copy_from_slice(data);
+    /// Keeps data that were found to fit.
+    fn append(&mut self, data: &[u8]) {
+        self.buffer[self.length..][..data.len()].copy_from_slice(data);
         self.length += data.len();
-        true
     }
 
     fn send(&mut self, request: Request, now: Instant) {
-        self.request = Some(request.encode(self.node));
+        self.send_frame(request.encode(self.node), now);
+    }
+
+    fn send_frame(&mut self, request: Frame, now: Instant) {
+        self.request = Some(request);
         self.deadline = now + self.timeout;
     }
 
-    fn fail(&mut self, code: AbortCode, error: SdoError) {
-        self.abort = Some(
-            Request::Abort {
-                object: self.object,
-                code,
-            }
-            .encode(self.node),
-        );
+    fn too_large(&mut self, size: usize) {
+        self.fail(SdoError::TooLarge {
+            object: self.object,
+            size,
+            capacity: self.capacity,
+        });
+    }
+
+    fn fail(&mut self, error: SdoError) {
+        let (object, code) = (self.object, error.abort_code());
+        self.ending = Some(Request::Abort { object, code }.encode(self.node));
         self.finish(Err(error));
     }
 

@@ -104,7 +104,7 @@ impl NodeBringUp {
                 self.phase = Phase::Starting { since: now };
             }
             (Phase::Booting { since, .. }, nmt::State::Initialising) => {
-                *sdo = self.client();
+                sdo.reset();
                 self.phase = Phase::Booting {
                     since,
                     booted: true,
@@ -112,7 +112,7 @@ impl NodeBringUp {
                 };
             }
             (Phase::Configuring { .. } | Phase::Configured, nmt::State::Initialising) => {
-                *sdo = self.client();
+                sdo.reset();
                 self.boots += 1;
                 self.phase = Phase::Booting {
                     since: now,
@@ -348,15 +348,7 @@ pub(super) fn begin(sdo: &mut Client, object: Object, write: Option<Write>, now:
 
 /// The abort code that says why, whichever side ended the transfer.
 pub(super) fn abort_code(error: SdoError) -> (Object, AbortCode) {
-    match error {
-        SdoError::Aborted { object, code } => (object, code),
-        SdoError::TimedOut { object, .. } => (object, AbortCode::TIME_OUT),
-        SdoError::Toggle { object } => (object, AbortCode::TOGGLE),
-        SdoError::Specifier { object, .. } => (object, AbortCode::COMMAND_SPECIFIER),
-        SdoError::EmptySegment { object } => (object, AbortCode::GENERAL),
-        SdoError::TooLarge { object, .. } => (object, AbortCode::OUT_OF_MEMORY),
-        SdoError::Length { object, .. } => (object, AbortCode::LENGTH_MISMATCH),
-    }
+    (error.object(), error.abort_code())
 }
 
 fn error_of(node: NodeId, error: SdoError) -> BringUpError {

@@ -1,21 +1,22 @@
 use super::*;
 use crate::objects::{CONTROLWORD, DEVICE_NAME, HOME_OFFSET, MODE_OF_OPERATION, STATUSWORD};
 use crate::parse;
+use crate::sdo::AbortCode;
 
-const NODE: NodeId = NodeId::new(2).unwrap();
-const TIME_OUT: Duration = Duration::from_millis(500);
+pub(super) const NODE: NodeId = NodeId::new(2).unwrap();
+pub(super) const TIME_OUT: Duration = Duration::from_millis(500);
 
-fn client(retries: u8) -> Client {
+pub(super) fn client(retries: u8) -> Client {
     Client::new(NODE, TIME_OUT, retries)
 }
 
-fn at(millis: u64) -> Instant {
+pub(super) fn at(millis: u64) -> Instant {
     Instant::from_nanos(millis * 1_000_000)
 }
 
 /// Plays a dialogue: `602#…` must be sent by the client, `582#…` is handed to it. Nothing else may
 /// be sent.
-fn play(client: &mut Client, now: Instant, dialogue: &[&str]) {
+pub(super) fn play(client: &mut Client, now: Instant, dialogue: &[&str]) {
     for line in dialogue {
         if line.starts_with("602") {
             let sent = client.poll_transmit(now).map(|frame| frame.to_string());
@@ -216,7 +217,11 @@ fn a_broken_upload_is_aborted() {
         ),
         (
             &[ask, "582#4108100001010000", "602#8008100005000405"],
-            SdoError::TooLarge { object, size: 257 },
+            SdoError::TooLarge {
+                object,
+                size: 257,
+                capacity: CAPACITY,
+            },
         ),
         (
             &[ask, "582#C20810000A000000", "602#8008100001000405"],
@@ -254,6 +259,7 @@ fn an_upload_of_unknown_size_is_bounded() {
     let error = SdoError::TooLarge {
         object: DEVICE_NAME,
         size: 259,
+        capacity: CAPACITY,
     };
     assert_eq!(client.poll(), Some(Err(error)));
 }
@@ -380,6 +386,7 @@ fn one_transfer_at_a_time() {
     let too_large = Err(StartError::TooLarge {
         object: DEVICE_NAME,
         size,
+        capacity: CAPACITY,
     });
     assert_eq!(
         client.download(DEVICE_NAME, &[0; CAPACITY + 1], at(0)),

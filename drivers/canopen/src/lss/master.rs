@@ -1,0 +1,349 @@
+use std::fmt;
+use std::time::Duration;
+
+use can::{Frame, Instant};
+use thiserror::Error;
+
+use super::scan::{Next, Scan};
+use super::{BitRate, CIA_TABLE, Identity, Mode, Outcome, Part, Request, Response, UNCONFIGURED};
+use crate::NodeId;
+
+/// Gives nodes their node-IDs and bit rates, one service at a time.
+///
+/// A service has `timeout` for each of its answers, counted from the frame that asks. Nothing is asked
+/// twice; a service that timed out may be started again. Answers to other requests are passed over.
+///
+/// To give an address to a node that has none: [`Service::Fastscan`] finds it and leaves it in configuration
+/// mode, then [`Service::ConfigureNodeId`], [`Service::Store`] and, back in [`Mode::Waiting`], it boots with
+/// its new address. All slaves in configuration mode obey at once, so have one of them there.
+#[derive(Clone, Debug)]
+pub struct Master {
+    state: State,
+    timeout: Duration,
+    request: Option<Request>,
+    started: Instant,
+    deadline: Instant,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum State {
+    Idle,
+    /// Of `Fastscan`, `scan` is the question asked; of `InquireIdentity`, `identity` is what was
+    /// answered before `part`; of `SwitchSelective`, `part` is the one sent last.
+    Busy {
+        service: Service,
+        part: Part,
+        identity: Identity,
+        scan: Scan,
+        /// Whether somebody answered a question that all may answer.
+        heard: bool,
+    },
+    Finished(Result<Answer, LssError>),
+}
+
+/// What the master can do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Service {
+    /// Put all slaves into a mode. Not answered: done when it is sent.
+    SwitchGlobal(Mode),
+    /// Put the one slave of this identity into configuration mode.
+    SwitchSelective(Identity),
+    /// Give the slave in configuration mode a node-ID; none takes it away.
+    ConfigureNodeId(Option<NodeId>),
+    /// Give it a bit rate, for when it is activated.
+    ConfigureBitTiming(BitRate),
+    /// Have all slaves in configuration mode change to their new bit rate. Not answered: done after twice
+    /// the delay, ms. Nobody may send in the meantime, and this host has to change its own bit
+    /// rate when the delay is over once.
+    ActivateBitTiming {
+        /// ms.
+        delay_ms: u16,
+    },
+    /// Have the slave in configuration mode keep both over power-off. May take it a second.
+    Store,
+    /// Ask the slave in configuration mode who it is.
+    InquireIdentity,
+    /// Ask it for its node-ID.
+    InquireNodeId,
+    /// Ask whether any slave has no node-ID. Takes `timeout`.
+    IdentifyUnconfigured,
+    /// Find the identity of a slave without a node-ID, the smallest if there are several, and put that
+    /// slave into configuration mode. Takes 133 times `timeout`, for slaves that agree answer at different
+    /// times, and silence means no; it may be as short as the slowest slave's answer, some 10 ms.
+    Fastscan,
+}
+
+/// What came of a service.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Answer {
+    /// It is done.
+    Done,
+    /// To [`Service::InquireIdentity`].
+    Identity(Identity),
+    /// To [`Service::InquireNodeId`]; `None` if the slave has none.
+    NodeId(Option<NodeId>),
+    /// To [`Service::IdentifyUnconfigured`]: whether there is any.
+    Unconfigured(bool),
+    /// To [`Service::Fastscan`]; `None` if there is no slave without a node-ID.
+    Found(Option<Identity>),
+}
+
+/// Why a service was not started.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[error("{service} is under way, or its result was not taken")]
+pub struct Busy {
+    /// What is under way; what was asked for if a result waits.
+    pub service: Service,
+}
+
+/// Why a service failed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum LssError {
+    /// No answer.
+    #[error(
+        "no slave answered {service} for {waited:?}; is the one meant on the bus, and alone in configuration mode?"
+    )]
+    TimedOut {
+        /// The service.
+        service: Service,
+        /// Since it was started.
+        waited: Duration,
+    },
+    /// The slave did not do it.
+    #[error(
+        "the slave refused {service}: error {}, vendor code {}",
+        outcome.error,
+        outcome.specific
+    )]
+    Refused {
+        /// The service.
+        service: Service,
+        /// Why.
+        outcome: Outcome,
+    },
+    /// The slave says it has a node-ID that cannot be.
+    #[error("the slave says that its node-ID is {node_id}")]
+    NodeId {
+        /// What it says.
+        node_id: u8,
+    },
+    /// No slave has the number that the answers to a fastscan make.
+    #[error("no slave has the {part} {number:#010x} that the scan found; try a longer time-out")]
+    Vanished {
+        /// Which number.
+        part: Part,
+        /// The number.
+        number: u32,
+    },
+}
+
+impl fmt::Display for Service {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::SwitchGlobal(_) => "switch mode global",
+            Self::SwitchSelective(_) => "switch mode selective",
+            Self::ConfigureNodeId(_) => "configure node-ID",
+            Self::ConfigureBitTiming(_) => "configure bit timing",
+            Self::ActivateBitTiming { .. } => "activate bit timing",
+            Self::Store => "store configuration",
+            Self::InquireIdentity => "inquire identity",
+            Self::InquireNodeId => "inquire node-ID",
+            Self::IdentifyUnconfigured => "identify non-configured",
+            Self::Fastscan => "fastscan",
+        })
+    }
+}
+
+impl Default for Master {
+    fn default() -> Self {
+        Self {
+            state: State::Idle,
+            timeout: Duration::ZERO,
+            request: None,
+            started: Instant::ZERO,
+            deadline: Instant::FAR_FUTURE,
+        }
+    }
+}
+
+impl Master {
+    /// An idle one.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Starts a service.
+    pub fn start(&mut self, service: Service, timeout: Duration, now: Instant) -> Result<(), Busy> {
+        match self.state {
+            State::Idle => {}
+            State::Busy { service, .. } => return Err(Busy { service }),
+            State::Finished(_) => return Err(Busy { service }),
+        }
+        let scan = Scan::new();
+        self.state = State::Busy {
+            service,
+            part: Part::Vendor,
+            identity: Identity::default(),
+            scan,
+            heard: false,
+        };
+        self.timeout = timeout;
+        self.started = now;
+        let request = match service {
+            Service::SwitchGlobal(mode) => Request::SwitchGlobal(mode),
+            Service::SwitchSelective(identity) => select(identity, Part::Vendor),
+            Service::ConfigureNodeId(node) => Request::ConfigureNodeId {
+                node_id: node.map_or(UNCONFIGURED, NodeId::raw),
+            },
+            Service::ConfigureBitTiming(rate) => Request::ConfigureBitTiming {
+                table: CIA_TABLE,
+                index: rate.index(),
+            },
+            Service::ActivateBitTiming { delay_ms } => Request::ActivateBitTiming { delay_ms },
+            Service::Store => Request::Store,
+            Service::InquireIdentity => Request::Inquire(Part::Vendor),
+            Service::InquireNodeId => Request::InquireNodeId,
+            Service::IdentifyUnconfigured => Request::IdentifyUnconfigured,
+            Service::Fastscan => Request::Fastscan(scan.question()),
+        };
+        self.ask(request, now);
+        Ok(())
+    }
+
+    /// Takes a frame from the bus.
+    pub fn handle(&mut self, frame: &Frame, now: Instant) {
+        let (Some(response), None) = (Response::decode(frame), self.request) else {
+            return;
+        };
+        let State::Busy {
+            service,
+            part,
+            identity,
+            heard,
+            ..
+        } = &mut self.state
+        else {
+            return;
+        };
+        let service = *service;
+        let result = match (service, response) {
+            (Service::SwitchSelective(_), Response::Selected) => Ok(Answer::Done),
+            (Service::ConfigureNodeId(_), Response::NodeIdConfigured(outcome))
+            | (Service::ConfigureBitTiming(_), Response::BitTimingConfigured(outcome))
+            | (Service::Store, Response::Stored(outcome)) => {
+                if outcome.error == Outcome::SUCCESS {
+                    Ok(Answer::Done)
+                } else {
+                    Err(LssError::Refused { service, outcome })
+                }
+            }
+            (Service::InquireIdentity, Response::Inquired { part: told, value })
+                if told == *part =>
+            {
+                *identity.get_mut(told) = value;
+                if let Some(next) = told.next() {
+                    *part = next;
+                    return self.ask(Request::Inquire(next), now);
+                }
+                Ok(Answer::Identity(*identity))
+            }
+            (Service::InquireNodeId, Response::NodeId { node_id }) => {
+                match (node_id, NodeId::new(node_id)) {
+                    (UNCONFIGURED, _) => Ok(Answer::NodeId(None)),
+                    (_, Some(node)) => Ok(Answer::NodeId(Some(node))),
+                    (_, None) => Err(LssError::NodeId { node_id }),
+                }
+            }
+            (Service::IdentifyUnconfigured, Response::Unconfigured)
+            | (Service::Fastscan, Response::Identified) => {
+                *heard = true;
+                return;
+            }
+            _ => return,
+        };
+        self.state = State::Finished(result);
+    }
+
+    /// The next frame to send, if any.
+    pub fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
+        let request = self.request.take()?;
+        self.deadline = now + self.timeout;
+        if let State::Busy { service, part, .. } = &mut self.state {
+            match *service {
+                Service::SwitchGlobal(_) => self.state = State::Finished(Ok(Answer::Done)),
+                Service::ActivateBitTiming { delay_ms } => {
+                    self.deadline = now + 2 * Duration::from_millis(delay_ms.into());
+                }
+                Service::SwitchSelective(identity) => {
+                    if let Some(next) = part.next() {
+                        *part = next;
+                        self.request = Some(select(identity, next));
+                    }
+                }
+                _ => {}
+            }
+        }
+        Some(request.encode())
+    }
+
+    /// When an answer is due, or the time is over that all have to answer.
+    pub fn poll_timeout(&self) -> Option<Instant> {
+        matches!(self.state, State::Busy { .. }).then_some(self.deadline)
+    }
+
+    /// Goes on or gives up if it is time at `now`.
+    pub fn handle_timeout(&mut self, now: Instant) {
+        let State::Busy {
+            service,
+            scan,
+            heard,
+            ..
+        } = &mut self.state
+        else {
+            return;
+        };
+        if now < self.deadline {
+            return;
+        }
+        let (service, sent) = (*service, self.request.is_none());
+        let result = match service {
+            Service::ActivateBitTiming { .. } if sent => Ok(Answer::Done),
+            Service::IdentifyUnconfigured if sent => Ok(Answer::Unconfigured(*heard)),
+            Service::Fastscan if sent => match scan.answered(std::mem::take(heard)) {
+                Next::Ask(question) => return self.ask(Request::Fastscan(question), now),
+                Next::Found(identity) => Ok(Answer::Found(identity)),
+                Next::Vanished { part, number } => Err(LssError::Vanished { part, number }),
+            },
+            _ => Err(LssError::TimedOut {
+                service,
+                waited: now.since(self.started),
+            }),
+        };
+        self.request = None;
+        self.state = State::Finished(result);
+    }
+
+    /// What came of the service, once; then the next may be started.
+    pub fn poll(&mut self) -> Option<Result<Answer, LssError>> {
+        let State::Finished(result) = self.state else {
+            return None;
+        };
+        self.state = State::Idle;
+        Some(result)
+    }
+
+    fn ask(&mut self, request: Request, now: Instant) {
+        self.request = Some(request);
+        self.deadline = now + self.timeout;
+    }
+}
+
+fn select(identity: Identity, part: Part) -> Request {
+    Request::SwitchSelective {
+        part,
+        value: identity.get(part),
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,356 @@
+use can::{Frame, Instant};
+
+use super::{Client, SdoError};
+use crate::cob;
+use crate::sdo::block::{
+    Acknowledge, End, MAX_BLOCK_SIZE, Request, Response, SEGMENT, Segment, checksum,
+};
+use crate::sdo::{self, AbortCode};
+
+/// Objects of up to this size take no more frames as an ordinary transfer, bytes: m segments are
+/// 2 + 2 m frames there, 6 + m frames of block transfer here.
+pub(super) const THRESHOLD: usize = 4 * SEGMENT;
+
+/// The regimes of a block transfer.
+///
+/// ```text
+///   UploadInitiated ──► Upload ◄─► (sub-blocks) ──► UploadEnd
+///   DownloadInitiated ──► Download ◄─► (sub-blocks) ──► DownloadEnd
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum State {
+    UploadInitiated,
+    Upload(Receiving),
+    /// All segments came; the checksum is due.
+    UploadEnd {
+        crc: bool,
+        announced: Option<usize>,
+    },
+    DownloadInitiated,
+    Download(Sending),
+    /// The checksum was sent.
+    DownloadEnd,
+}
+
+/// A sub-block that the server sends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Receiving {
+    /// Whether the server sends a checksum.
+    crc: bool,
+    /// Bytes the server said it would send.
+    announced: Option<usize>,
+    /// Segments of this sub-block.
+    block_size: u8,
+    /// The last that came in order.
+    in_order: u8,
+    /// The highest that came at all.
+    highest: u8,
+    /// Sub-blocks in a row of which nothing came in order.
+    stalls: u8,
+}
+
+/// A sub-block that the client sends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Sending {
+    /// Whether the server checks the checksum.
+    crc: bool,
+    /// Segments of this sub-block, unless the data end before.
+    block_size: u8,
+    /// Where in the data it begins: all before is acknowledged.
+    from: usize,
+    /// Segments of it that were sent.
+    sent: u8,
+    /// Acknowledgements in a row of nothing.
+    stalls: u8,
+}
+
+impl Client {
+    /// Sends the first frame of a block transfer.
+    pub(super) fn initiate_block(&mut self, state: State, now: Instant) {
+        let object = self.object;
+        let request = if state == State::UploadInitiated {
+            self.length = 0;
+            Request::InitiateUpload {
+                object,
+                crc: true,
+                block_size: MAX_BLOCK_SIZE,
+                threshold: THRESHOLD as u8,
+            }
+        } else {
+            Request::InitiateDownload {
+                object,
+                crc: true,
+                size: u32::try_from(self.length).ok(),
+            }
+        };
+        self.send_block(request, now);
+    }
+
+    /// Takes a frame in the course of a block transfer.
+    ///
+    /// What does not belong here is passed over, unknown specifiers too: after a fresh start the
+    /// segments of the sub-block that was given up may still be on their way.
+    pub(super) fn handle_block(&mut self, state: State, frame: &Frame, now: Instant) {
+        if let State::Upload(receiving) = state
+            && let Some(segment) = Segment::decode(frame, cob::sdo_response(self.node))
+        {
+            return self.block_segment_received(receiving, segment, now);
+        }
+        match (state, sdo::Response::decode(frame, self.node)) {
+            (_, Some(sdo::Response::Abort { object, code })) if object == self.object => {
+                self.aborted(state, code, now);
+            }
+            (State::UploadInitiated, Some(sdo::Response::InitiateUpload { object, initiate }))
+                if object == self.object =>
+            {
+                self.upload_initiated(initiate, now);
+            }
+            _ => {
+                if let Some(response) = Response::decode(frame, self.node) {
+                    self.handle_block_response(state, response, now);
+                }
+            }
+        }
+    }
+
+    /// Falls back to an ordinary transfer if it is block transfer that the server refuses.
+    fn aborted(&mut self, state: State, code: AbortCode, now: Instant) {
+        let object = self.object;
+        self.start = match (state, code) {
+            (State::UploadInitiated, AbortCode::COMMAND_SPECIFIER) => super::State::UploadInitiated,
+            (State::DownloadInitiated, AbortCode::COMMAND_SPECIFIER) => {
+                super::State::DownloadInitiated
+            }
+            _ => return self.finish(Err(SdoError::Aborted { object, code })),
+        };
+        self.initiate(now);
+    }
+
+    fn handle_block_response(&mut self, state: State, response: Response, now: Instant) {
+        match (state, response) {
+            (State::UploadInitiated, Response::InitiateUpload { object, crc, size })
+                if object == self.object =>
+            {
+                if let Ok(announced) = self.announced(size) {
+                    self.state = super::State::Block(State::Upload(Receiving {
+                        crc,
+                        announced,
+                        block_size: MAX_BLOCK_SIZE,
+                        in_order: 0,
+                        highest: 0,
+                        stalls: 0,
+                    }));
+                    self.send_block(Request::StartUpload, now);
+                }
+            }
+            (State::UploadEnd { crc, announced }, Response::EndUpload(end)) => {
+                self.block_upload_ended(crc, announced, end);
+            }
+            (
+                State::DownloadInitiated,
+                Response::InitiateDownload {
+                    object,
+                    crc,
+                    block_size,
+                },
+            ) if object == self.object => {
+                let sending = Sending {
+                    crc,
+                    block_size,
+                    from: 0,
+                    sent: 0,
+                    stalls: 0,
+                };
+                self.send_sub_block(sending, now);
+            }
+            (State::Download(sending), Response::Acknowledge(acknowledge)) if sending.sent > 0 => {
+                self.sub_block_acknowledged(sending, acknowledge, now);
+            }
+            (State::DownloadEnd, Response::EndDownload) => self.finish(Ok(())),
+            // A late answer to an earlier request.
+            (
+                State::UploadInitiated
+                | State::Upload(_)
+                | State::UploadEnd { .. }
+                | State::DownloadInitiated
+                | State::Download(_)
+                | State::DownloadEnd,
+                _,
+            ) => {}
+        }
+    }
+
+    fn block_segment_received(&mut self, mut receiving: Receiving, segment: Segment, now: Instant) {
+        let (object, sequence) = (self.object, segment.sequence());
+        // After a late acknowledgement the rest of the sub-block before may still come.
+        if sequence > receiving.block_size {
+            return;
+        }
+        let in_order = sequence == receiving.in_order + 1;
+        if in_order {
+            let found = self.length + SEGMENT;
+            if let Some(expected) = receiving.announced
+                && found > expected.max(1).next_multiple_of(SEGMENT)
+            {
+                return self.fail(SdoError::Length {
+                    object,
+                    expected,
+                    found,
+                });
+            }
+            if found > self.buffer.len() {
+                return self.too_large(found);
+            }
+            self.append(&segment.data);
+            receiving.in_order = sequence;
+        }
+        if in_order || sequence > receiving.highest {
+            receiving.highest = receiving.highest.max(sequence);
+            self.deadline = now + self.timeout;
+        }
+        self.state = super::State::Block(State::Upload(receiving));
+        if segment.last || sequence == receiving.block_size {
+            self.sub_block_received(receiving, in_order && segment.last, now);
+        }
+    }
+
+    /// The end of a sub-block came, and with it perhaps that of all the data.
+    fn sub_block_received(&mut self, mut receiving: Receiving, complete: bool, now: Instant) {
+        if receiving.in_order > 0 {
+            receiving.stalls = 0;
+        } else if receiving.stalls < self.retries {
+            receiving.stalls += 1;
+        } else {
+            return self.start_anew(now);
+        }
+        let lost = receiving.in_order < receiving.highest;
+        self.acknowledge(receiving, lost, now);
+        if complete {
+            let Receiving { crc, announced, .. } = receiving;
+            self.state = super::State::Block(State::UploadEnd { crc, announced });
+        }
+    }
+
+    /// Acknowledges what came of a sub-block whose end is missing, if the server is sure to be still in that
+    /// sub-block, and if the checksum would tell that it was not. Since the size halves each time, and
+    /// a sub-block of one segment that came is complete, this happens no more than seven times.
+    pub(super) fn acknowledge_overdue(&mut self, receiving: Receiving, now: Instant) -> bool {
+        let recovers = receiving.crc && receiving.in_order > 0;
+        if recovers {
+            self.acknowledge(receiving, true, now);
+        }
+        recovers
+    }
+
+    fn acknowledge(&mut self, receiving: Receiving, lost: bool, now: Instant) {
+        let block_size = if lost {
+            receiving.block_size.div_ceil(2)
+        } else {
+            receiving.block_size
+        };
+        self.state = super::State::Block(State::Upload(Receiving {
+            block_size,
+            in_order: 0,
+            highest: 0,
+            ..receiving
+        }));
+        let acknowledge = Acknowledge {
+            sequence: receiving.in_order,
+            block_size,
+        };
+        self.send_block(Request::Acknowledge(acknowledge), now);
+    }
+
+    fn block_upload_ended(&mut self, crc: bool, announced: Option<usize>, end: End) {
+        let object = self.object;
+        let found = self.length - end.unused();
+        let sum = checksum(&self.buffer[..found]);
+        match announced {
+            Some(expected) if found != expected => self.fail(SdoError::Length {
+                object,
+                expected,
+                found,
+            }),
+            _ if found > self.capacity => self.too_large(found),
+            _ if crc && sum != end.crc => self.fail(SdoError::Crc {
+                object,
+                expected: end.crc,
+                found: sum,
+            }),
+            _ => {
+                self.length = found;
+                self.finish(Ok(()));
+                self.ending = Some(Request::EndUpload.encode(self.node));
+            }
+        }
+    }
+
+    /// Gets a sub-block ready to be sent, segment by segment.
+    fn send_sub_block(&mut self, sending: Sending, now: Instant) {
+        let (object, block_size) = (self.object, sending.block_size);
+        if (1..=MAX_BLOCK_SIZE).contains(&block_size) {
+            self.state = super::State::Block(State::Download(sending));
+            self.deadline = now + self.timeout;
+        } else {
+            self.fail(SdoError::BlockSize { object, block_size });
+        }
+    }
+
+    /// The next segment of the sub-block that is being sent.
+    pub(super) fn next_block_segment(&mut self, now: Instant) -> Option<Frame> {
+        let super::State::Block(State::Download(sending)) = &mut self.state else {
+            return None;
+        };
+        let from = sending.from + SEGMENT * usize::from(sending.sent);
+        if sending.sent == sending.block_size || from >= self.length {
+            return None;
+        }
+        sending.sent += 1;
+        self.deadline = now + self.timeout;
+        let data = &self.buffer[from..self.length.min(from + SEGMENT)];
+        let mut bytes = [0; SEGMENT];
+        bytes[..data.len()].copy_from_slice(data);
+        let segment = Segment::new(sending.sent, from + SEGMENT >= self.length, bytes)
+            .expect("a block size is at most 127");
+        Some(segment.encode(cob::sdo_request(self.node)))
+    }
+
+    /// The server has what it says of a sub-block: goes on behind that.
+    ///
+    /// It may say so before the sub-block is complete, if it saw a gap.
+    fn sub_block_acknowledged(&mut self, sending: Sending, acknowledge: Acknowledge, now: Instant) {
+        let (object, sequence) = (self.object, acknowledge.sequence);
+        let from = sending.from + SEGMENT * usize::from(sequence);
+        if sequence > sending.sent {
+            self.fail(SdoError::Sequence {
+                object,
+                sequence,
+                sent: sending.sent,
+            });
+        } else if from >= self.length {
+            let data = &self.buffer[..self.length];
+            let crc = if sending.crc { checksum(data) } else { 0 };
+            self.state = super::State::Block(State::DownloadEnd);
+            self.send_block(Request::EndDownload(End::of(self.length, crc)), now);
+        } else if sequence > 0 || sending.stalls < self.retries {
+            let stalls = if sequence > 0 { 0 } else { sending.stalls + 1 };
+            let sending = Sending {
+                block_size: acknowledge.block_size,
+                from,
+                sent: 0,
+                stalls,
+                ..sending
+            };
+            self.send_sub_block(sending, now);
+        } else {
+            self.start_anew(now);
+        }
+    }
+
+    fn send_block(&mut self, request: Request, now: Instant) {
+        self.send_frame(request.encode(self.node), now);
+    }
+}
+
+#[cfg(test)]
+mod tests;
