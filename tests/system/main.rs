@@ -12,6 +12,7 @@ mod cli_run;
 mod cycle;
 mod faults;
 mod homing;
+mod lss;
 mod motion;
 mod mrroc;
 mod regression;
