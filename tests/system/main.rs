@@ -16,6 +16,7 @@ mod emulate_slcan;
 mod faults;
 mod homing;
 mod loops;
+mod lss;
 mod motion;
 mod mrroc;
 mod peers;

@@ -3,14 +3,14 @@
 use std::time::Duration;
 
 use can::Instant;
-use mrroc_canopen::sdo::{
-    AbortCode, CAPACITY, Client, Dictionary, MAX_SIZE, Request, SdoError, Server,
-};
+use mrroc_canopen::sdo::{AbortCode, CAPACITY, Client, Dictionary, MAX_SIZE, SdoError, Server};
 use mrroc_canopen::{NodeId, Object};
 use proptest::prelude::*;
 
 const NODE: NodeId = NodeId::new(2).unwrap();
 const TIME_OUT: Duration = Duration::from_millis(500);
+/// A server does not give up before its client has.
+const PATIENCE: Duration = Duration::from_secs(60);
 /// The longest object that both ends can transfer.
 const LONGEST: usize = if CAPACITY < MAX_SIZE {
     CAPACITY
@@ -59,24 +59,39 @@ fn run(
         !lost.contains(&(carried - 1))
     };
     loop {
+        let mut quiet = true;
         while let Some(frame) = client.poll_transmit(now) {
-            if !arrives() {
-                continue;
-            }
-            let request = Request::decode(&frame, NODE).expect("a client sends requests");
-            if let Some(response) = server.handle(request, objects, now)
+            quiet = false;
+            if arrives()
+                && let Some(answer) = server.handle_frame(&frame, NODE, objects, now)
                 && arrives()
             {
-                client.handle(&response.encode(NODE), now);
+                client.handle(&answer, now);
+            }
+        }
+        while let Some(segment) = server.poll_transmit(NODE, now) {
+            quiet = false;
+            if arrives() {
+                client.handle(&segment, now);
             }
         }
         if let Some(result) = client.poll() {
             return result.map(|transfer| transfer.data.to_vec());
         }
-        now = client
-            .poll_timeout()
-            .expect("a transfer under way has a deadline");
+        if !quiet {
+            continue;
+        }
+        let deadline = client.poll_timeout();
+        now = deadline.expect("a transfer under way has a deadline");
+        if let Some(at) = server.poll_timeout().filter(|at| *at < now) {
+            now = at;
+        }
         client.handle_timeout(now);
+        if let Some(abort) = server.handle_timeout(now)
+            && arrives()
+        {
+            client.handle(&abort.encode(NODE), now);
+        }
     }
 }
 
@@ -89,7 +104,7 @@ proptest! {
         retries in 0..5_u8,
     ) {
         let mut client = Client::new(NODE, TIME_OUT, retries);
-        let mut server = Server::new(TIME_OUT);
+        let mut server = Server::new(PATIENCE);
         let mut objects = Single(old.clone());
         let enough = usize::from(retries) >= lost.len();
 
@@ -107,13 +122,40 @@ proptest! {
             }
         }
     }
+
+    #[test]
+    fn blocks_of_any_size_come_across_whole_or_not_at_all(
+        old in proptest::collection::vec(any::<u8>(), 0..=MAX_SIZE),
+        new in proptest::collection::vec(any::<u8>(), 0..=MAX_SIZE),
+        lost in proptest::collection::vec(0..200_usize, 0..4),
+        retries in 0..5_u8,
+        block_size in 1..=127_u8,
+    ) {
+        let mut client = Client::with_capacity(NODE, TIME_OUT, retries, MAX_SIZE);
+        let mut server = Server::new(PATIENCE).with_block_size(block_size);
+        let mut objects = Single(old.clone());
+
+        client.block_upload(OBJECT, Instant::ZERO).expect("idle");
+        match run(&mut client, &mut server, &mut objects, &lost) {
+            Ok(read) => prop_assert_eq!(&read, &old),
+            Err(error) => prop_assert!(!lost.is_empty(), "{}", error),
+        }
+        client.block_download(OBJECT, &new, Instant::ZERO).expect("idle");
+        match run(&mut client, &mut server, &mut objects, &lost) {
+            Ok(written) => prop_assert!(written == new && objects.0 == new),
+            Err(error) => {
+                prop_assert!(!lost.is_empty(), "{}", error);
+                prop_assert!(objects.0 == old || objects.0 == new);
+            }
+        }
+    }
 }
 
 #[test]
 fn refusals_reach_the_client_with_their_code() {
     let object = Object::new(0x2000, 7);
     let mut client = Client::new(NODE, TIME_OUT, 3);
-    let mut server = Server::new(TIME_OUT);
+    let mut server = Server::new(PATIENCE);
     let mut objects = Single(vec![]);
     client.upload(object, Instant::ZERO).expect("idle");
     let read = run(&mut client, &mut server, &mut objects, &[]);

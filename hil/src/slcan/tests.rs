@@ -351,3 +351,30 @@ fn two_adapters_and_a_port_share_a_bus_with_its_bit_times() {
             .is_none()
     );
 }
+
+#[test]
+fn a_drive_answers_behind_an_adapter_within_bit_times_and_its_own() {
+    let mut world = World::new();
+    let bus = world.add_bus(BUS);
+    let axis = crate::AxisConfig::wut(crate::Irp6Axis::ALL[0]);
+    let config = crate::Epos4Config::new(canopen::NodeId::new(2).unwrap(), axis);
+    let (boot, delay) = (config.boot_delay, config.answer_delay);
+    world.add_device(bus, Box::new(crate::Epos4::new(config)));
+    let adapter = world.add_device(bus, Box::new(adapter()));
+    let hand = |world: &mut World, text: &str, now| {
+        let told = |device: &mut SlcanDevice| tell(device, text);
+        world.change(adapter, now, told).unwrap()
+    };
+    assert_eq!(hand(&mut world, "C.S8.O.", Instant::ZERO), "...");
+    let booted = Instant::ZERO + boot + std::time::Duration::from_millis(1);
+    assert_eq!(hand(&mut world, "", booted), "t702100.");
+    assert_eq!(hand(&mut world, "t60284041600000000000.", booted), ".");
+    let bits = |id, data: u64| can::timing::bits_on_wire(&standard(id, &data.to_be_bytes()));
+    let (request, answer) = (0x4041_6000_0000_0000, 0x4B41_6000_4004_0000);
+    // Each is heard at its last bit, before the intermission.
+    let bits = bits(0x602, request) + bits(0x582, answer) - 2 * can::timing::INTERMISSION;
+    let due = booted + BUS.duration(bits) + delay;
+    let moment = std::time::Duration::from_nanos(1);
+    assert_eq!(hand(&mut world, "", due - moment), "");
+    assert_eq!(hand(&mut world, "", due), "t58284B41600040040000.");
+}

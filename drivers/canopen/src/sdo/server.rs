@@ -107,7 +107,7 @@ impl Server {
     }
 
     /// Takes a request that is none of block transfer and answers it. An abort has no answer.
-    pub fn handle<D: Dictionary>(
+    fn handle<D: Dictionary>(
         &mut self,
         request: Request,
         dictionary: &mut D,
