@@ -201,10 +201,12 @@ fn however_little_the_line_takes_the_stream_is_that_of_the_frames_taken() {
         let frames: Vec<_> = (0..40)
             .map(|id| frame(id, &[0; 8][..usize::from(id % 9)]))
             .collect();
-        while taken < frames.len() {
+        // Each call takes a byte of a frame at the least, or a part of the rest of one.
+        for _ in 0..frames.len() * LONGEST {
             taken += stage.port.send(stage.now, &frames[taken..]).unwrap();
             said += &stage.said();
         }
+        assert_eq!(taken, frames.len(), "capacity {capacity}");
         // The longest line may take so many.
         for _ in 0..LONGEST.div_ceil(capacity) {
             stage.receive(1).unwrap();
