@@ -153,6 +153,8 @@ fn a_scan_of_a_whole_bus_takes_about_a_second_and_finds_everybody() {
         let (found, took) = Stage::with(nodes).scan();
         assert_eq!(found.len(), nodes.len());
         assert!(took <= Duration::from_millis(most), "{took:?}");
+        // Heartbeats that come each second are to be heard.
+        assert!(took >= Duration::from_secs(1), "{took:?}");
     }
 }
 
@@ -250,6 +252,16 @@ fn commands_are_confirmed_by_what_the_node_says_next() {
         assert!(told.confirmed(), "{command:?} {told:?}");
         assert_eq!(told.heard, [(node(5), state)]);
     }
+}
+
+#[test]
+fn a_node_that_still_answers_sdo_did_not_stop() {
+    let told = Report {
+        wanted: State::Stopped,
+        heard: Vec::new(),
+        silent: Some((node(3), Some(Ok(0)))),
+    };
+    assert!(!told.confirmed());
 }
 
 #[test]

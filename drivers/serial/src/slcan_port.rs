@@ -242,14 +242,13 @@ impl<L: Line> SlcanPort<L> {
         Ok(())
     }
 
-    /// Reads once, if all that was read before is looked at.
+    /// Reads once; all that was read before has been looked at.
     fn read_more(&mut self, now: Instant) -> Result<(), LineError> {
         self.last = now;
-        if self.read_from == self.read_to {
-            self.read_from = 0;
-            self.read_to = 0;
-            self.read_to = self.line.read(now, &mut self.input[..])?;
-        }
+        debug_assert_eq!(self.read_from, self.read_to, "bytes would be lost");
+        self.read_from = 0;
+        self.read_to = 0;
+        self.read_to = self.line.read(now, &mut self.input[..])?;
         Ok(())
     }
 

@@ -201,10 +201,12 @@ fn however_little_the_line_takes_the_stream_is_that_of_the_frames_taken() {
         let frames: Vec<_> = (0..40)
             .map(|id| frame(id, &[0; 8][..usize::from(id % 9)]))
             .collect();
-        while taken < frames.len() {
+        // Each call takes a byte of a frame at the least, or a part of the rest of one.
+        for _ in 0..frames.len() * LONGEST {
             taken += stage.port.send(stage.now, &frames[taken..]).unwrap();
             said += &stage.said();
         }
+        assert_eq!(taken, frames.len(), "capacity {capacity}");
         // The longest line may take so many.
         for _ in 0..LONGEST.div_ceil(capacity) {
             stage.receive(1).unwrap();
@@ -283,7 +285,8 @@ fn state_lines_and_error_lines_show_in_state_and_counters() {
 #[test]
 fn an_adapter_that_was_unplugged_is_gone_after_its_last_frame() {
     let mut stage = Stage::open(256);
-    stage.answer(b"t0800\r");
+    stage.answer(b"t0010\rt0020\rt0800\r");
+    assert_eq!(stage.receive(1), Ok(vec!["001#".to_owned()]));
     let Stage {
         mut port,
         peer,
@@ -294,7 +297,7 @@ fn an_adapter_that_was_unplugged_is_gone_after_its_last_frame() {
         frame: frame(0, &[]),
         at: now,
     }; 4];
-    assert_eq!(port.receive(now, &mut into), Ok(1));
+    assert_eq!(port.receive(now, &mut into), Ok(2));
     assert_eq!(port.receive(now, &mut into), Err(PortError::Gone));
     assert_eq!(port.send(now, &[frame(0x080, &[])]), Err(PortError::Gone));
     assert_eq!(port.counters().refused, 1);
