@@ -5,7 +5,6 @@ The cell must leave the axis room for a turn each way.
 """
 
 import argparse
-import statistics
 import sys
 import time
 import traceback
@@ -218,7 +217,8 @@ def a_number_is_downloaded_in_segments(m):
 @check
 def blocks_carry_long_objects_both_ways(m):
     with m.sdo.open(0x2FF0, 1, "rb", block_transfer=True) as stream:
-        same(stream.read(), m.sdo.upload(0x2FF0, 1), "object 2FF0:1")
+        text = stream.read()
+    same(text, m.sdo.upload(0x2FF0, 1), "object 2FF0:1")
     # No more segments in a row than the 32 that an adapter's queue holds: python-canopen does not recover lost ones.
     data = bytes(range(200))
     def download(subindex, data):
@@ -310,8 +310,9 @@ def heartbeats_come_at_their_period(m):
     seen = len(m.heartbeats)
     true(until(lambda: len(m.heartbeats) > seen + 50, PATIENCE), "too few heartbeats")
     times = [at for at, _ in m.heartbeats[seen:]]
-    period = statistics.median(b - a for a, b in zip(times, times[1:]))
-    true(0.019 < period < 0.021, f"a period of {period * 1e3:.1f} ms")
+    # A machine that is held up says several at once, in their number.
+    period = (times[50] - times[0]) / 50
+    true(0.015 < period < 0.026, f"a period of {period * 1e3:.1f} ms")
     m.write(0x1017, 0, 0, 2)
     time.sleep(0.05)
     seen = len(m.heartbeats)
@@ -361,7 +362,7 @@ def layer_settings_find_the_node_and_renumber_it(m):
 def a_lost_heartbeat_is_an_emergency_that_ends(m):
     m.fresh()
     host = 0x7A
-    m.write(0x1016, 1, host << 16 | 100, 4)
+    m.write(0x1016, 1, host << 16 | 500, 4)
     beat = lambda: m.wire.send(0x700 + host, "05")
     beat()
     error = m.emergency(0x8130)
@@ -370,11 +371,12 @@ def a_lost_heartbeat_is_an_emergency_that_ends(m):
     same(m.read(0x1003, 1) & 0xFFFF, 0x8130, "object 1003:1")
     same(len(m.node.emcy.active), 1, "active errors")
     beat()
-    true(until(lambda: not m.node.emcy.active, PATIENCE / 4), "no EMCY 0x0000")
+    true(until(lambda: not m.node.emcy.active, PATIENCE), "no EMCY 0x0000")
     same(m.node.emcy.log[-1].code, 0, "last EMCY")
+    # Before it is lost again.
+    m.write(0x1016, 1, 0, 4)
     m.write(0x1003, 0, 0, 1)
     aborts(0x08000024, lambda: m.read(0x1003, 1))
-    m.write(0x1016, 1, 0, 4)
     m.fresh()
 
 
