@@ -5,7 +5,6 @@ The cell must leave the axis room for a turn each way.
 """
 
 import argparse
-import statistics
 import sys
 import time
 import traceback
@@ -216,6 +215,24 @@ def a_number_is_downloaded_in_segments(m):
 
 
 @check
+def blocks_carry_long_objects_both_ways(m):
+    with m.sdo.open(0x2FF0, 1, "rb", block_transfer=True) as stream:
+        text = stream.read()
+    same(text, m.sdo.upload(0x2FF0, 1), "object 2FF0:1")
+    # No more segments in a row than the 32 that an adapter's queue holds: python-canopen does not recover lost ones.
+    data = bytes(range(200))
+    def download(subindex, data):
+        with m.sdo.open(0x2FF0, subindex, "wb", size=len(data), block_transfer=True) as stream:
+            stream.write(data)
+
+    download(2, data)
+    with m.sdo.open(0x2FF0, 2, "rb", block_transfer=True) as stream:
+        same(stream.read(), data, "object 2FF0:2")
+    aborts(0x06020000, lambda: m.sdo.open(0x5FFF, 0, "rb", block_transfer=True))
+    aborts(0x06010002, lambda: download(1, bytes(9)))
+
+
+@check
 def refusals_have_the_codes_of_cia_301(m):
     write = lambda index, sub, value, size: lambda: m.write(index, sub, value, size)
     read = lambda index, sub: lambda: m.sdo.upload(index, sub)
@@ -293,8 +310,9 @@ def heartbeats_come_at_their_period(m):
     seen = len(m.heartbeats)
     true(until(lambda: len(m.heartbeats) > seen + 50, PATIENCE), "too few heartbeats")
     times = [at for at, _ in m.heartbeats[seen:]]
-    period = statistics.median(b - a for a, b in zip(times, times[1:]))
-    true(0.019 < period < 0.021, f"a period of {period * 1e3:.1f} ms")
+    # A machine that is held up says several at once, in their number.
+    period = (times[50] - times[0]) / 50
+    true(0.015 < period < 0.026, f"a period of {period * 1e3:.1f} ms")
     m.write(0x1017, 0, 0, 2)
     time.sleep(0.05)
     seen = len(m.heartbeats)
@@ -314,10 +332,37 @@ def resets_restore_what_they_should(m):
 
 
 @check
+def layer_settings_find_the_node_and_renumber_it(m):
+    lss, other = m.network.lss, 0x21
+    lss.RESPONSE_TIMEOUT = PATIENCE
+    identity = [m.read(0x1018, sub) for sub in (1, 2, 3, 4)]
+    booted = []
+    for node in (m.id, other):
+        m.network.subscribe(0x700 + node, lambda identifier, data, _: data[0] or booted.append(identifier - 0x700))
+    for present, wanted in ((m.id, other), (other, m.id)):
+        true(lss.send_switch_state_selective(*identity), "not selected by its identity")
+        same(lss.inquire_node_id(), present, "node-ID")
+        for specifier, number in zip((0x5A, 0x5B, 0x5C, 0x5D), identity):
+            same(lss.inquire_lss_address(specifier), number, f"answer to {specifier:#x}")
+        try:
+            lss.configure_node_id(200)
+        except canopen.lss.LssError:
+            pass
+        else:
+            raise Failed("took node-ID 200")
+        lss.configure_node_id(wanted)
+        lss.send_switch_state_global(lss.WAITING_STATE)
+        booted.clear()
+        m.network.send_message(0, [0x82, present])
+        true(until(lambda: booted == [wanted], PATIENCE), f"booted as {booted}, expected {wanted}")
+        same(m.wire.ask(wanted, "4000100000000000", PATIENCE), "4300100092010200")
+
+
+@check
 def a_lost_heartbeat_is_an_emergency_that_ends(m):
     m.fresh()
     host = 0x7A
-    m.write(0x1016, 1, host << 16 | 100, 4)
+    m.write(0x1016, 1, host << 16 | 500, 4)
     beat = lambda: m.wire.send(0x700 + host, "05")
     beat()
     error = m.emergency(0x8130)
@@ -326,11 +371,12 @@ def a_lost_heartbeat_is_an_emergency_that_ends(m):
     same(m.read(0x1003, 1) & 0xFFFF, 0x8130, "object 1003:1")
     same(len(m.node.emcy.active), 1, "active errors")
     beat()
-    true(until(lambda: not m.node.emcy.active, PATIENCE / 4), "no EMCY 0x0000")
+    true(until(lambda: not m.node.emcy.active, PATIENCE), "no EMCY 0x0000")
     same(m.node.emcy.log[-1].code, 0, "last EMCY")
+    # Before it is lost again.
+    m.write(0x1016, 1, 0, 4)
     m.write(0x1003, 0, 0, 1)
     aborts(0x08000024, lambda: m.read(0x1003, 1))
-    m.write(0x1016, 1, 0, 4)
     m.fresh()
 
 

@@ -63,6 +63,13 @@ class Drive:
 
     def boot(self):
         self.power, self.word = DISABLED, 0
+        # What the data sheet gives no value is measured, and zero here.
+        for entry in self.node.object_dictionary.values():
+            single = isinstance(entry, canopen.objectdictionary.ODVariable)
+            for variable in [entry] if single else entry.values():
+                if variable.fixed_size and variable.default is None:
+                    values = self.node.data_store.setdefault(variable.index, {})
+                    values.setdefault(variable.subindex, variable.encode_raw(0))
         self.set(0x6064, 1000)
         self.set(0x6061, self.get(0x6060))
         self.show()
