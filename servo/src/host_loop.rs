@@ -167,3 +167,114 @@ impl Loop {
         self.references[age.min(REMEMBERED - 1)]
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::FeedForward;
+    use crate::regulator::CascadeConfig;
+
+    const DT: f64 = 0.002;
+    const CASCADE: CascadeConfig = CascadeConfig {
+        position_gain: 40.0,
+        velocity_gain: 0.02,
+        integral_rate: 50.0,
+        limit: 100.0,
+    };
+
+    fn cascade(feed_forward: FeedForward) -> Loop {
+        let config = HostLoop {
+            law: Law::Cascade(CASCADE),
+            output: Output::Torque,
+            feed_forward,
+            runaway_velocity: 300.0,
+        };
+        Loop::new(config, -636.6, 2)
+    }
+
+    fn torque(setpoint: Setpoint) -> f64 {
+        match setpoint {
+            Setpoint::Torque(torque) => torque.get(),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn feed_forward_is_what_the_way_to_the_set_point_needs() {
+        let mut held = cascade(FeedForward {
+            velocity: 0.5,
+            acceleration: 0.01,
+            coulomb: 0.25,
+            constant: -0.125,
+        });
+        // Velocities of set-points, and the torque: mean velocity, acceleration, dry friction, weight.
+        let cases = [
+            (0.0, -0.125),
+            (2.0, 0.5 + 10.0 + 0.25 - 0.125),
+            (2.0, 1.0 + 0.25 - 0.125),
+            (-2.0, -20.0 - 0.125),
+            (-4.0, -1.5 - 10.0 - 0.25 - 0.125),
+        ];
+        for (velocity, expected) in cases {
+            let knot = Knot {
+                position: 0.0,
+                velocity,
+            };
+            let found = torque(held.regulate(knot, DT));
+            assert!((found - expected).abs() < 1e-9, "{velocity}: {found}");
+        }
+    }
+
+    #[test]
+    fn while_answers_are_missing_errors_stay_and_nothing_is_integrated() {
+        let mut held = cascade(FeedForward::default());
+        let knot = Knot {
+            position: 0.1,
+            velocity: 0.0,
+        };
+        held.capture(0.0);
+        let mut state = AxisState::default();
+        for _ in 0..5 {
+            held.observe(&state, 1, DT);
+            held.regulate(knot, DT);
+        }
+        let mut outputs = Vec::new();
+        for age in 1..=5 {
+            state.age = age;
+            held.observe(&state, 1, DT);
+            outputs.push(torque(held.regulate(knot, DT)));
+        }
+        assert!(outputs[0] > 0.08, "{outputs:?}");
+        assert!(
+            outputs.iter().all(|output| *output == outputs[0]),
+            "{outputs:?}"
+        );
+        // The next sample is compared with what was commanded for it.
+        state.age = 0;
+        held.observe(&state, 1, DT);
+        assert!(torque(held.regulate(knot, DT)) >= outputs[0]);
+    }
+
+    #[test]
+    fn velocities_are_over_the_whole_time_between_samples() {
+        let mut held = cascade(FeedForward::default());
+        let at = |position, age| AxisState {
+            position,
+            age,
+            ..AxisState::default()
+        };
+        held.observe(&at(1.0, 0), 1, DT);
+        assert_eq!(held.measured_velocity(), 0.0, "one sample has no velocity");
+        held.observe(&at(1.0, 1), 1, DT);
+        held.observe(&at(1.4, 0), 1, DT);
+        assert!((held.measured_velocity() - 100.0).abs() < 1e-9);
+        // Two deadlines missed: it is the next sample that was taken later.
+        held.observe(&at(1.6, 0), 3, DT);
+        assert!((held.measured_velocity() - 100.0).abs() < 1e-9);
+        held.observe(&at(2.2, 0), 1, DT);
+        assert!((held.measured_velocity() - 100.0).abs() < 1e-9);
+        assert_eq!(held.runaway(), None);
+        held.observe(&at(2.9, 0), 1, DT);
+        assert!(held.runaway().is_some());
+    }
+}

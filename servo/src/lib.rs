@@ -4,6 +4,9 @@
 //! that waits for deadlines, and nothing else here waits; [`lockstep`] turns the same functions in
 //! virtual time. The controller talks to an effector over an [`EffectorLink`], a macrostep at a time.
 //!
+//! Drives close the position loop, or the servo does ([`HostLoop`]) and then can home the axis too
+//! ([`HostHoming`]).
+//!
 //! Read [`Servo`] for the cycle, [`state`](State) for what an effector can do when, and [`thread`]
 //! for deadlines and what happens when they are missed. Joints, Cartesian poses and planning are
 //! not here: everything is in motor positions.
