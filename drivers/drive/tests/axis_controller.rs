@@ -449,6 +449,10 @@ fn the_index_pulse_sets_the_counter_while_seeking() {
             );
             assert_eq!(rig.drive().index, None);
             assert_eq!(rig.drive().setpoint, 3);
+            assert!(
+                matches!(rig.drive().mode, Mode::Pwm | Mode::Current),
+                "no second pulse"
+            );
             let far = rig.drive().position - 20 - rig.states[0].increments.0;
             assert!(far.abs() <= 20, "{far}");
             assert_eq!(rig.counters().indexed, 1);
@@ -526,6 +530,22 @@ fn missing_answers_are_ridden_through_and_then_are_a_panic() {
         );
         rig.run(6, AxisCommand::ResetFault);
         assert_eq!((rig.drive().mode, rig.fault()), (Mode::Manual, None));
+    }
+}
+
+#[test]
+fn a_drive_that_is_mute_is_told_to_be_off_all_the_same() {
+    for protocol in BOTH {
+        let mut rig = Rig::on(Drive::new(protocol, 8));
+        rig.run(3, AxisCommand::Follow(raw(protocol, 100)));
+        rig.drive().mute = u32::MAX;
+        rig.run(2, AxisCommand::Off);
+        let drive = rig.drive();
+        assert_eq!(
+            (drive.mode, drive.setpoint),
+            (Mode::Manual, 0),
+            "{protocol:?}"
+        );
     }
 }
 

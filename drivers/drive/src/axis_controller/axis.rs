@@ -51,6 +51,8 @@ pub(super) struct Axis {
     aim: Aim,
     /// Answers since the aim changed.
     answers: u32,
+    /// Telegrams sent since then.
+    told: u32,
     /// The aim before was to index; the pulse may have come until the drive heard of this one.
     was_indexing: bool,
     powered: bool,
@@ -131,6 +133,7 @@ impl Axis {
             not_sent: 0,
             aim: Aim::Manual,
             answers: 0,
+            told: 0,
             was_indexing: false,
             powered: false,
             seeking: false,
@@ -160,7 +163,7 @@ impl Axis {
         (self.owed, self.answered, self.not_sent) = (0, false, 0);
         (self.aim, self.answers, self.powered) = (Aim::Manual, ANSWERS_TO_EFFECT, false);
         (self.seeking, self.unreferencing, self.was_indexing) = (false, false, false);
-        (self.sent_at, self.panics) = (learnt.at, false);
+        (self.sent_at, self.panics, self.told) = (learnt.at, false, 1);
         (self.telegram, self.setpoint) = (self.setup.dialect.rest(Aim::Manual, 1), 0);
         self.likeness = Likeness::default();
         self.measure(learnt.answer);
@@ -409,7 +412,8 @@ impl Axis {
             AxisCommand::Off => Aim::Manual,
             // Whatever a faulted drive is, it stays, with a zero set-point: the motor brakes itself.
             _ if faulted => self.aim,
-            AxisCommand::Seek(_) if seek && !self.unreferencing => Aim::Index,
+            // One pulse is what it seeks.
+            AxisCommand::Seek(_) if seek && !self.unreferencing && !self.referenced => Aim::Index,
             AxisCommand::Seek(_)
             | AxisCommand::Follow(_)
             | AxisCommand::Stand
@@ -418,7 +422,7 @@ impl Axis {
         if aim != self.aim {
             self.was_indexing = self.aim == Aim::Index;
             self.aim = aim;
-            self.answers = 0;
+            (self.answers, self.told) = (0, 0);
         }
         let follows = matches!(aim, Aim::Drive | Aim::Index) && powered && !faulted;
         self.setpoint = match setpoint {
@@ -432,7 +436,7 @@ impl Axis {
             // What takes torque away is said in every cycle.
             Aim::Manual | Aim::Error => {
                 self.powered = false;
-                self.setup.dialect.rest(aim, self.answers)
+                self.setup.dialect.rest(aim, self.told)
             }
             Aim::Drive | Aim::Index if faulted => self.setup.dialect.zero(),
             Aim::Drive | Aim::Index if powered => {
@@ -452,6 +456,7 @@ impl Axis {
     pub(super) fn handed_over(&mut self, taken: bool, now: Instant) {
         if taken {
             self.counters.sent += 1;
+            self.told = self.told.saturating_add(1);
             self.not_sent = 0;
             self.sent_at = now;
             // An answer that is later than the next one never counted.

@@ -66,9 +66,10 @@ pub struct AxisConfig {
     /// Current at which the drive's protection acts, A, and the greatest that a set-point may ask for.
     pub max_current: f64,
     /// Greatest velocity that the motor can physically have, rad/s: no limit of motion, but the width of the gate
-    /// that positions must pass.
+    /// that positions must pass, a third above the limit for instance. Beyond it axes stop by a fault.
     pub max_velocity: f64,
-    /// Greatest acceleration that it can physically have, rad/s², for the same gate.
+    /// Greatest acceleration that it can physically have, rad/s², for the same gate: the torque of its greatest
+    /// current over its inertia, and friction with it.
     pub max_acceleration: f64,
     /// Gains of the drive's current regulator; `None` leaves those it has after power-on.
     pub current_gains: Option<CurrentGains>,

@@ -111,13 +111,13 @@ impl Dialect {
         }
     }
 
-    /// Takes torque away, after `answers` to such telegrams: a zero set-point, and the mode [`Aim::Manual`] or
+    /// Takes torque away, after so many such telegrams: a zero set-point, and the mode [`Aim::Manual`] or
     /// [`Aim::Error`]. In the older protocol the first goes before the second, except on the way to an error.
-    pub(super) fn rest(self, aim: Aim, answers: u32) -> Telegram {
+    pub(super) fn rest(self, aim: Aim, told: u32) -> Telegram {
         match (self.protocol, aim) {
             (Protocol::Nfv2, _) => prefixed(self.follow(aim, 0, true, false)),
             (Protocol::HiMoxa, Aim::Error) => set(Parameter::DriverMode(DriverMode::Error)),
-            (Protocol::HiMoxa, _) if answers == 0 => self.zero(),
+            (Protocol::HiMoxa, _) if told == 0 => self.zero(),
             (Protocol::HiMoxa, _) => set(Parameter::DriverMode(DriverMode::Manual)),
         }
     }
