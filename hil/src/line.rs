@@ -257,6 +257,8 @@ impl SerialLine {
                     self.collect();
                 }
                 Event::ToHost => {
+                    // The timer may have run out, with nothing to hand over, while the byte was on its way.
+                    self.run_adapter();
                     for arrived in self.to_host.finish().into_iter().flatten() {
                         match (&mut self.adapter, &mut self.host) {
                             (Some(adapter), host) => adapter.collect(arrived, host.as_mut()),
@@ -322,7 +324,6 @@ impl SerialLine {
         if self.to_host.on_wire.is_none()
             && let Some(byte) = self.device.poll_transmit(self.now)
         {
-            self.run_adapter();
             self.to_host.start(byte, self.now);
         }
         self.time_out = self.device.poll_timeout();

@@ -1,6 +1,7 @@
 //! A host that speaks to one drive byte by byte.
 
 mod drive;
+mod regression;
 mod telegrams;
 
 use std::time::Duration;

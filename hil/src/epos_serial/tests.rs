@@ -485,3 +485,35 @@ fn what_comes_before_the_answer_is_not_heard() {
     assert_eq!(device.heard().obeyed, 1);
     assert_eq!(rig.send(&read).len(), 14);
 }
+
+#[test]
+fn after_any_noise_and_the_time_out_a_port_works() {
+    let read = [0x90, 0x02, 0x60, 0x02, 0x01, 0x41, 0x60, 0x00, 0x22, 0xD1];
+    let statusword = epos2::Request::Read {
+        node: 0,
+        index: 0x6041,
+        subindex: 0,
+    };
+    for seed in 0..50 {
+        let mut noise = crate::plant::Noise::new(seed);
+        // Rich in what begins, stuffs and acknowledges.
+        let bytes: Vec<u8> = std::iter::repeat_with(|| match noise.bits() % 8 {
+            0 | 1 => 0x90,
+            2 => 0x02,
+            3 => b'O',
+            4 => 0x00,
+            _ => noise.bits() as u8,
+        })
+        .take(400)
+        .collect();
+        let mut rig = Rig::epos4(config());
+        rig.send(&bytes);
+        rig.wait(Duration::from_millis(501));
+        assert_eq!(rig.send(&read).len(), 14, "seed {seed}");
+        let mut rig = Rig::epos2(config());
+        rig.send(&bytes);
+        rig.wait(Duration::from_millis(501));
+        let answer = rig.epos2_exchange(statusword);
+        assert_eq!(answer, Some(epos2::Answer::Value(0x0440)), "seed {seed}");
+    }
+}

@@ -132,11 +132,13 @@ fn what_is_handed_over_late_goes_on_the_line_at_once() {
 fn an_adapter_hands_over_when_its_timer_runs_out_or_a_packet_is_full() {
     // Bytes written at an instant, and what the host reads when.
     type Reads = &'static [(u64, usize)];
-    let cases: [(u64, usize, Reads); 4] = [
+    let cases: [(u64, usize, Reads); 5] = [
         (100, 3, &[(16_000_000, 3)]),
         // The timer is not started by the byte.
         (15_000, 3, &[(16_000_000, 3)]),
         (15_990, 3, &[(32_000_000, 3)]),
+        // It runs out while the byte is on its way back.
+        (15_980, 1, &[(32_000_000, 1)]),
         (
             0,
             100,

@@ -43,7 +43,7 @@ impl Frame {
         }
     }
 
-    /// What is asked for, or [`ANSWER`].
+    /// What is asked for, or [`ANSWER`](super::ANSWER).
     pub fn opcode(&self) -> u8 {
         self.opcode
     }

@@ -320,3 +320,30 @@ fn a_stuck_line_is_silence() {
         }
     }
 }
+
+#[test]
+fn after_any_noise_and_a_pause_a_drive_works() {
+    for seed in 0..50 {
+        let mut noise = crate::plant::Noise::new(seed);
+        // Rich in what begins requests.
+        let bytes: Vec<u8> = std::iter::repeat_with(|| match noise.bits() % 8 {
+            0 | 1 => 0x23,
+            2..=4 => 0x00,
+            _ => noise.bits() as u8,
+        })
+        .take(1000)
+        .collect();
+        let mut rig = Rig::nfv2(column());
+        rig.exchange(&bytes);
+        rig.now += 10 * PERIOD;
+        rig.exchange(&[]);
+        rig.cycle(&[]);
+        let mut rig = Rig::hi_moxa(column());
+        rig.exchange(&bytes);
+        rig.now += 10 * PERIOD;
+        rig.exchange(&[]);
+        rig.old_cycle(hi_moxa::Request::Set(hi_moxa::Parameter::Synchronized(
+            true,
+        )));
+    }
+}
