@@ -1,4 +1,5 @@
-//! `mrroc emulate`: the axis controllers of a cell on CAN interfaces, or behind emulated slcan adapters.
+//! `mrroc emulate`: the axis controllers of a cell on CAN interfaces or behind emulated slcan adapters, and on
+//! pseudo-terminals in place of serial lines.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -12,10 +13,10 @@ use canopen::sync::Sync;
 use clap::Args;
 use hil::{Device, Pty};
 
-use crate::adapters::Adapters;
 use crate::bus_port::BusPort;
 use crate::cell_file::CellFile;
-use crate::{emulation, interfaces, lines};
+use crate::emulated_lines::EmulatedLines;
+use crate::{emulation, interfaces};
 
 /// Longest time between two looks at whether somebody pressed Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);
@@ -35,6 +36,9 @@ pub(crate) struct Options {
     /// link to its tty.
     #[arg(long, value_name = "LINK")]
     slcan: Vec<String>,
+    /// Where the ttys of the cell's serial lines are put: one symbolic link per axis, by its name.
+    #[arg(long, value_name = "DIR")]
+    serial: Option<PathBuf>,
 }
 
 /// Emulates the drives of a cell until Ctrl-C.
@@ -53,15 +57,13 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
         links[index] = Some(link);
     }
     let mut buses = Vec::new();
-    let mut adapters = Adapters::default();
-    let mut ptys = Vec::new();
+    let mut lines = EmulatedLines::default();
     let mut names = Vec::new();
     for (index, bus) in file.cell.bus.iter().enumerate() {
         if let Some(link) = links[index] {
             let pty = Pty::linked(Path::new(link)).with_context(|| format!("--slcan {link}"))?;
             names.push(format!("{} behind {link}", bus.name));
-            adapters.add(&file, index);
-            ptys.push(pty);
+            lines.add_bus(&file, index, pty);
         } else {
             let interface = &interfaces[index];
             let port = BusPort::open(interface, bus.bitrate_kbps);
@@ -74,6 +76,21 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
                 passed: now,
             });
         }
+    }
+    for (bundle, serial) in file.cell.serial.iter().enumerate() {
+        let Some(directory) = &options.serial else {
+            bail!(
+                "--serial DIR is missing: it is where the ttys of {} are to be linked",
+                serial.name
+            );
+        };
+        std::fs::create_dir_all(directory).with_context(|| directory.display().to_string())?;
+        for (robot, number) in file.cell.axes_on(file.cell.bus.len() + bundle) {
+            let link = directory.join(file.axis_name(robot, number));
+            let pty = Pty::linked(&link).with_context(|| link.display().to_string())?;
+            lines.add_axis(&file, bundle, (robot, number), pty);
+        }
+        names.push(format!("{} in {}", serial.name, directory.display()));
     }
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
@@ -95,10 +112,10 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
             })
         };
         let threads: Vec<_> = buses.into_iter().map(serve).collect();
-        let served = if ptys.is_empty() {
+        let served = if lines.is_empty() {
             Ok(())
         } else {
-            let served = lines::serve(&mut adapters, &mut ptys, &stop);
+            let served = lines.serve(&stop);
             stop.store(true, Ordering::Relaxed);
             served.context("a pseudo-terminal fails")
         };

@@ -3,7 +3,6 @@
 //! Exit status: 0 done; 1 stopped by a fault or on request, or a node was told and did not do it; 2 refused before
 //! anything moved, or no answer.
 
-mod adapters;
 mod bench;
 mod bridge;
 mod budget;
@@ -13,9 +12,9 @@ mod check;
 mod configuration;
 mod eds;
 mod emulate;
+mod emulated_lines;
 mod emulation;
 mod interfaces;
-mod lines;
 mod programs;
 mod rehearsal;
 mod report;

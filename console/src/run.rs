@@ -320,8 +320,12 @@ fn not_up(
     let axis = file
         .cell
         .axes_on(bus)
-        .find(|&(robot, axis)| error.node() == Some(file.cell.robot[robot].axis[axis].node))
-        .map(|(robot, axis)| format!(", axis {}", file.axis_name(robot, axis)))
+        .enumerate()
+        .find(|&(index, (robot, axis))| match error.line() {
+            Some(line) => index == usize::from(line),
+            None => error.node() == Some(file.cell.robot[robot].axis[axis].node),
+        })
+        .map(|(_, (robot, axis))| format!(", axis {}", file.axis_name(robot, axis)))
         .unwrap_or_default();
     anyhow!("bus {}{axis}: {error}", file.cell.bus[bus].name)
 }

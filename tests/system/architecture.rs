@@ -55,7 +55,7 @@ const RIM: [&str; 8] = [
     "hil/src/uml.rs",
     "console/src/run.rs",
     "console/src/emulate.rs",
-    "console/src/lines.rs",
+    "console/src/emulated_lines.rs",
 ];
 
 const CLOCKS: [&str; 8] = [

@@ -59,7 +59,7 @@ pub struct AxisController {
     /// How the host closes the position loop.
     pub r#loop: Loop,
     /// Greatest velocity that the motor can physically have, rad/s: a position that would need more is not
-    /// believed. Twice the axis's `max_velocity` where absent.
+    /// believed. A third above the axis's `max_velocity` where absent.
     #[serde(default)]
     pub plausible_velocity: Option<f64>,
     /// Greatest acceleration that it can physically have, rad/s², for the same purpose. Twenty times the
@@ -79,7 +79,7 @@ pub struct Loop {
     #[serde(default)]
     pub feed_forward: FeedForward,
     /// Measured motor velocity, rad/s, that no working loop reaches: beyond it the power is taken at once. Above
-    /// the axis's `max_velocity`; 1.5 times that where absent.
+    /// the axis's `max_velocity`; 1.2 times that where absent.
     #[serde(default)]
     pub runaway_velocity: Option<f64>,
 }

@@ -180,7 +180,7 @@ impl Axis {
                 Control::Pwm => axis_controller::Control::Pwm,
             },
             max_current: controller.max_current,
-            max_velocity: plausible(controller.plausible_velocity, 2.0 * self.max_velocity),
+            max_velocity: plausible(controller.plausible_velocity, 4.0 / 3.0 * self.max_velocity),
             max_acceleration: plausible(
                 controller.plausible_acceleration,
                 20.0 * self.max_acceleration,
@@ -256,7 +256,7 @@ impl AxisController {
                 coulomb: feed_forward.coulomb,
                 constant: feed_forward.constant,
             },
-            runaway_velocity: runaway_velocity.unwrap_or(1.5 * max_velocity),
+            runaway_velocity: runaway_velocity.unwrap_or(1.2 * max_velocity),
         }
     }
 }
