@@ -35,7 +35,8 @@
 //! the drive acts by itself and at once, so that our acting a cycle earlier gains nothing and a flipped bit would stop
 //! the robot. A counter that is elsewhere for three answers is a jump, which is a fault, and while seeking, near
 //! zero, and with the drive's word that it is referenced, the index pulse after two. What is refused is counted
-//! ([`AxisCounters`]) and counts as missing.
+//! ([`AxisCounters`]) and counts as missing. What passes all the same, at which error rates, is in
+//! `drivers/drive/benches/robustness/results.md`.
 //!
 //! Answers carry no number. One that comes a cycle late is taken for the next one's if that does not come as well; of a
 //! moving motor it is implausible and refused, of a standing one it says the same.
