@@ -54,11 +54,11 @@ class Drive:
         self.lock = threading.Lock()
         self.word = 0
         self.power = DISABLED
+        self.network = network
         network.add_node(self.node)
         self.node.add_write_callback(self.written)
         network.subscribe(0, self.commanded)
         network.subscribe(0x80, self.synchronised)
-        self.network = network
         self.boot()
 
     def boot(self):
@@ -73,8 +73,9 @@ class Drive:
         self.set(0x6064, 1000)
         self.set(0x6061, self.get(0x6060))
         self.show()
-        self.node.nmt.state = "INITIALISING"
+        # The boot-up frame comes last: the host may act on it before the next line is reached.
         self.node.nmt.state = "PRE-OPERATIONAL"
+        self.network.send_message(0x700 + self.node.id, [0])
 
     def get(self, index):
         variable = self.node.object_dictionary[index]

@@ -114,6 +114,10 @@ fn cansequence_counts_our_frames_and_we_count_its_own() {
         assert_eq!(port.counters().dropped, 0);
         drop(sender);
 
+        // cansequence keeps the default receive queue, some 280 frames, and shares the processor with us.
+        let queue = "/proc/sys/net/core/rmem_default";
+        let default = fs::read_to_string(queue).unwrap();
+        fs::write(queue, (COUNT << 10).to_string()).unwrap();
         let mut receiver = started(|| {
             let receiver = Command::new("cansequence")
                 .args([bus.0, "--receive", "--quit", "1"])
@@ -122,6 +126,7 @@ fn cansequence_counts_our_frames_and_we_count_its_own() {
                 .spawn();
             Killed(receiver.unwrap())
         });
+        fs::write(queue, default).unwrap();
         let mut taken = 0;
         let end = clock::now() + PATIENCE;
         while taken < COUNT && clock::now() < end {
