@@ -1,7 +1,7 @@
 use std::task::Poll;
 use std::time::Duration;
 
-use can::slcan::{BITRATES, BusErrors, Command, LONGEST, Report, Splitter};
+use can::slcan::{BITRATES, BusErrors, Command, LONGEST, Piece, Report, Splitter};
 use can::timing::Bitrate;
 use can::{ControllerState, Counters, Frame, Instant, Port, PortError, Received};
 use thiserror::Error;
@@ -166,8 +166,12 @@ impl<L: Line> SlcanPort<L> {
             let Some(piece) = self.splitter.push(byte) else {
                 continue;
             };
+            // Firmware tells its version as it likes, but a line that echoes is no adapter.
+            let echo = matches!(piece, Piece::Line(b"V"));
             let report = Report::parse(piece).ok();
-            self.answered(report, now)?;
+            if !echo {
+                self.answered(report, now)?;
+            }
         }
         if self.poll_timeout().is_some_and(|until| now >= until) {
             self.silence(now)?;
