@@ -72,7 +72,7 @@ enum Command {
         #[command(subcommand)]
         action: service::lss::Action,
     },
-    /// Show the frames of a bus in words until Ctrl-C. Sends nothing, unless --map asks.
+    /// Show the frames of a bus in words until Ctrl-C. Sends nothing, unless --map asks; an slcan adapter only listens.
     Monitor(service::monitor::Options),
     /// Print the electronic data sheet (EDS of CiA 306) of the drive emulated for an axis.
     Eds {

@@ -163,6 +163,18 @@ fn an_adapter_that_refuses_or_says_nothing_is_not_opened() {
 }
 
 #[test]
+fn one_that_listens_is_opened_so() {
+    let mut stage = Stage::new(256);
+    let (line, peer) = virtual_line(256);
+    stage.port = SlcanPort::listening(line, Bitrate::KBPS_500, Instant::ZERO).unwrap();
+    stage.peer = peer;
+    let script = [("\rC\r", "\r\r"), ("S6\r", "\r"), ("L\r", "\r")];
+    assert_eq!(stage.open_with(&script), Ok(()));
+    stage.answer(b"t70117F\r");
+    assert_eq!(stage.receive(8), Ok(vec!["701#7F".to_owned()]));
+}
+
+#[test]
 fn nothing_is_sent_or_received_before_it_is_open() {
     let mut stage = Stage::new(256);
     stage.said();
