@@ -9,7 +9,7 @@ use can::{
     ControllerState, Counters, Frame, Instant, Port, PortError, Received, SocketCanOptions,
     SocketCanPort, clock,
 };
-use serial::{Settings, SlcanPort, StopBits, Tty};
+use serial::{Settings, SlcanError, SlcanPort, StopBits, Tty};
 
 use crate::interfaces::Interface;
 
@@ -25,6 +25,14 @@ impl BusPort {
         Self::with_options(interface, kbps, &SocketCanOptions::default())
     }
 
+    /// The same, for who sends nothing: an slcan adapter stays off the bus, even if the bit rate is wrong.
+    pub(crate) fn listen(interface: &Interface, kbps: u32) -> anyhow::Result<Self> {
+        match interface {
+            Interface::SocketCan(_) => Self::open(interface, kbps),
+            Interface::Slcan { path, baud } => Self::slcan(path, *baud, kbps, SlcanPort::listening),
+        }
+    }
+
     /// The same, with `options` where it is a SocketCAN interface. An slcan adapter is given 0.7 s to answer.
     pub(crate) fn with_options(
         interface: &Interface,
@@ -33,19 +41,15 @@ impl BusPort {
     ) -> anyhow::Result<Self> {
         match interface {
             Interface::SocketCan(name) => Ok(Self::SocketCan(SocketCanPort::open(name, options)?)),
-            Interface::Slcan { path, baud } => {
-                let stop_bits = StopBits::One;
-                let tty = Tty::open(
-                    path,
-                    Settings {
-                        baud: *baud,
-                        stop_bits,
-                    },
-                )?;
-                let opened = open_slcan(tty, kbps);
-                Ok(Self::Slcan(opened.with_context(|| path.clone())?))
-            }
+            Interface::Slcan { path, baud } => Self::slcan(path, *baud, kbps, SlcanPort::new),
         }
+    }
+
+    fn slcan(path: &str, baud: u32, kbps: u32, begin: Begin) -> anyhow::Result<Self> {
+        let stop_bits = StopBits::One;
+        let tty = Tty::open(path, Settings { baud, stop_bits })?;
+        let opened = open_slcan(tty, kbps, begin);
+        Ok(Self::Slcan(opened.with_context(|| path.to_owned())?))
     }
 
     /// Waits until there is something to receive or the clock shows `until`, and says which.
@@ -73,10 +77,13 @@ impl BusPort {
     }
 }
 
-fn open_slcan(tty: Tty, kbps: u32) -> anyhow::Result<SlcanPort<Tty>> {
+/// Begins to open an adapter, to send or only to listen.
+type Begin = fn(Tty, Bitrate, Instant) -> Result<SlcanPort<Tty>, SlcanError>;
+
+fn open_slcan(tty: Tty, kbps: u32, begin: Begin) -> anyhow::Result<SlcanPort<Tty>> {
     let bitrate = Bitrate::from_kbps(kbps)
         .with_context(|| format!("{kbps} kbit/s is no bit rate of CAN, 10 to 1000 kbit/s"))?;
-    let mut port = SlcanPort::new(tty, bitrate, clock::now())?;
+    let mut port = begin(tty, bitrate, clock::now())?;
     loop {
         if let Poll::Ready(result) = port.poll_open(clock::now()) {
             return result.map(|()| port).map_err(Into::into);

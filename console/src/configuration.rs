@@ -6,12 +6,16 @@ use anyhow::{Context, anyhow};
 use canopen::NodeId;
 use canopen::dcf::{self, Download};
 use canopen::eds::Eds;
-use canopen::objects::{CONTROLWORD, PRODUCT_CODE, REVISION, VENDOR_ID};
+use canopen::objects::{CONTROLWORD, PRODUCT_CODE, RESTORE_ALL, REVISION, STORE_ALL, VENDOR_ID};
 use canopen::sdo::CAPACITY;
 use controller::cell::Path;
 use drive::cia402::Setting;
 
 use crate::cell_file::CellFile;
+
+/// Objects whose writes wear the drive's memory, or forget what is in it.
+const STORE: u16 = STORE_ALL.index;
+const RESTORE: u16 = RESTORE_ALL.index;
 
 /// What a device configuration file asks for, and of which drive.
 pub(crate) struct Configuration {
@@ -81,6 +85,11 @@ impl Configuration {
             if object == CONTROLWORD {
                 return Err(anyhow!(
                     "{shown}:{line}: {object} is the controlword, which commands the drive; remove its ParameterValue"
+                ));
+            }
+            if matches!(object.index, STORE | RESTORE) {
+                return Err(anyhow!(
+                    "{shown}:{line}: {object} would store or restore the drive's parameters at every start; remove its ParameterValue"
                 ));
             }
             if size > CAPACITY {

@@ -58,19 +58,21 @@ enum Command {
     /// Who is on a bus: asks every node-ID by SDO, whoever has none by LSS, and listens to heartbeats. Not while another
     /// master is at work.
     Scan(service::scan::Options),
-    /// Read or write one object of a node.
+    /// Read or write one object of a node. Not while another master uses the node's SDO server, which serves one at a
+    /// time: a running cell does at its start and at a fault.
     Sdo {
         #[command(subcommand)]
         action: service::sdo::Action,
     },
     /// Tell a node, or all, to change its NMT state. Resets and stops take the power from drives; a brakeless arm falls.
+    /// Every command but start ends a running cell in a fault.
     Nmt(service::nmt::Options),
     /// Give node-IDs to nodes that have none, by layer setting services. A running cell is disturbed by it.
     Lss {
         #[command(subcommand)]
         action: service::lss::Action,
     },
-    /// Show the frames of a bus in words until Ctrl-C. Sends nothing, unless --map asks.
+    /// Show the frames of a bus in words until Ctrl-C. Sends nothing, unless --map asks; an slcan adapter only listens.
     Monitor(service::monitor::Options),
     /// Print the electronic data sheet (EDS of CiA 306) of the drive emulated for an axis.
     Eds {

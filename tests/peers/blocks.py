@@ -20,8 +20,7 @@ LONGEST = 1022
 def transfer(sdo, data, checksum):
     with sdo.open(0x2F00, 0, "wb", size=len(data), block_transfer=True, request_crc_support=checksum) as stream:
         stream.write(data)
-    # Always with a checksum: python-canopen checks it even where it asked for none, and then it is 0 (CiA 301).
-    with sdo.open(0x2F00, 0, "rb", block_transfer=True) as stream:
+    with sdo.open(0x2F00, 0, "rb", block_transfer=True, request_crc_support=checksum) as stream:
         read = stream.read()
     if read != data:
         raise RuntimeError(f"{len(data)} bytes, checksum {checksum}: {read.hex()} instead of {data.hex()}")

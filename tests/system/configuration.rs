@@ -252,13 +252,20 @@ fn a_dcf_that_cannot_be_meant_is_refused_before_a_bus_is_opened() {
 
 #[test]
 fn a_dcf_never_commands_the_drive() {
-    let (text, line) = dcf(&[("6040", "ParameterValue=0x000F")]);
-    let command = text.find("[6040]\n").unwrap();
-    let text = text[..command].to_owned() + &text[command..].replacen("ObjFlags=1\n", "", 1);
-    let directory = Directory::new();
-    let cell = cell(&directory, &text, |_| {});
-    let place = format!("motor.dcf:{line}: 0x6040:00 is the controlword");
-    refused(&mrroc(["check".as_ref(), cell.as_os_str()]), &[&place]);
+    let cases = [
+        ("6040", "0x000F", "0x6040:00 is the controlword"),
+        ("1010sub1", "0x65766173", "0x1010:01 would store or restore"),
+        ("1011sub1", "0x64616F6C", "0x1011:01 would store or restore"),
+    ];
+    for (section, value, refusal) in cases {
+        let (text, line) = dcf(&[(section, &format!("ParameterValue={value}"))]);
+        let command = text.find(&format!("[{section}]\n")).unwrap();
+        let text = text[..command].to_owned() + &text[command..].replacen("ObjFlags=1\n", "", 1);
+        let directory = Directory::new();
+        let cell = cell(&directory, &text, |_| {});
+        let place = format!("motor.dcf:{line}: {refusal}");
+        refused(&mrroc(["check".as_ref(), cell.as_os_str()]), &[&place]);
+    }
 }
 
 #[test]

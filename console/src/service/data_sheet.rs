@@ -173,6 +173,10 @@ mod tests {
             assert_eq!(write(0x1017, 0, &fits), "");
         }
         assert_eq!(write(0x2000, 1, &[0xFB, 0xFF]), "");
+        // Bytes given as such may be no number at all.
+        for data in [&[][..], &[0; 9]] {
+            assert_eq!(write(0x2000, 1, data), "", "{} bytes", data.len());
+        }
         let signed = "0x2000:01 Gains: P takes no less than -5 by drive.eds";
         assert_eq!(write(0x2000, 1, &[0xFA, 0xFF]), signed);
         assert_eq!(text(sheet(0x1017, 0).unwrap().check_read()), "");

@@ -70,6 +70,15 @@ pub(crate) struct Bus {
 impl BusArgs {
     /// Opens the bus.
     pub(crate) fn open(&self) -> anyhow::Result<Bus> {
+        self.open_by(BusPort::open)
+    }
+
+    /// Opens the bus without ever sending.
+    pub(crate) fn listen(&self) -> anyhow::Result<Bus> {
+        self.open_by(BusPort::listen)
+    }
+
+    fn open_by(&self, open: fn(&Interface, u32) -> anyhow::Result<BusPort>) -> anyhow::Result<Bus> {
         let cell = match &self.cell {
             Some(path) => {
                 let file = CellFile::read(path)?;
@@ -94,7 +103,7 @@ impl BusArgs {
         ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed))
             .context("Ctrl-C cannot be caught")?;
         Ok(Bus {
-            port: BusPort::open(&interface, kbps)?,
+            port: open(&interface, kbps)?,
             interface,
             cell,
             interrupted,

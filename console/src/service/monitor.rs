@@ -62,7 +62,11 @@ impl Options {
 
 /// Shows frames until Ctrl-C, `--count`, or until nobody reads any more: all of them as good an end as another.
 pub(crate) fn monitor(options: &Options) -> anyhow::Result<ExitCode> {
-    let mut bus = options.bus.open()?;
+    let mut bus = if options.map {
+        options.bus.open()?
+    } else {
+        options.bus.listen()?
+    };
     let mut decoder = of_cell(&bus);
     if options.map {
         let nodes = NodeId::all().map(|node| (node, MappingQuestions::of(node)));

@@ -152,7 +152,11 @@ impl Told {
         let Some(result) = self.client.as_mut().and_then(sdo::Client::poll) else {
             return;
         };
-        self.answer = Some(result.and_then(|transfer| transfer.number::<u16>()));
+        self.answer = Some(match result {
+            // An answer as well: a node without the object sends no heartbeat.
+            Err(SdoError::Aborted { .. }) => Ok(0),
+            result => result.and_then(|transfer| transfer.number::<u16>()),
+        });
         // No heartbeat will come.
         if let Some(Ok(0)) = self.answer {
             self.over = true;
@@ -251,7 +255,8 @@ impl Report {
                     "told, and still answers SDO, so it did not stop".to_owned()
                 }
                 (Some(Ok(0)), _) => {
-                    "told; it sends no heartbeat (0x1017 is 0), and is not stopped".to_owned()
+                    "told; it sends no heartbeat (0x1017 is 0 or missing), and is not stopped"
+                        .to_owned()
                 }
                 (Some(Ok(ms)), _) => format!("told, and its heartbeat of {ms} ms was not heard"),
                 (Some(Err(_)) | None, State::Stopped) => {

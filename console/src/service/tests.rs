@@ -265,6 +265,21 @@ fn a_node_that_still_answers_sdo_did_not_stop() {
 }
 
 #[test]
+fn an_abort_is_an_answer_of_a_node_without_heartbeat() {
+    for (command, confirmed) in [(Command::Start, true), (Command::Stop, false)] {
+        let now = Instant::ZERO;
+        let mut told = Told::new(command.to(node(3)), TIMEOUT, now);
+        while told.poll_transmit(now).is_some() {}
+        // Object 0x1017 does not exist.
+        told.handle(&parse("583#8017100000000206"), now);
+        assert_eq!(told.poll_timeout(), None);
+        let report = told.report();
+        assert_eq!(report.silent, Some((node(3), Some(Ok(0)))));
+        assert_eq!(report.confirmed(), confirmed, "{command:?}");
+    }
+}
+
+#[test]
 fn a_node_that_is_not_there_confirms_nothing() {
     let mut stage = Stage::with(&[3]);
     let commands = [

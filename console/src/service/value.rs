@@ -188,8 +188,10 @@ pub(super) fn unsigned(data: &[u8]) -> Option<u64> {
 
 /// The same, the highest bit being the sign.
 pub(super) fn signed(data: &[u8]) -> Option<i64> {
-    let unused = 64 - 8 * data.len() as u32;
-    unsigned(data).map(|raw| (raw << unused) as i64 >> unused)
+    unsigned(data).map(|raw| {
+        let unused = 64 - 8 * data.len() as u32;
+        (raw << unused) as i64 >> unused
+    })
 }
 
 /// Bytes in every way that they make sense.

@@ -554,3 +554,13 @@ proptest! {
         prop_assert_eq!(dcf::decode(&bytes), Ok(entries));
     }
 }
+
+#[test]
+fn sections_of_a_vendor_may_begin_with_hex_letters() {
+    let text = "[Feedback]\nKind=SSI\n[A000]\nParameterName=x\nDataType=5\nAccessType=rw\n";
+    let eds = Eds::read(text.as_bytes()).unwrap();
+    assert!(eds.objects.keys().eq([&0xA000]));
+    for refused in ["[1000back]\n", "[FeedsubX]\n"] {
+        assert!(Eds::read(refused.as_bytes()).is_err(), "{refused}");
+    }
+}

@@ -1,7 +1,7 @@
 use std::task::Poll;
 use std::time::Duration;
 
-use can::slcan::{BITRATES, BusErrors, Command, LONGEST, Report, Splitter};
+use can::slcan::{BITRATES, BusErrors, Command, LONGEST, Piece, Report, Splitter};
 use can::timing::Bitrate;
 use can::{ControllerState, Counters, Frame, Instant, Port, PortError, Received};
 use thiserror::Error;
@@ -44,6 +44,8 @@ const ANSWER: Duration = Duration::from_millis(200);
 pub struct SlcanPort<L: Line> {
     line: L,
     bitrate: Bitrate,
+    /// How the channel is opened.
+    how: Command,
     stage: Stage,
     splitter: Splitter,
     /// What was read and is not looked at yet: `input[read_from..read_to]`.
@@ -99,6 +101,20 @@ pub enum SlcanError {
 impl<L: Line> SlcanPort<L> {
     /// Begins to open the adapter on `line` at a bit rate of CAN.
     pub fn new(line: L, bitrate: Bitrate, now: Instant) -> Result<Self, SlcanError> {
+        Self::opened_by(Command::Open, line, bitrate, now)
+    }
+
+    /// The same, but the adapter only listens (`L` in place of `O`): not even error frames go out, whatever the bit rate.
+    pub fn listening(line: L, bitrate: Bitrate, now: Instant) -> Result<Self, SlcanError> {
+        Self::opened_by(Command::ListenOnly, line, bitrate, now)
+    }
+
+    fn opened_by(
+        how: Command,
+        line: L,
+        bitrate: Bitrate,
+        now: Instant,
+    ) -> Result<Self, SlcanError> {
         if !BITRATES.contains(&bitrate) {
             let kbps = bitrate.kbps();
             return Err(SlcanError::NoSuchBitrate { kbps });
@@ -106,6 +122,7 @@ impl<L: Line> SlcanPort<L> {
         let mut port = Self {
             line,
             bitrate,
+            how,
             stage: Stage::Settling {
                 until: now + SETTLING,
             },
@@ -166,8 +183,12 @@ impl<L: Line> SlcanPort<L> {
             let Some(piece) = self.splitter.push(byte) else {
                 continue;
             };
+            // Firmware tells its version as it likes, but a line that echoes is no adapter.
+            let echo = matches!(piece, Piece::Line(b"V"));
             let report = Report::parse(piece).ok();
-            self.answered(report, now)?;
+            if !echo {
+                self.answered(report, now)?;
+            }
         }
         if self.poll_timeout().is_some_and(|until| now >= until) {
             self.silence(now)?;
@@ -220,7 +241,7 @@ impl<L: Line> SlcanPort<L> {
     }
 
     fn open_channel(&mut self, now: Instant) -> Result<(), SlcanError> {
-        self.say(Command::Open);
+        self.say(self.how);
         self.stage = Stage::Opening {
             until: now + ANSWER,
         };

@@ -7,6 +7,7 @@ use canopen::eds::{
 };
 use canopen::objects as named;
 
+use super::objects::DUMMIES;
 use super::table::{self, Kind, TABLE};
 use super::{Epos4Config, identity};
 
@@ -172,6 +173,7 @@ pub(super) fn eds(config: &Epos4Config) -> Eds {
             lss: true,
             ..DeviceInfo::default()
         },
+        dummies: DUMMIES.map(|bits| bits > 0),
         ..Eds::default()
     };
     for (row, entry) in TABLE.iter().enumerate() {

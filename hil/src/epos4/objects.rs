@@ -274,10 +274,18 @@ pub(super) fn map(kind: PdoKind, number: PdoNumber, sub: u16) -> Slot {
     first.plus((u16::from(MAPPED) + 1) * number.offset() + sub)
 }
 
-/// The slot behind a mapping entry; `None` for a dummy of an RPDO (objects 0x0001 to 0x0007).
+/// The bits of objects 0x0001 to 0x0007, which stand for their data types in an RPDO and fill it; 0 for what cannot be
+/// mapped: BOOLEAN, for PDOs are whole bytes here.
+pub(super) const DUMMIES: [u8; 7] = [0, 8, 16, 32, 8, 16, 32];
+
+/// The slot behind a mapping entry; `None` for a dummy of an RPDO.
 pub(super) fn mappable(kind: PdoKind, entry: MapEntry) -> Result<Option<Slot>, AbortCode> {
-    if kind == PdoKind::Rpdo && (0x0001..=0x0007).contains(&entry.object.index) {
-        return Ok(None);
+    let dummy = usize::from(entry.object.index)
+        .checked_sub(1)
+        .and_then(|at| DUMMIES.get(at));
+    if let (PdoKind::Rpdo, Some(&bits)) = (kind, dummy) {
+        let fills = bits > 0 && bits == entry.bits && entry.object.subindex == 0;
+        return fills.then_some(None).ok_or(AbortCode::NOT_MAPPABLE);
     }
     let slot = Slot::find(entry.object).ok_or(AbortCode::NO_OBJECT)?;
     let row = slot.entry();
@@ -350,6 +358,13 @@ impl Dictionary for Objects {
         }
     }
 
+    fn check_write(&self, object: Object) -> Result<(), AbortCode> {
+        match find(object)?.entry().access {
+            Access::Read => Err(AbortCode::READ_ONLY),
+            Access::Write => Ok(()),
+        }
+    }
+
     fn read(&mut self, object: Object, into: &mut [u8; MAX_SIZE]) -> Result<usize, AbortCode> {
         let slot = find(object)?;
         let entry = slot.entry();
@@ -371,11 +386,9 @@ impl Dictionary for Objects {
     }
 
     fn write(&mut self, object: Object, data: &[u8]) -> Result<(), AbortCode> {
+        self.check_write(object)?;
         let slot = find(object)?;
         let entry = slot.entry();
-        if entry.access == Access::Read {
-            return Err(AbortCode::READ_ONLY);
-        }
         if entry.kind == Kind::Domain {
             // A server takes no more than it can give back.
             self.domain = data.to_vec();

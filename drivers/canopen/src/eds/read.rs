@@ -38,7 +38,13 @@ fn kind(section: &Section<'_>) -> Result<Kind, EdsError> {
         "value" => Ok(Kind::Values(index)),
         "denotation" | "objectlinks" => Ok(Kind::Other),
         rest => {
-            let digits = rest.strip_prefix("sub").ok_or(error)?;
+            let Some(digits) = rest.strip_prefix("sub") else {
+                // `[Feedback]` is a vendor's own, although its first letters are digits.
+                return name
+                    .starts_with(|first: char| first.is_ascii_alphabetic())
+                    .then_some(Kind::Other)
+                    .ok_or(error);
+            };
             let subindex = hex(digits).and_then(|subindex| u8::try_from(subindex).ok());
             Ok(Kind::Sub(index, subindex.ok_or(error)?))
         }

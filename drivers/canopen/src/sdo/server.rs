@@ -23,6 +23,11 @@ pub trait Dictionary {
     /// The size of an object in bytes; `None` where it varies or there is no such object.
     fn size(&self, object: Object) -> Option<usize>;
 
+    /// Refuses to write an object whatever its data, so that a client need not send them for nothing.
+    fn check_write(&self, _object: Object) -> Result<(), AbortCode> {
+        Ok(())
+    }
+
     /// Writes an object's data to the front of `into` and returns how many bytes there are.
     fn read(&mut self, object: Object, into: &mut [u8; MAX_SIZE]) -> Result<usize, AbortCode>;
 
@@ -191,6 +196,7 @@ impl Server {
                 if size.is_some_and(|size| size > MAX_SIZE) {
                     return Err(AbortCode::OUT_OF_MEMORY);
                 }
+                dictionary.check_write(object)?;
                 self.begin(object, Direction::Download { size }, now);
             }
         }

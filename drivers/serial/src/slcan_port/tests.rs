@@ -109,7 +109,7 @@ fn it_opens_by_close_bit_rate_and_open_whatever_the_answers_look_like() {
 #[test]
 fn an_adapter_that_refuses_or_says_nothing_is_not_opened() {
     let kbps = 1000;
-    let scripts: [(&[(&str, &str)], SlcanError); 3] = [
+    let scripts: [(&[(&str, &str)], SlcanError); 5] = [
         (
             &[("\rC\r", "\r"), ("S8\r", "\x07")],
             SlcanError::BitrateRefused { kbps },
@@ -120,6 +120,25 @@ fn an_adapter_that_refuses_or_says_nothing_is_not_opened() {
         ),
         (
             &[("\rC\r", ""), ("S8\r", ""), ("O\r", ""), ("V\r", "")],
+            SlcanError::Silent,
+        ),
+        // A line that echoes, and a device of another baud rate.
+        (
+            &[
+                ("\rC\r", "\rC\r"),
+                ("S8\r", "S8\r"),
+                ("O\r", "O\r"),
+                ("V\r", "V\r"),
+            ],
+            SlcanError::Silent,
+        ),
+        (
+            &[
+                ("\rC\r", "\x1f\r"),
+                ("S8\r", "\x1f\x02\r"),
+                ("O\r", "\x1f\r"),
+                ("V\r", "\x1f\x02v\r"),
+            ],
             SlcanError::Silent,
         ),
     ];
@@ -141,6 +160,18 @@ fn an_adapter_that_refuses_or_says_nothing_is_not_opened() {
     drop(peer);
     let refused = SlcanPort::new(line, Bitrate::KBPS_500, Instant::ZERO);
     assert!(matches!(refused, Err(SlcanError::Line(LineError::Gone))));
+}
+
+#[test]
+fn one_that_listens_is_opened_so() {
+    let mut stage = Stage::new(256);
+    let (line, peer) = virtual_line(256);
+    stage.port = SlcanPort::listening(line, Bitrate::KBPS_500, Instant::ZERO).unwrap();
+    stage.peer = peer;
+    let script = [("\rC\r", "\r\r"), ("S6\r", "\r"), ("L\r", "\r")];
+    assert_eq!(stage.open_with(&script), Ok(()));
+    stage.answer(b"t70117F\r");
+    assert_eq!(stage.receive(8), Ok(vec!["701#7F".to_owned()]));
 }
 
 #[test]

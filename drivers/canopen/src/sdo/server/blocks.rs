@@ -101,7 +101,7 @@ impl Server {
     ) -> Option<Frame> {
         let (object, answer) = match request {
             block::Request::InitiateDownload { object, crc, size } => {
-                let answer = self.begin_download(object, crc, size, now);
+                let answer = self.begin_download(object, crc, size, dictionary, now);
                 (object, answer.map(|answer| Some(answer.encode(node))))
             }
             block::Request::InitiateUpload {
@@ -143,17 +143,20 @@ impl Server {
         Response::Abort { object, code }.encode(node)
     }
 
-    fn begin_download(
+    fn begin_download<D: Dictionary>(
         &mut self,
         object: Object,
         crc: bool,
         size: Option<u32>,
+        dictionary: &D,
         now: Instant,
     ) -> Result<block::Response, AbortCode> {
+        self.transfer = None;
         let size = size.map(|size| size as usize);
         if size.is_some_and(|size| size > MAX_SIZE) {
             return Err(AbortCode::OUT_OF_MEMORY);
         }
+        dictionary.check_write(object)?;
         let download = Download {
             size,
             crc,
@@ -245,7 +248,8 @@ impl Server {
         self.begin(object, Direction::BlockUpload(upload), now);
         let answer = block::Response::InitiateUpload {
             object,
-            crc: true,
+            // Clients that ask for no checksum, and are told that the server knows it, may check it all the same.
+            crc: upload.crc,
             size: Some(size as u32),
         };
         Ok(answer.encode(node))

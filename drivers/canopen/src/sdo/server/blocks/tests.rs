@@ -74,7 +74,7 @@ fn an_upload_goes_out_in_blocks_of_the_client_s_size() {
     ]);
     // One segment at a time, and no checksum for who does not check it.
     check(&[
-        ("A008100001000000", &["C60810000A000000"]),
+        ("A008100001000000", &["C20810000A000000"]),
         ("A300000000000000", &[FIRST]),
         ("A201010000000000", &["81302F3500000000"]),
         ("A201010000000000", &["D100000000000000"]),
