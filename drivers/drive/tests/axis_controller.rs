@@ -653,6 +653,30 @@ fn a_counter_that_jumps_is_a_panic_and_never_followed() {
 }
 
 #[test]
+fn a_counter_that_jumped_is_no_reference_for_whoever_comes_after() {
+    for protocol in BOTH {
+        for cycles in [0, 4] {
+            let mut rig = Rig::on(Drive {
+                status: Status::SYNCHRONIZED,
+                ..Drive::new(protocol, 8)
+            });
+            rig.drive().position = 90_000;
+            // Until the fault, and then not a cycle or some.
+            while rig.fault().is_none() {
+                rig.cycle(AxisCommand::Stand);
+            }
+            rig.run(cycles, AxisCommand::Off);
+            let line = rig.lines[0].clone();
+            drop(rig.group);
+            let drive = line.drive();
+            assert_eq!(drive.mode, Mode::Error, "{protocol:?}");
+            let synchronized = drive.status & Status::SYNCHRONIZED != 0;
+            assert!(!synchronized, "{protocol:?} after {cycles} cycles");
+        }
+    }
+}
+
+#[test]
 fn an_implausible_answer_counts_as_missing() {
     for protocol in BOTH {
         let mut rig = Rig::on(Drive::new(protocol, 8));

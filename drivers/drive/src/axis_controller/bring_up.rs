@@ -57,7 +57,7 @@ enum Stage {
 
 impl BringUp {
     pub(super) fn new(group: &GroupConfig, config: &AxisConfig, dialect: Dialect) -> Self {
-        let manual = dialect.rest(Aim::Manual, 1);
+        let manual = dialect.rest(Aim::Manual, 1, false);
         let mut script = vec![dialect.zero(), manual, manual];
         let limit = config.limit().map(|limit| Setting::MaxCurrent(limit.0));
         let gains = config.current_gains.and_then(CurrentGains::raw);
