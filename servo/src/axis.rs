@@ -120,9 +120,15 @@ impl Axis {
         let Some(mut search) = self.search else {
             return Ok(());
         };
+        let reversed = search.is_reversed();
         let result = search.advance(&mut self.knot, &self.state, follows, now, dt);
         if result.is_err() {
             search.brake(&mut self.knot, dt);
+        }
+        if search.is_reversed() && !reversed {
+            // A way to brake would lead further into a switch that the drive stops at: the loop would push
+            // against it with all its torque.
+            self.capture();
         }
         self.searched |= search.is_seeking();
         self.search = Some(search);

@@ -84,7 +84,7 @@ pub enum HomingFailure {
     },
 }
 
-/// The search at work. Its velocity never changes faster than the configured acceleration.
+/// The search at work. Its velocity never changes faster than the configured acceleration, but for a limit switch.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Search {
     config: HostHoming,
@@ -126,6 +126,11 @@ impl Search {
     /// Whether the next index pulse is to be taken for the reference.
     pub(crate) fn is_seeking(&self) -> bool {
         self.phase == Phase::Zero
+    }
+
+    /// Whether a limit switch turned it round.
+    pub(crate) fn is_reversed(&self) -> bool {
+        self.reversed
     }
 
     /// One period of `dt` seconds: moves `knot` on.
@@ -172,6 +177,8 @@ impl Search {
                         return Err(HomingFailure::LimitSwitch { upper });
                     }
                     self.reversed = true;
+                    // Nothing is braked: the drive lets nothing pass in this sense any more.
+                    self.velocity = 0.0;
                     self.rest(Next::Leave { seen: false })
                 } else {
                     let distance = self.watch(self.config.search, now)?;
