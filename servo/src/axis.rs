@@ -126,8 +126,7 @@ impl Axis {
             search.brake(&mut self.knot, dt);
         }
         if search.is_reversed() && !reversed {
-            // A way to brake would lead further into a switch that the drive stops at: the loop would push
-            // against it with all its torque.
+            // It goes back from where it is, not from where it was to be.
             self.capture();
         }
         self.searched |= search.is_seeking();
