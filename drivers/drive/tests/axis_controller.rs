@@ -175,6 +175,36 @@ fn a_question_that_gets_no_answer_is_asked_thrice() {
 }
 
 #[test]
+fn a_line_whose_answers_take_longer_than_a_period_is_refused() {
+    for protocol in BOTH {
+        for (delay, right) in [(1, true), (2, false), (4, false)] {
+            let mut rig = Rig::of(Drive::new(protocol, 8));
+            let mut under_way = vec![Vec::new(); delay - 1];
+            let result = (0..1_000).find_map(|_| {
+                rig.now += PERIOD;
+                let answer: Vec<u8> = rig.drive().outbox.drain(..).collect();
+                under_way.push(answer);
+                let arrived = under_way.remove(0);
+                rig.drive().outbox.extend(arrived);
+                match rig.group.bring_up(rig.now) {
+                    Poll::Ready(result) => Some(result),
+                    Poll::Pending => None,
+                }
+            });
+            let late = matches!(
+                result,
+                Some(Err(BringUpError::AxisController {
+                    error: AxisControllerError::Late { .. },
+                    ..
+                }))
+            );
+            assert_eq!(result == Some(Ok(())), right, "{protocol:?} {delay}");
+            assert_eq!(late, !right, "{protocol:?} {delay}: {result:?}");
+        }
+    }
+}
+
+#[test]
 fn bring_up_says_who_is_at_the_other_end() {
     let error = |rig: &mut Rig| match rig.bring_up() {
         Err(BringUpError::AxisController { line: 0, error }) => error,
