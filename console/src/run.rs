@@ -327,7 +327,11 @@ fn not_up(
         })
         .map(|(_, (robot, axis))| format!(", axis {}", file.axis_name(robot, axis)))
         .unwrap_or_default();
-    let name = file.cell.groups().nth(bus).expect("the servo has the groups of the cell");
+    let name = file
+        .cell
+        .groups()
+        .nth(bus)
+        .expect("the servo has the groups of the cell");
     anyhow!("bus {name}{axis}: {error}")
 }
 
