@@ -327,7 +327,12 @@ fn not_up(
         })
         .map(|(_, (robot, axis))| format!(", axis {}", file.axis_name(robot, axis)))
         .unwrap_or_default();
-    anyhow!("bus {}{axis}: {error}", file.cell.bus[bus].name)
+    let name = file
+        .cell
+        .groups()
+        .nth(bus)
+        .expect("the servo has the groups of the cell");
+    anyhow!("bus {name}{axis}: {error}")
 }
 
 fn in_lockstep(

@@ -120,9 +120,14 @@ impl Axis {
         let Some(mut search) = self.search else {
             return Ok(());
         };
+        let reversed = search.is_reversed();
         let result = search.advance(&mut self.knot, &self.state, follows, now, dt);
         if result.is_err() {
             search.brake(&mut self.knot, dt);
+        }
+        if search.is_reversed() && !reversed {
+            // It goes back from where it is, not from where it was to be.
+            self.capture();
         }
         self.searched |= search.is_seeking();
         self.search = Some(search);

@@ -13,8 +13,8 @@ use crate::{Direction, HomingLeg, HostHoming, Knot};
 /// ```text
 /// Look ──open──▶ Switch ──closed──▶ rest ──▶ Zero ──attained──▶ rest ──▶ Done
 ///   │               ▲ │
-///   │               │ └─limit switch, once─▶ rest ─┐
-///   └─closed────────│──▶ Leave ◀───────────────────┘
+///   │               │ └─limit switch, once─┐
+///   └─closed────────│──▶ Leave ◀───────────┘
 ///                   └─ rest ◀─┘ closed, then open
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,7 +39,6 @@ enum Phase {
 /// What follows a rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Next {
-    Leave { seen: bool },
     Switch,
     Zero,
     Done,
@@ -84,7 +83,7 @@ pub enum HomingFailure {
     },
 }
 
-/// The search at work. Its velocity never changes faster than the configured acceleration.
+/// The search at work. Its velocity never changes faster than the configured acceleration, but for a limit switch.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Search {
     config: HostHoming,
@@ -126,6 +125,11 @@ impl Search {
     /// Whether the next index pulse is to be taken for the reference.
     pub(crate) fn is_seeking(&self) -> bool {
         self.phase == Phase::Zero
+    }
+
+    /// Whether a limit switch turned it round.
+    pub(crate) fn is_reversed(&self) -> bool {
+        self.reversed
     }
 
     /// One period of `dt` seconds: moves `knot` on.
@@ -172,7 +176,11 @@ impl Search {
                         return Err(HomingFailure::LimitSwitch { upper });
                     }
                     self.reversed = true;
-                    self.rest(Next::Leave { seen: false })
+                    // Neither brakes nor rests: the drive lets nothing pass in this sense any more, and a loop that
+                    // held the motor there would push against that with all its torque.
+                    self.velocity = 0.0;
+                    self.begin(Phase::Leave { seen: false });
+                    0.0
                 } else {
                     let distance = self.watch(self.config.search, now)?;
                     if let Some(distance) = distance {
@@ -198,7 +206,6 @@ impl Search {
                 match since {
                     None if self.velocity == 0.0 => self.phase = Phase::Rest(Some(now), next),
                     Some(since) if now.since(since) >= self.config.pause => match next {
-                        Next::Leave { seen } => self.begin(Phase::Leave { seen }),
                         Next::Switch => self.begin(Phase::Switch),
                         Next::Zero if !self.home.closed => return Err(HomingFailure::SwitchPassed),
                         Next::Zero => self.begin(Phase::Zero),

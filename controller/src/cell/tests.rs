@@ -2,6 +2,7 @@ use super::*;
 
 const IRB6: &str = include_str!("../../../cells/irb6.toml");
 const IRP6: &str = include_str!("../../../cells/irp6.toml");
+const SERIAL: &str = include_str!("../../../cells/irb6-serial.toml");
 
 /// The line, from 1, of the first occurrence of `needle`.
 fn line_of(text: &str, needle: &str) -> usize {
@@ -205,6 +206,23 @@ fn a_refusal_names_line_key_and_reason() {
         assert_eq!(error.line, line_of(IRB6, place), "{bad}: {shown}");
         assert!(!shown.contains('\n'), "{bad}: {shown}");
     }
+}
+
+#[test]
+fn a_loop_that_may_ask_for_more_current_than_the_drive_has_is_refused() {
+    // The column: 25 A at 0.105 N·m/A are 2.625 N·m.
+    for (good, bad) in [
+        ("limit = 2.1 ", "limit = 2.63 "),
+        ("max_current = 25.0", "max_current = 19.9"),
+    ] {
+        let error = Cell::parse(&SERIAL.replacen(good, bad, 1)).unwrap_err();
+        assert_eq!(error.line, line_of(SERIAL, good), "{error}");
+        let key = "robot[0].axis[0].controller.loop.law.cascade.limit";
+        assert_eq!(error.key, key);
+        assert!(error.to_string().contains("max_current * torque_constant"));
+    }
+    assert!(Cell::parse(&SERIAL.replacen("limit = 2.1 ", "limit = 2.625 ", 1)).is_ok());
+    assert!(Cell::parse(SERIAL).is_ok());
 }
 
 #[test]

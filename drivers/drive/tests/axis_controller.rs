@@ -175,6 +175,36 @@ fn a_question_that_gets_no_answer_is_asked_thrice() {
 }
 
 #[test]
+fn a_line_whose_answers_take_longer_than_a_period_is_refused() {
+    for protocol in BOTH {
+        for (delay, right) in [(1, true), (2, false), (4, false)] {
+            let mut rig = Rig::of(Drive::new(protocol, 8));
+            let mut under_way = vec![Vec::new(); delay - 1];
+            let result = (0..1_000).find_map(|_| {
+                rig.now += PERIOD;
+                let answer: Vec<u8> = rig.drive().outbox.drain(..).collect();
+                under_way.push(answer);
+                let arrived = under_way.remove(0);
+                rig.drive().outbox.extend(arrived);
+                match rig.group.bring_up(rig.now) {
+                    Poll::Ready(result) => Some(result),
+                    Poll::Pending => None,
+                }
+            });
+            let late = matches!(
+                result,
+                Some(Err(BringUpError::AxisController {
+                    error: AxisControllerError::Late { .. },
+                    ..
+                }))
+            );
+            assert_eq!(result == Some(Ok(())), right, "{protocol:?} {delay}");
+            assert_eq!(late, !right, "{protocol:?} {delay}: {result:?}");
+        }
+    }
+}
+
+#[test]
 fn bring_up_says_who_is_at_the_other_end() {
     let error = |rig: &mut Rig| match rig.bring_up() {
         Err(BringUpError::AxisController { line: 0, error }) => error,
@@ -649,6 +679,30 @@ fn a_counter_that_jumps_is_a_panic_and_never_followed() {
         let (from, to) = (1_000, 90_000);
         assert_eq!(rig.fault(), Some(AxisControllerFault::Jumped { from, to }));
         assert_eq!(rig.drive().mode, Mode::Error);
+    }
+}
+
+#[test]
+fn a_counter_that_jumped_is_no_reference_for_whoever_comes_after() {
+    for protocol in BOTH {
+        for cycles in [0, 4] {
+            let mut rig = Rig::on(Drive {
+                status: Status::SYNCHRONIZED,
+                ..Drive::new(protocol, 8)
+            });
+            rig.drive().position = 90_000;
+            // Until the fault, and then not a cycle or some.
+            while rig.fault().is_none() {
+                rig.cycle(AxisCommand::Stand);
+            }
+            rig.run(cycles, AxisCommand::Off);
+            let line = rig.lines[0].clone();
+            drop(rig.group);
+            let drive = line.drive();
+            assert_eq!(drive.mode, Mode::Error, "{protocol:?}");
+            let synchronized = drive.status & Status::SYNCHRONIZED != 0;
+            assert!(!synchronized, "{protocol:?} after {cycles} cycles");
+        }
     }
 }
 

@@ -59,6 +59,8 @@ pub(super) struct Axis {
     seeking: bool,
     /// The drive is to forget its reference before it seeks.
     unreferencing: bool,
+    /// Its counter jumped: it is to forget its reference, which whoever comes after us would go by.
+    misled: bool,
     telegram: Telegram,
     setpoint: i16,
     likeness: Likeness,
@@ -138,6 +140,7 @@ impl Axis {
             powered: false,
             seeking: false,
             unreferencing: false,
+            misled: false,
             telegram: Telegram::NONE,
             setpoint: 0,
             likeness: Likeness::default(),
@@ -163,8 +166,9 @@ impl Axis {
         (self.owed, self.answered, self.not_sent) = (0, false, 0);
         (self.aim, self.answers, self.powered) = (Aim::Manual, ANSWERS_TO_EFFECT, false);
         (self.seeking, self.unreferencing, self.was_indexing) = (false, false, false);
+        self.misled = false;
         (self.sent_at, self.panics, self.told) = (learnt.at, false, 1);
-        (self.telegram, self.setpoint) = (self.setup.dialect.rest(Aim::Manual, 1), 0);
+        (self.telegram, self.setpoint) = (self.setup.dialect.rest(Aim::Manual, 1, false), 0);
         self.likeness = Likeness::default();
         self.measure(learnt.answer);
     }
@@ -202,7 +206,7 @@ impl Axis {
             }
             Verdict::Jumped(from) => {
                 let restarted = self.referenced && !answer.status.any(Status::SYNCHRONIZED);
-                self.referenced = false;
+                (self.referenced, self.misled) = (false, true);
                 self.latch(if restarted {
                     AxisControllerFault::Restarted
                 } else {
@@ -406,6 +410,7 @@ impl Axis {
         let still =
             self.status.any(Status::SYNCHRONIZED) || self.reported.any(Status::SYNCHRONIZED);
         self.unreferencing &= seek && still;
+        self.misled &= still;
         let aim = match command {
             AxisCommand::ResetFault => Aim::Manual,
             _ if self.panics => Aim::Error,
@@ -436,7 +441,7 @@ impl Axis {
             // What takes torque away is said in every cycle.
             Aim::Manual | Aim::Error => {
                 self.powered = false;
-                self.setup.dialect.rest(aim, self.told)
+                self.setup.dialect.rest(aim, self.told, self.misled)
             }
             Aim::Drive | Aim::Index if faulted => self.setup.dialect.zero(),
             Aim::Drive | Aim::Index if powered => {
@@ -475,7 +480,8 @@ impl Axis {
     /// What is said last to a drive whose group ends.
     pub(super) fn farewell(&self) -> Telegram {
         let dialect = self.setup.dialect;
-        dialect.farewell(if self.panics { Aim::Error } else { Aim::Manual })
+        let aim = if self.panics { Aim::Error } else { Aim::Manual };
+        dialect.farewell(aim, self.misled)
     }
 
     /// What the drive and the line still show is latched again by the next reading.

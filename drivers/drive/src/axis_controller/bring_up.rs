@@ -22,7 +22,8 @@ const CALLS_TO_DRAIN: u8 = 3;
 ///                └ silence → asked in the other protocol, and as anybody → the error that says so
 /// ```
 ///
-/// The last answers are where operation begins: the gate has passed them, and the power stage is on.
+/// The last answers are where operation begins: the gate has passed them, and the power stage is on. A line on which
+/// most answers took more than a call is refused: it is called every period, in which they have to come.
 #[derive(Clone, Debug)]
 pub(super) struct BringUp {
     dialect: Dialect,
@@ -40,6 +41,10 @@ pub(super) struct BringUp {
     since: Instant,
     /// Bytes heard since the last answer.
     heard: u32,
+    /// Calls since the question.
+    calls: u32,
+    /// Answers that took more than one call.
+    late: usize,
     last: Option<Answer>,
     /// Why the last answer was not taken.
     objection: Option<AxisControllerError>,
@@ -57,7 +62,7 @@ enum Stage {
 
 impl BringUp {
     pub(super) fn new(group: &GroupConfig, config: &AxisConfig, dialect: Dialect) -> Self {
-        let manual = dialect.rest(Aim::Manual, 1);
+        let manual = dialect.rest(Aim::Manual, 1, false);
         let mut script = vec![dialect.zero(), manual, manual];
         let limit = config.limit().map(|limit| Setting::MaxCurrent(limit.0));
         let gains = config.current_gains.and_then(CurrentGains::raw);
@@ -78,6 +83,8 @@ impl BringUp {
             asked_at: Instant::ZERO,
             since: Instant::ZERO,
             heard: 0,
+            calls: 0,
+            late: 0,
             last: None,
             objection: None,
         }
@@ -88,7 +95,7 @@ impl BringUp {
         self.stage = Stage::Draining(0);
         self.stream = Stream::new(self.dialect.protocol, self.dialect.address);
         self.gate = self.fresh_gate.clone();
-        (self.attempts, self.heard) = (0, 0);
+        (self.attempts, self.heard, self.calls, self.late) = (0, 0, 0, 0);
         (self.asked_at, self.since) = (now, now);
         (self.last, self.objection) = (None, None);
     }
@@ -123,7 +130,13 @@ impl BringUp {
             Stage::Draining(_) => Some(Stage::Asking(0)),
             Stage::Asking(step) => {
                 self.heard = self.heard.saturating_add(count as u32);
+                self.calls = self.calls.saturating_add(1);
                 if self.answered(bytes, counters, step) {
+                    self.late += usize::from(self.calls > 1);
+                    let (late, answers) = (self.late, self.script.len());
+                    if step + 1 == answers && late > answers / 2 {
+                        return Err(AxisControllerError::Late { late, answers });
+                    }
                     (self.heard, self.attempts, self.since) = (0, 0, now);
                     Some(if step + 1 < self.script.len() {
                         Stage::Asking(step + 1)
@@ -159,7 +172,7 @@ impl BringUp {
         };
         self.stage = next.unwrap_or(self.stage);
         if self.stage != Stage::Ready {
-            self.asked_at = now;
+            (self.asked_at, self.calls) = (now, 0);
             // What the line does not take is not answered either.
             line.write(now, telegram.bytes())
                 .map_err(AxisControllerError::Line)?;

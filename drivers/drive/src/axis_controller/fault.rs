@@ -119,6 +119,16 @@ pub enum AxisControllerError {
         /// Increments.
         to: i32,
     },
+    /// It answers, and too late for a cycle.
+    #[error(
+        "{late} of {answers} answers took more than a period: set the adapter's latency timer to 1 ms, or take a card"
+    )]
+    Late {
+        /// How many answers.
+        late: usize,
+        /// Of how many.
+        answers: usize,
+    },
     /// It answers, and has no power.
     #[error("power stage is off: switch the cabinet on and release its emergency stop")]
     PowerStage,

@@ -113,9 +113,13 @@ impl Dialect {
 
     /// Takes torque away, after so many such telegrams: a zero set-point, and the mode [`Aim::Manual`] or
     /// [`Aim::Error`]. In the older protocol the first goes before the second, except on the way to an error.
-    pub(super) fn rest(self, aim: Aim, told: u32) -> Telegram {
+    /// `unreference` says that the drive is to forget its reference too; the older protocol takes turns.
+    pub(super) fn rest(self, aim: Aim, told: u32, unreference: bool) -> Telegram {
         match (self.protocol, aim) {
-            (Protocol::Nfv2, _) => prefixed(self.follow(aim, 0, true, false)),
+            (Protocol::Nfv2, _) => prefixed(self.follow(aim, 0, true, unreference)),
+            (Protocol::HiMoxa, _) if unreference && told % 2 == 1 => {
+                set(Parameter::Synchronized(false))
+            }
             (Protocol::HiMoxa, Aim::Error) => set(Parameter::DriverMode(DriverMode::Error)),
             (Protocol::HiMoxa, _) if told == 0 => self.zero(),
             (Protocol::HiMoxa, _) => set(Parameter::DriverMode(DriverMode::Manual)),
@@ -123,10 +127,17 @@ impl Dialect {
     }
 
     /// All of [`rest`](Self::rest) at once, for a drive whose answers nobody reads.
-    pub(super) fn farewell(self, aim: Aim) -> Telegram {
+    pub(super) fn farewell(self, aim: Aim, unreference: bool) -> Telegram {
         match self.protocol {
-            Protocol::Nfv2 => self.rest(aim, 0),
-            Protocol::HiMoxa => self.zero().append(self.rest(aim, 1).bytes()),
+            Protocol::Nfv2 => self.rest(aim, 0, unreference),
+            Protocol::HiMoxa => {
+                let off = self.zero().append(self.rest(aim, 1, false).bytes());
+                if unreference {
+                    off.append(set(Parameter::Synchronized(false)).bytes())
+                } else {
+                    off
+                }
+            }
         }
     }
 
@@ -141,7 +152,7 @@ impl Dialect {
             )),
             (Protocol::HiMoxa, Setting::MaxCurrent(current)) => set(Parameter::MaxCurrent(current)),
             // There are none: the configuration was refused.
-            (Protocol::HiMoxa, Setting::CurrentGains(_)) => self.rest(Aim::Manual, 1),
+            (Protocol::HiMoxa, Setting::CurrentGains(_)) => self.rest(Aim::Manual, 1, false),
         }
     }
 
@@ -153,7 +164,7 @@ impl Dialect {
                 address,
                 ..self
             };
-            dialect.rest(Aim::Manual, 1)
+            dialect.rest(Aim::Manual, 1, false)
         };
         match protocol {
             Protocol::Nfv2 => manual(nfv2::BROADCAST),
@@ -247,11 +258,11 @@ mod tests {
                 &[0, 0, 0, 0, 0x23, 0x1F, 0x00, 0x00, 0, 0],
             ),
             (
-                moxa.rest(Aim::Manual, 1),
+                moxa.rest(Aim::Manual, 1, false),
                 &[0, 0, 0, 0, 0x23, 0x9F, 0x00, 0x00, 0, 0],
             ),
             (
-                moxa.rest(Aim::Error, 0),
+                moxa.rest(Aim::Error, 0, false),
                 &[0, 0, 0, 0, 0x23, 0x9F, 0x04, 0x00, 0, 0],
             ),
             (
@@ -259,7 +270,7 @@ mod tests {
                 &[0, 0, 0, 0, 0x23, 0x9F, 0x03, 0x00, 0, 0],
             ),
             (
-                moxa.farewell(Aim::Manual),
+                moxa.farewell(Aim::Manual, false),
                 &[
                     0, 0, 0, 0, 0x23, 0x00, 0, 0, 0, 0, 0x20, 0x20, 0, 0, 0, 0, 0x23, 0x9F, 0, 0,
                     0, 0,
@@ -272,7 +283,7 @@ mod tests {
         for first in [
             moxa.switch_on(0),
             moxa.switch_on(1),
-            moxa.rest(Aim::Manual, 0),
+            moxa.rest(Aim::Manual, 0, false),
         ] {
             assert_eq!(first.bytes(), moxa.zero().bytes());
         }
@@ -294,7 +305,7 @@ mod tests {
             ]
         );
         let off = [0x12, 2, 0, 0, 0x10, 1, 0x01, 0x1A, 0, 0x1B, 0, 0x1F, 0];
-        assert_eq!(items(nfv2.rest(Aim::Manual, 0)), off);
-        assert_eq!(items(nfv2.farewell(Aim::Manual)), off);
+        assert_eq!(items(nfv2.rest(Aim::Manual, 0, false)), off);
+        assert_eq!(items(nfv2.farewell(Aim::Manual, false)), off);
     }
 }
