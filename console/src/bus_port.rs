@@ -3,7 +3,7 @@
 use std::os::fd::AsFd;
 use std::task::Poll;
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use can::timing::Bitrate;
 use can::{
     ControllerState, Counters, Frame, Instant, Port, PortError, Received, SocketCanOptions,
@@ -45,6 +45,10 @@ impl BusPort {
                 let opened = open_slcan(tty, kbps);
                 Ok(Self::Slcan(opened.with_context(|| path.clone())?))
             }
+            Interface::Epos { .. } => bail!(
+                "{interface}: the service port of a drive is no CAN bus; `mrroc sdo`, `mrroc nmt` and `mrroc scan` \
+                 speak to it"
+            ),
         }
     }
 
