@@ -150,6 +150,8 @@ pub struct Client {
     filled: usize,
     /// When the request was made.
     started: Instant,
+    /// When its first attempt began.
+    begun: Instant,
     /// Of the telegram that is awaited.
     deadline: Instant,
     /// When last a byte was on the line, as far as is known.
@@ -212,6 +214,7 @@ impl Client {
             taken: 0,
             filled: 0,
             started: Instant::ZERO,
+            begun: Instant::ZERO,
             deadline: Instant::ZERO,
             traffic: Instant::ZERO,
             quiet_until: Instant::ZERO,
@@ -476,6 +479,9 @@ impl Client {
     fn begin(&mut self, now: Instant) {
         self.state = State::Exchanging;
         self.step = Step::Start;
+        if self.retries_left == self.config.retries {
+            self.begun = now;
+        }
         if matches!(self.operation, Operation::ReadSegmented(_)) {
             self.object.clear();
         }
@@ -553,7 +559,9 @@ impl Client {
         // What was not answered may be yet; if it was now, that took no longer than its other attempts' answers will.
         let resent = self.retries_left < self.config.retries;
         if resent || matches!(result, Err(ServiceError::TimedOut { .. })) {
-            self.quiet_until = self.quiet_until.max(now + now.since(self.started));
+            let longest = self.config.time_out * 2 * (u32::from(self.config.retries) + 1);
+            let as_long = now.since(self.begun).min(longest);
+            self.quiet_until = self.quiet_until.max(now + as_long);
         }
         self.state = State::Finished(result);
     }
