@@ -359,6 +359,39 @@ fn a_late_answer_is_not_taken_for_the_next_one() {
 }
 
 #[test]
+fn a_segment_with_the_wrong_toggle_starts_the_transfer_anew() {
+    let mut host = Host::new(Dialect::Epos4);
+    host.client.read_segmented(NAME, host.now).unwrap();
+    let initiation = host.says();
+    for attempt in 0..2 {
+        host.hears(&epos4(Answer::Started(4, b"ab")));
+        host.says();
+        let (toggle, last, data) = (true, true, &b"cd"[..]);
+        host.hears(&epos4(Answer::Segment { toggle, last, data }));
+        if attempt == 0 {
+            host.wait();
+            assert_eq!(host.says(), initiation);
+        }
+    }
+    assert_eq!(host.result(), Some(Err(ServiceError::Unexpected)));
+}
+
+#[test]
+fn a_line_that_takes_nothing_ends_a_request_too() {
+    for dialect in [Dialect::Epos2, Dialect::Epos4] {
+        let mut host = Host::read(dialect);
+        for _ in 0..4 {
+            if host.client.poll_timeout().is_some() {
+                host.wait();
+            }
+        }
+        let waited = 2 * TIME_OUT;
+        assert_eq!(host.result(), Some(Err(ServiceError::TimedOut { waited })));
+        assert_eq!(host.says(), []);
+    }
+}
+
+#[test]
 fn nothing_that_comes_panics_and_every_request_ends() {
     let mut state = 0x2545_F491_4F6C_DD1D_u64;
     let mut random = move || {
