@@ -3,7 +3,7 @@
 use std::os::fd::AsFd;
 use std::task::Poll;
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use can::timing::Bitrate;
 use can::{
     ControllerState, Counters, Frame, Instant, Port, PortError, Received, SocketCanOptions,
@@ -28,7 +28,7 @@ impl BusPort {
     /// The same, for who sends nothing: an slcan adapter stays off the bus, even if the bit rate is wrong.
     pub(crate) fn listen(interface: &Interface, kbps: u32) -> anyhow::Result<Self> {
         match interface {
-            Interface::SocketCan(_) => Self::open(interface, kbps),
+            Interface::SocketCan(_) | Interface::Epos { .. } => Self::open(interface, kbps),
             Interface::Slcan { path, baud } => Self::slcan(path, *baud, kbps, SlcanPort::listening),
         }
     }
@@ -42,6 +42,10 @@ impl BusPort {
         match interface {
             Interface::SocketCan(name) => Ok(Self::SocketCan(SocketCanPort::open(name, options)?)),
             Interface::Slcan { path, baud } => Self::slcan(path, *baud, kbps, SlcanPort::new),
+            Interface::Epos { .. } => bail!(
+                "{interface}: the service port of a drive is no CAN bus; `mrroc sdo`, `mrroc nmt` and `mrroc scan` \
+                 speak to it"
+            ),
         }
     }
 

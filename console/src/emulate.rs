@@ -39,6 +39,11 @@ pub(crate) struct Options {
     /// Where the ttys of the cell's serial lines are put: one symbolic link per axis, by its name.
     #[arg(long, value_name = "DIR")]
     serial: Option<PathBuf>,
+    /// Where the service ports of EPOS4 are put: one symbolic link to a tty per CAN axis, by its name, for `mrroc sdo
+    /// --can epos4:DIR/AXIS`. The drive behind it has the identity and the plant of the axis, and is another one than
+    /// that on the bus: what is written to one the other does not know.
+    #[arg(long, value_name = "DIR")]
+    service: Option<PathBuf>,
 }
 
 /// Emulates the drives of a cell until Ctrl-C.
@@ -84,13 +89,23 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
                 serial.name
             );
         };
-        std::fs::create_dir_all(directory).with_context(|| directory.display().to_string())?;
-        for (robot, number) in file.cell.axes_on(file.cell.bus.len() + bundle) {
-            let link = directory.join(file.axis_name(robot, number));
-            let pty = Pty::linked(&link).with_context(|| link.display().to_string())?;
-            lines.add_axis(&file, bundle, (robot, number), pty);
+        for axis in file.cell.axes_on(file.cell.bus.len() + bundle) {
+            let pty = link_of(&file, axis, directory)?;
+            lines.add_axis(&file, bundle, axis, pty);
         }
         names.push(format!("{} in {}", serial.name, directory.display()));
+    }
+    if let Some(directory) = &options.service {
+        if file.cell.bus.is_empty() {
+            bail!("--service: the cell has no CAN bus, and only drives on one have service ports");
+        }
+        for bus in 0..file.cell.bus.len() {
+            for axis in emulation::axes_present(&file, bus) {
+                let pty = link_of(&file, axis, directory)?;
+                lines.add_service_port(&file, axis, pty);
+            }
+        }
+        names.push(format!("of service ports in {}", directory.display()));
     }
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
@@ -125,6 +140,17 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
             .fold(served, Result::and)
     })?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// A pseudo-terminal that a link in `directory` leads to, by the name of `axis`, robot and number.
+fn link_of(
+    file: &CellFile,
+    (robot, number): (usize, usize),
+    directory: &Path,
+) -> anyhow::Result<Pty> {
+    std::fs::create_dir_all(directory).with_context(|| directory.display().to_string())?;
+    let link = directory.join(file.axis_name(robot, number));
+    Pty::linked(&link).with_context(|| link.display().to_string())
 }
 
 /// The devices of one bus and their interface.

@@ -1,5 +1,5 @@
-//! Emulated devices on pseudo-terminals, in step with the wall clock: the buses of a cell behind slcan adapters, and
-//! its serial axis controllers. Waits for bytes and for the devices' time.
+//! Emulated devices on pseudo-terminals, in step with the wall clock: the buses of a cell behind slcan adapters, its
+//! serial axis controllers, and service ports. Waits for bytes and for the devices' time.
 
 use std::io;
 use std::os::fd::AsFd;
@@ -37,7 +37,7 @@ struct EmulatedLine {
 
 enum End {
     Adapter(DeviceId),
-    AxisController {
+    Line {
         line: VirtualLine,
         /// What has arrived for the host.
         arrived: Vec<u8>,
@@ -63,8 +63,18 @@ impl EmulatedLines {
         pty: Pty,
     ) {
         let line = emulation::add_line(&mut self.world, file, bundle, axis);
+        self.add_line(line, pty);
+    }
+
+    /// Adds on `pty` the service port of a drive that is as the one of `axis`, robot and number.
+    pub(crate) fn add_service_port(&mut self, file: &CellFile, axis: (usize, usize), pty: Pty) {
+        let line = emulation::add_service_port(&mut self.world, file, axis);
+        self.add_line(line, pty);
+    }
+
+    fn add_line(&mut self, line: VirtualLine, pty: Pty) {
         let arrived = Vec::new();
-        self.add(pty, End::AxisController { line, arrived });
+        self.add(pty, End::Line { line, arrived });
     }
 
     fn add(&mut self, pty: Pty, end: End) {
@@ -125,7 +135,7 @@ impl EmulatedLine {
                 adapter.handle_bytes(&bytes[..count], now);
             }),
             // What finds no room is lost, as in an overrun receiver.
-            End::AxisController { line, .. } => _ = line.write(now, &bytes[..count]),
+            End::Line { line, .. } => _ = line.write(now, &bytes[..count]),
         }
         Ok(())
     }
@@ -141,7 +151,7 @@ impl EmulatedLine {
                     self.full = count == 0;
                 }
             }
-            End::AxisController { line, arrived } => {
+            End::Line { line, arrived } => {
                 let mut bytes = [0; CHUNK];
                 while !self.full {
                     if arrived.is_empty() {
@@ -168,7 +178,7 @@ impl End {
     fn room(&self, world: &World) -> usize {
         match self {
             Self::Adapter(id) => adapter(world, *id).room(),
-            Self::AxisController { .. } => CHUNK,
+            Self::Line { .. } => CHUNK,
         }
     }
 }

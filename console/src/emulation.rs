@@ -9,8 +9,8 @@ use controller::cell::{Model, Plant, Protocol};
 use hil::epos4::{Epos4, Epos4Config};
 use hil::plant::Switch;
 use hil::{
-    AxisConfig, AxisControllerConfig, BusId, Device, HiMoxaAxisController, Irp6Axis, LineDevice,
-    Nfv2AxisController, World,
+    AxisConfig, AxisControllerConfig, BusId, Device, Epos4Serial, EposSerialConfig,
+    HiMoxaAxisController, Irp6Axis, LineDevice, Nfv2AxisController, World,
 };
 use serial::{Settings, VirtualLine};
 
@@ -122,6 +122,19 @@ pub(crate) fn add_line(
     world.host_line(line, LINE)
 }
 
+/// Adds the line to the service port of a drive that is as the one of a CAN axis and hangs on no bus, switched on at
+/// [`Instant::ZERO`], and returns the host's end.
+pub(crate) fn add_service_port(
+    world: &mut World,
+    file: &CellFile,
+    (robot, number): (usize, usize),
+) -> VirtualLine {
+    let config = EposSerialConfig::new(config(file, robot, number, Instant::ZERO));
+    let device = Box::new(Epos4Serial::new(config));
+    let line = world.add_line(Settings::EPOS, None, device);
+    world.host_line(line, LINE)
+}
+
 fn axis_controller(
     file: &CellFile,
     protocol: Protocol,
@@ -159,13 +172,16 @@ impl LineDevice for Absent {
     fn handle_timeout(&mut self, _now: Instant) {}
 }
 
-/// The devices on bus `bus`, switched on at `power_on`.
-pub(crate) fn devices(file: &CellFile, bus: usize, power_on: Instant) -> Vec<Box<dyn Device>> {
+/// The axes on bus `bus` that have a drive, robot and number.
+pub(crate) fn axes_present(file: &CellFile, bus: usize) -> impl Iterator<Item = (usize, usize)> {
     let present =
         |&(robot, axis): &(usize, usize)| !file.cell.robot[robot].axis[axis].emulator.absent;
-    file.cell
-        .axes_on(bus)
-        .filter(present)
+    file.cell.axes_on(bus).filter(present)
+}
+
+/// The devices on bus `bus`, switched on at `power_on`.
+pub(crate) fn devices(file: &CellFile, bus: usize, power_on: Instant) -> Vec<Box<dyn Device>> {
+    axes_present(file, bus)
         .map(|(robot, axis)| device(file, robot, axis, power_on))
         .collect()
 }

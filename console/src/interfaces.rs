@@ -4,11 +4,16 @@ use std::fmt;
 
 use anyhow::{Context, bail};
 use controller::cell::Cell;
+use serial::service::Dialect;
 
 /// What begins the name of an slcan adapter.
 const SLCAN: &str = "slcan:";
 
-/// Speed of the tty of an adapter whose name says none. Adapters that are USB devices themselves do not look at it.
+/// What begins the name of a service port.
+const EPOS: [(&str, Dialect); 2] = [("epos2:", Dialect::Epos2), ("epos4:", Dialect::Epos4)];
+
+/// Speed of a tty whose name says none, which is that of service ports as delivered. Adapters and drives that are USB
+/// devices themselves do not look at it.
 const BAUD: u32 = 115_200;
 
 /// An interface by the name that options and cell files give it.
@@ -23,20 +28,35 @@ pub(crate) enum Interface {
         /// Its speed, bit/s.
         baud: u32,
     },
+    /// The service port of one drive on a tty, which is no bus: `epos2:/dev/ttyS0@38400`, `epos4:/dev/ttyACM0`.
+    Epos {
+        /// What the drive speaks.
+        dialect: Dialect,
+        /// The tty.
+        path: String,
+        /// Its speed, bit/s.
+        baud: u32,
+    },
 }
 
 impl Interface {
-    /// Whatever does not begin with `slcan:` is SocketCAN's.
+    /// Whatever does not begin with `slcan:`, `epos2:` or `epos4:` is SocketCAN's.
     pub(crate) fn parse(name: &str) -> Self {
-        let Some(tty) = name.strip_prefix(SLCAN) else {
-            return Self::SocketCan(name.to_owned());
-        };
-        let with_baud = tty.rsplit_once('@');
-        let (path, baud) = with_baud
-            .and_then(|(path, baud)| Some((path, baud.parse().ok()?)))
-            .unwrap_or((tty, BAUD));
-        let path = path.to_owned();
-        Self::Slcan { path, baud }
+        if let Some(tty) = name.strip_prefix(SLCAN) {
+            let (path, baud) = tty_of(tty);
+            return Self::Slcan { path, baud };
+        }
+        for (prefix, dialect) in EPOS {
+            if let Some(tty) = name.strip_prefix(prefix) {
+                let (path, baud) = tty_of(tty);
+                return Self::Epos {
+                    dialect,
+                    path,
+                    baud,
+                };
+            }
+        }
+        Self::SocketCan(name.to_owned())
     }
 
     /// What a candump log calls the interface, as bus `bus` of the cell: paths are too long for it.
@@ -44,18 +64,39 @@ impl Interface {
         match self {
             Self::SocketCan(name) => name.clone(),
             Self::Slcan { .. } => format!("slcan{bus}"),
+            Self::Epos { .. } => format!("epos{bus}"),
         }
     }
 }
 
 impl fmt::Display for Interface {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::SocketCan(name) => f.write_str(name),
-            Self::Slcan { path, baud: BAUD } => write!(f, "{SLCAN}{path}"),
-            Self::Slcan { path, baud } => write!(f, "{SLCAN}{path}@{baud}"),
+        let (prefix, path, baud) = match self {
+            Self::SocketCan(name) => return f.write_str(name),
+            Self::Slcan { path, baud } => (SLCAN, path, *baud),
+            Self::Epos {
+                dialect,
+                path,
+                baud,
+            } => match dialect {
+                Dialect::Epos2 => (EPOS[0].0, path, *baud),
+                Dialect::Epos4 => (EPOS[1].0, path, *baud),
+            },
+        };
+        match baud {
+            BAUD => write!(f, "{prefix}{path}"),
+            baud => write!(f, "{prefix}{path}@{baud}"),
         }
     }
+}
+
+/// `PATH` or `PATH@BAUD`.
+fn tty_of(text: &str) -> (String, u32) {
+    let with_baud = text.rsplit_once('@');
+    let (path, baud) = with_baud
+        .and_then(|(path, baud)| Some((path, baud.parse().ok()?)))
+        .unwrap_or((text, BAUD));
+    (path.to_owned(), baud)
 }
 
 /// The interface of each bus, in the cell's order: the cell's own, or as `overrides` say.
@@ -97,12 +138,23 @@ mod tests {
     use super::*;
 
     #[test]
-    fn slcan_adapters_are_named_by_their_tty_and_its_speed() {
+    fn adapters_and_service_ports_are_named_by_their_tty_and_its_speed() {
         let slcan = |path: &str, baud| Interface::Slcan {
             path: path.to_owned(),
             baud,
         };
+        let epos = |dialect, path: &str, baud| Interface::Epos {
+            dialect,
+            path: path.to_owned(),
+            baud,
+        };
         let table = [
+            ("epos4:/dev/a", epos(Dialect::Epos4, "/dev/a", 115_200)),
+            ("epos2:/dev/b@9600", epos(Dialect::Epos2, "/dev/b", 9600)),
+            (
+                "epos3:/dev/b",
+                Interface::SocketCan("epos3:/dev/b".to_owned()),
+            ),
             ("can0", Interface::SocketCan("can0".to_owned())),
             ("slcan0", Interface::SocketCan("slcan0".to_owned())),
             ("slcan:/dev/ttyACM0", slcan("/dev/ttyACM0", 115_200)),

@@ -13,6 +13,7 @@ mod cli_run;
 mod configuration;
 mod cycle;
 mod emulate_slcan;
+mod epos_service;
 mod faults;
 mod homing;
 mod loops;

@@ -8,6 +8,7 @@
 
 mod data_sheet;
 pub(crate) mod decode;
+mod epos;
 pub(crate) mod lss;
 pub(crate) mod monitor;
 pub(crate) mod nmt;
@@ -30,18 +31,22 @@ use std::time::Duration;
 
 use anyhow::{Context, bail};
 use can::{ControllerState, Instant, Port, clock};
-use canopen::NodeId;
+use canopen::sdo::SdoError;
+use canopen::{NodeId, Object};
 use clap::Args;
 
 use crate::bus_port::BusPort;
 use crate::cell_file::CellFile;
 use crate::interfaces::Interface;
+use epos::ServicePort;
 use talk::{Conversation, Ended};
+use value::Type;
 
 /// Which bus a command speaks on.
 #[derive(Args)]
 pub(crate) struct BusArgs {
-    /// The interface: can0, or slcan:PATH for an slcan adapter, such as slcan:/dev/serial/by-id/…
+    /// The interface: can0, or slcan:PATH for an slcan adapter, such as slcan:/dev/serial/by-id/…; for `sdo`, `nmt` and
+    /// `scan` also the service port of one drive: epos2:PATH[@BAUD] (RS-232) or epos4:PATH[@BAUD] (USB, RS-232).
     #[arg(long, value_name = "IFACE", required_unless_present = "cell")]
     can: Option<String>,
     /// Bit rate that an slcan adapter is opened at, kbit/s; that of a SocketCAN interface is set by `ip link`.
@@ -62,7 +67,28 @@ pub(crate) struct Bus {
     /// What it is on.
     interface: Interface,
     /// The cell, and which of its buses this is.
-    cell: Option<(CellFile, usize)>,
+    cell: OfCell,
+    /// Set by Ctrl-C.
+    interrupted: Arc<AtomicBool>,
+}
+
+/// The cell, if one is given, and which of its buses is spoken of.
+type OfCell = Option<(CellFile, usize)>;
+
+/// What one drive is reached by.
+#[expect(clippy::large_enum_variant, reason = "there is one for each command")]
+enum Channel {
+    Bus(Bus),
+    Drive(Drive),
+}
+
+/// A drive on its opened service port.
+struct Drive {
+    port: ServicePort,
+    /// What it is on.
+    interface: Interface,
+    /// The cell, and which of its buses the drive is on as well.
+    cell: OfCell,
     /// Set by Ctrl-C.
     interrupted: Arc<AtomicBool>,
 }
@@ -79,6 +105,36 @@ impl BusArgs {
     }
 
     fn open_by(&self, open: fn(&Interface, u32) -> anyhow::Result<BusPort>) -> anyhow::Result<Bus> {
+        let (interface, kbps, cell) = self.resolve()?;
+        Ok(Bus {
+            interrupted: until_interrupted()?,
+            port: open(&interface, kbps)?,
+            interface,
+            cell,
+        })
+    }
+
+    /// Opens the bus or the service port, where an answer may take `timeout`.
+    fn open_channel(&self, timeout: Duration) -> anyhow::Result<Channel> {
+        let (interface, _, cell) = self.resolve()?;
+        let Interface::Epos {
+            dialect,
+            path,
+            baud,
+        } = &interface
+        else {
+            return self.open().map(Channel::Bus);
+        };
+        Ok(Channel::Drive(Drive {
+            interrupted: until_interrupted()?,
+            port: ServicePort::open(*dialect, path, *baud, timeout)?,
+            interface,
+            cell,
+        }))
+    }
+
+    /// What is to be opened, and at which bit rate, kbit/s.
+    fn resolve(&self) -> anyhow::Result<(Interface, u32, OfCell)> {
         let cell = match &self.cell {
             Some(path) => {
                 let file = CellFile::read(path)?;
@@ -98,16 +154,7 @@ impl BusArgs {
             .bitrate_kbps
             .or(of_cell.map(|bus| bus.bitrate_kbps))
             .unwrap_or(1000);
-        let interrupted = Arc::new(AtomicBool::new(false));
-        let flag = interrupted.clone();
-        ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed))
-            .context("Ctrl-C cannot be caught")?;
-        Ok(Bus {
-            port: open(&interface, kbps)?,
-            interface,
-            cell,
-            interrupted,
-        })
+        Ok((interface, kbps, cell))
     }
 
     fn index_in(&self, file: &CellFile) -> anyhow::Result<usize> {
@@ -133,17 +180,7 @@ impl Bus {
 
     /// What reports call `node`: the axis's name beside it, where the cell has one.
     fn name_of(&self, node: NodeId) -> String {
-        let axis = self.cell.as_ref().and_then(|(file, bus)| {
-            let on_bus = |&(robot, axis): &(usize, usize)| {
-                file.cell.robot[robot].axis[axis].node == node.raw()
-            };
-            let (robot, axis) = file.cell.axes_on(*bus).find(on_bus)?;
-            Some(file.axis_name(robot, axis))
-        });
-        match axis {
-            Some(axis) => format!("node {node} ({axis})"),
-            None => format!("node {node}"),
-        }
+        name_of(node, self.cell.as_ref())
     }
 
     /// Why nobody may have answered.
@@ -166,6 +203,76 @@ impl Bus {
             ),
         }
     }
+}
+
+impl Channel {
+    /// What reports call `node`.
+    fn name_of(&self, node: NodeId) -> String {
+        match self {
+            Self::Bus(bus) => bus.name_of(node),
+            Self::Drive(drive) => name_of(node, drive.cell.as_ref()),
+        }
+    }
+
+    /// Why nobody may have answered.
+    fn silence(&self) -> String {
+        match self {
+            Self::Bus(bus) => bus.silence(),
+            Self::Drive(drive) => drive.silence(),
+        }
+    }
+}
+
+impl Drive {
+    /// Reads an object of `node`, 0 for the drive itself, or writes `data`; `None` if Ctrl-C came before.
+    fn transfer(
+        &mut self,
+        node: u8,
+        object: Object,
+        data: Option<&[u8]>,
+        ty: Option<Type>,
+    ) -> anyhow::Result<Option<Result<Vec<u8>, SdoError>>> {
+        self.port
+            .transfer(node, object, data, ty, &self.interrupted)
+            .with_context(|| self.interface.to_string())
+    }
+
+    /// Why it may not have answered.
+    fn silence(&self) -> String {
+        let interface = &self.interface;
+        if self.port.has_heard() {
+            format!(
+                "{interface} carries bytes that are no answer: wrong baud rate, or the drive is another kind of EPOS"
+            )
+        } else {
+            format!(
+                "nothing at all is heard on {interface}: wrong baud rate, no power at the drive, RX and TX swapped, or \
+                 another kind of EPOS"
+            )
+        }
+    }
+}
+
+fn name_of(node: NodeId, cell: Option<&(CellFile, usize)>) -> String {
+    let axis = cell.and_then(|(file, bus)| {
+        let on_bus =
+            |&(robot, axis): &(usize, usize)| file.cell.robot[robot].axis[axis].node == node.raw();
+        let (robot, axis) = file.cell.axes_on(*bus).find(on_bus)?;
+        Some(file.axis_name(robot, axis))
+    });
+    match axis {
+        Some(axis) => format!("node {node} ({axis})"),
+        None => format!("node {node}"),
+    }
+}
+
+/// What Ctrl-C sets from now on.
+fn until_interrupted() -> anyhow::Result<Arc<AtomicBool>> {
+    let interrupted = Arc::new(AtomicBool::new(false));
+    let flag = interrupted.clone();
+    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed))
+        .context("Ctrl-C cannot be caught")?;
+    Ok(interrupted)
 }
 
 /// Broken off by Ctrl-C.

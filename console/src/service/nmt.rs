@@ -3,6 +3,7 @@
 use std::process::ExitCode;
 use std::time::Duration;
 
+use anyhow::{Context, bail};
 use can::{Frame, Instant};
 use canopen::heartbeat::Heartbeat;
 use canopen::nmt::{Command, Request, State, Target};
@@ -12,7 +13,7 @@ use canopen::{NodeId, Object};
 use clap::{Args, ValueEnum};
 
 use super::talk::{Conversation, Ended};
-use super::{Bus, BusArgs, interrupted, milliseconds, node_id, now, say};
+use super::{Bus, BusArgs, Channel, Drive, interrupted, milliseconds, node_id, now, say};
 
 /// How long a node may take to answer what else it can be seen by.
 const ANSWER: Duration = Duration::from_millis(300);
@@ -80,8 +81,12 @@ pub(crate) fn nmt(options: &Options) -> anyhow::Result<ExitCode> {
         command: options.order.command(),
         target: options.target.0,
     };
-    let mut bus = options.bus.open()?;
-    let mut told = Told::new(request, milliseconds(options.timeout), now());
+    let timeout = milliseconds(options.timeout);
+    let mut bus = match options.bus.open_channel(timeout)? {
+        Channel::Bus(bus) => bus,
+        Channel::Drive(mut drive) => return tell(&mut drive, request),
+    };
+    let mut told = Told::new(request, timeout, now());
     if bus.hold(&mut told)? == Ended::Interrupted {
         return Ok(interrupted());
     }
@@ -90,6 +95,28 @@ pub(crate) fn nmt(options: &Options) -> anyhow::Result<ExitCode> {
         say(line)?;
     }
     Ok(ExitCode::from(u8::from(!report.confirmed())))
+}
+
+/// Tells by a service port, over which nobody is heard of what became of it.
+fn tell(drive: &mut Drive, request: Request) -> anyhow::Result<ExitCode> {
+    let whom = match request.target {
+        Target::All => "all nodes".to_owned(),
+        Target::Node(node) => super::name_of(node, drive.cell.as_ref()),
+    };
+    let told = drive.port.nmt(request, &drive.interrupted);
+    match told.with_context(|| drive.interface.to_string())? {
+        None => return Ok(interrupted()),
+        Some(Ok(())) => {}
+        Some(Err(SdoError::Aborted { code, .. })) => bail!("{whom}: refused: {code}"),
+        Some(Err(SdoError::TimedOut { waited, .. })) => {
+            bail!("{whom}: timed out after {waited:?}: {}", drive.silence())
+        }
+        Some(Err(other)) => return Err(other).context(whom),
+    }
+    say(format_args!(
+        "{whom}: told, and the drive on the line accepted it; its service port does not say what became of it"
+    ))?;
+    Ok(ExitCode::SUCCESS)
 }
 
 /// A command and what is heard after it.

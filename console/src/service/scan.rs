@@ -19,7 +19,8 @@ use serde::Serialize;
 use super::lss::Dialogue;
 use super::survey::{Questions, Survey};
 use super::talk::{Conversation, Ended};
-use super::{BusArgs, interrupted, milliseconds, now, say, words};
+use super::value::Type;
+use super::{BusArgs, Channel, Drive, interrupted, milliseconds, now, say, words};
 
 /// How long heartbeats are listened to at the least: nodes that are stopped show themselves by nothing else.
 const LISTEN: Duration = Duration::from_secs(1);
@@ -29,6 +30,9 @@ const LONGEST_LISTEN: Duration = Duration::from_secs(3);
 
 /// How long nodes without a node-ID may take to say so.
 const LSS_ANSWER: Duration = Duration::from_millis(100);
+
+/// What the drive on a service port is called there, whatever its node-ID is.
+const ON_THE_LINE: u8 = 0;
 
 /// What a node is asked, in this order.
 const ASKED: [Object; 7] = [
@@ -56,7 +60,10 @@ pub(crate) struct Options {
 
 /// Asks every node-ID who it is.
 pub(crate) fn scan(options: &Options) -> anyhow::Result<ExitCode> {
-    let mut bus = options.bus.open()?;
+    let mut bus = match options.bus.open_channel(milliseconds(options.timeout))? {
+        Channel::Bus(bus) => bus,
+        Channel::Drive(mut drive) => return identify(&mut drive, options.json),
+    };
     let mut scan = Scan::new(milliseconds(options.timeout), now());
     if bus.hold(&mut scan)? == Ended::Interrupted {
         return Ok(interrupted());
@@ -90,6 +97,32 @@ pub(crate) fn scan(options: &Options) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
+/// Asks the drive on a service port who it is.
+fn identify(drive: &mut Drive, json: bool) -> anyhow::Result<ExitCode> {
+    let mut identity = Identity::default();
+    while let Some(object) = identity.next() {
+        let ty = (object == DEVICE_NAME).then_some(Type::String);
+        match drive.transfer(ON_THE_LINE, object, None, ty)? {
+            None => return Ok(interrupted()),
+            Some(Ok(data)) => identity.answer(Ok(&data)),
+            Some(Err(error)) => identity.answer(Err(error)),
+        }
+    }
+    let Some(node) = identity.into_node(ON_THE_LINE) else {
+        bail!("no drive answers: {}", drive.silence());
+    };
+    if json {
+        let scanned = Scanned {
+            nodes: vec![node],
+            unconfigured: false,
+        };
+        say(serde_json::to_string(&scanned)?)?;
+    } else {
+        say(format_args!("{}: {node}", drive.interface))?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
 /// What a scan found.
 #[derive(Serialize)]
 struct Scanned {
@@ -118,7 +151,7 @@ impl Scan {
     /// Who answered or was heard, in ascending order.
     pub(super) fn into_nodes(self) -> impl Iterator<Item = Node> {
         let nodes = self.survey.into_answers();
-        nodes.filter_map(|(node, identity)| identity.into_node(node))
+        nodes.filter_map(|(node, identity)| identity.into_node(node.raw()))
     }
 }
 
@@ -187,13 +220,13 @@ impl Identity {
         self.heard.is_none() && self.number(PRODUCER_HEARTBEAT).is_some_and(|ms| ms > 0)
     }
 
-    fn into_node(self, node: NodeId) -> Option<Node> {
+    fn into_node(self, node: u8) -> Option<Node> {
         if !self.answered && self.heard.is_none() {
             return None;
         }
         let vendor = self.number(VENDOR_ID);
         Some(Node {
-            node: node.raw(),
+            node,
             answers_sdo: self.answered,
             device_type: self.number(DEVICE_TYPE),
             profile: self.number(DEVICE_TYPE).map(words::device_type),

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
 
-use anyhow::{Context, anyhow};
+use anyhow::{Context, anyhow, bail};
 use can::{Frame, Instant};
 use canopen::objects::{ERROR_CODE, ERROR_HISTORY_NEWEST, VENDOR_ID};
 use canopen::sdo::{self, AbortCode, SdoError, StartError};
@@ -15,7 +15,7 @@ use serde::Serialize;
 use super::data_sheet::DataSheet;
 use super::talk::{Conversation, Ended};
 use super::value::{self, Shown, Type};
-use super::{Bus, BusArgs, interrupted, milliseconds, node_id, now, say, words};
+use super::{BusArgs, Channel, interrupted, milliseconds, node_id, now, say, words};
 
 /// How often a transfer is begun anew if no answer comes.
 const RETRIES: u8 = 2;
@@ -76,6 +76,10 @@ pub(crate) struct Target {
 }
 
 impl Target {
+    fn open(&self) -> anyhow::Result<Channel> {
+        self.bus.open_channel(milliseconds(self.timeout))
+    }
+
     fn data_sheet(&self) -> anyhow::Result<Option<DataSheet>> {
         let read = |path: &PathBuf| DataSheet::read(path, self.object);
         self.eds.as_ref().map(read).transpose()
@@ -111,24 +115,25 @@ fn read(target: &Target, ty: Option<Type>) -> anyhow::Result<ExitCode> {
     if let Some(sheet) = &sheet {
         sheet.check_read()?;
     }
-    let mut bus = target.bus.open()?;
-    match transfer(&mut bus, target, target.object, None)? {
+    let mut channel = target.open()?;
+    let ty = ty.or_else(|| sheet.as_ref()?.value_type());
+    match transfer(&mut channel, target, target.object, None, ty)? {
         None => Ok(interrupted()),
         Some(Ok(data)) => {
-            let vendor = vendor(&mut bus, target)?;
+            let vendor = vendor(&mut channel, target)?;
             show(target, &data, ty, sheet.as_ref(), vendor)?;
             Ok(ExitCode::SUCCESS)
         }
-        Some(Err(error)) => Err(refusal(&bus, target, error)),
+        Some(Err(error)) => Err(refusal(&channel, target, error)),
     }
 }
 
 /// Whose error codes the node has, if it is an error code that is read.
-fn vendor(bus: &mut Bus, target: &Target) -> anyhow::Result<Option<u32>> {
+fn vendor(channel: &mut Channel, target: &Target) -> anyhow::Result<Option<u32>> {
     if !matches!(target.object, ERROR_CODE | ERROR_HISTORY_NEWEST) {
         return Ok(None);
     }
-    let answer = transfer(bus, target, VENDOR_ID, None)?;
+    let answer = transfer(channel, target, VENDOR_ID, None, None)?;
     let data = answer.and_then(Result::ok);
     Ok(data
         .and_then(|data| value::unsigned(&data))
@@ -152,16 +157,16 @@ fn write(
         && sheet
             .as_ref()
             .is_none_or(|sheet| sheet.check_read().is_ok());
-    let mut bus = target.bus.open()?;
-    match transfer(&mut bus, target, target.object, Some(&data))? {
+    let mut channel = target.open()?;
+    match transfer(&mut channel, target, target.object, Some(&data), Some(ty))? {
         None => return Ok(interrupted()),
-        Some(Err(error)) => return Err(refusal(&bus, target, error)),
+        Some(Err(error)) => return Err(refusal(&channel, target, error)),
         Some(Ok(_)) => {}
     }
     if !read_back {
         return Ok(ExitCode::SUCCESS);
     }
-    match transfer(&mut bus, target, target.object, None)? {
+    match transfer(&mut channel, target, target.object, None, Some(ty))? {
         None => Ok(interrupted()),
         Some(Ok(found)) => {
             show(target, &found, Some(ty), sheet.as_ref(), None)?;
@@ -198,13 +203,20 @@ fn agrees(wrote: &[u8], found: &[u8]) -> bool {
     found == wrote || !wrote.is_empty() && found.len() == 4 && found.starts_with(wrote)
 }
 
-/// What was read, or written; `None` if Ctrl-C came before.
+/// What was read, or written; `None` if Ctrl-C came before. A service port does not say how long an object is: `ty`
+/// does.
 fn transfer(
-    bus: &mut Bus,
+    channel: &mut Channel,
     target: &Target,
     object: Object,
     data: Option<&[u8]>,
+    ty: Option<Type>,
 ) -> anyhow::Result<Option<Result<Vec<u8>, SdoError>>> {
+    let bus = match channel {
+        Channel::Bus(bus) => bus,
+        Channel::Drive(_) if target.block => bail!("--block: a service port transfers no blocks"),
+        Channel::Drive(drive) => return drive.transfer(target.node.raw(), object, data, ty),
+    };
     let timeout = milliseconds(target.timeout);
     let mut transfer = Transfer::start(target.node, object, data, target.block, timeout, now())?;
     if bus.hold(&mut transfer)? == Ended::Interrupted {
@@ -214,14 +226,14 @@ fn transfer(
 }
 
 /// An abort or silence in one line.
-fn refusal(bus: &Bus, target: &Target, error: SdoError) -> anyhow::Error {
-    let node = bus.name_of(target.node);
+fn refusal(channel: &Channel, target: &Target, error: SdoError) -> anyhow::Error {
+    let node = channel.name_of(target.node);
     let error = match error {
         SdoError::Aborted { code, .. } => match words::hint(code) {
             Some(hint) => anyhow!("{error}: {hint}"),
             None => anyhow!("{error}"),
         },
-        SdoError::TimedOut { .. } => anyhow!("{error}: {}", bus.silence()),
+        SdoError::TimedOut { .. } => anyhow!("{error}: {}", channel.silence()),
         other => anyhow!(other),
     };
     error.context(node)

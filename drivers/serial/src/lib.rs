@@ -2,13 +2,15 @@
 //!
 //! A [`Line`] carries bytes and never waits. [`hi_moxa`] and [`nfv2`] are what the axis controllers
 //! of the IRb-6 and IRp-6 at Warsaw University of Technology speak, [`epos2`] and [`epos4`] the service
-//! ports of maxon's: layouts only, both ways, which drivers and emulators share. Read [`Line`] first.
+//! ports of maxon's: layouts only, both ways, which drivers and emulators share; [`service`] is the host's end
+//! of those ports. Read [`Line`] first.
 
 pub mod epos2;
 pub mod epos4;
 pub mod hi_moxa;
 mod line;
 pub mod nfv2;
+pub mod service;
 mod slcan_port;
 mod tty;
 mod virtual_line;

@@ -1,0 +1,604 @@
+//! The host's end of maxon's service ports: objects read and written, and NMT commands sent, one at a time.
+//!
+//! [`Client`] speaks to an EPOS2 on RS-232 or an EPOS4 on USB or RS-232, bytes in and bytes out. Both channels
+//! are half-duplex: nothing is sent before the answer has come or the time-out has passed. After any error the
+//! frame time-out is waited out, what comes meanwhile is thrown away, and the request is sent anew, a given
+//! number of times; a transfer in segments starts anew from its beginning. Every request ends, whatever comes
+//! and even if nothing is ever sent.
+//!
+//! An answer does not say what it answers. One that comes late is thrown away if it does so before the next
+//! request: whoever needed a second attempt is given as long again to say what it still has to say. Values are
+//! four bytes however long the object is; only transfer in segments tells its length, and it exists for EPOS4
+//! alone, since for EPOS2's no layout is known. Codes of refusals are those of SDO aborts and maxon's own.
+
+#[cfg(test)]
+mod tests;
+mod wire;
+
+use std::time::Duration;
+
+use can::Instant;
+use thiserror::Error;
+
+use crate::epos4::{Address, Answer, LONGEST, MAX_SEGMENT, Request};
+use crate::{Settings, epos2, epos4};
+use wire::{Seen, Wire};
+
+/// The frame time-out of both devices as delivered.
+pub const TIME_OUT: Duration = epos4::TIME_OUT;
+
+/// With this an EPOS4 refuses a frame that reached it damaged.
+const CRC: u32 = 0x0504_0004;
+
+/// Which device is on the line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Dialect {
+    /// An EPOS2 on RS-232: [`epos2`].
+    Epos2,
+    /// An EPOS4 on USB or RS-232: [`epos4`].
+    Epos4,
+}
+
+/// How a client goes about it.
+#[derive(Clone, Copy, Debug)]
+pub struct Config {
+    /// Which device is on the line.
+    pub dialect: Dialect,
+    /// How the line is set; bytes take their time on it.
+    pub settings: Settings,
+    /// How long an answer may take; no shorter than the device's frame time-out, [`TIME_OUT`] as delivered.
+    pub time_out: Duration,
+    /// How often a request that failed on the line is sent anew.
+    pub retries: u8,
+    /// The longest object that is transferred in segments, bytes.
+    pub capacity: usize,
+}
+
+impl Config {
+    /// Maxon's time-out, one more attempt, and objects of up to 4096 bytes.
+    pub const fn new(dialect: Dialect, settings: Settings) -> Self {
+        Self {
+            dialect,
+            settings,
+            time_out: TIME_OUT,
+            retries: 1,
+            capacity: 4096,
+        }
+    }
+}
+
+/// Why a request did not start.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum StartError {
+    /// One thing at a time.
+    #[error("an earlier request is not over")]
+    Busy,
+    /// No source says how an EPOS2 transfers segments.
+    #[error("no transfer in segments with an EPOS2: only objects of up to 4 bytes")]
+    NoSegments,
+    /// Longer than the client has room for.
+    #[error("{size} bytes are too many, at most {capacity} are transferred")]
+    TooLarge {
+        /// Bytes of the object.
+        size: usize,
+        /// Bytes that the client transfers.
+        capacity: usize,
+    },
+}
+
+/// How a request failed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum ServiceError {
+    /// The device answered with this code of an SDO abort, or one of maxon's own 0x0F00_FFxx.
+    #[error("refused with code {0:#010x}")]
+    Refused(u32),
+    /// No answer, or none to its end.
+    #[error("timed out after {waited:?}")]
+    TimedOut {
+        /// Since the request was made.
+        waited: Duration,
+    },
+    /// An EPOS2 was not ready, or our bytes reached it damaged.
+    #[error("the device did not accept the request: it was busy, or heard it damaged")]
+    NotAcknowledged,
+    /// The answer's CRC was wrong, or it was torn.
+    #[error("the answer came damaged")]
+    Damaged,
+    /// What came is right, and answers something else.
+    #[error("the answer does not belong to the request")]
+    Unexpected,
+    /// The object is longer than the client has room for.
+    #[error("the object has {size} bytes, at most {capacity} are transferred")]
+    TooLarge {
+        /// Bytes announced.
+        size: usize,
+        /// Bytes that the client transfers.
+        capacity: usize,
+    },
+}
+
+/// What a request brought.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reply<'a> {
+    /// The value read; what is longer than the object is zero.
+    Value(u32),
+    /// The whole object.
+    Object(&'a [u8]),
+    /// Written, or told.
+    Done,
+}
+
+/// One end of a service channel.
+///
+/// ```text
+/// Idle --request--> Waiting --line quiet--> Exchanging --answer--> Finished --poll--> Idle
+///                      ^                      |    ^ | answer: next segment
+///                      +--error, retries left-+    +-+
+/// ```
+#[derive(Clone, Debug)]
+pub struct Client {
+    config: Config,
+    wire: Wire,
+    state: State,
+    operation: Operation,
+    step: Step,
+    /// What is written in segments, or was read so far; never more than the capacity.
+    object: Vec<u8>,
+    output: [u8; LONGEST],
+    /// Of the output: what the line has taken, and what there is.
+    taken: usize,
+    filled: usize,
+    /// When the request was made.
+    started: Instant,
+    /// When its first attempt began.
+    begun: Instant,
+    /// Of the telegram that is awaited.
+    deadline: Instant,
+    /// When last a byte was on the line, as far as is known.
+    traffic: Instant,
+    /// Before this, nothing is sent.
+    quiet_until: Instant,
+    retries_left: u8,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum State {
+    Idle,
+    Waiting,
+    Exchanging,
+    Finished(Result<Brought, ServiceError>),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Brought {
+    Value(u32),
+    Object,
+    Done,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Operation {
+    Read(Address),
+    Write(Address, u32),
+    ReadSegmented(Address),
+    WriteSegmented(Address),
+    Nmt { node: u8, command: u8 },
+}
+
+/// Where a transfer in segments is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Step {
+    Start,
+    /// Of `total` bytes, those up to `done` are across.
+    Segment {
+        toggle: bool,
+        done: usize,
+        total: usize,
+    },
+}
+
+impl Client {
+    /// A client with nothing to do. Allocates here and nowhere else.
+    pub fn new(config: Config) -> Self {
+        Self {
+            config,
+            wire: Wire::new(config.dialect),
+            state: State::Idle,
+            operation: Operation::Nmt {
+                node: 0,
+                command: 0,
+            },
+            step: Step::Start,
+            object: Vec::with_capacity(config.capacity),
+            output: [0; _],
+            taken: 0,
+            filled: 0,
+            started: Instant::ZERO,
+            begun: Instant::ZERO,
+            deadline: Instant::ZERO,
+            traffic: Instant::ZERO,
+            quiet_until: Instant::ZERO,
+            retries_left: 0,
+        }
+    }
+
+    /// Reads an object of up to four bytes: [`Reply::Value`].
+    pub fn read(&mut self, address: Address, now: Instant) -> Result<(), StartError> {
+        self.start(Operation::Read(address), now)
+    }
+
+    /// Writes an object of up to four bytes, the low ones of `value`: [`Reply::Done`].
+    pub fn write(&mut self, address: Address, value: u32, now: Instant) -> Result<(), StartError> {
+        self.start(Operation::Write(address, value), now)
+    }
+
+    /// Reads a whole object in segments: [`Reply::Object`]. It reaches the device on the line and none behind it.
+    pub fn read_segmented(&mut self, address: Address, now: Instant) -> Result<(), StartError> {
+        self.check_segments(0)?;
+        self.start(Operation::ReadSegmented(address), now)
+    }
+
+    /// Writes a whole object in segments: [`Reply::Done`]. It reaches the device on the line and none behind it.
+    pub fn write_segmented(
+        &mut self,
+        address: Address,
+        data: &[u8],
+        now: Instant,
+    ) -> Result<(), StartError> {
+        self.check_segments(data.len())?;
+        self.check_idle()?;
+        self.object.clear();
+        self.object.extend_from_slice(data);
+        self.start(Operation::WriteSegmented(address), now)
+    }
+
+    /// Sends an NMT command specifier (CiA 301 §7.2.8.2.1) to a node, 0 for all: [`Reply::Done`] once the device
+    /// on the line has accepted it, which is not to say that anybody obeyed.
+    pub fn nmt(&mut self, node: u8, command: u8, now: Instant) -> Result<(), StartError> {
+        self.start(Operation::Nmt { node, command }, now)
+    }
+
+    fn check_segments(&self, size: usize) -> Result<(), StartError> {
+        let capacity = self.config.capacity;
+        match self.config.dialect {
+            Dialect::Epos2 => Err(StartError::NoSegments),
+            Dialect::Epos4 if size > capacity => Err(StartError::TooLarge { size, capacity }),
+            Dialect::Epos4 => Ok(()),
+        }
+    }
+
+    /// The last acknowledgement must be out as well.
+    fn check_idle(&self) -> Result<(), StartError> {
+        let idle = self.state == State::Idle && self.bytes().is_empty();
+        if idle { Ok(()) } else { Err(StartError::Busy) }
+    }
+
+    fn start(&mut self, operation: Operation, now: Instant) -> Result<(), StartError> {
+        self.check_idle()?;
+        self.operation = operation;
+        self.state = State::Waiting;
+        self.retries_left = self.config.retries;
+        self.started = now;
+        self.handle_timeout(now);
+        Ok(())
+    }
+
+    /// What is to be sent now.
+    pub fn bytes(&self) -> &[u8] {
+        &self.output[self.taken..self.filled]
+    }
+
+    /// The line has taken so many of [`bytes`](Client::bytes).
+    pub fn consume(&mut self, count: usize, now: Instant) {
+        let count = count.min(self.filled - self.taken);
+        if count == 0 {
+            return;
+        }
+        self.taken += count;
+        self.traffic = self.traffic.max(now) + self.config.settings.line_time(count);
+        if self.bytes().is_empty() {
+            self.deadline = self.deadline.max(self.awaited());
+        }
+    }
+
+    /// When what is awaited is overdue.
+    fn awaited(&self) -> Instant {
+        let longest = match (self.config.dialect, self.operation) {
+            (Dialect::Epos4, Operation::ReadSegmented(_)) => LONGEST,
+            _ => 2 * (4 + 8),
+        };
+        self.traffic + self.config.time_out + self.config.settings.line_time(longest)
+    }
+
+    /// Takes bytes that came by `now`. What comes when nothing is awaited is thrown away.
+    pub fn handle(&mut self, bytes: &[u8], now: Instant) {
+        for &byte in bytes {
+            self.traffic = self.traffic.max(now);
+            // The other side may not speak while it is spoken to: what comes then is of an earlier exchange.
+            if self.state != State::Exchanging || !self.bytes().is_empty() {
+                continue;
+            }
+            match &mut self.wire {
+                Wire::Epos2(exchange) => {
+                    let seen = exchange.take(byte);
+                    self.epos2(seen, now);
+                }
+                Wire::Epos4(deframer) => match deframer.take(byte) {
+                    None => {}
+                    Some(Ok(frame)) => self.epos4(&frame, now),
+                    Some(Err(_)) => self.fail(ServiceError::Damaged, now),
+                },
+            }
+        }
+    }
+
+    fn epos2(&mut self, seen: Seen, now: Instant) {
+        match seen {
+            Seen::Nothing => {}
+            Seen::Ready(telegram) => self.say(telegram.body(), now),
+            Seen::Offered => self.say(&[epos2::Acknowledge::Okay.byte()], now),
+            Seen::Sent => self.advance(Answer::Done, now),
+            Seen::Answer(answer) => {
+                self.say(&[epos2::Acknowledge::Okay.byte()], now);
+                self.advance(
+                    match answer {
+                        epos2::Answer::Value(value) => Answer::Value(value),
+                        epos2::Answer::Done => Answer::Done,
+                        epos2::Answer::Refused(code) => Answer::Refused(code),
+                    },
+                    now,
+                );
+            }
+            Seen::Damaged => {
+                self.say(&[epos2::Acknowledge::Failed.byte()], now);
+                self.fail(ServiceError::Damaged, now);
+            }
+            Seen::Failed(error) => self.fail(error, now),
+        }
+    }
+
+    fn epos4(&mut self, frame: &epos4::Frame, now: Instant) {
+        match Answer::decode(frame, &self.request()) {
+            Some(answer) => self.advance(answer, now),
+            None => self.fail(ServiceError::Unexpected, now),
+        }
+    }
+
+    /// What is asked for now.
+    fn request(&self) -> Request<'_> {
+        match (self.operation, self.step) {
+            (Operation::Read(address), _) => Request::Read(address),
+            (Operation::Write(address, value), _) => Request::Write(address, value),
+            (Operation::Nmt { node, command }, _) => Request::Nmt {
+                node: node.into(),
+                command: command.into(),
+            },
+            (Operation::ReadSegmented(address), Step::Start) => {
+                Request::InitiateSegmentedRead(address)
+            }
+            (Operation::ReadSegmented(_), Step::Segment { toggle, .. }) => {
+                Request::SegmentRead { toggle }
+            }
+            (Operation::WriteSegmented(address), Step::Start) => {
+                Request::InitiateSegmentedWrite(address, self.object.len() as u32)
+            }
+            (Operation::WriteSegmented(_), Step::Segment { toggle, done, .. }) => {
+                let data = &self.object[done..];
+                let data = &data[..data.len().min(MAX_SEGMENT)];
+                let last = done + data.len() == self.object.len();
+                Request::SegmentWrite { toggle, last, data }
+            }
+        }
+    }
+
+    /// Takes the answer to what was asked for.
+    fn advance(&mut self, answer: Answer<'_>, now: Instant) {
+        match (self.operation, self.step, answer) {
+            // The device says so of a frame that reached it damaged.
+            (_, _, Answer::Refused(CRC)) => self.fail(ServiceError::NotAcknowledged, now),
+            (_, _, Answer::Refused(code)) => self.finish(Err(ServiceError::Refused(code)), now),
+            (Operation::Read(_), _, Answer::Value(value)) => {
+                self.finish(Ok(Brought::Value(value)), now);
+            }
+            (Operation::Write(..) | Operation::Nmt { .. }, _, Answer::Done) => {
+                self.finish(Ok(Brought::Done), now);
+            }
+            (Operation::ReadSegmented(_), Step::Start, Answer::Started(total, data)) => {
+                let (size, capacity) = (total as usize, self.config.capacity);
+                if size > capacity {
+                    let error = ServiceError::TooLarge { size, capacity };
+                    self.finish(Err(error), now);
+                } else {
+                    self.append(data, size, false, false, now);
+                }
+            }
+            (
+                Operation::ReadSegmented(_),
+                Step::Segment { toggle, total, .. },
+                Answer::Segment {
+                    toggle: of,
+                    last,
+                    data,
+                },
+            ) if of == toggle && (last || !data.is_empty()) => {
+                self.append(data, total, !toggle, last, now);
+            }
+            (Operation::WriteSegmented(_), Step::Start, Answer::Done) => {
+                self.step = Step::Segment {
+                    toggle: false,
+                    done: 0,
+                    total: self.object.len(),
+                };
+                self.ask(now);
+            }
+            (
+                Operation::WriteSegmented(_),
+                Step::Segment {
+                    toggle,
+                    done,
+                    total,
+                },
+                Answer::Taken { toggle: of, length },
+            ) if of == toggle && usize::from(length) == (total - done).min(MAX_SEGMENT) => {
+                let done = done + usize::from(length);
+                if done == total {
+                    self.finish(Ok(Brought::Done), now);
+                } else {
+                    let toggle = !toggle;
+                    self.step = Step::Segment {
+                        toggle,
+                        done,
+                        total,
+                    };
+                    self.ask(now);
+                }
+            }
+            _ => self.fail(ServiceError::Unexpected, now),
+        }
+    }
+
+    /// Takes a piece of an object of `total` bytes; `toggle` is the next one's.
+    fn append(&mut self, data: &[u8], total: usize, toggle: bool, last: bool, now: Instant) {
+        let done = self.object.len() + data.len();
+        if done > total || last && done < total {
+            return self.fail(ServiceError::Unexpected, now);
+        }
+        self.object.extend_from_slice(data);
+        if done == total {
+            return self.finish(Ok(Brought::Object), now);
+        }
+        self.step = Step::Segment {
+            toggle,
+            done,
+            total,
+        };
+        self.ask(now);
+    }
+
+    /// Begins, or begins anew, on a quiet line.
+    fn begin(&mut self, now: Instant) {
+        self.state = State::Exchanging;
+        self.step = Step::Start;
+        if self.retries_left == self.config.retries {
+            self.begun = now;
+        }
+        if matches!(self.operation, Operation::ReadSegmented(_)) {
+            self.object.clear();
+        }
+        self.ask(now);
+    }
+
+    /// Sends what is asked for now.
+    fn ask(&mut self, now: Instant) {
+        let request = self.request();
+        match self.config.dialect {
+            Dialect::Epos2 => {
+                let telegram = match request {
+                    Request::Read(Address {
+                        node,
+                        index,
+                        subindex,
+                    }) => epos2::Request::Read {
+                        node,
+                        index,
+                        subindex,
+                    },
+                    Request::Write(
+                        Address {
+                            node,
+                            index,
+                            subindex,
+                        },
+                        value,
+                    ) => epos2::Request::Write {
+                        node,
+                        index,
+                        subindex,
+                        value,
+                    },
+                    Request::Nmt { node, command } => epos2::Request::Nmt { node, command },
+                    Request::InitiateSegmentedRead(_)
+                    | Request::SegmentRead { .. }
+                    | Request::InitiateSegmentedWrite(..)
+                    | Request::SegmentWrite { .. } => {
+                        unreachable!("a transfer in segments is not started with an EPOS2")
+                    }
+                };
+                let opcode = telegram.encode().opcode();
+                self.wire = Wire::Epos2(wire::Exchange::new(telegram));
+                self.say(&[opcode], now);
+            }
+            Dialect::Epos4 => {
+                let frame = request.encode();
+                self.wire = Wire::new(Dialect::Epos4);
+                self.filled = frame.encode(&mut self.output);
+                self.taken = 0;
+                self.deadline = now + self.config.time_out;
+            }
+        }
+    }
+
+    fn say(&mut self, bytes: &[u8], now: Instant) {
+        self.output[..bytes.len()].copy_from_slice(bytes);
+        (self.taken, self.filled) = (0, bytes.len());
+        self.deadline = now + self.config.time_out;
+    }
+
+    /// Something went wrong on the line: wait for its end, and once more, unless that was the last time.
+    fn fail(&mut self, error: ServiceError, now: Instant) {
+        self.quiet_until = self.traffic + self.config.time_out;
+        if self.retries_left > 0 {
+            self.retries_left -= 1;
+            self.state = State::Waiting;
+        } else {
+            self.finish(Err(error), now);
+        }
+    }
+
+    fn finish(&mut self, result: Result<Brought, ServiceError>, now: Instant) {
+        // What was not answered may be yet; if it was now, that took no longer than its other attempts' answers will.
+        let resent = self.retries_left < self.config.retries;
+        if resent || matches!(result, Err(ServiceError::TimedOut { .. })) {
+            let longest = self.config.time_out * 2 * (u32::from(self.config.retries) + 1);
+            let as_long = now.since(self.begun).min(longest);
+            self.quiet_until = self.quiet_until.max(now + as_long);
+        }
+        self.state = State::Finished(result);
+    }
+
+    /// When [`handle_timeout`](Client::handle_timeout) is wanted; `None` with nothing to do.
+    pub fn poll_timeout(&self) -> Option<Instant> {
+        match self.state {
+            State::Idle | State::Finished(_) => None,
+            State::Waiting => Some(self.quiet_until),
+            State::Exchanging => Some(self.deadline),
+        }
+    }
+
+    /// Notices what is overdue at `now`.
+    pub fn handle_timeout(&mut self, now: Instant) {
+        match self.state {
+            State::Waiting if now >= self.quiet_until => self.begin(now),
+            State::Exchanging if now >= self.deadline => {
+                // What the line did not take in all that time is not said any more.
+                self.taken = self.filled;
+                let waited = now.since(self.started);
+                self.fail(ServiceError::TimedOut { waited }, now);
+            }
+            State::Idle | State::Waiting | State::Exchanging | State::Finished(_) => {}
+        }
+    }
+
+    /// What became of the request, once.
+    pub fn poll(&mut self) -> Option<Result<Reply<'_>, ServiceError>> {
+        let State::Finished(result) = self.state else {
+            return None;
+        };
+        self.state = State::Idle;
+        Some(result.map(|brought| match brought {
+            Brought::Value(value) => Reply::Value(value),
+            Brought::Object => Reply::Object(&self.object),
+            Brought::Done => Reply::Done,
+        }))
+    }
+}

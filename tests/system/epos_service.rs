@@ -1,0 +1,357 @@
+//! The service ports of EPOS2 and EPOS4: the host's end with emulated drives, on a line in virtual time and on
+//! pseudo-terminals.
+
+use std::time::Duration;
+
+use can::Instant;
+use canopen::NodeId;
+use hil::epos4::Epos4Config;
+use hil::{
+    AxisConfig, Epos2Serial, Epos4Serial, EposSerialConfig, Irp6Axis, LineDevice, LineFaults,
+    LineId, Pty, WireFaults, World,
+};
+use serial::epos4::Address;
+use serial::service::{Client, Config, Dialect, Reply, ServiceError, StartError, TIME_OUT};
+use serial::{Line, Settings, VirtualLine};
+
+use crate::mrroc::{Directory, Output, Running, example, mrroc};
+
+/// Time between two looks at the line.
+const TICK: Duration = Duration::from_micros(100);
+
+/// No request takes longer.
+const LONGEST: Duration = Duration::from_secs(8);
+
+const DIALECTS: [Dialect; 2] = [Dialect::Epos2, Dialect::Epos4];
+
+/// A drive on its line, and the host's end.
+struct Stage {
+    world: World,
+    line: LineId,
+    host: VirtualLine,
+    client: Client,
+    now: Instant,
+    /// Throws away what the drive says until then.
+    deaf_until: Instant,
+}
+
+/// A reply without its borrow.
+#[derive(Debug, PartialEq, Eq)]
+enum Got {
+    Value(u32),
+    Object(Vec<u8>),
+    Done,
+}
+
+impl Stage {
+    fn new(dialect: Dialect) -> Self {
+        let node = NodeId::new(1).unwrap();
+        let axis = AxisConfig::irp6(Irp6Axis::ALL[0]);
+        let mut config = EposSerialConfig::new(Epos4Config::new(node, axis));
+        config.segment = 3;
+        let device: Box<dyn LineDevice> = match dialect {
+            Dialect::Epos2 => Box::new(Epos2Serial::new(config)),
+            Dialect::Epos4 => Box::new(Epos4Serial::new(config)),
+        };
+        let mut world = World::new();
+        let line = world.add_line(Settings::EPOS, None, device);
+        let host = world.host_line(line, 4096);
+        // It boots.
+        let now = Instant::from_nanos(100_000_000);
+        world.advance(now);
+        Self {
+            world,
+            line,
+            host,
+            client: Client::new(Config::new(dialect, Settings::EPOS)),
+            now,
+            deaf_until: Instant::ZERO,
+        }
+    }
+
+    /// What became of the request that `start` makes.
+    fn ask(
+        &mut self,
+        start: impl FnOnce(&mut Client, Instant) -> Result<(), StartError>,
+    ) -> Result<Got, ServiceError> {
+        let began = self.now;
+        start(&mut self.client, self.now).unwrap();
+        loop {
+            self.client.handle_timeout(self.now);
+            let count = self.host.write(self.now, self.client.bytes()).unwrap();
+            self.client.consume(count, self.now);
+            if let Some(result) = self.client.poll() {
+                return result.map(|reply| match reply {
+                    Reply::Value(value) => Got::Value(value),
+                    Reply::Object(object) => Got::Object(object.to_vec()),
+                    Reply::Done => Got::Done,
+                });
+            }
+            assert!(self.now.since(began) < LONGEST, "it does not end");
+            self.now += TICK;
+            self.world.advance(self.now);
+            let mut bytes = [0; 256];
+            let count = self.host.read(self.now, &mut bytes).unwrap();
+            if self.now >= self.deaf_until {
+                self.client.handle(&bytes[..count], self.now);
+            }
+        }
+    }
+
+    fn read(&mut self, index: u16) -> Result<Got, ServiceError> {
+        self.ask(|client, now| client.read(object(index), now))
+    }
+
+    fn write(&mut self, index: u16, value: u32) -> Result<Got, ServiceError> {
+        self.ask(|client, now| client.write(object(index), value, now))
+    }
+}
+
+const fn object(index: u16) -> Address {
+    Address {
+        node: 1,
+        index,
+        subindex: 0,
+    }
+}
+
+#[test]
+fn both_drives_are_asked_and_told_over_their_service_port() {
+    for dialect in DIALECTS {
+        let mut stage = Stage::new(dialect);
+        assert_eq!(
+            stage.read(0x1000),
+            Ok(Got::Value(0x0002_0192)),
+            "{dialect:?}"
+        );
+        assert_eq!(stage.write(0x6083, 4321), Ok(Got::Done));
+        assert_eq!(stage.read(0x6083), Ok(Got::Value(4321)));
+        let read_only = Err(ServiceError::Refused(0x0601_0002));
+        assert_eq!(stage.write(0x6041, 0), read_only);
+        let missing = Err(ServiceError::Refused(0x0602_0000));
+        assert_eq!(stage.read(0x5FFF), missing);
+        // Stopped, it refuses; the other command brings it back.
+        let told = stage.ask(|client, now| client.nmt(1, 0x02, now));
+        assert_eq!(told, Ok(Got::Done));
+        let refused = stage.read(0x6083);
+        assert_eq!(
+            refused,
+            Err(ServiceError::Refused(0x0F00_FFC0)),
+            "{dialect:?}"
+        );
+        let told = stage.ask(|client, now| client.nmt(0, 0x01, now));
+        assert_eq!(told, Ok(Got::Done));
+        assert_eq!(stage.read(0x6083), Ok(Got::Value(4321)));
+        assert!(stage.now < Instant::from_nanos(200_000_000), "no time-out");
+    }
+}
+
+#[test]
+fn a_name_comes_in_segments() {
+    let mut stage = Stage::new(Dialect::Epos4);
+    assert_eq!(stage.read(0x1008), Err(ServiceError::Refused(0x0607_0012)));
+    let read = stage.ask(|client, now| client.read_segmented(object(0x1008), now));
+    let Ok(Got::Object(name)) = read else {
+        panic!("{read:?}");
+    };
+    assert_eq!(name, b"EPOS4");
+    let write = stage.ask(|client, now| client.write_segmented(object(0x1008), b"other", now));
+    assert_eq!(write, Err(ServiceError::Refused(0x0601_0002)));
+    let value = 250_u32.to_le_bytes();
+    let write = stage.ask(|client, now| client.write_segmented(object(0x6083), &value, now));
+    assert_eq!(write, Ok(Got::Done));
+    assert_eq!(stage.read(0x6083), Ok(Got::Value(250)));
+}
+
+#[test]
+fn a_deaf_moment_costs_one_time_out_and_silence_two() {
+    for dialect in DIALECTS {
+        let mut stage = Stage::new(dialect);
+        let began = stage.now;
+        stage.deaf_until = began + Duration::from_millis(100);
+        assert_eq!(
+            stage.read(0x1000),
+            Ok(Got::Value(0x0002_0192)),
+            "{dialect:?}"
+        );
+        let took = stage.now.since(began);
+        assert!(took > TIME_OUT && took < 2 * TIME_OUT, "{took:?}");
+        stage.deaf_until = Instant::FAR_FUTURE;
+        let silent = stage.read(0x1000);
+        assert!(
+            matches!(silent, Err(ServiceError::TimedOut { .. })),
+            "{silent:?}"
+        );
+        stage.deaf_until = Instant::ZERO;
+        assert_eq!(stage.read(0x1000), Ok(Got::Value(0x0002_0192)));
+    }
+}
+
+#[test]
+fn a_bad_line_costs_time_and_gives_no_wrong_value() {
+    let bad = [
+        WireFaults {
+            bit_error_rate: 2e-4,
+            ..WireFaults::default()
+        },
+        WireFaults {
+            tear: 0.005,
+            ..WireFaults::default()
+        },
+        WireFaults {
+            duplicate: 0.01,
+            ..WireFaults::default()
+        },
+    ];
+    for dialect in DIALECTS {
+        for (number, faults) in bad.into_iter().enumerate() {
+            let mut stage = Stage::new(dialect);
+            let line = LineFaults {
+                seed: 7,
+                to_device: faults,
+                to_host: faults,
+            };
+            stage.world.set_line_faults(stage.line, &line);
+            let mut right = 0;
+            // A write whose confirmation was lost may be done all the same.
+            let mut possible = vec![10_000];
+            for value in 1000..1100 {
+                if stage.write(0x6083, value) == Ok(Got::Done) {
+                    possible.clear();
+                }
+                possible.push(value);
+                match stage.read(0x6083) {
+                    Ok(Got::Value(found)) => {
+                        assert!(possible.contains(&found), "{found} of {possible:?}");
+                        possible = vec![found];
+                        right += 1;
+                    }
+                    Ok(other) => panic!("{other:?}"),
+                    Err(_) => {}
+                }
+            }
+            let statistics = stage.world.line(stage.line);
+            let spoilt = statistics.corrupted + statistics.lost + statistics.duplicated;
+            let case = format!("{dialect:?}, {number}: {right} of 100, {spoilt} spoilt");
+            assert!(right >= 90 && spoilt > 5, "{case}");
+        }
+    }
+}
+
+/// The drives of the IRb-6 behind an slcan adapter, and their service ports.
+struct Ports {
+    directory: Directory,
+    _emulators: Running,
+}
+
+impl Ports {
+    fn new() -> Self {
+        let directory = Directory::new();
+        let ports = directory.path("ports");
+        let emulators = Running::start([
+            "emulate".as_ref(),
+            example("irb6").as_os_str(),
+            "--slcan".as_ref(),
+            directory.path("can0").as_os_str(),
+            "--service".as_ref(),
+            ports.as_os_str(),
+        ]);
+        let all = Self {
+            directory,
+            _emulators: emulators,
+        };
+        let first = all.directory.path("ports").join("column");
+        let listening = can::clock::now() + Duration::from_secs(20);
+        while !first.exists() {
+            assert!(can::clock::now() < listening, "no port appears");
+            can::clock::sleep_until(can::clock::now() + Duration::from_millis(20));
+        }
+        all
+    }
+
+    fn run(&self, words: &str, interface: &str) -> Output {
+        mrroc(words.split(' ').chain(["--can", interface]))
+    }
+
+    fn port(&self, axis: &str) -> String {
+        let path = self.directory.path("ports").join(axis);
+        format!("epos4:{}", path.display())
+    }
+
+    fn says(&self, words: &str) -> String {
+        let output = self.run(words, &self.port("column"));
+        assert_eq!(output.status.code(), Some(0), "{words}: {output:?}");
+        assert_eq!(output.stderr, "", "{words}: {output:?}");
+        output.stdout
+    }
+
+    /// The one line of a refusal.
+    fn refused(&self, words: &str, interface: &str, needles: &[&str]) {
+        let output = self.run(words, interface);
+        assert_eq!(output.status.code(), Some(2), "{words}: {output:?}");
+        assert_eq!(output.stdout, "", "{words}: {output:?}");
+        assert_eq!(output.stderr.lines().count(), 1, "{words}: {output:?}");
+        for needle in needles {
+            let found = output.stderr.contains(needle);
+            assert!(found, "{words}: {needle:?} is not in {output:?}");
+        }
+    }
+}
+
+#[test]
+fn service_commands_reach_an_emulated_drive_over_its_service_port() {
+    let ports = Ports::new();
+    let read = ports.says("sdo read 1 0x6041 --type u16");
+    assert!(read.starts_with("0x6041:00 statusword = 0x"), "{read}");
+    assert!(read.contains("(switch on disabled"), "{read}");
+    let wrote = ports.says("sdo write 1 0x1017 --type u16 150");
+    assert_eq!(wrote, "0x1017:00 heartbeat producer time = 0x0096, 150\n");
+    let wrote = ports.says("sdo write 1 0x607a --type i32 -5");
+    assert!(wrote.contains("-5"), "{wrote}");
+    // With a type, without one, and by whole segments.
+    for words in ["sdo read 1 0x1008", "sdo read 1 0x1008 --type string"] {
+        assert!(ports.says(words).contains("\"EPOS4"), "{words}");
+    }
+    let who = ports.says("scan");
+    assert!(
+        who.starts_with("epos4:") && who.contains(": CiA 402, servo drive, \"EPOS4"),
+        "{who}"
+    );
+    assert!(who.contains(", maxon, product 0x"), "{who}");
+    let told = ports.says("nmt start 1");
+    assert!(told.starts_with("node 1: told"), "{told}");
+    // The next drive knows nothing of it, and stands at its own node-ID.
+    let second = ports.run("sdo read 2 0x1017 --type u16", &ports.port("lower-arm"));
+    assert!(second.stdout.ends_with("= 0x0000, 0\n"), "{second:?}");
+
+    let port = ports.port("column");
+    ports.refused(
+        "sdo write 1 0x6041 --type u16 0",
+        &port,
+        &["node 1", "read-only"],
+    );
+    ports.refused("sdo read 2 0x6041", &port, &["node 2", "node-ID"]);
+    ports.refused("sdo read 1 0x1000 --block", &port, &["--block"]);
+    ports.refused("monitor", &port, &["no CAN bus", "mrroc sdo"]);
+    ports.refused("lss scan", &port, &["no CAN bus"]);
+    ports.refused(
+        "sdo read 1 0x1000",
+        &ports.port("absent"),
+        &["no such device"],
+    );
+    let nobody = Pty::open().unwrap();
+    let silent = format!("epos4:{}@9600", nobody.path().display());
+    ports.refused(
+        "sdo read 1 0x1000 --timeout 500",
+        &silent,
+        &["timed out", "wrong baud rate"],
+    );
+    ports.refused("scan", &silent, &["no drive answers", "wrong baud rate"]);
+    let silent = silent.replace("epos4", "epos2");
+    ports.refused(
+        "nmt start 1 --timeout 500",
+        &silent,
+        &["timed out", "wrong baud rate"],
+    );
+    ports.refused("sdo read 1 0x1000 --type u64", &silent, &["segments"]);
+}
