@@ -322,12 +322,14 @@ fn not_up(
         .axes_on(bus)
         .enumerate()
         .find(|&(index, (robot, axis))| match error.line() {
-            Some(line) => index == usize::from(line),
+            Some(line) => index == line,
             None => error.node() == Some(file.cell.robot[robot].axis[axis].node),
         })
         .map(|(_, (robot, axis))| format!(", axis {}", file.axis_name(robot, axis)))
         .unwrap_or_default();
-    anyhow!("bus {}{axis}: {error}", file.cell.bus[bus].name)
+    let name = file.cell.groups().nth(bus);
+    let name = name.expect("a group that did not come up is one of the cell's");
+    anyhow!("bus {name}{axis}: {error}")
 }
 
 fn in_lockstep(
