@@ -1,9 +1,7 @@
 //! What one axis of a cell must satisfy, on a CAN bus or on a serial line.
 
 use super::{Checked, Path, Problem, in_range, positive};
-use crate::cell::{
-    Axis, AxisController, Bus, Cell, Control, Drive, Law, Loop, Plant, Protocol, Serial,
-};
+use crate::cell::{Axis, AxisController, Bus, Cell, Control, Drive, Law, Plant, Protocol, Serial};
 use crate::robot::Limits;
 
 /// What an axis hangs on.
@@ -126,12 +124,7 @@ fn check_controller(
         32.767,
         "between 0.001 and 32.767 (A)",
     )?;
-    check_loop(
-        &path.then("loop"),
-        &controller.r#loop,
-        controller.control,
-        axis.max_velocity,
-    )?;
+    check_loop(&path.then("loop"), controller, axis.max_velocity)?;
     let plausible = [
         (
             "plausible_velocity",
@@ -165,9 +158,13 @@ fn check_controller(
     }
 }
 
-fn check_loop(path: &Path, given: &Loop, control: Control, max_velocity: f64) -> Checked {
-    let most = match control {
-        Control::Current => (f64::MAX, "above 0 (N·m)"),
+fn check_loop(path: &Path, controller: &AxisController, max_velocity: f64) -> Checked {
+    let given = &controller.r#loop;
+    let most = match controller.control {
+        Control::Current => (
+            controller.max_current * controller.torque_constant,
+            "above 0 and at most the torque of max_current (N·m)",
+        ),
         Control::Pwm => (1.0, "above 0 and at most 1 (of the full pulse width)"),
     };
     let limit = |path: &Path, value| in_range(path, value, f64::MIN_POSITIVE, most.0, most.1);
