@@ -84,7 +84,8 @@ pub enum HomingFailure {
     },
 }
 
-/// The search at work. Its velocity never changes faster than the configured acceleration.
+/// The search at work. Its velocity never changes faster than the configured acceleration, but at a limit switch,
+/// where the drive brakes by itself.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Search {
     config: HostHoming,
@@ -172,6 +173,9 @@ impl Search {
                         return Err(HomingFailure::LimitSwitch { upper });
                     }
                     self.reversed = true;
+                    // The drive has braked the motor: a ramp would push it against its limit.
+                    knot.position = state.position;
+                    self.velocity = 0.0;
                     self.rest(Next::Leave { seen: false })
                 } else {
                     let distance = self.watch(self.config.search, now)?;
