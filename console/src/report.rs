@@ -277,9 +277,10 @@ impl fmt::Display for Report {
         let rows = [
             ("wake-up", self.cycle.wake_us),
             ("step", self.cycle.step_us),
-            ("bus", self.cycle.bus_us),
         ];
-        for (name, times) in rows {
+        // A tty does not tell when an answer came.
+        let bus = Some(("bus", self.cycle.bus_us)).filter(|(_, times)| times.max > 0.0);
+        for (name, times) in rows.into_iter().chain(bus) {
             writeln!(
                 f,
                 "{name:9} {:>10.1} {:>10.1} {:>10.1} {:>10.1}",

@@ -327,11 +327,8 @@ fn not_up(
         })
         .map(|(_, (robot, axis))| format!(", axis {}", file.axis_name(robot, axis)))
         .unwrap_or_default();
-    let name = file
-        .cell
-        .groups()
-        .nth(bus)
-        .expect("the servo has the groups of the cell");
+    let name = file.cell.groups().nth(bus);
+    let name = name.expect("a group that did not come up is one of the cell's");
     anyhow!("bus {name}{axis}: {error}")
 }
 

@@ -1,7 +1,7 @@
-//! A robot of an example cell: its servo, its drive group and its emulated drives on a virtual bus, in
-//! virtual time.
+//! A robot of an example cell: its servo, its drive group and its emulated drives on a virtual bus or
+//! on virtual serial lines, in virtual time.
 //!
-//! What a command line makes of a cell file is made here once more, shorter: one robot on one bus, any
+//! What a command line makes of a cell file is made here once more, shorter: one robot on one bus or bundle of lines, any
 //! of its axes, and ports, plants and drives that a test may alter.
 
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,13 +11,17 @@ use std::time::Duration;
 use can::timing::Bitrate;
 use can::{Frame, Instant, Port, TraceReader, Tracer, VirtualPort};
 use canopen::NodeId;
-use controller::cell::{Axis, Cell};
+use controller::cell::{Axis, Cell, Protocol};
 use controller::ecp::{Ecp, EcpConfig};
 use controller::generator::Arm;
+use drive::axis_controller::AxisControllerGroup;
 use drive::cia402::Cia402Group;
 use drive::{DriveGroup, Scale};
 use hil::plant::Switch;
-use hil::{Device, DeviceId, Epos4, Epos4Config, Irp6Axis, World};
+use hil::{
+    AxisControllerConfig, Device, DeviceId, Epos4, Epos4Config, HiMoxaAxisController, Irp6Axis,
+    LineDevice, LineFaults, LineId, Nfv2AxisController, World,
+};
 use servo::{EffectorConfig, EffectorLink, Order, Phase, Record, Servo, ServoConfig};
 
 use crate::motion::Motion;
@@ -97,7 +101,8 @@ impl Setup {
         }
     }
 
-    fn device(&self, arm: &Arm, number: usize) -> Socket {
+    /// Motor, load, sensors and switches of an axis.
+    fn plant(&self, arm: &Arm, number: usize) -> hil::AxisConfig {
         let axis = self.axis(number);
         let home = arm.robot().home()[number];
         let limits = arm.robot().motor_limits()[number];
@@ -118,42 +123,52 @@ impl Setup {
             ..hil::AxisConfig::irp6(Irp6Axis::ALL[number])
         };
         (self.plant)(number, &mut plant);
+        plant
+    }
+
+    fn seed(&self, number: usize) -> u64 {
+        self.cell.seed * 1000 + number as u64
+    }
+
+    fn device(&self, arm: &Arm, number: usize) -> Socket {
+        let plant = self.plant(arm, number);
         Socket {
             drive: Epos4::new(Epos4Config {
-                seed: self.cell.seed * 1000 + number as u64,
-                ..Epos4Config::new(node(axis.node), plant)
+                seed: self.seed(number),
+                ..Epos4Config::new(node(self.axis(number).node), plant)
             }),
             unplugged: Arc::default(),
+        }
+    }
+
+    /// The drive of an axis on a serial line.
+    fn line_device(&self, arm: &Arm, number: usize) -> Box<dyn LineDevice> {
+        let config = AxisControllerConfig {
+            seed: self.seed(number),
+            ..AxisControllerConfig::new(self.plant(arm, number))
+        };
+        match self.cell.serial[0].protocol {
+            Protocol::Nfv2 => Box::new(Nfv2AxisController::new(self.axis(number).node, config)),
+            Protocol::HiMoxa => Box::new(HiMoxaAxisController::new(config)),
         }
     }
 
     /// Switches the drives on and brings the group up; nothing is enabled yet.
     pub(crate) fn bring_up(self) -> Rig {
         let arm = self.cell.robot[0].arm().expect("parameters are sound");
-        let bus = &self.cell.bus[0];
-        let mut world = World::new();
-        let id = world.add_bus(Bitrate::from_kbps(bus.bitrate_kbps).expect("a possible bit rate"));
-        let port = world.host_port(id, 256);
-        let mut plugs = Vec::new();
-        let mut drives = Vec::new();
-        for &axis in &self.axes {
-            let device = self.device(&arm, axis);
-            plugs.push(device.unplugged.clone());
-            drives.push(world.add_device(id, Box::new(device)));
-        }
-        let configs: Vec<_> = self
-            .axes
-            .iter()
-            .map(|&axis| self.axis(axis).drive_config(arm.robot().home()[axis]))
-            .collect();
-        let scales = configs.iter().map(|config| config.scale).collect();
         let servo_config = self.servo_config(&arm);
-        let (period, group_config) = (self.period(), self.cell.group_config(0));
-        let group = Cia402Group::new((self.port)(port), group_config, &configs)
-            .expect("the group's configuration is sound");
+        let period = self.period();
+        let scale = |&axis: &usize| self.axis(axis).scale(arm.robot().home()[axis]);
+        let scales = self.axes.iter().map(scale).collect();
+        let mut world = World::new();
+        let (group, drives, plugs, cell) = if self.cell.bus.is_empty() {
+            self.lines(&arm, &mut world)
+        } else {
+            self.bus(&arm, &mut world)
+        };
         let delay = group.delay();
-        let (mut servo, mut links) = Servo::new(&servo_config, vec![Box::new(group)])
-            .expect("the servo's configuration is sound");
+        let (mut servo, mut links) =
+            Servo::new(&servo_config, vec![group]).expect("the servo's configuration is sound");
         let records = servo.record(4);
         let now = servo::lockstep::bring_up(&mut servo, Instant::ZERO, |next| world.advance(next))
             .expect("emulated drives come up");
@@ -170,11 +185,64 @@ impl Setup {
             records,
             drives,
             plugs,
-            cell: self.cell,
+            cell,
             after_cycle: Box::new(|_| {}),
             arm,
         }
     }
+
+    /// The drives on a CAN bus, and their group.
+    fn bus(self, arm: &Arm, world: &mut World) -> Made {
+        let bus = &self.cell.bus[0];
+        let id = world.add_bus(Bitrate::from_kbps(bus.bitrate_kbps).expect("a possible bit rate"));
+        let port = world.host_port(id, 256);
+        let mut plugs = Vec::new();
+        let mut drives = Vec::new();
+        for &axis in &self.axes {
+            let device = self.device(arm, axis);
+            plugs.push(device.unplugged.clone());
+            drives.push(DriveId::Node(world.add_device(id, Box::new(device))));
+        }
+        let config = |&axis: &usize| self.axis(axis).drive_config(arm.robot().home()[axis]);
+        let configs: Vec<_> = self.axes.iter().map(config).collect();
+        let group = Cia402Group::new((self.port)(port), self.cell.group_config(0), &configs);
+        let group = Box::new(group.expect("the group's configuration is sound"));
+        (group, drives, plugs, self.cell)
+    }
+
+    /// The drives on serial lines, and their group.
+    fn lines(self, arm: &Arm, world: &mut World) -> Made {
+        let bundle = &self.cell.serial[0];
+        let latency = bundle.emulated_latency_ms;
+        let latency = latency.map(|latency| Duration::from_millis(latency.into()));
+        let line = |&axis: &usize| {
+            let device = self.line_device(arm, axis);
+            let line = world.add_line(bundle.settings(), latency, device);
+            (world.host_line(line, 4096), DriveId::Line(line))
+        };
+        let (lines, drives): (Vec<_>, Vec<_>) = self.axes.iter().map(line).unzip();
+        let config = |&axis: &usize| self.axis(axis).controller_config(arm.robot().home()[axis]);
+        let configs: Vec<_> = self.axes.iter().map(config).collect();
+        let config = bundle.group_config(self.period());
+        let group = AxisControllerGroup::new(lines, config, &configs);
+        let group = Box::new(group.expect("the group's configuration is sound"));
+        (group, drives, Vec::new(), self.cell)
+    }
+}
+
+/// A drive group, its drives, their cables, and the cell.
+type Made = (
+    Box<dyn DriveGroup>,
+    Vec<DriveId>,
+    Vec<Arc<AtomicBool>>,
+    Cell,
+);
+
+/// Where a drive is.
+#[derive(Clone, Copy)]
+enum DriveId {
+    Node(DeviceId),
+    Line(LineId),
 }
 
 /// A drive on a cable that can be pulled.
@@ -223,7 +291,8 @@ pub(crate) struct Rig {
     pub(crate) after_cycle: Box<dyn FnMut(&Record)>,
     world: World,
     records: rtrb::Consumer<Record>,
-    drives: Vec<DeviceId>,
+    drives: Vec<DriveId>,
+    /// Of drives on a CAN bus.
     plugs: Vec<Arc<AtomicBool>>,
     arm: Arm,
 }
@@ -298,8 +367,27 @@ impl Rig {
 
     /// The true angle of a motor, rad.
     pub(crate) fn angle(&self, axis: usize) -> f64 {
-        let socket: &Socket = self.world.device(self.drives[axis]).expect("a drive");
-        socket.drive.axis().angle()
+        let world = &self.world;
+        match self.drives[axis] {
+            DriveId::Node(id) => {
+                let socket: Option<&Socket> = world.device(id);
+                socket.map(|socket| socket.drive.axis())
+            }
+            DriveId::Line(id) => match self.cell.serial[0].protocol {
+                Protocol::Nfv2 => world.line_device(id).map(Nfv2AxisController::axis),
+                Protocol::HiMoxa => world.line_device(id).map(HiMoxaAxisController::axis),
+            },
+        }
+        .expect("a drive")
+        .angle()
+    }
+
+    /// What goes wrong on the line of an axis from now on.
+    pub(crate) fn set_line_faults(&mut self, axis: usize, faults: &LineFaults) {
+        match self.drives[axis] {
+            DriveId::Node(_) => panic!("axis {axis} is on no serial line"),
+            DriveId::Line(line) => self.world.set_line_faults(line, faults),
+        }
     }
 
     /// The true angles of all motors, rad.
@@ -359,6 +447,11 @@ impl Rig {
 
     /// The robot's program, begun by enabling and homing, to its end; how the run ended.
     pub(crate) fn run_program(&mut self) -> Result<(), String> {
+        self.run_program_with(|_| {})
+    }
+
+    /// The same, looked at by `each` after each cycle.
+    pub(crate) fn run_program_with(&mut self, mut each: impl FnMut(&Self)) -> Result<(), String> {
         let robot = &self.cell.robot[0];
         let task = robot.task(0, &self.arm).expect("the program is sound");
         let link = self.link.take().expect("no program runs yet");
@@ -375,6 +468,7 @@ impl Rig {
         let end = self.now + LONGEST_PROGRAM;
         while self.now < end {
             self.cycle();
+            each(self);
             while let Some(event) = ecp.poll(self.now) {
                 event.outcome.map_err(|error| error.to_string())?;
             }

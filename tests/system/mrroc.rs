@@ -20,6 +20,9 @@ const DEADLINE: Duration = Duration::from_secs(90);
 /// The example cells by name.
 pub(crate) const CELLS: [&str; 2] = ["irb6", "irp6"];
 
+/// The example cells whose drives are axis controllers on serial lines.
+pub(crate) const SERIAL_CELLS: [&str; 2] = ["irb6-serial", "irb6-hi-moxa"];
+
 /// The root of the workspace.
 pub(crate) fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))

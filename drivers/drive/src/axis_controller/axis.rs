@@ -44,6 +44,8 @@ pub(super) struct Axis {
     /// Requests that were not answered yet, as far as answers to them can still come.
     owed: u32,
     answered: bool,
+    /// An answer of this cycle came that the next one has to confirm.
+    awaited: bool,
     sent_at: Instant,
     /// Cycles in a row whose set-point the line did not take.
     not_sent: u32,
@@ -131,6 +133,7 @@ impl Axis {
             referenced: false,
             owed: 0,
             answered: false,
+            awaited: false,
             sent_at: Instant::ZERO,
             not_sent: 0,
             aim: Aim::Manual,
@@ -198,6 +201,10 @@ impl Axis {
             Verdict::Passed => {}
             Verdict::Refused => {
                 self.counters.implausible += 1;
+                return;
+            }
+            Verdict::Awaited => {
+                self.awaited = true;
                 return;
             }
             Verdict::Indexed(before) => {
@@ -299,9 +306,10 @@ impl Axis {
     }
 
     /// Ends the reading of a cycle: what was to come and did not. `due` says whether the cycle before asked for
-    /// an answer. Returns the state and whether the answer is missing.
+    /// an answer. Returns the state and whether the answer is missing, which one that awaits confirmation is not.
     pub(super) fn end_of_read(&mut self, due: bool) -> (AxisState, bool) {
-        let missing = due && !self.answered;
+        let awaited = std::mem::take(&mut self.awaited);
+        let missing = due && !self.answered && !awaited;
         if self.answered {
             self.state.age = 0;
         } else if due {

@@ -188,7 +188,7 @@ impl BringUp {
         self.stream.learn(bytes);
         let before = self.last.map(|last| last.position.0);
         self.objection = match self.gate.judge(answer, self.asked_at, false) {
-            Verdict::Refused | Verdict::Jumped(_) | Verdict::Indexed(_) => {
+            Verdict::Refused | Verdict::Awaited | Verdict::Jumped(_) | Verdict::Indexed(_) => {
                 let to = answer.position.0;
                 let from = before.unwrap_or(to);
                 Some(AxisControllerError::Unsteady { from, to })

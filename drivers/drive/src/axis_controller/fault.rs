@@ -10,7 +10,9 @@ use crate::Refusal;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum AxisControllerFault {
     /// Answers were missing, damaged or implausible for more cycles than the cell allows. A panic.
-    #[error("no answer to be believed for {cycles} cycles: check cable and power")]
+    #[error(
+        "no answer to be believed for {cycles} cycles: check cable, power and a USB adapter's latency timer"
+    )]
     Silent {
         /// Cycles without one.
         cycles: u32,
@@ -83,14 +85,16 @@ impl AxisControllerFault {
 pub enum AxisControllerError {
     /// It said nothing at all.
     #[error(
-        "no answer, waited {waited:.1?}: check that the cabinet is on, the cable, and the baud rate"
+        "no answer, waited {waited:.1?}: check that the cabinet is on, the cable, the baud rate, and the address"
     )]
     Silent {
         /// Time waited.
         waited: Duration,
     },
     /// Something came, and no answer was in it.
-    #[error("{bytes} bytes and no answer among them: check the baud rate and what is on the line")]
+    #[error(
+        "{bytes} bytes and no answer among them: check the baud rate, a USB adapter's latency timer, and what is on the line"
+    )]
     Garbled {
         /// How many bytes.
         bytes: u32,

@@ -51,6 +51,8 @@ pub(super) enum Verdict {
     Passed,
     /// Not to go by.
     Refused,
+    /// Not to go by yet: it looks like the index, and the next answer decides.
+    Awaited,
     /// The index put the counter there; the status of the answer before, which agrees.
     Indexed(Status),
     /// The counter is there for good, and not by motion; where it was.
@@ -104,16 +106,21 @@ impl Gate {
             status: answer.status,
             answers,
         });
+        let near_zero = f64::from(new.position).abs() <= self.reach(dt);
+        let referenced = |status: Status| status.any(Status::SYNCHRONIZED);
+        let index = indexing && !within_reach && near_zero && referenced(answer.status);
         let Some(before) = agree.filter(|_| answers >= ANSWERS_TO_CONFIRM) else {
-            return Verdict::Refused;
+            return if index {
+                Verdict::Awaited
+            } else {
+                Verdict::Refused
+            };
         };
         if within_reach {
             self.pass(new, Some(moved / dt), dt);
             return Verdict::Passed;
         }
-        let near_zero = f64::from(new.position).abs() <= self.reach(dt);
-        let referenced = |status: Status| status.any(Status::SYNCHRONIZED);
-        if indexing && near_zero && referenced(answer.status) && referenced(before.status) {
+        if index && referenced(before.status) {
             let velocity = self.velocity.map(|(velocity, _)| velocity);
             self.pass(new, velocity, dt);
             return Verdict::Indexed(before.status);

@@ -1,0 +1,179 @@
+//! `mrroc run` on serial lines as a user sees it: in lockstep, on pseudo-terminals, and against an emulator in
+//! another process, which dies, or lives on while runs come and go.
+
+use std::fs;
+use std::path::Path;
+use std::time::Duration;
+
+use controller::cell::Cell;
+use serde_json::Value;
+
+use crate::mrroc::{Directory, Output, Running, SERIAL_CELLS, example, mrroc, shorten, text};
+
+/// No motor is further than this from its set-point in a run of an example cell, rad.
+const TRACKING: f64 = 0.25;
+
+/// What the counter shows at the reference is known to a cycle's motion at 3.5 rad/s, counts.
+const CYCLE: f64 = 5.0;
+
+fn completed(run: &Output, name: &str, tracking: f64) -> Value {
+    assert_eq!(run.status.code(), Some(0), "{run:?}");
+    let report = run.json();
+    assert_eq!(report["outcome"], "completed", "{report}");
+    assert_eq!(report["faults"], Value::Array(Vec::new()));
+    let cell = Cell::parse(&text(name)).unwrap();
+    let axes = report["axes"].as_array().unwrap();
+    assert_eq!(axes.len(), cell.robot[0].axis.len());
+    for axis in axes {
+        let peak = axis["tracking_peak_rad"].as_f64().unwrap();
+        assert!(0.0 < peak && peak < tracking, "{name}: {axis}");
+    }
+    report
+}
+
+#[test]
+fn serial_cells_run_in_lockstep_the_same_bit_for_bit() {
+    let directory = Directory::new();
+    for name in SERIAL_CELLS {
+        let records = ["a.csv", "b.csv"].map(|record| directory.path(record));
+        for record in &records {
+            let run = mrroc([
+                "run".as_ref(),
+                example(name).as_os_str(),
+                "--bench=lockstep".as_ref(),
+                "--json".as_ref(),
+                "--record".as_ref(),
+                record.as_os_str(),
+            ]);
+            let report = completed(&run, name, TRACKING);
+            assert_eq!(report["buses"][0]["missed_answers"], 0, "{report}");
+            let cell = Cell::parse(&text(name)).unwrap();
+            let home = cell.robot[0].arm().unwrap().robot().home();
+            for (axis, home) in report["axes"].as_array().unwrap().iter().zip(home.iter()) {
+                let counts = 4000.0 / std::f64::consts::TAU;
+                let expected = (home * counts).floor() - ((home + 20.0) * counts).floor();
+                let offset = axis["homing_offset_counts"].as_f64().unwrap();
+                assert!((offset - expected).abs() <= CYCLE, "{axis}, {expected}");
+            }
+        }
+        let [first, second] = records.each_ref().map(|record| fs::read(record).unwrap());
+        assert!(first == second, "{name}: the records differ");
+        assert!(first.len() > 1_000_000, "{name}: {} bytes", first.len());
+    }
+}
+
+#[test]
+fn serial_cells_run_by_the_wall_clock_on_pseudo_terminals() {
+    let directory = Directory::new();
+    for name in SERIAL_CELLS {
+        let cell = directory.cell(name, shorten);
+        let run = mrroc(["run".as_ref(), cell.as_os_str(), "--json".as_ref()]);
+        let report = completed(&run, name, TRACKING);
+        assert_eq!(report["bench"], "emulated");
+        assert_eq!(report["cycle"]["bus_us"]["max"], 0.0, "{report}");
+    }
+}
+
+/// `mrroc emulate --serial` once all its ttys are there.
+fn emulate(cell: &Path, ttys: &Path) -> Running {
+    let emulator = Running::start([
+        "emulate".as_ref(),
+        cell.as_os_str(),
+        "--serial".as_ref(),
+        ttys.as_os_str(),
+    ]);
+    for _ in 0..500 {
+        if ttys.join("wrist-roll").exists() {
+            return emulator;
+        }
+        can::clock::sleep_until(can::clock::now() + Duration::from_millis(10));
+    }
+    panic!("the emulator never came up");
+}
+
+fn run_on(cell: &Path, ttys: &Path, record: &Path) -> Running {
+    Running::start([
+        "run".as_ref(),
+        cell.as_os_str(),
+        "--bench=card".as_ref(),
+        "--serial".as_ref(),
+        ttys.as_os_str(),
+        "--json".as_ref(),
+        "--record".as_ref(),
+        record.as_os_str(),
+    ])
+}
+
+/// What a record says of the wrist's roll: phase and measured position, rad.
+fn rows(record: &Path) -> Vec<(String, f64)> {
+    let text = fs::read_to_string(record).unwrap();
+    let rows = text.lines().filter(|line| line.contains(",wrist-roll,"));
+    let row = |line: &str| {
+        let fields: Vec<&str> = line.split(',').collect();
+        (fields[3].to_owned(), fields[6].parse().unwrap())
+    };
+    rows.map(row).collect()
+}
+
+/// Ctrl-C, then runs again, and then kills the emulator.
+#[test]
+fn an_emulator_in_another_process_outlives_runs_and_a_run_does_not_outlive_it() {
+    // Without a checksum, answers that a loaded machine hands over together count as damaged.
+    let name = "irb6-serial";
+    let directory = Directory::new();
+    let cell = directory.cell(name, |cell| {
+        shorten(cell);
+        // The answers of another process come later on a loaded machine.
+        cell.serial[0].tolerated_missing = 20;
+        cell.serial[0].answer_timeout_ms = 500;
+        cell.max_missed_in_row = 100;
+    });
+    let ttys = directory.path("ttys");
+    let emulator = emulate(&cell, &ttys);
+
+    let record = directory.path("first.csv");
+    let run = run_on(&cell, &ttys, &record);
+    let moving = |text: &str| text.matches(",wrist-roll,Moving,").count() > 50;
+    run.wait_for(&record, moving);
+    run.signal("INT");
+    let run = run.output();
+    assert_eq!(run.status.code(), Some(1), "{run:?}");
+    let report = run.json();
+    assert_eq!(report["outcome"], "stopped", "{report}");
+    assert_eq!(report["faults"], Value::Array(Vec::new()), "{report}");
+    let first = rows(&record);
+    assert!(first.iter().any(|(phase, _)| phase == "Homing"));
+    let (phase, left_at) = first.last().unwrap();
+    assert_eq!(phase, "Off");
+
+    // The drives kept their counters and references.
+    let record = directory.path("second.csv");
+    let report = run_on(&cell, &ttys, &record).output().json();
+    // Where another process keeps the answers back the loops suffer, and the run says so.
+    let named = report["faults"]
+        .as_array()
+        .is_some_and(|faults| !faults.is_empty());
+    assert!(report["outcome"] == "completed" || named, "{report}");
+    for axis in report["axes"].as_array().unwrap() {
+        assert_eq!(axis["homing_offset_counts"], Value::Null, "{axis}");
+    }
+    let second = rows(&record);
+    assert!(second.iter().all(|(phase, _)| phase != "Homing"), "{name}");
+    let way = (second[0].1 - left_at).abs();
+    assert!(
+        way < 1.0,
+        "{name}: found {way:.3} rad from where it was left"
+    );
+
+    let record = directory.path("third.csv");
+    let run = run_on(&cell, &ttys, &record);
+    run.wait_for(&record, moving);
+    emulator.signal("KILL");
+    let run = run.output();
+    assert_eq!(run.status.code(), Some(1), "{run:?}");
+    let report = run.json();
+    assert_eq!(report["outcome"], "faulted", "{report}");
+    let faults = report["faults"].to_string();
+    let named = ["line is gone", "no answer to be believed"];
+    assert!(named.iter().any(|name| faults.contains(name)), "{faults}");
+}

@@ -1,0 +1,235 @@
+//! What goes wrong on serial lines while the arm moves: each case ends without power, the fault by its name, and
+//! no motor far from where it was told to be.
+
+use std::time::Duration;
+
+use drive::Fault;
+use drive::axis_controller::AxisControllerFault;
+use hil::{LineFaults, PlantConfig, Stuck, WireFaults};
+use servo::{Order, Phase, StopCause};
+
+use crate::cell::{Rig, Setup};
+use crate::motion::Motion;
+use crate::mrroc::SERIAL_CELLS;
+
+/// How far a motor without power runs on from [`Motion::VELOCITY`], with friction alone to stop it, rad.
+const RUN_OUT: f64 = 12.0;
+
+/// Faults of both directions of a line.
+fn both(wire: WireFaults) -> LineFaults {
+    LineFaults {
+        seed: 1,
+        to_device: wire,
+        to_host: wire,
+    }
+}
+
+fn stuck(how: Stuck) -> WireFaults {
+    WireFaults {
+        stuck: Some(how),
+        ..WireFaults::default()
+    }
+}
+
+/// Cycles on, fed with `motion`, until a fault is latched, which is to be within `cycles`, and everything stands;
+/// the axis and what happened. A drive that is `deaf` goes on by its last set-point: it has no watchdog.
+fn fault_within(
+    rig: &mut Rig,
+    motion: &mut Motion,
+    cycles: u32,
+    deaf: Option<usize>,
+) -> (Option<u8>, StopCause) {
+    let end = rig.now + rig.period * cycles;
+    while rig.servo.fault(0).is_none() {
+        assert!(rig.now < end, "no fault");
+        rig.feed(motion);
+        rig.cycle();
+    }
+    let latched_at = rig.angles();
+    rig.until(Motion::LONGEST, "stopped", |rig| {
+        rig.phase() == Phase::Faulted
+    });
+    for _ in 0..1000 {
+        rig.cycle();
+    }
+    let rest = rig.angles();
+    for (axis, (from, to)) in latched_at.iter().zip(&rest).enumerate() {
+        let way = (to - from).abs();
+        if deaf == Some(axis) {
+            continue;
+        }
+        assert!(way < RUN_OUT, "axis {axis} went on for {way:.2} rad");
+    }
+    for _ in 0..250 {
+        rig.cycle();
+    }
+    for (axis, (before, after)) in rest.iter().zip(rig.angles()).enumerate() {
+        let still = (after - before).abs() < 0.05 || deaf == Some(axis);
+        assert!(still, "axis {axis} still moves");
+    }
+    let fault = rig.servo.fault(0).expect("it is latched");
+    (fault.axis, fault.cause)
+}
+
+fn of_line(cause: StopCause) -> Option<(u8, AxisControllerFault)> {
+    match cause {
+        StopCause::Drive(Fault::AxisController { line, fault }) => Some((line, fault)),
+        _ => None,
+    }
+}
+
+#[test]
+fn a_line_that_hangs_in_motion_stops_the_arm_by_the_name_of_its_axis() {
+    for cell in SERIAL_CELLS {
+        for how in [Stuck::Silent, Stuck::At(0x00), Stuck::At(0xFF)] {
+            for direction in ["both", "to the device", "to the host"] {
+                let mut rig = Setup::of(cell).bring_up();
+                rig.home();
+                let mut motion = rig.in_motion();
+                let mut faults = both(stuck(how));
+                let deaf = (direction != "to the host").then_some(2);
+                match direction {
+                    "to the device" => faults.to_host = WireFaults::default(),
+                    "to the host" => faults.to_device = WireFaults::default(),
+                    _ => {}
+                }
+                rig.set_line_faults(2, &faults);
+                let tolerated = rig.cell.serial[0].tolerated_missing;
+                let (axis, cause) = fault_within(&mut rig, &mut motion, tolerated + 3, deaf);
+                assert_eq!(axis, Some(2), "{cell}, {how:?}, {direction}");
+                let cycles = tolerated + 1;
+                let silent = AxisControllerFault::Silent { cycles };
+                assert_eq!(
+                    of_line(cause),
+                    Some((2, silent)),
+                    "{cell}, {how:?}, {direction}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn a_line_that_is_whole_again_in_time_is_ridden_through() {
+    for cell in SERIAL_CELLS {
+        let mut rig = Setup::of(cell).bring_up();
+        rig.home();
+        let mut motion = rig.in_motion();
+        let tolerated = rig.cell.serial[0].tolerated_missing;
+        rig.set_line_faults(2, &both(stuck(Stuck::Silent)));
+        for _ in 0..tolerated {
+            rig.feed(&mut motion);
+            rig.cycle();
+        }
+        rig.set_line_faults(2, &LineFaults::default());
+        rig.follow(&mut motion, |rig| rig.phase() == Phase::Standing);
+        assert_eq!(rig.missed_answers(), u64::from(tolerated), "{cell}");
+    }
+}
+
+/// Each motor is where its loop was told to have it, within the following error and what a cycle's motion hides,
+/// or is braking after a fault.
+#[test]
+fn bit_errors_on_every_line_never_move_a_motor_elsewhere() {
+    for cell in SERIAL_CELLS {
+        let mut faulted = 0;
+        for seed in 0..6 {
+            let mut rig = Setup::of(cell).bring_up();
+            let start: Vec<f64> = rig.angles();
+            let wire = WireFaults {
+                bit_error_rate: 1e-4,
+                ..WireFaults::default()
+            };
+            for axis in 0..start.len() {
+                let faults = LineFaults {
+                    seed: seed * 100 + axis as u64,
+                    ..both(wire)
+                };
+                rig.set_line_faults(axis, &faults);
+            }
+            let mut before = start;
+            let result = rig.run_program_with(|rig| {
+                let fault = rig.servo.fault(0).is_some();
+                for (axis, before) in before.iter_mut().enumerate() {
+                    let angle = rig.angle(axis);
+                    let record = &rig.last.axis[axis];
+                    let velocity = (angle - *before) / rig.period.as_secs_f64();
+                    *before = angle;
+                    let limit = rig.cell.robot[0].axis[axis].max_velocity;
+                    assert!(
+                        velocity.abs() < limit,
+                        "{cell}, seed {seed}, axis {axis}: {velocity:.1} rad/s"
+                    );
+                    let homed = record.homing == drive::Homing::Attained;
+                    let error = (record.commanded - angle).abs();
+                    if homed && rig.phase() == Phase::Moving && !fault {
+                        assert!(
+                            error < rig.cell.robot[0].axis[axis].following_error,
+                            "{cell}, seed {seed}, axis {axis}: {error:.2} rad from its set-point"
+                        );
+                    }
+                }
+            });
+            // A run that stops says why.
+            if let Err(why) = result {
+                faulted += 1;
+                println!("{cell}, seed {seed}: {why}");
+                assert!(rig.servo.fault(0).is_some(), "{cell}, seed {seed}: {why}");
+            }
+        }
+        println!("{cell}: {faulted} of 6 runs stopped");
+    }
+}
+
+/// The leads of a motor are swapped: what its loop puts out drives it away.
+#[test]
+fn a_loop_of_the_wrong_sign_loses_its_power_within_a_turn() {
+    for cell in SERIAL_CELLS {
+        for swapped in 0..5 {
+            let setup = Setup::of(cell).with_plant(move |axis, plant| {
+                if let PlantConfig::Physical(motor) = &mut plant.plant
+                    && axis == swapped
+                {
+                    motor.torque_constant = -motor.torque_constant;
+                }
+            });
+            let mut rig = setup.bring_up();
+            let start = rig.angle(swapped);
+            rig.order(Order::Enable);
+            rig.cycle();
+            rig.until(Duration::from_secs(5), "standing", |rig| {
+                rig.phase() == Phase::Standing || rig.servo.fault(0).is_some()
+            });
+            if rig.servo.fault(0).is_none() {
+                rig.order(Order::Home);
+            }
+            rig.until(Duration::from_secs(60), "a fault", |rig| {
+                rig.servo.fault(0).is_some()
+            });
+            let latched = (rig.angle(swapped) - start).abs();
+            let cause = rig.servo.fault(0).unwrap().cause;
+            rig.until(Duration::from_secs(10), "off", |rig| {
+                rig.phase() == Phase::Faulted
+            });
+            for _ in 0..1500 {
+                rig.cycle();
+            }
+            let way = (rig.angle(swapped) - start).abs();
+            println!(
+                "{cell}, axis {swapped}: {cause}, {latched:.2} rad, at rest after {way:.2} rad"
+            );
+            assert_eq!(rig.servo.fault(0).unwrap().axis, Some(swapped as u8));
+            assert!(
+                matches!(
+                    (cause, of_line(cause)),
+                    (
+                        StopCause::Runaway { .. } | StopCause::FollowingError { .. },
+                        _
+                    ) | (_, Some((_, AxisControllerFault::Overcurrent)))
+                ),
+                "{cell}, axis {swapped}: {cause}"
+            );
+            assert!(latched < 6.3, "{cell}, axis {swapped}: {latched:.2} rad");
+        }
+    }
+}
