@@ -245,13 +245,14 @@ fn queue(tree: &Tree, wanted: &Wanted, link: Option<&Link>, virtual_bus: bool) -
     let name = wanted.interface.as_str();
     let length = tree.number(&format!("{NET}/{name}/tx_queue_len"))?;
     let discipline = link.map_or("", |link| &link.qdisc);
+    let told = match discipline {
+        "" => length.to_string(),
+        discipline => format!("{length}, {discipline}"),
+    };
     let finding = Finding::new(
         &wanted.of,
         "txqueuelen",
-        format!(
-            "{length} {discipline}; a cycle queues up to {}",
-            wanted.send_queue
-        ),
+        format!("{told}; a cycle queues up to {}", wanted.send_queue),
         "a queue that one cycle fills throws frames away; one of more than some hundred holds set-points that are \
          long out of date",
     );

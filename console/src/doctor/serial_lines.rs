@@ -85,7 +85,8 @@ fn naming(tree: &Tree, wanted: &Wanted, name: &str) -> Option<Finding> {
         wanted.path.as_str(),
         "ttys of USB adapters are numbered as they are plugged in: after a restart another axis may answer under it",
     );
-    if wanted.path.starts_with("/dev/serial/") {
+    // A link to it, of udev's or the user's, follows the adapter.
+    if wanted.path != format!("/dev/{name}") {
         return Some(finding);
     }
     let lasting = persistent(tree).into_iter();
@@ -147,6 +148,7 @@ mod tests {
             "../../../../bus/usb-serial/drivers/ftdi_sio",
         );
         fake.link("dev/serial/by-id/usb-FTDI_A1-if00", "../../ttyUSB3");
+        fake.link("dev/column", "ttyUSB3");
         fake
     }
 
@@ -172,6 +174,7 @@ mod tests {
             (&quick, by_id, [Ok, Ok, Ok, Ok]),
             (&quick, "/dev/ttyUSB3", [Ok, Ok, Warning, Ok]),
             (&slow, by_id, [Ok, Ok, Ok, Warning]),
+            (&quick, "/dev/column", [Ok, Ok, Ok, Ok]),
         ];
         for (fake, path, verdicts) in table {
             let names = ["tty", "permission", "name", "latency timer"];

@@ -85,7 +85,7 @@ fn a_card_as_it_should_be_leaves_nothing_to_mend() {
             "ERROR-ACTIVE, errors tx 0 rx 0; error-passive 0 times, bus-off 0 times, restarted 0 times",
         ),
         ("restart-ms", "100"),
-        ("txqueuelen", "10 pfifo_fast; a cycle queues up to 9"),
+        ("txqueuelen", "10, pfifo_fast; a cycle queues up to 9"),
         ("interrupt", "17 on CPU 0-3"),
     ];
     let read: Vec<_> = found
@@ -213,6 +213,8 @@ fn an_interface_that_is_down_is_set_as_the_cell_says() {
         ("txqueuelen", Fine),
     ];
     assert_eq!(judged, expected);
+    let rate = &of(&found, "bit rate").read;
+    assert_eq!(rate, "500 kbit/s, the cell says 1000 kbit/s");
     let mend = of(&found, "up").mend.as_deref().unwrap();
     assert!(
         mend.contains("type can bitrate 1000000 restart-ms 100"),
@@ -222,7 +224,7 @@ fn an_interface_that_is_down_is_set_as_the_cell_says() {
 
 #[test]
 fn a_virtual_bus_has_neither_bit_rate_nor_queue() {
-    let fake = Fake::new(&[("sys/class/net/can0/tx_queue_len", "1000")]);
+    let fake = Fake::new(&[("sys/class/net/can0/tx_queue_len", "0")]);
     for link in [Link::parse(VCAN), None] {
         let found = findings(&fake.tree(), &wanted(), Ok(()), link.as_ref());
         let judged: Vec<_> = found
