@@ -173,11 +173,10 @@ fn try_open(interface: &str) -> Result<(), OpenError> {
 fn netlink(interface: &str) -> Option<Link> {
     // Where PATH has no directories of the administrator's.
     let programs = ["ip", "/usr/sbin/ip", "/sbin/ip"];
-    let output = programs.into_iter().find_map(|program| {
-        let mut command = Command::new(program);
-        command.args(link::ARGUMENTS).arg(interface).output().ok()
-    })?;
-    Link::parse(std::str::from_utf8(&output.stdout).ok()?)
+    programs.into_iter().find_map(|program| {
+        let told = tree::output_of(Command::new(program).args(link::ARGUMENTS).arg(interface))?;
+        Link::parse(&told)
+    })
 }
 
 fn print(examined: &Examined) {

@@ -80,11 +80,19 @@ impl Tree {
         let release = self.text("/proc/sys/kernel/osrelease")?;
         self.text(&format!("/boot/config-{release}")).or_else(|| {
             let packed = self.at("/proc/config.gz");
-            let unpacked = Command::new("gzip").arg("-dc").arg(packed).output().ok()?;
-            let config = String::from_utf8(unpacked.stdout).ok()?;
-            unpacked.status.success().then_some(config)
+            output_of(Command::new("gzip").arg("-dc").arg(packed))
         })
     }
+}
+
+/// What a program prints within two seconds; none where it is not installed, fails or takes longer.
+pub(crate) fn output_of(program: &Command) -> Option<String> {
+    let mut bounded = Command::new("timeout");
+    bounded.args(["--kill-after=1", "2"]);
+    bounded.arg(program.get_program()).args(program.get_args());
+    let output = bounded.output().ok()?;
+    let printed = String::from_utf8(output.stdout).ok()?;
+    output.status.success().then_some(printed)
 }
 
 /// The numbers of a list such as `0-3,6`, as the kernel writes sets of CPUs. What is no number is left out.
@@ -120,6 +128,20 @@ mod tests {
         ];
         for (text, cpus) in table {
             assert!(cpu_list(text).iter().eq(cpus), "{text:?}");
+        }
+    }
+
+    #[test]
+    fn a_program_that_fails_hangs_or_is_not_there_tells_nothing() {
+        let mut echo = Command::new("echo");
+        assert_eq!(output_of(echo.arg("told")).as_deref(), Some("told\n"));
+        let mut sleep = Command::new("sleep");
+        for program in [
+            &mut Command::new("false"),
+            &mut Command::new("no-such-program"),
+            sleep.arg("60"),
+        ] {
+            assert_eq!(output_of(program), None, "{program:?}");
         }
     }
 
