@@ -10,6 +10,7 @@ mod bus_port;
 mod cell_file;
 mod check;
 mod configuration;
+mod doctor;
 mod eds;
 mod emulate;
 mod emulated_lines;
@@ -51,6 +52,8 @@ enum Command {
         #[arg(long)]
         json: bool,
     },
+    /// Examine this host: can it run the cell, and what has to change where it cannot? Changes nothing.
+    Doctor(doctor::Options),
     /// Bring a cell up, home it, run its programs and report. Moves hardware on the card bench.
     Run(run::Options),
     /// Stand in for the axis controllers of a cell on a CAN interface or behind an slcan adapter.
@@ -93,6 +96,7 @@ enum Command {
 fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Check { cell, json } => check::check(&cell, json),
+        Command::Doctor(options) => doctor::doctor(&options),
         Command::Run(options) => run::run(&options),
         Command::Emulate(options) => emulate::emulate(&options),
         Command::Scan(options) => service::scan::scan(&options),

@@ -224,9 +224,10 @@ fn every_key_of_the_example_cells_is_in_the_schema() {
 
 #[test]
 fn every_command_explains_itself() {
-    let commands: [&[&str]; 8] = [
+    let commands: [&[&str]; 9] = [
         &[],
         &["check"],
+        &["doctor"],
         &["run"],
         &["emulate"],
         &["eds"],

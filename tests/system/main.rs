@@ -12,6 +12,7 @@ mod cli_refusals;
 mod cli_run;
 mod configuration;
 mod cycle;
+mod doctor;
 mod emulate_slcan;
 mod epos_service;
 mod faults;

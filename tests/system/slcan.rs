@@ -19,15 +19,15 @@ use crate::mrroc::{self, Directory, Output, Running, mrroc};
 const LOOK: Duration = Duration::from_millis(20);
 
 /// Emulated adapters on one bus, at work in a thread of their own and unplugged on drop.
-struct Adapters {
-    interfaces: Vec<String>,
+pub(crate) struct Adapters {
+    pub(crate) interfaces: Vec<String>,
     unplugged: Arc<AtomicBool>,
     thread: Option<JoinHandle<Vec<SlcanCounts>>>,
 }
 
 impl Adapters {
     /// `count` of them on a bus of 1 Mbit/s with a drive for each of `nodes`.
-    fn with(count: usize, nodes: &[u8]) -> Self {
+    pub(crate) fn with(count: usize, nodes: &[u8]) -> Self {
         let ptys: Vec<_> = (0..count).map(|_| Pty::open().unwrap()).collect();
         let interface = |pty: &Pty| format!("slcan:{}", pty.path().display());
         let interfaces = ptys.iter().map(interface).collect();

@@ -1,0 +1,255 @@
+//! What the user of this process may ask of the scheduler and of the memory.
+
+use controller::cell::{Policy, Realtime};
+
+use super::finding::{Finding, Verdict};
+use super::tree::{Access, Tree, field};
+
+const OF: &str = "limits";
+
+/// Capabilities by their bit (`linux/capability.h`).
+const CAP_DAC_OVERRIDE: u32 = 1;
+const CAP_IPC_LOCK: u32 = 14;
+const CAP_SYS_NICE: u32 = 23;
+
+/// Address space that a run locks at most, bytes: twice the 280 MB that one of six axes was seen to take.
+const LOCKED: u64 = 512 << 20;
+
+/// Who this process is.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Identity {
+    uid: u32,
+    /// The effective group first.
+    groups: Vec<u32>,
+    /// The effective set.
+    capabilities: u64,
+}
+
+impl Identity {
+    pub(crate) fn of(tree: &Tree) -> Self {
+        Self::parse(&tree.text("/proc/self/status").unwrap_or_default())
+    }
+
+    fn parse(status: &str) -> Self {
+        let words = |name| {
+            field(status, name)
+                .unwrap_or_default()
+                .split_whitespace()
+                .filter_map(|word| word.parse().ok())
+        };
+        let effective = |name| words(name).nth(1);
+        let capabilities = field(status, "CapEff").unwrap_or_default();
+        Self {
+            // The uid of nobody, where the kernel does not say.
+            uid: effective("Uid").unwrap_or(65_534),
+            groups: effective("Gid")
+                .into_iter()
+                .chain(words("Groups"))
+                .collect(),
+            capabilities: u64::from_str_radix(capabilities, 16).unwrap_or(0),
+        }
+    }
+
+    fn can(&self, capability: u32) -> bool {
+        self.capabilities >> capability & 1 == 1
+    }
+
+    /// Whether all of `wanted`, such as 0o6 for reading and writing, is granted; access control lists are not looked at.
+    pub(crate) fn may(&self, wanted: u32, access: Access) -> bool {
+        let granted = if access.uid == self.uid {
+            access.mode >> 6
+        } else if self.groups.contains(&access.gid) {
+            access.mode >> 3
+        } else {
+            access.mode
+        };
+        self.can(CAP_DAC_OVERRIDE) || granted & wanted == wanted
+    }
+}
+
+/// What a servo thread of `realtime` is granted; `tried` is the scheduler's answer to such a thread.
+pub(crate) fn findings(
+    tree: &Tree,
+    realtime: &Realtime,
+    tried: Result<(), servo::thread::Denial>,
+) -> Vec<Finding> {
+    let identity = Identity::of(tree);
+    let limits = tree.text("/proc/self/limits").unwrap_or_default();
+    let mut findings = vec![scheduling(&limits, &identity, realtime, tried)];
+    if realtime.lock_memory {
+        findings.push(memory(&limits, &identity, realtime.policy));
+    }
+    findings
+}
+
+/// The soft limit of a line of `/proc/self/limits`; `unlimited` is the greatest number.
+fn soft_limit(limits: &str, name: &str) -> Option<u64> {
+    let line = limits.lines().find_map(|line| line.strip_prefix(name))?;
+    match line.split_whitespace().next()? {
+        "unlimited" => Some(u64::MAX),
+        number => number.parse().ok(),
+    }
+}
+
+fn told(limit: Option<u64>) -> String {
+    match limit {
+        None => "unknown".to_owned(),
+        Some(u64::MAX) => "unlimited".to_owned(),
+        Some(limit) => limit.to_string(),
+    }
+}
+
+/// What a denial means to a cell of this policy.
+pub(crate) fn denied(policy: Policy) -> Verdict {
+    match policy {
+        Policy::Require => Verdict::NotUsable,
+        Policy::BestEffort => Verdict::Warning,
+    }
+}
+
+fn scheduling(
+    limits: &str,
+    identity: &Identity,
+    realtime: &Realtime,
+    tried: Result<(), servo::thread::Denial>,
+) -> Finding {
+    let priority = realtime.priority;
+    let limit = told(soft_limit(limits, "Max realtime priority"));
+    let capability = if identity.can(CAP_SYS_NICE) {
+        ", CAP_SYS_NICE"
+    } else {
+        ""
+    };
+    let answer = if tried.is_ok() { "granted" } else { "denied" };
+    let finding = Finding::new(
+        OF,
+        "rtprio",
+        format!("SCHED_FIFO {priority} {answer}; limit {limit}{capability}"),
+        "under SCHED_OTHER every other program may delay a cycle, by tens of milliseconds on a busy host",
+    );
+    match tried {
+        Ok(()) => finding,
+        Err(_) => finding.judged(
+            denied(realtime.policy),
+            format!(
+                "the line `@realtime - rtprio {priority}` in /etc/security/limits.d/mrroc.conf, the user in group \
+                 realtime, a new login; in a container also --cap-add SYS_NICE"
+            ),
+        ),
+    }
+}
+
+fn memory(limits: &str, identity: &Identity, policy: Policy) -> Finding {
+    let limit = soft_limit(limits, "Max locked memory");
+    let free = identity.can(CAP_IPC_LOCK);
+    let capability = if free { ", CAP_IPC_LOCK" } else { "" };
+    let finding = Finding::new(
+        OF,
+        "memlock",
+        format!("{}{capability}", told(limit)),
+        "memory that is not locked may be swapped out, and a page fault in a cycle takes milliseconds; locking counts \
+         every page, stacks of later threads too",
+    );
+    if free || limit.is_some_and(|limit| limit >= LOCKED) {
+        return finding;
+    }
+    finding.judged(
+        denied(policy),
+        "the line `@realtime - memlock unlimited` in /etc/security/limits.d/mrroc.conf, the user in group realtime, a \
+         new login",
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use servo::thread::Denial;
+
+    const LIMITS: &str =
+        "Limit                     Soft Limit           Hard Limit           Units     
+Max locked memory         8388608              8388608              bytes     
+Max realtime priority     0                    0                    
+Max realtime timeout      unlimited            unlimited            us        ";
+
+    fn identity(capabilities: u64) -> Identity {
+        Identity {
+            uid: 1000,
+            groups: vec![1000, 20],
+            capabilities,
+        }
+    }
+
+    #[test]
+    fn who_asks_is_read_from_the_status() {
+        let status = "Name:\tmrroc\nUid:\t0\t1000\t0\t0\nGid:\t0\t1000\t0\t0\nGroups:\t20 \nCapEff:\t0000000000804000";
+        let parsed = Identity::parse(status);
+        assert_eq!(parsed, identity(1 << CAP_SYS_NICE | 1 << CAP_IPC_LOCK));
+        assert_eq!(Identity::parse("").uid, 65_534);
+    }
+
+    #[test]
+    fn the_first_class_that_fits_decides_about_a_file() {
+        let access = |mode, uid, gid| Access { mode, uid, gid };
+        let table = [
+            (0, access(0o20_660, 0, 20), true),
+            (0, access(0o20_600, 0, 20), false),
+            (0, access(0o20_660, 0, 5), false),
+            (0, access(0o20_666, 0, 5), true),
+            (0, access(0o20_640, 0, 20), false),
+            // The owner is not helped by what the others may.
+            (0, access(0o20_066, 1000, 5), false),
+            (1 << CAP_DAC_OVERRIDE, access(0o20_600, 0, 0), true),
+        ];
+        for (capabilities, access, may) in table {
+            assert_eq!(identity(capabilities).may(0o6, access), may, "{access:?}");
+        }
+    }
+
+    #[test]
+    fn what_is_denied_stops_a_cell_that_requires_it() {
+        let realtime = |policy| Realtime {
+            policy,
+            ..Realtime::default()
+        };
+        let denial = Denial::Fifo {
+            priority: 80,
+            errno: 1,
+        };
+        let table = [
+            (Policy::BestEffort, 0, Err(denial), [Verdict::Warning; 2]),
+            (Policy::Require, 0, Err(denial), [Verdict::NotUsable; 2]),
+            (Policy::Require, u64::MAX, Ok(()), [Verdict::Ok; 2]),
+            (
+                Policy::Require,
+                1 << CAP_IPC_LOCK,
+                Err(denial),
+                [Verdict::NotUsable, Verdict::Ok],
+            ),
+        ];
+        for (policy, capabilities, tried, verdicts) in table {
+            let identity = identity(capabilities);
+            let found = [
+                scheduling(LIMITS, &identity, &realtime(policy), tried).verdict,
+                memory(LIMITS, &identity, policy).verdict,
+            ];
+            assert_eq!(found, verdicts, "{policy:?} {capabilities:x}");
+        }
+    }
+
+    #[test]
+    fn limits_are_told_as_they_are_set() {
+        assert_eq!(soft_limit(LIMITS, "Max locked memory"), Some(8_388_608));
+        assert_eq!(soft_limit(LIMITS, "Max realtime priority"), Some(0));
+        assert_eq!(soft_limit(LIMITS, "Max realtime timeout"), Some(u64::MAX));
+        assert_eq!(soft_limit(LIMITS, "Max open files"), None);
+        for (limit, verdict) in [
+            ("unlimited", Verdict::Ok),
+            ("1073741824", Verdict::Ok),
+            ("67108864", Verdict::NotUsable),
+        ] {
+            let limits = LIMITS.replace("8388608", limit);
+            let finding = memory(&limits, &identity(0), Policy::Require);
+            assert_eq!((finding.verdict, &*finding.read), (verdict, limit));
+        }
+    }
+}

@@ -1,0 +1,218 @@
+//! `mrroc doctor`: whether this host can run a cell, and what to change where it cannot.
+//!
+//! It reads and changes nothing. Each concept has a module of pure judgements on what [`tree::Tree`] and the few questions
+//! asked here returned; all of it is [`finding::Finding`]s, and the worst of them is the exit status.
+
+mod can_interfaces;
+mod cpu;
+mod finding;
+mod kernel;
+mod limits;
+mod link;
+mod serial_lines;
+#[cfg(test)]
+mod tests;
+mod tree;
+
+use std::path::PathBuf;
+use std::process::{Command, ExitCode};
+use std::thread;
+use std::time::Duration;
+
+use anyhow::Context;
+use can::clock::{now, sleep_until};
+use can::{OpenError, SocketCanOptions, SocketCanPort};
+use clap::Args;
+use controller::cell::{Cell, Realtime};
+use drive::cia402;
+use serde::Serialize;
+use servo::thread::{Denial, set_fifo};
+
+use crate::cell_file::CellFile;
+use crate::interfaces::Interface;
+use finding::{Finding, Verdict};
+use link::Link;
+use tree::Tree;
+
+/// How long the steal time is watched.
+const WATCH: Duration = Duration::from_millis(200);
+
+/// What the command's help says of its exit status.
+const EXIT_STATUS: &str =
+    "Exit status: 0 ready; 1 usable with warnings; 2 not usable, or the cell file is refused.";
+
+/// What to examine.
+#[derive(Args)]
+#[command(after_help = EXIT_STATUS)]
+pub(crate) struct Options {
+    /// The cell file: its CAN interfaces, serial lines and real-time needs. Without one, the host alone and the CAN
+    /// interfaces it has.
+    cell: Option<PathBuf>,
+    /// Print one JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Everything that was found.
+#[derive(Serialize)]
+struct Examined {
+    cell: Option<String>,
+    verdict: Verdict,
+    findings: Vec<Finding>,
+}
+
+/// Examines the host and says what it found.
+pub(crate) fn doctor(options: &Options) -> anyhow::Result<ExitCode> {
+    let file = options.cell.as_deref().map(CellFile::read).transpose()?;
+    let cell = file.as_ref().map(|file| &file.cell);
+    let findings = examine(&Tree::new("/"), cell)?;
+    let worst = findings.iter().map(|finding| finding.verdict).max();
+    let examined = Examined {
+        cell: cell.map(|cell| cell.name.clone()),
+        verdict: worst.unwrap_or(Verdict::Ok),
+        findings,
+    };
+    if options.json {
+        println!("{}", serde_json::to_string(&examined)?);
+    } else {
+        print(&examined);
+    }
+    Ok(ExitCode::from(match examined.verdict {
+        Verdict::Ok => 0,
+        Verdict::Warning => 1,
+        Verdict::NotUsable => 2,
+    }))
+}
+
+fn examine(tree: &Tree, cell: Option<&Cell>) -> anyhow::Result<Vec<Finding>> {
+    let realtime = cell.map_or_else(Realtime::default, |cell| cell.realtime.clone());
+    let stat = || tree.text("/proc/stat").unwrap_or_default();
+    let before = stat();
+    let end = now() + WATCH;
+
+    let mut findings = kernel::findings(tree, cell.map(|cell| cell.period_us));
+    let tried = try_fifo(realtime.priority)?;
+    findings.extend(limits::findings(tree, &realtime, tried));
+    findings.extend(cpu::findings(tree, &realtime));
+    let (interfaces, lines) = wanted(tree, cell);
+    for wanted in interfaces {
+        let link = netlink(&wanted.interface);
+        let opened = try_open(&wanted.interface);
+        let found = can_interfaces::findings(tree, &wanted, opened, link.as_ref());
+        findings.extend(found);
+    }
+    for wanted in lines {
+        findings.extend(serial_lines::findings(tree, &wanted));
+    }
+
+    sleep_until(end);
+    let cpuinfo = tree.text("/proc/cpuinfo").unwrap_or_default();
+    findings.push(cpu::steal(&cpuinfo, &before, &stat()));
+    Ok(findings)
+}
+
+/// The interfaces and ttys that the cell names; without a cell, the CAN interfaces that are there.
+fn wanted(
+    tree: &Tree,
+    cell: Option<&Cell>,
+) -> (Vec<can_interfaces::Wanted>, Vec<serial_lines::Wanted>) {
+    let (mut interfaces, mut lines) = (Vec::new(), Vec::new());
+    let Some(cell) = cell else {
+        let present = can_interfaces::present(tree).into_iter();
+        let of_host = present.map(|interface| can_interfaces::Wanted {
+            of: interface.clone(),
+            interface,
+            bitrate_kbps: None,
+            send_queue: SocketCanOptions::default().send_queue,
+            servo_cpu: None,
+        });
+        return (of_host.collect(), lines);
+    };
+    for (index, bus) in cell.bus.iter().enumerate() {
+        match Interface::parse(&bus.interface) {
+            Interface::SocketCan(interface) => interfaces.push(can_interfaces::Wanted {
+                of: format!("bus {}, {interface}", bus.name),
+                interface,
+                bitrate_kbps: Some(bus.bitrate_kbps),
+                send_queue: cell.axes_on(index).count() + cia402::BESIDE_SETPOINTS,
+                servo_cpu: cell.realtime.cpu,
+            }),
+            Interface::Slcan { path, .. } => lines.push(serial_lines::Wanted {
+                of: format!("bus {}, {path}", bus.name),
+                path,
+            }),
+        }
+    }
+    for bundle in cell.bus.len()..cell.groups().count() {
+        let axes = cell.axes_on(bundle);
+        lines.extend(axes.map(|(robot, axis)| {
+            let (robot, axis) = (&cell.robot[robot], &cell.robot[robot].axis[axis]);
+            let path = &axis.axis_controller().line;
+            serial_lines::Wanted {
+                of: format!("axis {}.{}, {path}", robot.name, axis.name),
+                path: path.clone(),
+            }
+        }));
+    }
+    (interfaces, lines)
+}
+
+/// What the scheduler says to a thread that asks for this priority. It ends at once.
+fn try_fifo(priority: u8) -> anyhow::Result<Result<(), Denial>> {
+    let asking = thread::Builder::new().spawn(move || set_fifo(priority));
+    let asking = asking.context("a thread to ask for its priority")?;
+    Ok(asking.join().expect("asking does not panic"))
+}
+
+/// A socket that sends nothing and is closed at once.
+fn try_open(interface: &str) -> Result<(), OpenError> {
+    SocketCanPort::open(interface, &SocketCanOptions::default()).map(drop)
+}
+
+/// What `ip` tells; none where it is not installed or knows no such interface.
+fn netlink(interface: &str) -> Option<Link> {
+    // Where PATH has no directories of the administrator's.
+    let programs = ["ip", "/usr/sbin/ip", "/sbin/ip"];
+    programs.into_iter().find_map(|program| {
+        let told = tree::output_of(Command::new(program).args(link::ARGUMENTS).arg(interface))?;
+        Link::parse(&told)
+    })
+}
+
+fn print(examined: &Examined) {
+    for finding in &examined.findings {
+        let Finding {
+            of,
+            what,
+            read,
+            why,
+            ..
+        } = finding;
+        let verdict = match finding.verdict {
+            Verdict::Ok => "ok",
+            Verdict::Warning => "warning",
+            Verdict::NotUsable => "not usable",
+        };
+        println!("{verdict:10}  {of}: {what}: {read}");
+        if let Some(mend) = &finding.mend {
+            println!("{:12}why: {why}\n{:12}mend: {mend}", "", "");
+        }
+    }
+    let count = |verdict| {
+        let findings = examined.findings.iter();
+        findings
+            .filter(|finding| finding.verdict == verdict)
+            .count()
+    };
+    let whose = examined.cell.as_deref().map(|cell| format!(" for {cell}"));
+    let whose = whose.unwrap_or_default();
+    let warnings = count(Verdict::Warning);
+    match examined.verdict {
+        Verdict::Ok => println!("\nready{whose}"),
+        Verdict::Warning => println!("\nusable{whose}, with warnings: {warnings}"),
+        Verdict::NotUsable => println!(
+            "\nnot usable{whose}: {} in the way, warnings: {warnings}",
+            count(Verdict::NotUsable)
+        ),
+    }
+}
