@@ -33,7 +33,7 @@ impl BusPort {
         }
     }
 
-    /// The same, with `options` where it is a SocketCAN interface. An slcan adapter is given 0.7 s to answer.
+    /// The same, with `options` where it is a SocketCAN interface. An slcan adapter is given 0.9 s to answer.
     pub(crate) fn with_options(
         interface: &Interface,
         kbps: u32,

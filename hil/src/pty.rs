@@ -152,28 +152,8 @@ pub fn wait<'a>(
         }
     };
     let mut ends: Vec<_> = ends.into_iter().map(waited).collect();
-    loop {
-        let remaining = until.since(clock::now());
-        let timeout = libc::timespec {
-            tv_sec: libc::time_t::try_from(remaining.as_secs()).unwrap_or(libc::time_t::MAX),
-            tv_nsec: remaining.subsec_nanos() as libc::c_long,
-        };
-        let count = ends.len() as libc::nfds_t;
-        // SAFETY: `count` valid pollfds of descriptors that are borrowed, a valid timespec, no signal mask.
-        let result = unsafe {
-            libc::ppoll(
-                ends.as_mut_ptr(),
-                count,
-                &raw const timeout,
-                std::ptr::null(),
-            )
-        };
-        match checked(result) {
-            Ok(_) => return Ok(()),
-            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-            Err(error) => return Err(error),
-        }
-    }
+    clock::wait(&mut ends, until).map_err(io::Error::from_raw_os_error)?;
+    Ok(())
 }
 
 /// The number of the host's end, and that end.

@@ -86,7 +86,7 @@ fn a_bus_is_looked_at_asked_and_told() {
         let said = stage.says("sdo read 1 0x6041:0");
         assert!(said.starts_with("0x6041:00 statusword = 0x"), "{said}");
         assert!(said.contains("(switch on disabled"), "{said}");
-        let read = stage.run("sdo read 1 4120:1 --json").json();
+        let read = stage.run("sdo read 1 1018:1 --json").json();
         assert_eq!(
             (&read["value"], &read["name"]),
             (&0xFB.into(), &"vendor-ID".into())

@@ -205,6 +205,30 @@ fn a_tty_that_is_not_there_or_no_adapter_is_refused_in_one_line() {
 }
 
 #[test]
+fn a_broken_off_layer_setting_service_sends_all_slaves_back_to_waiting_mode() {
+    let adapters = Adapters::with(2, &[3]);
+    let [here, there] = &adapters.interfaces[..] else {
+        panic!("two adapters");
+    };
+    let monitor = Running::start(["monitor", "--only", "lss", "--can", there]);
+    clock::sleep_until(clock::now() + Duration::from_secs(1));
+    // Nobody has this identity.
+    let inquire = "lss inquire --identity 1:2:3:4 --timeout 60000 --can";
+    let inquire = Running::start(inquire.split(' ').chain([here.as_str()]));
+    clock::sleep_until(clock::now() + Duration::from_secs(1));
+    inquire.signal("INT");
+    assert_eq!(inquire.output().status.code(), Some(1));
+    monitor.signal("INT");
+    let heard = monitor.output().stdout;
+    let mode = |line: &&str| line.contains("7E5#04");
+    assert_eq!(heard.lines().filter(mode).count(), 2, "{heard}");
+    assert!(
+        heard.lines().next_back().is_some_and(|line| mode(&line)),
+        "{heard}"
+    );
+}
+
+#[test]
 fn an_adapter_that_is_unplugged_ends_a_monitor() {
     let mut adapter = Adapters::with(1, &[3]);
     let heartbeat = "sdo write 3 0x1017 --type u16 20 --no-read-back";

@@ -137,10 +137,12 @@ fn wanted(
                 send_queue: cell.axes_on(index).count() + cia402::BESIDE_SETPOINTS,
                 servo_cpu: cell.realtime.cpu,
             }),
-            Interface::Slcan { path, .. } => lines.push(serial_lines::Wanted {
-                of: format!("bus {}, {path}", bus.name),
-                path,
-            }),
+            Interface::Slcan { path, .. } | Interface::Epos { path, .. } => {
+                lines.push(serial_lines::Wanted {
+                    of: format!("bus {}, {path}", bus.name),
+                    path,
+                })
+            }
         }
     }
     for bundle in cell.bus.len()..cell.groups().count() {

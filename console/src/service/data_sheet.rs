@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
 use canopen::eds::{Access, DataType, Eds, Value};
 use canopen::{NodeId, Object};
 
@@ -26,7 +26,7 @@ impl DataSheet {
     pub(super) fn read(path: &Path, object: Object) -> anyhow::Result<Self> {
         let shown = || path.display().to_string();
         let bytes = std::fs::read(path).with_context(shown)?;
-        let eds = Eds::read(&bytes).with_context(shown)?;
+        let eds = Eds::read(&bytes).map_err(|error| anyhow!("{}:{error}", shown()))?;
         Self::of(&eds, object, shown())
     }
 
@@ -84,13 +84,19 @@ impl DataSheet {
         Ok(())
     }
 
-    /// Refuses to write what can only be read, and numbers out of the range that is stated for `node`.
+    /// Refuses to write what can only be read, numbers of another length than the object's, and those out of the range
+    /// that is stated for `node`.
     pub(super) fn check_write(&self, node: NodeId, data: &[u8]) -> anyhow::Result<()> {
         let Self {
             object, name, path, ..
         } = self;
         if !self.access.writable() {
             bail!("{object} {name} is read-only by {path}");
+        }
+        let length = self.value_type().and_then(Type::bytes);
+        if let Some(length) = length.filter(|length| *length != data.len()) {
+            let given = data.len();
+            bail!("{object} {name} takes {length} bytes by {path}, not {given}: leave out --type");
         }
         let number = match self.data_type.range() {
             Some((least, _)) if least < 0 => value::signed(data).map(i128::from),
@@ -173,9 +179,12 @@ mod tests {
             assert_eq!(write(0x1017, 0, &fits), "");
         }
         assert_eq!(write(0x2000, 1, &[0xFB, 0xFF]), "");
-        // Bytes given as such may be no number at all.
-        for data in [&[][..], &[0; 9]] {
-            assert_eq!(write(0x2000, 1, data), "", "{} bytes", data.len());
+        for data in [&[][..], &[0], &[0; 4], &[0; 9]] {
+            let given = data.len();
+            let length = format!(
+                "0x2000:01 Gains: P takes 2 bytes by drive.eds, not {given}: leave out --type"
+            );
+            assert_eq!(write(0x2000, 1, data), length);
         }
         let signed = "0x2000:01 Gains: P takes no less than -5 by drive.eds";
         assert_eq!(write(0x2000, 1, &[0xFA, 0xFF]), signed);

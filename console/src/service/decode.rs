@@ -10,7 +10,7 @@ mod lss;
 use can::Frame;
 use canopen::cia402::FaultTable;
 use canopen::emcy::Emergency;
-use canopen::heartbeat::Heartbeat;
+use canopen::guarding;
 use canopen::nmt::{Command, Request as NmtRequest, State, Target};
 use canopen::pdo::{Entry, PdoKind};
 use canopen::sdo::{Initiate, Request, Response, Segment};
@@ -40,7 +40,7 @@ pub(crate) enum Kind {
     Pdo,
     /// SDO, both ways.
     Sdo,
-    /// Heartbeats and boot-up messages.
+    /// Heartbeats, answers to node guarding, and boot-up messages.
     Heartbeat,
     /// Layer setting services.
     Lss,
@@ -344,9 +344,12 @@ fn sync(frame: &Frame) -> Option<String> {
 }
 
 fn heartbeat(frame: &Frame) -> Option<String> {
-    Some(match Heartbeat::decode(frame)?.state {
-        State::Initialising => "booted".to_owned(),
-        state => state.to_string(),
+    // Answers to node guarding are heartbeats with a toggle bit; a heartbeat proper has it 0.
+    let said = guarding::Response::decode(frame)?;
+    Some(match (said.state, said.toggle) {
+        (State::Initialising, false) => "booted".to_owned(),
+        (state, false) => state.to_string(),
+        (state, true) => format!("{state}, toggle bit set"),
     })
 }
 

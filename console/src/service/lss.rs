@@ -7,13 +7,14 @@ use std::time::Duration;
 use can::{Frame, Instant};
 use canopen::NodeId;
 use canopen::heartbeat::Heartbeat;
-use canopen::lss::{Answer, Identity, LssError, Master, Mode, Part, Service};
+use canopen::lss::{Answer, Identity, LssError, Master, Mode, Part, Request, Service};
 use canopen::nmt::State;
 use clap::{Args, Subcommand};
 use serde::Serialize;
 
 use super::talk::{Conversation, Ended};
 use super::{BusArgs, interrupted, milliseconds, node_id, say, value, words};
+use crate::interfaces::Interface;
 
 /// How long a slave may take to store its configuration.
 const STORING: Duration = Duration::from_secs(2);
@@ -34,9 +35,10 @@ pub(crate) enum Action {
     Scan {
         #[command(flatten)]
         bus: BusArgs,
-        /// How long each of the 133 questions for a node waits, ms: longer than the slowest node's answer.
-        #[arg(long, value_name = "MS", default_value_t = 20)]
-        timeout: u64,
+        /// How long each of the 133 questions for a node waits, ms: longer than the slowest node's answer and the
+        /// latency of the interface. [default: 20, or 50 on slcan]
+        #[arg(long, value_name = "MS")]
+        timeout: Option<u64>,
         /// Print one JSON object.
         #[arg(long)]
         json: bool,
@@ -118,7 +120,7 @@ fn written(identity: &Identity) -> String {
 /// Does it.
 pub(crate) fn lss(action: &Action) -> anyhow::Result<ExitCode> {
     match action {
-        Action::Scan { bus, timeout, json } => scan(bus, milliseconds(*timeout), *json),
+        Action::Scan { bus, timeout, json } => scan(bus, timeout.map(milliseconds), *json),
         Action::Inquire { slave, json } => inquire(slave, *json),
         Action::SetNodeId { slave, node, store } => set_node_id(slave, node.0, *store),
         Action::Store { slave } => {
@@ -158,12 +160,22 @@ impl Found {
     }
 }
 
-fn scan(bus: &BusArgs, timeout: Duration, json: bool) -> anyhow::Result<ExitCode> {
+/// How long a question for a node waits on an interface. A serial adapter may keep an answer for 16 ms, as FTDI's chips
+/// do by default, before it hands it over.
+fn question(interface: &Interface) -> Duration {
+    match interface {
+        Interface::SocketCan(_) | Interface::Epos { .. } => Duration::from_millis(20),
+        Interface::Slcan { .. } => Duration::from_millis(50),
+    }
+}
+
+fn scan(bus: &BusArgs, timeout: Option<Duration>, json: bool) -> anyhow::Result<ExitCode> {
     #[derive(Serialize)]
     struct Unconfigured {
         unconfigured: Vec<Found>,
     }
     let mut bus = bus.open()?;
+    let timeout = timeout.unwrap_or_else(|| question(&bus.interface));
     let mut dialogue = Dialogue::scan(timeout);
     if bus.hold(&mut dialogue)? == Ended::Interrupted {
         return Ok(interrupted());
@@ -447,5 +459,23 @@ impl Conversation for Dialogue {
             self.ending = Ending::Over;
         }
         self.go_on(now);
+    }
+
+    /// Slaves in configuration mode would answer the next master as if it had selected them.
+    fn break_off(&self) -> Option<Frame> {
+        Some(Request::SwitchGlobal(Mode::Waiting).encode())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_question_outlasts_the_latency_of_its_interface() {
+        for (interface, ms) in [("can0", 20), ("slcan:/dev/ttyUSB0", 50)] {
+            let waits = question(&Interface::parse(interface));
+            assert_eq!(waits, Duration::from_millis(ms), "{interface}");
+        }
     }
 }

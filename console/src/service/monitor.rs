@@ -18,6 +18,7 @@ use super::pdo_map::{MappingQuestions, Pdo, PdoMap};
 use super::survey::Survey;
 use super::talk::Ended;
 use super::{Bus, BusArgs, interrupted, milliseconds, now, words};
+use crate::interfaces::Interface;
 use crate::setup;
 
 /// Longest time between two looks at whether somebody pressed Ctrl-C.
@@ -175,9 +176,17 @@ impl Health {
         let changed = state != self.state;
         *self = Self { state, dropped };
         if lost > 0 {
-            return Some(format!("{lost} frames lost, this host did not keep up"));
+            return Some(loss(&bus.interface, lost));
         }
         changed.then(|| format!("the controller is {}", words::controller_state(state)))
+    }
+}
+
+/// Of lines that an adapter spoilt nobody knows whether they were frames.
+fn loss(interface: &Interface, count: u64) -> String {
+    match interface {
+        Interface::SocketCan(_) | Interface::Epos { .. } => format!("{count} frames lost, this host did not keep up"),
+        Interface::Slcan { .. } => format!("{count} frames lost or unreadable"),
     }
 }
 
@@ -218,5 +227,21 @@ impl std::fmt::Display for Line<'_> {
             write!(f, "{}: ", self.bus.name_of(node))?;
         }
         f.write_str(&self.described.text)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_loss_is_blamed_on_this_host_only_where_nothing_else_can_be() {
+        let table = [
+            ("can0", "3 frames lost, this host did not keep up"),
+            ("slcan:/dev/ttyACM0", "3 frames lost or unreadable"),
+        ];
+        for (interface, text) in table {
+            assert_eq!(loss(&Interface::parse(interface), 3), text);
+        }
     }
 }

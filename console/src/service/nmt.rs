@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use anyhow::{Context, bail};
 use can::{Frame, Instant};
-use canopen::heartbeat::Heartbeat;
+use canopen::guarding::Response;
 use canopen::nmt::{Command, Request, State, Target};
 use canopen::objects::PRODUCER_HEARTBEAT;
 use canopen::sdo::{self, SdoError};
@@ -214,7 +214,8 @@ impl Conversation for Told {
         if self.frame.is_some() {
             return;
         }
-        if let Some(Heartbeat { node, state }) = Heartbeat::decode(frame) {
+        // One that another master guards says its state with a toggle bit.
+        if let Some(Response { node, state, .. }) = Response::decode(frame) {
             let heard = &mut self.heard[usize::from(node.raw())];
             // A node that has booted says next which state it is in.
             if *heard != Some(self.wanted) || self.wanted != State::Initialising {

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use anyhow::bail;
 use can::{Frame, Instant};
-use canopen::heartbeat::Heartbeat;
+use canopen::guarding::Response;
 use canopen::lss::Answer;
 use canopen::objects::{
     DEVICE_NAME, DEVICE_TYPE, PRODUCER_HEARTBEAT, PRODUCT_CODE, REVISION, SERIAL_NUMBER, VENDOR_ID,
@@ -157,7 +157,8 @@ impl Scan {
 
 impl Conversation for Scan {
     fn handle(&mut self, frame: &Frame, now: Instant) {
-        if let Some(Heartbeat { node, state }) = Heartbeat::decode(frame) {
+        // One that another master guards says its state with a toggle bit.
+        if let Some(Response { node, state, .. }) = Response::decode(frame) {
             let mut all = self.survey.questions();
             if let Some((_, identity)) = all.find(|(asked, _)| *asked == node) {
                 identity.heard(state, now);

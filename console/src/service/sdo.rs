@@ -58,7 +58,8 @@ pub(crate) struct Target {
     /// The node-ID.
     #[arg(value_parser = node_id)]
     node: NodeId,
-    /// The object, such as 0x6041:0; its numbers are hexadecimal with 0x and decimal without.
+    /// The object, such as 0x6041:0, or 6041:0: both numbers are hexadecimal, as data sheets and this program write
+    /// them, with 0x or without; without, the index has four digits. The sub-index is 0 where none is given.
     #[arg(value_name = "INDEX:SUB", value_parser = object)]
     object: Object,
     /// The data sheet (EDS or DCF) of the device: names and types come from it, and it refuses what it does not allow.
@@ -88,13 +89,23 @@ impl Target {
 
 /// An object on the command line.
 fn object(text: &str) -> Result<Object, String> {
+    const NOTATION: &str = "an object is INDEX:SUB in hexadecimal, such as 0x6041:0, or 6041:0 with all four digits of the index";
     let (index, subindex) = text.split_once(':').unwrap_or((text, "0"));
-    let index = value::number(index).and_then(|index| u16::try_from(index).ok());
-    let subindex = value::number(subindex).and_then(|subindex| u8::try_from(subindex).ok());
+    let marked = index.starts_with("0x") || index.starts_with("0X");
+    let index = hexadecimal(index, 4).filter(|_| marked || index.len() == 4);
+    let subindex = hexadecimal(subindex, 2).map(|subindex| subindex as u8);
     match (index, subindex) {
         (Some(index), Some(subindex)) => Ok(Object::new(index, subindex)),
-        _ => Err("an object is INDEX:SUB, such as 0x6041:0".to_owned()),
+        _ => Err(NOTATION.to_owned()),
     }
+}
+
+/// A number of at most so many hexadecimal digits, with 0x before them or without.
+fn hexadecimal(text: &str, most: usize) -> Option<u16> {
+    let marked = text.strip_prefix("0x").or_else(|| text.strip_prefix("0X"));
+    let digits = marked.unwrap_or(text);
+    let plain = digits.len() <= most && digits.bytes().all(|digit| digit.is_ascii_hexdigit());
+    u16::from_str_radix(digits, 16).ok().filter(|_| plain)
 }
 
 /// Reads or writes.
@@ -166,11 +177,11 @@ fn write(
     if !read_back {
         return Ok(ExitCode::SUCCESS);
     }
-    match transfer(&mut channel, target, target.object, None, Some(ty))? {
+    match read_back_of(&mut channel, target, &data, ty)? {
         None => Ok(interrupted()),
-        Some(Ok(found)) => {
+        Some(Ok((found, agrees))) => {
             show(target, &found, Some(ty), sheet.as_ref(), None)?;
-            if agrees(&data, &found) {
+            if agrees {
                 return Ok(ExitCode::SUCCESS);
             }
             let (object, wrote) = (target.object, Shown::of(&data, Some(ty), false));
@@ -198,9 +209,32 @@ fn write(
     }
 }
 
-/// Whether what was read back is what was written. A node that does not say how much it sends fills up to four bytes.
-fn agrees(wrote: &[u8], found: &[u8]) -> bool {
-    found == wrote || !wrote.is_empty() && found.len() == 4 && found.starts_with(wrote)
+/// What is read back after a write, and whether it is what was written; `None` if Ctrl-C came before.
+fn read_back_of(
+    channel: &mut Channel,
+    target: &Target,
+    wrote: &[u8],
+    ty: Type,
+) -> anyhow::Result<Option<Result<(Vec<u8>, bool), SdoError>>> {
+    let Channel::Bus(bus) = channel else {
+        let found = transfer(channel, target, target.object, None, Some(ty))?;
+        let judged = |found: Vec<u8>| {
+            let agrees = found == wrote;
+            (found, agrees)
+        };
+        return Ok(found.map(|found| found.map(judged)));
+    };
+    let timeout = milliseconds(target.timeout);
+    let (node, object) = (target.node, target.object);
+    let mut reading = Transfer::start(node, object, None, target.block, timeout, now())?;
+    reading.wrote = wrote.to_vec();
+    if bus.hold(&mut reading)? == Ended::Interrupted {
+        return Ok(None);
+    }
+    let agrees = reading.agrees;
+    Ok(reading
+        .result
+        .map(|found| found.map(|found| (found, agrees))))
 }
 
 /// What was read, or written; `None` if Ctrl-C came before. A service port does not say how long an object is: `ty`
@@ -287,6 +321,10 @@ fn show(
 /// One transfer as a conversation.
 pub(super) struct Transfer {
     client: sdo::Client,
+    /// What was written before, where it is to be read back.
+    wrote: Vec<u8>,
+    /// Whether it was read back.
+    agrees: bool,
     /// Once it is over.
     pub(super) result: Option<Result<Vec<u8>, SdoError>>,
 }
@@ -310,12 +348,15 @@ impl Transfer {
         }
         Ok(Self {
             client,
+            wrote: Vec::new(),
+            agrees: false,
             result: None,
         })
     }
 
     fn take_result(&mut self) {
         if let Some(result) = self.client.poll() {
+            self.agrees = result.is_ok_and(|transfer| transfer.agrees_with(&self.wrote));
             self.result = Some(result.map(|transfer| transfer.data.to_vec()));
         }
     }
@@ -346,17 +387,42 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_fills_up_the_answer_of_a_node_without_sizes_is_no_difference() {
-        let table: [(&[u8], &[u8], bool); 6] = [
-            (&[0x96, 0x00], &[0x96, 0x00], true),
-            (&[0x96, 0x00], &[0x96, 0x00, 0xAA, 0x55], true),
-            (&[0x96, 0x00], &[0x97, 0x00, 0x00, 0x00], false),
-            (&[0x96, 0x00], &[0x96, 0x00, 0xAA], false),
-            (&[0x96, 0x00], &[0x96], false),
-            (&[], &[0, 0, 0, 0], false),
-        ];
-        for (wrote, found, same) in table {
-            assert_eq!(agrees(wrote, found), same, "{wrote:?} {found:?}");
+    fn objects_are_hexadecimal_with_0x_or_without() {
+        for (text, index, subindex) in [
+            ("0x6041:0", 0x6041, 0),
+            ("6041:0", 0x6041, 0),
+            ("6041", 0x6041, 0),
+            ("0x6041", 0x6041, 0),
+            ("0X1f80:0A", 0x1F80, 0x0A),
+            ("1a00:0x10", 0x1A00, 0x10),
+            ("1018:10", 0x1018, 0x10),
+            ("0x5:1", 5, 1),
+        ] {
+            assert_eq!(object(text), Ok(Object::new(index, subindex)), "{text}");
+        }
+        // Others than four digits may be meant as a decimal number.
+        for text in [
+            "24641:0",
+            "123:0",
+            "0x12345:0",
+            "",
+            ":",
+            ":1",
+            "0x",
+            "0x:0",
+            "6041:",
+            "6041:100",
+            "6041:1:1",
+            "-041:0",
+            "+041:0",
+            "0x+041:0",
+            "60_1:0",
+            "604g:0",
+            "6041:-1",
+            "6041:+1",
+        ] {
+            let said = object(text).unwrap_err();
+            assert!(said.contains("such as 0x6041:0"), "{text}: {said}");
         }
     }
 }

@@ -14,6 +14,12 @@ const LOOK: Duration = Duration::from_millis(50);
 /// How soon a frame that the port did not take is offered again.
 const AGAIN: Duration = Duration::from_micros(200);
 
+/// How long a frame may take from the port onto the bus: an adapter that is closed forgets what it has not sent.
+const SENDING: Duration = Duration::from_millis(20);
+
+/// How long the last frame of a conversation that is broken off is offered to the port.
+const LAST: Duration = Duration::from_millis(200);
+
 /// Frames taken from the port at once.
 const BATCH: usize = 256;
 
@@ -30,6 +36,11 @@ pub(super) trait Conversation {
 
     /// Notices what is overdue at `now`.
     fn handle_timeout(&mut self, now: Instant);
+
+    /// What has to be sent yet if it is broken off, so that no node is left in a state that it was only put into for this.
+    fn break_off(&self) -> Option<Frame> {
+        None
+    }
 }
 
 /// How a conversation ended.
@@ -52,6 +63,8 @@ pub(super) fn hold(
         at: Instant::ZERO,
     }; BATCH];
     let mut untaken = None;
+    // When the last frame was sent, unless one came since.
+    let mut under_way = None;
     while !stop.load(Ordering::Relaxed) {
         let now = clock::now();
         conversation.handle_timeout(now);
@@ -60,16 +73,26 @@ pub(super) fn hold(
                 untaken = Some(frame);
                 break;
             }
+            under_way = Some(now);
         }
         let Some(due) = conversation.poll_timeout() else {
+            clock::sleep_until(under_way.map_or(now, |sent| sent + SENDING));
             return Ok(Ended::Over);
         };
         let again = untaken.map_or(LOOK, |_| AGAIN);
         port.wait_readable(due.min(now + again))?;
         let count = port.receive(clock::now(), &mut received)?;
+        under_way = under_way.filter(|_| count == 0);
         for Received { frame, at } in &received[..count] {
             conversation.handle(frame, *at);
         }
+    }
+    if let Some(frame) = conversation.break_off() {
+        let until = clock::now() + LAST;
+        while port.send(clock::now(), &[frame])? == 0 && clock::now() < until {
+            clock::sleep_until(clock::now() + AGAIN);
+        }
+        clock::sleep_until(clock::now() + SENDING);
     }
     Ok(Ended::Interrupted)
 }

@@ -255,6 +255,22 @@ fn commands_are_confirmed_by_what_the_node_says_next() {
 }
 
 #[test]
+fn a_node_that_another_master_guards_is_read_by_its_state_without_the_toggle_bit() {
+    let now = Instant::ZERO;
+    let mut told = Told::new(Command::Start.to(node(3)), TIMEOUT, now);
+    while told.poll_transmit(now).is_some() {}
+    told.handle(&parse("703#85"), now);
+    let report = told.report();
+    assert!(report.confirmed(), "{report:?}");
+    assert_eq!(report.heard, [(node(3), State::Operational)]);
+
+    let mut scan = Scan::new(TIMEOUT, now);
+    scan.handle(&parse("703#FF"), now);
+    let found: Vec<_> = scan.into_nodes().map(|node| node.to_string()).collect();
+    assert_eq!(found, ["is heard and answers no SDO, pre-operational"]);
+}
+
+#[test]
 fn a_node_that_still_answers_sdo_did_not_stop() {
     let told = Report {
         wanted: State::Stopped,
@@ -397,6 +413,15 @@ fn a_node_is_given_its_node_id_by_these_frames_and_boots() {
     assert_eq!(said, expected);
     assert!(dialogue.booted);
     assert!(dialogue.result().is_ok());
+}
+
+#[test]
+fn a_dialogue_that_is_broken_off_sends_all_slaves_back_to_waiting_mode() {
+    let mut dialogue = Dialogue::with(None, &[(Service::Store, TIMEOUT)], None, TIMEOUT);
+    dialogue.handle_timeout(Instant::ZERO);
+    while dialogue.poll_transmit(Instant::ZERO).is_some() {}
+    let last = dialogue.break_off().map(|frame| frame.to_string());
+    assert_eq!(last.as_deref(), Some("7E5#0400000000000000"));
 }
 
 #[test]

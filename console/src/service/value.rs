@@ -142,7 +142,8 @@ impl Type {
     }
 }
 
-/// A whole number, decimal or hexadecimal, with its sign and with groups parted by `_`; and whether it is hexadecimal.
+/// A whole number, decimal or hexadecimal, with its sign and with groups parted by `_`, but no
+/// leading zeros where it is decimal; and whether it is hexadecimal.
 fn integer(text: &str) -> Option<(i128, bool)> {
     let digits = text.replace('_', "");
     let (negative, digits) = match digits.strip_prefix('-') {
@@ -154,6 +155,10 @@ fn integer(text: &str) -> Option<(i128, bool)> {
         .or_else(|| digits.strip_prefix("0X"));
     // A second sign is none.
     if digits.starts_with(['+', '-']) || hexadecimal.is_some_and(|digits| digits.starts_with('+')) {
+        return None;
+    }
+    // 017 is 15 to those who write data sheets, and 17 to everybody else.
+    if hexadecimal.is_none() && digits.len() > 1 && digits.starts_with('0') {
         return None;
     }
     let value = match hexadecimal {
@@ -297,8 +302,10 @@ mod tests {
 
     #[test]
     fn values_become_the_bytes_of_their_type() {
-        let table: [(Type, &str, &[u8]); 16] = [
+        let table: [(Type, &str, &[u8]); 18] = [
             (Type::U8, "255", &[0xFF]),
+            (Type::U8, "0", &[0]),
+            (Type::U8, "0x0F", &[0x0F]),
             (Type::U16, "0x6041", &[0x41, 0x60]),
             (Type::U32, "1_000_000", &[0x40, 0x42, 0x0F, 0x00]),
             (Type::I8, "-1", &[0xFF]),
@@ -336,6 +343,9 @@ mod tests {
             (Type::U16, ""),
             (Type::U16, "--1"),
             (Type::U16, "+1"),
+            (Type::U16, "017"),
+            (Type::I16, "-017"),
+            (Type::U16, "00"),
             (Type::U16, "0x-1"),
             (Type::U16, "0x+1"),
             (Type::U16, "1.0"),

@@ -42,21 +42,30 @@ pub fn sleep_until(deadline: Instant) {
 ///
 /// `true` also when there is an error or a hang-up to read. Signals do not shorten it. Wakes some 50 µs late on an
 /// ordinary thread.
-#[expect(unsafe_code, reason = "the rim's one place to wait for a descriptor")]
 pub fn wait_readable(end: BorrowedFd<'_>, until: Instant) -> Result<bool, i32> {
+    let end = libc::pollfd {
+        fd: end.as_raw_fd(),
+        events: libc::POLLIN,
+        revents: 0,
+    };
+    wait(&mut [end], until)
+}
+
+/// Waits until one of `ends` has what it asks for or `CLOCK_MONOTONIC` shows `until`, and says which; an error is what
+/// the operating system said. The rest is as in [`wait_readable`].
+///
+/// A descriptor that is closed meanwhile is no danger: the kernel says so in its `revents`.
+#[expect(unsafe_code, reason = "the rim's one place to wait for descriptors")]
+pub fn wait(ends: &mut [libc::pollfd], until: Instant) -> Result<bool, i32> {
+    let count = ends.len() as libc::nfds_t;
     loop {
         let remaining = until.since(now());
         let timeout = libc::timespec {
             tv_sec: libc::time_t::try_from(remaining.as_secs()).unwrap_or(libc::time_t::MAX),
             tv_nsec: libc::c_long::from(remaining.subsec_nanos() as i32),
         };
-        let mut poll = libc::pollfd {
-            fd: end.as_raw_fd(),
-            events: libc::POLLIN,
-            revents: 0,
-        };
-        // SAFETY: one valid pollfd, a valid timespec, and no signal mask.
-        match unsafe { libc::ppoll(&mut poll, 1, &timeout, std::ptr::null()) } {
+        // SAFETY: `count` valid pollfds, a valid timespec, and no signal mask.
+        match unsafe { libc::ppoll(ends.as_mut_ptr(), count, &timeout, std::ptr::null()) } {
             0 => return Ok(false),
             1.. => return Ok(true),
             _ => match io::Error::last_os_error().raw_os_error() {

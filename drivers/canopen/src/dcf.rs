@@ -1,7 +1,7 @@
 //! What a DCF asks to be written to its device: in which order, and as a concise DCF.
 //!
 //! Read [`crate::eds`] first. [`download`] gives the writes of a DCF; [`encode`] and [`decode`] are the format of object
-//! 0x1F22 (CiA 302), in which a manager keeps them.
+//! 0x1F22 (CiA 302), in which a manager keeps them, for programs of one's own.
 
 use std::collections::BTreeMap;
 

@@ -69,7 +69,8 @@ impl Response {
     }
 }
 
-/// Guards one node: asks it each guard time, and notices when it no longer answers.
+/// Guards one node: asks it each guard time, and notices when it no longer answers;
+/// for programs of one's own.
 ///
 /// The node's objects 0x100C (guard time, ms) and 0x100D (life time factor) are for its own watch over
 /// this master; write them the same values. It is lost when it has given no answer with the right toggle bit

@@ -59,7 +59,7 @@ impl TimeOfDay {
             + Duration::from_millis(self.millis.into())
     }
 
-    /// The frame.
+    /// The frame, for programs of one's own that send the time.
     pub fn encode(self) -> Frame {
         let [a, b, c, d] = self.millis.to_le_bytes();
         let [low, high] = self.days.to_le_bytes();

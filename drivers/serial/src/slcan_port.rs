@@ -23,18 +23,24 @@ const ANSWER: Duration = Duration::from_millis(200);
 /// The host's end of a CAN adapter on a serial line that speaks slcan (Lawicel's text, see [`can::slcan`]).
 ///
 /// ```text
-///             50 ms             done, silence        done             version
-///   Settling ───────► SettingUp ─────────────► Opening ────► Open ◄─────────── Probing
-///    sends \rC\r        sends Sn                 sends O                        sends V
-///                                                  └──────────── silence ──────────┘
+///             50 ms          done, silence        2 answers, silence       done             version
+///   Settling ───────► SettingUp ───────► AcceptingAll ───────► Opening ────► Open ◄─────────── Probing
+///    sends \rC\r        sends Sn         sends M…, m…            sends O                        sends V
+///                                                                └──────────── silence ──────────┘
 /// ```
 ///
-/// [`SlcanPort::new`] begins it, [`SlcanPort::poll_open`] ends it: within 0.7 s the port is open or refused. Until
-/// then it takes no frame and has none. A bell refuses; an adapter that says nothing to `Sn` and `O`, as some
-/// do, is open if it tells its version.
+/// [`SlcanPort::new`] begins it, [`SlcanPort::poll_open`] ends it: within 0.9 s the port is open or refused. Until
+/// then it takes no frame and has none. A bell refuses, but not to `M` and `m`; an adapter that says nothing to `Sn` and
+/// `O`, as some do, is open if it tells its version.
+///
+/// `M00000000` and `mFFFFFFFF` take away the acceptance filter that another tool may have left (Lawicel: a set bit of the
+/// mask is not looked at). They come before the channel is opened, because firmware in which the mask has the other sense,
+/// CANtact's, accepts everything again when it opens; to CANable's they mean that it is not silent. `X1`, which would have
+/// the adapter report unasked, is never said: WeAct's firmware takes `X` for the order to be replaced. An adapter that
+/// waits to be polled, as a CAN232 may, has to be told `X1` by hand.
 ///
 /// Frames go out as far as the line takes their bytes: a frame of which it took a part is taken, and its rest goes
-/// first in the next call of either direction. The adapter has a queue of its own that this cannot see; a frame that it
+/// first in the next call of either direction. A frame that is offered again and again counts as refused once. The adapter has a queue of its own that this cannot see; a frame that it
 /// refuses with a bell, or says it lost, is counted as refused although it was taken. A line that cannot be read may
 /// have been a frame, and is counted as dropped. Frames are stamped with the time they are read at:
 /// a serial line adds its own latency, and an adapter's stamps only count the milliseconds of a minute.
@@ -54,6 +60,8 @@ pub struct SlcanPort<L: Line> {
     read_to: usize,
     /// What goes to the line next: the rest of a frame, then new ones.
     output: Vec<u8>,
+    /// The frame that the line did not take last.
+    untaken: Option<Frame>,
     counters: Counters,
     state: ControllerState,
     last: Instant,
@@ -64,6 +72,7 @@ pub struct SlcanPort<L: Line> {
 enum Stage {
     Settling { until: Instant },
     SettingUp { until: Instant },
+    AcceptingAll { until: Instant, answers: u8 },
     Opening { until: Instant },
     Probing { until: Instant },
     Open,
@@ -131,6 +140,7 @@ impl<L: Line> SlcanPort<L> {
             read_from: 0,
             read_to: 0,
             output: Vec::with_capacity((BATCH + 1) * LONGEST),
+            untaken: None,
             counters: Counters::default(),
             state: ControllerState::Active,
             last: now,
@@ -152,6 +162,7 @@ impl<L: Line> SlcanPort<L> {
             Stage::Refused(error) => Poll::Ready(Err(error)),
             Stage::Settling { .. }
             | Stage::SettingUp { .. }
+            | Stage::AcceptingAll { .. }
             | Stage::Opening { .. }
             | Stage::Probing { .. } => Poll::Pending,
         }
@@ -162,6 +173,7 @@ impl<L: Line> SlcanPort<L> {
         match self.stage {
             Stage::Settling { until }
             | Stage::SettingUp { until }
+            | Stage::AcceptingAll { until, .. }
             | Stage::Opening { until }
             | Stage::Probing { until } => Some(until),
             Stage::Open | Stage::Refused(_) => None,
@@ -204,7 +216,15 @@ impl<L: Line> SlcanPort<L> {
                 return Err(SlcanError::BitrateRefused { kbps });
             }
             (Stage::Opening { .. }, Some(Report::Refused)) => return Err(SlcanError::OpenRefused),
-            (Stage::SettingUp { .. }, Some(Report::Done)) => self.open_channel(now)?,
+            (Stage::SettingUp { .. }, Some(Report::Done)) => self.accept_all(now)?,
+            // Both are answered, be it by a bell.
+            (Stage::AcceptingAll { until, answers }, Some(Report::Done | Report::Refused)) => {
+                let answers = answers + 1;
+                self.stage = Stage::AcceptingAll { until, answers };
+                if answers == 2 {
+                    self.open_channel(now)?;
+                }
+            }
             // Whatever an open channel says, it is open; and whatever is said of its version.
             (
                 Stage::Opening { .. },
@@ -212,7 +232,13 @@ impl<L: Line> SlcanPort<L> {
             )
             | (Stage::Probing { .. }, _) => self.stage = Stage::Open,
             // Answers to what was said before, and frames from before.
-            (Stage::Settling { .. } | Stage::SettingUp { .. } | Stage::Opening { .. }, _) => {}
+            (
+                Stage::Settling { .. }
+                | Stage::SettingUp { .. }
+                | Stage::AcceptingAll { .. }
+                | Stage::Opening { .. },
+                _,
+            ) => {}
             (Stage::Open | Stage::Refused(_), _) => {}
         }
         Ok(())
@@ -227,7 +253,8 @@ impl<L: Line> SlcanPort<L> {
                     until: now + ANSWER,
                 };
             }
-            Stage::SettingUp { .. } => return self.open_channel(now),
+            Stage::SettingUp { .. } => return self.accept_all(now),
+            Stage::AcceptingAll { .. } => return self.open_channel(now),
             Stage::Opening { .. } => {
                 self.say(Command::Version);
                 self.stage = Stage::Probing {
@@ -237,6 +264,16 @@ impl<L: Line> SlcanPort<L> {
             Stage::Probing { .. } => return Err(SlcanError::Silent),
             Stage::Open | Stage::Refused(_) => {}
         }
+        Ok(self.flush(now)?)
+    }
+
+    fn accept_all(&mut self, now: Instant) -> Result<(), SlcanError> {
+        self.say(Command::AcceptanceCode(0));
+        self.say(Command::AcceptanceMask(u32::MAX));
+        self.stage = Stage::AcceptingAll {
+            until: now + ANSWER,
+            answers: 0,
+        };
         Ok(self.flush(now)?)
     }
 
@@ -347,7 +384,10 @@ impl<L: Line> Port for SlcanPort<L> {
         self.output.truncate(kept);
         self.output.drain(..written);
         self.counters.count_sent(&frames[..taken]);
-        self.counters.refused += (frames.len() - taken) as u64;
+        // One that was offered before is counted already.
+        let again = taken == 0 && !frames.is_empty() && self.untaken == frames.first().copied();
+        self.counters.refused += (frames.len() - taken - usize::from(again)) as u64;
+        self.untaken = frames.get(taken).copied();
         result.map(|_| taken).map_err(of_line)
     }
 

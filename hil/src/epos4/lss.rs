@@ -9,7 +9,8 @@
 //!
 //! A node-ID that was configured is pending until the communication is reset; a unit without one takes
 //! it on its way back to waiting (CiA 305). Stored, it outlives a reset of the node. What the unit
-//! calls its bit rates is EPOS4's: 20 kbit/s to 1 Mbit/s, 10 kbit/s refused.
+//! calls its bit rates is EPOS4's: 20 kbit/s to 1 Mbit/s, 10 kbit/s refused. A bit rate that is configured is answered with
+//! success and kept nowhere, and activating it does nothing: the unit stays at the bus's.
 
 use canopen::NodeId;
 use canopen::lss::{

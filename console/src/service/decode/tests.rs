@@ -44,6 +44,13 @@ fn network_management_is_told_in_words() {
             ("702#00", Heartbeat, Some(2), "booted"),
             ("702#7F", Heartbeat, Some(2), "pre-operational"),
             ("702#05", Heartbeat, Some(2), "operational"),
+            ("702#85", Heartbeat, Some(2), "operational, toggle bit set"),
+            (
+                "702#FF",
+                Heartbeat,
+                Some(2),
+                "pre-operational, toggle bit set",
+            ),
             ("702#", Heartbeat, Some(2), "malformed heartbeat: "),
             (
                 "100#952CB302313D",

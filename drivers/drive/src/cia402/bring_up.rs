@@ -304,11 +304,11 @@ impl NodeBringUp {
                     self.node,
                     object,
                     &self.configuration[number].data,
-                    transfer.data,
+                    transfer,
                 )?;
             }
             Step::Set(write) | Step::SetIfPresent(write) => {
-                compare(self.node, write.object, write.data.data(), transfer.data)?;
+                compare(self.node, write.object, write.data.data(), transfer)?;
             }
             Step::Shown(mode) => {
                 let found = transfer.number::<i8>().map_err(error)?;
@@ -346,12 +346,12 @@ impl NodeBringUp {
 }
 
 /// Whether a drive holds what was written.
-fn compare(node: NodeId, object: Object, wrote: &[u8], found: &[u8]) -> Result<(), BringUpError> {
+fn compare(node: NodeId, object: Object, wrote: &[u8], read: Transfer) -> Result<(), BringUpError> {
+    let found = read.data;
     let node = node.raw();
     let Object { index, subindex } = object;
     let number_like = (1..=4).contains(&wrote.len()) && found.len() <= 4;
-    // A drive that does not give sizes fills up to four bytes.
-    if found == wrote || number_like && found.starts_with(wrote) {
+    if read.agrees_with(wrote) {
         Ok(())
     } else if number_like {
         let (written, found) = (number(wrote), number(found));

@@ -29,6 +29,12 @@ impl Transfer<'_> {
             found: data.len(),
         })
     }
+
+    /// Whether what was read back is `wrote`. A server that does not give sizes fills up to four bytes.
+    pub fn agrees_with(&self, wrote: &[u8]) -> bool {
+        let filled_up = !self.exact && !wrote.is_empty() && self.data.starts_with(wrote);
+        self.data == wrote || filled_up
+    }
 }
 
 /// The integers that objects are read as.
@@ -50,3 +56,32 @@ macro_rules! number {
     };
 }
 number!(u8, u16, u32, u64, i8, i16, i32, i64);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_fills_up_the_answer_of_a_server_without_sizes_is_no_difference() {
+        let table: [(&[u8], &[u8], bool, bool); 9] = [
+            (&[0x96, 0x00], &[0x96, 0x00], true, true),
+            (&[0x96, 0x00], &[0x96, 0x00, 0xAA, 0x55], false, true),
+            (&[0x96, 0x00], &[0x96, 0x00, 0xAA, 0x55], true, false),
+            (&[0x96, 0x00], &[0x96, 0x00, 0x00, 0x00], true, false),
+            (&[0x96, 0x00], &[0x97, 0x00, 0x00, 0x00], false, false),
+            (&[0x96, 0x00], &[0x96], true, false),
+            (&[0; 5], &[0; 4], false, false),
+            (&[], &[], true, true),
+            (&[], &[0, 0, 0, 0], false, false),
+        ];
+        for (wrote, data, exact, agrees) in table {
+            let object = Object::new(0x1017, 0);
+            let read = Transfer {
+                object,
+                data,
+                exact,
+            };
+            assert_eq!(read.agrees_with(wrote), agrees, "{wrote:?} {read:?}");
+        }
+    }
+}
