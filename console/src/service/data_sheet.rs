@@ -192,4 +192,15 @@ mod tests {
         let read = text(sheet(0x2000, 1).unwrap().check_read());
         assert_eq!(read, "0x2000:01 Gains: P is write-only by drive.eds");
     }
+
+    #[test]
+    fn a_file_that_is_no_data_sheet_is_refused_by_file_and_line() {
+        // Its first line already is none.
+        let refused = text(DataSheet::read(
+            Path::new("src/main.rs"),
+            Object::new(0x1000, 0),
+        ));
+        let rest = refused.strip_prefix("src/main.rs:").unwrap_or_default();
+        assert!(rest.starts_with(|c: char| c.is_ascii_digit()), "{refused}");
+    }
 }
