@@ -39,7 +39,7 @@ impl Programs {
         let mut ecps = Vec::new();
         for (robot, link) in links.into_iter().enumerate() {
             let arm = &file.arms[robot];
-            let mut ecp = Ecp::new(arm.clone(), link, setup::ecp_config(&file.cell));
+            let mut ecp = Ecp::new(arm.clone(), link, setup::ecp_config(file, robot));
             let task = file.cell.robot[robot].task(robot, arm);
             ecp.execute(task.map_err(|(_, error)| anyhow!(error))?)?;
             ecps.push(ecp);

@@ -40,7 +40,7 @@ pub(crate) fn rehearse(file: &CellFile) -> anyhow::Result<Duration> {
             let axis = axis.map_or(String::new(), |name| name + ", ");
             file.refuse(&key, format_args!("{axis}{error}"))
         })?;
-        let mut ecp = Ecp::new(arm, link, setup::ecp_config(&file.cell));
+        let mut ecp = Ecp::new(arm, link, setup::ecp_config(file, robot));
         ecp.execute(task).expect("a new ECP has nothing under way");
         ecps.push(ecp);
     }

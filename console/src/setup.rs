@@ -1,5 +1,6 @@
 //! From a cell to what runs it: drive groups, the servo and the effector control processes.
 
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 use anyhow::Context;
@@ -11,13 +12,16 @@ use drive::axis_controller::AxisControllerGroup;
 use drive::cia402::{AxisConfig, Cia402Group};
 use serial::Line;
 use servo::thread::{CellTime, Realtime, RealtimePolicy};
-use servo::{EffectorConfig, ServoConfig};
+use servo::{EffectorConfig, HostHoming, ServoAxisConfig, ServoConfig};
 
 use crate::cell_file::CellFile;
 use crate::configuration::Configuration;
 
-/// Longest time that all axes of an effector may take to home.
+/// Longest time that all axes of an effector may take to home, if their drives home them.
 const HOMING: Duration = Duration::from_secs(120);
+
+/// No effector homes for longer, whatever its searches could take.
+const LONGEST_HOMING: Duration = Duration::from_secs(3600);
 
 /// Macrosteps that a generator may be ahead of the servo if it need not see what the servo does: at the usual 20 ms
 /// this rides through two seconds in which only the servo thread gets the processor. A stop drops them.
@@ -72,7 +76,27 @@ pub(crate) fn drive_groups(
 /// The servo of the whole cell.
 pub(crate) fn servo_config(file: &CellFile) -> ServoConfig {
     let cell = &file.cell;
-    let axis = |robot: usize, number: usize| {
+    let effector = |(index, robot): (usize, &controller::cell::Robot)| {
+        let axes = servo_axes(file, index);
+        EffectorConfig {
+            name: robot.name.clone(),
+            queue: usize::from(LEAD) + 8,
+            enabling_timeout: ENABLING,
+            homing_timeout: homing_timeout(&axes),
+            axes,
+        }
+    };
+    ServoConfig {
+        period: cell.period(),
+        max_missed_in_row: cell.max_missed_in_row,
+        effectors: cell.robot.iter().enumerate().map(effector).collect(),
+    }
+}
+
+/// The axes of robot `robot`.
+fn servo_axes(file: &CellFile, robot: usize) -> Vec<ServoAxisConfig> {
+    let cell = &file.cell;
+    let axis = |number: usize| {
         let axis = &cell.robot[robot].axis[number];
         let limits = file.arms[robot].robot().motor_limits()[number];
         let group = cell
@@ -88,24 +112,41 @@ pub(crate) fn servo_config(file: &CellFile) -> ServoConfig {
             limits,
         )
     };
-    let effector = |(index, robot): (usize, &controller::cell::Robot)| EffectorConfig {
-        name: robot.name.clone(),
-        axes: (0..robot.axis.len())
-            .map(|number| axis(index, number))
-            .collect(),
-        queue: usize::from(LEAD) + 8,
-        enabling_timeout: ENABLING,
-        homing_timeout: HOMING,
-    };
-    ServoConfig {
-        period: cell.period(),
-        max_missed_in_row: cell.max_missed_in_row,
-        effectors: cell.robot.iter().enumerate().map(effector).collect(),
-    }
+    (0..cell.robot[robot].axis.len()).map(axis).collect()
 }
 
-/// How the effector control processes pace their effectors.
-pub(crate) fn ecp_config(cell: &Cell) -> EcpConfig {
+/// Longest time that an effector of these axes may take to home: one order after the other, each as long as
+/// the longest of its searches. Each leg of a search has a time-out of its own.
+fn homing_timeout(axes: &[ServoAxisConfig]) -> Duration {
+    let mut orders = BTreeMap::<u8, Duration>::new();
+    for axis in axes {
+        let longest = orders.entry(axis.homing_order).or_default();
+        *longest = axis
+            .homing
+            .map_or(Duration::ZERO, longest_search)
+            .max(*longest);
+    }
+    let searches = orders
+        .into_values()
+        .fold(Duration::ZERO, Duration::saturating_add);
+    searches.max(HOMING).min(LONGEST_HOMING)
+}
+
+/// The longest that one search may take: it begins on the home switch and leaves it, turns round at a limit
+/// switch, and comes to the home switch from there; each rest begins with a stop.
+fn longest_search(homing: HostHoming) -> Duration {
+    let velocity = homing.search.velocity.max(homing.zero.velocity);
+    let stop =
+        Duration::try_from_secs_f64(velocity / homing.acceleration).unwrap_or(LONGEST_HOMING);
+    let rest = stop.saturating_add(homing.pause);
+    let legs = homing.search.timeout.saturating_mul(4);
+    legs.saturating_add(homing.zero.timeout)
+        .saturating_add(rest.saturating_mul(4))
+}
+
+/// How the effector control process of robot `robot` paces its effector.
+pub(crate) fn ecp_config(file: &CellFile, robot: usize) -> EcpConfig {
+    let cell = &file.cell;
     EcpConfig {
         period: cell.period(),
         steps: cell.macrostep,
@@ -113,7 +154,7 @@ pub(crate) fn ecp_config(cell: &Cell) -> EcpConfig {
         lead: LEAD,
         silence: Duration::from_secs(10),
         switching: ENABLING * 2,
-        homing: HOMING + ENABLING,
+        homing: homing_timeout(&servo_axes(file, robot)) + ENABLING,
     }
 }
 
@@ -130,5 +171,42 @@ pub(crate) fn realtime_policy(cell: &Cell, time: CellTime) -> RealtimePolicy {
         lock_memory: realtime.lock_memory,
         lead: Duration::ZERO,
         time,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    /// Of the robot of an example cell.
+    fn timeouts(cell: &str) -> (Duration, Duration) {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("../cells")
+            .join(cell);
+        let file = CellFile::read(&path).unwrap();
+        let servo = servo_config(&file).effectors[0].homing_timeout;
+        (servo, ecp_config(&file, 0).homing)
+    }
+
+    #[test]
+    fn searches_of_the_host_get_the_time_of_their_legs_and_drives_what_they_had() {
+        assert_eq!(timeouts("irb6.toml"), (HOMING, HOMING + ENABLING));
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../cells/irb6-serial.toml");
+        let axes = servo_axes(&CellFile::read(&path).unwrap(), 0);
+        // Every axis turns round at a limit switch and comes back all of its way, in four orders.
+        let there_and_back = |axis: &ServoAxisConfig| {
+            let homing = axis.homing.unwrap();
+            3 * homing.search.timeout + homing.zero.timeout + 3 * homing.pause
+        };
+        let of_order = |order: u8| {
+            let axes = axes.iter().filter(|axis| axis.homing_order == order);
+            axes.map(there_and_back).max().unwrap()
+        };
+        let needed: Duration = (1..=4).map(of_order).sum();
+        let (servo, ecp) = timeouts("irb6-serial.toml");
+        assert!(servo >= needed && needed > HOMING, "{servo:?}, {needed:?}");
+        assert!(servo <= LONGEST_HOMING && ecp == servo + ENABLING);
     }
 }

@@ -233,6 +233,16 @@ impl Axis {
         self.commanded[age] - self.state.position
     }
 
+    /// The limit switch, upper or not, that is closed and stands in the way of motion in `sense`; of an axis
+    /// with a reference. A search for it looks at the switches itself.
+    pub(crate) fn limit_switch(&self, sense: f64) -> Option<bool> {
+        let towards = sense * self.config.increments_per_radian;
+        let switches = &self.state.switches;
+        let upper = towards > 0.0 && switches.upper_limit;
+        let lower = towards < 0.0 && switches.lower_limit;
+        (self.is_homed() && (upper || lower)).then_some(upper)
+    }
+
     pub(crate) fn is_homed(&self) -> bool {
         self.state.homing == Homing::Attained
     }

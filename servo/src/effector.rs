@@ -23,6 +23,9 @@ const STANDSTILL_WAIT: Duration = Duration::from_millis(100);
 /// Cycles in a row that a bus may refuse the set-points of a stop; then the drives count as standing.
 const REFUSED_IN_STOP: u32 = 3;
 
+/// Commanded speed, rad/s, below which an axis is taken for at rest beside a limit switch: what generators round.
+const CREEP: f64 = 1e-3;
+
 /// What a servo's cycle tells each of its effectors.
 #[derive(Clone, Copy)]
 pub(crate) struct Tick {
@@ -186,7 +189,10 @@ impl Effector {
         tick.refused > 0 && follows
     }
 
-    /// Faults of drives, following errors, overruns, time-outs; the tracking statistics.
+    /// Faults of drives, following errors, limit switches, overruns; the tracking statistics.
+    ///
+    /// A closed limit switch stops an effector that goes on towards it, and one that it holds back from where it
+    /// was told to be. It does neither to an axis that rests on it or leaves it: that is the way off.
     fn check(&mut self, tick: &Tick) {
         if let Some(missed) = tick.overrun {
             // The drives have stood at their last set-points meanwhile, or run on by them.
@@ -222,7 +228,15 @@ impl Effector {
             if self.state == State::Moving && axis.state.age == 0 {
                 axis.tracking.record(error);
             }
-            if error.abs() > limit || error.is_nan() {
+            let beyond = error.abs() > limit;
+            // The command of the last cycle, or the one that the motor does not come up to.
+            let sense = if beyond { error } else { axis.knot.velocity };
+            let judged = commanding && (beyond || sense.abs() > CREEP);
+            let switch = axis.limit_switch(sense).filter(|_| judged);
+            if let Some(upper) = switch {
+                // Its drive stops it there whatever it is told, and its loop works: the others are braked.
+                self.fail(tick, index, StopCause::LimitSwitch { upper });
+            } else if beyond || error.is_nan() {
                 let host_closed = axis.is_host_closed();
                 let cause = StopCause::FollowingError { error, limit };
                 if host_closed {

@@ -6,6 +6,10 @@ use crate::axis::REMEMBERED;
 use crate::regulator::{Cascade, Incremental};
 use crate::{HostLoop, Knot, Law, Output};
 
+/// Samples in a row that a runaway takes. A cycle may be half a period late uncounted, and the way of one and
+/// a half periods then looks like that of one; the next sample comes in time, and shows the rest.
+const RUNAWAY_SAMPLES: u32 = 2;
+
 /// The loop of one axis.
 ///
 /// Each cycle first [`observe`](Self::observe)s a sample, then [`regulate`](Self::regulate)s. Errors are
@@ -31,6 +35,8 @@ pub(crate) struct Loop {
     last_periods: u32,
     /// Speed between the last two samples, rad/s.
     measured_velocity: f64,
+    /// Samples in a row that show a velocity beyond the limit.
+    beyond: u32,
     /// Errors of the last sample, rad and rad/s.
     error: f64,
     velocity_error: f64,
@@ -61,6 +67,7 @@ impl Loop {
             periods: 0,
             last_periods: 1,
             measured_velocity: 0.0,
+            beyond: 0,
             error: 0.0,
             velocity_error: 0.0,
             taken: 0.0,
@@ -87,6 +94,11 @@ impl Loop {
         self.measured_velocity = last.map_or(0.0, |last| {
             (state.position - last) / (f64::from(self.periods) * dt)
         });
+        self.beyond = if self.measured_velocity.abs() > self.config.runaway_velocity {
+            self.beyond.saturating_add(1)
+        } else {
+            0
+        };
         self.velocity_error = (now - before) / (self.cycles as f64 * dt) - self.measured_velocity;
         (self.cycles, self.periods) = (0, 0);
     }
@@ -157,10 +169,10 @@ impl Loop {
         self.measured_velocity
     }
 
-    /// The measured velocity and the limit, both rad/s, if it is beyond.
+    /// The measured velocity and the limit, both rad/s, if it is beyond by [`RUNAWAY_SAMPLES`].
     pub(crate) fn runaway(&self) -> Option<(f64, f64)> {
         let (velocity, limit) = (self.measured_velocity, self.config.runaway_velocity);
-        (velocity.is_nan() || velocity.abs() > limit).then_some((velocity, limit))
+        (velocity.is_nan() || self.beyond >= RUNAWAY_SAMPLES).then_some((velocity, limit))
     }
 
     fn reference(&self, age: usize) -> f64 {
@@ -274,7 +286,29 @@ mod tests {
         held.observe(&at(2.2, 0), 1, DT);
         assert!((held.measured_velocity() - 100.0).abs() < 1e-9);
         assert_eq!(held.runaway(), None);
-        held.observe(&at(2.9, 0), 1, DT);
-        assert!(held.runaway().is_some());
+    }
+
+    #[test]
+    fn two_samples_in_a_row_are_a_runaway_and_one_is_not() {
+        // Ways of a period, in periods of 250 rad/s; the last sample's verdict.
+        let cases: [(&[f64], bool); 6] = [
+            (&[1.0, 1.5, 0.5], false),
+            (&[1.0, 1.5], false),
+            (&[1.0, 1.5, 0.5, 1.5, 1.0, 1.5], false),
+            (&[1.0, 1.21, 1.21], true),
+            (&[-1.0, -1.21, -1.21], true),
+            (&[1.0, f64::NAN], true),
+        ];
+        for (ways, expected) in cases {
+            let mut held = cascade(FeedForward::default());
+            let mut state = AxisState::default();
+            held.observe(&state, 1, DT);
+            for (number, way) in ways.iter().enumerate() {
+                assert_eq!(held.runaway(), None, "{ways:?} at {number}");
+                state.position += way * 250.0 * DT;
+                held.observe(&state, 1, DT);
+            }
+            assert_eq!(held.runaway().is_some(), expected, "{ways:?}");
+        }
     }
 }

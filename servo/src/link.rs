@@ -130,6 +130,12 @@ pub enum StopCause {
         /// The cell's limit.
         limit: f64,
     },
+    /// The axis was told to go on towards a limit switch that is closed, or is held back by it.
+    #[error("ran onto the {} limit switch", if *.upper { "upper" } else { "lower" })]
+    LimitSwitch {
+        /// At the upper end of the counter's travel, not at its lower.
+        upper: bool,
+    },
     /// A set-point beyond a position limit; it was not sent.
     #[error("set-point {position:.4} rad is beyond the limit {limit:.4} rad")]
     PositionLimit {

@@ -15,10 +15,11 @@ pub struct Serial {
     /// Bits per second of each line; 8 data bits, 2 stop bits.
     #[serde(default = "defaults::baud")]
     pub baud: u32,
-    /// Cycles in a row that an axis controller's answer may be missing before it is a fault.
+    /// Cycles in a row, 1 to 10, that an axis controller's answer may be missing before it is a fault: unheard, it
+    /// goes on by its last set-point.
     #[serde(default = "defaults::tolerated_missing_on_lines")]
     pub tolerated_missing: u32,
-    /// Deadline of the answer to a parameter, ms.
+    /// Deadline of the answer to a parameter, ms, at most 1000.
     #[serde(default = "defaults::answer_timeout_ms")]
     pub answer_timeout_ms: u32,
     /// Latency timer of the USB adapter between host and line, ms, where one is to be emulated; none

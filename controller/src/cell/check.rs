@@ -289,14 +289,14 @@ fn check_serial(cell: &Cell) -> Checked {
             (
                 "tolerated_missing",
                 bundle.tolerated_missing,
-                (1.0, 1000.0),
-                "between 1 and 1000 (cycles)",
+                (1.0, 10.0),
+                "between 1 and 10 (cycles)",
             ),
             (
                 "answer_timeout_ms",
                 bundle.answer_timeout_ms,
-                (1.0, 60_000.0),
-                "between 1 and 60000 (ms)",
+                (1.0, 1000.0),
+                "between 1 and 1000 (ms)",
             ),
             (
                 "emulated_latency_ms",

@@ -226,6 +226,45 @@ fn a_loop_that_may_ask_for_more_current_than_the_drive_has_is_refused() {
 }
 
 #[test]
+fn an_axis_controller_is_not_left_unheard_for_longer_than_ten_cycles() {
+    let cases = [
+        ("tolerated_missing", 0, "must be between 1 and 10 (cycles)"),
+        ("tolerated_missing", 1, ""),
+        ("tolerated_missing", 10, ""),
+        ("tolerated_missing", 11, "must be between 1 and 10 (cycles)"),
+        ("answer_timeout_ms", 1000, ""),
+        ("answer_timeout_ms", 1001, "must be between 1 and 1000 (ms)"),
+    ];
+    for (key, value, refusal) in cases {
+        let line = format!("protocol = \"nfv2\"\n{key} = {value}");
+        let parsed = Cell::parse(&SERIAL.replacen("protocol = \"nfv2\"", &line, 1));
+        match parsed {
+            Ok(_) => assert_eq!(refusal, "", "{key} = {value}"),
+            Err(error) => {
+                assert_eq!(error.key, format!("serial[0].{key}"));
+                let text = error.to_string();
+                assert!(!refusal.is_empty() && text.contains(refusal), "{text}");
+            }
+        }
+    }
+}
+
+#[test]
+fn torque_of_the_example_cell_leaves_a_tenth_to_the_overshoot_of_the_current_loops() {
+    let cell = Cell::parse(SERIAL).unwrap();
+    for axis in &cell.robot[0].axis {
+        let controller = axis.axis_controller();
+        let Law::Cascade(law) = controller.r#loop.law else {
+            panic!("{}: {:?}", axis.name, controller.r#loop);
+        };
+        let greatest = controller.max_current * controller.torque_constant;
+        if controller.control == Control::Current {
+            assert!(law.limit <= 0.9 * greatest, "{}: {}", axis.name, law.limit);
+        }
+    }
+}
+
+#[test]
 fn a_pose_that_the_arm_cannot_take_names_its_instruction() {
     let cases = [
         (

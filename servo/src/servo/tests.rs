@@ -1,5 +1,6 @@
 mod host_homing;
 mod host_loops;
+mod limit_switches;
 mod motion;
 mod power;
 mod stops;

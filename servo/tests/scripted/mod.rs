@@ -23,6 +23,8 @@ pub const MAX_VELOCITY: f64 = 100.0;
 pub const MAX_ACCELERATION: f64 = 1000.0;
 /// Of a motor that is driven by torque, kg·m².
 pub const INERTIA: f64 = 5e-4;
+/// Time constant of such a motor when it is shorted, s.
+const BRAKING_TIME: f64 = 0.01;
 
 /// One effector of `axes` axes on one group; homing orders descend, so the last axis homes first.
 pub fn config(axes: usize) -> ServoConfig {
@@ -152,6 +154,10 @@ pub struct Drive {
     pub home_between: Option<(f64, f64)>,
     /// The lower limit switch is closed below this position.
     pub limit_below: Option<f64>,
+    /// The upper limit switch is closed above this position.
+    pub limit_above: Option<f64>,
+    /// It passes no torque towards a closed limit switch, but shorts its motor.
+    pub guards: bool,
     /// What the host sees: the sample of the last SYNC.
     seen: AxisState,
 }
@@ -193,7 +199,15 @@ impl Drive {
                 if state.following =>
             {
                 let sense = if self.backwards { -1.0 } else { 1.0 };
-                self.spin += (sense * torque.get() + self.load) / INERTIA * dt;
+                let torque = sense * torque.get();
+                let kept = state.switches.lower_limit && torque < 0.0
+                    || state.switches.upper_limit && torque > 0.0;
+                let torque = if self.guards && kept {
+                    -self.spin * INERTIA / BRAKING_TIME
+                } else {
+                    torque
+                };
+                self.spin += (torque + self.load) / INERTIA * dt;
                 state.position += self.spin * dt;
             }
             AxisCommand::Follow(Setpoint::Position(position))
@@ -239,6 +253,7 @@ impl Drive {
             state.switches.home = self.chatter % 2 == 1;
         }
         state.switches.lower_limit = closed(self.limit_below);
+        state.switches.upper_limit = self.limit_above.is_some_and(|above| state.position > above);
         let moved = if state.following {
             (before_jump - before) / dt
         } else {

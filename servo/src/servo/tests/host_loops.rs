@@ -205,6 +205,23 @@ fn a_missed_deadline_is_no_runaway() {
 }
 
 #[test]
+fn one_sample_taken_late_is_no_runaway() {
+    let mut config = scripted::host_config(1);
+    config.effectors[0].axes[0].max_velocity = 55.0;
+    change(&mut config.effectors[0].axes[0], |host| {
+        host.runaway_velocity = 60.0;
+    });
+    let mut rig = Rig::cruising(&config);
+    // Half a period late, and the next one in time: 75 rad/s, then 25.
+    let late = 50.0 * 0.5 * DT;
+    rig.world().axes[0].state.position += late;
+    rig.run(1);
+    rig.world().axes[0].state.position -= late;
+    rig.run(50);
+    assert_eq!(rig.phase(), Phase::Moving, "{:?}", rig.cause());
+}
+
+#[test]
 fn a_stop_after_an_overrun_begins_from_the_motion_measured() {
     for config in laws(2) {
         let mut rig = Rig::cruising(&config);
