@@ -141,7 +141,7 @@ fn wanted(
                 lines.push(serial_lines::Wanted {
                     of: format!("bus {}, {path}", bus.name),
                     path,
-                })
+                });
             }
         }
     }

@@ -185,7 +185,9 @@ impl Health {
 /// Of lines that an adapter spoilt nobody knows whether they were frames.
 fn loss(interface: &Interface, count: u64) -> String {
     match interface {
-        Interface::SocketCan(_) | Interface::Epos { .. } => format!("{count} frames lost, this host did not keep up"),
+        Interface::SocketCan(_) | Interface::Epos { .. } => {
+            format!("{count} frames lost, this host did not keep up")
+        }
         Interface::Slcan { .. } => format!("{count} frames lost or unreadable"),
     }
 }

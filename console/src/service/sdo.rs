@@ -209,13 +209,16 @@ fn write(
     }
 }
 
+/// What was read back, and whether it is what was written.
+type ReadBack = (Vec<u8>, bool);
+
 /// What is read back after a write, and whether it is what was written; `None` if Ctrl-C came before.
 fn read_back_of(
     channel: &mut Channel,
     target: &Target,
     wrote: &[u8],
     ty: Type,
-) -> anyhow::Result<Option<Result<(Vec<u8>, bool), SdoError>>> {
+) -> anyhow::Result<Option<Result<ReadBack, SdoError>>> {
     let Channel::Bus(bus) = channel else {
         let found = transfer(channel, target, target.object, None, Some(ty))?;
         let judged = |found: Vec<u8>| {
