@@ -6,6 +6,7 @@ mod adapter;
 mod allocations;
 mod architecture;
 mod bench;
+mod card;
 mod cell;
 mod cli_check;
 mod cli_refusals;
