@@ -41,9 +41,11 @@ step sh -e /mounts
 mkdir -p "/root$output"
 step mount -t 9p -o trans=virtio,version=9p2000.L,rw,msize=262144 output "/root$output"
 
+# Held open, for its settings end with the last who has it open.
+exec 3<>/dev/hvc0
 step stty -F /dev/hvc0 -opost -echo
 step touch "/root$control/began"
-MRROC_OUT=$output setsid chroot /root /bin/sh -c "$(cat /command)" </dev/null >/dev/hvc0 2>&1
+MRROC_OUT=$output setsid chroot /root /bin/sh -c "$(cat /command)" </dev/null >/dev/hvc0 2>&1 3>&-
 status=$?
 # Waits until all is written.
 stty -F /dev/hvc0 -opost

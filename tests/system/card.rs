@@ -1,59 +1,15 @@
 //! Emulators and controller as two processes on two CAN cards of one bus, under a PREEMPT_RT kernel.
 //!
 //! The test machine emulates every instruction, and a busy host takes its only processor away besides. So the
-//! cell's period is long, 20 ms, and it is as patient as can be. Required hardware, with `HIL_CARDS` set: the
-//! names of two cards on one bus, as in `can0,can1`, with nothing else on it, and root.
+//! cell's period is long, 20 ms, and it is patient: a second without answers, three without cycles. Required
+//! hardware, with `HIL_CARDS` set: two cards on one bus with nothing else on it, and root.
 
+use std::fs;
 use std::process::Command;
-use std::time::Duration;
-use std::{env, fs};
 
-use hil::qemu;
-
-use crate::bench::may_leave_out;
+use crate::bench::on_cards;
 use crate::mrroc::{self, Directory, Running};
 use crate::vcan::{faulted, started};
-
-/// Longest time that the machine may take: six times what it takes on an idle host.
-const TIMEOUT: Duration = Duration::from_secs(170);
-
-/// Runs `body` on two cards, whose names it is given. `test` is the calling test's own path.
-fn on_cards(test: &str, body: impl FnOnce(&str, &str)) {
-    mrroc::binary();
-    if let Some(cards) = env::var("HIL_CARDS").ok().filter(|cards| !cards.is_empty()) {
-        let (here, there) = cards.split_once(',').expect("HIL_CARDS has two names");
-        return body(here, there);
-    }
-    let kernel = match qemu::Kernel::below(&mrroc::root().join("target/qemu")) {
-        Ok(kernel) => kernel,
-        Err(error) => return may_leave_out("qemu", test, &error),
-    };
-    let binary = env::current_exe().expect("a test binary knows its own path");
-    let options = qemu::Options {
-        env: vec![("HIL_CARDS".into(), "can0,can1".into())],
-        directory: env::current_dir().expect("cargo runs tests in the package's directory"),
-        // The example cells are there.
-        visible: vec![mrroc::root().to_owned()],
-        memory_mib: 512,
-        timeout: TIMEOUT,
-        ..qemu::Options::new([
-            binary.as_os_str(),
-            test.as_ref(),
-            "--exact".as_ref(),
-            "--nocapture".as_ref(),
-        ])
-    };
-    let mut output = Vec::new();
-    let outcome = qemu::run(&kernel, &options, &mut output);
-    let output = String::from_utf8_lossy(&output);
-    // A path that names no test passes in silence.
-    let ran = output.contains("1 passed");
-    assert!(
-        outcome == Ok(0) && ran,
-        "{test} in the test machine: {outcome:?}\n{output}"
-    );
-    print!("{output}");
-}
 
 /// Slow, and patient.
 fn directory_with_cell() -> Directory {

@@ -21,6 +21,7 @@ mod lss;
 mod motion;
 mod mrroc;
 mod peers;
+mod qemu;
 mod regression;
 mod repetition;
 mod service;
