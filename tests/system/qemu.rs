@@ -33,7 +33,7 @@ fn shell(
 #[test]
 fn the_machine_has_cards_and_the_files_of_the_host_read_only() {
     let Some(kernel) = kernel("qemu") else { return };
-    let scratch = Scratch::new("qemu");
+    let scratch = Scratch::new("qemu-files");
     fs::write(scratch.0.join("here"), "seen\n").unwrap();
     let script = "cat here; echo \"$WORD\"; cat /sys/kernel/realtime; \
                   ip -o link show type can | grep -c 'state DOWN'; \
