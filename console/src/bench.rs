@@ -10,6 +10,7 @@ use drive::cia402;
 use serial::{Line, Tty, VirtualLine};
 
 use crate::bus_port::BusPort;
+use crate::card;
 use crate::cell_file::CellFile;
 use crate::emulation::Emulation;
 use crate::interfaces::{self, Interface};
@@ -57,14 +58,18 @@ pub(crate) struct Bench {
 
 impl Bench {
     /// Opens the bench `kind` for a cell: `can` in place of the cell's interfaces, and the ttys in the directory
-    /// `serial` in place of the cell's lines.
+    /// `serial` in place of the cell's lines. Cards are set to the cell's bit rates if `set_bitrate` says so.
     pub(crate) fn open(
         file: &CellFile,
         kind: BenchKind,
         can: &[String],
         serial: Option<&Path>,
+        set_bitrate: bool,
         trace: bool,
     ) -> anyhow::Result<Self> {
+        if set_bitrate && kind != BenchKind::Card {
+            bail!("--set-bitrate needs --bench card");
+        }
         let interfaces = interfaces::resolve(&file.cell, can)?;
         let (ports, lines, emulation): (Vec<Box<dyn Port>>, _, _) = match kind {
             BenchKind::Lockstep | BenchKind::Emulated => {
@@ -79,13 +84,17 @@ impl Bench {
             BenchKind::Vcan | BenchKind::Card => {
                 let open = |(index, interface): (usize, &Interface)| {
                     let bus = &file.cell.bus[index];
+                    let on_bus = || format!("bus {}", bus.name);
+                    if kind == BenchKind::Card {
+                        card::prepare(interface, bus, set_bitrate).with_context(on_bus)?;
+                    }
                     let setpoints = file.cell.axes_on(index).count();
                     let options = SocketCanOptions {
                         send_queue: setpoints + cia402::BESIDE_SETPOINTS,
                         ..SocketCanOptions::default()
                     };
                     let port = BusPort::with_options(interface, bus.bitrate_kbps, &options);
-                    Ok(Box::new(port.with_context(|| format!("bus {}", bus.name))?) as _)
+                    Ok(Box::new(port.with_context(on_bus)?) as _)
                 };
                 let ports = interfaces.iter().enumerate().map(open);
                 let ports = ports.collect::<anyhow::Result<_>>()?;

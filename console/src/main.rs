@@ -7,6 +7,7 @@ mod bench;
 mod bridge;
 mod budget;
 mod bus_port;
+mod card;
 mod cell_file;
 mod check;
 mod configuration;

@@ -65,6 +65,9 @@ pub(crate) struct Options {
     /// --serial` makes it.
     #[arg(long, value_name = "DIR")]
     serial: Option<PathBuf>,
+    /// Set the cards to the cell's bit rates and bring them up; a card that is up at another rate is taken down before.
+    #[arg(long)]
+    set_bitrate: bool,
     /// Print one JSON object at the end.
     #[arg(long)]
     json: bool,
@@ -92,6 +95,7 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
         options.bench,
         &options.can,
         options.serial.as_deref(),
+        options.set_bitrate,
         options.trace.is_some(),
     )?;
     let (mut servo, links) = Servo::new(

@@ -3,64 +3,94 @@
 use std::env;
 use std::ffi::OsString;
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
 
 use anyhow::Context;
-use clap::Subcommand;
-use hil::uml;
+use clap::{Args, Subcommand};
+use hil::{qemu, uml};
 
 /// Where the machine looks for programs after the directory of this one.
 const PATH: &str = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin";
+
+/// Where the kernel package is unpacked, if `--kernel` does not say.
+const UNPACKED: &str = "target/qemu";
 
 /// The machines.
 #[derive(Subcommand)]
 pub(crate) enum Machine {
     /// User-mode Linux with vcan0. The host's files are there, read-only, and so is the working directory; what the
     /// command writes into the directory that MRROC_OUT names comes out. This program is on its PATH.
-    Uml {
-        /// The directory that MRROC_OUT names inside; nothing comes out without it.
-        #[arg(long)]
-        out: Option<PathBuf>,
-        /// A directory under /tmp, /var/tmp, /run or /dev that is to be seen inside.
+    Uml(Options),
+    /// A PC with Debian's PREEMPT_RT kernel and two Kvaser CAN cards on one bus, can0 and can1, down at first. Files are
+    /// as in user-mode Linux. It shows that something works, and nothing of how fast.
+    Qemu {
+        /// Where the package behind linux-image-rt-amd64 is unpacked: target/qemu if that is there, or else installed
+        /// in /.
         #[arg(long, value_name = "DIRECTORY")]
-        see: Vec<PathBuf>,
-        /// Memory, MiB.
-        #[arg(long, default_value_t = 512)]
-        memory: u32,
-        /// When to give up, s.
-        #[arg(long, default_value_t = 600)]
-        timeout: u64,
-        /// The command and its arguments.
-        #[arg(last = true, required = true)]
-        command: Vec<OsString>,
+        kernel: Option<PathBuf>,
+        #[command(flatten)]
+        options: Options,
     },
+}
+
+/// What to run in a machine.
+#[derive(Args)]
+pub(crate) struct Options {
+    /// The directory that MRROC_OUT names inside; nothing comes out without it.
+    #[arg(long)]
+    out: Option<PathBuf>,
+    /// A directory under /tmp, /var/tmp, /run or /dev that is to be seen inside.
+    #[arg(long, value_name = "DIRECTORY")]
+    see: Vec<PathBuf>,
+    /// Memory, MiB.
+    #[arg(long, default_value_t = 512)]
+    memory: u32,
+    /// When to give up, s.
+    #[arg(long, default_value_t = 600)]
+    timeout: u64,
+    /// The command and its arguments.
+    #[arg(last = true, required = true)]
+    command: Vec<OsString>,
+}
+
+impl Options {
+    /// As the machines take them.
+    fn resolve(&self) -> anyhow::Result<uml::Options> {
+        let program = env::current_exe().context("this program's own path")?;
+        let home = program.parent().expect("a program lies in a directory");
+        let mut path = home.as_os_str().to_owned();
+        path.push(":");
+        path.push(PATH);
+        let see = self.see.iter().map(std::path::absolute);
+        Ok(uml::Options {
+            env: vec![("PATH".into(), path)],
+            directory: env::current_dir().context("the working directory")?,
+            visible: see.chain([Ok(home.to_owned())]).collect::<Result<_, _>>()?,
+            output: self.out.clone(),
+            memory_mib: self.memory,
+            timeout: Duration::from_secs(self.timeout),
+            ..uml::Options::new(&self.command)
+        })
+    }
 }
 
 /// Runs a command in a machine; its exit status becomes ours.
 pub(crate) fn vm(machine: &Machine) -> anyhow::Result<ExitCode> {
-    let Machine::Uml {
-        out,
-        see,
-        memory,
-        timeout,
-        command,
-    } = machine;
-    let program = env::current_exe().context("this program's own path")?;
-    let home = program.parent().expect("a program lies in a directory");
-    let mut path = home.as_os_str().to_owned();
-    path.push(":");
-    path.push(PATH);
-    let see = see.iter().map(std::path::absolute);
-    let options = uml::Options {
-        env: vec![("PATH".into(), path)],
-        directory: env::current_dir().context("the working directory")?,
-        visible: see.chain([Ok(home.to_owned())]).collect::<Result<_, _>>()?,
-        output: out.clone(),
-        memory_mib: *memory,
-        timeout: Duration::from_secs(*timeout),
-        ..uml::Options::new(command)
+    let mut stdout = io::stdout();
+    let status = match machine {
+        Machine::Uml(options) => uml::run(&options.resolve()?, &mut stdout)?,
+        Machine::Qemu { kernel, options } => {
+            let unpacked = Path::new(UNPACKED);
+            let found = if unpacked.exists() {
+                unpacked
+            } else {
+                Path::new("/")
+            };
+            let kernel = qemu::Kernel::below(kernel.as_deref().unwrap_or(found))?;
+            qemu::run(&kernel, &options.resolve()?, &mut stdout)?
+        }
     };
-    Ok(ExitCode::from(uml::run(&options, &mut io::stdout())?))
+    Ok(ExitCode::from(status))
 }

@@ -9,14 +9,12 @@
 //!
 //! Read [`Options`], then [`run`]; the machine's first process is `uml-init.sh`.
 
-use std::ffi::{OsStr, OsString};
 use std::fs;
 use std::io::{self, BufRead, BufReader, PipeReader, Write};
 use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::thread;
 use std::time::Duration;
@@ -24,53 +22,19 @@ use std::time::Duration;
 use can::clock;
 use thiserror::Error;
 
+pub use crate::machine::Options;
+use crate::machine::{Control, command_script, quoted};
+
 /// The kernel, as Debian's package `user-mode-linux` installs it.
 const KERNEL: &str = "/usr/bin/linux.uml";
 const MODULES: &str = "/usr/lib/uml/modules";
 const INIT: &str = include_str!("uml-init.sh");
 /// Lines on their way from the console; a full queue stops the machine's writer.
 const CONSOLE_LINES: usize = 256;
-/// Where `uml-init.sh` mounts file systems of the machine's own.
-const HIDDEN: [&str; 4] = ["/tmp", "/var/tmp", "/run", "/dev"];
 /// How long killed processes may take to vanish.
 const GRACE: Duration = Duration::from_secs(5);
 /// What is kept of the boot's messages, to be shown if it fails.
 const BOOT_LOG_BYTES: usize = 64 << 10;
-
-/// What to run in the test machine.
-#[derive(Clone, Debug)]
-pub struct Options {
-    /// The program, looked up on the machine's `PATH`, and its arguments.
-    pub command: Vec<OsString>,
-    /// Environment of the program, beside `PATH` and `MRROC_OUT`, the output directory. Nothing else of
-    /// the host's environment gets inside.
-    pub env: Vec<(OsString, OsString)>,
-    /// Working directory of the program.
-    pub directory: PathBuf,
-    /// Further directories of the host to be seen inside, read-only, wherever they lie.
-    pub visible: Vec<PathBuf>,
-    /// The one directory of the host that the program can write to; `None` makes one and removes it.
-    pub output: Option<PathBuf>,
-    /// Memory of the machine, MiB.
-    pub memory_mib: u32,
-    /// How long it may take from start to power-off.
-    pub timeout: Duration,
-}
-
-impl Options {
-    /// Runs `command` in the root directory, with 256 MiB for a minute at most.
-    pub fn new(command: impl IntoIterator<Item = impl Into<OsString>>) -> Self {
-        Self {
-            command: command.into_iter().map(Into::into).collect(),
-            env: Vec::new(),
-            directory: PathBuf::from("/"),
-            visible: Vec::new(),
-            output: None,
-            memory_mib: 256,
-            timeout: Duration::from_secs(60),
-        }
-    }
-}
 
 /// Why a test machine did not deliver the exit status of its command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
@@ -124,14 +88,14 @@ fn installed_in(kernel: &Path, modules: &Path) -> Result<(), UmlError> {
 /// if the boot fails.
 pub fn run(options: &Options, stdout: &mut dyn Write) -> Result<u8, UmlError> {
     installed()?;
-    let control = Control::new(options.output.as_deref())
-        .and_then(|control| control.write(options).map(|()| control))
+    let control = Control::new("uml", options.output.as_deref())
+        .and_then(|control| write(&control, options).map(|()| control))
         .map_err(host("write the output directory"))?;
     let deadline = clock::now() + options.timeout;
     let (machine, console) =
         Machine::start(options, &control).map_err(host("start the test machine"))?;
 
-    let mut screen = Screen::new(control.mark());
+    let mut screen = Screen::new(mark(&control));
     loop {
         match console.recv_timeout(deadline.since(clock::now())) {
             Ok(line) => screen.show(&line, stdout),
@@ -169,123 +133,36 @@ fn host(doing: &'static str) -> impl Fn(io::Error) -> UmlError {
     }
 }
 
-/// The machine's own directory inside the output directory, removed with everything in it.
-struct Control {
-    path: PathBuf,
-    /// What to remove: the directory itself, or the whole output directory if it was made for this run.
-    remove: PathBuf,
+fn write(control: &Control, options: &Options) -> io::Result<()> {
+    let init = control.path.join("init");
+    fs::write(&init, INIT)?;
+    fs::set_permissions(&init, fs::Permissions::from_mode(0o755))?;
+    fs::write(control.path.join("mounts"), mount_script(options))?;
+    fs::write(control.path.join("command"), command_script(options))
 }
 
-impl Control {
-    fn new(output: Option<&Path>) -> io::Result<Self> {
-        static RUNS: AtomicU32 = AtomicU32::new(0);
-        let run = RUNS.fetch_add(1, Ordering::Relaxed);
-        let name = format!("mrroc-uml-{}-{run}", std::process::id());
-        let (output, made) = match output {
-            Some(output) => (output.to_path_buf(), false),
-            None => (std::env::temp_dir().join(&name), true),
-        };
-        fs::create_dir_all(&output)?;
-        let output = output.canonicalize()?;
-        let path = output.join(format!(".{name}"));
-        let remove = if made { output } else { path.clone() };
-        fs::create_dir(&path)?;
-        Ok(Self { path, remove })
-    }
-
-    fn write(&self, options: &Options) -> io::Result<()> {
-        let init = self.path.join("init");
-        fs::write(&init, INIT)?;
-        fs::set_permissions(&init, fs::Permissions::from_mode(0o755))?;
-        fs::write(self.path.join("mounts"), mount_script(options))?;
-        fs::write(self.path.join("command"), command_script(options))
-    }
-
-    /// The line before and behind the command's output: no other run has the same.
-    fn mark(&self) -> Vec<u8> {
-        let name = self.path.file_name().expect("made with a name");
-        [name.as_bytes(), b"\n"].concat()
-    }
-
-    fn status(&self) -> Option<u8> {
-        fs::read_to_string(self.path.join("status"))
-            .ok()?
-            .trim()
-            .parse()
-            .ok()
-    }
-}
-
-impl Drop for Control {
-    fn drop(&mut self) {
-        // Nothing can be done about a directory that somebody else holds.
-        let _ = fs::remove_dir_all(&self.remove);
-    }
+/// The line before and behind the command's output: no other run has the same.
+fn mark(control: &Control) -> Vec<u8> {
+    let name = control.path.file_name().expect("made with a name");
+    [name.as_bytes(), b"\n"].concat()
 }
 
 /// Mounts what is to be seen inside and would be hidden.
 fn mount_script(options: &Options) -> Vec<u8> {
-    let program = options
-        .command
-        .first()
-        .filter(|program| program.as_bytes().contains(&b'/'))
-        .map(|program| options.directory.join(program));
-    let program = program.as_deref().and_then(Path::parent);
-    let mut script = Vec::new();
-    let directories = options.visible.iter().map(PathBuf::as_path);
-    for directory in directories
-        .chain([options.directory.as_path()])
-        .chain(program)
-    {
-        if HIDDEN.iter().any(|hidden| directory.starts_with(hidden)) {
-            let mut place = Vec::new();
-            quote(directory.as_os_str(), &mut place);
-            let words: [&[u8]; 7] = [
-                b"mkdir -p ",
-                &place,
-                b"; mount -t hostfs -r -o ",
-                &place,
-                b" none ",
-                &place,
-                b"\n",
-            ];
-            script.extend(words.concat());
-        }
-    }
-    script
-}
-
-fn command_script(options: &Options) -> Vec<u8> {
-    let mut script = b"cd ".to_vec();
-    quote(options.directory.as_os_str(), &mut script);
-    // Should we be killed before the machine, this still ends it.
-    let limit = options.timeout.as_secs() + 1;
-    script.extend(format!(" || exit 126\nexec timeout --signal=KILL {limit} env").bytes());
-    for (name, value) in &options.env {
-        script.push(b' ');
-        let mut setting = name.clone();
-        setting.push("=");
-        setting.push(value);
-        quote(&setting, &mut script);
-    }
-    for word in &options.command {
-        script.push(b' ');
-        quote(word, &mut script);
-    }
-    script.extend(b" 2>&1\n");
-    script
-}
-
-/// Appends `word` so that a shell reads it back as one word, whatever is in it.
-fn quote(word: &OsStr, script: &mut Vec<u8>) {
-    script.push(b'\'');
-    for &byte in word.as_bytes() {
-        match byte {
-            b'\'' => script.extend(br"'\''"),
-            other => script.push(other),
-        }
-    }
-    script.push(b'\'');
+    let mount = |place: &PathBuf| {
+        let place = quoted(place.as_os_str());
+        let words: [&[u8]; 7] = [
+            b"mkdir -p ",
+            &place,
+            b"; mount -t hostfs -r -o ",
+            &place,
+            b" none ",
+            &place,
+            b"\n",
+        ];
+        words.concat()
+    };
+    options.hidden().iter().flat_map(mount).collect()
 }
 
 /// The machine's processes, all in one group, killed and awaited on drop.
@@ -386,24 +263,6 @@ impl Screen {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_command_survives_the_shell() {
-        let options = Options {
-            env: vec![("A".into(), "it's $HOME".into())],
-            directory: "/a b".into(),
-            ..Options::new(["echo", "", "`x`"])
-        };
-        let expected = concat!(
-            "cd '/a b' || exit 126\n",
-            r"exec timeout --signal=KILL 61 env 'A=it'\''s $HOME' 'echo' '' '`x`' 2>&1",
-            "\n"
-        );
-        assert_eq!(
-            String::from_utf8(command_script(&options)).unwrap(),
-            expected
-        );
-    }
 
     #[test]
     fn what_would_be_hidden_is_mounted() {

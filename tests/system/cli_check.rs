@@ -243,7 +243,16 @@ fn every_command_explains_itself() {
     }
     let run = mrroc(["run", "--help"]).stdout;
     for option in [
-        "--bench", "--can", "--json", "--trace", "--record", "lockstep", "emulated", "vcan", "card",
+        "--bench",
+        "--can",
+        "--set-bitrate",
+        "--json",
+        "--trace",
+        "--record",
+        "lockstep",
+        "emulated",
+        "vcan",
+        "card",
     ] {
         assert!(run.contains(option), "{option}: {run}");
     }

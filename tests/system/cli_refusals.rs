@@ -279,6 +279,7 @@ fn options_that_contradict_each_other_are_refused() {
     let cases: &[(&[&str], &str)] = &[
         (&["--can=vcan0"], "--bench vcan"),
         (&["--bench=vcan", "--can=leg=vcan0"], "no bus \"leg\""),
+        (&["--bench=vcan", "--set-bitrate"], "--bench card"),
         (
             &["--bench=lockstep", "--trace=/no/such/place.log"],
             "/no/such/place.log",

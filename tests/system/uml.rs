@@ -15,16 +15,16 @@ fn shell(script: &str) -> Options {
 }
 
 /// A directory for one test, removed on drop.
-struct Scratch(PathBuf);
+pub(crate) struct Scratch(pub(crate) PathBuf);
 
 impl Scratch {
-    fn new(test: &str) -> Self {
+    pub(crate) fn new(test: &str) -> Self {
         let path = env::temp_dir().join(format!("mrroc-{test}-{}", process::id()));
         fs::create_dir(&path).unwrap();
         Self(path)
     }
 
-    fn names(&self) -> Vec<String> {
+    pub(crate) fn names(&self) -> Vec<String> {
         let entries = fs::read_dir(&self.0).unwrap();
         entries
             .map(|entry| entry.unwrap().file_name().into_string().unwrap())
@@ -39,7 +39,7 @@ impl Drop for Scratch {
 }
 
 /// Processes that were started with `path` on their command line.
-fn processes_of(path: &Path) -> usize {
+pub(crate) fn processes_of(path: &Path) -> usize {
     let path = path.to_str().unwrap();
     let processes = fs::read_dir("/proc").unwrap().flatten();
     let command_lines =

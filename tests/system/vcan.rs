@@ -184,7 +184,7 @@ pub(crate) fn frames_of(path: &Path) -> Vec<Received> {
 }
 
 /// The run ended by a fault of one of these kinds, having said so.
-fn faulted(output: &Output, named: &[&str]) {
+pub(crate) fn faulted(output: &Output, named: &[&str]) {
     let report = output.json();
     assert_eq!(output.status.code(), Some(1), "{output:?}");
     assert_eq!(report["outcome"], "faulted", "{output:?}");

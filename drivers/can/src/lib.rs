@@ -1,9 +1,10 @@
 //! CAN as the rest of the stack sees it: frames, identifiers, ports, recordings and bus time.
 //!
 //! Read [`Frame`] and [`Port`] first. Nothing here interprets a payload; that is `canopen`'s work.
-//! Only [`SocketCanPort`] and [`clock`] touch the operating system.
+//! Only [`SocketCanPort`], [`card`] and [`clock`] touch the operating system.
 
 pub mod candump;
+pub mod card;
 pub mod clock;
 mod error_frame;
 mod frame;

@@ -4,7 +4,7 @@
 //! taken by the kernel, and honest back-pressure: the socket's send buffer is kept so small that it
 //! fills before the interface's queue does, where the kernel would throw frames away.
 //!
-//! Bit rates and restarts after bus-off are left to `ip link`. This is the rim: it makes system calls
+//! Bit rates are set by [`card`](crate::card), and restarts after bus-off are left to `ip link`. This is the rim: it makes system calls
 //! and reads the clock. Read [`SocketCanPort::open`] first.
 
 #![expect(
@@ -276,6 +276,14 @@ impl AsFd for SocketCanPort {
     fn as_fd(&self) -> BorrowedFd<'_> {
         self.socket.as_fd()
     }
+}
+
+/// The CAN interface called `interface`, up or down.
+pub(crate) fn find(interface: &str) -> Result<InterfaceName, OpenError> {
+    let name = InterfaceName::new(interface).ok_or(OpenError::BadName)?;
+    CanSocket::open(interface)
+        .map(|_| name)
+        .map_err(|error| why_not_opened(name, &error))
 }
 
 fn set_up(socket: &CanSocket, options: &SocketCanOptions) -> io::Result<()> {

@@ -1,0 +1,174 @@
+//! Bit rate and state of a CAN card, read and set through netlink, as `ip link set can0 type can` does.
+//!
+//! This is the rim: it makes system calls and allocates, and is for setting up. The kernel answers at once.
+//! Read [`set_bitrate`] first.
+
+use socketcan::nl::CanState;
+use socketcan::{CanInterface, Error, NlError};
+use thiserror::Error;
+
+use crate::timing::Bitrate;
+use crate::{InterfaceName, OpenError, socketcan::find};
+
+/// What a card says of itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Card {
+    /// Whether it is up: its bit rate is that of its bus, and it takes part in the traffic as `state` says.
+    pub up: bool,
+    /// Bit rate, bit/s; `None` if it was never set.
+    pub bitrate: Option<u32>,
+    /// Where in the bit it samples, tenths of a percent.
+    pub sample_point: Option<u32>,
+    /// What its controller does.
+    pub state: CardState,
+    /// How long it waits after bus-off before it takes part again, ms; zero is for ever.
+    pub restart_ms: u32,
+}
+
+/// What the controller of a card does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CardState {
+    /// It takes part: error-active, with few or many errors, or error-passive.
+    Running,
+    /// Nothing, until it is restarted: there were too many errors.
+    BusOff,
+    /// Nothing: it is down or asleep.
+    Stopped,
+}
+
+/// Why a card could not be read or set, and what to do about it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum CardError {
+    /// There is no such CAN interface.
+    #[error(transparent)]
+    Interface(#[from] OpenError),
+    /// It is a CAN interface without a bit rate.
+    #[error("{0}: no CAN card: a virtual interface has no bit rate")]
+    NotCard(InterfaceName),
+    /// We may not set it.
+    #[error(
+        "{interface}: setting the bit rate takes the capability CAP_NET_ADMIN: run as root, or set it before with \
+         `ip link set {interface} type can bitrate {bitrate}`"
+    )]
+    Denied {
+        /// The interface.
+        interface: InterfaceName,
+        /// The rate, bit/s.
+        bitrate: u32,
+    },
+    /// The card's clock cannot be divided to this rate.
+    #[error("{interface}: the card cannot be set to {bitrate} bit/s")]
+    Unreachable {
+        /// The interface.
+        interface: InterfaceName,
+        /// The rate, bit/s.
+        bitrate: u32,
+    },
+    /// The rate is set, and its driver does not bring it up.
+    #[error("{0}: the card does not come up: `dmesg` may say why")]
+    StaysDown(InterfaceName),
+    /// The kernel took the rate and made another of it.
+    #[error("{interface}: set to {wanted} bit/s, the card is at {found} bit/s")]
+    Otherwise {
+        /// The interface.
+        interface: InterfaceName,
+        /// The rate it was set to, bit/s.
+        wanted: u32,
+        /// The rate it has, bit/s.
+        found: u32,
+    },
+    /// Anything else that the kernel said.
+    #[error("{interface}: netlink says errno {errno}")]
+    Os {
+        /// The interface.
+        interface: InterfaceName,
+        /// Its answer.
+        errno: i32,
+    },
+}
+
+/// Reads what the card `interface` is set to.
+pub fn read(interface: &str) -> Result<Card, CardError> {
+    let name = find(interface)?;
+    let link = open(name)?;
+    read_link(name, &link)
+}
+
+/// Sets the card `interface` to `bitrate`, brings it up, and returns what it then says of itself.
+///
+/// One that is up at this rate and takes part in the traffic is left as it is. Any other is taken down
+/// before, which ends the traffic of whoever else uses it.
+pub fn set_bitrate(interface: &str, bitrate: Bitrate) -> Result<Card, CardError> {
+    let name = find(interface)?;
+    let wanted = bitrate.kbps() * 1000;
+    let link = open(name)?;
+    let before = read_link(name, &link)?;
+    if before.up && before.bitrate == Some(wanted) && before.state == CardState::Running {
+        return Ok(before);
+    }
+    let denied = CardError::Denied {
+        interface: name,
+        bitrate: wanted,
+    };
+    let unreachable = CardError::Unreachable {
+        interface: name,
+        bitrate: wanted,
+    };
+    // The kernel's reason does not come through `socketcan`, so the step that it refuses has to tell: who may
+    // take an interface down may do the rest.
+    let refused = |refusal| move |error| errno(&error).map_or(refusal, |errno| os(name, errno));
+    link.bring_down().map_err(refused(denied))?;
+    link.set_bitrate(wanted, None)
+        .map_err(refused(unreachable))?;
+    link.bring_up()
+        .map_err(refused(CardError::StaysDown(name)))?;
+    let after = read_link(name, &link)?;
+    match after.bitrate {
+        Some(found) if found == wanted => Ok(after),
+        found => Err(CardError::Otherwise {
+            interface: name,
+            wanted,
+            found: found.unwrap_or(0),
+        }),
+    }
+}
+
+fn open(interface: InterfaceName) -> Result<CanInterface, CardError> {
+    CanInterface::open(interface.as_str()).map_err(|error| unread(interface, &error))
+}
+
+fn unread(interface: InterfaceName, error: &Error) -> CardError {
+    os(interface, errno(error).unwrap_or(libc::EIO))
+}
+
+fn read_link(interface: InterfaceName, link: &CanInterface) -> Result<Card, CardError> {
+    let details = link.details().map_err(|error| unread(interface, &error))?;
+    let timing = details.can.bit_timing.filter(|timing| timing.bitrate > 0);
+    Ok(Card {
+        up: details.is_up,
+        bitrate: timing.map(|timing| timing.bitrate),
+        sample_point: timing.map(|timing| timing.sample_point),
+        // Every card's driver says it, and no virtual interface does.
+        state: match details.can.state.ok_or(CardError::NotCard(interface))? {
+            CanState::ErrorActive | CanState::ErrorWarning | CanState::ErrorPassive => {
+                CardState::Running
+            }
+            CanState::BusOff => CardState::BusOff,
+            CanState::Stopped | CanState::Sleeping => CardState::Stopped,
+        },
+        restart_ms: details.can.restart_ms.unwrap_or(0),
+    })
+}
+
+/// What the operating system said, if that came through.
+fn errno(error: &Error) -> Option<i32> {
+    match error {
+        Error::Io(error) => error.raw_os_error(),
+        Error::Nl(NlError::Netlink { errno }) => Some(*errno),
+        _ => None,
+    }
+}
+
+fn os(interface: InterfaceName, errno: i32) -> CardError {
+    CardError::Os { interface, errno }
+}

@@ -1,0 +1,391 @@
+//! A test machine with CAN cards and a real-time kernel: QEMU emulates a PC with two Kvaser PCI cards on one
+//! bus, and Debian's PREEMPT_RT kernel runs on it, booted in about five seconds on the host's own file system.
+//!
+//! It promises what [`uml`](crate::uml) promises: the command inside can write to one directory of the host and
+//! nowhere else, it ends within its time, and no process and no file is left behind. Interfaces `can0` and
+//! `can1` are there, down and without a bit rate, as on a PC that was just switched on; `ip` and `can-utils` work
+//! on them as on any card. The machine proves function and never timing: every instruction is emulated, on
+//! one processor, and its bus knows neither bit times nor acknowledgement.
+//!
+//! Read [`Kernel`], then [`run`]; the machine's first process is `qemu-init.sh`.
+
+use std::fs::{self, File};
+use std::io::{self, Read, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
+use std::thread;
+use std::time::Duration;
+
+use can::clock;
+use thiserror::Error;
+
+pub use crate::machine::Options;
+use crate::machine::{Control, command_script, quoted};
+
+const QEMU: &str = "qemu-system-x86_64";
+const BUSYBOX: &str = "/bin/busybox";
+const INIT: &str = include_str!("qemu-init.sh");
+/// What the machine needs beyond what is built into the kernel, each behind those that it depends on.
+const MODULES: [&str; 17] = [
+    "drivers/virtio/virtio_ring",
+    "drivers/virtio/virtio",
+    "drivers/virtio/virtio_pci_legacy_dev",
+    "drivers/virtio/virtio_pci_modern_dev",
+    "drivers/virtio/virtio_pci",
+    "drivers/char/virtio_console",
+    "fs/netfs/netfs",
+    "fs/fscache/fscache",
+    "net/9p/9pnet",
+    "net/9p/9pnet_virtio",
+    "fs/9p/9p",
+    "net/can/can",
+    "net/can/can-raw",
+    "drivers/net/can/dev/can-dev",
+    "drivers/net/can/vcan",
+    "drivers/net/can/sja1000/sja1000",
+    "drivers/net/can/sja1000/kvaser_pci",
+];
+/// Pieces of output on their way; a full queue stops the machine's writer.
+const OUTPUT_PIECES: usize = 64;
+/// How long the output of a killed machine may take to end.
+const GRACE: Duration = Duration::from_secs(5);
+
+/// Why a test machine did not deliver the exit status of its command.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum QemuError {
+    /// QEMU is not installed.
+    #[error("{QEMU} is missing: `apt-get install qemu-system-x86`")]
+    QemuMissing,
+    /// BusyBox is not installed, or needs libraries that the machine does not have when it boots.
+    #[error("no static {BUSYBOX}: `apt-get install busybox-static`")]
+    BusyboxMissing,
+    /// There is no kernel in the directory.
+    #[error(
+        "no PREEMPT_RT kernel: `apt-get download` the package that linux-image-rt-amd64 depends on and unpack \
+         it with `dpkg -x PACKAGE target/qemu`"
+    )]
+    KernelMissing,
+    /// The kernel lacks one of the modules that the machine needs.
+    #[error("the PREEMPT_RT kernel has no module {0}.ko: that of Debian 12 has it")]
+    ModuleMissing(&'static str),
+    /// The machine ended before the command began; the boot's messages are in the output.
+    #[error("the test machine did not boot")]
+    BootFailed,
+    /// The machine ended without the command's exit status: its kernel died, or it was killed.
+    #[error("the test machine ended before its command did")]
+    Died,
+    /// It was killed at the end of its time.
+    #[error("the test machine was killed after {0:?}")]
+    TimedOut(Duration),
+    /// The host refused something.
+    #[error("cannot {doing}: {kind}")]
+    Host {
+        /// What was tried.
+        doing: &'static str,
+        /// How it failed.
+        kind: io::ErrorKind,
+    },
+}
+
+/// A PREEMPT_RT kernel of Debian 12, and all that it takes to boot it here.
+#[derive(Clone, Debug)]
+pub struct Kernel {
+    image: PathBuf,
+    modules: PathBuf,
+}
+
+impl Kernel {
+    /// The kernel below `root`: where its package was unpacked, or `/` where it is installed.
+    ///
+    /// If there are several it is the one whose name sorts last.
+    pub fn below(root: &Path) -> Result<Self, QemuError> {
+        let path = std::env::var_os("PATH").unwrap_or_default();
+        if !std::env::split_paths(&path).any(|place| place.join(QEMU).exists()) {
+            return Err(QemuError::QemuMissing);
+        }
+        // What needs a dynamic loader names it.
+        let dynamic = |program: Vec<u8>| program.windows(7).any(|bytes| bytes == b"/ld-lin");
+        if fs::read(BUSYBOX).map_or(true, dynamic) {
+            return Err(QemuError::BusyboxMissing);
+        }
+        Self::found_below(root)
+    }
+
+    fn found_below(root: &Path) -> Result<Self, QemuError> {
+        let boot = fs::read_dir(root.join("boot")).map_err(|_| QemuError::KernelMissing)?;
+        let version = |file: fs::DirEntry| {
+            let name = file.file_name().into_string().ok()?;
+            let version = name.strip_prefix("vmlinuz-")?;
+            version.ends_with("-rt-amd64").then(|| version.to_owned())
+        };
+        let versions = boot.flatten().filter_map(version);
+        let version = versions.max().ok_or(QemuError::KernelMissing)?;
+        let kernel = Self {
+            image: root.join(format!("boot/vmlinuz-{version}")),
+            modules: root.join(format!("lib/modules/{version}/kernel")),
+        };
+        let missing = MODULES
+            .iter()
+            .find(|module| !kernel.module(module).exists());
+        missing.map_or(Ok(kernel), |module| Err(QemuError::ModuleMissing(module)))
+    }
+
+    fn module(&self, name: &str) -> PathBuf {
+        self.modules.join(format!("{name}.ko"))
+    }
+}
+
+/// Boots a test machine, runs the command in it and returns its exit status (128 + n if signal n
+/// ended it).
+///
+/// What the command prints, on either stream, goes to `stdout` as it comes; so do the boot's messages if the
+/// boot fails.
+pub fn run(kernel: &Kernel, options: &Options, stdout: &mut dyn Write) -> Result<u8, QemuError> {
+    let control = Control::new("qemu", options.output.as_deref())
+        .map_err(host("make the output directory"))?;
+    let initramfs = initramfs(kernel, options, &control).map_err(host("read the kernel"))?;
+    fs::write(control.path.join("initramfs"), initramfs)
+        .map_err(host("write the output directory"))?;
+    let deadline = clock::now() + options.timeout;
+    let (machine, output) =
+        Machine::start(kernel, options, &control).map_err(host("start the test machine"))?;
+    loop {
+        match output.recv_timeout(deadline.since(clock::now())) {
+            // The command runs on when nobody reads what it prints.
+            Ok(piece) => _ = stdout.write_all(&piece).and_then(|()| stdout.flush()),
+            Err(RecvTimeoutError::Disconnected) => break,
+            Err(RecvTimeoutError::Timeout) => {
+                drop(machine);
+                // What was printed just before the end says most of why it hangs.
+                while let Ok(piece) = output.recv_timeout(GRACE) {
+                    let _ = stdout.write_all(&piece);
+                }
+                return Err(QemuError::TimedOut(options.timeout));
+            }
+        }
+    }
+    drop(machine);
+    if let Some(status) = control.status() {
+        return Ok(status);
+    }
+    if control.path.join("began").exists() {
+        return Err(QemuError::Died);
+    }
+    // The error is what matters; a reader who left does not.
+    if let Ok(log) = fs::read(boot_log(&control)) {
+        let _ = stdout.write_all(&log);
+    }
+    Err(QemuError::BootFailed)
+}
+
+fn host(doing: &'static str) -> impl Fn(io::Error) -> QemuError {
+    move |error| QemuError::Host {
+        doing,
+        kind: error.kind(),
+    }
+}
+
+/// What the kernel, `qemu-init.sh` and QEMU itself have to say.
+fn boot_log(control: &Control) -> PathBuf {
+    control.path.join("boot.log")
+}
+
+/// The machine's process, killed and awaited on drop.
+struct Machine(Child);
+
+impl Machine {
+    fn start(
+        kernel: &Kernel,
+        options: &Options,
+        control: &Control,
+    ) -> io::Result<(Self, Receiver<Vec<u8>>)> {
+        let log = boot_log(control);
+        // A comma separates settings; a double one is a comma.
+        let escaped = |path: &Path| path.display().to_string().replace(',', ",,");
+        let mut child = Command::new(QEMU)
+            .args(["-accel", "tcg", "-smp", "1", "-nodefaults", "-no-reboot"])
+            .args(["-display", "none", "-monitor", "none"])
+            .args(["-m", &options.memory_mib.to_string()])
+            .arg("-kernel")
+            .arg(&kernel.image)
+            .arg("-initrd")
+            .arg(control.path.join("initramfs"))
+            .args(["-append", "console=ttyS0 quiet panic=-1 mitigations=off"])
+            .args(["-object", "can-bus,id=bus"])
+            .args(["-device", "kvaser_pci,canbus=bus"])
+            .args(["-device", "kvaser_pci,canbus=bus"])
+            .args([
+                "-chardev",
+                &format!("file,id=log,append=on,path={}", escaped(&log)),
+            ])
+            .args(["-serial", "chardev:log"])
+            .args(["-chardev", "stdio,id=output,signal=off"])
+            .args(["-device", "virtio-serial-pci"])
+            .args(["-device", "virtconsole,chardev=output"])
+            .arg("-virtfs")
+            .arg("local,path=/,mount_tag=host,security_model=none,readonly=on,multidevs=remap")
+            .arg("-virtfs")
+            .arg(format!(
+                "local,path={},mount_tag=output,security_model=none,multidevs=remap",
+                escaped(control.output())
+            ))
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(File::options().create(true).append(true).open(&log)?)
+            .spawn()?;
+        let output = child.stdout.take().expect("stdout is piped");
+        let machine = Self(child);
+        let (pieces, received) = sync_channel(OUTPUT_PIECES);
+        let read = move || read_pieces(output, |piece| pieces.send(piece).is_ok());
+        thread::Builder::new()
+            .name("qemu output".into())
+            .spawn(read)?;
+        Ok((machine, received))
+    }
+}
+
+impl Drop for Machine {
+    fn drop(&mut self) {
+        // Both fail if it has ended, which is as well.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn read_pieces(mut output: impl Read, mut take: impl FnMut(Vec<u8>) -> bool) {
+    let mut piece = [0; 4096];
+    while let Ok(count @ 1..) = output.read(&mut piece) {
+        if !take(piece[..count].to_vec()) {
+            return;
+        }
+    }
+}
+
+/// The file system that the kernel begins with.
+fn initramfs(kernel: &Kernel, options: &Options, control: &Control) -> io::Result<Vec<u8>> {
+    let mut archive = Archive::default();
+    archive.add("init", 0o755, INIT.as_bytes());
+    archive.add("busybox", 0o755, &fs::read(BUSYBOX)?);
+    archive.add("settings", 0o644, &settings(control));
+    archive.add("mounts", 0o644, &mount_script(options));
+    archive.add("command", 0o644, &command_script(options));
+    for (number, module) in MODULES.iter().enumerate() {
+        let name = format!("{number:02}.ko");
+        archive.add(&name, 0o644, &fs::read(kernel.module(module))?);
+    }
+    Ok(archive.end())
+}
+
+fn settings(control: &Control) -> Vec<u8> {
+    let output = quoted(control.output().as_os_str());
+    let control = quoted(control.path.as_os_str());
+    let words: [&[u8]; 5] = [b"output=", &output, b"\ncontrol=", &control, b"\n"];
+    words.concat()
+}
+
+/// Mounts what is to be seen inside and would be hidden.
+fn mount_script(options: &Options) -> Vec<u8> {
+    let mount = |place: &PathBuf| {
+        let place = quoted(place.as_os_str());
+        let words: [&[u8]; 7] = [
+            b"mkdir -p /root",
+            &place,
+            b"; mount -o bind /host",
+            &place,
+            b" /root",
+            &place,
+            b"\n",
+        ];
+        words.concat()
+    };
+    options.hidden().iter().flat_map(mount).collect()
+}
+
+/// A cpio archive of the format `newc`: after `070701` thirteen numbers of eight hexadecimal digits, the name
+/// with a NUL, and the content, both filled up to four bytes (Linux, driver-api/early-userspace/buffer-format).
+#[derive(Default)]
+struct Archive {
+    bytes: Vec<u8>,
+    files: u32,
+}
+
+impl Archive {
+    /// Adds a regular file.
+    fn add(&mut self, name: &str, permissions: u32, content: &[u8]) {
+        const REGULAR: u32 = 0o100_000;
+        self.entry(name, REGULAR | permissions, content);
+    }
+
+    fn entry(&mut self, name: &str, mode: u32, content: &[u8]) {
+        self.files += 1;
+        let size = u32::try_from(content.len()).expect("no file of a kernel has 4 GiB");
+        let name_size = name.len() as u32 + 1;
+        // Inode, mode, owner, group, links, time, size, four device numbers, size of the name, checksum.
+        let fields = [self.files, mode, 0, 0, 1, 0, size, 0, 0, 0, 0, name_size, 0];
+        self.bytes.extend(b"070701");
+        for field in fields {
+            self.bytes.extend(format!("{field:08x}").bytes());
+        }
+        self.bytes.extend(name.bytes());
+        self.bytes.push(0);
+        self.fill_up();
+        self.bytes.extend(content);
+        self.fill_up();
+    }
+
+    fn fill_up(&mut self) {
+        let whole = self.bytes.len().next_multiple_of(4);
+        self.bytes.resize(whole, 0);
+    }
+
+    fn end(mut self) -> Vec<u8> {
+        self.entry("TRAILER!!!", 0, &[]);
+        self.bytes
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_archive_is_laid_out_as_the_kernel_reads_it() {
+        let mut archive = Archive::default();
+        archive.add("init", 0o755, b"hello");
+        let zeros = "00000000".repeat(2);
+        let expected = format!(
+            "070701{}{}{zeros}{}{}{}{zeros}{zeros}{}{}init\0\0hello\0\0\0070701",
+            "00000001", "000081ed", "00000001", "00000000", "00000005", "00000005", "00000000"
+        );
+        let bytes = archive.end();
+        assert_eq!(String::from_utf8_lossy(&bytes[..expected.len()]), expected);
+        assert_eq!(bytes.len() % 4, 0);
+        assert!(bytes.ends_with(b"TRAILER!!!\0\0\0\0"));
+    }
+
+    #[test]
+    fn what_would_be_hidden_is_mounted_from_the_host() {
+        let options = Options {
+            directory: "/tmp/a b".into(),
+            ..Options::new(["sh"])
+        };
+        assert_eq!(
+            String::from_utf8(mount_script(&options)).unwrap(),
+            "mkdir -p /root'/tmp/a b'; mount -o bind /host'/tmp/a b' /root'/tmp/a b'\n"
+        );
+    }
+
+    #[test]
+    fn a_directory_without_the_kernel_or_its_modules_is_refused() {
+        let root = std::env::temp_dir().join(format!("mrroc-kernel-{}", std::process::id()));
+        let refusal = || Kernel::found_below(&root).map(|_| ()).unwrap_err();
+        assert_eq!(refusal(), QemuError::KernelMissing);
+        fs::create_dir_all(root.join("boot")).unwrap();
+        fs::write(root.join("boot/vmlinuz-6.1.0-9-amd64"), "").unwrap();
+        assert_eq!(refusal(), QemuError::KernelMissing);
+        fs::write(root.join("boot/vmlinuz-6.1.0-9-rt-amd64"), "").unwrap();
+        assert_eq!(refusal(), QemuError::ModuleMissing(MODULES[0]));
+        fs::remove_dir_all(root).unwrap();
+    }
+}

@@ -1,0 +1,150 @@
+//! Emulators and controller as two processes on two CAN cards of one bus, under a PREEMPT_RT kernel.
+//!
+//! The test machine emulates every instruction, and a busy host takes its only processor away besides. So the
+//! cell's period is long, 20 ms, and it is patient: a second without answers, three without cycles. Required
+//! hardware, with `HIL_CARDS` set: two cards on one bus with nothing else on it, and root.
+
+use std::fs;
+use std::process::Command;
+
+use crate::bench::on_cards;
+use crate::mrroc::{self, Directory, Running};
+use crate::vcan::{faulted, started};
+
+/// Slow, and patient.
+fn directory_with_cell() -> Directory {
+    let directory = Directory::new();
+    directory.cell("irb6", |cell| {
+        mrroc::shorten(cell);
+        cell.robot[0].program.truncate(1);
+        cell.period_us = 20_000;
+        cell.macrostep = 4;
+        cell.max_missed_in_row = 150;
+        cell.bus[0].tolerated_missing = 50;
+        cell.bus[0].heartbeat_ms = 1000;
+        cell.bus[0].boot_timeout_ms = 20_000;
+        // What the machine's own time is worth must not be taken for the arm's.
+        for axis in &mut cell.robot[0].axis {
+            axis.following_error = 100.0;
+        }
+    });
+    directory
+}
+
+/// Starts the controller on `card`, writing states and its report.
+fn start_controller(directory: &Directory, card: &str, further: &[&str]) -> Running {
+    let cell = directory.path("cell.toml").display().to_string();
+    let states = directory.path("states.csv").display().to_string();
+    // That of the run before is no news.
+    let _ = fs::remove_file(&states);
+    let run = [
+        "run", &cell, "--bench", "card", "--can", card, "--json", "--record", &states,
+    ];
+    Running::start(run.iter().chain(further))
+}
+
+fn completed(run: Running) -> String {
+    let output = run.output();
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let report = output.json();
+    assert_eq!(report["outcome"], "completed", "{report}");
+    output.stderr
+}
+
+/// The run ended before anything moved, with this refusal.
+fn refused(run: Running, line: &str) {
+    let output = run.output();
+    assert_eq!(output.status.code(), Some(2), "{output:?}");
+    assert!(output.stderr.contains(line), "{line}: {output:?}");
+}
+
+fn sh(command: &str) -> String {
+    let output = Command::new("sh").args(["-ec", command]).output().unwrap();
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.success(), "{command}: {text}");
+    text
+}
+
+#[test]
+fn an_arm_on_a_card_stops_when_its_interface_goes_down_and_moves_again_when_it_is_up() {
+    on_cards(
+        "card::an_arm_on_a_card_stops_when_its_interface_goes_down_and_moves_again_when_it_is_up",
+        |here, there| {
+            let directory = directory_with_cell();
+            let slow = format!(
+                "ip link set {here} down; ip link set {here} type can bitrate 500000; ip link set {here} up"
+            );
+            sh(&slow);
+            sh(&format!(
+                "ip link set {there} down; ip link set {there} type can bitrate 1000000; ip link set {there} up"
+            ));
+            let cell = directory.path("cell.toml");
+            let emulators = started(|| {
+                let arguments = ["emulate".as_ref(), cell.as_os_str()];
+                let can = ["--can".as_ref(), there.as_ref()];
+                Running::start(arguments.into_iter().chain(can))
+            });
+
+            refused(
+                start_controller(&directory, here, &[]),
+                &format!(
+                    "bus arm: {here}: the card is at 500 kbit/s, the cell's bus at 1000 kbit/s: --set-bitrate"
+                ),
+            );
+            let said = completed(start_controller(&directory, here, &["--set-bitrate"]));
+            let read_back = format!("bus arm: {here} is running at 1000 kbit/s, sample point 75 %");
+            assert!(said.contains(&read_back), "{said}");
+            let link = sh(&format!("ip -d link show {here}"));
+            assert!(link.contains("bitrate 1000000 "), "{link}");
+
+            let moving = start_controller(&directory, here, &[]);
+            moving.wait_for(&directory.path("states.csv"), |states| {
+                states.matches(",Moving,").count() > 100
+            });
+            sh(&format!("ip link set {here} down"));
+            faulted(&moving.output(), &["bus arm: interface is down"]);
+
+            // The emulated drives waited with the brakes on.
+            sh(&format!("ip link set {here} up"));
+            completed(start_controller(&directory, here, &[]));
+            emulators.signal("INT");
+            assert_eq!(emulators.output().status.code(), Some(0));
+        },
+    );
+}
+
+#[test]
+fn a_bit_rate_that_cannot_be_set_is_refused() {
+    on_cards(
+        "card::a_bit_rate_that_cannot_be_set_is_refused",
+        |here, _| {
+            let directory = directory_with_cell();
+            sh("ip link add dev vcanrate type vcan && ip link set vcanrate up");
+            let set = &["--set-bitrate"];
+            refused(
+                start_controller(&directory, "vcanrate", set),
+                "bus arm: vcanrate: no CAN card: a virtual interface has no bit rate",
+            );
+            refused(
+                start_controller(&directory, "lo", set),
+                "bus arm: lo: not a CAN interface",
+            );
+            sh("ip link del vcanrate");
+            let run = format!(
+                "chmod -R a+rwX {0}; setpriv --reuid=65534 --clear-groups --bounding-set=-all --inh-caps=-all \
+                 {1} run {0}/cell.toml --bench card --can {here} --set-bitrate 2>&1 || echo \"exit $?\"",
+                directory.path(".").display(),
+                mrroc::binary().display(),
+            );
+            let said = sh(&run);
+            let refusal = format!(
+                "bus arm: {here}: setting the bit rate takes the capability CAP_NET_ADMIN: run as root, or set it \
+                 before with `ip link set {here} type can bitrate 1000000`"
+            );
+            assert!(
+                said.contains(&refusal) && said.ends_with("exit 2\n"),
+                "{said}"
+            );
+        },
+    );
+}
