@@ -322,7 +322,7 @@ fn not_up(
         .axes_on(bus)
         .enumerate()
         .find(|&(index, (robot, axis))| match error.line() {
-            Some(line) => index == usize::from(line),
+            Some(line) => index == line,
             None => error.node() == Some(file.cell.robot[robot].axis[axis].node),
         })
         .map(|(_, (robot, axis))| format!(", axis {}", file.axis_name(robot, axis)))

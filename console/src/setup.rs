@@ -4,13 +4,13 @@ use std::time::Duration;
 
 use anyhow::Context;
 use can::Port;
-use controller::cell::{Bus, Cell, ENABLING, Policy, Serial};
+use controller::cell::{self, Bus, Cell, ENABLING, Policy, Serial};
 use controller::ecp::EcpConfig;
 use drive::DriveGroup;
 use drive::axis_controller::AxisControllerGroup;
 use drive::cia402::{AxisConfig, Cia402Group};
 use serial::Line;
-use servo::thread::{CellTime, Realtime, RealtimePolicy};
+use servo::thread::{CellTime, Realtime, RealtimePolicy, Wait};
 use servo::{EffectorConfig, ServoConfig};
 
 use crate::cell_file::CellFile;
@@ -88,7 +88,7 @@ pub(crate) fn servo_config(file: &CellFile) -> ServoConfig {
             limits,
         )
     };
-    let effector = |(index, robot): (usize, &controller::cell::Robot)| EffectorConfig {
+    let effector = |(index, robot): (usize, &cell::Robot)| EffectorConfig {
         name: robot.name.clone(),
         axes: (0..robot.axis.len())
             .map(|number| axis(index, number))
@@ -129,6 +129,15 @@ pub(crate) fn realtime_policy(cell: &Cell, time: CellTime) -> RealtimePolicy {
         cpu: realtime.cpu,
         lock_memory: realtime.lock_memory,
         lead: Duration::ZERO,
+        wait: match realtime.wait {
+            cell::Wait::Plain => Wait::Plain,
+            cell::Wait::Hybrid => Wait::Hybrid {
+                margin: realtime
+                    .margin_us
+                    .map(|margin| Duration::from_micros(margin.into())),
+                spin_share: realtime.spin_share,
+            },
+        },
         time,
     }
 }
