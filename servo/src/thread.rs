@@ -22,6 +22,7 @@
 //! 1 ns. What the host denies is returned as [`Denial`]s, which name the line that grants it; with
 //! [`Realtime::Require`] the thread does not start without them.
 
+mod cause;
 mod host;
 mod quantile;
 mod wait;
@@ -40,7 +41,8 @@ use thiserror::Error;
 use self::quantile::LearntQuantile;
 use crate::{Servo, Timing};
 
-pub use self::host::{Denial, demand, set_fifo};
+pub use self::cause::{Cause, Usage};
+pub use self::host::{CpuLatency, Denial, demand, set_fifo};
 pub use self::wait::{Awake, Wait, WaitReport, Waiter};
 
 /// Bytes of the thread's stack; `MCL_FUTURE` locks all of it.

@@ -15,6 +15,7 @@ mod cycle;
 mod emulate_slcan;
 mod faults;
 mod homing;
+mod jitter;
 mod loops;
 mod lss;
 mod motion;

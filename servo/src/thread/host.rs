@@ -1,6 +1,8 @@
 //! What a real-time thread asks of the host, one by one, and what the host denied.
 
+use std::fs::{File, OpenOptions};
 use std::hint;
+use std::io::{self, Write};
 
 use thiserror::Error;
 use thread_priority::{
@@ -12,6 +14,23 @@ use super::RealtimePolicy;
 
 /// Bytes of the stack that are touched before the first cycle.
 const PREFAULTED: usize = 128 * 1024;
+
+/// Keeps all CPUs from idle states that take time to leave, while it exists.
+#[derive(Debug)]
+pub struct CpuLatency(
+    #[expect(dead_code, reason = "the request lasts as long as the file is open")] File,
+);
+
+impl CpuLatency {
+    /// Asks the kernel's power management for a latency of 0 µs; usually granted to root alone.
+    pub fn hold() -> io::Result<Self> {
+        let mut file = OpenOptions::new()
+            .write(true)
+            .open("/dev/cpu_dma_latency")?;
+        file.write_all(&0i32.to_ne_bytes())?;
+        Ok(Self(file))
+    }
+}
 
 /// What the host denied, and how to have it granted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
@@ -131,7 +150,7 @@ fn check(result: libc::c_int) -> Result<(), i32> {
     if result == 0 {
         return Ok(());
     }
-    Err(std::io::Error::last_os_error().raw_os_error().unwrap_or(0))
+    Err(io::Error::last_os_error().raw_os_error().unwrap_or(0))
 }
 
 /// Touches the stack that cycles will use, so that no page of it is missing later.

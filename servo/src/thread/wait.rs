@@ -71,11 +71,11 @@ impl Awake {
 #[derive(Clone, Debug)]
 pub struct Waiter {
     margin: Margin,
-    /// Since the first wait, and in spins of it.
-    began: Option<Instant>,
+    /// From wait to wait, and in spins of it.
+    elapsed: Duration,
     spun: Duration,
-    /// End of the last wait.
-    last: Instant,
+    /// End of the wait before, if deadlines followed each other.
+    last: Option<Instant>,
 }
 
 impl Waiter {
@@ -83,22 +83,17 @@ impl Waiter {
     pub fn new(wait: Wait, period: Duration) -> Self {
         Self {
             margin: Margin::new(wait, period),
-            began: None,
+            elapsed: Duration::ZERO,
             spun: Duration::ZERO,
-            last: Instant::ZERO,
+            last: None,
         }
     }
 
     /// Waits for `due`, keeping `reserved` of the share for a spin to come; returns at once if it has passed.
     pub fn wait(&mut self, due: Instant, reserved: Duration) -> Awake {
         let asked_at = now();
-        self.began.get_or_insert(asked_at);
-        let busy = if self.last == Instant::ZERO {
-            Duration::ZERO
-        } else {
-            asked_at.since(self.last)
-        };
-        let wake_up = due - self.margin.allowed(busy, reserved);
+        let last = self.last.unwrap_or(asked_at);
+        let wake_up = due - self.margin.allowed(asked_at.since(last), reserved);
         sleep_until(wake_up);
         let woken = now();
         let mut awake = Awake {
@@ -112,7 +107,8 @@ impl Waiter {
             self.margin.observe(latency);
         }
         (awake.at, awake.gap) = self.spin(woken, due);
-        self.last = awake.at;
+        self.elapsed += awake.at.since(last);
+        self.last = Some(awake.at);
         awake
     }
 
@@ -130,18 +126,20 @@ impl Waiter {
         (at, gap)
     }
 
+    /// There are no deadlines for a while; what passes until the next wait is nobody's.
+    pub fn pause(&mut self) {
+        self.last = None;
+    }
+
     /// What the waits cost so far.
     pub fn report(&self) -> WaitReport {
-        let elapsed = self
-            .began
-            .map_or(Duration::ZERO, |began| self.last.since(began));
         WaitReport {
             margin: self.margin.get(),
             lead: Duration::ZERO,
-            spin_share: if elapsed.is_zero() {
+            spin_share: if self.elapsed.is_zero() {
                 0.0
             } else {
-                self.spun.as_secs_f64() / elapsed.as_secs_f64()
+                self.spun.as_secs_f64() / self.elapsed.as_secs_f64()
             },
         }
     }
