@@ -17,6 +17,7 @@ mod emulate;
 mod emulated_lines;
 mod emulation;
 mod interfaces;
+mod jitter;
 mod programs;
 mod rehearsal;
 mod report;
@@ -85,6 +86,8 @@ enum Command {
         /// The axis: ROBOT/AXIS, the axis's name, or its node-ID.
         axis: String,
     },
+    /// Measure how punctual a thread that waits as the servo's does is on this host, beside cyclictest in the same run.
+    Jitter(jitter::Options),
     /// Run a command in a virtual machine that has CAN.
     Vm {
         #[command(subcommand)]
@@ -106,6 +109,7 @@ fn main() -> ExitCode {
         Command::Lss { action } => service::lss::lss(&action),
         Command::Monitor(options) => service::monitor::monitor(&options),
         Command::Eds { cell, axis } => eds::eds(&cell, &axis),
+        Command::Jitter(options) => jitter::jitter(&options),
         Command::Vm { machine } => vm::vm(&machine),
         Command::Schema => check::schema(),
     };

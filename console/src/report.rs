@@ -4,6 +4,7 @@ use std::fmt::{self, Write as _};
 use std::time::Duration;
 
 use serde::Serialize;
+use servo::thread::WaitReport;
 use servo::{Histogram, Servo, Timing};
 
 use crate::budget::BusBudget;
@@ -95,8 +96,10 @@ impl Report {
                 cycles: counters.cycles,
                 missed: counters.missed_cycles,
                 wake_us: Percentiles::from(&ran.timing.wake_up),
+                sync_us: Percentiles::from(&ran.timing.sync),
                 step_us: Percentiles::from(&ran.timing.step),
                 bus_us: Percentiles::from(&ran.timing.bus),
+                wait: WaitCost::from(ran.timing.wait),
             },
             buses: buses.collect(),
             faults: ran.faults,
@@ -191,10 +194,39 @@ pub(crate) struct CycleReport {
     pub missed: u64,
     /// Lateness of the wake-up, µs.
     pub wake_us: Percentiles,
+    /// From the deadline to when SYNC was handed over, µs.
+    pub sync_us: Percentiles,
     /// Duration of the step, µs.
     pub step_us: Percentiles,
     /// From SYNC to the last answer to it, µs.
     pub bus_us: Percentiles,
+    /// What the wait cost.
+    pub wait: WaitCost,
+}
+
+/// What waiting for deadlines cost.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub(crate) struct WaitCost {
+    /// How long before it needs to run the thread asks to be woken, as of last, µs.
+    pub margin_us: f64,
+    /// How long before the deadline it prepares the cycle, as of last, µs.
+    pub lead_us: f64,
+    /// Time spent spinning, percent of a core.
+    pub spin_percent: f64,
+}
+
+impl From<WaitReport> for WaitCost {
+    fn from(wait: WaitReport) -> Self {
+        Self {
+            margin_us: microseconds(wait.margin),
+            lead_us: microseconds(wait.lead),
+            spin_percent: 100.0 * wait.spin_share,
+        }
+    }
+}
+
+pub(crate) fn microseconds(time: Duration) -> f64 {
+    time.as_nanos() as f64 / 1e3
 }
 
 /// Four points of a distribution, µs.
@@ -212,7 +244,6 @@ pub(crate) struct Percentiles {
 
 impl From<&Histogram> for Percentiles {
     fn from(histogram: &Histogram) -> Self {
-        let microseconds = |time: Duration| time.as_nanos() as f64 / 1e3;
         Self {
             p50: microseconds(histogram.quantile(0.5)),
             p99: microseconds(histogram.quantile(0.99)),
@@ -276,6 +307,7 @@ impl fmt::Display for Report {
         )?;
         let rows = [
             ("wake-up", self.cycle.wake_us),
+            ("SYNC", self.cycle.sync_us),
             ("step", self.cycle.step_us),
         ];
         // A tty does not tell when an answer came.
@@ -293,6 +325,13 @@ impl fmt::Display for Report {
             "\n{} cycles of {} µs, {} missed",
             cycle.cycles, cycle.period_us, cycle.missed
         )?;
+        if cycle.wait.spin_percent > 0.0 {
+            writeln!(
+                f,
+                "hybrid wait: woken {:.0} µs early, prepared {:.0} µs early, {:.1} % of a core spent spinning",
+                cycle.wait.margin_us, cycle.wait.lead_us, cycle.wait.spin_percent
+            )?;
+        }
         for bus in &self.buses {
             let mut line = format!(
                 "bus {}: {} frames, load {:.1} %, worst case {:.1} % of the period",

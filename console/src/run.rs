@@ -7,6 +7,7 @@
 //! not waited for. Whatever may still have power afterwards is a fault of the run.
 
 use std::cell::{Cell as Shared, RefCell};
+use std::fmt::Display;
 use std::io::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -18,6 +19,7 @@ use std::time::Duration;
 use anyhow::{Context, anyhow};
 use can::{Instant, clock};
 use clap::Args;
+use serde::Serialize;
 use servo::thread::{self, CellTime, Finished, Running};
 use servo::{Servo, Timing, lockstep};
 
@@ -185,7 +187,7 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
 }
 
 /// Prints the report; a reader that has gone, such as `head`, is no failure of the run.
-fn print(report: &Report, json: bool) -> anyhow::Result<()> {
+pub(crate) fn print(report: &(impl Serialize + Display), json: bool) -> anyhow::Result<()> {
     let text = if json {
         serde_json::to_string(report)?
     } else {

@@ -5,13 +5,13 @@ use std::time::Duration;
 
 use anyhow::Context;
 use can::Port;
-use controller::cell::{Bus, Cell, ENABLING, Policy, Serial};
+use controller::cell::{self, Bus, Cell, ENABLING, Policy, Serial};
 use controller::ecp::EcpConfig;
 use drive::DriveGroup;
 use drive::axis_controller::AxisControllerGroup;
 use drive::cia402::{AxisConfig, Cia402Group};
 use serial::Line;
-use servo::thread::{CellTime, Realtime, RealtimePolicy};
+use servo::thread::{CellTime, Realtime, RealtimePolicy, Wait};
 use servo::{EffectorConfig, HostHoming, ServoAxisConfig, ServoConfig};
 
 use crate::cell_file::CellFile;
@@ -170,6 +170,15 @@ pub(crate) fn realtime_policy(cell: &Cell, time: CellTime) -> RealtimePolicy {
         cpu: realtime.cpu,
         lock_memory: realtime.lock_memory,
         lead: Duration::ZERO,
+        wait: match realtime.wait {
+            cell::Wait::Plain => Wait::Plain,
+            cell::Wait::Hybrid => Wait::Hybrid {
+                margin: realtime
+                    .margin_us
+                    .map(|margin| Duration::from_micros(margin.into())),
+                spin_share: realtime.spin_share,
+            },
+        },
         time,
     }
 }

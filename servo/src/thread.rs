@@ -1,8 +1,10 @@
 //! The servo thread: it waits for deadlines and steps the servo at them. Nothing else here waits.
 //!
-//! **Deadlines** lie one period apart on `CLOCK_MONOTONIC`. For each the thread sleeps with an
-//! absolute `clock_nanosleep` to [`RealtimePolicy::lead`] before it, prepares the cycle, spins to
-//! the deadline and sends. With a lead of zero it prepares and sends when it wakes.
+//! **Deadlines** lie one period apart on `CLOCK_MONOTONIC`. For each the thread waits until
+//! [`RealtimePolicy::lead`] before it, prepares the cycle, spins to the deadline and sends.
+//! With [`Wait::Plain`] the wait is an absolute `clock_nanosleep`, and with a lead of zero the thread prepares and
+//! sends when it wakes. With [`Wait::Hybrid`] it sleeps to a margin before and spins the rest, and the lead is at
+//! least what preparing takes, which is learnt too: SYNC leaves at the deadline.
 //!
 //! **A missed deadline** is counted and skipped, never caught up: a thread that is half a period
 //! late or later lets that slot go and waits for the next, so two SYNCs are never closer than half a
@@ -20,7 +22,11 @@
 //! 1 ns. What the host denies is returned as [`Denial`]s, which name the line that grants it; with
 //! [`Realtime::Require`] the thread does not start without them.
 
-use std::hint;
+mod cause;
+mod host;
+mod quantile;
+mod wait;
+
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc;
 use std::task::Poll;
@@ -31,18 +37,16 @@ use can::Instant;
 use can::clock::{now, sleep_until};
 use drive::BringUpError;
 use thiserror::Error;
-use thread_priority::{
-    RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
-    set_thread_priority_and_policy, thread_native_id,
-};
 
+use self::quantile::LearntQuantile;
 use crate::{Servo, Timing};
+
+pub use self::cause::{Cause, Usage};
+pub use self::host::{CpuLatency, Denial, demand, set_fifo};
+pub use self::wait::{Awake, Wait, WaitReport, Waiter};
 
 /// Bytes of the thread's stack; `MCL_FUTURE` locks all of it.
 const STACK: usize = 512 * 1024;
-
-/// Bytes of it that are touched before the first cycle.
-const PREFAULTED: usize = 128 * 1024;
 
 /// Cycles that take the power after a panic of the cycle.
 const CUTS: u32 = 10;
@@ -50,6 +54,10 @@ const CUTS: u32 = 10;
 /// Cycles that follow the end of a run at least: a drive obeys the command of one only at the SYNC
 /// of the next, and the answer to that is read one later.
 const OFF_CYCLES: u32 = 4;
+
+/// Share of the period, as a divisor, that the learnt lead may take: the bus delivers the answers of the cycle before
+/// in the rest.
+const LONGEST_LEAD: u32 = 20;
 
 /// Longest time for the drives to report that they have no power, once they are told.
 const POWER_OFF_WAIT: Duration = Duration::from_millis(500);
@@ -64,7 +72,7 @@ pub enum Realtime {
 }
 
 /// What the servo thread asks of the host.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RealtimePolicy {
     /// What to do where it is denied.
     pub realtime: Realtime,
@@ -75,9 +83,12 @@ pub struct RealtimePolicy {
     /// Whether to lock all memory of the process, present and future; a thread that is started later
     /// has its whole stack locked, so give it a small one.
     pub lock_memory: bool,
-    /// How long before the deadline to wake and prepare, spinning until it. The answers to the
-    /// SYNC before must have come by then. At most half a period is used.
+    /// How long before the deadline to prepare at the least, spinning from then until it. The answers to the
+    /// SYNC before must have come by then. At most half a period is used; a hybrid wait takes what preparing
+    /// needs if that is more, up to a twentieth of the period.
     pub lead: Duration,
+    /// How to wait.
+    pub wait: Wait,
     /// The time that cycles are given.
     pub time: CellTime,
 }
@@ -94,61 +105,16 @@ pub enum CellTime {
 }
 
 impl RealtimePolicy {
-    /// SCHED_FIFO 80 and locked memory if the host grants it, no CPU, no lead, by the wall clock.
+    /// SCHED_FIFO 80 and locked memory if the host grants it, no CPU, no lead, a plain wait, by the wall clock.
     pub const BEST_EFFORT: Self = Self {
         realtime: Realtime::BestEffort,
         priority: 80,
         cpu: None,
         lock_memory: true,
         lead: Duration::ZERO,
+        wait: Wait::Plain,
         time: CellTime::Wall,
     };
-}
-
-/// What the host denied, and how to have it granted.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-pub enum Denial {
-    /// SCHED_FIFO.
-    #[error(
-        "SCHED_FIFO priority {priority} was denied (errno {errno}); grant it with the line \
-         `@realtime - rtprio {priority}` in /etc/security/limits.conf, or \
-         `setcap cap_sys_nice+ep` on the program"
-    )]
-    Fifo {
-        /// The priority asked for.
-        priority: u8,
-        /// What the system said; `EINVAL` for a priority that does not exist.
-        errno: i32,
-    },
-    /// `mlockall`.
-    #[error(
-        "locking memory was denied (errno {errno}); grant it with the line \
-         `@realtime - memlock unlimited` in /etc/security/limits.conf, or \
-         `setcap cap_ipc_lock+ep` on the program"
-    )]
-    LockMemory {
-        /// What the system said.
-        errno: i32,
-    },
-    /// `sched_setaffinity`.
-    #[error(
-        "CPU {cpu} was denied (errno {errno}); /sys/devices/system/cpu/online and the cgroup's \
-         cpuset.cpus list the ones there are"
-    )]
-    Cpu {
-        /// The CPU asked for.
-        cpu: usize,
-        /// What the system said.
-        errno: i32,
-    },
-    /// `prctl(PR_SET_TIMERSLACK)`.
-    #[error(
-        "a timer slack of 1 ns was denied (errno {errno}); no privilege is needed, so a seccomp filter denies it"
-    )]
-    TimerSlack {
-        /// What the system said.
-        errno: i32,
-    },
 }
 
 /// Why a servo thread did not start. No cycle ran.
@@ -311,7 +277,10 @@ struct Run {
     timing: Timing,
     panicked: Option<Panicked>,
     period: Duration,
+    waiter: Waiter,
     lead: Duration,
+    /// What preparing takes, if the lead is to follow it.
+    preparation: Option<LearntQuantile>,
     /// Of the cycle that is due next, by the wall clock.
     deadline: Instant,
     time: CellTime,
@@ -327,7 +296,10 @@ impl Run {
             timing,
             panicked: None,
             period,
+            waiter: Waiter::new(policy.wait, period),
             lead,
+            preparation: (policy.wait != Wait::Plain)
+                .then(|| LearntQuantile::new(Duration::ZERO, period / LONGEST_LEAD)),
             deadline: Instant::ZERO,
             time: policy.time,
         }
@@ -352,6 +324,18 @@ impl Run {
         if self.panicked == Some(Panicked::Cycle) {
             self.cut_power();
         }
+        self.timing.wait = WaitReport {
+            lead: self.lead(),
+            ..self.waiter.report()
+        };
+    }
+
+    /// How long before the deadline to prepare.
+    fn lead(&self) -> Duration {
+        let preparation = self
+            .preparation
+            .map_or(Duration::ZERO, |learnt| learnt.get());
+        self.lead.max(preparation)
     }
 
     /// Waits for the deadline and steps; false if the step panicked.
@@ -361,10 +345,10 @@ impl Run {
             let begun = now();
             self.servo.prepare(self.cell_time(self.deadline.max(begun)));
             let prepared = now();
-            while now() < self.deadline {
-                hint::spin_loop();
+            let (sending, _) = self.waiter.spin(prepared, self.deadline);
+            if let Some(preparation) = &mut self.preparation {
+                preparation.observe(prepared.since(begun));
             }
-            let sending = now();
             self.timing.sync.record(sending.since(self.deadline));
             self.servo.send(self.cell_time(sending));
             self.timing
@@ -395,17 +379,15 @@ impl Run {
         self.cell_time(self.deadline)
     }
 
-    /// Sleeps to the lead before the deadline; a deadline that has long passed is skipped.
+    /// Waits until the lead before the deadline; a deadline that has long passed is skipped.
     fn wait(&mut self) {
         loop {
-            let wake_up = self.deadline - self.lead;
-            let asked_at = now();
-            sleep_until(wake_up);
-            let woken = now();
-            if asked_at < wake_up {
-                self.timing.wake_up.record(woken.since(wake_up));
+            let lead = self.lead();
+            let awake = self.waiter.wait(self.deadline - lead, lead);
+            if let Some(latency) = awake.wake_up_latency() {
+                self.timing.wake_up.record(latency);
             }
-            let late = woken.since(self.deadline);
+            let late = awake.at.since(self.deadline);
             if late <= self.period / 2 {
                 return;
             }
@@ -447,87 +429,6 @@ impl Run {
             }
         }
     }
-}
-
-/// Asks the host for what the policy wants on this thread; returns what it denied.
-fn demand(policy: &RealtimePolicy) -> Vec<Denial> {
-    let mut denied = Vec::new();
-    denied.extend(set_timer_slack().err());
-    denied.extend(policy.cpu.and_then(|cpu| stay_on(cpu).err()));
-    if policy.lock_memory {
-        denied.extend(lock_memory().err());
-    }
-    prefault_stack();
-    denied.extend(set_fifo(policy.priority).err());
-    denied
-}
-
-/// Puts the calling thread under SCHED_FIFO at this priority; for threads that the servo needs, such as
-/// the controller's, each below it.
-pub fn set_fifo(priority: u8) -> Result<(), Denial> {
-    let denial = |errno| Denial::Fifo { priority, errno };
-    let value = ThreadPriorityValue::try_from(priority).map_err(|_| denial(libc::EINVAL))?;
-    let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
-    let priority = ThreadPriority::Crossplatform(value);
-    set_thread_priority_and_policy(thread_native_id(), priority, policy).map_err(|error| {
-        denial(match error {
-            thread_priority::Error::OS(errno) => errno,
-            _ => libc::EINVAL,
-        })
-    })
-}
-
-#[expect(
-    unsafe_code,
-    reason = "mlockall has no safe wrapper among our dependencies"
-)]
-fn lock_memory() -> Result<(), Denial> {
-    // SAFETY: it changes how pages are kept, not what is in them.
-    let result = unsafe { libc::mlockall(libc::MCL_CURRENT | libc::MCL_FUTURE) };
-    check(result).map_err(|errno| Denial::LockMemory { errno })
-}
-
-#[expect(
-    unsafe_code,
-    reason = "sched_setaffinity has no safe wrapper among our dependencies"
-)]
-fn stay_on(cpu: usize) -> Result<(), Denial> {
-    if cpu >= libc::CPU_SETSIZE as usize {
-        return Err(Denial::Cpu {
-            cpu,
-            errno: libc::EINVAL,
-        });
-    }
-    // SAFETY: a cpu_set_t is plain bits, `cpu` is below its size, and 0 means this thread.
-    let result = unsafe {
-        let mut set: libc::cpu_set_t = std::mem::zeroed();
-        libc::CPU_SET(cpu, &mut set);
-        libc::sched_setaffinity(0, size_of::<libc::cpu_set_t>(), &raw const set)
-    };
-    check(result).map_err(|errno| Denial::Cpu { cpu, errno })
-}
-
-#[expect(
-    unsafe_code,
-    reason = "prctl has no safe wrapper among our dependencies"
-)]
-fn set_timer_slack() -> Result<(), Denial> {
-    // SAFETY: this operation takes one number and touches no memory.
-    let result = unsafe { libc::prctl(libc::PR_SET_TIMERSLACK, 1 as libc::c_ulong) };
-    check(result).map_err(|errno| Denial::TimerSlack { errno })
-}
-
-fn check(result: libc::c_int) -> Result<(), i32> {
-    if result == 0 {
-        return Ok(());
-    }
-    Err(std::io::Error::last_os_error().raw_os_error().unwrap_or(0))
-}
-
-/// Touches the stack that cycles will use, so that no page of it is missing later.
-#[inline(never)]
-fn prefault_stack() {
-    hint::black_box(&mut [0u8; PREFAULTED]);
 }
 
 #[cfg(test)]

@@ -1,3 +1,4 @@
+use crate::thread::WaitReport;
 use crate::{Histogram, Servo};
 
 /// How punctual a servo thread was.
@@ -12,6 +13,8 @@ pub struct Timing {
     pub step: Histogram,
     /// From SYNC to the last answer, of every group and cycle in which one came.
     pub bus: Histogram,
+    /// What waiting for the deadlines cost.
+    pub wait: WaitReport,
 }
 
 impl Timing {

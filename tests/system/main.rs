@@ -18,6 +18,7 @@ mod emulate_slcan;
 mod epos_service;
 mod faults;
 mod homing;
+mod jitter;
 mod loops;
 mod lss;
 mod motion;

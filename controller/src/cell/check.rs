@@ -184,9 +184,24 @@ fn check(cell: &Cell) -> Checked {
         99.0,
         "between 1 and 99",
     )?;
+    check_wait(cell)?;
     check_buses(cell)?;
     check_serial(cell)?;
     check_robots(cell)
+}
+
+fn check_wait(cell: &Cell) -> Checked {
+    let path = Path::default().then("realtime");
+    let share = cell.realtime.spin_share;
+    let key = path.then("spin_share");
+    in_range(&key, share, 0.0, 0.5, "between 0 and 0.5 (of a core)")?;
+    in_range(
+        &path.then("margin_us"),
+        f64::from(cell.realtime.margin_us.unwrap_or(0)),
+        0.0,
+        share * f64::from(cell.period_us),
+        "at most spin_share of the period (µs)",
+    )
 }
 
 fn check_buses(cell: &Cell) -> Checked {

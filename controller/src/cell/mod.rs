@@ -74,6 +74,22 @@ pub struct Realtime {
     pub cpu: Option<usize>,
     /// Whether to lock the process's memory.
     pub lock_memory: bool,
+    /// How the servo thread waits for its deadlines.
+    pub wait: Wait,
+    /// How long before it needs to run a hybrid wait asks to be woken, µs; none learns it from how late the host is.
+    pub margin_us: Option<u32>,
+    /// Largest share of a core that a hybrid wait spins in, 0 to 0.5; it bounds the margin.
+    pub spin_share: f64,
+}
+
+/// How the servo thread waits for its deadlines.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Wait {
+    /// It sleeps until the deadline, and is as late as the host wakes it.
+    Plain,
+    /// It sleeps to a margin before the deadline, then spins: punctual, for some of a core.
+    Hybrid,
 }
 
 impl Default for Realtime {
@@ -83,6 +99,9 @@ impl Default for Realtime {
             priority: 80,
             cpu: None,
             lock_memory: true,
+            wait: Wait::Hybrid,
+            margin_us: None,
+            spin_share: 0.2,
         }
     }
 }

@@ -26,7 +26,7 @@ fn example_cells_parse_and_their_programs_can_be_built() {
 
 #[test]
 fn a_refusal_names_line_key_and_reason() {
-    let cases: [(&str, &str, &str, &str); 28] = [
+    let cases: [(&str, &str, &str, &str); 31] = [
         (
             "method = 11",
             "method = 12",
@@ -75,6 +75,24 @@ fn a_refusal_names_line_key_and_reason() {
             "priority = 100",
             "realtime.priority",
             "must be between 1 and 99",
+        ),
+        (
+            "priority = 80",
+            "spin_share = 0.6\npriority = 80",
+            "realtime.spin_share",
+            "must be between 0 and 0.5",
+        ),
+        (
+            "priority = 80",
+            "margin_us = 401\npriority = 80",
+            "realtime.margin_us",
+            "at most spin_share of the period",
+        ),
+        (
+            "priority = 80",
+            "wait = \"spin\"\npriority = 80",
+            "",
+            "unknown variant `spin`",
         ),
         (
             "bitrate_kbps = 1000",

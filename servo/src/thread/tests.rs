@@ -61,6 +61,31 @@ fn a_run_ends_with_the_drives_off_and_every_cycle_timed() {
 }
 
 #[test]
+fn with_a_hybrid_wait_sync_leaves_at_the_deadline_however_long_preparing_takes() {
+    let (servo, _link, world) = rig();
+    let work = Duration::from_micros(30);
+    world.lock().unwrap().work = work;
+    let policy = RealtimePolicy {
+        wait: Wait::Hybrid {
+            margin: None,
+            spin_share: 0.5,
+        },
+        ..RealtimePolicy::BEST_EFFORT
+    };
+    let mut cycles = 0;
+    let until = move |_: &Servo| {
+        cycles += 1;
+        cycles == 300
+    };
+    let finished = run(servo, policy, |_| {}, until).unwrap();
+    let timing = finished.timing;
+    assert!(timing.wait.lead > work && timing.wait.margin > Duration::ZERO);
+    assert!(timing.wait.spin_share > 0.0);
+    // The host may be very late, but not most of the time.
+    assert!(timing.sync.quantile(0.5) < work, "{:?}", timing.sync);
+}
+
+#[test]
 fn a_panic_of_the_caller_brakes_and_switches_off() {
     let (servo, _link, world) = rig();
     let until = |servo: &Servo| {

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::task::Poll;
 use std::time::Duration;
 
-use can::Instant;
+use can::{Instant, clock};
 use drive::{
     AxisCommand, AxisState, BringUpError, DriveGroup, Fault, GroupCounters, Homing, Increments,
     Power, Setpoint,
@@ -91,6 +91,8 @@ pub struct World {
     pub panic: bool,
     /// Batches that the bus does not take.
     pub refuses: u32,
+    /// What each call of `write` takes, by the wall clock.
+    pub work: Duration,
 }
 
 /// How a drive tells that the index pulse set its counter.
@@ -353,6 +355,10 @@ impl DriveGroup for Scripted {
         if std::mem::take(&mut world.panic) {
             drop(world);
             panic!("scripted");
+        }
+        if !world.work.is_zero() {
+            let done = clock::now() + world.work;
+            while clock::now() < done {}
         }
     }
 

@@ -1,0 +1,146 @@
+use std::time::Duration;
+
+use super::Awake;
+
+/// Who took the time of a late cycle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Cause {
+    /// The thread's own work before the wait left no time to sleep.
+    OwnWork,
+    /// A page of the process was not in memory.
+    PageFault,
+    /// Another thread was given the CPU.
+    Preempted,
+    /// The kernel or the hypervisor woke the thread later than it asked for.
+    LateWakeUp,
+    /// The thread had the CPU by the kernel's account, and time passed between two reads of the clock: an
+    /// interrupt, or the hypervisor.
+    Host,
+}
+
+impl Cause {
+    /// All, the least of a host's faults first.
+    pub const ALL: [Self; 5] = [
+        Self::OwnWork,
+        Self::PageFault,
+        Self::Preempted,
+        Self::LateWakeUp,
+        Self::Host,
+    ];
+
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::OwnWork => "own work",
+            Self::PageFault => "page fault",
+            Self::Preempted => "preempted",
+            Self::LateWakeUp => "late wake-up",
+            Self::Host => "host",
+        }
+    }
+
+    /// Who made a wait that ended `late` do so, by how it went and what the kernel counted from the end of the wait
+    /// before to the end of this one. `worked` is the time from there to this wait.
+    pub fn of(late: Duration, worked: Duration, awake: &Awake, counted: Usage) -> Self {
+        // What took less than half of the time is not what took it.
+        let took = |time: Duration| time >= late / 2;
+        match awake.wake_up_latency() {
+            _ if counted.faults > 0 => Self::PageFault,
+            _ if counted.switches > 0 => Self::Preempted,
+            Some(_) if took(awake.gap) => Self::Host,
+            Some(_) => Self::LateWakeUp,
+            None if took(worked) => Self::OwnWork,
+            None => Self::Host,
+        }
+    }
+}
+
+/// What the kernel counted for one thread.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Usage {
+    /// Page faults, with and without reading from a disk.
+    pub faults: u64,
+    /// Times that the CPU was taken from it for another thread.
+    pub switches: u64,
+}
+
+impl Usage {
+    /// Of the calling thread, since it began: one system call.
+    #[expect(
+        unsafe_code,
+        reason = "getrusage has no safe wrapper among our dependencies"
+    )]
+    pub fn of_this_thread() -> Self {
+        // SAFETY: a rusage is plain numbers, and `usage` is one for the call to fill.
+        let usage = unsafe {
+            let mut usage: libc::rusage = std::mem::zeroed();
+            libc::getrusage(libc::RUSAGE_THREAD, &raw mut usage);
+            usage
+        };
+        Self {
+            faults: (usage.ru_minflt + usage.ru_majflt) as u64,
+            switches: usage.ru_nivcsw as u64,
+        }
+    }
+
+    /// What was counted since `earlier`.
+    pub fn since(self, earlier: Self) -> Self {
+        Self {
+            faults: self.faults.saturating_sub(earlier.faults),
+            switches: self.switches.saturating_sub(earlier.switches),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use can::Instant;
+
+    use super::*;
+
+    #[test]
+    fn a_late_cycle_is_attributed_by_where_its_time_went() {
+        let micros = Duration::from_micros;
+        let none = Usage::default();
+        let [fault, switch] = [(1, 0), (0, 1)].map(|(faults, switches)| Usage { faults, switches });
+        // Late by, work before the wait, time left to sleep, wake-up latency, gap; µs.
+        let cases = [
+            ((90, 5, 800, 290, 0), none, Cause::LateWakeUp),
+            ((90, 5, 800, 20, 160), none, Cause::Host),
+            ((90, 5, 800, 20, 160), switch, Cause::Preempted),
+            ((90, 5, 800, 290, 0), fault, Cause::PageFault),
+            ((90, 1090, 0, 0, 0), none, Cause::OwnWork),
+            ((90, 1090, 0, 0, 0), switch, Cause::Preempted),
+            ((90, 1090, 0, 0, 0), fault, Cause::PageFault),
+            ((90, 2, 0, 0, 0), none, Cause::Host),
+        ];
+        for ((late, worked, left, latency, gap), counted, expected) in cases {
+            let asked_at = Instant::from_nanos(1_000_000);
+            let wake_up = asked_at + micros(left);
+            let woken = wake_up + micros(latency);
+            let awake = Awake {
+                asked_at,
+                wake_up,
+                woken,
+                at: woken + micros(gap),
+                gap: micros(gap),
+            };
+            let found = Cause::of(micros(late), micros(worked), &awake, counted);
+            assert_eq!(
+                found, expected,
+                "{late} {worked} {left} {latency} {gap} {counted:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_touched_page_is_counted_as_a_fault() {
+        let before = Usage::of_this_thread();
+        let pages = 64 * 4096;
+        // Fresh pages of the system's: too many for the allocator to have had.
+        let mut memory = vec![0u8; 64 * pages];
+        memory.iter_mut().step_by(4096).for_each(|byte| *byte = 1);
+        std::hint::black_box(&memory);
+        assert!(Usage::of_this_thread().since(before).faults > 0);
+    }
+}

@@ -1,0 +1,160 @@
+//! What a real-time thread asks of the host, one by one, and what the host denied.
+
+use std::fs::{File, OpenOptions};
+use std::hint;
+use std::io::{self, Write};
+
+use thiserror::Error;
+use thread_priority::{
+    RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
+    set_thread_priority_and_policy, thread_native_id,
+};
+
+use super::RealtimePolicy;
+
+/// Bytes of the stack that are touched before the first cycle.
+const PREFAULTED: usize = 128 * 1024;
+
+/// Keeps all CPUs from idle states that take time to leave, while it exists.
+#[derive(Debug)]
+pub struct CpuLatency(
+    #[expect(dead_code, reason = "the request lasts as long as the file is open")] File,
+);
+
+impl CpuLatency {
+    /// Asks the kernel's power management for a latency of 0 µs; usually granted to root alone.
+    pub fn hold() -> io::Result<Self> {
+        let mut file = OpenOptions::new()
+            .write(true)
+            .open("/dev/cpu_dma_latency")?;
+        file.write_all(&0i32.to_ne_bytes())?;
+        Ok(Self(file))
+    }
+}
+
+/// What the host denied, and how to have it granted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum Denial {
+    /// SCHED_FIFO.
+    #[error(
+        "SCHED_FIFO priority {priority} was denied (errno {errno}); grant it with the line \
+         `@realtime - rtprio {priority}` in /etc/security/limits.conf, or \
+         `setcap cap_sys_nice+ep` on the program"
+    )]
+    Fifo {
+        /// The priority asked for.
+        priority: u8,
+        /// What the system said; `EINVAL` for a priority that does not exist.
+        errno: i32,
+    },
+    /// `mlockall`.
+    #[error(
+        "locking memory was denied (errno {errno}); grant it with the line \
+         `@realtime - memlock unlimited` in /etc/security/limits.conf, or \
+         `setcap cap_ipc_lock+ep` on the program"
+    )]
+    LockMemory {
+        /// What the system said.
+        errno: i32,
+    },
+    /// `sched_setaffinity`.
+    #[error(
+        "CPU {cpu} was denied (errno {errno}); /sys/devices/system/cpu/online and the cgroup's \
+         cpuset.cpus list the ones there are"
+    )]
+    Cpu {
+        /// The CPU asked for.
+        cpu: usize,
+        /// What the system said.
+        errno: i32,
+    },
+    /// `prctl(PR_SET_TIMERSLACK)`.
+    #[error(
+        "a timer slack of 1 ns was denied (errno {errno}); no privilege is needed, so a seccomp filter denies it"
+    )]
+    TimerSlack {
+        /// What the system said.
+        errno: i32,
+    },
+}
+
+/// Asks the host for what the policy wants on the calling thread; returns what it denied.
+pub fn demand(policy: &RealtimePolicy) -> Vec<Denial> {
+    let mut denied = Vec::new();
+    denied.extend(set_timer_slack().err());
+    denied.extend(policy.cpu.and_then(|cpu| stay_on(cpu).err()));
+    if policy.lock_memory {
+        denied.extend(lock_memory().err());
+    }
+    prefault_stack();
+    denied.extend(set_fifo(policy.priority).err());
+    denied
+}
+
+/// Puts the calling thread under SCHED_FIFO at this priority; for threads that the servo needs, such as
+/// the controller's, each below it.
+pub fn set_fifo(priority: u8) -> Result<(), Denial> {
+    let denial = |errno| Denial::Fifo { priority, errno };
+    let value = ThreadPriorityValue::try_from(priority).map_err(|_| denial(libc::EINVAL))?;
+    let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
+    let priority = ThreadPriority::Crossplatform(value);
+    set_thread_priority_and_policy(thread_native_id(), priority, policy).map_err(|error| {
+        denial(match error {
+            thread_priority::Error::OS(errno) => errno,
+            _ => libc::EINVAL,
+        })
+    })
+}
+
+#[expect(
+    unsafe_code,
+    reason = "mlockall has no safe wrapper among our dependencies"
+)]
+fn lock_memory() -> Result<(), Denial> {
+    // SAFETY: it changes how pages are kept, not what is in them.
+    let result = unsafe { libc::mlockall(libc::MCL_CURRENT | libc::MCL_FUTURE) };
+    check(result).map_err(|errno| Denial::LockMemory { errno })
+}
+
+#[expect(
+    unsafe_code,
+    reason = "sched_setaffinity has no safe wrapper among our dependencies"
+)]
+fn stay_on(cpu: usize) -> Result<(), Denial> {
+    if cpu >= libc::CPU_SETSIZE as usize {
+        return Err(Denial::Cpu {
+            cpu,
+            errno: libc::EINVAL,
+        });
+    }
+    // SAFETY: a cpu_set_t is plain bits, `cpu` is below its size, and 0 means this thread.
+    let result = unsafe {
+        let mut set: libc::cpu_set_t = std::mem::zeroed();
+        libc::CPU_SET(cpu, &mut set);
+        libc::sched_setaffinity(0, size_of::<libc::cpu_set_t>(), &raw const set)
+    };
+    check(result).map_err(|errno| Denial::Cpu { cpu, errno })
+}
+
+#[expect(
+    unsafe_code,
+    reason = "prctl has no safe wrapper among our dependencies"
+)]
+fn set_timer_slack() -> Result<(), Denial> {
+    // SAFETY: this operation takes one number and touches no memory.
+    let result = unsafe { libc::prctl(libc::PR_SET_TIMERSLACK, 1 as libc::c_ulong) };
+    check(result).map_err(|errno| Denial::TimerSlack { errno })
+}
+
+fn check(result: libc::c_int) -> Result<(), i32> {
+    if result == 0 {
+        return Ok(());
+    }
+    Err(io::Error::last_os_error().raw_os_error().unwrap_or(0))
+}
+
+/// Touches the stack that cycles will use, so that no page of it is missing later.
+#[inline(never)]
+fn prefault_stack() {
+    hint::black_box(&mut [0u8; PREFAULTED]);
+}
