@@ -19,7 +19,7 @@ use anyhow::{Context, anyhow};
 use can::{Instant, clock};
 use clap::Args;
 use servo::thread::{self, CellTime, Finished, Running};
-use servo::{Servo, Timing, lockstep};
+use servo::{NotUp, Servo, Timing, lockstep};
 
 use crate::bench::{Bench, BenchKind};
 use crate::cell_file::CellFile;
@@ -308,15 +308,24 @@ impl Drop for Over {
     }
 }
 
-/// The refusal of a bus that did not come up, in the words of the cell. The files keep what led to it.
+/// What a run ends in whose drives did not come up: the refusal of a bus, in the words of the cell, or a stop on
+/// request. The files keep what led to it.
 fn not_up(
     file: &CellFile,
+    servo: Servo,
     written: anyhow::Result<()>,
-    (bus, error): (usize, drive::BringUpError),
-) -> anyhow::Error {
-    if let Err(error) = written {
-        return error;
-    }
+    why: NotUp,
+) -> anyhow::Result<Ran> {
+    written?;
+    let NotUp::Group(bus, error) = why else {
+        return Ok(Ran {
+            servo,
+            timing: Timing::default(),
+            denied: Vec::new(),
+            faults: Vec::new(),
+            cell_time: Duration::ZERO,
+        });
+    };
     let axis = file
         .cell
         .axes_on(bus)
@@ -332,7 +341,7 @@ fn not_up(
         .groups()
         .nth(bus)
         .expect("the servo has the groups of the cell");
-    anyhow!("bus {name}{axis}: {error}")
+    Err(anyhow!("bus {name}{axis}: {error}"))
 }
 
 fn in_lockstep(
@@ -348,7 +357,7 @@ fn in_lockstep(
     let between = |next| emulation.borrow_mut().advance(next);
     let start = match lockstep::bring_up(&mut servo, Instant::ZERO, between) {
         Ok(start) => start,
-        Err(error) => return Err(not_up(file, logs.finish(), error)),
+        Err(error) => return not_up(file, servo, logs.finish(), error),
     };
     let (done, failed) = (Shared::new(false), RefCell::new(None));
     let mut over = None;
@@ -399,7 +408,7 @@ fn by_the_clock(
     mut servo: Servo,
     mut programs: Programs,
     logs: Logs,
-    emulation: Option<Emulation>,
+    mut emulation: Option<Emulation>,
     interrupted: &AtomicBool,
     mut progress: Progress,
 ) -> anyhow::Result<Ran> {
@@ -409,21 +418,22 @@ fn by_the_clock(
     let writing = Writing::start(logs, done.clone());
     let finished = done.clone();
     let until = move |_: &Servo| finished.load(Ordering::Relaxed);
-    let mut emulated_since = None;
-    let running = match emulation {
-        None => match thread::bring_up(&mut servo, |_| {}) {
-            Ok(()) => thread::start(servo, policy(CellTime::Wall), |_| {}, until)?,
-            Err(error) => return Err(not_up(file, writing.finish(), error)),
-        },
-        Some(mut emulation) => {
-            let mut between = move |next| emulation.advance(next);
-            match lockstep::bring_up(&mut servo, Instant::ZERO, &mut between) {
-                Ok(first) => {
-                    emulated_since = Some(first);
-                    thread::start(servo, policy(CellTime::Nominal(first)), between, until)?
-                }
-                Err(error) => return Err(not_up(file, writing.finish(), error)),
-            }
+    let up = match &mut emulation {
+        None => thread::bring_up(&mut servo, |_| {}).map(|()| None),
+        Some(emulation) => lockstep::bring_up(&mut servo, Instant::ZERO, |next| {
+            emulation.advance(next);
+        })
+        .map(Some),
+    };
+    let emulated_since = match up {
+        Ok(first) => first,
+        Err(error) => return not_up(file, servo, writing.finish(), error),
+    };
+    let running = match emulation.zip(emulated_since) {
+        None => thread::start(servo, policy(CellTime::Wall), |_| {}, until)?,
+        Some((mut emulation, first)) => {
+            let between = move |next| emulation.advance(next);
+            thread::start(servo, policy(CellTime::Nominal(first)), between, until)?
         }
     };
     let turning = Turning {
