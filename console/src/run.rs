@@ -313,6 +313,7 @@ impl Drop for Over {
 fn not_up(
     file: &CellFile,
     servo: Servo,
+    cell_time: Duration,
     written: anyhow::Result<()>,
     why: NotUp,
 ) -> anyhow::Result<Ran> {
@@ -323,7 +324,7 @@ fn not_up(
             timing: Timing::default(),
             denied: Vec::new(),
             faults: Vec::new(),
-            cell_time: Duration::ZERO,
+            cell_time,
         });
     };
     let axis = file
@@ -355,9 +356,17 @@ fn in_lockstep(
 ) -> anyhow::Result<Ran> {
     let emulation = RefCell::new(emulation.expect("lockstep has emulated drives"));
     let between = |next| emulation.borrow_mut().advance(next);
-    let start = match lockstep::bring_up(&mut servo, Instant::ZERO, between) {
+    let mut reached = Instant::ZERO;
+    let up = lockstep::bring_up(&mut servo, Instant::ZERO, |next| {
+        reached = next;
+        between(next);
+    });
+    let start = match up {
         Ok(start) => start,
-        Err(error) => return not_up(file, servo, logs.finish(), error),
+        Err(error) => {
+            let cell_time = reached.since(Instant::ZERO);
+            return not_up(file, servo, cell_time, logs.finish(), error);
+        }
     };
     let (done, failed) = (Shared::new(false), RefCell::new(None));
     let mut over = None;
@@ -427,7 +436,10 @@ fn by_the_clock(
     };
     let emulated_since = match up {
         Ok(first) => first,
-        Err(error) => return not_up(file, servo, writing.finish(), error),
+        Err(error) => {
+            let cell_time = clock::now().since(began);
+            return not_up(file, servo, cell_time, writing.finish(), error);
+        }
     };
     let running = match emulation.zip(emulated_since) {
         None => thread::start(servo, policy(CellTime::Wall), |_| {}, until)?,
