@@ -29,14 +29,13 @@ use std::time::Duration;
 
 use can::Instant;
 use can::clock::{now, sleep_until};
-use drive::BringUpError;
 use thiserror::Error;
 use thread_priority::{
     RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
     set_thread_priority_and_policy, thread_native_id,
 };
 
-use crate::{Servo, Timing};
+use crate::{NotUp, Servo, Timing};
 
 /// Bytes of the thread's stack; `MCL_FUTURE` locks all of it.
 const STACK: usize = 512 * 1024;
@@ -232,11 +231,8 @@ impl std::fmt::Debug for Finished {
 /// Polls the bring-up of every group once a period on the calling thread, calling `between` with the
 /// time of the next poll after each.
 ///
-/// It ends because every wait inside a group's bring-up does.
-pub fn bring_up(
-    servo: &mut Servo,
-    mut between: impl FnMut(Instant),
-) -> Result<(), (usize, BringUpError)> {
+/// It ends because every wait inside a group's bring-up does, and at once by a stop request.
+pub fn bring_up(servo: &mut Servo, mut between: impl FnMut(Instant)) -> Result<(), NotUp> {
     let mut deadline = now();
     loop {
         let progress = servo.bring_up(now());
