@@ -564,6 +564,97 @@ fn missing_answers_are_ridden_through_and_then_are_a_panic() {
 }
 
 #[test]
+fn a_panic_of_one_axis_tells_every_drive_to_open_the_cabinet() {
+    type Break = fn(&mut Drive);
+    let breaks: [(&str, Break); 4] = [
+        ("silent", |drive| drive.mute = u32::MAX),
+        ("full", |drive| drive.full = true),
+        ("gone", |drive| drive.gone = true),
+        ("jumped", |drive| drive.position = 90_000),
+    ];
+    for (protocol, (name, fail)) in BOTH.into_iter().flat_map(|p| breaks.map(|b| (p, b))) {
+        for failing in [0, 1] {
+            let others = || [0, 1, 2].into_iter().filter(move |line| *line != failing);
+            let drives = (0..3).map(|_| Drive::new(protocol, 8)).collect();
+            let config = GroupConfig::new(protocol);
+            let mut rig = Rig::with(config, &[axis(protocol); 3], drives);
+            rig.bring_up().unwrap();
+            rig.run(6, AxisCommand::Stand);
+            fail(&mut rig.lines[failing].drive());
+            let follow = AxisCommand::Follow(raw(protocol, 100));
+            for _ in 0..6 {
+                rig.cycle(follow);
+                if rig.states[failing].fault.is_some() {
+                    break;
+                }
+            }
+            assert!(rig.states[failing].fault.is_some(), "{protocol:?} {name}");
+            for line in others() {
+                assert_eq!(
+                    rig.states[line].fault, None,
+                    "whoever failed is named first"
+                );
+                let mode = rig.lines[line].drive().mode;
+                assert_eq!(mode, Mode::Error, "{protocol:?} {name}: in the same cycle");
+            }
+            // Whatever they are commanded, and when the group ends.
+            rig.run(10, AxisCommand::Off);
+            let with = AxisControllerFault::Cabinet {
+                line: failing as u8,
+            };
+            for line in others() {
+                let fault = Fault::AxisController {
+                    line: line as u8,
+                    fault: with,
+                };
+                assert_eq!(rig.states[line].fault, Some(fault), "{protocol:?} {name}");
+                assert_eq!(rig.states[line].power, Power::Off);
+                assert_eq!(rig.lines[line].drive().mode, Mode::Error);
+            }
+            // A reset of one alone does not bring the circuit back while another is unknown.
+            let mut commands = [AxisCommand::Off; 3];
+            let one = others().last().unwrap();
+            commands[one] = AxisCommand::ResetFault;
+            rig.cycle_all(&commands);
+            commands[one] = AxisCommand::Off;
+            rig.cycle_all(&commands);
+            assert_eq!(
+                rig.lines[one].drive().mode,
+                Mode::Error,
+                "{protocol:?} {name}"
+            );
+            let lines = rig.lines.clone();
+            drop(rig.group);
+            for line in others() {
+                assert_eq!(lines[line].drive().mode, Mode::Error, "{protocol:?} {name}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_reset_ends_a_panic_of_the_group() {
+    for protocol in BOTH {
+        let drives = (0..2).map(|_| Drive::new(protocol, 8)).collect();
+        let mut rig = Rig::with(GroupConfig::new(protocol), &[axis(protocol); 2], drives);
+        rig.bring_up().unwrap();
+        rig.lines[1].drive().mute = 3;
+        rig.run(6, AxisCommand::Off);
+        assert!(rig.states.iter().all(|state| state.fault.is_some()));
+        rig.run(6, AxisCommand::ResetFault);
+        rig.run(6, AxisCommand::Stand);
+        for (line, state) in rig.lines.iter().zip(&rig.states) {
+            assert_eq!(
+                (state.fault, state.power),
+                (None, Power::On),
+                "{protocol:?}"
+            );
+            assert!(matches!(line.drive().mode, Mode::Pwm | Mode::Current));
+        }
+    }
+}
+
+#[test]
 fn a_drive_that_is_mute_is_told_to_be_off_all_the_same() {
     for protocol in BOTH {
         let mut rig = Rig::on(Drive::new(protocol, 8));

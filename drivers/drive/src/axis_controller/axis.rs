@@ -25,8 +25,8 @@ const HELD: u16 = Status::UPPER_LIMIT
 /// One drive during operation: what it said, what it is told, and what stands in the way.
 ///
 /// Nothing here waits or allocates. The order within a cycle is [`take`](Self::take),
-/// [`end_of_read`](Self::end_of_read); [`check`](Self::check) for all axes, then
-/// [`command`](Self::command), [`telegram`](Self::telegram) and [`handed_over`](Self::handed_over).
+/// [`end_of_read`](Self::end_of_read); [`reset`](Self::reset), [`stop_with`](Self::stop_with) and
+/// [`check`](Self::check) for all axes, then [`command`](Self::command), [`telegram`](Self::telegram) and [`handed_over`](Self::handed_over).
 #[derive(Clone, Debug)]
 pub(super) struct Axis {
     setup: Setup,
@@ -68,6 +68,8 @@ pub(super) struct Axis {
     likeness: Likeness,
     /// A fault among those since the last reset was a panic.
     panics: bool,
+    /// Told to be in error with an axis that panicked, until the next reset.
+    stopped: bool,
 }
 
 /// What does not change while the group lives.
@@ -148,6 +150,7 @@ impl Axis {
             setpoint: 0,
             likeness: Likeness::default(),
             panics: false,
+            stopped: false,
         }
     }
 
@@ -169,7 +172,7 @@ impl Axis {
         (self.owed, self.answered, self.not_sent) = (0, false, 0);
         (self.aim, self.answers, self.powered) = (Aim::Manual, ANSWERS_TO_EFFECT, false);
         (self.seeking, self.unreferencing, self.was_indexing) = (false, false, false);
-        self.misled = false;
+        (self.misled, self.stopped) = (false, false);
         (self.sent_at, self.panics, self.told) = (learnt.at, false, 1);
         (self.telegram, self.setpoint) = (self.setup.dialect.rest(Aim::Manual, 1, false), 0);
         self.likeness = Likeness::default();
@@ -401,9 +404,6 @@ impl Axis {
     /// Takes the command of this cycle. `setpoint` is what [`check`](Self::check) said; `hold` keeps that of the
     /// last cycle, because another axis refused its own.
     pub(super) fn command(&mut self, command: AxisCommand, setpoint: Option<i16>, hold: bool) {
-        if command == AxisCommand::ResetFault {
-            self.reset();
-        }
         let faulted = self.state.fault.is_some();
         let powered = self.powered;
         let seek = match command {
@@ -421,7 +421,7 @@ impl Axis {
         self.misled &= still;
         let aim = match command {
             AxisCommand::ResetFault => Aim::Manual,
-            _ if self.panics => Aim::Error,
+            _ if self.panics || self.stopped => Aim::Error,
             AxisCommand::Off => Aim::Manual,
             // Whatever a faulted drive is, it stays, with a zero set-point: the motor brakes itself.
             _ if faulted => self.aim,
@@ -488,14 +488,31 @@ impl Axis {
     /// What is said last to a drive whose group ends.
     pub(super) fn farewell(&self) -> Telegram {
         let dialect = self.setup.dialect;
-        let aim = if self.panics { Aim::Error } else { Aim::Manual };
+        let aim = if self.panics || self.stopped {
+            Aim::Error
+        } else {
+            Aim::Manual
+        };
         dialect.farewell(aim, self.misled)
     }
 
     /// What the drive and the line still show is latched again by the next reading.
-    fn reset(&mut self) {
+    pub(super) fn reset(&mut self) {
         self.state.fault = None;
-        self.panics = false;
+        (self.panics, self.stopped) = (false, false);
+    }
+
+    /// Whether this axis itself has panicked since its last reset.
+    pub(super) fn panics(&self) -> bool {
+        self.panics
+    }
+
+    /// The axis of `line` panicked: this drive too is to open the cabinet's circuit.
+    pub(super) fn stop_with(&mut self, line: u8) {
+        if !self.panics && !self.stopped {
+            self.stopped = true;
+            self.latch(AxisControllerFault::Cabinet { line });
+        }
     }
 
     /// The first fault stays until reset: the later ones are mostly its consequences. A panic is one in any

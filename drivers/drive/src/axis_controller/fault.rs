@@ -56,14 +56,20 @@ pub enum AxisControllerFault {
     /// It reports its error state.
     #[error("drive is in its error state")]
     Error,
+    /// Another axis panicked: this drive is told to be in error with it, to open the circuit of their cabinet.
+    #[error("stopped with line {line}, whose drive may go on: see what that one reports")]
+    Cabinet {
+        /// The first line whose axis panicked.
+        line: u8,
+    },
     /// A set-point that was not sent, nor any other of its cycle.
     #[error("set-point {0}")]
     Refused(Refusal),
 }
 
 impl AxisControllerFault {
-    /// Whether the drive is told to open its power stage and the emergency-stop circuit of its cabinet, since
-    /// nobody knows what it does.
+    /// Whether every drive of the group is told to open its power stage and the emergency-stop circuit of their
+    /// cabinet, since nobody knows what this one does.
     pub fn is_panic(self) -> bool {
         match self {
             Self::Silent { .. }
@@ -75,6 +81,7 @@ impl AxisControllerFault {
             | Self::PowerStage
             | Self::Overcurrent
             | Self::Error
+            | Self::Cabinet { .. }
             | Self::Refused(_) => false,
         }
     }

@@ -20,9 +20,12 @@
 //! - [`Home`](AxisCommand::Home) is refused: these drives have no homing of their own.
 //! - An axis with a latched fault has a zero set-point under any command but `Off` and `ResetFault`.
 //! - A **panic** ([`AxisControllerFault::is_panic`]) is a fault after which nobody knows what the drive does: too many
-//!   answers missing, a counter that jumped. It is told, in every cycle until `ResetFault`, to be in its error
-//!   state, in which it opens its power stage and the emergency-stop circuit of its cabinet; that takes the other
-//!   axes' power too, and they say so. Both protocols have such a state.
+//!   answers missing, a counter that jumped. It may not hear us and go on by its last set-point, so **every drive of the
+//!   group** is told, from that cycle's telegrams on and until its own `ResetFault`, to be in its error state, in which it
+//!   opens its power stage and the emergency-stop circuit of their cabinet; that takes the power from all, the deaf one
+//!   too. The axis that panicked reports it first; from the next reading on the others report
+//!   [`AxisControllerFault::Cabinet`] with its line. Both protocols have such a state. A group is the drives of
+//!   one cabinet: where it has one drive alone, nobody else can open the circuit for it.
 //!
 //! Power and mode are no part of an answer: a drive is where it was told to be once it has answered two
 //! telegrams that said so, and it is not told again, so that one that was switched off and on stays off. That it was is
@@ -228,6 +231,22 @@ impl<L: Line> DriveGroup for AxisControllerGroup<L> {
     }
 
     fn write(&mut self, _now: Instant, commands: &[AxisCommand]) {
+        for (controller, &command) in self.controllers.iter_mut().zip(commands) {
+            if command == AxisCommand::ResetFault {
+                controller.axis.reset();
+            }
+        }
+        // After the reading, which so shows the axis that panicked a cycle before those that stop with it.
+        let panicked = (0..)
+            .zip(&self.controllers)
+            .find(|(_, controller)| controller.axis.panics());
+        if let Some((line, _)) = panicked {
+            for (controller, &command) in self.controllers.iter_mut().zip(commands) {
+                if command != AxisCommand::ResetFault {
+                    controller.axis.stop_with(line);
+                }
+            }
+        }
         let mut refused = false;
         for (controller, &command) in self.controllers.iter_mut().zip(commands) {
             controller.setpoint = match controller.axis.check(command) {
