@@ -756,6 +756,64 @@ fn a_restarted_drive_is_a_fault_and_stays_off() {
 }
 
 #[test]
+fn no_set_point_follows_what_may_be_a_restart() {
+    let follow = AxisCommand::Follow(raw(Protocol::HiMoxa, 300));
+    for position in [1_000, 0] {
+        let mut rig = Rig::on(Drive {
+            position,
+            status: Status::SYNCHRONIZED,
+            ..Drive::new(Protocol::HiMoxa, 8)
+        });
+        rig.run(3, follow);
+        rig.drive().restart();
+        // Asks for the first answer after it.
+        rig.cycle(follow);
+        for _ in 0..6 {
+            rig.cycle(follow);
+            assert_eq!(rig.drive().setpoint, 0, "from {position}");
+        }
+        assert_eq!(rig.fault(), Some(AxisControllerFault::Restarted));
+    }
+    // A damaged position costs one set-point.
+    let mut rig = Rig::on(Drive::new(Protocol::HiMoxa, 8));
+    rig.drive().position = 90_000;
+    rig.cycle(follow);
+    rig.drive().position = 1_000;
+    let setpoints = [(); 3].map(|()| {
+        rig.cycle(follow);
+        rig.drive().setpoint
+    });
+    assert_eq!((setpoints, rig.fault()), ([0, 300, 300], None));
+}
+
+#[test]
+fn a_reference_that_a_drive_keeps_is_a_fault_and_costs_every_other_set_point_at_most() {
+    for protocol in BOTH {
+        let mut rig = Rig::on(Drive {
+            status: Status::SYNCHRONIZED,
+            keeps_reference: true,
+            velocity: 5,
+            ..Drive::new(protocol, 8)
+        });
+        let mut since_setpoint = 0;
+        for cycle in 0.. {
+            assert!(cycle < 40, "{protocol:?}");
+            rig.drive().setpoint = 0;
+            rig.cycle(AxisCommand::Seek(raw(protocol, 200)));
+            if rig.fault().is_some() {
+                break;
+            }
+            let taken = rig.drive().setpoint == 200;
+            since_setpoint = if taken { 0 } else { since_setpoint + 1 };
+            assert!(cycle >= 25 || since_setpoint <= 1, "{protocol:?} {cycle}");
+        }
+        let kept = AxisControllerFault::KeepsReference { cycles: 25 };
+        assert_eq!(rig.fault(), Some(kept), "{protocol:?}");
+        assert_eq!(rig.drive().setpoint, 0);
+    }
+}
+
+#[test]
 fn a_counter_that_jumps_is_a_panic_and_never_followed() {
     for protocol in BOTH {
         let mut rig = Rig::on(Drive::new(protocol, 8));

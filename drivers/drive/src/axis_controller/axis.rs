@@ -15,6 +15,9 @@ use crate::{
 /// Answers in a row that may be the same in every bit after the set-points have changed.
 const ANSWERS_TO_FREEZE: u32 = 25;
 
+/// Cycles in a row that a drive may need to forget its reference, damaged answers among them.
+const CYCLES_TO_UNREFERENCE: u32 = 25;
+
 /// Status bits with which a drive says that it does not follow in full, and why its answers may stay the same.
 const HELD: u16 = Status::UPPER_LIMIT
     | Status::LOWER_LIMIT
@@ -61,6 +64,8 @@ pub(super) struct Axis {
     seeking: bool,
     /// The drive is to forget its reference before it seeks.
     unreferencing: bool,
+    /// Cycles in a row in which it was so.
+    unreferenced: u32,
     /// Its counter jumped: it is to forget its reference, which whoever comes after us would go by.
     misled: bool,
     telegram: Telegram,
@@ -145,6 +150,7 @@ impl Axis {
             powered: false,
             seeking: false,
             unreferencing: false,
+            unreferenced: 0,
             misled: false,
             telegram: Telegram::NONE,
             setpoint: 0,
@@ -172,6 +178,7 @@ impl Axis {
         (self.owed, self.answered, self.not_sent) = (0, false, 0);
         (self.aim, self.answers, self.powered) = (Aim::Manual, ANSWERS_TO_EFFECT, false);
         (self.seeking, self.unreferencing, self.was_indexing) = (false, false, false);
+        self.unreferenced = 0;
         (self.misled, self.stopped) = (false, false);
         (self.sent_at, self.panics, self.told) = (learnt.at, false, 1);
         (self.telegram, self.setpoint) = (self.setup.dialect.rest(Aim::Manual, 1, false), 0);
@@ -404,6 +411,10 @@ impl Axis {
     /// Takes the command of this cycle. `setpoint` is what [`check`](Self::check) said; `hold` keeps that of the
     /// last cycle, because another axis refused its own.
     pub(super) fn command(&mut self, command: AxisCommand, setpoint: Option<i16>, hold: bool) {
+        if self.unreferenced >= CYCLES_TO_UNREFERENCE {
+            let cycles = self.unreferenced;
+            self.latch(AxisControllerFault::KeepsReference { cycles });
+        }
         let faulted = self.state.fault.is_some();
         let powered = self.powered;
         let seek = match command {
@@ -439,12 +450,14 @@ impl Axis {
         }
         let follows = matches!(aim, Aim::Drive | Aim::Index) && powered && !faulted;
         self.setpoint = match setpoint {
-            _ if !follows => 0,
+            _ if !follows || self.may_have_restarted() => 0,
             _ if hold => self.setpoint,
             Some(setpoint) => setpoint,
             None => 0,
         };
         let unreference = self.unreferencing && follows;
+        let turn = self.unreferenced;
+        self.unreferenced = if unreference { turn + 1 } else { 0 };
         self.telegram = match aim {
             // What takes torque away is said in every cycle.
             Aim::Manual | Aim::Error => {
@@ -455,10 +468,18 @@ impl Axis {
             Aim::Drive | Aim::Index if powered => {
                 let tell = self.answers < ANSWERS_TO_EFFECT;
                 let dialect = self.setup.dialect;
+                let unreference = unreference && dialect.may_unreference(turn);
                 dialect.follow(aim, self.setpoint, tell, unreference)
             }
             Aim::Drive | Aim::Index => self.setup.dialect.switch_on(self.answers),
         };
+    }
+
+    /// Whether the last answer may be that of a drive which restarted, and would take a set-point for being switched
+    /// on again.
+    fn may_have_restarted(&self) -> bool {
+        let unreferenced = self.referenced && !self.reported.any(Status::SYNCHRONIZED);
+        self.setup.dialect.setpoints_switch_on() && (self.gate.leapt() || unreferenced)
     }
 
     pub(super) fn telegram(&self) -> &[u8] {

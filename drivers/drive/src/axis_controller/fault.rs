@@ -45,6 +45,14 @@ pub enum AxisControllerFault {
     /// It lost its reference without being told to: it was switched off and on.
     #[error("restarted: home the axis again")]
     Restarted,
+    /// It still has the reference that it was told to forget before it seeks a new one.
+    #[error(
+        "kept its reference though told to forget it for {cycles} cycles: switch it off and on"
+    )]
+    KeepsReference {
+        /// Cycles.
+        cycles: u32,
+    },
     /// It reports that its power stage is off or has failed.
     #[error(
         "power stage is off or has failed: check the emergency stop and the power of the cabinet"
@@ -78,6 +86,7 @@ impl AxisControllerFault {
             | Self::Jumped { .. }
             | Self::Frozen { .. } => true,
             Self::Restarted
+            | Self::KeepsReference { .. }
             | Self::PowerStage
             | Self::Overcurrent
             | Self::Error

@@ -15,8 +15,8 @@
 //!   beyond its greatest current or pulse width is refused: the fault names the axis, whose set-point is then zero,
 //!   and no other axis of the group changes its own in that cycle. Nothing is clamped.
 //! - [`Seek`](AxisCommand::Seek) follows as well, and the next index pulse zeroes the counter. A reference that the
-//!   drive had is taken from it first. In the older protocol that costs two or more set-points, in whose place the
-//!   parameter goes.
+//!   drive had is taken from it first, and one that it keeps is a fault. In the older protocol the parameter for that takes
+//!   the place of every other set-point meanwhile.
 //! - [`Home`](AxisCommand::Home) is refused: these drives have no homing of their own.
 //! - An axis with a latched fault has a zero set-point under any command but `Off` and `ResetFault`.
 //! - A **panic** ([`AxisControllerFault::is_panic`]) is a fault after which nobody knows what the drive does: too many
@@ -28,8 +28,11 @@
 //!   one cabinet: where it has one drive alone, nobody else can open the circuit for it.
 //!
 //! Power and mode are no part of an answer: a drive is where it was told to be once it has answered two
-//! telegrams that said so, and it is not told again, so that one that was switched off and on stays off. That it was is
-//! known by its counter and its reference; of one that had no reference and stood at zero it is not.
+//! telegrams that said so, and it is not told again, so that one that was switched off and on stays off in NFv2. That
+//! it was is known by its counter and its reference; of one that had no reference and stood at zero it is not. In the older
+//! protocol every set-point names its mode, which switches such a drive on again: it gets zero from the first answer on
+//! that shows a counter beyond reach or no reference, also before the next ones confirm it. The set-point of one cycle
+//! it may have taken by then.
 //!
 //! # What is believed
 //! The CRC of NFv2 lets one damaged frame in 32 through, the older protocol has none. So a position must be where

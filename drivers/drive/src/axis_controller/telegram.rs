@@ -88,6 +88,20 @@ impl Dialect {
         }
     }
 
+    /// Whether a set-point names its mode, so that a drive may take it for being switched on.
+    pub(super) fn setpoints_switch_on(self) -> bool {
+        self.protocol == Protocol::HiMoxa
+    }
+
+    /// Whether a drive may be told to forget its reference, after so many cycles of that: where it costs the set-point, they
+    /// take turns.
+    pub(super) fn may_unreference(self, cycles: u32) -> bool {
+        match self.protocol {
+            Protocol::Nfv2 => true,
+            Protocol::HiMoxa => cycles.is_multiple_of(2),
+        }
+    }
+
     /// A zero set-point with which no aim changes.
     pub(super) fn zero(self) -> Telegram {
         self.follow(Aim::Drive, 0, false, false)

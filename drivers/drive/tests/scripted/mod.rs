@@ -23,6 +23,8 @@ pub(crate) struct Drive {
     /// Increments per telegram, beside those of the set-point.
     pub(crate) velocity: i32,
     pub(crate) follows: bool,
+    /// Does not forget its reference when told to.
+    pub(crate) keeps_reference: bool,
     /// Where the index is, as the counter counts.
     pub(crate) index: Option<i32>,
     pub(crate) mode: Mode,
@@ -54,6 +56,7 @@ impl Drive {
             start: 0x2A,
             velocity: 0,
             follows: false,
+            keeps_reference: false,
             index: None,
             mode: Mode::Manual,
             setpoint: 0,
@@ -117,9 +120,7 @@ impl Drive {
                 Command::SetMode(new) => mode = Some(new),
                 Command::SetCurrent(value) | Command::SetPwm(value) => self.setpoint = value,
                 Command::SetMaxCurrent(value) => self.max_current = value,
-                Command::SetMisc(Command::RESET_SYNCHRONIZED) => {
-                    self.status &= !Status::SYNCHRONIZED;
-                }
+                Command::SetMisc(Command::RESET_SYNCHRONIZED) => self.forget_reference(),
                 Command::SetMisc(_)
                 | Command::SetSpeed(_)
                 | Command::SetPosition(_)
@@ -168,7 +169,7 @@ impl Drive {
                 }
             }
             Request::Set(Parameter::MaxCurrent(value)) => self.max_current = value,
-            Request::Set(Parameter::Synchronized(false)) => self.status &= !Status::SYNCHRONIZED,
+            Request::Set(Parameter::Synchronized(false)) => self.forget_reference(),
             Request::Set(Parameter::DriverMode(mode)) => self.set_mode(match mode {
                 DriverMode::Manual => Mode::Manual,
                 DriverMode::Pwm => Mode::Pwm,
@@ -178,6 +179,12 @@ impl Drive {
         }
         self.turn();
         self.answer(&answer.encode());
+    }
+
+    fn forget_reference(&mut self) {
+        if !self.keeps_reference {
+            self.status &= !Status::SYNCHRONIZED;
+        }
     }
 
     fn set_mode(&mut self, mode: Mode) {
