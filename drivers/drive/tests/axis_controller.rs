@@ -381,6 +381,39 @@ fn the_last_thing_a_drive_hears_is_to_be_off() {
 }
 
 #[test]
+fn no_old_set_point_goes_before_what_takes_torque_away() {
+    for protocol in BOTH {
+        // Switched off, by a panic, and at the end of the group.
+        for (cycles, command) in [
+            (2, Some(AxisCommand::Off)),
+            (8, Some(AxisCommand::Stand)),
+            (2, None),
+        ] {
+            let mut rig = Rig::on(Drive::new(protocol, 8));
+            let follow = AxisCommand::Follow(raw(protocol, 500));
+            rig.run(2, follow);
+            rig.drive().stalled = true;
+            rig.run(2, follow);
+            let line = rig.lines[0].clone();
+            if let Some(command) = command {
+                rig.run(cycles, command);
+            } else {
+                drop(rig.group);
+            }
+            let mut drive = line.drive();
+            let held = std::mem::take(&mut drive.unsent);
+            drive.hear(&held);
+            let old = held.windows(2).any(|pair| pair == 500_i16.to_le_bytes());
+            assert!(!old, "{protocol:?} {command:?}: {held:02X?}");
+            match drive.mode {
+                Mode::Manual => assert_eq!(drive.setpoint, 0),
+                mode => assert_eq!(mode, Mode::Error),
+            }
+        }
+    }
+}
+
+#[test]
 fn what_cannot_be_followed_is_refused_and_never_clamped() {
     let torque = |value: f64| Setpoint::Torque(Finite::new(value).unwrap());
     let duty = |value: f64| Setpoint::Duty(Finite::new(value).unwrap());

@@ -69,6 +69,8 @@ pub(super) struct Axis {
     /// Its counter jumped: it is to forget its reference, which whoever comes after us would go by.
     misled: bool,
     telegram: Telegram,
+    /// It is the first that takes torque away: no older one is to reach the drive before it.
+    overtakes: bool,
     setpoint: i16,
     likeness: Likeness,
     /// A fault among those since the last reset was a panic.
@@ -153,6 +155,7 @@ impl Axis {
             unreferenced: 0,
             misled: false,
             telegram: Telegram::NONE,
+            overtakes: false,
             setpoint: 0,
             likeness: Likeness::default(),
             panics: false,
@@ -443,6 +446,7 @@ impl Axis {
             | AxisCommand::Stand
             | AxisCommand::Home => Aim::Drive,
         };
+        self.overtakes = aim != self.aim && matches!(aim, Aim::Manual | Aim::Error);
         if aim != self.aim {
             self.was_indexing = self.aim == Aim::Index;
             self.aim = aim;
@@ -484,6 +488,11 @@ impl Axis {
 
     pub(super) fn telegram(&self) -> &[u8] {
         self.telegram.bytes()
+    }
+
+    /// Whether what the line still holds of older telegrams is to be dropped before this one.
+    pub(super) fn overtakes(&self) -> bool {
+        self.overtakes
     }
 
     /// Whether the line took the whole telegram.

@@ -79,7 +79,8 @@ const READING: usize = 4_096;
 
 /// Axis controllers, each on a line of its own. The module says what it does with each command.
 ///
-/// A cycle makes one system call each way per line.
+/// A cycle makes one system call each way per line, and one more where torque is first taken away: whatever old
+/// set-points a stalled line holds are dropped before that.
 pub struct AxisControllerGroup<L: Line> {
     config: GroupConfig,
     controllers: Vec<Controller<L>>,
@@ -270,6 +271,9 @@ impl<L: Line> DriveGroup for AxisControllerGroup<L> {
     fn send(&mut self, now: Instant) -> bool {
         let mut all = true;
         for Controller { line, axis, .. } in &mut self.controllers {
+            if axis.overtakes() {
+                line.discard_unsent();
+            }
             let taken = match line.write(now, axis.telegram()) {
                 Ok(count) => count == axis.telegram().len(),
                 Err(error) => {
@@ -321,6 +325,7 @@ impl<L: Line> DriveGroup for AxisControllerGroup<L> {
 impl<L: Line> Drop for AxisControllerGroup<L> {
     fn drop(&mut self) {
         for Controller { line, axis, .. } in &mut self.controllers {
+            line.discard_unsent();
             // There is nobody left to tell of a line that does not take it.
             let _: Result<usize, LineError> = line.write(self.now, axis.farewell().bytes());
         }

@@ -36,6 +36,9 @@ pub(crate) struct Drive {
     /// Takes no more bytes.
     pub(crate) full: bool,
     pub(crate) gone: bool,
+    /// The line holds what it takes.
+    pub(crate) stalled: bool,
+    pub(crate) unsent: Vec<u8>,
     /// Bytes as written, one item for each write.
     pub(crate) heard: Vec<Vec<u8>>,
     pub(crate) keep_heard: bool,
@@ -65,6 +68,8 @@ impl Drive {
             deaf: false,
             full: false,
             gone: false,
+            stalled: false,
+            unsent: Vec::new(),
             heard: Vec::with_capacity(64),
             keep_heard: true,
             outbox: VecDeque::with_capacity(16_384),
@@ -76,7 +81,7 @@ impl Drive {
         Shared(Arc::new(Mutex::new(self)))
     }
 
-    fn hear(&mut self, bytes: &[u8]) {
+    pub(crate) fn hear(&mut self, bytes: &[u8]) {
         match self.protocol {
             Protocol::Nfv2 => {
                 let mut rest = bytes;
@@ -255,7 +260,9 @@ impl Line for Shared {
         if drive.keep_heard {
             drive.heard.push(bytes.to_vec());
         }
-        if !drive.deaf {
+        if drive.stalled {
+            drive.unsent.extend(bytes);
+        } else if !drive.deaf {
             drive.hear(bytes);
         }
         Ok(bytes.len())
@@ -271,6 +278,10 @@ impl Line for Shared {
             .zip(drive.outbox.drain(..count))
             .for_each(|(to, from)| *to = from);
         Ok(count)
+    }
+
+    fn discard_unsent(&mut self) {
+        self.drive().unsent.clear();
     }
 
     fn counters(&self) -> LineCounters {
