@@ -267,7 +267,9 @@ impl Axis {
     }
 
     fn settle(&mut self) {
-        if self.answers >= self.setup.dialect.answers_to_switch_on() {
+        // A faulted drive is not told its mode any more.
+        let told = self.state.fault.is_none();
+        if told && self.answers >= self.setup.dialect.answers_to_switch_on() {
             match self.aim {
                 Aim::Drive | Aim::Index => self.powered = true,
                 Aim::Manual | Aim::Error => {}

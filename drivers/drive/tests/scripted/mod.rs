@@ -137,7 +137,8 @@ impl Drive {
             self.set_mode(mode);
         }
         self.turn();
-        if asked {
+        // A drive obeys a broadcast and does not answer it.
+        if asked && frame.address == self.address {
             self.answer(answer.finish().expect("three answers fit a frame"));
         }
     }
