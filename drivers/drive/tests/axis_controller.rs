@@ -655,6 +655,32 @@ fn missing_answers_are_ridden_through_and_then_are_a_panic() {
 }
 
 #[test]
+fn answers_that_come_in_heaps_are_a_fault_and_rare_gaps_are_none() {
+    for protocol in BOTH {
+        // One missing of so many.
+        for (every, right) in [(3, false), (5, true)] {
+            let mut rig = Rig::on(Drive::new(protocol, 8));
+            for cycle in 0..1_000 {
+                let held: Vec<u8> = match cycle % every {
+                    0 => rig.drive().outbox.drain(..).collect(),
+                    _ => Vec::new(),
+                };
+                rig.cycle(AxisCommand::Stand);
+                // It comes with the next one.
+                let newer: Vec<u8> = rig.drive().outbox.drain(..).collect();
+                rig.drive().outbox.extend(held.into_iter().chain(newer));
+            }
+            let late = matches!(rig.fault(), Some(AxisControllerFault::Late { .. }));
+            assert_eq!(
+                (late, rig.fault().is_none()),
+                (!right, right),
+                "{protocol:?} {every}"
+            );
+        }
+    }
+}
+
+#[test]
 fn a_panic_of_one_axis_tells_every_drive_to_open_the_cabinet() {
     type Break = fn(&mut Drive);
     let breaks: [(&str, Break); 4] = [

@@ -15,6 +15,10 @@ use crate::{
 /// Answers in a row that may be the same in every bit after the set-points have changed.
 const ANSWERS_TO_FREEZE: u32 = 25;
 
+/// Cycles over which missing answers are counted together, and how many of them may be missing.
+const WINDOW: u32 = 200;
+const MISSING_IN_WINDOW: u32 = WINDOW / 4;
+
 /// Cycles in a row that a drive may need to forget its reference, damaged answers among them.
 const CYCLES_TO_UNREFERENCE: u32 = 25;
 
@@ -50,6 +54,9 @@ pub(super) struct Axis {
     /// An answer of this cycle came that the next one has to confirm.
     awaited: bool,
     sent_at: Instant,
+    /// Since the window began: cycles in which an answer was due, and how many of those were missing.
+    due: u32,
+    missing: u32,
     /// Cycles in a row whose set-point the line did not take.
     not_sent: u32,
 
@@ -144,6 +151,8 @@ impl Axis {
             answered: false,
             awaited: false,
             sent_at: Instant::ZERO,
+            due: 0,
+            missing: 0,
             not_sent: 0,
             aim: Aim::Manual,
             answers: 0,
@@ -181,7 +190,7 @@ impl Axis {
         (self.owed, self.answered, self.not_sent) = (0, false, 0);
         (self.aim, self.answers, self.powered) = (Aim::Manual, ANSWERS_TO_EFFECT, false);
         (self.seeking, self.unreferencing, self.was_indexing) = (false, false, false);
-        self.unreferenced = 0;
+        (self.unreferenced, self.due, self.missing) = (0, 0, 0);
         (self.misled, self.stopped) = (false, false);
         (self.sent_at, self.panics, self.told) = (learnt.at, false, 1);
         (self.telegram, self.setpoint) = (self.setup.dialect.rest(Aim::Manual, 1, false), 0);
@@ -340,6 +349,18 @@ impl Axis {
         }
         if age > tolerated {
             self.latch(AxisControllerFault::Silent { cycles: age });
+        }
+        // Each gap is short, and the loop runs on old samples all the same.
+        if tolerated < MISSING_IN_WINDOW {
+            self.due += u32::from(due);
+            self.missing += u32::from(missing);
+            let (missing, cycles) = (self.missing, self.due);
+            if missing > MISSING_IN_WINDOW {
+                self.latch(AxisControllerFault::Late { missing, cycles });
+            }
+            if missing > MISSING_IN_WINDOW || cycles >= WINDOW {
+                (self.due, self.missing) = (0, 0);
+            }
         }
         self.state.power = self.power();
         self.state.following = self.state.power == Power::On && self.state.fault.is_none();

@@ -17,6 +17,16 @@ pub enum AxisControllerFault {
         /// Cycles without one.
         cycles: u32,
     },
+    /// More than a quarter of the answers were missing, in gaps of which each was ridden through.
+    #[error(
+        "{missing} of {cycles} answers missing or late: set a USB adapter's latency timer to 1 ms, check the cable"
+    )]
+    Late {
+        /// Answers that did not come in their cycle, or were not to be believed.
+        missing: u32,
+        /// Of how many, of 200 at most.
+        cycles: u32,
+    },
     /// The line took no set-point for more cycles than the cell allows: the drive goes on by an old one. A panic.
     #[error("set-point not taken by the line for {cycles} cycles")]
     NotSent {
@@ -86,6 +96,7 @@ impl AxisControllerFault {
             | Self::Jumped { .. }
             | Self::Frozen { .. } => true,
             Self::Restarted
+            | Self::Late { .. }
             | Self::KeepsReference { .. }
             | Self::PowerStage
             | Self::Overcurrent
