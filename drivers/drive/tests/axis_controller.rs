@@ -175,6 +175,61 @@ fn a_question_that_gets_no_answer_is_asked_thrice() {
 }
 
 #[test]
+fn a_late_answer_to_a_repeated_question_is_not_that_to_the_next() {
+    for protocol in BOTH {
+        let mut rig = Rig::of(Drive::new(protocol, 8));
+        let (mut answers, mut delivered) = (Vec::new(), 0);
+        let result = (0..1_000).find_map(|_| {
+            rig.now += PERIOD;
+            let answer: Vec<u8> = rig.drive().outbox.drain(..).collect();
+            answers.extend((!answer.is_empty()).then_some(answer));
+            // The first answer waits for the repetition, and the others behind it.
+            if answers.len() >= 2 && delivered < answers.len() {
+                rig.drive().outbox.extend(&answers[delivered]);
+                delivered += 1;
+            }
+            let heard = rig.drive().heard.len();
+            let result = rig.group.bring_up(rig.now);
+            if rig.drive().heard.len() > heard && heard >= 2 {
+                assert_eq!(delivered, answers.len(), "{protocol:?}");
+            }
+            result.is_ready().then_some(result)
+        });
+        assert_eq!(result, Some(Poll::Ready(Ok(()))), "{protocol:?}");
+    }
+}
+
+#[test]
+fn a_drive_that_a_dead_host_left_with_torque_is_off_by_the_first_telegram_that_can_say_so() {
+    for (protocol, telegrams) in [(Protocol::Nfv2, 1), (Protocol::HiMoxa, 2)] {
+        let mut rig = Rig::of(Drive {
+            mode: Mode::Pwm,
+            setpoint: 500,
+            ..Drive::new(protocol, 8)
+        });
+        while rig.drive().heard.len() < telegrams {
+            assert!(rig.group.bring_up(rig.now).is_pending());
+            rig.now += PERIOD;
+        }
+        let drive = rig.drive();
+        assert_eq!((drive.setpoint, drive.mode), (0, Mode::Manual));
+    }
+}
+
+#[test]
+fn a_fault_while_switching_on_leaves_power_unknown() {
+    for protocol in BOTH {
+        let mut rig = Rig::up(Drive::new(protocol, 8));
+        rig.cycle(AxisCommand::Stand);
+        // Refused, as there is no torque yet.
+        rig.cycle(AxisCommand::Follow(raw(protocol, 100)));
+        let state = rig.run(8, AxisCommand::Stand);
+        assert_eq!(state.power, Power::Changing, "{protocol:?}");
+        assert_eq!(rig.run(4, AxisCommand::Off).power, Power::Off);
+    }
+}
+
+#[test]
 fn a_line_whose_answers_take_longer_than_a_period_is_refused() {
     for protocol in BOTH {
         for (delay, right) in [(1, true), (2, false), (4, false)] {
@@ -243,12 +298,15 @@ fn bring_up_says_who_is_at_the_other_end() {
         dark.drive().status = 0;
         assert_eq!(dark.bring_up(), Ok(()));
     }
-    let mut swapped = Rig::of(Drive::new(Protocol::Nfv2, 9));
+    for found in [0, 9, 15] {
+        let mut swapped = Rig::of(Drive::new(Protocol::Nfv2, found));
+        let other = AxisControllerError::OtherAddress { expected: 8, found };
+        assert_eq!(error(&mut swapped), other);
+    }
     let other = AxisControllerError::OtherAddress {
         expected: 8,
         found: 9,
     };
-    assert_eq!(error(&mut swapped), other);
     // Such as answers whatever it is asked.
     let mut shouting = Rig::of(Drive {
         deaf: true,
@@ -377,6 +435,39 @@ fn the_last_thing_a_drive_hears_is_to_be_off() {
             (0, Mode::Manual),
             "{protocol:?}"
         );
+    }
+}
+
+#[test]
+fn no_old_set_point_goes_before_what_takes_torque_away() {
+    for protocol in BOTH {
+        // Switched off, by a panic, and at the end of the group.
+        for (cycles, command) in [
+            (2, Some(AxisCommand::Off)),
+            (8, Some(AxisCommand::Stand)),
+            (2, None),
+        ] {
+            let mut rig = Rig::on(Drive::new(protocol, 8));
+            let follow = AxisCommand::Follow(raw(protocol, 500));
+            rig.run(2, follow);
+            rig.drive().stalled = true;
+            rig.run(2, follow);
+            let line = rig.lines[0].clone();
+            if let Some(command) = command {
+                rig.run(cycles, command);
+            } else {
+                drop(rig.group);
+            }
+            let mut drive = line.drive();
+            let held = std::mem::take(&mut drive.unsent);
+            drive.hear(&held);
+            let old = held.windows(2).any(|pair| pair == 500_i16.to_le_bytes());
+            assert!(!old, "{protocol:?} {command:?}: {held:02X?}");
+            match drive.mode {
+                Mode::Manual => assert_eq!(drive.setpoint, 0),
+                mode => assert_eq!(mode, Mode::Error),
+            }
+        }
     }
 }
 
@@ -564,6 +655,123 @@ fn missing_answers_are_ridden_through_and_then_are_a_panic() {
 }
 
 #[test]
+fn answers_that_come_in_heaps_are_a_fault_and_rare_gaps_are_none() {
+    for protocol in BOTH {
+        // One missing of so many.
+        for (every, right) in [(3, false), (5, true)] {
+            let mut rig = Rig::on(Drive::new(protocol, 8));
+            for cycle in 0..1_000 {
+                let held: Vec<u8> = match cycle % every {
+                    0 => rig.drive().outbox.drain(..).collect(),
+                    _ => Vec::new(),
+                };
+                rig.cycle(AxisCommand::Stand);
+                // It comes with the next one.
+                let newer: Vec<u8> = rig.drive().outbox.drain(..).collect();
+                rig.drive().outbox.extend(held.into_iter().chain(newer));
+            }
+            let late = matches!(rig.fault(), Some(AxisControllerFault::Late { .. }));
+            assert_eq!(
+                (late, rig.fault().is_none()),
+                (!right, right),
+                "{protocol:?} {every}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_panic_of_one_axis_tells_every_drive_to_open_the_cabinet() {
+    type Break = fn(&mut Drive);
+    let breaks: [(&str, Break); 4] = [
+        ("silent", |drive| drive.mute = u32::MAX),
+        ("full", |drive| drive.full = true),
+        ("gone", |drive| drive.gone = true),
+        ("jumped", |drive| drive.position = 90_000),
+    ];
+    for (protocol, (name, fail)) in BOTH.into_iter().flat_map(|p| breaks.map(|b| (p, b))) {
+        for failing in [0, 1] {
+            let others = || [0, 1, 2].into_iter().filter(move |line| *line != failing);
+            let drives = (0..3).map(|_| Drive::new(protocol, 8)).collect();
+            let config = GroupConfig::new(protocol);
+            let mut rig = Rig::with(config, &[axis(protocol); 3], drives);
+            rig.bring_up().unwrap();
+            rig.run(6, AxisCommand::Stand);
+            fail(&mut rig.lines[failing].drive());
+            let follow = AxisCommand::Follow(raw(protocol, 100));
+            for _ in 0..6 {
+                rig.cycle(follow);
+                if rig.states[failing].fault.is_some() {
+                    break;
+                }
+            }
+            assert!(rig.states[failing].fault.is_some(), "{protocol:?} {name}");
+            for line in others() {
+                assert_eq!(
+                    rig.states[line].fault, None,
+                    "whoever failed is named first"
+                );
+                let mode = rig.lines[line].drive().mode;
+                assert_eq!(mode, Mode::Error, "{protocol:?} {name}: in the same cycle");
+            }
+            // Whatever they are commanded, and when the group ends.
+            rig.run(10, AxisCommand::Off);
+            let with = AxisControllerFault::Cabinet {
+                line: failing as u8,
+            };
+            for line in others() {
+                let fault = Fault::AxisController {
+                    line: line as u8,
+                    fault: with,
+                };
+                assert_eq!(rig.states[line].fault, Some(fault), "{protocol:?} {name}");
+                assert_eq!(rig.states[line].power, Power::Off);
+                assert_eq!(rig.lines[line].drive().mode, Mode::Error);
+            }
+            // A reset of one alone does not bring the circuit back while another is unknown.
+            let mut commands = [AxisCommand::Off; 3];
+            let one = others().last().unwrap();
+            commands[one] = AxisCommand::ResetFault;
+            rig.cycle_all(&commands);
+            commands[one] = AxisCommand::Off;
+            rig.cycle_all(&commands);
+            assert_eq!(
+                rig.lines[one].drive().mode,
+                Mode::Error,
+                "{protocol:?} {name}"
+            );
+            let lines = rig.lines.clone();
+            drop(rig.group);
+            for line in others() {
+                assert_eq!(lines[line].drive().mode, Mode::Error, "{protocol:?} {name}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_reset_ends_a_panic_of_the_group() {
+    for protocol in BOTH {
+        let drives = (0..2).map(|_| Drive::new(protocol, 8)).collect();
+        let mut rig = Rig::with(GroupConfig::new(protocol), &[axis(protocol); 2], drives);
+        rig.bring_up().unwrap();
+        rig.lines[1].drive().mute = 3;
+        rig.run(6, AxisCommand::Off);
+        assert!(rig.states.iter().all(|state| state.fault.is_some()));
+        rig.run(6, AxisCommand::ResetFault);
+        rig.run(6, AxisCommand::Stand);
+        for (line, state) in rig.lines.iter().zip(&rig.states) {
+            assert_eq!(
+                (state.fault, state.power),
+                (None, Power::On),
+                "{protocol:?}"
+            );
+            assert!(matches!(line.drive().mode, Mode::Pwm | Mode::Current));
+        }
+    }
+}
+
+#[test]
 fn a_drive_that_is_mute_is_told_to_be_off_all_the_same() {
     for protocol in BOTH {
         let mut rig = Rig::on(Drive::new(protocol, 8));
@@ -661,6 +869,64 @@ fn a_restarted_drive_is_a_fault_and_stays_off() {
                 "nobody gave it torque again"
             );
         }
+    }
+}
+
+#[test]
+fn no_set_point_follows_what_may_be_a_restart() {
+    let follow = AxisCommand::Follow(raw(Protocol::HiMoxa, 300));
+    for position in [1_000, 0] {
+        let mut rig = Rig::on(Drive {
+            position,
+            status: Status::SYNCHRONIZED,
+            ..Drive::new(Protocol::HiMoxa, 8)
+        });
+        rig.run(3, follow);
+        rig.drive().restart();
+        // Asks for the first answer after it.
+        rig.cycle(follow);
+        for _ in 0..6 {
+            rig.cycle(follow);
+            assert_eq!(rig.drive().setpoint, 0, "from {position}");
+        }
+        assert_eq!(rig.fault(), Some(AxisControllerFault::Restarted));
+    }
+    // A damaged position costs one set-point.
+    let mut rig = Rig::on(Drive::new(Protocol::HiMoxa, 8));
+    rig.drive().position = 90_000;
+    rig.cycle(follow);
+    rig.drive().position = 1_000;
+    let setpoints = [(); 3].map(|()| {
+        rig.cycle(follow);
+        rig.drive().setpoint
+    });
+    assert_eq!((setpoints, rig.fault()), ([0, 300, 300], None));
+}
+
+#[test]
+fn a_reference_that_a_drive_keeps_is_a_fault_and_costs_every_other_set_point_at_most() {
+    for protocol in BOTH {
+        let mut rig = Rig::on(Drive {
+            status: Status::SYNCHRONIZED,
+            keeps_reference: true,
+            velocity: 5,
+            ..Drive::new(protocol, 8)
+        });
+        let mut since_setpoint = 0;
+        for cycle in 0.. {
+            assert!(cycle < 40, "{protocol:?}");
+            rig.drive().setpoint = 0;
+            rig.cycle(AxisCommand::Seek(raw(protocol, 200)));
+            if rig.fault().is_some() {
+                break;
+            }
+            let taken = rig.drive().setpoint == 200;
+            since_setpoint = if taken { 0 } else { since_setpoint + 1 };
+            assert!(cycle >= 25 || since_setpoint <= 1, "{protocol:?} {cycle}");
+        }
+        let kept = AxisControllerFault::KeepsReference { cycles: 25 };
+        assert_eq!(rig.fault(), Some(kept), "{protocol:?}");
+        assert_eq!(rig.drive().setpoint, 0);
     }
 }
 
@@ -801,9 +1067,8 @@ fn an_answer_that_is_not_its_own_is_refused() {
     let mut other = Drive::new(Protocol::Nfv2, 9).shared();
     for _ in 0..2 {
         let request = nfv2.drive().heard.last().unwrap().clone();
-        // To anybody, whose CRC was computed for address 8.
         let mut request = request;
-        request[3] = 0xFF;
+        request[3] = 9;
         let last = request.len() - 1;
         request[last] = serial::nfv2::crc8(&request[3..last]);
         serial::Line::write(&mut other, Instant::ZERO, &request).unwrap();
