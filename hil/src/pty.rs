@@ -41,7 +41,9 @@ pub enum PtyError {
     #[error("the name is taken by something that is no symbolic link")]
     NameTaken,
     /// The name links to a terminal that is there, another emulator's as a rule.
-    #[error("the name links to a terminal that is in use; end the emulator it belongs to, or remove the link")]
+    #[error(
+        "the name links to a terminal that is in use; end the emulator it belongs to, or remove the link"
+    )]
     InUse,
     /// The symbolic link could not be made.
     #[error("the symbolic link cannot be made (errno {0})")]
@@ -351,6 +353,9 @@ mod tests {
         let directory = Directory::new("another");
         let link = directory.0.join("can0");
         let first = Pty::linked(&link).unwrap();
+        assert_eq!(Pty::linked(&link).unwrap_err(), PtyError::InUse);
+        assert_eq!(fs::read_link(&link).unwrap(), first.path());
+        fs::remove_file(&link).unwrap();
         let second = Pty::linked(&link).unwrap();
         drop(first);
         assert_eq!(fs::read_link(&link).unwrap(), second.path());
