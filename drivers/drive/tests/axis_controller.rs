@@ -730,7 +730,7 @@ fn a_panic_of_one_axis_tells_every_drive_to_open_the_cabinet() {
             }
             // A reset of one alone does not bring the circuit back while another is unknown.
             let mut commands = [AxisCommand::Off; 3];
-            let one = others().last().unwrap();
+            let one = others().next_back().unwrap();
             commands[one] = AxisCommand::ResetFault;
             rig.cycle_all(&commands);
             commands[one] = AxisCommand::Off;
