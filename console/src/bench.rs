@@ -25,9 +25,9 @@ pub(crate) enum BenchKind {
     Lockstep,
     /// Emulated drives on a virtual bus, by the wall clock.
     Emulated,
-    /// SocketCAN on a virtual interface; `mrroc emulate` at its other end.
+    /// A virtual CAN interface, or pseudo-terminals; `mrroc emulate` at their other end.
     Vcan,
-    /// SocketCAN on a card. Moves hardware.
+    /// CAN cards and ttys. Moves hardware.
     Card,
 }
 

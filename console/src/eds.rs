@@ -45,6 +45,12 @@ fn find(file: &CellFile, wanted: &str) -> anyhow::Result<(usize, usize)> {
                 .iter()
                 .map(|(_, full, axis)| format!("{full} (node {})", axis.node))
                 .collect();
+            if all.is_empty() {
+                return Err(anyhow!(
+                    "{}: the cell has no drive on CAN",
+                    file.path.display()
+                ));
+            }
             let what = if first.is_some() {
                 "more than one axis is"
             } else {

@@ -11,7 +11,7 @@ use anyhow::{Context, bail};
 use can::{Instant, Port, Received, clock};
 use canopen::sync::Sync;
 use clap::Args;
-use hil::{Device, Pty};
+use hil::{Cabinet, Device, Pty};
 
 use crate::bus_port::BusPort;
 use crate::cell_file::CellFile;
@@ -89,9 +89,10 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
                 serial.name
             );
         };
+        let cabinet = Cabinet::default();
         for axis in file.cell.axes_on(file.cell.bus.len() + bundle) {
             let pty = link_of(&file, axis, directory)?;
-            lines.add_axis(&file, bundle, axis, pty);
+            lines.add_axis(&file, bundle, axis, &cabinet, pty);
         }
         names.push(format!("{} in {}", serial.name, directory.display()));
     }

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use can::{Instant, clock};
 use hil::pty::{self, Interest};
-use hil::{DeviceId, Pty, SlcanConfig, SlcanDevice, World};
+use hil::{Cabinet, DeviceId, Pty, SlcanConfig, SlcanDevice, World};
 use serial::{Line, VirtualLine};
 
 use crate::cell_file::CellFile;
@@ -54,15 +54,17 @@ impl EmulatedLines {
         self.add(pty, end);
     }
 
-    /// Adds the axis controller of `axis`, robot and number, which is of bundle `bundle`, on `pty`.
+    /// Adds the axis controller of `axis`, robot and number, which is of bundle `bundle` and stands in
+    /// `cabinet`, on `pty`.
     pub(crate) fn add_axis(
         &mut self,
         file: &CellFile,
         bundle: usize,
         axis: (usize, usize),
+        cabinet: &Cabinet,
         pty: Pty,
     ) {
-        let line = emulation::add_line(&mut self.world, file, bundle, axis);
+        let line = emulation::add_line(&mut self.world, file, bundle, axis, cabinet);
         self.add_line(line, pty);
     }
 

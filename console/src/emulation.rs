@@ -9,7 +9,7 @@ use controller::cell::{Model, Plant, Protocol};
 use hil::epos4::{Epos4, Epos4Config};
 use hil::plant::Switch;
 use hil::{
-    AxisConfig, AxisControllerConfig, BusId, Device, Epos4Serial, EposSerialConfig,
+    AxisConfig, AxisControllerConfig, BusId, Cabinet, Device, Epos4Serial, EposSerialConfig,
     HiMoxaAxisController, Irp6Axis, LineDevice, Nfv2AxisController, World,
 };
 use serial::{Settings, VirtualLine};
@@ -50,8 +50,9 @@ impl Emulation {
             ports.push(world.host_port(bus, QUEUE));
         }
         let lines = (0..file.cell.serial.len()).map(|bundle| {
+            let cabinet = Cabinet::default();
             let axes = file.cell.axes_on(file.cell.bus.len() + bundle);
-            axes.map(|axis| add_line(&mut world, file, bundle, axis))
+            axes.map(|axis| add_line(&mut world, file, bundle, axis, &cabinet))
                 .collect()
         });
         let ends = HostEnds {
@@ -105,19 +106,20 @@ pub(crate) fn bitrate(file: &CellFile, bus: usize) -> Bitrate {
         .expect("a parsed cell has possible bit rates")
 }
 
-/// Adds the line of an axis of bundle `bundle`, its axis controller switched on at [`Instant::ZERO`], and returns
-/// the host's end.
+/// Adds the line of an axis of bundle `bundle`, its axis controller in `cabinet` switched on at [`Instant::ZERO`], and
+/// returns the host's end.
 pub(crate) fn add_line(
     world: &mut World,
     file: &CellFile,
     bundle: usize,
     (robot, number): (usize, usize),
+    cabinet: &Cabinet,
 ) -> VirtualLine {
     let bundle = &file.cell.serial[bundle];
     let latency = bundle
         .emulated_latency_ms
         .map(|latency| Duration::from_millis(u64::from(latency)));
-    let device = axis_controller(file, bundle.protocol, robot, number);
+    let device = axis_controller(file, bundle.protocol, (robot, number), cabinet);
     let line = world.add_line(bundle.settings(), latency, device);
     world.host_line(line, LINE)
 }
@@ -138,8 +140,8 @@ pub(crate) fn add_service_port(
 fn axis_controller(
     file: &CellFile,
     protocol: Protocol,
-    robot: usize,
-    number: usize,
+    (robot, number): (usize, usize),
+    cabinet: &Cabinet,
 ) -> Box<dyn LineDevice> {
     let axis = &file.cell.robot[robot].axis[number];
     if axis.emulator.absent {
@@ -147,6 +149,7 @@ fn axis_controller(
     }
     let config = AxisControllerConfig {
         seed: seed(file, robot, number),
+        cabinet: cabinet.clone(),
         ..AxisControllerConfig::new(plant(file, robot, number))
     };
     match axis.emulator.protocol.unwrap_or(protocol) {

@@ -126,6 +126,7 @@ pub(crate) fn bus_of<'a>(
             Ok((index, value))
         }
         None if cell.bus.len() == 1 => Ok((0, given)),
+        None if cell.bus.is_empty() => bail!("{option} {given}: the cell has no CAN bus"),
         None => bail!(
             "{option} {given}: the cell has {} buses, say which as BUS=VALUE",
             cell.bus.len()

@@ -58,7 +58,7 @@ enum Command {
     Doctor(doctor::Options),
     /// Bring a cell up, home it, run its programs and report. Moves hardware on the card bench.
     Run(run::Options),
-    /// Stand in for the axis controllers of a cell on a CAN interface or behind an slcan adapter.
+    /// Stand in for the axis controllers of a cell on a CAN interface, behind an slcan adapter, on serial lines.
     Emulate(emulate::Options),
     /// Who is on a bus: asks every node-ID by SDO, whoever has none by LSS, and listens to heartbeats. Not while another
     /// master is at work.

@@ -21,7 +21,7 @@ use can::{Instant, clock};
 use clap::Args;
 use serde::Serialize;
 use servo::thread::{self, CellTime, Finished, Running};
-use servo::{Servo, Timing, lockstep};
+use servo::{NotUp, Servo, Timing, lockstep};
 
 use crate::bench::{Bench, BenchKind};
 use crate::cell_file::CellFile;
@@ -178,7 +178,11 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
         clock::now().since(began),
         outcome,
     );
-    print(&report, options.json)?;
+    if let Err(error) = print(&report, options.json) {
+        // Too late to refuse: everything has moved.
+        eprintln!("mrroc: the report cannot be printed: {error:#}");
+        return Ok(ExitCode::from(1));
+    }
     Ok(ExitCode::from(if outcome == Outcome::Completed {
         0
     } else {
@@ -314,15 +318,25 @@ impl Drop for Over {
     }
 }
 
-/// The refusal of a bus that did not come up, in the words of the cell. The files keep what led to it.
+/// What a run ends in whose drives did not come up: the refusal of a bus, in the words of the cell, or a stop on
+/// request. The files keep what led to it.
 fn not_up(
     file: &CellFile,
+    servo: Servo,
+    cell_time: Duration,
     written: anyhow::Result<()>,
-    (bus, error): (usize, drive::BringUpError),
-) -> anyhow::Error {
-    if let Err(error) = written {
-        return error;
-    }
+    why: NotUp,
+) -> anyhow::Result<Ran> {
+    written?;
+    let NotUp::Group(bus, error) = why else {
+        return Ok(Ran {
+            servo,
+            timing: Timing::default(),
+            denied: Vec::new(),
+            faults: Vec::new(),
+            cell_time,
+        });
+    };
     let axis = file
         .cell
         .axes_on(bus)
@@ -333,9 +347,12 @@ fn not_up(
         })
         .map(|(_, (robot, axis))| format!(", axis {}", file.axis_name(robot, axis)))
         .unwrap_or_default();
-    let name = file.cell.groups().nth(bus);
-    let name = name.expect("a group that did not come up is one of the cell's");
-    anyhow!("bus {name}{axis}: {error}")
+    let name = file
+        .cell
+        .groups()
+        .nth(bus)
+        .expect("the servo has the groups of the cell");
+    Err(anyhow!("bus {name}{axis}: {error}"))
 }
 
 fn in_lockstep(
@@ -349,9 +366,17 @@ fn in_lockstep(
 ) -> anyhow::Result<Ran> {
     let emulation = RefCell::new(emulation.expect("lockstep has emulated drives"));
     let between = |next| emulation.borrow_mut().advance(next);
-    let start = match lockstep::bring_up(&mut servo, Instant::ZERO, between) {
+    let mut reached = Instant::ZERO;
+    let up = lockstep::bring_up(&mut servo, Instant::ZERO, |next| {
+        reached = next;
+        between(next);
+    });
+    let start = match up {
         Ok(start) => start,
-        Err(error) => return Err(not_up(file, logs.finish(), error)),
+        Err(error) => {
+            let cell_time = reached.since(Instant::ZERO);
+            return not_up(file, servo, cell_time, logs.finish(), error);
+        }
     };
     let (done, failed) = (Shared::new(false), RefCell::new(None));
     let mut over = None;
@@ -402,7 +427,7 @@ fn by_the_clock(
     mut servo: Servo,
     mut programs: Programs,
     logs: Logs,
-    emulation: Option<Emulation>,
+    mut emulation: Option<Emulation>,
     interrupted: &AtomicBool,
     mut progress: Progress,
 ) -> anyhow::Result<Ran> {
@@ -412,21 +437,25 @@ fn by_the_clock(
     let writing = Writing::start(logs, done.clone());
     let finished = done.clone();
     let until = move |_: &Servo| finished.load(Ordering::Relaxed);
-    let mut emulated_since = None;
-    let running = match emulation {
-        None => match thread::bring_up(&mut servo, |_| {}) {
-            Ok(()) => thread::start(servo, policy(CellTime::Wall), |_| {}, until)?,
-            Err(error) => return Err(not_up(file, writing.finish(), error)),
-        },
-        Some(mut emulation) => {
-            let mut between = move |next| emulation.advance(next);
-            match lockstep::bring_up(&mut servo, Instant::ZERO, &mut between) {
-                Ok(first) => {
-                    emulated_since = Some(first);
-                    thread::start(servo, policy(CellTime::Nominal(first)), between, until)?
-                }
-                Err(error) => return Err(not_up(file, writing.finish(), error)),
-            }
+    let up = match &mut emulation {
+        None => thread::bring_up(&mut servo, |_| {}).map(|()| None),
+        Some(emulation) => lockstep::bring_up(&mut servo, Instant::ZERO, |next| {
+            emulation.advance(next);
+        })
+        .map(Some),
+    };
+    let emulated_since = match up {
+        Ok(first) => first,
+        Err(error) => {
+            let cell_time = clock::now().since(began);
+            return not_up(file, servo, cell_time, writing.finish(), error);
+        }
+    };
+    let running = match emulation.zip(emulated_since) {
+        None => thread::start(servo, policy(CellTime::Wall), |_| {}, until)?,
+        Some((mut emulation, first)) => {
+            let between = move |next| emulation.advance(next);
+            thread::start(servo, policy(CellTime::Nominal(first)), between, until)?
         }
     };
     let turning = Turning {

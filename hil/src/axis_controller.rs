@@ -17,15 +17,22 @@
 //! limit; a closed limit switch shorts the winding against set-points further into it and lets go of
 //! others; positive counts run towards the upper switch; the index flag stays until the search is left;
 //! a set-point for a mode the drive is not in is ignored; what follows an incomplete request after a pause
-//! of [`GAP`] is a new one. Left out: speed and position modes, which no host used, the limit flags 10 to 12
-//! of NFv2, and the emergency stop of the cabinet, which a drive in error opens for all.
+//! of [`GAP`] is a new one. Left out: speed and position modes, which no host used, and the limit flags 10 to 12
+//! of NFv2.
+//!
+//! A drive that its host sets to error mode opens the emergency stop of its [`Cabinet`]: no drive in it has
+//! power until none is in error, and whoever had a power stage in use meanwhile needs manual mode to have it
+//! back. In manual mode the fault is shown while the stop is open and not latched, so that drives can leave
+//! error one after the other. A drive that trips stops itself alone.
 
+mod cabinet;
 mod drive;
 mod hi_moxa;
 mod nfv2;
 #[cfg(test)]
 mod tests;
 
+pub use cabinet::Cabinet;
 pub use hi_moxa::HiMoxaAxisController;
 pub use nfv2::Nfv2AxisController;
 
@@ -57,10 +64,12 @@ pub struct AxisControllerConfig {
     pub synchronized: bool,
     /// After so long without a set-point the drive takes it for zero. The real ones have no such thing.
     pub watchdog: Option<Duration>,
+    /// Where it stands; a clone of this configuration is in the same one.
+    pub cabinet: Cabinet,
 }
 
 impl AxisControllerConfig {
-    /// A drive that was just switched on, quick to answer and without a watchdog.
+    /// A drive that was just switched on, quick to answer, without a watchdog, in a cabinet of its own.
     pub fn new(axis: AxisConfig) -> Self {
         Self {
             power_on: Instant::ZERO,
@@ -71,6 +80,7 @@ impl AxisControllerConfig {
             counter: 0,
             synchronized: false,
             watchdog: None,
+            cabinet: Cabinet::default(),
         }
     }
 }

@@ -25,7 +25,9 @@ pub mod uml;
 mod world;
 
 pub use amplifier::AmplifierConfig;
-pub use axis_controller::{AxisControllerConfig, HiMoxaAxisController, Nfv2AxisController};
+pub use axis_controller::{
+    AxisControllerConfig, Cabinet, HiMoxaAxisController, Nfv2AxisController,
+};
 pub use bus::BusStatistics;
 pub use device::Device;
 pub use epos_serial::{Epos2Serial, Epos4Serial, EposSerialConfig};

@@ -40,6 +40,11 @@ pub enum PtyError {
     /// Something that is no symbolic link has the name wanted; it was left alone.
     #[error("the name is taken by something that is no symbolic link")]
     NameTaken,
+    /// The name links to a terminal that is there, another emulator's as a rule.
+    #[error(
+        "the name links to a terminal that is in use; end the emulator it belongs to, or remove the link"
+    )]
+    InUse,
     /// The symbolic link could not be made.
     #[error("the symbolic link cannot be made (errno {0})")]
     Link(i32),
@@ -67,10 +72,12 @@ impl Pty {
     }
 
     /// Opens a pair of ends and makes `link` a symbolic link to the host's, for as long as this lives.
-    /// A symbolic link of that name is replaced.
+    /// A symbolic link of that name that leads nowhere is replaced.
     pub fn linked(link: &Path) -> Result<Self, PtyError> {
         match fs::symlink_metadata(link) {
             Ok(found) if !found.is_symlink() => return Err(PtyError::NameTaken),
+            // One whose terminal is gone was left behind by an emulator that was killed.
+            Ok(_) if link.exists() => return Err(PtyError::InUse),
             _ => {}
         }
         let mut pty = Self::open()?;
@@ -346,6 +353,9 @@ mod tests {
         let directory = Directory::new("another");
         let link = directory.0.join("can0");
         let first = Pty::linked(&link).unwrap();
+        assert_eq!(Pty::linked(&link).unwrap_err(), PtyError::InUse);
+        assert_eq!(fs::read_link(&link).unwrap(), first.path());
+        fs::remove_file(&link).unwrap();
         let second = Pty::linked(&link).unwrap();
         drop(first);
         assert_eq!(fs::read_link(&link).unwrap(), second.path());

@@ -300,8 +300,11 @@ impl Axis {
 struct ReferenceWatch {
     /// The last sample: rad, increments.
     last: Option<(f64, i64)>,
-    /// The way to it in one period.
+    /// The way to it in one period, and the periods of it.
     way: Option<(f64, f64)>,
+    periods: f64,
+    /// The way in one period to the sample before.
+    earlier: Option<(f64, f64)>,
     /// Cycles since that brought no sample.
     gap: u32,
     searching: bool,
@@ -334,20 +337,31 @@ impl ReferenceWatch {
         let sample = (state.position, i64::from(state.increments.0));
         let last = self.last.replace(sample)?;
         let moved = (sample.0 - last.0, (sample.1 - last.1) as f64);
+        let last_periods = std::mem::replace(&mut self.periods, periods);
         let way = self.way.replace((moved.0 / periods, moved.1 / periods))?;
-        let step = moved.0 - way.0 * periods;
+        let earlier = self.earlier.replace(way);
+        let mut step = moved.0 - way.0 * periods;
         let possible = Self::IMPOSSIBLE * max_acceleration * (periods * dt).powi(2);
         let impossible = searched && step.abs() > possible;
         if !attained && !impossible {
             return None;
         }
-        let counts = (way.1 * periods - moved.1).round() as i64;
+        let mut counts = way.1 * periods - moved.1;
+        if attained
+            && !impossible
+            && let Some(earlier) = earlier
+        {
+            // The drive may say so one sample late: a step too small to be seen is then in the way before.
+            step += (way.0 - earlier.0) * (last_periods + periods);
+            counts -= (way.1 - earlier.1) * (last_periods + periods);
+        }
+        let counts = counts.round() as i64;
         if counts.abs() > self.offset.abs() {
             self.offset = counts;
         }
         if impossible {
             // The way to this sample is of two counts.
-            self.way = None;
+            (self.way, self.earlier) = (None, None);
         }
         Some(step)
     }
@@ -374,6 +388,37 @@ mod tests {
             watch.observe(&state, false, false, 1500.0, 0.002);
         }
         watch.offset
+    }
+
+    #[test]
+    fn a_small_step_is_taken_as_it_is_whether_the_word_comes_with_it_or_after() {
+        use Homing::{Attained, InProgress};
+        for jump in [-14, 9, 14, 500] {
+            for late in [false, true] {
+                let mut watch = ReferenceWatch::default();
+                let (mut led, mut was) = (0.0, InProgress);
+                for number in 0..8 {
+                    let counts = 4 * number + if number >= 4 { jump } else { 0 };
+                    let homing = match number {
+                        5.. => Attained,
+                        4 if !late => Attained,
+                        _ => InProgress,
+                    };
+                    let state = AxisState {
+                        position: f64::from(counts) / COUNTS,
+                        increments: Increments(counts),
+                        homing,
+                        ..AxisState::default()
+                    };
+                    let attained = std::mem::replace(&mut was, homing) != homing;
+                    led += watch
+                        .observe(&state, true, attained, 1500.0, 0.002)
+                        .unwrap_or(0.0);
+                }
+                let led = led * COUNTS;
+                assert!((led - f64::from(jump)).abs() < 0.5, "{jump}, {late}: {led}");
+            }
+        }
     }
 
     #[test]

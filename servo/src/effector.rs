@@ -454,8 +454,9 @@ impl Effector {
     /// Turns state and set-points into one command per axis.
     ///
     /// An axis whose loop is closed here is regulated from its first cycle with power to its last: told to
-    /// stand it would have no torque, and fall. One whose drive has a fault is told so all the same, and its
-    /// group brakes it as the drive can: there is no loop through a drive that has a fault.
+    /// stand it would have no torque, and fall. One whose drive has a fault is told so all the same, for there is
+    /// no loop through a drive that has a fault: its group brakes it if it commands pulse widths, by shorting the
+    /// motor, and lets it coast, loaded or not, if it commands current.
     fn command(&mut self, tick: &Tick) {
         let halted = self.halted;
         let on = self.axes.iter().all(|axis| axis.state.power == Power::On);
@@ -471,7 +472,7 @@ impl Effector {
             let command = match self.state {
                 State::Off | State::Faulted => AxisCommand::Off,
                 State::Resetting => AxisCommand::ResetFault,
-                // Its group brakes an axis that has a fault; off would let it coast.
+                // Its group brakes an axis that has a fault, if that can be; off would let it coast.
                 _ if axis.state.fault.is_some() => AxisCommand::Stand,
                 State::Homing if axis.homes_itself(order) => AxisCommand::Home,
                 _ if follow || axis.is_led() => axis.regulate(tick.dt),

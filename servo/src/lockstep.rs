@@ -1,20 +1,19 @@
 //! The servo under virtual time: one thread, a fixed order of calls, the same run each time.
 
 use can::Instant;
-use drive::BringUpError;
 use std::task::Poll;
 
-use crate::Servo;
+use crate::{NotUp, Servo};
 
 /// Polls the bring-up of every group once a period from `start` on, and calls `between` with the
 /// time of the next poll after each. Returns the time at which the first cycle is due.
 ///
-/// It ends because every wait inside a group's bring-up does.
+/// It ends because every wait inside a group's bring-up does, and at once by a stop request.
 pub fn bring_up(
     servo: &mut Servo,
     start: Instant,
     mut between: impl FnMut(Instant),
-) -> Result<Instant, (usize, BringUpError)> {
+) -> Result<Instant, NotUp> {
     let mut now = start;
     loop {
         let progress = servo.bring_up(now);

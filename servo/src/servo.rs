@@ -58,6 +58,15 @@ struct Group {
 #[derive(Clone, Debug, Default)]
 pub struct StopRequest(Arc<AtomicBool>);
 
+/// Why a servo's drives did not come up. None of them has power.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum NotUp {
+    /// The drive group of this index failed.
+    Group(usize, BringUpError),
+    /// Somebody used the [`StopRequest`].
+    Stopped,
+}
+
 impl StopRequest {
     /// Asks. From any thread, or from a signal handler.
     pub fn request(&self) {
@@ -105,14 +114,18 @@ impl Servo {
         Ok((servo, links))
     }
 
-    /// Moves the bring-up of every group forward; call it every period until it is ready. An error
-    /// names the group.
-    pub fn bring_up(&mut self, now: Instant) -> Poll<Result<(), (usize, BringUpError)>> {
+    /// Moves the bring-up of every group forward; call it every period until it is ready.
+    pub fn bring_up(&mut self, now: Instant) -> Poll<Result<(), NotUp>> {
+        if self.stop.is_requested() {
+            return Poll::Ready(Err(NotUp::Stopped));
+        }
         let mut up = true;
         for (index, group) in self.groups.iter_mut().enumerate().filter(|(_, g)| !g.is_up) {
             match group.drives.bring_up(now) {
                 Poll::Ready(Ok(())) => group.is_up = true,
-                Poll::Ready(Err(error)) => return Poll::Ready(Err((index, error))),
+                Poll::Ready(Err(error)) => {
+                    return Poll::Ready(Err(NotUp::Group(index, error)));
+                }
                 Poll::Pending => up = false,
             }
         }

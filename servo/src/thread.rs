@@ -35,11 +35,10 @@ use std::time::Duration;
 
 use can::Instant;
 use can::clock::{now, sleep_until};
-use drive::BringUpError;
 use thiserror::Error;
 
 use self::quantile::LearntQuantile;
-use crate::{Servo, Timing};
+use crate::{NotUp, Servo, Timing};
 
 pub use self::cause::{Cause, Usage};
 pub use self::host::{CpuLatency, Denial, demand, set_fifo};
@@ -198,11 +197,8 @@ impl std::fmt::Debug for Finished {
 /// Polls the bring-up of every group once a period on the calling thread, calling `between` with the
 /// time of the next poll after each.
 ///
-/// It ends because every wait inside a group's bring-up does.
-pub fn bring_up(
-    servo: &mut Servo,
-    mut between: impl FnMut(Instant),
-) -> Result<(), (usize, BringUpError)> {
+/// It ends because every wait inside a group's bring-up does, and at once by a stop request.
+pub fn bring_up(servo: &mut Servo, mut between: impl FnMut(Instant)) -> Result<(), NotUp> {
     let mut deadline = now();
     loop {
         let progress = servo.bring_up(now());

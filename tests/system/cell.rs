@@ -19,8 +19,8 @@ use drive::cia402::Cia402Group;
 use drive::{DriveGroup, Scale};
 use hil::plant::Switch;
 use hil::{
-    AxisControllerConfig, Device, DeviceId, Epos4, Epos4Config, HiMoxaAxisController, Irp6Axis,
-    LineDevice, LineFaults, LineId, Nfv2AxisController, World,
+    AxisControllerConfig, Cabinet, Device, DeviceId, Epos4, Epos4Config, HiMoxaAxisController,
+    Irp6Axis, LineDevice, LineFaults, LineId, Nfv2AxisController, World,
 };
 use servo::{EffectorConfig, EffectorLink, Order, Phase, Record, Servo, ServoConfig};
 
@@ -142,9 +142,10 @@ impl Setup {
     }
 
     /// The drive of an axis on a serial line.
-    fn line_device(&self, arm: &Arm, number: usize) -> Box<dyn LineDevice> {
+    fn line_device(&self, arm: &Arm, number: usize, cabinet: &Cabinet) -> Box<dyn LineDevice> {
         let config = AxisControllerConfig {
             seed: self.seed(number),
+            cabinet: cabinet.clone(),
             ..AxisControllerConfig::new(self.plant(arm, number))
         };
         match self.cell.serial[0].protocol {
@@ -215,8 +216,9 @@ impl Setup {
         let bundle = &self.cell.serial[0];
         let latency = bundle.emulated_latency_ms;
         let latency = latency.map(|latency| Duration::from_millis(latency.into()));
+        let cabinet = Cabinet::default();
         let line = |&axis: &usize| {
-            let device = self.line_device(arm, axis);
+            let device = self.line_device(arm, axis, &cabinet);
             let line = world.add_line(bundle.settings(), latency, device);
             (world.host_line(line, 4096), DriveId::Line(line))
         };

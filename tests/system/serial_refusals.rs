@@ -92,7 +92,10 @@ const CELLS: &[Case] = &[
         "another axis",
         "node = 2",
         "node = 2\nemulator = { address = 3 }",
-        &["bus arm, axis upper-arm: ", "no answer", "and the address"],
+        &[
+            "bus arm, axis upper-arm: ",
+            "answers as address 3, the cell says 2",
+        ],
     ),
 ];
 

@@ -18,6 +18,12 @@ pub trait Line: Send {
     /// At most one system call.
     fn read(&mut self, now: Instant, into: &mut [u8]) -> Result<usize, LineError>;
 
+    /// Drops what was taken for sending and has not left yet, so that the next bytes wait behind nothing old; what is
+    /// leaving may be torn. A line that holds nothing back has nothing to drop.
+    ///
+    /// At most one system call.
+    fn discard_unsent(&mut self) {}
+
     /// What this line has counted since it was opened.
     fn counters(&self) -> LineCounters;
 }
@@ -28,6 +34,9 @@ impl<L: Line + ?Sized> Line for Box<L> {
     }
     fn read(&mut self, now: Instant, into: &mut [u8]) -> Result<usize, LineError> {
         (**self).read(now, into)
+    }
+    fn discard_unsent(&mut self) {
+        (**self).discard_unsent();
     }
     fn counters(&self) -> LineCounters {
         (**self).counters()

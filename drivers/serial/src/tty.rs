@@ -187,6 +187,12 @@ impl Line for Tty {
         }
     }
 
+    /// What an adapter holds itself is out of reach.
+    fn discard_unsent(&mut self) {
+        // SAFETY: the descriptor is open and ours. A device that is gone says so at the next write.
+        unsafe { libc::tcflush(self.device.as_raw_fd(), libc::TCOFLUSH) };
+    }
+
     /// What a driver loses before the tty it tells nobody: [`LineCounters::dropped`] stays zero.
     fn counters(&self) -> LineCounters {
         self.counters
@@ -408,6 +414,14 @@ mod tests {
         let taken: usize = (0..200).map(|_| tty.write(NOW, &[0; 1_024]).unwrap()).sum();
         assert!(taken < 200 * 1_024, "nobody reads: {taken} bytes taken");
         assert_eq!(tty.write(NOW, &[0]), Ok(0));
+        // Boxed, as drivers have it.
+        let mut tty: Box<dyn Line> = Box::new(tty);
+        tty.discard_unsent();
+        assert_eq!(
+            tty.write(NOW, &[0]),
+            Ok(1),
+            "there is room for the last word"
+        );
     }
 
     #[test]

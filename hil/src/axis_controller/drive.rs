@@ -5,7 +5,7 @@ use std::time::Duration;
 use can::Instant;
 use serial::nfv2::Gains;
 
-use super::AxisControllerConfig;
+use super::{AxisControllerConfig, Cabinet};
 use crate::{Axis, Demand, Feedback};
 
 const SUB_STEP: Duration = Duration::from_micros(100);
@@ -43,7 +43,7 @@ enum Search {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Faults {
     pub(super) over_current: bool,
-    /// The winding is too hot, or the supply was off.
+    /// The winding is too hot, or the power was off.
     pub(super) power_stage: bool,
 }
 
@@ -79,6 +79,7 @@ pub(super) struct Drive {
     faults: Faults,
     watchdog: Option<Duration>,
     commanded_at: Instant,
+    cabinet: Cabinet,
 }
 
 impl Drive {
@@ -100,6 +101,7 @@ impl Drive {
             faults: Faults::default(),
             watchdog: config.watchdog,
             commanded_at: config.power_on,
+            cabinet: config.cabinet.clone(),
         };
         drive.set_current_gains(Gains::POWER_ON);
         drive
@@ -117,6 +119,9 @@ impl Drive {
             if steps == 0 {
                 return;
             }
+            // A stage in use that loses its power stays off; the stop is looked at once per chunk.
+            self.faults.power_stage |=
+                self.mode != Mode::Manual && self.cabinet.is_open(self.inner);
             self.axis.advance(steps, self.demand());
             self.inner += steps * SUB_STEP;
             self.feedback = self.axis.feedback();
@@ -169,6 +174,11 @@ impl Drive {
             };
         }
         if mode != self.mode {
+            match (self.mode, mode) {
+                (Mode::Error, _) => self.cabinet.leave_error(self.inner),
+                (_, Mode::Error) => self.cabinet.enter_error(self.inner),
+                _ => {}
+            }
             self.mode = mode;
             self.set_point = 0.0;
             self.commanded_at = self.inner;
@@ -217,7 +227,7 @@ impl Drive {
         self.axis.set_current_gains(p + i, i);
     }
 
-    /// Switches the supply of the power stage, as a cabinet's emergency stop does.
+    /// Switches the supply of the power stage.
     pub(super) fn set_supply(&mut self, on: bool) {
         self.supplied = on;
         self.faults.power_stage |= !on;
@@ -233,7 +243,10 @@ impl Drive {
             home_switch: feedback.home_switch,
             index: self.search == Search::Found,
             synchronized: self.synchronized,
-            faults: self.faults,
+            faults: Faults {
+                power_stage: self.faults.power_stage || self.cabinet.is_open(self.inner),
+                ..self.faults
+            },
             error: self.mode == Mode::Error,
         }
     }

@@ -54,7 +54,7 @@ impl HiMoxaAxisController {
         self.heard
     }
 
-    /// Switches the supply of the power stage, as the cabinet's emergency stop does.
+    /// Switches the supply of the power stage, as a mains switch of its own would.
     pub fn set_supply(&mut self, on: bool) {
         self.drive.set_supply(on);
     }

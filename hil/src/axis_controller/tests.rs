@@ -10,7 +10,7 @@ use can::Instant;
 use serial::nfv2::{Answer, Command, Frame, FrameBuilder, Mode, Status};
 use serial::{Line, Settings, VirtualLine, hi_moxa};
 
-use super::{AxisControllerConfig, GAP, HiMoxaAxisController, Nfv2AxisController};
+use super::{AxisControllerConfig, Cabinet, GAP, HiMoxaAxisController, Nfv2AxisController};
 use crate::{AxisConfig, Irp6Axis, LineDevice, LineId, World};
 
 const PERIOD: Duration = Duration::from_millis(2);

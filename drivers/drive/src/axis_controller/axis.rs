@@ -15,6 +15,13 @@ use crate::{
 /// Answers in a row that may be the same in every bit after the set-points have changed.
 const ANSWERS_TO_FREEZE: u32 = 25;
 
+/// Cycles over which missing answers are counted together, and how many of them may be missing.
+const WINDOW: u32 = 200;
+const MISSING_IN_WINDOW: u32 = WINDOW / 4;
+
+/// Cycles in a row that a drive may need to forget its reference, damaged answers among them.
+const CYCLES_TO_UNREFERENCE: u32 = 25;
+
 /// Status bits with which a drive says that it does not follow in full, and why its answers may stay the same.
 const HELD: u16 = Status::UPPER_LIMIT
     | Status::LOWER_LIMIT
@@ -25,8 +32,8 @@ const HELD: u16 = Status::UPPER_LIMIT
 /// One drive during operation: what it said, what it is told, and what stands in the way.
 ///
 /// Nothing here waits or allocates. The order within a cycle is [`take`](Self::take),
-/// [`end_of_read`](Self::end_of_read); [`check`](Self::check) for all axes, then
-/// [`command`](Self::command), [`telegram`](Self::telegram) and [`handed_over`](Self::handed_over).
+/// [`end_of_read`](Self::end_of_read); [`reset`](Self::reset), [`stop_with`](Self::stop_with) and
+/// [`check`](Self::check) for all axes, then [`command`](Self::command), [`telegram`](Self::telegram) and [`handed_over`](Self::handed_over).
 #[derive(Clone, Debug)]
 pub(super) struct Axis {
     setup: Setup,
@@ -47,6 +54,9 @@ pub(super) struct Axis {
     /// An answer of this cycle came that the next one has to confirm.
     awaited: bool,
     sent_at: Instant,
+    /// Since the window began: cycles in which an answer was due, and how many of those were missing.
+    due: u32,
+    missing: u32,
     /// Cycles in a row whose set-point the line did not take.
     not_sent: u32,
 
@@ -61,13 +71,19 @@ pub(super) struct Axis {
     seeking: bool,
     /// The drive is to forget its reference before it seeks.
     unreferencing: bool,
+    /// Cycles in a row in which it was so.
+    unreferenced: u32,
     /// Its counter jumped: it is to forget its reference, which whoever comes after us would go by.
     misled: bool,
     telegram: Telegram,
+    /// It is the first that takes torque away: no older one is to reach the drive before it.
+    overtakes: bool,
     setpoint: i16,
     likeness: Likeness,
     /// A fault among those since the last reset was a panic.
     panics: bool,
+    /// Told to be in error with an axis that panicked, until the next reset.
+    stopped: bool,
 }
 
 /// What does not change while the group lives.
@@ -135,6 +151,8 @@ impl Axis {
             answered: false,
             awaited: false,
             sent_at: Instant::ZERO,
+            due: 0,
+            missing: 0,
             not_sent: 0,
             aim: Aim::Manual,
             answers: 0,
@@ -143,11 +161,14 @@ impl Axis {
             powered: false,
             seeking: false,
             unreferencing: false,
+            unreferenced: 0,
             misled: false,
             telegram: Telegram::NONE,
+            overtakes: false,
             setpoint: 0,
             likeness: Likeness::default(),
             panics: false,
+            stopped: false,
         }
     }
 
@@ -169,7 +190,8 @@ impl Axis {
         (self.owed, self.answered, self.not_sent) = (0, false, 0);
         (self.aim, self.answers, self.powered) = (Aim::Manual, ANSWERS_TO_EFFECT, false);
         (self.seeking, self.unreferencing, self.was_indexing) = (false, false, false);
-        self.misled = false;
+        (self.unreferenced, self.due, self.missing) = (0, 0, 0);
+        (self.misled, self.stopped) = (false, false);
         (self.sent_at, self.panics, self.told) = (learnt.at, false, 1);
         (self.telegram, self.setpoint) = (self.setup.dialect.rest(Aim::Manual, 1, false), 0);
         self.likeness = Likeness::default();
@@ -254,7 +276,9 @@ impl Axis {
     }
 
     fn settle(&mut self) {
-        if self.answers >= self.setup.dialect.answers_to_switch_on() {
+        // A faulted drive is not told its mode any more.
+        let told = self.state.fault.is_none();
+        if told && self.answers >= self.setup.dialect.answers_to_switch_on() {
             match self.aim {
                 Aim::Drive | Aim::Index => self.powered = true,
                 Aim::Manual | Aim::Error => {}
@@ -325,6 +349,18 @@ impl Axis {
         }
         if age > tolerated {
             self.latch(AxisControllerFault::Silent { cycles: age });
+        }
+        // Each gap is short, and the loop runs on old samples all the same.
+        if tolerated < MISSING_IN_WINDOW {
+            self.due += u32::from(due);
+            self.missing += u32::from(missing);
+            let (missing, cycles) = (self.missing, self.due);
+            if missing > MISSING_IN_WINDOW {
+                self.latch(AxisControllerFault::Late { missing, cycles });
+            }
+            if missing > MISSING_IN_WINDOW || cycles >= WINDOW {
+                (self.due, self.missing) = (0, 0);
+            }
         }
         self.state.power = self.power();
         self.state.following = self.state.power == Power::On && self.state.fault.is_none();
@@ -401,8 +437,9 @@ impl Axis {
     /// Takes the command of this cycle. `setpoint` is what [`check`](Self::check) said; `hold` keeps that of the
     /// last cycle, because another axis refused its own.
     pub(super) fn command(&mut self, command: AxisCommand, setpoint: Option<i16>, hold: bool) {
-        if command == AxisCommand::ResetFault {
-            self.reset();
+        if self.unreferenced >= CYCLES_TO_UNREFERENCE {
+            let cycles = self.unreferenced;
+            self.latch(AxisControllerFault::KeepsReference { cycles });
         }
         let faulted = self.state.fault.is_some();
         let powered = self.powered;
@@ -421,7 +458,7 @@ impl Axis {
         self.misled &= still;
         let aim = match command {
             AxisCommand::ResetFault => Aim::Manual,
-            _ if self.panics => Aim::Error,
+            _ if self.panics || self.stopped => Aim::Error,
             AxisCommand::Off => Aim::Manual,
             // Whatever a faulted drive is, it stays, with a zero set-point: the motor brakes itself.
             _ if faulted => self.aim,
@@ -432,6 +469,7 @@ impl Axis {
             | AxisCommand::Stand
             | AxisCommand::Home => Aim::Drive,
         };
+        self.overtakes = aim != self.aim && matches!(aim, Aim::Manual | Aim::Error);
         if aim != self.aim {
             self.was_indexing = self.aim == Aim::Index;
             self.aim = aim;
@@ -439,12 +477,14 @@ impl Axis {
         }
         let follows = matches!(aim, Aim::Drive | Aim::Index) && powered && !faulted;
         self.setpoint = match setpoint {
-            _ if !follows => 0,
+            _ if !follows || self.may_have_restarted() => 0,
             _ if hold => self.setpoint,
             Some(setpoint) => setpoint,
             None => 0,
         };
         let unreference = self.unreferencing && follows;
+        let turn = self.unreferenced;
+        self.unreferenced = if unreference { turn + 1 } else { 0 };
         self.telegram = match aim {
             // What takes torque away is said in every cycle.
             Aim::Manual | Aim::Error => {
@@ -455,14 +495,27 @@ impl Axis {
             Aim::Drive | Aim::Index if powered => {
                 let tell = self.answers < ANSWERS_TO_EFFECT;
                 let dialect = self.setup.dialect;
+                let unreference = unreference && dialect.may_unreference(turn);
                 dialect.follow(aim, self.setpoint, tell, unreference)
             }
             Aim::Drive | Aim::Index => self.setup.dialect.switch_on(self.answers),
         };
     }
 
+    /// Whether the last answer may be that of a drive which restarted, and would take a set-point for being switched
+    /// on again.
+    fn may_have_restarted(&self) -> bool {
+        let unreferenced = self.referenced && !self.reported.any(Status::SYNCHRONIZED);
+        self.setup.dialect.setpoints_switch_on() && (self.gate.leapt() || unreferenced)
+    }
+
     pub(super) fn telegram(&self) -> &[u8] {
         self.telegram.bytes()
+    }
+
+    /// Whether what the line still holds of older telegrams is to be dropped before this one.
+    pub(super) fn overtakes(&self) -> bool {
+        self.overtakes
     }
 
     /// Whether the line took the whole telegram.
@@ -488,14 +541,31 @@ impl Axis {
     /// What is said last to a drive whose group ends.
     pub(super) fn farewell(&self) -> Telegram {
         let dialect = self.setup.dialect;
-        let aim = if self.panics { Aim::Error } else { Aim::Manual };
+        let aim = if self.panics || self.stopped {
+            Aim::Error
+        } else {
+            Aim::Manual
+        };
         dialect.farewell(aim, self.misled)
     }
 
     /// What the drive and the line still show is latched again by the next reading.
-    fn reset(&mut self) {
+    pub(super) fn reset(&mut self) {
         self.state.fault = None;
-        self.panics = false;
+        (self.panics, self.stopped) = (false, false);
+    }
+
+    /// Whether this axis itself has panicked since its last reset.
+    pub(super) fn panics(&self) -> bool {
+        self.panics
+    }
+
+    /// The axis of `line` panicked: this drive too is to open the cabinet's circuit.
+    pub(super) fn stop_with(&mut self, line: u8) {
+        if !self.panics && !self.stopped {
+            self.stopped = true;
+            self.latch(AxisControllerFault::Cabinet { line });
+        }
     }
 
     /// The first fault stays until reset: the later ones are mostly its consequences. A panic is one in any

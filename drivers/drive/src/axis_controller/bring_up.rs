@@ -11,6 +11,9 @@ use super::stream::{Answer, Stream, speaks};
 use super::telegram::{Aim, Dialect, Setting, Telegram};
 use super::{AxisCounters, axis::Learnt};
 
+/// The last address that is looked for: those of the IRp-6's drives are 0 to 15.
+const LAST_ADDRESS: u8 = 15;
+
 /// Calls that a line may take to fall silent before it is spoken to anyway.
 const CALLS_TO_DRAIN: u8 = 3;
 
@@ -19,7 +22,7 @@ const CALLS_TO_DRAIN: u8 = 3;
 /// ```text
 /// drain → manual → manual → greatest current → (gains) → manual → ready
 ///           each until it is answered, `attempts` times
-///                └ silence → asked in the other protocol, and as anybody → the error that says so
+///                └ silence → asked by every address, then in the other protocol → the error that says so
 /// ```
 ///
 /// The last answers are where operation begins: the gate has passed them, and the power stage is on. A line on which
@@ -55,15 +58,17 @@ enum Stage {
     Draining(u8),
     /// The line of the script that is next, or said.
     Asking(usize),
-    /// Whoever is there is asked in this protocol.
-    Probing(Protocol),
+    /// A question was repeated: both answers have to be here before the next one.
+    Settling(usize),
+    /// Whoever is there is asked in this protocol by this address.
+    Probing(Protocol, u8),
     Ready,
 }
 
 impl BringUp {
     pub(super) fn new(group: &GroupConfig, config: &AxisConfig, dialect: Dialect) -> Self {
         let manual = dialect.rest(Aim::Manual, 1, false);
-        let mut script = vec![dialect.zero(), manual, manual];
+        let mut script = vec![dialect.opening(), manual, manual];
         let limit = config.limit().map(|limit| Setting::MaxCurrent(limit.0));
         let gains = config.current_gains.and_then(CurrentGains::raw);
         let settings = [limit, gains.map(Setting::CurrentGains)];
@@ -137,12 +142,14 @@ impl BringUp {
                     if step + 1 == answers && late > answers / 2 {
                         return Err(AxisControllerError::Late { late, answers });
                     }
+                    let repeated = self.attempts > 0;
                     (self.heard, self.attempts, self.since) = (0, 0, now);
-                    Some(if step + 1 < self.script.len() {
-                        Stage::Asking(step + 1)
+                    if repeated {
+                        self.stage = Stage::Settling(step + 1);
+                        None
                     } else {
-                        Stage::Ready
-                    })
+                        Some(self.step(step + 1))
+                    }
                 } else if !late {
                     None
                 } else {
@@ -154,21 +161,24 @@ impl BringUp {
                     })
                 }
             }
-            Stage::Probing(protocol) => match speaks(protocol, bytes) {
+            Stage::Settling(step) => late.then(|| self.step(step)),
+            Stage::Probing(protocol, address) => match speaks(protocol, bytes) {
                 Some(found) => return Err(self.stranger(protocol, found)),
                 None if !late => None,
-                None if protocol == self.dialect.protocol => Some(Stage::Probing(protocol.other())),
-                None => {
-                    let waited = now.since(self.since);
-                    return Err(AxisControllerError::Silent { waited });
-                }
+                None => match self.next_probe(protocol, address) {
+                    Some(probe) => Some(probe),
+                    None => {
+                        let waited = now.since(self.since);
+                        return Err(AxisControllerError::Silent { waited });
+                    }
+                },
             },
         };
         let telegram = match next {
             None => return Ok(false),
             Some(Stage::Asking(step)) => self.script[step],
-            Some(Stage::Probing(protocol)) => self.dialect.probe(protocol),
-            Some(Stage::Draining(_) | Stage::Ready) => Telegram::NONE,
+            Some(Stage::Probing(protocol, address)) => self.dialect.probe(protocol, address),
+            Some(Stage::Draining(_) | Stage::Settling(_) | Stage::Ready) => Telegram::NONE,
         };
         self.stage = next.unwrap_or(self.stage);
         if self.stage != Stage::Ready {
@@ -205,6 +215,25 @@ impl BringUp {
         self.objection.is_none()
     }
 
+    /// The line of the script that is next, or the end of it.
+    fn step(&self, step: usize) -> Stage {
+        if step < self.script.len() {
+            Stage::Asking(step)
+        } else {
+            Stage::Ready
+        }
+    }
+
+    /// Who is asked after `address` did not answer: in NFv2 one after the other, as drives obey a broadcast and do not
+    /// answer it; the older protocol has no addresses.
+    fn next_probe(&self, protocol: Protocol, address: u8) -> Option<Stage> {
+        if protocol == Protocol::Nfv2 && address < LAST_ADDRESS {
+            Some(Stage::Probing(protocol, address + 1))
+        } else {
+            (protocol == self.dialect.protocol).then_some(Stage::Probing(protocol.other(), 0))
+        }
+    }
+
     /// What follows when a question was not answered in any attempt.
     fn unanswered(&self) -> Result<Stage, AxisControllerError> {
         if let Some(objection) = self.objection {
@@ -217,7 +246,7 @@ impl BringUp {
             let bytes = self.heard;
             return Err(AxisControllerError::Garbled { bytes });
         }
-        Ok(Stage::Probing(self.dialect.protocol))
+        Ok(Stage::Probing(self.dialect.protocol, 0))
     }
 
     fn stranger(&self, found: Protocol, address: u8) -> AxisControllerError {
@@ -226,7 +255,7 @@ impl BringUp {
             return AxisControllerError::OtherProtocol { expected, found };
         }
         if address == self.dialect.address || found == Protocol::HiMoxa {
-            // It answers when it is called by another name, or late.
+            // It answers late.
             return AxisControllerError::Silent {
                 waited: self.asked_at.since(self.since),
             };

@@ -17,6 +17,16 @@ pub enum AxisControllerFault {
         /// Cycles without one.
         cycles: u32,
     },
+    /// More than a quarter of the answers were missing, in gaps of which each was ridden through.
+    #[error(
+        "{missing} of {cycles} answers missing or late: set a USB adapter's latency timer to 1 ms, check the cable"
+    )]
+    Late {
+        /// Answers that did not come in their cycle, or were not to be believed.
+        missing: u32,
+        /// Of how many, of 200 at most.
+        cycles: u32,
+    },
     /// The line took no set-point for more cycles than the cell allows: the drive goes on by an old one. A panic.
     #[error("set-point not taken by the line for {cycles} cycles")]
     NotSent {
@@ -45,6 +55,14 @@ pub enum AxisControllerFault {
     /// It lost its reference without being told to: it was switched off and on.
     #[error("restarted: home the axis again")]
     Restarted,
+    /// It still has the reference that it was told to forget before it seeks a new one.
+    #[error(
+        "kept its reference though told to forget it for {cycles} cycles: switch it off and on"
+    )]
+    KeepsReference {
+        /// Cycles.
+        cycles: u32,
+    },
     /// It reports that its power stage is off or has failed.
     #[error(
         "power stage is off or has failed: check the emergency stop and the power of the cabinet"
@@ -56,14 +74,20 @@ pub enum AxisControllerFault {
     /// It reports its error state.
     #[error("drive is in its error state")]
     Error,
+    /// Another axis panicked: this drive is told to be in error with it, to open the circuit of their cabinet.
+    #[error("stopped with line {line}, whose drive may go on: see what that one reports")]
+    Cabinet {
+        /// The first line whose axis panicked.
+        line: u8,
+    },
     /// A set-point that was not sent, nor any other of its cycle.
     #[error("set-point {0}")]
     Refused(Refusal),
 }
 
 impl AxisControllerFault {
-    /// Whether the drive is told to open its power stage and the emergency-stop circuit of its cabinet, since
-    /// nobody knows what it does.
+    /// Whether every drive of the group is told to open its power stage and the emergency-stop circuit of their
+    /// cabinet, since nobody knows what this one does.
     pub fn is_panic(self) -> bool {
         match self {
             Self::Silent { .. }
@@ -72,9 +96,12 @@ impl AxisControllerFault {
             | Self::Jumped { .. }
             | Self::Frozen { .. } => true,
             Self::Restarted
+            | Self::Late { .. }
+            | Self::KeepsReference { .. }
             | Self::PowerStage
             | Self::Overcurrent
             | Self::Error
+            | Self::Cabinet { .. }
             | Self::Refused(_) => false,
         }
     }

@@ -42,6 +42,8 @@ struct Doubt {
     last: Sample,
     status: Status,
     answers: u32,
+    /// It is beyond reach, and not where the index may have put it.
+    beyond: bool,
 }
 
 /// What a position is.
@@ -101,14 +103,15 @@ impl Gate {
             moved.abs() <= self.reach(self.elapsed(doubt.last, new))
         });
         let answers = agree.map_or(0, |doubt| doubt.answers) + 1;
+        let near_zero = f64::from(new.position).abs() <= self.reach(dt);
+        let referenced = |status: Status| status.any(Status::SYNCHRONIZED);
+        let index = indexing && !within_reach && near_zero && referenced(answer.status);
         self.doubtful = Some(Doubt {
             last: new,
             status: answer.status,
             answers,
+            beyond: !within_reach && !index,
         });
-        let near_zero = f64::from(new.position).abs() <= self.reach(dt);
-        let referenced = |status: Status| status.any(Status::SYNCHRONIZED);
-        let index = indexing && !within_reach && near_zero && referenced(answer.status);
         let Some(before) = agree.filter(|_| answers >= ANSWERS_TO_CONFIRM) else {
             return if index {
                 Verdict::Awaited
@@ -135,6 +138,11 @@ impl Gate {
     /// Velocity between the last two that passed, increments/s; zero at the beginning.
     pub(super) fn velocity(&self) -> f64 {
         self.velocity.map_or(0.0, |(velocity, _)| velocity)
+    }
+
+    /// Whether the last answer had a position beyond reach, which the next ones confirm or belie.
+    pub(super) fn leapt(&self) -> bool {
+        self.doubtful.is_some_and(|doubt| doubt.beyond)
     }
 
     fn pass(&mut self, new: Sample, velocity: Option<f64>, dt: f64) {

@@ -15,18 +15,24 @@
 //!   beyond its greatest current or pulse width is refused: the fault names the axis, whose set-point is then zero,
 //!   and no other axis of the group changes its own in that cycle. Nothing is clamped.
 //! - [`Seek`](AxisCommand::Seek) follows as well, and the next index pulse zeroes the counter. A reference that the
-//!   drive had is taken from it first. In the older protocol that costs two or more set-points, in whose place the
-//!   parameter goes.
+//!   drive had is taken from it first, and one that it keeps is a fault. In the older protocol the parameter for that takes
+//!   the place of every other set-point meanwhile.
 //! - [`Home`](AxisCommand::Home) is refused: these drives have no homing of their own.
 //! - An axis with a latched fault has a zero set-point under any command but `Off` and `ResetFault`.
 //! - A **panic** ([`AxisControllerFault::is_panic`]) is a fault after which nobody knows what the drive does: too many
-//!   answers missing, a counter that jumped. It is told, in every cycle until `ResetFault`, to be in its error
-//!   state, in which it opens its power stage and the emergency-stop circuit of its cabinet; that takes the other
-//!   axes' power too, and they say so. Both protocols have such a state.
+//!   answers missing, a counter that jumped. It may not hear us and go on by its last set-point, so **every drive of the
+//!   group** is told, from that cycle's telegrams on and until its own `ResetFault`, to be in its error state, in which it
+//!   opens its power stage and the emergency-stop circuit of their cabinet; that takes the power from all, the deaf one
+//!   too. The axis that panicked reports it first; from the next reading on the others report
+//!   [`AxisControllerFault::Cabinet`] with its line. Both protocols have such a state. A group is the drives of
+//!   one cabinet: where it has one drive alone, nobody else can open the circuit for it.
 //!
 //! Power and mode are no part of an answer: a drive is where it was told to be once it has answered two
-//! telegrams that said so, and it is not told again, so that one that was switched off and on stays off. That it was is
-//! known by its counter and its reference; of one that had no reference and stood at zero it is not.
+//! telegrams that said so, and it is not told again, so that one that was switched off and on stays off in NFv2. That
+//! it was is known by its counter and its reference; of one that had no reference and stood at zero it is not. In the older
+//! protocol every set-point names its mode, which switches such a drive on again: it gets zero from the first answer on
+//! that shows a counter beyond reach or no reference, also before the next ones confirm it. The set-point of one cycle
+//! it may have taken by then.
 //!
 //! # What is believed
 //! The CRC of NFv2 lets one damaged frame in 32 through, the older protocol has none. So a position must be where
@@ -39,7 +45,9 @@
 //! `drivers/drive/benches/robustness/results.md`.
 //!
 //! Answers carry no number. One that comes a cycle late is taken for the next one's if that does not come as well; of a
-//! moving motor it is implausible and refused, of a standing one it says the same.
+//! moving motor it is implausible and refused, of a standing one it says the same. More than a quarter missing of 200 is a
+//! fault, [`AxisControllerFault::Late`], since a line that delivers in heaps is no line for a loop; one that
+//! begins to be late by the same time in every cycle is not seen, as each cycle then has an answer.
 //!
 //! Left out: position and speed modes, and all boards of the family that are no drives. Read [`DriveGroup`]
 //! first, then `axis`, `bring_up`, `stream` and `gate`.
@@ -73,7 +81,8 @@ const READING: usize = 4_096;
 
 /// Axis controllers, each on a line of its own. The module says what it does with each command.
 ///
-/// A cycle makes one system call each way per line.
+/// A cycle makes one system call each way per line, and one more where torque is first taken away: whatever old
+/// set-points a stalled line holds are dropped before that.
 pub struct AxisControllerGroup<L: Line> {
     config: GroupConfig,
     controllers: Vec<Controller<L>>,
@@ -228,6 +237,22 @@ impl<L: Line> DriveGroup for AxisControllerGroup<L> {
     }
 
     fn write(&mut self, _now: Instant, commands: &[AxisCommand]) {
+        for (controller, &command) in self.controllers.iter_mut().zip(commands) {
+            if command == AxisCommand::ResetFault {
+                controller.axis.reset();
+            }
+        }
+        // After the reading, which so shows the axis that panicked a cycle before those that stop with it.
+        let panicked = (0..)
+            .zip(&self.controllers)
+            .find(|(_, controller)| controller.axis.panics());
+        if let Some((line, _)) = panicked {
+            for (controller, &command) in self.controllers.iter_mut().zip(commands) {
+                if command != AxisCommand::ResetFault {
+                    controller.axis.stop_with(line);
+                }
+            }
+        }
         let mut refused = false;
         for (controller, &command) in self.controllers.iter_mut().zip(commands) {
             controller.setpoint = match controller.axis.check(command) {
@@ -248,6 +273,9 @@ impl<L: Line> DriveGroup for AxisControllerGroup<L> {
     fn send(&mut self, now: Instant) -> bool {
         let mut all = true;
         for Controller { line, axis, .. } in &mut self.controllers {
+            if axis.overtakes() {
+                line.discard_unsent();
+            }
             let taken = match line.write(now, axis.telegram()) {
                 Ok(count) => count == axis.telegram().len(),
                 Err(error) => {
@@ -299,6 +327,7 @@ impl<L: Line> DriveGroup for AxisControllerGroup<L> {
 impl<L: Line> Drop for AxisControllerGroup<L> {
     fn drop(&mut self) {
         for Controller { line, axis, .. } in &mut self.controllers {
+            line.discard_unsent();
             // There is nobody left to tell of a line that does not take it.
             let _: Result<usize, LineError> = line.write(self.now, axis.farewell().bytes());
         }

@@ -1,6 +1,6 @@
+use serial::hi_moxa;
 use serial::hi_moxa::{DriverMode, Parameter, Request};
 use serial::nfv2::{Command, FrameBuilder, Gains, Mode};
-use serial::{hi_moxa, nfv2};
 
 use super::config::{Control, Protocol};
 
@@ -88,6 +88,20 @@ impl Dialect {
         }
     }
 
+    /// Whether a set-point names its mode, so that a drive may take it for being switched on.
+    pub(super) fn setpoints_switch_on(self) -> bool {
+        self.protocol == Protocol::HiMoxa
+    }
+
+    /// Whether a drive may be told to forget its reference, after so many cycles of that: where it costs the set-point, they
+    /// take turns.
+    pub(super) fn may_unreference(self, cycles: u32) -> bool {
+        match self.protocol {
+            Protocol::Nfv2 => true,
+            Protocol::HiMoxa => cycles.is_multiple_of(2),
+        }
+    }
+
     /// A zero set-point with which no aim changes.
     pub(super) fn zero(self) -> Telegram {
         self.follow(Aim::Drive, 0, false, false)
@@ -156,19 +170,26 @@ impl Dialect {
         }
     }
 
-    /// Asks whoever is there, in `protocol`, to be in manual mode: in NFv2 also those who have another address.
-    pub(super) fn probe(self, protocol: Protocol) -> Telegram {
-        let manual = |address| {
-            let dialect = Self {
-                protocol,
-                address,
-                ..self
-            };
-            dialect.rest(Aim::Manual, 1, false)
+    /// What is said first, to a drive that may have torque from before, and may speak the other protocol: a zero set-point
+    /// and, in NFv2, manual mode. Without the zeros of [`rest`](Self::rest), with which a drive of the older protocol would
+    /// take the frame for a set-point.
+    pub(super) fn opening(self) -> Telegram {
+        match self.protocol {
+            Protocol::Nfv2 => self.follow(Aim::Manual, 0, true, false),
+            Protocol::HiMoxa => self.zero(),
+        }
+    }
+
+    /// Asks whoever has `address` to be in manual mode, in `protocol`.
+    pub(super) fn probe(self, protocol: Protocol, address: u8) -> Telegram {
+        let dialect = Self {
+            protocol,
+            address,
+            ..self
         };
         match protocol {
-            Protocol::Nfv2 => manual(nfv2::BROADCAST),
-            Protocol::HiMoxa => manual(self.address),
+            Protocol::Nfv2 => dialect.opening(),
+            Protocol::HiMoxa => dialect.rest(Aim::Manual, 1, false),
         }
     }
 

@@ -23,6 +23,8 @@ pub(crate) struct Drive {
     /// Increments per telegram, beside those of the set-point.
     pub(crate) velocity: i32,
     pub(crate) follows: bool,
+    /// Does not forget its reference when told to.
+    pub(crate) keeps_reference: bool,
     /// Where the index is, as the counter counts.
     pub(crate) index: Option<i32>,
     pub(crate) mode: Mode,
@@ -34,6 +36,9 @@ pub(crate) struct Drive {
     /// Takes no more bytes.
     pub(crate) full: bool,
     pub(crate) gone: bool,
+    /// The line holds what it takes.
+    pub(crate) stalled: bool,
+    pub(crate) unsent: Vec<u8>,
     /// Bytes as written, one item for each write.
     pub(crate) heard: Vec<Vec<u8>>,
     pub(crate) keep_heard: bool,
@@ -54,6 +59,7 @@ impl Drive {
             start: 0x2A,
             velocity: 0,
             follows: false,
+            keeps_reference: false,
             index: None,
             mode: Mode::Manual,
             setpoint: 0,
@@ -62,6 +68,8 @@ impl Drive {
             deaf: false,
             full: false,
             gone: false,
+            stalled: false,
+            unsent: Vec::new(),
             heard: Vec::with_capacity(64),
             keep_heard: true,
             outbox: VecDeque::with_capacity(16_384),
@@ -73,7 +81,7 @@ impl Drive {
         Shared(Arc::new(Mutex::new(self)))
     }
 
-    fn hear(&mut self, bytes: &[u8]) {
+    pub(crate) fn hear(&mut self, bytes: &[u8]) {
         match self.protocol {
             Protocol::Nfv2 => {
                 let mut rest = bytes;
@@ -117,9 +125,7 @@ impl Drive {
                 Command::SetMode(new) => mode = Some(new),
                 Command::SetCurrent(value) | Command::SetPwm(value) => self.setpoint = value,
                 Command::SetMaxCurrent(value) => self.max_current = value,
-                Command::SetMisc(Command::RESET_SYNCHRONIZED) => {
-                    self.status &= !Status::SYNCHRONIZED;
-                }
+                Command::SetMisc(Command::RESET_SYNCHRONIZED) => self.forget_reference(),
                 Command::SetMisc(_)
                 | Command::SetSpeed(_)
                 | Command::SetPosition(_)
@@ -131,7 +137,8 @@ impl Drive {
             self.set_mode(mode);
         }
         self.turn();
-        if asked {
+        // A drive obeys a broadcast and does not answer it.
+        if asked && frame.address == self.address {
             self.answer(answer.finish().expect("three answers fit a frame"));
         }
     }
@@ -168,7 +175,7 @@ impl Drive {
                 }
             }
             Request::Set(Parameter::MaxCurrent(value)) => self.max_current = value,
-            Request::Set(Parameter::Synchronized(false)) => self.status &= !Status::SYNCHRONIZED,
+            Request::Set(Parameter::Synchronized(false)) => self.forget_reference(),
             Request::Set(Parameter::DriverMode(mode)) => self.set_mode(match mode {
                 DriverMode::Manual => Mode::Manual,
                 DriverMode::Pwm => Mode::Pwm,
@@ -178,6 +185,12 @@ impl Drive {
         }
         self.turn();
         self.answer(&answer.encode());
+    }
+
+    fn forget_reference(&mut self) {
+        if !self.keeps_reference {
+            self.status &= !Status::SYNCHRONIZED;
+        }
     }
 
     fn set_mode(&mut self, mode: Mode) {
@@ -248,7 +261,9 @@ impl Line for Shared {
         if drive.keep_heard {
             drive.heard.push(bytes.to_vec());
         }
-        if !drive.deaf {
+        if drive.stalled {
+            drive.unsent.extend(bytes);
+        } else if !drive.deaf {
             drive.hear(bytes);
         }
         Ok(bytes.len())
@@ -264,6 +279,10 @@ impl Line for Shared {
             .zip(drive.outbox.drain(..count))
             .for_each(|(to, from)| *to = from);
         Ok(count)
+    }
+
+    fn discard_unsent(&mut self) {
+        self.drive().unsent.clear();
     }
 
     fn counters(&self) -> LineCounters {

@@ -202,6 +202,42 @@ fn a_lost_supply_is_a_power_stage_fault_until_manual_mode() {
     assert!(!rig.cycle(&manual).is(Status::POWER_STAGE_FAULT));
 }
 
+#[test]
+fn a_drive_in_error_takes_the_power_from_its_cabinet_alone() {
+    for shared in [true, false] {
+        let cabinet = Cabinet::default();
+        let config = AxisControllerConfig {
+            cabinet: cabinet.clone(),
+            ..column()
+        };
+        let mut rig = Rig::nfv2(config);
+        let other = AxisControllerConfig {
+            cabinet: if shared { cabinet } else { Cabinet::default() },
+            ..column()
+        };
+        let device = Box::new(Nfv2AxisController::new(ADDRESS, other));
+        let line = rig.world.add_line(Settings::AXIS_CONTROLLER, None, device);
+        let mut other = rig.world.host_line(line, 4096);
+        rig.cycle(&[Command::SetMode(Mode::Pwm), Command::SetPwm(100)]);
+        let mut tell = |rig: &Rig, mode| {
+            let request = frame(ADDRESS, &[Command::SetMode(mode)]);
+            assert_eq!(other.write(rig.now, &request), Ok(request.len()));
+        };
+        tell(&rig, Mode::Error);
+        rig.cycle(&[]);
+        let off = rig.cycle(&[]);
+        assert_eq!(off.is(Status::POWER_STAGE_FAULT), shared);
+        assert_eq!(off.current == 0, shared, "{off:?}");
+        assert!(!off.is(Status::ERROR));
+        // Manual mode clears nothing while the stop is open, and shows it no longer once it is closed.
+        let manual = [Command::SetMode(Mode::Manual)];
+        assert_eq!(rig.cycle(&manual).is(Status::POWER_STAGE_FAULT), shared);
+        tell(&rig, Mode::Manual);
+        rig.cycle(&[]);
+        assert!(!rig.cycle(&[]).is(Status::POWER_STAGE_FAULT));
+    }
+}
+
 /// The homing cycle by hand: towards the switch, back off it with the index armed, until the counter
 /// was zeroed. `step` takes a pulse width and whether the index is armed, and says whether the switch
 /// is closed, the index came, and where the counter is.

@@ -1,6 +1,7 @@
 //! Bring-up, enabling, homing, reset: everything before motion.
 
 use super::*;
+use crate::NotUp;
 
 #[test]
 fn bring_up_is_ready_when_every_group_is_and_an_error_names_its_group() {
@@ -15,8 +16,38 @@ fn bring_up_is_ready_when_every_group_is_and_an_error_names_its_group() {
     let (groups, worlds): (Vec<_>, Vec<_>) = (0..2).map(|_| scripted::group(2)).unzip();
     worlds[1].lock().unwrap().absent = true;
     let (mut servo, _links) = Servo::new(&scripted::config(2), groups).unwrap();
-    let error = Err((1, scripted::NEVER_BOOTED));
+    let error = Err(NotUp::Group(1, scripted::NEVER_BOOTED));
     assert_eq!(servo.bring_up(Instant::ZERO), Poll::Ready(error));
+}
+
+#[test]
+fn a_stop_request_ends_bring_up_with_nothing_sent() {
+    use crate::{lockstep, thread};
+    let coming_up = || {
+        let (group, world) = scripted::group(1);
+        world.lock().unwrap().coming_up = 20;
+        let (servo, _links) = Servo::new(&scripted::config(1), vec![group]).unwrap();
+        (servo, world)
+    };
+    for by_the_clock in [false, true] {
+        let (mut servo, world) = coming_up();
+        let stop = servo.stop_request();
+        let mut polls = 0;
+        let between = |_| {
+            polls += 1;
+            if polls == 3 {
+                stop.request();
+            }
+        };
+        let up = if by_the_clock {
+            thread::bring_up(&mut servo, between)
+        } else {
+            lockstep::bring_up(&mut servo, Instant::ZERO, between).map(drop)
+        };
+        assert_eq!(up, Err(NotUp::Stopped));
+        assert_eq!(world.lock().unwrap().coming_up, 17);
+        assert!(world.lock().unwrap().sent.is_empty());
+    }
 }
 
 #[test]

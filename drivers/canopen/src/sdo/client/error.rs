@@ -38,7 +38,7 @@ pub enum SdoError {
         code: AbortCode,
     },
     /// No answer, or none that brought the transfer on, for all the retries.
-    #[error("{object} timed out after {waited:?}")]
+    #[error("{object} timed out after {waited:.1?}")]
     TimedOut {
         /// The object.
         object: Object,

@@ -437,7 +437,7 @@ fn errors_name_the_object_and_both_sides() {
                 object,
                 waited: TIME_OUT,
             },
-            "0x6041:00 timed out after 500ms",
+            "0x6041:00 timed out after 500.0ms",
         ),
         (
             SdoError::Length {
