@@ -1,6 +1,6 @@
 //! The service commands: who is on a bus, and one thing asked of or told to it.
 //!
-//! What a command says on the bus is a [`Conversation`](talk::Conversation), a function of (state, frame, now), so that
+//! What a command says on the bus is a [`Conversation`], a function of (state, frame, now), so that
 //! the tests hold it with emulated drives in virtual time; [`talk`] holds it by the clock.
 //!
 //! Exit status: 0 done; 1 told, and the node did not do it, or broken off by Ctrl-C; 2 refused, aborted by the node, no
@@ -46,7 +46,8 @@ use value::Type;
 #[derive(Args)]
 pub(crate) struct BusArgs {
     /// The interface: can0, or slcan:PATH for an slcan adapter, such as slcan:/dev/serial/by-id/…; for `sdo`, `nmt` and
-    /// `scan` also the service port of one drive: epos2:PATH[@BAUD] (RS-232) or epos4:PATH[@BAUD] (USB, RS-232).
+    /// `scan` also the service port of one drive: epos2:PATH (RS-232) or epos4:PATH (USB, RS-232),
+    /// each with @BAUD behind where it is not the usual one.
     #[arg(long, value_name = "IFACE", required_unless_present = "cell")]
     can: Option<String>,
     /// Bit rate that an slcan adapter is opened at, kbit/s; that of a SocketCAN interface is set by `ip link`.
