@@ -76,7 +76,7 @@ pub(crate) fn drive_groups(
 /// The servo of the whole cell.
 pub(crate) fn servo_config(file: &CellFile) -> ServoConfig {
     let cell = &file.cell;
-    let effector = |(index, robot): (usize, &controller::cell::Robot)| {
+    let effector = |(index, robot): (usize, &cell::Robot)| {
         let axes = servo_axes(file, index);
         EffectorConfig {
             name: robot.name.clone(),
