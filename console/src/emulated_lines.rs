@@ -10,12 +10,16 @@ use can::{Instant, clock};
 use hil::pty::{self, Interest};
 use hil::{Cabinet, DeviceId, Pty, SlcanConfig, SlcanDevice, World};
 use serial::{Line, VirtualLine};
+use servo::thread::set_fifo;
 
 use crate::cell_file::CellFile;
 use crate::emulation;
 
 /// Longest time between two looks at whether somebody pressed Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);
+
+/// SCHED_FIFO priority that is asked for.
+const PRIORITY: u8 = 60;
 
 /// Bytes taken from a pseudo-terminal at a time; more wait in it.
 const CHUNK: usize = 4096;
@@ -91,6 +95,9 @@ impl EmulatedLines {
 
     /// Lets the devices live until `stop`.
     pub(crate) fn serve(&mut self, stop: &AtomicBool) -> io::Result<()> {
+        // Below a controller on the same host, above everything else; where it is denied, a busy host makes the
+        // devices late.
+        let _ = set_fifo(PRIORITY);
         let start = clock::now();
         let mut passed = Instant::ZERO;
         while !stop.load(Ordering::Relaxed) {

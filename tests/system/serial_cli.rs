@@ -124,7 +124,7 @@ fn an_emulator_in_another_process_outlives_runs_and_a_run_does_not_outlive_it() 
     let cell = directory.cell(name, |cell| {
         shorten(cell);
         // The answers of another process come later on a loaded machine.
-        cell.serial[0].tolerated_missing = 20;
+        cell.serial[0].tolerated_missing = 10;
         cell.serial[0].answer_timeout_ms = 500;
         cell.max_missed_in_row = 100;
     });

@@ -283,7 +283,13 @@ fn an_arm_runs_over_one_adapter_with_its_drives_emulated_behind_another() {
     let [here, there] = counts[..] else {
         panic!("two adapters");
     };
-    assert_eq!((here.sent, there.sent), (there.received, here.received));
+    // What is on the bus when an adapter is closed does not cross any more: a cycle's frames at most.
+    for (sent, received) in [(here.sent, there.received), (there.sent, here.received)] {
+        assert!(
+            (received..received + 8).contains(&sent),
+            "{sent} {received}"
+        );
+    }
     for counts in [here, there] {
         assert_eq!((counts.refused, counts.lost, counts.unsaid), (0, 0, 0));
     }

@@ -11,6 +11,8 @@
 //! four bytes however long the object is; only transfer in segments tells its length, and it exists for EPOS4
 //! alone, since for EPOS2's no layout is known. Codes of refusals are those of SDO aborts and maxon's own.
 
+mod config;
+mod error;
 #[cfg(test)]
 mod tests;
 mod wire;
@@ -18,104 +20,19 @@ mod wire;
 use std::time::Duration;
 
 use can::Instant;
-use thiserror::Error;
 
 use crate::epos4::{Address, Answer, LONGEST, MAX_SEGMENT, Request};
-use crate::{Settings, epos2, epos4};
+use crate::{epos2, epos4};
 use wire::{Seen, Wire};
+
+pub use config::{Config, Dialect};
+pub use error::{ServiceError, StartError};
 
 /// The frame time-out of both devices as delivered.
 pub const TIME_OUT: Duration = epos4::TIME_OUT;
 
 /// With this an EPOS4 refuses a frame that reached it damaged.
 const CRC: u32 = 0x0504_0004;
-
-/// Which device is on the line.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Dialect {
-    /// An EPOS2 on RS-232: [`epos2`].
-    Epos2,
-    /// An EPOS4 on USB or RS-232: [`epos4`].
-    Epos4,
-}
-
-/// How a client goes about it.
-#[derive(Clone, Copy, Debug)]
-pub struct Config {
-    /// Which device is on the line.
-    pub dialect: Dialect,
-    /// How the line is set; bytes take their time on it.
-    pub settings: Settings,
-    /// How long an answer may take; no shorter than the device's frame time-out, [`TIME_OUT`] as delivered.
-    pub time_out: Duration,
-    /// How often a request that failed on the line is sent anew.
-    pub retries: u8,
-    /// The longest object that is transferred in segments, bytes.
-    pub capacity: usize,
-}
-
-impl Config {
-    /// Maxon's time-out, one more attempt, and objects of up to 4096 bytes.
-    pub const fn new(dialect: Dialect, settings: Settings) -> Self {
-        Self {
-            dialect,
-            settings,
-            time_out: TIME_OUT,
-            retries: 1,
-            capacity: 4096,
-        }
-    }
-}
-
-/// Why a request did not start.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-pub enum StartError {
-    /// One thing at a time.
-    #[error("an earlier request is not over")]
-    Busy,
-    /// No source says how an EPOS2 transfers segments.
-    #[error("no transfer in segments with an EPOS2: only objects of up to 4 bytes")]
-    NoSegments,
-    /// Longer than the client has room for.
-    #[error("{size} bytes are too many, at most {capacity} are transferred")]
-    TooLarge {
-        /// Bytes of the object.
-        size: usize,
-        /// Bytes that the client transfers.
-        capacity: usize,
-    },
-}
-
-/// How a request failed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-pub enum ServiceError {
-    /// The device answered with this code of an SDO abort, or one of maxon's own 0x0F00_FFxx.
-    #[error("refused with code {0:#010x}")]
-    Refused(u32),
-    /// No answer, or none to its end.
-    #[error("timed out after {waited:?}")]
-    TimedOut {
-        /// Since the request was made.
-        waited: Duration,
-    },
-    /// An EPOS2 was not ready, or our bytes reached it damaged.
-    #[error("the device did not accept the request: it was busy, or heard it damaged")]
-    NotAcknowledged,
-    /// The answer's CRC was wrong, or it was torn.
-    #[error("the answer came damaged")]
-    Damaged,
-    /// What came is right, and answers something else.
-    #[error("the answer does not belong to the request")]
-    Unexpected,
-    /// The object is longer than the client has room for.
-    #[error("the object has {size} bytes, at most {capacity} are transferred")]
-    TooLarge {
-        /// Bytes announced.
-        size: usize,
-        /// Bytes that the client transfers.
-        capacity: usize,
-    },
-}
 
 /// What a request brought.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,4 +1,5 @@
 use super::*;
+use crate::Settings;
 
 const STATUSWORD: Address = Address {
     node: 1,
