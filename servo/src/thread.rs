@@ -41,7 +41,7 @@ use self::quantile::LearntQuantile;
 use crate::{NotUp, Servo, Timing};
 
 pub use self::cause::{Cause, Usage};
-pub use self::host::{CpuLatency, Denial, demand, set_fifo};
+pub use self::host::{CpuLatency, Denial, Grant, LIMITS, Limit, demand, set_fifo};
 pub use self::wait::{Awake, Wait, WaitReport, Waiter};
 
 /// Bytes of the thread's stack; `MCL_FUTURE` locks all of it.

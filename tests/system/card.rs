@@ -8,6 +8,7 @@ use std::fs;
 use std::process::Command;
 
 use crate::bench::on_cards;
+use crate::doctor;
 use crate::mrroc::{self, Directory, Running};
 use crate::vcan::{faulted, started};
 
@@ -114,9 +115,9 @@ fn an_arm_on_a_card_stops_when_its_interface_goes_down_and_moves_again_when_it_i
 }
 
 #[test]
-fn a_bit_rate_that_cannot_be_set_is_refused() {
+fn a_bit_rate_that_cannot_be_set_is_refused_and_doctor_puts_back_what_it_sets() {
     on_cards(
-        "card::a_bit_rate_that_cannot_be_set_is_refused",
+        "card::a_bit_rate_that_cannot_be_set_is_refused_and_doctor_puts_back_what_it_sets",
         |here, _| {
             let directory = directory_with_cell();
             sh("ip link add dev vcanrate type vcan && ip link set vcanrate up");
@@ -145,6 +146,19 @@ fn a_bit_rate_that_cannot_be_set_is_refused() {
                 said.contains(&refusal) && said.ends_with("exit 2\n"),
                 "{said}"
             );
+
+            sh(&format!(
+                "ip link set {here} down; ip link set {here} type can bitrate 500000 restart-ms 0; \
+                 ip link set {here} txqueuelen 3 up; echo 400000 >/proc/sys/kernel/sched_rt_runtime_us"
+            ));
+            let of = format!("bus arm, {here}");
+            let knobs = [
+                ("kernel", "real-time throttling"),
+                (&of, "bit rate"),
+                (&of, "restart-ms"),
+                (&of, "txqueuelen"),
+            ];
+            doctor::mended_and_put_back(here, &knobs, || doctor::standing(here));
         },
     );
 }

@@ -1,5 +1,6 @@
-//! `mrroc doctor`: on this host, and on a kernel that has CAN.
+//! `mrroc doctor`: on this host, and on a kernel that has CAN. What it sets it sets in test machines only.
 
+use std::fs;
 use std::process::{Child, Command, Stdio};
 
 use can::{OpenError, SocketCanOptions, SocketCanPort};
@@ -164,6 +165,141 @@ fn a_virtual_interface_is_found_up_and_down() {
             let (up, cell, _) = judged();
             sh(&format!("ip link set {interface} up"));
             assert_eq!((up, cell), ("not-usable".into(), "not-usable".into()));
+        },
+    );
+}
+
+#[test]
+fn nothing_is_set_without_an_answer_and_nothing_put_back_without_a_record() {
+    let directory = Directory::new();
+    let state = directory.path("undo.json");
+    let cell = directory.cell("irb6", |_| {});
+    let state_of = |more: &[&str]| {
+        let state = ["doctor".as_ref(), "--state".as_ref(), state.as_os_str()];
+        mrroc(state.into_iter().chain(more.iter().map(AsRef::as_ref)))
+    };
+    let refused = |more: &[&str], line: &str| {
+        let output = state_of(more);
+        assert_eq!(output.status.code(), Some(2), "{output:?}");
+        assert!(output.stdout.is_empty(), "{output:?}");
+        assert!(output.stderr.contains(line), "{output:?}");
+    };
+    // Its input is no terminal.
+    refused(&["--fix"], "mrroc: --fix asks on a terminal");
+    refused(&["--fix", cell.to_str().unwrap()], "--yes answers for it");
+    refused(&["--yes"], "--fix");
+    refused(&["--undo", "--fix"], "cannot be used with");
+    refused(&["--undo", cell.to_str().unwrap()], "cannot be used with");
+    assert!(!state.exists());
+    let nothing = state_of(&["--undo"]);
+    assert_eq!(nothing.status.code(), Some(0), "{nothing:?}");
+    assert!(nothing.stdout.ends_with("undo.json: nothing to put back\n"));
+    fs::write(&state, "[{]").unwrap();
+    refused(&["--undo"], "undo.json: no record of changes: ");
+    refused(&["--fix", "--yes"], "undo.json: no record of changes: ");
+    assert_eq!(fs::read_to_string(&state).unwrap(), "[{]");
+}
+
+#[test]
+fn a_broken_cell_is_refused_in_one_line() {
+    let directory = Directory::new();
+    for text in ["", "name = 1", "\u{0}", "[[bus]]\nname = \"x\""] {
+        let cell = directory.write("cell.toml", text);
+        let refused = mrroc(["doctor".as_ref(), cell.as_os_str()]);
+        assert_eq!(refused.status.code(), Some(2), "{refused:?}");
+        assert!(refused.stdout.is_empty(), "{refused:?}");
+        assert_eq!(refused.stderr.trim_end().lines().count(), 1, "{refused:?}");
+    }
+}
+
+/// Lets `--fix` mend an interface that lacks `knobs`, as `(of, what)`, and `--undo` put back what they were; `standing`
+/// shows how they stand.
+pub(crate) fn mended_and_put_back(
+    interface: &str,
+    knobs: &[(&str, &str)],
+    standing: impl Fn() -> String,
+) {
+    let directory = Directory::new();
+    let state = directory.path("undo.json");
+    let cell = directory.cell("irb6", |cell| cell.bus[0].interface = interface.into());
+    let doctor = |more: &[&str]| {
+        let paths = ["doctor".as_ref(), "--state".as_ref(), state.as_os_str()];
+        mrroc(paths.into_iter().chain(more.iter().map(AsRef::as_ref)))
+    };
+    let cell = cell.to_str().unwrap();
+    let mendable = |output: &Output| {
+        let json = output.json();
+        let fixes = |(of, what): &(&str, &str)| finding(&json, of, what)["fixes"].is_array();
+        knobs.iter().copied().filter(fixes).collect::<Vec<_>>()
+    };
+
+    let before = standing();
+    assert_eq!(mendable(&doctor(&[cell, "--json"])), knobs, "{before}");
+    assert_eq!(standing(), before, "looking changes nothing");
+
+    let fixed = doctor(&[cell, "--json", "--fix", "--yes"]);
+    assert_eq!(mendable(&fixed), [], "{fixed:?}");
+    for (of, what) in knobs {
+        let found = finding(&fixed.json(), of, what).clone();
+        assert_eq!(found["verdict"], "ok", "{found} {fixed:?}");
+    }
+    assert!(fixed.stderr.contains("--undo --state"), "{fixed:?}");
+    let mended = standing();
+    assert_ne!(mended, before);
+
+    // Another's value stays.
+    let queue = format!("/sys/class/net/{interface}/tx_queue_len");
+    let set = fs::read_to_string(&queue).unwrap();
+    fs::write(&queue, "77").unwrap();
+    let undone = doctor(&["--undo"]);
+    assert_eq!(undone.status.code(), Some(1), "{undone:?}");
+    let left = format!("left {queue}, which was ");
+    let since = ": changed by somebody since, to 77";
+    assert!(
+        undone.stdout.contains(&left) && undone.stdout.contains(since),
+        "{undone:?}"
+    );
+    fs::write(&queue, &set).unwrap();
+    let undone = doctor(&["--undo"]);
+    assert_eq!(undone.status.code(), Some(0), "{undone:?}");
+    assert_eq!(standing(), before, "{undone:?}");
+    assert!(!state.exists());
+}
+
+/// What is set on the test machine, link by netlink.
+pub(crate) fn standing(interface: &str) -> String {
+    let said = |command: &mut Command| {
+        let output = command.output().unwrap();
+        assert!(output.status.success(), "{command:?}");
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let json = said(Command::new("ip").args(["-d", "-j", "link", "show", "dev", interface]));
+    let link: Value = serde_json::from_str(&json).unwrap();
+    let (link, data) = (&link[0], &link[0]["linkinfo"]["info_data"]);
+    let runtime = fs::read_to_string("/proc/sys/kernel/sched_rt_runtime_us").unwrap();
+    format!(
+        "{} {} {} {} {}",
+        link["flags"], link["txqlen"], data["bittiming"], data["restart_ms"], runtime
+    )
+}
+
+#[test]
+fn what_a_virtual_bus_and_its_kernel_lack_is_set_and_put_back() {
+    mrroc::binary();
+    on_vcan(
+        "doctor::what_a_virtual_bus_and_its_kernel_lack_is_set_and_put_back",
+        |interface| {
+            sh(&format!(
+                "tc qdisc add dev {interface} root pfifo; ip link set {interface} txqueuelen 3 down; \
+                 echo 400000 >/proc/sys/kernel/sched_rt_runtime_us"
+            ));
+            let of = format!("bus arm, {interface}");
+            let knobs = [
+                ("kernel", "real-time throttling"),
+                (&of, "up"),
+                (&of, "txqueuelen"),
+            ];
+            mended_and_put_back(interface, &knobs, || standing(interface));
         },
     );
 }

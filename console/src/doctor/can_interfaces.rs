@@ -3,8 +3,9 @@
 use can::OpenError;
 
 use super::finding::Finding;
+use super::fix::{Fix, Knob};
 use super::link::Link;
-use super::tree::{Tree, cpu_list};
+use super::tree::{Tree, cpu_list, cpu_ranges};
 
 const NET: &str = "/sys/class/net";
 
@@ -84,6 +85,7 @@ pub(crate) fn findings(
         Err(error) => return wrong(&error.to_string(), "bus.interface in the cell".to_owned()),
     };
     let bitrate = u64::from(wanted.bitrate_kbps.unwrap_or(1000)) * 1000;
+    let fix_up = || Knob::State(name.to_owned()).to("up");
     let virtual_bus = match kind {
         Some(kind) => kind != "can",
         None => driver.is_none(),
@@ -105,8 +107,20 @@ pub(crate) fn findings(
     );
     findings.push(match (up, virtual_bus) {
         (true, _) => state,
-        (false, true) => state.not_usable(format!("ip link set {name} up")),
-        (false, false) => state.not_usable(set(&format!("bitrate {bitrate} restart-ms 100"))),
+        (false, true) => state
+            .not_usable(format!("ip link set {name} up"))
+            .fixed_by([fix_up()]),
+        (false, false) => {
+            let rate = match wanted.bitrate_kbps {
+                Some(kbps) => kbps.checked_mul(1000),
+                None => link.and_then(Link::bitrate),
+            };
+            let timing = rate.map(|rate| fix_timing(name, rate, None));
+            let fixes = timing.into_iter().flat_map(|timing| [timing, fix_up()]);
+            state
+                .not_usable(set(&format!("bitrate {bitrate} restart-ms 100")))
+                .fixed_by(fixes)
+        }
     });
     match link {
         _ if virtual_bus => {}
@@ -120,10 +134,10 @@ pub(crate) fn findings(
             .warning("apt-get install iproute2"),
         ),
         Some(link) => {
-            findings.extend(bit_timing(&wanted.of, wanted.bitrate_kbps, link, set));
+            findings.extend(bit_timing(wanted, link, set));
             findings.extend(errors(&wanted.of, up, link));
             if driver.is_some() {
-                findings.push(restart(&wanted.of, link, set));
+                findings.push(restart(wanted, link, set));
             }
         }
     }
@@ -153,12 +167,14 @@ fn frame_order(tree: &Tree, of: &str, driver: Option<&str>) -> Option<Finding> {
     })
 }
 
-fn bit_timing(
-    of: &str,
-    wanted_kbps: Option<u32>,
-    link: &Link,
-    set: impl Fn(&str) -> String,
-) -> Vec<Finding> {
+/// Sets a bit rate, bit/s, and a sample point, share of the bit.
+fn fix_timing(name: &str, bitrate: u32, point: Option<f64>) -> Fix {
+    let point = point.map_or(String::new(), |point| format!(" {point:.3}"));
+    Knob::BitTiming(name.to_owned()).to(format!("{bitrate}{point}"))
+}
+
+fn bit_timing(wanted: &Wanted, link: &Link, set: impl Fn(&str) -> String) -> Vec<Finding> {
+    let (of, name, wanted_kbps) = (&*wanted.of, &*wanted.interface, wanted.bitrate_kbps);
     let bitrate = link.bitrate();
     let told = bitrate.map_or("not set".to_owned(), |rate| {
         format!("{} kbit/s", f64::from(rate) / 1000.0)
@@ -172,7 +188,7 @@ fn bit_timing(
         },
         "a node at another bit rate destroys every frame on the bus",
     );
-    let wanted = wanted_kbps.map(|kbps| kbps * 1000);
+    let wanted = wanted_kbps.map(|kbps| kbps.saturating_mul(1000));
     let mend = set(&format!("bitrate {}", wanted.unwrap_or(1_000_000)));
     let agrees = match (bitrate, wanted) {
         (Some(rate), Some(wanted)) => rate == wanted,
@@ -181,7 +197,8 @@ fn bit_timing(
     let mut findings = vec![if agrees {
         finding
     } else {
-        finding.not_usable(mend)
+        let fix = wanted.map(|wanted| fix_timing(name, wanted, None));
+        finding.not_usable(mend).fixed_by(fix)
     }];
     if let (Some(rate), Some(point)) = (bitrate, link.sample_point()) {
         let finding = Finding::new(
@@ -194,7 +211,10 @@ fn bit_timing(
         findings.push(if (0.70..=0.90).contains(&point) {
             finding
         } else {
-            finding.warning(set(&format!("bitrate {rate} sample-point 0.875")))
+            let mend = set(&format!("bitrate {rate} sample-point 0.875"));
+            // A bit rate that is wrong is set first, and with it the kernel chooses the sample point.
+            let fix = agrees.then(|| fix_timing(name, rate, Some(0.875)));
+            finding.warning(mend).fixed_by(fix)
         });
     }
     findings
@@ -227,23 +247,26 @@ fn errors(of: &str, up: bool, link: &Link) -> Option<Finding> {
     })
 }
 
-fn restart(of: &str, link: &Link, set: impl Fn(&str) -> String) -> Finding {
+fn restart(wanted: &Wanted, link: &Link, set: impl Fn(&str) -> String) -> Finding {
     let after = link.restart_ms();
     let finding = Finding::new(
-        of,
+        &wanted.of,
         "restart-ms",
         after.to_string(),
         "after bus-off the card stays silent until it is restarted; 0 leaves that to a person",
     );
     match after {
-        0 => finding.warning(set("restart-ms 100")),
+        0 => finding
+            .warning(set("restart-ms 100"))
+            .fixed_by([Knob::RestartMs(wanted.interface.clone()).to("100")]),
         _ => finding,
     }
 }
 
 fn queue(tree: &Tree, wanted: &Wanted, link: Option<&Link>, virtual_bus: bool) -> Option<Finding> {
     let name = wanted.interface.as_str();
-    let length = tree.number(&format!("{NET}/{name}/tx_queue_len"))?;
+    let file = format!("{NET}/{name}/tx_queue_len");
+    let length = tree.number(&file)?;
     let discipline = link.map_or("", |link| &link.qdisc);
     let told = match discipline {
         "" => length.to_string(),
@@ -262,7 +285,9 @@ fn queue(tree: &Tree, wanted: &Wanted, link: Option<&Link>, virtual_bus: bool) -
         finding
     } else {
         let long_enough = 128.max(wanted.send_queue + 1);
-        finding.warning(format!("ip link set {name} txqueuelen {long_enough}"))
+        finding
+            .warning(format!("ip link set {name} txqueuelen {long_enough}"))
+            .fixed_by([Knob::Kernel(file).to(long_enough.to_string())])
     })
 }
 
@@ -304,7 +329,14 @@ fn interrupt(tree: &Tree, wanted: &Wanted) -> Option<Finding> {
             .iter()
             .map(|number| format!("/proc/irq/{number}/smp_affinity_list"))
             .collect();
-        finding.warning(format!("echo another CPU > {}", list.join(" ")))
+        let online = tree.text("/sys/devices/system/cpu/online");
+        let mut others = cpu_list(&online.unwrap_or_default());
+        others.retain(|cpu| Some(*cpu) != wanted.servo_cpu);
+        let mend = format!("echo another CPU > {}", list.join(" "));
+        let elsewhere = list.into_iter().filter(|_| !others.is_empty());
+        finding
+            .warning(mend)
+            .fixed_by(elsewhere.map(|file| Knob::Kernel(file).to(cpu_ranges(&others))))
     })
 }
 

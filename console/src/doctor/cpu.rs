@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use controller::cell::Realtime;
 
 use super::finding::Finding;
+use super::fix::Knob;
 use super::limits::{Identity, denied};
 use super::tree::{Tree, cpu_list, field};
 
@@ -25,7 +26,7 @@ pub(crate) fn findings(tree: &Tree, realtime: &Realtime) -> Vec<Finding> {
     vec![
         governors(tree, &online),
         idle_states(
-            deepest(tree, &online),
+            &enabled(tree, &online),
             latency.map(|access| identity.may(0o2, access)),
         ),
         placement(realtime, &online, &isolated, &allowed),
@@ -33,11 +34,17 @@ pub(crate) fn findings(tree: &Tree, realtime: &Realtime) -> Vec<Finding> {
 }
 
 fn governors(tree: &Tree, online: &BTreeSet<usize>) -> Finding {
-    let governors: BTreeSet<_> = online
+    let files = online
         .iter()
-        .filter_map(|cpu| tree.text(&format!("{CPUS}/cpu{cpu}/cpufreq/scaling_governor")))
+        .map(|cpu| format!("{CPUS}/cpu{cpu}/cpufreq/scaling_governor"));
+    let files: Vec<_> = files
+        .filter_map(|file| Some((tree.text(&file)?, file)))
         .collect();
-    let named: Vec<_> = governors.iter().map(String::as_str).collect();
+    let named: BTreeSet<_> = files
+        .iter()
+        .map(|(governor, _)| governor.as_str())
+        .collect();
+    let named: Vec<_> = named.into_iter().collect();
     let finding = Finding::new(
         OF,
         "governor",
@@ -51,11 +58,25 @@ fn governors(tree: &Tree, online: &BTreeSet<usize>) -> Finding {
     if named.iter().all(|&governor| governor == "performance") {
         return finding;
     }
-    finding.warning("cpupower frequency-set -g performance")
+    let slow = files
+        .iter()
+        .filter(|(governor, _)| governor != "performance");
+    let fixes = slow.map(|(_, file)| Knob::Kernel(file.clone()).to("performance"));
+    finding
+        .warning("cpupower frequency-set -g performance")
+        .fixed_by(fixes)
 }
 
-/// The enabled idle state that takes longest to leave, and how long that takes, µs.
-fn deepest(tree: &Tree, online: &BTreeSet<usize>) -> Option<(i64, String)> {
+/// An idle state that is enabled.
+#[derive(Debug)]
+struct IdleState {
+    /// How long it takes to leave, µs.
+    latency: i64,
+    name: String,
+    directory: String,
+}
+
+fn enabled(tree: &Tree, online: &BTreeSet<usize>) -> Vec<IdleState> {
     let states = online.iter().flat_map(|cpu| {
         let directory = format!("{CPUS}/cpu{cpu}/cpuidle");
         let states = tree.names(&directory).into_iter();
@@ -63,23 +84,29 @@ fn deepest(tree: &Tree, online: &BTreeSet<usize>) -> Option<(i64, String)> {
     });
     let enabled = states.filter(|state| tree.number(&format!("{state}/disable")) == Some(0));
     enabled
-        .filter_map(|state| {
-            let latency = tree.number(&format!("{state}/latency"))?;
-            Some((latency, tree.text(&format!("{state}/name"))?))
+        .filter_map(|directory| {
+            Some(IdleState {
+                latency: tree.number(&format!("{directory}/latency"))?,
+                name: tree.text(&format!("{directory}/name"))?,
+                directory,
+            })
         })
-        .max()
+        .collect()
 }
 
 /// `writable` is whether this user may hold `/dev/cpu_dma_latency`; none where there is no such file.
-fn idle_states(deepest: Option<(i64, String)>, writable: Option<bool>) -> Finding {
+fn idle_states(enabled: &[IdleState], writable: Option<bool>) -> Finding {
     let access = match writable {
         None => "no /dev/cpu_dma_latency",
         Some(false) => "/dev/cpu_dma_latency is not this user's to write",
         Some(true) => "/dev/cpu_dma_latency is writable",
     };
+    let deepest = enabled.iter().max_by_key(|state| state.latency);
     let (latency, read) = match deepest {
         None => (0, "none".to_owned()),
-        Some((latency, name)) => (latency, format!("down to {name}, {latency} µs to leave")),
+        Some(IdleState { latency, name, .. }) => {
+            (*latency, format!("down to {name}, {latency} µs to leave"))
+        }
     };
     let finding = Finding::new(
         OF,
@@ -90,10 +117,14 @@ fn idle_states(deepest: Option<(i64, String)>, writable: Option<bool>) -> Findin
     if latency <= BEARABLE_US {
         return finding;
     }
-    finding.warning(format!(
-        "cpupower idle-set -D {BEARABLE_US}; or processor.max_cstate=1 intel_idle.max_cstate=1 on the kernel's command \
-         line"
-    ))
+    let deep = enabled.iter().filter(|state| state.latency > BEARABLE_US);
+    let fixes = deep.map(|state| Knob::Kernel(format!("{}/disable", state.directory)).to("1"));
+    finding
+        .warning(format!(
+            "cpupower idle-set -D {BEARABLE_US}; or processor.max_cstate=1 intel_idle.max_cstate=1 on the kernel's \
+             command line"
+        ))
+        .fixed_by(fixes)
 }
 
 fn placement(
@@ -229,6 +260,9 @@ mod tests {
         for (files, verdict, read) in table {
             let finding = &host(files)[0];
             assert_eq!((finding.verdict, &*finding.read), (verdict, read));
+            let fix = Knob::Kernel(format!("/{lazy}")).to("performance");
+            let fix = (verdict == Verdict::Warning).then_some(fix);
+            assert_eq!(finding.fixes, Vec::from_iter(fix));
         }
     }
 
@@ -250,12 +284,14 @@ mod tests {
         };
         let deep = &host(&files("0"))[1];
         assert_eq!(deep.verdict, Verdict::Warning);
+        let disable = "/sys/devices/system/cpu/cpu0/cpuidle/state1/disable";
+        assert_eq!(deep.fixes, [Knob::Kernel(disable.to_owned()).to("1")]);
         assert_eq!(
             deep.read,
             "down to C6, 133 µs to leave; no /dev/cpu_dma_latency"
         );
         assert_eq!(host(&files("1"))[1].verdict, Verdict::Ok);
-        let unwritable = idle_states(None, Some(false));
+        let unwritable = idle_states(&[], Some(false));
         assert!(unwritable.read.contains("not this user's to write"));
     }
 

@@ -2,6 +2,8 @@
 
 use serde::Serialize;
 
+use super::fix::Fix;
+
 /// Whether a cell can run on what was found. The worst of all findings is the command's exit status.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
@@ -28,6 +30,9 @@ pub(crate) struct Finding {
     pub(crate) why: &'static str,
     /// The command or the file that mends it; none where there is nothing to mend.
     pub(crate) mend: Option<String>,
+    /// What `--fix` sets, in this order; nothing where only a person can mend it.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub(crate) fixes: Vec<Fix>,
 }
 
 impl Finding {
@@ -45,6 +50,15 @@ impl Finding {
             verdict: Verdict::Ok,
             why,
             mend: None,
+            fixes: Vec::new(),
+        }
+    }
+
+    /// What `--fix` does about it.
+    pub(crate) fn fixed_by(self, fixes: impl IntoIterator<Item = Fix>) -> Self {
+        Self {
+            fixes: fixes.into_iter().collect(),
+            ..self
         }
     }
 

@@ -1,12 +1,15 @@
 //! The kernel: how soon it lets a waiting thread run, and what it takes from one that does not wait.
 
 use super::finding::Finding;
+use super::fix::Knob;
 use super::tree::Tree;
 
 const OF: &str = "kernel";
 
-/// What a servo of `period_us` finds in the kernel; without a cell, no period.
-pub(crate) fn findings(tree: &Tree, period_us: Option<u32>) -> Vec<Finding> {
+const RUNTIME: &str = "/proc/sys/kernel/sched_rt_runtime_us";
+
+/// What a servo of `period_us` finds in the kernel; without a cell, no period. `fifo` is whether SCHED_FIFO was granted.
+pub(crate) fn findings(tree: &Tree, period_us: Option<u32>, fifo: bool) -> Vec<Finding> {
     let config = tree.kernel_config();
     let config = config.as_deref();
     let mut findings = vec![preemption(
@@ -15,7 +18,7 @@ pub(crate) fn findings(tree: &Tree, period_us: Option<u32>) -> Vec<Finding> {
     )];
     findings.push(timers(config, period_us));
     findings.extend(throttling(
-        tree.number("/proc/sys/kernel/sched_rt_runtime_us"),
+        tree.number(RUNTIME),
         tree.number("/proc/sys/kernel/sched_rt_period_us"),
     ));
     let groups = tree.text("/proc/self/cgroup").unwrap_or_default();
@@ -28,7 +31,10 @@ pub(crate) fn findings(tree: &Tree, period_us: Option<u32>) -> Vec<Finding> {
             ))
         })
     });
-    findings.push(group_scheduling(config, group, runtime));
+    // The second version's one hierarchy has no number.
+    let unified = groups.lines().find_map(|line| line.strip_prefix("0::"));
+    let unified = unified.filter(|&group| group != "/" && !fifo);
+    findings.push(group_scheduling(config, group, runtime, unified));
     findings
 }
 
@@ -99,10 +105,14 @@ fn throttling(runtime_us: Option<i64>, period_us: Option<i64>) -> Option<Finding
         "real-time threads are stopped for the rest of each such time once they have used their share; a servo that \
          waits between its cycles stays far below the usual 95 %",
     );
-    let mend = "sysctl -w kernel.sched_rt_runtime_us=950000";
+    let usual = period / 100 * 95;
+    let mend = format!("sysctl -w kernel.sched_rt_runtime_us={usual}");
+    let fix = Knob::Kernel(RUNTIME.to_owned()).to(usual.to_string());
     Some(match runtime {
-        0 => finding.not_usable(mend),
-        1.. if runtime.saturating_mul(10) < period.saturating_mul(9) => finding.warning(mend),
+        0 => finding.not_usable(mend).fixed_by([fix]),
+        1.. if runtime.saturating_mul(10) < period.saturating_mul(9) => {
+            finding.warning(mend).fixed_by([fix])
+        }
         _ => finding,
     })
 }
@@ -120,9 +130,18 @@ fn cpu_group(groups: &str) -> Option<&str> {
     })
 }
 
-fn group_scheduling(config: Option<&str>, group: Option<&str>, runtime_us: Option<i64>) -> Finding {
+/// `unified` is the group under the second version of control groups, which gives none but its root real-time run time, of
+/// a process that was denied SCHED_FIFO.
+fn group_scheduling(
+    config: Option<&str>,
+    group: Option<&str>,
+    runtime_us: Option<i64>,
+    unified: Option<&str>,
+) -> Finding {
     let built = config.and_then(|config| option(config, "CONFIG_RT_GROUP_SCHED")) == Some("y");
+    let unified = unified.filter(|_| built && group.is_none());
     let read = match (built, group, runtime_us) {
+        _ if unified.is_some() => format!("built in, group {}", unified.unwrap_or_default()),
         (_, Some(group), Some(runtime)) => format!("group {group} has {runtime} µs"),
         (true, Some(group), None) => format!("built in, group {group}"),
         (true, None, None) => "built in, no group of the CPU controller".to_owned(),
@@ -134,6 +153,12 @@ fn group_scheduling(config: Option<&str>, group: Option<&str>, runtime_us: Optio
         read,
         "a control group without real-time run time is denied SCHED_FIFO, whatever the limits say",
     );
+    if unified.is_some() {
+        return finding.warning(
+            "echo $$ > /sys/fs/cgroup/cgroup.procs before the start, as root; or a kernel without \
+             CONFIG_RT_GROUP_SCHED, as Debian's are",
+        );
+    }
     match (group, runtime_us) {
         (Some(group), Some(0)) => finding.not_usable(format!(
             "echo 800000 > /sys/fs/cgroup/cpu{group}/cpu.rt_runtime_us, its parents first; or start from the root group"
@@ -208,8 +233,12 @@ mod tests {
             (None, Some(1_000_000), None),
         ];
         for (runtime, period, verdict) in table {
-            let found = throttling(runtime, period).map(|finding| finding.verdict);
-            assert_eq!(found, verdict, "{runtime:?}");
+            let found = throttling(runtime, period);
+            let fixes = found.iter().flat_map(|finding| &finding.fixes);
+            let fix = Knob::Kernel(RUNTIME.to_owned()).to("950000");
+            let mendable = verdict.is_some_and(|verdict| verdict != Ok);
+            assert!(fixes.eq(mendable.then_some(&fix)), "{runtime:?}");
+            assert_eq!(found.map(|finding| finding.verdict), verdict, "{runtime:?}");
         }
     }
 
@@ -235,8 +264,18 @@ mod tests {
             (None, None, None, Ok, "not in use"),
         ];
         for (config, group, runtime, verdict, read) in table {
-            let finding = group_scheduling(config, group, runtime);
+            let finding = group_scheduling(config, group, runtime, None);
             assert_eq!((finding.verdict, &*finding.read), (verdict, read));
+        }
+        let table = [
+            (built, None, Some("/user.slice"), Warning),
+            (built, None, None, Ok),
+            (built, Some("/"), Some("/user.slice"), Ok),
+            (None, None, Some("/user.slice"), Ok),
+        ];
+        for (config, group, unified, verdict) in table {
+            let finding = group_scheduling(config, group, None, unified);
+            assert_eq!(finding.verdict, verdict, "{}", finding.read);
         }
         let first = "9:name=systemd:/\n4:cpu,cpuacct:/lab/robot\n0::/user.slice";
         assert_eq!(cpu_group(first), Some("/lab/robot"));

@@ -2,7 +2,10 @@
 
 use controller::cell::{Policy, Realtime};
 
+use servo::thread::{Denial, Grant, LIMITS, Limit};
+
 use super::finding::{Finding, Verdict};
+use super::fix::{Fix, Knob};
 use super::tree::{Access, Tree, field};
 
 const OF: &str = "limits";
@@ -50,6 +53,10 @@ impl Identity {
         }
     }
 
+    pub(crate) fn is_root(&self) -> bool {
+        self.uid == 0
+    }
+
     fn can(&self, capability: u32) -> bool {
         self.capabilities >> capability & 1 == 1
     }
@@ -71,7 +78,7 @@ impl Identity {
 pub(crate) fn findings(
     tree: &Tree,
     realtime: &Realtime,
-    tried: Result<(), servo::thread::Denial>,
+    tried: Result<(), Denial>,
 ) -> Vec<Finding> {
     let identity = Identity::of(tree);
     let limits = tree.text("/proc/self/limits").unwrap_or_default();
@@ -79,7 +86,27 @@ pub(crate) fn findings(
     if realtime.lock_memory {
         findings.push(memory(&limits, &identity, realtime.policy));
     }
+    let denied = findings.iter_mut().filter(|finding| finding.mend.is_some());
+    for finding in denied {
+        finding.fixes = vec![granting(tree, realtime)];
+    }
     findings
+}
+
+/// What is in the file of limits already, and the lines that a cell needs.
+fn granting(tree: &Tree, realtime: &Realtime) -> Fix {
+    let mut text = tree.whole(LIMITS).ok().flatten().unwrap_or_default();
+    if !text.is_empty() && !text.ends_with('\n') {
+        text.push('\n');
+    }
+    for limit in [Limit::Priority(realtime.priority), Limit::LockedMemory] {
+        let line = limit.to_string();
+        if !text.lines().any(|present| present == line) {
+            text += &line;
+            text.push('\n');
+        }
+    }
+    Knob::File(LIMITS.to_owned()).to(text)
 }
 
 /// The soft limit of a line of `/proc/self/limits`; `unlimited` is the greatest number.
@@ -111,7 +138,7 @@ fn scheduling(
     limits: &str,
     identity: &Identity,
     realtime: &Realtime,
-    tried: Result<(), servo::thread::Denial>,
+    tried: Result<(), Denial>,
 ) -> Finding {
     let priority = realtime.priority;
     let limit = told(soft_limit(limits, "Max realtime priority"));
@@ -129,12 +156,9 @@ fn scheduling(
     );
     match tried {
         Ok(()) => finding,
-        Err(_) => finding.judged(
+        Err(denial) => finding.judged(
             denied(realtime.policy),
-            format!(
-                "the line `@realtime - rtprio {priority}` in /etc/security/limits.d/mrroc.conf, the user in group \
-                 realtime, a new login; in a container also --cap-add SYS_NICE"
-            ),
+            format!("{denial}; in a container --cap-add SYS_NICE"),
         ),
     }
 }
@@ -153,19 +177,15 @@ fn memory(limits: &str, identity: &Identity, policy: Policy) -> Finding {
     if free || limit.is_some_and(|limit| limit >= LOCKED) {
         return finding;
     }
-    finding.judged(
-        denied(policy),
-        "the line `@realtime - memlock unlimited` in /etc/security/limits.d/mrroc.conf, the user in group realtime, a \
-         new login",
-    )
+    finding.judged(denied(policy), Grant(Limit::LockedMemory).to_string())
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::tests::Fake;
     use super::*;
-    use servo::thread::Denial;
 
-    const LIMITS: &str =
+    const OF_PROCESS: &str =
         "Limit                     Soft Limit           Hard Limit           Units     
 Max locked memory         8388608              8388608              bytes     
 Max realtime priority     0                    0                    
@@ -229,25 +249,61 @@ Max realtime timeout      unlimited            unlimited            us        ";
         for (policy, capabilities, tried, verdicts) in table {
             let identity = identity(capabilities);
             let found = [
-                scheduling(LIMITS, &identity, &realtime(policy), tried).verdict,
-                memory(LIMITS, &identity, policy).verdict,
+                scheduling(OF_PROCESS, &identity, &realtime(policy), tried).verdict,
+                memory(OF_PROCESS, &identity, policy).verdict,
             ];
             assert_eq!(found, verdicts, "{policy:?} {capabilities:x}");
         }
     }
 
     #[test]
+    fn the_file_of_limits_keeps_what_others_wrote() {
+        let path = LIMITS.trim_start_matches('/');
+        let ours = "@realtime - rtprio 80\n@realtime - memlock unlimited\n";
+        let table = [
+            (None, ours.to_owned()),
+            (
+                Some("# lab\n@realtime - nice -20"),
+                format!("# lab\n@realtime - nice -20\n{ours}"),
+            ),
+            (Some(ours), ours.to_owned()),
+        ];
+        for (before, after) in table {
+            let files: Vec<_> = before.map(|text| (path, text)).into_iter().collect();
+            let denial = Denial::Fifo {
+                priority: 80,
+                errno: 1,
+            };
+            let found = findings(&Fake::new(&files).tree(), &Realtime::default(), Err(denial));
+            assert!(
+                found[0]
+                    .mend
+                    .as_ref()
+                    .unwrap()
+                    .starts_with(&denial.to_string())
+            );
+            for finding in found {
+                let fix = Knob::File(LIMITS.to_owned()).to(after.as_str());
+                assert_eq!(finding.fixes, [fix], "{before:?}");
+            }
+        }
+    }
+
+    #[test]
     fn limits_are_told_as_they_are_set() {
-        assert_eq!(soft_limit(LIMITS, "Max locked memory"), Some(8_388_608));
-        assert_eq!(soft_limit(LIMITS, "Max realtime priority"), Some(0));
-        assert_eq!(soft_limit(LIMITS, "Max realtime timeout"), Some(u64::MAX));
-        assert_eq!(soft_limit(LIMITS, "Max open files"), None);
+        assert_eq!(soft_limit(OF_PROCESS, "Max locked memory"), Some(8_388_608));
+        assert_eq!(soft_limit(OF_PROCESS, "Max realtime priority"), Some(0));
+        assert_eq!(
+            soft_limit(OF_PROCESS, "Max realtime timeout"),
+            Some(u64::MAX)
+        );
+        assert_eq!(soft_limit(OF_PROCESS, "Max open files"), None);
         for (limit, verdict) in [
             ("unlimited", Verdict::Ok),
             ("1073741824", Verdict::Ok),
             ("67108864", Verdict::NotUsable),
         ] {
-            let limits = LIMITS.replace("8388608", limit);
+            let limits = OF_PROCESS.replace("8388608", limit);
             let finding = memory(&limits, &identity(0), Policy::Require);
             assert_eq!((finding.verdict, &*finding.read), (verdict, limit));
         }

@@ -1,25 +1,31 @@
 //! `mrroc doctor`: whether this host can run a cell, and what to change where it cannot.
 //!
-//! It reads and changes nothing. Each concept has a module of pure judgements on what [`tree::Tree`] and the few questions
-//! asked here returned; all of it is [`finding::Finding`]s, and the worst of them is the exit status.
+//! It changes nothing unless `--fix` asks for it. Each concept has a module of pure judgements on what [`tree::Tree`] and the few questions
+//! asked here returned; all of it is [`finding::Finding`]s, and the worst of them is the exit status. What mends one without a
+//! person is in it as [`fix::Fix`]es.
 
 mod can_interfaces;
 mod cpu;
 mod finding;
+mod fix;
 mod kernel;
 mod limits;
 mod link;
+mod mend;
+mod record;
 mod serial_lines;
 #[cfg(test)]
 mod tests;
 mod tree;
 
+use std::env;
+use std::io::{self, IsTerminal};
 use std::path::PathBuf;
 use std::process::{Command, ExitCode};
 use std::thread;
 use std::time::Duration;
 
-use anyhow::Context;
+use anyhow::{Context, ensure};
 use can::clock::{now, sleep_until};
 use can::{OpenError, SocketCanOptions, SocketCanPort};
 use clap::Args;
@@ -32,10 +38,11 @@ use crate::cell_file::CellFile;
 use crate::interfaces::Interface;
 use finding::{Finding, Verdict};
 use link::Link;
+use record::Record;
 use tree::Tree;
 
 /// How long the steal time is watched.
-const WATCH: Duration = Duration::from_millis(200);
+const WATCH: Duration = Duration::from_secs(1);
 
 /// What the command's help says of its exit status.
 const EXIT_STATUS: &str =
@@ -51,6 +58,18 @@ pub(crate) struct Options {
     /// Print one JSON object.
     #[arg(long)]
     json: bool,
+    /// Set what can be set, after asking for each finding; a cell must not run on this host. Then examine anew.
+    #[arg(long)]
+    fix: bool,
+    /// Ask nothing.
+    #[arg(long, requires = "fix")]
+    yes: bool,
+    /// Put back what `--fix` has set, the youngest change first; 1 if something could not be.
+    #[arg(long, conflicts_with_all = ["cell", "json", "fix"])]
+    undo: bool,
+    /// The record of what was set, by default below /var/lib/mrroc or, for users other than root, XDG_STATE_HOME.
+    #[arg(long, value_name = "FILE")]
+    state: Option<PathBuf>,
 }
 
 /// Everything that was found.
@@ -63,9 +82,28 @@ struct Examined {
 
 /// Examines the host and says what it found.
 pub(crate) fn doctor(options: &Options) -> anyhow::Result<ExitCode> {
+    let tree = Tree::new("/");
+    if options.undo {
+        return undo(&tree, options);
+    }
+    ensure!(
+        !options.fix || options.yes || io::stdin().is_terminal(),
+        "--fix asks on a terminal, and this is none: --yes answers for it"
+    );
     let file = options.cell.as_deref().map(CellFile::read).transpose()?;
     let cell = file.as_ref().map(|file| &file.cell);
-    let findings = examine(&Tree::new("/"), cell)?;
+    let mut findings = examine(&tree, cell)?;
+    if options.fix {
+        let mut record = Record::open(&state(&tree, options)?)?;
+        mend::fix(&tree, &findings, &mut record, |finding| {
+            if options.yes {
+                Ok(true)
+            } else {
+                mend::asked(finding)
+            }
+        })?;
+        findings = examine(&tree, cell)?;
+    }
     let worst = findings.iter().map(|finding| finding.verdict).max();
     let examined = Examined {
         cell: cell.map(|cell| cell.name.clone()),
@@ -84,14 +122,43 @@ pub(crate) fn doctor(options: &Options) -> anyhow::Result<ExitCode> {
     }))
 }
 
+fn undo(tree: &Tree, options: &Options) -> anyhow::Result<ExitCode> {
+    let mut record = Record::open(&state(tree, options)?)?;
+    if record.changes().is_empty() {
+        println!("{}: nothing to put back", record.path().display());
+    }
+    let left = mend::undo(tree, &mut record)?;
+    Ok(ExitCode::from(u8::from(left > 0)))
+}
+
+/// Where the record of changes is.
+fn state(tree: &Tree, options: &Options) -> anyhow::Result<PathBuf> {
+    const NAME: &str = "doctor-undo.json";
+    if let Some(file) = &options.state {
+        return Ok(file.clone());
+    }
+    if limits::Identity::of(tree).is_root() {
+        return Ok(PathBuf::from("/var/lib/mrroc").join(NAME));
+    }
+    let absolute = |name| {
+        env::var_os(name)
+            .map(PathBuf::from)
+            .filter(|path| path.is_absolute())
+    };
+    let home = || Some(absolute("HOME")?.join(".local/state"));
+    let directory = absolute("XDG_STATE_HOME").or_else(home);
+    let directory = directory.context("no HOME for the record of changes: --state FILE")?;
+    Ok(directory.join("mrroc").join(NAME))
+}
+
 fn examine(tree: &Tree, cell: Option<&Cell>) -> anyhow::Result<Vec<Finding>> {
     let realtime = cell.map_or_else(Realtime::default, |cell| cell.realtime.clone());
     let stat = || tree.text("/proc/stat").unwrap_or_default();
     let before = stat();
     let end = now() + WATCH;
 
-    let mut findings = kernel::findings(tree, cell.map(|cell| cell.period_us));
     let tried = try_fifo(realtime.priority)?;
+    let mut findings = kernel::findings(tree, cell.map(|cell| cell.period_us), tried.is_ok());
     findings.extend(limits::findings(tree, &realtime, tried));
     findings.extend(cpu::findings(tree, &realtime));
     let (interfaces, lines) = wanted(tree, cell);
@@ -198,6 +265,9 @@ fn print(examined: &Examined) {
         println!("{verdict:10}  {of}: {what}: {read}");
         if let Some(mend) = &finding.mend {
             println!("{:12}why: {why}\n{:12}mend: {mend}", "", "");
+        }
+        for fix in &finding.fixes {
+            println!("{:12}--fix: {fix}", "");
         }
     }
     let count = |verdict| {

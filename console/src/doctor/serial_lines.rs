@@ -1,6 +1,7 @@
 //! The ttys of a cell: whether they are there, are this user's to open, keep their names, and answer at once.
 
 use super::finding::Finding;
+use super::fix::Knob;
 use super::limits::Identity;
 use super::tree::Tree;
 
@@ -111,9 +112,10 @@ fn latency(tree: &Tree, of: &str, name: &str) -> Option<Finding> {
     Some(if timer <= 1 {
         finding
     } else {
-        finding.warning(format!(
+        let mend = format!(
             "echo 1 > {file}; for good ATTR{{latency_timer}}=\"1\" in a rule of /etc/udev/rules.d"
-        ))
+        );
+        finding.warning(mend).fixed_by([Knob::Kernel(file).to("1")])
     })
 }
 

@@ -2,7 +2,8 @@
 //! everything else in the examination works on what it returned.
 
 use std::collections::BTreeSet;
-use std::fs;
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, ErrorKind, Write};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -75,6 +76,35 @@ impl Tree {
         })
     }
 
+    /// Whether this is the running host's own tree, so that what is in no file can be asked of its kernel.
+    pub(crate) fn is_host(&self) -> bool {
+        self.root == Path::new("/")
+    }
+
+    /// The whole of a file; none where there is none.
+    pub(crate) fn whole(&self, path: &str) -> io::Result<Option<String>> {
+        match fs::read_to_string(self.at(path)) {
+            Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
+            text => text.map(Some),
+        }
+    }
+
+    /// Writes a file that is there already, as one below `/proc` or `/sys`.
+    pub(crate) fn set(&self, path: &str, text: &str) -> io::Result<()> {
+        // A link that leads out of the tree leads to somebody else's file.
+        if self.resolved(path).is_none() {
+            return Err(ErrorKind::NotFound.into());
+        }
+        let mut file = OpenOptions::new().write(true).open(self.at(path))?;
+        file.write_all(text.as_bytes())
+    }
+
+    /// Puts `text` in the place of a whole file, or removes it for none. It is as it was or as it shall be, whenever the
+    /// power fails.
+    pub(crate) fn replace(&self, path: &str, text: Option<&str>) -> io::Result<()> {
+        replace(&self.at(path), text)
+    }
+
     /// What the running kernel was built with, where it tells.
     pub(crate) fn kernel_config(&self) -> Option<String> {
         let release = self.text("/proc/sys/kernel/osrelease")?;
@@ -83,6 +113,27 @@ impl Tree {
             output_of(Command::new("gzip").arg("-dc").arg(packed))
         })
     }
+}
+
+/// What [`Tree::replace`] does, for a path outside the tree.
+pub(crate) fn replace(path: &Path, text: Option<&str>) -> io::Result<()> {
+    let directory = path.parent().ok_or(ErrorKind::InvalidInput)?;
+    if let Some(text) = text {
+        fs::create_dir_all(directory)?;
+        let mut name = path.file_name().ok_or(ErrorKind::InvalidInput)?.to_owned();
+        name.push(".new");
+        let new = directory.join(name);
+        let mut file = File::create(&new)?;
+        if let Ok(old) = fs::metadata(path) {
+            file.set_permissions(old.permissions())?;
+        }
+        file.write_all(text.as_bytes())?;
+        file.sync_all()?;
+        fs::rename(&new, path)?;
+    } else {
+        fs::remove_file(path)?;
+    }
+    File::open(directory)?.sync_all()
 }
 
 /// What a program prints within two seconds; none where it is not installed, fails or takes longer.
@@ -95,13 +146,33 @@ pub(crate) fn output_of(program: &Command) -> Option<String> {
     output.status.success().then_some(printed)
 }
 
-/// The numbers of a list such as `0-3,6`, as the kernel writes sets of CPUs. What is no number is left out.
+/// No kernel is built for more CPUs.
+const MOST_CPUS: usize = 8192;
+
+/// The numbers of a list such as `0-3,6`, as the kernel writes sets of CPUs. What is no CPU's is left out.
 pub(crate) fn cpu_list(text: &str) -> BTreeSet<usize> {
     let ranges = text.trim().split(',').filter_map(|part| {
         let (first, last) = part.split_once('-').unwrap_or((part, part));
-        Some(first.trim().parse().ok()?..=last.trim().parse().ok()?)
+        let last: usize = last.trim().parse().ok()?;
+        Some(first.trim().parse().ok()?..=last.min(MOST_CPUS))
     });
     ranges.flatten().collect()
+}
+
+/// The list that [`cpu_list`] reads, as the kernel writes it.
+pub(crate) fn cpu_ranges(cpus: &BTreeSet<usize>) -> String {
+    let mut ranges: Vec<(usize, usize)> = Vec::new();
+    for &cpu in cpus {
+        match ranges.last_mut() {
+            Some((_, last)) if *last + 1 == cpu => *last = cpu,
+            _ => ranges.push((cpu, cpu)),
+        }
+    }
+    let shown = ranges.into_iter().map(|(first, last)| match last - first {
+        0 => first.to_string(),
+        _ => format!("{first}-{last}"),
+    });
+    shown.collect::<Vec<_>>().join(",")
 }
 
 /// The value behind `name` and a colon, as in `/proc/self/status`.
@@ -127,8 +198,12 @@ mod tests {
             ("5-", &[]),
         ];
         for (text, cpus) in table {
-            assert!(cpu_list(text).iter().eq(cpus), "{text:?}");
+            let set = cpu_list(text);
+            assert!(set.iter().eq(cpus), "{text:?}");
+            assert_eq!(cpu_list(&cpu_ranges(&set)), set);
         }
+        assert_eq!(cpu_ranges(&[0, 1, 2, 4, 6, 7].into()), "0-2,4,6-7");
+        assert_eq!(cpu_list("0-18446744073709551615").len(), MOST_CPUS + 1);
     }
 
     #[test]

@@ -1,7 +1,8 @@
 //! Bit rate and state of a CAN card, read and set through netlink, as `ip link set can0 type can` does.
 //!
 //! This is the rim: it makes system calls and allocates, and is for setting up. The kernel answers at once.
-//! Read [`set_bitrate`] first.
+//! Read [`set_bitrate`] first; [`change`] is for what
+//! a person would do with `ip`.
 
 use socketcan::nl::CanState;
 use socketcan::{CanInterface, Error, NlError};
@@ -77,6 +78,12 @@ pub enum CardError {
         /// The rate it has, bit/s.
         found: u32,
     },
+    /// The kernel does not change it, and its reason does not come through.
+    #[error(
+        "{0}: the kernel refuses: it takes the capability CAP_NET_ADMIN, a card needs a bit rate to come up, and not every \
+         card has every bit rate"
+    )]
+    Refused(InterfaceName),
     /// Anything else that the kernel said.
     #[error("{interface}: netlink says errno {errno}")]
     Os {
@@ -131,6 +138,61 @@ pub fn set_bitrate(interface: &str, bitrate: Bitrate) -> Result<Card, CardError>
             found: found.unwrap_or(0),
         }),
     }
+}
+
+/// Whether `interface`, a card or a virtual one, is up.
+pub fn is_up(interface: &str) -> Result<bool, CardError> {
+    let name = find(interface)?;
+    let details = open(name)?.details();
+    Ok(details.map_err(|error| unread(name, &error))?.is_up)
+}
+
+/// What is to be changed of an interface; what is `None` stays.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Change {
+    /// Bit rate, bit/s, and sample point, tenths of a percent; without one, the kernel's own choice.
+    pub timing: Option<(u32, Option<u32>)>,
+    /// Time from bus-off to the restart, ms; zero for never.
+    pub restart_ms: Option<u32>,
+    /// Whether it is up afterwards.
+    pub up: Option<bool>,
+}
+
+/// Changes `interface`, a card or, for `up` alone, a virtual one.
+///
+/// Whoever uses it loses the bus for the time of a change of timing or restart, for which it must be down.
+pub fn change(interface: &str, change: &Change) -> Result<(), CardError> {
+    let name = find(interface)?;
+    let link = open(name)?;
+    if let Some((bitrate, _)) = change.timing
+        && !(1..=1_000_000).contains(&bitrate)
+    {
+        return Err(CardError::Unreachable {
+            interface: name,
+            bitrate,
+        });
+    }
+    let was_up = link.details().map_err(|error| unread(name, &error))?.is_up;
+    let on_card = change.timing.is_some() || change.restart_ms.is_some();
+    if on_card {
+        read_link(name, &link)?;
+    }
+    let mut changed = Ok(());
+    if was_up && (on_card || change.up == Some(false)) {
+        changed = link.bring_down();
+    }
+    if let (Ok(()), Some((bitrate, sample_point))) = (&changed, change.timing) {
+        changed = link.set_bitrate(bitrate, sample_point.filter(|&point| point < 1000));
+    }
+    if let (Ok(()), Some(restart_ms)) = (&changed, change.restart_ms) {
+        changed = link.set_restart_ms(restart_ms);
+    }
+    // One that was up comes up again whatever failed.
+    if change.up.unwrap_or(was_up) {
+        let up = link.bring_up();
+        changed = changed.and(up);
+    }
+    changed.map_err(|error| errno(&error).map_or(CardError::Refused(name), |errno| os(name, errno)))
 }
 
 fn open(interface: InterfaceName) -> Result<CanInterface, CardError> {

@@ -1,5 +1,6 @@
 //! What a real-time thread asks of the host, one by one, and what the host denied.
 
+use std::fmt;
 use std::fs::{File, OpenOptions};
 use std::hint;
 use std::io::{self, Write};
@@ -32,14 +33,53 @@ impl CpuLatency {
     }
 }
 
+/// Where the lines that grant a [`Limit`] belong.
+pub const LIMITS: &str = "/etc/security/limits.d/mrroc.conf";
+
+/// What a line of [`LIMITS`] grants to the members of group realtime (limits.conf(5)); its words are that line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Limit {
+    /// SCHED_FIFO up to this priority.
+    Priority(u8),
+    /// Locking all memory.
+    LockedMemory,
+}
+
+impl fmt::Display for Limit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Priority(priority) => write!(f, "@realtime - rtprio {priority}"),
+            Self::LockedMemory => write!(f, "@realtime - memlock unlimited"),
+        }
+    }
+}
+
+/// How to have a [`Limit`] granted, in words.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Grant(pub Limit);
+
+impl fmt::Display for Grant {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let capability = match self.0 {
+            Limit::Priority(_) => "cap_sys_nice",
+            Limit::LockedMemory => "cap_ipc_lock",
+        };
+        write!(
+            f,
+            "grant it with the line `{}` in {LIMITS}, the user in group realtime and a new login, or with \
+             `setcap {capability}+ep` on the program",
+            self.0
+        )
+    }
+}
+
 /// What the host denied, and how to have it granted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum Denial {
     /// SCHED_FIFO.
     #[error(
-        "SCHED_FIFO priority {priority} was denied (errno {errno}); grant it with the line \
-         `@realtime - rtprio {priority}` in /etc/security/limits.conf, or \
-         `setcap cap_sys_nice+ep` on the program"
+        "SCHED_FIFO priority {priority} was denied (errno {errno}); {}",
+        Grant(Limit::Priority(*priority))
     )]
     Fifo {
         /// The priority asked for.
@@ -49,9 +89,8 @@ pub enum Denial {
     },
     /// `mlockall`.
     #[error(
-        "locking memory was denied (errno {errno}); grant it with the line \
-         `@realtime - memlock unlimited` in /etc/security/limits.conf, or \
-         `setcap cap_ipc_lock+ep` on the program"
+        "locking memory was denied (errno {errno}); {}",
+        Grant(Limit::LockedMemory)
     )]
     LockMemory {
         /// What the system said.

@@ -24,6 +24,7 @@ fn host(driver: &str, release: &str, affinity: &str) -> Fake {
         ("sys/class/net/can0/type", "280\n"),
         ("sys/class/net/can0/tx_queue_len", "10\n"),
         ("sys/class/net/eth0/type", "1\n"),
+        ("sys/devices/system/cpu/online", "0-3\n"),
         (&format!("sys/bus/usb/drivers/{driver}/bind"), ""),
         (&format!("{adapter}/bInterfaceNumber"), "00"),
         ("sys/devices/pci0000:00/0000:00:14.0/irq", "17\n"),
@@ -167,6 +168,53 @@ fn what_a_card_lacks_is_found_and_mended_by_a_command() {
 }
 
 #[test]
+fn what_a_card_lacks_is_set_knob_by_knob() {
+    let knob = || "can0".to_owned();
+    let table = [
+        (
+            ("\"bitrate\":1000000", "\"bitrate\":500000"),
+            "bit rate",
+            Some(Knob::BitTiming(knob()).to("1000000")),
+        ),
+        (
+            ("\"0.750\"", "\"0.500\""),
+            "sample point",
+            Some(Knob::BitTiming(knob()).to("1000000 0.875")),
+        ),
+        (
+            ("\"restart_ms\":100", "\"restart_ms\":0"),
+            "restart-ms",
+            Some(Knob::RestartMs(knob()).to("100")),
+        ),
+        // What wiring makes no setting mends.
+        (("ERROR-ACTIVE", "BUS-OFF"), "bus state", None),
+    ];
+    for ((right, wrong), what, fix) in table {
+        let found = found(&CARD.replace(right, wrong));
+        assert_eq!(of(&found, what).fixes, Vec::from_iter(fix), "{wrong}");
+    }
+    let down = Err(OpenError::Down(name()));
+    let link = Link::parse(CARD).unwrap();
+    let up = Knob::State(knob()).to("up");
+    let timing = |rate: &str| Knob::BitTiming(knob()).to(rate);
+    // Without a cell nobody knows the bit rate of a card that has none.
+    let bare = CARD.replace("\"bitrate\":1000000", "\"bitrate\":0");
+    for (bitrate_kbps, link, fixes) in [
+        (Some(250), &link, vec![timing("250000"), up.clone()]),
+        (None, &link, vec![timing("1000000"), up]),
+        (None, &Link::parse(&bare).unwrap(), vec![]),
+    ] {
+        let wanted = Wanted {
+            bitrate_kbps,
+            ..wanted()
+        };
+        let tree = host("kvaser_usb", "6.1.0", "0").tree();
+        let found = findings(&tree, &wanted, down, Some(link));
+        assert_eq!(of(&found, "up").fixes, fixes, "{bitrate_kbps:?}");
+    }
+}
+
+#[test]
 fn an_interface_that_cannot_be_opened_says_why() {
     let tree = host("kvaser_usb", "6.1.0", "0");
     let table = [
@@ -303,6 +351,9 @@ fn interrupts_of_the_card_stay_off_the_servos_cpu_or_have_it_alone() {
         };
         let found = interrupt(&host("kvaser_usb", "6.1.0", affinity).tree(), &wanted).unwrap();
         assert_eq!(found.verdict, verdict, "{servo_cpu:?} {affinity}");
+        let irq = Knob::Kernel("/proc/irq/17/smp_affinity_list".to_owned());
+        let fix = (verdict == Warning).then(|| irq.to("0-2"));
+        assert_eq!(found.fixes, Vec::from_iter(fix));
     }
 }
 

@@ -1,0 +1,160 @@
+use std::fs;
+
+use super::super::mend::undo;
+use super::super::tests::Fake;
+use super::*;
+
+const RUNTIME: &str = "proc/sys/kernel/sched_rt_runtime_us";
+const LIMITS: &str = "etc/security/limits.d/mrroc.conf";
+const RECORD: &str = "var/undo.json";
+
+fn runtime(after: &str) -> Fix {
+    Knob::Kernel(format!("/{RUNTIME}")).to(after)
+}
+
+fn limits(after: &str) -> Fix {
+    Knob::File(format!("/{LIMITS}")).to(after)
+}
+
+fn record(fake: &Fake) -> Record {
+    Record::open(&fake.path(RECORD)).unwrap()
+}
+
+fn applied(fake: &Fake, fixes: &[Fix]) {
+    let mut record = record(fake);
+    for fix in fixes {
+        apply(&fake.tree(), fix, &mut record).unwrap();
+    }
+}
+
+/// How many changes could not be put back.
+fn undone(fake: &Fake) -> usize {
+    undo(&fake.tree(), &mut record(fake)).unwrap()
+}
+
+#[test]
+fn what_was_set_is_put_back_byte_for_byte() {
+    let own = "# ours\n\n@realtime - nice -5 \n";
+    let table = [None, Some(own), Some("")];
+    for before in table {
+        let mut files = vec![(RUNTIME, "400000\n")];
+        files.extend(before.map(|text| (LIMITS, text)));
+        let fake = Fake::new(&files);
+        applied(&fake, &[runtime("950000"), limits("a\n"), limits("b\n")]);
+        assert_eq!(fake.text(LIMITS).as_deref(), Some("b\n"));
+        assert_eq!(fake.text(RUNTIME).unwrap().trim(), "950000");
+        assert_eq!(undone(&fake), 0);
+        assert_eq!(fake.text(LIMITS).as_deref(), before);
+        assert_eq!(fake.text(RUNTIME).unwrap().trim(), "400000");
+        assert_eq!(fake.text(RECORD), None, "an empty record is gone");
+    }
+}
+
+#[test]
+fn what_stands_where_it_should_is_not_touched_or_recorded() {
+    let fake = Fake::new(&[(RUNTIME, "950000\n")]);
+    let done = apply(&fake.tree(), &runtime("950000"), &mut record(&fake));
+    assert_eq!(done.unwrap(), None);
+    assert_eq!(fake.text(RUNTIME).as_deref(), Some("950000\n"));
+    assert_eq!(fake.text(RECORD), None);
+}
+
+#[test]
+fn a_change_that_cannot_be_recorded_is_not_made() {
+    let fake = Fake::new(&[(RUNTIME, "400000\n")]);
+    let mut record = record(&fake);
+    // The place of the new record is taken.
+    fs::create_dir(fake.path("var/undo.json.new")).unwrap();
+    let refused = apply(&fake.tree(), &runtime("950000"), &mut record);
+    assert!(refused.unwrap_err().to_string().contains("undo.json"));
+    assert_eq!(fake.text(RUNTIME).as_deref(), Some("400000\n"));
+}
+
+#[test]
+fn a_crash_before_or_behind_a_change_leaves_what_undo_needs() {
+    let fake = Fake::new(&[(RUNTIME, "400000\n")]);
+    let change = Change {
+        knob: runtime("").knob,
+        before: Some("400000".into()),
+        after: "950000".into(),
+    };
+    for (reached, left) in [("400000\n", 0), ("950000", 0), ("700000", 1)] {
+        record(&fake).push(change.clone()).unwrap();
+        fake.write(RUNTIME, reached);
+        assert_eq!(undone(&fake), left, "{reached}");
+    }
+    // Somebody's own value stays, and so does the record of what was there.
+    assert_eq!(fake.text(RUNTIME).as_deref(), Some("700000"));
+    assert_eq!(record(&fake).changes(), [change]);
+}
+
+#[test]
+fn what_is_put_back_is_forgotten_at_once_and_what_is_not_stays() {
+    let fake = Fake::new(&[(RUNTIME, "1"), ("sys/first", "1"), ("sys/last", "1")]);
+    let knob = |name: &str| Knob::Kernel(format!("/sys/{name}")).to("2");
+    applied(&fake, &[knob("first"), runtime("2"), knob("last")]);
+    fake.write(RUNTIME, "3");
+    assert_eq!(undone(&fake), 1);
+    let read = ["sys/first", RUNTIME, "sys/last"].map(|path| fake.text(path).unwrap());
+    assert_eq!(read, ["1", "3", "1"]);
+    assert_eq!(record(&fake).changes().len(), 1);
+    fake.write(RUNTIME, "2");
+    assert_eq!(undone(&fake), 0);
+    assert_eq!(fake.text(RUNTIME).as_deref(), Some("1"));
+}
+
+#[test]
+fn a_knob_that_cannot_be_turned_says_why_and_leaves_no_record() {
+    let fake = Fake::new(&[("sys/kernel/file", "1")]);
+    fake.link("sys/outside", "../../../../../../etc/hostname");
+    let table = [
+        (Knob::Kernel("/sys/none".into()), "/sys/none is not there"),
+        (Knob::Kernel("/sys/outside".into()), "/sys/outside"),
+        (Knob::Kernel("/sys/kernel".into()), "/sys/kernel"),
+        (Knob::BitTiming("can0".into()), "no interfaces"),
+        (Knob::RestartMs("can0".into()), "no interfaces"),
+        (Knob::State("can0".into()), "no interfaces"),
+    ];
+    for (knob, why) in table {
+        let refused = apply(&fake.tree(), &knob.to("2"), &mut record(&fake)).unwrap_err();
+        assert!(format!("{refused:#}").contains(why), "{refused:#}");
+        assert_eq!(fake.text(RECORD), None);
+    }
+}
+
+#[test]
+fn a_record_that_is_none_or_in_use_is_refused() {
+    let fake = Fake::new(&[]);
+    let held = record(&fake);
+    let refused = Record::open(&fake.path(RECORD)).err().unwrap();
+    assert!(refused.to_string().contains("another doctor"), "{refused}");
+    drop(held);
+    for text in ["", "{}", "[{\"knob\":{\"reactor\":\"1\"}}]", "\u{0}"] {
+        fake.write(RECORD, text);
+        let refused = Record::open(&fake.path(RECORD)).err().unwrap();
+        assert!(refused.to_string().contains("no record"), "{refused}");
+    }
+}
+
+#[test]
+fn a_bit_rate_stands_where_its_sample_point_is_near() {
+    let knob = Knob::BitTiming("can0".into());
+    let table = [
+        (Some("500000"), Some("500000 0.875"), true),
+        (Some("500000 0.875"), Some("500000 0.866"), true),
+        (Some("500000 0.875"), Some("500000 0.750"), false),
+        (Some("500000 0.000"), Some("500000 0.750"), true),
+        (Some("1000000"), Some("500000 0.875"), false),
+        (Some("1000000"), None, false),
+        (None, Some("500000 0.875"), false),
+        (None, None, true),
+        (Some("fast"), Some("faster"), false),
+    ];
+    for (wanted, found, stands) in table {
+        assert_eq!(
+            knob.stands_at(wanted, found),
+            stands,
+            "{wanted:?} {found:?}"
+        );
+    }
+}

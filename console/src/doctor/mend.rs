@@ -1,0 +1,80 @@
+//! `--fix` and `--undo`: asks for each finding, applies its fixes, and puts back what they changed.
+
+use std::io::{self, BufRead, Write};
+
+use super::finding::Finding;
+use super::fix::{apply, put_back, shown};
+use super::record::Record;
+use super::tree::Tree;
+
+/// Applies the fixes of all findings that `agreed` agrees to; says what was done on stderr.
+///
+/// One that fails is told, and the rest follows; only a record that cannot be written ends it.
+pub(crate) fn fix(
+    tree: &Tree,
+    findings: &[Finding],
+    record: &mut Record,
+    mut agreed: impl FnMut(&Finding) -> io::Result<bool>,
+) -> anyhow::Result<()> {
+    let before = record.changes().len();
+    for finding in findings.iter().filter(|finding| !finding.fixes.is_empty()) {
+        if !agreed(finding)? {
+            continue;
+        }
+        for fix in &finding.fixes {
+            match apply(tree, fix, record) {
+                Ok(None) => {}
+                Ok(Some(change)) => {
+                    eprintln!("set {fix}, before {}", shown(change.before.as_deref()));
+                }
+                Err(error) => eprintln!("not set: {fix}: {error:#}"),
+            }
+        }
+    }
+    if record.changes().len() > before {
+        let path = record.path().display();
+        eprintln!("`mrroc doctor --undo --state {path}` puts it back");
+    }
+    Ok(())
+}
+
+/// Asks on the terminal.
+pub(crate) fn asked(finding: &Finding) -> io::Result<bool> {
+    let Finding {
+        of,
+        what,
+        read,
+        why,
+        fixes,
+        ..
+    } = finding;
+    eprintln!("\n{of}: {what}: {read}\n  why: {why}");
+    for fix in fixes {
+        eprintln!("  set: {fix}");
+    }
+    eprint!("Set it? [y/N] ");
+    io::stderr().flush()?;
+    let mut answer = String::new();
+    io::stdin().lock().read_line(&mut answer)?;
+    Ok(matches!(answer.trim(), "y" | "Y" | "yes"))
+}
+
+/// Puts back all that is in the record, the youngest first; returns how many changes could not be, which stay in it.
+pub(crate) fn undo(tree: &Tree, record: &mut Record) -> anyhow::Result<usize> {
+    let mut left = 0;
+    for index in (0..record.changes().len()).rev() {
+        let change = record.changes()[index].clone();
+        let before = shown(change.before.as_deref());
+        match put_back(tree, &change) {
+            Ok(()) => {
+                println!("put back {} = {before}", change.knob);
+                record.remove(index)?;
+            }
+            Err(error) => {
+                println!("left {}, which was {before}: {error:#}", change.knob);
+                left += 1;
+            }
+        }
+    }
+    Ok(left)
+}
