@@ -194,11 +194,12 @@ pub(crate) fn apply(tree: &Tree, fix: &Fix, record: &mut Record) -> anyhow::Resu
         record.pop()?;
     }
     written?;
-    ensure!(
-        knob.stands_at(Some(after), found.as_deref()),
-        "set to {after}, it reads {}",
-        shown(found.as_deref())
-    );
+    if !knob.stands_at(Some(after), found.as_deref()) {
+        let found = found.unwrap_or_default();
+        // What the kernel made of it is ours all the same, and to be put back.
+        record.amend(found.clone())?;
+        bail!("it reads {}", shown(Some(&found)));
+    }
     Ok(Some(change))
 }
 

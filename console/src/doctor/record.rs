@@ -65,6 +65,14 @@ impl Record {
         self.store()
     }
 
+    /// The last change came out otherwise.
+    pub(crate) fn amend(&mut self, after: String) -> anyhow::Result<()> {
+        if let Some(last) = self.changes.last_mut() {
+            last.after = after;
+        }
+        self.store()
+    }
+
     /// Forgets the last change.
     pub(crate) fn pop(&mut self) -> anyhow::Result<()> {
         self.remove(self.changes.len() - 1)

@@ -123,6 +123,16 @@ fn a_knob_that_cannot_be_turned_says_why_and_leaves_no_record() {
 }
 
 #[test]
+fn what_the_kernel_makes_another_value_of_is_told_and_put_back() {
+    let fake = Fake::new(&[(RUNTIME, "400000\n")]);
+    // It is read without the space.
+    let refused = apply(&fake.tree(), &runtime(" 950000"), &mut record(&fake));
+    assert_eq!(refused.unwrap_err().to_string(), "it reads 950000");
+    assert_eq!(undone(&fake), 0);
+    assert_eq!(fake.text(RUNTIME).as_deref(), Some("400000"));
+}
+
+#[test]
 fn a_record_that_is_none_or_in_use_is_refused() {
     let fake = Fake::new(&[]);
     let held = record(&fake);
