@@ -47,8 +47,24 @@ pub(crate) fn findings(tree: &Tree, wanted: &Wanted) -> Vec<Finding> {
     let mut findings = vec![presence(present)];
     findings.extend(permission(tree, wanted));
     findings.extend(naming(tree, wanted, &name));
+    findings.extend(flag(tree, of, &name));
     findings.extend(latency(tree, of, &name));
     findings
+}
+
+/// What the driver of a serial port was told last (`ASYNC_LOW_LATENCY` of linux/tty_flags.h). The run needs no help with it:
+/// every opening sets it, which takes no privilege.
+fn flag(tree: &Tree, of: &str, name: &str) -> Option<Finding> {
+    const LOW_LATENCY: u32 = 1 << 13;
+    let flags = tree.text(&format!("/sys/class/tty/{name}/flags"))?;
+    let flags = u32::from_str_radix(flags.strip_prefix("0x")?, 16).ok()?;
+    let read = if flags & LOW_LATENCY != 0 {
+        "set"
+    } else {
+        "not set yet; opening the line sets it"
+    };
+    let why = "without it a driver may gather bytes before it hands them over";
+    Some(Finding::new(of, "low latency", read, why))
 }
 
 fn permission(tree: &Tree, wanted: &Wanted) -> Option<Finding> {
@@ -196,6 +212,7 @@ mod tests {
             ("sys/class/tty/ttyS1/type", "0\n"),
             ("dev/ttyS0", ""),
             ("sys/class/tty/ttyS0/type", "4\n"),
+            ("sys/class/tty/ttyS0/flags", "0x10002040\n"),
             (
                 "proc/self/status",
                 "Uid:\t99999\t99999\t99999\t99999\nCapEff:\t0",
@@ -204,7 +221,17 @@ mod tests {
         assert_eq!(judged(&fake, "/dev/ttyS1"), [("tty", Verdict::NotUsable)]);
         assert_eq!(
             judged(&fake, "/dev/ttyS0"),
-            [("tty", Verdict::Ok), ("permission", Verdict::NotUsable)]
+            [
+                ("tty", Verdict::Ok),
+                ("permission", Verdict::NotUsable),
+                ("low latency", Verdict::Ok)
+            ]
         );
+        for (flags, read) in [("0x2000", Some("set")), ("0x40", Some("not")), ("x", None)] {
+            let fake = Fake::new(&[("sys/class/tty/ttyS0/flags", flags)]);
+            let found = flag(&fake.tree(), "line", "ttyS0").map(|found| found.read);
+            let found = found.as_deref().map(|found| &found[..3]);
+            assert_eq!(found, read, "{flags}");
+        }
     }
 }

@@ -95,7 +95,10 @@ impl Tree {
         if self.resolved(path).is_none() {
             return Err(ErrorKind::NotFound.into());
         }
-        let mut file = OpenOptions::new().write(true).open(self.at(path))?;
+        let mut file = OpenOptions::new()
+            .write(true)
+            .truncate(true)
+            .open(self.at(path))?;
         file.write_all(text.as_bytes())
     }
 
