@@ -13,6 +13,7 @@ mod cli_refusals;
 mod cli_run;
 mod configuration;
 mod cycle;
+mod cycle_calls;
 mod doctor;
 mod emulate_slcan;
 mod epos_service;
