@@ -100,14 +100,16 @@ impl Running {
         Self::of(Command::new(binary()).args(arguments))
     }
 
-    /// `program` under `strace`, which writes every system call of every thread to `log`.
+    /// `program` under `strace`, which writes every system call of every thread to `log`. Where the host grants it,
+    /// `strace` itself goes before ordinary threads, and `program` is one: each of its calls waits for `strace`.
     pub(crate) fn under_strace(
         log: &Path,
         program: &Path,
         arguments: impl IntoIterator<Item: AsRef<OsStr>>,
     ) -> Self {
-        let mut strace = Command::new("strace");
-        strace.args(["-f", "-qq", "-e", "signal=none", "-o"]);
+        let script = "chrt --reset-on-fork --fifo --pid 70 $$ 2>/dev/null; exec strace -f -qq -e signal=none -o \"$@\"";
+        let mut strace = Command::new("sh");
+        strace.args(["-c", script, "sh"]);
         Self::of(strace.arg(log).arg(program).args(arguments))
     }
 
