@@ -7,7 +7,7 @@
 //!   the way to the thread's end are left out, homing, motion, files under way and winding down are not. A lock that is
 //!   contended shows as `futex`, and memory that the process lacks as `brk` or `mmap`. A lock that is free and an
 //!   allocation from what the allocator has make no call and are not seen.
-//! - [`crate::allocations`] counts **every use of the heap** in every cycle of every robot of these tests that is stepped
+//! - [`crate::heap`] counts **every use of the heap** in every cycle of every robot of these tests that is stepped
 //!   in lockstep, and of a servo thread. It sees what the tests reach, and locks not at all.
 //! - `tests/realtime-sanitizer` runs the program with every function that a cycle calls watched for **library calls that
 //!   may wait**: the heap, the locks of the C library, the futexes of Rust's, files, sockets, sleeping. It names the

@@ -18,6 +18,7 @@ mod doctor;
 mod emulate_slcan;
 mod epos_service;
 mod faults;
+mod heap;
 mod homing;
 mod jitter;
 mod loops;
