@@ -37,3 +37,4 @@ mod socketcan;
 mod uml;
 mod vcan;
 mod watch;
+mod wire;

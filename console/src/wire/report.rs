@@ -1,0 +1,119 @@
+//! What a report says of the wire: one JSON object per bus, or a table for a person.
+
+use std::fmt;
+
+use serde::Serialize;
+
+use crate::report::Percentiles;
+
+/// Whose instants the times are from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub(crate) enum Source {
+    /// The virtual bus's, exact to the bit. Its time waits for the host, so what the host misses does not show.
+    Virtual,
+    /// The kernel's stamps.
+    Kernel,
+    /// The card's own stamps.
+    Hardware,
+}
+
+/// One bus on the wire. Each time is between the ends of two frames.
+#[derive(Debug, Serialize)]
+pub(crate) struct WireReport {
+    /// Its name.
+    pub bus: String,
+    /// Whose instants these are; null where nothing tells when a frame was on the wire.
+    pub source: Option<Source>,
+    /// From one SYNC to the next, µs; null where there were no two.
+    pub sync_to_sync_us: Option<Percentiles>,
+    /// By how much that was off the period, either way, µs.
+    pub sync_off_period_us: Option<Percentiles>,
+    /// Every drive, in the order of the cell.
+    pub nodes: Vec<NodeReport>,
+    /// Frames not looked at in time; each may be behind a SYNC that seems missing or unanswered.
+    pub lost_frames: u64,
+}
+
+/// The answers of one drive.
+#[derive(Debug, Serialize)]
+pub(crate) struct NodeReport {
+    /// Robot and axis.
+    pub axis: String,
+    /// Its node-ID.
+    pub node: u8,
+    /// From SYNC to the answer, µs; null where none came.
+    pub sync_to_tpdo_us: Option<Percentiles>,
+    /// SYNCs without an answer.
+    pub unanswered: u64,
+    /// Answers that came behind the next SYNC, as far as they can be told.
+    pub late: u64,
+    /// Answers that no SYNC asked for.
+    pub surplus: u64,
+}
+
+impl fmt::Display for WireReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Some(source) = self.source else {
+            let bus = &self.bus;
+            return writeln!(
+                f,
+                "\nbus {bus}: times on the wire not measured, nothing here tells them"
+            );
+        };
+        let by = match source {
+            Source::Virtual => "on the virtual bus",
+            Source::Kernel => "by the kernel's stamps",
+            Source::Hardware => "by the card's stamps",
+        };
+        let title = format!("bus {} {by}, µs", self.bus);
+        let answers = self.nodes.iter().map(|node| {
+            let counts = [
+                (node.unanswered, "unanswered"),
+                (node.late, "late"),
+                (node.surplus, "surplus"),
+            ];
+            let counts = counts.iter().filter(|(count, _)| *count > 0);
+            let counts: String = counts
+                .map(|(count, what)| format!("  {count} {what}"))
+                .collect();
+            (
+                format!("SYNC to {}", node.axis),
+                node.sync_to_tpdo_us,
+                counts,
+            )
+        });
+        let syncs = [
+            ("SYNC to SYNC".to_owned(), self.sync_to_sync_us),
+            ("SYNC off the period".to_owned(), self.sync_off_period_us),
+        ];
+        let syncs = syncs.map(|(name, times)| (name, times, String::new()));
+        let rows: Vec<_> = syncs.into_iter().chain(answers).collect();
+        let names = rows.iter().map(|(name, ..)| name).chain([&title]);
+        let names = names.map(|name| name.chars().count()).max().unwrap_or(0);
+        writeln!(
+            f,
+            "\n{title:names$} {:>10} {:>10} {:>10} {:>10}",
+            "p50", "p99", "p99.9", "max"
+        )?;
+        for (name, times, counts) in rows {
+            write!(f, "{name:names$}")?;
+            match times {
+                Some(Percentiles {
+                    p50,
+                    p99,
+                    p999,
+                    max,
+                }) => {
+                    write!(f, " {p50:>10.1} {p99:>10.1} {p999:>10.1} {max:>10.1}")?;
+                }
+                None => write!(f, " {:>10} {:>10} {:>10} {:>10}", "-", "-", "-", "-")?,
+            }
+            writeln!(f, "{counts}")?;
+        }
+        match self.lost_frames {
+            0 => Ok(()),
+            lost => writeln!(f, "{lost} frames were lost to this table"),
+        }
+    }
+}
