@@ -3,9 +3,10 @@
 //! The servo's port cannot tell: it knows when it handed a SYNC over, not when that was on the bus. So a second end
 //! listens. On a virtual bus it is told the instant of each frame's last bit. On SocketCAN it is a socket that receives
 //! what other sockets of this host send as well (kernel documentation, networking/can.rst, "Local Loopback of Sent
-//! Frames"): a card's driver hands such a frame back once it was sent, and vcan at once. Its stamps are the kernel's,
-//! taken in the driver's interrupt, or the card's own where every frame has one. An slcan adapter and a serial line tell
-//! nothing of the kind, and nothing is made up for them.
+//! Frames"): a card's driver hands such a frame back once it was sent; for a driver that does not, such as that of
+//! `slcand`, the CAN core does as soon as it was handed over, and the report says so. vcan sends at once. Stamps are the
+//! kernel's, taken where the driver passes a frame on, or the card's own where every frame has one. An slcan adapter on
+//! a tty and a serial line tell nothing of the kind, and nothing is made up for them.
 //!
 //! An ordinary thread reads; the servo thread bears the delivery of a few more frames by the kernel, and on the emulated
 //! bench a push into a queue.
@@ -33,7 +34,7 @@ use crate::interfaces::Interface;
 use crate::report::{Percentiles, microseconds};
 use crate::setup;
 
-pub(crate) use report::{NodeReport, Source, WireReport};
+pub(crate) use report::{NodeReport, Source, SyncStamp, WireReport};
 
 /// How often the listeners are read, at the least; their queues hold seconds.
 const LOOK: Duration = Duration::from_millis(20);
@@ -48,12 +49,15 @@ const BATCHES: usize = 64;
 /// Beyond this a time counts as this: 10 s.
 const LONGEST: u64 = 10_000_000_000;
 
+/// `IFF_ECHO` of the kernel: the driver itself loops sent frames back.
+const ECHO: u32 = 1 << 18;
+
 /// What listens to one bus.
 pub(crate) enum Listener {
     /// An end of the virtual bus.
     Virtual(VirtualPort),
-    /// A socket of its own on the interface.
-    SocketCan(SocketCanPort),
+    /// A socket of its own on the interface, and when that stamps what this host sends.
+    SocketCan(SocketCanPort, SyncStamp),
     /// Nothing could tell when a frame was on the wire.
     None,
 }
@@ -70,7 +74,21 @@ impl Listener {
             ..SocketCanOptions::default()
         };
         let port = SocketCanPort::open(name, &options);
-        Ok(Self::SocketCan(port.context("a second socket to listen")?))
+        let port = port.context("a second socket to listen")?;
+        Ok(Self::SocketCan(port, sync_stamp(name)))
+    }
+}
+
+/// When a frame that this host sends on `interface` gets its stamp: by what its driver says it does (`IFF_ECHO`).
+fn sync_stamp(interface: &str) -> SyncStamp {
+    let flags = std::fs::read_to_string(format!("/sys/class/net/{interface}/flags"));
+    let flags = flags.ok().and_then(|flags| {
+        let digits = flags.trim().trim_start_matches("0x");
+        u32::from_str_radix(digits, 16).ok()
+    });
+    match flags {
+        Some(flags) if flags & ECHO != 0 => SyncStamp::Sent,
+        _ => SyncStamp::HandedOver,
     }
 }
 
@@ -118,7 +136,7 @@ impl Wire {
                 _ => answers(file, group).collect(),
             };
             let times = || Times::new(file.cell.period(), &ids);
-            let has_card = matches!(listener, Listener::SocketCan(_));
+            let has_card = matches!(listener, Listener::SocketCan(..));
             BusWire {
                 name: name.to_owned(),
                 times: times(),
@@ -196,7 +214,7 @@ impl BusWire {
             // A bus that fails is the servo's to report; it may come back.
             let heard = match &mut self.listener {
                 Listener::Virtual(port) => port.receive(Instant::FAR_FUTURE, &mut frames),
-                Listener::SocketCan(port) => port.receive(Instant::FAR_FUTURE, &mut frames),
+                Listener::SocketCan(port, _) => port.receive(Instant::FAR_FUTURE, &mut frames),
                 Listener::None => Ok(0),
             };
             let count = heard.unwrap_or(0);
@@ -206,7 +224,7 @@ impl BusWire {
             for received in &frames[..count] {
                 self.times.record(received.at, &received.frame);
             }
-            if let (Some(card), Listener::SocketCan(port)) = (&mut self.card, &self.listener) {
+            if let (Some(card), Listener::SocketCan(port, _)) = (&mut self.card, &self.listener) {
                 let mut stamps = port.card_stamps().iter().zip(&frames);
                 let all = stamps.all(|(stamp, received)| {
                     let stamped = stamp.map(|at| card.record(at, &received.frame));
@@ -222,13 +240,16 @@ impl BusWire {
     fn report(&self) -> WireReport {
         let heard_by_card = self.card.as_ref().filter(|card| !card.sync.0.is_empty());
         let times = heard_by_card.unwrap_or(&self.times);
-        let (source, lost_frames) = match &self.listener {
-            Listener::Virtual(port) => (Some(Source::Virtual), port.counters().dropped),
-            Listener::SocketCan(port) => (
-                Some(heard_by_card.map_or(Source::Kernel, |_| Source::Hardware)),
-                port.counters().dropped,
-            ),
-            Listener::None => (None, 0),
+        let (source, sync_stamp, lost_frames) = match &self.listener {
+            Listener::Virtual(port) => {
+                let stamp = Some(SyncStamp::Sent);
+                (Some(Source::Virtual), stamp, port.counters().dropped)
+            }
+            Listener::SocketCan(port, stamp) => {
+                let source = heard_by_card.map_or(Source::Kernel, |_| Source::Hardware);
+                (Some(source), Some(*stamp), port.counters().dropped)
+            }
+            Listener::None => (None, None, 0),
         };
         let nodes = self
             .axes
@@ -237,6 +258,7 @@ impl BusWire {
         WireReport {
             bus: self.name.clone(),
             source,
+            sync_stamp,
             sync_to_sync_us: times.sync.percentiles(),
             sync_off_period_us: times.off_period.percentiles(),
             nodes: nodes

@@ -66,6 +66,7 @@ fn check(what: &str, report: &Value, times: &[f64], tolerance: f64) {
 pub(crate) fn agrees(wire: &Value, cell: &Cell, frames: &[Received]) {
     let bus = &wire[0];
     assert_eq!(bus["source"], "kernel", "{wire}");
+    assert_eq!(bus["sync_stamp"], "handed-over", "{wire}");
     assert_eq!(bus["lost_frames"], 0, "{wire}");
     let (apart, answers) = times(cell, frames);
     check("SYNC to SYNC", &bus["sync_to_sync_us"], &apart, 1.0);

@@ -18,6 +18,16 @@ pub(crate) enum Source {
     Hardware,
 }
 
+/// When a SYNC of this host gets its stamp.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub(crate) enum SyncStamp {
+    /// Once it was on the bus.
+    Sent,
+    /// When the driver took it: what it waits for the bus is in the times to the answers.
+    HandedOver,
+}
+
 /// One bus on the wire. Each time is between the ends of two frames.
 #[derive(Debug, Serialize)]
 pub(crate) struct WireReport {
@@ -25,6 +35,8 @@ pub(crate) struct WireReport {
     pub bus: String,
     /// Whose instants these are; null where nothing tells when a frame was on the wire.
     pub source: Option<Source>,
+    /// When SYNC was stamped; null with the source.
+    pub sync_stamp: Option<SyncStamp>,
     /// From one SYNC to the next, µs; null where there were no two.
     pub sync_to_sync_us: Option<Percentiles>,
     /// By how much that was off the period, either way, µs.
@@ -66,7 +78,12 @@ impl fmt::Display for WireReport {
             Source::Kernel => "by the kernel's stamps",
             Source::Hardware => "by the card's stamps",
         };
-        let title = format!("bus {} {by}, µs", self.bus);
+        let title = match self.sync_stamp {
+            Some(SyncStamp::HandedOver) => {
+                format!("bus {} {by}, SYNC as handed over, µs", self.bus)
+            }
+            _ => format!("bus {} {by}, µs", self.bus),
+        };
         let answers = self.nodes.iter().map(|node| {
             let counts = [
                 (node.unanswered, "unanswered"),
