@@ -42,9 +42,9 @@ const LOOK: Duration = Duration::from_millis(20);
 /// Longest wait for what was heard once a run has ended.
 const LAST_LOOK: Duration = Duration::from_secs(2);
 
-/// Frames that are read at a time, and how often at one look: more than a bus carries in a second.
+/// Frames that are read at a time, and how often at one look: no queue holds more.
 const BATCH: usize = 256;
-const BATCHES: usize = 64;
+const BATCHES: usize = 128;
 
 /// Beyond this a time counts as this: 10 s.
 const LONGEST: u64 = 10_000_000_000;

@@ -41,9 +41,9 @@ pub(crate) struct WireReport {
     pub sync_to_sync_us: Option<Percentiles>,
     /// By how much that was off the period, either way, µs.
     pub sync_off_period_us: Option<Percentiles>,
-    /// Every drive, in the order of the cell.
+    /// Every drive, in the order of the cell; none where nothing is measured.
     pub nodes: Vec<NodeReport>,
-    /// Frames not looked at in time; each may be behind a SYNC that seems missing or unanswered.
+    /// Frames that were not read in time; each may be behind a SYNC that seems missing or unanswered.
     pub lost_frames: u64,
 }
 
@@ -132,5 +132,91 @@ impl fmt::Display for WireReport {
             0 => Ok(()),
             lost => writeln!(f, "{lost} frames were lost to this table"),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn bus(source: Option<Source>, sync_stamp: Option<SyncStamp>) -> WireReport {
+        let times = |us: f64| {
+            Some(Percentiles {
+                p50: us,
+                p99: us + 1.0,
+                p999: us + 2.0,
+                max: us + 3.0,
+            })
+        };
+        let node =
+            |axis: &str, sync_to_tpdo_us, [unanswered, late, surplus]: [u64; 3]| NodeReport {
+                axis: axis.to_owned(),
+                node: 1,
+                sync_to_tpdo_us,
+                unanswered,
+                late,
+                surplus,
+            };
+        WireReport {
+            bus: "arm".to_owned(),
+            source,
+            sync_stamp,
+            sync_to_sync_us: times(2000.0),
+            sync_off_period_us: times(0.5),
+            nodes: vec![
+                node("column", times(120.0), [0, 0, 0]),
+                node("wrist", times(240.0), [3, 2, 1]),
+                node("hand", None, [9, 0, 0]),
+            ],
+            lost_frames: 0,
+        }
+    }
+
+    #[test]
+    fn a_table_has_a_row_per_drive_and_says_what_is_not_as_it_should_be() {
+        let table = bus(Some(Source::Hardware), Some(SyncStamp::Sent)).to_string();
+        assert_eq!(
+            table,
+            "\n\
+             bus arm by the card's stamps, µs        p50        p99      p99.9        max\n\
+             SYNC to SYNC                         2000.0     2001.0     2002.0     2003.0\n\
+             SYNC off the period                     0.5        1.5        2.5        3.5\n\
+             SYNC to column                        120.0      121.0      122.0      123.0\n\
+             SYNC to wrist                         240.0      241.0      242.0      243.0  3 unanswered  2 late  1 surplus\n\
+             SYNC to hand                              -          -          -          -  9 unanswered\n"
+        );
+    }
+
+    #[test]
+    fn whose_stamps_they_are_is_in_the_title() {
+        for (source, stamp, title) in [
+            (Source::Virtual, SyncStamp::Sent, "on the virtual bus, µs"),
+            (
+                Source::Kernel,
+                SyncStamp::Sent,
+                "by the kernel's stamps, µs",
+            ),
+            (
+                Source::Kernel,
+                SyncStamp::HandedOver,
+                "by the kernel's stamps, SYNC as handed over, µs",
+            ),
+        ] {
+            let table = bus(Some(source), Some(stamp)).to_string();
+            assert!(table.starts_with(&format!("\nbus arm {title} ")), "{table}");
+        }
+        let lost = WireReport {
+            lost_frames: 7,
+            ..bus(Some(Source::Kernel), Some(SyncStamp::Sent))
+        };
+        assert!(
+            lost.to_string()
+                .ends_with("7 frames were lost to this table\n")
+        );
+        assert!(
+            bus(None, None)
+                .to_string()
+                .contains("bus arm: times on the wire not measured")
+        );
     }
 }
