@@ -39,3 +39,4 @@ mod socketcan;
 mod uml;
 mod vcan;
 mod watch;
+mod wire;
