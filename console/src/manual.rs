@@ -67,7 +67,7 @@ fn render(command: Command, page: &mut dyn Write) -> io::Result<()> {
         command.get_arguments().any(|option| !option.is_hide_set()),
         command.has_subcommands(),
     );
-    let man = Man::new(command);
+    let man = Man::new(command).source(concat!("mrroc ", env!("CARGO_PKG_VERSION")));
     man.render_title(page)?;
     man.render_name_section(page)?;
     man.render_synopsis_section(page)?;
