@@ -24,6 +24,7 @@
 
 mod cause;
 mod host;
+mod late;
 mod quantile;
 mod wait;
 
@@ -42,6 +43,7 @@ use crate::{NotUp, Servo, Timing};
 
 pub use self::cause::{Cause, Usage};
 pub use self::host::{CpuLatency, Denial, demand, set_fifo};
+pub use self::late::{LateCycle, LateCycles};
 pub use self::wait::{Awake, Wait, WaitReport, Waiter};
 
 /// Bytes of the thread's stack; `MCL_FUTURE` locks all of it.
@@ -335,6 +337,7 @@ impl Run {
     }
 
     /// Waits for the deadline and steps; false if the step panicked.
+    #[cfg_attr(mrroc_rtsan, sanitize(realtime = "nonblocking"))]
     fn cycle(&mut self) -> bool {
         self.wait();
         let stepped = catch_unwind(AssertUnwindSafe(|| {

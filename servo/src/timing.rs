@@ -1,4 +1,4 @@
-use crate::thread::WaitReport;
+use crate::thread::{LateCycles, WaitReport};
 use crate::{Histogram, Servo};
 
 /// How punctual a servo thread was.
@@ -15,6 +15,8 @@ pub struct Timing {
     pub bus: Histogram,
     /// What waiting for the deadlines cost.
     pub wait: WaitReport,
+    /// Who made cycles late: their SYNC left more than a hundredth of the period after the deadline.
+    pub late: LateCycles,
 }
 
 impl Timing {

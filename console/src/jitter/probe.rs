@@ -6,13 +6,12 @@ use std::time::Duration;
 use anyhow::{Context, anyhow};
 use can::clock::{now, sleep_until};
 use servo::Histogram;
-use servo::thread::{self, Cause, Denial, RealtimePolicy, Usage, Wait, Waiter};
+use servo::thread::{
+    self, Cause, Denial, LateCycle, LateCycles, RealtimePolicy, Usage, Wait, Waiter,
+};
 
 /// Bytes of the thread's stack.
 const STACK: usize = 512 * 1024;
-
-/// Late cycles that are kept one by one.
-pub(crate) const WORST: usize = 5;
 
 /// Wake-ups of one probe.
 pub(crate) struct Wakeups {
@@ -20,10 +19,8 @@ pub(crate) struct Wakeups {
     pub late: Histogram,
     /// Deadlines that passed while the thread was late for one before.
     pub missed: u64,
-    /// How many were more than a hundredth of the period late, by [`Cause::ALL`].
-    pub causes: [u64; Cause::ALL.len()],
-    /// The latest, the worst first; of no cause where there were fewer.
-    pub worst: [(Duration, Option<Cause>); WORST],
+    /// Those that were more than a hundredth of the period late.
+    pub causes: LateCycles,
 }
 
 impl Wakeups {
@@ -31,25 +28,15 @@ impl Wakeups {
         Self {
             late: Histogram::new(),
             missed: 0,
-            causes: Default::default(),
-            worst: Default::default(),
-        }
-    }
-
-    fn attribute(&mut self, late: Duration, cause: Cause) {
-        let index = Cause::ALL.iter().position(|one| *one == cause);
-        self.causes[index.expect("all causes are among them")] += 1;
-        if let Some(place) = self.worst.iter().position(|worst| late > worst.0) {
-            self.worst[place..].rotate_right(1);
-            self.worst[place] = (late, Some(cause));
+            causes: LateCycles::default(),
         }
     }
 }
 
 /// Waits for deadlines for `time` as the servo thread does.
 pub(crate) fn wait(waiter: &mut Waiter, wakeups: &mut Wakeups, period: Duration, time: Duration) {
-    let mut ended = now();
-    let (mut due, end) = (ended + period, ended + time);
+    let began = now();
+    let (mut ended, mut due, end) = (began, began + period, began + time);
     let mut counted = Usage::of_this_thread();
     waiter.pause();
     while due <= end {
@@ -60,7 +47,12 @@ pub(crate) fn wait(waiter: &mut Waiter, wakeups: &mut Wakeups, period: Duration,
         if late > period / 100 {
             let worked = awake.asked_at.since(ended);
             let cause = Cause::of(late, worked, &awake, usage.since(counted));
-            wakeups.attribute(late, cause);
+            wakeups.causes.record(LateCycle {
+                cycle: wakeups.late.count() - 1,
+                due: due.since(began),
+                late,
+                cause,
+            });
         }
         (ended, counted) = (awake.at, usage);
         due += period;
@@ -133,16 +125,5 @@ mod tests {
             assert!(counted >= 100, "{counted}");
             assert!(counted == 100 || wakeups.late.max() >= period);
         }
-    }
-
-    #[test]
-    fn the_worst_are_kept_in_order() {
-        let mut wakeups = Wakeups::new();
-        for micros in [3, 9, 1, 7, 8, 2, 9] {
-            wakeups.attribute(Duration::from_micros(micros), Cause::Host);
-        }
-        let kept = wakeups.worst.map(|worst| worst.0.as_micros());
-        assert_eq!(kept, [9, 9, 8, 7, 3]);
-        assert_eq!(wakeups.causes.iter().sum::<u64>(), 7);
     }
 }

@@ -5,7 +5,7 @@ use std::fmt;
 
 use serde::Serialize;
 use servo::Histogram;
-use servo::thread::{Cause, WaitReport};
+use servo::thread::WaitReport;
 
 use super::probe::Wakeups;
 use super::{Peer, Wait, load};
@@ -115,12 +115,10 @@ impl Report {
             max: over(ours.late.max, peer.late.max),
         });
         let peer_late = peer.as_ref().map(|peer| peer.late);
-        let causes = Cause::ALL.iter().zip(wakeups.causes);
-        let worst = wakeups.worst.iter().filter_map(|(late, cause)| {
-            cause.map(|cause| Late {
-                late_us: microseconds(*late),
-                cause: cause.name(),
-            })
+        let causes = wakeups.causes.causes();
+        let worst = wakeups.causes.worst().map(|worst| Late {
+            late_us: microseconds(worst.late),
+            cause: worst.cause.name(),
         });
         Self {
             verdict: verdict(&ours.late, peer_late.as_ref(), setting.period_us),

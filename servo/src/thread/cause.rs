@@ -5,8 +5,10 @@ use super::Awake;
 /// Who took the time of a late cycle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Cause {
-    /// The thread's own work before the wait left no time to sleep.
-    OwnWork,
+    /// Its own computing: regulators, set-points.
+    OwnStep,
+    /// Reading from a bus, or writing to one.
+    Bus,
     /// A page of the process was not in memory.
     PageFault,
     /// Another thread was given the CPU.
@@ -20,8 +22,9 @@ pub enum Cause {
 
 impl Cause {
     /// All, the least of a host's faults first.
-    pub const ALL: [Self; 5] = [
-        Self::OwnWork,
+    pub const ALL: [Self; 6] = [
+        Self::OwnStep,
+        Self::Bus,
         Self::PageFault,
         Self::Preempted,
         Self::LateWakeUp,
@@ -31,7 +34,8 @@ impl Cause {
     /// Its name.
     pub fn name(self) -> &'static str {
         match self {
-            Self::OwnWork => "own work",
+            Self::OwnStep => "own step",
+            Self::Bus => "bus",
             Self::PageFault => "page fault",
             Self::Preempted => "preempted",
             Self::LateWakeUp => "late wake-up",
@@ -49,7 +53,7 @@ impl Cause {
             _ if counted.switches > 0 => Self::Preempted,
             Some(_) if took(awake.gap) => Self::Host,
             Some(_) => Self::LateWakeUp,
-            None if took(worked) => Self::OwnWork,
+            None if took(worked) => Self::OwnStep,
             None => Self::Host,
         }
     }
@@ -109,7 +113,7 @@ mod tests {
             ((90, 5, 800, 20, 160), none, Cause::Host),
             ((90, 5, 800, 20, 160), switch, Cause::Preempted),
             ((90, 5, 800, 290, 0), fault, Cause::PageFault),
-            ((90, 1090, 0, 0, 0), none, Cause::OwnWork),
+            ((90, 1090, 0, 0, 0), none, Cause::OwnStep),
             ((90, 1090, 0, 0, 0), switch, Cause::Preempted),
             ((90, 1090, 0, 0, 0), fault, Cause::PageFault),
             ((90, 2, 0, 0, 0), none, Cause::Host),
