@@ -18,6 +18,7 @@ mod emulated_lines;
 mod emulation;
 mod interfaces;
 mod jitter;
+mod manual;
 mod programs;
 mod rehearsal;
 mod report;
@@ -31,7 +32,7 @@ mod wire;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 
 /// What scripts may build upon.
 const EXIT_STATUS: &str = "Exit status: 0 done; 1 stopped by a fault or by Ctrl-C, or a node was told and did not do \
@@ -96,6 +97,12 @@ enum Command {
     },
     /// Print the JSON schema of cell files.
     Schema,
+    /// Write the manual pages and the completions of bash, zsh and fish into a directory.
+    #[command(hide = true)]
+    Manual {
+        /// The directory.
+        directory: PathBuf,
+    },
 }
 
 fn main() -> ExitCode {
@@ -113,6 +120,7 @@ fn main() -> ExitCode {
         Command::Jitter(options) => jitter::jitter(&options),
         Command::Vm { machine } => vm::vm(&machine),
         Command::Schema => check::schema(),
+        Command::Manual { directory } => manual::write(Arguments::command(), &directory),
     };
     result.unwrap_or_else(|refusal| {
         eprintln!("mrroc: {refusal:#}");
