@@ -1,9 +1,11 @@
 //! `mrroc jitter`: what it tells scripts, and what it refuses. How good the host is, is not judged.
 
+use std::process::{Command, Stdio};
+
 use serde_json::Value;
 
 use crate::cli_refusals::refused;
-use crate::mrroc::mrroc;
+use crate::mrroc::{Directory, Output, Running, binary, mrroc};
 
 const KEYS: [&str; 4] = ["p50", "p99", "p999", "max"];
 
@@ -37,6 +39,94 @@ fn a_measurement_ends_with_one_object_that_compares_both_sides() {
         report["verdict"].as_str().unwrap().contains("2000 µs"),
         "{report}"
     );
+    for key in KEYS {
+        let part = |whose: &str| report["tail"][whose][key].as_f64().unwrap();
+        let ours = report["ours"][key].as_f64().unwrap();
+        assert!((part("host") + part("own") - ours).abs() < 1e-6, "{report}");
+    }
+    assert_eq!(report["ended_early"], false, "{report}");
+}
+
+/// A cycle of 10 ms, of which each side met 20 to 100 in the time; its lateness is a matter of µs.
+#[test]
+fn numbers_are_in_microseconds() {
+    let report = measured(&["--against", "plain", "--wait", "plain"]);
+    let [ours, peer] = ["ours", "peer"].map(|side| report[side]["p50"].as_f64().unwrap());
+    for median in [ours, peer] {
+        assert!((0.5..20_000.0).contains(&median), "{report}");
+    }
+    assert_eq!(report["period_us"], 2000.0, "{report}");
+}
+
+#[test]
+fn an_interrupt_ends_it_early_with_what_was_measured() {
+    let scratch = Directory::new();
+    let directory = scratch.path("out");
+    let words = [
+        "jitter",
+        "--duration=1h",
+        "--json",
+        "--against=plain",
+        "--load=fork",
+        "--out",
+    ];
+    let words = words
+        .map(AsRef::as_ref)
+        .into_iter()
+        .chain([directory.as_os_str()]);
+    let run = Running::start(words);
+    let intervals = |text: &str| text.lines().filter(|line| !line.starts_with('#')).count();
+    run.wait_for(&directory.join("ours.hlog"), |text| intervals(text) >= 2);
+    run.signal("INT");
+    let run = run.output();
+    assert_eq!(run.status.code(), Some(1), "{run:?}");
+    let report = run.json();
+    assert_eq!(report["ended_early"], true, "{report}");
+    assert!(
+        report["ours"]["cycles"].as_u64().unwrap() > 1000,
+        "{report}"
+    );
+    let written = std::fs::read_to_string(directory.join("ours.hgrm")).unwrap();
+    assert!(
+        written.contains(&report["ours"]["cycles"].to_string()),
+        "{written}"
+    );
+}
+
+/// A million cycles, as fast as they are allowed to be: what is kept does not grow with them.
+#[test]
+fn a_long_measurement_keeps_no_more_than_a_short_one() {
+    let resident = |duration: &str| {
+        let scratch = Directory::new();
+        let directory = scratch.path("out");
+        let options = [
+            "jitter",
+            "--period=50us",
+            "--wait=plain",
+            "--against=plain",
+            "--out",
+        ];
+        let mut child = Command::new(binary());
+        child
+            .args(options)
+            .arg(&directory)
+            .args(["--duration", duration]);
+        let mut child = child.stdout(Stdio::null()).spawn().unwrap();
+        let status = format!("/proc/{}/status", child.id());
+        let mut most = 0;
+        while child.try_wait().unwrap().is_none() {
+            let status = std::fs::read_to_string(&status).unwrap_or_default();
+            let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+            let kilobytes = line.and_then(|line| line.split_whitespace().next()?.parse().ok());
+            most = most.max(kilobytes.unwrap_or(0u64));
+            std::thread::yield_now();
+        }
+        assert!(most > 0, "{status} was never read");
+        most
+    };
+    let (short, long) = (resident("1s"), resident("12s"));
+    // 480 000 numbers of 8 bytes would be 3.8 MB.
+    assert!(long < short + 1500, "{short} kB, then {long} kB");
 }
 
 #[test]
@@ -64,5 +154,51 @@ fn what_cannot_be_measured_is_refused() {
         ),
     ] {
         refused(&mrroc(["jitter"].iter().chain(&arguments)), &needles);
+    }
+}
+
+#[test]
+fn a_directory_that_cannot_be_written_is_refused_before_anything_is_measured() {
+    let scratch = Directory::new();
+    let file = scratch.write("file", "");
+    for directory in [file.clone(), file.join("below"), "/proc/mrroc".into()] {
+        let words = ["jitter", "--duration=168h", "--out"].map(AsRef::as_ref);
+        let run = mrroc(words.into_iter().chain([directory.as_os_str()]));
+        refused(&run, &["--out", directory.to_str().unwrap()]);
+    }
+}
+
+#[test]
+fn programs_that_are_not_installed_are_refused_with_their_package() {
+    for (arguments, needles) in [
+        (
+            ["--against", "cyclictest"],
+            ["cyclictest", "apt install rt-tests"],
+        ),
+        (
+            ["--load", "hackbench"],
+            ["hackbench", "apt install rt-tests"],
+        ),
+        (
+            ["--load", "stress-ng"],
+            ["stress-ng", "apt install stress-ng"],
+        ),
+    ] {
+        let run = Command::new(binary())
+            .arg("jitter")
+            .args(arguments)
+            .env("PATH", "")
+            .output()
+            .unwrap();
+        let [stdout, stderr] =
+            [run.stdout, run.stderr].map(|said| String::from_utf8(said).unwrap());
+        refused(
+            &Output {
+                status: run.status,
+                stdout,
+                stderr,
+            },
+            &needles,
+        );
     }
 }
