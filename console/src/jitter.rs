@@ -4,6 +4,7 @@
 //! without a servo. The peer, cyclictest or a probe with its algorithm, takes turns with it within the run, so that
 //! both see the same host; what keeps CPUs from deep idle states is held for both, or for neither where it is denied.
 
+mod cell;
 mod chart;
 mod cyclictest;
 mod files;
@@ -25,8 +26,9 @@ use clap::{Args, ValueEnum};
 use hdrhistogram::serialization::V2DeflateSerializer;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
-use servo::thread::{CpuLatency, Denial, Waiter};
+use servo::thread::{self, CpuLatency, Denial, Waiter};
 
+use cell::{CellBench, MeasuredCell};
 use chart::Curve;
 use files::{Files, IntervalLog};
 use interval::{Ledger, recording};
@@ -35,24 +37,32 @@ use plan::Plan;
 use probe::{Turn, Wakeups};
 use report::{Report, Setting, Side};
 
+use crate::cell_file::CellFile;
+
 /// Options of `mrroc jitter`.
 #[derive(Args)]
 pub(crate) struct Options {
-    /// Time from one deadline to the next, with its unit: 1ms, 250us.
-    #[arg(long, default_value = "1ms")]
-    period: String,
+    /// Measure the whole cycle of this cell, its drives on and holding their position: from the deadline to SYNC.
+    #[arg(long, value_name = "FILE")]
+    cell: Option<PathBuf>,
+    /// What to measure the cell on: emulated, unless given.
+    #[arg(long, value_enum)]
+    bench: Option<CellBench>,
+    /// Time from one deadline to the next, with its unit: 1ms, 250us; the cell's or 1ms, unless given.
+    #[arg(long)]
+    period: Option<String>,
     /// How long to measure, with its unit: 60s, 10m, 1h; the peer is measured as long.
     #[arg(long, default_value = "60s")]
     duration: String,
-    /// Priority under SCHED_FIFO, 1 to 99.
-    #[arg(long, default_value_t = 80)]
-    priority: u32,
-    /// The CPU to stay on.
+    /// Priority under SCHED_FIFO, 1 to 99; the cell's or 80, unless given.
+    #[arg(long)]
+    priority: Option<u32>,
+    /// The CPU to stay on; the cell's, unless given.
     #[arg(long)]
     cpu: Option<usize>,
-    /// How to wait.
-    #[arg(long, value_enum, default_value = "hybrid")]
-    wait: Wait,
+    /// How to wait; the cell's or hybrid, unless given.
+    #[arg(long, value_enum)]
+    wait: Option<Wait>,
     /// What loads all CPUs meanwhile; several are separated by commas.
     #[arg(long, value_enum, value_delimiter = ',')]
     load: Vec<load::Kind>,
@@ -100,7 +110,7 @@ impl Peer {
 /// What takes part in a measurement beside the sides.
 struct Course<'a> {
     plan: &'a Plan,
-    over: &'a AtomicBool,
+    over: &'a Arc<AtomicBool>,
     progress: ProgressBar,
     /// The first failure to write the interval log; it ends the measurement.
     failed: Option<std::io::Error>,
@@ -157,7 +167,14 @@ impl Course<'_> {
 
 /// Measures and reports.
 pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
-    let plan = Plan::of(options)?;
+    let mut file = options.cell.as_deref().map(CellFile::read).transpose()?;
+    let plan = Plan::of(options, file.as_ref().map(|file| &file.cell))?;
+    if let Some(file) = &mut file {
+        file.cell.period_us = plan.period.as_micros() as u32;
+        crate::budget::check(file)?;
+    }
+    let bench = options.bench.unwrap_or(CellBench::Emulated);
+    let mut cell = file.as_ref().map(|file| MeasuredCell::new(file, bench));
     if options.against == Some(Peer::Cyclictest) {
         cyclictest::find()?;
     }
@@ -207,9 +224,19 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
             over: &over,
             ..course.turn(warm_up)
         };
-        denied = course.thread(wakeups, into, "ours", |to| {
-            probe::wait(&mut waiter, to, turn)
-        })?;
+        denied = match &mut cell {
+            None => course.thread(wakeups, into, "ours", |to| {
+                probe::wait(&mut waiter, to, turn)
+            })?,
+            Some(cell) => {
+                if round == 1 {
+                    cell.forget();
+                }
+                cell.turn(plan.policy, turn, into, |ledger| {
+                    course.look(ledger, "ours")
+                })?
+            }
+        };
         if turn.is_over() {
             break;
         }
@@ -244,7 +271,10 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
         warm_up_s: plan.warm_up.as_secs_f64(),
         priority: plan.policy.priority,
         cpu: plan.policy.cpu,
-        wait: options.wait,
+        wait: match plan.policy.wait {
+            thread::Wait::Plain => Wait::Plain,
+            thread::Wait::Hybrid { .. } => Wait::Hybrid,
+        },
         load: options.load.clone(),
         against: options.against,
         cpu_latency_held: latency.is_ok(),
@@ -255,12 +285,16 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
     let said = setting.to_string();
     let report = Report::of(
         setting,
-        Side::of(&ledger.total, Some(ours.missed), Some(waiter.report())),
+        match &cell {
+            None => Side::of(&ledger.total, Some(ours.missed), Some(waiter.report())),
+            Some(cell) => Side::of(&ledger.total, Some(cell.missed), Some(cell.wait)),
+        },
         options.against.map(|against| match against {
             Peer::Cyclictest => Side::of(&peers.total, None, None),
             Peer::Plain => Side::of(&peers.total, Some(peer.missed), None),
         }),
         &ours,
+        cell.as_ref().map(MeasuredCell::report),
     );
     crate::run::print(&report, options.json)?;
     let written = match (files, failed) {

@@ -3,12 +3,20 @@
 use std::time::Duration;
 
 use anyhow::{anyhow, bail};
-use servo::thread::{self, Realtime, RealtimePolicy};
+use controller::cell::Cell;
+use servo::thread::{self, CellTime, Realtime, RealtimePolicy};
 
 use super::{Options, Wait};
+use crate::setup;
 
 /// Shortest and longest period.
 const PERIODS: [Duration; 2] = [Duration::from_micros(50), Duration::from_secs(1)];
+
+/// Without a cell.
+const USUAL_PERIOD: Duration = Duration::from_millis(1);
+
+/// Unit of the drives' interpolation period, of which a cell's period is a multiple.
+const INTERPOLATION: Duration = Duration::from_millis(1);
 
 /// Longest time to measure.
 const LONGEST: Duration = Duration::from_secs(7 * 24 * 3600);
@@ -34,17 +42,16 @@ pub(super) struct Plan {
 }
 
 impl Plan {
-    pub(super) fn of(options: &Options) -> anyhow::Result<Self> {
-        let period = duration("period", &options.period)?;
-        if !(PERIODS[0]..=PERIODS[1]).contains(&period) {
-            bail!(
-                "--period is {}, must be between 50us and 1s",
-                options.period
-            );
+    /// What the options say, of a cell whatever it says unless they do.
+    pub(super) fn of(options: &Options, cell: Option<&Cell>) -> anyhow::Result<Self> {
+        if cell.is_none() && options.bench.is_some() {
+            bail!("--bench needs --cell");
         }
-        if !period.as_nanos().is_multiple_of(1000) {
-            bail!("--period is {}, must be whole microseconds", options.period);
-        }
+        let period = match (&options.period, cell) {
+            (Some(text), cell) => period(text, cell.is_some())?,
+            (None, Some(cell)) => cell.period(),
+            (None, None) => USUAL_PERIOD,
+        };
         let time = duration("duration", &options.duration)?;
         if !(10 * period..=LONGEST).contains(&time) {
             bail!(
@@ -52,15 +59,18 @@ impl Plan {
                 options.duration
             );
         }
-        let priority = u8::try_from(options.priority)
+        let usual = match cell {
+            Some(cell) => setup::realtime_policy(cell, CellTime::Wall),
+            None => RealtimePolicy {
+                wait: thread::Wait::HYBRID,
+                ..RealtimePolicy::BEST_EFFORT
+            },
+        };
+        let given = options.priority.unwrap_or(usual.priority.into());
+        let priority = u8::try_from(given)
             .ok()
             .filter(|priority| (1..=99).contains(priority))
-            .ok_or_else(|| {
-                anyhow!(
-                    "--priority is {}, must be between 1 and 99",
-                    options.priority
-                )
-            })?;
+            .ok_or_else(|| anyhow!("--priority is {}, must be between 1 and 99", given))?;
         let turn = (time / ROUNDS).clamp(TURN[0].min(time), TURN[1]);
         Ok(Self {
             period,
@@ -70,15 +80,34 @@ impl Plan {
             policy: RealtimePolicy {
                 realtime: Realtime::BestEffort,
                 priority,
-                cpu: options.cpu,
+                cpu: options.cpu.or(usual.cpu),
                 wait: match options.wait {
-                    Wait::Plain => thread::Wait::Plain,
-                    Wait::Hybrid => thread::Wait::HYBRID,
+                    Some(Wait::Plain) => thread::Wait::Plain,
+                    Some(Wait::Hybrid) => thread::Wait::HYBRID,
+                    None => usual.wait,
                 },
-                ..RealtimePolicy::BEST_EFFORT
+                // Both sides alike.
+                lock_memory: true,
+                ..usual
             },
         })
     }
+}
+
+fn period(text: &str, of_cell: bool) -> anyhow::Result<Duration> {
+    let period = duration("period", text)?;
+    if !(PERIODS[0]..=PERIODS[1]).contains(&period) {
+        bail!("--period is {text}, must be between 50us and 1s");
+    }
+    if !period.as_nanos().is_multiple_of(1000) {
+        bail!("--period is {text}, must be whole microseconds");
+    }
+    if of_cell && !period.as_nanos().is_multiple_of(INTERPOLATION.as_nanos()) {
+        bail!(
+            "--period is {text}, must be a multiple of 1ms, the drives' unit of the interpolation period, with --cell"
+        );
+    }
+    Ok(period)
 }
 
 /// A time with its unit: us, ms, s, m or h.
@@ -118,7 +147,7 @@ mod tests {
     fn plan(line: &str) -> Result<Plan, String> {
         let words = std::iter::once("jitter").chain(line.split_whitespace());
         let line = Line::try_parse_from(words).map_err(|e| e.to_string())?;
-        Plan::of(&line.options).map_err(|e| e.to_string())
+        Plan::of(&line.options, None).map_err(|e| e.to_string())
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! The measuring threads: the servo's wait without a servo, and cyclictest's algorithm.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::Builder;
 use std::time::Duration;
@@ -17,7 +18,7 @@ const STACK: usize = 512 * 1024;
 pub(crate) const WORST: usize = 5;
 
 /// How often what is measured is looked at meanwhile.
-const LOOK: Duration = Duration::from_millis(20);
+pub(crate) const LOOK: Duration = Duration::from_millis(20);
 
 /// When a turn ends.
 #[derive(Clone, Copy)]
@@ -25,7 +26,7 @@ pub(crate) struct Turn<'a> {
     pub(crate) period: Duration,
     pub(crate) time: Duration,
     /// Ends it early.
-    pub(crate) over: &'a AtomicBool,
+    pub(crate) over: &'a Arc<AtomicBool>,
 }
 
 impl Turn<'_> {
@@ -145,7 +146,7 @@ mod tests {
 
     #[test]
     fn every_deadline_is_met_or_counted() {
-        let over = AtomicBool::new(false);
+        let over = Arc::default();
         let turn = Turn {
             period: Duration::from_micros(500),
             time: Duration::from_millis(50),

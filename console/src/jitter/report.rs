@@ -6,6 +6,7 @@ use std::fmt;
 use serde::Serialize;
 use servo::thread::{Cause, WaitReport};
 
+use super::cell::CellReport;
 use super::interval::Counts;
 use super::probe::Wakeups;
 use super::verdict::{self, Fit, Tail};
@@ -74,6 +75,8 @@ impl fmt::Display for Setting {
 pub(super) struct Report {
     #[serde(flatten)]
     setting: Setting,
+    /// The cycle of the cell, if one was measured; ours is then from the deadline to SYNC.
+    cell: Option<CellReport>,
     /// Our thread.
     ours: Side,
     /// The peer.
@@ -145,7 +148,13 @@ pub(super) struct Late {
 
 impl Report {
     /// What follows from what was measured.
-    pub(super) fn of(setting: Setting, ours: Side, peer: Option<Side>, wakeups: &Wakeups) -> Self {
+    pub(super) fn of(
+        setting: Setting,
+        ours: Side,
+        peer: Option<Side>,
+        wakeups: &Wakeups,
+        cell: Option<CellReport>,
+    ) -> Self {
         let over = |ours: f64, peer: f64| (peer > 0.0).then(|| ours / peer);
         let ratio = peer.as_ref().map(|peer| Ratio {
             p50: over(ours.late.p50, peer.late.p50),
@@ -167,6 +176,7 @@ impl Report {
             fits,
             tail,
             setting,
+            cell,
             ours,
             peer,
             ratio,
@@ -213,6 +223,26 @@ impl fmt::Display for Report {
             let [p50, p99, p999, max] = [p50, p99, p999, max]
                 .map(|ratio| ratio.map_or("-".to_owned(), |ratio| format!("{ratio:.4}")));
             writeln!(f, "{:11} {p50:>10} {p99:>10} {p999:>10} {max:>10}", "ratio")?;
+        }
+        if let Some(cell) = &self.cell {
+            let times = [
+                ("wake-up", cell.wake_us),
+                ("step", cell.step_us),
+                ("bus", cell.bus_us),
+            ];
+            // A tty does not tell when an answer came.
+            for (name, times) in times.into_iter().filter(|(_, times)| times.max > 0.0) {
+                writeln!(
+                    f,
+                    "{name:11} {:>10.3} {:>10.3} {:>10.3} {:>10.3}",
+                    times.p50, times.p99, times.p999, times.max
+                )?;
+            }
+            writeln!(
+                f,
+                "\nours is from deadline to SYNC; cell {}: {}",
+                cell.name, cell.state
+            )?;
         }
         writeln!(f)?;
         if let Some(cost) = self.ours.cost.filter(|cost| cost.spin_percent > 0.0) {
