@@ -174,7 +174,16 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
         crate::budget::check(file)?;
     }
     let bench = options.bench.unwrap_or(CellBench::Emulated);
-    let mut cell = file.as_ref().map(|file| MeasuredCell::new(file, bench));
+    let traffic = options.load.contains(&load::Kind::Bus);
+    let buses = file.as_ref().map_or(0, |file| file.cell.bus.len());
+    if traffic && (buses == 0 || bench != CellBench::Emulated) {
+        bail!(
+            "--load bus needs the virtual CAN bus of --cell with --bench emulated; `cangen` loads an interface"
+        );
+    }
+    let mut cell = file
+        .as_ref()
+        .map(|file| MeasuredCell::new(file, bench, traffic));
     if options.against == Some(Peer::Cyclictest) {
         cyclictest::find()?;
     }

@@ -5,7 +5,7 @@ use std::process::{Command, Stdio};
 use serde_json::Value;
 
 use crate::cli_refusals::refused;
-use crate::mrroc::{Directory, Output, Running, binary, mrroc};
+use crate::mrroc::{Directory, Output, Running, binary, example, mrroc};
 
 const KEYS: [&str; 4] = ["p50", "p99", "p999", "max"];
 
@@ -47,7 +47,6 @@ fn a_measurement_ends_with_one_object_that_compares_both_sides() {
     assert_eq!(report["ended_early"], false, "{report}");
 }
 
-/// A cycle of 10 ms, of which each side met 20 to 100 in the time; its lateness is a matter of µs.
 #[test]
 fn numbers_are_in_microseconds() {
     let report = measured(&["--against", "plain", "--wait", "plain"]);
@@ -56,6 +55,71 @@ fn numbers_are_in_microseconds() {
         assert!((0.5..20_000.0).contains(&median), "{report}");
     }
     assert_eq!(report["period_us"], 2000.0, "{report}");
+}
+
+#[test]
+fn the_cycle_of_a_cell_is_measured_with_its_drives_on() {
+    let cell = example("irb6");
+    let words = [
+        "jitter",
+        "--duration=2s",
+        "--against=plain",
+        "--load=bus",
+        "--json",
+        "--cell",
+    ];
+    let words = words
+        .map(AsRef::as_ref)
+        .into_iter()
+        .chain([cell.as_os_str()]);
+    let run = mrroc(words);
+    assert_eq!(run.status.code(), Some(0), "{run:?}");
+    let report = run.json();
+    assert_eq!(report["period_us"], 2000.0, "{report}");
+    assert_eq!(
+        report["cell"]["state"], "power on, holding position, not homed",
+        "{report}"
+    );
+    for (part, least) in [("step_us", 0.5), ("bus_us", 300.0), ("wake_us", 0.0)] {
+        let values = KEYS.map(|key| report["cell"][part][key].as_f64().unwrap());
+        assert!(
+            values.is_sorted() && values[0] > least && values[0] < 2000.0,
+            "{report}"
+        );
+    }
+    for side in ["ours", "peer"] {
+        let cycles = report[side]["cycles"].as_u64().unwrap();
+        assert!((500..=1100).contains(&cycles), "{report}");
+    }
+}
+
+#[test]
+fn what_is_no_cell_to_measure_is_refused() {
+    let cell = example("irb6");
+    let cell = cell.to_str().unwrap();
+    for (arguments, needles) in [
+        (
+            &["--cell", cell, "--period", "1500us"][..],
+            ["--period", "a multiple of 1ms"],
+        ),
+        (
+            &["--cell", cell, "--period", "2s"],
+            ["--period", "50us and 1s"],
+        ),
+        (
+            &["--cell", cell, "--priority", "0"],
+            ["--priority", "between 1 and 99"],
+        ),
+        (&["--cell", "/none.toml"], ["/none.toml", "No such file"]),
+        (&["--bench", "vcan"], ["--bench", "--cell"]),
+        (&["--load", "bus"], ["--load bus", "--cell"]),
+        (
+            &["--load", "bus", "--cell", cell, "--bench", "vcan"],
+            ["--load bus", "cangen"],
+        ),
+    ] {
+        refused(&mrroc(["jitter"].iter().chain(arguments)), &needles);
+    }
 }
 
 #[test]

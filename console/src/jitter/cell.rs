@@ -33,6 +33,8 @@ pub(crate) enum CellBench {
 pub(crate) struct MeasuredCell<'a> {
     file: &'a CellFile,
     bench: CellBench,
+    /// Whether frames that nobody asked for load its buses.
+    traffic: bool,
     step: Counts,
     bus: Counts,
     wake_up: Counts,
@@ -43,10 +45,11 @@ pub(crate) struct MeasuredCell<'a> {
 }
 
 impl<'a> MeasuredCell<'a> {
-    pub(crate) fn new(file: &'a CellFile, bench: CellBench) -> Self {
+    pub(crate) fn new(file: &'a CellFile, bench: CellBench, traffic: bool) -> Self {
         Self {
             file,
             bench,
+            traffic,
             step: counts(),
             bus: counts(),
             wake_up: counts(),
@@ -58,7 +61,7 @@ impl<'a> MeasuredCell<'a> {
 
     /// What was seen so far counts for nothing.
     pub(crate) fn forget(&mut self) {
-        *self = Self::new(self.file, self.bench);
+        *self = Self::new(self.file, self.bench, self.traffic);
     }
 
     /// One turn into `ledger`; returns what the host denied. `look` is called meanwhile.
@@ -78,6 +81,9 @@ impl<'a> MeasuredCell<'a> {
         let groups = setup::drive_groups(file, bench.ports, bench.lines)?;
         let (mut servo, mut links) = Servo::new(&setup::servo_config(file), groups)?;
         let mut emulation = bench.emulation;
+        if let Some(emulation) = emulation.as_mut().filter(|_| self.traffic) {
+            emulation.add_traffic();
+        }
         let since = clockwork::bring_up(&mut servo, &mut emulation)
             .map_err(|error| crate::run::why_not_up(file, error))?;
         for link in &mut links {

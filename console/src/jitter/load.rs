@@ -45,6 +45,8 @@ pub(crate) enum Kind {
     Fork,
     /// Writes to a file in the directory for temporary ones, each made durable.
     Io,
+    /// Frames that nobody asked for on the virtual buses of the cell under measurement.
+    Bus,
     /// hackbench of Debian's package rt-tests: messages between many threads.
     Hackbench,
     /// stress-ng of Debian's package of that name: its arithmetic, memory and disk.
@@ -63,7 +65,7 @@ impl Kind {
         match self {
             Self::Hackbench => Some(("hackbench", "rt-tests")),
             Self::StressNg => Some(("stress-ng", "stress-ng")),
-            Self::Cpu | Self::Memory | Self::Fork | Self::Io => None,
+            Self::Cpu | Self::Memory | Self::Fork | Self::Io | Self::Bus => None,
         }
     }
 }
@@ -102,7 +104,10 @@ impl Load {
         };
         let cpus = std::thread::available_parallelism().map_or(1, usize::from);
         for (kind, number) in kinds.iter().flat_map(|&kind| {
-            let threads = kind.program().map_or(cpus, |_| 1);
+            let threads = match kind {
+                Kind::Bus => 0,
+                _ => kind.program().map_or(cpus, |_| 1),
+            };
             (0..threads).map(move |number| (kind, number))
         }) {
             let mut turn = turn(kind, number)?;
@@ -149,6 +154,8 @@ fn turn(kind: Kind, number: usize) -> anyhow::Result<Box<dyn FnMut() -> bool + S
             let child = Command::new("true").stdin(Stdio::null()).status();
             child.is_ok()
         }),
+        // It hangs on the buses of the cell, and needs no thread.
+        Kind::Bus => Box::new(|| false),
         // Threads of one process end with it.
         Kind::Hackbench => again(&["hackbench", "--threads", "--loops=10000"]),
         Kind::StressNg => again(&[

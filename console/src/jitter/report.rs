@@ -162,7 +162,9 @@ impl Report {
             p999: over(ours.late.p999, peer.late.p999),
             max: over(ours.late.max, peer.late.max),
         });
-        let fits = verdict::fits(&ours.late, setting.period_us);
+        // A thread alone is late for what it skips, and that is in its percentiles.
+        let skipped = (cell.as_ref()).and(ours.missed).unwrap_or(0);
+        let fits = verdict::fits(&ours.late, setting.period_us, ours.cycles, skipped);
         let tail = (peer.as_ref()).map(|peer| verdict::tail(&ours.late, &peer.late));
         let causes = Cause::ALL.iter().zip(wakeups.causes);
         let worst = wakeups.worst.iter().filter_map(|(late, cause)| {

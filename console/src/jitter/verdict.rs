@@ -34,11 +34,15 @@ pub(super) enum Grade {
 }
 
 impl Grade {
-    fn of(late: &Percentiles, period: f64) -> Self {
+    /// Cycles that were `skipped` are in no percentile.
+    fn of(late: &Percentiles, period: f64, cycles: u64, skipped: u64) -> Self {
         let (near, half) = (period / 20.0, period / 2.0);
-        if late.max <= near {
+        if 1000 * skipped > cycles + skipped {
+            return Self::NotFit;
+        }
+        if skipped == 0 && late.max <= near {
             Self::Good
-        } else if late.p999 <= near && late.max <= half {
+        } else if skipped == 0 && late.p999 <= near && late.max <= half {
             Self::GoodEnough
         } else if late.p999 <= half {
             Self::SkipsCycles
@@ -78,12 +82,17 @@ pub(super) struct Tail {
 }
 
 /// The grades of the usual periods and of `period`.
-pub(super) fn fits(late: &Percentiles, period: f64) -> Vec<Fit> {
+///
+/// `skipped` are the cycles that a cell's servo let go; they are held against every period.
+pub(super) fn fits(late: &Percentiles, period: f64, cycles: u64, skipped: u64) -> Vec<Fit> {
+    if cycles == 0 {
+        return Vec::new();
+    }
     let own = Some(period).filter(|own| !USUAL.contains(own));
     let periods = USUAL.into_iter().chain(own);
     let fit = |period_us| Fit {
         period_us,
-        grade: Grade::of(late, period_us),
+        grade: Grade::of(late, period_us, cycles, skipped),
     };
     periods.map(fit).collect()
 }
@@ -104,6 +113,9 @@ pub(super) fn tail(ours: &Percentiles, peer: &Percentiles) -> Tail {
 
 /// The verdict in words.
 pub(super) fn words(fits: &[Fit], tail: Option<&Tail>, cycles: u64, loaded: bool) -> String {
+    if cycles == 0 {
+        return "nothing was measured".into();
+    }
     let mut said = String::new();
     for Fit { period_us, grade } in fits {
         let _ = write!(said, "{period_us} µs: {}; ", grade.words());
@@ -161,13 +173,36 @@ mod tests {
             ),
             (late(0.1, 9.0, 1001.0, 5000.0), [Grade::NotFit; 2]),
         ] {
-            let found: Vec<_> = fits(&late, 1000.0).iter().map(|fit| fit.grade).collect();
+            let found: Vec<_> = fits(&late, 1000.0, ENOUGH, 0)
+                .iter()
+                .map(|fit| fit.grade)
+                .collect();
             assert_eq!(found, grades, "{late:?}");
         }
-        let periods: Vec<_> = (fits(&late(0.0, 0.0, 0.0, 0.0), 250.0).iter())
+        let periods: Vec<_> = (fits(&late(0.0, 0.0, 0.0, 0.0), 250.0, ENOUGH, 0).iter())
             .map(|fit| fit.period_us)
             .collect();
         assert_eq!(periods, [1000.0, 2000.0, 250.0]);
+    }
+
+    #[test]
+    fn skipped_cycles_spoil_the_grade_and_nothing_measured_has_none() {
+        let calm = late(0.1, 0.2, 1.0, 2.0);
+        for (cycles, skipped, expected) in [
+            (100_000, 0, Some(Grade::Good)),
+            (100_000, 1, Some(Grade::SkipsCycles)),
+            (99_900, 100, Some(Grade::SkipsCycles)),
+            (99_899, 101, Some(Grade::NotFit)),
+            (0, 5, None),
+        ] {
+            let fits = fits(&calm, 1000.0, cycles, skipped);
+            assert_eq!(
+                fits.first().map(|fit| fit.grade),
+                expected,
+                "{cycles} {skipped}"
+            );
+        }
+        assert_eq!(words(&[], None, 0, true), "nothing was measured");
     }
 
     #[test]
@@ -176,7 +211,7 @@ mod tests {
         let tail = tail(&ours, &late(20.0, 80.0, 280.0, 7000.0));
         assert_eq!((tail.host.p999, tail.own.p999), (280.0, 20.0));
         assert_eq!((tail.host.max, tail.own.max), (5000.0, 0.0));
-        let said = words(&fits(&ours, 1000.0), Some(&tail), ENOUGH, true);
+        let said = words(&fits(&ours, 1000.0, ENOUGH, 0), Some(&tail), ENOUGH, true);
         for needle in [
             "1000 µs: only where",
             "2000 µs:",
