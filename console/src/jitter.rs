@@ -1,8 +1,15 @@
 //! `mrroc jitter`: how punctual a thread is on this host that waits for deadlines as the servo's does.
 //!
 //! It measures the error of the wake-up, from a deadline to when the thread was there, with the servo's own wait and
-//! without a servo. The peer, cyclictest or a probe with its algorithm, takes turns with it within the run, so that
-//! both see the same host; what keeps CPUs from deep idle states is held for both, or for neither where it is denied.
+//! without a servo; or, of a cell, from a deadline to its SYNC. The peer, cyclictest or a probe with its algorithm, takes
+//! turns with it within the run, so that both see the same host.
+//!
+//! **Both sides alike**: what keeps CPUs from deep idle states is held for both, or for neither where it is denied, and
+//! cyclictest is told to leave it alone; the same priority under SCHED_FIFO and the same CPU, or none; all memory
+//! locked; a timer slack of 1 ns; a first turn that counts for nothing. No two turns overlap. Ours is counted in ns and
+//! cyclictest's own histogram in µs, so a ratio is no finer than that.
+//!
+//! **Files** of `--out` are in [`files`], what the verdict is made of is in [`verdict`].
 
 mod cell;
 mod chart;
@@ -235,14 +242,14 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
         };
         denied = match &mut cell {
             None => course.thread(wakeups, into, "ours", |to| {
-                probe::wait(&mut waiter, to, turn)
+                probe::wait(&mut waiter, to, turn);
             })?,
             Some(cell) => {
                 if round == 1 {
                     cell.forget();
                 }
                 cell.turn(plan.policy, turn, into, |ledger| {
-                    course.look(ledger, "ours")
+                    course.look(ledger, "ours");
                 })?
             }
         };

@@ -33,6 +33,9 @@ const BLOCKS: u64 = 16;
 /// How often to look whether a program has ended.
 const LOOK: Duration = Duration::from_millis(50);
 
+/// How long a program may take to end when it is told to.
+const ENDING: Duration = Duration::from_secs(3);
+
 /// What loads the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
 #[serde(rename_all = "kebab-case")]
@@ -210,7 +213,7 @@ fn again(words: &'static [&'static str]) -> Box<dyn FnMut() -> bool + Send> {
     })
 }
 
-/// A program under way; dropping it kills its process group.
+/// A program under way; dropping it ends it, and kills its process group if it does not end in time.
 struct Program(Child);
 
 impl Program {
@@ -230,11 +233,20 @@ impl Program {
 
 impl Drop for Program {
     fn drop(&mut self) {
-        let group = format!("kill -KILL -- -{}", self.0.id());
-        let _ = Command::new("sh")
-            .args(["-c", &group])
-            .stderr(Stdio::null())
-            .status();
+        let id = self.0.id();
+        let signal = |signal: &str| {
+            let _ = Command::new("sh")
+                .args(["-c", &format!("kill {signal}{id}")])
+                .stderr(Stdio::null())
+                .status();
+        };
+        // Those that have processes of their own wait for them.
+        signal("-TERM ");
+        let end = now() + ENDING;
+        while matches!(self.0.try_wait(), Ok(None)) && now() < end {
+            sleep_until(now() + LOOK);
+        }
+        signal("-KILL -- -");
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
