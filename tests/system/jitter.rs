@@ -266,3 +266,53 @@ fn programs_that_are_not_installed_are_refused_with_their_package() {
         );
     }
 }
+
+/// A program in place of hackbench that never ends by itself; its process is looked for by its number.
+#[test]
+fn programs_of_a_load_end_with_the_command_however_that_ends() {
+    for killed in [false, true] {
+        let scratch = Directory::new();
+        let script = scratch.write(
+            "hackbench",
+            "#!/bin/sh\n[ \"$1\" = --help ] && exit\necho $$ > \"$0.pid\"\nexec sleep 600\n",
+        );
+        let executable = Command::new("chmod").arg("+x").arg(&script).status();
+        assert!(executable.unwrap().success());
+        let directory = script.parent().unwrap().display();
+        let path = format!("{directory}:{}", std::env::var("PATH").unwrap());
+        let mut command = Command::new(binary());
+        command.args(["jitter", "--load=hackbench", "--json", "--duration"]);
+        command
+            .arg(if killed { "1h" } else { "1s" })
+            .env("PATH", path);
+        let mut command = command.stdout(Stdio::null()).spawn().unwrap();
+        let pid = patiently(|| {
+            let pid = std::fs::read_to_string(scratch.path("hackbench.pid")).ok()?;
+            pid.trim().parse::<u32>().ok()
+        });
+        assert!(std::path::Path::new(&format!("/proc/{pid}")).exists());
+        if killed {
+            command.kill().unwrap();
+        }
+        command.wait().unwrap();
+        patiently(|| {
+            let stat = std::fs::read_to_string(format!("/proc/{pid}/stat"));
+            // Whoever inherits it may not have waited for it yet.
+            stat.is_ok_and(|stat| !stat.contains(") Z "))
+                .then_some(())
+                .xor(Some(()))
+        });
+    }
+}
+
+/// What `found` finds within some seconds.
+fn patiently<T>(found: impl Fn() -> Option<T>) -> T {
+    for _ in 0..1000 {
+        if let Some(found) = found() {
+            return found;
+        }
+        let waited = Command::new("sleep").arg("0.01").status();
+        assert!(waited.unwrap().success());
+    }
+    panic!("it did not happen in time");
+}
