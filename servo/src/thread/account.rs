@@ -48,6 +48,10 @@ impl Account {
         let (before, quiet) = (self.last, self.quiet);
         self.begin();
         let counted = self.last.since(before);
+        if counted.switches > 0 {
+            return counted;
+        }
+        // Nobody took the CPU while it ran, so its delays were at wake-ups, of which the quiet ones did no harm.
         Usage {
             delay: counted.delay.map(|delay| delay.saturating_sub(quiet)),
             ..counted
