@@ -11,6 +11,14 @@
 //! period. What follows from too many is in [`Servo::missed`]. An emulated cell need not suffer from it:
 //! see [`CellTime`].
 //!
+//! **A late cycle** is explained: [`Timing::late`] counts who took the time, and keeps the worst. The clock is read
+//! between the phases of a cycle; the kernel's account of the thread (`getrusage`, `/proc/thread-self/schedstat`) only
+//! in the slack after SYNC, of a cycle that was late or otherwise disturbed and of one quiet cycle in 16, so that what
+//! adds up in quiet ones is not taken for the delay of one.
+//!
+//! **Time** that control laws see is the nominal period, however late a cycle is; [`Record::dt`](crate::Record) has the
+//! real one.
+//!
 //! **The end** is always drives off. When `until` says so the servo is asked to stop, and cycles go
 //! on until every effector is braked and without power, or for as long as that can take. A panic
 //! of `between` or `until` ends in the same way (category 1), without calling them again; a panic of
@@ -19,7 +27,8 @@
 //! to silence is what stops them.
 //!
 //! **Real-time needs** are asked for one by one: SCHED_FIFO, a CPU, locked memory, timer slack of
-//! 1 ns. What the host denies is returned as [`Denial`]s, which name the line that grants it; with
+//! 1 ns, and no deep idle states while the thread runs (`/dev/cpu_dma_latency`). Threads and processes that it starts do
+//! not inherit SCHED_FIFO. What the host denies is returned as [`Denial`]s, which name the line that grants it; with
 //! [`Realtime::Require`] the thread does not start without them.
 
 mod account;
@@ -234,7 +243,9 @@ pub fn start(
     let (tell, told) = mpsc::sync_channel(1);
     let body = move || {
         let mut run = Run::new(servo, policy);
-        let denied = demand(&policy);
+        let mut denied = demand(&policy);
+        let latency = CpuLatency::demand();
+        denied.extend(latency.as_ref().err());
         let refused = policy.realtime == Realtime::Require && !denied.is_empty();
         // The starter waits for this; if it were gone, nobody could stop the thread.
         let heard = tell.send(denied.clone()).is_ok();
