@@ -14,6 +14,7 @@ use crate::card;
 use crate::cell_file::CellFile;
 use crate::emulation::Emulation;
 use crate::interfaces::{self, Interface};
+use crate::wire::{Listener, Wire};
 
 /// Frames that a trace may lag behind the bus: some seconds of a full one.
 const TRACE: usize = 1 << 16;
@@ -52,6 +53,8 @@ pub(crate) struct Bench {
     pub(crate) interfaces: Vec<Interface>,
     /// What passed each port, if a trace was asked for.
     pub(crate) traces: Vec<TraceReader>,
+    /// What listens to the buses.
+    pub(crate) wire: Wire,
     /// The emulated cell, on the benches without hardware.
     pub(crate) emulation: Option<Emulation>,
 }
@@ -71,7 +74,7 @@ impl Bench {
             bail!("--set-bitrate needs --bench card");
         }
         let interfaces = interfaces::resolve(&file.cell, can)?;
-        let (ports, lines, emulation): (Vec<Box<dyn Port>>, _, _) = match kind {
+        let (ports, lines, listeners, emulation): (Vec<Box<dyn Port>>, _, _, _) = match kind {
             BenchKind::Lockstep | BenchKind::Emulated => {
                 if !can.is_empty() || serial.is_some() {
                     bail!("--can and --serial need --bench vcan or --bench card");
@@ -79,7 +82,8 @@ impl Bench {
                 let (mut emulation, ends) = Emulation::of(file);
                 let lines = emulated_lines(file, kind, &mut emulation, ends.lines)?;
                 let ports = ends.ports.into_iter().map(|port| Box::new(port) as _);
-                (ports.collect(), lines, Some(emulation))
+                let listeners = ends.listeners.into_iter().map(Listener::Virtual).collect();
+                (ports.collect(), lines, listeners, Some(emulation))
             }
             BenchKind::Vcan | BenchKind::Card => {
                 let open = |(index, interface): (usize, &Interface)| {
@@ -98,15 +102,23 @@ impl Bench {
                 };
                 let ports = interfaces.iter().enumerate().map(open);
                 let ports = ports.collect::<anyhow::Result<_>>()?;
-                (ports, ttys(file, serial)?, None)
+                let listen = |(index, interface): (usize, &Interface)| {
+                    let listener = Listener::open(file, index, interface);
+                    listener.with_context(|| format!("bus {}", file.cell.bus[index].name))
+                };
+                let listeners = interfaces.iter().enumerate().map(listen);
+                let listeners = listeners.collect::<anyhow::Result<_>>()?;
+                (ports, ttys(file, serial)?, listeners, None)
             }
         };
+        let wire = Wire::new(file, listeners);
         if !trace {
             return Ok(Self {
                 ports,
                 lines,
                 interfaces,
                 traces: Vec::new(),
+                wire,
                 emulation,
             });
         }
@@ -120,6 +132,7 @@ impl Bench {
             lines,
             interfaces,
             traces,
+            wire,
             emulation,
         })
     }

@@ -20,6 +20,9 @@ use crate::cell_file::CellFile;
 /// Frames that the host's end of a virtual bus holds each way.
 const QUEUE: usize = 256;
 
+/// Frames that a listener of a virtual bus may lag behind: some seconds of a full one.
+const HEARD: usize = 1 << 15;
+
 /// Bytes that the host's end of a virtual line holds each way: as a tty's buffer.
 const LINE: usize = 4096;
 
@@ -36,6 +39,8 @@ pub(crate) struct Emulation {
 pub(crate) struct HostEnds {
     /// The port of each CAN bus.
     pub(crate) ports: Vec<VirtualPort>,
+    /// An end of each CAN bus to listen at.
+    pub(crate) listeners: Vec<VirtualPort>,
     /// Each bundle's lines, in the order of [`Cell::axes_on`](controller::cell::Cell::axes_on).
     pub(crate) lines: Vec<Vec<VirtualLine>>,
 }
@@ -44,10 +49,11 @@ impl Emulation {
     /// The world of a cell, switched on at [`Instant::ZERO`].
     pub(crate) fn of(file: &CellFile) -> (Self, HostEnds) {
         let mut world = World::new();
-        let mut ports = Vec::new();
+        let (mut ports, mut listeners) = (Vec::new(), Vec::new());
         for index in 0..file.cell.bus.len() {
             let bus = add_bus(&mut world, file, index);
             ports.push(world.host_port(bus, QUEUE));
+            listeners.push(world.host_port(bus, HEARD));
         }
         let lines = (0..file.cell.serial.len()).map(|bundle| {
             let cabinet = Cabinet::default();
@@ -58,6 +64,7 @@ impl Emulation {
         let ends = HostEnds {
             lines: lines.collect(),
             ports,
+            listeners,
         };
         let emulation = Self {
             world,

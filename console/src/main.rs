@@ -26,6 +26,7 @@ mod service;
 mod setup;
 mod trace;
 mod vm;
+mod wire;
 
 use std::path::PathBuf;
 use std::process::ExitCode;

@@ -10,6 +10,7 @@ use servo::{Histogram, Servo, Timing};
 
 use crate::budget::BusBudget;
 use crate::cell_file::CellFile;
+use crate::wire::WireReport;
 
 /// What a run leaves behind.
 pub(crate) struct Ran {
@@ -17,6 +18,7 @@ pub(crate) struct Ran {
     pub timing: Timing,
     pub denied: Vec<String>,
     pub faults: Vec<FaultReport>,
+    pub wire: Vec<WireReport>,
     /// Time that passed in the cell.
     pub cell_time: Duration,
 }
@@ -34,6 +36,8 @@ pub(crate) struct Report {
     pub cycle: CycleReport,
     /// Every bus.
     pub buses: Vec<BusReport>,
+    /// Every bus on the wire; empty if nothing was heard.
+    pub wire: Vec<WireReport>,
     /// What went wrong.
     pub faults: Vec<FaultReport>,
     /// What the host denied of the real-time requests.
@@ -75,19 +79,21 @@ impl Report {
                     }
                 })
         });
-        let buses = ran
-            .servo
-            .group_counters()
-            .zip(budgets)
-            .map(|(group, budget)| BusReport {
-                name: budget.name.clone(),
-                frames: group.port.sent + group.port.received,
-                load_percent: 100.0 * group.port.bits as f64
-                    / (budget.bits_per_second * ran.cell_time.as_secs_f64()),
-                worst_case_percent: budget.worst_case_percent,
-                dropped_setpoints: group.dropped_setpoints,
-                missed_answers: group.missed_answers,
-            });
+        let buses =
+            ran.servo
+                .group_counters()
+                .zip(budgets)
+                .enumerate()
+                .map(|(index, (group, budget))| BusReport {
+                    name: budget.name.clone(),
+                    lines: (index >= file.cell.bus.len()).then(|| file.cell.axes_on(index).count()),
+                    frames: group.port.sent + group.port.received,
+                    load_percent: 100.0 * group.port.bits as f64
+                        / (budget.bits_per_second * ran.cell_time.as_secs_f64()),
+                    worst_case_percent: budget.worst_case_percent,
+                    dropped_setpoints: group.dropped_setpoints,
+                    missed_answers: group.missed_answers,
+                });
         Self {
             cell: file.cell.name.clone(),
             bench,
@@ -110,6 +116,7 @@ impl Report {
                 worst: ran.timing.late.worst().map(WorstCycle::from).collect(),
             },
             buses: buses.collect(),
+            wire: ran.wire,
             faults: ran.faults,
             denied: ran.denied,
             realtime_factor: ran.cell_time.as_secs_f64() / wall.as_secs_f64(),
@@ -295,7 +302,9 @@ impl From<&Histogram> for Percentiles {
 pub(crate) struct BusReport {
     /// Its name.
     pub name: String,
-    /// Frames sent and received by the host.
+    /// Lines, of a bundle of them; null for a CAN bus.
+    pub lines: Option<usize>,
+    /// Frames, or telegrams on lines, sent and received by the host.
     pub frames: u64,
     /// Share of the bus's time that those frames took, from bring-up to switch-off, percent.
     pub load_percent: f64,
@@ -388,9 +397,14 @@ impl fmt::Display for Report {
             writeln!(f, "the worst: {}", worst.collect::<Vec<_>>().join(", "))?;
         }
         for bus in &self.buses {
+            let traffic = match bus.lines {
+                None => format!("{} frames", bus.frames),
+                Some(1) => format!("{} telegrams on 1 line", bus.frames),
+                Some(lines) => format!("{} telegrams on {lines} lines", bus.frames),
+            };
             let mut line = format!(
-                "bus {}: {} frames, load {:.1} %, worst case {:.1} % of the period",
-                bus.name, bus.frames, bus.load_percent, bus.worst_case_percent
+                "bus {}: {traffic}, load {:.1} %, worst case {:.1} % of the period",
+                bus.name, bus.load_percent, bus.worst_case_percent
             );
             if bus.dropped_setpoints + bus.missed_answers > 0 {
                 write!(
@@ -400,6 +414,9 @@ impl fmt::Display for Report {
                 )?;
             }
             writeln!(f, "{line}")?;
+        }
+        for wire in &self.wire {
+            write!(f, "{wire}")?;
         }
         for denied in &self.denied {
             writeln!(f, "denied: {denied}")?;

@@ -1,10 +1,10 @@
 //! `mrroc run`: brings a cell up, homes it, runs its programs, switches it off and reports.
 //!
-//! By the wall clock four threads take part: the servo's, the controller's below it, one that writes the
-//! files, and the main thread, which shows the progress. However a run ends, the servo thread is waited
-//! for until it has braked the arms and switched them off: at the programs' end, on a signal, when a file
-//! cannot be written, and by a panic of the main thread or the controller's. A file that takes nothing is
-//! not waited for. Whatever may still have power afterwards is a fault of the run.
+//! By the wall clock five threads take part: the servo's, the controller's below it, one that writes the
+//! files, one that listens to the buses, and the main thread, which shows the progress. However a run ends,
+//! the servo thread is waited for until it has braked the arms and switched them off: at the programs' end,
+//! on a signal, when a file cannot be written, and by a panic of the main thread or the controller's. A file
+//! that takes nothing is not waited for. Whatever may still have power afterwards is a fault of the run.
 
 use std::cell::{Cell as Shared, RefCell};
 use std::fmt::Display;
@@ -29,6 +29,7 @@ use crate::emulation::Emulation;
 use crate::programs::{Programs, Progress, servo_faults};
 use crate::report::{FaultReport, Outcome, Ran, Report};
 use crate::trace::{AxisLog, FrameLog};
+use crate::wire::Wire;
 use crate::{rehearsal, setup};
 
 /// Records that an axis log may lag behind the servo, per effector: some seconds.
@@ -91,6 +92,7 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
         lines,
         interfaces,
         traces,
+        wire,
         emulation,
     } = Bench::open(
         &file,
@@ -141,7 +143,7 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
             servo,
             programs,
             logs,
-            emulation,
+            Buses { wire, emulation },
             &interrupted,
             progress,
         )?,
@@ -150,7 +152,7 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
             servo,
             programs,
             logs,
-            emulation,
+            Buses { wire, emulation },
             &interrupted,
             progress,
         )?,
@@ -201,6 +203,12 @@ pub(crate) fn print(report: &(impl Serialize + Display), json: bool) -> anyhow::
         Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(error.into()),
         _ => Ok(()),
     }
+}
+
+/// What is beyond the ports of a run.
+struct Buses {
+    wire: Wire,
+    emulation: Option<Emulation>,
 }
 
 /// The files of a run.
@@ -334,6 +342,7 @@ fn not_up(
             timing: Timing::default(),
             denied: Vec::new(),
             faults: Vec::new(),
+            wire: Vec::new(),
             cell_time,
         });
     };
@@ -360,12 +369,16 @@ fn in_lockstep(
     mut servo: Servo,
     mut programs: Programs,
     logs: Logs,
-    emulation: Option<Emulation>,
+    Buses { wire, emulation }: Buses,
     interrupted: &AtomicBool,
     mut progress: Progress,
 ) -> anyhow::Result<Ran> {
     let emulation = RefCell::new(emulation.expect("lockstep has emulated drives"));
-    let between = |next| emulation.borrow_mut().advance(next);
+    let wire = RefCell::new(wire);
+    let between = |next| {
+        emulation.borrow_mut().advance(next);
+        wire.borrow_mut().look();
+    };
     let mut reached = Instant::ZERO;
     let up = lockstep::bring_up(&mut servo, Instant::ZERO, |next| {
         reached = next;
@@ -418,6 +431,7 @@ fn in_lockstep(
         timing,
         denied: Vec::new(),
         faults,
+        wire: wire.into_inner().reports(),
         cell_time: end.since(Instant::ZERO),
     })
 }
@@ -427,7 +441,10 @@ fn by_the_clock(
     mut servo: Servo,
     mut programs: Programs,
     logs: Logs,
-    mut emulation: Option<Emulation>,
+    Buses {
+        wire,
+        mut emulation,
+    }: Buses,
     interrupted: &AtomicBool,
     mut progress: Progress,
 ) -> anyhow::Result<Ran> {
@@ -435,6 +452,7 @@ fn by_the_clock(
     let policy = |time| setup::realtime_policy(&file.cell, time);
     let done = Arc::new(AtomicBool::new(false));
     let writing = Writing::start(logs, done.clone());
+    let listening = wire.listen();
     let finished = done.clone();
     let until = move |_: &Servo| finished.load(Ordering::Relaxed);
     let up = match &mut emulation {
@@ -507,6 +525,7 @@ fn by_the_clock(
         timing: ended.timing,
         denied: ended.denied.iter().map(ToString::to_string).collect(),
         faults,
+        wire: listening.finish(),
         cell_time,
     })
 }

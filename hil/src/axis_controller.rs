@@ -31,6 +31,7 @@ mod hi_moxa;
 mod nfv2;
 #[cfg(test)]
 mod tests;
+mod unit;
 
 pub use cabinet::Cabinet;
 pub use hi_moxa::HiMoxaAxisController;

@@ -23,6 +23,7 @@ use can::Instant;
 use canopen::Object;
 use canopen::sdo::{AbortCode, MAX_SIZE};
 
+use crate::outbox::{Heard, Outbox};
 use crate::{Device, Epos4, Epos4Config};
 
 /// What distinguishes one unit's port from another's.
@@ -50,20 +51,43 @@ impl EposSerialConfig {
     }
 }
 
-/// The device behind a port.
+/// The device behind a port, and what is under way to the host.
 struct Service {
+    config: EposSerialConfig,
     epos: Epos4,
+    outbox: Outbox,
+    heard: Heard,
 }
 
 impl Service {
-    fn new(config: &Epos4Config) -> Self {
+    fn new(config: EposSerialConfig) -> Self {
         Self {
-            epos: Epos4::new(config.clone()),
+            epos: Epos4::new(config.epos.clone()),
+            outbox: Outbox::new(),
+            heard: Heard::default(),
+            config,
         }
+    }
+
+    /// Sends `bytes` after the turn-around.
+    fn send(&mut self, bytes: &[u8], now: Instant) {
+        let at = now + self.config.turn_around;
+        self.heard.overrun += self.outbox.put(at, bytes) as u64;
+    }
+
+    /// Whether it heeds what comes in: not while it boots, nor while it has something to send.
+    fn listens(&self) -> bool {
+        self.epos.has_booted() && self.outbox.is_empty()
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        let answers = self.outbox.poll_timeout().into_iter();
+        answers.chain(self.epos.poll_timeout()).min()
     }
 
     /// Runs the device to `now`; what it says on CAN nobody hears.
     fn run(&mut self, now: Instant) {
+        self.outbox.run(now);
         if self.epos.poll_timeout().is_some_and(|at| at <= now) {
             self.epos.handle_timeout(now);
         }

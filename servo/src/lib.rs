@@ -11,6 +11,8 @@
 //! for deadlines and what happens when they are missed. Joints, Cartesian poses and planning are
 //! not here: everything is in motor positions.
 
+#![cfg_attr(mrroc_rtsan, feature(sanitize))]
+
 mod axis;
 mod brake;
 mod config;

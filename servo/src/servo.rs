@@ -146,6 +146,7 @@ impl Servo {
     }
 
     /// Everything of a cycle but its sending; `now` is the time of its SYNC, or shortly before.
+    #[cfg_attr(mrroc_rtsan, sanitize(realtime = "nonblocking"))]
     pub fn prepare(&mut self, now: Instant) {
         self.read(now);
         self.compute(now);
@@ -188,6 +189,7 @@ impl Servo {
     ///
     /// If a bus does not take all of it, the next cycle repeats its set-points: motion is then late by a
     /// period, and no drive is ever handed two steps at once.
+    #[cfg_attr(mrroc_rtsan, sanitize(realtime = "nonblocking"))]
     pub fn send(&mut self, now: Instant) {
         self.sent = Some(now);
         let mut taken = true;
@@ -242,6 +244,7 @@ impl Servo {
     ///
     /// For when the cycle itself cannot be trusted any more. A drive obeys what it latched at a
     /// SYNC, so two of these a period apart are the least.
+    #[cfg_attr(mrroc_rtsan, sanitize(realtime = "nonblocking"))]
     pub fn cut_power(&mut self, now: Instant) {
         for group in &mut self.groups {
             group.commands.fill(AxisCommand::Off);

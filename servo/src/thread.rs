@@ -388,6 +388,7 @@ impl Run {
     }
 
     /// Waits for the deadline and steps; false if the step panicked.
+    #[cfg_attr(mrroc_rtsan, sanitize(realtime = "nonblocking"))]
     fn cycle(&mut self) -> bool {
         let awake = self.wait();
         let stepped = catch_unwind(AssertUnwindSafe(|| self.step(&awake)));

@@ -48,6 +48,15 @@ fn completed(run: Running) -> String {
     assert_eq!(output.status.code(), Some(0), "{output:?}");
     let report = output.json();
     assert_eq!(report["outcome"], "completed", "{report}");
+    // SYNC is stamped when it has left the card, whose driver has no clock of its own.
+    let wire = &report["wire"][0];
+    assert_eq!(
+        (&wire["source"], &wire["sync_stamp"]),
+        (&"kernel".into(), &"sent".into()),
+        "{wire}"
+    );
+    let fastest = wire["nodes"][0]["sync_to_tpdo_us"]["p50"].as_f64();
+    assert!(fastest > Some(0.0), "{wire}");
     output.stderr
 }
 

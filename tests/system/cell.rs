@@ -24,6 +24,7 @@ use hil::{
 };
 use servo::{EffectorConfig, EffectorLink, Order, Phase, Record, Servo, ServoConfig};
 
+use crate::allocations;
 use crate::motion::Motion;
 
 const HOMING: Duration = Duration::from_secs(120);
@@ -182,7 +183,6 @@ impl Setup {
             scales,
             delay,
             last: Record::default(),
-            allocations: 0,
             records,
             drives,
             plugs,
@@ -286,12 +286,10 @@ pub(crate) struct Rig {
     pub(crate) delay: usize,
     /// The last cycle.
     pub(crate) last: Record,
-    /// Allocations in all cycles, those of the emulated world not counted.
-    pub(crate) allocations: u64,
     pub(crate) cell: Cell,
     /// Called after each cycle, before the world moves on.
     pub(crate) after_cycle: Box<dyn FnMut(&Record)>,
-    world: World,
+    pub(crate) world: World,
     records: rtrb::Consumer<Record>,
     drives: Vec<DriveId>,
     /// Of drives on a CAN bus.
@@ -301,17 +299,20 @@ pub(crate) struct Rig {
 
 impl Rig {
     /// One cycle of the servo, and the world until the next.
+    #[track_caller]
     pub(crate) fn cycle(&mut self) {
         self.servo_cycle();
         self.pass();
     }
 
-    /// One cycle of the servo alone.
+    /// One cycle of the servo alone, which does not use the heap, whatever the test has done to it.
+    #[track_caller]
     pub(crate) fn servo_cycle(&mut self) {
-        let before = crate::allocations::count();
+        let before = allocations::count();
         self.servo.prepare(self.now);
         self.servo.send(self.now);
-        self.allocations += crate::allocations::count() - before;
+        let used = allocations::count() - before;
+        assert_eq!(used, 0, "uses of the heap, {:?}", self.servo.state(0));
         if let Ok(record) = self.records.pop() {
             self.last = record;
         }

@@ -10,7 +10,7 @@ use crate::motion::Motion;
 use crate::watch::Watcher;
 
 #[test]
-fn a_cycle_sends_once_receives_once_and_never_allocates() {
+fn a_cycle_sends_once_and_receives_once() {
     let watcher = Watcher::new();
     let watch = watcher.clone();
     let mut setup = Setup::of("irp6");
@@ -43,7 +43,6 @@ fn a_cycle_sends_once_receives_once_and_never_allocates() {
     rig.order(Order::Disable);
     rig.until(Motion::LONGEST, "off", |rig| rig.servo.is_off());
     assert_eq!(rig.servo.fault(0), None);
-    assert_eq!(rig.allocations, 0);
 }
 
 fn id(frame: &Frame) -> u16 {

@@ -97,13 +97,29 @@ pub(crate) struct Running {
 
 impl Running {
     pub(crate) fn start(arguments: impl IntoIterator<Item: AsRef<OsStr>>) -> Self {
-        let mut child = Command::new(binary())
-            .args(arguments)
+        Self::of(Command::new(binary()).args(arguments))
+    }
+
+    /// `program` under `strace`, which writes every system call of every thread to `log`. Where the host grants it,
+    /// `strace` itself goes before ordinary threads, and `program` is one: each of its calls waits for `strace`.
+    pub(crate) fn under_strace(
+        log: &Path,
+        program: &Path,
+        arguments: impl IntoIterator<Item: AsRef<OsStr>>,
+    ) -> Self {
+        let script = "chrt --reset-on-fork --fifo --pid 70 $$ 2>/dev/null; exec strace -f -qq -e signal=none -o \"$@\"";
+        let mut strace = Command::new("sh");
+        strace.args(["-c", script, "sh"]);
+        Self::of(strace.arg(log).arg(program).args(arguments))
+    }
+
+    fn of(command: &mut Command) -> Self {
+        let mut child = command
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             .spawn()
-            .expect("mrroc starts");
+            .unwrap_or_else(|error| panic!("{command:?} does not start: {error}"));
         let stdout = read(child.stdout.take().expect("stdout is piped"));
         let stderr = read(child.stderr.take().expect("stderr is piped"));
         Self {

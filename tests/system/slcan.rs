@@ -276,6 +276,11 @@ fn an_arm_runs_over_one_adapter_with_its_drives_emulated_behind_another() {
     assert_eq!(run.status.code(), Some(0), "{run:?}");
     let report = run.json();
     assert_eq!(report["outcome"], "completed", "{report}");
+    let wire = &report["wire"][0];
+    assert!(
+        wire["source"].is_null() && wire["sync_to_sync_us"].is_null(),
+        "{wire}"
+    );
     assert!(mrroc::enables(&mrroc::trace(&directory.path("trace.log"))) > 100);
     emulators.signal("INT");
     assert_eq!(emulators.output().status.code(), Some(0));

@@ -27,6 +27,7 @@ use drive::{AxisCommand, AxisState, DriveGroup, Finite, Homing, Increments, Setp
 
 use crate::bench::on_vcan;
 use crate::mrroc::{self, Directory, Output, Running};
+use crate::wire;
 
 /// Longest time that anything here may take to begin.
 const PATIENCE: Duration = Duration::from_secs(10);
@@ -336,6 +337,9 @@ fn a_recorded_run_replays_into_the_same_axis_states() {
             // has the run's own, to the microsecond.
             replays(&stage.recording("bus.log"), &stage.cell, &states, f64::MAX);
             replays(&stage.recording("trace.log"), &stage.cell, &states, 1e-3);
+            // candump, a process of its own, was told the same stamps.
+            let bus = frames_of(&stage.directory.path("bus.log"));
+            wire::agrees(&report["wire"], &stage.cell, &bus);
         },
     );
 }

@@ -13,6 +13,8 @@ pub(crate) struct Watch {
     pub(crate) offered: Vec<Frame>,
     /// Frames that the port takes at a time; the rest it refuses.
     pub(crate) room: usize,
+    /// What the port says of its controller, if not what the port below does.
+    pub(crate) state: Option<ControllerState>,
 }
 
 impl Watch {
@@ -35,6 +37,7 @@ impl Watcher {
             taken: Vec::with_capacity(64),
             offered: Vec::with_capacity(64),
             room: usize::MAX,
+            state: None,
         })))
     }
 
@@ -81,6 +84,6 @@ impl<P: Port> Port for Watched<P> {
     }
 
     fn state(&self) -> ControllerState {
-        self.port.state()
+        self.watch.lock().state.unwrap_or(self.port.state())
     }
 }

@@ -54,7 +54,7 @@ pub(crate) struct BusArgs {
     /// [default: the cell's, or 1000]
     #[arg(long, value_name = "KBPS")]
     bitrate_kbps: Option<u32>,
-    /// A cell file: its bus is spoken on, unless --can names another interface, and its axes are called by their names.
+    /// A cell file: its bus is spoken on, unless --can names another interface, and its nodes are shown by the names of their axes.
     #[arg(long, value_name = "FILE")]
     cell: Option<PathBuf>,
     /// Which bus of the cell, if it has several.

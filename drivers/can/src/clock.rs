@@ -76,11 +76,19 @@ pub fn wait(ends: &mut [libc::pollfd], until: Instant) -> Result<bool, i32> {
     }
 }
 
-/// By how many nanoseconds `CLOCK_REALTIME` is ahead of `CLOCK_MONOTONIC`.
+/// By how many nanoseconds `CLOCK_REALTIME` is ahead of `CLOCK_MONOTONIC`, if it was `known` before.
 ///
-/// Changes whenever somebody sets the clock; ask anew for each batch of time stamps.
-pub(crate) fn realtime_offset() -> u64 {
-    nanos(libc::CLOCK_REALTIME).saturating_sub(nanos(libc::CLOCK_MONOTONIC))
+/// Changes whenever somebody sets the clock; ask anew for each batch of time stamps. What lies between two readings of
+/// clocks, however long, changes nothing: `known` is kept unless the readings refute it.
+pub(crate) fn realtime_offset(known: u64) -> u64 {
+    let before = nanos(libc::CLOCK_MONOTONIC);
+    let realtime = nanos(libc::CLOCK_REALTIME);
+    let after = nanos(libc::CLOCK_MONOTONIC);
+    let (least, most) = (
+        realtime.saturating_sub(after),
+        realtime.saturating_sub(before),
+    );
+    known.clamp(least, most)
 }
 
 #[expect(
@@ -108,5 +116,13 @@ mod tests {
         let first = now();
         assert!(now() >= first);
         assert!(first > Instant::ZERO);
+    }
+
+    #[test]
+    fn the_offset_of_the_clocks_stays_until_it_is_refuted() {
+        let offset = realtime_offset(0);
+        assert!((0..1000).all(|_| realtime_offset(offset).abs_diff(offset) < 1000));
+        assert_eq!(realtime_offset(0).abs_diff(offset) / 1_000_000, 0);
+        assert_eq!(realtime_offset(u64::MAX).abs_diff(offset) / 1_000_000, 0);
     }
 }

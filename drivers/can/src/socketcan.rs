@@ -7,16 +7,12 @@
 //! Bit rates are set by [`card`](crate::card), and restarts after bus-off are left to `ip link`. This is the rim: it makes system calls
 //! and reads the clock. Read [`SocketCanPort::open`] first.
 
-#![expect(
-    unsafe_code,
-    reason = "batched system calls that no safe wrapper offers"
-)]
+mod batch;
 
 use std::io;
-use std::mem;
-use std::os::fd::{AsFd, AsRawFd, BorrowedFd};
-use std::ptr;
+use std::os::fd::{AsFd, BorrowedFd};
 
+use batch::Batch;
 use socketcan::{CanAddr, CanFilter, CanSocket, Socket, SocketOptions};
 use thiserror::Error;
 
@@ -44,6 +40,8 @@ pub struct SocketCanOptions {
     /// Keep it below the length of the interface's own queue (`txqueuelen`, 10 on most cards): then it
     /// fills first, and a frame that was taken is sent.
     pub send_queue: usize,
+    /// Whether to ask for the card's own time stamps, for [`SocketCanPort::card_stamps`].
+    pub card_stamps: bool,
 }
 
 /// Eight set-points and a SYNC may wait for the bus; more than a second of a full bus of 1 Mbit/s for us.
@@ -53,6 +51,7 @@ impl Default for SocketCanOptions {
             accept: Vec::new(),
             receive_queue: 10_000,
             send_queue: 9,
+            card_stamps: false,
         }
     }
 }
@@ -116,6 +115,10 @@ pub struct SocketCanPort {
     overflow: u32,
     /// No received frame was stamped earlier than the one before it.
     last_received: Instant,
+    /// Of `CLOCK_REALTIME` ahead of `CLOCK_MONOTONIC`, as last seen, ns.
+    realtime_offset: u64,
+    /// Of the frames that the last receive returned.
+    card_stamps: Vec<Option<Instant>>,
     gone: bool,
 }
 
@@ -156,6 +159,9 @@ impl SocketCanPort {
             state: ControllerState::Active,
             overflow: 0,
             last_received: Instant::ZERO,
+            // Each pair of readings that nothing comes between bounds it closer.
+            realtime_offset: (0..16).fold(0, |known, _| clock::realtime_offset(known)),
+            card_stamps: Vec::with_capacity(BATCH),
             gone: false,
         })
     }
@@ -164,6 +170,12 @@ impl SocketCanPort {
     /// system's limit is lower.
     pub fn receive_queue(&self) -> usize {
         self.receive_queue
+    }
+
+    /// When the card saw each frame that the last receive returned, by its own clock; `None` where it said nothing, as
+    /// cards and drivers without such a clock do, or was not asked. The clock's origin and rate are the card's.
+    pub fn card_stamps(&self) -> &[Option<Instant>] {
+        &self.card_stamps
     }
 
     /// Waits until there is something to receive or `CLOCK_MONOTONIC` shows `until`, and says which.
@@ -194,8 +206,9 @@ impl SocketCanPort {
     /// Sorts the first `count` messages of the batch into `into` and the counters.
     fn sort(&mut self, count: usize, into: &mut [Received]) -> usize {
         let read_at = clock::now();
-        let realtime_offset = clock::realtime_offset();
+        self.realtime_offset = clock::realtime_offset(self.realtime_offset);
         let mut kept = 0;
+        self.card_stamps.clear();
         for index in 0..count {
             let ancillary = self.batch.ancillary(index);
             if let Some(overflow) = ancillary.overflow {
@@ -213,11 +226,14 @@ impl SocketCanPort {
             }
             // The stamp is of CLOCK_REALTIME, which may have been set since it was taken.
             let at = ancillary.realtime_nanos.map_or(read_at, |nanos| {
-                Instant::from_nanos(nanos.saturating_sub(realtime_offset))
+                Instant::from_nanos(nanos.saturating_sub(self.realtime_offset))
                     .clamp(self.last_received, read_at)
             });
             self.last_received = at;
             into[kept] = Received { frame, at };
+            // Within the capacity: a batch holds no more.
+            let card = ancillary.card_nanos.map(Instant::from_nanos);
+            self.card_stamps.push(card);
             kept += 1;
         }
         self.counters.count_received(&into[..kept]);
@@ -308,6 +324,10 @@ fn set_up(socket: &CanSocket, options: &SocketCanOptions) -> io::Result<()> {
     let set = |name, value| socket.set_socket_option_int(libc::SOL_SOCKET, name, value);
     set(libc::SO_RXQ_OVFL, ON)?;
     set(libc::SO_TIMESTAMPNS, ON)?;
+    if options.card_stamps {
+        let raw = libc::SOF_TIMESTAMPING_RX_HARDWARE | libc::SOF_TIMESTAMPING_RAW_HARDWARE;
+        set(libc::SO_TIMESTAMPING, raw as libc::c_int)?;
+    }
     set(libc::SO_SNDBUF, size(options.send_queue))?;
     // Beyond the system's limit if we may, up to it if not.
     let receive_buffer = size(options.receive_queue);
@@ -335,139 +355,6 @@ fn why_not_opened(interface: InterfaceName, error: &io::Error) -> OpenError {
 fn os(interface: InterfaceName, error: &io::Error) -> OpenError {
     let errno = error.raw_os_error().unwrap_or(libc::EIO);
     OpenError::Os { interface, errno }
-}
-
-fn errno() -> i32 {
-    io::Error::last_os_error()
-        .raw_os_error()
-        .unwrap_or(libc::EIO)
-}
-
-/// What `sendmmsg` and `recvmmsg` read and write.
-struct Batch {
-    headers: [libc::mmsghdr; BATCH],
-    slices: [libc::iovec; BATCH],
-    frames: [RawFrame; BATCH],
-    controls: [Control; BATCH],
-}
-
-/// `struct can_frame`.
-#[derive(Clone, Copy)]
-#[repr(C, align(8))]
-struct RawFrame {
-    id_and_flags: u32,
-    len: u8,
-    padding: [u8; 3],
-    data: [u8; 8],
-}
-
-/// Room for a time stamp (32 bytes with its header) and a count of dropped frames (24 bytes).
-#[derive(Clone, Copy)]
-#[repr(C, align(8))]
-struct Control([u8; 64]);
-
-/// What the kernel says beside a frame.
-#[derive(Default)]
-struct Ancillary {
-    realtime_nanos: Option<u64>,
-    overflow: Option<u32>,
-}
-
-// SAFETY: the pointers in headers and slices are written anew before each system call and not followed
-// after it.
-unsafe impl Send for Batch {}
-
-impl Batch {
-    fn new() -> Box<Self> {
-        // SAFETY: plain integers and pointers, for all of which zero is a value.
-        Box::new(unsafe { mem::zeroed() })
-    }
-
-    fn send(&mut self, socket: &CanSocket, frames: &[Frame]) -> Result<usize, i32> {
-        const { assert!(size_of::<Frame>() == size_of::<libc::can_frame>()) };
-        let count = frames.len().min(BATCH);
-        for (index, frame) in frames[..count].iter().enumerate() {
-            // The kernel only reads what a sent slice points to.
-            self.slices[index].iov_base = ptr::from_ref(frame).cast_mut().cast();
-            self.slices[index].iov_len = size_of::<Frame>();
-            let header = &mut self.headers[index].msg_hdr;
-            header.msg_iov = &mut self.slices[index];
-            header.msg_iovlen = 1;
-            header.msg_control = ptr::null_mut();
-            header.msg_controllen = 0;
-        }
-        let headers = self.headers.as_mut_ptr();
-        // SAFETY: the first `count` headers point to valid slices, those to frames that outlive the call.
-        let taken = unsafe {
-            libc::sendmmsg(
-                socket.as_raw_fd(),
-                headers,
-                count as u32,
-                libc::MSG_DONTWAIT,
-            )
-        };
-        usize::try_from(taken).map_err(|_| errno())
-    }
-
-    fn receive(&mut self, socket: &CanSocket, limit: usize) -> Result<usize, i32> {
-        let count = limit.min(BATCH);
-        for index in 0..count {
-            self.slices[index].iov_base = ptr::from_mut(&mut self.frames[index]).cast();
-            self.slices[index].iov_len = size_of::<RawFrame>();
-            let header = &mut self.headers[index].msg_hdr;
-            header.msg_iov = &mut self.slices[index];
-            header.msg_iovlen = 1;
-            header.msg_control = ptr::from_mut(&mut self.controls[index]).cast();
-            header.msg_controllen = size_of::<Control>();
-        }
-        let headers = self.headers.as_mut_ptr();
-        // SAFETY: the first `count` headers point to valid slices, frames and controls of this batch.
-        let received = unsafe {
-            libc::recvmmsg(
-                socket.as_raw_fd(),
-                headers,
-                count as u32,
-                libc::MSG_DONTWAIT,
-                ptr::null_mut(),
-            )
-        };
-        usize::try_from(received).map_err(|_| errno())
-    }
-
-    fn frame(&self, index: usize) -> Option<Frame> {
-        let raw = self.frames[index];
-        Frame::from_raw(raw.id_and_flags, raw.len, raw.data)
-    }
-
-    fn ancillary(&self, index: usize) -> Ancillary {
-        let mut found = Ancillary::default();
-        let control = ptr::from_ref(&self.controls[index]).cast_mut().cast();
-        let header = libc::msghdr {
-            msg_control: control,
-            ..self.headers[index].msg_hdr
-        };
-        // SAFETY: the kernel filled `msg_controllen` bytes of the control buffer with well-formed
-        // messages, which these macros walk; the data is read unaligned, in the type of its kind.
-        unsafe {
-            let mut message = libc::CMSG_FIRSTHDR(&header);
-            while let Some(it) = message.as_ref() {
-                let data = libc::CMSG_DATA(message);
-                match (it.cmsg_level, it.cmsg_type) {
-                    (libc::SOL_SOCKET, libc::SCM_TIMESTAMPNS) => {
-                        let stamp: libc::timespec = data.cast::<libc::timespec>().read_unaligned();
-                        found.realtime_nanos =
-                            Some(stamp.tv_sec as u64 * 1_000_000_000 + stamp.tv_nsec as u64);
-                    }
-                    (libc::SOL_SOCKET, libc::SO_RXQ_OVFL) => {
-                        found.overflow = Some(data.cast::<u32>().read_unaligned());
-                    }
-                    _ => {}
-                }
-                message = libc::CMSG_NXTHDR(&header, message);
-            }
-        }
-        found
-    }
 }
 
 #[cfg(test)]
@@ -515,6 +402,8 @@ mod tests {
             state: ControllerState::BusOff,
             overflow: 0,
             last_received: Instant::ZERO,
+            realtime_offset: 0,
+            card_stamps: Vec::new(),
             gone: false,
         };
         assert_eq!(port.failed(libc::EIO), PortError::Os(libc::EIO));

@@ -27,6 +27,7 @@ pub mod pdo;
 pub mod sdo;
 pub mod sync;
 pub mod time;
+pub mod wire_timing;
 
 pub use node_id::NodeId;
 pub use objects::Object;

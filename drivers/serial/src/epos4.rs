@@ -260,6 +260,7 @@ impl<'a> Answer<'a> {
 
 #[cfg(test)]
 mod tests {
+    use super::frame::tests::{encoded, frames};
     use super::*;
 
     const STATUSWORD: Address = Address {
@@ -279,20 +280,6 @@ mod tests {
         index: 0x1008,
         ..STATUSWORD
     };
-
-    fn encoded(frame: &Frame) -> Vec<u8> {
-        let mut into = [0; LONGEST];
-        let length = frame.encode(&mut into);
-        into[..length].to_vec()
-    }
-
-    fn frames(bytes: &[u8]) -> Vec<Result<Frame, FrameError>> {
-        let mut deframer = Deframer::new();
-        bytes
-            .iter()
-            .filter_map(|&byte| deframer.take(byte))
-            .collect()
-    }
 
     #[test]
     fn requests_are_the_bytes_of_the_line() {

@@ -4,8 +4,9 @@ use serial::hi_moxa::{
 };
 
 use super::drive::{Drive, Mode, Sample};
+use super::unit::Unit;
 use super::{AxisControllerConfig, GAP};
-use crate::outbox::{Heard, Outbox};
+use crate::outbox::Heard;
 use crate::{Axis, LineDevice};
 
 /// What its answers begin with; no source says which byte that is.
@@ -18,57 +19,50 @@ const START: u8 = 0x23;
 /// without a pause can be taken for the rest of it. Gains are accepted without effect: no source
 /// says their scale.
 pub struct HiMoxaAxisController {
-    config: AxisControllerConfig,
-    drive: Drive,
+    unit: Unit,
     /// The last bytes.
     window: [u8; REQUEST],
     /// Bytes since the last preamble, while they may become a request.
     since: Option<usize>,
     last: Instant,
-    outbox: Outbox,
-    heard: Heard,
 }
 
 impl HiMoxaAxisController {
     /// Switched on in manual mode.
     pub fn new(config: AxisControllerConfig) -> Self {
         Self {
-            drive: Drive::new(&config),
             window: NOTHING,
             since: None,
             last: config.power_on,
-            outbox: Outbox::new(),
-            heard: Heard::default(),
-            config,
+            unit: Unit::new(config),
         }
     }
 
     /// The axis with what no drive can know of it.
     pub fn axis(&self) -> &Axis {
-        self.drive.axis()
+        self.unit.drive.axis()
     }
 
     /// What it has heard. Without a checksum nothing is known as damaged, without an address nothing
     /// as foreign.
     pub fn heard(&self) -> Heard {
-        self.heard
+        self.unit.heard
     }
 
     /// Switches the supply of the power stage, as a mains switch of its own would.
     pub fn set_supply(&mut self, on: bool) {
-        self.drive.set_supply(on);
+        self.unit.drive.set_supply(on);
     }
 
     fn serve(&mut self, request: Request, now: Instant) {
-        self.drive.catch_up(now);
-        if !obey(&mut self.drive, request, now) {
-            self.heard.refused += 1;
+        self.unit.drive.catch_up(now);
+        if !obey(&mut self.unit.drive, request, now) {
+            self.unit.heard.refused += 1;
             return;
         }
-        self.heard.obeyed += 1;
-        let answer = answer(&self.drive.sample()).encode();
-        let at = now + self.config.answer_delay;
-        self.heard.overrun += self.outbox.put(at, &answer) as u64;
+        self.unit.heard.obeyed += 1;
+        let answer = answer(&self.unit.drive.sample()).encode();
+        self.unit.answer(&answer, now);
     }
 }
 
@@ -77,7 +71,7 @@ const NOTHING: [u8; REQUEST] = [0xFF; REQUEST];
 
 impl LineDevice for HiMoxaAxisController {
     fn receive(&mut self, byte: u8, now: Instant) {
-        self.outbox.run(now);
+        self.unit.outbox.run(now);
         if now.since(self.last) > GAP {
             self.window = NOTHING;
             self.since = None;
@@ -85,7 +79,7 @@ impl LineDevice for HiMoxaAxisController {
         self.last = now;
         self.window.rotate_left(1);
         self.window[REQUEST - 1] = byte;
-        self.heard.skipped += 1;
+        self.unit.heard.skipped += 1;
         if self.window.ends_with(&PREAMBLE) {
             self.since = Some(0);
             return;
@@ -93,29 +87,24 @@ impl LineDevice for HiMoxaAxisController {
         self.since = self.since.map(|count| count + 1);
         if self.since == Some(REQUEST - PREAMBLE.len()) {
             self.since = None;
-            self.heard.skipped -= REQUEST as u64;
+            self.unit.heard.skipped -= REQUEST as u64;
             match Request::decode(&self.window) {
                 Some(request) => self.serve(request, now),
-                None => self.heard.refused += 1,
+                None => self.unit.heard.refused += 1,
             }
         }
     }
 
     fn poll_transmit(&mut self, now: Instant) -> Option<u8> {
-        self.outbox.poll_transmit(now)
+        self.unit.outbox.poll_transmit(now)
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        let moves = self.drive.poll_timeout();
-        let answers = self.outbox.poll_timeout();
-        Some(answers.map_or(moves, |at| at.min(moves)))
+        self.unit.poll_timeout()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
-        self.outbox.run(now);
-        if self.drive.poll_timeout() <= now {
-            self.drive.catch_up(now);
-        }
+        self.unit.handle_timeout(now);
     }
 }
 

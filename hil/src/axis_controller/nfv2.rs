@@ -4,8 +4,9 @@ use serial::nfv2::{
 };
 
 use super::drive::{Drive, Mode, Sample};
+use super::unit::Unit;
 use super::{AxisControllerConfig, GAP};
-use crate::outbox::{Heard, Outbox};
+use crate::outbox::Heard;
 use crate::{Axis, LineDevice};
 
 /// A serial axis controller with NFv2 telegrams.
@@ -15,11 +16,8 @@ use crate::{Axis, LineDevice};
 /// the next `#` that begins one counts.
 pub struct Nfv2AxisController {
     address: u8,
-    config: AxisControllerConfig,
-    drive: Drive,
+    unit: Unit,
     stream: Stream,
-    outbox: Outbox,
-    heard: Heard,
 }
 
 impl Nfv2AxisController {
@@ -27,17 +25,14 @@ impl Nfv2AxisController {
     pub fn new(address: u8, config: AxisControllerConfig) -> Self {
         Self {
             address,
-            drive: Drive::new(&config),
+            unit: Unit::new(config),
             stream: Stream::new(),
-            outbox: Outbox::new(),
-            heard: Heard::default(),
-            config,
         }
     }
 
     /// The axis with what no drive can know of it.
     pub fn axis(&self) -> &Axis {
-        self.drive.axis()
+        self.unit.drive.axis()
     }
 
     /// What it has heard.
@@ -46,59 +41,53 @@ impl Nfv2AxisController {
         Heard {
             damaged: stream.damaged,
             skipped: stream.skipped,
-            ..self.heard
+            ..self.unit.heard
         }
     }
 
     /// Switches the supply of the power stage, as a mains switch of its own would.
     pub fn set_supply(&mut self, on: bool) {
-        self.drive.set_supply(on);
+        self.unit.drive.set_supply(on);
     }
 }
 
 impl LineDevice for Nfv2AxisController {
     fn receive(&mut self, byte: u8, now: Instant) {
-        self.outbox.run(now);
+        self.unit.outbox.run(now);
         self.stream.push(byte, now);
         while let Some(frame) = self.stream.next() {
             if frame.address != self.address && frame.address != BROADCAST {
-                self.heard.foreign += 1;
+                self.unit.heard.foreign += 1;
                 continue;
             }
             if !frame.commands().all(|command| command.is_ok_and(possible)) {
-                self.heard.refused += 1;
+                self.unit.heard.refused += 1;
                 continue;
             }
-            self.heard.obeyed += 1;
-            self.drive.catch_up(now);
+            self.unit.heard.obeyed += 1;
+            self.unit.drive.catch_up(now);
             let mut answer = FrameBuilder::new(self.address);
             for command in frame.commands().filter_map(Result::<_, Malformed>::ok) {
-                answer = obey(&mut self.drive, command, answer, now);
+                answer = obey(&mut self.unit.drive, command, answer, now);
             }
             if frame.address == self.address
                 && let Some(bytes) = answer.finish()
             {
-                let at = now + self.config.answer_delay;
-                self.heard.overrun += self.outbox.put(at, bytes) as u64;
+                self.unit.answer(bytes, now);
             }
         }
     }
 
     fn poll_transmit(&mut self, now: Instant) -> Option<u8> {
-        self.outbox.poll_transmit(now)
+        self.unit.outbox.poll_transmit(now)
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        let moves = self.drive.poll_timeout();
-        let answers = self.outbox.poll_timeout();
-        Some(answers.map_or(moves, |at| at.min(moves)))
+        self.unit.poll_timeout()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
-        self.outbox.run(now);
-        if self.drive.poll_timeout() <= now {
-            self.drive.catch_up(now);
-        }
+        self.unit.handle_timeout(now);
     }
 }
 

@@ -6,8 +6,8 @@ use serial::epos2::{
 };
 
 use super::{EposSerialConfig, Service};
-use crate::outbox::{Heard, Outbox};
-use crate::{Device, Epos4, LineDevice};
+use crate::outbox::Heard;
+use crate::{Epos4, LineDevice};
 
 /// The RS-232 port of an EPOS2.
 ///
@@ -20,13 +20,10 @@ use crate::{Device, Epos4, LineDevice};
 /// An opcode it does not know is taken to its end and refused with 0x0F00_FFBF. An NMT command goes from
 /// Body straight to Idle. While it has something to send, it does not listen.
 pub struct Epos2Serial {
-    config: EposSerialConfig,
     service: Service,
     state: State,
     body: [u8; body_length(MAX_WORDS)],
     last: Instant,
-    outbox: Outbox,
-    heard: Heard,
 }
 
 #[derive(Clone, Copy)]
@@ -47,13 +44,10 @@ impl Epos2Serial {
     /// Switched on with the device behind it.
     pub fn new(config: EposSerialConfig) -> Self {
         Self {
-            service: Service::new(&config.epos),
             state: State::Idle,
             body: [0; body_length(MAX_WORDS)],
             last: config.epos.power_on,
-            outbox: Outbox::new(),
-            heard: Heard::default(),
-            config,
+            service: Service::new(config),
         }
     }
 
@@ -64,18 +58,13 @@ impl Epos2Serial {
 
     /// What it has heard.
     pub fn heard(&self) -> Heard {
-        self.heard
-    }
-
-    fn send(&mut self, bytes: &[u8], now: Instant) {
-        let at = now + self.config.turn_around;
-        self.heard.overrun += self.outbox.put(at, bytes) as u64;
+        self.service.heard
     }
 
     fn take(&mut self, byte: u8, now: Instant) -> State {
         match self.state {
             State::Idle => {
-                self.send(&[Acknowledge::Okay.byte()], now);
+                self.service.send(&[Acknowledge::Okay.byte()], now);
                 State::Body {
                     opcode: byte,
                     count: 0,
@@ -92,10 +81,10 @@ impl Epos2Serial {
             }
             State::Answering(telegram) => {
                 if Acknowledge::from_byte(byte) == Some(Acknowledge::Okay) {
-                    self.send(telegram.body(), now);
+                    self.service.send(telegram.body(), now);
                     State::Ending
                 } else {
-                    self.heard.skipped += 1;
+                    self.service.heard.skipped += 1;
                     State::Idle
                 }
             }
@@ -107,8 +96,8 @@ impl Epos2Serial {
     fn finish(&mut self, opcode: u8, count: usize, now: Instant) -> State {
         let request = Request::decode(opcode, &self.body[..count]);
         if request == Err(Malformed::Damaged) {
-            self.heard.damaged += 1;
-            self.send(&[Acknowledge::Failed.byte()], now);
+            self.service.heard.damaged += 1;
+            self.service.send(&[Acknowledge::Failed.byte()], now);
             return State::Idle;
         }
         let answer = match request {
@@ -128,10 +117,10 @@ impl Epos2Serial {
             }
         };
         let Some(answer) = answer else {
-            self.send(&[Acknowledge::Okay.byte()], now);
+            self.service.send(&[Acknowledge::Okay.byte()], now);
             return State::Idle;
         };
-        self.send(&[Acknowledge::Okay.byte(), ANSWER], now);
+        self.service.send(&[Acknowledge::Okay.byte(), ANSWER], now);
         State::Answering(answer)
     }
 
@@ -164,45 +153,39 @@ impl Epos2Serial {
 
     fn count(&mut self, obeyed: bool) {
         if obeyed {
-            self.heard.obeyed += 1;
+            self.service.heard.obeyed += 1;
         } else {
-            self.heard.refused += 1;
+            self.service.heard.refused += 1;
         }
     }
 }
 
 impl LineDevice for Epos2Serial {
     fn receive(&mut self, byte: u8, now: Instant) {
-        self.outbox.run(now);
         self.service.run(now);
-        if now.since(self.last) > self.config.time_out {
+        if now.since(self.last) > self.service.config.time_out {
             if let State::Body { count, .. } = self.state {
-                self.heard.skipped += count as u64 + 1;
+                self.service.heard.skipped += count as u64 + 1;
             }
             self.state = State::Idle;
         }
         self.last = now;
-        if !self.service.epos.has_booted() || !self.outbox.is_empty() {
-            self.heard.skipped += 1;
+        if !self.service.listens() {
+            self.service.heard.skipped += 1;
         } else {
             self.state = self.take(byte, now);
         }
     }
 
     fn poll_transmit(&mut self, now: Instant) -> Option<u8> {
-        self.outbox.poll_transmit(now)
+        self.service.outbox.poll_transmit(now)
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        let answers = self.outbox.poll_timeout();
-        answers
-            .into_iter()
-            .chain(self.service.epos.poll_timeout())
-            .min()
+        self.service.poll_timeout()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
-        self.outbox.run(now);
         self.service.run(now);
     }
 }

@@ -4,21 +4,18 @@ use canopen::sdo::{AbortCode, MAX_SIZE};
 use serial::epos4::{Address, Answer, Deframer, Frame, FrameError, LONGEST, MAX_SEGMENT, Request};
 
 use super::{EposSerialConfig, Service};
-use crate::outbox::{Heard, Outbox};
-use crate::{Device, Epos4, LineDevice};
+use crate::outbox::Heard;
+use crate::{Epos4, LineDevice};
 
 /// The USB or RS-232 port of an EPOS4.
 ///
 /// Every frame that arrives whole is answered, a wrong one with an error code; a torn one is not. A new
 /// initiation replaces a segmented transfer in progress, and any error ends it.
 pub struct Epos4Serial {
-    config: EposSerialConfig,
     service: Service,
     deframer: Deframer,
     transfer: Option<Transfer>,
     last: Instant,
-    outbox: Outbox,
-    heard: Heard,
 }
 
 /// A segmented transfer in progress.
@@ -36,13 +33,10 @@ impl Epos4Serial {
     /// Switched on with the device behind it.
     pub fn new(config: EposSerialConfig) -> Self {
         Self {
-            service: Service::new(&config.epos),
             deframer: Deframer::new(),
             transfer: None,
             last: config.epos.power_on,
-            outbox: Outbox::new(),
-            heard: Heard::default(),
-            config,
+            service: Service::new(config),
         }
     }
 
@@ -53,25 +47,24 @@ impl Epos4Serial {
 
     /// What it has heard.
     pub fn heard(&self) -> Heard {
-        self.heard
+        self.service.heard
     }
 
     fn answer(&mut self, found: Result<Frame, FrameError>, now: Instant) {
         let answer = match found {
             Ok(frame) => self.serve(&frame, now),
             Err(FrameError::Torn) => {
-                self.heard.damaged += 1;
+                self.service.heard.damaged += 1;
                 return;
             }
             Err(FrameError::Crc | FrameError::TooLong(_)) => {
-                self.heard.damaged += 1;
+                self.service.heard.damaged += 1;
                 Answer::Refused(AbortCode::CRC.0).encode()
             }
         };
         let mut bytes = [0; LONGEST];
         let length = answer.encode(&mut bytes);
-        let at = now + self.config.turn_around;
-        self.heard.overrun += self.outbox.put(at, &bytes[..length]) as u64;
+        self.service.send(&bytes[..length], now);
     }
 
     fn serve(&mut self, frame: &Frame, now: Instant) -> Frame {
@@ -82,11 +75,11 @@ impl Epos4Serial {
         };
         match obeyed {
             Ok(answer) => {
-                self.heard.obeyed += 1;
+                self.service.heard.obeyed += 1;
                 answer.encode()
             }
             Err(code) => {
-                self.heard.refused += 1;
+                self.service.heard.refused += 1;
                 self.transfer = None;
                 Answer::Refused(code.0).encode()
             }
@@ -118,7 +111,7 @@ impl Epos4Serial {
                 let mut transfer = Transfer::new(address, false);
                 let (node, into) = (address.node, &mut transfer.object);
                 transfer.size = service.read_whole(node, object(address), into, now)?;
-                let first = transfer.take(self.config.segment, segment);
+                let first = transfer.take(self.service.config.segment, segment);
                 let size = transfer.size as u32;
                 self.transfer = Some(transfer).filter(|transfer| !transfer.is_complete());
                 Ok(Answer::Started(size, first))
@@ -126,7 +119,7 @@ impl Epos4Serial {
             Request::SegmentRead { toggle } => {
                 let transfer = self.continued(toggle, false)?;
                 transfer.toggle = !toggle;
-                let limit = self.config.segment;
+                let limit = self.service.config.segment;
                 let transfer = self.transfer.as_mut().expect("it was continued");
                 let data = transfer.take(limit, segment);
                 let last = transfer.is_complete();
@@ -225,38 +218,32 @@ impl Transfer {
 
 impl LineDevice for Epos4Serial {
     fn receive(&mut self, byte: u8, now: Instant) {
-        self.outbox.run(now);
         self.service.run(now);
-        if self.deframer.is_inside() && now.since(self.last) > self.config.time_out {
+        if self.deframer.is_inside() && now.since(self.last) > self.service.config.time_out {
             self.deframer.reset();
-            self.heard.damaged += 1;
+            self.service.heard.damaged += 1;
         }
         self.last = now;
-        if !self.service.epos.has_booted() || !self.outbox.is_empty() {
-            self.heard.skipped += 1;
+        if !self.service.listens() {
+            self.service.heard.skipped += 1;
             return;
         }
         match self.deframer.take(byte) {
             Some(found) => self.answer(found, now),
             None if self.deframer.is_inside() => {}
-            None => self.heard.skipped += 1,
+            None => self.service.heard.skipped += 1,
         }
     }
 
     fn poll_transmit(&mut self, now: Instant) -> Option<u8> {
-        self.outbox.poll_transmit(now)
+        self.service.outbox.poll_transmit(now)
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        let answers = self.outbox.poll_timeout();
-        answers
-            .into_iter()
-            .chain(self.service.epos.poll_timeout())
-            .min()
+        self.service.poll_timeout()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
-        self.outbox.run(now);
         self.service.run(now);
     }
 }

@@ -1,0 +1,244 @@
+//! What the servo thread asks of the kernel in its cycles, counted by strace in real runs of `mrroc run`.
+//!
+//! Three methods share the proof that a cycle neither allocates nor locks nor waits nor makes a system call other than
+//! the exchange with its bus and the wait for the next:
+//!
+//! - Here **every system call** of the thread is seen, by whoever made it, from its first wait to its last: bring-up and
+//!   the way to the thread's end are left out, homing, motion, files under way and winding down are not. A lock that is
+//!   contended shows as `futex`, and memory that the process lacks as `brk` or `mmap`. A lock that is free and an
+//!   allocation from what the allocator has make no call and are not seen.
+//! - [`crate::heap`] counts **every use of the heap** in every cycle of every robot of these tests that is stepped
+//!   in lockstep, and of a servo thread. It sees what the tests reach, and locks not at all.
+//! - `tests/realtime-sanitizer` runs the program with every function that a cycle calls watched for **library calls that
+//!   may wait**: the heap, the locks of the C library, the futexes of Rust's, files, sockets, sleeping. It names the
+//!   place, and needs a nightly compiler. A lock of Rust's that is free, which is an atomic operation, it does not see.
+//!
+//! No run can prove what no run does: that every branch of a cycle is taken is the other tests' affair.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+
+use serde_json::Value;
+
+use crate::mrroc::{self, Directory, Output, Running, shorten, text};
+use crate::vcan::on_stage;
+
+/// The wait.
+const WAIT: &str = "clock_nanosleep";
+
+/// Calls that a late cycle may make to find out why it was late.
+const OF_LATE_CYCLES: [&str; 2] = ["getrusage", "pread64"];
+
+/// Sources of time that the kernel's vDSO reads without a call. With any other, such as that of user-mode Linux,
+/// `clock_gettime` is one.
+const WITHOUT_A_CALL: [&str; 4] = [
+    "tsc",
+    "kvm-clock",
+    "hyperv_clocksource_tsc_page",
+    "arch_sys_counter",
+];
+
+/// Of how a line is told that it is over: what waits in it is thrown away once for each of five drives that loses its
+/// power, which each may do again.
+const OF_LINES_WITHOUT_POWER: (&str, u64) = ("ioctl", 20);
+
+/// System calls by name.
+type Calls = BTreeMap<String, u64>;
+
+/// What the thread called `servo` asked of the kernel, from its first wait to its last, by a log of `strace -f`.
+fn of_the_cycles(log: &Path) -> Calls {
+    let log = fs::read_to_string(log).expect("strace wrote its log");
+    let name = log
+        .lines()
+        .find(|line| line.contains("prctl(PR_SET_NAME, \"servo\""));
+    let thread = name.expect("a thread is called servo").split(' ').next();
+    let of_thread = |line: &&str| line.split(' ').next() == thread;
+    // The end of a call that was under way while others made theirs begins with `<...`, an exit with `+++`.
+    let call = |line: &'_ str| {
+        let (_, call) = line.split_once(' ')?;
+        let (name, _) = call.trim_start().split_once('(')?;
+        name.chars()
+            .all(|c| c.is_ascii_alphanumeric() || c == '_')
+            .then(|| name.to_owned())
+    };
+    let calls: Vec<String> = log.lines().filter(of_thread).filter_map(call).collect();
+    let first = calls
+        .iter()
+        .position(|name| name == WAIT)
+        .expect("it waits");
+    let last = calls
+        .iter()
+        .rposition(|name| name == WAIT)
+        .expect("it waits");
+    let mut found = Calls::new();
+    for name in &calls[first..=last] {
+        *found.entry(name.clone()).or_default() += 1;
+    }
+    found
+}
+
+/// Calls that are not the wait, not among the `exchange`, which names how many of each a cycle makes at most, or too
+/// many.
+fn surplus(calls: &Calls, exchange: &[(&str, u64)], cycles: u64, missed: u64) -> Vec<String> {
+    let clock =
+        fs::read_to_string("/sys/devices/system/clocksource/clocksource0/current_clocksource");
+    let clock_is_called = !clock.is_ok_and(|clock| WITHOUT_A_CALL.contains(&clock.trim()));
+    let allowed = |name: &str| {
+        let per_cycle = exchange.iter().find(|(call, _)| *call == name);
+        match per_cycle {
+            Some((_, count)) => count * cycles,
+            // Each run of missed deadlines is followed by another wait.
+            None if name == WAIT => cycles + missed + 1,
+            None if name == "clock_gettime" && clock_is_called => u64::MAX,
+            None if name == OF_LINES_WITHOUT_POWER.0
+                && exchange.iter().any(|(call, _)| *call == "write") =>
+            {
+                OF_LINES_WITHOUT_POWER.1
+            }
+            None if OF_LATE_CYCLES.contains(&name) => missed,
+            None => 0,
+        }
+    };
+    let surplus = calls.iter().filter(|(name, count)| **count > allowed(name));
+    surplus
+        .map(|(name, count)| format!("{count} × {name}"))
+        .collect()
+}
+
+/// Asserts that a run made no other calls, and says how many each cycle made.
+#[track_caller]
+fn check(bench: &str, log: &Path, run: &Output, exchange: &[(&str, u64)]) {
+    let report = run.json();
+    let number = |value: &Value| value.as_u64().expect("a count");
+    let cycles = number(&report["cycle"]["cycles"]);
+    let missed = number(&report["cycle"]["missed"]);
+    let calls = of_the_cycles(log);
+    let each: Vec<String> = calls
+        .iter()
+        .map(|(name, count)| format!("{:.3} {name}", *count as f64 / cycles as f64))
+        .collect();
+    // Drives in another process may be late for an arm on a busy host: then this is of how a fault is ended.
+    let (outcome, each) = (&report["outcome"], each.join(", "));
+    println!("{bench}: {outcome}, {cycles} cycles, {missed} missed, per cycle {each}");
+    assert!(cycles > 300, "{bench}: {report}");
+    let surplus = surplus(&calls, exchange, cycles, missed);
+    assert!(
+        surplus.is_empty(),
+        "{bench}: {surplus:?} in {cycles} cycles"
+    );
+    // It was the right thread, and strace did not lose it.
+    for call in exchange.iter().map(|(call, _)| *call).chain([WAIT]) {
+        assert!(
+            calls.get(call).copied().unwrap_or(0) >= cycles - 1,
+            "{bench}: {calls:?}"
+        );
+    }
+}
+
+/// A run of `cell` with its files being written, under strace.
+fn run(directory: &Directory, cell: &Path, more: &[&str]) -> (std::path::PathBuf, Output) {
+    let log = directory.path("calls");
+    let [record, trace] = ["states.csv", "trace.log"].map(|name| directory.path(name));
+    let arguments = [
+        "run".as_ref(),
+        cell.as_os_str(),
+        "--json".as_ref(),
+        "--record".as_ref(),
+        record.as_os_str(),
+        "--trace".as_ref(),
+        trace.as_os_str(),
+    ];
+    let arguments = arguments.into_iter().chain(more.iter().map(AsRef::as_ref));
+    let output = Running::under_strace(&log, mrroc::binary(), arguments).output();
+    (log, output)
+}
+
+/// The emulated drives live in the servo thread, between cycles, and ask nothing of the kernel either.
+#[test]
+fn a_cycle_on_an_emulated_bus_makes_no_call_but_the_wait() {
+    let directory = Directory::new();
+    for wait in ["plain", "hybrid"] {
+        let cell = text("irb6").replace(
+            "priority = 80",
+            &format!("priority = 80\nwait = \"{wait}\""),
+        );
+        let cell = directory.write("irb6.toml", &cell);
+        let (log, output) = run(&directory, &cell, &[]);
+        check(wait, &log, &output, &[]);
+    }
+}
+
+#[test]
+fn a_cycle_on_serial_lines_makes_one_call_each_way_per_line_and_the_wait() {
+    let directory = Directory::new();
+    let cell = directory.cell("irb6-serial", |cell| {
+        shorten(cell);
+        // Under strace the answers of another process come late.
+        cell.serial[0].tolerated_missing = 10;
+        cell.serial[0].answer_timeout_ms = 500;
+        cell.max_missed_in_row = 500;
+    });
+    let ttys = directory.path("ttys");
+    let _emulator = emulate(&cell, &ttys);
+    let (log, output) = run(
+        &directory,
+        &cell,
+        &["--bench=card", &format!("--serial={}", ttys.display())],
+    );
+    check("ttys", &log, &output, &[("read", 5), ("write", 5)]);
+}
+
+/// `mrroc emulate --serial` once all its ttys are there.
+fn emulate(cell: &Path, ttys: &Path) -> Running {
+    let arguments = [
+        "emulate".as_ref(),
+        cell.as_os_str(),
+        "--serial".as_ref(),
+        ttys.as_os_str(),
+    ];
+    let emulator = Running::start(arguments);
+    crate::vcan::wait_until("its ttys are there", || ttys.join("wrist-roll").exists());
+    emulator
+}
+
+#[test]
+fn a_cycle_on_a_can_bus_sends_once_receives_once_and_waits_once() {
+    on_stage(
+        "cycle_calls::a_cycle_on_a_can_bus_sends_once_receives_once_and_waits_once",
+        |stage| {
+            let _emulators = stage.start_emulators();
+            let cell = stage.directory.path("cell.toml");
+            let (log, output) = run(
+                &stage.directory,
+                &cell,
+                &["--bench=vcan", "--can", stage.interface],
+            );
+            check("vcan", &log, &output, &[("recvmmsg", 1), ("sendmmsg", 1)]);
+        },
+    );
+}
+
+/// A free lock and small pieces of the heap make no call: the other two methods see them.
+#[test]
+fn a_call_that_is_planted_in_the_cycle_is_found_by_its_name() {
+    let directory = Directory::new();
+    for (planted, expected) in [
+        ("nothing", None),
+        ("lock", Some("futex")),
+        ("write", Some("write")),
+    ] {
+        let log = directory.path("calls");
+        let planting = Path::new(env!("CARGO_BIN_EXE_planted"));
+        let output = Running::under_strace(&log, planting, [planted]).output();
+        assert_eq!(output.status.code(), Some(0), "{output:?}");
+        let calls = of_the_cycles(&log);
+        let found = surplus(&calls, &[], calls[WAIT], 0);
+        let named = found.iter().map(|found| found.split(' ').next_back());
+        assert_eq!(
+            named.collect::<Vec<_>>(),
+            Vec::from_iter(expected.map(Some)),
+            "{planted}"
+        );
+    }
+}
