@@ -74,9 +74,9 @@ impl DriveGroup for Delaying {
             let end = now() + DELAY;
             match self.plant {
                 Plant::SpinningBus => spin_until(end),
-                Plant::BlockingBus => std::thread::sleep(DELAY),
+                Plant::BlockingBus => sleep_until(end),
                 Plant::PageFaults => self.pages.touch_until(end),
-                Plant::PreemptedStep => self.hog.send((now(), end)).unwrap(),
+                Plant::PreemptedStep => self.hog.send((now(), end)).expect("the hog listens"),
                 Plant::SlowCaller | Plant::StarvedWakeUp => {}
             }
         }
@@ -91,7 +91,8 @@ impl DriveGroup for Delaying {
         if is_planted(self.cycle) && self.plant == Plant::StarvedWakeUp {
             let due = at + scripted::PERIOD;
             let early = Duration::from_micros(300);
-            self.hog.send((due - early, due + DELAY)).unwrap();
+            let order = (due - early, due + DELAY);
+            self.hog.send(order).expect("the hog listens");
         }
         if self.plant == Plant::PageFaults {
             self.pages.forget();
@@ -178,7 +179,7 @@ fn plant(plant: Plant, cause: Cause) -> (u64, u64) {
         let mut config = scripted::config(2);
         config.max_missed_in_row = u32::MAX;
         let (inner, world) = scripted::group(2);
-        world.lock().unwrap().log = false;
+        world.lock().expect("nobody else has it yet").log = false;
         let (tell, told) = channel();
         let group = Delaying {
             inner,
@@ -187,12 +188,13 @@ fn plant(plant: Plant, cause: Cause) -> (u64, u64) {
             pages: Pages::new(),
             hog: tell,
         };
-        let (servo, _links) = Servo::new(&config, vec![Box::new(group)]).unwrap();
+        let (servo, _links) =
+            Servo::new(&config, vec![Box::new(group)]).expect("the configuration is sound");
         let cpu = current_cpu();
         let hog = matches!(plant, Plant::PreemptedStep | Plant::StarvedWakeUp)
             .then(|| std::thread::spawn(move || hog(cpu, told)));
         // Until the hog waits.
-        std::thread::sleep(Duration::from_millis(20));
+        sleep_until(now() + Duration::from_millis(20));
         let policy = RealtimePolicy {
             cpu: Some(cpu),
             lock_memory: false,
@@ -214,7 +216,7 @@ fn plant(plant: Plant, cause: Cause) -> (u64, u64) {
             cycles += 1;
             cycles == EVERY * PER_RUN
         };
-        let finished = thread::run(servo, policy, between, until).unwrap();
+        let finished = thread::run(servo, policy, between, until).expect("nothing is required");
         let late = finished.timing.late;
         let named = |cycle| {
             late.worst()
@@ -224,9 +226,6 @@ fn plant(plant: Plant, cause: Cause) -> (u64, u64) {
             .filter(|&cycle| is_planted(cycle) && named(cycle))
             .count() as u64;
         planted += PER_RUN;
-        if std::env::var_os("MRROC_SHOW").is_some() {
-            late.worst().for_each(|one| println!("{plant:?} {one:?}"));
-        }
         drop(finished.servo);
         if let Some(hog) = hog {
             hog.join()
@@ -251,7 +250,7 @@ fn check(cases: &[(Plant, Cause)]) {
         if enough(first) {
             continue;
         }
-        std::thread::sleep(Duration::from_secs(1));
+        sleep_until(now() + Duration::from_secs(1));
         let second = plant(planted, cause);
         assert!(
             enough(second),
@@ -277,7 +276,9 @@ fn a_thread_that_takes_the_cpu_is_named() {
         println!("left out: realtime");
         return;
     }
-    let denied = std::thread::spawn(|| thread::set_fifo(90)).join().unwrap();
+    let denied = std::thread::spawn(|| thread::set_fifo(90))
+        .join()
+        .expect("it does not panic");
     assert_eq!(
         denied,
         Ok(()),
