@@ -90,6 +90,12 @@ fn a_refusal_names_line_key_and_reason() {
         ),
         (
             "priority = 80",
+            "scheduler = \"deadline\"\ncpu = 0",
+            "realtime.cpu",
+            "must be left out with scheduler = \"deadline\"",
+        ),
+        (
+            "priority = 80",
             "wait = \"spin\"\npriority = 80",
             "",
             "unknown variant `spin`",

@@ -10,7 +10,7 @@ use super::quantile::LearntQuantile;
 
 /// Share of the period that work and spin together may take: a thread under SCHED_FIFO that takes more than
 /// 95 % of a second (`sched_rt_runtime_us`) is frozen for the rest of it.
-const BUSY_SHARE: f64 = 0.9;
+pub(super) const BUSY_SHARE: f64 = 0.9;
 
 /// How a thread waits for a deadline.
 #[derive(Clone, Copy, Debug, PartialEq)]
