@@ -80,7 +80,7 @@ pub struct Realtime {
     pub wait: Wait,
     /// How long before it needs to run a hybrid wait asks to be woken, µs; none learns it from how late the host is.
     pub margin_us: Option<u32>,
-    /// Largest share of a core that a hybrid wait spins in, 0 to 0.5; it bounds the margin.
+    /// Largest share of a core that a hybrid wait spins in, 0 to 0.5: of each period with `margin_us`, of any second but for a twentieth without.
     pub spin_share: f64,
 }
 

@@ -26,7 +26,7 @@ fn example_cells_parse_and_their_programs_can_be_built() {
 
 #[test]
 fn a_refusal_names_line_key_and_reason() {
-    let cases: [(&str, &str, &str, &str); 31] = [
+    let cases: [(&str, &str, &str, &str); 32] = [
         (
             "method = 11",
             "method = 12",
