@@ -5,8 +5,8 @@
 //! turns with it within the run, so that both see the same host.
 //!
 //! **Both sides alike**: what keeps CPUs from deep idle states is held for both, or for neither where it is denied, and
-//! cyclictest is told to leave it alone; the same priority under SCHED_FIFO and the same CPU, or none; all memory
-//! locked; a timer slack of 1 ns; a first turn that counts for nothing. No two turns overlap. Ours is counted in ns and
+//! cyclictest is told to leave it alone; the same priority under SCHED_FIFO (but for cyclictest, which knows no other,
+//! where ours is under SCHED_DEADLINE) and the same CPU, or none; all memory locked; a timer slack of 1 ns; a first turn that counts for nothing. No two turns overlap. Ours is counted in ns and
 //! cyclictest's own histogram in µs, so a ratio is no finer than that.
 //!
 //! **Files** of `--out` are in [`files`], what the verdict is made of is in [`verdict`].
@@ -61,6 +61,9 @@ pub(crate) struct Options {
     /// How long to measure, with its unit: 60s, 10m, 1h; the peer is measured as long.
     #[arg(long, default_value = "60s")]
     duration: String,
+    /// What schedules the thread; the cell's or fifo, unless given.
+    #[arg(long, value_enum)]
+    scheduler: Option<Scheduler>,
     /// Priority under SCHED_FIFO, 1 to 99; the cell's or 80, unless given.
     #[arg(long)]
     priority: Option<u32>,
@@ -70,6 +73,13 @@ pub(crate) struct Options {
     /// How to wait; the cell's or hybrid, unless given.
     #[arg(long, value_enum)]
     wait: Option<Wait>,
+    /// How long before a deadline a hybrid wait asks to be woken, with its unit: 100us; the cell's or learnt, unless
+    /// given.
+    #[arg(long)]
+    margin: Option<String>,
+    /// Largest share of a core that a hybrid wait spins in, 0 to 0.5; the cell's or 0.2, unless given.
+    #[arg(long)]
+    spin_share: Option<f64>,
     /// What loads all CPUs meanwhile; several are separated by commas.
     #[arg(long, value_enum, value_delimiter = ',')]
     load: Vec<load::Kind>,
@@ -83,6 +93,16 @@ pub(crate) struct Options {
     /// Print one JSON object.
     #[arg(long)]
     json: bool,
+}
+
+/// What schedules the thread.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
+#[serde(rename_all = "kebab-case")]
+enum Scheduler {
+    /// SCHED_FIFO.
+    Fifo,
+    /// SCHED_DEADLINE, with nine tenths of each period.
+    Deadline,
 }
 
 /// How to wait.
@@ -285,6 +305,10 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
         seconds: (plan.turn * plan.rounds).as_secs_f64(),
         rounds: plan.rounds,
         warm_up_s: plan.warm_up.as_secs_f64(),
+        scheduler: match plan.policy.scheduler {
+            thread::Scheduler::Fifo => Scheduler::Fifo,
+            thread::Scheduler::Deadline { .. } => Scheduler::Deadline,
+        },
         priority: plan.policy.priority,
         cpu: plan.policy.cpu,
         wait: match plan.policy.wait {

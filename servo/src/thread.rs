@@ -26,9 +26,10 @@
 //! panic message is where the panic hook puts it. If the process dies, the drives' own reaction
 //! to silence is what stops them.
 //!
-//! **Real-time needs** are asked for one by one: SCHED_FIFO, a CPU, locked memory, timer slack of
+//! **Real-time needs** are asked for one by one: SCHED_FIFO or SCHED_DEADLINE, a CPU, locked memory, timer slack of
 //! 1 ns, and no deep idle states while the thread runs (`/dev/cpu_dma_latency`). Threads and processes that it starts do
-//! not inherit SCHED_FIFO. What the host denies is returned as [`Denial`]s, which name the line that grants it; with
+//! not inherit the scheduling. Either way it is the wait that says when the thread runs: the kernel's period under
+//! SCHED_DEADLINE begins whenever the thread wakes, and only bounds what it takes. What the host denies is returned as [`Denial`]s, which name the line that grants it; with
 //! [`Realtime::Require`] the thread does not start without them.
 
 mod account;
@@ -53,7 +54,9 @@ use self::quantile::LearntQuantile;
 use crate::{NotUp, Servo, Timing};
 
 pub use self::cause::{Cause, Spent, Usage};
-pub use self::host::{CpuLatency, Denial, Grant, LIMITS, Limit, demand, set_fifo};
+pub use self::host::{
+    CpuLatency, Denial, Grant, LIMITS, Limit, Scheduler, demand, set_deadline, set_fifo,
+};
 pub use self::late::{LateCycle, LateCycles};
 pub use self::wait::{Awake, Wait, WaitReport, Waiter};
 
@@ -94,9 +97,11 @@ pub enum Realtime {
 pub struct RealtimePolicy {
     /// What to do where it is denied.
     pub realtime: Realtime,
+    /// What schedules it.
+    pub scheduler: Scheduler,
     /// SCHED_FIFO priority, 1 ..= 99.
     pub priority: u8,
-    /// The CPU to stay on. Only this thread is moved.
+    /// The CPU to stay on, none under SCHED_DEADLINE. Only this thread is moved.
     pub cpu: Option<usize>,
     /// Whether to lock all memory of the process, present and future; a thread that is started later
     /// has its whole stack locked, so give it a small one.
@@ -126,6 +131,7 @@ impl RealtimePolicy {
     /// SCHED_FIFO 80 and locked memory if the host grants it, no CPU, no lead, a plain wait, by the wall clock.
     pub const BEST_EFFORT: Self = Self {
         realtime: Realtime::BestEffort,
+        scheduler: Scheduler::Fifo,
         priority: 80,
         cpu: None,
         lock_memory: true,

@@ -10,7 +10,7 @@ use super::cell::CellReport;
 use super::interval::Counts;
 use super::probe::Wakeups;
 use super::verdict::{self, Fit, Tail};
-use super::{Peer, Wait, load};
+use super::{Peer, Scheduler, Wait, load};
 use crate::report::{Percentiles, WaitCost, microseconds};
 
 /// What was measured, and how.
@@ -24,7 +24,9 @@ pub(super) struct Setting {
     pub(super) rounds: u32,
     /// The turn of each side that counts for nothing, s.
     pub(super) warm_up_s: f64,
-    /// Priority under SCHED_FIFO.
+    /// What scheduled ours.
+    pub(super) scheduler: Scheduler,
+    /// Priority under SCHED_FIFO, of whoever was under it.
     pub(super) priority: u8,
     /// The CPU both sides stayed on.
     pub(super) cpu: Option<usize>,
@@ -54,10 +56,11 @@ impl fmt::Display for Setting {
             priority,
             ..
         } = self;
-        write!(
-            f,
-            "period {period_us} µs, {wait} wait, SCHED_FIFO {priority}, "
-        )?;
+        write!(f, "period {period_us} µs, {wait} wait, ")?;
+        match self.scheduler {
+            Scheduler::Fifo => write!(f, "SCHED_FIFO {priority}, ")?,
+            Scheduler::Deadline => f.write_str("SCHED_DEADLINE, ")?,
+        }
         match self.cpu {
             Some(cpu) => write!(f, "CPU {cpu}, ")?,
             None => f.write_str("any CPU, ")?,
