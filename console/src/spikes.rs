@@ -204,7 +204,7 @@ mod tests {
             late: (late > 0).then(|| LateCycle {
                 cycle: number,
                 due: Duration::from_millis(number),
-                late: Duration::from_microseconds(late),
+                late: Duration::from_micros(late),
                 cause: Cause::Preempted,
             }),
         }

@@ -218,14 +218,14 @@ fn plant(plant: Plant, cause: Cause) -> (u64, u64) {
         };
         let finished = thread::run(servo, policy, between, until).expect("nothing is required");
         let late = finished.timing.late;
-        let named = |cycle| {
-            late.worst()
-                .any(|one| one.cycle == cycle && one.cause == cause && is_traced(&one))
-        };
         finished.spikes.iter().for_each(traced);
         let is_traced = |late: &LateCycle| {
             let mut cycles = finished.spikes.iter().flat_map(|spike| &spike.cycles);
             cycles.any(|one| one.late == Some(*late))
+        };
+        let named = |cycle| {
+            late.worst()
+                .any(|one| one.cycle == cycle && one.cause == cause && is_traced(&one))
         };
         right += (0..EVERY * PER_RUN)
             .filter(|&cycle| is_planted(cycle) && named(cycle))
