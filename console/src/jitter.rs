@@ -45,6 +45,7 @@ use probe::{Turn, Wakeups};
 use report::{Report, Setting, Side};
 
 use crate::cell_file::CellFile;
+use crate::spikes::SpikeFile;
 
 /// Options of `mrroc jitter`.
 #[derive(Args)]
@@ -90,6 +91,9 @@ pub(crate) struct Options {
     /// directory.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    /// Write the cycles of ours around the latest ones to this file, phase by phase, for ui.perfetto.dev.
+    #[arg(long, value_name = "FILE")]
+    spikes: Option<PathBuf>,
     /// Print one JSON object.
     #[arg(long)]
     json: bool,
@@ -222,6 +226,8 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
     let files = options.out.as_deref();
     let files = files.map(|directory| Files::create(directory, options.against.is_some()));
     let (files, mut log) = files.transpose()?.unzip();
+    let spikes = options.spikes.as_deref().map(SpikeFile::create);
+    let spikes = spikes.transpose()?;
     let mut serializer = V2DeflateSerializer::new();
     let log = (log.as_mut()).map(|log| IntervalLog::begin(log, &mut serializer));
     let log = log
@@ -333,7 +339,7 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
             Peer::Cyclictest => Side::of(&peers.total, None, None),
             Peer::Plain => Side::of(&peers.total, Some(peer.missed), None),
         }),
-        &ours,
+        cell.as_ref().map_or(&ours.causes, |cell| &cell.late),
         cell.as_ref().map(MeasuredCell::report),
     );
     crate::run::print(&report, options.json)?;
@@ -347,6 +353,10 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
             files.write(&ledger.total, &peers.total, &chart)
         }
     };
+    let written = written.and(spikes.map_or(Ok(()), |file| match cell {
+        None => file.write("jitter", ours.spikes.finish()),
+        Some(cell) => file.write("servo", cell.spikes),
+    }));
     if let Err(error) = &written {
         // Too late to refuse: it has been measured.
         eprintln!("mrroc: {error:#}");

@@ -26,6 +26,7 @@ mod report;
 mod run;
 mod service;
 mod setup;
+mod spikes;
 mod trace;
 mod vm;
 mod wire;

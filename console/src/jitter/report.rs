@@ -4,11 +4,10 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use serde::Serialize;
-use servo::thread::WaitReport;
+use servo::thread::{LateCycles, WaitReport};
 
 use super::cell::CellReport;
 use super::interval::Counts;
-use super::probe::Wakeups;
 use super::verdict::{self, Fit, Tail};
 use super::{Peer, Scheduler, Wait, load};
 use crate::report::{Percentiles, WaitCost, microseconds};
@@ -86,9 +85,9 @@ pub(super) struct Report {
     peer: Option<Side>,
     /// Ours over the peer's; null where the peer's is zero.
     ratio: Option<Ratio>,
-    /// How many wake-ups of ours were more than a hundredth of the period late, by cause.
+    /// How many wake-ups of ours, or SYNCs of the cell, were more than a hundredth of the period late, by cause.
     causes: BTreeMap<&'static str, u64>,
-    /// The latest wake-ups of ours.
+    /// The latest of them.
     worst: Vec<Late>,
     /// How well the usual periods and this one are kept.
     fits: Vec<Fit>,
@@ -155,7 +154,7 @@ impl Report {
         setting: Setting,
         ours: Side,
         peer: Option<Side>,
-        wakeups: &Wakeups,
+        late: &LateCycles,
         cell: Option<CellReport>,
     ) -> Self {
         let over = |ours: f64, peer: f64| (peer > 0.0).then(|| ours / peer);
@@ -169,8 +168,8 @@ impl Report {
         let skipped = (cell.as_ref()).and(ours.missed).unwrap_or(0);
         let fits = verdict::fits(&ours.late, setting.period_us, ours.cycles, skipped);
         let tail = (peer.as_ref()).map(|peer| verdict::tail(&ours.late, &peer.late));
-        let causes = wakeups.causes.causes();
-        let worst = wakeups.causes.worst().map(|worst| Late {
+        let causes = late.causes();
+        let worst = late.worst().map(|worst| Late {
             late_us: microseconds(worst.late),
             cause: worst.cause.name(),
         });
