@@ -45,6 +45,7 @@ use probe::{Turn, Wakeups};
 use report::{Report, Setting, Side};
 
 use crate::cell_file::CellFile;
+use crate::doctor::stolen_ticks;
 use crate::spikes::SpikeFile;
 
 /// Options of `mrroc jitter`.
@@ -240,6 +241,7 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
     let _load = Load::start(&options.load)?;
     let latency = CpuLatency::hold();
 
+    let stolen_before = stolen();
     let began = clock::now();
     let (recorder, mut ledger) = recording(began, log);
     let mut ours = Wakeups::new(recorder);
@@ -324,6 +326,7 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
         load: options.load.clone(),
         against: options.against,
         cpu_latency_held: latency.is_ok(),
+        stolen_ms: stolen().saturating_sub(stolen_before),
         ended_early: over.load(Ordering::Relaxed),
         denied: denied.iter().map(ToString::to_string).collect(),
     };
@@ -362,4 +365,9 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
         eprintln!("mrroc: {error:#}");
     }
     Ok(ExitCode::from(u8::from(ended_early || written.is_err())))
+}
+
+/// What a hypervisor took from all processors since the boot, ms.
+fn stolen() -> u64 {
+    10 * stolen_ticks(&std::fs::read_to_string("/proc/stat").unwrap_or_default())
 }

@@ -48,6 +48,18 @@ fn a_measurement_ends_with_one_object_that_compares_both_sides() {
 }
 
 #[test]
+fn cyclictest_is_run_for_as_long_and_read_whole() {
+    let report = measured(&["--against", "cyclictest"]);
+    assert_eq!(report["against"], "cyclictest");
+    let [ours, peer] = ["ours", "peer"].map(|side| report[side]["cycles"].as_u64().unwrap());
+    assert!((1..=150).contains(&ours) && peer == 150, "{report}");
+    let worst = report["peer"]["max"].as_f64().unwrap();
+    let ratio = report["ratio"]["max"].as_f64().unwrap();
+    assert!(worst >= 1.0 && ratio * worst - report["ours"]["max"].as_f64().unwrap() < 1e-6 * worst);
+    assert!(report["stolen_ms"].is_u64(), "{report}");
+}
+
+#[test]
 fn numbers_are_in_microseconds() {
     let report = measured(&["--against", "plain", "--wait", "plain"]);
     let [ours, peer] = ["ours", "peer"].map(|side| report[side]["p50"].as_f64().unwrap());

@@ -41,6 +41,8 @@ use link::Link;
 use record::Record;
 use tree::Tree;
 
+pub(crate) use cpu::stolen_ticks;
+
 /// How long the steal time is watched.
 const WATCH: Duration = Duration::from_secs(1);
 
