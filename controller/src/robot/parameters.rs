@@ -228,7 +228,8 @@ fn screw(name: &'static str, screw: &ScrewAxis) -> Result<Axis, ParameterError> 
     })
 }
 
-fn finite(name: &'static str, value: f64) -> Result<(), ParameterError> {
+/// Refuses a NaN or an infinity.
+pub(super) fn finite(name: &'static str, value: f64) -> Result<(), ParameterError> {
     if value.is_finite() {
         Ok(())
     } else {
