@@ -1,6 +1,6 @@
 //! Robots: where the flange is for given joints, which joints put it there, and where the motors are.
 //!
-//! [`Robot`] is the contract; [`Irp6`] (6 axes) and [`Irb6`] (5 axes) keep it. Every call is a function
+//! [`Robot`] is the contract; [`Irb6`] (5 axes), [`Irp6`] (6), [`Irp6Track`] and [`Polycrank`] (7) keep it. Every call is a function
 //! of its arguments: no state, no allocation, no search without a bound. What a robot cannot do is a
 //! [`KinematicsError`] that names the axis and both sides, never a NaN or a clamped number.
 //!
@@ -14,10 +14,16 @@
 //! replaced by measurement.
 
 mod arm;
+mod axis_map;
 mod drive_train;
+mod free_parameter;
 mod irb6;
 mod irp6;
+mod irp6_track;
+mod links;
 mod parameters;
+mod polycrank;
+mod singularity;
 mod solutions;
 mod vector;
 
@@ -32,10 +38,15 @@ use serde::{Deserialize, Serialize};
 use servo::MAX_AXES;
 use thiserror::Error;
 
+pub use axis_map::{Conveyor, Gripper};
 pub use drive_train::{GearAxis, ScrewAxis};
 pub use irb6::{Irb6, Irb6Parameters};
 pub use irp6::{Irp6, Irp6Parameters};
+pub use irp6_track::{Irp6Track, Irp6TrackParameters};
+pub use links::{Link, LinkKind, Links};
 pub use parameters::{ArmParameters, ParameterError};
+pub use polycrank::{Polycrank, PolycrankParameters};
+pub use singularity::Singularity;
 pub use solutions::Solutions;
 pub use vector::{Joint, Joints, Motor, Motors, Vector};
 
@@ -52,7 +63,9 @@ pub trait Robot: fmt::Debug + Send + Sync {
     /// Axes, at most [`MAX_AXES`]; the length of every vector it takes and gives.
     fn axes(&self) -> usize;
 
-    /// Range of each joint, rad (m for a linear joint).
+    /// Range of each joint, rad (m for a linear joint); [`Limits::CONTINUOUS`] for one that turns without end.
+    /// The position of such a joint counts its turns: 0 and 2π are two positions of it, and whoever
+    /// interpolates passes all that is between.
     fn joint_limits(&self) -> &[Limits];
 
     /// Range of each motor, rad.
@@ -87,6 +100,16 @@ pub trait Robot: fmt::Debug + Send + Sync {
 
     /// The Jacobian at these joints.
     fn jacobian(&self, joints: &Joints) -> Result<Jacobian, KinematicsError>;
+
+    /// How near these joints are to a singularity.
+    fn singularity(&self, joints: &Joints) -> Result<Singularity, KinematicsError> {
+        Singularity::of(&self.jacobian(joints)?, self.axes())
+    }
+
+    /// The arm link by link, for description files and figures; `None` where it is no serial chain.
+    fn links(&self) -> Option<Links> {
+        None
+    }
 }
 
 /// A closed range of positions.
@@ -102,6 +125,17 @@ pub struct Limits {
 impl Limits {
     /// What rounding may add to a position that stands exactly on its limit.
     const SLACK: f64 = 1e-9;
+
+    /// No limit at all: a joint that turns without end.
+    pub const CONTINUOUS: Self = Self {
+        low: f64::NEG_INFINITY,
+        high: f64::INFINITY,
+    };
+
+    /// Whether there is no limit on either side.
+    pub const fn is_continuous(&self) -> bool {
+        self.low == f64::NEG_INFINITY && self.high == f64::INFINITY
+    }
 
     /// The limit that `position` is beyond; a NaN is beyond the lower one.
     pub fn exceeded_by(&self, position: f64) -> Option<f64> {
@@ -154,10 +188,13 @@ pub enum KinematicsError {
         margin: f64,
     },
     /// The pose leaves an axis undetermined.
-    #[error("axis {axis} is undetermined at this pose")]
+    #[error("axis {axis} is undetermined {margin:.1e} from a singular pose")]
     Singular {
         /// The axis.
         axis: u8,
+        /// How far from the singular pose this one is: the distance of the flange from the axis, m, or the
+        /// sine of the angle between the axes that should not be parallel.
+        margin: f64,
     },
     /// A joint or a motor would pass its limit.
     #[error("axis {axis}: {space} at {value:.6} is beyond its limit {limit:.6}")]
@@ -183,7 +220,7 @@ impl KinematicsError {
     /// The axis it is about.
     pub fn axis(&self) -> Option<usize> {
         match *self {
-            Self::Singular { axis } | Self::BeyondLimit { axis, .. } => Some(usize::from(axis)),
+            Self::Singular { axis, .. } | Self::BeyondLimit { axis, .. } => Some(usize::from(axis)),
             Self::NotFinite
             | Self::AxisCount { .. }
             | Self::Unreachable { .. }

@@ -190,7 +190,9 @@ pub(super) fn gear(name: &'static str, gear: &GearAxis) -> Result<Axis, Paramete
     if gear.ratio == 0.0 {
         return Err(ParameterError::NoRatio { name });
     }
-    room(name, gear.joint_limits)?;
+    if !gear.joint_limits.is_continuous() {
+        room(name, gear.joint_limits)?;
+    }
     room(name, gear.motor_limits)?;
     Ok(Axis {
         transmission: Transmission::Gear(*gear),
@@ -226,7 +228,8 @@ fn screw(name: &'static str, screw: &ScrewAxis) -> Result<Axis, ParameterError> 
     })
 }
 
-fn finite(name: &'static str, value: f64) -> Result<(), ParameterError> {
+/// Refuses a NaN or an infinity.
+pub(super) fn finite(name: &'static str, value: f64) -> Result<(), ParameterError> {
     if value.is_finite() {
         Ok(())
     } else {
