@@ -1,6 +1,6 @@
 //! Robots: where the flange is for given joints, which joints put it there, and where the motors are.
 //!
-//! [`Robot`] is the contract; [`Irp6`] (6 axes) and [`Irb6`] (5 axes) keep it. Every call is a function
+//! [`Robot`] is the contract; [`Irp6`] (6 axes), [`Irb6`] (5 axes) and [`Rnt`] (serial-parallel) keep it. Every call is a function
 //! of its arguments: no state, no allocation, no search without a bound. What a robot cannot do is a
 //! [`KinematicsError`] that names the axis and both sides, never a NaN or a clamped number.
 //!
@@ -17,7 +17,9 @@ mod arm;
 mod drive_train;
 mod irb6;
 mod irp6;
+mod legs;
 mod parameters;
+mod rnt;
 mod solutions;
 mod vector;
 
@@ -36,6 +38,7 @@ pub use drive_train::{GearAxis, ScrewAxis};
 pub use irb6::{Irb6, Irb6Parameters};
 pub use irp6::{Irp6, Irp6Parameters};
 pub use parameters::{ArmParameters, ParameterError};
+pub use rnt::{LegAxis, Rnt, RntParameters};
 pub use solutions::Solutions;
 pub use vector::{Joint, Joints, Motor, Motors, Vector};
 
@@ -159,6 +162,32 @@ pub enum KinematicsError {
         /// The axis.
         axis: u8,
     },
+    /// A straight wrist leaves the sum of two of its axes determined, neither by itself.
+    #[error("axis {axis} is undetermined: the wrist leans by {margin:.1e} rad, and needs 1e-6")]
+    Straight {
+        /// The first of the two axes.
+        axis: u8,
+        /// How far the wrist is from straight, rad.
+        margin: f64,
+    },
+    /// Legs that cannot have these lengths together. Legs are counted from 0.
+    #[error("the legs do not close: leg {leg} misses its length by {residual:.6} m at the least")]
+    Open {
+        /// The leg that misses most.
+        leg: u8,
+        /// The length asked for less that of the closest posture found, m.
+        residual: f64,
+    },
+    /// A leg would pass its limit. Legs are counted from 0.
+    #[error("leg {leg} at {length:.6} m is beyond its limit {limit:.6} m")]
+    LegLimit {
+        /// The leg, which has the motor of the same number.
+        leg: u8,
+        /// The length asked for, m.
+        length: f64,
+        /// The limit it passes, m.
+        limit: f64,
+    },
     /// A joint or a motor would pass its limit.
     #[error("axis {axis}: {space} at {value:.6} is beyond its limit {limit:.6}")]
     BeyondLimit {
@@ -183,7 +212,11 @@ impl KinematicsError {
     /// The axis it is about.
     pub fn axis(&self) -> Option<usize> {
         match *self {
-            Self::Singular { axis } | Self::BeyondLimit { axis, .. } => Some(usize::from(axis)),
+            Self::Singular { axis }
+            | Self::Straight { axis, .. }
+            | Self::Open { leg: axis, .. }
+            | Self::LegLimit { leg: axis, .. }
+            | Self::BeyondLimit { axis, .. } => Some(usize::from(axis)),
             Self::NotFinite
             | Self::AxisCount { .. }
             | Self::Unreachable { .. }

@@ -7,6 +7,7 @@ use nalgebra::{DMatrix, Isometry3, Matrix3, Matrix4, Vector3};
 use super::*;
 
 mod refusals;
+mod rnt;
 
 const SEED: u64 = 0x6d72_726f;
 
