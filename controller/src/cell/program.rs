@@ -1,5 +1,7 @@
 //! From the program of a cell file to the task of an effector control process.
 
+use std::f64::consts::PI;
+
 use nalgebra::{Quaternion, Translation3, UnitQuaternion};
 use servo::MAX_AXES;
 use thiserror::Error;
@@ -10,7 +12,7 @@ use crate::generator::{
     self, Arm, Axes, GeneratorError, JerkLimited, LineLimits, MotionLimits, Newsmooth, Pose,
     SmoothPose,
 };
-use crate::robot::{KinematicsError, Space};
+use crate::robot::{KinematicsError, Limits, Space};
 
 /// Greatest joint velocity, acceleration and jerk of generators, rad/s and so on: velocity and acceleration are
 /// those of MRROC++'s generators, the jerk reaches that acceleration in a tenth of a second.
@@ -240,6 +242,15 @@ fn steepest_gains(arm: &Arm) -> [Axes; MAX_AXES] {
         return gains;
     };
     for (joint, range) in arm.robot().joint_limits().iter().enumerate() {
+        // A joint without end has the gear of every turn within one.
+        let range = if range.is_continuous() {
+            Limits {
+                low: home[joint] - PI,
+                high: home[joint] + PI,
+            }
+        } else {
+            *range
+        };
         let step = (range.high - range.low) / SAMPLES as f64;
         let at = |sample: usize| {
             let mut joints = home;

@@ -18,8 +18,10 @@ mod drive_train;
 mod irb6;
 mod irp6;
 mod legs;
+mod links;
 mod parameters;
 mod rnt;
+mod singularity;
 mod solutions;
 mod vector;
 
@@ -37,8 +39,10 @@ use thiserror::Error;
 pub use drive_train::{GearAxis, ScrewAxis};
 pub use irb6::{Irb6, Irb6Parameters};
 pub use irp6::{Irp6, Irp6Parameters};
+pub use links::{Link, LinkKind, Links};
 pub use parameters::{ArmParameters, ParameterError};
 pub use rnt::{LegAxis, Rnt, RntParameters};
+pub use singularity::Singularity;
 pub use solutions::Solutions;
 pub use vector::{Joint, Joints, Motor, Motors, Vector};
 
@@ -55,7 +59,9 @@ pub trait Robot: fmt::Debug + Send + Sync {
     /// Axes, at most [`MAX_AXES`]; the length of every vector it takes and gives.
     fn axes(&self) -> usize;
 
-    /// Range of each joint, rad (m for a linear joint).
+    /// Range of each joint, rad (m for a linear joint); [`Limits::CONTINUOUS`] for one that turns without end.
+    /// The position of such a joint counts its turns: 0 and 2π are two positions of it, and whoever
+    /// interpolates passes all that is between.
     fn joint_limits(&self) -> &[Limits];
 
     /// Range of each motor, rad.
@@ -90,6 +96,16 @@ pub trait Robot: fmt::Debug + Send + Sync {
 
     /// The Jacobian at these joints.
     fn jacobian(&self, joints: &Joints) -> Result<Jacobian, KinematicsError>;
+
+    /// How near these joints are to a singularity.
+    fn singularity(&self, joints: &Joints) -> Result<Singularity, KinematicsError> {
+        Singularity::of(&self.jacobian(joints)?, self.axes())
+    }
+
+    /// The arm link by link, for description files and figures; `None` where it is no serial chain.
+    fn links(&self) -> Option<Links> {
+        None
+    }
 }
 
 /// A closed range of positions.
@@ -105,6 +121,17 @@ pub struct Limits {
 impl Limits {
     /// What rounding may add to a position that stands exactly on its limit.
     const SLACK: f64 = 1e-9;
+
+    /// No limit at all: a joint that turns without end.
+    pub const CONTINUOUS: Self = Self {
+        low: f64::NEG_INFINITY,
+        high: f64::INFINITY,
+    };
+
+    /// Whether there is no limit on either side.
+    pub const fn is_continuous(&self) -> bool {
+        self.low == f64::NEG_INFINITY && self.high == f64::INFINITY
+    }
 
     /// The limit that `position` is beyond; a NaN is beyond the lower one.
     pub fn exceeded_by(&self, position: f64) -> Option<f64> {
@@ -157,17 +184,12 @@ pub enum KinematicsError {
         margin: f64,
     },
     /// The pose leaves an axis undetermined.
-    #[error("axis {axis} is undetermined at this pose")]
+    #[error("axis {axis} is undetermined {margin:.1e} from a singular pose")]
     Singular {
         /// The axis.
         axis: u8,
-    },
-    /// A straight wrist leaves the sum of two of its axes determined, neither by itself.
-    #[error("axis {axis} is undetermined: the wrist leans by {margin:.1e} rad, and needs 1e-6")]
-    Straight {
-        /// The first of the two axes.
-        axis: u8,
-        /// How far the wrist is from straight, rad.
+        /// How far from the singular pose this one is: the distance of the flange from the axis, m, or the
+        /// sine of the angle between the axes that should not be parallel.
         margin: f64,
     },
     /// Legs that cannot have these lengths together. Legs are counted from 0.
@@ -212,8 +234,7 @@ impl KinematicsError {
     /// The axis it is about.
     pub fn axis(&self) -> Option<usize> {
         match *self {
-            Self::Singular { axis }
-            | Self::Straight { axis, .. }
+            Self::Singular { axis, .. }
             | Self::Open { leg: axis, .. }
             | Self::LegLimit { leg: axis, .. }
             | Self::BeyondLimit { axis, .. } => Some(usize::from(axis)),

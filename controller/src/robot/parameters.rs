@@ -234,7 +234,9 @@ pub(super) fn gear(name: &'static str, gear: &GearAxis) -> Result<Axis, Paramete
     if gear.ratio == 0.0 {
         return Err(ParameterError::NoRatio { name });
     }
-    room(name, gear.joint_limits)?;
+    if !gear.joint_limits.is_continuous() {
+        room(name, gear.joint_limits)?;
+    }
     room(name, gear.motor_limits)?;
     Ok(Axis {
         transmission: Transmission::Gear(*gear),

@@ -5,8 +5,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    GearAxis, Jacobian, Joints, KinematicsError, Limits, Motors, ParameterError, Robot, Solutions,
-    Space,
+    GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, LinkKind, Links, Motors,
+    ParameterError, Robot, Solutions, Space,
     arm::{self, PARALLEL},
     drive_train::{self, Axis, DriveTrain},
     legs::{self, Gap, Legs, Posture},
@@ -123,7 +123,7 @@ const fn wrist(range: f64) -> GearAxis {
 /// Rx(alpha)·Ry(beta)·Rz(roll)·Ry(pitch)·Rz(spin), so that the tool goes on along the central leg at pitch 0.
 ///
 /// A pose has two branches, pitch to either side. With the wrist straight, roll and spin turn about the
-/// same line, and [`Robot::inverse`] answers [`KinematicsError::Straight`].
+/// same line: below a sine of 1e-6 of the pitch [`Robot::inverse`] answers [`KinematicsError::Singular`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rnt {
     parameters: RntParameters,
@@ -346,7 +346,10 @@ impl Robot for Rnt {
         let (centre, axes) = arm::parts(base_from_flange)?;
         let reach = centre.norm();
         if reach < PARALLEL {
-            return Err(KinematicsError::Singular { axis: ALPHA as u8 });
+            return Err(KinematicsError::Singular {
+                axis: ALPHA as u8,
+                margin: reach,
+            });
         }
         let alpha = (-centre.y).atan2(centre.z);
         let beta = (centre.x / reach).asin();
@@ -357,7 +360,7 @@ impl Robot for Rnt {
         let wrist = legs::central(alpha, beta).transpose() * axes;
         let lean = wrist[(0, 2)].hypot(wrist[(1, 2)]);
         if lean < STRAIGHT {
-            return Err(KinematicsError::Straight {
+            return Err(KinematicsError::Singular {
                 axis: ROLL as u8,
                 margin: lean,
             });
@@ -412,6 +415,33 @@ impl Robot for Rnt {
         }
         jacobian.fixed_view_mut::<3, 1>(0, RHO).copy_from(&central);
         Ok(jacobian)
+    }
+
+    /// The passive central leg and the wrist; the driven legs are no part of a serial chain.
+    fn links(&self) -> Option<Links> {
+        let (x, y, z) = (Vector3::x_axis(), Vector3::y_axis(), Vector3::z_axis());
+        let link = |name, axis, index, offset| Link {
+            axis,
+            kind: if index == RHO {
+                LinkKind::Prismatic
+            } else {
+                LinkKind::Revolute
+            },
+            ..Link::turning(
+                name,
+                Isometry3::translation(0.0, 0.0, offset),
+                &[(index, 1.0)],
+                &self.joint_limits,
+            )
+        };
+        Some(Links(vec![
+            link("alpha", x, ALPHA, 0.0),
+            link("beta", y, BETA, 0.0),
+            link("rho", z, RHO, 0.0),
+            link("roll", z, ROLL, self.parameters.wrist_offset),
+            link("pitch", y, PITCH, 0.0),
+            link("spin", z, SPIN, 0.0),
+        ]))
     }
 }
 

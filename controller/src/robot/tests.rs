@@ -28,6 +28,12 @@ fn robots() -> [(&'static str, Box<dyn Robot>); 3] {
     ]
 }
 
+/// The arms above and the robots of another build.
+fn all_robots() -> impl Iterator<Item = (&'static str, Box<dyn Robot>)> {
+    let rnt: Box<dyn Robot> = Box::new(rnt::rnt());
+    robots().into_iter().chain([("rnt", rnt)])
+}
+
 /// Seeded uniform numbers (splitmix64).
 struct Random(u64);
 
@@ -310,7 +316,7 @@ fn solutions_come_nearest_first() {
 
 #[test]
 fn motors_and_joints_are_each_others_inverse() {
-    for (name, robot) in robots() {
+    for (name, robot) in all_robots() {
         let mut random = Random(SEED);
         for _ in 0..5_000 {
             let joints = random.joints(&*robot);
@@ -362,7 +368,7 @@ fn ball_screw_constants_are_one_rigid_geometry() {
 #[test]
 fn jacobian_is_the_derivative_of_forward_kinematics() {
     let step = 1e-6;
-    for (name, robot) in robots() {
+    for (name, robot) in all_robots() {
         let mut random = Random(SEED);
         for _ in 0..500 {
             let joints = random.joints(&*robot);
@@ -388,6 +394,53 @@ fn jacobian_is_the_derivative_of_forward_kinematics() {
                     "{name} {joints:?} axis {axis}"
                 );
             }
+        }
+    }
+}
+
+#[test]
+fn product_of_the_links_is_forward_kinematics() {
+    for (name, robot) in all_robots() {
+        let mut random = Random(SEED);
+        let links = robot.links().unwrap();
+        assert_eq!(links.0.len(), robot.axes(), "{name}");
+        for _ in 0..2_000 {
+            let joints = random.joints(&*robot);
+            let product = links.forward(&joints).unwrap();
+            let (distance, angle) = apart(&product, &robot.forward(&joints).unwrap());
+            assert!(
+                distance < 1e-12 && angle < 1e-12,
+                "{name} {joints:?} {distance} {angle}"
+            );
+            for link in &links.0 {
+                let sum = joints.iter().zip(link.coupling).map(|(q, k)| q * k).sum();
+                assert_eq!(link.limits.exceeded_by(sum), None, "{name} {}", link.name);
+            }
+        }
+        let spoilt = Joints::from([f64::NAN; 2]);
+        assert_eq!(links.forward(&spoilt), Err(KinematicsError::NotFinite));
+    }
+}
+
+#[test]
+fn singularity_is_the_smallest_singular_value_and_the_axis_that_moves_the_flange_least() {
+    let robot = irp6p();
+    let at = |th5| Joints::from([0.4, -1.4, 0.2, 0.3, th5, -0.5]);
+    let straight = robot.singularity(&at(0.0)).unwrap();
+    assert_eq!(straight.axis, 3);
+    assert!(straight.margin < 1e-12, "{straight:?}");
+    let beside = robot.singularity(&at(0.01)).unwrap();
+    assert!(beside.margin > 1e-3 && beside.margin < 1e-2, "{beside:?}");
+    for (name, robot) in all_robots() {
+        let mut random = Random(SEED);
+        let count = robot.axes().min(6);
+        for _ in 0..200 {
+            let joints = random.joints(&*robot);
+            let found = robot.singularity(&joints).unwrap();
+            let jacobian = robot.jacobian(&joints).unwrap();
+            let matrix = DMatrix::from_fn(6, robot.axes(), |row, column| jacobian[(row, column)]);
+            let expected = matrix.singular_values()[count - 1];
+            assert!((found.margin - expected).abs() < 1e-12, "{name} {joints:?}");
         }
     }
 }

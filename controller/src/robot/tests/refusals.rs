@@ -78,7 +78,10 @@ fn numbers_that_place_no_robot_are_refused() {
         over.translation.vector.y = 0.0;
         assert_eq!(
             refusal(&*robot, &over, &home),
-            Singular { axis: 0 },
+            Singular {
+                axis: 0,
+                margin: 0.0
+            },
             "{name}"
         );
         assert_eq!(robot.joint_limits().len(), axes);

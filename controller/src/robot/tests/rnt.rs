@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 use super::*;
 
-fn rnt() -> Rnt {
+pub(super) fn rnt() -> Rnt {
     Rnt::new(&RntParameters::nominal()).unwrap()
 }
 
@@ -146,7 +146,7 @@ fn a_straight_wrist_is_refused_with_its_margin_and_met_beside_it() {
     for pitch in [0.0, 1e-7, -1e-7] {
         let pose = robot.forward(&lean(pitch)).unwrap();
         match robot.inverse(&pose, &lean(pitch)) {
-            Err(error @ KinematicsError::Straight { axis: 3, margin }) => {
+            Err(error @ KinematicsError::Singular { axis: 3, margin }) => {
                 assert!((margin - pitch.abs()).abs() < 1e-12, "{margin}");
                 assert_eq!(error.axis(), Some(3));
             }
@@ -203,7 +203,10 @@ fn poses_past_tilts_extension_and_legs_are_refused_by_name() {
     let origin = Isometry3::identity();
     assert_eq!(
         robot.inverse(&origin, &near),
-        Err(KinematicsError::Singular { axis: 0 })
+        Err(KinematicsError::Singular {
+            axis: 0,
+            margin: 0.0
+        })
     );
 }
 
