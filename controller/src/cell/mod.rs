@@ -204,21 +204,33 @@ impl Robot {
 
     /// Its kinematics and drive train, or what is wrong with its parameters.
     pub fn kinematics(&self) -> Result<Arc<dyn crate::robot::Robot>, ParameterError> {
-        let parameters = self.parameters.unwrap_or(match self.model {
-            Model::Irb6 => Parameters::Irb6(Irb6Parameters::irb6()),
-            Model::Irp6 => Parameters::Irp6(Irp6Parameters::irp6p()),
-            Model::Irp6Calibrated => Parameters::Irp6(Irp6Parameters::irp6p_calibrated()),
-            Model::Rnt => Parameters::Rnt(RntParameters::nominal()),
-        });
-        Ok(match parameters {
-            Parameters::Irb6(parameters) => Arc::new(Irb6::new(&parameters)?),
-            Parameters::Irp6(parameters) => Arc::new(Irp6::new(&parameters)?),
-            Parameters::Rnt(parameters) => Arc::new(Rnt::new(&parameters)?),
+        let usual = || self.model.parameters();
+        self.parameters.unwrap_or_else(usual).kinematics()
+    }
+}
+
+impl Parameters {
+    /// The robot of these numbers, or what is wrong with them.
+    pub fn kinematics(&self) -> Result<Arc<dyn crate::robot::Robot>, ParameterError> {
+        Ok(match self {
+            Self::Irb6(parameters) => Arc::new(Irb6::new(parameters)?),
+            Self::Irp6(parameters) => Arc::new(Irp6::new(parameters)?),
+            Self::Rnt(parameters) => Arc::new(Rnt::new(parameters)?),
         })
     }
 }
 
 impl Model {
+    /// Its own numbers.
+    pub const fn parameters(self) -> Parameters {
+        match self {
+            Self::Irb6 => Parameters::Irb6(Irb6Parameters::irb6()),
+            Self::Irp6 => Parameters::Irp6(Irp6Parameters::irp6p()),
+            Self::Irp6Calibrated => Parameters::Irp6(Irp6Parameters::irp6p_calibrated()),
+            Self::Rnt => Parameters::Rnt(RntParameters::nominal()),
+        }
+    }
+
     /// How many axes it has.
     pub const fn axes(self) -> usize {
         match self {

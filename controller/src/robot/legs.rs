@@ -53,6 +53,11 @@ impl Legs {
         }
     }
 
+    /// Where each leg begins on the base and ends on the platform.
+    pub(super) fn ends(&self) -> [[Vector3<f64>; 2]; 3] {
+        std::array::from_fn(|leg| [self.base[leg], self.platform[leg]])
+    }
+
     /// Length of each leg, m.
     pub(super) fn lengths(&self, posture: &Posture) -> [f64; 3] {
         let platform_at = platform(posture);

@@ -98,6 +98,17 @@ impl RntParameters {
     }
 }
 
+impl RntParameters {
+    /// Where each leg begins in the base frame and ends in the platform's, m.
+    pub fn leg_ends(&self) -> [[Vector3<f64>; 2]; 3] {
+        self.geometry().ends()
+    }
+
+    fn geometry(&self) -> Legs {
+        Legs::new(self.base_radius, self.platform_radius)
+    }
+}
+
 /// A wrist axis of ± `range` degrees.
 const fn wrist(range: f64) -> GearAxis {
     const RATIO: f64 = 100.0;
@@ -175,7 +186,7 @@ impl Rnt {
         joint_limits[..3].copy_from_slice(&[alpha, beta, extension]);
         let robot = Self {
             parameters: *parameters,
-            legs: Legs::new(base_radius, platform_radius),
+            legs: parameters.geometry(),
             drive_train,
             joint_limits,
         };
@@ -446,6 +457,11 @@ impl Robot for Rnt {
 }
 
 impl LegAxis {
+    /// Motor position, rad, at a leg length, m. Looks at no limit.
+    pub fn motor(&self, length: f64) -> f64 {
+        self.motor_at_home + TAU / self.lead * (length - self.length_at_home)
+    }
+
     /// The leg as an axis whose joint is its length.
     fn axis(&self) -> Result<Axis, ParameterError> {
         parameters::positive("length_limits of the legs", self.length_limits.low)?;
@@ -453,8 +469,8 @@ impl LegAxis {
             return Err(ParameterError::NoRatio { name: "legs" });
         }
         let ratio = TAU / self.lead;
-        let motor = |length: f64| self.motor_at_home + ratio * (length - self.length_at_home);
-        let ends = [self.length_limits.low, self.length_limits.high].map(motor);
+        let Limits { low, high } = self.length_limits;
+        let ends = [self.motor(low), self.motor(high)];
         let gear = GearAxis {
             ratio,
             joint_at_home: self.length_at_home,
