@@ -1,6 +1,7 @@
 //! Robots: where the flange is for given joints, which joints put it there, and where the motors are.
 //!
-//! [`Robot`] is the contract; [`Irp6`] (6 axes), [`Irb6`] (5 axes) and [`Rnt`] (serial-parallel) keep it. Every call is a function
+//! [`Robot`] is the contract; [`Irb6`] (5 axes), [`Irp6`] (6), [`Irp6Track`] and [`Polycrank`] (7), and [`Rnt`] (6,
+//! serial-parallel) keep it. Every call is a function
 //! of its arguments: no state, no allocation, no search without a bound. What a robot cannot do is a
 //! [`KinematicsError`] that names the axis and both sides, never a NaN or a clamped number.
 //!
@@ -15,11 +16,14 @@
 
 mod arm;
 mod drive_train;
+mod free_parameter;
 mod irb6;
 mod irp6;
+mod irp6_track;
 mod legs;
 mod links;
 mod parameters;
+mod polycrank;
 mod rnt;
 mod singularity;
 mod solutions;
@@ -39,8 +43,10 @@ use thiserror::Error;
 pub use drive_train::{GearAxis, ScrewAxis};
 pub use irb6::{Irb6, Irb6Parameters};
 pub use irp6::{Irp6, Irp6Parameters};
+pub use irp6_track::{Irp6Track, Irp6TrackParameters};
 pub use links::{Link, LinkKind, Links};
 pub use parameters::{ArmParameters, ParameterError};
+pub use polycrank::{Polycrank, PolycrankParameters};
 pub use rnt::{LegAxis, Rnt, RntParameters};
 pub use singularity::Singularity;
 pub use solutions::Solutions;

@@ -272,7 +272,7 @@ fn screw(name: &'static str, screw: &ScrewAxis) -> Result<Axis, ParameterError> 
     })
 }
 
-/// Refuses what is not finite.
+/// Refuses a NaN or an infinity.
 pub(super) fn finite(name: &'static str, value: f64) -> Result<(), ParameterError> {
     if value.is_finite() {
         Ok(())

@@ -19,6 +19,16 @@ impl Solutions {
     }
 }
 
+impl Solutions {
+    /// The same solutions, each for a robot of other axes.
+    pub(super) fn map(mut self, joints: impl Fn(&Joints) -> Joints) -> Self {
+        for solution in &mut self.joints[..self.count] {
+            *solution = joints(solution);
+        }
+        self
+    }
+}
+
 /// The only branch of a robot that has one.
 impl From<Joints> for Solutions {
     fn from(joints: Joints) -> Self {
@@ -128,6 +138,11 @@ impl<'a, const N: usize, M: Mechanism<N>> Search<'a, N, M> {
     /// Notes by how many m the arm fails to have a pair of branches.
     pub(super) fn out_of_reach(&mut self, margin: f64) {
         self.margin = self.margin.min(margin);
+    }
+
+    /// Notes why branches are none, to be told if no branch beyond a limit can be.
+    pub(super) fn refuse(&mut self, error: KinematicsError) {
+        self.refused.get_or_insert((f64::INFINITY, error));
     }
 
     /// Takes a branch if the robot can stand there. Distance is the largest joint travel from `near`.
