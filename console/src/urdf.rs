@@ -42,10 +42,10 @@ fn write(text: &mut String, machine: &Machine, links: &[Link]) -> fmt::Result {
         text,
         "<!-- Kinematics only, metres and radians: no masses, and efforts and velocities of 0 for unknown. -->"
     )?;
-    if let Some(caution) = machine.caution() {
+    if let Some(caution) = machine.caution {
         writeln!(text, "<!-- Mind: {caution}. -->")?;
     }
-    if let Some(legs) = machine.legs() {
+    if let Some(legs) = machine.leg_ends() {
         writeln!(
             text,
             "<!-- The serial equivalent: the motors of alpha, beta and rho are three legs, which URDF cannot close:"

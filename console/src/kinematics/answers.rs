@@ -237,7 +237,7 @@ impl fmt::Display for Ranges {
 }
 
 fn notes(machine: &Machine) -> Vec<String> {
-    machine.caution().map(str::to_owned).into_iter().collect()
+    machine.caution.map(str::to_owned).into_iter().collect()
 }
 
 /// Numbers in columns.

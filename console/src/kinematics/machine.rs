@@ -6,7 +6,10 @@ use std::sync::Arc;
 use anyhow::{Context as _, anyhow};
 use clap::Args;
 use controller::cell::{Model, Parameters};
-use controller::robot::{Joints, Limits, Motors, Rnt, RntParameters, Robot, Vector};
+use controller::robot::{
+    Irp6Track, Irp6TrackParameters, Joints, Limits, Motors, ParameterError, Polycrank,
+    PolycrankParameters, Rnt, RntParameters, Robot, Vector,
+};
 
 use nalgebra::Vector3;
 
@@ -14,11 +17,26 @@ use super::numbers;
 use crate::cell_file::CellFile;
 
 /// The robots by name.
-const MODELS: [(&str, Model); 3] = [
-    ("irb6", Model::Irb6),
-    ("irp6", Model::Irp6),
-    ("rnt", Model::Rnt),
+const ROBOTS: [(&str, fn() -> Result<Machine, ParameterError>); 5] = [
+    ("irb6", || of_cell(&Model::Irb6.parameters())),
+    ("irp6", || of_cell(&Model::Irp6.parameters())),
+    ("irp6-track", || {
+        let robot = Irp6Track::new(&Irp6TrackParameters::irp6ot())?;
+        Ok(Machine::new(Arc::new(robot)))
+    }),
+    ("rnt", || of_cell(&Model::Rnt.parameters())),
+    ("polycrank", || {
+        let robot = Polycrank::new(&PolycrankParameters::polycrank())?;
+        let mut machine = Machine::new(Arc::new(robot));
+        machine.caution = Some(POLYCRANK);
+        Ok(machine)
+    }),
 ];
+
+const RNT: &str =
+    "geometry, drives and limits of the RNT are nominal: none was measured or published";
+const POLYCRANK: &str =
+    "drives and home of the Polycrank are nominal: none was measured or published";
 
 /// Which robot.
 #[derive(Args)]
@@ -35,13 +53,25 @@ pub(crate) struct Which {
 pub(crate) struct Machine {
     pub(crate) name: String,
     pub(crate) robot: Arc<dyn Robot>,
-    parameters: Parameters,
+    /// Of a robot that has legs.
+    rnt: Option<(Rnt, RntParameters)>,
+    /// What must be known of the numbers.
+    pub(crate) caution: Option<&'static str>,
 }
 
 impl Machine {
-    pub(crate) fn find(Which { robot, cell }: &Options) -> anyhow::Result<Self> {
-        let parameters = match cell {
-            None => model(robot)?.parameters(),
+    fn new(robot: Arc<dyn Robot>) -> Self {
+        Self {
+            name: String::new(),
+            robot,
+            rnt: None,
+            caution: None,
+        }
+    }
+
+    pub(crate) fn find(Which { robot, cell }: &Which) -> anyhow::Result<Self> {
+        let machine = match cell {
+            None => preset(robot)?,
             Some(cell) => {
                 let file = CellFile::read(cell)?;
                 let mut robots = file.cell.robot.iter();
@@ -50,13 +80,12 @@ impl Machine {
                     let names = file.cell.robot.iter().map(|robot| robot.name.as_str());
                     unknown(&format!("{} has no robot", cell.display()), robot, names)
                 })?;
-                found.parameters.unwrap_or_else(|| found.model.parameters())
+                of_cell(&found.parameters.unwrap_or_else(|| found.model.parameters()))?
             }
         };
         Ok(Self {
             name: robot.clone(),
-            robot: parameters.kinematics().context("unsound parameters")?,
-            parameters,
+            ..machine
         })
     }
 
@@ -68,7 +97,7 @@ impl Machine {
     /// The joints at a list of motor positions, of the RNT's legs at their lengths.
     pub(super) fn joints_from_motors(&self, list: &str) -> anyhow::Result<Joints> {
         let mut motors: Motors = self.vector("--motors", list)?;
-        if let Parameters::Rnt(parameters) = &self.parameters {
+        if let Some((_, parameters)) = &self.rnt {
             for (motor, leg) in motors.iter_mut().zip(&parameters.legs) {
                 *motor = leg.motor(*motor);
             }
@@ -84,38 +113,20 @@ impl Machine {
 
     /// Leg lengths at these joints, m, of a robot that has legs.
     pub(super) fn leg_lengths(&self, joints: &Joints) -> anyhow::Result<Option<[f64; 3]>> {
-        let Parameters::Rnt(parameters) = &self.parameters else {
-            return Ok(None);
-        };
-        let rnt = Rnt::new(parameters).context("unsound parameters")?;
-        Ok(Some(rnt.leg_lengths(joints)?))
+        let rnt = self.rnt.as_ref();
+        Ok(rnt.map(|(rnt, _)| rnt.leg_lengths(joints)).transpose()?)
     }
 
     /// Ranges of the legs, m, of a robot that has them.
     pub(super) fn leg_limits(&self) -> Option<[Limits; 3]> {
-        match &self.parameters {
-            Parameters::Rnt(parameters) => Some(parameters.legs.map(|leg| leg.length_limits)),
-            Parameters::Irb6(_) | Parameters::Irp6(_) => None,
-        }
+        let (_, parameters) = self.rnt.as_ref()?;
+        Some(parameters.legs.map(|leg| leg.length_limits))
     }
 
     /// Where each leg begins on the base and ends on the platform, m, of a robot that has legs.
-    pub(crate) fn legs(&self) -> Option<[[Vector3<f64>; 2]; 3]> {
-        match &self.parameters {
-            Parameters::Rnt(parameters) => Some(parameters.leg_ends()),
-            Parameters::Irb6(_) | Parameters::Irp6(_) => None,
-        }
-    }
-
-    /// What must be known of the numbers.
-    pub(crate) fn caution(&self) -> Option<&'static str> {
-        let nominal = match self.parameters {
-            Parameters::Rnt(parameters) => parameters == RntParameters::nominal(),
-            Parameters::Irb6(_) | Parameters::Irp6(_) => false,
-        };
-        nominal.then_some(
-            "geometry, drives and limits of the RNT are nominal: none was measured or published",
-        )
+    pub(crate) fn leg_ends(&self) -> Option<[[Vector3<f64>; 2]; 3]> {
+        let (_, parameters) = self.rnt.as_ref()?;
+        Some(parameters.leg_ends())
     }
 
     fn vector<Space>(&self, option: &str, text: &str) -> anyhow::Result<Vector<Space>> {
@@ -131,11 +142,24 @@ impl Machine {
     }
 }
 
-fn model(name: &str) -> anyhow::Result<Model> {
-    let found = MODELS.iter().find(|(known, _)| *known == name);
-    let names = MODELS.iter().map(|(known, _)| *known);
-    let (_, model) = found.ok_or_else(|| unknown("there is no robot", name, names))?;
-    Ok(*model)
+/// The robot of these numbers of a cell.
+fn of_cell(parameters: &Parameters) -> Result<Machine, ParameterError> {
+    let machine = Machine::new(parameters.kinematics()?);
+    Ok(match parameters {
+        Parameters::Rnt(parameters) => Machine {
+            rnt: Some((Rnt::new(parameters)?, *parameters)),
+            caution: (*parameters == RntParameters::nominal()).then_some(RNT),
+            ..machine
+        },
+        Parameters::Irb6(_) | Parameters::Irp6(_) => machine,
+    })
+}
+
+fn preset(name: &str) -> anyhow::Result<Machine> {
+    let found = ROBOTS.iter().find(|(known, _)| *known == name);
+    let names = ROBOTS.iter().map(|(known, _)| *known);
+    let (_, make) = found.ok_or_else(|| unknown("there is no robot", name, names))?;
+    Ok(make()?)
 }
 
 fn unknown<'a>(what: &str, name: &str, known: impl Iterator<Item = &'a str>) -> anyhow::Error {

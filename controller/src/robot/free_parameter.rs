@@ -54,6 +54,21 @@ impl Ring {
         best.ok_or(missing)
     }
 
+    /// What of the ring is on the same side of its centre as a point.
+    pub(super) fn half(self, point: f64) -> Self {
+        if point > self.centre {
+            Self {
+                low: self.low.max(self.centre),
+                ..self
+            }
+        } else {
+            Self {
+                high: self.high.min(self.centre),
+                ..self
+            }
+        }
+    }
+
     /// The middle of the piece in which a point of the ring lies.
     pub(super) fn middle(&self, point: f64) -> f64 {
         let pieces = self.pieces();

@@ -15,7 +15,7 @@ const AXES: usize = 7;
 const ARM: usize = 6;
 
 /// Distances of the flange from the column's axis at which the carriage stays where it is, m.
-const COMFORT: (f64, f64) = (0.5, 0.95);
+const COMFORT: (f64, f64) = (0.6, 0.95);
 
 /// Half the angle behind the robot in which the column shall not work, as its tangent: 40°.
 const BEHIND: f64 = 0.839_099_631_177_280;
@@ -27,9 +27,12 @@ const BAND: f64 = 0.1;
 const LEVER: f64 = 0.25;
 
 /// First detour of the carriage where the arm cannot take the pose from its stand, m; each further one
-/// is half as long again.
-const DETOUR: f64 = 0.001;
-const DETOURS: i32 = 18;
+/// is half as long again, up to 1.1 m.
+const DETOUR: f64 = 0.000_1;
+const DETOURS: i32 = 24;
+
+/// Places evenly along the track that are tried last.
+const PLACES: u32 = 64;
 
 /// Numbers of one IRp-6 on its track.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -107,11 +110,11 @@ impl Irp6TrackParameters {
 ///
 /// Joints: d0, m, then th1 .. th6 of [`Irp6`]. The base frame is that of the robot with the carriage at zero.
 ///
-/// A pose leaves d0 open. [`Robot::inverse`] keeps the carriage of `near` while the flange stands 0.5 to
+/// A pose leaves d0 open. [`Robot::inverse`] keeps the carriage of `near` while the flange stands 0.6 to
 /// 0.95 m from the column's axis and not within 40° of straight behind it; otherwise the carriage moves towards
 /// the nearest place of which that holds, at most as the flange does, and all the way for a pose far
-/// from `near`. Where the arm cannot take the pose from there, the carriage of `near` and then places ever
-/// farther from it are tried. One branch remains within the limits for each place, as for [`Irp6`].
+/// from `near`. Where the arm cannot take the pose from there, the carriage of `near`, then places ever
+/// farther from it and at last all along the track are tried. One branch remains within the limits for each place, as for [`Irp6`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Irp6Track {
     robot: Irp6,
@@ -244,9 +247,13 @@ impl Robot for Irp6Track {
             [carriage - detour, carriage + detour]
         });
         let Limits { low, high } = self.travel();
-        [carriage, comfort, flange.y]
+        let pitch = (high - low) / f64::from(PLACES);
+        let everywhere = (0..=PLACES).map(|place| low + pitch * f64::from(place));
+        [carriage]
             .into_iter()
             .chain(detours)
+            .chain([comfort, flange.y])
+            .chain(everywhere)
             .filter(|place| *place >= low && *place <= high)
             .find_map(|place| at(place).ok())
             .ok_or(refusal)

@@ -120,8 +120,18 @@ impl Legs {
 
 /// `base_from_central`: the central leg's frame, z along it.
 pub(super) fn central(alpha: f64, beta: f64) -> Rotation3<f64> {
-    Rotation3::from_axis_angle(&Vector3::x_axis(), alpha)
-        * Rotation3::from_axis_angle(&Vector3::y_axis(), beta)
+    let ((sa, ca), (sb, cb)) = (alpha.sin_cos(), beta.sin_cos());
+    Rotation3::from_matrix_unchecked(Matrix3::new(
+        cb,
+        0.0,
+        sb, //
+        sa * sb,
+        ca,
+        -sa * cb, //
+        -ca * sb,
+        sa,
+        ca * cb,
+    ))
 }
 
 /// The platform in the base frame.

@@ -15,6 +15,7 @@
 //! replaced by measurement.
 
 mod arm;
+mod axis_map;
 mod drive_train;
 mod free_parameter;
 mod irb6;
@@ -40,6 +41,7 @@ use serde::{Deserialize, Serialize};
 use servo::MAX_AXES;
 use thiserror::Error;
 
+pub use axis_map::{Conveyor, Gripper};
 pub use drive_train::{GearAxis, ScrewAxis};
 pub use irb6::{Irb6, Irb6Parameters};
 pub use irp6::{Irp6, Irp6Parameters};

@@ -316,6 +316,14 @@ impl Polycrank {
         let inside = self.cranks.reaches(facing, BAND);
         let comfort = inside
             .map(|ring| self.cranks.ahead_of_the_hole(facing, ring))
+            // No way leads across a hole.
+            .map(|ring| {
+                if admitted.inner > 0.0 {
+                    ring.half(nearest)
+                } else {
+                    ring
+                }
+            })
             .and_then(|ring| ring.nearest(here.reach))
             .unwrap_or_else(|_| admitted.middle(nearest));
         let way = here.way_to(facing);

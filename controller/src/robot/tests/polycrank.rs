@@ -113,13 +113,14 @@ fn a_robot_asked_for_where_it_stands_does_not_move() {
 fn joints_do_not_jump_along_straight_lines() {
     let robot = polycrank();
     let mut random = Random(SEED);
-    let (mut followed, mut steepest) = (0, 0.0_f64);
-    for _ in 0..300 {
+    let mut followed = 0;
+    for _ in 0..100 {
         let start = random.joints(&robot);
         let end = random.joints(&robot);
         let [from, to] = [start, end].map(|joints| robot.forward(&joints).unwrap());
+        // Found from afar, the start has its reach well inside the range.
+        let mut near = *robot.inverse(&from, &end).unwrap().preferred();
         let steps = 20_000;
-        let mut near = start;
         for step in 1..=steps {
             let Some(pose) = from.try_lerp_slerp(&to, f64::from(step) / f64::from(steps), 1e-9)
             else {
@@ -129,26 +130,16 @@ fn joints_do_not_jump_along_straight_lines() {
                 break;
             };
             let next = *solutions.preferred();
-            let margin = robot.singularity(&near).unwrap().margin;
             let moved = largest_difference(&next, &near);
-            if margin < 0.02 {
+            // Near a singularity joints are fast on any path.
+            if (step % 20 == 0 || moved > 0.05) && robot.singularity(&near).unwrap().margin < 0.02 {
                 break;
             }
-            let (distance, angle) = apart(&robot.forward(&near).unwrap(), &pose);
-            let gain = moved / (distance + angle);
-            if gain > steepest {
-                println!("{gain} margin {margin} at {near:?}");
-            }
-            steepest = steepest.max(gain);
-            assert!(
-                moved < 0.05,
-                "{moved} at {step} margin {margin}\n{near:?}\n{next:?}"
-            );
+            assert!(moved < 0.05, "{moved} at {step} of {start:?} {end:?}");
             near = next;
             followed += 1;
         }
     }
-    println!("{followed} {steepest}");
     assert!(followed > 1_000_000, "{followed}");
 }
 
