@@ -19,6 +19,7 @@ mod epos_service;
 mod faults;
 mod homing;
 mod jitter;
+mod kinematics;
 mod loops;
 mod lss;
 mod motion;
