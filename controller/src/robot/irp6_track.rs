@@ -20,7 +20,7 @@ const COMFORT: (f64, f64) = (0.6, 0.95);
 /// Half the angle behind the robot in which the column shall not work, as its tangent: 40°.
 const BEHIND: f64 = 0.839_099_631_177_280;
 
-/// Distance from a comfortable stand, m, over which the carriage takes up twice the flange's way.
+/// Distance from a comfortable stand, m, within which the carriage moves ever more slowly.
 const BAND: f64 = 0.1;
 
 /// Lever at which a turn of the flange counts as its way, m.
@@ -112,7 +112,7 @@ impl Irp6TrackParameters {
 ///
 /// A pose leaves d0 open. [`Robot::inverse`] keeps the carriage of `near` while the flange stands 0.6 to
 /// 0.95 m from the column's axis and not within 40° of straight behind it; otherwise the carriage moves towards
-/// the nearest place of which that holds, at most as the flange does, and all the way for a pose far
+/// the nearest place of which that holds, by at most twice the flange's way, so all the way for a pose far
 /// from `near`. Where the arm cannot take the pose from there, the carriage of `near`, then places ever
 /// farther from it and at last all along the track are tried. One branch remains within the limits for each place, as for [`Irp6`].
 #[derive(Clone, Debug, PartialEq)]

@@ -118,8 +118,8 @@ impl PolycrankParameters {
 ///
 /// A pose leaves one parameter open: the forearm's reach, the distance of axis 6 from axis 4 across axis 1.
 /// [`Robot::inverse`] takes it from `near` and returns the four or eight branches that have it. As the arm moves
-/// towards an end of the range that the pose admits, the reach moves back, by no more than the arm does; a pose
-/// far from `near` finds it 0.04 m inside. [`Polycrank::inverse_at`] takes it from the caller,
+/// towards an end of the range that the pose admits, the reach moves back, by at most twice the way of the arm;
+/// a pose far from `near` finds it 0.04 m inside. Folded upper cranks it leaves from 0.1 m before. [`Polycrank::inverse_at`] takes it from the caller,
 /// [`Polycrank::most_dexterous`] seeks the best.
 ///
 /// Singular poses are refused: a tool axis within 1e-10 of parallel to axis 1 (axis 2), and both
@@ -210,10 +210,8 @@ impl Polycrank {
         base_from_flange: &Isometry3<f64>,
         near: &Joints,
     ) -> Result<Solutions, KinematicsError> {
-        let refusal = match self.inverse(base_from_flange, near) {
-            Ok(_) => KinematicsError::Unreachable { margin: 0.0 },
-            Err(error) => return Err(error),
-        };
+        // The reach that `inverse` takes is a candidate: a range may be narrower than the samples are apart.
+        let own = self.reach(self.inverse(base_from_flange, near)?.preferred())?;
         let margin = |reach| {
             let solutions = self.inverse_at(base_from_flange, near, reach);
             solutions.map_or(f64::NEG_INFINITY, |solutions| {
@@ -228,11 +226,9 @@ impl Polycrank {
         let step = 2.0 * longest / SAMPLES as f64;
         let samples = (0..SAMPLES).map(|sample| (sample as f64 + 0.5) * step - longest);
         let better = |a: (f64, f64), b: (f64, f64)| if b.1 > a.1 { b } else { a };
-        // The reach that `inverse` takes is a candidate: a range may be narrower than the samples are apart.
-        let near_reach = self.reach(self.inverse(base_from_flange, near)?.preferred())?;
         let mut best = samples
             .map(|reach| (reach, margin(reach)))
-            .fold((near_reach, margin(near_reach)), better);
+            .fold((own, margin(own)), better);
         let (mut low, mut high) = (best.0 - step, best.0 + step);
         for _ in 0..REFINEMENTS {
             let part = (high - low) * GOLDEN;
@@ -246,7 +242,6 @@ impl Polycrank {
             }
         }
         self.inverse_at(base_from_flange, near, best.0)
-            .map_err(|_| refusal)
     }
 
     /// The branches of a pose with the reach that `choose` gives each of the two facings, or what it lacks, m.

@@ -75,6 +75,13 @@ pub(super) fn angles(
     ([(first(sin), bend), (first(-sin), -bend)], sin)
 }
 
+/// Where two cranks end for the angles of the first and of both together.
+fn ends([inner, outer]: [f64; 2], first: f64, both: f64) -> [(f64, f64); 2] {
+    let ((s1, c1), (s2, c2)) = (first.sin_cos(), both.sin_cos());
+    let (x, y) = (inner * c1, inner * s1);
+    [(x, y), (x + outer * c2, y + outer * s2)]
+}
+
 /// Across axis 1 in the forearm's plane, and along axis 4.
 fn plane(phi: f64) -> (Vector3<f64>, Vector3<f64>) {
     let (s, c) = phi.sin_cos();
@@ -82,20 +89,18 @@ fn plane(phi: f64) -> (Vector3<f64>, Vector3<f64>) {
 }
 
 impl Cranks {
-    /// Where the four cranks end: the upper ones across axis 1, the forearm's as (ahead, up) in its plane.
-    fn ends(&self, q: &[f64; AXES]) -> ([(f64, f64); 2], [(f64, f64); 2]) {
-        let two = |[a, b]: [f64; 2], first: f64, both: f64| {
-            let ((s1, c1), (s2, c2)) = (first.sin_cos(), both.sin_cos());
-            [(a * c1, a * s1), (a * c1 + b * c2, a * s1 + b * s2)]
-        };
-        (
-            two(self.upper, q[0], q[0] + q[1]),
-            two([self.forearm; 2], q[3], q[3] + q[4]),
-        )
+    /// Where the upper cranks end, across axis 1.
+    fn upper_ends(&self, q: &[f64; AXES]) -> [(f64, f64); 2] {
+        ends(self.upper, q[0], q[0] + q[1])
+    }
+
+    /// Where the forearm's cranks end, (ahead, up) in its plane.
+    fn forearm_ends(&self, q: &[f64; AXES]) -> [(f64, f64); 2] {
+        ends([self.forearm; 2], q[3], q[3] + q[4])
     }
 
     pub(super) fn stand(&self, q: &[f64; AXES]) -> Stand {
-        let ([_, (x, y)], [_, (reach, height)]) = self.ends(q);
+        let ([_, (x, y)], [_, (reach, height)]) = (self.upper_ends(q), self.forearm_ends(q));
         let (ahead, _) = plane(q[0] + q[1] + q[2]);
         Stand {
             reach,
@@ -107,7 +112,7 @@ impl Cranks {
     pub(super) fn forward(&self, q: &[f64; AXES]) -> Isometry3<f64> {
         let (ahead, along) = plane(q[0] + q[1] + q[2]);
         let (level, approach) = tool(&ahead, q[3] + q[4] + q[5]);
-        let ([_, (x, y)], [_, (reach, height)]) = self.ends(q);
+        let ([_, (x, y)], [_, (reach, height)]) = (self.upper_ends(q), self.forearm_ends(q));
         let origin = Vector3::new(x, y, height + self.upper_offset)
             + ahead * reach
             + along * self.forearm_offset
@@ -120,7 +125,7 @@ impl Cranks {
     pub(super) fn jacobian(&self, q: &[f64; AXES]) -> Jacobian {
         let (ahead, along) = plane(q[0] + q[1] + q[2]);
         let (_, approach) = tool(&ahead, q[3] + q[4] + q[5]);
-        let (upper, forearm) = self.ends(q);
+        let (upper, forearm) = (self.upper_ends(q), self.forearm_ends(q));
         let [_, (x, y)] = upper;
         let [_, (reach, height)] = forearm;
         let mut jacobian = Jacobian::zeros();

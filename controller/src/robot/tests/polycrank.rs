@@ -312,3 +312,24 @@ fn parameters_come_through_the_cell_file_and_unsound_ones_are_refused() {
     let links = polycrank().links().unwrap();
     assert!(links.0.iter().all(|link| link.kind == LinkKind::Continuous));
 }
+
+#[test]
+fn a_turn_is_chosen_within_the_range_of_a_motor_that_two_cranks_carry() {
+    let mut parameters = PolycrankParameters {
+        coupled: true,
+        ..PolycrankParameters::polycrank()
+    };
+    parameters.axes[2].motor_limits = Limits {
+        low: -500.0,
+        high: 500.0,
+    };
+    let robot = Polycrank::new(&parameters).unwrap();
+    let mut joints = robot.joints_from_motors(&robot.home()).unwrap();
+    joints[0] += 8.0;
+    let mut near = joints;
+    near[2] += TAU;
+    let pose = robot.forward(&joints).unwrap();
+    let solutions = robot.inverse(&pose, &near).unwrap();
+    let off = solutions.iter().map(|s| largest_difference(s, &joints));
+    assert!(off.fold(f64::INFINITY, f64::min) < 1e-6, "{solutions:?}");
+}
