@@ -1,4 +1,4 @@
-//! `mrroc urdf`: a robot's description in the Unified Robot Description Format, from the parameters its kinematics have.
+//! `mrroc urdf`: a robot in the Unified Robot Description Format, from the parameters that its kinematics have.
 //!
 //! The links are those of `base_from_flange`; a rod stands for each so that something is seen. There are no masses: a
 //! viewer needs none, and a library of rigid bodies takes them for zero.

@@ -16,8 +16,11 @@ use nalgebra::Vector3;
 use super::numbers;
 use crate::cell_file::CellFile;
 
+/// Makes a robot of its own numbers.
+type Make = fn() -> Result<Machine, ParameterError>;
+
 /// The robots by name.
-const ROBOTS: [(&str, fn() -> Result<Machine, ParameterError>); 5] = [
+const ROBOTS: [(&str, Make); 5] = [
     ("irb6", || of_cell(&Model::Irb6.parameters())),
     ("irp6", || of_cell(&Model::Irp6.parameters())),
     ("irp6-track", || {
