@@ -279,7 +279,8 @@ fn plant(file: &CellFile, robot: usize, number: usize) -> AxisConfig {
     let home = file.arms[robot].robot().home()[number];
     let limits = file.arms[robot].robot().motor_limits()[number];
     let kind = match file.cell.robot[robot].model {
-        Model::Irb6 | Model::Irp6 | Model::Irp6Calibrated => Irp6Axis::ALL[number],
+        // Nothing is known of the RNT's motors: those of the IRp-6 stand in.
+        Model::Irb6 | Model::Irp6 | Model::Irp6Calibrated | Model::Rnt => Irp6Axis::ALL[number],
     };
     let preset = match axis.emulator.plant {
         Plant::Physical => AxisConfig::irp6(kind),

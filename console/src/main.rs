@@ -19,6 +19,7 @@ mod emulated_lines;
 mod emulation;
 mod interfaces;
 mod jitter;
+mod kinematics;
 mod manual;
 mod programs;
 mod rehearsal;
@@ -26,7 +27,9 @@ mod report;
 mod run;
 mod service;
 mod setup;
+mod stdout;
 mod trace;
+mod urdf;
 mod vm;
 mod wire;
 
@@ -91,6 +94,13 @@ enum Command {
     },
     /// Measure how punctual a thread that waits as the servo's does is on this host, beside cyclictest in the same run.
     Jitter(jitter::Options),
+    /// Where a robot's flange is for given joints, which joints put it there, and how they move it.
+    Kinematics {
+        #[command(subcommand)]
+        question: kinematics::Question,
+    },
+    /// Print a robot's description (URDF) for viewers and libraries of rigid bodies.
+    Urdf(urdf::Options),
     /// Run a command in a virtual machine that has CAN.
     Vm {
         #[command(subcommand)]
@@ -119,6 +129,8 @@ fn main() -> ExitCode {
         Command::Monitor(options) => service::monitor::monitor(&options),
         Command::Eds { cell, axis } => eds::eds(&cell, &axis),
         Command::Jitter(options) => jitter::jitter(&options),
+        Command::Kinematics { question } => kinematics::kinematics(&question),
+        Command::Urdf(options) => urdf::urdf(&options),
         Command::Vm { machine } => vm::vm(&machine),
         Command::Schema => check::schema(),
         Command::Manual { directory } => manual::write(Arguments::command(), &directory),

@@ -21,6 +21,7 @@ mod faults;
 mod heap;
 mod homing;
 mod jitter;
+mod kinematics;
 mod loops;
 mod lss;
 mod motion;

@@ -20,7 +20,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::generator::{Arm, Pose};
-use crate::robot::{Irb6, Irb6Parameters, Irp6, Irp6Parameters, ParameterError};
+use crate::robot::{
+    Irb6, Irb6Parameters, Irp6, Irp6Parameters, ParameterError, Rnt, RntParameters,
+};
 
 pub use axis_controller::{
     AxisController, Cascade, Control, FeedForward, Incremental, Law, Loop, Protocol, Serial,
@@ -175,6 +177,8 @@ pub enum Model {
     Irp6,
     /// The same robot as calibrated in February 2007.
     Irp6Calibrated,
+    /// WUT RNT, three legs and a wrist: a stand-in whose every number is nominal, not measured.
+    Rnt,
 }
 
 /// The numbers of one robot.
@@ -185,6 +189,8 @@ pub enum Parameters {
     Irb6(Irb6Parameters),
     /// For `model = "irp6"`.
     Irp6(Irp6Parameters),
+    /// For `model = "rnt"`.
+    Rnt(RntParameters),
 }
 
 impl Robot {
@@ -198,24 +204,38 @@ impl Robot {
 
     /// Its kinematics and drive train, or what is wrong with its parameters.
     pub fn kinematics(&self) -> Result<Arc<dyn crate::robot::Robot>, ParameterError> {
-        let parameters = self.parameters.unwrap_or(match self.model {
-            Model::Irb6 => Parameters::Irb6(Irb6Parameters::irb6()),
-            Model::Irp6 => Parameters::Irp6(Irp6Parameters::irp6p()),
-            Model::Irp6Calibrated => Parameters::Irp6(Irp6Parameters::irp6p_calibrated()),
-        });
-        Ok(match parameters {
-            Parameters::Irb6(parameters) => Arc::new(Irb6::new(&parameters)?),
-            Parameters::Irp6(parameters) => Arc::new(Irp6::new(&parameters)?),
+        let usual = || self.model.parameters();
+        self.parameters.unwrap_or_else(usual).kinematics()
+    }
+}
+
+impl Parameters {
+    /// The robot of these numbers, or what is wrong with them.
+    pub fn kinematics(&self) -> Result<Arc<dyn crate::robot::Robot>, ParameterError> {
+        Ok(match self {
+            Self::Irb6(parameters) => Arc::new(Irb6::new(parameters)?),
+            Self::Irp6(parameters) => Arc::new(Irp6::new(parameters)?),
+            Self::Rnt(parameters) => Arc::new(Rnt::new(parameters)?),
         })
     }
 }
 
 impl Model {
+    /// Its own numbers.
+    pub const fn parameters(self) -> Parameters {
+        match self {
+            Self::Irb6 => Parameters::Irb6(Irb6Parameters::irb6()),
+            Self::Irp6 => Parameters::Irp6(Irp6Parameters::irp6p()),
+            Self::Irp6Calibrated => Parameters::Irp6(Irp6Parameters::irp6p_calibrated()),
+            Self::Rnt => Parameters::Rnt(RntParameters::nominal()),
+        }
+    }
+
     /// How many axes it has.
     pub const fn axes(self) -> usize {
         match self {
             Self::Irb6 => 5,
-            Self::Irp6 | Self::Irp6Calibrated => 6,
+            Self::Irp6 | Self::Irp6Calibrated | Self::Rnt => 6,
         }
     }
 }

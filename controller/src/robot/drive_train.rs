@@ -262,7 +262,12 @@ impl<const N: usize> DriveTrain<N> {
 }
 
 /// Refuses a position beyond its limit.
-fn check(limits: &Limits, value: f64, axis: usize, space: Space) -> Result<(), KinematicsError> {
+pub(super) fn check(
+    limits: &Limits,
+    value: f64,
+    axis: usize,
+    space: Space,
+) -> Result<(), KinematicsError> {
     match limits.exceeded_by(value) {
         Some(limit) => Err(KinematicsError::BeyondLimit {
             space,

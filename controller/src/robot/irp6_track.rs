@@ -338,6 +338,8 @@ fn on_carriage(error: KinematicsError) -> KinematicsError {
         KinematicsError::NotFinite
         | KinematicsError::AxisCount { .. }
         | KinematicsError::Unreachable { .. }
+        | KinematicsError::Open { .. }
+        | KinematicsError::LegLimit { .. }
         | KinematicsError::ToolPlane { .. } => error,
     }
 }

@@ -1,6 +1,7 @@
 //! Robots: where the flange is for given joints, which joints put it there, and where the motors are.
 //!
-//! [`Robot`] is the contract; [`Irb6`] (5 axes), [`Irp6`] (6), [`Irp6Track`] and [`Polycrank`] (7) keep it. Every call is a function
+//! [`Robot`] is the contract; [`Irb6`] (5 axes), [`Irp6`] (6), [`Irp6Track`] and [`Polycrank`] (7), and [`Rnt`] (6,
+//! serial-parallel) keep it. Every call is a function
 //! of its arguments: no state, no allocation, no search without a bound. What a robot cannot do is a
 //! [`KinematicsError`] that names the axis and both sides, never a NaN or a clamped number.
 //!
@@ -20,9 +21,11 @@ mod free_parameter;
 mod irb6;
 mod irp6;
 mod irp6_track;
+mod legs;
 mod links;
 mod parameters;
 mod polycrank;
+mod rnt;
 mod singularity;
 mod solutions;
 mod vector;
@@ -46,6 +49,7 @@ pub use irp6_track::{Irp6Track, Irp6TrackParameters};
 pub use links::{Link, LinkKind, Links};
 pub use parameters::{ArmParameters, ParameterError};
 pub use polycrank::{Polycrank, PolycrankParameters};
+pub use rnt::{LegAxis, Rnt, RntParameters};
 pub use singularity::Singularity;
 pub use solutions::Solutions;
 pub use vector::{Joint, Joints, Motor, Motors, Vector};
@@ -196,6 +200,24 @@ pub enum KinematicsError {
         /// sine of the angle between the axes that should not be parallel.
         margin: f64,
     },
+    /// Legs that cannot have these lengths together. Legs are counted from 0.
+    #[error("the legs do not close: leg {leg} misses its length by {residual:.6} m at the least")]
+    Open {
+        /// The leg that misses most.
+        leg: u8,
+        /// The length asked for less that of the closest posture found, m.
+        residual: f64,
+    },
+    /// A leg would pass its limit. Legs are counted from 0.
+    #[error("leg {leg} at {length:.6} m is beyond its limit {limit:.6} m")]
+    LegLimit {
+        /// The leg, which has the motor of the same number.
+        leg: u8,
+        /// The length asked for, m.
+        length: f64,
+        /// The limit it passes, m.
+        limit: f64,
+    },
     /// A joint or a motor would pass its limit.
     #[error("axis {axis}: {space} at {value:.6} is beyond its limit {limit:.6}")]
     BeyondLimit {
@@ -220,7 +242,10 @@ impl KinematicsError {
     /// The axis it is about.
     pub fn axis(&self) -> Option<usize> {
         match *self {
-            Self::Singular { axis, .. } | Self::BeyondLimit { axis, .. } => Some(usize::from(axis)),
+            Self::Singular { axis, .. }
+            | Self::Open { leg: axis, .. }
+            | Self::LegLimit { leg: axis, .. }
+            | Self::BeyondLimit { axis, .. } => Some(usize::from(axis)),
             Self::NotFinite
             | Self::AxisCount { .. }
             | Self::Unreachable { .. }

@@ -9,6 +9,7 @@ use super::*;
 mod irp6_track;
 mod polycrank;
 mod refusals;
+mod rnt;
 
 const SEED: u64 = 0x6d72_726f;
 
@@ -49,6 +50,7 @@ fn robots() -> Vec<(&'static str, Box<dyn Robot>)> {
     robots.push(("irp6ot calibrated", Box::new(calibrated)));
     robots.push(("polycrank", Box::new(polycrank())));
     robots.push(("coupled", Box::new(Polycrank::new(&coupled).unwrap())));
+    robots.push(("rnt", Box::new(rnt::rnt())));
     robots
 }
 
@@ -199,8 +201,16 @@ fn home_is_where_homing_leaves_the_robot() {
         0.005605,
     ];
     let bent = [0.0, FRAC_PI_2, -FRAC_PI_2, 0.0, FRAC_PI_2, 0.0, 0.0];
+    let level = [
+        0.0,
+        0.0,
+        f64::sqrt(0.75 * 0.75 - 0.19 * 0.19),
+        0.0,
+        0.0,
+        0.0,
+    ];
     // The nominal screw lengths at home are published to 0.1 µm.
-    let cases: [(&[f64], &[f64], f64); 7] = [
+    let cases: [(&[f64], &[f64], f64); 8] = [
         (
             &[-15.9, -5.0, -8.527, 151.31, 435.25, 791.0],
             &upright,
@@ -226,6 +236,7 @@ fn home_is_where_homing_leaves_the_robot() {
         ),
         (&[0.0; 7], &bent, 1e-12),
         (&[0.0; 7], &bent, 1e-12),
+        (&[0.0; 6], &level, 1e-12),
     ];
     let robots = robots();
     assert_eq!(robots.len(), cases.len());
