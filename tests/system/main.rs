@@ -37,6 +37,7 @@ mod serial_refusals;
 mod service;
 mod slcan;
 mod socketcan;
+mod spikes;
 mod uml;
 mod vcan;
 mod watch;

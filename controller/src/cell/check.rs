@@ -7,7 +7,7 @@ use thiserror::Error;
 mod axis;
 
 use super::locate::{self, Path};
-use super::{Cell, Instruction, Robot};
+use super::{Cell, Instruction, Realtime, Robot, Scheduler};
 use axis::Place;
 
 /// A refused cell file: where and why, in one line.
@@ -53,6 +53,11 @@ pub enum Problem {
     /// NaN or infinity.
     #[error("must be a finite number")]
     NotFinite,
+    /// A CPU for a thread under SCHED_DEADLINE.
+    #[error(
+        "must be left out with scheduler = \"deadline\", which the kernel grants only to a thread that may run on all CPUs"
+    )]
+    PinnedDeadline,
     /// A number outside its range.
     #[error("is {value}, must be {range}")]
     OutOfRange {
@@ -184,10 +189,22 @@ fn check(cell: &Cell) -> Checked {
         99.0,
         "between 1 and 99",
     )?;
+    check_scheduler(cell)?;
     check_wait(cell)?;
     check_buses(cell)?;
     check_serial(cell)?;
     check_robots(cell)
+}
+
+fn check_scheduler(cell: &Cell) -> Checked {
+    let Realtime { scheduler, cpu, .. } = cell.realtime;
+    match (scheduler, cpu) {
+        (Scheduler::Deadline, Some(_)) => Err((
+            Path::default().then("realtime").then("cpu"),
+            Problem::PinnedDeadline,
+        )),
+        _ => Ok(()),
+    }
 }
 
 fn check_wait(cell: &Cell) -> Checked {

@@ -70,9 +70,11 @@ pub struct Cell {
 pub struct Realtime {
     /// Whether a denied request is reported or refuses the start.
     pub policy: Policy,
-    /// Priority under SCHED_FIFO, 1 to 99.
+    /// What schedules the servo thread.
+    pub scheduler: Scheduler,
+    /// Priority under SCHED_FIFO, 1 to 99; the controller's thread is some below it under either scheduler.
     pub priority: u8,
-    /// The CPU to pin the servo thread to; none leaves it to the scheduler.
+    /// The CPU to pin the servo thread to; none leaves it to the scheduler. None with `scheduler = "deadline"`.
     pub cpu: Option<usize>,
     /// Whether to lock the process's memory.
     pub lock_memory: bool,
@@ -80,8 +82,19 @@ pub struct Realtime {
     pub wait: Wait,
     /// How long before it needs to run a hybrid wait asks to be woken, µs; none learns it from how late the host is.
     pub margin_us: Option<u32>,
-    /// Largest share of a core that a hybrid wait spins in, 0 to 0.5; it bounds the margin.
+    /// Largest share of a core that a hybrid wait spins in, 0 to 0.5: of each period with `margin_us`, of any second but for a twentieth without.
     pub spin_share: f64,
+}
+
+/// What schedules the servo thread.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Scheduler {
+    /// SCHED_FIFO: before all threads of a lower priority, for as long as it wants to run.
+    Fifo,
+    /// SCHED_DEADLINE: before all threads under SCHED_FIFO, for nine tenths of each period at most. Needs CAP_SYS_NICE,
+    /// which no limit stands for, and all CPUs.
+    Deadline,
 }
 
 /// How the servo thread waits for its deadlines.
@@ -98,6 +111,7 @@ impl Default for Realtime {
     fn default() -> Self {
         Self {
             policy: Policy::BestEffort,
+            scheduler: Scheduler::Fifo,
             priority: 80,
             cpu: None,
             lock_memory: true,
