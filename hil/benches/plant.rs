@@ -43,6 +43,9 @@ fn advance(c: &mut Criterion) {
     group.finish();
 }
 
+/// Axis of a robot by its number.
+type Preset = fn(usize) -> Option<AxisConfig>;
+
 /// A robot's axes on their mechanism, each moved on by one servo period after the other.
 fn mounted(c: &mut Criterion) {
     let mut group = c.benchmark_group("advance a robot by one servo period");
@@ -50,13 +53,13 @@ fn mounted(c: &mut Criterion) {
         home_length: AxisConfig::RNT_HOME_LENGTH,
     };
     let polycrank = MechanismConfig::Polycrank { coupled: false };
-    let track = |axis: usize| Some(AxisConfig::irp6_track(Irp6TrackAxis::ALL[axis]));
-    let pedestal = |axis: usize| Some(AxisConfig::irp6(Irp6Axis::ALL[axis]));
-    let robots: [(&str, MechanismConfig, &dyn Fn(usize) -> Option<AxisConfig>); 4] = [
-        ("irp6", MechanismConfig::Irp6, &pedestal),
-        ("irp6 on track", MechanismConfig::Irp6OnTrack, &track),
-        ("rnt", rnt, &AxisConfig::rnt),
-        ("polycrank", polycrank, &AxisConfig::polycrank),
+    let track: Preset = |axis| Some(AxisConfig::irp6_track(Irp6TrackAxis::ALL[axis]));
+    let pedestal: Preset = |axis| Some(AxisConfig::irp6(Irp6Axis::ALL[axis]));
+    let robots: [(&str, MechanismConfig, Preset); 4] = [
+        ("irp6", MechanismConfig::Irp6, pedestal),
+        ("irp6 on track", MechanismConfig::Irp6OnTrack, track),
+        ("rnt", rnt, AxisConfig::rnt),
+        ("polycrank", polycrank, AxisConfig::polycrank),
     ];
     for (name, config, preset) in robots {
         let mechanism = Mechanism::new(config);
