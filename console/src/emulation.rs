@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use can::timing::Bitrate;
-use can::{Instant, VirtualPort};
+use can::{Frame, Instant, StandardId, VirtualPort};
 use canopen::NodeId;
 use controller::cell::{Model, Plant, Protocol};
 use hil::epos4::{Epos4, Epos4Config};
@@ -26,9 +26,16 @@ const HEARD: usize = 1 << 15;
 /// Bytes that the host's end of a virtual line holds each way: as a tty's buffer.
 const LINE: usize = 4096;
 
+/// Time between two frames of the traffic that nobody asked for: a quarter of a bus of 1 Mbit/s.
+const CHATTER: Duration = Duration::from_micros(500);
+
+/// Its identifier: of no node-ID, and of a lower priority than all that CANopen predefines but LSS.
+const CHATTER_ID: u16 = 0x7A0;
+
 /// The emulated cell on virtual buses and lines.
 pub(crate) struct Emulation {
     world: World,
+    buses: Vec<BusId>,
     /// Where the host's ends of lines are ttys.
     bridges: Vec<Bridge>,
     /// Up to when time has passed.
@@ -49,12 +56,14 @@ impl Emulation {
     /// The world of a cell, switched on at [`Instant::ZERO`].
     pub(crate) fn of(file: &CellFile) -> (Self, HostEnds) {
         let mut world = World::new();
-        let (mut ports, mut listeners) = (Vec::new(), Vec::new());
-        for index in 0..file.cell.bus.len() {
-            let bus = add_bus(&mut world, file, index);
-            ports.push(world.host_port(bus, QUEUE));
-            listeners.push(world.host_port(bus, HEARD));
-        }
+        let buses: Vec<_> = (0..file.cell.bus.len())
+            .map(|index| add_bus(&mut world, file, index))
+            .collect();
+        let mut ends = |queue| -> Vec<_> {
+            let buses = buses.iter();
+            buses.map(|&bus| world.host_port(bus, queue)).collect()
+        };
+        let (ports, listeners) = (ends(QUEUE), ends(HEARD));
         let lines = (0..file.cell.serial.len()).map(|bundle| {
             let cabinet = Cabinet::default();
             let axes = file.cell.axes_on(file.cell.bus.len() + bundle);
@@ -68,6 +77,7 @@ impl Emulation {
         };
         let emulation = Self {
             world,
+            buses,
             bridges: Vec::new(),
             passed: Instant::ZERO,
         };
@@ -85,6 +95,15 @@ impl Emulation {
         Ok(tty)
     }
 
+    /// Adds a node to every bus that sends frames nobody asked for, of the lowest priority.
+    pub(crate) fn add_traffic(&mut self) {
+        for &bus in &self.buses {
+            let next = Instant::ZERO;
+            self.world
+                .add_device(bus, Box::new(Chatter { next, due: false }));
+        }
+    }
+
     /// Lets time pass to `until`, at which the host is to have whatever has arrived by then.
     pub(crate) fn advance(&mut self, until: Instant) {
         for bridge in &mut self.bridges {
@@ -95,6 +114,33 @@ impl Emulation {
             bridge.deliver(until);
         }
         self.passed = until;
+    }
+}
+
+/// A node that sends a frame of eight bytes every [`CHATTER`], and listens to nobody.
+struct Chatter {
+    next: Instant,
+    due: bool,
+}
+
+impl Device for Chatter {
+    fn handle(&mut self, _frame: &Frame, _now: Instant) {}
+
+    fn poll_transmit(&mut self, _now: Instant) -> Option<Frame> {
+        let id = StandardId::new(CHATTER_ID)?;
+        let due = std::mem::take(&mut self.due);
+        Frame::new(id, &[0x55; 8]).filter(|_| due)
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        Some(self.next)
+    }
+
+    fn handle_timeout(&mut self, now: Instant) {
+        if now >= self.next {
+            self.due = true;
+            self.next = now + CHATTER;
+        }
     }
 }
 

@@ -10,6 +10,7 @@ mod bus_port;
 mod card;
 mod cell_file;
 mod check;
+mod clockwork;
 mod configuration;
 mod doctor;
 mod eds;

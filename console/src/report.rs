@@ -1,10 +1,11 @@
 //! What a run says at its end: one JSON object, or tables for a person.
 
+use std::collections::BTreeMap;
 use std::fmt::{self, Write as _};
 use std::time::Duration;
 
 use serde::Serialize;
-use servo::thread::WaitReport;
+use servo::thread::{LateCycle, WaitReport};
 use servo::{Histogram, Servo, Timing};
 
 use crate::budget::BusBudget;
@@ -106,6 +107,13 @@ impl Report {
                 step_us: Percentiles::from(&ran.timing.step),
                 bus_us: Percentiles::from(&ran.timing.bus),
                 wait: WaitCost::from(ran.timing.wait),
+                causes: ran
+                    .timing
+                    .late
+                    .causes()
+                    .map(|(cause, count)| (cause.name(), count))
+                    .collect(),
+                worst: ran.timing.late.worst().map(WorstCycle::from).collect(),
             },
             buses: buses.collect(),
             wire: ran.wire,
@@ -209,6 +217,35 @@ pub(crate) struct CycleReport {
     pub bus_us: Percentiles,
     /// What the wait cost.
     pub wait: WaitCost,
+    /// How many cycles were late, by who took the time: SYNC left more than a hundredth of the period after the
+    /// deadline, or slots were let go.
+    pub causes: BTreeMap<&'static str, u64>,
+    /// The latest of them, the worst first.
+    pub worst: Vec<WorstCycle>,
+}
+
+/// One late cycle.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub(crate) struct WorstCycle {
+    /// Its number, from 0.
+    pub cycle: u64,
+    /// When it was due, from the first deadline, s.
+    pub time_s: f64,
+    /// How late it was, µs.
+    pub late_us: f64,
+    /// Who took the time.
+    pub cause: &'static str,
+}
+
+impl From<LateCycle> for WorstCycle {
+    fn from(late: LateCycle) -> Self {
+        Self {
+            cycle: late.cycle,
+            time_s: late.due.as_secs_f64(),
+            late_us: microseconds(late.late),
+            cause: late.cause.name(),
+        }
+    }
 }
 
 /// What waiting for deadlines cost.
@@ -340,6 +377,24 @@ impl fmt::Display for Report {
                 "hybrid wait: woken {:.0} µs early, prepared {:.0} µs early, {:.1} % of a core spent spinning",
                 cycle.wait.margin_us, cycle.wait.lead_us, cycle.wait.spin_percent
             )?;
+        }
+        let causes = cycle.causes.iter().filter(|(_, count)| **count > 0);
+        let causes: Vec<_> = causes
+            .map(|(cause, count)| format!("{cause} {count}"))
+            .collect();
+        if !causes.is_empty() {
+            let limit = f64::from(cycle.period_us) / 100.0;
+            writeln!(f, "more than {limit} µs late: {}", causes.join(", "))?;
+            let worst = cycle.worst.iter().map(|worst| {
+                let WorstCycle {
+                    time_s,
+                    late_us,
+                    cause,
+                    ..
+                } = worst;
+                format!("{late_us:.0} µs {cause} at {time_s:.3} s")
+            });
+            writeln!(f, "the worst: {}", worst.collect::<Vec<_>>().join(", "))?;
         }
         for bus in &self.buses {
             let traffic = match bus.lines {

@@ -20,7 +20,7 @@ use anyhow::{Context, anyhow};
 use can::{Instant, clock};
 use clap::Args;
 use serde::Serialize;
-use servo::thread::{self, CellTime, Finished, Running};
+use servo::thread::{self, Finished, Running};
 use servo::{NotUp, Servo, Timing, lockstep};
 
 use crate::bench::{Bench, BenchKind};
@@ -30,7 +30,7 @@ use crate::programs::{Programs, Progress, servo_faults};
 use crate::report::{FaultReport, Outcome, Ran, Report};
 use crate::trace::{AxisLog, FrameLog};
 use crate::wire::Wire;
-use crate::{rehearsal, setup};
+use crate::{clockwork, rehearsal, setup};
 
 /// Records that an axis log may lag behind the servo, per effector: some seconds.
 const RECORDS: usize = 1 << 13;
@@ -336,7 +336,7 @@ fn not_up(
     why: NotUp,
 ) -> anyhow::Result<Ran> {
     written?;
-    let NotUp::Group(bus, error) = why else {
+    if why == NotUp::Stopped {
         return Ok(Ran {
             servo,
             timing: Timing::default(),
@@ -345,6 +345,14 @@ fn not_up(
             wire: Vec::new(),
             cell_time,
         });
+    }
+    Err(why_not_up(file, why))
+}
+
+/// Why the drives of a cell did not come up, in the words of the cell.
+pub(crate) fn why_not_up(file: &CellFile, why: NotUp) -> anyhow::Error {
+    let NotUp::Group(bus, error) = why else {
+        return anyhow!("stopped on request");
     };
     let axis = file
         .cell
@@ -361,7 +369,7 @@ fn not_up(
         .groups()
         .nth(bus)
         .expect("the servo has the groups of the cell");
-    Err(anyhow!("bus {name}{axis}: {error}"))
+    anyhow!("bus {name}{axis}: {error}")
 }
 
 fn in_lockstep(
@@ -455,27 +463,14 @@ fn by_the_clock(
     let listening = wire.listen();
     let finished = done.clone();
     let until = move |_: &Servo| finished.load(Ordering::Relaxed);
-    let up = match &mut emulation {
-        None => thread::bring_up(&mut servo, |_| {}).map(|()| None),
-        Some(emulation) => lockstep::bring_up(&mut servo, Instant::ZERO, |next| {
-            emulation.advance(next);
-        })
-        .map(Some),
-    };
-    let emulated_since = match up {
+    let emulated_since = match clockwork::bring_up(&mut servo, &mut emulation) {
         Ok(first) => first,
         Err(error) => {
             let cell_time = clock::now().since(began);
             return not_up(file, servo, cell_time, writing.finish(), error);
         }
     };
-    let running = match emulation.zip(emulated_since) {
-        None => thread::start(servo, policy(CellTime::Wall), |_| {}, until)?,
-        Some((mut emulation, first)) => {
-            let between = move |next| emulation.advance(next);
-            thread::start(servo, policy(CellTime::Nominal(first)), between, until)?
-        }
-    };
+    let running = clockwork::start(servo, emulation, emulated_since, policy, until)?;
     let turning = Turning {
         running: Some(running),
         over: Over(done.clone()),

@@ -84,7 +84,7 @@ impl AxisLog {
         writeln!(
             writer,
             "cycle,time_s,axis,phase,command,commanded_rad,measured_rad,counts,\
-             velocity_rad_per_s,torque_nm,homing"
+             velocity_rad_per_s,torque_nm,homing,dt_s"
         )?;
         let robots = file.cell.robot.iter().enumerate();
         let names = robots.map(|(robot, value)| {
@@ -107,7 +107,7 @@ impl AxisLog {
                 let seconds = record.at.as_nanos() as f64 / 1e9;
                 writeln!(
                     self.writer,
-                    "{},{seconds:.9},{name},{:?},{},{},{},{},{},{},{:?}",
+                    "{},{seconds:.9},{name},{:?},{},{},{},{},{},{},{:?},{:.9}",
                     record.cycle,
                     record.phase,
                     word(axis.command),
@@ -117,6 +117,7 @@ impl AxisLog {
                     axis.velocity,
                     axis.torque,
                     axis.homing,
+                    record.dt.as_secs_f64(),
                 )?;
             }
         }

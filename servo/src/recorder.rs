@@ -1,5 +1,7 @@
 //! Per-cycle records in a bounded ring, drained by a thread that may be late.
 
+use std::time::Duration;
+
 use can::Instant;
 use drive::{AxisCommand, Homing, Increments};
 
@@ -12,6 +14,8 @@ pub struct Record {
     pub cycle: u64,
     /// Its time.
     pub at: Instant,
+    /// Time since the SYNC of the cycle before, zero in the first; control laws are given the nominal period.
+    pub dt: Duration,
     /// Index of the effector.
     pub effector: u8,
     /// How many of `axis` are used.

@@ -38,6 +38,8 @@ pub struct Servo {
     stop: StopRequest,
     recorder: Option<Recorder>,
     cycles: u64,
+    /// When SYNC was sent last.
+    sent: Option<Instant>,
     /// Cycles in a row, up to the last, whose batch a bus did not take whole.
     refused_in_row: u32,
     /// Missed since the last cycle, in a row up to it, and ever.
@@ -107,6 +109,7 @@ impl Servo {
             stop: StopRequest::default(),
             recorder: None,
             cycles: 0,
+            sent: None,
             refused_in_row: 0,
             missed: 0,
             missed_in_row: 0,
@@ -146,10 +149,21 @@ impl Servo {
     /// Everything of a cycle but its sending; `now` is the time of its SYNC, or shortly before.
     #[cfg_attr(mrroc_rtsan, sanitize(realtime = "nonblocking"))]
     pub fn prepare(&mut self, now: Instant) {
-        let tick = self.tick(now);
+        self.read(now);
+        self.compute(now);
+        self.write(now);
+    }
+
+    /// Takes in what the drives sampled: the first part of [`prepare`](Self::prepare), for a caller that times each.
+    pub fn read(&mut self, now: Instant) {
         for group in &mut self.groups {
             group.drives.read(now, &mut group.states);
         }
+    }
+
+    /// Finds the set-points and vets them: the second part, which touches no bus.
+    pub fn compute(&mut self, now: Instant) {
+        let tick = self.tick(now);
         for effector in &mut self.effectors {
             effector.set_states(|group, index| self.groups[group].states[index], &tick);
             effector.step(&tick);
@@ -157,9 +171,16 @@ impl Servo {
                 self.groups[group].commands[index] = command;
             }
             if let Some(recorder) = &mut self.recorder {
-                recorder.record(effector.record(&tick));
+                recorder.record(Record {
+                    dt: self.sent.map_or(Duration::ZERO, |sent| now.since(sent)),
+                    ..effector.record(&tick)
+                });
             }
         }
+    }
+
+    /// Hands the set-points to the buses, which keep them until [`send`](Self::send): the third part.
+    pub fn write(&mut self, now: Instant) {
         for group in &mut self.groups {
             group.drives.write(now, &group.commands);
         }
@@ -171,6 +192,7 @@ impl Servo {
     /// period, and no drive is ever handed two steps at once.
     #[cfg_attr(mrroc_rtsan, sanitize(realtime = "nonblocking"))]
     pub fn send(&mut self, now: Instant) {
+        self.sent = Some(now);
         let mut taken = true;
         for group in &mut self.groups {
             taken &= group.drives.send(now);

@@ -11,6 +11,14 @@
 //! period. What follows from too many is in [`Servo::missed`]. An emulated cell need not suffer from it:
 //! see [`CellTime`].
 //!
+//! **A late cycle** is explained: [`Timing::late`] counts who took the time, and keeps the worst. The clock is read
+//! between the phases of a cycle; the kernel's account of the thread (`getrusage`, `/proc/thread-self/schedstat`) only
+//! in the slack after SYNC, of a cycle that was late or otherwise disturbed and of one quiet cycle in 16, so that what
+//! adds up in quiet ones is not taken for the delay of one.
+//!
+//! **Time** that control laws see is the nominal period, however late a cycle is; [`Record::dt`](crate::Record) has the
+//! real one.
+//!
 //! **The end** is always drives off. When `until` says so the servo is asked to stop, and cycles go
 //! on until every effector is braked and without power, or for as long as that can take. A panic
 //! of `between` or `until` ends in the same way (category 1), without calling them again; a panic of
@@ -19,9 +27,11 @@
 //! to silence is what stops them.
 //!
 //! **Real-time needs** are asked for one by one: SCHED_FIFO, a CPU, locked memory, timer slack of
-//! 1 ns. What the host denies is returned as [`Denial`]s, which name the line that grants it; with
+//! 1 ns, and no deep idle states while the thread runs (`/dev/cpu_dma_latency`). Threads and processes that it starts do
+//! not inherit SCHED_FIFO. What the host denies is returned as [`Denial`]s, which name the line that grants it; with
 //! [`Realtime::Require`] the thread does not start without them.
 
+mod account;
 mod cause;
 mod host;
 mod late;
@@ -38,10 +48,11 @@ use can::Instant;
 use can::clock::{now, sleep_until};
 use thiserror::Error;
 
+use self::account::Account;
 use self::quantile::LearntQuantile;
 use crate::{NotUp, Servo, Timing};
 
-pub use self::cause::{Cause, Usage};
+pub use self::cause::{Cause, Spent, Usage};
 pub use self::host::{CpuLatency, Denial, Grant, LIMITS, Limit, demand, set_fifo};
 pub use self::late::{LateCycle, LateCycles};
 pub use self::wait::{Awake, Wait, WaitReport, Waiter};
@@ -59,6 +70,12 @@ const OFF_CYCLES: u32 = 4;
 /// Share of the period, as a divisor, that the learnt lead may take: the bus delivers the answers of the cycle before
 /// in the rest.
 const LONGEST_LEAD: u32 = 20;
+
+/// Share of the period, as a divisor, by which a SYNC may leave late without a question why.
+const LATE: u32 = 100;
+
+/// Time between two reads of the clock in a spin from which on somebody took the CPU.
+const GAP: Duration = Duration::from_micros(5);
 
 /// Longest time for the drives to report that they have no power, once they are told.
 const POWER_OFF_WAIT: Duration = Duration::from_millis(500);
@@ -226,7 +243,9 @@ pub fn start(
     let (tell, told) = mpsc::sync_channel(1);
     let body = move || {
         let mut run = Run::new(servo, policy);
-        let denied = demand(&policy);
+        let mut denied = demand(&policy);
+        let latency = CpuLatency::demand();
+        denied.extend(latency.as_ref().err());
         let refused = policy.realtime == Realtime::Require && !denied.is_empty();
         // The starter waits for this; if it were gone, nobody could stop the thread.
         let heard = tell.send(denied.clone()).is_ok();
@@ -281,7 +300,26 @@ struct Run {
     preparation: Option<LearntQuantile>,
     /// Of the cycle that is due next, by the wall clock.
     deadline: Instant,
+    first: Instant,
     time: CellTime,
+    /// Number of the cycle that is due next.
+    number: u64,
+    account: Account,
+    /// What a step takes but for one in 1000.
+    usual: LearntQuantile,
+    before: Before,
+    /// How late the thread was for slots that it let go, and where the time went.
+    skipped: Option<(Duration, Spent)>,
+}
+
+/// What the cycle before leaves to the next.
+#[derive(Clone, Copy, Debug)]
+struct Before {
+    /// When its SYNC was handed over, and when that was done.
+    sync: Instant,
+    done: Instant,
+    /// How late that was, zero if it was punctual.
+    late: Duration,
 }
 
 impl Run {
@@ -299,12 +337,25 @@ impl Run {
             preparation: (policy.wait != Wait::Plain)
                 .then(|| LearntQuantile::new(Duration::ZERO, period / LONGEST_LEAD)),
             deadline: Instant::ZERO,
+            first: Instant::ZERO,
             time: policy.time,
+            number: 0,
+            account: Account::open(),
+            usual: LearntQuantile::new(Duration::ZERO, period / 2),
+            before: Before {
+                sync: Instant::ZERO,
+                done: Instant::ZERO,
+                late: Duration::ZERO,
+            },
+            skipped: None,
         }
     }
 
     fn go(&mut self, mut between: impl FnMut(Instant), mut until: impl FnMut(&Servo) -> bool) {
-        self.deadline = now() + self.period;
+        let begun = now();
+        self.deadline = begun + self.period;
+        self.first = self.deadline;
+        (self.before.sync, self.before.done) = (begun, begun);
         let mut over = false;
         while !over && self.cycle() {
             let caller = catch_unwind(AssertUnwindSafe(|| {
@@ -339,23 +390,10 @@ impl Run {
     /// Waits for the deadline and steps; false if the step panicked.
     #[cfg_attr(mrroc_rtsan, sanitize(realtime = "nonblocking"))]
     fn cycle(&mut self) -> bool {
-        self.wait();
-        let stepped = catch_unwind(AssertUnwindSafe(|| {
-            let begun = now();
-            self.servo.prepare(self.cell_time(self.deadline.max(begun)));
-            let prepared = now();
-            let (sending, _) = self.waiter.spin(prepared, self.deadline);
-            if let Some(preparation) = &mut self.preparation {
-                preparation.observe(prepared.since(begun));
-            }
-            self.timing.sync.record(sending.since(self.deadline));
-            self.servo.send(self.cell_time(sending));
-            self.timing
-                .step
-                .record(prepared.since(begun) + now().since(sending));
-            self.timing.record_bus(&self.servo);
-        }));
+        let awake = self.wait();
+        let stepped = catch_unwind(AssertUnwindSafe(|| self.step(&awake)));
         self.deadline += self.period;
+        self.number += 1;
         if let CellTime::Nominal(next) = &mut self.time {
             *next += self.period;
         }
@@ -363,6 +401,66 @@ impl Run {
             self.panicked = Some(Panicked::Cycle);
         }
         stepped.is_ok()
+    }
+
+    fn step(&mut self, awake: &Awake) {
+        let begun = now();
+        let due = self.cell_time(self.deadline.max(begun));
+        self.servo.read(due);
+        let read = now();
+        self.servo.compute(due);
+        let computed = now();
+        self.servo.write(due);
+        let written = now();
+        let (sending, gap) = self.waiter.spin(written, self.deadline);
+        self.servo.send(self.cell_time(sending));
+        let done = now();
+        // SYNC has left: what follows is in the slack.
+        let (preparation, transfer) = (written.since(begun), done.since(sending));
+        if let Some(learnt) = &mut self.preparation {
+            learnt.observe(preparation);
+        }
+        self.timing.sync.record(sending.since(self.deadline));
+        self.timing.step.record(preparation + transfer);
+        self.timing.record_bus(&self.servo);
+        let before = Spent::waiting(
+            awake,
+            awake.asked_at.since(self.before.done),
+            self.before.done.since(self.before.sync),
+        );
+        let spent = Spent {
+            own: before.own + computed.since(read),
+            bus: before.bus + read.since(begun) + written.since(computed),
+            wake_up: before.wake_up,
+            gap: before.gap.max(gap).max(begun.since(awake.at)),
+        };
+        let late = sending.since(self.deadline);
+        self.explain(late, &spent, preparation + transfer);
+        (self.before.sync, self.before.done) = (sending, done);
+    }
+
+    /// Attributes the cycle's lateness, and that of the slots let go before it. The kernel is asked only if something
+    /// was out of the ordinary.
+    fn explain(&mut self, late: Duration, spent: &Spent, step: Duration) {
+        let is_late = late > self.period / LATE;
+        let long = step > self.usual.get();
+        self.usual.observe(step);
+        let skipped = self.skipped.take();
+        self.before.late = Duration::ZERO;
+        if !is_late && !long && spent.gap <= GAP && skipped.is_none() {
+            self.account.pass(spent.wake_up);
+            return;
+        }
+        let counted = self.account.settle();
+        for (late, spent) in skipped.iter().chain(is_late.then_some(&(late, *spent))) {
+            self.timing.late.record(LateCycle {
+                cycle: self.number,
+                due: self.deadline.since(self.first),
+                late: *late,
+                cause: Cause::of_cycle(*late, spent, counted),
+            });
+            self.before.late = *late;
+        }
     }
 
     /// The cycle's own time, where the wall clock shows `wall`.
@@ -379,7 +477,12 @@ impl Run {
     }
 
     /// Waits until the lead before the deadline; a deadline that has long passed is skipped.
-    fn wait(&mut self) {
+    fn wait(&mut self) -> Awake {
+        let at = now();
+        if at < self.deadline - self.lead() && at.since(self.before.done) > self.period / LATE {
+            // What the kernel counted in the caller's time made nothing late.
+            self.account.begin();
+        }
         loop {
             let lead = self.lead();
             let awake = self.waiter.wait(self.deadline - lead, lead);
@@ -388,7 +491,17 @@ impl Run {
             }
             let late = awake.at.since(self.deadline);
             if late <= self.period / 2 {
-                return;
+                return awake;
+            }
+            // A cycle that was as late itself leaves no time to sleep, and has been counted.
+            let inherited = awake.wake_up_latency().is_none() && self.before.late >= late / 2;
+            if !inherited && self.skipped.is_none_or(|(before, _)| late > before) {
+                let spent = Spent::waiting(
+                    &awake,
+                    awake.asked_at.since(self.before.done),
+                    self.before.done.since(self.before.sync),
+                );
+                self.skipped = Some((late, spent));
             }
             let slots = (late - self.period / 2).as_nanos() / self.period.as_nanos() + 1;
             let slots = u32::try_from(slots).unwrap_or(u32::MAX);

@@ -2,14 +2,17 @@
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use can::Instant;
+use can::clock::now;
 use drive::Homing;
 use mrroc_servo::{
     Direction, EffectorConfig, FeedForward, HomingLeg, HostHoming, HostLoop, Law, MAX_AXES,
     Macrostep, Order, Output, Phase, PositionLoop, Servo, ServoAxisConfig, ServoConfig, StopCause,
-    Timing, regulator,
+    Timing, regulator, thread,
 };
 
 mod scripted;
@@ -120,6 +123,40 @@ fn moves_and_stops(config: &ServoConfig) {
 
     drop(vec![0u8]);
     assert_eq!(CALLS.with(Cell::get) - before, 2, "the counter counts");
+}
+
+#[test]
+fn late_cycles_and_their_bookkeeping_do_not_allocate() {
+    let mut config = scripted::config(2);
+    config.max_missed_in_row = u32::MAX;
+    let (group, world) = scripted::group(2);
+    world.lock().expect("nobody else has it yet").log = false;
+    let (servo, _links) = Servo::new(&config, vec![group]).expect("the configuration is sound");
+    let (mut cycles, mut first) = (0, None);
+    let counted = Arc::new(AtomicU64::new(u64::MAX));
+    let so_far = Arc::clone(&counted);
+    // On the servo thread.
+    let between = move |next: Instant| {
+        cycles += 1;
+        let calls = CALLS.with(Cell::get);
+        so_far.store(calls - *first.get_or_insert(calls), Ordering::Relaxed);
+        // Late for it, and for some slots too late.
+        let late = [100, 1300][cycles / 10 % 2];
+        while cycles % 10 == 0 && now() < next + Duration::from_micros(late) {}
+    };
+    let mut turned = 0;
+    let until = move |_: &Servo| {
+        turned += 1;
+        turned == 200
+    };
+    let policy = thread::RealtimePolicy {
+        lock_memory: false,
+        ..thread::RealtimePolicy::BEST_EFFORT
+    };
+    let finished = thread::run(servo, policy, between, until).expect("nothing is required");
+    assert!(finished.timing.late.count() >= 20, "{finished:?}");
+    assert!(finished.servo.counters().missed_cycles >= 10);
+    assert_eq!(counted.load(Ordering::Relaxed), 0);
 }
 
 #[test]

@@ -244,6 +244,25 @@ fn stopped(run: &Output) {
     let report = run.json();
     assert_eq!(report["outcome"], "stopped", "{report}");
     assert_eq!(report["faults"], Value::Array(Vec::new()));
+    let causes = report["cycle"]["causes"].as_object().unwrap();
+    let names: Vec<_> = causes.keys().collect();
+    let expected = [
+        "bus",
+        "host",
+        "late wake-up",
+        "own step",
+        "page fault",
+        "preempted",
+    ];
+    assert_eq!(names, expected);
+    let count: f64 = causes.values().map(number).sum();
+    let worst = report["cycle"]["worst"].as_array().unwrap();
+    assert_eq!(worst.len(), (count as usize).min(8), "{report}");
+    for late in worst {
+        assert!(number(&causes[late["cause"].as_str().unwrap()]) > 0.0);
+        assert!(number(&late["late_us"]) > 20.0, "{late}");
+        assert!(number(&late["cycle"]) < number(&report["cycle"]["cycles"]));
+    }
 }
 
 /// Runs the IRb-6 by the wall clock, sends `signal` once axes were in `phase` for some cycles, and
@@ -284,7 +303,12 @@ fn stops_in_motion(signal: &str) {
     let period = 0.002;
     let limit = Cell::parse(&text("irb6")).unwrap().robot[0].axis[0].max_acceleration;
     let mut axes: HashMap<&str, Vec<Row>> = HashMap::new();
+    assert!(record.lines().next().unwrap().ends_with(",dt_s"));
     for line in record.lines().skip(1) {
+        // An emulated cell's time is nominal.
+        let dt = if line.starts_with("0,") { 0.0 } else { period };
+        let (_, real) = line.rsplit_once(',').unwrap();
+        assert_eq!(real.parse::<f64>().unwrap(), dt, "{line}");
         let row = Row::parse(line);
         axes.entry(row.axis).or_default().push(row);
     }
@@ -332,7 +356,7 @@ struct Row<'a> {
 impl<'a> Row<'a> {
     fn parse(line: &'a str) -> Self {
         let fields: Vec<&str> = line.split(',').collect();
-        let [_, _, axis, phase, _, commanded, _, _, velocity, _, _] = fields[..] else {
+        let [_, _, axis, phase, _, commanded, _, _, velocity, _, _, _] = fields[..] else {
             panic!("{line}");
         };
         Self {

@@ -1,9 +1,11 @@
 //! `mrroc jitter`: what it tells scripts, and what it refuses. How good the host is, is not judged.
 
+use std::process::{Command, Stdio};
+
 use serde_json::Value;
 
 use crate::cli_refusals::refused;
-use crate::mrroc::mrroc;
+use crate::mrroc::{Directory, Output, Running, binary, example, mrroc};
 
 const KEYS: [&str; 4] = ["p50", "p99", "p999", "max"];
 
@@ -37,6 +39,158 @@ fn a_measurement_ends_with_one_object_that_compares_both_sides() {
         report["verdict"].as_str().unwrap().contains("2000 µs"),
         "{report}"
     );
+    for key in KEYS {
+        let part = |whose: &str| report["tail"][whose][key].as_f64().unwrap();
+        let ours = report["ours"][key].as_f64().unwrap();
+        assert!((part("host") + part("own") - ours).abs() < 1e-6, "{report}");
+    }
+    assert_eq!(report["ended_early"], false, "{report}");
+}
+
+#[test]
+fn numbers_are_in_microseconds() {
+    let report = measured(&["--against", "plain", "--wait", "plain"]);
+    let [ours, peer] = ["ours", "peer"].map(|side| report[side]["p50"].as_f64().unwrap());
+    for median in [ours, peer] {
+        assert!((0.5..20_000.0).contains(&median), "{report}");
+    }
+    assert_eq!(report["period_us"], 2000.0, "{report}");
+}
+
+#[test]
+fn the_cycle_of_a_cell_is_measured_with_its_drives_on() {
+    let cell = example("irb6");
+    let words = [
+        "jitter",
+        "--duration=2s",
+        "--against=plain",
+        "--load=bus",
+        "--json",
+        "--cell",
+    ];
+    let words = words
+        .map(AsRef::as_ref)
+        .into_iter()
+        .chain([cell.as_os_str()]);
+    let run = mrroc(words);
+    assert_eq!(run.status.code(), Some(0), "{run:?}");
+    let report = run.json();
+    assert_eq!(report["period_us"], 2000.0, "{report}");
+    assert_eq!(
+        report["cell"]["state"], "power on, holding position, not homed",
+        "{report}"
+    );
+    for (part, least) in [("step_us", 0.5), ("bus_us", 300.0), ("wake_us", 0.0)] {
+        let values = KEYS.map(|key| report["cell"][part][key].as_f64().unwrap());
+        assert!(
+            values.is_sorted() && values[0] > least && values[0] < 2000.0,
+            "{report}"
+        );
+    }
+    for side in ["ours", "peer"] {
+        let cycles = report[side]["cycles"].as_u64().unwrap();
+        assert!((500..=1100).contains(&cycles), "{report}");
+    }
+}
+
+#[test]
+fn what_is_no_cell_to_measure_is_refused() {
+    let cell = example("irb6");
+    let cell = cell.to_str().unwrap();
+    for (arguments, needles) in [
+        (
+            &["--cell", cell, "--period", "1500us"][..],
+            ["--period", "a multiple of 1ms"],
+        ),
+        (
+            &["--cell", cell, "--period", "2s"],
+            ["--period", "50us and 1s"],
+        ),
+        (
+            &["--cell", cell, "--priority", "0"],
+            ["--priority", "between 1 and 99"],
+        ),
+        (&["--cell", "/none.toml"], ["/none.toml", "No such file"]),
+        (&["--bench", "vcan"], ["--bench", "--cell"]),
+        (&["--load", "bus"], ["--load bus", "--cell"]),
+        (
+            &["--load", "bus", "--cell", cell, "--bench", "vcan"],
+            ["--load bus", "cangen"],
+        ),
+    ] {
+        refused(&mrroc(["jitter"].iter().chain(arguments)), &needles);
+    }
+}
+
+#[test]
+fn an_interrupt_ends_it_early_with_what_was_measured() {
+    let scratch = Directory::new();
+    let directory = scratch.path("out");
+    let words = [
+        "jitter",
+        "--duration=1h",
+        "--json",
+        "--against=plain",
+        "--load=fork",
+        "--out",
+    ];
+    let words = words
+        .map(AsRef::as_ref)
+        .into_iter()
+        .chain([directory.as_os_str()]);
+    let run = Running::start(words);
+    let intervals = |text: &str| text.lines().filter(|line| !line.starts_with('#')).count();
+    run.wait_for(&directory.join("ours.hlog"), |text| intervals(text) >= 2);
+    run.signal("INT");
+    let run = run.output();
+    assert_eq!(run.status.code(), Some(1), "{run:?}");
+    let report = run.json();
+    assert_eq!(report["ended_early"], true, "{report}");
+    assert!(
+        report["ours"]["cycles"].as_u64().unwrap() > 1000,
+        "{report}"
+    );
+    let written = std::fs::read_to_string(directory.join("ours.hgrm")).unwrap();
+    assert!(
+        written.contains(&report["ours"]["cycles"].to_string()),
+        "{written}"
+    );
+}
+
+/// A million cycles, as fast as they are allowed to be: what is kept does not grow with them.
+#[test]
+fn a_long_measurement_keeps_no_more_than_a_short_one() {
+    let resident = |duration: &str| {
+        let scratch = Directory::new();
+        let directory = scratch.path("out");
+        let options = [
+            "jitter",
+            "--period=50us",
+            "--wait=plain",
+            "--against=plain",
+            "--out",
+        ];
+        let mut child = Command::new(binary());
+        child
+            .args(options)
+            .arg(&directory)
+            .args(["--duration", duration]);
+        let mut child = child.stdout(Stdio::null()).spawn().unwrap();
+        let status = format!("/proc/{}/status", child.id());
+        let mut most = 0;
+        while child.try_wait().unwrap().is_none() {
+            let status = std::fs::read_to_string(&status).unwrap_or_default();
+            let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+            let kilobytes = line.and_then(|line| line.split_whitespace().next()?.parse().ok());
+            most = most.max(kilobytes.unwrap_or(0u64));
+            std::thread::yield_now();
+        }
+        assert!(most > 0, "{status} was never read");
+        most
+    };
+    let (short, long) = (resident("1s"), resident("12s"));
+    // 480 000 numbers of 8 bytes would be 3.8 MB.
+    assert!(long < short + 1500, "{short} kB, then {long} kB");
 }
 
 #[test]
@@ -65,4 +219,100 @@ fn what_cannot_be_measured_is_refused() {
     ] {
         refused(&mrroc(["jitter"].iter().chain(&arguments)), &needles);
     }
+}
+
+#[test]
+fn a_directory_that_cannot_be_written_is_refused_before_anything_is_measured() {
+    let scratch = Directory::new();
+    let file = scratch.write("file", "");
+    for directory in [file.clone(), file.join("below"), "/proc/mrroc".into()] {
+        let words = ["jitter", "--duration=168h", "--out"].map(AsRef::as_ref);
+        let run = mrroc(words.into_iter().chain([directory.as_os_str()]));
+        refused(&run, &["--out", directory.to_str().unwrap()]);
+    }
+}
+
+#[test]
+fn programs_that_are_not_installed_are_refused_with_their_package() {
+    for (arguments, needles) in [
+        (
+            ["--against", "cyclictest"],
+            ["cyclictest", "apt install rt-tests"],
+        ),
+        (
+            ["--load", "hackbench"],
+            ["hackbench", "apt install rt-tests"],
+        ),
+        (
+            ["--load", "stress-ng"],
+            ["stress-ng", "apt install stress-ng"],
+        ),
+    ] {
+        let run = Command::new(binary())
+            .arg("jitter")
+            .args(arguments)
+            .env("PATH", "")
+            .output()
+            .unwrap();
+        let [stdout, stderr] =
+            [run.stdout, run.stderr].map(|said| String::from_utf8(said).unwrap());
+        refused(
+            &Output {
+                status: run.status,
+                stdout,
+                stderr,
+            },
+            &needles,
+        );
+    }
+}
+
+/// A program in place of hackbench that never ends by itself; its process is looked for by its number.
+#[test]
+fn programs_of_a_load_end_with_the_command_however_that_ends() {
+    for killed in [false, true] {
+        let scratch = Directory::new();
+        let script = scratch.write(
+            "hackbench",
+            "#!/bin/sh\n[ \"$1\" = --help ] && exit\necho $$ > \"$0.pid\"\nexec sleep 600\n",
+        );
+        let executable = Command::new("chmod").arg("+x").arg(&script).status();
+        assert!(executable.unwrap().success());
+        let directory = script.parent().unwrap().display();
+        let path = format!("{directory}:{}", std::env::var("PATH").unwrap());
+        let mut command = Command::new(binary());
+        command.args(["jitter", "--load=hackbench", "--json", "--duration"]);
+        command
+            .arg(if killed { "1h" } else { "1s" })
+            .env("PATH", path);
+        let mut command = command.stdout(Stdio::null()).spawn().unwrap();
+        let pid = patiently(|| {
+            let pid = std::fs::read_to_string(scratch.path("hackbench.pid")).ok()?;
+            pid.trim().parse::<u32>().ok()
+        });
+        assert!(std::path::Path::new(&format!("/proc/{pid}")).exists());
+        if killed {
+            command.kill().unwrap();
+        }
+        command.wait().unwrap();
+        patiently(|| {
+            let stat = std::fs::read_to_string(format!("/proc/{pid}/stat"));
+            // Whoever inherits it may not have waited for it yet.
+            stat.is_ok_and(|stat| !stat.contains(") Z "))
+                .then_some(())
+                .xor(Some(()))
+        });
+    }
+}
+
+/// What `found` finds within some seconds.
+fn patiently<T>(found: impl Fn() -> Option<T>) -> T {
+    for _ in 0..1000 {
+        if let Some(found) = found() {
+            return found;
+        }
+        let waited = Command::new("sleep").arg("0.01").status();
+        assert!(waited.unwrap().success());
+    }
+    panic!("it did not happen in time");
 }

@@ -6,7 +6,9 @@ use std::time::Duration;
 
 use anyhow::{Context, anyhow, bail};
 use can::clock::{now, sleep_until};
-use servo::Histogram;
+
+use super::interval::{Counts, Interval, counts};
+use super::probe::Turn;
 
 /// Bins of its histogram, µs; what is later is counted as its maximum.
 const BINS: u32 = 20_000;
@@ -34,23 +36,21 @@ pub(crate) fn find() -> anyhow::Result<()> {
     }
 }
 
-/// Lets it wait for deadlines for `time` and adds what it saw to `late`. It leaves /dev/cpu_dma_latency alone.
-pub(crate) fn measure(
-    late: &mut Histogram,
-    period: Duration,
-    time: Duration,
-    priority: u8,
-    cpu: Option<usize>,
-) -> anyhow::Result<()> {
+/// Lets it wait for the deadlines of a turn and returns what it saw. It leaves /dev/cpu_dma_latency alone.
+pub(crate) fn measure(turn: Turn, priority: u8, cpu: Option<usize>) -> anyhow::Result<Interval> {
     let mut command = Command::new("cyclictest");
     command
         .args(["--mlockall", "--quiet", "--threads=1", "--policy=fifo"])
         .arg("--default-system")
         .arg(format!("--priority={priority}"))
-        .arg(format!("--interval={}", period.as_micros()))
-        .arg(format!("--loops={}", time.as_nanos() / period.as_nanos()))
+        .arg(format!("--interval={}", turn.period.as_micros()))
+        .arg(format!(
+            "--loops={}",
+            turn.time.as_nanos() / turn.period.as_nanos()
+        ))
         .arg(format!("--histogram={BINS}"))
         .args(cpu.map(|cpu| format!("--affinity={cpu}")));
+    let begun = now();
     let mut child = command
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
@@ -58,7 +58,8 @@ pub(crate) fn measure(
         .spawn()
         .context("cyclictest cannot be run")?;
     let (out, err) = (child.stdout.take(), child.stderr.take());
-    let end = now() + time * 2 + OVERHEAD;
+    let end = begun + turn.time * 2 + OVERHEAD;
+    let mut told = false;
     std::thread::scope(|scope| {
         let text = |pipe: Option<Box<dyn Read + Send>>| {
             let mut text = String::new();
@@ -75,6 +76,14 @@ pub(crate) fn measure(
             {
                 break Some(status);
             }
+            if turn.is_over() && !told {
+                told = true;
+                // It prints what it has. A terminal's Ctrl-C reached it already, and it may have ended since.
+                let _ = Command::new("sh")
+                    .args(["-c", &format!("kill -INT {}", child.id())])
+                    .stderr(Stdio::null())
+                    .status();
+            }
             if now() >= end {
                 child.kill().context("cyclictest cannot be ended")?;
                 break None;
@@ -88,20 +97,28 @@ pub(crate) fn measure(
                 let said = err.lines().chain(out.lines()).find(|line| !line.is_empty());
                 bail!("cyclictest failed ({status}): {}", said.unwrap_or(""))
             }
-            Some(_) => parse(&out, late)
-                .ok_or_else(|| anyhow!("cyclictest printed no histogram that can be read")),
+            Some(_) => {
+                let late = parse(&out)
+                    .ok_or_else(|| anyhow!("cyclictest printed no histogram that can be read"))?;
+                Ok(Interval {
+                    begun,
+                    ended: now(),
+                    late,
+                })
+            }
         }
     })
 }
 
-/// Adds the histogram of one thread that `text` shows: lines of bin, µs, and count, then totals after `#`.
-fn parse(text: &str, late: &mut Histogram) -> Option<()> {
+/// The histogram of one thread that `text` shows: lines of bin, µs, and count, then totals after `#`.
+fn parse(text: &str) -> Option<Counts> {
+    let mut late = counts();
     let total = |name: &str| -> Option<u64> {
         let line = text.lines().find_map(|line| line.strip_prefix(name))?;
         line.trim().parse().ok()
     };
     let overflows = total("# Histogram Overflows:")?;
-    let max = Duration::from_micros(total("# Max Latencies:")?);
+    let max = total("# Max Latencies:")?;
     let mut counted = 0;
     let bins = text
         .lines()
@@ -109,11 +126,16 @@ fn parse(text: &str, late: &mut Histogram) -> Option<()> {
     for line in bins {
         let (bin, count) = line.split_once(char::is_whitespace)?;
         let (bin, count): (u64, u64) = (bin.parse().ok()?, count.trim().parse().ok()?);
-        (0..count).for_each(|_| late.record(Duration::from_micros(bin)));
+        if count > 0 {
+            // None of a value would still count as the greatest.
+            late.saturating_record_n(1000 * bin, count);
+        }
         counted += count;
     }
-    (0..overflows).for_each(|_| late.record(max));
-    (counted == total("# Total:")?).then_some(())
+    if overflows > 0 {
+        late.saturating_record_n(1000 * max, overflows);
+    }
+    (counted == total("# Total:")?).then_some(late)
 }
 
 #[cfg(test)]
@@ -128,12 +150,18 @@ mod tests {
 
     #[test]
     fn its_histogram_is_read_with_what_overflowed_as_the_maximum() {
-        let mut late = Histogram::new();
-        assert_eq!(parse(PRINTED, &mut late), Some(()));
-        assert_eq!(late.count(), 8);
-        assert_eq!(late.quantile(0.2).as_micros(), 1);
-        assert_eq!(late.quantile(0.6).as_micros(), 3);
-        assert_eq!(late.max().as_micros() / 10, 147);
+        let late = parse(PRINTED).unwrap();
+        assert_eq!(late.len(), 8);
+        assert_eq!(late.value_at_quantile(0.2) / 1000, 1);
+        assert_eq!(late.value_at_quantile(0.6) / 1000, 3);
+        assert_eq!(late.max() / 10_000, 147);
+    }
+
+    #[test]
+    fn bins_of_nothing_are_not_its_latest() {
+        let text = PRINTED.replace("000003 000003", "000002 000003\n019999 000000");
+        let text = text.replace("Overflows: 00003", "Overflows: 00000");
+        assert_eq!(parse(&text).unwrap().max() / 1000, 2);
     }
 
     #[test]
@@ -147,7 +175,7 @@ mod tests {
             ("# Total: 000000005\n", ""),
         ] {
             let text = PRINTED.replacen(good, bad, 1);
-            assert_eq!(parse(&text, &mut Histogram::new()), None, "{bad}");
+            assert_eq!(parse(&text), None, "{bad}");
         }
     }
 }

@@ -1,14 +1,20 @@
-//! Load for the CPUs while something is measured: ordinary threads, one per CPU.
+//! Load for the CPUs while something is measured: ordinary threads, one per CPU, or a program that loads them all.
+//!
+//! A program is started in a process group of its own that is killed whole when the load is dropped; if this process is
+//! killed first, the kernel ends the program.
 
 use std::fs::OpenOptions;
 use std::hint::black_box;
-use std::io::{Seek, SeekFrom, Write};
-use std::process::{Command, Stdio};
+use std::io::{ErrorKind, Seek, SeekFrom, Write};
+use std::os::unix::process::CommandExt;
+use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{Builder, JoinHandle};
+use std::time::Duration;
 
-use anyhow::Context;
+use anyhow::{Context, bail};
+use can::clock::{now, sleep_until};
 use clap::ValueEnum;
 use serde::Serialize;
 
@@ -24,6 +30,12 @@ const BLOCK: usize = 1 << 20;
 /// Blocks in the file of the disk load.
 const BLOCKS: u64 = 16;
 
+/// How often to look whether a program has ended.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// How long a program may take to end when it is told to.
+const ENDING: Duration = Duration::from_secs(3);
+
 /// What loads the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
 #[serde(rename_all = "kebab-case")]
@@ -36,6 +48,29 @@ pub(crate) enum Kind {
     Fork,
     /// Writes to a file in the directory for temporary ones, each made durable.
     Io,
+    /// Frames that nobody asked for on the virtual buses of the cell under measurement.
+    Bus,
+    /// hackbench of Debian's package rt-tests: messages between many threads.
+    Hackbench,
+    /// stress-ng of Debian's package of that name: its arithmetic, memory and disk.
+    StressNg,
+}
+
+impl Kind {
+    /// As on the command line.
+    pub(crate) fn name(self) -> String {
+        let value = self.to_possible_value();
+        value.map_or_else(String::new, |value| value.get_name().to_owned())
+    }
+
+    /// The program that it is, and its Debian package.
+    fn program(self) -> Option<(&'static str, &'static str)> {
+        match self {
+            Self::Hackbench => Some(("hackbench", "rt-tests")),
+            Self::StressNg => Some(("stress-ng", "stress-ng")),
+            Self::Cpu | Self::Memory | Self::Fork | Self::Io | Self::Bus => None,
+        }
+    }
 }
 
 /// Load under way; dropping it ends it.
@@ -45,17 +80,39 @@ pub(crate) struct Load {
 }
 
 impl Load {
-    /// Starts each of `kinds` on as many threads as there are CPUs.
+    /// Refuses programs among `kinds` that are not installed.
+    pub(crate) fn find(kinds: &[Kind]) -> anyhow::Result<()> {
+        for (name, package) in kinds.iter().filter_map(|kind| kind.program()) {
+            let found = Command::new(name)
+                .arg("--help")
+                .stdin(Stdio::null())
+                .stdout(Stdio::null())
+                .stderr(Stdio::null())
+                .status();
+            match found {
+                Err(error) if error.kind() == ErrorKind::NotFound => {
+                    bail!("{name} is not installed; `apt install {package}` installs it")
+                }
+                found => found.with_context(|| format!("{name} cannot be run"))?,
+            };
+        }
+        Ok(())
+    }
+
+    /// Starts each of `kinds` on as many threads as there are CPUs, each program once.
     pub(crate) fn start(kinds: &[Kind]) -> anyhow::Result<Self> {
         let mut load = Self {
             over: Arc::default(),
             threads: Vec::new(),
         };
         let cpus = std::thread::available_parallelism().map_or(1, usize::from);
-        for (kind, number) in kinds
-            .iter()
-            .flat_map(|&kind| (0..cpus).map(move |number| (kind, number)))
-        {
+        for (kind, number) in kinds.iter().flat_map(|&kind| {
+            let threads = match kind {
+                Kind::Bus => 0,
+                _ => kind.program().map_or(cpus, |_| 1),
+            };
+            (0..threads).map(move |number| (kind, number))
+        }) {
             let mut turn = turn(kind, number)?;
             let over = load.over.clone();
             let body = move || while !over.load(Ordering::Relaxed) && turn() {};
@@ -100,6 +157,20 @@ fn turn(kind: Kind, number: usize) -> anyhow::Result<Box<dyn FnMut() -> bool + S
             let child = Command::new("true").stdin(Stdio::null()).status();
             child.is_ok()
         }),
+        // It hangs on the buses of the cell, and needs no thread.
+        Kind::Bus => Box::new(|| false),
+        // Threads of one process end with it.
+        Kind::Hackbench => again(&["hackbench", "--threads", "--loops=10000"]),
+        Kind::StressNg => again(&[
+            "stress-ng",
+            "--quiet",
+            "--temp-path=/tmp",
+            "--cpu=0",
+            "--vm=1",
+            "--vm-bytes=64M",
+            "--hdd=1",
+            "--hdd-bytes=16M",
+        ]),
         Kind::Io => {
             let name = format!("mrroc-load-{}-{number}", std::process::id());
             let path = std::env::temp_dir().join(name);
@@ -124,4 +195,59 @@ fn turn(kind: Kind, number: usize) -> anyhow::Result<Box<dyn FnMut() -> bool + S
             })
         }
     })
+}
+
+/// Keeps a program running: a look at it each turn.
+fn again(words: &'static [&'static str]) -> Box<dyn FnMut() -> bool + Send> {
+    let mut running = None::<Program>;
+    Box::new(move || {
+        let ended = match &mut running {
+            Some(program) => program.0.try_wait().map(|status| status.is_some()),
+            None => Ok(true),
+        };
+        if ended.is_ok_and(|ended| ended) {
+            running = Program::start(words).ok();
+        }
+        sleep_until(now() + LOOK);
+        running.is_some()
+    })
+}
+
+/// A program under way; dropping it ends it, and kills its process group if it does not end in time.
+struct Program(Child);
+
+impl Program {
+    /// setpriv of util-linux has the kernel tell the program when this thread is no more.
+    fn start(words: &[&str]) -> std::io::Result<Self> {
+        let mut command = Command::new("setpriv");
+        command
+            .args(["--pdeathsig", "TERM", "--"])
+            .args(words)
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .process_group(0);
+        command.spawn().map(Self)
+    }
+}
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        let id = self.0.id();
+        let signal = |signal: &str| {
+            let _ = Command::new("sh")
+                .args(["-c", &format!("kill {signal}{id}")])
+                .stderr(Stdio::null())
+                .status();
+        };
+        // Those that have processes of their own wait for them.
+        signal("-TERM ");
+        let end = now() + ENDING;
+        while matches!(self.0.try_wait(), Ok(None)) && now() < end {
+            sleep_until(now() + LOOK);
+        }
+        signal("-KILL -- -");
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
 }

@@ -1,22 +1,43 @@
 //! The measuring threads: the servo's wait without a servo, and cyclictest's algorithm.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::Builder;
 use std::time::Duration;
 
 use anyhow::{Context, anyhow};
 use can::clock::{now, sleep_until};
-use servo::Histogram;
-use servo::thread::{
-    self, Cause, Denial, LateCycle, LateCycles, RealtimePolicy, Usage, Wait, Waiter,
-};
+use servo::thread::{self, Cause, Denial, LateCycle, LateCycles, RealtimePolicy, Usage, Waiter};
+
+use super::interval::Recorder;
 
 /// Bytes of the thread's stack.
 const STACK: usize = 512 * 1024;
 
+/// How often what is measured is looked at meanwhile.
+pub(crate) const LOOK: Duration = Duration::from_millis(20);
+
+/// When a turn ends.
+#[derive(Clone, Copy)]
+pub(crate) struct Turn<'a> {
+    pub(crate) period: Duration,
+    pub(crate) time: Duration,
+    /// Ends it early.
+    pub(crate) over: &'a Arc<AtomicBool>,
+}
+
+impl Turn<'_> {
+    pub(crate) fn is_over(&self) -> bool {
+        self.over.load(Ordering::Relaxed)
+    }
+}
+
 /// Wake-ups of one probe.
 pub(crate) struct Wakeups {
+    /// How many.
+    cycles: u64,
     /// From the deadline to when the thread was there.
-    pub late: Histogram,
+    pub late: Recorder,
     /// Deadlines that passed while the thread was late for one before.
     pub missed: u64,
     /// Those that were more than a hundredth of the period late.
@@ -24,66 +45,72 @@ pub(crate) struct Wakeups {
 }
 
 impl Wakeups {
-    pub(crate) fn new() -> Self {
+    pub(crate) fn new(late: Recorder) -> Self {
         Self {
-            late: Histogram::new(),
+            cycles: 0,
+            late,
             missed: 0,
             causes: LateCycles::default(),
         }
     }
 }
 
-/// Waits for deadlines for `time` as the servo thread does.
-pub(crate) fn wait(waiter: &mut Waiter, wakeups: &mut Wakeups, period: Duration, time: Duration) {
+/// Waits for deadlines as the servo thread does.
+pub(crate) fn wait(waiter: &mut Waiter, wakeups: &mut Wakeups, turn: Turn) {
     let began = now();
-    let (mut ended, mut due, end) = (began, began + period, began + time);
+    let (mut ended, mut due, end) = (began, began + turn.period, began + turn.time);
     let mut counted = Usage::of_this_thread();
     waiter.pause();
-    while due <= end {
+    wakeups.late.begin(ended);
+    while due <= end && !turn.is_over() {
         let awake = waiter.wait(due, Duration::ZERO);
         let late = awake.at.since(due);
-        wakeups.late.record(late);
+        wakeups.late.record(late, awake.at);
         let usage = Usage::of_this_thread();
-        if late > period / 100 {
+        if late > turn.period / 100 {
             let worked = awake.asked_at.since(ended);
             let cause = Cause::of(late, worked, &awake, usage.since(counted));
             wakeups.causes.record(LateCycle {
-                cycle: wakeups.late.count() - 1,
+                cycle: wakeups.cycles,
                 due: due.since(began),
                 late,
                 cause,
             });
         }
         (ended, counted) = (awake.at, usage);
-        due += period;
+        wakeups.cycles += 1;
+        due += turn.period;
         while due <= ended {
-            due += period;
+            due += turn.period;
             wakeups.missed += 1;
         }
     }
 }
 
-/// Waits for deadlines for `time` as cyclictest does: an absolute sleep, one read of the clock, and the next deadline
-/// that has not passed.
-pub(crate) fn probe(wakeups: &mut Wakeups, period: Duration, time: Duration) {
+/// Waits for deadlines as cyclictest does: an absolute sleep, one read of the clock, and the next deadline that has not
+/// passed.
+pub(crate) fn probe(wakeups: &mut Wakeups, turn: Turn) {
     let start = now();
-    let (mut next, end) = (start + period, start + time);
-    while next <= end {
+    let (mut next, end) = (start + turn.period, start + turn.time);
+    wakeups.late.begin(start);
+    while next <= end && !turn.is_over() {
         sleep_until(next);
         let woken = now();
-        wakeups.late.record(woken.since(next));
-        next += period;
+        wakeups.late.record(woken.since(next), woken);
+        next += turn.period;
         while next <= woken {
-            next += period;
+            next += turn.period;
             wakeups.missed += 1;
         }
     }
 }
 
-/// Runs `body` on a thread of its own with what `policy` asks for; returns what the host denied as well.
+/// Runs `body` on a thread of its own with what `policy` asks for, and `meanwhile` on this one now and then; returns
+/// what the host denied as well.
 pub(crate) fn on_thread<T: Send>(
     policy: &RealtimePolicy,
     body: impl FnOnce() -> T + Send,
+    mut meanwhile: impl FnMut(),
 ) -> anyhow::Result<(T, Vec<Denial>)> {
     std::thread::scope(|scope| {
         let thread = Builder::new()
@@ -94,36 +121,46 @@ pub(crate) fn on_thread<T: Send>(
                 (body(), denied)
             })
             .context("no thread to measure on can be made")?;
+        while !thread.is_finished() {
+            meanwhile();
+            sleep_until(now() + LOOK);
+        }
         thread
             .join()
             .map_err(|_| anyhow!("the measuring thread panicked"))
     })
 }
 
-/// The wait of the command line, for `period`.
-pub(crate) fn waiter(hybrid: bool, period: Duration) -> Waiter {
-    Waiter::new(if hybrid { Wait::HYBRID } else { Wait::Plain }, period)
-}
-
 #[cfg(test)]
 mod tests {
+    use servo::thread::Wait;
+
     use super::*;
+    use crate::jitter::interval::recording;
 
     #[test]
     fn every_deadline_is_met_or_counted() {
-        let period = Duration::from_micros(500);
+        let over = Arc::default();
+        let turn = Turn {
+            period: Duration::from_micros(500),
+            time: Duration::from_millis(50),
+            over: &over,
+        };
         for probe in [
-            |wakeups: &mut Wakeups, period, time| {
-                wait(&mut waiter(true, period), wakeups, period, time);
+            |wakeups: &mut Wakeups, turn: Turn| {
+                wait(&mut Waiter::new(Wait::HYBRID, turn.period), wakeups, turn);
             },
             probe,
         ] {
-            let mut wakeups = Wakeups::new();
-            probe(&mut wakeups, period, 100 * period);
-            let counted = wakeups.late.count() + wakeups.missed;
+            let (recorder, mut ledger) = recording(now(), None);
+            let mut wakeups = Wakeups::new(recorder);
+            probe(&mut wakeups, turn);
+            wakeups.late.hand_over();
+            ledger.drain().unwrap();
+            let counted = ledger.total.len() + wakeups.missed;
             // The last may be met so late that others have passed by then.
             assert!(counted >= 100, "{counted}");
-            assert!(counted == 100 || wakeups.late.max() >= period);
+            assert!(counted == 100 || ledger.total.max() >= 500_000);
         }
     }
 }

@@ -4,10 +4,12 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use serde::Serialize;
-use servo::Histogram;
 use servo::thread::WaitReport;
 
+use super::cell::CellReport;
+use super::interval::Counts;
 use super::probe::Wakeups;
+use super::verdict::{self, Fit, Tail};
 use super::{Peer, Wait, load};
 use crate::report::{Percentiles, WaitCost, microseconds};
 
@@ -20,6 +22,8 @@ pub(super) struct Setting {
     pub(super) seconds: f64,
     /// Turns of each side.
     pub(super) rounds: u32,
+    /// The turn of each side that counts for nothing, s.
+    pub(super) warm_up_s: f64,
     /// Priority under SCHED_FIFO.
     pub(super) priority: u8,
     /// The CPU both sides stayed on.
@@ -32,8 +36,38 @@ pub(super) struct Setting {
     pub(super) against: Option<Peer>,
     /// Whether deep idle states were kept away, for both.
     pub(super) cpu_latency_held: bool,
+    /// Whether Ctrl-C, or a file that could not be written, ended it.
+    pub(super) ended_early: bool,
     /// What the host denied.
     pub(super) denied: Vec<String>,
+}
+
+/// In one line, without what the host denied.
+impl fmt::Display for Setting {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let wait = match self.wait {
+            Wait::Plain => "plain",
+            Wait::Hybrid => "hybrid",
+        };
+        let Self {
+            period_us,
+            priority,
+            ..
+        } = self;
+        write!(
+            f,
+            "period {period_us} µs, {wait} wait, SCHED_FIFO {priority}, "
+        )?;
+        match self.cpu {
+            Some(cpu) => write!(f, "CPU {cpu}, ")?,
+            None => f.write_str("any CPU, ")?,
+        }
+        let loads = self.load.iter().map(|load| load.name());
+        match loads.collect::<Vec<_>>().join(", ") {
+            none if none.is_empty() => f.write_str("no load"),
+            loads => write!(f, "load {loads}"),
+        }
+    }
 }
 
 /// The report.
@@ -41,6 +75,8 @@ pub(super) struct Setting {
 pub(super) struct Report {
     #[serde(flatten)]
     setting: Setting,
+    /// The cycle of the cell, if one was measured; ours is then from the deadline to SYNC.
+    cell: Option<CellReport>,
     /// Our thread.
     ours: Side,
     /// The peer.
@@ -51,7 +87,11 @@ pub(super) struct Report {
     causes: BTreeMap<&'static str, u64>,
     /// The latest wake-ups of ours.
     worst: Vec<Late>,
-    /// What it means for this period.
+    /// How well the usual periods and this one are kept.
+    fits: Vec<Fit>,
+    /// Whose the tail is; null without a peer.
+    tail: Option<Tail>,
+    /// The same in words.
     verdict: String,
 }
 
@@ -70,21 +110,23 @@ pub(super) struct Side {
 }
 
 impl Side {
-    pub(super) fn of(late: &Histogram) -> Self {
+    pub(super) fn of(late: &Counts, missed: Option<u64>, cost: Option<WaitReport>) -> Self {
         Self {
-            late: Percentiles::from(late),
-            cycles: late.count(),
-            missed: None,
-            cost: None,
+            late: percentiles(late),
+            cycles: late.len(),
+            missed,
+            cost: cost.map(WaitCost::from),
         }
     }
+}
 
-    pub(super) fn ours(wakeups: &Wakeups, cost: &WaitReport) -> Self {
-        Self {
-            missed: Some(wakeups.missed),
-            cost: Some(WaitCost::from(*cost)),
-            ..Self::of(&wakeups.late)
-        }
+pub(super) fn percentiles(late: &Counts) -> Percentiles {
+    let micros = |nanos: u64| nanos as f64 / 1e3;
+    Percentiles {
+        p50: micros(late.value_at_quantile(0.5)),
+        p99: micros(late.value_at_quantile(0.99)),
+        p999: micros(late.value_at_quantile(0.999)),
+        max: micros(late.max()),
     }
 }
 
@@ -106,7 +148,13 @@ pub(super) struct Late {
 
 impl Report {
     /// What follows from what was measured.
-    pub(super) fn of(setting: Setting, ours: Side, peer: Option<Side>, wakeups: &Wakeups) -> Self {
+    pub(super) fn of(
+        setting: Setting,
+        ours: Side,
+        peer: Option<Side>,
+        wakeups: &Wakeups,
+        cell: Option<CellReport>,
+    ) -> Self {
         let over = |ours: f64, peer: f64| (peer > 0.0).then(|| ours / peer);
         let ratio = peer.as_ref().map(|peer| Ratio {
             p50: over(ours.late.p50, peer.late.p50),
@@ -114,15 +162,21 @@ impl Report {
             p999: over(ours.late.p999, peer.late.p999),
             max: over(ours.late.max, peer.late.max),
         });
-        let peer_late = peer.as_ref().map(|peer| peer.late);
+        // A thread alone is late for what it skips, and that is in its percentiles.
+        let skipped = (cell.as_ref()).and(ours.missed).unwrap_or(0);
+        let fits = verdict::fits(&ours.late, setting.period_us, ours.cycles, skipped);
+        let tail = (peer.as_ref()).map(|peer| verdict::tail(&ours.late, &peer.late));
         let causes = wakeups.causes.causes();
         let worst = wakeups.causes.worst().map(|worst| Late {
             late_us: microseconds(worst.late),
             cause: worst.cause.name(),
         });
         Self {
-            verdict: verdict(&ours.late, peer_late.as_ref(), setting.period_us),
+            verdict: verdict::words(&fits, tail.as_ref(), ours.cycles, !setting.load.is_empty()),
+            fits,
+            tail,
             setting,
+            cell,
             ours,
             peer,
             ratio,
@@ -130,39 +184,6 @@ impl Report {
             worst: worst.collect(),
         }
     }
-}
-
-/// Whether this host is good for a period, µs, and whose the tail is.
-fn verdict(ours: &Percentiles, peer: Option<&Percentiles>, period: f64) -> String {
-    let near = period / 20.0;
-    let fit = if ours.max <= near {
-        format!("good for {period} µs: every wake-up within a twentieth of the period")
-    } else if ours.p999 <= near && ours.max <= period / 2.0 {
-        format!(
-            "good enough for {period} µs: 999 of 1000 wake-ups within a twentieth of the period, all within half"
-        )
-    } else if ours.p999 <= period / 2.0 {
-        format!(
-            "fit for {period} µs only where a late cycle does no harm: the worst was {:.0} µs late",
-            ours.max
-        )
-    } else {
-        format!(
-            "not fit for {period} µs: one wake-up in 1000 is {:.0} µs late or later",
-            ours.p999
-        )
-    };
-    let tail = match peer {
-        _ if ours.max <= near => "",
-        Some(peer) if peer.max >= ours.max / 2.0 => {
-            "; the peer's worst is as bad, so the tail is the host's"
-        }
-        Some(_) => {
-            "; the peer's worst is less than half of it, so measure longer before the host is blamed"
-        }
-        None => "; measure --against cyclictest or plain to see whether the tail is the host's",
-    };
-    fit + tail
 }
 
 impl fmt::Display for Report {
@@ -190,13 +211,7 @@ impl fmt::Display for Report {
         };
         side("ours", &self.ours)?;
         if let (Some(peer), Some(against)) = (&self.peer, self.setting.against) {
-            side(
-                match against {
-                    Peer::Cyclictest => "cyclictest",
-                    Peer::Plain => "plain probe",
-                },
-                peer,
-            )?;
+            side(against.name(), peer)?;
         }
         if let Some(Ratio {
             p50,
@@ -208,6 +223,26 @@ impl fmt::Display for Report {
             let [p50, p99, p999, max] = [p50, p99, p999, max]
                 .map(|ratio| ratio.map_or("-".to_owned(), |ratio| format!("{ratio:.4}")));
             writeln!(f, "{:11} {p50:>10} {p99:>10} {p999:>10} {max:>10}", "ratio")?;
+        }
+        if let Some(cell) = &self.cell {
+            let times = [
+                ("wake-up", cell.wake_us),
+                ("step", cell.step_us),
+                ("bus", cell.bus_us),
+            ];
+            // A tty does not tell when an answer came.
+            for (name, times) in times.into_iter().filter(|(_, times)| times.max > 0.0) {
+                writeln!(
+                    f,
+                    "{name:11} {:>10.3} {:>10.3} {:>10.3} {:>10.3}",
+                    times.p50, times.p99, times.p999, times.max
+                )?;
+            }
+            writeln!(
+                f,
+                "\nours is from deadline to SYNC; cell {}: {}",
+                cell.name, cell.state
+            )?;
         }
         writeln!(f)?;
         if let Some(cost) = self.ours.cost.filter(|cost| cost.spin_percent > 0.0) {
@@ -237,42 +272,6 @@ impl fmt::Display for Report {
         for denied in &self.setting.denied {
             writeln!(f, "denied: {denied}")?;
         }
-        write!(f, "{}", self.verdict)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn late(p50: f64, p99: f64, p999: f64, max: f64) -> Percentiles {
-        Percentiles {
-            p50,
-            p99,
-            p999,
-            max,
-        }
-    }
-
-    #[test]
-    fn a_verdict_says_how_far_the_period_is_kept_and_whose_the_tail_is() {
-        let calm = late(0.1, 0.2, 10.0, 40.0);
-        let tail = late(0.1, 0.2, 40.0, 400.0);
-        let spikes = late(0.1, 0.2, 300.0, 5000.0);
-        let broken = late(30.0, 100.0, 600.0, 5000.0);
-        for (ours, peer, needles) in [
-            (calm, Some(spikes), ["good for 1000 µs", "every"]),
-            (calm, None, ["good for 1000 µs", "every"]),
-            (tail, Some(spikes), ["good enough", "the host's"]),
-            (tail, Some(calm), ["good enough", "measure longer"]),
-            (tail, None, ["good enough", "--against"]),
-            (spikes, Some(spikes), ["5000 µs late", "the host's"]),
-            (broken, Some(calm), ["not fit", "600 µs"]),
-        ] {
-            let said = verdict(&ours, peer.as_ref(), 1000.0);
-            for needle in needles {
-                assert!(said.contains(needle), "{ours:?} {peer:?}: {said}");
-            }
-        }
+        f.write_str(&self.verdict.replace("; ", "\n"))
     }
 }

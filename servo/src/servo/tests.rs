@@ -158,3 +158,46 @@ fn keeps_limits(positions: &[f64]) -> Result<(), TestCaseError> {
     }
     Ok(())
 }
+
+#[test]
+fn control_sees_the_nominal_period_and_records_have_the_real_one() {
+    // The same orders under a punctual clock and one that wavers by up to 0.4 periods.
+    let run = |waver: i32| {
+        let (group, world) = scripted::group(2);
+        for drive in &mut world.lock().unwrap().axes {
+            drive.state.homing = Homing::Attained;
+        }
+        let (mut servo, mut links) = Servo::new(&scripted::host_config(2), vec![group]).unwrap();
+        let mut records = servo.record(200);
+        let orders = &mut links[0].orders;
+        orders.push(Order::Enable).unwrap();
+        for cycle in 0..100_u32 {
+            if cycle == 20 {
+                let macrostep = Macrostep {
+                    number: 1,
+                    steps: 40,
+                    report_at: 5,
+                    position: [0.1; MAX_AXES],
+                    velocity: [0.0; MAX_AXES],
+                };
+                orders.push(Order::Move(macrostep)).unwrap();
+            }
+            let late = PERIOD / 5 * (waver as u32 * (cycle * 7 % 3));
+            servo.step(Instant::ZERO + PERIOD * cycle + late);
+        }
+        let records = std::iter::from_fn(move || records.pop().ok()).collect::<Vec<_>>();
+        let sent = world.lock().unwrap().sent.clone();
+        (records, sent)
+    };
+    let ((punctual, told), (wavering, told_too)) = (run(0), run(1));
+    assert_eq!(told, told_too, "set-points are bit-identical");
+    assert!(punctual.iter().any(|record| record.phase == Phase::Moving));
+    assert_eq!(punctual[0].dt, Duration::ZERO);
+    assert!(punctual[1..].iter().all(|record| record.dt == PERIOD));
+    assert!(
+        wavering
+            .windows(2)
+            .all(|two| two[1].dt == two[1].at.since(two[0].at))
+    );
+    assert!(wavering[1..].iter().any(|record| record.dt != PERIOD));
+}

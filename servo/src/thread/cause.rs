@@ -46,15 +46,71 @@ impl Cause {
     /// Who made a wait that ended `late` do so, by how it went and what the kernel counted from the end of the wait
     /// before to the end of this one. `worked` is the time from there to this wait.
     pub fn of(late: Duration, worked: Duration, awake: &Awake, counted: Usage) -> Self {
+        Self::of_cycle(
+            late,
+            &Spent::waiting(awake, worked, Duration::ZERO),
+            counted,
+        )
+    }
+
+    /// Who made a cycle `late` that `spent` its time so, by what the kernel counted meanwhile.
+    ///
+    /// A hypervisor that stops the computer inside the step cannot be told from the step.
+    pub fn of_cycle(late: Duration, spent: &Spent, counted: Usage) -> Self {
         // What took less than half of the time is not what took it.
-        let took = |time: Duration| time >= late / 2;
+        let preempted = match counted.delay {
+            Some(delay) => delay >= late / 2,
+            None => counted.switches > 0,
+        };
+        let places = [
+            (spent.own, Self::OwnStep),
+            (spent.bus, Self::Bus),
+            (spent.wake_up, Self::LateWakeUp),
+            (spent.gap, Self::Host),
+        ];
+        let longest = places.into_iter().max_by_key(|(time, _)| *time);
+        match longest {
+            _ if preempted => Self::Preempted,
+            Some((time, Self::OwnStep | Self::Bus | Self::Host))
+                if counted.faults > 0 && time >= late / 2 =>
+            {
+                Self::PageFault
+            }
+            Some((time, cause)) if time >= late / 2 => cause,
+            _ => Self::Host,
+        }
+    }
+}
+
+/// Where a cycle's time went, from the SYNC before to its own.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Spent {
+    /// In computing.
+    pub own: Duration,
+    /// In reading from buses and writing to them.
+    pub bus: Duration,
+    /// From when the thread asked to be woken to when it ran.
+    pub wake_up: Duration,
+    /// Between two reads of the clock while it spun, the longest.
+    pub gap: Duration,
+}
+
+impl Spent {
+    /// Up to the end of a wait. What was done before it, `own` and on the `bus`, counts if it left no time to sleep.
+    pub fn waiting(awake: &Awake, own: Duration, bus: Duration) -> Self {
+        let gap = awake.gap;
         match awake.wake_up_latency() {
-            _ if counted.faults > 0 => Self::PageFault,
-            _ if counted.switches > 0 => Self::Preempted,
-            Some(_) if took(awake.gap) => Self::Host,
-            Some(_) => Self::LateWakeUp,
-            None if took(worked) => Self::OwnStep,
-            None => Self::Host,
+            Some(wake_up) => Self {
+                wake_up,
+                gap,
+                ..Self::default()
+            },
+            None => Self {
+                own,
+                bus,
+                gap,
+                ..Self::default()
+            },
         }
     }
 }
@@ -66,6 +122,8 @@ pub struct Usage {
     pub faults: u64,
     /// Times that the CPU was taken from it for another thread.
     pub switches: u64,
+    /// Time that it could have run while another thread did; `None` where the kernel does not say.
+    pub delay: Option<Duration>,
 }
 
 impl Usage {
@@ -84,6 +142,7 @@ impl Usage {
         Self {
             faults: (usage.ru_minflt + usage.ru_majflt) as u64,
             switches: usage.ru_nivcsw as u64,
+            delay: None,
         }
     }
 
@@ -92,6 +151,10 @@ impl Usage {
         Self {
             faults: self.faults.saturating_sub(earlier.faults),
             switches: self.switches.saturating_sub(earlier.switches),
+            delay: self
+                .delay
+                .zip(earlier.delay)
+                .map(|(delay, earlier)| delay.saturating_sub(earlier)),
         }
     }
 }
@@ -106,13 +169,18 @@ mod tests {
     fn a_late_cycle_is_attributed_by_where_its_time_went() {
         let micros = Duration::from_micros;
         let none = Usage::default();
-        let [fault, switch] = [(1, 0), (0, 1)].map(|(faults, switches)| Usage { faults, switches });
+        let [fault, switch] = [(1, 0), (0, 1)].map(|(faults, switches)| Usage {
+            faults,
+            switches,
+            delay: None,
+        });
         // Late by, work before the wait, time left to sleep, wake-up latency, gap; µs.
         let cases = [
             ((90, 5, 800, 290, 0), none, Cause::LateWakeUp),
             ((90, 5, 800, 20, 160), none, Cause::Host),
             ((90, 5, 800, 20, 160), switch, Cause::Preempted),
-            ((90, 5, 800, 290, 0), fault, Cause::PageFault),
+            ((90, 5, 800, 290, 0), fault, Cause::LateWakeUp),
+            ((90, 5, 800, 20, 160), fault, Cause::PageFault),
             ((90, 1090, 0, 0, 0), none, Cause::OwnStep),
             ((90, 1090, 0, 0, 0), switch, Cause::Preempted),
             ((90, 1090, 0, 0, 0), fault, Cause::PageFault),
@@ -134,6 +202,43 @@ mod tests {
                 found, expected,
                 "{late} {worked} {left} {latency} {gap} {counted:?}"
             );
+        }
+    }
+
+    #[test]
+    fn a_late_cycle_is_of_what_took_most_of_it_unless_the_kernel_names_another() {
+        let micros = Duration::from_micros;
+        // Own, bus, wake-up, gap; faults, switches, delay; µs, of a cycle 400 µs late.
+        let cases = [
+            ((450, 20, 10, 0), (0, 0, Some(0)), Cause::OwnStep),
+            ((20, 450, 10, 0), (0, 0, Some(0)), Cause::Bus),
+            ((20, 20, 600, 0), (0, 0, Some(0)), Cause::LateWakeUp),
+            ((20, 20, 10, 400), (0, 0, Some(0)), Cause::Host),
+            ((20, 20, 10, 0), (0, 0, Some(0)), Cause::Host),
+            ((450, 20, 10, 0), (9, 0, Some(0)), Cause::PageFault),
+            ((20, 450, 10, 0), (9, 0, Some(0)), Cause::PageFault),
+            ((20, 20, 600, 0), (9, 0, Some(0)), Cause::LateWakeUp),
+            ((450, 20, 10, 0), (9, 1, Some(390)), Cause::Preempted),
+            ((20, 20, 600, 0), (0, 0, Some(590)), Cause::Preempted),
+            ((450, 20, 10, 0), (0, 1, Some(90)), Cause::OwnStep),
+            ((450, 20, 10, 0), (0, 1, None), Cause::Preempted),
+        ];
+        for ((own, bus, wake_up, gap), (faults, switches, delay), expected) in cases {
+            let [own, bus, wake_up, gap] = [own, bus, wake_up, gap].map(micros);
+            let spent = Spent {
+                own,
+                bus,
+                wake_up,
+                gap,
+            };
+            let delay = delay.map(micros);
+            let counted = Usage {
+                faults,
+                switches,
+                delay,
+            };
+            let found = Cause::of_cycle(micros(400), &spent, counted);
+            assert_eq!(found, expected, "{spent:?} {counted:?}");
         }
     }
 

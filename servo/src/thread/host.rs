@@ -31,6 +31,17 @@ impl CpuLatency {
         file.write_all(&0i32.to_ne_bytes())?;
         Ok(Self(file))
     }
+
+    /// The same for a servo that runs; a kernel without the file has no idle states to keep away from.
+    pub(super) fn demand() -> Result<Option<Self>, Denial> {
+        match Self::hold() {
+            Ok(held) => Ok(Some(held)),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+            Err(error) => Err(Denial::CpuLatency {
+                errno: error.raw_os_error().unwrap_or(0),
+            }),
+        }
+    }
 }
 
 /// Where the lines that grant a [`Limit`] belong.
@@ -115,6 +126,15 @@ pub enum Denial {
         /// What the system said.
         errno: i32,
     },
+    /// `/dev/cpu_dma_latency`.
+    #[error(
+        "a CPU latency of 0 µs was denied (errno {errno}); grant it with the udev rule \
+         `KERNEL==\"cpu_dma_latency\", GROUP=\"realtime\", MODE=\"0660\"` in /etc/udev/rules.d/99-realtime.rules"
+    )]
+    CpuLatency {
+        /// What the system said.
+        errno: i32,
+    },
 }
 
 /// Asks the host for what the policy wants on the calling thread; returns what it denied.
@@ -142,7 +162,24 @@ pub fn set_fifo(priority: u8) -> Result<(), Denial> {
             thread_priority::Error::OS(errno) => errno,
             _ => libc::EINVAL,
         })
-    })
+    })?;
+    reset_on_fork(value.into()).map_err(denial)
+}
+
+/// Keeps SCHED_FIFO from the threads and processes that this thread starts.
+#[expect(
+    unsafe_code,
+    reason = "sched_setscheduler has no safe wrapper among our dependencies"
+)]
+fn reset_on_fork(priority: u8) -> Result<(), i32> {
+    let policy = libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK;
+    let param = libc::sched_param {
+        sched_priority: priority.into(),
+    };
+    // SAFETY: 0 means this thread, and `param` outlives the call. The libc's own function may refuse the flag.
+    let result =
+        unsafe { libc::syscall(libc::SYS_sched_setscheduler, 0, policy, &raw const param) };
+    check(result as libc::c_int)
 }
 
 #[expect(

@@ -179,7 +179,74 @@ fn what_is_required_and_denied_is_named_before_any_cycle() {
         match denial {
             Denial::Cpu { cpu: denied, .. } => assert_eq!(Some(denied), cpu),
             Denial::Fifo { .. } => assert!(denial.to_string().contains("rtprio"), "{denial}"),
-            Denial::LockMemory { .. } | Denial::TimerSlack { .. } => panic!("{denial}"),
+            Denial::LockMemory { .. } | Denial::TimerSlack { .. } | Denial::CpuLatency { .. } => {
+                panic!("{denial}")
+            }
         }
     }
+}
+
+#[test]
+#[expect(unsafe_code, reason = "what a thread has is the kernel's to tell")]
+fn a_thread_really_has_what_was_not_denied() {
+    let has = || {
+        // SAFETY: both calls are about this thread, take numbers and touch no memory.
+        let (scheduler, slack) = unsafe {
+            (
+                libc::sched_getscheduler(0),
+                libc::prctl(libc::PR_GET_TIMERSLACK),
+            )
+        };
+        let status = std::fs::read_to_string("/proc/thread-self/status").unwrap();
+        let field = |name: &str| {
+            let line = status.lines().find_map(|line| line.strip_prefix(name));
+            line.unwrap().trim().to_owned()
+        };
+        let stat = std::fs::read_to_string("/proc/thread-self/stat").unwrap();
+        // Field 40 of proc_pid_stat(5); the name in brackets is the second.
+        let priority = stat.rsplit(')').next().unwrap().split_whitespace().nth(37);
+        let priority = priority.unwrap().parse::<u8>().unwrap();
+        let locked = field("VmLck:") != "0 kB";
+        (
+            scheduler,
+            priority,
+            slack,
+            field("Cpus_allowed_list:"),
+            locked,
+        )
+    };
+    let (tell, told) = mpsc::channel();
+    let until = move |_: &Servo| {
+        let child = std::thread::spawn(has).join().unwrap();
+        let _ = tell.send((has(), child.0));
+        true
+    };
+    let policy = RealtimePolicy {
+        priority: 42,
+        cpu: Some(0),
+        ..RealtimePolicy::BEST_EFFORT
+    };
+    let (servo, _link, _world) = rig();
+    let finished = run(servo, policy, |_| {}, until).unwrap();
+    let ((scheduler, priority, slack, cpus, locked), child) = told.recv().unwrap();
+    let granted = |which: fn(&Denial) -> bool| !finished.denied.iter().any(which);
+    let fifo = libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK;
+    let is_fifo = (scheduler, priority) == (fifo, 42);
+    assert_eq!(
+        is_fifo,
+        granted(|one| matches!(one, Denial::Fifo { .. })),
+        "{scheduler:#x} {priority}"
+    );
+    assert_eq!(child, libc::SCHED_OTHER, "a child does not inherit it");
+    // Linux 6.13 and later give a real-time thread no slack at all.
+    assert_eq!(
+        slack <= 1,
+        granted(|one| matches!(one, Denial::TimerSlack { .. }))
+    );
+    assert_eq!(
+        cpus == "0",
+        granted(|one| matches!(one, Denial::Cpu { .. })),
+        "{cpus}"
+    );
+    assert!(locked || !granted(|one| matches!(one, Denial::LockMemory { .. })));
 }

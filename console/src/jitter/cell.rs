@@ -1,0 +1,167 @@
+//! The whole cycle of a cell as what is measured: from the deadline to when its SYNC is handed over.
+//!
+//! Each turn brings the drives up, switches them on and lets them hold their position; nothing is homed and nothing
+//! moves. Every cycle from bring-up to switch-off is measured, by the servo thread itself, so an interval is a turn.
+//! Between its turns there is no servo, and the peer has the host for itself.
+
+use anyhow::{anyhow, bail};
+use can::clock::{now, sleep_until};
+use clap::ValueEnum;
+use serde::Serialize;
+use servo::thread::{CellTime, Denial, RealtimePolicy, WaitReport};
+use servo::{Order, Phase, Servo};
+
+use super::interval::{Counts, Interval, Ledger, counts, counts_of};
+use super::probe::{LOOK, Turn};
+use super::report::percentiles;
+use crate::bench::{Bench, BenchKind};
+use crate::cell_file::CellFile;
+use crate::report::Percentiles;
+use crate::{clockwork, setup};
+
+/// What a cell is measured on; nothing here moves hardware.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub(crate) enum CellBench {
+    /// Emulated drives on a virtual bus, stepped by the servo thread between its cycles.
+    Emulated,
+    /// A virtual CAN interface, or pseudo-terminals; `mrroc emulate` at their other end.
+    Vcan,
+}
+
+/// A cell under measurement.
+pub(crate) struct MeasuredCell<'a> {
+    file: &'a CellFile,
+    bench: CellBench,
+    /// Whether frames that nobody asked for load its buses.
+    traffic: bool,
+    step: Counts,
+    bus: Counts,
+    wake_up: Counts,
+    pub(crate) missed: u64,
+    pub(crate) wait: WaitReport,
+    /// Whether every robot stood with its power on in every turn.
+    stood: bool,
+}
+
+impl<'a> MeasuredCell<'a> {
+    pub(crate) fn new(file: &'a CellFile, bench: CellBench, traffic: bool) -> Self {
+        Self {
+            file,
+            bench,
+            traffic,
+            step: counts(),
+            bus: counts(),
+            wake_up: counts(),
+            missed: 0,
+            wait: WaitReport::default(),
+            stood: true,
+        }
+    }
+
+    /// What was seen so far counts for nothing.
+    pub(crate) fn forget(&mut self) {
+        *self = Self::new(self.file, self.bench, self.traffic);
+    }
+
+    /// One turn into `ledger`; returns what the host denied. `look` is called meanwhile.
+    pub(crate) fn turn(
+        &mut self,
+        policy: RealtimePolicy,
+        turn: Turn,
+        ledger: &mut Ledger,
+        mut look: impl FnMut(&mut Ledger),
+    ) -> anyhow::Result<Vec<Denial>> {
+        let file = self.file;
+        let kind = match self.bench {
+            CellBench::Emulated => BenchKind::Emulated,
+            CellBench::Vcan => BenchKind::Vcan,
+        };
+        let bench = Bench::open(file, kind, &[], None, false, false)?;
+        let groups = setup::drive_groups(file, bench.ports, bench.lines)?;
+        let (mut servo, mut links) = Servo::new(&setup::servo_config(file), groups)?;
+        let mut emulation = bench.emulation;
+        if let Some(emulation) = emulation.as_mut().filter(|_| self.traffic) {
+            emulation.add_traffic();
+        }
+        let since = clockwork::bring_up(&mut servo, &mut emulation)
+            .map_err(|error| crate::run::why_not_up(file, error))?;
+        for link in &mut links {
+            let ordered = link.orders.push(Order::Enable);
+            ordered.map_err(|_| anyhow!("no order could be given"))?;
+        }
+        let (begun, over) = (now(), turn.over.clone());
+        let end = begun + turn.time;
+        let until =
+            move |_: &Servo| now() >= end || over.load(std::sync::atomic::Ordering::Relaxed);
+        let policy = |time: CellTime| RealtimePolicy { time, ..policy };
+        let running = clockwork::start(servo, emulation, since, policy, until)?;
+        let mut stood = vec![false; links.len()];
+        while !running.is_finished() {
+            for (link, stood) in links.iter_mut().zip(&mut stood) {
+                while let Ok(report) = link.reports.pop() {
+                    *stood |= report.phase == Phase::Standing;
+                }
+            }
+            look(ledger);
+            sleep_until(now() + LOOK);
+        }
+        let finished = running.join();
+        for robot in 0..links.len() {
+            if let Some(fault) = finished.servo.fault(robot) {
+                bail!("robot {}: {fault}", file.cell.robot[robot].name);
+            }
+        }
+        if let Some(panicked) = finished.panicked {
+            bail!("the servo thread panicked: {panicked:?}");
+        }
+        let timing = &finished.timing;
+        for (all, of_turn) in [
+            (&mut self.step, &timing.step),
+            (&mut self.bus, &timing.bus),
+            (&mut self.wake_up, &timing.wake_up),
+        ] {
+            all.add(counts_of(of_turn))?;
+        }
+        self.missed += finished.servo.counters().missed_cycles;
+        self.wait = timing.wait;
+        self.stood &= stood.into_iter().all(|stood| stood);
+        ledger.add(&Interval {
+            begun,
+            ended: now(),
+            late: counts_of(&timing.sync),
+        })?;
+        Ok(finished.denied)
+    }
+
+    /// What was seen of the cycle besides its punctuality.
+    pub(crate) fn report(&self) -> CellReport {
+        CellReport {
+            name: self.file.cell.name.clone(),
+            bench: self.bench,
+            state: if self.stood {
+                "power on, holding position, not homed"
+            } else {
+                "switching on, holding position not reached in every turn"
+            },
+            wake_us: percentiles(&self.wake_up),
+            step_us: percentiles(&self.step),
+            bus_us: percentiles(&self.bus),
+        }
+    }
+}
+
+/// The cycle of a measured cell.
+#[derive(Debug, Serialize)]
+pub(crate) struct CellReport {
+    pub(crate) name: String,
+    pub(crate) bench: CellBench,
+    /// What its drives did.
+    pub(crate) state: &'static str,
+    /// Lateness of the wake-up, µs.
+    pub(crate) wake_us: Percentiles,
+    /// Duration of the step, µs.
+    pub(crate) step_us: Percentiles,
+    /// From SYNC to the last answer to it, µs.
+    pub(crate) bus_us: Percentiles,
+}

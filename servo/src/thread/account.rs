@@ -1,0 +1,107 @@
+//! The kernel's account of the calling thread, read in the slack of a cycle.
+
+use std::fs::File;
+use std::os::unix::fs::FileExt;
+use std::time::Duration;
+
+use super::Usage;
+
+/// Quiet cycles after which the account is read all the same: being woken costs a little delay each time, and what
+/// has added up must not be taken for that of one cycle.
+const STALE: u32 = 16;
+
+/// What the kernel counted for one thread since it was read last.
+#[derive(Debug)]
+pub(super) struct Account {
+    /// `/proc/thread-self/schedstat`, opened before the first cycle; none where the kernel has none.
+    schedstat: Option<File>,
+    last: Usage,
+    /// Wake-up latencies of the quiet cycles since: their delays at most.
+    quiet: Duration,
+    cycles: u32,
+}
+
+impl Account {
+    /// Of the calling thread, from now on.
+    pub(super) fn open() -> Self {
+        let mut account = Self {
+            schedstat: File::open("/proc/thread-self/schedstat").ok(),
+            last: Usage::default(),
+            quiet: Duration::ZERO,
+            cycles: 0,
+        };
+        account.begin();
+        account
+    }
+
+    /// Counts from now on: two system calls.
+    pub(super) fn begin(&mut self) {
+        self.last = Usage {
+            delay: self.delay(),
+            ..Usage::of_this_thread()
+        };
+        (self.quiet, self.cycles) = (Duration::ZERO, 0);
+    }
+
+    /// What was counted for a disturbed cycle; counts anew.
+    pub(super) fn settle(&mut self) -> Usage {
+        let (before, quiet) = (self.last, self.quiet);
+        self.begin();
+        let counted = self.last.since(before);
+        if counted.switches > 0 {
+            return counted;
+        }
+        // Nobody took the CPU while it ran, so its delays were at wake-ups, of which the quiet ones did no harm.
+        Usage {
+            delay: counted.delay.map(|delay| delay.saturating_sub(quiet)),
+            ..counted
+        }
+    }
+
+    /// A cycle was quiet, and the thread was woken this late for it.
+    pub(super) fn pass(&mut self, latency: Duration) {
+        self.quiet += latency;
+        self.cycles += 1;
+        if self.cycles >= STALE {
+            self.begin();
+        }
+    }
+
+    /// Time that the thread was runnable and did not run: the second field, ns (Documentation/scheduler/sched-stats.rst).
+    fn delay(&self) -> Option<Duration> {
+        let mut text = [0; 64];
+        let read = self.schedstat.as_ref()?.read_at(&mut text, 0).ok()?;
+        parse(text.get(..read)?)
+    }
+}
+
+/// The second of the numbers in `text`.
+fn parse(text: &[u8]) -> Option<Duration> {
+    let field = std::str::from_utf8(text)
+        .ok()?
+        .split_ascii_whitespace()
+        .nth(1)?;
+    field.parse().ok().map(Duration::from_nanos)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_delay_is_the_second_number() {
+        for (text, expected) in [
+            ("0 51155 1\n", Some(51_155)),
+            ("7 0 1", Some(0)),
+            ("7", None),
+            ("", None),
+            ("7 x 1", None),
+        ] {
+            assert_eq!(
+                parse(text.as_bytes()),
+                expected.map(Duration::from_nanos),
+                "{text}"
+            );
+        }
+    }
+}

@@ -1,0 +1,292 @@
+//! Delays that are planted in single cycles get their names.
+//!
+//! Only planted cycles are judged, and by their share: the host of a test delays others as it likes. Needs SCHED_FIFO
+//! up to priority 90; `MRROC_LEAVE_OUT=realtime` leaves the cases out that do.
+
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Mutex, PoisonError};
+use std::task::Poll;
+use std::time::Duration;
+
+use can::Instant;
+use can::clock::{now, sleep_until};
+use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters};
+use mrroc_servo::thread::{self, Cause, RealtimePolicy, Wait};
+use mrroc_servo::*;
+
+mod scripted;
+
+/// What is planted, µs: less than half a period, so that no slot is skipped.
+const DELAY: Duration = Duration::from_micros(450);
+/// Cycles from one planted one to the next, and how many in one run: the eight worst are kept.
+const EVERY: u64 = 20;
+const PER_RUN: u64 = 6;
+const RUNS: u64 = 7;
+
+/// One test at a time: they take the CPU from each other.
+static ALONE: Mutex<()> = Mutex::new(());
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Plant {
+    SlowCaller,
+    SpinningBus,
+    BlockingBus,
+    PageFaults,
+    PreemptedStep,
+    StarvedWakeUp,
+}
+
+fn is_planted(cycle: u64) -> bool {
+    cycle % EVERY == EVERY / 2
+}
+
+fn spin_until(end: Instant) {
+    while now() < end {
+        std::hint::spin_loop();
+    }
+}
+
+/// A drive group that delays a cycle.
+struct Delaying {
+    inner: Box<dyn DriveGroup>,
+    plant: Plant,
+    cycle: u64,
+    pages: Pages,
+    hog: Sender<(Instant, Instant)>,
+}
+
+impl DriveGroup for Delaying {
+    fn axes(&self) -> usize {
+        self.inner.axes()
+    }
+
+    fn delay(&self) -> usize {
+        self.inner.delay()
+    }
+
+    fn bring_up(&mut self, now: Instant) -> Poll<Result<(), BringUpError>> {
+        self.inner.bring_up(now)
+    }
+
+    fn read(&mut self, at: Instant, states: &mut [AxisState]) {
+        self.inner.read(at, states);
+        if is_planted(self.cycle) {
+            let end = now() + DELAY;
+            match self.plant {
+                Plant::SpinningBus => spin_until(end),
+                Plant::BlockingBus => sleep_until(end),
+                Plant::PageFaults => self.pages.touch_until(end),
+                Plant::PreemptedStep => self.hog.send((now(), end)).expect("the hog listens"),
+                Plant::SlowCaller | Plant::StarvedWakeUp => {}
+            }
+        }
+    }
+
+    fn write(&mut self, at: Instant, commands: &[AxisCommand]) {
+        self.inner.write(at, commands);
+    }
+
+    fn send(&mut self, at: Instant) -> bool {
+        self.cycle += 1;
+        if is_planted(self.cycle) && self.plant == Plant::StarvedWakeUp {
+            let due = at + scripted::PERIOD;
+            let early = Duration::from_micros(300);
+            let order = (due - early, due + DELAY);
+            self.hog.send(order).expect("the hog listens");
+        }
+        if self.plant == Plant::PageFaults {
+            self.pages.forget();
+        }
+        self.inner.send(at)
+    }
+
+    fn counters(&self) -> GroupCounters {
+        self.inner.counters()
+    }
+}
+
+/// Memory of which every page faults at its first touch.
+struct Pages(usize);
+
+impl Pages {
+    const BYTES: usize = 32 << 20;
+
+    #[expect(unsafe_code, reason = "pages are the kernel's")]
+    fn new() -> Self {
+        // SAFETY: a mapping of its own, which nobody else knows.
+        let start = unsafe {
+            let start = libc::mmap(
+                std::ptr::null_mut(),
+                Self::BYTES,
+                libc::PROT_READ | libc::PROT_WRITE,
+                libc::MAP_PRIVATE | libc::MAP_ANONYMOUS,
+                -1,
+                0,
+            );
+            assert_ne!(start, libc::MAP_FAILED);
+            libc::madvise(start, Self::BYTES, libc::MADV_NOHUGEPAGE);
+            start
+        };
+        Self(start as usize)
+    }
+
+    #[expect(unsafe_code, reason = "pages are the kernel's")]
+    fn touch_until(&mut self, end: Instant) {
+        for page in (self.0..self.0 + Self::BYTES).step_by(4096) {
+            // SAFETY: the page is of the mapping, which lasts as long as this.
+            unsafe { (page as *mut u8).write_volatile(1) };
+            if now() >= end {
+                break;
+            }
+        }
+    }
+
+    #[expect(unsafe_code, reason = "pages are the kernel's")]
+    fn forget(&mut self) {
+        // SAFETY: what is in the mapping is needed no more.
+        let done = unsafe { libc::madvise(self.0 as *mut _, Self::BYTES, libc::MADV_DONTNEED) };
+        assert_eq!(done, 0, "the mapping is not locked");
+    }
+}
+
+impl Drop for Pages {
+    #[expect(unsafe_code, reason = "pages are the kernel's")]
+    fn drop(&mut self) {
+        // SAFETY: nobody else knows the mapping.
+        unsafe { libc::munmap(self.0 as *mut _, Self::BYTES) };
+    }
+}
+
+/// A thread above the servo's, on its CPU, that takes it from one time to another.
+fn hog(cpu: usize, orders: Receiver<(Instant, Instant)>) {
+    let policy = RealtimePolicy {
+        priority: 90,
+        cpu: Some(cpu),
+        lock_memory: false,
+        ..RealtimePolicy::BEST_EFFORT
+    };
+    assert_eq!(thread::demand(&policy), [], "the hog needs them");
+    for (from, to) in orders {
+        sleep_until(from);
+        spin_until(to);
+    }
+}
+
+/// How many of the planted cycles were named `cause`, of how many.
+fn plant(plant: Plant, cause: Cause) -> (u64, u64) {
+    let (mut right, mut planted) = (0, 0);
+    for _ in 0..RUNS {
+        let mut config = scripted::config(2);
+        config.max_missed_in_row = u32::MAX;
+        let (inner, world) = scripted::group(2);
+        world.lock().expect("nobody else has it yet").log = false;
+        let (tell, told) = channel();
+        let group = Delaying {
+            inner,
+            plant,
+            cycle: 0,
+            pages: Pages::new(),
+            hog: tell,
+        };
+        let (servo, _links) =
+            Servo::new(&config, vec![Box::new(group)]).expect("the configuration is sound");
+        let cpu = current_cpu();
+        let hog = matches!(plant, Plant::PreemptedStep | Plant::StarvedWakeUp)
+            .then(|| std::thread::spawn(move || hog(cpu, told)));
+        // Until the hog waits.
+        sleep_until(now() + Duration::from_millis(20));
+        let policy = RealtimePolicy {
+            cpu: Some(cpu),
+            lock_memory: false,
+            wait: Wait::Hybrid {
+                margin: Some(Duration::from_micros(100)),
+                spin_share: 0.2,
+            },
+            ..RealtimePolicy::BEST_EFFORT
+        };
+        let mut next_cycle = 0;
+        let between = move |next: Instant| {
+            next_cycle += 1;
+            if plant == Plant::SlowCaller && is_planted(next_cycle) {
+                spin_until(next + DELAY);
+            }
+        };
+        let mut cycles = 0;
+        let until = move |_: &Servo| {
+            cycles += 1;
+            cycles == EVERY * PER_RUN
+        };
+        let finished = thread::run(servo, policy, between, until).expect("nothing is required");
+        let late = finished.timing.late;
+        let named = |cycle| {
+            late.worst()
+                .any(|one| one.cycle == cycle && one.cause == cause)
+        };
+        right += (0..EVERY * PER_RUN)
+            .filter(|&cycle| is_planted(cycle) && named(cycle))
+            .count() as u64;
+        planted += PER_RUN;
+        drop(finished.servo);
+        if let Some(hog) = hog {
+            hog.join()
+                .expect("SCHED_FIFO 90 on the servo's CPU is granted");
+        }
+    }
+    (right, planted)
+}
+
+#[expect(unsafe_code, reason = "the current CPU is the kernel's to tell")]
+fn current_cpu() -> usize {
+    // SAFETY: it takes nothing and touches nothing.
+    unsafe { libc::sched_getcpu() }.max(0) as usize
+}
+
+/// Nine of ten planted cycles have the right name, at the second attempt at the latest.
+fn check(cases: &[(Plant, Cause)]) {
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
+    for &(planted, cause) in cases {
+        let first = plant(planted, cause);
+        let enough = |(right, of): (u64, u64)| 10 * right >= 9 * of;
+        if enough(first) {
+            continue;
+        }
+        sleep_until(now() + Duration::from_secs(1));
+        let second = plant(planted, cause);
+        assert!(
+            enough(second),
+            "{planted:?}: named {cause:?} in {first:?}, then {second:?} planted cycles"
+        );
+    }
+}
+
+#[test]
+fn what_the_thread_does_itself_is_named() {
+    check(&[
+        (Plant::SlowCaller, Cause::OwnStep),
+        (Plant::SpinningBus, Cause::Bus),
+        (Plant::BlockingBus, Cause::Bus),
+        (Plant::PageFaults, Cause::PageFault),
+    ]);
+}
+
+#[test]
+fn a_thread_that_takes_the_cpu_is_named() {
+    let left_out = std::env::var("MRROC_LEAVE_OUT").unwrap_or_default();
+    if left_out.split(',').any(|part| part == "realtime") {
+        println!("left out: realtime");
+        return;
+    }
+    let denied = std::thread::spawn(|| thread::set_fifo(90))
+        .join()
+        .expect("it does not panic");
+    assert_eq!(
+        denied,
+        Ok(()),
+        "grant it, or leave it out: MRROC_LEAVE_OUT=realtime"
+    );
+    check(&[
+        (Plant::PreemptedStep, Cause::Preempted),
+        // It could run when it asked to, and another did.
+        (Plant::StarvedWakeUp, Cause::Preempted),
+    ]);
+}
