@@ -27,7 +27,10 @@ fn integrator(gain: f64, delay: usize, excitation: &[f64], periods: usize) -> (V
 #[test]
 fn an_integrator_with_a_delay_is_measured_as_it_is_calculated() {
     let lines = lines(LENGTH, DT, [2.0, 120.0], 40);
-    for excite in [multisine, chirp] {
+    // A chirp excites what lies between its lines too, and the window mixes neighbours.
+    type Sequence = fn(usize, &[usize], f64) -> Vec<f64>;
+    let cases: [(Sequence, f64); 2] = [(multisine, 0.02), (chirp, 0.06)];
+    for (excite, most) in cases {
         let excitation = excite(LENGTH, &lines, 1.0);
         for (gain, delay) in [(60.0, 0), (60.0, 2), (30.0, 5)] {
             let (input, output) = integrator(gain, delay, &excitation, 3);
@@ -37,10 +40,10 @@ fn an_integrator_with_a_delay_is_measured_as_it_is_calculated() {
             let w = 2.0 / DT * (gain * DT / 2.0).asin();
             let phase = TAU / 4.0 - w * DT * (0.5 + delay as f64);
             assert!(
-                (found.crossover * TAU / w - 1.0).abs() < 0.02,
+                (found.crossover * TAU / w - 1.0).abs() < most,
                 "{found:?}, {w}"
             );
-            assert!((found.phase - phase).abs() < 0.03, "{found:?}, {phase}");
+            assert!((found.phase - phase).abs() < most, "{found:?}, {phase}");
             assert!(points.iter().all(|it| it.coherence > 0.99), "{points:?}");
         }
     }
