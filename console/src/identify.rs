@@ -232,8 +232,8 @@ fn plan(
             axis.max_velocity
         );
     }
-    if options.periods == 0 {
-        bail!("--periods 0: one at least is measured");
+    if options.periods < 2 {
+        bail!("--periods {}: two at least are measured", options.periods);
     }
     let most = servo::greatest_excitation(axis);
     let amplitude = options.amplitude.unwrap_or(match axis.position_loop {

@@ -21,6 +21,7 @@ mod faults;
 mod heap;
 mod homing;
 mod host_closed;
+mod identify;
 mod jitter;
 mod loops;
 mod lss;

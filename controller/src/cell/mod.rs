@@ -303,7 +303,8 @@ pub enum DriveControl {
     Position,
     /// Velocity (CSV): the host closes the position loop.
     Velocity,
-    /// Torque (CST): the host closes position and velocity loop.
+    /// Torque (CST): the host closes position and velocity loop. Their gain is right only if `rated_torque` is what the
+    /// drive says in object 0x6076, which for maxon is nominal current times torque constant.
     Torque,
 }
 
