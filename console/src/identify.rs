@@ -153,7 +153,7 @@ pub(crate) fn identify(options: &Options) -> anyhow::Result<ExitCode> {
     let (kind, points) = trace
         .response(&run, &axis, delay, &lines)
         .ok_or_else(|| anyhow!("{name}: the measurement was broken off"))?;
-    let report = Report::of(name, options.bench.name(), &axis, &run, kind, points);
+    let report = Report::of(name, options.bench.name(), &axis, &run, kind, &points);
     if let Some(directory) = &options.out {
         let write = |name: &str, text: String| {
             let path = directory.join(name);

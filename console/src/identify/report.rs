@@ -53,7 +53,7 @@ impl Report {
         config: &ServoAxisConfig,
         run: &Run,
         kind: Response,
-        points: Vec<Point>,
+        points: &[Point],
     ) -> Self {
         let (closed_by, unit) = match &config.position_loop {
             PositionLoop::Drive => ("the drive".into(), "rad"),
@@ -74,8 +74,8 @@ impl Report {
             }
         };
         let open = kind == Response::Open;
-        let margin: Option<Margin> = margin(&points).filter(|_| open);
-        let bandwidth = bandwidth(&points).filter(|_| !open);
+        let margin: Option<Margin> = margin(points).filter(|_| open);
+        let bandwidth = bandwidth(points).filter(|_| !open);
         let peak = points.iter().map(|it| it.magnitude).fold(0.0, f64::max);
         let end = margin.map(|it| it.crossover).or(bandwidth);
         let judged = points
