@@ -20,6 +20,8 @@ mod epos_service;
 mod faults;
 mod heap;
 mod homing;
+mod host_closed;
+mod identify;
 mod jitter;
 mod kinematics;
 mod loops;
