@@ -80,6 +80,12 @@ fn the_cycle_of_a_cell_is_measured_with_its_drives_on() {
         report["cell"]["state"], "power on, holding position, not homed",
         "{report}"
     );
+    let nodes = report["cell"]["wire"][0]["nodes"].as_array().unwrap();
+    for (node, answer) in nodes.iter().zip([123.0, 245.0, 365.0, 487.0, 609.0]) {
+        let median = node["sync_to_tpdo_us"]["p50"].as_f64().unwrap();
+        assert!((median - answer).abs() < 3.0, "{node}");
+    }
+    assert_eq!(nodes.len(), 5);
     for (part, least) in [("step_us", 0.5), ("bus_us", 300.0), ("wake_us", 0.0)] {
         let values = KEYS.map(|key| report["cell"][part][key].as_f64().unwrap());
         assert!(

@@ -17,6 +17,7 @@ use super::report::percentiles;
 use crate::bench::{Bench, BenchKind};
 use crate::cell_file::CellFile;
 use crate::report::Percentiles;
+use crate::wire::{Wire, WireReport};
 use crate::{clockwork, setup};
 
 /// What a cell is measured on; nothing here moves hardware.
@@ -44,6 +45,8 @@ pub(crate) struct MeasuredCell<'a> {
     pub(crate) late: LateCycles,
     /// The cycles around the latest, of all turns; each turn numbers its own.
     pub(crate) spikes: Vec<Spike>,
+    /// What listens to its buses, from the first turn on.
+    wire: Option<Wire>,
     /// Whether every robot stood with its power on in every turn.
     stood: bool,
 }
@@ -61,6 +64,7 @@ impl<'a> MeasuredCell<'a> {
             wait: WaitReport::default(),
             late: LateCycles::default(),
             spikes: Vec::new(),
+            wire: None,
             stood: true,
         }
     }
@@ -84,6 +88,7 @@ impl<'a> MeasuredCell<'a> {
             CellBench::Vcan => BenchKind::Vcan,
         };
         let bench = Bench::open(file, kind, &[], None, false, false)?;
+        let mut wire = bench.wire.continuing(self.wire.take());
         let groups = setup::drive_groups(file, bench.ports, bench.lines)?;
         let (mut servo, mut links) = Servo::new(&setup::servo_config(file), groups)?;
         let mut emulation = bench.emulation;
@@ -109,10 +114,13 @@ impl<'a> MeasuredCell<'a> {
                     *stood |= report.phase == Phase::Standing;
                 }
             }
+            wire.look();
             look(ledger);
             sleep_until(now() + LOOK);
         }
         let finished = running.join();
+        wire.look();
+        self.wire = Some(wire);
         for robot in 0..links.len() {
             if let Some(fault) = finished.servo.fault(robot) {
                 bail!("robot {}: {fault}", file.cell.robot[robot].name);
@@ -158,6 +166,7 @@ impl<'a> MeasuredCell<'a> {
             wake_us: percentiles(&self.wake_up),
             step_us: percentiles(&self.step),
             bus_us: percentiles(&self.bus),
+            wire: self.wire.as_ref().map_or_else(Vec::new, Wire::reports),
         }
     }
 }
@@ -175,4 +184,6 @@ pub(crate) struct CellReport {
     pub(crate) step_us: Percentiles,
     /// From SYNC to the last answer to it, µs.
     pub(crate) bus_us: Percentiles,
+    /// Every bus on the wire.
+    pub(crate) wire: Vec<WireReport>,
 }

@@ -245,6 +245,9 @@ impl fmt::Display for Report {
                 "\nours is from deadline to SYNC; cell {}: {}",
                 cell.name, cell.state
             )?;
+            for wire in &cell.wire {
+                write!(f, "{wire}")?;
+            }
         }
         writeln!(f)?;
         if let Some(cost) = self.ours.cost.filter(|cost| cost.spin_percent > 0.0) {
