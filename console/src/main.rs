@@ -12,6 +12,7 @@ mod cell_file;
 mod check;
 mod clockwork;
 mod configuration;
+mod datasheet;
 mod doctor;
 mod eds;
 mod emulate;
@@ -28,8 +29,10 @@ mod run;
 mod service;
 mod setup;
 mod stdout;
+mod svg;
 mod trace;
 mod urdf;
+mod usage;
 mod vm;
 mod wire;
 
@@ -99,6 +102,9 @@ enum Command {
         #[command(subcommand)]
         question: kinematics::Question,
     },
+    /// Print a robot's data sheet in Markdown, or its figure in SVG: geometry, drives, limits, and where the numbers come
+    /// from.
+    Datasheet(datasheet::Options),
     /// Print a robot's description (URDF) for viewers and libraries of rigid bodies.
     Urdf(urdf::Options),
     /// Run a command in a virtual machine that has CAN.
@@ -117,7 +123,11 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    let result = match Arguments::parse().command {
+    let arguments = match Arguments::try_parse() {
+        Ok(arguments) => arguments,
+        Err(error) => return usage::answer(&error),
+    };
+    let result = match arguments.command {
         Command::Check { cell, json } => check::check(&cell, json),
         Command::Doctor(options) => doctor::doctor(&options),
         Command::Run(options) => run::run(&options),
@@ -130,6 +140,7 @@ fn main() -> ExitCode {
         Command::Eds { cell, axis } => eds::eds(&cell, &axis),
         Command::Jitter(options) => jitter::jitter(&options),
         Command::Kinematics { question } => kinematics::kinematics(&question),
+        Command::Datasheet(options) => datasheet::datasheet(&options),
         Command::Urdf(options) => urdf::urdf(&options),
         Command::Vm { machine } => vm::vm(&machine),
         Command::Schema => check::schema(),

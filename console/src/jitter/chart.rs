@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 
 use super::interval::{Counts, Ledger, Series};
+use crate::svg::{self, text};
 
 /// Size of the picture, px.
 const WIDTH: f64 = 960.0;
@@ -54,11 +55,7 @@ pub(crate) fn chart(setting: &str, ours: &Curve, peer: Option<&Curve>) -> String
     let end = curves().flat_map(|(curve, _)| curve.series.times.last().map(|last| last[1]));
     let seconds = end.fold(0.0, f64::max).max(1e-3);
 
-    let mut svg = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" width=\"{WIDTH}\" \
-         height=\"{HEIGHT}\" font-family=\"Helvetica, Arial, sans-serif\" font-size=\"13\" fill=\"#333\">\n\
-         <rect width=\"100%\" height=\"100%\" fill=\"#fff\"/>\n"
-    );
+    let mut svg = svg::open([WIDTH, HEIGHT]);
     text(
         &mut svg,
         [LEFT, 32.0],
@@ -212,19 +209,8 @@ fn legend<'a>(svg: &mut String, curves: impl Iterator<Item = (&'a Curve<'a>, &'s
     }
 }
 
-fn text(svg: &mut String, [x, y]: [f64; 2], anchor: &str, style: &str, said: &str) {
-    let said = said.replace('&', "&amp;").replace('<', "&lt;");
-    let _ = writeln!(
-        svg,
-        "<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\" {style}>{said}</text>"
-    );
-}
-
-fn line(svg: &mut String, [x1, y1]: [f64; 2], [x2, y2]: [f64; 2]) {
-    let _ = writeln!(
-        svg,
-        "<path d=\"M{x1:.1} {y1:.1}L{x2:.1} {y2:.1}\" stroke=\"#e3e6ea\" stroke-width=\"1\"/>"
-    );
+fn line(svg: &mut String, from: [f64; 2], to: [f64; 2]) {
+    svg::line(svg, from, to, "stroke=\"#e3e6ea\" stroke-width=\"1\"");
 }
 
 /// 0, 90, 99, 99.9 and so on.
