@@ -102,8 +102,8 @@ enum Command {
         #[command(subcommand)]
         question: kinematics::Question,
     },
-    /// Print a robot's data sheet in Markdown, or its figure in SVG: geometry, drives, limits, and where the numbers come
-    /// from.
+    /// Print the data sheet of a robot, of the gripper or of the conveyor in Markdown, or its figure in SVG: geometry,
+    /// drives, limits, and where the numbers come from.
     Datasheet(datasheet::Options),
     /// Print a robot's description (URDF) for viewers and libraries of rigid bodies.
     Urdf(urdf::Options),

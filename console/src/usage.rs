@@ -29,7 +29,7 @@ fn line(message: &str) -> String {
     let mut said = String::new();
     for part in message.lines().map(str::trim) {
         let part = part.strip_prefix("error: ").unwrap_or(part);
-        if part.is_empty() || part.starts_with("For more information") {
+        if part.is_empty() {
             continue;
         }
         if said.ends_with(':') {
@@ -37,7 +37,10 @@ fn line(message: &str) -> String {
         } else if !said.is_empty() {
             said.push_str("; ");
         }
-        said.push_str(&part.replacen("Usage:", "usage:", 1));
+        match part {
+            "For more information, try '--help'." => said.push_str("see '--help'"),
+            part => said.push_str(&part.replacen("Usage:", "usage:", 1)),
+        }
     }
     said
 }
@@ -51,7 +54,7 @@ mod tests {
         let message = "error: the following required arguments were not provided:\n  --robot <ROBOT>\n  --joints <JOINTS>\n\n\
                        Usage: mrroc kinematics fk --robot <ROBOT>\n\nFor more information, try '--help'.\n";
         let expected = "the following required arguments were not provided: --robot <ROBOT>; --joints <JOINTS>; \
-                        usage: mrroc kinematics fk --robot <ROBOT>";
+                        usage: mrroc kinematics fk --robot <ROBOT>; see '--help'";
         assert_eq!(line(message), expected);
     }
 }

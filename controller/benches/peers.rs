@@ -45,9 +45,7 @@ fn main() -> ExitCode {
     let theirs = theirs(&robots);
     let call = theirs["call_ns"].as_f64().unwrap();
     println!("a call of pinocchio from Python that does next to nothing: {call:.0} ns");
-    println!(
-        "robot        forward ns: mrroc  pinocchio    inverse ns: mrroc  pinocchio   (steps, converged)"
-    );
+    println!("ns          forward: ours, theirs; inverse: ours, theirs; joints from motors: ours");
     let mut rows = Vec::new();
     let mut holds = true;
     for (robot, theirs) in robots.iter().zip(theirs["robots"].as_array().unwrap()) {

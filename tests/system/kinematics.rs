@@ -300,8 +300,14 @@ fn wrong_words_are_refused_in_one_line() {
 fn joints_in_degrees_are_answered_with_a_word_about_radians() {
     let notes =
         |joints: &str| answer(&format!("fk --robot irp6 --joints {joints}"))["notes"].to_string();
-    assert!(notes("0,-90,0,0,90,0").contains("rad, not degrees"));
-    assert!(!notes("0,-1,0,0,20,0").contains("degrees"));
+    assert!(notes("0,-90,0,0,90,0").contains("rad and m, not degrees"));
+    for within_reason in ["0,-1,0,0,20,0", "0,-1.5,0,0,-9,0"] {
+        let notes = notes(within_reason);
+        assert!(
+            notes.contains("beyond its limit") && !notes.contains("degrees"),
+            "{notes}"
+        );
+    }
     let free = answer("fk --robot polycrank --joints 90,0,0,0,0,0,0")["notes"].to_string();
     assert!(
         !free.contains("degrees"),
@@ -354,7 +360,7 @@ fn questions_without_an_answer_are_refused_in_one_line() {
         ),
         (
             "fk --robot irb6 --joints 1,2,x,4,5",
-            "--joints: \"x\" is not a number",
+            "--joints: \"x\" is not a number, as in a list separated by commas",
         ),
         (
             "fk --robot irb6 --joints 1,2,nan,4,5",

@@ -363,7 +363,7 @@ impl Sheet {
         let across = [-along[1], along[0]];
         let beside = |offset: f64, end: Point| [0, 1].map(|side| end[side] + offset * across[side]);
         let middle = [0, 1].map(|side| f64::midpoint(from[side], to[side]));
-        let offsets = [30.0, -30.0, 48.0, -48.0, 66.0, -66.0];
+        let offsets = [30.0, -30.0, 48.0, -48.0, 66.0, -66.0, 84.0, -84.0];
         // A text wider than its line stands behind it.
         let wide = 0.6 * size * said.chars().count() as f64 > seen - 4.0;
         let place = |offset: f64| {

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
-use controller::robot::{Joints, KinematicsError, Limits, Solutions};
+use controller::robot::{Joints, KinematicsError, Limits, Solutions, Space};
 use serde::Serialize;
 
 use super::Machine;
@@ -43,10 +43,14 @@ impl Forward {
             Ok(motors) => Some(motors.to_vec()),
             Err(error) => {
                 notes.push(format!("no motors: {error}"));
-                if let KinematicsError::BeyondLimit { value, .. } = error
+                if let KinematicsError::BeyondLimit {
+                    space: Space::Joint,
+                    value,
+                    ..
+                } = error
                     && value.abs() > DEGREES
                 {
-                    notes.push("positions of joints are in rad, not degrees".into());
+                    notes.push("positions of joints are in rad and m, not degrees and mm".into());
                 }
                 None
             }
