@@ -50,7 +50,7 @@ fn main() -> ExitCode {
     let mut holds = true;
     for (robot, theirs) in robots.iter().zip(theirs["robots"].as_array().unwrap()) {
         let (forward, inverse, from_motors) =
-            (robot.forward(), robot.inverse(), robot.from_motors());
+            (robot.forward(), robot.inverse(), robot.joints_from_motors());
         let number = |key: &str| theirs[key].as_f64().unwrap_or(f64::NAN);
         let slow = inverse >= robot.within || from_motors >= FROM_MOTORS;
         holds &= !slow;
@@ -104,7 +104,7 @@ impl Measured {
     }
 
     /// Joints from the motors, which the RNT's legs have by Newton's method.
-    fn from_motors(&self) -> f64 {
+    fn joints_from_motors(&self) -> f64 {
         let motors = self
             .postures
             .iter()
