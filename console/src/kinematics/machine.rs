@@ -7,8 +7,8 @@ use anyhow::{Context as _, anyhow};
 use clap::Args;
 use controller::cell::{Model, Parameters};
 use controller::robot::{
-    Irp6Track, Irp6TrackParameters, Joints, Limits, Motors, ParameterError, Polycrank,
-    PolycrankParameters, Rnt, RntParameters, Robot, Vector,
+    Irb6Parameters, Irp6Parameters, Irp6Track, Irp6TrackParameters, Joints, Limits, Motors,
+    ParameterError, Polycrank, PolycrankParameters, Rnt, RntParameters, Robot, Vector,
 };
 
 use nalgebra::Vector3;
@@ -24,13 +24,15 @@ const ROBOTS: [(&str, Make); 5] = [
     ("irb6", || of_cell(&Model::Irb6.parameters())),
     ("irp6", || of_cell(&Model::Irp6.parameters())),
     ("irp6-track", || {
-        let robot = Irp6Track::new(&Irp6TrackParameters::irp6ot())?;
-        Ok(Machine::new(Arc::new(robot)))
+        let numbers = Irp6TrackParameters::irp6ot();
+        let robot = Irp6Track::new(&numbers)?;
+        Ok(Machine::new(Arc::new(robot), Numbers::Irp6Track(numbers)))
     }),
     ("rnt", || of_cell(&Model::Rnt.parameters())),
     ("polycrank", || {
-        let robot = Polycrank::new(&PolycrankParameters::polycrank())?;
-        let mut machine = Machine::new(Arc::new(robot));
+        let numbers = PolycrankParameters::polycrank();
+        let robot = Polycrank::new(&numbers)?;
+        let mut machine = Machine::new(Arc::new(robot), Numbers::Polycrank(numbers));
         machine.caution = Some(POLYCRANK);
         Ok(machine)
     }),
@@ -52,21 +54,48 @@ pub(crate) struct Which {
     cell: Option<PathBuf>,
 }
 
+impl Which {
+    /// The name, where no cell file has to be read to know whose it is.
+    pub(crate) fn known(&self) -> Option<&str> {
+        self.cell.is_none().then_some(&*self.robot)
+    }
+
+    #[cfg(test)]
+    pub(crate) fn preset(name: &str) -> Self {
+        Self {
+            robot: name.into(),
+            cell: None,
+        }
+    }
+}
+
+/// The parameters of a robot, by its kind.
+#[derive(Clone, Copy)]
+pub(crate) enum Numbers {
+    Irb6(Irb6Parameters),
+    Irp6(Irp6Parameters),
+    Irp6Track(Irp6TrackParameters),
+    Rnt(RntParameters),
+    Polycrank(PolycrankParameters),
+}
+
 /// A robot by name.
 pub(crate) struct Machine {
     pub(crate) name: String,
     pub(crate) robot: Arc<dyn Robot>,
+    pub(crate) numbers: Numbers,
     /// Of a robot that has legs.
-    rnt: Option<(Rnt, RntParameters)>,
+    rnt: Option<Rnt>,
     /// What must be known of the numbers.
     pub(crate) caution: Option<&'static str>,
 }
 
 impl Machine {
-    fn new(robot: Arc<dyn Robot>) -> Self {
+    fn new(robot: Arc<dyn Robot>, numbers: Numbers) -> Self {
         Self {
             name: String::new(),
             robot,
+            numbers,
             rnt: None,
             caution: None,
         }
@@ -100,7 +129,7 @@ impl Machine {
     /// The joints at a list of motor positions, of the RNT's legs at their lengths.
     pub(super) fn joints_from_motors(&self, list: &str) -> anyhow::Result<Joints> {
         let mut motors: Motors = self.vector("--motors", list)?;
-        if let Some((_, parameters)) = &self.rnt {
+        if let Numbers::Rnt(parameters) = &self.numbers {
             for (motor, leg) in motors.iter_mut().zip(&parameters.legs) {
                 *motor = leg.motor(*motor);
             }
@@ -117,18 +146,22 @@ impl Machine {
     /// Leg lengths at these joints, m, of a robot that has legs.
     pub(super) fn leg_lengths(&self, joints: &Joints) -> anyhow::Result<Option<[f64; 3]>> {
         let rnt = self.rnt.as_ref();
-        Ok(rnt.map(|(rnt, _)| rnt.leg_lengths(joints)).transpose()?)
+        Ok(rnt.map(|rnt| rnt.leg_lengths(joints)).transpose()?)
     }
 
     /// Ranges of the legs, m, of a robot that has them.
     pub(super) fn leg_limits(&self) -> Option<[Limits; 3]> {
-        let (_, parameters) = self.rnt.as_ref()?;
+        let Numbers::Rnt(parameters) = &self.numbers else {
+            return None;
+        };
         Some(parameters.legs.map(|leg| leg.length_limits))
     }
 
     /// Where each leg begins on the base and ends on the platform, m, of a robot that has legs.
     pub(crate) fn leg_ends(&self) -> Option<[[Vector3<f64>; 2]; 3]> {
-        let (_, parameters) = self.rnt.as_ref()?;
+        let Numbers::Rnt(parameters) = &self.numbers else {
+            return None;
+        };
         Some(parameters.leg_ends())
     }
 
@@ -147,14 +180,15 @@ impl Machine {
 
 /// The robot of these numbers of a cell.
 fn of_cell(parameters: &Parameters) -> Result<Machine, ParameterError> {
-    let machine = Machine::new(parameters.kinematics()?);
-    Ok(match parameters {
-        Parameters::Rnt(parameters) => Machine {
-            rnt: Some((Rnt::new(parameters)?, *parameters)),
-            caution: (*parameters == RntParameters::nominal()).then_some(RNT),
-            ..machine
+    let robot = parameters.kinematics()?;
+    Ok(match *parameters {
+        Parameters::Irb6(numbers) => Machine::new(robot, Numbers::Irb6(numbers)),
+        Parameters::Irp6(numbers) => Machine::new(robot, Numbers::Irp6(numbers)),
+        Parameters::Rnt(numbers) => Machine {
+            rnt: Some(Rnt::new(&numbers)?),
+            caution: (numbers == RntParameters::nominal()).then_some(RNT),
+            ..Machine::new(robot, Numbers::Rnt(numbers))
         },
-        Parameters::Irb6(_) | Parameters::Irp6(_) => machine,
     })
 }
 
