@@ -279,8 +279,10 @@ fn plant(file: &CellFile, robot: usize, number: usize) -> AxisConfig {
     let home = file.arms[robot].robot().home()[number];
     let limits = file.arms[robot].robot().motor_limits()[number];
     let kind = match file.cell.robot[robot].model {
-        // Nothing is known of the RNT's motors: those of the IRp-6 stand in.
+        // The motors of the IRp-6 stand in for those of which nothing is known.
         Model::Irb6 | Model::Irp6 | Model::Irp6Calibrated | Model::Rnt => Irp6Axis::ALL[number],
+        Model::Irp6Track | Model::Irp6TrackCalibrated => Irp6Axis::ALL[number.saturating_sub(1)],
+        Model::Polycrank | Model::Gripper | Model::Conveyor => Irp6Axis::Column,
     };
     let preset = match axis.emulator.plant {
         Plant::Physical => AxisConfig::irp6(kind),

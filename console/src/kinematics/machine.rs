@@ -7,34 +7,13 @@ use anyhow::{Context as _, anyhow};
 use clap::Args;
 use controller::cell::{Model, Parameters};
 use controller::robot::{
-    Irp6Track, Irp6TrackParameters, Joints, Limits, Motors, ParameterError, Polycrank,
-    PolycrankParameters, Rnt, RntParameters, Robot, Vector,
+    Joints, Limits, Motors, ParameterError, PolycrankParameters, Rnt, RntParameters, Robot, Vector,
 };
 
 use nalgebra::Vector3;
 
 use super::numbers;
 use crate::cell_file::CellFile;
-
-/// Makes a robot of its own numbers.
-type Make = fn() -> Result<Machine, ParameterError>;
-
-/// The robots by name.
-const ROBOTS: [(&str, Make); 5] = [
-    ("irb6", || of_cell(&Model::Irb6.parameters())),
-    ("irp6", || of_cell(&Model::Irp6.parameters())),
-    ("irp6-track", || {
-        let robot = Irp6Track::new(&Irp6TrackParameters::irp6ot())?;
-        Ok(Machine::new(Arc::new(robot)))
-    }),
-    ("rnt", || of_cell(&Model::Rnt.parameters())),
-    ("polycrank", || {
-        let robot = Polycrank::new(&PolycrankParameters::polycrank())?;
-        let mut machine = Machine::new(Arc::new(robot));
-        machine.caution = Some(POLYCRANK);
-        Ok(machine)
-    }),
-];
 
 const RNT: &str =
     "geometry, drives and limits of the RNT are nominal: none was measured or published";
@@ -44,7 +23,7 @@ const POLYCRANK: &str =
 /// Which robot.
 #[derive(Args)]
 pub(crate) struct Which {
-    /// The robot: irb6, irp6, irp6-track, rnt or polycrank; with --cell the name of one of its robots.
+    /// The robot by its model, such as irp6-track; with --cell by its name in the cell.
     #[arg(long)]
     robot: String,
     /// A cell file, whose robot may have parameters of its own.
@@ -154,15 +133,24 @@ fn of_cell(parameters: &Parameters) -> Result<Machine, ParameterError> {
             caution: (*parameters == RntParameters::nominal()).then_some(RNT),
             ..machine
         },
-        Parameters::Irb6(_) | Parameters::Irp6(_) => machine,
+        Parameters::Polycrank(parameters) => Machine {
+            caution: (*parameters == PolycrankParameters::polycrank()).then_some(POLYCRANK),
+            ..machine
+        },
+        Parameters::Irb6(_)
+        | Parameters::Irp6(_)
+        | Parameters::Irp6Track(_)
+        | Parameters::Gripper(_)
+        | Parameters::Conveyor(_) => machine,
     })
 }
 
 fn preset(name: &str) -> anyhow::Result<Machine> {
-    let found = ROBOTS.iter().find(|(known, _)| *known == name);
-    let names = ROBOTS.iter().map(|(known, _)| *known);
-    let (_, make) = found.ok_or_else(|| unknown("there is no robot", name, names))?;
-    Ok(make()?)
+    let mut models = Model::ALL.into_iter();
+    let found = models.find(|model| model.name() == name);
+    let names = Model::ALL.into_iter().map(Model::name);
+    let model = found.ok_or_else(|| unknown("there is no robot", name, names))?;
+    Ok(of_cell(&model.parameters())?)
 }
 
 fn unknown<'a>(what: &str, name: &str, known: impl Iterator<Item = &'a str>) -> anyhow::Error {
