@@ -9,6 +9,7 @@ mod budget;
 mod bus_port;
 mod card;
 mod cell_file;
+mod chart;
 mod check;
 mod clockwork;
 mod configuration;
@@ -17,6 +18,7 @@ mod eds;
 mod emulate;
 mod emulated_lines;
 mod emulation;
+mod identify;
 mod interfaces;
 mod jitter;
 mod kinematics;
@@ -92,6 +94,9 @@ enum Command {
         /// The axis: ROBOT/AXIS, the axis's name, or its node-ID.
         axis: String,
     },
+    /// Measure the loop of one axis: frequency response, crossover and phase margin. Homes the robot on the emulated
+    /// benches; moves hardware on the card bench, where it has to be told so.
+    Identify(identify::Options),
     /// Measure how punctual a thread that waits as the servo's does is on this host, beside cyclictest in the same run.
     Jitter(jitter::Options),
     /// Where a robot's flange is for given joints, which joints put it there, and how they move it.
@@ -128,6 +133,7 @@ fn main() -> ExitCode {
         Command::Lss { action } => service::lss::lss(&action),
         Command::Monitor(options) => service::monitor::monitor(&options),
         Command::Eds { cell, axis } => eds::eds(&cell, &axis),
+        Command::Identify(options) => identify::identify(&options),
         Command::Jitter(options) => jitter::jitter(&options),
         Command::Kinematics { question } => kinematics::kinematics(&question),
         Command::Urdf(options) => urdf::urdf(&options),

@@ -285,17 +285,25 @@ impl Writing {
 }
 
 /// A servo thread that is stopped in order and waited for when this is dropped, by a panic too.
-struct Turning {
+pub(crate) struct Turning {
     running: Option<Running>,
     over: Over,
 }
 
 impl Turning {
-    fn is_finished(&self) -> bool {
+    /// A servo thread that ends once `over` is set.
+    pub(crate) fn of(running: Running, over: Arc<AtomicBool>) -> Self {
+        Self {
+            running: Some(running),
+            over: Over(over),
+        }
+    }
+
+    pub(crate) fn is_finished(&self) -> bool {
         self.running.as_ref().is_none_or(Running::is_finished)
     }
 
-    fn end(mut self) -> Finished {
+    pub(crate) fn end(mut self) -> Finished {
         self.over.raise();
         let running = self.running.take();
         running.expect("taken at its end alone").join()
@@ -471,10 +479,7 @@ fn by_the_clock(
         }
     };
     let running = clockwork::start(servo, emulation, emulated_since, policy, until)?;
-    let turning = Turning {
-        running: Some(running),
-        over: Over(done.clone()),
-    };
+    let turning = Turning::of(running, done.clone());
     let (tell, told) = sync_channel(SEEN);
     std::thread::scope(|scope| {
         // The scope waits for the controller: a panic of this thread must end that too.

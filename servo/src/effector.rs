@@ -9,11 +9,12 @@ use can::Instant;
 use drive::{AxisCommand, AxisState, Power};
 
 use crate::axis::Axis;
+use crate::excitation::Playing;
 use crate::interpolate::Segment;
 use crate::{
-    After, Answer, AxisRecord, Counters, EffectorConfig, EffectorLink, Event, Knot, MAX_AXES,
-    Order, Record, Report, ServoAxisConfig, ServoFault, State, StopCause, StraightStop,
-    TrackingError,
+    After, Answer, AxisRecord, Counters, EffectorConfig, EffectorLink, Event, Excitation,
+    ExcitationError, Knot, MAX_AXES, Order, Record, Report, ServoAxisConfig, ServoFault, State,
+    StopCause, StraightStop, TrackingError,
 };
 
 /// Longest time the drives get to come to rest after the last set-point of a stop, before power
@@ -140,6 +141,21 @@ impl Effector {
 
     pub(crate) fn tracking(&self) -> impl Iterator<Item = TrackingError> {
         self.axes.iter().map(|axis| axis.tracking)
+    }
+
+    /// Excites axis `axis`, if there is one.
+    pub(crate) fn excite(
+        &mut self,
+        axis: usize,
+        excitation: Excitation,
+        dt: f64,
+    ) -> Result<(), ExcitationError> {
+        let effector = usize::from(self.index);
+        let found = self.axes.get_mut(axis);
+        let found = found.ok_or(ExcitationError::NoSuchAxis { effector, axis })?;
+        excitation.check(&found.config, dt)?;
+        found.playing = Some(Playing::new(excitation));
+        Ok(())
     }
 
     /// Takes what the drives say, by group and index in it.
@@ -461,7 +477,9 @@ impl Effector {
         let halted = self.halted;
         let on = self.axes.iter().all(|axis| axis.state.power == Power::On);
         let order = self.homing_order();
+        let macrostep = (self.state == State::Moving).then_some(self.macrostep);
         for axis in &mut self.axes {
+            axis.excite(macrostep);
             let follow = match self.state {
                 State::Enabling => on,
                 State::Standing | State::Moving | State::Braking(_) => true,
@@ -515,6 +533,7 @@ impl Effector {
             *kept = AxisRecord {
                 commanded: axis.knot.position,
                 command: axis.command,
+                excitation: axis.excitation,
                 measured: axis.state.position,
                 increments: axis.state.increments,
                 velocity: axis.state.velocity,

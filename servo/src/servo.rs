@@ -9,7 +9,8 @@ use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters};
 use crate::effector::{Effector, Tick};
 use crate::recorder::Recorder;
 use crate::{
-    Counters, EffectorLink, Record, ServoConfig, ServoError, ServoFault, State, TrackingError,
+    Counters, EffectorLink, Excitation, ExcitationError, Record, ServoConfig, ServoError,
+    ServoFault, State, TrackingError,
 };
 
 /// Steps every effector of a cell on one tick grid.
@@ -259,6 +260,23 @@ impl Servo {
         let (recorder, records) = Recorder::new(capacity);
         self.recorder = Some(recorder);
         records
+    }
+
+    /// Excites axis `axis` of effector `effector` while the effector carries out the macrosteps that the excitation
+    /// is for; to be called before the cycles begin, and once more to change it. Nothing is added otherwise.
+    ///
+    /// All the guards of the axis stay in force. An excitation beyond a quarter of what its loop may put out is
+    /// refused; where the drive closes the loop, one beyond a quarter of the following error or beyond the axis's acceleration.
+    pub fn excite(
+        &mut self,
+        effector: usize,
+        axis: usize,
+        excitation: Excitation,
+    ) -> Result<(), ExcitationError> {
+        let dt = self.period.as_secs_f64();
+        let found = self.effectors.get_mut(effector);
+        let found = found.ok_or(ExcitationError::NoSuchAxis { effector, axis })?;
+        found.excite(axis, excitation, dt)
     }
 
     /// A handle that stops everything.

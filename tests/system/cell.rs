@@ -483,6 +483,15 @@ impl Rig {
     }
 }
 
+/// The drive group of a robot on CAN, its world and its period: without a servo.
+pub(crate) fn ends(setup: Setup) -> (Box<dyn DriveGroup>, World, Duration) {
+    let arm = setup.cell.robot[0].arm().expect("parameters are sound");
+    let period = setup.period();
+    let mut world = World::new();
+    let (group, ..) = setup.bus(&arm, &mut world);
+    (group, world, period)
+}
+
 /// Brings a robot up behind a port that records every frame.
 pub(crate) fn traced(setup: Setup) -> (Rig, TraceReader) {
     let (sender, receiver) = mpsc::channel();

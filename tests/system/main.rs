@@ -20,6 +20,7 @@ mod epos_service;
 mod faults;
 mod heap;
 mod homing;
+mod host_closed;
 mod jitter;
 mod kinematics;
 mod loops;

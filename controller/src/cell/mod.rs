@@ -27,7 +27,8 @@ use crate::robot::{
 };
 
 pub use axis_controller::{
-    AxisController, Cascade, Control, FeedForward, Incremental, Law, Loop, Protocol, Serial,
+    AxisController, Cascade, Control, FeedForward, Incremental, Law, Loop, Proportional, Protocol,
+    Serial,
 };
 pub use check::{CellError, Problem};
 pub use drives::ENABLING;
@@ -363,9 +364,28 @@ pub struct Drive {
     pub reversed: bool,
     /// Rated torque of the motor, N·m: the unit of the drive's torque values is a thousandth of it.
     pub rated_torque: f64,
+    /// What it is commanded by.
+    #[serde(default)]
+    pub control: DriveControl,
+    /// How the host closes the position loop, under `control = "velocity"` or `"torque"`.
+    #[serde(default)]
+    pub r#loop: Option<Loop>,
     /// Further objects to write before operation.
     #[serde(default)]
     pub parameter: Vec<Parameter>,
+}
+
+/// What a drive on CAN is commanded by, each at every SYNC.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum DriveControl {
+    /// Position (CSP): the drive closes every loop.
+    #[default]
+    Position,
+    /// Velocity (CSV): the host closes the position loop.
+    Velocity,
+    /// Torque (CST): the host closes position and velocity loop.
+    Torque,
 }
 
 /// An object written to a drive before operation and read back.

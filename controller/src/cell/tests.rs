@@ -1,4 +1,5 @@
 use super::*;
+use crate::robot::Limits;
 
 const IRB6: &str = include_str!("../../../cells/irb6.toml");
 const IRP6: &str = include_str!("../../../cells/irp6.toml");
@@ -241,6 +242,69 @@ fn a_loop_that_may_ask_for_more_current_than_the_drive_has_is_refused() {
     }
     assert!(Cell::parse(&SERIAL.replacen("limit = 2.1 ", "limit = 2.625 ", 1)).is_ok());
     assert!(Cell::parse(SERIAL).is_ok());
+}
+
+#[test]
+fn a_drive_by_velocity_or_torque_has_a_loop_that_suits_it_and_no_other_has_one() {
+    let velocity = "{ proportional = { position_gain = 50.0, limit = 280.0 } }";
+    let cascade = "{ cascade = { position_gain = 17.0, velocity_gain = 0.04, integral_rate = 7.0, limit = 2.0 } }";
+    let over = "{ proportional = { position_gain = 50.0, limit = 301.0 } }";
+    let strong = "{ cascade = { position_gain = 17.0, velocity_gain = 0.04, integral_rate = 7.0, limit = 13.5 } }";
+    let cases = [
+        ("velocity", Some(velocity), ""),
+        ("velocity", Some(cascade), ""),
+        ("torque", Some(cascade), ""),
+        ("position", None, ""),
+        ("position", Some(cascade), "loop: is for control"),
+        ("velocity", None, "loop: is missing"),
+        ("torque", None, "loop: is missing"),
+        (
+            "torque",
+            Some(velocity),
+            "loop.law.proportional: is for control = \"velocity\"",
+        ),
+        ("velocity", Some(over), "at most runaway_velocity"),
+        ("torque", Some(strong), "at most 32 * rated_torque"),
+    ];
+    for (control, law, refusal) in cases {
+        let law = law.map_or(String::new(), |law| format!(", loop = {{ law = {law} }}"));
+        let drive = format!("rated_torque = 0.42, control = \"{control}\"{law} }}");
+        let parsed = Cell::parse(&IRB6.replacen("rated_torque = 0.42 }", &drive, 1));
+        match parsed {
+            Ok(cell) => {
+                assert_eq!(refusal, "", "{drive}");
+                let config = cell.robot[0].axis[0].servo_config(
+                    0,
+                    0,
+                    Limits {
+                        low: -1.0,
+                        high: 1.0,
+                    },
+                );
+                let by_host = config.position_loop != servo::PositionLoop::Drive;
+                assert_eq!(by_host, control != "position");
+                assert_eq!(config.homing, None, "the drive homes it");
+            }
+            Err(error) => {
+                let text = error.to_string();
+                assert!(
+                    !refusal.is_empty() && text.contains(refusal),
+                    "{drive}: {text}"
+                );
+                assert_eq!(error.line, line_of(IRB6, "rated_torque"), "{text}");
+            }
+        }
+    }
+    let of_line = SERIAL.replacen(
+        "{ cascade = { position_gain = 25.0, velocity_gain = 0.066, integral_rate = 10.0, limit = 2.1 } }",
+        velocity,
+        1,
+    );
+    let text = Cell::parse(&of_line).unwrap_err().to_string();
+    assert!(
+        text.contains("proportional: is for a drive that closes"),
+        "{text}"
+    );
 }
 
 #[test]
