@@ -122,7 +122,7 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
         },
     };
     let interrupted = Arc::new(AtomicBool::new(false));
-    let programs = Programs::of(&file, links, servo.stop_request())?;
+    let programs = Programs::of(&file, links, &servo)?;
     let progress = Progress::new(&file, !options.json)?;
     let (stop, flag) = (servo.stop_request(), interrupted.clone());
     let nothing_moves = options.bench == BenchKind::Lockstep;

@@ -455,8 +455,7 @@ impl Rig {
 
     /// The same, looked at by `each` after each cycle.
     pub(crate) fn run_program_with(&mut self, mut each: impl FnMut(&Self)) -> Result<(), String> {
-        let robot = &self.cell.robot[0];
-        let task = robot.task(0, &self.arm).expect("the program is sound");
+        let task = self.cell.task(0, &self.arm).expect("the program is sound");
         let link = self.link.take().expect("no program runs yet");
         let config = EcpConfig {
             period: self.period,

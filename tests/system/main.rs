@@ -23,6 +23,7 @@ mod homing;
 mod host_closed;
 mod jitter;
 mod kinematics;
+mod lab;
 mod loops;
 mod lss;
 mod motion;

@@ -10,6 +10,7 @@ mod axis_controller;
 mod check;
 mod drives;
 mod locate;
+mod meetings;
 mod program;
 #[cfg(test)]
 mod tests;
@@ -33,6 +34,7 @@ pub use axis_controller::{
 pub use check::{CellError, Problem};
 pub use drives::ENABLING;
 pub use locate::{Path, Step};
+pub use meetings::Meeting;
 pub use program::{ProgramError, instruction_path};
 
 /// One controller: everything that is stepped on one tick grid.
@@ -51,6 +53,9 @@ pub struct Cell {
     /// still before it would jump. Without effect on the emulated benches, whose time waits for the host.
     #[serde(default = "defaults::max_missed_in_row")]
     pub max_missed_in_row: u32,
+    /// How long a robot may wait for its partners at a meeting, s; then the cell stops by a fault.
+    #[serde(default = "defaults::meeting_timeout_s")]
+    pub meeting_timeout_s: u32,
     /// Seed of everything that is random in the emulators.
     #[serde(default = "defaults::seed")]
     pub seed: u64,
@@ -291,6 +296,11 @@ impl Model {
         }
     }
 
+    /// Whether it is an arm that stands on a pedestal.
+    pub const fn is_on_pedestal(self) -> bool {
+        matches!(self, Self::Irb6 | Self::Irp6 | Self::Irp6Calibrated)
+    }
+
     /// How many axes it has.
     pub const fn axes(self) -> usize {
         match self {
@@ -480,6 +490,9 @@ pub enum Instruction {
     Joints(Joints),
     /// Move the tool along a straight line.
     Line(Line),
+    /// Stand until every robot whose program names this meeting has come to it, then go on with them in the same servo
+    /// cycle. A name that comes again is another meeting of the same robots.
+    Meet(String),
 }
 
 /// A motion through joint poses.
@@ -497,6 +510,10 @@ pub struct Joints {
     /// Fraction of the greatest joint acceleration to use.
     #[serde(default = "defaults::fraction")]
     pub acceleration: f64,
+    /// How long the motion to each pose lasts, s, rounded up to a macrostep; of jerk-limited motions only, and as
+    /// short as the limits allow where absent.
+    #[serde(default)]
+    pub duration: Option<f64>,
 }
 
 /// The generators of joint motions.
@@ -548,6 +565,9 @@ mod defaults {
     }
     pub(super) fn max_missed_in_row() -> u32 {
         3
+    }
+    pub(super) fn meeting_timeout_s() -> u32 {
+        600
     }
     pub(super) fn seed() -> u64 {
         1

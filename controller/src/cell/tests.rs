@@ -17,9 +17,9 @@ fn line_of(text: &str, needle: &str) -> usize {
 fn example_cells_parse_and_their_programs_can_be_built() {
     for text in [IRB6, IRP6] {
         let cell = Cell::parse(text).unwrap();
-        for robot in &cell.robot {
+        for (number, robot) in cell.robot.iter().enumerate() {
             let arm = robot.arm().unwrap();
-            let task = robot.task(0, &arm).unwrap();
+            let task = cell.task(number, &arm).unwrap();
             assert_eq!(task.len(), robot.task_len(), "{}", cell.name);
         }
     }
@@ -372,9 +372,7 @@ fn a_pose_that_the_arm_cannot_take_names_its_instruction() {
         let text = IRB6.replacen(good, bad, 1);
         assert_ne!(text, IRB6, "{good}");
         let cell = Cell::parse(&text).unwrap();
-        let (found, error) = cell.robot[0]
-            .task(0, &cell.robot[0].arm().unwrap())
-            .unwrap_err();
+        let (found, error) = cell.task(0, &cell.robot[0].arm().unwrap()).unwrap_err();
         assert_eq!(found.to_string(), key, "{bad}: {error}");
         assert!(error.to_string().contains(reason), "{bad}: {error}");
     }
