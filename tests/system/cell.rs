@@ -121,7 +121,7 @@ impl Setup {
             home_switch: switch(home - 20.0, home - 2.0),
             negative_limit: switch(f64::NEG_INFINITY, limits.low),
             positive_limit: switch(limits.high, f64::INFINITY),
-            ..hil::AxisConfig::irp6(Irp6Axis::ALL[number])
+            ..hil::AxisConfig::irp6(Irp6Axis::ALL[number % 6])
         };
         (self.plant)(number, &mut plant);
         plant

@@ -5,7 +5,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 
-use controller::cell::{Cell, Instruction};
+use controller::cell::{Cell, Instruction, JointGenerator};
 
 use crate::cli_refusals::refused;
 use crate::mrroc::{Directory, example, mrroc, text};
@@ -108,26 +108,25 @@ fn a_joint_without_end_comes_back_to_its_count_from_twenty_turns() {
     (motion.velocity, motion.acceleration) = (1.0, 1.0);
     let mut there = motion.clone();
     there.poses = vec![turned(6)];
-    robot.program = [motion.clone(), there, motion]
-        .map(Instruction::Joints)
-        .into();
+    // Friction holds the motor some counts off for a while.
+    let mut rest = motion.clone();
+    (rest.generator, rest.duration) = (JointGenerator::JerkLimited, Some(3.0));
+    let program = [motion.clone(), rest.clone(), there, motion, rest];
+    robot.program = program.map(Instruction::Joints).into();
     let directory = Directory::new();
     let path = directory.write("turns.toml", &toml::to_string(&cell).unwrap());
     let log = directory.path("turns.csv");
     run(&path, &log);
     let rows = &record(&log, &["q7"])["q7"];
     let starts = beginnings(rows, "Moving");
-    // Home already holds the seventh joint at zero.
-    let before = rows.iter().find(|row| row.0 + 1 == starts[1]).unwrap();
+    let before = rows.iter().find(|row| row.0 + 1 == starts[2]).unwrap();
     let after = rows.iter().rfind(|row| row.1 == "Standing").unwrap();
     assert_eq!(before.2, after.2, "commanded");
     assert_eq!(before.3, after.3, "counts");
     let farthest = rows.iter().map(|row| row.3).max().unwrap();
     let counts = TURNS * 50 * 4000;
-    assert!(
-        (farthest - before.3 - counts).abs() <= 2,
-        "{farthest} {before:?}"
-    );
+    let there = farthest - before.3;
+    assert!((there - counts).abs() <= 20, "{there} counts away");
 }
 
 /// A cell, what stands in it, what stands there instead, and what the refusal must say.
