@@ -1,11 +1,13 @@
 //! The robots of the laboratory together: they meet in the same cycle, and each is refused what it cannot do.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::f64::consts::TAU;
 use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 
 use controller::cell::{Cell, Instruction, JointGenerator};
+use serde_json::Value;
 
 use crate::cli_refusals::refused;
 use crate::mrroc::{Directory, example, mrroc, text};
@@ -43,7 +45,7 @@ fn beginnings(rows: &[Row], into: &str) -> Vec<u64> {
     begins.map(|pair| pair[1].0).collect()
 }
 
-fn run(cell: &Path, record: &Path) -> serde_json::Value {
+fn run(cell: &Path, record: &Path) -> Value {
     let run = mrroc([
         "run".as_ref(),
         cell.as_os_str(),
@@ -54,6 +56,24 @@ fn run(cell: &Path, record: &Path) -> serde_json::Value {
     ]);
     assert_eq!(run.status.code(), Some(0), "{run:?}");
     run.json()
+}
+
+/// Every axis starts 20 rad above its home, but for the belt, which takes for home where it is. The report tells the
+/// counter at the reference to about one cycle's motion.
+fn check_homing(reports: &[Value]) {
+    let cell = Cell::parse(&text("lab")).unwrap();
+    let robots = cell.robot.iter();
+    let axes: Vec<_> = robots.flat_map(|robot| &robot.axis).collect();
+    assert_eq!(axes.len(), reports.len());
+    for (axis, report) in axes.into_iter().zip(reports) {
+        let found = report["homing_offset_counts"].as_f64().unwrap();
+        let turns = if axis.name == "belt" { 0.0 } else { 20.0 / TAU };
+        let expected = -turns * f64::from(axis.counts_per_revolution());
+        assert!(
+            (found - expected).abs() <= 2.0,
+            "{report}, expected {expected}"
+        );
+    }
 }
 
 #[test]
@@ -68,7 +88,8 @@ fn robots_that_meet_go_on_and_arrive_in_the_same_cycle() {
     ];
     let directory = Directory::new();
     let log = directory.path("lab.csv");
-    run(&example("lab"), &log);
+    let report = run(&example("lab"), &log);
+    check_homing(report["axes"].as_array().unwrap());
     let rows = record(&log, &AXES);
     assert_eq!(rows.len(), AXES.len());
     // They do not come to the first meeting together.
@@ -92,7 +113,7 @@ fn robots_that_meet_go_on_and_arrive_in_the_same_cycle() {
 #[test]
 fn a_joint_without_end_comes_back_to_its_count_from_twenty_turns() {
     const TURNS: i64 = 20;
-    let far = (TURNS as f64 * std::f64::consts::TAU).to_string();
+    let far = (TURNS as f64 * TAU).to_string();
     let mut cell = Cell::parse(&text("polycrank")).unwrap();
     let robot = &mut cell.robot[0];
     let Instruction::Joints(mut motion) = robot.program[0].clone() else {
