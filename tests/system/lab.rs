@@ -159,6 +159,14 @@ type Case = (
 );
 
 const REFUSED: &[Case] = &[
+    // The tool axis would have to pass beside the direction of axis 1, which asks axis 3 for half a turn at once.
+    (
+        "polycrank",
+        "line = { position = [0.2, 0.2, 0.8]",
+        "joints = { poses = [[0.0, 1.57, -1.57, 0.0, 1.57, -1.37, 0.0]] }\n\n[[robot.program]]\nline = { \
+         quaternion = [-0.014088493, 0.995004165, 0.0, -0.098834333], position = [-0.139, -0.116, 0.8158]",
+        &["robot[0].program[2]", "of the path: axis 2 jumps"],
+    ),
     (
         "polycrank",
         "position = [0.2, 0.2, 0.8]",

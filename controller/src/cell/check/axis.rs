@@ -58,7 +58,7 @@ pub(super) fn check(path: &Path, axis: &Axis, place: Place<'_>, model: Limits) -
         |key: &'static str, why: &str| Err((path.then(key), Problem::Refused(why.into())));
     match (place, &axis.drive, &axis.controller) {
         (Place::Bus(_), Some(drive), None) => {
-            check_drive(&path.then("drive"), drive, axis.max_velocity)?
+            check_drive(&path.then("drive"), drive, axis.max_velocity)?;
         }
         (Place::Serial(serial), None, Some(controller)) => {
             check_controller(&path.then("controller"), controller, serial, axis)?;
