@@ -153,7 +153,7 @@ pub(crate) fn identify(options: &Options) -> anyhow::Result<ExitCode> {
     let (kind, points) = trace
         .response(&run, &axis, delay, &lines)
         .ok_or_else(|| anyhow!("{name}: the measurement was broken off"))?;
-    let report = Report::of(name, options.bench.name(), &axis, &run, kind, points);
+    let report = Report::of(name, options.bench.name(), &axis, &run, kind, &points);
     if let Some(directory) = &options.out {
         let write = |name: &str, text: String| {
             let path = directory.join(name);
@@ -232,8 +232,8 @@ fn plan(
             axis.max_velocity
         );
     }
-    if options.periods == 0 {
-        bail!("--periods 0: one at least is measured");
+    if options.periods < 2 {
+        bail!("--periods {}: two at least are measured", options.periods);
     }
     let most = servo::greatest_excitation(axis);
     let amplitude = options.amplitude.unwrap_or(match axis.position_loop {

@@ -5,8 +5,8 @@
 //! turns with it within the run, so that both see the same host.
 //!
 //! **Both sides alike**: what keeps CPUs from deep idle states is held for both, or for neither where it is denied, and
-//! cyclictest is told to leave it alone; the same priority under SCHED_FIFO and the same CPU, or none; all memory
-//! locked; a timer slack of 1 ns; a first turn that counts for nothing. No two turns overlap. Ours is counted in ns and
+//! cyclictest is told to leave it alone; the same priority under SCHED_FIFO (but for cyclictest, which knows no other,
+//! where ours is under SCHED_DEADLINE) and the same CPU, or none; all memory locked; a timer slack of 1 ns; a first turn that counts for nothing. No two turns overlap. Ours is counted in ns and
 //! cyclictest's own histogram in µs, so a ratio is no finer than that.
 //!
 //! **Files** of `--out` are in [`files`], what the verdict is made of is in [`verdict`].
@@ -45,6 +45,7 @@ use probe::{Turn, Wakeups};
 use report::{Report, Setting, Side};
 
 use crate::cell_file::CellFile;
+use crate::spikes::SpikeFile;
 
 /// Options of `mrroc jitter`.
 #[derive(Args)]
@@ -61,6 +62,9 @@ pub(crate) struct Options {
     /// How long to measure, with its unit: 60s, 10m, 1h; the peer is measured as long.
     #[arg(long, default_value = "60s")]
     duration: String,
+    /// What schedules the thread; the cell's or fifo, unless given.
+    #[arg(long, value_enum)]
+    scheduler: Option<Scheduler>,
     /// Priority under SCHED_FIFO, 1 to 99; the cell's or 80, unless given.
     #[arg(long)]
     priority: Option<u32>,
@@ -70,6 +74,13 @@ pub(crate) struct Options {
     /// How to wait; the cell's or hybrid, unless given.
     #[arg(long, value_enum)]
     wait: Option<Wait>,
+    /// How long before a deadline a hybrid wait asks to be woken, with its unit: 100us; the cell's or learnt, unless
+    /// given.
+    #[arg(long)]
+    margin: Option<String>,
+    /// Largest share of a core that a hybrid wait spins in, 0 to 0.5; the cell's or 0.2, unless given.
+    #[arg(long)]
+    spin_share: Option<f64>,
     /// What loads all CPUs meanwhile; several are separated by commas.
     #[arg(long, value_enum, value_delimiter = ',')]
     load: Vec<load::Kind>,
@@ -80,9 +91,22 @@ pub(crate) struct Options {
     /// directory.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    /// Write the cycles of ours around the latest ones to this file, phase by phase, for ui.perfetto.dev.
+    #[arg(long, value_name = "FILE")]
+    spikes: Option<PathBuf>,
     /// Print one JSON object.
     #[arg(long)]
     json: bool,
+}
+
+/// What schedules the thread.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
+#[serde(rename_all = "kebab-case")]
+enum Scheduler {
+    /// SCHED_FIFO.
+    Fifo,
+    /// SCHED_DEADLINE, with nine tenths of each period.
+    Deadline,
 }
 
 /// How to wait.
@@ -202,6 +226,8 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
     let files = options.out.as_deref();
     let files = files.map(|directory| Files::create(directory, options.against.is_some()));
     let (files, mut log) = files.transpose()?.unzip();
+    let spikes = options.spikes.as_deref().map(SpikeFile::create);
+    let spikes = spikes.transpose()?;
     let mut serializer = V2DeflateSerializer::new();
     let log = (log.as_mut()).map(|log| IntervalLog::begin(log, &mut serializer));
     let log = log
@@ -285,6 +311,10 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
         seconds: (plan.turn * plan.rounds).as_secs_f64(),
         rounds: plan.rounds,
         warm_up_s: plan.warm_up.as_secs_f64(),
+        scheduler: match plan.policy.scheduler {
+            thread::Scheduler::Fifo => Scheduler::Fifo,
+            thread::Scheduler::Deadline { .. } => Scheduler::Deadline,
+        },
         priority: plan.policy.priority,
         cpu: plan.policy.cpu,
         wait: match plan.policy.wait {
@@ -309,7 +339,7 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
             Peer::Cyclictest => Side::of(&peers.total, None, None),
             Peer::Plain => Side::of(&peers.total, Some(peer.missed), None),
         }),
-        &ours,
+        cell.as_ref().map_or(&ours.causes, |cell| &cell.late),
         cell.as_ref().map(MeasuredCell::report),
     );
     crate::run::print(&report, options.json)?;
@@ -323,6 +353,10 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
             files.write(&ledger.total, &peers.total, &chart)
         }
     };
+    let written = written.and(spikes.map_or(Ok(()), |file| match cell {
+        None => file.write("jitter", ours.spikes.finish()),
+        Some(cell) => file.write("servo", cell.spikes),
+    }));
     if let Err(error) = &written {
         // Too late to refuse: it has been measured.
         eprintln!("mrroc: {error:#}");

@@ -29,6 +29,7 @@ mod report;
 mod run;
 mod service;
 mod setup;
+mod spikes;
 mod stdout;
 mod trace;
 mod urdf;

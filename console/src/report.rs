@@ -5,7 +5,7 @@ use std::fmt::{self, Write as _};
 use std::time::Duration;
 
 use serde::Serialize;
-use servo::thread::{LateCycle, WaitReport};
+use servo::thread::{AccountReads, LateCycle, Spike, WaitReport};
 use servo::{Histogram, Servo, Timing};
 
 use crate::budget::BusBudget;
@@ -16,6 +16,8 @@ use crate::wire::WireReport;
 pub(crate) struct Ran {
     pub servo: Servo,
     pub timing: Timing,
+    /// The cycles around the latest ones.
+    pub spikes: Vec<Spike>,
     pub denied: Vec<String>,
     pub faults: Vec<FaultReport>,
     pub wire: Vec<WireReport>,
@@ -114,6 +116,7 @@ impl Report {
                     .map(|(cause, count)| (cause.name(), count))
                     .collect(),
                 worst: ran.timing.late.worst().map(WorstCycle::from).collect(),
+                account: AccountReport::from(ran.timing.account),
             },
             buses: buses.collect(),
             wire: ran.wire,
@@ -222,6 +225,34 @@ pub(crate) struct CycleReport {
     pub causes: BTreeMap<&'static str, u64>,
     /// The latest of them, the worst first.
     pub worst: Vec<WorstCycle>,
+    /// How often the kernel was asked who, in the slack.
+    pub account: AccountReport,
+}
+
+/// How often the kernel's account of the servo thread was read, each time with two system calls.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub(crate) struct AccountReport {
+    /// After a cycle that was late, longer than usual or interrupted.
+    pub disturbed: u64,
+    /// After the last of 16 quiet cycles.
+    pub quiet: u64,
+    /// Before the wait, since what followed a cycle took more than a hundredth of the period.
+    pub slack: u64,
+}
+
+impl From<AccountReads> for AccountReport {
+    fn from(reads: AccountReads) -> Self {
+        let AccountReads {
+            disturbed,
+            quiet,
+            slack,
+        } = reads;
+        Self {
+            disturbed,
+            quiet,
+            slack,
+        }
+    }
 }
 
 /// One late cycle.

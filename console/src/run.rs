@@ -9,6 +9,7 @@
 use std::cell::{Cell as Shared, RefCell};
 use std::fmt::Display;
 use std::io::Write as _;
+use std::mem::take;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -16,18 +17,21 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::time::Duration;
 
-use anyhow::{Context, anyhow};
+use anyhow::{Context, anyhow, bail};
 use can::{Instant, clock};
 use clap::Args;
 use serde::Serialize;
 use servo::thread::{self, Finished, Running};
 use servo::{NotUp, Servo, Timing, lockstep};
+use signal_hook::consts::SIGUSR1;
+use signal_hook::flag;
 
 use crate::bench::{Bench, BenchKind};
 use crate::cell_file::CellFile;
 use crate::emulation::Emulation;
 use crate::programs::{Programs, Progress, servo_faults};
 use crate::report::{FaultReport, Outcome, Ran, Report};
+use crate::spikes::SpikeFile;
 use crate::trace::{AxisLog, FrameLog};
 use crate::wire::Wire;
 use crate::{clockwork, rehearsal, setup};
@@ -80,10 +84,17 @@ pub(crate) struct Options {
     /// Write every axis in every cycle to this file, as CSV.
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
+    /// Write the servo cycles around the latest ones to this file, phase by phase, for ui.perfetto.dev; SIGUSR1 adds
+    /// those around a moment of yours.
+    #[arg(long, value_name = "FILE")]
+    spikes: Option<PathBuf>,
 }
 
 /// Runs a cell.
 pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
+    if options.spikes.is_some() && options.bench == BenchKind::Lockstep {
+        bail!("--spikes needs cycles by the clock, which --bench lockstep has none of");
+    }
     let file = CellFile::read(&options.cell)?;
     rehearsal::rehearse(&file)?;
     let budget = crate::budget::check(&file)?;
@@ -121,6 +132,8 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
             None => None,
         },
     };
+    let spikes = options.spikes.as_deref().map(SpikeFile::create);
+    let spikes = spikes.transpose()?;
     let interrupted = Arc::new(AtomicBool::new(false));
     let programs = Programs::of(&file, links, &servo)?;
     let progress = Progress::new(&file, !options.json)?;
@@ -166,6 +179,10 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
         if !ran.faults.contains(&fault) {
             ran.faults.push(fault);
         }
+    }
+    let written = spikes.map(|file| file.write("servo", take(&mut ran.spikes)));
+    if let Some(Err(error)) = written {
+        ran.faults.push(FaultReport::of_run(error));
     }
     let outcome = match (interrupted, ran.faults.is_empty()) {
         (_, false) => Outcome::Faulted,
@@ -348,6 +365,7 @@ fn not_up(
         return Ok(Ran {
             servo,
             timing: Timing::default(),
+            spikes: Vec::new(),
             denied: Vec::new(),
             faults: Vec::new(),
             wire: Vec::new(),
@@ -445,6 +463,7 @@ fn in_lockstep(
     Ok(Ran {
         servo,
         timing,
+        spikes: Vec::new(),
         denied: Vec::new(),
         faults,
         wire: wire.into_inner().reports(),
@@ -479,7 +498,9 @@ fn by_the_clock(
         }
     };
     let running = clockwork::start(servo, emulation, emulated_since, policy, until)?;
+    let request = running.trace_request();
     let turning = Turning::of(running, done.clone());
+    flag::register(SIGUSR1, request).context("SIGUSR1 cannot be caught")?;
     let (tell, told) = sync_channel(SEEN);
     std::thread::scope(|scope| {
         // The scope waits for the controller: a panic of this thread must end that too.
@@ -523,6 +544,7 @@ fn by_the_clock(
     Ok(Ran {
         servo: ended.servo,
         timing: ended.timing,
+        spikes: ended.spikes,
         denied: ended.denied.iter().map(ToString::to_string).collect(),
         faults,
         wire: listening.finish(),

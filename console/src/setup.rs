@@ -11,7 +11,7 @@ use drive::DriveGroup;
 use drive::axis_controller::AxisControllerGroup;
 use drive::cia402::{AxisConfig, Cia402Group};
 use serial::Line;
-use servo::thread::{CellTime, Realtime, RealtimePolicy, Wait};
+use servo::thread::{CellTime, Realtime, RealtimePolicy, Scheduler, Wait};
 use servo::{EffectorConfig, Gates, HostHoming, ServoAxisConfig, ServoConfig};
 
 use crate::cell_file::CellFile;
@@ -172,6 +172,12 @@ pub(crate) fn realtime_policy(cell: &Cell, time: CellTime) -> RealtimePolicy {
         realtime: match realtime.policy {
             Policy::Require => Realtime::Require,
             Policy::BestEffort => Realtime::BestEffort,
+        },
+        scheduler: match realtime.scheduler {
+            cell::Scheduler::Fifo => Scheduler::Fifo,
+            cell::Scheduler::Deadline => Scheduler::Deadline {
+                period: cell.period(),
+            },
         },
         priority: realtime.priority,
         cpu: realtime.cpu,

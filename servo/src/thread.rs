@@ -14,7 +14,8 @@
 //! **A late cycle** is explained: [`Timing::late`] counts who took the time, and keeps the worst. The clock is read
 //! between the phases of a cycle; the kernel's account of the thread (`getrusage`, `/proc/thread-self/schedstat`) only
 //! in the slack after SYNC, of a cycle that was late or otherwise disturbed and of one quiet cycle in 16, so that what
-//! adds up in quiet ones is not taken for the delay of one.
+//! adds up in quiet ones is not taken for the delay of one. The cycles around the worst are kept phase by phase, and
+//! those around a moment on request: see [`Finished::spikes`] and [`Running::trace_request`].
 //!
 //! **Time** that control laws see is the nominal period, however late a cycle is; [`Record::dt`](crate::Record) has the
 //! real one.
@@ -26,9 +27,10 @@
 //! panic message is where the panic hook puts it. If the process dies, the drives' own reaction
 //! to silence is what stops them.
 //!
-//! **Real-time needs** are asked for one by one: SCHED_FIFO, a CPU, locked memory, timer slack of
+//! **Real-time needs** are asked for one by one: SCHED_FIFO or SCHED_DEADLINE, a CPU, locked memory, timer slack of
 //! 1 ns, and no deep idle states while the thread runs (`/dev/cpu_dma_latency`). Threads and processes that it starts do
-//! not inherit SCHED_FIFO. What the host denies is returned as [`Denial`]s, which name the line that grants it; with
+//! not inherit the scheduling. Either way it is the wait that says when the thread runs: the kernel's period under
+//! SCHED_DEADLINE begins whenever the thread wakes, and only bounds what it takes. What the host denies is returned as [`Denial`]s, which name the line that grants it; with
 //! [`Realtime::Require`] the thread does not start without them.
 
 mod account;
@@ -36,10 +38,12 @@ mod cause;
 mod host;
 mod late;
 mod quantile;
+mod tracer;
 mod wait;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::mpsc;
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, mpsc};
 use std::task::Poll;
 use std::thread::{Builder, JoinHandle};
 use std::time::Duration;
@@ -52,9 +56,13 @@ use self::account::Account;
 use self::quantile::LearntQuantile;
 use crate::{NotUp, Servo, Timing};
 
+pub use self::account::AccountReads;
 pub use self::cause::{Cause, Spent, Usage};
-pub use self::host::{CpuLatency, Denial, Grant, LIMITS, Limit, demand, set_fifo};
+pub use self::host::{
+    CpuLatency, Denial, Grant, LIMITS, Limit, Scheduler, demand, set_deadline, set_fifo,
+};
 pub use self::late::{LateCycle, LateCycles};
+pub use self::tracer::{Spike, Stamps, Tracer};
 pub use self::wait::{Awake, Wait, WaitReport, Waiter};
 
 /// Bytes of the thread's stack; `MCL_FUTURE` locks all of it.
@@ -94,9 +102,11 @@ pub enum Realtime {
 pub struct RealtimePolicy {
     /// What to do where it is denied.
     pub realtime: Realtime,
+    /// What schedules it.
+    pub scheduler: Scheduler,
     /// SCHED_FIFO priority, 1 ..= 99.
     pub priority: u8,
-    /// The CPU to stay on. Only this thread is moved.
+    /// The CPU to stay on, none under SCHED_DEADLINE. Only this thread is moved.
     pub cpu: Option<usize>,
     /// Whether to lock all memory of the process, present and future; a thread that is started later
     /// has its whole stack locked, so give it a small one.
@@ -126,6 +136,7 @@ impl RealtimePolicy {
     /// SCHED_FIFO 80 and locked memory if the host grants it, no CPU, no lead, a plain wait, by the wall clock.
     pub const BEST_EFFORT: Self = Self {
         realtime: Realtime::BestEffort,
+        scheduler: Scheduler::Fifo,
         priority: 80,
         cpu: None,
         lock_memory: true,
@@ -154,12 +165,18 @@ pub enum StartError {
 pub struct Running {
     thread: JoinHandle<Finished>,
     denied: Vec<Denial>,
+    request: Arc<AtomicBool>,
 }
 
 impl Running {
     /// What the host denied.
     pub fn denied(&self) -> &[Denial] {
         &self.denied
+    }
+
+    /// Raising it keeps the cycles around that moment among [`Finished::spikes`]; the thread lowers it.
+    pub fn trace_request(&self) -> Arc<AtomicBool> {
+        Arc::clone(&self.request)
     }
 
     /// Whether the thread has ended.
@@ -182,6 +199,8 @@ pub struct Finished {
     pub servo: Servo,
     /// How punctual it was.
     pub timing: Timing,
+    /// The cycles around the latest ones, the worst first, and around the last request.
+    pub spikes: Vec<Spike>,
     /// What the host denied.
     pub denied: Vec<Denial>,
     /// What ended the run, if it was a panic.
@@ -202,6 +221,7 @@ impl std::fmt::Debug for Finished {
         let Self {
             servo,
             timing,
+            spikes: _,
             denied,
             panicked,
         } = self;
@@ -241,8 +261,10 @@ pub fn start(
     until: impl FnMut(&Servo) -> bool + Send + 'static,
 ) -> Result<Running, StartError> {
     let (tell, told) = mpsc::sync_channel(1);
+    let request = Arc::new(AtomicBool::new(false));
+    let requested = Arc::clone(&request);
     let body = move || {
-        let mut run = Run::new(servo, policy);
+        let mut run = Run::new(servo, policy, requested);
         let mut denied = demand(&policy);
         let latency = CpuLatency::demand();
         denied.extend(latency.as_ref().err());
@@ -255,6 +277,7 @@ pub fn start(
         Finished {
             servo: run.servo,
             timing: run.timing,
+            spikes: run.tracer.finish(),
             denied,
             panicked: run.panicked,
         }
@@ -267,7 +290,11 @@ pub fn start(
         errno: e.raw_os_error().unwrap_or(0),
     })?;
     let denied = told.recv().unwrap_or_default();
-    let running = Running { thread, denied };
+    let running = Running {
+        thread,
+        denied,
+        request,
+    };
     match running.denied.first() {
         Some(&denial) if policy.realtime == Realtime::Require => {
             // It has nothing to do; with it the servo goes, and every port is closed.
@@ -305,6 +332,7 @@ struct Run {
     /// Number of the cycle that is due next.
     number: u64,
     account: Account,
+    tracer: Tracer,
     /// What a step takes but for one in 1000.
     usual: LearntQuantile,
     before: Before,
@@ -323,7 +351,7 @@ struct Before {
 }
 
 impl Run {
-    fn new(servo: Servo, policy: RealtimePolicy) -> Self {
+    fn new(servo: Servo, policy: RealtimePolicy, request: Arc<AtomicBool>) -> Self {
         let period = servo.period();
         let lead = policy.lead.min(period / 2);
         let timing = Timing::default();
@@ -341,6 +369,7 @@ impl Run {
             time: policy.time,
             number: 0,
             account: Account::open(),
+            tracer: Tracer::new(request),
             usual: LearntQuantile::new(Duration::ZERO, period / 2),
             before: Before {
                 sync: Instant::ZERO,
@@ -373,6 +402,7 @@ impl Run {
         if self.panicked == Some(Panicked::Cycle) {
             self.cut_power();
         }
+        self.timing.account = self.account.reads();
         self.timing.wait = WaitReport {
             lead: self.lead(),
             ..self.waiter.report()
@@ -390,8 +420,9 @@ impl Run {
     /// Waits for the deadline and steps; false if the step panicked.
     #[cfg_attr(mrroc_rtsan, sanitize(realtime = "nonblocking"))]
     fn cycle(&mut self) -> bool {
-        let awake = self.wait();
-        let stepped = catch_unwind(AssertUnwindSafe(|| self.step(&awake)));
+        let begun = now();
+        let awake = self.wait(begun);
+        let stepped = catch_unwind(AssertUnwindSafe(|| self.step(begun, &awake)));
         self.deadline += self.period;
         self.number += 1;
         if let CellTime::Nominal(next) = &mut self.time {
@@ -403,9 +434,9 @@ impl Run {
         stepped.is_ok()
     }
 
-    fn step(&mut self, awake: &Awake) {
-        let begun = now();
-        let due = self.cell_time(self.deadline.max(begun));
+    fn step(&mut self, begun: Instant, awake: &Awake) {
+        let reading = now();
+        let due = self.cell_time(self.deadline.max(reading));
         self.servo.read(due);
         let read = now();
         self.servo.compute(due);
@@ -416,7 +447,7 @@ impl Run {
         self.servo.send(self.cell_time(sending));
         let done = now();
         // SYNC has left: what follows is in the slack.
-        let (preparation, transfer) = (written.since(begun), done.since(sending));
+        let (preparation, transfer) = (written.since(reading), done.since(sending));
         if let Some(learnt) = &mut self.preparation {
             learnt.observe(preparation);
         }
@@ -430,18 +461,31 @@ impl Run {
         );
         let spent = Spent {
             own: before.own + computed.since(read),
-            bus: before.bus + read.since(begun) + written.since(computed),
+            bus: before.bus + read.since(reading) + written.since(computed),
             wake_up: before.wake_up,
-            gap: before.gap.max(gap).max(begun.since(awake.at)),
+            gap: before.gap.max(gap).max(reading.since(awake.at)),
         };
         let late = sending.since(self.deadline);
-        self.explain(late, &spent, preparation + transfer);
+        let late = self.explain(late, &spent, preparation + transfer);
+        self.tracer.record(Stamps {
+            cycle: self.number,
+            deadline: self.deadline,
+            begun,
+            awake: *awake,
+            reading,
+            read,
+            computed,
+            written,
+            sending,
+            done,
+            late,
+        });
         (self.before.sync, self.before.done) = (sending, done);
     }
 
     /// Attributes the cycle's lateness, and that of the slots let go before it. The kernel is asked only if something
-    /// was out of the ordinary.
-    fn explain(&mut self, late: Duration, spent: &Spent, step: Duration) {
+    /// was out of the ordinary. Returns the worse of them.
+    fn explain(&mut self, late: Duration, spent: &Spent, step: Duration) -> Option<LateCycle> {
         let is_late = late > self.period / LATE;
         let long = step > self.usual.get();
         self.usual.observe(step);
@@ -449,18 +493,24 @@ impl Run {
         self.before.late = Duration::ZERO;
         if !is_late && !long && spent.gap <= GAP && skipped.is_none() {
             self.account.pass(spent.wake_up);
-            return;
+            return None;
         }
         let counted = self.account.settle();
+        let mut worse = None;
         for (late, spent) in skipped.iter().chain(is_late.then_some(&(late, *spent))) {
-            self.timing.late.record(LateCycle {
+            let of_cycle = LateCycle {
                 cycle: self.number,
                 due: self.deadline.since(self.first),
                 late: *late,
                 cause: Cause::of_cycle(*late, spent, counted),
-            });
+            };
+            self.timing.late.record(of_cycle);
             self.before.late = *late;
+            if worse.is_none_or(|worse: LateCycle| of_cycle.late > worse.late) {
+                worse = Some(of_cycle);
+            }
         }
+        worse
     }
 
     /// The cycle's own time, where the wall clock shows `wall`.
@@ -477,11 +527,10 @@ impl Run {
     }
 
     /// Waits until the lead before the deadline; a deadline that has long passed is skipped.
-    fn wait(&mut self) -> Awake {
-        let at = now();
+    fn wait(&mut self, at: Instant) -> Awake {
         if at < self.deadline - self.lead() && at.since(self.before.done) > self.period / LATE {
             // What the kernel counted in the caller's time made nothing late.
-            self.account.begin();
+            self.account.skip();
         }
         loop {
             let lead = self.lead();

@@ -1,4 +1,4 @@
-use crate::thread::{LateCycles, WaitReport};
+use crate::thread::{AccountReads, LateCycles, WaitReport};
 use crate::{Histogram, Servo};
 
 /// How punctual a servo thread was.
@@ -17,6 +17,8 @@ pub struct Timing {
     pub wait: WaitReport,
     /// Who made cycles late: their SYNC left more than a hundredth of the period after the deadline.
     pub late: LateCycles,
+    /// How often the kernel was asked who, and why.
+    pub account: AccountReads,
 }
 
 impl Timing {

@@ -11,7 +11,7 @@ use std::time::Duration;
 use can::Instant;
 use can::clock::{now, sleep_until};
 use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters};
-use mrroc_servo::thread::{self, Cause, RealtimePolicy, Wait};
+use mrroc_servo::thread::{self, Cause, LateCycle, RealtimePolicy, Spike, Wait};
 use mrroc_servo::*;
 
 mod scripted;
@@ -218,9 +218,14 @@ fn plant(plant: Plant, cause: Cause) -> (u64, u64) {
         };
         let finished = thread::run(servo, policy, between, until).expect("nothing is required");
         let late = finished.timing.late;
+        finished.spikes.iter().for_each(traced);
+        let is_traced = |late: &LateCycle| {
+            let mut cycles = finished.spikes.iter().flat_map(|spike| &spike.cycles);
+            cycles.any(|one| one.late == Some(*late))
+        };
         let named = |cycle| {
             late.worst()
-                .any(|one| one.cycle == cycle && one.cause == cause)
+                .any(|one| one.cycle == cycle && one.cause == cause && is_traced(&one))
         };
         right += (0..EVERY * PER_RUN)
             .filter(|&cycle| is_planted(cycle) && named(cycle))
@@ -233,6 +238,32 @@ fn plant(plant: Plant, cause: Cause) -> (u64, u64) {
         }
     }
     (right, planted)
+}
+
+/// A spike has its late cycle and those around it, and one phase begins where another ended.
+fn traced(spike: &Spike) {
+    let late = spike.late.expect("nobody asked for one");
+    let cycles = &spike.cycles;
+    let place = cycles.iter().position(|one| one.cycle == late.cycle);
+    let place = place.expect("the late cycle is in it");
+    assert_eq!(cycles[place].late, Some(late));
+    // The run ends with some more.
+    assert!(place >= 40.min(late.cycle as usize) && cycles.len() - place <= 17);
+    let mut end = Instant::ZERO;
+    for (number, cycle) in (cycles[0].cycle..).zip(cycles) {
+        assert_eq!(cycle.cycle, number);
+        assert!(end <= cycle.begun, "{cycle:?}");
+        end = cycle.begun;
+        for (phase, ended) in cycle.phases() {
+            assert!(end <= ended, "{phase}: {cycle:?}");
+            end = ended;
+        }
+        assert_eq!(end, cycle.done);
+        assert!(cycle.sending >= cycle.deadline, "{cycle:?}");
+        let sync_late = cycle.sending.since(cycle.deadline);
+        let words = cycle.late.map_or(Duration::ZERO, |late| late.late);
+        assert!(words >= sync_late || sync_late <= scripted::PERIOD / 100);
+    }
 }
 
 #[expect(unsafe_code, reason = "the current CPU is the kernel's to tell")]

@@ -1,7 +1,7 @@
 //! What the servo thread asks of the kernel in its cycles, counted by strace in real runs of `mrroc run`.
 //!
 //! Three methods share the proof that a cycle neither allocates nor locks nor waits nor makes a system call other than
-//! the exchange with its bus and the wait for the next:
+//! the exchange with its bus, the wait for the next, and after the exchange the account that explains late cycles:
 //!
 //! - Here **every system call** of the thread is seen, by whoever made it, from its first wait to its last: bring-up and
 //!   the way to the thread's end are left out, homing, motion, files under way and winding down are not. A lock that is
@@ -27,8 +27,8 @@ use crate::vcan::on_stage;
 /// The wait.
 const WAIT: &str = "clock_nanosleep";
 
-/// Calls that a late cycle may make to find out why it was late.
-const OF_LATE_CYCLES: [&str; 2] = ["getrusage", "pread64"];
+/// The kernel's account of the thread, read in the slack alone: one call of each at a time, and the report counts them.
+const OF_THE_ACCOUNT: [&str; 2] = ["getrusage", "pread64"];
 
 /// Sources of time that the kernel's vDSO reads without a call. With any other, such as that of user-mode Linux,
 /// `clock_gettime` is one.
@@ -47,7 +47,7 @@ const OF_LINES_WITHOUT_POWER: (&str, u64) = ("ioctl", 20);
 type Calls = BTreeMap<String, u64>;
 
 /// What the thread called `servo` asked of the kernel, from its first wait to its last, by a log of `strace -f`.
-fn of_the_cycles(log: &Path) -> Calls {
+fn of_the_cycles(log: &Path) -> Vec<String> {
     let log = fs::read_to_string(log).expect("strace wrote its log");
     let name = log
         .lines()
@@ -71,16 +71,38 @@ fn of_the_cycles(log: &Path) -> Calls {
         .iter()
         .rposition(|name| name == WAIT)
         .expect("it waits");
+    calls[first..=last].to_vec()
+}
+
+fn counted(calls: &[String]) -> Calls {
     let mut found = Calls::new();
-    for name in &calls[first..=last] {
+    for name in calls {
         *found.entry(name.clone()).or_default() += 1;
     }
     found
 }
 
+/// How often the account was read between a wait and the exchange that follows it.
+fn reads_before_sync(calls: &[String], exchange: &[(&str, u64)]) -> usize {
+    let cycles = calls.split(|name| name == WAIT);
+    let before = cycles.map(|cycle| {
+        let exchanged = |name: &String| exchange.iter().any(|(call, _)| call == name);
+        let sent = cycle.iter().rposition(exchanged).unwrap_or(0);
+        let read = |name: &&String| OF_THE_ACCOUNT.contains(&name.as_str());
+        cycle[..sent].iter().filter(read).count()
+    });
+    before.sum()
+}
+
 /// Calls that are not the wait, not among the `exchange`, which names how many of each a cycle makes at most, or too
-/// many.
-fn surplus(calls: &Calls, exchange: &[(&str, u64)], cycles: u64, missed: u64) -> Vec<String> {
+/// many; `reads` is how often the account was read.
+fn surplus(
+    calls: &Calls,
+    exchange: &[(&str, u64)],
+    cycles: u64,
+    missed: u64,
+    reads: u64,
+) -> Vec<String> {
     let clock =
         fs::read_to_string("/sys/devices/system/clocksource/clocksource0/current_clocksource");
     let clock_is_called = !clock.is_ok_and(|clock| WITHOUT_A_CALL.contains(&clock.trim()));
@@ -96,7 +118,7 @@ fn surplus(calls: &Calls, exchange: &[(&str, u64)], cycles: u64, missed: u64) ->
             {
                 OF_LINES_WITHOUT_POWER.1
             }
-            None if OF_LATE_CYCLES.contains(&name) => missed,
+            None if OF_THE_ACCOUNT.contains(&name) => reads,
             None => 0,
         }
     };
@@ -113,20 +135,46 @@ fn check(bench: &str, log: &Path, run: &Output, exchange: &[(&str, u64)]) {
     let number = |value: &Value| value.as_u64().expect("a count");
     let cycles = number(&report["cycle"]["cycles"]);
     let missed = number(&report["cycle"]["missed"]);
-    let calls = of_the_cycles(log);
+    let account = &report["cycle"]["account"];
+    let [disturbed, quiet, slack] =
+        ["disturbed", "quiet", "slack"].map(|why| number(&account[why]));
+    let reads = disturbed + quiet + slack;
+    let in_order = of_the_cycles(log);
+    let calls = counted(&in_order);
     let each: Vec<String> = calls
         .iter()
         .map(|(name, count)| format!("{:.3} {name}", *count as f64 / cycles as f64))
         .collect();
     // Drives in another process may be late for an arm on a busy host: then this is of how a fault is ended.
     let (outcome, each) = (&report["outcome"], each.join(", "));
-    println!("{bench}: {outcome}, {cycles} cycles, {missed} missed, per cycle {each}");
-    assert!(cycles > 300, "{bench}: {report}");
-    let surplus = surplus(&calls, exchange, cycles, missed);
+    println!(
+        "{bench}: {outcome}, {cycles} cycles, {missed} missed, account {account}, per cycle {each}"
+    );
+    assert!(cycles > 100, "{bench}: {report}");
+    let surplus = surplus(&calls, exchange, cycles, missed, reads);
     assert!(
         surplus.is_empty(),
         "{bench}: {surplus:?} in {cycles} cycles"
     );
+    let late: u64 = report["cycle"]["causes"]
+        .as_object()
+        .expect("causes by name")
+        .values()
+        .map(number)
+        .sum();
+    // Slots that were let go before a late cycle are late by themselves.
+    assert!(disturbed <= cycles && late <= 2 * disturbed, "{report}");
+    assert!(16 * quiet <= cycles - disturbed, "{report}");
+    assert!(slack <= cycles, "{report}");
+    for call in OF_THE_ACCOUNT {
+        let count = calls.get(call).copied().unwrap_or(0);
+        // There may be one before the first wait and one after the last.
+        assert!(
+            count + 2 >= reads,
+            "{bench}: {count} × {call}, {reads} reads"
+        );
+    }
+    assert_eq!(reads_before_sync(&in_order, exchange), 0, "{bench}");
     // It was the right thread, and strace did not lose it.
     for call in exchange.iter().map(|(call, _)| *call).chain([WAIT]) {
         assert!(
@@ -232,13 +280,33 @@ fn a_call_that_is_planted_in_the_cycle_is_found_by_its_name() {
         let planting = Path::new(env!("CARGO_BIN_EXE_planted"));
         let output = Running::under_strace(&log, planting, [planted]).output();
         assert_eq!(output.status.code(), Some(0), "{output:?}");
-        let calls = of_the_cycles(&log);
-        let found = surplus(&calls, &[], calls[WAIT], 0);
+        let reads = output.stdout.trim().parse().expect("it says how often");
+        let calls = counted(&of_the_cycles(&log));
+        let found = surplus(&calls, &[], calls[WAIT], 0, reads);
         let named = found.iter().map(|found| found.split(' ').next_back());
         assert_eq!(
             named.collect::<Vec<_>>(),
             Vec::from_iter(expected.map(Some)),
             "{planted}"
         );
+    }
+}
+
+#[test]
+fn a_read_of_the_account_counts_as_early_until_the_last_call_of_the_exchange() {
+    let exchange = [("read", 1), ("write", 2)];
+    for (calls, expected) in [
+        ("wait read write write getrusage pread64 wait", 0),
+        (
+            "wait read write write getrusage getrusage wait wait read",
+            0,
+        ),
+        ("wait getrusage pread64 wait", 0),
+        ("wait getrusage read write write wait", 1),
+        ("wait read write getrusage pread64 write wait", 2),
+    ] {
+        let named = |name: &str| name.replace("wait", WAIT);
+        let in_order: Vec<_> = calls.split(' ').map(named).collect();
+        assert_eq!(reads_before_sync(&in_order, &exchange), expected, "{calls}");
     }
 }

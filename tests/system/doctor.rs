@@ -54,6 +54,7 @@ fn check(words: &Output, json: &Value) {
         ("limits", "memlock"),
         ("cpu", "governor"),
         ("cpu", "idle states"),
+        ("cpu", "CPU latency"),
         ("cpu", "isolated CPUs"),
         ("cpu", "steal time"),
     ] {

@@ -55,6 +55,8 @@ pub(crate) fn closed_by_host(axis: &mut Axis, kind: Irp6Axis, control: DriveCont
         ),
     };
     let drive = axis.drive.as_mut().expect("the cell is on CAN");
+    // As the emulated drive has it: nominal current times torque constant.
+    drive.rated_torque = config.amplifier.max_current * motor.torque_constant;
     drive.control = control;
     drive.r#loop = Some(Loop {
         law,

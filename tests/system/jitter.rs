@@ -87,6 +87,12 @@ fn the_cycle_of_a_cell_is_measured_with_its_drives_on() {
             "{report}"
         );
     }
+    let late = report["causes"].as_object().unwrap().values();
+    let late: u64 = late.map(|count| count.as_u64().unwrap()).sum();
+    let worst = report["worst"].as_array().unwrap().len() as u64;
+    assert_eq!(worst, late.min(8), "{report}");
+    let max = report["ours"]["max"].as_f64().unwrap();
+    assert!(late > 0 || max <= 2000.0 / 100.0 * 1.001, "{report}");
     for side in ["ours", "peer"] {
         let cycles = report[side]["cycles"].as_u64().unwrap();
         assert!((500..=1100).contains(&cycles), "{report}");

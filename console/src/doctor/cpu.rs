@@ -2,7 +2,8 @@
 
 use std::collections::BTreeSet;
 
-use controller::cell::Realtime;
+use controller::cell::{Policy, Realtime};
+use servo::thread::Denial;
 
 use super::finding::Finding;
 use super::fix::Knob;
@@ -11,6 +12,9 @@ use super::tree::{Tree, cpu_list, field};
 
 const OF: &str = "cpu";
 const CPUS: &str = "/sys/devices/system/cpu";
+
+/// What the system says where a file is not to be opened (errno(3)).
+const EACCES: i32 = 13;
 
 /// Latency of leaving an idle state that a cycle of 1 ms can bear, µs.
 const BEARABLE_US: i64 = 20;
@@ -23,12 +27,11 @@ pub(crate) fn findings(tree: &Tree, realtime: &Realtime) -> Vec<Finding> {
     let allowed = cpu_list(field(&status, "Cpus_allowed_list").unwrap_or_default());
     let latency = tree.access("/dev/cpu_dma_latency");
     let identity = Identity::of(tree);
+    let writable = latency.map(|access| identity.may(0o2, access));
     vec![
         governors(tree, &online),
-        idle_states(
-            &enabled(tree, &online),
-            latency.map(|access| identity.may(0o2, access)),
-        ),
+        idle_states(&enabled(tree, &online)),
+        cpu_latency(writable, realtime.policy),
         placement(realtime, &online, &isolated, &allowed),
     ]
 }
@@ -94,13 +97,28 @@ fn enabled(tree: &Tree, online: &BTreeSet<usize>) -> Vec<IdleState> {
         .collect()
 }
 
-/// `writable` is whether this user may hold `/dev/cpu_dma_latency`; none where there is no such file.
-fn idle_states(enabled: &[IdleState], writable: Option<bool>) -> Finding {
-    let access = match writable {
+/// `writable` is whether this user may hold `/dev/cpu_dma_latency`, as a servo thread does; none where there is no such
+/// file, and then no idle state to keep away from.
+fn cpu_latency(writable: Option<bool>, policy: Policy) -> Finding {
+    let read = match writable {
         None => "no /dev/cpu_dma_latency",
         Some(false) => "/dev/cpu_dma_latency is not this user's to write",
         Some(true) => "/dev/cpu_dma_latency is writable",
     };
+    let finding = Finding::new(
+        OF,
+        "CPU latency",
+        read,
+        "while a servo thread runs it keeps all processors from idle states that take time to leave",
+    );
+    if writable != Some(false) {
+        return finding;
+    }
+    let denial = Denial::CpuLatency { errno: EACCES };
+    finding.judged(denied(policy), denial.to_string())
+}
+
+fn idle_states(enabled: &[IdleState]) -> Finding {
     let deepest = enabled.iter().max_by_key(|state| state.latency);
     let (latency, read) = match deepest {
         None => (0, "none".to_owned()),
@@ -111,7 +129,7 @@ fn idle_states(enabled: &[IdleState], writable: Option<bool>) -> Finding {
     let finding = Finding::new(
         OF,
         "idle states",
-        format!("{read}; {access}"),
+        read,
         "a processor that sleeps deeply wakes late for the next cycle, by as much as the state takes to leave",
     );
     if latency <= BEARABLE_US {
@@ -286,13 +304,24 @@ mod tests {
         assert_eq!(deep.verdict, Verdict::Warning);
         let disable = "/sys/devices/system/cpu/cpu0/cpuidle/state1/disable";
         assert_eq!(deep.fixes, [Knob::Kernel(disable.to_owned()).to("1")]);
-        assert_eq!(
-            deep.read,
-            "down to C6, 133 µs to leave; no /dev/cpu_dma_latency"
-        );
+        assert_eq!(deep.read, "down to C6, 133 µs to leave");
         assert_eq!(host(&files("1"))[1].verdict, Verdict::Ok);
-        let unwritable = idle_states(&[], Some(false));
-        assert!(unwritable.read.contains("not this user's to write"));
+    }
+
+    #[test]
+    fn a_latency_that_may_not_be_held_stops_a_cell_that_requires_it() {
+        for (writable, policy, verdict) in [
+            (None, Policy::Require, Verdict::Ok),
+            (Some(true), Policy::Require, Verdict::Ok),
+            (Some(false), Policy::BestEffort, Verdict::Warning),
+            (Some(false), Policy::Require, Verdict::NotUsable),
+        ] {
+            let found = cpu_latency(writable, policy);
+            assert_eq!(found.verdict, verdict, "{writable:?} {policy:?}");
+            let rule = found.mend.unwrap_or_default();
+            let names_rule = rule.contains("udev rule `KERNEL==\"cpu_dma_latency\"");
+            assert_eq!(names_rule, verdict != Verdict::Ok, "{rule}");
+        }
     }
 
     #[test]

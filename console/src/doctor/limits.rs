@@ -1,6 +1,6 @@
 //! What the user of this process may ask of the scheduler and of the memory.
 
-use controller::cell::{Policy, Realtime};
+use controller::cell::{Policy, Realtime, Scheduler};
 
 use servo::thread::{Denial, Grant, LIMITS, Limit};
 
@@ -82,11 +82,15 @@ pub(crate) fn findings(
 ) -> Vec<Finding> {
     let identity = Identity::of(tree);
     let limits = tree.text("/proc/self/limits").unwrap_or_default();
+    let beyond_limits = matches!(tried, Err(Denial::Deadline { .. }));
     let mut findings = vec![scheduling(&limits, &identity, realtime, tried)];
     if realtime.lock_memory {
         findings.push(memory(&limits, &identity, realtime.policy));
     }
-    let denied = findings.iter_mut().filter(|finding| finding.mend.is_some());
+    let denied = findings
+        .iter_mut()
+        .skip(usize::from(beyond_limits))
+        .filter(|finding| finding.mend.is_some());
     for finding in denied {
         finding.fixes = vec![granting(tree, realtime)];
     }
@@ -140,7 +144,10 @@ fn scheduling(
     realtime: &Realtime,
     tried: Result<(), Denial>,
 ) -> Finding {
-    let priority = realtime.priority;
+    let asked = match realtime.scheduler {
+        Scheduler::Fifo => format!("SCHED_FIFO {}", realtime.priority),
+        Scheduler::Deadline => "SCHED_DEADLINE".to_owned(),
+    };
     let limit = told(soft_limit(limits, "Max realtime priority"));
     let capability = if identity.can(CAP_SYS_NICE) {
         ", CAP_SYS_NICE"
@@ -151,7 +158,7 @@ fn scheduling(
     let finding = Finding::new(
         OF,
         "rtprio",
-        format!("SCHED_FIFO {priority} {answer}; limit {limit}{capability}"),
+        format!("{asked} {answer}; limit {limit}{capability}"),
         "under SCHED_OTHER every other program may delay a cycle, by tens of milliseconds on a busy host",
     );
     match tried {
@@ -287,6 +294,30 @@ Max realtime timeout      unlimited            unlimited            us        ";
                 assert_eq!(finding.fixes, [fix], "{before:?}");
             }
         }
+    }
+
+    #[test]
+    fn no_limit_is_offered_for_a_denied_deadline() {
+        let realtime = Realtime {
+            scheduler: Scheduler::Deadline,
+            ..Realtime::default()
+        };
+        let denial = Denial::Deadline {
+            runtime: std::time::Duration::from_micros(900),
+            period: std::time::Duration::from_millis(1),
+            errno: 1,
+        };
+        let found = findings(&Fake::new(&[]).tree(), &realtime, Err(denial));
+        assert!(found[0].read.starts_with("SCHED_DEADLINE denied"));
+        assert!(
+            found[0]
+                .mend
+                .as_ref()
+                .unwrap()
+                .contains("setcap cap_sys_nice+ep")
+        );
+        assert_eq!(found[0].fixes, []);
+        assert_eq!(found[1].fixes.len(), 1);
     }
 
     #[test]

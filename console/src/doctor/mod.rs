@@ -29,10 +29,10 @@ use anyhow::{Context, ensure};
 use can::clock::{now, sleep_until};
 use can::{OpenError, SocketCanOptions, SocketCanPort};
 use clap::Args;
-use controller::cell::{Cell, Realtime};
+use controller::cell::{Cell, Realtime, Scheduler};
 use drive::cia402;
 use serde::Serialize;
-use servo::thread::{Denial, set_fifo};
+use servo::thread::{Denial, set_deadline, set_fifo};
 
 use crate::cell_file::CellFile;
 use crate::interfaces::Interface;
@@ -157,7 +157,7 @@ fn examine(tree: &Tree, cell: Option<&Cell>) -> anyhow::Result<Vec<Finding>> {
     let before = stat();
     let end = now() + WATCH;
 
-    let tried = try_fifo(realtime.priority)?;
+    let tried = try_scheduler(&realtime, cell.map_or(Duration::ZERO, Cell::period))?;
     let mut findings = kernel::findings(tree, cell.map(|cell| cell.period_us), tried.is_ok());
     findings.extend(limits::findings(tree, &realtime, tried));
     findings.extend(cpu::findings(tree, &realtime));
@@ -226,9 +226,17 @@ fn wanted(
     (interfaces, lines)
 }
 
-/// What the scheduler says to a thread that asks for this priority. It ends at once.
-fn try_fifo(priority: u8) -> anyhow::Result<Result<(), Denial>> {
-    let asking = thread::Builder::new().spawn(move || set_fifo(priority));
+/// What the scheduler says to a thread that asks for what the servo's would. It ends at once.
+fn try_scheduler(realtime: &Realtime, period: Duration) -> anyhow::Result<Result<(), Denial>> {
+    let Realtime {
+        scheduler,
+        priority,
+        ..
+    } = *realtime;
+    let asking = thread::Builder::new().spawn(move || match scheduler {
+        Scheduler::Fifo => set_fifo(priority),
+        Scheduler::Deadline => set_deadline(period),
+    });
     let asking = asking.context("a thread to ask for its priority")?;
     Ok(asking.join().expect("asking does not panic"))
 }

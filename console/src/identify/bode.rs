@@ -113,6 +113,11 @@ pub(super) fn chart(report: &Report) -> String {
     magnitude.grid(&mut svg, "magnitude, dB");
     phase.grid(&mut svg, "phase, degrees");
 
+    // A label that would leave the picture stands on the other side.
+    let beside = |at: f64| match at > ENDS[1] - 120.0 {
+        true => (at - 8.0, "end"),
+        false => (at + 8.0, "start"),
+    };
     // The margin first: the curve lies on top.
     if let (Some(crossover), Some(margin)) = (report.crossover_hz, report.phase_margin_deg) {
         let at = x(crossover);
@@ -130,13 +135,13 @@ pub(super) fn chart(report: &Report) -> String {
             phase.at(margin - 180.0)
         );
         let style = format!("fill=\"{MARK}\"");
-        let beside = [at + 8.0, (half + phase.at(margin - 180.0)) / 2.0 + 4.5];
-        text(&mut svg, beside, "start", &style, &format!("{margin:.1}°"));
-        let above = [at + 8.0, MAGNITUDE[0] + 16.0];
+        let (x, anchor) = beside(at);
+        let y = (half + phase.at(margin - 180.0)) / 2.0 + 4.5;
+        text(&mut svg, [x, y], anchor, &style, &format!("{margin:.1}°"));
         text(
             &mut svg,
-            above,
-            "start",
+            [x, MAGNITUDE[0] + 16.0],
+            anchor,
             &style,
             &format!("{crossover:.1} Hz"),
         );
@@ -144,11 +149,11 @@ pub(super) fn chart(report: &Report) -> String {
         let at = x(bandwidth);
         dashed(&mut svg, [at, MAGNITUDE[0]], [at, PHASE[1]]);
         let style = format!("fill=\"{MARK}\"");
-        let above = [at + 8.0, MAGNITUDE[0] + 16.0];
+        let (x, anchor) = beside(at);
         text(
             &mut svg,
-            above,
-            "start",
+            [x, MAGNITUDE[0] + 16.0],
+            anchor,
             &style,
             &format!("-3 dB at {bandwidth:.1} Hz"),
         );

@@ -29,6 +29,8 @@ pub(crate) struct Report {
     pub phase_margin_deg: Option<f64>,
     /// Where the closed loop has 3 dB less, Hz.
     pub bandwidth_hz: Option<f64>,
+    /// The closed loop's greatest magnitude, dB.
+    pub peak_db: Option<f64>,
     /// The lowest coherence up to the crossover, or to the bandwidth.
     pub coherence: f64,
     /// The response.
@@ -51,7 +53,7 @@ impl Report {
         config: &ServoAxisConfig,
         run: &Run,
         kind: Response,
-        points: Vec<Point>,
+        points: &[Point],
     ) -> Self {
         let (closed_by, unit) = match &config.position_loop {
             PositionLoop::Drive => ("the drive".into(), "rad"),
@@ -72,8 +74,9 @@ impl Report {
             }
         };
         let open = kind == Response::Open;
-        let margin: Option<Margin> = margin(&points).filter(|_| open);
-        let bandwidth = bandwidth(&points).filter(|_| !open);
+        let margin: Option<Margin> = margin(points).filter(|_| open);
+        let bandwidth = bandwidth(points).filter(|_| !open);
+        let peak = points.iter().map(|it| it.magnitude).fold(0.0, f64::max);
         let end = margin.map(|it| it.crossover).or(bandwidth);
         let judged = points
             .iter()
@@ -90,6 +93,7 @@ impl Report {
             crossover_hz: margin.map(|it| it.crossover),
             phase_margin_deg: margin.map(|it| it.phase.to_degrees()),
             bandwidth_hz: bandwidth,
+            peak_db: (!open).then(|| 20.0 * peak.log10()),
             coherence: judged.map(|it| it.coherence).fold(1.0, f64::min),
             points: points.iter().map(PointReport::of).collect(),
         }
@@ -117,13 +121,16 @@ impl Report {
 
     /// What it is worth.
     pub(crate) fn verdict(&self) -> String {
+        let peak = self.peak_db.unwrap_or_default();
         match (self.crossover_hz, self.phase_margin_deg, self.bandwidth_hz) {
             (Some(crossover), Some(margin), _) => {
                 format!("crossover {crossover:.1} Hz, phase margin {margin:.1}°")
             }
-            (.., Some(bandwidth)) => format!("3 dB less at {bandwidth:.1} Hz"),
+            (.., Some(bandwidth)) => {
+                format!("3 dB less at {bandwidth:.1} Hz, {peak:.1} dB more at most")
+            }
             _ if self.open_loop => "no crossover between these frequencies".into(),
-            _ => "less than 3 dB lost at these frequencies".into(),
+            _ => format!("less than 3 dB lost at these frequencies, {peak:.1} dB more at most"),
         }
     }
 }

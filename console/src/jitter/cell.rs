@@ -8,7 +8,7 @@ use anyhow::{anyhow, bail};
 use can::clock::{now, sleep_until};
 use clap::ValueEnum;
 use serde::Serialize;
-use servo::thread::{CellTime, Denial, RealtimePolicy, WaitReport};
+use servo::thread::{CellTime, Denial, LateCycles, RealtimePolicy, Spike, Tracer, WaitReport};
 use servo::{Order, Phase, Servo};
 
 use super::interval::{Counts, Interval, Ledger, counts, counts_of};
@@ -40,6 +40,10 @@ pub(crate) struct MeasuredCell<'a> {
     wake_up: Counts,
     pub(crate) missed: u64,
     pub(crate) wait: WaitReport,
+    /// Cycles that were late, of all turns.
+    pub(crate) late: LateCycles,
+    /// The cycles around the latest, of all turns; each turn numbers its own.
+    pub(crate) spikes: Vec<Spike>,
     /// Whether every robot stood with its power on in every turn.
     stood: bool,
 }
@@ -55,6 +59,8 @@ impl<'a> MeasuredCell<'a> {
             wake_up: counts(),
             missed: 0,
             wait: WaitReport::default(),
+            late: LateCycles::default(),
+            spikes: Vec::new(),
             stood: true,
         }
     }
@@ -125,6 +131,11 @@ impl<'a> MeasuredCell<'a> {
         }
         self.missed += finished.servo.counters().missed_cycles;
         self.wait = timing.wait;
+        self.late.add(&timing.late);
+        self.spikes.extend(finished.spikes);
+        self.spikes
+            .sort_by_key(|spike| std::cmp::Reverse(spike.lateness()));
+        self.spikes.truncate(Tracer::KEPT);
         self.stood &= stood.into_iter().all(|stood| stood);
         ledger.add(&Interval {
             begun,

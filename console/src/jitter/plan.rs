@@ -6,7 +6,7 @@ use anyhow::{anyhow, bail};
 use controller::cell::Cell;
 use servo::thread::{self, CellTime, Realtime, RealtimePolicy};
 
-use super::{Options, Wait};
+use super::{Options, Scheduler, Wait};
 use crate::setup;
 
 /// Shortest and longest period.
@@ -71,6 +71,19 @@ impl Plan {
             .ok()
             .filter(|priority| (1..=99).contains(priority))
             .ok_or_else(|| anyhow!("--priority is {}, must be between 1 and 99", given))?;
+        let scheduler = match (options.scheduler, usual.scheduler) {
+            (Some(Scheduler::Fifo), _) | (None, thread::Scheduler::Fifo) => thread::Scheduler::Fifo,
+            (Some(Scheduler::Deadline), _) | (None, thread::Scheduler::Deadline { .. }) => {
+                thread::Scheduler::Deadline { period }
+            }
+        };
+        let cpu = options.cpu.or(usual.cpu);
+        if let (thread::Scheduler::Deadline { .. }, Some(cpu)) = (scheduler, cpu) {
+            bail!(
+                "CPU {cpu} cannot be had with --scheduler deadline, which the kernel grants only to a thread that may \
+                 run on all CPUs"
+            );
+        }
         let turn = (time / ROUNDS).clamp(TURN[0].min(time), TURN[1]);
         Ok(Self {
             period,
@@ -79,19 +92,44 @@ impl Plan {
             rounds: time.div_duration_f64(turn).ceil() as u32,
             policy: RealtimePolicy {
                 realtime: Realtime::BestEffort,
+                scheduler,
                 priority,
-                cpu: options.cpu.or(usual.cpu),
-                wait: match options.wait {
-                    Some(Wait::Plain) => thread::Wait::Plain,
-                    Some(Wait::Hybrid) => thread::Wait::HYBRID,
-                    None => usual.wait,
-                },
+                cpu,
+                wait: wait(options, usual.wait, period)?,
                 // Both sides alike.
                 lock_memory: true,
                 ..usual
             },
         })
     }
+}
+
+/// How to wait: as `usual` but for what the options say, within what a cell may say.
+fn wait(options: &Options, usual: thread::Wait, period: Duration) -> anyhow::Result<thread::Wait> {
+    let wait = match (options.wait, usual) {
+        (Some(Wait::Plain), _) | (None, thread::Wait::Plain) => thread::Wait::Plain,
+        (Some(Wait::Hybrid), thread::Wait::Plain) => thread::Wait::HYBRID,
+        (Some(Wait::Hybrid) | None, hybrid) => hybrid,
+    };
+    let thread::Wait::Hybrid { margin, spin_share } = wait else {
+        if options.margin.is_some() || options.spin_share.is_some() {
+            bail!("--margin and --spin-share need --wait hybrid");
+        }
+        return Ok(wait);
+    };
+    let given = options.margin.as_deref();
+    let given = given.map(|text| duration("margin", text)).transpose()?;
+    let (margin, spin_share) = (given.or(margin), options.spin_share.unwrap_or(spin_share));
+    if !(0.0..=0.5).contains(&spin_share) {
+        bail!("--spin-share is {spin_share}, must be between 0 and 0.5 (of a core)");
+    }
+    let longest = period.mul_f64(spin_share);
+    if let Some(margin) = margin.filter(|&margin| margin > longest) {
+        bail!(
+            "--margin is {margin:?}, must be at most the share of the period to spin in, {longest:?}"
+        );
+    }
+    Ok(thread::Wait::Hybrid { margin, spin_share })
 }
 
 fn period(text: &str, of_cell: bool) -> anyhow::Result<Duration> {
@@ -189,10 +227,52 @@ mod tests {
             ("--priority 0", "--priority is 0, must be between 1 and 99"),
             ("--priority 100", "--priority"),
             ("--priority 336", "--priority"),
+            (
+                "--scheduler deadline --cpu 1",
+                "CPU 1 cannot be had with --scheduler deadline",
+            ),
+            (
+                "--spin-share 0.6",
+                "--spin-share is 0.6, must be between 0 and 0.5",
+            ),
+            ("--spin-share nan", "--spin-share"),
+            (
+                "--margin 201us",
+                "--margin is 201µs, must be at most the share of the period to spin in, 200µs",
+            ),
+            ("--margin 200", "--margin is \"200\", must be a number"),
+            ("--wait plain --margin 9us", "need --wait hybrid"),
+            ("--wait plain --spin-share 0.1", "need --wait hybrid"),
         ] {
             let refusal = plan(line).err().unwrap_or_default();
             assert!(refusal.contains(needle), "{line}: {refusal:?}");
             assert_eq!(refusal.lines().count(), 1, "{line}: {refusal}");
+        }
+    }
+
+    #[test]
+    fn the_thread_is_scheduled_and_waits_as_the_options_say() {
+        let hybrid = |margin: Option<u64>, spin_share| thread::Wait::Hybrid {
+            margin: margin.map(Duration::from_micros),
+            spin_share,
+        };
+        let deadline = |period| thread::Scheduler::Deadline {
+            period: Duration::from_millis(period),
+        };
+        let fifo = thread::Scheduler::Fifo;
+        for (line, scheduler, wait) in [
+            ("", fifo, thread::Wait::HYBRID),
+            ("--scheduler fifo --wait plain", fifo, thread::Wait::Plain),
+            ("--scheduler deadline", deadline(1), thread::Wait::HYBRID),
+            (
+                "--scheduler deadline --period 2ms --margin 800us --spin-share 0.4",
+                deadline(2),
+                hybrid(Some(800), 0.4),
+            ),
+            ("--wait hybrid --spin-share 0", fifo, hybrid(None, 0.0)),
+        ] {
+            let policy = plan(line).unwrap().policy;
+            assert_eq!((policy.scheduler, policy.wait), (scheduler, wait), "{line}");
         }
     }
 

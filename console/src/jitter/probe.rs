@@ -7,7 +7,9 @@ use std::time::Duration;
 
 use anyhow::{Context, anyhow};
 use can::clock::{now, sleep_until};
-use servo::thread::{self, Cause, Denial, LateCycle, LateCycles, RealtimePolicy, Usage, Waiter};
+use servo::thread::{
+    self, Cause, Denial, LateCycle, LateCycles, RealtimePolicy, Stamps, Tracer, Usage, Waiter,
+};
 
 use super::interval::Recorder;
 
@@ -42,6 +44,8 @@ pub(crate) struct Wakeups {
     pub missed: u64,
     /// Those that were more than a hundredth of the period late.
     pub causes: LateCycles,
+    /// The wake-ups around the latest.
+    pub spikes: Tracer,
 }
 
 impl Wakeups {
@@ -51,6 +55,7 @@ impl Wakeups {
             late,
             missed: 0,
             causes: LateCycles::default(),
+            spikes: Tracer::new(Arc::default()),
         }
     }
 }
@@ -61,22 +66,28 @@ pub(crate) fn wait(waiter: &mut Waiter, wakeups: &mut Wakeups, turn: Turn) {
     let (mut ended, mut due, end) = (began, began + turn.period, began + turn.time);
     let mut counted = Usage::of_this_thread();
     waiter.pause();
+    wakeups.spikes.pause();
     wakeups.late.begin(ended);
     while due <= end && !turn.is_over() {
         let awake = waiter.wait(due, Duration::ZERO);
         let late = awake.at.since(due);
         wakeups.late.record(late, awake.at);
         let usage = Usage::of_this_thread();
-        if late > turn.period / 100 {
+        let is_late = (late > turn.period / 100).then(|| {
             let worked = awake.asked_at.since(ended);
-            let cause = Cause::of(late, worked, &awake, usage.since(counted));
-            wakeups.causes.record(LateCycle {
+            LateCycle {
                 cycle: wakeups.cycles,
                 due: due.since(began),
                 late,
-                cause,
-            });
-        }
+                cause: Cause::of(late, worked, &awake, usage.since(counted)),
+            }
+        });
+        is_late
+            .into_iter()
+            .for_each(|late| wakeups.causes.record(late));
+        wakeups
+            .spikes
+            .record(Stamps::of_wait(wakeups.cycles, due, awake, is_late));
         (ended, counted) = (awake.at, usage);
         wakeups.cycles += 1;
         due += turn.period;

@@ -4,13 +4,12 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use serde::Serialize;
-use servo::thread::WaitReport;
+use servo::thread::{LateCycles, WaitReport};
 
 use super::cell::CellReport;
 use super::interval::Counts;
-use super::probe::Wakeups;
 use super::verdict::{self, Fit, Tail};
-use super::{Peer, Wait, load};
+use super::{Peer, Scheduler, Wait, load};
 use crate::report::{Percentiles, WaitCost, microseconds};
 
 /// What was measured, and how.
@@ -24,7 +23,9 @@ pub(super) struct Setting {
     pub(super) rounds: u32,
     /// The turn of each side that counts for nothing, s.
     pub(super) warm_up_s: f64,
-    /// Priority under SCHED_FIFO.
+    /// What scheduled ours.
+    pub(super) scheduler: Scheduler,
+    /// Priority under SCHED_FIFO, of whoever was under it.
     pub(super) priority: u8,
     /// The CPU both sides stayed on.
     pub(super) cpu: Option<usize>,
@@ -54,10 +55,11 @@ impl fmt::Display for Setting {
             priority,
             ..
         } = self;
-        write!(
-            f,
-            "period {period_us} µs, {wait} wait, SCHED_FIFO {priority}, "
-        )?;
+        write!(f, "period {period_us} µs, {wait} wait, ")?;
+        match self.scheduler {
+            Scheduler::Fifo => write!(f, "SCHED_FIFO {priority}, ")?,
+            Scheduler::Deadline => f.write_str("SCHED_DEADLINE, ")?,
+        }
         match self.cpu {
             Some(cpu) => write!(f, "CPU {cpu}, ")?,
             None => f.write_str("any CPU, ")?,
@@ -83,9 +85,9 @@ pub(super) struct Report {
     peer: Option<Side>,
     /// Ours over the peer's; null where the peer's is zero.
     ratio: Option<Ratio>,
-    /// How many wake-ups of ours were more than a hundredth of the period late, by cause.
+    /// How many wake-ups of ours, or SYNCs of the cell, were more than a hundredth of the period late, by cause.
     causes: BTreeMap<&'static str, u64>,
-    /// The latest wake-ups of ours.
+    /// The latest of them.
     worst: Vec<Late>,
     /// How well the usual periods and this one are kept.
     fits: Vec<Fit>,
@@ -152,7 +154,7 @@ impl Report {
         setting: Setting,
         ours: Side,
         peer: Option<Side>,
-        wakeups: &Wakeups,
+        late: &LateCycles,
         cell: Option<CellReport>,
     ) -> Self {
         let over = |ours: f64, peer: f64| (peer > 0.0).then(|| ours / peer);
@@ -166,8 +168,8 @@ impl Report {
         let skipped = (cell.as_ref()).and(ours.missed).unwrap_or(0);
         let fits = verdict::fits(&ours.late, setting.period_us, ours.cycles, skipped);
         let tail = (peer.as_ref()).map(|peer| verdict::tail(&ours.late, &peer.late));
-        let causes = wakeups.causes.causes();
-        let worst = wakeups.causes.worst().map(|worst| Late {
+        let causes = late.causes();
+        let worst = late.worst().map(|worst| Late {
             late_us: microseconds(worst.late),
             cause: worst.cause.name(),
         });

@@ -8,7 +8,7 @@ mod axis;
 mod meetings;
 
 use super::locate::{self, Path};
-use super::{Cell, Instruction, JointGenerator, Plant, Robot};
+use super::{Cell, Instruction, JointGenerator, Plant, Realtime, Robot, Scheduler};
 use axis::Place;
 
 /// A refused cell file: where and why, in one line.
@@ -54,6 +54,11 @@ pub enum Problem {
     /// NaN or infinity.
     #[error("must be a finite number")]
     NotFinite,
+    /// A CPU for a thread under SCHED_DEADLINE.
+    #[error(
+        "must be left out with scheduler = \"deadline\", which the kernel grants only to a thread that may run on all CPUs"
+    )]
+    PinnedDeadline,
     /// A number outside its range.
     #[error("is {value}, must be {range}")]
     OutOfRange {
@@ -185,6 +190,7 @@ fn check(cell: &Cell) -> Checked {
         99.0,
         "between 1 and 99",
     )?;
+    check_scheduler(cell)?;
     check_wait(cell)?;
     check_buses(cell)?;
     check_serial(cell)?;
@@ -197,6 +203,17 @@ fn check(cell: &Cell) -> Checked {
     )?;
     check_robots(cell)?;
     meetings::check(cell)
+}
+
+fn check_scheduler(cell: &Cell) -> Checked {
+    let Realtime { scheduler, cpu, .. } = cell.realtime;
+    match (scheduler, cpu) {
+        (Scheduler::Deadline, Some(_)) => Err((
+            Path::default().then("realtime").then("cpu"),
+            Problem::PinnedDeadline,
+        )),
+        _ => Ok(()),
+    }
 }
 
 fn check_wait(cell: &Cell) -> Checked {

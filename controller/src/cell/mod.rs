@@ -11,6 +11,7 @@ mod check;
 mod drives;
 mod locate;
 mod meetings;
+mod model;
 mod program;
 #[cfg(test)]
 mod tests;
@@ -21,11 +22,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::generator::{Arm, Pose};
-use crate::robot::{
-    Conveyor, ConveyorParameters, Gripper, GripperParameters, Irb6, Irb6Parameters, Irp6,
-    Irp6Parameters, Irp6Track, Irp6TrackParameters, ParameterError, Polycrank, PolycrankParameters,
-    Rnt, RntParameters,
-};
+use crate::robot::ParameterError;
 
 pub use axis_controller::{
     AxisController, Cascade, Control, FeedForward, Incremental, Law, Loop, Proportional, Protocol,
@@ -35,6 +32,7 @@ pub use check::{CellError, Problem};
 pub use drives::ENABLING;
 pub use locate::{Path, Step};
 pub use meetings::Meeting;
+pub use model::{Model, Parameters};
 pub use program::{ProgramError, instruction_path};
 
 /// One controller: everything that is stepped on one tick grid.
@@ -78,9 +76,11 @@ pub struct Cell {
 pub struct Realtime {
     /// Whether a denied request is reported or refuses the start.
     pub policy: Policy,
-    /// Priority under SCHED_FIFO, 1 to 99.
+    /// What schedules the servo thread.
+    pub scheduler: Scheduler,
+    /// Priority under SCHED_FIFO, 1 to 99; the controller's thread is some below it under either scheduler.
     pub priority: u8,
-    /// The CPU to pin the servo thread to; none leaves it to the scheduler.
+    /// The CPU to pin the servo thread to; none leaves it to the scheduler. None with `scheduler = "deadline"`.
     pub cpu: Option<usize>,
     /// Whether to lock the process's memory.
     pub lock_memory: bool,
@@ -88,8 +88,19 @@ pub struct Realtime {
     pub wait: Wait,
     /// How long before it needs to run a hybrid wait asks to be woken, µs; none learns it from how late the host is.
     pub margin_us: Option<u32>,
-    /// Largest share of a core that a hybrid wait spins in, 0 to 0.5; it bounds the margin.
+    /// Largest share of a core that a hybrid wait spins in, 0 to 0.5: of each period with `margin_us`, of any second but for a twentieth without.
     pub spin_share: f64,
+}
+
+/// What schedules the servo thread.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Scheduler {
+    /// SCHED_FIFO: before all threads of a lower priority, for as long as it wants to run.
+    Fifo,
+    /// SCHED_DEADLINE: before all threads under SCHED_FIFO, for nine tenths of each period at most. Needs CAP_SYS_NICE,
+    /// which no limit stands for, and all CPUs.
+    Deadline,
 }
 
 /// How the servo thread waits for its deadlines.
@@ -106,6 +117,7 @@ impl Default for Realtime {
     fn default() -> Self {
         Self {
             policy: Policy::BestEffort,
+            scheduler: Scheduler::Fifo,
             priority: 80,
             cpu: None,
             lock_memory: true,
@@ -175,50 +187,6 @@ pub struct Robot {
     pub program: Vec<Instruction>,
 }
 
-/// The robots whose numbers are known.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum Model {
-    /// ASEA IRb-6, five axes.
-    Irb6,
-    /// WUT IRp-6 on its pedestal, six axes.
-    Irp6,
-    /// The same robot as calibrated in February 2007.
-    Irp6Calibrated,
-    /// WUT IRp-6 on its track, seven axes.
-    Irp6Track,
-    /// The same robot as calibrated in February 2007.
-    Irp6TrackCalibrated,
-    /// WUT RNT, three legs and a wrist: a stand-in whose every number is nominal, not measured.
-    Rnt,
-    /// WUT Polycrank, seven axes without end: the geometry is the robot's, its drives are nominal.
-    Polycrank,
-    /// Two-finger gripper of the WUT robots, one axis: opening of the jaws, m.
-    Gripper,
-    /// Conveyor of the WUT laboratory, one axis without end: position of the belt, m.
-    Conveyor,
-}
-
-/// The numbers of one robot.
-#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum Parameters {
-    /// For `model = "irb6"`.
-    Irb6(Irb6Parameters),
-    /// For `model = "irp6"`.
-    Irp6(Irp6Parameters),
-    /// For `model = "irp6-track"`.
-    Irp6Track(Irp6TrackParameters),
-    /// For `model = "rnt"`.
-    Rnt(RntParameters),
-    /// For `model = "polycrank"`.
-    Polycrank(PolycrankParameters),
-    /// For `model = "gripper"`.
-    Gripper(GripperParameters),
-    /// For `model = "conveyor"`.
-    Conveyor(ConveyorParameters),
-}
-
 impl Robot {
     /// Its kinematics and its tool, or what is wrong with its parameters.
     pub fn arm(&self) -> Result<Arm, ParameterError> {
@@ -232,83 +200,6 @@ impl Robot {
     pub fn kinematics(&self) -> Result<Arc<dyn crate::robot::Robot>, ParameterError> {
         let usual = || self.model.parameters();
         self.parameters.unwrap_or_else(usual).kinematics()
-    }
-}
-
-impl Parameters {
-    /// The robot of these numbers, or what is wrong with them.
-    pub fn kinematics(&self) -> Result<Arc<dyn crate::robot::Robot>, ParameterError> {
-        Ok(match self {
-            Self::Irb6(parameters) => Arc::new(Irb6::new(parameters)?),
-            Self::Irp6(parameters) => Arc::new(Irp6::new(parameters)?),
-            Self::Irp6Track(parameters) => Arc::new(Irp6Track::new(parameters)?),
-            Self::Rnt(parameters) => Arc::new(Rnt::new(parameters)?),
-            Self::Polycrank(parameters) => Arc::new(Polycrank::new(parameters)?),
-            Self::Gripper(parameters) => Arc::new(Gripper::new(parameters)?),
-            Self::Conveyor(parameters) => Arc::new(Conveyor::new(parameters)?),
-        })
-    }
-}
-
-impl Model {
-    /// All of them.
-    pub const ALL: [Self; 9] = [
-        Self::Irb6,
-        Self::Irp6,
-        Self::Irp6Calibrated,
-        Self::Irp6Track,
-        Self::Irp6TrackCalibrated,
-        Self::Rnt,
-        Self::Polycrank,
-        Self::Gripper,
-        Self::Conveyor,
-    ];
-
-    /// What a cell file calls it.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Irb6 => "irb6",
-            Self::Irp6 => "irp6",
-            Self::Irp6Calibrated => "irp6-calibrated",
-            Self::Irp6Track => "irp6-track",
-            Self::Irp6TrackCalibrated => "irp6-track-calibrated",
-            Self::Rnt => "rnt",
-            Self::Polycrank => "polycrank",
-            Self::Gripper => "gripper",
-            Self::Conveyor => "conveyor",
-        }
-    }
-
-    /// Its own numbers.
-    pub const fn parameters(self) -> Parameters {
-        match self {
-            Self::Irb6 => Parameters::Irb6(Irb6Parameters::irb6()),
-            Self::Irp6 => Parameters::Irp6(Irp6Parameters::irp6p()),
-            Self::Irp6Calibrated => Parameters::Irp6(Irp6Parameters::irp6p_calibrated()),
-            Self::Irp6Track => Parameters::Irp6Track(Irp6TrackParameters::irp6ot()),
-            Self::Irp6TrackCalibrated => {
-                Parameters::Irp6Track(Irp6TrackParameters::irp6ot_calibrated())
-            }
-            Self::Rnt => Parameters::Rnt(RntParameters::nominal()),
-            Self::Polycrank => Parameters::Polycrank(PolycrankParameters::polycrank()),
-            Self::Gripper => Parameters::Gripper(GripperParameters::two_finger()),
-            Self::Conveyor => Parameters::Conveyor(ConveyorParameters::belt()),
-        }
-    }
-
-    /// Whether it is an arm that stands on a pedestal.
-    pub const fn is_on_pedestal(self) -> bool {
-        matches!(self, Self::Irb6 | Self::Irp6 | Self::Irp6Calibrated)
-    }
-
-    /// How many axes it has.
-    pub const fn axes(self) -> usize {
-        match self {
-            Self::Irb6 => 5,
-            Self::Irp6 | Self::Irp6Calibrated | Self::Rnt => 6,
-            Self::Irp6Track | Self::Irp6TrackCalibrated | Self::Polycrank => 7,
-            Self::Gripper | Self::Conveyor => 1,
-        }
     }
 }
 
@@ -394,7 +285,8 @@ pub enum DriveControl {
     Position,
     /// Velocity (CSV): the host closes the position loop.
     Velocity,
-    /// Torque (CST): the host closes position and velocity loop.
+    /// Torque (CST): the host closes position and velocity loop. Their gain is right only if `rated_torque` is what the
+    /// drive says in object 0x6076, which for maxon is nominal current times torque constant.
     Torque,
 }
 

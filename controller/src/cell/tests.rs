@@ -31,7 +31,7 @@ fn example_cells_parse_and_their_programs_can_be_built() {
 
 #[test]
 fn a_refusal_names_line_key_and_reason() {
-    let cases: [(&str, &str, &str, &str); 31] = [
+    let cases: [(&str, &str, &str, &str); 32] = [
         (
             "method = 11",
             "method = 12",
@@ -92,6 +92,12 @@ fn a_refusal_names_line_key_and_reason() {
             "margin_us = 401\npriority = 80",
             "realtime.margin_us",
             "at most spin_share of the period",
+        ),
+        (
+            "priority = 80",
+            "scheduler = \"deadline\"\ncpu = 0",
+            "realtime.cpu",
+            "must be left out with scheduler = \"deadline\"",
         ),
         (
             "priority = 80",

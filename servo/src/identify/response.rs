@@ -36,7 +36,8 @@ pub struct Margin {
 /// The response at `lines` from the whole periods of `length` samples in `input` and `output`, a sample each `dt`
 /// seconds.
 ///
-/// It is the ratio of the mean spectra, so noise in either one is not taken for loop.
+/// Every two periods in a row are a block, so two of them at least are needed. It is the ratio of the mean spectra, so
+/// noise in either one is not taken for loop.
 pub fn respond(
     input: &[f64],
     output: &[f64],
@@ -45,8 +46,12 @@ pub fn respond(
     dt: f64,
     response: Response,
 ) -> Vec<Point> {
-    let periods = input.chunks_exact(length).zip(output.chunks_exact(length));
-    let periods: Vec<_> = periods.collect();
+    let periods = input.len().min(output.len()) / length;
+    let starts = (1..periods).map(|block| (block - 1) * length);
+    let block = |start| start..start + 2 * length;
+    let blocks: Vec<_> = starts
+        .map(|start| (&input[block(start)], &output[block(start)]))
+        .collect();
     // Where the first phase is looked for: about half a turn behind, or none.
     let mut near = match response {
         Response::Open => -TAU / 2.0,
@@ -55,8 +60,8 @@ pub fn respond(
     let point = |&line: &usize| {
         let (mut x, mut y, mut cross) = (Complex::ZERO, Complex::ZERO, Complex::ZERO);
         let (mut x_power, mut y_power) = (0.0, 0.0);
-        for (input, output) in &periods {
-            let (of_x, of_y) = (transform(input, line), transform(output, line));
+        for (input, output) in &blocks {
+            let (of_x, of_y) = (transform(input, 2 * line), transform(output, 2 * line));
             (x, y) = (x.plus(of_x), y.plus(of_y));
             cross = cross.plus(of_y.over(of_x).times(of_x.power()));
             x_power += of_x.power();
@@ -84,10 +89,9 @@ pub fn margin(open: &[Point]) -> Option<Margin> {
     })
 }
 
-/// Where a closed loop has 3 dB less than at its first point for good, Hz; `None` if not between two points.
+/// Where a closed loop falls below -3 dB for good, Hz; `None` if not between two points.
 pub fn bandwidth(closed: &[Point]) -> Option<f64> {
-    let first = closed.first()?.magnitude;
-    last_fall(closed, first * FRAC_1_SQRT_2).map(|(frequency, _)| frequency)
+    last_fall(closed, FRAC_1_SQRT_2).map(|(frequency, _)| frequency)
 }
 
 /// Frequency and phase at which the magnitude falls below `level` last, between two points as straight lines on
@@ -104,11 +108,11 @@ fn last_fall(points: &[Point], level: f64) -> Option<(f64, f64)> {
     ))
 }
 
-/// One line of the spectrum of a period under a Hann window.
-fn transform(period: &[f64], line: usize) -> Complex {
-    let length = period.len();
+/// One line of the spectrum of a block under a Hann window.
+fn transform(block: &[f64], line: usize) -> Complex {
+    let length = block.len();
     let mut sum = Complex::ZERO;
-    for (at, value) in period.iter().enumerate() {
+    for (at, value) in block.iter().enumerate() {
         let window = 1.0 - (TAU * at as f64 / length as f64).cos();
         let (sin, cos) = (TAU * (line * at % length) as f64 / length as f64).sin_cos();
         sum = sum.plus(Complex(window * value * cos, -window * value * sin));

@@ -3,14 +3,14 @@
 use std::f64::consts::{PI, TAU};
 
 /// At most `count` multiples of the sequence's own frequency from `low` to `high`, Hz, evenly spread on a
-/// logarithmic axis and at least two apart; `dt` is the period of the servo, s.
+/// logarithmic axis, no two the same and none the first; `dt` is the period of the servo, s.
 pub fn lines(length: usize, dt: f64, [low, high]: [f64; 2], count: usize) -> Vec<usize> {
     let bins = length as f64 * dt;
     let step = (high / low).powf(1.0 / (count.max(2) - 1) as f64);
     let mut lines: Vec<usize> = Vec::new();
     for number in 0..count {
         let wanted = (low * step.powi(number as i32) * bins).round() as usize;
-        let least = lines.last().map_or(2, |last| last + 2);
+        let least = lines.last().map_or(2, |last| last + 1);
         let line = wanted.max(least);
         if line as f64 <= high * bins + 0.5 && 2 * line < length {
             lines.push(line);

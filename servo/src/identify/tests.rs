@@ -27,10 +27,7 @@ fn integrator(gain: f64, delay: usize, excitation: &[f64], periods: usize) -> (V
 #[test]
 fn an_integrator_with_a_delay_is_measured_as_it_is_calculated() {
     let lines = lines(LENGTH, DT, [2.0, 120.0], 40);
-    // A chirp excites what lies between its lines too, and the window mixes neighbours.
-    type Sequence = fn(usize, &[usize], f64) -> Vec<f64>;
-    let cases: [(Sequence, f64); 2] = [(multisine, 0.02), (chirp, 0.06)];
-    for (excite, most) in cases {
+    for excite in [multisine, chirp] {
         let excitation = excite(LENGTH, &lines, 1.0);
         for (gain, delay) in [(60.0, 0), (60.0, 2), (30.0, 5)] {
             let (input, output) = integrator(gain, delay, &excitation, 3);
@@ -40,10 +37,10 @@ fn an_integrator_with_a_delay_is_measured_as_it_is_calculated() {
             let w = 2.0 / DT * (gain * DT / 2.0).asin();
             let phase = TAU / 4.0 - w * DT * (0.5 + delay as f64);
             assert!(
-                (found.crossover * TAU / w - 1.0).abs() < most,
+                (found.crossover * TAU / w - 1.0).abs() < 0.02,
                 "{found:?}, {w}"
             );
-            assert!((found.phase - phase).abs() < most, "{found:?}, {phase}");
+            assert!((found.phase - phase).abs() < 0.03, "{found:?}, {phase}");
             assert!(points.iter().all(|it| it.coherence > 0.99), "{points:?}");
         }
     }
@@ -66,14 +63,11 @@ fn a_drift_stays_out_of_the_lines() {
 }
 
 #[test]
-fn lines_are_two_apart_and_within_their_range() {
+fn lines_differ_and_are_within_their_range() {
     for (range, count) in [([1.0, 100.0], 200), ([2.0, 120.0], 40), ([2.0, 400.0], 10)] {
         let lines = lines(LENGTH, DT, range, count);
         assert!(lines.len() > 5, "{lines:?}");
-        assert!(
-            lines.windows(2).all(|pair| pair[1] >= pair[0] + 2),
-            "{lines:?}"
-        );
+        assert!(lines.windows(2).all(|pair| pair[1] > pair[0]), "{lines:?}");
         assert!(
             lines[0] >= 2 && *lines.last().unwrap() < LENGTH / 2,
             "{lines:?}"
@@ -104,7 +98,7 @@ fn noise_in_one_period_and_not_in_the_next_costs_coherence() {
     }
     let points = respond(&input, &output, LENGTH, &lines, DT, Response::Open);
     assert!(points[30].coherence < 0.5, "{:?}", points[30]);
-    assert!(points[20].coherence > 0.99, "{:?}", points[20]);
+    assert!(points[20].coherence > 0.95, "{:?}", points[20]);
 }
 
 #[test]

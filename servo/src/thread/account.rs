@@ -10,6 +10,17 @@ use super::Usage;
 /// has added up must not be taken for that of one cycle.
 const STALE: u32 = 16;
 
+/// How often the kernel's account of the thread was read, each time with two system calls, and why.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct AccountReads {
+    /// After a cycle that was late or otherwise out of the ordinary.
+    pub disturbed: u64,
+    /// After the last of 16 quiet cycles.
+    pub quiet: u64,
+    /// Before the wait, since what followed a cycle took more than a hundredth of the period.
+    pub slack: u64,
+}
+
 /// What the kernel counted for one thread since it was read last.
 #[derive(Debug)]
 pub(super) struct Account {
@@ -19,6 +30,7 @@ pub(super) struct Account {
     /// Wake-up latencies of the quiet cycles since: their delays at most.
     quiet: Duration,
     cycles: u32,
+    reads: AccountReads,
 }
 
 impl Account {
@@ -29,13 +41,25 @@ impl Account {
             last: Usage::default(),
             quiet: Duration::ZERO,
             cycles: 0,
+            reads: AccountReads::default(),
         };
         account.begin();
         account
     }
 
+    /// How often it was read in cycles.
+    pub(super) fn reads(&self) -> AccountReads {
+        self.reads
+    }
+
+    /// What was counted until now is nobody's.
+    pub(super) fn skip(&mut self) {
+        self.begin();
+        self.reads.slack += 1;
+    }
+
     /// Counts from now on: two system calls.
-    pub(super) fn begin(&mut self) {
+    fn begin(&mut self) {
         self.last = Usage {
             delay: self.delay(),
             ..Usage::of_this_thread()
@@ -47,6 +71,7 @@ impl Account {
     pub(super) fn settle(&mut self) -> Usage {
         let (before, quiet) = (self.last, self.quiet);
         self.begin();
+        self.reads.disturbed += 1;
         let counted = self.last.since(before);
         if counted.switches > 0 {
             return counted;
@@ -64,6 +89,7 @@ impl Account {
         self.cycles += 1;
         if self.cycles >= STALE {
             self.begin();
+            self.reads.quiet += 1;
         }
     }
 

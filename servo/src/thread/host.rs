@@ -4,14 +4,16 @@ use std::fmt;
 use std::fs::{File, OpenOptions};
 use std::hint;
 use std::io::{self, Write};
+use std::time::Duration;
 
 use thiserror::Error;
 use thread_priority::{
-    RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
-    set_thread_priority_and_policy, thread_native_id,
+    DeadlineFlags, RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue,
+    ThreadSchedulePolicy, set_thread_priority_and_policy, thread_native_id,
 };
 
 use super::RealtimePolicy;
+use super::wait::BUSY_SHARE;
 
 /// Bytes of the stack that are touched before the first cycle.
 const PREFAULTED: usize = 128 * 1024;
@@ -84,6 +86,25 @@ impl fmt::Display for Grant {
     }
 }
 
+/// How to have SCHED_DEADLINE granted where the kernel said `.0`, in words (sched(7), sched_setattr(2)).
+struct DeadlineGrant(i32);
+
+impl fmt::Display for DeadlineGrant {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self.0 {
+            libc::EPERM => {
+                "no line of limits grants it: `setcap cap_sys_nice+ep` on the program does, with all CPUs in its \
+                 affinity, so without `taskset`"
+            }
+            libc::EBUSY => "other deadline threads have reserved the time of the CPUs; end one of them",
+            libc::EINVAL => {
+                "the period must be within /proc/sys/kernel/sched_deadline_period_min_us and _max_us"
+            }
+            _ => "the kernel must have it, and a seccomp filter must not deny sched_setattr",
+        })
+    }
+}
+
 /// What the host denied, and how to have it granted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum Denial {
@@ -96,6 +117,20 @@ pub enum Denial {
         /// The priority asked for.
         priority: u8,
         /// What the system said; `EINVAL` for a priority that does not exist.
+        errno: i32,
+    },
+    /// SCHED_DEADLINE.
+    #[error(
+        "SCHED_DEADLINE with {runtime:?} of each {period:?} was denied (errno {errno}); {}",
+        DeadlineGrant(*errno)
+    )]
+    Deadline {
+        /// The budget asked for.
+        runtime: Duration,
+        /// The period of it.
+        period: Duration,
+        /// What the system said; `EPERM` without CAP_SYS_NICE or with less than all CPUs, `EBUSY` if other
+        /// deadline threads leave too little.
         errno: i32,
     },
     /// `mlockall`.
@@ -137,6 +172,19 @@ pub enum Denial {
     },
 }
 
+/// What schedules a real-time thread.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scheduler {
+    /// SCHED_FIFO: it runs before all threads of a lower priority, for as long as it wants to.
+    Fifo,
+    /// SCHED_DEADLINE: it runs before all threads under SCHED_FIFO, for nine tenths of each period at most. A thread
+    /// that has used them up stands still until the period is over, which is a late cycle. No CPU can be asked for.
+    Deadline {
+        /// The period of the budget: the servo's.
+        period: Duration,
+    },
+}
+
 /// Asks the host for what the policy wants on the calling thread; returns what it denied.
 pub fn demand(policy: &RealtimePolicy) -> Vec<Denial> {
     let mut denied = Vec::new();
@@ -146,8 +194,32 @@ pub fn demand(policy: &RealtimePolicy) -> Vec<Denial> {
         denied.extend(lock_memory().err());
     }
     prefault_stack();
-    denied.extend(set_fifo(policy.priority).err());
+    let scheduled = match policy.scheduler {
+        Scheduler::Fifo => set_fifo(policy.priority),
+        Scheduler::Deadline { period } => set_deadline(period),
+    };
+    denied.extend(scheduled.err());
     denied
+}
+
+/// Puts the calling thread under SCHED_DEADLINE, with the time that work and spin together may take as its budget
+/// in each `period`. Threads and processes that it starts do not inherit it.
+pub fn set_deadline(period: Duration) -> Result<(), Denial> {
+    let runtime = period.mul_f64(BUSY_SHARE);
+    let priority = ThreadPriority::Deadline {
+        runtime,
+        deadline: period,
+        period,
+        // Without it the kernel lets a deadline thread start no other.
+        flags: DeadlineFlags::RESET_ON_FORK,
+    };
+    let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Deadline);
+    // The crate takes a number of the kernel's here, where 0 is this thread, and leaves what was wrong in errno.
+    set_thread_priority_and_policy(0, priority, policy).map_err(|_| Denial::Deadline {
+        runtime,
+        period,
+        errno: io::Error::last_os_error().raw_os_error().unwrap_or(0),
+    })
 }
 
 /// Puts the calling thread under SCHED_FIFO at this priority; for threads that the servo needs, such as

@@ -30,6 +30,18 @@ impl LateCycles {
     /// Counts one, and keeps it if it is among the latest.
     pub fn record(&mut self, late: LateCycle) {
         self.counts[late.cause as usize] += 1;
+        self.keep(late);
+    }
+
+    /// Counts those of another run as well; the numbers and times of its cycles are its own.
+    pub fn add(&mut self, other: &Self) {
+        for (count, more) in self.counts.iter_mut().zip(other.counts) {
+            *count += more;
+        }
+        other.worst().for_each(|late| self.keep(late));
+    }
+
+    fn keep(&mut self, late: LateCycle) {
         let later = |kept: &Option<LateCycle>| kept.is_none_or(|kept| late.late > kept.late);
         if let Some(place) = self.worst.iter().position(later) {
             self.worst[place..].rotate_right(1);
@@ -59,15 +71,17 @@ mod tests {
 
     #[test]
     fn every_late_cycle_is_counted_and_the_worst_are_kept_in_order() {
-        let mut late = LateCycles::default();
+        let mut parts = [LateCycles::default(), LateCycles::default()];
         for (cycle, micros) in (0..).zip([3, 9, 1, 7, 8, 2, 9, 4, 5, 6, 1]) {
-            late.record(LateCycle {
+            parts[usize::from(cycle > 6)].record(LateCycle {
                 cycle,
                 due: Duration::from_millis(cycle),
                 late: Duration::from_micros(micros),
                 cause: Cause::ALL[cycle as usize % Cause::ALL.len()],
             });
         }
+        let [mut late, more] = parts;
+        late.add(&more);
         let kept = late
             .worst()
             .map(|worst| (worst.late.as_micros(), worst.cycle));

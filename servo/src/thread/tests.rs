@@ -179,9 +179,10 @@ fn what_is_required_and_denied_is_named_before_any_cycle() {
         match denial {
             Denial::Cpu { cpu: denied, .. } => assert_eq!(Some(denied), cpu),
             Denial::Fifo { .. } => assert!(denial.to_string().contains("rtprio"), "{denial}"),
-            Denial::LockMemory { .. } | Denial::TimerSlack { .. } | Denial::CpuLatency { .. } => {
-                panic!("{denial}")
-            }
+            Denial::Deadline { .. }
+            | Denial::LockMemory { .. }
+            | Denial::TimerSlack { .. }
+            | Denial::CpuLatency { .. } => panic!("{denial}"),
         }
     }
 }
@@ -249,4 +250,98 @@ fn a_thread_really_has_what_was_not_denied() {
         "{cpus}"
     );
     assert!(locked || !granted(|one| matches!(one, Denial::LockMemory { .. })));
+}
+
+/// What sched_getattr(2) says of the calling thread.
+#[expect(unsafe_code, reason = "what a thread has is the kernel's to tell")]
+fn scheduling() -> libc::sched_attr {
+    // SAFETY: a sched_attr is plain numbers, of which the call fills as many bytes as it is told.
+    unsafe {
+        let mut attr: libc::sched_attr = std::mem::zeroed();
+        let size = size_of::<libc::sched_attr>();
+        let result = libc::syscall(libc::SYS_sched_getattr, 0, &raw mut attr, size, 0);
+        assert_eq!(result, 0);
+        attr
+    }
+}
+
+#[test]
+fn a_deadline_thread_has_its_budget_and_starts_others_without_it() {
+    let (tell, told) = mpsc::channel();
+    let mut cycles = 0;
+    let until = move |_: &Servo| {
+        let child = std::thread::spawn(scheduling).join().unwrap();
+        let _ = tell.send((scheduling(), child));
+        cycles += 1;
+        cycles == 5
+    };
+    let policy = RealtimePolicy {
+        scheduler: Scheduler::Deadline { period: PERIOD },
+        wait: Wait::HYBRID,
+        ..RealtimePolicy::BEST_EFFORT
+    };
+    let (servo, _link, _world) = rig();
+    let finished = run(servo, policy, |_| {}, until).unwrap();
+    let (found, child) = told.recv().unwrap();
+    assert_eq!(child.sched_policy, libc::SCHED_OTHER as u32);
+    let denial = (finished.denied.iter()).find(|one| matches!(one, Denial::Deadline { .. }));
+    let nanos = PERIOD.as_nanos() as u64;
+    match denial {
+        None => {
+            assert_eq!(found.sched_policy, libc::SCHED_DEADLINE as u32);
+            assert_eq!(found.sched_flags, libc::SCHED_FLAG_RESET_ON_FORK as u64);
+            let times = [
+                found.sched_runtime,
+                found.sched_deadline,
+                found.sched_period,
+            ];
+            assert_eq!(times, [nanos / 10 * 9, nanos, nanos]);
+        }
+        Some(denial) => {
+            assert_eq!(found.sched_policy, libc::SCHED_OTHER as u32);
+            let said = denial.to_string();
+            assert!(
+                ["cap_sys_nice", "have reserved", "seccomp"]
+                    .iter()
+                    .any(|way| said.contains(way)),
+                "{said}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_denied_deadline_says_what_would_grant_it() {
+    // A thread on one CPU of several is refused like one without the capability; no host has a period of 1 h.
+    let on_one_cpu = RealtimePolicy {
+        scheduler: Scheduler::Deadline { period: PERIOD },
+        cpu: Some(0),
+        lock_memory: false,
+        ..RealtimePolicy::BEST_EFFORT
+    };
+    let too_long = RealtimePolicy {
+        scheduler: Scheduler::Deadline {
+            period: Duration::from_secs(3600),
+        },
+        cpu: None,
+        ..on_one_cpu
+    };
+    let several = std::fs::read_to_string("/sys/devices/system/cpu/online")
+        .unwrap()
+        .trim()
+        != "0";
+    for (policy, needles) in [
+        (on_one_cpu, ["cap_sys_nice+ep", "cap_sys_nice+ep"]),
+        // The kernel looks at the capability after the period, and a filter before both.
+        (too_long, ["sched_deadline_period_min_us", "seccomp"]),
+    ] {
+        let denied = std::thread::spawn(move || demand(&policy)).join().unwrap();
+        let said = denied
+            .iter()
+            .find(|one| matches!(one, Denial::Deadline { .. }));
+        match said.map(ToString::to_string) {
+            Some(said) => assert!(needles.iter().any(|needle| said.contains(needle)), "{said}"),
+            None => assert!(!several && policy.cpu.is_some(), "{policy:?}"),
+        }
+    }
 }

@@ -1,0 +1,137 @@
+//! `--spikes`: the cycles around the latest ones as a file for Perfetto.
+
+use std::fs;
+use std::path::Path;
+
+use serde_json::Value;
+
+use crate::cli_refusals::refused;
+use crate::mrroc::{Directory, Running, example, mrroc, shorten};
+
+/// A number of the file in ns, as Perfetto reads it.
+fn nanos(event: &Value, key: &str) -> u64 {
+    (event[key].as_f64().expect("a number") * 1e3) as u64
+}
+
+/// The names of the processes of a file, whose phases fill their cycles, one after the other.
+fn processes(file: &Path) -> Vec<String> {
+    let text = fs::read_to_string(file).expect("it was written");
+    let document: Value = serde_json::from_str(&text).expect("it is JSON");
+    let events = document["traceEvents"].as_array().expect("a list");
+    let named = |name: &'static str| events.iter().filter(move |event| event["name"] == name);
+    for process in named("process_name").map(|event| &event["pid"]) {
+        let of = |category: &'static str| {
+            events
+                .iter()
+                .filter(move |event| event["pid"] == *process && event["cat"] == category)
+        };
+        let mut phases = of("phase");
+        let (mut number, mut end) = (None, None);
+        for cycle in of("cycle") {
+            let from = nanos(cycle, "ts");
+            // They follow each other without a gap.
+            assert!(end.is_none_or(|end| end == from), "{cycle}");
+            let this = cycle["args"]["cycle"].as_u64().expect("a number");
+            assert!(number.is_none_or(|before| before + 1 == this), "{cycle}");
+            let mut reached = from;
+            while reached < from + nanos(cycle, "dur") {
+                let phase = phases.next().expect("a cycle consists of phases");
+                assert_eq!(nanos(phase, "ts"), reached, "{phase}");
+                reached += nanos(phase, "dur");
+            }
+            assert_eq!(reached, from + nanos(cycle, "dur"), "{cycle}");
+            (number, end) = (Some(this), Some(reached));
+        }
+        assert!(number.is_some() && phases.next().is_none(), "{process}");
+        assert!(of("deadline").count() >= of("cycle").count(), "{process}");
+    }
+    named("process_name")
+        .map(|event| event["args"]["name"].as_str().expect("a name").to_owned())
+        .collect()
+}
+
+/// SIGSTOP makes a cycle late by far.
+#[test]
+fn a_late_cycle_of_a_run_and_one_that_is_asked_for_are_in_the_file() {
+    let directory = Directory::new();
+    let cell = directory.cell("irb6", shorten);
+    let [file, record] = ["spikes.json", "states.csv"].map(|name| directory.path(name));
+    let run = Running::start([
+        "run".as_ref(),
+        cell.as_os_str(),
+        "--json".as_ref(),
+        "--spikes".as_ref(),
+        file.as_os_str(),
+        "--record".as_ref(),
+        record.as_os_str(),
+    ]);
+    let has = |lines: usize| move |text: &str| text.lines().count() > lines;
+    run.wait_for(&record, has(1000));
+    run.signal("STOP");
+    run.signal("CONT");
+    run.wait_for(&record, has(2000));
+    run.signal("USR1");
+    let output = run.output();
+    let report = output.json();
+    let processes = processes(&file);
+    let asked = processes.last().expect("there is one");
+    assert!(asked.starts_with("on request: cycle "), "{processes:?}");
+    let worst = &report["cycle"]["worst"][0];
+    let expected = format!(
+        "spike 1: {:.0} µs late, {}, cycle {}",
+        worst["late_us"].as_f64().expect("a number"),
+        worst["cause"].as_str().expect("a cause"),
+        worst["cycle"]
+    );
+    assert_eq!(processes[0], expected, "{report}");
+    let text = fs::read_to_string(&file).expect("it was written");
+    let cause = worst["cause"].as_str().expect("a cause");
+    assert!(text.contains(&format!("µs: {cause}")), "{report}");
+}
+
+#[test]
+fn a_measurement_shows_its_late_wake_ups() {
+    let directory = Directory::new();
+    let file = directory.path("spikes.json");
+    let cell = example("irb6");
+    let cell = ["--cell".as_ref(), cell.as_os_str()];
+    for more in [&[][..], &cell] {
+        let words = [
+            "jitter",
+            "--duration=1s",
+            "--wait=plain",
+            "--json",
+            "--spikes",
+        ];
+        let words = words.iter().map(AsRef::as_ref);
+        let words = words.chain([file.as_os_str()]).chain(more.iter().copied());
+        let output = mrroc(words);
+        assert_eq!(output.status.code(), Some(0), "{output:?}");
+        let report = output.json();
+        let worst = report["worst"].as_array().expect("a list");
+        let processes = processes(&file);
+        // A spike may have several late cycles.
+        assert_eq!(processes.is_empty(), worst.is_empty(), "{report}");
+        if let Some(worst) = worst.first() {
+            let late = worst["late_us"].as_f64().expect("a number");
+            let cause = worst["cause"].as_str().expect("a cause");
+            let begins = format!("spike 1: {late:.0} µs late, {cause}, ");
+            assert!(processes[0].starts_with(&begins), "{processes:?} {report}");
+        }
+    }
+}
+
+#[test]
+fn a_file_that_cannot_be_written_is_refused_before_anything_moves() {
+    let cell = example("irb6");
+    let cell = cell.to_str().expect("a path of letters");
+    let nowhere = "--spikes=/no/such/place.json";
+    for (words, needle) in [
+        (&["run", cell, nowhere][..], "/no/such/place.json"),
+        (&["jitter", "--cell", cell, nowhere], "/no/such/place.json"),
+        (&["jitter", nowhere], "/no/such/place.json"),
+        (&["run", cell, "--bench=lockstep", nowhere], "lockstep"),
+    ] {
+        refused(&mrroc(words), &["--spikes", needle]);
+    }
+}
