@@ -12,7 +12,7 @@ use std::process::ExitCode;
 use anyhow::{Context as _, bail};
 use clap::{ArgGroup, Args, Subcommand};
 
-pub(crate) use machine::{Machine, Numbers, Which};
+pub(crate) use machine::{Machine, Which};
 
 use answers::{Forward, Inverse, Ranges, Sensitivity};
 

@@ -135,7 +135,7 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
     let spikes = options.spikes.as_deref().map(SpikeFile::create);
     let spikes = spikes.transpose()?;
     let interrupted = Arc::new(AtomicBool::new(false));
-    let programs = Programs::of(&file, links, servo.stop_request())?;
+    let programs = Programs::of(&file, links, &servo)?;
     let progress = Progress::new(&file, !options.json)?;
     let (stop, flag) = (servo.stop_request(), interrupted.clone());
     let nothing_moves = options.bench == BenchKind::Lockstep;

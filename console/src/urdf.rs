@@ -8,10 +8,11 @@ use std::process::ExitCode;
 
 use anyhow::{Context as _, anyhow};
 use clap::Args;
+use controller::cell::Parameters;
 use controller::robot::{Link, LinkKind};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
-use crate::kinematics::{Machine, Numbers, Which};
+use crate::kinematics::{Machine, Which};
 use crate::stdout;
 
 /// Radius of the rod between two joints, m.
@@ -57,7 +58,7 @@ fn write(text: &mut String, machine: &Machine, links: &[Link]) -> fmt::Result {
         writeln!(text, "-->")?;
     }
     writeln!(text, "<robot name=\"{}\">", escaped(&machine.name))?;
-    if let Numbers::Polycrank(_) = machine.numbers {
+    if let Parameters::Polycrank(_) = machine.parameters {
         mounting(text)?;
     }
     let rods = links

@@ -336,6 +336,9 @@ impl ReferenceWatch {
     /// A step is the counter's own if the motor would need this many times its greatest acceleration.
     const IMPOSSIBLE: f64 = 4.0;
 
+    /// Steps up to this are a counter's resolution, counts.
+    const COARSE: f64 = 2.0;
+
     /// Takes a sample; the step of the counter in it, rad, if it was set in between. It was if a motor
     /// cannot have made the step, or if the drive now first says that it `attained` the reference.
     fn observe(
@@ -362,7 +365,9 @@ impl ReferenceWatch {
         let earlier = self.earlier.replace(way);
         let mut step = moved.0 - way.0 * periods;
         let possible = Self::IMPOSSIBLE * max_acceleration * (periods * dt).powi(2);
-        let impossible = searched && step.abs() > possible;
+        // A coarse counter makes steps of a count or two of its own, whatever the motor does.
+        let seen = (moved.1 - way.1 * periods).abs() > Self::COARSE;
+        let impossible = searched && seen && step.abs() > possible;
         if !attained && !impossible {
             return None;
         }

@@ -11,6 +11,7 @@ use drive::{AxisCommand, AxisState, Power};
 use crate::axis::Axis;
 use crate::excitation::Playing;
 use crate::interpolate::Segment;
+use crate::servo::OpenGates;
 use crate::{
     After, Answer, AxisRecord, Counters, EffectorConfig, EffectorLink, Event, Excitation,
     ExcitationError, Knot, MAX_AXES, Order, Record, Report, ServoAxisConfig, ServoFault, State,
@@ -36,6 +37,7 @@ pub(crate) struct Tick {
     pub(crate) dt: f64,
     /// Somebody asked for everything to stop.
     pub(crate) stop: bool,
+    pub(crate) open: OpenGates,
     /// Deadlines missed in a row, if they are too many.
     pub(crate) overrun: Option<u32>,
     /// Periods since the last cycle: 1 and the deadlines missed.
@@ -299,7 +301,7 @@ impl Effector {
         for _ in 0..last_stop.map_or(0, |index| index + 1) {
             let Some(order) = self.pop() else { return };
             self.news = true;
-            let dropped = matches!(order, Order::Move(_) | Order::Home)
+            let dropped = matches!(order, Order::Move(_) | Order::Gate(_) | Order::Home)
                 || tick.stop && order == Order::Enable;
             if dropped || !self.apply(tick, order.event()) {
                 self.counters.refused_orders += 1;
@@ -317,17 +319,25 @@ impl Effector {
     /// [`Effector::advance`].
     fn take_orders(&mut self, tick: &Tick) {
         for _ in 0..self.orders.slots() {
-            let Ok(event) = self.orders.peek().map(Order::event) else {
+            let Ok(&order) = self.orders.peek() else {
                 return;
             };
+            let event = order.event();
             let answer = if tick.stop {
                 Answer::Refuse
             } else {
                 self.state.next(event)
             };
             match answer {
-                Answer::To(_) if event == Event::Move => return,
-                Answer::To(next) => self.enter(tick, next),
+                Answer::To(next) => match order {
+                    Order::Move(_) => return,
+                    Order::Gate(gate) => {
+                        if self.state != State::Standing || !tick.open.contain(gate) {
+                            return;
+                        }
+                    }
+                    _ => self.enter(tick, next),
+                },
                 Answer::Wait => return,
                 Answer::Refuse => self.counters.refused_orders += 1,
             }
@@ -550,7 +560,8 @@ impl Order {
         match self {
             Self::Enable => Event::Enable,
             Self::Home => Event::Home,
-            Self::Move(_) => Event::Move,
+            // A gate waits and is refused where the motion behind it would be.
+            Self::Move(_) | Self::Gate(_) => Event::Move,
             Self::Stop => Event::Stop,
             Self::Disable => Event::Disable,
             Self::ResetFault => Event::ResetFault,

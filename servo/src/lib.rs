@@ -51,7 +51,7 @@ pub use limit::{AxisLimits, check};
 pub use link::{EffectorLink, MAX_AXES, Macrostep, Order, Phase, Report, ServoFault, StopCause};
 pub use recorder::{AxisRecord, Record};
 pub use search::HomingFailure;
-pub use servo::{NotUp, Servo, StopRequest};
+pub use servo::{Gates, NotUp, Servo, StopRequest};
 pub use state::{After, Answer, Event, State};
 pub use statistics::{Counters, TrackingError};
 pub use timing::Timing;

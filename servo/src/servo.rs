@@ -1,5 +1,5 @@
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::task::Poll;
 use std::time::Duration;
 
@@ -36,6 +36,7 @@ pub struct Servo {
     groups: Vec<Group>,
     effectors: Vec<Effector>,
     stop: StopRequest,
+    gates: Gates,
     recorder: Option<Recorder>,
     cycles: u64,
     /// When SYNC was sent last.
@@ -60,6 +61,42 @@ struct Group {
 /// It holds for the rest of the run: orders that come after it are refused.
 #[derive(Clone, Debug, Default)]
 pub struct StopRequest(Arc<AtomicBool>);
+
+/// The gates that effectors wait at ([`Order::Gate`](crate::Order::Gate)), all shut at first.
+///
+/// A cycle looks at them once for all effectors: those that wait at a gate go on in the same cycle, whenever it
+/// is opened. A gate stays open.
+#[derive(Clone, Debug, Default)]
+pub struct Gates(Arc<AtomicU64>);
+
+impl Gates {
+    /// How many there are, numbered from 0.
+    pub const COUNT: u8 = 64;
+
+    /// Opens a gate. What was sent to the effectors before is there when they pass it. There is none beyond
+    /// [`Gates::COUNT`], and whoever waits there is not let through.
+    pub fn open(&self, gate: u8) {
+        self.0.fetch_or(bit(gate), Ordering::Release);
+    }
+
+    fn open_ones(&self) -> OpenGates {
+        OpenGates(self.0.load(Ordering::Acquire))
+    }
+}
+
+/// The gates that are open in a cycle.
+#[derive(Clone, Copy)]
+pub(crate) struct OpenGates(u64);
+
+impl OpenGates {
+    pub(crate) fn contain(self, gate: u8) -> bool {
+        self.0 & bit(gate) != 0
+    }
+}
+
+fn bit(gate: u8) -> u64 {
+    1u64.checked_shl(gate.into()).unwrap_or(0)
+}
 
 /// Why a servo's drives did not come up. None of them has power.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -107,6 +144,7 @@ impl Servo {
             groups: groups.into_iter().map(group).collect(),
             effectors,
             stop: StopRequest::default(),
+            gates: Gates::default(),
             recorder: None,
             cycles: 0,
             sent: None,
@@ -236,6 +274,7 @@ impl Servo {
             dt: self.period.as_secs_f64(),
             periods: missed.saturating_add(1),
             stop: self.stop.is_requested(),
+            open: self.gates.open_ones(),
             overrun: (row > self.max_missed_in_row).then_some(row),
             refused: self.refused_in_row,
         }
@@ -277,6 +316,11 @@ impl Servo {
         let found = self.effectors.get_mut(effector);
         let found = found.ok_or(ExcitationError::NoSuchAxis { effector, axis })?;
         found.excite(axis, excitation, dt)
+    }
+
+    /// A handle that opens the gates that effectors wait at.
+    pub fn gates(&self) -> Gates {
+        self.gates.clone()
     }
 
     /// A handle that stops everything.

@@ -348,7 +348,7 @@ fn questions_without_an_answer_are_refused_in_one_line() {
     let cases: [(&str, &str); 15] = [
         (
             "fk --robot nosuch --joints 1",
-            "\"nosuch\", only irb6, irp6, irp6-track, rnt, polycrank",
+            "\"nosuch\", only irb6, irp6, irp6-calibrated, irp6-track, irp6-track-calibrated, rnt, polycrank, gripper, conveyor",
         ),
         (
             "fk --robot irb6 --joints 1,2",

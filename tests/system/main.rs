@@ -25,6 +25,7 @@ mod host_closed;
 mod identify;
 mod jitter;
 mod kinematics;
+mod lab;
 mod loops;
 mod lss;
 mod motion;

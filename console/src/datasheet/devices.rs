@@ -1,138 +1,28 @@
-//! The data sheets of what stands beside the robots: the gripper and the conveyor.
+//! The figures of what stands beside the robots: the gripper and the conveyor.
 
-use std::fmt::Write as _;
-
-use controller::robot::{Conveyor, Gripper};
+use controller::robot::{ConveyorParameters, GripperParameters};
 
 use super::ink;
-use super::tables::{self, Tag};
-use crate::kinematics::Which;
 use crate::svg::{self, Point};
-
-/// A device of one motor that is no robot.
-pub(super) enum Device {
-    Gripper(Gripper),
-    Conveyor(Conveyor),
-}
-
-/// A parameter: its name, its meaning, value, unit.
-type Row = (&'static str, &'static str, f64, &'static str);
-
-const GRIPPER: &str = "ptroja/mrrocpp, src/robot/irp6_tfg";
-const CONVEYOR: &str = "ptroja/mrrocpp, src/robot/conveyor";
 
 const SIZE: [f64; 2] = [960.0, 380.0];
 
-/// The device of that name, of its own numbers.
-pub(super) fn find(which: &Which) -> Option<Device> {
-    match which.known()? {
-        "gripper" => Some(Device::Gripper(Gripper::two_finger())),
-        "conveyor" => Some(Device::Conveyor(Conveyor::belt())),
-        _ => None,
-    }
+/// The figure of the gripper.
+pub(super) fn gripper(gripper: &GripperParameters) -> String {
+    let mut svg = svg::open(SIZE);
+    opening(&mut svg, gripper);
+    svg + "</svg>\n"
 }
 
-impl Device {
-    /// The data sheet in Markdown.
-    pub(super) fn sheet(&self) -> String {
-        let (name, about, source, rows): (_, _, _, Vec<Row>) = match self {
-            Self::Gripper(gripper) => (
-                "gripper",
-                "The two-finger gripper of the WUT robots: one motor, two jaws. The opening is a polynomial of the \
-                 motor's position; past its vertex the jaws close again.",
-                GRIPPER,
-                vec![
-                    (
-                        "square",
-                        "opening per square of the motor's position",
-                        gripper.square,
-                        "m/rad²",
-                    ),
-                    (
-                        "linear",
-                        "opening per motor position",
-                        gripper.linear,
-                        "m/rad",
-                    ),
-                    (
-                        "constant",
-                        "opening at motor position 0",
-                        gripper.constant,
-                        "m",
-                    ),
-                    (
-                        "motor_at_home",
-                        "motor position at home",
-                        gripper.motor_at_home,
-                        "rad",
-                    ),
-                    (
-                        "motor_limits.low",
-                        "lowest motor position",
-                        gripper.motor_limits.low,
-                        "rad",
-                    ),
-                    (
-                        "motor_limits.high",
-                        "highest motor position",
-                        gripper.motor_limits.high,
-                        "rad",
-                    ),
-                    (
-                        "opening_limits.low",
-                        "narrowest opening",
-                        gripper.opening_limits.low,
-                        "m",
-                    ),
-                    (
-                        "opening_limits.high",
-                        "widest opening",
-                        gripper.opening_limits.high,
-                        "m",
-                    ),
-                ],
-            ),
-            Self::Conveyor(conveyor) => (
-                "conveyor",
-                "The conveyor of the WUT laboratory: a belt behind a gear, without limits.",
-                CONVEYOR,
-                vec![(
-                    "ratio",
-                    "motor position per position of the belt",
-                    conveyor.ratio,
-                    "rad/m",
-                )],
-            ),
-        };
-        let mut page = format!("# {name}\n\n{about}\n\n![{name}]({name}.svg)\n\n## Parameters\n\n");
-        page.push_str(
-            "| parameter | meaning | value | unit | tag | source |\n|---|---|--:|---|---|---|\n",
-        );
-        for (parameter, meaning, value, unit) in rows {
-            let tag = Tag::PublicCode(source).cells();
-            let _ = writeln!(
-                page,
-                "| `{parameter}` | {meaning} | {value} | {unit} | {tag} |"
-            );
-        }
-        page.push('\n');
-        tables::footer(&mut page, name);
-        page
-    }
-
-    /// The figure.
-    pub(super) fn figure(&self) -> String {
-        let mut svg = svg::open(SIZE);
-        match self {
-            Self::Gripper(gripper) => opening(&mut svg, gripper),
-            Self::Conveyor(conveyor) => belt(&mut svg, conveyor),
-        }
-        svg + "</svg>\n"
-    }
+/// The figure of the conveyor.
+pub(super) fn conveyor(conveyor: &ConveyorParameters) -> String {
+    let mut svg = svg::open(SIZE);
+    belt(&mut svg, conveyor);
+    svg + "</svg>\n"
 }
 
 /// The opening over the motor's range.
-fn opening(svg: &mut String, gripper: &Gripper) {
+fn opening(svg: &mut String, gripper: &GripperParameters) {
     let [left, right, top, bottom] = [90.0, 910.0, 70.0, 310.0];
     svg::text(
         svg,
@@ -227,7 +117,7 @@ fn opening(svg: &mut String, gripper: &Gripper) {
 }
 
 /// The belt on its rollers, with the motor that drives it.
-fn belt(svg: &mut String, conveyor: &Conveyor) {
+fn belt(svg: &mut String, conveyor: &ConveyorParameters) {
     svg::text(
         svg,
         [60.0, 34.0],

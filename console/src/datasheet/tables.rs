@@ -1,14 +1,14 @@
 //! The data sheet of a robot: its parameters with unit, tag and source.
 
 use std::fmt::Write as _;
+use std::mem::discriminant;
 
-use controller::robot::{
-    ArmParameters, GearAxis, Irb6Parameters, Irp6Parameters, Irp6TrackParameters, LegAxis, Limits,
-    PolycrankParameters, RntParameters, ScrewAxis,
-};
+use controller::cell::{Model, Parameters};
+use controller::robot::ArmParameters;
 
-use super::views;
-use crate::kinematics::{Machine, Numbers};
+use super::drives::{Drive, axes};
+use super::loops;
+use crate::kinematics::Machine;
 
 /// Where a number comes from.
 #[derive(Clone, Copy, PartialEq)]
@@ -23,8 +23,10 @@ pub(super) enum Tag {
     CellFile,
 }
 
-const WUT: &str = "ptroja/mrrocpp, src/robot/irp6p_m";
-const WUT_TRACK: &str = "ptroja/mrrocpp, src/robot/irp6ot_m";
+pub(super) const WUT: &str = "ptroja/mrrocpp, src/robot/irp6p_m";
+pub(super) const WUT_TRACK: &str = "ptroja/mrrocpp, src/robot/irp6ot_m";
+const GRIPPER: &str = "ptroja/mrrocpp, src/robot/irp6_tfg";
+const CONVEYOR: &str = "ptroja/mrrocpp, src/robot/conveyor";
 const GRASPIT: &str = "mzbikows/Graspit, Polycrank";
 
 /// One parameter, under the name it has in a cell file.
@@ -36,17 +38,6 @@ struct Row {
     tag: Tag,
 }
 
-/// One axis between joint and motor.
-struct Drive {
-    joint: &'static str,
-    name: String,
-    transmission: String,
-    home: String,
-    joints: String,
-    motors: String,
-    tag: Tag,
-}
-
 /// The data sheet in Markdown.
 pub(super) fn sheet(machine: &Machine) -> String {
     let mut page = String::new();
@@ -54,7 +45,7 @@ pub(super) fn sheet(machine: &Machine) -> String {
         page,
         "# {}\n\n{}\n\n",
         machine.name,
-        about(&machine.numbers)
+        about(&machine.parameters)
     );
     if let Some(caution) = machine.caution {
         let _ = write!(page, "**Mind:** {caution}.\n\n");
@@ -62,12 +53,13 @@ pub(super) fn sheet(machine: &Machine) -> String {
     let _ = write!(page, "![{0}]({0}.svg)\n\n", machine.name);
     geometry(&mut page, machine);
     drives(&mut page, machine);
+    loops::section(&mut page, &machine.parameters);
     footer(&mut page, &machine.name);
     page
 }
 
 /// What tags mean, and how the page is made.
-pub(super) fn footer(page: &mut String, name: &str) {
+fn footer(page: &mut String, name: &str) {
     let _ = write!(
         page,
         "## Tags\n\n\
@@ -80,7 +72,7 @@ pub(super) fn footer(page: &mut String, name: &str) {
 
 impl Tag {
     /// Two cells of a table.
-    pub(super) fn cells(self) -> String {
+    fn cells(self) -> String {
         match self {
             Self::PublicCode(source) => format!("public code | {source}"),
             Self::Derived(how) => format!("derived | {how}"),
@@ -91,14 +83,26 @@ impl Tag {
 }
 
 fn geometry(page: &mut String, machine: &Machine) {
-    let preset = lengths(&preset(&machine.numbers));
-    page.push_str("## Geometry\n\n| parameter | meaning | value | unit | tag | source |\n|---|---|--:|---|---|---|\n");
-    for (row, known) in lengths(&machine.numbers).into_iter().zip(preset) {
-        let tag = if row.value == known.value {
-            row.tag
-        } else {
-            Tag::CellFile
-        };
+    let presets: Vec<_> = presets(&machine.parameters)
+        .map(|preset| lengths(&preset))
+        .collect();
+    let title = match machine.parameters {
+        Parameters::Gripper(_) | Parameters::Conveyor(_) => "Parameters",
+        Parameters::Irb6(_)
+        | Parameters::Irp6(_)
+        | Parameters::Irp6Track(_)
+        | Parameters::Rnt(_)
+        | Parameters::Polycrank(_) => "Geometry",
+    };
+    let _ = write!(
+        page,
+        "## {title}\n\n| parameter | meaning | value | unit | tag | source |\n|---|---|--:|---|---|---|\n"
+    );
+    for (number, row) in lengths(&machine.parameters).into_iter().enumerate() {
+        let known = presets
+            .iter()
+            .any(|preset| preset[number].value == row.value);
+        let tag = if known { row.tag } else { Tag::CellFile };
         let Row {
             name,
             meaning,
@@ -116,25 +120,23 @@ fn geometry(page: &mut String, machine: &Machine) {
 }
 
 fn drives(page: &mut String, machine: &Machine) {
-    let known = axes(&preset(&machine.numbers));
+    let drives = axes(&machine.parameters);
+    if drives.is_empty() {
+        return;
+    }
+    let presets: Vec<_> = presets(&machine.parameters)
+        .map(|preset| axes(&preset))
+        .collect();
     page.push_str(
         "## Axes\n\nRanges and homes in rad, of what slides in m; the motor's in rad. Both ranges hold at once.\n\n\
          | joint | parameter | motor and joint | at home | joint range | motor range | tag | source |\n\
          |---|---|---|---|---|---|---|---|\n",
     );
-    for (drive, known) in axes(&machine.numbers).into_iter().zip(known) {
-        let same = (
-            &drive.transmission,
-            &drive.home,
-            &drive.joints,
-            &drive.motors,
-        ) == (
-            &known.transmission,
-            &known.home,
-            &known.joints,
-            &known.motors,
-        );
-        let tag = if same { drive.tag } else { Tag::CellFile };
+    for (number, drive) in drives.into_iter().enumerate() {
+        let known = presets
+            .iter()
+            .any(|preset| preset[number].numbers() == drive.numbers());
+        let tag = if known { drive.tag } else { Tag::CellFile };
         let Drive {
             joint,
             name,
@@ -153,48 +155,51 @@ fn drives(page: &mut String, machine: &Machine) {
     page.push('\n');
 }
 
-fn about(numbers: &Numbers) -> &'static str {
-    match numbers {
-        Numbers::Irb6(_) => {
+fn about(parameters: &Parameters) -> &'static str {
+    match parameters {
+        Parameters::Irb6(_) => {
             "ASEA IRb-6, five axes. The base frame is on the floor under the column. th2, th3 and th4 are inclinations to \
              the horizontal, positive down, as the drives set them: the upper arm keeps its own while the lower arm \
              moves. The flange's z axis is the roll axis."
         }
-        Numbers::Irp6(_) => {
+        Parameters::Irp6(_) => {
             "WUT IRp-6 on its pedestal, six axes: the arm of the IRb-6 and a hand axis across the roll. The base frame is \
              at the shoulder. th2, th3 and th4 are inclinations to the horizontal, positive down, as the drives set \
              them. The flange's z axis is the hand axis; its origin is where that crosses the roll axis."
         }
-        Numbers::Irp6Track(_) => {
+        Parameters::Irp6Track(_) => {
             "WUT IRp-6 on a carriage, seven axes: d0 slides along the base frame's y axis, the rest is the IRp-6. The base \
              frame is at the shoulder with the carriage at zero."
         }
-        Numbers::Rnt(_) => {
+        Parameters::Rnt(_) => {
             "RNT, serial-parallel, six axes: three driven legs around a passive central one hold a platform, on which a \
              wrist of three axes stands. The joints are alpha, beta and rho, which place the platform, and the \
              wrist's; the first three motors are the legs. The base frame is in the universal joint of the central \
              leg."
         }
-        Numbers::Polycrank(_) => {
+        Parameters::Polycrank(_) => {
             "Polycrank, seven axes without end: axes 1, 2, 3 are parallel and carry two cranks, axes 4, 5, 6 are parallel, \
              across them, and carry two more, axis 7 rolls the tool. The base frame has axis 1 for z, which is \
              level in the laboratory, 0.925 m above the floor (public code, mzbikows/Graspit)."
+        }
+        Parameters::Gripper(_) => {
+            "The two-finger gripper of the WUT robots: one motor, two jaws. The opening is a polynomial of the motor's \
+             position; past its vertex the jaws close again."
+        }
+        Parameters::Conveyor(_) => {
+            "The conveyor of the WUT laboratory: a belt behind a gear, without limits."
         }
     }
 }
 
 /// The project's own numbers of that kind.
-fn preset(numbers: &Numbers) -> Numbers {
-    match numbers {
-        Numbers::Irb6(_) => Numbers::Irb6(Irb6Parameters::irb6()),
-        Numbers::Irp6(_) => Numbers::Irp6(Irp6Parameters::irp6p()),
-        Numbers::Irp6Track(_) => Numbers::Irp6Track(Irp6TrackParameters::irp6ot()),
-        Numbers::Rnt(_) => Numbers::Rnt(RntParameters::nominal()),
-        Numbers::Polycrank(_) => Numbers::Polycrank(PolycrankParameters::polycrank()),
-    }
+fn presets(parameters: &Parameters) -> impl Iterator<Item = Parameters> {
+    let kind = discriminant(parameters);
+    let all = Model::ALL.into_iter().map(Model::parameters);
+    all.filter(move |preset| discriminant(preset) == kind)
 }
 
-fn lengths(numbers: &Numbers) -> Vec<Row> {
+fn lengths(parameters: &Parameters) -> Vec<Row> {
     let row = |name: &str, meaning, value: f64, unit, tag| Row {
         name: name.into(),
         meaning,
@@ -202,9 +207,9 @@ fn lengths(numbers: &Numbers) -> Vec<Row> {
         unit,
         tag,
     };
-    match numbers {
-        Numbers::Irb6(robot) => {
-            let mut rows = arm(&robot.arm, "arm.", Tag::PublicCode(WUT));
+    match parameters {
+        Parameters::Irb6(robot) => {
+            let mut rows = arm(&robot.arm, "arm.", Tag::PublicCode(WUT), WUT);
             let meaning = "sine by which a pose's tool axis may lean out of the arm's plane";
             let tolerance = robot.tool_plane_tolerance;
             rows.push(row(
@@ -216,17 +221,19 @@ fn lengths(numbers: &Numbers) -> Vec<Row> {
             ));
             rows
         }
-        Numbers::Irp6(robot) => arm(
+        Parameters::Irp6(robot) => arm(
             &robot.arm,
             "arm.",
             Tag::Derived("the controller's base frame is at the shoulder"),
+            WUT,
         ),
-        Numbers::Irp6Track(robot) => arm(
+        Parameters::Irp6Track(robot) => arm(
             &robot.robot.arm,
             "robot.arm.",
             Tag::Derived("the controller's base frame is at the shoulder"),
+            WUT_TRACK,
         ),
-        Numbers::Rnt(robot) => [
+        Parameters::Rnt(robot) => [
             (
                 "base_radius",
                 "circle on which the legs begin, at 0°, 120°, 240°",
@@ -245,7 +252,7 @@ fn lengths(numbers: &Numbers) -> Vec<Row> {
         ]
         .map(|(name, meaning, value)| row(name, meaning, value, "m", Tag::Nominal))
         .into(),
-        Numbers::Polycrank(robot) => {
+        Parameters::Polycrank(robot) => {
             let [a1, a2] = robot.upper_cranks;
             let [d1, d2, d3] = robot.upper_offsets;
             let [d4, d5, d6] = robot.forearm_offsets;
@@ -276,11 +283,95 @@ fn lengths(numbers: &Numbers) -> Vec<Row> {
             .map(|(name, meaning, value)| row(name, meaning, value, "m", Tag::PublicCode(GRASPIT)))
             .into()
         }
+        Parameters::Gripper(gripper) => {
+            let (motors, openings) = (gripper.motor_limits, gripper.opening_limits);
+            [
+                (
+                    "square",
+                    "opening per square of the motor's position",
+                    gripper.square,
+                    "m/rad²",
+                ),
+                (
+                    "linear",
+                    "opening per motor position",
+                    gripper.linear,
+                    "m/rad",
+                ),
+                (
+                    "constant",
+                    "opening at motor position 0",
+                    gripper.constant,
+                    "m",
+                ),
+                (
+                    "motor_at_home",
+                    "motor position at home",
+                    gripper.motor_at_home,
+                    "rad",
+                ),
+                (
+                    "motor_limits.low",
+                    "lowest motor position",
+                    motors.low,
+                    "rad",
+                ),
+                (
+                    "motor_limits.high",
+                    "highest motor position",
+                    motors.high,
+                    "rad",
+                ),
+                ("opening_limits.low", "narrowest opening", openings.low, "m"),
+                ("opening_limits.high", "widest opening", openings.high, "m"),
+            ]
+            .map(|(name, meaning, value, unit)| {
+                row(name, meaning, value, unit, Tag::PublicCode(GRIPPER))
+            })
+            .into()
+        }
+        Parameters::Conveyor(conveyor) => {
+            let counter = Tag::Derived("what a 32-bit counter of 4000 counts per turn holds");
+            let code = Tag::PublicCode(CONVEYOR);
+            let motors = conveyor.motor_limits;
+            [
+                (
+                    "ratio",
+                    "motor position per position of the belt",
+                    conveyor.ratio,
+                    "rad/m",
+                    code,
+                ),
+                (
+                    "motor_at_home",
+                    "motor position at home",
+                    conveyor.motor_at_home,
+                    "rad",
+                    Tag::Nominal,
+                ),
+                (
+                    "motor_limits.low",
+                    "lowest motor position",
+                    motors.low,
+                    "rad",
+                    counter,
+                ),
+                (
+                    "motor_limits.high",
+                    "highest motor position",
+                    motors.high,
+                    "rad",
+                    counter,
+                ),
+            ]
+            .map(|(name, meaning, value, unit, tag)| row(name, meaning, value, unit, tag))
+            .into()
+        }
     }
 }
 
-fn arm(arm: &ArmParameters, path: &str, shoulder: Tag) -> Vec<Row> {
-    let code = Tag::PublicCode(WUT);
+fn arm(arm: &ArmParameters, path: &str, shoulder: Tag, source: &'static str) -> Vec<Row> {
+    let code = Tag::PublicCode(source);
     [
         (
             "shoulder_height",
@@ -315,198 +406,4 @@ fn arm(arm: &ArmParameters, path: &str, shoulder: Tag) -> Vec<Row> {
         tag,
     })
     .into()
-}
-
-fn axes(numbers: &Numbers) -> Vec<Drive> {
-    let symbols = views::symbols(numbers);
-    let code = Tag::PublicCode(WUT);
-    match numbers {
-        Numbers::Irb6(robot) => arm_drives(&robot.arm, symbols, "arm.", WUT),
-        Numbers::Irp6(robot) => {
-            let mut drives = arm_drives(&robot.arm, symbols, "arm.", WUT);
-            // Public code has 92°, where some poses have a second branch.
-            drives[3].tag = Tag::Derived("as th4 of irb6, to 90° so that one branch remains");
-            drives.push(gear("th6", "hand", &robot.hand, code));
-            drives
-        }
-        Numbers::Irp6Track(robot) => {
-            let ratio = Tag::Derived(
-                "a screw of 8 mm behind a belt of 2:1; ptroja/mrrocpp, src/robot/irp6ot_m",
-            );
-            let mut drives = vec![gear("d0", "track", &robot.track, ratio)];
-            drives.extend(arm_drives(
-                &robot.robot.arm,
-                &symbols[1..],
-                "robot.arm.",
-                WUT_TRACK,
-            ));
-            drives[4].tag = Tag::Derived("as th4 of irb6, to 90° so that one branch remains");
-            drives.push(gear(
-                "th6",
-                "robot.hand",
-                &robot.robot.hand,
-                Tag::PublicCode(WUT_TRACK),
-            ));
-            drives
-        }
-        Numbers::Rnt(robot) => {
-            let mut drives: Vec<_> = [
-                ("alpha", robot.alpha),
-                ("beta", robot.beta),
-                ("extension", robot.extension),
-            ]
-            .into_iter()
-            .zip(symbols)
-            .map(|((name, limits), joint)| Drive {
-                joint,
-                name: name.into(),
-                transmission: "by the legs".into(),
-                home: String::new(),
-                joints: range(&limits),
-                motors: String::new(),
-                tag: Tag::Nominal,
-            })
-            .collect();
-            drives.extend(
-                robot
-                    .legs
-                    .iter()
-                    .enumerate()
-                    .map(|(number, leg)| leg_drive(number, leg)),
-            );
-            for (joint, gear) in [
-                ("roll", &robot.roll),
-                ("pitch", &robot.pitch),
-                ("spin", &robot.spin),
-            ] {
-                drives.push(self::gear(joint, joint, gear, Tag::Nominal));
-            }
-            drives
-        }
-        Numbers::Polycrank(robot) => symbols
-            .iter()
-            .zip(&robot.axes)
-            .enumerate()
-            .map(|(axis, (joint, axis_numbers))| {
-                gear(joint, &format!("axes[{axis}]"), axis_numbers, Tag::Nominal)
-            })
-            .collect(),
-    }
-}
-
-fn arm_drives(
-    arm: &ArmParameters,
-    symbols: &[&'static str],
-    path: &str,
-    source: &'static str,
-) -> Vec<Drive> {
-    let code = Tag::PublicCode(source);
-    let name = |axis: &str| format!("{path}{axis}");
-    vec![
-        gear(symbols[0], &name("column"), &arm.column, code),
-        screw(symbols[1], &name("lower_arm"), &arm.lower_arm, code),
-        screw(symbols[2], &name("upper_arm"), &arm.upper_arm, code),
-        gear(symbols[3], &name("pitch"), &arm.pitch, code),
-        Drive {
-            transmission: format!(
-                "m = {} th, turned with the pitch motor",
-                signed(arm.roll.ratio)
-            ),
-            ..gear(symbols[4], &name("roll"), &arm.roll, code)
-        },
-    ]
-}
-
-fn gear(joint: &'static str, name: &str, gear: &GearAxis, tag: Tag) -> Drive {
-    Drive {
-        joint,
-        name: name.into(),
-        transmission: format!(
-            "m = {} {}",
-            signed(gear.ratio),
-            if joint == "d0" { "d0" } else { "th" }
-        ),
-        home: format!(
-            "{} at m {}",
-            signed(gear.joint_at_home),
-            signed(gear.motor_at_home)
-        ),
-        joints: range(&gear.joint_limits),
-        motors: range(&gear.motor_limits),
-        tag,
-    }
-}
-
-fn screw(joint: &'static str, name: &str, screw: &ScrewAxis, tag: Tag) -> Drive {
-    let ScrewAxis {
-        lead,
-        squared,
-        cosine,
-        sine,
-        length_at_home,
-        motor_at_home,
-        ..
-    } = *screw;
-    Drive {
-        joint,
-        name: name.into(),
-        transmission: format!(
-            "screw of {} m per turn, L² = {} {} cos th {} sin th m²",
-            signed(lead),
-            signed(squared),
-            added(cosine),
-            added(sine)
-        ),
-        home: format!(
-            "L {} m at m {}",
-            signed(length_at_home),
-            signed(motor_at_home)
-        ),
-        joints: range(&screw.joint_limits),
-        motors: range(&screw.motor_limits),
-        tag,
-    }
-}
-
-fn leg_drive(number: usize, leg: &LegAxis) -> Drive {
-    Drive {
-        joint: ["leg 0", "leg 1", "leg 2"][number],
-        name: format!("legs[{number}]"),
-        transmission: format!("screw of {} m per turn", signed(leg.lead)),
-        home: format!(
-            "L {} m at m {}",
-            signed(leg.length_at_home),
-            signed(leg.motor_at_home)
-        ),
-        joints: range(&leg.length_limits),
-        motors: range(&Limits {
-            low: leg.motor(leg.length_limits.low),
-            high: leg.motor(leg.length_limits.high),
-        }),
-        tag: Tag::Nominal,
-    }
-}
-
-/// A number with at most six digits behind the point, and a minus of its own width.
-fn signed(value: f64) -> String {
-    let rounded = (value * 1e8).round() / 1e8 + 0.0;
-    let text = if rounded.abs() < 1.0 {
-        rounded.to_string()
-    } else {
-        ((value * 1e6).round() / 1e6).to_string()
-    };
-    text.replace('-', "\u{2212}")
-}
-
-fn added(value: f64) -> String {
-    let sign = if value < 0.0 { '\u{2212}' } else { '+' };
-    format!("{sign} {}", signed(value.abs()))
-}
-
-fn range(limits: &Limits) -> String {
-    if limits.is_continuous() {
-        return "without end".into();
-    }
-    let [low, high] = [limits.low, limits.high].map(|end| signed((end * 1e4).round() / 1e4));
-    format!("{low} … {high}")
 }

@@ -1,35 +1,46 @@
 //! From where each robot is seen, and in which posture.
 
-use controller::robot::{Joints, Vector};
+use controller::cell::Parameters;
+use controller::robot::{ConveyorParameters, GripperParameters, Joints, Vector};
 use nalgebra::Vector3;
 
 use super::figure::{Other, Part, View};
 use super::posture::{outline, range};
-use crate::kinematics::{Machine, Numbers};
+use crate::kinematics::Machine;
 
 /// Names of the joints in the formulas.
-pub(super) fn symbols(numbers: &Numbers) -> &'static [&'static str] {
-    match numbers {
-        Numbers::Irb6(_) => &["th1", "th2", "th3", "th4", "th5"],
-        Numbers::Irp6(_) => &["th1", "th2", "th3", "th4", "th5", "th6"],
-        Numbers::Irp6Track(_) => &["d0", "th1", "th2", "th3", "th4", "th5", "th6"],
-        Numbers::Rnt(_) => &["alpha", "beta", "rho", "roll", "pitch", "spin"],
-        Numbers::Polycrank(_) => &["q1", "q2", "q3", "q4", "q5", "q6", "q7"],
+pub(super) fn symbols(parameters: &Parameters) -> &'static [&'static str] {
+    match parameters {
+        Parameters::Irb6(_) => &["th1", "th2", "th3", "th4", "th5"],
+        Parameters::Irp6(_) => &["th1", "th2", "th3", "th4", "th5", "th6"],
+        Parameters::Irp6Track(_) => &["d0", "th1", "th2", "th3", "th4", "th5", "th6"],
+        Parameters::Rnt(_) => &["alpha", "beta", "rho", "roll", "pitch", "spin"],
+        Parameters::Polycrank(_) => &["q1", "q2", "q3", "q4", "q5", "q6", "q7"],
+        Parameters::Gripper(_) | Parameters::Conveyor(_) => &[],
     }
 }
 
-/// The two views of a robot.
-pub(super) fn views(machine: &Machine) -> [View; 2] {
-    match &machine.numbers {
-        Numbers::Irb6(_) => arm(machine, &[0.0, -75.0, 12.0, 60.0, 0.0]),
-        Numbers::Irp6(_) => arm(machine, &[0.0, -75.0, 12.0, 0.0, 270.0, 0.0]),
-        Numbers::Irp6Track(_) => arm(machine, &[0.0, 0.0, -75.0, 12.0, 0.0, 270.0, 0.0]),
-        Numbers::Rnt(_) => rnt(machine),
-        Numbers::Polycrank(parameters) => {
+/// What the figure of a machine shows.
+pub(super) enum Drawing<'a> {
+    Arm(Box<[View; 2]>),
+    Gripper(&'a GripperParameters),
+    Conveyor(&'a ConveyorParameters),
+}
+
+/// Two views of a robot, or the device that is none.
+pub(super) fn drawing(machine: &Machine) -> Drawing<'_> {
+    Drawing::Arm(Box::new(match &machine.parameters {
+        Parameters::Irb6(_) => arm(machine, &[0.0, -75.0, 12.0, 60.0, 0.0]),
+        Parameters::Irp6(_) => arm(machine, &[0.0, -75.0, 12.0, 0.0, 270.0, 0.0]),
+        Parameters::Irp6Track(_) => arm(machine, &[0.0, 0.0, -75.0, 12.0, 0.0, 270.0, 0.0]),
+        Parameters::Rnt(_) => rnt(machine),
+        Parameters::Polycrank(parameters) => {
             let [upper, fore] = parameters.upper_cranks;
             polycrank([(upper.abs() - fore.abs()).abs(), upper.abs() + fore.abs()])
         }
-    }
+        Parameters::Gripper(gripper) => return Drawing::Gripper(gripper),
+        Parameters::Conveyor(conveyor) => return Drawing::Conveyor(conveyor),
+    }))
 }
 
 /// The arm from its side, and from above with the column turned.

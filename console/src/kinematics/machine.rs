@@ -7,36 +7,13 @@ use anyhow::{Context as _, anyhow};
 use clap::Args;
 use controller::cell::{Model, Parameters};
 use controller::robot::{
-    Irb6Parameters, Irp6Parameters, Irp6Track, Irp6TrackParameters, Joints, Limits, Motors,
-    ParameterError, Polycrank, PolycrankParameters, Rnt, RntParameters, Robot, Vector,
+    Joints, Limits, Motors, ParameterError, PolycrankParameters, Rnt, RntParameters, Robot, Vector,
 };
 
 use nalgebra::Vector3;
 
 use super::numbers;
 use crate::cell_file::CellFile;
-
-/// Makes a robot of its own numbers.
-type Make = fn() -> Result<Machine, ParameterError>;
-
-/// The robots by name.
-const ROBOTS: [(&str, Make); 5] = [
-    ("irb6", || of_cell(&Model::Irb6.parameters())),
-    ("irp6", || of_cell(&Model::Irp6.parameters())),
-    ("irp6-track", || {
-        let numbers = Irp6TrackParameters::irp6ot();
-        let robot = Irp6Track::new(&numbers)?;
-        Ok(Machine::new(Arc::new(robot), Numbers::Irp6Track(numbers)))
-    }),
-    ("rnt", || of_cell(&Model::Rnt.parameters())),
-    ("polycrank", || {
-        let numbers = PolycrankParameters::polycrank();
-        let robot = Polycrank::new(&numbers)?;
-        let mut machine = Machine::new(Arc::new(robot), Numbers::Polycrank(numbers));
-        machine.caution = Some(POLYCRANK);
-        Ok(machine)
-    }),
-];
 
 const RNT: &str =
     "geometry, drives and limits of the RNT are nominal: none was measured or published";
@@ -46,7 +23,7 @@ const POLYCRANK: &str =
 /// Which robot.
 #[derive(Args)]
 pub(crate) struct Which {
-    /// The robot: irb6, irp6, irp6-track, rnt or polycrank; with --cell the name of one of its robots.
+    /// The robot by its model, such as irp6-track; with --cell by its name in the cell.
     #[arg(long)]
     robot: String,
     /// A cell file, whose robot may have parameters of its own.
@@ -55,11 +32,6 @@ pub(crate) struct Which {
 }
 
 impl Which {
-    /// The name, where no cell file has to be read to know whose it is.
-    pub(crate) fn known(&self) -> Option<&str> {
-        self.cell.is_none().then_some(&*self.robot)
-    }
-
     #[cfg(test)]
     pub(crate) fn preset(name: &str) -> Self {
         Self {
@@ -69,21 +41,11 @@ impl Which {
     }
 }
 
-/// The parameters of a robot, by its kind.
-#[derive(Clone, Copy)]
-pub(crate) enum Numbers {
-    Irb6(Irb6Parameters),
-    Irp6(Irp6Parameters),
-    Irp6Track(Irp6TrackParameters),
-    Rnt(RntParameters),
-    Polycrank(PolycrankParameters),
-}
-
 /// A robot by name.
 pub(crate) struct Machine {
     pub(crate) name: String,
     pub(crate) robot: Arc<dyn Robot>,
-    pub(crate) numbers: Numbers,
+    pub(crate) parameters: Parameters,
     /// Of a robot that has legs.
     rnt: Option<Rnt>,
     /// What must be known of the numbers.
@@ -91,18 +53,8 @@ pub(crate) struct Machine {
 }
 
 impl Machine {
-    fn new(robot: Arc<dyn Robot>, numbers: Numbers) -> Self {
-        Self {
-            name: String::new(),
-            robot,
-            numbers,
-            rnt: None,
-            caution: None,
-        }
-    }
-
     pub(crate) fn find(Which { robot, cell }: &Which) -> anyhow::Result<Self> {
-        let machine = match cell {
+        let parameters = match cell {
             None => preset(robot)?,
             Some(cell) => {
                 let file = CellFile::read(cell)?;
@@ -112,12 +64,35 @@ impl Machine {
                     let names = file.cell.robot.iter().map(|robot| robot.name.as_str());
                     unknown(&format!("{} has no robot", cell.display()), robot, names)
                 })?;
-                of_cell(&found.parameters.unwrap_or_else(|| found.model.parameters()))?
+                let model = found.model;
+                found.parameters.unwrap_or_else(|| model.parameters())
             }
         };
+        Ok(Self::new(robot.clone(), parameters)?)
+    }
+
+    fn new(name: String, parameters: Parameters) -> Result<Self, ParameterError> {
+        let (rnt, caution) = match &parameters {
+            Parameters::Rnt(numbers) => {
+                let nominal = *numbers == RntParameters::nominal();
+                (Some(Rnt::new(numbers)?), nominal.then_some(RNT))
+            }
+            Parameters::Polycrank(numbers) => {
+                let nominal = *numbers == PolycrankParameters::polycrank();
+                (None, nominal.then_some(POLYCRANK))
+            }
+            Parameters::Irb6(_)
+            | Parameters::Irp6(_)
+            | Parameters::Irp6Track(_)
+            | Parameters::Gripper(_)
+            | Parameters::Conveyor(_) => (None, None),
+        };
         Ok(Self {
-            name: robot.clone(),
-            ..machine
+            name,
+            robot: parameters.kinematics()?,
+            parameters,
+            rnt,
+            caution,
         })
     }
 
@@ -129,7 +104,7 @@ impl Machine {
     /// The joints at a list of motor positions, of the RNT's legs at their lengths.
     pub(super) fn joints_from_motors(&self, list: &str) -> anyhow::Result<Joints> {
         let mut motors: Motors = self.vector("--motors", list)?;
-        if let Numbers::Rnt(parameters) = &self.numbers {
+        if let Parameters::Rnt(parameters) = &self.parameters {
             for (motor, leg) in motors.iter_mut().zip(&parameters.legs) {
                 *motor = leg.motor(*motor);
             }
@@ -151,7 +126,7 @@ impl Machine {
 
     /// Ranges of the legs, m, of a robot that has them.
     pub(super) fn leg_limits(&self) -> Option<[Limits; 3]> {
-        let Numbers::Rnt(parameters) = &self.numbers else {
+        let Parameters::Rnt(parameters) = &self.parameters else {
             return None;
         };
         Some(parameters.legs.map(|leg| leg.length_limits))
@@ -159,7 +134,7 @@ impl Machine {
 
     /// Where each leg begins on the base and ends on the platform, m, of a robot that has legs.
     pub(crate) fn leg_ends(&self) -> Option<[[Vector3<f64>; 2]; 3]> {
-        let Numbers::Rnt(parameters) = &self.numbers else {
+        let Parameters::Rnt(parameters) = &self.parameters else {
             return None;
         };
         Some(parameters.leg_ends())
@@ -178,25 +153,12 @@ impl Machine {
     }
 }
 
-/// The robot of these numbers of a cell.
-fn of_cell(parameters: &Parameters) -> Result<Machine, ParameterError> {
-    let robot = parameters.kinematics()?;
-    Ok(match *parameters {
-        Parameters::Irb6(numbers) => Machine::new(robot, Numbers::Irb6(numbers)),
-        Parameters::Irp6(numbers) => Machine::new(robot, Numbers::Irp6(numbers)),
-        Parameters::Rnt(numbers) => Machine {
-            rnt: Some(Rnt::new(&numbers)?),
-            caution: (numbers == RntParameters::nominal()).then_some(RNT),
-            ..Machine::new(robot, Numbers::Rnt(numbers))
-        },
-    })
-}
-
-fn preset(name: &str) -> anyhow::Result<Machine> {
-    let found = ROBOTS.iter().find(|(known, _)| *known == name);
-    let names = ROBOTS.iter().map(|(known, _)| *known);
-    let (_, make) = found.ok_or_else(|| unknown("there is no robot", name, names))?;
-    Ok(make()?)
+fn preset(name: &str) -> anyhow::Result<Parameters> {
+    let mut models = Model::ALL.into_iter();
+    let found = models.find(|model| model.name() == name);
+    let names = Model::ALL.into_iter().map(Model::name);
+    let model = found.ok_or_else(|| unknown("there is no robot", name, names))?;
+    Ok(model.parameters())
 }
 
 fn unknown<'a>(what: &str, name: &str, known: impl Iterator<Item = &'a str>) -> anyhow::Error {

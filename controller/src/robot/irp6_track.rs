@@ -340,6 +340,7 @@ fn on_carriage(error: KinematicsError) -> KinematicsError {
         | KinematicsError::Unreachable { .. }
         | KinematicsError::Open { .. }
         | KinematicsError::LegLimit { .. }
+        | KinematicsError::OffAxis { .. }
         | KinematicsError::ToolPlane { .. } => error,
     }
 }

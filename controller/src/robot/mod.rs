@@ -1,7 +1,7 @@
 //! Robots: where the flange is for given joints, which joints put it there, and where the motors are.
 //!
 //! [`Robot`] is the contract; [`Irb6`] (5 axes), [`Irp6`] (6), [`Irp6Track`] and [`Polycrank`] (7), and [`Rnt`] (6,
-//! serial-parallel) keep it. Every call is a function
+//! serial-parallel) keep it, and so do two devices of one axis, [`Gripper`] and [`Conveyor`]. Every call is a function
 //! of its arguments: no state, no allocation, no search without a bound. What a robot cannot do is a
 //! [`KinematicsError`] that names the axis and both sides, never a NaN or a clamped number.
 //!
@@ -59,7 +59,7 @@ use serde::{Deserialize, Serialize};
 use servo::MAX_AXES;
 use thiserror::Error;
 
-pub use axis_map::{Conveyor, Gripper};
+pub use axis_map::{Conveyor, ConveyorParameters, Gripper, GripperParameters};
 pub use drive_train::{GearAxis, ScrewAxis};
 pub use irb6::{Irb6, Irb6Parameters};
 pub use irp6::{Irp6, Irp6Parameters};
@@ -248,6 +248,14 @@ pub enum KinematicsError {
         /// The limit it passes.
         limit: f64,
     },
+    /// The pose is beside the only way that a device of one axis has.
+    #[error("{distance:.6} m and {angle:.6} rad off the only axis")]
+    OffAxis {
+        /// Distance from the axis, m.
+        distance: f64,
+        /// Angle by which the pose is turned, rad.
+        angle: f64,
+    },
     /// The tool axis is outside the vertical plane of a 5-axis arm.
     #[error("tool axis leans {residual:.3e} out of the arm's plane")]
     ToolPlane {
@@ -267,6 +275,7 @@ impl KinematicsError {
             Self::NotFinite
             | Self::AxisCount { .. }
             | Self::Unreachable { .. }
+            | Self::OffAxis { .. }
             | Self::ToolPlane { .. } => None,
         }
     }

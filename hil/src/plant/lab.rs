@@ -101,7 +101,7 @@ impl Row {
             brake: self.brake,
             home_switch: Some(switch(home_from, self.home - EDGE)),
             negative_limit: self.travel.map(|(to, _)| switch(f64::NEG_INFINITY, to)),
-            positive_limit: self.travel.map(|(from, _)| switch(from, f64::INFINITY)),
+            positive_limit: self.travel.map(|(_, from)| switch(from, f64::INFINITY)),
         }
     }
 }
