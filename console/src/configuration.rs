@@ -98,6 +98,8 @@ impl Configuration {
                 ));
             }
         }
+        check_scale(&download, drive.counts_per_revolution)
+            .map_err(|(line, problem)| anyhow!("{shown}:{line}: {problem}"))?;
         Ok(Some(Self {
             product: dcf.identity(PRODUCT_CODE.subindex),
             revision: dcf.identity(REVISION.subindex),
@@ -116,4 +118,32 @@ impl Configuration {
         };
         self.download.writes.iter().map(setting).collect()
     }
+}
+
+/// The cell counts at the motor shaft, and so must a drive whose scale is written (CiA 402-2, objects 0x608F and 0x6091:
+/// each a ratio of its sub-indices 1 and 2). Else the line and what is wrong.
+fn check_scale(download: &Download, counts: u32) -> Result<(), (u32, String)> {
+    let scales = [
+        (0x608F, "counts per revolution", counts),
+        (0x6091, "motor revolutions per shaft revolution", 1),
+    ];
+    for (index, what, expected) in scales {
+        let written = |subindex: u8| {
+            let mut writes = download.writes.iter();
+            let write =
+                writes.find(|it| it.object.index == index && it.object.subindex == subindex)?;
+            let value = <[u8; 4]>::try_from(write.data.as_slice()).ok()?;
+            Some((write.line, u32::from_le_bytes(value)))
+        };
+        let Some((line, above)) = written(1).or(written(2).map(|(line, _)| (line, 1))) else {
+            continue;
+        };
+        let below = written(2).map_or(1, |(_, below)| below);
+        if u64::from(above) != u64::from(expected) * u64::from(below) {
+            let problem =
+                format!("{index:#06x} sets {above}/{below} {what}, the cell says {expected}");
+            return Err((line, problem));
+        }
+    }
+    Ok(())
 }

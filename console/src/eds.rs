@@ -1,6 +1,5 @@
 //! `mrroc eds`: the electronic data sheet of an emulated drive.
 
-use std::io::Write as _;
 use std::path::Path;
 use std::process::ExitCode;
 
@@ -9,18 +8,14 @@ use can::Instant;
 use hil::epos4::Epos4;
 
 use crate::cell_file::CellFile;
-use crate::emulation;
+use crate::{emulation, stdout};
 
 /// Prints the data sheet of the drive that is emulated for an axis.
 pub(crate) fn eds(cell: &Path, axis: &str) -> anyhow::Result<ExitCode> {
     let file = CellFile::read(cell)?;
     let (robot, number) = find(&file, axis)?;
     let config = emulation::config(&file, robot, number, Instant::ZERO);
-    match write!(std::io::stdout(), "{}", Epos4::eds(&config)) {
-        // A reader that has gone, such as `head`.
-        Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(ExitCode::SUCCESS),
-        written => Ok(written.map(|()| ExitCode::SUCCESS)?),
-    }
+    stdout::print(Epos4::eds(&config))
 }
 
 /// The axis that is called so: ROBOT/AXIS, or one name or node-ID that only one axis has.

@@ -10,7 +10,7 @@ use hil::epos4::{Epos4, Epos4Config};
 use hil::plant::Switch;
 use hil::{
     AxisConfig, AxisControllerConfig, BusId, Cabinet, Device, Epos4Serial, EposSerialConfig,
-    HiMoxaAxisController, Irp6Axis, LineDevice, Nfv2AxisController, World,
+    HiMoxaAxisController, Irp6Axis, Irp6TrackAxis, LineDevice, Nfv2AxisController, World,
 };
 use serial::{Settings, VirtualLine};
 
@@ -277,10 +277,34 @@ fn seed(file: &CellFile, robot: usize, number: usize) -> u64 {
 fn plant(file: &CellFile, robot: usize, number: usize) -> AxisConfig {
     let axis = &file.cell.robot[robot].axis[number];
     let home = file.arms[robot].robot().home()[number];
-    let limits = file.arms[robot].robot().motor_limits()[number];
-    let kind = match file.cell.robot[robot].model {
-        Model::Irb6 | Model::Irp6 | Model::Irp6Calibrated => Irp6Axis::ALL[number],
+    let preset = match file.cell.robot[robot].model {
+        Model::Irb6 | Model::Irp6 | Model::Irp6Calibrated => {
+            return arm_plant(file, robot, number);
+        }
+        Model::Irp6Track | Model::Irp6TrackCalibrated => {
+            AxisConfig::irp6_track(Irp6TrackAxis::ALL[number])
+        }
+        Model::Rnt => AxisConfig::rnt(number).expect(AS_MANY),
+        Model::Polycrank => AxisConfig::polycrank(number).expect(AS_MANY),
+        Model::Gripper => AxisConfig::gripper(),
+        Model::Conveyor => AxisConfig::conveyor(),
     };
+    let preset = preset.with_home(home);
+    AxisConfig {
+        counts_per_revolution: axis.counts_per_revolution(),
+        start_angle: axis.emulator.start.unwrap_or(preset.start_angle),
+        ..preset
+    }
+}
+
+const AS_MANY: &str = "a parsed robot has as many axes as its model";
+
+/// The same of an arm on its pedestal.
+fn arm_plant(file: &CellFile, robot: usize, number: usize) -> AxisConfig {
+    let axis = &file.cell.robot[robot].axis[number];
+    let home = file.arms[robot].robot().home()[number];
+    let limits = file.arms[robot].robot().motor_limits()[number];
+    let kind = Irp6Axis::ALL[number];
     let preset = match axis.emulator.plant {
         Plant::Physical => AxisConfig::irp6(kind),
         Plant::Wut => AxisConfig::wut(kind),

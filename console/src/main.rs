@@ -9,16 +9,20 @@ mod budget;
 mod bus_port;
 mod card;
 mod cell_file;
+mod chart;
 mod check;
 mod clockwork;
 mod configuration;
+mod datasheet;
 mod doctor;
 mod eds;
 mod emulate;
 mod emulated_lines;
 mod emulation;
+mod identify;
 mod interfaces;
 mod jitter;
+mod kinematics;
 mod manual;
 mod programs;
 mod rehearsal;
@@ -27,7 +31,11 @@ mod run;
 mod service;
 mod setup;
 mod spikes;
+mod stdout;
+mod svg;
 mod trace;
+mod urdf;
+mod usage;
 mod vm;
 mod wire;
 
@@ -90,8 +98,21 @@ enum Command {
         /// The axis: ROBOT/AXIS, the axis's name, or its node-ID.
         axis: String,
     },
+    /// Measure the loop of one axis: frequency response, crossover and phase margin. Homes the robot on the emulated
+    /// benches; moves hardware on the card bench, where it has to be told so.
+    Identify(identify::Options),
     /// Measure how punctual a thread that waits as the servo's does is on this host, beside cyclictest in the same run.
     Jitter(jitter::Options),
+    /// Where a robot's flange is for given joints, which joints put it there, and how they move it.
+    Kinematics {
+        #[command(subcommand)]
+        question: kinematics::Question,
+    },
+    /// Print the data sheet of a robot, of the gripper or of the conveyor in Markdown, or its figure in SVG: geometry,
+    /// drives, limits, and where the numbers come from.
+    Datasheet(datasheet::Options),
+    /// Print a robot's description (URDF) for viewers and libraries of rigid bodies.
+    Urdf(urdf::Options),
     /// Run a command in a virtual machine that has CAN.
     Vm {
         #[command(subcommand)]
@@ -108,7 +129,11 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    let result = match Arguments::parse().command {
+    let arguments = match Arguments::try_parse() {
+        Ok(arguments) => arguments,
+        Err(error) => return usage::answer(&error),
+    };
+    let result = match arguments.command {
         Command::Check { cell, json } => check::check(&cell, json),
         Command::Doctor(options) => doctor::doctor(&options),
         Command::Run(options) => run::run(&options),
@@ -119,7 +144,11 @@ fn main() -> ExitCode {
         Command::Lss { action } => service::lss::lss(&action),
         Command::Monitor(options) => service::monitor::monitor(&options),
         Command::Eds { cell, axis } => eds::eds(&cell, &axis),
+        Command::Identify(options) => identify::identify(&options),
         Command::Jitter(options) => jitter::jitter(&options),
+        Command::Kinematics { question } => kinematics::kinematics(&question),
+        Command::Datasheet(options) => datasheet::datasheet(&options),
+        Command::Urdf(options) => urdf::urdf(&options),
         Command::Vm { machine } => vm::vm(&machine),
         Command::Schema => check::schema(),
         Command::Manual { directory } => manual::write(Arguments::command(), &directory),

@@ -2,7 +2,7 @@
 
 use anyhow::anyhow;
 use can::Instant;
-use controller::ecp::{Ecp, EcpError};
+use controller::ecp::{Ecp, EcpError, Meetings};
 use drive::Fault;
 use indicatif::{ProgressBar, ProgressStyle};
 use servo::{EffectorLink, Phase, Servo, ServoFault, StopCause, StopRequest};
@@ -14,6 +14,7 @@ use crate::setup;
 /// One effector control process per robot, each with its program.
 pub(crate) struct Programs {
     ecps: Vec<Ecp>,
+    meetings: Meetings,
     /// The phase of each that was last told.
     phases: Vec<Phase>,
     pub(crate) faults: Vec<FaultReport>,
@@ -30,25 +31,26 @@ pub(crate) struct Seen {
 }
 
 impl Programs {
-    /// The programs of a cell's robots on the links to its servo; the first failure uses `stop`.
+    /// The programs of a cell's robots on the links to its servo, whose handles the meetings and the first failure use.
     pub(crate) fn of(
         file: &CellFile,
         links: Vec<EffectorLink>,
-        stop: StopRequest,
+        servo: &Servo,
     ) -> anyhow::Result<Self> {
         let mut ecps = Vec::new();
         for (robot, link) in links.into_iter().enumerate() {
             let arm = &file.arms[robot];
             let mut ecp = Ecp::new(arm.clone(), link, setup::ecp_config(file, robot));
-            let task = file.cell.robot[robot].task(robot, arm);
+            let task = file.cell.task(robot, arm);
             ecp.execute(task.map_err(|(_, error)| anyhow!(error))?)?;
             ecps.push(ecp);
         }
         Ok(Self {
             phases: vec![Phase::Off; ecps.len()],
             ecps,
+            meetings: setup::meetings(file, servo.gates()),
             faults: Vec::new(),
-            stop,
+            stop: servo.stop_request(),
         })
     }
 
@@ -75,6 +77,7 @@ impl Programs {
                 tell(Seen { robot, phase, done });
             }
         }
+        self.meetings.poll(&mut self.ecps);
         self.ecps
             .iter()
             .any(|ecp| ecp.status().instruction.is_some())

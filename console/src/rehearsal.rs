@@ -34,7 +34,7 @@ pub(crate) fn rehearse(file: &CellFile) -> anyhow::Result<Duration> {
     let mut ecps = Vec::new();
     for (robot, link) in links.into_iter().enumerate() {
         let arm = file.arms[robot].clone();
-        let task = file.cell.robot[robot].task(robot, &arm);
+        let task = file.cell.task(robot, &arm);
         let task = task.map_err(|(key, error)| {
             let axis = error.axis().map(|axis| file.axis_name(robot, axis));
             let axis = axis.map_or(String::new(), |name| name + ", ");
@@ -44,6 +44,7 @@ pub(crate) fn rehearse(file: &CellFile) -> anyhow::Result<Duration> {
         ecp.execute(task).expect("a new ECP has nothing under way");
         ecps.push(ecp);
     }
+    let mut meetings = setup::meetings(file, servo.gates());
     let mut failure = None;
     let start =
         lockstep::bring_up(&mut servo, Instant::ZERO, |_| {}).expect("ideal drives come up");
@@ -64,6 +65,7 @@ pub(crate) fn rehearse(file: &CellFile) -> anyhow::Result<Duration> {
                     failure.get_or_insert_with(|| file.refuse(&key, error));
                 }
             }
+            meetings.poll(&mut ecps);
             if failure.is_some() || ecps.iter().all(|ecp| ecp.status().instruction.is_none()) {
                 end.set(Instant::FAR_FUTURE);
             }

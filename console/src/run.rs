@@ -135,7 +135,7 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
     let spikes = options.spikes.as_deref().map(SpikeFile::create);
     let spikes = spikes.transpose()?;
     let interrupted = Arc::new(AtomicBool::new(false));
-    let programs = Programs::of(&file, links, servo.stop_request())?;
+    let programs = Programs::of(&file, links, &servo)?;
     let progress = Progress::new(&file, !options.json)?;
     let (stop, flag) = (servo.stop_request(), interrupted.clone());
     let nothing_moves = options.bench == BenchKind::Lockstep;
@@ -302,17 +302,25 @@ impl Writing {
 }
 
 /// A servo thread that is stopped in order and waited for when this is dropped, by a panic too.
-struct Turning {
+pub(crate) struct Turning {
     running: Option<Running>,
     over: Over,
 }
 
 impl Turning {
-    fn is_finished(&self) -> bool {
+    /// A servo thread that ends once `over` is set.
+    pub(crate) fn of(running: Running, over: Arc<AtomicBool>) -> Self {
+        Self {
+            running: Some(running),
+            over: Over(over),
+        }
+    }
+
+    pub(crate) fn is_finished(&self) -> bool {
         self.running.as_ref().is_none_or(Running::is_finished)
     }
 
-    fn end(mut self) -> Finished {
+    pub(crate) fn end(mut self) -> Finished {
         self.over.raise();
         let running = self.running.take();
         running.expect("taken at its end alone").join()
@@ -491,10 +499,7 @@ fn by_the_clock(
     };
     let running = clockwork::start(servo, emulation, emulated_since, policy, until)?;
     let request = running.trace_request();
-    let turning = Turning {
-        running: Some(running),
-        over: Over(done.clone()),
-    };
+    let turning = Turning::of(running, done.clone());
     flag::register(SIGUSR1, request).context("SIGUSR1 cannot be caught")?;
     let (tell, told) = sync_channel(SEEN);
     std::thread::scope(|scope| {

@@ -6,13 +6,13 @@ use std::time::Duration;
 use anyhow::Context;
 use can::Port;
 use controller::cell::{self, Bus, Cell, ENABLING, Policy, Serial};
-use controller::ecp::EcpConfig;
+use controller::ecp::{EcpConfig, Meetings};
 use drive::DriveGroup;
 use drive::axis_controller::AxisControllerGroup;
 use drive::cia402::{AxisConfig, Cia402Group};
 use serial::Line;
 use servo::thread::{CellTime, Realtime, RealtimePolicy, Scheduler, Wait};
-use servo::{EffectorConfig, HostHoming, ServoAxisConfig, ServoConfig};
+use servo::{EffectorConfig, Gates, HostHoming, ServoAxisConfig, ServoConfig};
 
 use crate::cell_file::CellFile;
 use crate::configuration::Configuration;
@@ -93,6 +93,12 @@ pub(crate) fn servo_config(file: &CellFile) -> ServoConfig {
     }
 }
 
+/// The meetings of the effector control processes of a cell, on the gates of its servo.
+pub(crate) fn meetings(file: &CellFile, gates: Gates) -> Meetings {
+    let meetings = file.cell.meetings().into_iter();
+    Meetings::new(meetings.map(|meeting| meeting.robots), gates)
+}
+
 /// The axes of robot `robot`.
 fn servo_axes(file: &CellFile, robot: usize) -> Vec<ServoAxisConfig> {
     let cell = &file.cell;
@@ -155,6 +161,7 @@ pub(crate) fn ecp_config(file: &CellFile, robot: usize) -> EcpConfig {
         silence: Duration::from_secs(10),
         switching: ENABLING * 2,
         homing: homing_timeout(&servo_axes(file, robot)) + ENABLING,
+        meeting: Duration::from_secs(cell.meeting_timeout_s.into()),
     }
 }
 

@@ -12,7 +12,10 @@ use mrroc_controller::generator::{
     Arm, Axes, Generator, GeneratorError, JerkLimited, Line, LineLimits, MotionLimits, Newsmooth,
     Pose, SmoothPose,
 };
-use mrroc_controller::robot::{Irp6, Irp6Parameters, Space};
+use mrroc_controller::robot::{
+    Irb6, Irb6Parameters, Irp6, Irp6Parameters, Irp6Track, Irp6TrackParameters, Joints, Polycrank,
+    PolycrankParameters, Rnt, RntParameters, Robot, Space,
+};
 use servo::{EffectorLink, Order, Phase, Report};
 
 /// The system's allocator; counts what each thread asks of it.
@@ -126,4 +129,36 @@ fn no_generator_allocates_once_it_was_made() {
         (0, 0),
         "line"
     );
+}
+
+#[test]
+fn no_kinematics_allocates() {
+    let track = Irp6Track::new(&Irp6TrackParameters::irp6ot()).expect("the preset is a robot");
+    let seven = Polycrank::new(&PolycrankParameters::polycrank()).expect("the preset is a robot");
+    let six = Irp6::new(&Irp6Parameters::irp6p()).expect("the preset is a robot");
+    let five = Irb6::new(&Irb6Parameters::irb6()).expect("the preset is a robot");
+    let legs = Rnt::new(&RntParameters::nominal()).expect("the preset is a robot");
+    let robots: [(&dyn Robot, Joints); 5] = [
+        (&five, Joints::from([0.3, -1.7, 0.07, -0.33, 1.1])),
+        (&six, Joints::from([0.3, -1.7, 0.07, -0.33, 1.1, 0.6])),
+        (&legs, Joints::from([0.2, -0.1, 0.9, 0.4, 1.1, 0.6])),
+        (
+            &track,
+            Joints::from([0.4, 0.3, -1.7, 0.07, -0.33, 1.1, 0.6]),
+        ),
+        (&seven, Joints::from([0.3, 1.2, -0.7, 0.4, 1.3, -0.6, 0.2])),
+    ];
+    for (robot, joints) in robots {
+        let pose = robot.forward(&joints).unwrap();
+        let mut far = pose;
+        far.translation.vector *= 9.0;
+        let before = ALLOCATIONS.get();
+        robot.inverse(&pose, &joints).unwrap();
+        robot.inverse(&far, &joints).unwrap_err();
+        robot.jacobian(&joints).unwrap();
+        robot.singularity(&joints).unwrap();
+        let motors = robot.motors_from_joints(&joints).unwrap();
+        robot.joints_from_motors(&motors).unwrap();
+        assert_eq!(ALLOCATIONS.get(), before, "{robot:?}");
+    }
 }

@@ -3,7 +3,7 @@
 use std::hint::black_box;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use mrroc_hil::{Axis, AxisConfig, Demand, Irp6Axis};
+use mrroc_hil::{Axis, AxisConfig, Demand, Irp6Axis, Irp6TrackAxis, Mechanism, MechanismConfig};
 
 /// Sub-steps in a servo period of 2 ms.
 const PERIOD: u32 = 20;
@@ -43,5 +43,52 @@ fn advance(c: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, advance);
+/// Axis of a robot by its number.
+type Preset = fn(usize) -> Option<AxisConfig>;
+
+/// A robot's axes on their mechanism, each moved on by one servo period after the other.
+fn mounted(c: &mut Criterion) {
+    let mut group = c.benchmark_group("advance a robot by one servo period");
+    let rnt = MechanismConfig::Rnt {
+        home_length: AxisConfig::RNT_HOME_LENGTH,
+    };
+    let polycrank = MechanismConfig::Polycrank { coupled: false };
+    let track: Preset = |axis| Some(AxisConfig::irp6_track(Irp6TrackAxis::ALL[axis]));
+    let pedestal: Preset = |axis| Some(AxisConfig::irp6(Irp6Axis::ALL[axis]));
+    let robots: [(&str, MechanismConfig, Preset); 4] = [
+        ("irp6", MechanismConfig::Irp6, pedestal),
+        ("irp6 on track", MechanismConfig::Irp6OnTrack, track),
+        ("rnt", rnt, AxisConfig::rnt),
+        ("polycrank", polycrank, AxisConfig::polycrank),
+    ];
+    for (name, config, preset) in robots {
+        let mechanism = Mechanism::new(config);
+        let axis = |number: usize| {
+            let config = preset(number)?;
+            let mount = mechanism.mount(number, config.index_angle)?;
+            Some(Axis::mounted(&config, number as u64, Some(&mount)))
+        };
+        let mut axes: Vec<Axis> = (0..mechanism.axes()).filter_map(axis).collect();
+        let sub_steps = axes.len() as u64 * u64::from(PERIOD);
+        group.throughput(Throughput::Elements(sub_steps));
+        let mut period = 0_u32;
+        group.bench_function(name, |b| {
+            b.iter(|| {
+                period += 1;
+                let velocity = if period % 1000 < 500 {
+                    20_000.0
+                } else {
+                    -20_000.0
+                };
+                for axis in &mut axes {
+                    axis.advance(PERIOD, Demand::Velocity(velocity));
+                }
+                black_box(axes[0].feedback())
+            });
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(benches, advance, mounted);
 criterion_main!(benches);

@@ -41,7 +41,7 @@ use std::time::Duration;
 
 use can::Instant;
 
-use crate::AxisConfig;
+use crate::plant::{AxisConfig, Mount};
 
 /// A request that stops in its middle for so long does not go on.
 pub const GAP: Duration = Duration::from_micros(500);
@@ -55,6 +55,8 @@ pub struct AxisControllerConfig {
     pub seed: u64,
     /// Motor, load and sensors. Of the amplifier only the trip current counts, until the host sends its own.
     pub axis: AxisConfig,
+    /// Where its axis is mounted; `None` for a motor with a load of its own.
+    pub mount: Option<Mount>,
     /// What a pulse width of 1000 puts on the winding, V.
     pub supply: f64,
     /// From the last byte of a request to the first of its answer.
@@ -76,6 +78,7 @@ impl AxisControllerConfig {
             power_on: Instant::ZERO,
             seed: 0,
             axis,
+            mount: None,
             supply: 48.0,
             answer_delay: Duration::from_micros(100),
             counter: 0,

@@ -35,7 +35,10 @@ pub use epos4::{Epos4, Epos4Config};
 pub use line::{LineFaults, LineStatistics, Stuck, WireFaults};
 pub use line_device::LineDevice;
 pub use outbox::Heard;
-pub use plant::{Axis, AxisConfig, Demand, Feedback, Irp6Axis, PlantConfig, Trip};
+pub use plant::{
+    Axis, AxisConfig, Demand, Feedback, Irp6Axis, Irp6TrackAxis, Mechanism, MechanismConfig, Mount,
+    PlantConfig, Trip,
+};
 pub use pty::{Pty, PtyError};
 pub use slcan::{Acknowledge, SlcanConfig, SlcanCounts, SlcanDevice};
 pub use world::{BusId, DeviceId, LineId, World};

@@ -3,17 +3,21 @@
 //! Read [`Axis`] first: one motor with its load, its sensors and the inner loops of its drive, moved
 //! on in sub-steps of 100 µs. Below it stand two plants: [`Wut`], the toy that the robots' own
 //! software emulated its hardware with, kept as the regression model, and [`MotorConfig`], a motor
-//! with windings, friction, gravity, end stops and temperature. [`AxisConfig::irp6`] fills in the
-//! numbers of the IRp-6.
+//! with windings, friction, gravity, end stops and temperature. [`AxisConfig::irp6`] and its neighbours
+//! fill in the numbers of the lab's robots. A motor on its own carries a constant inertia and a weight
+//! that follows its own angle; the axes of one robot are to be mounted on a [`Mechanism`], which is
+//! where they weigh on each other and where payloads come and go.
 //!
 //! Everything is SI and at the motor shaft. A run is a function of configuration, seed and demands,
-//! the same bit for bit each time on one build. Left out: elastic gears, backlash, coupling between
-//! the axes of one arm, PWM ripple and dead band.
+//! the same bit for bit each time on one build. Left out: elastic gears, backlash, forces between axes
+//! beside what a [`Mechanism`] has, PWM ripple and dead band.
 
 mod axis;
 mod encoder;
 mod friction;
 mod irp6;
+mod lab;
+mod mechanism;
 mod motor;
 mod noise;
 mod switch;
@@ -23,6 +27,8 @@ mod wut;
 pub use axis::{Axis, AxisConfig, Demand, Feedback, PlantConfig, Trip};
 pub use friction::FrictionConfig;
 pub use irp6::Irp6Axis;
+pub use lab::Irp6TrackAxis;
+pub use mechanism::{Load, Mechanism, MechanismConfig, Mount};
 pub use motor::{EndStops, Gravity, MotorConfig};
 pub use noise::Noise;
 pub use switch::Switch;

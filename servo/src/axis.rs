@@ -3,6 +3,7 @@
 use can::Instant;
 use drive::{AxisCommand, AxisState, Finite, Homing, Power, Setpoint};
 
+use crate::excitation::Playing;
 use crate::host_loop::Loop;
 use crate::search::Search;
 use crate::{HomingFailure, Knot, PositionLoop, ServoAxisConfig, StopCause, TrackingError, limit};
@@ -30,6 +31,9 @@ pub(crate) struct Axis {
     pub(crate) searched: bool,
     pub(crate) command: AxisCommand,
     pub(crate) tracking: TrackingError,
+    /// What measures it, if anything does, and what that adds in this cycle.
+    pub(crate) playing: Option<Playing>,
+    pub(crate) excitation: f64,
     reference: ReferenceWatch,
     /// The position loop, if it is closed here.
     host: Option<Loop>,
@@ -49,6 +53,8 @@ impl Axis {
             searched: false,
             command: AxisCommand::Off,
             tracking: TrackingError::default(),
+            playing: None,
+            excitation: 0.0,
             reference: ReferenceWatch::default(),
             host: match config.position_loop {
                 PositionLoop::Drive => None,
@@ -264,6 +270,13 @@ impl Axis {
         self.command = command;
     }
 
+    /// Finds what measures it in this cycle, of macrostep `macrostep` if it is one.
+    pub(crate) fn excite(&mut self, macrostep: Option<u64>) {
+        if let Some(playing) = &mut self.playing {
+            self.excitation = playing.value(macrostep);
+        }
+    }
+
     /// Turns the set-point into what its drive is to follow: the position itself, or what the loop
     /// closed here makes of it.
     pub(crate) fn regulate(&mut self, dt: f64) -> AxisCommand {
@@ -272,17 +285,24 @@ impl Axis {
         }
         // Only a measured position taken over can be NaN; such an axis never settles, and the
         // time-out of what it settles for names it.
-        let Some(position) = Finite::new(self.knot.position) else {
+        let Some(position) = Finite::new(self.excited_position()) else {
             return AxisCommand::Off;
         };
         let setpoint = match &mut self.host {
-            Some(host) => host.regulate(self.knot, dt),
+            Some(host) => host.regulate(self.knot, dt, &mut self.excitation),
             None => Setpoint::Position(position),
         };
         if self.search.is_some_and(|search| search.is_seeking()) {
             AxisCommand::Seek(setpoint)
         } else {
             AxisCommand::Follow(setpoint)
+        }
+    }
+
+    fn excited_position(&self) -> f64 {
+        match self.host {
+            None if self.excitation != 0.0 => self.knot.position + self.excitation,
+            _ => self.knot.position,
         }
     }
 
@@ -316,6 +336,9 @@ impl ReferenceWatch {
     /// A step is the counter's own if the motor would need this many times its greatest acceleration.
     const IMPOSSIBLE: f64 = 4.0;
 
+    /// Steps up to this are a counter's resolution, counts.
+    const COARSE: f64 = 2.0;
+
     /// Takes a sample; the step of the counter in it, rad, if it was set in between. It was if a motor
     /// cannot have made the step, or if the drive now first says that it `attained` the reference.
     fn observe(
@@ -342,7 +365,9 @@ impl ReferenceWatch {
         let earlier = self.earlier.replace(way);
         let mut step = moved.0 - way.0 * periods;
         let possible = Self::IMPOSSIBLE * max_acceleration * (periods * dt).powi(2);
-        let impossible = searched && step.abs() > possible;
+        // A coarse counter makes steps of a count or two of its own, whatever the motor does.
+        let seen = (moved.1 - way.1 * periods).abs() > Self::COARSE;
+        let impossible = searched && seen && step.abs() > possible;
         if !attained && !impossible {
             return None;
         }

@@ -254,7 +254,7 @@ impl ServoAxisConfig {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::regulator::{CascadeConfig, IRP6, IRP6_DUTY, IncrementalConfig};
+    use crate::regulator::{CascadeConfig, IRP6, IRP6_DUTY, IncrementalConfig, ProportionalConfig};
     use crate::scripted::config;
 
     fn refusal(change: impl FnOnce(&mut ServoConfig)) -> Result<(), ServoError> {
@@ -346,6 +346,11 @@ mod tests {
         }
     }
 
+    const PROPORTIONAL: ProportionalConfig = ProportionalConfig {
+        position_gain: 50.0,
+        integral_rate: 0.0,
+        limit: 250.0,
+    };
     const HOST: HostLoop = HostLoop {
         law: Law::Incremental(IRP6_DUTY[0]),
         output: Output::Duty,
@@ -390,7 +395,7 @@ mod tests {
     #[test]
     fn a_loop_of_the_host_is_refused_for_the_field_that_is_wrong() {
         type Case = (fn(&mut HostLoop), Option<&'static str>);
-        let cases: [Case; 11] = [
+        let cases: [Case; 14] = [
             (|_| {}, None),
             (
                 |l| l.runaway_velocity = 100.0,
@@ -422,6 +427,28 @@ mod tests {
                 Some("a of its loop"),
             ),
             (|l| l.law = Law::Cascade(CASCADE), None),
+            (
+                |l| l.law = Law::Proportional(PROPORTIONAL),
+                Some(
+                    "law of its loop, which leaves the velocity to a drive that has no loop for it,",
+                ),
+            ),
+            (
+                |l| {
+                    l.law = Law::Proportional(PROPORTIONAL);
+                    l.output = Output::Velocity;
+                },
+                None,
+            ),
+            (
+                |l| {
+                    l.law = Law::Proportional(ProportionalConfig {
+                        position_gain: 0.0,
+                        ..PROPORTIONAL
+                    });
+                },
+                Some("position_gain of its loop"),
+            ),
             (
                 |l| {
                     l.law = Law::Cascade(CascadeConfig {

@@ -9,11 +9,13 @@ use can::Instant;
 use drive::{AxisCommand, AxisState, Power};
 
 use crate::axis::Axis;
+use crate::excitation::Playing;
 use crate::interpolate::Segment;
+use crate::servo::OpenGates;
 use crate::{
-    After, Answer, AxisRecord, Counters, EffectorConfig, EffectorLink, Event, Knot, MAX_AXES,
-    Order, Record, Report, ServoAxisConfig, ServoFault, State, StopCause, StraightStop,
-    TrackingError,
+    After, Answer, AxisRecord, Counters, EffectorConfig, EffectorLink, Event, Excitation,
+    ExcitationError, Knot, MAX_AXES, Order, Record, Report, ServoAxisConfig, ServoFault, State,
+    StopCause, StraightStop, TrackingError,
 };
 
 /// Longest time the drives get to come to rest after the last set-point of a stop, before power
@@ -35,6 +37,7 @@ pub(crate) struct Tick {
     pub(crate) dt: f64,
     /// Somebody asked for everything to stop.
     pub(crate) stop: bool,
+    pub(crate) open: OpenGates,
     /// Deadlines missed in a row, if they are too many.
     pub(crate) overrun: Option<u32>,
     /// Periods since the last cycle: 1 and the deadlines missed.
@@ -140,6 +143,21 @@ impl Effector {
 
     pub(crate) fn tracking(&self) -> impl Iterator<Item = TrackingError> {
         self.axes.iter().map(|axis| axis.tracking)
+    }
+
+    /// Excites axis `axis`, if there is one.
+    pub(crate) fn excite(
+        &mut self,
+        axis: usize,
+        excitation: Excitation,
+        dt: f64,
+    ) -> Result<(), ExcitationError> {
+        let effector = usize::from(self.index);
+        let found = self.axes.get_mut(axis);
+        let found = found.ok_or(ExcitationError::NoSuchAxis { effector, axis })?;
+        excitation.check(&found.config, dt)?;
+        found.playing = Some(Playing::new(excitation));
+        Ok(())
     }
 
     /// Takes what the drives say, by group and index in it.
@@ -283,7 +301,7 @@ impl Effector {
         for _ in 0..last_stop.map_or(0, |index| index + 1) {
             let Some(order) = self.pop() else { return };
             self.news = true;
-            let dropped = matches!(order, Order::Move(_) | Order::Home)
+            let dropped = matches!(order, Order::Move(_) | Order::Gate(_) | Order::Home)
                 || tick.stop && order == Order::Enable;
             if dropped || !self.apply(tick, order.event()) {
                 self.counters.refused_orders += 1;
@@ -301,17 +319,25 @@ impl Effector {
     /// [`Effector::advance`].
     fn take_orders(&mut self, tick: &Tick) {
         for _ in 0..self.orders.slots() {
-            let Ok(event) = self.orders.peek().map(Order::event) else {
+            let Ok(&order) = self.orders.peek() else {
                 return;
             };
+            let event = order.event();
             let answer = if tick.stop {
                 Answer::Refuse
             } else {
                 self.state.next(event)
             };
             match answer {
-                Answer::To(_) if event == Event::Move => return,
-                Answer::To(next) => self.enter(tick, next),
+                Answer::To(next) => match order {
+                    Order::Move(_) => return,
+                    Order::Gate(gate) => {
+                        if self.state != State::Standing || !tick.open.contain(gate) {
+                            return;
+                        }
+                    }
+                    _ => self.enter(tick, next),
+                },
                 Answer::Wait => return,
                 Answer::Refuse => self.counters.refused_orders += 1,
             }
@@ -461,7 +487,9 @@ impl Effector {
         let halted = self.halted;
         let on = self.axes.iter().all(|axis| axis.state.power == Power::On);
         let order = self.homing_order();
+        let macrostep = (self.state == State::Moving).then_some(self.macrostep);
         for axis in &mut self.axes {
+            axis.excite(macrostep);
             let follow = match self.state {
                 State::Enabling => on,
                 State::Standing | State::Moving | State::Braking(_) => true,
@@ -515,6 +543,7 @@ impl Effector {
             *kept = AxisRecord {
                 commanded: axis.knot.position,
                 command: axis.command,
+                excitation: axis.excitation,
                 measured: axis.state.position,
                 increments: axis.state.increments,
                 velocity: axis.state.velocity,
@@ -531,7 +560,8 @@ impl Order {
         match self {
             Self::Enable => Event::Enable,
             Self::Home => Event::Home,
-            Self::Move(_) => Event::Move,
+            // A gate waits and is refused where the motion behind it would be.
+            Self::Move(_) | Self::Gate(_) => Event::Move,
             Self::Stop => Event::Stop,
             Self::Disable => Event::Disable,
             Self::ResetFault => Event::ResetFault,

@@ -1,9 +1,9 @@
-//! A position loop that the servo closes, at work: set-points and samples in, torque or duty out.
+//! A position loop that the servo closes, at work: set-points and samples in; velocity, torque or duty out.
 
 use drive::{AxisState, Finite, Setpoint};
 
 use crate::axis::REMEMBERED;
-use crate::regulator::{Cascade, Incremental};
+use crate::regulator::{Cascade, Incremental, Proportional};
 use crate::{HostLoop, Knot, Law, Output};
 
 /// Samples in a row that a runaway takes. A cycle may be half a period late uncounted, and the way of one and
@@ -48,6 +48,7 @@ pub(crate) struct Loop {
 enum Regulator {
     Incremental(Incremental),
     Cascade(Cascade),
+    Proportional(Proportional),
 }
 
 impl Loop {
@@ -56,6 +57,7 @@ impl Loop {
             law: match config.law {
                 Law::Incremental(law) => Regulator::Incremental(Incremental::new(law)),
                 Law::Cascade(law) => Regulator::Cascade(Cascade::new(law)),
+                Law::Proportional(law) => Regulator::Proportional(Proportional::new(law)),
             },
             config,
             delay,
@@ -103,8 +105,9 @@ impl Loop {
         (self.cycles, self.periods) = (0, 0);
     }
 
-    /// One cycle: the set-point of this cycle gives what the drive is sent.
-    pub(crate) fn regulate(&mut self, knot: Knot, dt: f64) -> Setpoint {
+    /// One cycle: the set-point of this cycle gives what the drive is sent, with `excitation` added to it, of which
+    /// what the limit leaves is said there.
+    pub(crate) fn regulate(&mut self, knot: Knot, dt: f64, excitation: &mut f64) -> Setpoint {
         self.references.rotate_right(1);
         self.references[0] = knot.position;
         let last_velocity = std::mem::replace(&mut self.velocity, knot.velocity);
@@ -120,18 +123,28 @@ impl Loop {
             + feed.acceleration * (knot.velocity - last_velocity) / dt
             + dry
             + feed.constant;
+        let integrated = if self.cycles == 0 { dt } else { 0.0 };
         let grown = self.error - std::mem::replace(&mut self.taken, self.error);
         let output = match &mut self.law {
             Regulator::Incremental(law) => {
                 law.step(grown * self.increments_per_radian, feed_forward)
             }
             Regulator::Cascade(law) => {
-                let integrated = if self.cycles == 0 { dt } else { 0.0 };
                 law.step(self.error, self.velocity_error, feed_forward, integrated)
             }
+            Regulator::Proportional(law) => law.step(self.error, feed_forward, integrated),
+        };
+        let output = if *excitation == 0.0 {
+            output
+        } else {
+            let limit = self.config.law.limit();
+            let excited = (output + *excitation).clamp(-limit, limit);
+            *excitation = excited - output;
+            excited
         };
         let output = Finite::new(output).unwrap_or_default();
         match self.config.output {
+            Output::Velocity => Setpoint::Velocity(output),
             Output::Torque => Setpoint::Torque(output),
             Output::Duty => Setpoint::Duty(output),
         }
@@ -142,6 +155,7 @@ impl Loop {
         match &mut self.law {
             Regulator::Incremental(law) => law.reset(),
             Regulator::Cascade(law) => law.reset(),
+            Regulator::Proportional(law) => law.reset(),
         }
         self.follow([position; REMEMBERED], 0.0);
     }
@@ -232,7 +246,7 @@ mod tests {
                 position: 0.0,
                 velocity,
             };
-            let found = torque(held.regulate(knot, DT));
+            let found = torque(held.regulate(knot, DT, &mut 0.0));
             assert!((found - expected).abs() < 1e-9, "{velocity}: {found}");
         }
     }
@@ -248,13 +262,13 @@ mod tests {
         let mut state = AxisState::default();
         for _ in 0..5 {
             held.observe(&state, 1, DT);
-            held.regulate(knot, DT);
+            held.regulate(knot, DT, &mut 0.0);
         }
         let mut outputs = Vec::new();
         for age in 1..=5 {
             state.age = age;
             held.observe(&state, 1, DT);
-            outputs.push(torque(held.regulate(knot, DT)));
+            outputs.push(torque(held.regulate(knot, DT, &mut 0.0)));
         }
         assert!(outputs[0] > 0.08, "{outputs:?}");
         assert!(
@@ -264,7 +278,7 @@ mod tests {
         // The next sample is compared with what was commanded for it.
         state.age = 0;
         held.observe(&state, 1, DT);
-        assert!(torque(held.regulate(knot, DT)) >= outputs[0]);
+        assert!(torque(held.regulate(knot, DT, &mut 0.0)) >= outputs[0]);
     }
 
     #[test]

@@ -7,6 +7,8 @@
 //! Drives close the position loop, or the servo does ([`HostLoop`]) and then can home the axis too
 //! ([`HostHoming`]).
 //!
+//! [`identify`] measures a loop: its frequency response, crossover and phase margin.
+//!
 //! Read [`Servo`] for the cycle, [`state`](State) for what an effector can do when, and [`thread`]
 //! for deadlines and what happens when they are missed. Joints, Cartesian poses and planning are
 //! not here: everything is in motor positions.
@@ -17,8 +19,10 @@ mod axis;
 mod brake;
 mod config;
 mod effector;
+mod excitation;
 mod histogram;
 mod host_loop;
+pub mod identify;
 mod interpolate;
 mod limit;
 mod link;
@@ -40,13 +44,14 @@ pub use config::{
     Direction, EffectorConfig, FeedForward, HomingLeg, HostHoming, HostLoop, Law, Output,
     PositionLoop, ServoAxisConfig, ServoConfig, ServoError,
 };
+pub use excitation::{Excitation, ExcitationError, most as greatest_excitation};
 pub use histogram::Histogram;
 pub use interpolate::{Knot, hermite};
 pub use limit::{AxisLimits, check};
 pub use link::{EffectorLink, MAX_AXES, Macrostep, Order, Phase, Report, ServoFault, StopCause};
 pub use recorder::{AxisRecord, Record};
 pub use search::HomingFailure;
-pub use servo::{NotUp, Servo, StopRequest};
+pub use servo::{Gates, NotUp, Servo, StopRequest};
 pub use state::{After, Answer, Event, State};
 pub use statistics::{Counters, TrackingError};
 pub use timing::Timing;

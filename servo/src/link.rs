@@ -37,6 +37,8 @@ pub enum Order {
     Home,
     /// Move. Queued behind the macrosteps sent before.
     Move(Macrostep),
+    /// Stand until this gate of [`Gates`](crate::Gates) is open; what was sent behind it waits too, but for a stop.
+    Gate(u8),
     /// Brake to a stand within the acceleration limits, drop what was queued before, keep power on
     /// (category 2). It overtakes the queue. A moving effector whose queue runs dry brakes likewise, and that is a fault.
     Stop,

@@ -1,15 +1,17 @@
 //! The laws of the position loops that the servo closes, as pure objects: errors in, output out.
 //!
-//! An output is a torque, N·m, or a duty, whichever the gains are for; it is limited, finite whatever comes
+//! An output is a velocity, rad/s, a torque, N·m, or a duty, whichever the gains are for; it is limited, finite whatever comes
 //! in, and positive towards higher motor positions. Read [`Incremental`] for the IRp-6's own law and
-//! [`Cascade`] for position over velocity. How samples and set-points become errors is
+//! [`Cascade`] for position over velocity, [`Proportional`] for position over a drive's velocity loop. How samples and set-points become errors is
 //! [`HostLoop`](crate::HostLoop)'s to say.
 
 mod cascade;
 mod incremental;
+mod proportional;
 
 pub use cascade::{Cascade, CascadeConfig};
 pub use incremental::{IRP6, IRP6_DUTY, Incremental, IncrementalConfig};
+pub use proportional::{Proportional, ProportionalConfig};
 
 const fn is_positive(value: f64) -> bool {
     value.is_finite() && value > 0.0

@@ -1,5 +1,5 @@
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::task::Poll;
 use std::time::Duration;
 
@@ -9,7 +9,8 @@ use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters};
 use crate::effector::{Effector, Tick};
 use crate::recorder::Recorder;
 use crate::{
-    Counters, EffectorLink, Record, ServoConfig, ServoError, ServoFault, State, TrackingError,
+    Counters, EffectorLink, Excitation, ExcitationError, Record, ServoConfig, ServoError,
+    ServoFault, State, TrackingError,
 };
 
 /// Steps every effector of a cell on one tick grid.
@@ -35,6 +36,7 @@ pub struct Servo {
     groups: Vec<Group>,
     effectors: Vec<Effector>,
     stop: StopRequest,
+    gates: Gates,
     recorder: Option<Recorder>,
     cycles: u64,
     /// When SYNC was sent last.
@@ -59,6 +61,42 @@ struct Group {
 /// It holds for the rest of the run: orders that come after it are refused.
 #[derive(Clone, Debug, Default)]
 pub struct StopRequest(Arc<AtomicBool>);
+
+/// The gates that effectors wait at ([`Order::Gate`](crate::Order::Gate)), all shut at first.
+///
+/// A cycle looks at them once for all effectors: those that wait at a gate go on in the same cycle, whenever it
+/// is opened. A gate stays open.
+#[derive(Clone, Debug, Default)]
+pub struct Gates(Arc<AtomicU64>);
+
+impl Gates {
+    /// How many there are, numbered from 0.
+    pub const COUNT: u8 = 64;
+
+    /// Opens a gate. What was sent to the effectors before is there when they pass it. There is none beyond
+    /// [`Gates::COUNT`], and whoever waits there is not let through.
+    pub fn open(&self, gate: u8) {
+        self.0.fetch_or(bit(gate), Ordering::Release);
+    }
+
+    fn open_ones(&self) -> OpenGates {
+        OpenGates(self.0.load(Ordering::Acquire))
+    }
+}
+
+/// The gates that are open in a cycle.
+#[derive(Clone, Copy)]
+pub(crate) struct OpenGates(u64);
+
+impl OpenGates {
+    pub(crate) fn contain(self, gate: u8) -> bool {
+        self.0 & bit(gate) != 0
+    }
+}
+
+fn bit(gate: u8) -> u64 {
+    1u64.checked_shl(gate.into()).unwrap_or(0)
+}
 
 /// Why a servo's drives did not come up. None of them has power.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -106,6 +144,7 @@ impl Servo {
             groups: groups.into_iter().map(group).collect(),
             effectors,
             stop: StopRequest::default(),
+            gates: Gates::default(),
             recorder: None,
             cycles: 0,
             sent: None,
@@ -235,6 +274,7 @@ impl Servo {
             dt: self.period.as_secs_f64(),
             periods: missed.saturating_add(1),
             stop: self.stop.is_requested(),
+            open: self.gates.open_ones(),
             overrun: (row > self.max_missed_in_row).then_some(row),
             refused: self.refused_in_row,
         }
@@ -259,6 +299,28 @@ impl Servo {
         let (recorder, records) = Recorder::new(capacity);
         self.recorder = Some(recorder);
         records
+    }
+
+    /// Excites axis `axis` of effector `effector` while the effector carries out the macrosteps that the excitation
+    /// is for; to be called before the cycles begin, and once more to change it. Nothing is added otherwise.
+    ///
+    /// All the guards of the axis stay in force. An excitation beyond a quarter of what its loop may put out is
+    /// refused; where the drive closes the loop, one beyond a quarter of the following error or beyond the axis's acceleration.
+    pub fn excite(
+        &mut self,
+        effector: usize,
+        axis: usize,
+        excitation: Excitation,
+    ) -> Result<(), ExcitationError> {
+        let dt = self.period.as_secs_f64();
+        let found = self.effectors.get_mut(effector);
+        let found = found.ok_or(ExcitationError::NoSuchAxis { effector, axis })?;
+        found.excite(axis, excitation, dt)
+    }
+
+    /// A handle that opens the gates that effectors wait at.
+    pub fn gates(&self) -> Gates {
+        self.gates.clone()
     }
 
     /// A handle that stops everything.

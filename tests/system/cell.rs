@@ -121,7 +121,7 @@ impl Setup {
             home_switch: switch(home - 20.0, home - 2.0),
             negative_limit: switch(f64::NEG_INFINITY, limits.low),
             positive_limit: switch(limits.high, f64::INFINITY),
-            ..hil::AxisConfig::irp6(Irp6Axis::ALL[number])
+            ..hil::AxisConfig::irp6(Irp6Axis::ALL[number % 6])
         };
         (self.plant)(number, &mut plant);
         plant
@@ -455,8 +455,7 @@ impl Rig {
 
     /// The same, looked at by `each` after each cycle.
     pub(crate) fn run_program_with(&mut self, mut each: impl FnMut(&Self)) -> Result<(), String> {
-        let robot = &self.cell.robot[0];
-        let task = robot.task(0, &self.arm).expect("the program is sound");
+        let task = self.cell.task(0, &self.arm).expect("the program is sound");
         let link = self.link.take().expect("no program runs yet");
         let config = EcpConfig {
             period: self.period,
@@ -481,6 +480,15 @@ impl Rig {
         }
         Err(format!("not done within {LONGEST_PROGRAM:?}"))
     }
+}
+
+/// The drive group of a robot on CAN, its world and its period: without a servo.
+pub(crate) fn ends(setup: Setup) -> (Box<dyn DriveGroup>, World, Duration) {
+    let arm = setup.cell.robot[0].arm().expect("parameters are sound");
+    let period = setup.period();
+    let mut world = World::new();
+    let (group, ..) = setup.bus(&arm, &mut world);
+    (group, world, period)
 }
 
 /// Brings a robot up behind a port that records every frame.

@@ -302,3 +302,40 @@ fn a_drive_that_is_not_the_files_is_refused_and_none_is_switched_on() {
         assert_eq!(enables(&frames), 0);
     }
 }
+
+#[test]
+fn a_dcf_that_scales_otherwise_than_the_cell_is_refused() {
+    let directory = Directory::new();
+    let (text, _) = dcf(&[VALUE]);
+    let scale = |index: &str, above: u32, below: u32| {
+        let sub = |number: u8, value: u32| {
+            format!(
+                "\n[{index}sub{number}]\nParameterName=of\nDataType=7\nAccessType=rw\nParameterValue={value}\n"
+            )
+        };
+        let head = format!("\n[{index}]\nParameterName=scale\nObjectType=9\nSubNumber=2\n");
+        head + &sub(1, above) + &sub(2, below)
+    };
+    // The cell has 4000 counts per turn of the motor, at whose shaft it counts.
+    let cases = [
+        (scale("608F", 4000, 1), None),
+        (scale("608F", 8000, 2), None),
+        (scale("6091", 1, 1), None),
+        (
+            scale("608F", 2000, 1),
+            Some("0x608f sets 2000/1 counts per revolution, the cell says 4000"),
+        ),
+        (
+            scale("6091", 158, 1),
+            Some("0x6091 sets 158/1 motor revolutions per shaft revolution, the cell says 1"),
+        ),
+    ];
+    for (objects, refusal) in cases {
+        let cell = cell(&directory, &format!("{text}{objects}"), |_| {});
+        let run = mrroc(["check".as_ref(), cell.as_os_str()]);
+        match refusal {
+            None => assert_eq!(run.status.code(), Some(0), "{objects}: {run:?}"),
+            Some(needle) => refused(&run, &["motor.dcf:", needle]),
+        }
+    }
+}

@@ -3,6 +3,7 @@
 use std::f64::consts::TAU;
 
 use hil::plant::Switch;
+use hil::{AxisConfig, Irp6TrackAxis};
 
 use crate::cell::Setup;
 
@@ -73,5 +74,66 @@ fn an_index_at_the_edge_of_the_switch_leads_to_one_of_two_references() {
             least <= 1.0,
             "index {offset} counts above the edge: off by {error:.2} counts"
         );
+    }
+}
+
+type Preset = fn(usize) -> AxisConfig;
+
+/// The robots whose axes are all homed against a switch, each with its axes and their plants.
+const ROBOTS: [(&str, usize, Preset); 3] = [
+    ("irp6-track", 7, |axis| {
+        AxisConfig::irp6_track(Irp6TrackAxis::ALL[axis])
+    }),
+    ("rnt", 6, |axis| {
+        AxisConfig::rnt(axis).expect("it has six axes")
+    }),
+    ("polycrank", 7, |axis| {
+        AxisConfig::polycrank(axis).expect("it has seven axes")
+    }),
+];
+
+#[test]
+fn every_axis_of_the_laboratory_finds_its_reference_past_a_chattering_switch_wherever_its_index_is()
+{
+    for (robot, axes, preset) in ROBOTS {
+        for axis in 0..axes {
+            for (start, index) in [
+                (20.0, 0.0),
+                (-19.0, 0.0),
+                (-3.2, 0.0),
+                (40.0, 2.0),
+                (20.0, -1.5),
+            ] {
+                let mut setup = Setup::of(robot);
+                setup.axes = vec![axis];
+                let robot = &mut setup.cell.robot[0];
+                let home = robot.arm().expect("parameters are sound").robot().home()[axis];
+                let counts = f64::from(robot.axis[axis].counts_per_revolution()) / TAU;
+                let mut rig = setup
+                    .with_plant(move |axis, plant| {
+                        let preset = preset(axis).with_home(home);
+                        *plant = AxisConfig {
+                            start_angle: home + start,
+                            index_angle: home + index,
+                            home_switch: preset.home_switch.map(|switch| Switch {
+                                bounce: 20,
+                                ..switch
+                            }),
+                            ..preset
+                        };
+                    })
+                    .bring_up();
+                rig.home();
+                for _ in 0..500 {
+                    rig.cycle();
+                }
+                let error = (rig.last.axis[0].measured - (rig.angle(0) - index)) * counts;
+                assert!(
+                    error.abs() <= 1.0,
+                    "{}, axis {axis} from {start}, index at {index}: off by {error:.2} counts",
+                    rig.cell.name
+                );
+            }
+        }
     }
 }

@@ -1,15 +1,13 @@
 //! The position loops that the servo closes, whole: a servo with one axis over a motor, every sample
 //! in its place, and what control engineers ask of a loop measured from outside.
 //!
-//! A sine is added to what the servo puts out. Of what the motor then gets and what the servo makes of it,
-//! the open loop is the ratio, with its sign turned: where that is 1 is the crossover.
+//! A sequence is added to what the servo puts out, and the open loop is what [`servo::identify`] makes of it.
 
 mod cascades;
 mod homing;
 mod motors;
 
 use std::f64::consts::TAU;
-use std::sync::{Arc, Mutex};
 use std::task::Poll;
 use std::time::Duration;
 
@@ -20,10 +18,11 @@ use drive::{
 };
 use hil::AxisConfig;
 use hil::plant::{Irp6Axis, WutConfig};
+use servo::identify::{self, Run, Trace};
 use servo::regulator::IRP6;
 use servo::{
     EffectorConfig, FeedForward, HostLoop, Law, MAX_AXES, Macrostep, Order, Output, Phase,
-    PositionLoop, Servo, ServoAxisConfig, ServoConfig,
+    PositionLoop, Record, Servo, ServoAxisConfig, ServoConfig,
 };
 
 use crate::regression::{LARGE, MOTION, SMALL, Trapezoid};
@@ -32,15 +31,11 @@ use motors::{Motor, Regression};
 const PERIOD: Duration = Duration::from_millis(2);
 const DT: f64 = 0.002;
 
-/// What is added to the output, and what came of it: output of the servo and input of the motor, cycle by
-/// cycle.
-#[derive(Default)]
-struct Probe {
-    amplitude: f64,
-    frequency: f64,
-    cycles: usize,
-    trace: Vec<(f64, f64)>,
-}
+/// Cycles of the sequence that measures a loop.
+const LENGTH: usize = 500;
+
+/// Cycles that are kept of a run.
+const RECORDS: usize = 8000;
 
 /// A drive group of one motor. Its samples are taken when they are read (delay 1), or, as over a serial
 /// line, when the telegram before was sent (delay 2).
@@ -51,7 +46,6 @@ struct Group {
     sample: i32,
     last: i32,
     command: AxisCommand,
-    probe: Arc<Mutex<Probe>>,
 }
 
 impl DriveGroup for Group {
@@ -96,12 +90,7 @@ impl DriveGroup for Group {
             AxisCommand::Follow(Setpoint::Torque(output) | Setpoint::Duty(output)) => output.get(),
             _ => 0.0,
         };
-        let mut probe = self.probe.lock().unwrap();
-        let angle = TAU * probe.frequency * probe.cycles as f64 * DT;
-        let input = output + probe.amplitude * angle.sin();
-        probe.cycles += 1;
-        probe.trace.push((output, input));
-        self.motor.run(input);
+        self.motor.run(output);
         true
     }
 
@@ -132,7 +121,7 @@ type MakeMotor = fn(Irp6Axis) -> Box<dyn Motor>;
 struct Running {
     servo: Servo,
     link: servo::EffectorLink,
-    probe: Arc<Mutex<Probe>>,
+    records: rtrb::Consumer<Record>,
     now: Instant,
     /// Where it was when it was switched on, rad.
     start: f64,
@@ -173,7 +162,6 @@ impl Rig {
     }
 
     fn enable(&self) -> Running {
-        let probe = Arc::new(Mutex::new(Probe::default()));
         let group = Group {
             motor: (self.motor)(self.axis),
             counts: self.counts,
@@ -181,14 +169,14 @@ impl Rig {
             sample: 0,
             last: 0,
             command: AxisCommand::Off,
-            probe: Arc::clone(&probe),
         };
         let start = group.motor.angle();
-        let (servo, link) = servo(vec![self.axis_config()], Box::new(group));
+        let (mut servo, link) = servo(vec![self.axis_config()], Box::new(group));
+        let records = servo.record(RECORDS);
         let mut running = Running {
             servo,
             link,
-            probe,
+            records,
             now: Instant::ZERO,
             start,
         };
@@ -198,61 +186,35 @@ impl Rig {
         running
     }
 
-    /// Magnitude and phase, rad, of the open loop at `frequency`, Hz, while the motor runs at `velocity`.
-    fn open_loop(&self, frequency: f64, velocity: f64) -> (f64, f64) {
-        let mut running = self.enable();
-        running.probe.lock().unwrap().amplitude = self.limit() / 15.0;
-        running.probe.lock().unwrap().frequency = frequency;
-        if velocity != 0.0 {
-            let motion = Trapezoid {
-                distance: 5.0 * velocity,
-                velocity,
-                acceleration: 100.0,
-            };
-            running.follow(motion);
-        }
-        running.run(500);
-        running.probe.lock().unwrap().trace.clear();
-        running.run(1500);
-        assert!(
-            running.servo.fault(0).is_none(),
-            "{:?}",
-            running.servo.fault(0)
-        );
-        let probe = running.probe.lock().unwrap();
-        let length = probe.trace.len() as f64;
-        let (mut output, mut input) = ((0.0, 0.0), (0.0, 0.0));
-        for (k, (u, v)) in probe.trace.iter().enumerate() {
-            let window = 1.0 - (TAU * k as f64 / length).cos();
-            let (sin, cos) = (TAU * frequency * k as f64 * DT).sin_cos();
-            output = (output.0 + window * u * cos, output.1 - window * u * sin);
-            input = (input.0 + window * v * cos, input.1 - window * v * sin);
-        }
-        let magnitude = output.0.hypot(output.1) / input.0.hypot(input.1);
-        let phase = (-output.1).atan2(-output.0) - input.1.atan2(input.0);
-        (magnitude, phase.rem_euclid(TAU) - TAU)
-    }
-
-    /// Crossover, Hz, and phase margin, degrees.
+    /// Crossover, Hz, and phase margin, degrees, while the motor runs at `velocity`.
     fn margin(&self, velocity: f64) -> (f64, f64) {
-        let (mut low, mut high) = (3.0_f64, 120.0_f64);
-        for _ in 0..12 {
-            let middle = (low * high).sqrt();
-            if self.open_loop(middle, velocity).0 > 1.0 {
-                low = middle;
-            } else {
-                high = middle;
-            }
+        let mut running = self.enable();
+        let lines = identify::lines(LENGTH, DT, [3.0, 120.0], 30);
+        let run = Run {
+            axis: 0,
+            start: [running.start; MAX_AXES],
+            velocity,
+            acceleration: 100.0,
+            excitation: identify::multisine(LENGTH, &lines, self.host.law.limit() / 8.0),
+            periods: 3,
+            steps: 10,
+            dt: DT,
+        };
+        running.servo.excite(0, 0, run.excitation()).unwrap();
+        let macrosteps = (1..).map_while(|number| run.macrostep(number));
+        macrosteps.for_each(|step| running.link.orders.push(Order::Move(step)).unwrap());
+        while running.records.pop().is_ok() {}
+        running.run(run.macrosteps() as usize * 10 + 10);
+        assert_eq!(running.servo.fault(0), None);
+        let mut trace = Trace::default();
+        while let Ok(record) = running.records.pop() {
+            trace.take(&record, 0);
         }
-        let (_, phase) = self.open_loop(low, velocity);
-        (low, 180.0 + phase.to_degrees())
-    }
-
-    fn limit(&self) -> f64 {
-        match self.host.law {
-            Law::Incremental(law) => law.limit,
-            Law::Cascade(law) => law.limit,
-        }
+        let (_, points) = trace
+            .response(&run, &self.axis_config(), self.delay, &lines)
+            .expect("the run came to its end");
+        let margin = identify::margin(&points).expect("it crosses over");
+        (margin.crossover, margin.phase.to_degrees())
     }
 }
 

@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 
 use super::interval::{Counts, Ledger, Series};
+use crate::chart::{line, open, text};
 
 /// Size of the picture, px.
 const WIDTH: f64 = 960.0;
@@ -54,19 +55,7 @@ pub(crate) fn chart(setting: &str, ours: &Curve, peer: Option<&Curve>) -> String
     let end = curves().flat_map(|(curve, _)| curve.series.times.last().map(|last| last[1]));
     let seconds = end.fold(0.0, f64::max).max(1e-3);
 
-    let mut svg = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" width=\"{WIDTH}\" \
-         height=\"{HEIGHT}\" font-family=\"Helvetica, Arial, sans-serif\" font-size=\"13\" fill=\"#333\">\n\
-         <rect width=\"100%\" height=\"100%\" fill=\"#fff\"/>\n"
-    );
-    text(
-        &mut svg,
-        [LEFT, 32.0],
-        "start",
-        "font-size=\"19\" fill=\"#111\"",
-        "Wake-up error",
-    );
-    text(&mut svg, [LEFT, 54.0], "start", "fill=\"#666\"", setting);
+    let mut svg = open([WIDTH, HEIGHT], LEFT, "Wake-up error", setting);
     legend(
         &mut svg,
         [(ours, OURS)]
@@ -210,21 +199,6 @@ fn legend<'a>(svg: &mut String, curves: impl Iterator<Item = (&'a Curve<'a>, &'s
         let said = format!("{}, {} cycles", curve.name, curve.late.len());
         text(svg, [RIGHT - 164.0, y + 4.5], "start", "", &said);
     }
-}
-
-fn text(svg: &mut String, [x, y]: [f64; 2], anchor: &str, style: &str, said: &str) {
-    let said = said.replace('&', "&amp;").replace('<', "&lt;");
-    let _ = writeln!(
-        svg,
-        "<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\" {style}>{said}</text>"
-    );
-}
-
-fn line(svg: &mut String, [x1, y1]: [f64; 2], [x2, y2]: [f64; 2]) {
-    let _ = writeln!(
-        svg,
-        "<path d=\"M{x1:.1} {y1:.1}L{x2:.1} {y2:.1}\" stroke=\"#e3e6ea\" stroke-width=\"1\"/>"
-    );
 }
 
 /// 0, 90, 99, 99.9 and so on.

@@ -69,8 +69,9 @@ pub struct AxisController {
     pub plausible_acceleration: Option<f64>,
 }
 
-/// A position loop that the host closes. What it puts out is torque, N·m, under `control = "current"`, and a
-/// share of the full pulse width, -1 to 1, under `control = "pwm"`.
+/// A position loop that the host closes. What it puts out is, of an axis controller, torque, N·m, under `control =
+/// "current"`, and a share of the full pulse width, -1 to 1, under `control = "pwm"`; of a drive on CAN velocity, rad/s,
+/// under `control = "velocity"`, and torque, N·m, under `control = "torque"`.
 #[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Loop {
@@ -93,6 +94,8 @@ pub enum Law {
     Incremental(Incremental),
     /// Proportional position loop over a proportional-integral velocity loop.
     Cascade(Cascade),
+    /// Proportional-integral position loop, for a drive that closes the velocity loop itself.
+    Proportional(Proportional),
 }
 
 /// Coefficients of `gain (b0 - b1/z) ((1 + eps) - (1 - eps)/z) / ((1 - 1/z) (1 - a/z))`, which acts on the position
@@ -131,13 +134,28 @@ pub struct Cascade {
     pub limit: f64,
 }
 
+/// Gains of `position_gain (1 + integral_rate / s)`, which acts on the position error in rad.
+#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Proportional {
+    /// Velocity per position error, 1/s: about the crossover, rad/s. Some fifth of what the drive's velocity loop
+    /// passes, and less than 0.1 per delay from sample to effect (two and a half periods on CAN).
+    pub position_gain: f64,
+    /// How fast the position error is integrated, 1/s; zero for not at all.
+    #[serde(default)]
+    pub integral_rate: f64,
+    /// The most that is put out either way, rad/s.
+    pub limit: f64,
+}
+
 /// Output that the commanded motion needs.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct FeedForward {
-    /// Per commanded velocity, output·s/rad: viscous friction, and back-EMF under `control = "pwm"`.
+    /// Per commanded velocity, output·s/rad: viscous friction, and back-EMF under `control = "pwm"`; 1 under `control =
+    /// "velocity"`.
     pub velocity: f64,
-    /// Per commanded acceleration, output·s²/rad: inertia.
+    /// Per commanded acceleration, output·s²/rad: inertia; under `control = "velocity"` the lag of the drive's loop, s.
     pub acceleration: f64,
     /// In the sense of the commanded velocity: dry friction.
     pub coulomb: f64,

@@ -5,9 +5,10 @@ use std::fmt;
 use thiserror::Error;
 
 mod axis;
+mod meetings;
 
 use super::locate::{self, Path};
-use super::{Cell, Instruction, Realtime, Robot, Scheduler};
+use super::{Cell, Instruction, JointGenerator, Plant, Realtime, Robot, Scheduler};
 use axis::Place;
 
 /// A refused cell file: where and why, in one line.
@@ -193,7 +194,15 @@ fn check(cell: &Cell) -> Checked {
     check_wait(cell)?;
     check_buses(cell)?;
     check_serial(cell)?;
-    check_robots(cell)
+    in_range(
+        &top.then("meeting_timeout_s"),
+        f64::from(cell.meeting_timeout_s),
+        1.0,
+        86_400.0,
+        "between 1 and 86400 (s)",
+    )?;
+    check_robots(cell)?;
+    meetings::check(cell)
 }
 
 fn check_scheduler(cell: &Cell) -> Checked {
@@ -403,6 +412,11 @@ fn check_robots(cell: &Cell) -> Checked {
                 ));
             };
             axis::check(&path, axis, place, kinematics.motor_limits()[number])?;
+            if axis.emulator.plant == Plant::Wut && !robot.model.is_on_pedestal() {
+                let why = "is wut, which is known of the robots on pedestals only: use physical";
+                let path = path.then("emulator").then("plant");
+                return Err((path, Problem::Refused(why.into())));
+            }
             let unique = match place {
                 Place::Bus(bus) if axis.node == bus.host_node => {
                     let what = format!("node {} of bus {:?}", axis.node, bus.name);
@@ -463,7 +477,22 @@ fn check_program(path: &Path, robot: &Robot) -> Checked {
                     1.0,
                     "between 0.001 and 1 (of the greatest)",
                 )?;
+                if let Some(duration) = joints.duration {
+                    let path = path.then("duration");
+                    if joints.generator != JointGenerator::JerkLimited {
+                        let why = "is for jerk-limited motions: use generator = \"jerk-limited\"";
+                        return Err((path, Problem::Refused(why.into())));
+                    }
+                    in_range(
+                        &path,
+                        duration,
+                        1e-3,
+                        86_400.0,
+                        "between 0.001 and 86400 (s)",
+                    )?;
+                }
             }
+            Instruction::Meet(_) => {}
             Instruction::Line(line) => {
                 let path = path.then("line");
                 positive(&path.then("velocity"), line.velocity)?;

@@ -5,12 +5,12 @@ use std::time::Duration;
 use drive::Scale;
 use drive::axis_controller::{self, Settings, StopBits};
 use drive::cia402::{AxisConfig, CyclicMode, GroupConfig, HomingConfig, Identity, NodeId};
-use servo::regulator::{CascadeConfig, IncrementalConfig};
+use servo::regulator::{CascadeConfig, IncrementalConfig, ProportionalConfig};
 use servo::{FeedForward, HomingLeg, HostHoming, HostLoop, Output, PositionLoop, ServoAxisConfig};
 
 use super::{
-    Axis, AxisController, Cell, Control, Direction, Drive, Homing, Law, Loop, Parameter, Protocol,
-    Serial,
+    Axis, AxisController, Cell, Control, Direction, Drive, DriveControl, Homing, Law, Loop,
+    Parameter, Protocol, Serial,
 };
 use crate::robot::Limits;
 
@@ -143,7 +143,11 @@ impl Axis {
                 product: drive.product,
                 revision: drive.revision,
             },
-            mode: CyclicMode::Csp,
+            mode: match drive.control {
+                DriveControl::Position => CyclicMode::Csp,
+                DriveControl::Velocity => CyclicMode::Csv,
+                DriveControl::Torque => CyclicMode::Cst,
+            },
             scale: self.scale(home),
             rated_torque: drive.rated_torque,
             homing: HomingConfig {
@@ -189,6 +193,30 @@ impl Axis {
         }
     }
 
+    /// Who closes its position loop, and how.
+    fn position_loop(&self) -> PositionLoop {
+        let by_host =
+            |given: &Loop, output| PositionLoop::Host(given.of(output, self.max_velocity));
+        match (&self.drive, &self.controller) {
+            (Some(drive), _) => {
+                let output = match drive.control {
+                    DriveControl::Position => return PositionLoop::Drive,
+                    DriveControl::Velocity => Output::Velocity,
+                    DriveControl::Torque => Output::Torque,
+                };
+                by_host(drive.r#loop.as_ref().expect(HAS_LOOP), output)
+            }
+            (None, Some(controller)) => {
+                let output = match controller.control {
+                    Control::Current => Output::Torque,
+                    Control::Pwm => Output::Duty,
+                };
+                by_host(&controller.r#loop, output)
+            }
+            (None, None) => unreachable!("{HAS_DRIVE}"),
+        }
+    }
+
     /// What the servo holds it to, within the motor's own `limits`, as axis `index_in_group` of drive
     /// group `group`.
     pub fn servo_config(
@@ -207,12 +235,7 @@ impl Axis {
             following_error: self.following_error,
             homing_order: self.homing.order,
             increments_per_radian: self.scale(0.0).increments_per_radian(),
-            position_loop: self
-                .controller
-                .as_ref()
-                .map_or(PositionLoop::Drive, |controller| {
-                    PositionLoop::Host(controller.host_loop(self.max_velocity))
-                }),
+            position_loop: self.position_loop(),
             homing: self
                 .controller
                 .as_ref()
@@ -221,13 +244,13 @@ impl Axis {
     }
 }
 
-impl AxisController {
-    fn host_loop(&self, max_velocity: f64) -> HostLoop {
+impl Loop {
+    fn of(&self, output: Output, max_velocity: f64) -> HostLoop {
         let Loop {
             law,
             feed_forward,
             runaway_velocity,
-        } = self.r#loop;
+        } = *self;
         HostLoop {
             law: match law {
                 Law::Incremental(law) => servo::Law::Incremental(IncrementalConfig {
@@ -245,11 +268,13 @@ impl AxisController {
                     integral_rate: law.integral_rate,
                     limit: law.limit,
                 }),
+                Law::Proportional(law) => servo::Law::Proportional(ProportionalConfig {
+                    position_gain: law.position_gain,
+                    integral_rate: law.integral_rate,
+                    limit: law.limit,
+                }),
             },
-            output: match self.control {
-                Control::Current => Output::Torque,
-                Control::Pwm => Output::Duty,
-            },
+            output,
             feed_forward: FeedForward {
                 velocity: feed_forward.velocity,
                 acceleration: feed_forward.acceleration,
@@ -286,6 +311,8 @@ impl Homing {
 }
 
 const HAS_DRIVE: &str = "a parsed cell's axes have the drive that their bus needs";
+
+const HAS_LOOP: &str = "a parsed cell's drives by velocity or torque have a loop";
 
 fn node(raw: u8) -> NodeId {
     NodeId::new(raw).expect("a parsed cell has valid node-IDs")

@@ -10,6 +10,8 @@ mod axis_controller;
 mod check;
 mod drives;
 mod locate;
+mod meetings;
+mod model;
 mod program;
 #[cfg(test)]
 mod tests;
@@ -20,14 +22,17 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::generator::{Arm, Pose};
-use crate::robot::{Irb6, Irb6Parameters, Irp6, Irp6Parameters, ParameterError};
+use crate::robot::ParameterError;
 
 pub use axis_controller::{
-    AxisController, Cascade, Control, FeedForward, Incremental, Law, Loop, Protocol, Serial,
+    AxisController, Cascade, Control, FeedForward, Incremental, Law, Loop, Proportional, Protocol,
+    Serial,
 };
 pub use check::{CellError, Problem};
 pub use drives::ENABLING;
 pub use locate::{Path, Step};
+pub use meetings::Meeting;
+pub use model::{Model, Parameters};
 pub use program::{ProgramError, instruction_path};
 
 /// One controller: everything that is stepped on one tick grid.
@@ -46,6 +51,9 @@ pub struct Cell {
     /// still before it would jump. Without effect on the emulated benches, whose time waits for the host.
     #[serde(default = "defaults::max_missed_in_row")]
     pub max_missed_in_row: u32,
+    /// How long a robot may wait for its partners at a meeting, s; then the cell stops by a fault.
+    #[serde(default = "defaults::meeting_timeout_s")]
+    pub meeting_timeout_s: u32,
     /// Seed of everything that is random in the emulators.
     #[serde(default = "defaults::seed")]
     pub seed: u64,
@@ -179,28 +187,6 @@ pub struct Robot {
     pub program: Vec<Instruction>,
 }
 
-/// The robots whose numbers are known.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum Model {
-    /// ASEA IRb-6, five axes.
-    Irb6,
-    /// WUT IRp-6 on its pedestal, six axes.
-    Irp6,
-    /// The same robot as calibrated in February 2007.
-    Irp6Calibrated,
-}
-
-/// The numbers of one robot.
-#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum Parameters {
-    /// For `model = "irb6"`.
-    Irb6(Irb6Parameters),
-    /// For `model = "irp6"`.
-    Irp6(Irp6Parameters),
-}
-
 impl Robot {
     /// Its kinematics and its tool, or what is wrong with its parameters.
     pub fn arm(&self) -> Result<Arm, ParameterError> {
@@ -212,25 +198,8 @@ impl Robot {
 
     /// Its kinematics and drive train, or what is wrong with its parameters.
     pub fn kinematics(&self) -> Result<Arc<dyn crate::robot::Robot>, ParameterError> {
-        let parameters = self.parameters.unwrap_or(match self.model {
-            Model::Irb6 => Parameters::Irb6(Irb6Parameters::irb6()),
-            Model::Irp6 => Parameters::Irp6(Irp6Parameters::irp6p()),
-            Model::Irp6Calibrated => Parameters::Irp6(Irp6Parameters::irp6p_calibrated()),
-        });
-        Ok(match parameters {
-            Parameters::Irb6(parameters) => Arc::new(Irb6::new(&parameters)?),
-            Parameters::Irp6(parameters) => Arc::new(Irp6::new(&parameters)?),
-        })
-    }
-}
-
-impl Model {
-    /// How many axes it has.
-    pub const fn axes(self) -> usize {
-        match self {
-            Self::Irb6 => 5,
-            Self::Irp6 | Self::Irp6Calibrated => 6,
-        }
+        let usual = || self.model.parameters();
+        self.parameters.unwrap_or_else(usual).kinematics()
     }
 }
 
@@ -296,9 +265,29 @@ pub struct Drive {
     pub reversed: bool,
     /// Rated torque of the motor, N·m: the unit of the drive's torque values is a thousandth of it.
     pub rated_torque: f64,
+    /// What it is commanded by.
+    #[serde(default)]
+    pub control: DriveControl,
+    /// How the host closes the position loop, under `control = "velocity"` or `"torque"`.
+    #[serde(default)]
+    pub r#loop: Option<Loop>,
     /// Further objects to write before operation.
     #[serde(default)]
     pub parameter: Vec<Parameter>,
+}
+
+/// What a drive on CAN is commanded by, each at every SYNC.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum DriveControl {
+    /// Position (CSP): the drive closes every loop.
+    #[default]
+    Position,
+    /// Velocity (CSV): the host closes the position loop.
+    Velocity,
+    /// Torque (CST): the host closes position and velocity loop. Their gain is right only if `rated_torque` is what the
+    /// drive says in object 0x6076, which for maxon is nominal current times torque constant.
+    Torque,
 }
 
 /// An object written to a drive before operation and read back.
@@ -393,6 +382,9 @@ pub enum Instruction {
     Joints(Joints),
     /// Move the tool along a straight line.
     Line(Line),
+    /// Stand until every robot whose program names this meeting has come to it, then go on with them in the same servo
+    /// cycle. A name that comes again is another meeting of the same robots.
+    Meet(String),
 }
 
 /// A motion through joint poses.
@@ -410,6 +402,10 @@ pub struct Joints {
     /// Fraction of the greatest joint acceleration to use.
     #[serde(default = "defaults::fraction")]
     pub acceleration: f64,
+    /// How long the motion to each pose lasts, s, rounded up to a macrostep; of jerk-limited motions only, and as
+    /// short as the limits allow where absent.
+    #[serde(default)]
+    pub duration: Option<f64>,
 }
 
 /// The generators of joint motions.
@@ -461,6 +457,9 @@ mod defaults {
     }
     pub(super) fn max_missed_in_row() -> u32 {
         3
+    }
+    pub(super) fn meeting_timeout_s() -> u32 {
+        600
     }
     pub(super) fn seed() -> u64 {
         1

@@ -1,16 +1,19 @@
 //! From the program of a cell file to the task of an effector control process.
 
+use std::f64::consts::PI;
+use std::time::Duration;
+
 use nalgebra::{Quaternion, Translation3, UnitQuaternion};
 use servo::MAX_AXES;
 use thiserror::Error;
 
-use super::{Instruction, JointGenerator, Joints, Line, Path, Robot};
+use super::{Cell, Instruction, JointGenerator, Joints, Line, Meeting, Path, Robot};
 use crate::ecp::Task;
 use crate::generator::{
     self, Arm, Axes, GeneratorError, JerkLimited, LineLimits, MotionLimits, Newsmooth, Pose,
     SmoothPose,
 };
-use crate::robot::{KinematicsError, Space};
+use crate::robot::{KinematicsError, Limits, Space};
 
 /// Greatest joint velocity, acceleration and jerk of generators, rad/s and so on: velocity and acceleration are
 /// those of MRROC++'s generators, the jerk reaches that acceleration in a tenth of a second.
@@ -64,13 +67,23 @@ pub fn instruction_path(robot: usize, index: usize) -> Path {
         .then(index)
 }
 
+impl Cell {
+    /// The program of robot `robot` as a task: enable, home, the instructions one by one, disable.
+    ///
+    /// Every pose is looked at here, from where the instruction before it will have ended; the error comes with the
+    /// key of the instruction or the pose.
+    pub fn task(&self, robot: usize, arm: &Arm) -> Result<Task, (Path, ProgramError)> {
+        self.robot[robot].task(robot, arm, &self.meetings())
+    }
+}
+
 impl Robot {
-    /// How many instructions [`task`](Self::task) has.
+    /// How many instructions its [`task`](Cell::task) has.
     pub fn task_len(&self) -> usize {
         PREAMBLE + self.program.iter().map(moves).sum::<usize>() + 1
     }
 
-    /// Which instruction of the program instruction `index` of [`task`](Self::task) is of; `None` for
+    /// Which instruction of the program instruction `index` of its [`task`](Cell::task) is of; `None` for
     /// those before and behind it.
     pub fn instruction_of(&self, index: usize) -> Option<usize> {
         let mut left = index.checked_sub(PREAMBLE)?;
@@ -84,11 +97,12 @@ impl Robot {
         })
     }
 
-    /// Its program as a task: enable, home, the instructions one by one, disable.
-    ///
-    /// Every pose is looked at here, from where the instruction before it will have ended; the error comes with the
-    /// key of the instruction or the pose of this robot, which is number `robot` of its cell.
-    pub fn task(&self, robot: usize, arm: &Arm) -> Result<Task, (Path, ProgramError)> {
+    fn task(
+        &self,
+        robot: usize,
+        arm: &Arm,
+        meetings: &[Meeting],
+    ) -> Result<Task, (Path, ProgramError)> {
         let mut task = Task::new().enable().home();
         let mut joints = arm
             .joints(&arm.robot().home().padded())
@@ -104,6 +118,11 @@ impl Robot {
                 Instruction::Line(line) => self
                     .line(arm, line, &joints, task)
                     .map_err(|error| (key.then("line"), error)),
+                Instruction::Meet(_) => {
+                    let meeting = self.meeting_at(index, meetings);
+                    let meeting = meeting.expect("a parsed cell has few enough meetings");
+                    Ok((task.meet(meeting), joints))
+                }
             }?;
             (task, joints) = (next, end);
         }
@@ -147,6 +166,10 @@ impl Robot {
                 let mut poses = poses.iter().enumerate();
                 poses.try_fold(task, |task, (number, pose)| {
                     JerkLimited::new(Space::Joint, arm.axes(), limits, &[*pose])
+                        .map(|generator| match motion.duration {
+                            Some(duration) => generator.lasting(Duration::from_secs_f64(duration)),
+                            None => generator,
+                        })
                         .map(|generator| task.run(generator))
                         .map_err(|error| (number, error.into()))
                 })?
@@ -215,7 +238,7 @@ fn moves(instruction: &Instruction) -> usize {
             poses,
             ..
         }) => poses.len(),
-        Instruction::Joints(_) | Instruction::Line(_) => 1,
+        Instruction::Joints(_) | Instruction::Line(_) | Instruction::Meet(_) => 1,
     }
 }
 
@@ -240,6 +263,15 @@ fn steepest_gains(arm: &Arm) -> [Axes; MAX_AXES] {
         return gains;
     };
     for (joint, range) in arm.robot().joint_limits().iter().enumerate() {
+        // A joint without end has the gear of every turn within one.
+        let range = if range.is_continuous() {
+            Limits {
+                low: home[joint] - PI,
+                high: home[joint] + PI,
+            }
+        } else {
+            *range
+        };
         let step = (range.high - range.low) / SAMPLES as f64;
         let at = |sample: usize| {
             let mut joints = home;

@@ -1,7 +1,12 @@
 use super::*;
+use crate::robot::Limits;
 
 const IRB6: &str = include_str!("../../../cells/irb6.toml");
 const IRP6: &str = include_str!("../../../cells/irp6.toml");
+const TRACK: &str = include_str!("../../../cells/irp6-track.toml");
+const RNT: &str = include_str!("../../../cells/rnt.toml");
+const POLYCRANK: &str = include_str!("../../../cells/polycrank.toml");
+const LAB: &str = include_str!("../../../cells/lab.toml");
 const SERIAL: &str = include_str!("../../../cells/irb6-serial.toml");
 
 /// The line, from 1, of the first occurrence of `needle`.
@@ -14,11 +19,11 @@ fn line_of(text: &str, needle: &str) -> usize {
 
 #[test]
 fn example_cells_parse_and_their_programs_can_be_built() {
-    for text in [IRB6, IRP6] {
+    for text in [IRB6, IRP6, TRACK, RNT, POLYCRANK, LAB] {
         let cell = Cell::parse(text).unwrap();
-        for robot in &cell.robot {
+        for (number, robot) in cell.robot.iter().enumerate() {
             let arm = robot.arm().unwrap();
-            let task = robot.task(0, &arm).unwrap();
+            let task = cell.task(number, &arm).unwrap();
             assert_eq!(task.len(), robot.task_len(), "{}", cell.name);
         }
     }
@@ -250,6 +255,69 @@ fn a_loop_that_may_ask_for_more_current_than_the_drive_has_is_refused() {
 }
 
 #[test]
+fn a_drive_by_velocity_or_torque_has_a_loop_that_suits_it_and_no_other_has_one() {
+    let velocity = "{ proportional = { position_gain = 50.0, limit = 280.0 } }";
+    let cascade = "{ cascade = { position_gain = 17.0, velocity_gain = 0.04, integral_rate = 7.0, limit = 2.0 } }";
+    let over = "{ proportional = { position_gain = 50.0, limit = 301.0 } }";
+    let strong = "{ cascade = { position_gain = 17.0, velocity_gain = 0.04, integral_rate = 7.0, limit = 13.5 } }";
+    let cases = [
+        ("velocity", Some(velocity), ""),
+        ("velocity", Some(cascade), ""),
+        ("torque", Some(cascade), ""),
+        ("position", None, ""),
+        ("position", Some(cascade), "loop: is for control"),
+        ("velocity", None, "loop: is missing"),
+        ("torque", None, "loop: is missing"),
+        (
+            "torque",
+            Some(velocity),
+            "loop.law.proportional: is for control = \"velocity\"",
+        ),
+        ("velocity", Some(over), "at most runaway_velocity"),
+        ("torque", Some(strong), "at most 32 * rated_torque"),
+    ];
+    for (control, law, refusal) in cases {
+        let law = law.map_or(String::new(), |law| format!(", loop = {{ law = {law} }}"));
+        let drive = format!("rated_torque = 0.42, control = \"{control}\"{law} }}");
+        let parsed = Cell::parse(&IRB6.replacen("rated_torque = 0.42 }", &drive, 1));
+        match parsed {
+            Ok(cell) => {
+                assert_eq!(refusal, "", "{drive}");
+                let config = cell.robot[0].axis[0].servo_config(
+                    0,
+                    0,
+                    Limits {
+                        low: -1.0,
+                        high: 1.0,
+                    },
+                );
+                let by_host = config.position_loop != servo::PositionLoop::Drive;
+                assert_eq!(by_host, control != "position");
+                assert_eq!(config.homing, None, "the drive homes it");
+            }
+            Err(error) => {
+                let text = error.to_string();
+                assert!(
+                    !refusal.is_empty() && text.contains(refusal),
+                    "{drive}: {text}"
+                );
+                assert_eq!(error.line, line_of(IRB6, "rated_torque"), "{text}");
+            }
+        }
+    }
+    let of_line = SERIAL.replacen(
+        "{ cascade = { position_gain = 25.0, velocity_gain = 0.066, integral_rate = 10.0, limit = 2.1 } }",
+        velocity,
+        1,
+    );
+    let text = Cell::parse(&of_line).unwrap_err().to_string();
+    assert!(
+        text.contains("proportional: is for a drive that closes"),
+        "{text}"
+    );
+}
+
+#[test]
 fn an_axis_controller_is_not_left_unheard_for_longer_than_ten_cycles() {
     let cases = [
         ("tolerated_missing", 0, "must be between 1 and 10 (cycles)"),
@@ -314,9 +382,7 @@ fn a_pose_that_the_arm_cannot_take_names_its_instruction() {
         let text = IRB6.replacen(good, bad, 1);
         assert_ne!(text, IRB6, "{good}");
         let cell = Cell::parse(&text).unwrap();
-        let (found, error) = cell.robot[0]
-            .task(0, &cell.robot[0].arm().unwrap())
-            .unwrap_err();
+        let (found, error) = cell.task(0, &cell.robot[0].arm().unwrap()).unwrap_err();
         assert_eq!(found.to_string(), key, "{bad}: {error}");
         assert!(error.to_string().contains(reason), "{bad}: {error}");
     }
@@ -353,4 +419,87 @@ fn each_instruction_of_a_task_is_of_one_of_the_program() {
         expected
     );
     assert_eq!(robot.task_len(), 7);
+}
+
+#[test]
+fn a_model_has_one_name_and_the_axes_of_its_robot() {
+    for model in Model::ALL {
+        assert_eq!(
+            toml::Value::try_from(model).unwrap().as_str(),
+            Some(model.name())
+        );
+        let robot = model.parameters().kinematics().unwrap();
+        assert_eq!(robot.axes(), model.axes(), "{}", model.name());
+    }
+}
+
+#[test]
+fn meetings_that_cannot_be_held_are_refused_at_their_line() {
+    // Of the robots irb6, irp6-track, rnt, polycrank, gripper and conveyor, each with start, half-way and end.
+    let third = |good: &str, bad: &str, occurrence: usize| {
+        let at = LAB.match_indices(good).nth(occurrence).unwrap().0;
+        format!("{}{bad}{}", &LAB[..at], &LAB[at + good.len()..])
+    };
+    let meet = |name: &str| format!("meet = {name:?}");
+    let swapped = third(&meet("start"), &meet("tmp"), 2);
+    let swapped = swapped
+        .match_indices("meet = \"half-way\"")
+        .nth(2)
+        .map(|(at, it)| {
+            format!(
+                "{}{}{}",
+                &swapped[..at],
+                meet("start"),
+                &swapped[at + it.len()..]
+            )
+        });
+    let swapped = swapped.unwrap().replacen("\"tmp\"", "\"half-way\"", 1);
+    let cases = [
+        (
+            third(&meet("end"), &meet("END"), 1),
+            "robot[1].program[4].meet: no robot but \"irp6-track\" comes to meeting \"END\"",
+        ),
+        (
+            third(&meet("end"), &meet("start"), 5),
+            "robot[5].program[4].meet: robot \"conveyor\" comes 2 times to meeting \"start\", robot \"irb6\" 1 times",
+        ),
+        (
+            swapped,
+            "robot[0].program[0].meet: meeting \"start\" is never held: robot \"irb6\" waits for robot \"rnt\" there, \
+             which waits at \"half-way\"",
+        ),
+        (
+            LAB.replacen(
+                "[[robot.program]]",
+                "[[robot.program]]\nmeet = \"many\"\n\n",
+                1,
+            )
+            .replace(
+                "meet = \"many\"\n\n",
+                &"meet = \"many\"\n\n[[robot.program]]\n".repeat(62),
+            ),
+            "robot[0].program[0].meet: is one of 65 meetings of the cell, which may have 64",
+        ),
+        (
+            third("duration = 6.0", "duration = 0.0", 0),
+            "robot[0].program[1].joints.duration: is 0, must be between 0.001",
+        ),
+        (
+            third("generator = \"jerk-limited\", duration", "duration", 0),
+            "robot[0].program[1].joints.duration: is for jerk-limited motions",
+        ),
+    ];
+    for (text, refusal) in cases {
+        let error = Cell::parse(&text).unwrap_err().to_string();
+        assert!(error.contains(refusal), "{error}");
+        let key = refusal
+            .split(": ")
+            .next()
+            .unwrap()
+            .rsplit('.')
+            .next()
+            .unwrap();
+        let line: usize = error.split(':').next().unwrap().parse().unwrap();
+        assert!(text.lines().nth(line - 1).unwrap().contains(key), "{error}");
+    }
 }

@@ -68,6 +68,12 @@ pub enum EcpError {
         /// How long.
         waited: Duration,
     },
+    /// Nobody, or not everybody, came to a meeting in time.
+    #[error("the partners of a meeting did not come within {waited:?}")]
+    Unmet {
+        /// How long it waited for them.
+        waited: Duration,
+    },
     /// It was told to stop.
     #[error("stopped")]
     Stopped,

@@ -16,6 +16,7 @@
 
 mod error;
 mod image;
+mod meetings;
 mod task;
 #[cfg(test)]
 mod tests;
@@ -32,6 +33,7 @@ use crate::generator::{
 
 pub use error::EcpError;
 use image::Effector;
+pub use meetings::Meetings;
 use task::Instruction;
 pub use task::Task;
 
@@ -55,6 +57,8 @@ pub struct EcpConfig {
     pub switching: Duration,
     /// How long homing may take.
     pub homing: Duration,
+    /// How long it may wait for the partners of a meeting.
+    pub meeting: Duration,
 }
 
 impl EcpConfig {
@@ -68,6 +72,7 @@ impl EcpConfig {
             silence: Duration::from_millis(500),
             switching: Duration::from_secs(5),
             homing: Duration::from_secs(120),
+            meeting: Duration::from_secs(600),
         }
     }
 
@@ -118,6 +123,12 @@ enum Activity {
     Switching {
         order: Order,
         since: Instant,
+    },
+    /// Its partners are waited for, or, once it is admitted, all are there.
+    Meeting {
+        meeting: u8,
+        since: Instant,
+        admitted: bool,
     },
     /// The generator is asked for macrosteps.
     Running {
@@ -200,6 +211,26 @@ impl Ecp {
             sent: self.sent,
             executed: self.executed,
         }
+    }
+
+    /// The meeting at which it waits for its partners.
+    fn meeting(&self) -> Option<u8> {
+        match self.activity {
+            Activity::Meeting { meeting, .. } => Some(meeting),
+            _ => None,
+        }
+    }
+
+    /// Lets it go on from the meeting it waits at. What follows is sent at the next poll, and waits for the gate.
+    fn admit(&mut self) {
+        if let Activity::Meeting { admitted, .. } = &mut self.activity {
+            *admitted = true;
+        }
+    }
+
+    /// Whether it has gone on from a meeting and sent all that it has to send for now.
+    fn has_left(&self, meeting: u8) -> bool {
+        self.meeting() != Some(meeting) && self.outbox.is_empty()
     }
 
     /// The effector's image, as generators see it.
@@ -298,6 +329,14 @@ impl Ecp {
             Instruction::Enable => Order::Enable,
             _ if phase != Phase::Standing => return Some(Err(EcpError::NotStanding { phase })),
             Instruction::Home => Order::Home,
+            Instruction::Meet(meeting) => {
+                self.activity = Activity::Meeting {
+                    meeting,
+                    since: now,
+                    admitted: false,
+                };
+                return None;
+            }
             Instruction::Run(_) if !self.homed() => return Some(Err(EcpError::NotHomed)),
             Instruction::Run(run) => return self.begin_run(run),
         };
@@ -316,6 +355,7 @@ impl Ecp {
             Order::Home => self.phase() == Phase::Standing && self.homed(),
             Order::Disable | Order::ResetFault => self.phase() == Phase::Off,
             Order::Move(macrostep) => self.executed >= macrostep.number,
+            Order::Gate(_) => true,
         }
     }
 
@@ -364,6 +404,21 @@ impl Ecp {
                     self.brake(Err(EcpError::TimedOut { phase, waited }));
                 }
                 None
+            }
+            Activity::Meeting { .. } if phase != Phase::Standing => {
+                Some(Err(EcpError::BrokenOff { phase }))
+            }
+            Activity::Meeting {
+                meeting,
+                admitted: true,
+                ..
+            } => {
+                self.outbox.push_back(Order::Gate(meeting));
+                Some(Ok(()))
+            }
+            Activity::Meeting { since, .. } => {
+                let waited = now.since(since);
+                (waited > self.config.meeting).then_some(Err(EcpError::Unmet { waited }))
             }
             Activity::Running { .. } | Activity::Arriving => self.advance_motion(now),
             Activity::Stopping { since: None, .. } => {

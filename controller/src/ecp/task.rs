@@ -7,6 +7,7 @@ use crate::generator::{Execution, Generator, Run};
 pub(super) enum Instruction {
     Enable,
     Home,
+    Meet(u8),
     Run(Box<dyn Execution + Send>),
     Disable,
     ResetFault,
@@ -37,6 +38,13 @@ impl Task {
     #[must_use]
     pub fn home(self) -> Self {
         self.then(Instruction::Home)
+    }
+
+    /// Stand until every partner of this meeting has come, then go on in the same cycle as they do. The
+    /// [`Meetings`](super::Meetings) of the cell know who they are.
+    #[must_use]
+    pub fn meet(self, meeting: u8) -> Self {
+        self.then(Instruction::Meet(meeting))
     }
 
     /// Move as a generator says, until its terminal condition holds and the effector stands.

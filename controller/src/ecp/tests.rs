@@ -6,7 +6,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use nalgebra::Vector3;
-use servo::{MAX_AXES, ServoFault, StopCause};
+use servo::{Gates, MAX_AXES, ServoFault, StopCause};
 
 use super::*;
 use crate::generator::{
@@ -154,6 +154,8 @@ impl Script {
                         self.phase(Phase::Standing);
                     }
                 }
+                // The gates of this script are open.
+                Order::Gate(_) => {}
                 Order::Disable => self.phase(Phase::Off),
                 Order::ResetFault => {
                     self.report.fault = None;
@@ -499,4 +501,81 @@ fn the_first_macrosteps_of_a_motion_reach_the_servo_at_once() {
     assert_eq!(bench.ecp.poll(bench.now), None);
     assert_eq!(bench.servo.orders.slots(), usize::from(CONFIG.lead));
     assert_eq!(bench.go_on(|_| {}), finished(1));
+}
+
+/// Lets two benches meet, the second of which comes `late` periods after the first; the periods in which each sent its
+/// first macrostep, and the gates opened by the one after.
+fn meet(late: u64) -> [u64; 2] {
+    let mut benches = [Bench::ready(), Bench::ready()];
+    let mut meetings = Meetings::new([vec![0, 1]], Gates::default());
+    for (bench, wait) in benches.iter_mut().zip([0, late]) {
+        let mut task = Task::new();
+        for _ in 0..wait {
+            task = task.enable();
+        }
+        bench
+            .ecp
+            .execute(task.meet(0).run(to(0.1, 0.0, 0.0)))
+            .unwrap();
+    }
+    let mut began = [None; 2];
+    for period in 0..200 {
+        let now = benches[0].now;
+        // Each enabling that is nothing to do takes a poll.
+        for bench in &mut benches {
+            bench.ecp.poll(now);
+        }
+        let [one, other] = benches;
+        let mut ecps = [one.ecp, other.ecp];
+        meetings.poll(&mut ecps);
+        let [first, second] = ecps;
+        benches = [
+            Bench { ecp: first, ..one },
+            Bench {
+                ecp: second,
+                ..other
+            },
+        ];
+        for (bench, began) in benches.iter_mut().zip(&mut began) {
+            bench.servo.period(now);
+            bench.now += PERIOD;
+            if bench.servo.moves().next().is_some() {
+                began.get_or_insert(period);
+            }
+        }
+    }
+    began.map(|began| began.expect("it never went on"))
+}
+
+#[test]
+fn nobody_goes_on_from_a_meeting_before_the_last_has_come() {
+    for late in [0, 1, 40] {
+        let [first, second] = meet(late);
+        assert_eq!(first, second, "{late}");
+        assert!(first >= late, "{late}: {first}");
+    }
+}
+
+#[test]
+fn who_waits_in_vain_at_a_meeting_fails_in_time() {
+    let mut bench = Bench::ready();
+    let task = Task::new().meet(0).run(to(0.1, 0.0, 0.0));
+    let mut config = CONFIG;
+    config.meeting = Duration::from_secs(3);
+    bench.ecp.config = config;
+    let events = bench.run(task);
+    let [
+        Event {
+            outcome: Err(EcpError::Unmet { waited }),
+            ..
+        },
+    ] = events[..]
+    else {
+        panic!("{events:?}");
+    };
+    assert!(
+        waited > config.meeting && waited < config.meeting + 2 * PERIOD,
+        "{waited:?}"
+    );
+    assert_eq!(bench.servo.moves().count(), 0);
 }

@@ -52,6 +52,14 @@ pub enum GeneratorError {
         /// The most that is accepted.
         limit: u32,
     },
+    /// A motion that cannot be done in the time given.
+    #[error("takes {needed:.3} s at the least, not {given:.3} s")]
+    TooShort {
+        /// What it needs, s.
+        needed: f64,
+        /// What it was given, s.
+        given: f64,
+    },
     /// No profile within the limits was found.
     #[error("no profile within the limits")]
     NoProfile,

@@ -27,6 +27,7 @@ pub struct JerkLimited {
     input: InputParameter<MAX_AXES>,
     trajectory: Trajectory<MAX_AXES>,
     target: Axes,
+    duration: Option<Duration>,
     macrosteps: u32,
     /// Trajectory seconds per macrostep.
     step: f64,
@@ -85,10 +86,21 @@ impl JerkLimited {
             input,
             trajectory,
             target,
+            duration: None,
             macrosteps: 0,
             step: 0.0,
             pace: 1.0,
         })
+    }
+
+    /// The same motion, stretched to last this long and then to the end of a macrostep. Its first step refuses a
+    /// time that is too short.
+    #[must_use]
+    pub fn lasting(self, duration: Duration) -> Self {
+        Self {
+            duration: Some(duration),
+            ..self
+        }
     }
 
     /// Macrosteps the planned motion takes; 0 before its first step.
@@ -127,7 +139,14 @@ impl Generator for JerkLimited {
         }
         let macrostep = macrostep.as_secs_f64();
         let duration = self.trajectory.get_duration();
-        self.macrosteps = whole_macrosteps(duration, macrostep)?;
+        let given = self.duration.map_or(duration, |given| given.as_secs_f64());
+        if given < duration {
+            return Err(GeneratorError::TooShort {
+                needed: duration,
+                given,
+            });
+        }
+        self.macrosteps = whole_macrosteps(given, macrostep)?;
         if self.macrosteps > 0 {
             self.step = duration / f64::from(self.macrosteps);
             self.pace = self.step / macrostep;

@@ -1,6 +1,8 @@
+use std::f64::consts::FRAC_PI_2;
+
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
-use super::{ArmParameters, Jacobian, KinematicsError, solutions::Search};
+use super::{ArmParameters, Jacobian, KinematicsError, Limits, Link, solutions::Search};
 
 /// Below this sine of the angle between two axes they count as parallel, and below this distance, m,
 /// a point counts as lying on an axis. A pose so close to a singularity is met within the same bound.
@@ -63,7 +65,10 @@ pub(super) struct Facing {
 pub(super) fn radius(origin: &Vector3<f64>) -> Result<f64, KinematicsError> {
     let radius = (origin.x * origin.x + origin.y * origin.y).sqrt();
     if radius < PARALLEL {
-        return Err(KinematicsError::Singular { axis: COLUMN as u8 });
+        return Err(KinematicsError::Singular {
+            axis: COLUMN as u8,
+            margin: radius,
+        });
     }
     Ok(radius)
 }
@@ -133,6 +138,25 @@ impl ArmParameters {
             .fixed_view_mut::<3, 1>(3, ROLL)
             .copy_from(&wrist.column(2));
         jacobian
+    }
+
+    /// The links of th1 .. th5. Each turns about its own z axis; the x axis of lower arm, upper arm and wrist lies
+    /// along them, level at zero, and y points down then.
+    pub(super) fn links(&self, limits: &[Limits]) -> Vec<Link> {
+        let on = |length| Isometry3::translation(length, 0.0, 0.0);
+        let shoulder = Isometry3::rotation(Vector3::x() * -FRAC_PI_2);
+        let roll = Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0);
+        let column = Isometry3::translation(0.0, 0.0, self.shoulder_height);
+        let behind = [(SHOULDER, -1.0), (ELBOW, 1.0)];
+        let pitch = [(ELBOW, -1.0), (PITCH, 1.0)];
+        let wrist = pose(Vector3::new(self.wrist_length, 0.0, 0.0), roll);
+        vec![
+            Link::turning("column", column, &[(COLUMN, 1.0)], limits),
+            Link::turning("lower_arm", shoulder, &[(SHOULDER, 1.0)], limits),
+            Link::turning("upper_arm", on(self.lower_arm_length), &behind, limits),
+            Link::turning("pitch", on(self.upper_arm_length), &pitch, limits),
+            Link::turning("roll", wrist, &[(ROLL, 1.0)], limits),
+        ]
     }
 
     /// Follows the branches of one column angle and one pitch. `set_wrist` sets the axes behind the

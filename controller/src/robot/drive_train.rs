@@ -228,14 +228,17 @@ impl<const N: usize> DriveTrain<N> {
     }
 
     /// `angle` plus the whole turns that bring a geared joint nearest to `near` and, if any turn does,
-    /// within the limits of joint and motor. `joints` holds the axis that carries this one.
+    /// within the limits of joint and motor. `joints` holds the axes that carry this one.
     pub(super) fn turn(&self, index: usize, angle: f64, joints: &[f64; N], near: f64) -> f64 {
         let mut range = self.joint_limits[index];
         let axis = &self.axes[index];
         if let Transmission::Gear(gear) = &axis.transmission {
-            let carried = axis
-                .carried_by
-                .map_or(0.0, |by| self.axes[by].travel(joints[by]));
+            let mut carried = 0.0;
+            let mut carrier = axis.carried_by;
+            while let Some(by) = carrier {
+                carried += self.axes[by].travel(joints[by]);
+                carrier = self.axes[by].carried_by;
+            }
             let joint =
                 |motor| (motor - gear.motor_at_home - carried) / gear.ratio + gear.joint_at_home;
             let (a, b) = (joint(gear.motor_limits.low), joint(gear.motor_limits.high));
@@ -244,7 +247,11 @@ impl<const N: usize> DriveTrain<N> {
                 high: range.high.min(a.max(b)),
             };
         }
-        let nearest = angle + TAU * ((near - angle) / TAU).round();
+        let mut nearest = angle;
+        // Most angles are there already, and rounding is a call.
+        if (near - angle).abs() > PI {
+            nearest += TAU * ((near - angle) / TAU).round();
+        }
         let inside = match range.exceeded_by(nearest) {
             Some(limit) if limit == range.low => nearest + TAU * ((limit - nearest) / TAU).ceil(),
             Some(limit) => nearest - TAU * ((nearest - limit) / TAU).ceil(),
@@ -259,7 +266,12 @@ impl<const N: usize> DriveTrain<N> {
 }
 
 /// Refuses a position beyond its limit.
-fn check(limits: &Limits, value: f64, axis: usize, space: Space) -> Result<(), KinematicsError> {
+pub(super) fn check(
+    limits: &Limits,
+    value: f64,
+    axis: usize,
+    space: Space,
+) -> Result<(), KinematicsError> {
     match limits.exceeded_by(value) {
         Some(limit) => Err(KinematicsError::BeyondLimit {
             space,

@@ -3,7 +3,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    ArmParameters, Jacobian, Joints, KinematicsError, Limits, Motors, ParameterError, Robot,
+    ArmParameters, Jacobian, Joints, KinematicsError, Limits, Links, Motors, ParameterError, Robot,
     Solutions,
     arm::{self, Facing, Posture, ROLL},
     drive_train::DriveTrain,
@@ -160,5 +160,8 @@ impl Robot for Irb6 {
     fn jacobian(&self, joints: &Joints) -> Result<Jacobian, KinematicsError> {
         let &[th1, th2, th3, th4, _] = joints.exactly()?;
         Ok(self.arm.jacobian(&Posture::new(th1, th2, th3, th4)))
+    }
+    fn links(&self) -> Option<Links> {
+        Some(Links(self.arm.links(self.joint_limits())))
     }
 }

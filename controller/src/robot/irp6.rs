@@ -1,10 +1,10 @@
-use nalgebra::{Isometry3, Matrix3};
+use nalgebra::{Isometry3, Matrix3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    ArmParameters, GearAxis, Jacobian, Joints, KinematicsError, Limits, Motors, ParameterError,
-    Robot, Solutions,
+    ArmParameters, GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, Links, Motors,
+    ParameterError, Robot, Solutions,
     arm::{self, Facing, PARALLEL, PITCH, Posture, ROLL},
     drive_train::DriveTrain,
     parameters,
@@ -208,5 +208,12 @@ impl Robot for Irp6 {
             .fixed_view_mut::<3, 1>(3, HAND)
             .copy_from(&approach);
         Ok(jacobian)
+    }
+    fn links(&self) -> Option<Links> {
+        let limits = self.joint_limits();
+        let mut links = self.arm.links(limits);
+        let across = Isometry3::rotation(Vector3::x() * std::f64::consts::FRAC_PI_2);
+        links.push(Link::turning("hand", across, &[(HAND, 1.0)], limits));
+        Some(Links(links))
     }
 }

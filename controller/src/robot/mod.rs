@@ -1,6 +1,7 @@
 //! Robots: where the flange is for given joints, which joints put it there, and where the motors are.
 //!
-//! [`Robot`] is the contract; [`Irp6`] (6 axes) and [`Irb6`] (5 axes) keep it. Every call is a function
+//! [`Robot`] is the contract; [`Irb6`] (5 axes), [`Irp6`] (6), [`Irp6Track`] and [`Polycrank`] (7), and [`Rnt`] (6,
+//! serial-parallel) keep it, and so do two devices of one axis, [`Gripper`] and [`Conveyor`]. Every call is a function
 //! of its arguments: no state, no allocation, no search without a bound. What a robot cannot do is a
 //! [`KinematicsError`] that names the axis and both sides, never a NaN or a clamped number.
 //!
@@ -9,15 +10,41 @@
 //! frame of the arm. Tools belong to the caller: `base_from_tool = base_from_flange * flange_from_tool`
 //! on the way out, and `base_from_tool * flange_from_tool.inverse()` is what [`Robot::inverse`] takes.
 //!
+//! Where each robot lives:
+//!
+//! | robot | type | file | what is its own |
+//! |---|---|---|---|
+//! | ASEA IRb-6 | [`Irb6`] | `irb6.rs` | five axes: poses whose tool axis lies in the arm's plane |
+//! | WUT IRp-6 | [`Irp6`] | `irp6.rs` | the hand axis; one branch within the limits |
+//! | IRp-6 on its track | [`Irp6Track`] | `irp6_track.rs` | where the carriage stands |
+//! | Polycrank | [`Polycrank`] | `polycrank.rs`, `polycrank/cranks.rs` | joints without end, the forearm's reach |
+//! | RNT | [`Rnt`] | `rnt.rs`, `legs.rs` | legs that close, by Newton's method, and a wrist |
+//! | gripper, conveyor | [`Gripper`], [`Conveyor`] | `axis_map.rs` | one motor each |
+//!
+//! What they share: `arm.rs` is the arm under IRb-6 and IRp-6, `parameters.rs` its numbers and what may be wrong with
+//! any; `drive_train.rs` is gears, screws and couplings between motors and joints; `solutions.rs` collects
+//! branches within the limits, nearest first; `free_parameter.rs` is how a redundant robot chooses;
+//! `links.rs` is a robot link by link, for description files and figures; `singularity.rs` is how near the arm is to
+//! losing a direction; `vector.rs` is positions, one per axis. Figures and every parameter with its source are in
+//! `docs/robots` of the repository. Read [`Robot`] first, then `irp6.rs` for a robot from end to end.
+//!
 //! Numbers carry the place they come from: *public code* is the published source of the WUT robots'
 //! controllers, *derived* follows from those by arithmetic, *nominal* is a plausible figure to be
 //! replaced by measurement.
 
 mod arm;
+mod axis_map;
 mod drive_train;
+mod free_parameter;
 mod irb6;
 mod irp6;
+mod irp6_track;
+mod legs;
+mod links;
 mod parameters;
+mod polycrank;
+mod rnt;
+mod singularity;
 mod solutions;
 mod vector;
 
@@ -32,10 +59,16 @@ use serde::{Deserialize, Serialize};
 use servo::MAX_AXES;
 use thiserror::Error;
 
+pub use axis_map::{Conveyor, ConveyorParameters, Gripper, GripperParameters};
 pub use drive_train::{GearAxis, ScrewAxis};
 pub use irb6::{Irb6, Irb6Parameters};
 pub use irp6::{Irp6, Irp6Parameters};
+pub use irp6_track::{Irp6Track, Irp6TrackParameters};
+pub use links::{Link, LinkKind, Links};
 pub use parameters::{ArmParameters, ParameterError};
+pub use polycrank::{Polycrank, PolycrankParameters};
+pub use rnt::{LegAxis, Rnt, RntParameters};
+pub use singularity::Singularity;
 pub use solutions::Solutions;
 pub use vector::{Joint, Joints, Motor, Motors, Vector};
 
@@ -52,7 +85,9 @@ pub trait Robot: fmt::Debug + Send + Sync {
     /// Axes, at most [`MAX_AXES`]; the length of every vector it takes and gives.
     fn axes(&self) -> usize;
 
-    /// Range of each joint, rad (m for a linear joint).
+    /// Range of each joint, rad (m for a linear joint); [`Limits::CONTINUOUS`] for one that turns without end.
+    /// The position of such a joint counts its turns: 0 and 2π are two positions of it, and whoever
+    /// interpolates passes all that is between.
     fn joint_limits(&self) -> &[Limits];
 
     /// Range of each motor, rad.
@@ -87,6 +122,16 @@ pub trait Robot: fmt::Debug + Send + Sync {
 
     /// The Jacobian at these joints.
     fn jacobian(&self, joints: &Joints) -> Result<Jacobian, KinematicsError>;
+
+    /// How near these joints are to a singularity.
+    fn singularity(&self, joints: &Joints) -> Result<Singularity, KinematicsError> {
+        Singularity::of(&self.jacobian(joints)?, self.axes())
+    }
+
+    /// The arm link by link, for description files and figures; `None` where it is no serial chain.
+    fn links(&self) -> Option<Links> {
+        None
+    }
 }
 
 /// A closed range of positions.
@@ -102,6 +147,17 @@ pub struct Limits {
 impl Limits {
     /// What rounding may add to a position that stands exactly on its limit.
     const SLACK: f64 = 1e-9;
+
+    /// No limit at all: a joint that turns without end.
+    pub const CONTINUOUS: Self = Self {
+        low: f64::NEG_INFINITY,
+        high: f64::INFINITY,
+    };
+
+    /// Whether there is no limit on either side.
+    pub const fn is_continuous(&self) -> bool {
+        self.low == f64::NEG_INFINITY && self.high == f64::INFINITY
+    }
 
     /// The limit that `position` is beyond; a NaN is beyond the lower one.
     pub fn exceeded_by(&self, position: f64) -> Option<f64> {
@@ -154,10 +210,31 @@ pub enum KinematicsError {
         margin: f64,
     },
     /// The pose leaves an axis undetermined.
-    #[error("axis {axis} is undetermined at this pose")]
+    #[error("axis {axis} is undetermined {margin:.1e} from a singular pose")]
     Singular {
         /// The axis.
         axis: u8,
+        /// How far from the singular pose this one is: the distance of the flange from the axis, m, or the
+        /// sine of the angle between the axes that should not be parallel.
+        margin: f64,
+    },
+    /// Legs that cannot have these lengths together. Legs are counted from 0.
+    #[error("the legs do not close: leg {leg} misses its length by {residual:.6} m at the least")]
+    Open {
+        /// The leg that misses most.
+        leg: u8,
+        /// The length asked for less that of the closest posture found, m.
+        residual: f64,
+    },
+    /// A leg would pass its limit. Legs are counted from 0.
+    #[error("leg {leg} at {length:.6} m is beyond its limit {limit:.6} m")]
+    LegLimit {
+        /// The leg, which has the motor of the same number.
+        leg: u8,
+        /// The length asked for, m.
+        length: f64,
+        /// The limit it passes, m.
+        limit: f64,
     },
     /// A joint or a motor would pass its limit.
     #[error("axis {axis}: {space} at {value:.6} is beyond its limit {limit:.6}")]
@@ -171,6 +248,14 @@ pub enum KinematicsError {
         /// The limit it passes.
         limit: f64,
     },
+    /// The pose is beside the only way that a device of one axis has.
+    #[error("{distance:.6} m and {angle:.6} rad off the only axis")]
+    OffAxis {
+        /// Distance from the axis, m.
+        distance: f64,
+        /// Angle by which the pose is turned, rad.
+        angle: f64,
+    },
     /// The tool axis is outside the vertical plane of a 5-axis arm.
     #[error("tool axis leans {residual:.3e} out of the arm's plane")]
     ToolPlane {
@@ -183,10 +268,14 @@ impl KinematicsError {
     /// The axis it is about.
     pub fn axis(&self) -> Option<usize> {
         match *self {
-            Self::Singular { axis } | Self::BeyondLimit { axis, .. } => Some(usize::from(axis)),
+            Self::Singular { axis, .. }
+            | Self::Open { leg: axis, .. }
+            | Self::LegLimit { leg: axis, .. }
+            | Self::BeyondLimit { axis, .. } => Some(usize::from(axis)),
             Self::NotFinite
             | Self::AxisCount { .. }
             | Self::Unreachable { .. }
+            | Self::OffAxis { .. }
             | Self::ToolPlane { .. } => None,
         }
     }

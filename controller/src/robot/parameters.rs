@@ -180,6 +180,50 @@ pub enum ParameterError {
         /// The axis.
         name: &'static str,
     },
+    /// A tilt at which a platform hangs beside its base.
+    #[error("{name} tilts by {tilt:.6} rad, more than {limit} rad", limit = super::legs::STEEPEST)]
+    TooSteep {
+        /// The joint.
+        name: &'static str,
+        /// The greatest tilt, rad.
+        tilt: f64,
+    },
+    /// A leg too short or too long for the geometry. Legs are counted from 0.
+    #[error(
+        "leg {leg} is {length:.6} m long amid the workspace, outside its range {low} .. {high} m"
+    )]
+    LegReach {
+        /// The leg.
+        leg: u8,
+        /// Its length with alpha, beta and rho amid their limits, m.
+        length: f64,
+        /// Its shortest length, m.
+        low: f64,
+        /// Its longest length, m.
+        high: f64,
+    },
+    /// Legs that cannot have their lengths at home together. Legs are counted from 0.
+    #[error(
+        "the legs do not close at home: leg {leg} misses its length by {residual:.6} m at the least"
+    )]
+    OpenAtHome {
+        /// The leg that misses most.
+        leg: u8,
+        /// What it misses, m.
+        residual: f64,
+    },
+    /// A workspace that the legs do not hold everywhere.
+    #[error(
+        "the legs lose hold of the platform before alpha {alpha:.6}, beta {beta:.6} rad, rho {rho:.6} m"
+    )]
+    NoHold {
+        /// Tilt about x, rad.
+        alpha: f64,
+        /// Tilt about y, rad.
+        beta: f64,
+        /// Extension, m.
+        rho: f64,
+    },
 }
 
 /// A rotary axis found sound.
@@ -190,7 +234,9 @@ pub(super) fn gear(name: &'static str, gear: &GearAxis) -> Result<Axis, Paramete
     if gear.ratio == 0.0 {
         return Err(ParameterError::NoRatio { name });
     }
-    room(name, gear.joint_limits)?;
+    if !gear.joint_limits.is_continuous() {
+        room(name, gear.joint_limits)?;
+    }
     room(name, gear.motor_limits)?;
     Ok(Axis {
         transmission: Transmission::Gear(*gear),
@@ -226,7 +272,8 @@ fn screw(name: &'static str, screw: &ScrewAxis) -> Result<Axis, ParameterError> 
     })
 }
 
-fn finite(name: &'static str, value: f64) -> Result<(), ParameterError> {
+/// Refuses a NaN or an infinity.
+pub(super) fn finite(name: &'static str, value: f64) -> Result<(), ParameterError> {
     if value.is_finite() {
         Ok(())
     } else {
@@ -244,7 +291,8 @@ pub(super) fn positive(name: &'static str, value: f64) -> Result<(), ParameterEr
     }
 }
 
-fn room(name: &'static str, Limits { low, high }: Limits) -> Result<(), ParameterError> {
+/// Refuses limits without room between them.
+pub(super) fn room(name: &'static str, Limits { low, high }: Limits) -> Result<(), ParameterError> {
     finite(name, low)?;
     finite(name, high)?;
     if low < high {
@@ -254,7 +302,7 @@ fn room(name: &'static str, Limits { low, high }: Limits) -> Result<(), Paramete
     }
 }
 
-const fn degrees(low: f64, high: f64) -> Limits {
+pub(super) const fn degrees(low: f64, high: f64) -> Limits {
     Limits {
         low: low.to_radians(),
         high: high.to_radians(),

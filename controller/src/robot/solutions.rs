@@ -19,6 +19,16 @@ impl Solutions {
     }
 }
 
+impl Solutions {
+    /// The same solutions, each for a robot of other axes.
+    pub(super) fn map(mut self, joints: impl Fn(&Joints) -> Joints) -> Self {
+        for solution in &mut self.joints[..self.count] {
+            *solution = joints(solution);
+        }
+        self
+    }
+}
+
 /// The only branch of a robot that has one.
 impl From<Joints> for Solutions {
     fn from(joints: Joints) -> Self {
@@ -37,10 +47,36 @@ impl Deref for Solutions {
     }
 }
 
+/// What stands between the joints of a robot and its motors.
+pub(super) trait Mechanism<const N: usize> {
+    /// Refuses a joint position beyond its limit.
+    fn check_joint(&self, axis: usize, joint: f64) -> Result<(), KinematicsError>;
+
+    /// Motor positions for joints; both within their limits.
+    fn motors_from_joints(&self, joints: &[f64; N]) -> Result<[f64; N], KinematicsError>;
+
+    /// `angle` in the turn nearest to `near`, or, where that is beyond a limit, in one within them.
+    fn turn(&self, axis: usize, angle: f64, joints: &[f64; N], near: f64) -> f64;
+}
+
+impl<const N: usize> Mechanism<N> for DriveTrain<N> {
+    fn check_joint(&self, axis: usize, joint: f64) -> Result<(), KinematicsError> {
+        self.check_joint(axis, joint)
+    }
+
+    fn motors_from_joints(&self, joints: &[f64; N]) -> Result<[f64; N], KinematicsError> {
+        self.motors_from_joints(joints)
+    }
+
+    fn turn(&self, axis: usize, angle: f64, joints: &[f64; N], near: f64) -> f64 {
+        self.turn(axis, angle, joints, near)
+    }
+}
+
 /// Collects the branches of one inverse problem: those within all limits, nearest first, and what to
 /// say if there are none.
-pub(super) struct Search<'a, const N: usize> {
-    drive_train: &'a DriveTrain<N>,
+pub(super) struct Search<'a, const N: usize, M = DriveTrain<N>> {
+    mechanism: &'a M,
     near: &'a [f64; N],
     /// Whether branches are left at the first joint found beyond its limit.
     hasty: bool,
@@ -50,16 +86,16 @@ pub(super) struct Search<'a, const N: usize> {
     margin: f64,
 }
 
-impl<'a, const N: usize> Search<'a, N> {
+impl<'a, const N: usize, M: Mechanism<N>> Search<'a, N, M> {
     /// The solutions among the branches that `visit` offers, always the same ones. It is called a
     /// second time, to follow every branch to its end, only to say why there is none.
     pub(super) fn run(
-        drive_train: &'a DriveTrain<N>,
+        mechanism: &'a M,
         near: &'a [f64; N],
         visit: impl Fn(&mut Self),
     ) -> Result<Solutions, KinematicsError> {
         let mut search = Self {
-            drive_train,
+            mechanism,
             near,
             hasty: true,
             found: Solutions {
@@ -91,12 +127,12 @@ impl<'a, const N: usize> Search<'a, N> {
 
     /// Sets one joint of a branch to `angle`, in the turn nearest to where the robot is.
     pub(super) fn turn(&self, joints: &mut [f64; N], axis: usize, angle: f64) {
-        joints[axis] = self.drive_train.turn(axis, angle, joints, self.near[axis]);
+        joints[axis] = self.mechanism.turn(axis, angle, joints, self.near[axis]);
     }
 
     /// Whether a branch with the joint of this axis is worth following.
     pub(super) fn follows(&self, joints: &[f64; N], axis: usize) -> bool {
-        !self.hasty || self.drive_train.check_joint(axis, joints[axis]).is_ok()
+        !self.hasty || self.mechanism.check_joint(axis, joints[axis]).is_ok()
     }
 
     /// Notes by how many m the arm fails to have a pair of branches.
@@ -104,11 +140,16 @@ impl<'a, const N: usize> Search<'a, N> {
         self.margin = self.margin.min(margin);
     }
 
+    /// Notes why branches are none, to be told if no branch beyond a limit can be.
+    pub(super) fn refuse(&mut self, error: KinematicsError) {
+        self.refused.get_or_insert((f64::INFINITY, error));
+    }
+
     /// Takes a branch if the robot can stand there. Distance is the largest joint travel from `near`.
     pub(super) fn offer(&mut self, joints: [f64; N]) {
         let travel = joints.iter().zip(self.near).map(|(a, b)| (a - b).abs());
         let distance = travel.fold(0.0, f64::max);
-        if let Err(error) = self.drive_train.motors_from_joints(&joints) {
+        if let Err(error) = self.mechanism.motors_from_joints(&joints) {
             if self.refused.is_none_or(|(nearest, _)| distance < nearest) {
                 self.refused = Some((distance, error));
             }

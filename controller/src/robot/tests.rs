@@ -6,7 +6,10 @@ use nalgebra::{DMatrix, Isometry3, Matrix3, Matrix4, Vector3};
 
 use super::*;
 
+mod irp6_track;
+mod polycrank;
 mod refusals;
+mod rnt;
 
 const SEED: u64 = 0x6d72_726f;
 
@@ -18,13 +21,37 @@ fn irb6() -> Irb6 {
     Irb6::new(&Irb6Parameters::irb6()).unwrap()
 }
 
-fn robots() -> [(&'static str, Box<dyn Robot>); 3] {
+fn irp6ot() -> Irp6Track {
+    Irp6Track::new(&Irp6TrackParameters::irp6ot()).unwrap()
+}
+
+fn polycrank() -> Polycrank {
+    Polycrank::new(&PolycrankParameters::polycrank()).unwrap()
+}
+
+/// The robots whose pose leaves no parameter open.
+fn determined() -> [(&'static str, Box<dyn Robot>); 3] {
     let calibrated = Irp6::new(&Irp6Parameters::irp6p_calibrated()).unwrap();
     [
         ("irp6p", Box::new(irp6p())),
         ("calibrated", Box::new(calibrated)),
         ("irb6", Box::new(irb6())),
     ]
+}
+
+fn robots() -> Vec<(&'static str, Box<dyn Robot>)> {
+    let calibrated = Irp6Track::new(&Irp6TrackParameters::irp6ot_calibrated()).unwrap();
+    let coupled = PolycrankParameters {
+        coupled: true,
+        ..PolycrankParameters::polycrank()
+    };
+    let mut robots = Vec::from(determined());
+    robots.push(("irp6ot", Box::new(irp6ot())));
+    robots.push(("irp6ot calibrated", Box::new(calibrated)));
+    robots.push(("polycrank", Box::new(polycrank())));
+    robots.push(("coupled", Box::new(Polycrank::new(&coupled).unwrap())));
+    robots.push(("rnt", Box::new(rnt::rnt())));
+    robots
 }
 
 /// Seeded uniform numbers (splitmix64).
@@ -44,7 +71,11 @@ impl Random {
         loop {
             let mut joints = Joints::new(&[0.0; MAX_AXES][..robot.axes()]).unwrap();
             for (joint, limits) in joints.iter_mut().zip(robot.joint_limits()) {
-                *joint = self.within(limits.low, limits.high);
+                *joint = if limits.is_continuous() {
+                    self.within(-9.0, 9.0)
+                } else {
+                    self.within(limits.low, limits.high)
+                };
             }
             if robot.motors_from_joints(&joints).is_ok() {
                 return joints;
@@ -159,18 +190,60 @@ fn home_is_where_homing_leaves_the_robot() {
         0.0903,
         0.0209,
     ];
-    let homes = [
-        [-15.9, -5.0, -8.527, 151.31, 435.25, 791.0],
-        [-7.7597, -8.7537, -7.5355, 153.1366, 309.5910, 796.0265],
-        [-15.9, -5.0, -8.527, 151.31, 314.665, 0.0],
+    let carriage = [0.0, 0.0, -FRAC_PI_2, 0.0, 0.0, 0.0, 0.0];
+    let off = [
+        0.0,
+        0.004989,
+        -1.680291789180402,
+        0.011874705954631,
+        0.0,
+        0.000898,
+        0.005605,
+    ];
+    let bent = [0.0, FRAC_PI_2, -FRAC_PI_2, 0.0, FRAC_PI_2, 0.0, 0.0];
+    let level = [
+        0.0,
+        0.0,
+        f64::sqrt(0.75 * 0.75 - 0.19 * 0.19),
+        0.0,
+        0.0,
+        0.0,
     ];
     // The nominal screw lengths at home are published to 0.1 µm.
-    let expected = [(upright, 1e-6), (calibrated, 1e-12), (upright, 1e-6)];
-    for (((name, robot), home), (joints, tolerance)) in robots().iter().zip(homes).zip(expected) {
-        let axes = robot.axes();
-        assert_eq!(robot.home()[..], home[..axes], "{name}");
+    let cases: [(&[f64], &[f64], f64); 8] = [
+        (
+            &[-15.9, -5.0, -8.527, 151.31, 435.25, 791.0],
+            &upright,
+            1e-6,
+        ),
+        (
+            &[-7.7597, -8.7537, -7.5355, 153.1366, 309.5910, 796.0265],
+            &calibrated,
+            1e-12,
+        ),
+        (&[-15.9, -5.0, -8.527, 151.31, 314.665], &upright[..5], 1e-6),
+        (
+            &[0.0, -10.819, -4.012, -6.219, 158.997, 479.5, 769.7],
+            &carriage,
+            1e-6,
+        ),
+        (
+            &[
+                -0.0117, -7.185, -23.7333, -4.0065, 153.6764, 356.0929, 791.4409,
+            ],
+            &off,
+            1e-12,
+        ),
+        (&[0.0; 7], &bent, 1e-12),
+        (&[0.0; 7], &bent, 1e-12),
+        (&[0.0; 6], &level, 1e-12),
+    ];
+    let robots = robots();
+    assert_eq!(robots.len(), cases.len());
+    for ((name, robot), (home, joints, tolerance)) in robots.iter().zip(cases) {
+        assert_eq!(&robot.home()[..], home, "{name}");
         let stood = robot.joints_from_motors(&robot.home()).unwrap();
-        let difference = largest_difference(&stood, &joints[..axes]);
+        let difference = largest_difference(&stood, joints);
         assert!(difference < tolerance, "{name} {stood:?}");
     }
 }
@@ -192,7 +265,7 @@ fn forward_kinematics_is_the_denavit_hartenberg_product() {
 
 #[test]
 fn inverse_finds_every_pose_of_the_workspace_on_its_only_branch() {
-    for (name, robot) in robots() {
+    for (name, robot) in determined() {
         let mut random = Random(SEED);
         for _ in 0..20_000 {
             let joints = random.joints(&*robot);
@@ -387,6 +460,53 @@ fn jacobian_is_the_derivative_of_forward_kinematics() {
                     "{name} {joints:?} axis {axis}"
                 );
             }
+        }
+    }
+}
+
+#[test]
+fn product_of_the_links_is_forward_kinematics() {
+    for (name, robot) in robots() {
+        let mut random = Random(SEED);
+        let links = robot.links().unwrap();
+        assert_eq!(links.0.len(), robot.axes(), "{name}");
+        for _ in 0..2_000 {
+            let joints = random.joints(&*robot);
+            let product = links.forward(&joints).unwrap();
+            let (distance, angle) = apart(&product, &robot.forward(&joints).unwrap());
+            assert!(
+                distance < 1e-12 && angle < 1e-12,
+                "{name} {joints:?} {distance} {angle}"
+            );
+            for link in &links.0 {
+                let sum = joints.iter().zip(link.coupling).map(|(q, k)| q * k).sum();
+                assert_eq!(link.limits.exceeded_by(sum), None, "{name} {}", link.name);
+            }
+        }
+        let spoilt = Joints::from([f64::NAN; 2]);
+        assert_eq!(links.forward(&spoilt), Err(KinematicsError::NotFinite));
+    }
+}
+
+#[test]
+fn singularity_is_the_smallest_singular_value_and_the_axis_that_moves_the_flange_least() {
+    let robot = irp6p();
+    let at = |th5| Joints::from([0.4, -1.4, 0.2, 0.3, th5, -0.5]);
+    let straight = robot.singularity(&at(0.0)).unwrap();
+    assert_eq!(straight.axis, 3);
+    assert!(straight.margin < 1e-12, "{straight:?}");
+    let beside = robot.singularity(&at(0.01)).unwrap();
+    assert!(beside.margin > 1e-3 && beside.margin < 1e-2, "{beside:?}");
+    for (name, robot) in robots() {
+        let mut random = Random(SEED);
+        let count = robot.axes().min(6);
+        for _ in 0..200 {
+            let joints = random.joints(&*robot);
+            let found = robot.singularity(&joints).unwrap();
+            let jacobian = robot.jacobian(&joints).unwrap();
+            let matrix = DMatrix::from_fn(6, robot.axes(), |row, column| jacobian[(row, column)]);
+            let expected = matrix.singular_values()[count - 1];
+            assert!((found.margin - expected).abs() < 1e-12, "{name} {joints:?}");
         }
     }
 }

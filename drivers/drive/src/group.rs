@@ -19,7 +19,8 @@ pub trait DriveGroup: Send {
     fn axes(&self) -> usize;
 
     /// Cycles from the one that writes a set-point to the one that reads a sample of the motor having
-    /// got there: 2 for drives that follow at once, 3 for drives that interpolate until the next SYNC.
+    /// got there. 2 for axis controllers, which follow a telegram at once; 3 for CiA 402 drives in every cyclic
+    /// mode, which latch at the next SYNC and have got there, or acted for a period, at the one after.
     fn delay(&self) -> usize;
 
     /// Moves bring-up forward: boot, identity, parameters with read-back, mapping, start.

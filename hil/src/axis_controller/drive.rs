@@ -86,7 +86,7 @@ impl Drive {
     pub(super) fn new(config: &AxisControllerConfig) -> Self {
         let mut settings = config.axis;
         settings.amplifier.max_voltage = config.supply;
-        let axis = Axis::new(&settings, config.seed);
+        let axis = Axis::mounted(&settings, config.seed, config.mount.as_ref());
         let mut drive = Self {
             feedback: axis.feedback(),
             axis,

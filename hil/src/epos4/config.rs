@@ -3,7 +3,7 @@ use std::time::Duration;
 use can::Instant;
 use canopen::NodeId;
 
-use crate::AxisConfig;
+use crate::plant::{AxisConfig, Mount};
 
 /// What distinguishes one unit from another.
 #[derive(Clone, Debug)]
@@ -34,6 +34,8 @@ pub struct Epos4Config {
     pub seed: u64,
     /// Motor, load, sensors and inner loops.
     pub axis: AxisConfig,
+    /// Where its axis is mounted; `None` for a motor with a load of its own.
+    pub mount: Option<Mount>,
 }
 
 impl Epos4Config {
@@ -53,6 +55,7 @@ impl Epos4Config {
             vendor_bits: 0,
             seed: u64::from(node.raw()),
             axis,
+            mount: None,
         }
     }
 }

@@ -25,7 +25,7 @@ use super::objects::Objects;
 use super::power::{Brake, Options, Transition, on_command, on_fault};
 use super::profile::Motion;
 use crate::plant::SUB_STEP;
-use crate::{Axis, AxisConfig, Demand, Feedback, Trip};
+use crate::{Axis, AxisConfig, Demand, Feedback, Mount, Trip};
 use slots::*;
 
 /// Sub-steps of a whole chunk: 1 ms.
@@ -84,11 +84,12 @@ enum Homing {
 impl Drive {
     pub(super) fn new(
         config: &AxisConfig,
+        mount: Option<&Mount>,
         seed: u64,
         cyclic_status: CyclicStatus,
         vendor_bits: u16,
     ) -> Self {
-        let axis = Axis::new(config, seed);
+        let axis = Axis::mounted(config, seed, mount);
         Self {
             feedback: axis.feedback(),
             axis,

@@ -120,6 +120,7 @@ impl Epos4 {
     pub fn new(config: Epos4Config) -> Self {
         let drive = Drive::new(
             &config.axis,
+            config.mount.as_ref(),
             config.seed,
             config.cyclic_status,
             config.vendor_bits,

@@ -2,6 +2,7 @@ use thiserror::Error;
 
 use super::SUB_STEP;
 use super::encoder::Encoder;
+use super::mechanism::{Mechanism, Mount};
 use super::motor::{Motor, MotorConfig};
 use super::noise::Noise;
 use super::switch::{Contact, Switch};
@@ -106,6 +107,7 @@ pub enum Trip {
 #[derive(Clone, Debug)]
 pub struct Axis {
     plant: Plant,
+    mount: Option<Mount>,
     amplifier: Amplifier,
     encoder: Encoder,
     brake: f64,
@@ -127,6 +129,15 @@ enum Plant {
 impl Axis {
     /// At rest at its start angle. Ripple, jitter and bounce follow from `seed`.
     pub fn new(config: &AxisConfig, seed: u64) -> Self {
+        Self::mounted(config, seed, None)
+    }
+
+    /// The same, carrying what its place in a mechanism has it carry, in place of the inertia and the gravity of
+    /// [`MotorConfig`]. The regression model feels nothing of it; the others feel where it is.
+    pub fn mounted(config: &AxisConfig, seed: u64, mount: Option<&Mount>) -> Self {
+        if let Some(mount) = mount {
+            mount.place(config.start_angle);
+        }
         let mut noise = Noise::new(seed);
         let angle = config.start_angle;
         let contact = |switch: Option<Switch>| switch.map(|switch| Contact::new(&switch, angle));
@@ -134,9 +145,11 @@ impl Axis {
             plant: match &config.plant {
                 PlantConfig::Wut(wut) => Plant::Wut(Box::new(Wut::new(wut, angle))),
                 PlantConfig::Physical(motor) => {
-                    Plant::Physical(Box::new(Motor::new(motor, angle, Noise::new(noise.bits()))))
+                    let noise = Noise::new(noise.bits());
+                    Plant::Physical(Box::new(Motor::new(motor, mount, angle, noise)))
                 }
             },
+            mount: mount.cloned(),
             amplifier: Amplifier::new(
                 &config.amplifier,
                 &config.plant,
@@ -192,6 +205,9 @@ impl Axis {
             self.encoder.read(self.plant.angle(), &mut self.noise);
         }
         let angle = self.plant.angle();
+        if let (Plant::Wut(_), Some(mount)) = (&self.plant, &self.mount) {
+            mount.load(angle);
+        }
         for contact in [
             &mut self.home_switch,
             &mut self.negative_limit,
@@ -255,6 +271,11 @@ impl Axis {
     /// Hands out the index latch and arms it again.
     pub fn take_index(&mut self) -> Option<i32> {
         self.encoder.take_index()
+    }
+
+    /// What it is mounted on, if it is.
+    pub fn mechanism(&self) -> Option<&Mechanism> {
+        self.mount.as_ref().map(Mount::mechanism)
     }
 
     /// The true angle of the motor shaft, rad, which no drive can know.

@@ -145,7 +145,7 @@ const TORQUE_CONSTANT: f64 = 0.105;
 const MAX_VOLTAGE: f64 = 48.0 * 190.0 / 255.0;
 
 /// Nominal.
-const THERMAL: ThermalConfig = ThermalConfig {
+pub(super) const THERMAL: ThermalConfig = ThermalConfig {
     winding_to_housing: 1.0,
     housing_to_air: 2.0,
     winding_capacity: 60.0,

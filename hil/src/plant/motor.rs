@@ -1,5 +1,6 @@
 use super::SUB_STEP;
 use super::friction::{Friction, FrictionConfig};
+use super::mechanism::{Loaded, Mount};
 use super::noise::Noise;
 use super::thermal::{Thermal, ThermalConfig};
 
@@ -12,13 +13,13 @@ pub struct MotorConfig {
     pub resistance: f64,
     /// Of the winding, H.
     pub inductance: f64,
-    /// Of rotor and reflected load, kg·m².
+    /// Of rotor and reflected load, kg·m²; of a mounted axis it is the mechanism's instead.
     pub inertia: f64,
     /// Viscous friction, N·m·s/rad.
     pub viscous: f64,
     /// Dry friction.
     pub friction: FrictionConfig,
-    /// What the load weighs.
+    /// What the load weighs; of a mounted axis it is the mechanism's instead.
     pub gravity: Gravity,
     /// Where the mechanics ends, if it does.
     pub end_stops: Option<EndStops>,
@@ -94,6 +95,8 @@ const FERRITE: f64 = 0.002;
 #[derive(Clone, Debug)]
 pub(crate) struct Motor {
     config: MotorConfig,
+    /// Where it is mounted, if it is, and what it last had to carry there.
+    mounted: Option<(Mount, Loaded)>,
     friction: Friction,
     thermal: Thermal,
     noise: Noise,
@@ -115,9 +118,15 @@ pub(crate) struct Motor {
 
 impl Motor {
     /// A cold motor at rest at `angle`, rad.
-    pub(crate) fn new(config: &MotorConfig, angle: f64, noise: Noise) -> Self {
+    pub(crate) fn new(
+        config: &MotorConfig,
+        mount: Option<&Mount>,
+        angle: f64,
+        noise: Noise,
+    ) -> Self {
         Self {
             config: *config,
+            mounted: mount.map(|mount| (mount.clone(), mount.load(angle))),
             friction: Friction::new(&config.friction),
             thermal: Thermal::new(&config.thermal),
             noise,
@@ -174,7 +183,16 @@ impl Motor {
             self.torque_constant =
                 self.config.torque_constant * (1.0 - FERRITE * (self.thermal.housing() - 25.0));
         }
-        self.gravity = self.config.gravity.torque(self.angle);
+        self.gravity = match &mut self.mounted {
+            None => self.config.gravity.torque(self.angle),
+            Some((mount, last)) => {
+                let next = mount.load(self.angle);
+                self.velocity *= last.slows_by(&next);
+                self.gain = SUB_STEP / next.inertia();
+                *last = next;
+                next.torque
+            }
+        };
         let ripple = if self.config.torque_ripple > 0.0 {
             self.config.torque_ripple * self.noise.symmetric()
         } else {
@@ -233,7 +251,7 @@ mod tests {
     fn motor(config: &MotorConfig, velocity: f64) -> Motor {
         Motor {
             velocity,
-            ..Motor::new(config, 0.0, Noise::new(1))
+            ..Motor::new(config, None, 0.0, Noise::new(1))
         }
     }
 

@@ -1,4 +1,4 @@
-use crate::regulator::{CascadeConfig, IncrementalConfig};
+use crate::regulator::{CascadeConfig, IncrementalConfig, ProportionalConfig};
 
 /// Who closes the position loop of an axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -6,7 +6,7 @@ pub enum PositionLoop {
     /// Its drive: the servo sends positions.
     #[default]
     Drive,
-    /// The servo: the drive is sent torque or pulse width.
+    /// The servo: the drive is sent velocity, torque or pulse width.
     Host(HostLoop),
 }
 
@@ -40,11 +40,15 @@ pub enum Law {
     Incremental(IncrementalConfig),
     /// Proportional position loop over a proportional-integral velocity loop.
     Cascade(CascadeConfig),
+    /// Proportional-integral position loop; for a drive that closes the velocity loop.
+    Proportional(ProportionalConfig),
 }
 
 /// What a drive that closes no position loop is sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Output {
+    /// Velocity of the motor, rad/s.
+    Velocity,
     /// Torque of the motor, N·m.
     Torque,
     /// Share of the full pulse width, -1 to 1.
@@ -54,9 +58,11 @@ pub enum Output {
 /// Output that the commanded motion needs, in the loop's unit of output at the motor shaft.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FeedForward {
-    /// Per commanded velocity, output·s/rad: viscous friction, and back-EMF where the output is a duty.
+    /// Per commanded velocity, output·s/rad: viscous friction, and back-EMF where the output is a duty; 1 where
+    /// the output is a velocity.
     pub velocity: f64,
-    /// Per commanded acceleration, output·s²/rad: inertia.
+    /// Per commanded acceleration, output·s²/rad: inertia; the lag of the drive's loop, s, where the output is a
+    /// velocity.
     pub acceleration: f64,
     /// In the sense of the commanded velocity: dry friction.
     pub coulomb: f64,
@@ -64,23 +70,28 @@ pub struct FeedForward {
     pub constant: f64,
 }
 
+impl Law {
+    /// The most that it puts out either way, in the loop's unit of output.
+    pub fn limit(&self) -> f64 {
+        match self {
+            Self::Incremental(law) => law.limit,
+            Self::Cascade(law) => law.limit,
+            Self::Proportional(law) => law.limit,
+        }
+    }
+}
+
 impl HostLoop {
     /// The first field that makes no sense.
     pub(super) fn nonsense(&self, max_velocity: f64) -> Option<&'static str> {
-        let limit = match &self.law {
-            Law::Incremental(law) => {
-                if let Some(field) = law.nonsense() {
-                    return Some(field);
-                }
-                law.limit
-            }
-            Law::Cascade(law) => {
-                if let Some(field) = law.nonsense() {
-                    return Some(field);
-                }
-                law.limit
-            }
+        let field = match &self.law {
+            Law::Incremental(law) => law.nonsense(),
+            Law::Cascade(law) => law.nonsense(),
+            Law::Proportional(law) => law.nonsense(),
         };
+        if field.is_some() {
+            return field;
+        }
         let FeedForward {
             velocity,
             acceleration,
@@ -88,7 +99,9 @@ impl HostLoop {
             constant,
         } = self.feed_forward;
         let not_negative = |value: f64| value.is_finite() && value >= 0.0;
-        if self.output == Output::Duty && limit > 1.0 {
+        if matches!(self.law, Law::Proportional(_)) && self.output != Output::Velocity {
+            Some("law of its loop, which leaves the velocity to a drive that has no loop for it,")
+        } else if self.output == Output::Duty && self.law.limit() > 1.0 {
             Some("limit of its loop, a duty above 1,")
         } else if !not_negative(velocity) {
             Some("feed_forward.velocity")

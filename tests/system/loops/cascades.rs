@@ -64,6 +64,7 @@ pub(super) fn serial(axis: Irp6Axis, output: Output) -> Rig {
     let (host, motor): (_, MakeMotor) = match output {
         Output::Torque => (by_torque(axis), |axis| Box::new(ByCurrent::new(axis))),
         Output::Duty => (by_duty(axis), |axis| Box::new(ByPulseWidth::new(axis))),
+        Output::Velocity => unreachable!("no axis controller on a line closes a velocity loop"),
     };
     Rig {
         host,

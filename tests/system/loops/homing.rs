@@ -244,7 +244,7 @@ fn six_physical_axes_find_their_references_at_once_and_without_a_kick() {
         let speed = |two: &[f64]| (two[1] - two[0]).abs() / DT;
         let fastest = angles.windows(2).map(speed).fold(0.0, f64::max);
         assert!(fastest < 17.5, "{name:?}: {fastest} rad/s");
-        let limit = serial(name, Output::Torque).limit();
+        let limit = serial(name, Output::Torque).host.law.limit();
         let torques: Vec<f64> = trace.torques[begin..].iter().map(|t| t[axis]).collect();
         let step = |two: &[f64]| (two[1] - two[0]).abs();
         let kick = torques.windows(2).map(step).fold(0.0, f64::max);

@@ -1,10 +1,12 @@
-//! Independent peers: python-canopen, can-utils and the kernel's own drivers on the wires, HdrHistogram on files.
+//! Independent peers: python-canopen, can-utils and the kernel's own drivers on the wires, HdrHistogram on files,
+//! pinocchio over robots.
 //!
 //! What other hands have written from the same standards makes no mistake of ours. The scripts in `tests/peers` need
 //! the Python packages that `tests/run` puts into `target/peers`; without them these tests fail, unless
 //! `MRROC_LEAVE_OUT=peers` says that they may be left out.
 
 mod blocks;
+mod bodies;
 mod latency;
 mod linux;
 mod master;

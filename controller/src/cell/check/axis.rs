@@ -1,7 +1,10 @@
 //! What one axis of a cell must satisfy, on a CAN bus or on a serial line.
 
 use super::{Checked, Path, Problem, in_range, positive};
-use crate::cell::{Axis, AxisController, Bus, Cell, Control, Drive, Law, Plant, Protocol, Serial};
+use crate::cell::{
+    Axis, AxisController, Bus, Cell, Control, Drive, DriveControl, Law, Loop, Plant, Protocol,
+    Serial,
+};
 use crate::robot::Limits;
 
 /// What an axis hangs on.
@@ -54,7 +57,9 @@ pub(super) fn check(path: &Path, axis: &Axis, place: Place<'_>, model: Limits) -
     let refused =
         |key: &'static str, why: &str| Err((path.then(key), Problem::Refused(why.into())));
     match (place, &axis.drive, &axis.controller) {
-        (Place::Bus(_), Some(drive), None) => check_drive(&path.then("drive"), drive)?,
+        (Place::Bus(_), Some(drive), None) => {
+            check_drive(&path.then("drive"), drive, axis.max_velocity)?;
+        }
         (Place::Serial(serial), None, Some(controller)) => {
             check_controller(&path.then("controller"), controller, serial, axis)?;
         }
@@ -80,9 +85,10 @@ pub(super) fn check(path: &Path, axis: &Axis, place: Place<'_>, model: Limits) -
     check_homing(&path.then("homing"), axis, place)
 }
 
-fn check_drive(drive: &Path, given: &Drive) -> Checked {
+fn check_drive(drive: &Path, given: &Drive, max_velocity: f64) -> Checked {
     check_counts(drive, given.counts_per_revolution)?;
     positive(&drive.then("rated_torque"), given.rated_torque)?;
+    check_drive_loop(&drive.then("loop"), given, max_velocity)?;
     for (number, parameter) in given.parameter.iter().enumerate() {
         if !matches!(parameter.bytes, 1 | 2 | 4) {
             let value = f64::from(parameter.bytes);
@@ -124,7 +130,22 @@ fn check_controller(
         32.767,
         "between 0.001 and 32.767 (A)",
     )?;
-    check_loop(&path.then("loop"), controller, axis.max_velocity)?;
+    let most = match controller.control {
+        // More is refused while it moves: the axis would stop by a fault where it needs its torque most.
+        Control::Current => (
+            controller.max_current * controller.torque_constant * (1.0 + 1e-9),
+            "above 0 and at most max_current * torque_constant (N·m)",
+        ),
+        Control::Pwm => (1.0, "above 0 and at most 1 (of the full pulse width)"),
+    };
+    let given = &controller.r#loop;
+    if let Law::Proportional(_) = given.law {
+        let why =
+            "is for a drive that closes the velocity loop, as no axis controller does: use cascade";
+        let law = path.then("loop").then("law").then("proportional");
+        return Err((law, Problem::Refused(why.into())));
+    }
+    check_loop(&path.then("loop"), given, most, axis.max_velocity)?;
     let plausible = [
         (
             "plausible_velocity",
@@ -158,16 +179,40 @@ fn check_controller(
     }
 }
 
-fn check_loop(path: &Path, controller: &AxisController, max_velocity: f64) -> Checked {
-    let given = &controller.r#loop;
-    let most = match controller.control {
-        // More is refused while it moves: the axis would stop by a fault where it needs its torque most.
-        Control::Current => (
-            controller.max_current * controller.torque_constant * (1.0 + 1e-9),
-            "above 0 and at most max_current * torque_constant (N·m)",
-        ),
-        Control::Pwm => (1.0, "above 0 and at most 1 (of the full pulse width)"),
+fn check_drive_loop(path: &Path, drive: &Drive, max_velocity: f64) -> Checked {
+    let refused = |path: Path, why: &str| Err((path, Problem::Refused(why.into())));
+    let (given, most) = match (drive.control, &drive.r#loop) {
+        (DriveControl::Position, None) => return Ok(()),
+        (DriveControl::Position, Some(_)) => {
+            let why = "is for control = \"velocity\" or \"torque\": by position the drive closes the loop";
+            return refused(path.clone(), why);
+        }
+        (_, None) => {
+            let why = "is missing: by velocity or torque the host closes the loop";
+            return refused(path.clone(), why);
+        }
+        (DriveControl::Velocity, Some(given)) => {
+            // A loop at its limit is not to look like one that runs away.
+            let runaway = given.runaway_velocity.unwrap_or(1.2 * max_velocity);
+            let range = "above 0 and at most runaway_velocity (rad/s of the motor)";
+            (given, (runaway, range))
+        }
+        (DriveControl::Torque, Some(given)) => {
+            if let Law::Proportional(_) = given.law {
+                let why =
+                    "is for control = \"velocity\": by torque nothing would damp it, use cascade";
+                return refused(path.then("law").then("proportional"), why);
+            }
+            // Object 0x6071 holds 16 bits of thousandths.
+            let range = "above 0 and at most 32 * rated_torque (N·m)";
+            (given, (32.0 * drive.rated_torque, range))
+        }
     };
+    check_loop(path, given, most, max_velocity)
+}
+
+/// `most` is the greatest limit of its output, and the words for it.
+fn check_loop(path: &Path, given: &Loop, most: (f64, &'static str), max_velocity: f64) -> Checked {
     let limit = |path: &Path, value| in_range(path, value, f64::MIN_POSITIVE, most.0, most.1);
     let fraction = (0.0, 1.0 - f64::EPSILON, "at least 0 and below 1");
     let not_negative = (0.0, f64::MAX, "at least 0");
@@ -193,6 +238,15 @@ fn check_loop(path: &Path, controller: &AxisController, max_velocity: f64) -> Ch
             [
                 (law.then("position_gain"), it.position_gain, above),
                 (law.then("velocity_gain"), it.velocity_gain, above),
+                (law.then("integral_rate"), it.integral_rate, not_negative),
+            ]
+            .to_vec()
+        }
+        Law::Proportional(it) => {
+            let law = law.then("proportional");
+            limit(&law.then("limit"), it.limit)?;
+            [
+                (law.then("position_gain"), it.position_gain, above),
                 (law.then("integral_rate"), it.integral_rate, not_negative),
             ]
             .to_vec()

@@ -58,6 +58,7 @@ fn numbers_that_place_no_robot_are_refused() {
             let motors = Motors::new(&joints).unwrap();
             assert_eq!(robot.forward(&joints).unwrap_err(), error, "{name}");
             assert_eq!(robot.jacobian(&joints).unwrap_err(), error, "{name}");
+            assert_eq!(robot.singularity(&joints).unwrap_err(), error, "{name}");
             assert_eq!(
                 robot.motors_from_joints(&joints).unwrap_err(),
                 error,
@@ -73,16 +74,22 @@ fn numbers_that_place_no_robot_are_refused() {
         let mut lost = pose;
         lost.translation.vector.y = f64::NAN;
         assert_eq!(refusal(&*robot, &lost, &home), NotFinite, "{name}");
-        let mut over = pose;
+        assert_eq!(robot.joint_limits().len(), axes);
+        assert_eq!(robot.motor_limits().len(), axes);
+    }
+    for (name, robot) in determined() {
+        let home = robot.joints_from_motors(&robot.home()).unwrap();
+        let mut over = robot.forward(&home).unwrap();
         over.translation.vector.x = 0.0;
         over.translation.vector.y = 0.0;
         assert_eq!(
             refusal(&*robot, &over, &home),
-            Singular { axis: 0 },
+            Singular {
+                axis: 0,
+                margin: 0.0
+            },
             "{name}"
         );
-        assert_eq!(robot.joint_limits().len(), axes);
-        assert_eq!(robot.motor_limits().len(), axes);
     }
 }
 

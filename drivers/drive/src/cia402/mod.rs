@@ -318,7 +318,8 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
         self.nodes.len()
     }
 
-    /// A drive interpolates from the set-point it held to the one it latched, over one period (0x60C2).
+    /// A drive latches a set-point at the SYNC after the one it was sent with. In CSP it interpolates to it over one
+    /// period (0x60C2); in CSV and CST a period of acting on it is what the next sample shows.
     fn delay(&self) -> usize {
         3
     }

@@ -1,0 +1,146 @@
+//! The orders of a measurement, as a function of what the servo reports.
+
+use anyhow::anyhow;
+use rtrb::Consumer;
+use servo::identify::{Run, Trace};
+use servo::{EffectorLink, Order, Phase, Record, ServoAxisConfig, ServoFault};
+
+use super::direct;
+
+/// The orders of one measurement: enable, home where that may be, move, and what was recorded meanwhile.
+pub(super) struct Session {
+    effector: usize,
+    axis: usize,
+    run: Run,
+    link: EffectorLink,
+    records: Consumer<Record>,
+    /// Whether it may home the robot.
+    homes: bool,
+    trace: Trace,
+    stage: Stage,
+    /// The next macrostep.
+    next: u64,
+    /// Where the axis may go.
+    config: ServoAxisConfig,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+enum Stage {
+    Begin,
+    Enabling,
+    Homing,
+    Moving,
+    Done,
+    Refused(String),
+    Faulted(ServoFault),
+    Stopped,
+}
+
+impl Session {
+    pub(super) fn new(
+        (effector, axis): (usize, usize),
+        run: Run,
+        config: ServoAxisConfig,
+        link: EffectorLink,
+        records: Consumer<Record>,
+        homes: bool,
+    ) -> Self {
+        Self {
+            effector,
+            axis,
+            run,
+            link,
+            records,
+            homes,
+            trace: Trace::default(),
+            stage: Stage::Begin,
+            next: 1,
+            config,
+        }
+    }
+
+    pub(super) fn is_over(&self) -> bool {
+        use Stage::{Done, Faulted, Refused, Stopped};
+        matches!(self.stage, Done | Refused(_) | Faulted(_) | Stopped)
+    }
+
+    /// Does what is due.
+    pub(super) fn poll(&mut self) {
+        while let Ok(record) = self.records.pop() {
+            if usize::from(record.effector) == self.effector {
+                self.trace.take(&record, self.axis);
+            }
+        }
+        if self.stage == Stage::Begin {
+            self.order(Order::Enable);
+            self.stage = Stage::Enabling;
+        }
+        while let Ok(report) = self.link.reports.pop() {
+            if self.is_over() {
+                continue;
+            }
+            if let Some(fault) = report.fault {
+                self.stage = Stage::Faulted(fault);
+                continue;
+            }
+            match (&self.stage, report.phase) {
+                (Stage::Enabling, Phase::Standing) if !report.homed && self.homes => {
+                    self.order(Order::Home);
+                    self.stage = Stage::Homing;
+                }
+                (Stage::Enabling, Phase::Standing) if !report.homed => {
+                    self.stage =
+                        Stage::Refused("the robot is not homed: run the cell first".into());
+                }
+                (Stage::Enabling | Stage::Homing, Phase::Standing) if report.homed => {
+                    self.begin(report.commanded);
+                }
+                (Stage::Moving, Phase::Standing)
+                    if self.run.macrostep(self.next).is_none()
+                        && report.macrostep == self.run.macrosteps() =>
+                {
+                    self.stage = Stage::Done;
+                }
+                (Stage::Enabling | Stage::Homing, Phase::Off) | (Stage::Moving, Phase::Off) => {
+                    self.stage = Stage::Stopped;
+                }
+                _ => {}
+            }
+        }
+        if self.stage == Stage::Moving {
+            while self.link.orders.slots() > 2
+                && let Some(macrostep) = self.run.macrostep(self.next)
+            {
+                self.order(Order::Move(macrostep));
+                self.next += 1;
+            }
+        }
+    }
+
+    /// From where it stands.
+    fn begin(&mut self, start: [f64; servo::MAX_AXES]) {
+        self.run.start = start;
+        match direct(&self.run, &self.config, start[self.axis]) {
+            Ok(velocity) => {
+                self.run.velocity = velocity;
+                self.stage = Stage::Moving;
+            }
+            Err(why) => self.stage = Stage::Refused(why),
+        }
+    }
+
+    fn order(&mut self, order: Order) {
+        self.link.orders.push(order).expect("there is room");
+    }
+
+    /// The run and what was recorded of it; a refusal, before the axis moved, is an error.
+    pub(super) fn finish(mut self) -> anyhow::Result<Result<(Run, Trace), String>> {
+        self.poll();
+        match self.stage {
+            Stage::Done => Ok(Ok((self.run, self.trace))),
+            Stage::Refused(why) => Err(anyhow!(why)),
+            Stage::Faulted(fault) => Ok(Err(fault.cause.to_string())),
+            _ => Ok(Err("stopped before it was measured".into())),
+        }
+    }
+}

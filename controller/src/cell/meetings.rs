@@ -1,0 +1,58 @@
+//! The meetings that the programs of a cell name.
+
+use super::{Cell, Instruction, Robot};
+
+/// One meeting: the first, second, … of its name.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Meeting {
+    /// Its name.
+    pub name: String,
+    /// How many of this name are before it.
+    pub occurrence: usize,
+    /// Who comes: numbers of the robots whose programs name it as often.
+    pub robots: Vec<usize>,
+}
+
+impl Cell {
+    /// The meetings of its programs. Their order is that of no time: it numbers them.
+    pub fn meetings(&self) -> Vec<Meeting> {
+        let mut meetings: Vec<Meeting> = Vec::new();
+        for (number, robot) in self.robot.iter().enumerate() {
+            let mut names: Vec<&str> = Vec::new();
+            for (_, name) in robot.meetings() {
+                let occurrence = names.iter().filter(|before| **before == name).count();
+                names.push(name);
+                let same = |it: &&mut Meeting| it.name == name && it.occurrence == occurrence;
+                match meetings.iter_mut().find(same) {
+                    Some(meeting) => meeting.robots.push(number),
+                    None => meetings.push(Meeting {
+                        name: name.to_owned(),
+                        occurrence,
+                        robots: vec![number],
+                    }),
+                }
+            }
+        }
+        meetings
+    }
+}
+
+impl Robot {
+    /// The meetings of its program in order, each with the index of its instruction.
+    pub(super) fn meetings(&self) -> impl Iterator<Item = (usize, &str)> {
+        let program = self.program.iter().enumerate();
+        program.filter_map(|(index, instruction)| match instruction {
+            Instruction::Meet(name) => Some((index, name.as_str())),
+            Instruction::Joints(_) | Instruction::Line(_) => None,
+        })
+    }
+
+    /// The number among `meetings` of the one at instruction `index` of this robot's program.
+    pub(super) fn meeting_at(&self, index: usize, meetings: &[Meeting]) -> Option<u8> {
+        let (_, name) = self.meetings().find(|(at, _)| *at == index)?;
+        let before = self.meetings().take_while(|(at, _)| *at < index);
+        let occurrence = before.filter(|(_, other)| *other == name).count();
+        let same = |it: &Meeting| it.name == name && it.occurrence == occurrence;
+        u8::try_from(meetings.iter().position(same)?).ok()
+    }
+}

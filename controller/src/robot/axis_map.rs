@@ -1,0 +1,437 @@
+use nalgebra::Isometry3;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::parameters::{finite as finite_parameter, room};
+use super::{
+    Jacobian, Joints, KinematicsError, Limits, Motors, ParameterError, Robot, Solutions, Space,
+    Vector,
+};
+
+/// The only axis of the devices here.
+const AXIS: u8 = 0;
+
+/// How far a pose may be off the way of such a device by rounding, m and rad.
+const OFF_AXIS: f64 = 1e-9;
+
+/// Numbers of one two-finger gripper: one motor, two jaws.
+///
+/// The opening, m, is `square`·m² + `linear`·m + `constant` for the motor position m, rad.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct GripperParameters {
+    /// m/rad².
+    pub square: f64,
+    /// m/rad.
+    pub linear: f64,
+    /// m.
+    pub constant: f64,
+    /// Motor position at home, rad.
+    pub motor_at_home: f64,
+    /// Range of the motor, rad. The jaws open up to the polynomial's vertex and close again past it.
+    pub motor_limits: Limits,
+    /// Range of the opening, m.
+    pub opening_limits: Limits,
+}
+
+impl GripperParameters {
+    /// The gripper of the WUT robots (public code). Its vertex is at 2564 rad (derived), its home past it.
+    #[doc(alias = "tfg")]
+    pub const fn two_finger() -> Self {
+        Self {
+            square: -2.8313e-9,
+            linear: 1.451_910_074e-5,
+            constant: 0.074,
+            motor_at_home: 4830.0,
+            motor_limits: Limits {
+                low: -2000.0,
+                high: 5000.0,
+            },
+            opening_limits: Limits {
+                low: 0.053,
+                high: 0.091,
+            },
+        }
+    }
+
+    /// Opening of the jaws, m, at a motor position, rad. Looks at no limit: it serves measured positions.
+    pub fn opening(&self, motor: f64) -> Result<f64, KinematicsError> {
+        finite((self.square * motor + self.linear) * motor + self.constant)
+    }
+
+    /// Motor position, rad, for an opening of the jaws, m, both within their limits: of the two positions
+    /// that have it the one nearer to `near`.
+    pub fn motor(&self, opening: f64, near: f64) -> Result<f64, KinematicsError> {
+        within(&self.opening_limits, opening, Space::Joint)?;
+        finite(near)?;
+        let excess = opening - self.constant;
+        let root = (self.linear * self.linear + 4.0 * self.square * excess).sqrt();
+        // This form of the solution keeps its digits where square or excess are small.
+        let opens = 2.0 * excess / (self.linear + root);
+        let closes = -self.linear / self.square - opens;
+        let mut ways = [opens, closes];
+        if (closes - near).abs() < (opens - near).abs() {
+            ways.swap(0, 1);
+        }
+        let [first, second] =
+            ways.map(|motor| within(&self.motor_limits, motor, Space::Motor).map(|()| motor));
+        first.or_else(|refusal| second.map_err(|_| refusal))
+    }
+}
+
+/// Numbers of one conveyor: a belt behind a gear.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ConveyorParameters {
+    /// Motor rad per m of belt.
+    pub ratio: f64,
+    /// Motor position at home, rad.
+    pub motor_at_home: f64,
+    /// Range of the motor, rad: what its counter holds, for the belt has no end.
+    pub motor_limits: Limits,
+}
+
+impl ConveyorParameters {
+    /// The conveyor of the WUT laboratory (public code); 4000 counts per revolution make 0.70 µm each. Nominal: its
+    /// home is zero, and a 32-bit counter of as many counts holds the motor's range, ±1489 m of belt.
+    pub const fn belt() -> Self {
+        Self {
+            ratio: 2250.0,
+            motor_at_home: 0.0,
+            motor_limits: Limits {
+                low: -3.35e6,
+                high: 3.35e6,
+            },
+        }
+    }
+
+    /// Position of the belt, m, at a motor position, rad.
+    pub fn belt_position(&self, motor: f64) -> Result<f64, KinematicsError> {
+        finite(motor / self.ratio)
+    }
+
+    /// Motor position, rad, for a position of the belt, m.
+    pub fn motor(&self, belt: f64) -> Result<f64, KinematicsError> {
+        finite(belt * self.ratio)
+    }
+}
+
+/// The two-finger gripper as a robot of one axis: its joint is the opening of the jaws, m, and its flange moves by
+/// it along x.
+///
+/// An opening belongs to two motor positions, on either side of the polynomial's vertex. A robot's motors are a
+/// function of its joints, so this one works on the side of its home, and its joint has the range of that side.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Gripper {
+    parameters: GripperParameters,
+    openings: Limits,
+    motors: Limits,
+}
+
+impl Gripper {
+    /// The gripper of these numbers, or what is wrong with them.
+    pub fn new(parameters: &GripperParameters) -> Result<Self, ParameterError> {
+        let name = "jaws";
+        let GripperParameters {
+            square,
+            linear,
+            constant,
+            motor_at_home,
+            motor_limits,
+            opening_limits,
+        } = *parameters;
+        for value in [square, linear, constant, motor_at_home] {
+            finite_parameter(name, value)?;
+        }
+        room(name, motor_limits)?;
+        room(name, opening_limits)?;
+        if square == 0.0 {
+            return Err(ParameterError::NoRatio { name });
+        }
+        let vertex = -linear / (2.0 * square);
+        let mut motors = motor_limits;
+        if motor_at_home < vertex {
+            motors.high = motors.high.min(vertex);
+        } else {
+            motors.low = motors.low.max(vertex);
+        }
+        room(name, motors)?;
+        let ends =
+            [motors.low, motors.high].map(|motor| (square * motor + linear) * motor + constant);
+        let openings = Limits {
+            low: opening_limits.low.max(ends[0].min(ends[1])),
+            high: opening_limits.high.min(ends[0].max(ends[1])),
+        };
+        room(name, openings)?;
+        Ok(Self {
+            parameters: GripperParameters {
+                motor_limits: motors,
+                ..*parameters
+            },
+            openings,
+            motors,
+        })
+    }
+}
+
+/// The conveyor as a robot of one axis without end: its joint is the position of the belt, m, along x.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Conveyor {
+    parameters: ConveyorParameters,
+}
+
+impl Conveyor {
+    /// The conveyor of these numbers, or what is wrong with them.
+    pub fn new(parameters: &ConveyorParameters) -> Result<Self, ParameterError> {
+        let name = "belt";
+        finite_parameter(name, parameters.ratio)?;
+        finite_parameter(name, parameters.motor_at_home)?;
+        if parameters.ratio == 0.0 {
+            return Err(ParameterError::NoRatio { name });
+        }
+        room(name, parameters.motor_limits)?;
+        Ok(Self {
+            parameters: *parameters,
+        })
+    }
+}
+
+impl Robot for Gripper {
+    fn axes(&self) -> usize {
+        1
+    }
+
+    fn joint_limits(&self) -> &[Limits] {
+        std::slice::from_ref(&self.openings)
+    }
+
+    fn motor_limits(&self) -> &[Limits] {
+        std::slice::from_ref(&self.motors)
+    }
+
+    fn home(&self) -> Motors {
+        one(self.parameters.motor_at_home)
+    }
+
+    fn forward(&self, joints: &Joints) -> Result<Isometry3<f64>, KinematicsError> {
+        along_x(joints)
+    }
+
+    fn inverse(
+        &self,
+        base_from_flange: &Isometry3<f64>,
+        near: &Joints,
+    ) -> Result<Solutions, KinematicsError> {
+        near.exactly::<1>()?;
+        let joints = from_x(base_from_flange)?;
+        self.motors_from_joints(&joints)?;
+        Ok(joints.into())
+    }
+
+    fn motors_from_joints(&self, joints: &Joints) -> Result<Motors, KinematicsError> {
+        let [opening] = *joints.exactly::<1>()?;
+        within(&self.openings, opening, Space::Joint)?;
+        let motor = self
+            .parameters
+            .motor(opening, self.parameters.motor_at_home)?;
+        Ok(one(motor))
+    }
+
+    fn joints_from_motors(&self, motors: &Motors) -> Result<Joints, KinematicsError> {
+        let [motor] = *motors.exactly::<1>()?;
+        Ok(one(self.parameters.opening(motor)?))
+    }
+
+    fn jacobian(&self, joints: &Joints) -> Result<Jacobian, KinematicsError> {
+        unit_x(joints)
+    }
+}
+
+impl Robot for Conveyor {
+    fn axes(&self) -> usize {
+        1
+    }
+
+    fn joint_limits(&self) -> &[Limits] {
+        &[Limits::CONTINUOUS]
+    }
+
+    fn motor_limits(&self) -> &[Limits] {
+        std::slice::from_ref(&self.parameters.motor_limits)
+    }
+
+    fn home(&self) -> Motors {
+        one(self.parameters.motor_at_home)
+    }
+
+    fn forward(&self, joints: &Joints) -> Result<Isometry3<f64>, KinematicsError> {
+        along_x(joints)
+    }
+
+    fn inverse(
+        &self,
+        base_from_flange: &Isometry3<f64>,
+        near: &Joints,
+    ) -> Result<Solutions, KinematicsError> {
+        near.exactly::<1>()?;
+        let joints = from_x(base_from_flange)?;
+        self.motors_from_joints(&joints)?;
+        Ok(joints.into())
+    }
+
+    fn motors_from_joints(&self, joints: &Joints) -> Result<Motors, KinematicsError> {
+        let [belt] = *joints.exactly::<1>()?;
+        let motor = self.parameters.motor(belt)?;
+        within(&self.parameters.motor_limits, motor, Space::Motor)?;
+        Ok(one(motor))
+    }
+
+    fn joints_from_motors(&self, motors: &Motors) -> Result<Joints, KinematicsError> {
+        let [motor] = *motors.exactly::<1>()?;
+        Ok(one(self.parameters.belt_position(motor)?))
+    }
+
+    fn jacobian(&self, joints: &Joints) -> Result<Jacobian, KinematicsError> {
+        unit_x(joints)
+    }
+}
+
+fn one<Of>(value: f64) -> Vector<Of> {
+    Vector::new(&[value]).expect("one axis is few enough")
+}
+
+fn along_x(joints: &Joints) -> Result<Isometry3<f64>, KinematicsError> {
+    let [x] = *joints.exactly::<1>()?;
+    Ok(Isometry3::translation(x, 0.0, 0.0))
+}
+
+fn from_x(base_from_flange: &Isometry3<f64>) -> Result<Joints, KinematicsError> {
+    let at = base_from_flange.translation.vector;
+    let x = finite(at.x)?;
+    let distance = finite(at.y.hypot(at.z))?;
+    let angle = finite(base_from_flange.rotation.angle())?;
+    if distance <= OFF_AXIS && angle <= OFF_AXIS {
+        Ok(one(x))
+    } else {
+        Err(KinematicsError::OffAxis { distance, angle })
+    }
+}
+
+fn unit_x(joints: &Joints) -> Result<Jacobian, KinematicsError> {
+    joints.exactly::<1>()?;
+    let mut jacobian = Jacobian::zeros();
+    jacobian[(0, 0)] = 1.0;
+    Ok(jacobian)
+}
+
+fn finite(value: f64) -> Result<f64, KinematicsError> {
+    if value.is_finite() {
+        Ok(value)
+    } else {
+        Err(KinematicsError::NotFinite)
+    }
+}
+
+fn within(limits: &Limits, value: f64, space: Space) -> Result<(), KinematicsError> {
+    match limits.exceeded_by(finite(value)?) {
+        Some(limit) => Err(KinematicsError::BeyondLimit {
+            space,
+            axis: AXIS,
+            value,
+            limit,
+        }),
+        None => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn jaws_open_along_the_published_polynomial_and_back() {
+        let gripper = GripperParameters::two_finger();
+        for (motor, opening) in [
+            (-1000.0, 0.056_649_599_26),
+            (0.0, 0.074),
+            (1000.0, 0.085_687_800_74),
+            (4830.0, 0.078_076_142_004_2),
+            (5000.0, 0.075_813_003_7),
+        ] {
+            assert!((gripper.opening(motor).unwrap() - opening).abs() < 1e-12);
+            let back = gripper.motor(opening, motor).unwrap();
+            assert!((back - motor).abs() < 1e-6, "{motor} {back}");
+        }
+        // Far from there only one of the two is within the motor's range.
+        let back = gripper.motor(0.056_649_599_26, 5000.0).unwrap();
+        assert!((back + 1000.0).abs() < 1e-6, "{back}");
+    }
+
+    #[test]
+    fn an_opening_the_jaws_do_not_have_is_refused() {
+        let gripper = GripperParameters::two_finger();
+        for (opening, limit) in [(0.05, 0.053), (0.0915, 0.091)] {
+            let beyond = KinematicsError::BeyondLimit {
+                space: Space::Joint,
+                axis: 0,
+                value: opening,
+                limit,
+            };
+            assert_eq!(gripper.motor(opening, 0.0), Err(beyond));
+        }
+        let mut narrow = gripper;
+        narrow.motor_limits.low = -500.0;
+        let refusal = narrow.motor(0.056_649_599_26, 0.0).unwrap_err();
+        assert_eq!(refusal.axis(), Some(0));
+        let spoilt = [gripper.motor(f64::NAN, 0.0), gripper.motor(0.06, f64::NAN)];
+        assert!(spoilt.iter().all(Result::is_err));
+        assert_eq!(gripper.opening(f64::NAN), Err(KinematicsError::NotFinite));
+    }
+
+    #[test]
+    fn belt_moves_a_metre_in_2250_rad() {
+        let belt = ConveyorParameters::belt();
+        assert!((belt.motor(0.4).unwrap() - 900.0).abs() < 1e-9);
+        assert!((belt.belt_position(900.0).unwrap() - 0.4).abs() < 1e-12);
+        assert_eq!(belt.motor(f64::NAN), Err(KinematicsError::NotFinite));
+    }
+
+    #[test]
+    fn a_gripper_works_on_the_side_of_its_home() {
+        let gripper = Gripper::new(&GripperParameters::two_finger()).unwrap();
+        let home = gripper.joints_from_motors(&gripper.home()).unwrap();
+        let motors = gripper.motors_from_joints(&home).unwrap();
+        assert!((motors[0] - 4830.0).abs() < 1e-6, "{motors:?}");
+        let pose = gripper.forward(&home).unwrap();
+        assert_eq!(*gripper.inverse(&pose, &home).unwrap().preferred(), home);
+        // The other side alone has this opening.
+        let narrow = gripper.motors_from_joints(&one(0.06)).unwrap_err();
+        assert_eq!(narrow.axis(), Some(0));
+        let mut other = GripperParameters::two_finger();
+        other.motor_at_home = 0.0;
+        let motors = Gripper::new(&other).unwrap().motors_from_joints(&one(0.06));
+        assert!(motors.unwrap()[0] < 0.0);
+    }
+
+    #[test]
+    fn a_pose_off_the_way_of_the_belt_is_refused() {
+        let belt = Conveyor::new(&ConveyorParameters::belt()).unwrap();
+        let near = one(0.0);
+        let there = belt.inverse(&Isometry3::translation(12.5, 0.0, 0.0), &near);
+        assert_eq!(*there.unwrap().preferred(), one(12.5));
+        let turned = Isometry3::rotation(nalgebra::Vector3::z() * 0.1);
+        for (pose, off) in [
+            (Isometry3::translation(0.5, 0.3, 0.4), (0.5, 0.0)),
+            (turned, (0.0, 0.1)),
+        ] {
+            let Err(KinematicsError::OffAxis { distance, angle }) = belt.inverse(&pose, &near)
+            else {
+                panic!("{pose} was not refused");
+            };
+            assert!((distance - off.0).abs() < 1e-12 && (angle - off.1).abs() < 1e-12);
+        }
+        let far = Isometry3::translation(1490.0, 0.0, 0.0);
+        assert_eq!(belt.inverse(&far, &near).unwrap_err().axis(), Some(0));
+        assert!(belt.motors_from_joints(&one(f64::NAN)).is_err());
+    }
+}

@@ -1,0 +1,162 @@
+use nalgebra::{Matrix3, Rotation3, Vector3};
+
+/// Most steps of the forward solution.
+const MOST_STEPS: u32 = 20;
+
+/// A step of the forward solution below this, m or rad, is the last: the error left is its square.
+const LAST_STEP: f64 = 1e-8;
+
+/// Tilt at which the forward solution turns back, rad: beyond a right angle the platform hangs upside
+/// down, where the legs close a second time.
+pub(super) const STEEPEST: f64 = 1.5;
+
+/// Three legs of variable length between a base and a platform that a passive central leg carries.
+///
+/// The central leg hangs in a universal joint in the middle of the base: it leans by alpha about the base's
+/// x axis, then by beta about its own y axis, and does not turn about itself. The platform stands
+/// across its end, rho from the universal joint. The three legs begin on a circle around that joint and
+/// end on a circle around the platform's middle, both at 0°, 120° and 240° from the x axis.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Legs {
+    base: [Vector3<f64>; 3],
+    platform: [Vector3<f64>; 3],
+}
+
+/// Where the legs hold the platform: alpha, beta, rad, and rho, m.
+pub(super) type Posture = [f64; 3];
+
+/// A posture found for given lengths, and the steps it took.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Closure {
+    pub(super) posture: Posture,
+    pub(super) steps: u32,
+}
+
+/// The leg that misses its length most in the closest posture found, and by how much, m.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Gap {
+    pub(super) leg: u8,
+    pub(super) residual: f64,
+}
+
+impl Legs {
+    pub(super) fn new(base_radius: f64, platform_radius: f64) -> Self {
+        let circle = |radius: f64| {
+            [0.0, 120.0_f64, 240.0].map(|degrees| {
+                let (sin, cos) = degrees.to_radians().sin_cos();
+                Vector3::new(radius * cos, radius * sin, 0.0)
+            })
+        };
+        Self {
+            base: circle(base_radius),
+            platform: circle(platform_radius),
+        }
+    }
+
+    /// Where each leg begins on the base and ends on the platform.
+    pub(super) fn ends(&self) -> [[Vector3<f64>; 2]; 3] {
+        std::array::from_fn(|leg| [self.base[leg], self.platform[leg]])
+    }
+
+    /// Length of each leg, m.
+    pub(super) fn lengths(&self, posture: &Posture) -> [f64; 3] {
+        let platform_at = platform(posture);
+        std::array::from_fn(|leg| (platform_at.joint(&self.platform[leg]) - self.base[leg]).norm())
+    }
+
+    /// Row i: how leg i lengthens with alpha, beta, m/rad, and rho; and the lengths themselves.
+    pub(super) fn jacobian(&self, posture: &Posture) -> (Matrix3<f64>, Vector3<f64>) {
+        let at = platform(posture);
+        let mut jacobian = Matrix3::zeros();
+        let mut lengths = Vector3::zeros();
+        let tilts = [Vector3::x(), at.beta_axis];
+        for leg in 0..3 {
+            let end = at.joint(&self.platform[leg]);
+            let along = end - self.base[leg];
+            lengths[leg] = along.norm();
+            let unit = along / lengths[leg];
+            for (column, axis) in tilts.iter().enumerate() {
+                jacobian[(leg, column)] = unit.dot(&axis.cross(&end));
+            }
+            jacobian[(leg, 2)] = unit.dot(&at.central);
+        }
+        (jacobian, lengths)
+    }
+
+    /// The posture in which the legs have these lengths, by Newton's method from `near`; the leg that
+    /// misses its length most, and by how much, where they cannot close.
+    pub(super) fn close(&self, lengths: &[f64; 3], near: &Posture) -> Result<Closure, Gap> {
+        let wanted = Vector3::from(*lengths);
+        let mut posture = *near;
+        let mut closest = (f64::INFINITY, 0, wanted.amax());
+        for steps in 1..=MOST_STEPS {
+            let (jacobian, found) = self.jacobian(&posture);
+            let missing = wanted - found;
+            let leg = missing.iamax();
+            if missing[leg].abs() < closest.0 {
+                closest = (missing[leg].abs(), leg, missing[leg]);
+            }
+            let Some(step) = jacobian.try_inverse().map(|inverse| inverse * missing) else {
+                break;
+            };
+            for (value, change) in posture.iter_mut().zip(&step) {
+                *value += change;
+            }
+            for tilt in &mut posture[..2] {
+                *tilt = tilt.clamp(-STEEPEST, STEEPEST);
+            }
+            posture[2] = posture[2].max(0.0);
+            if step.amax() < LAST_STEP {
+                return Ok(Closure { posture, steps });
+            }
+        }
+        let (_, leg, residual) = closest;
+        Err(Gap {
+            leg: leg as u8,
+            residual,
+        })
+    }
+}
+
+/// `base_from_central`: the central leg's frame, z along it.
+pub(super) fn central(alpha: f64, beta: f64) -> Rotation3<f64> {
+    let ((sa, ca), (sb, cb)) = (alpha.sin_cos(), beta.sin_cos());
+    Rotation3::from_matrix_unchecked(Matrix3::new(
+        cb,
+        0.0,
+        sb, //
+        sa * sb,
+        ca,
+        -sa * cb, //
+        -ca * sb,
+        sa,
+        ca * cb,
+    ))
+}
+
+/// The platform in the base frame.
+struct Platform {
+    base_from_central: Rotation3<f64>,
+    /// The axis of beta.
+    beta_axis: Vector3<f64>,
+    /// The central leg's direction.
+    central: Vector3<f64>,
+    middle: Vector3<f64>,
+}
+
+fn platform(&[alpha, beta, rho]: &Posture) -> Platform {
+    let base_from_central = central(alpha, beta);
+    let central = base_from_central * Vector3::z();
+    Platform {
+        base_from_central,
+        beta_axis: base_from_central * Vector3::y(),
+        central,
+        middle: central * rho,
+    }
+}
+
+impl Platform {
+    fn joint(&self, on_platform: &Vector3<f64>) -> Vector3<f64> {
+        self.middle + self.base_from_central * on_platform
+    }
+}

@@ -1,0 +1,402 @@
+mod cranks;
+
+use std::f64::consts::FRAC_PI_2;
+
+use nalgebra::{Isometry3, Vector3};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{
+    GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, Links, Motors, ParameterError,
+    Robot, Solutions,
+    arm::{self, PARALLEL},
+    drive_train::{Axis, DriveTrain},
+    free_parameter, parameters,
+    solutions::Search,
+};
+use cranks::{Cranks, Facing, Stand};
+
+const AXES: usize = 7;
+const NAMES: [&str; AXES] = ["q1", "q2", "q3", "q4", "q5", "q6", "q7"];
+
+/// The axis that turns the forearm's plane, which no pose determines whose tool axis is parallel to axis 1.
+const PLANE: usize = 2;
+/// The axis that bends the forearm.
+const ELBOW: usize = 4;
+
+/// Below this sine of both bends the two cranks count as stretched or folded together.
+const STRETCHED: f64 = 1e-5;
+
+/// Distance from the ends of its range, m, from which the forearm's reach is moved back as the arm moves.
+const BAND: f64 = 0.04;
+
+/// Points at which the most dexterous branches are sought before the best is refined.
+const SAMPLES: usize = 64;
+
+/// Steps of the golden section, each 0.618 of the one before: to 1e-4 of the distance of two samples.
+const REFINEMENTS: usize = 20;
+const GOLDEN: f64 = 0.618_033_988_749_895;
+
+/// How far outside its range a given reach may lie by rounding, m.
+const REACH_SLACK: f64 = 1e-9;
+
+/// Numbers of one Polycrank.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PolycrankParameters {
+    /// Lengths of the two cranks that turn about axes 1 and 2, m; negative ones point backwards at zero.
+    #[doc(alias = "a1")]
+    #[doc(alias = "a2")]
+    pub upper_cranks: [f64; 2],
+    /// Offsets of axes 2, 3 and 4 along axis 1, m.
+    #[doc(alias = "d1")]
+    pub upper_offsets: [f64; 3],
+    /// Length of the two equal cranks that turn about axes 4 and 5, m.
+    #[doc(alias = "a4")]
+    #[doc(alias = "a5")]
+    pub forearm_crank: f64,
+    /// Offsets of axes 5, 6 and 7 along axis 4, m.
+    #[doc(alias = "d4")]
+    pub forearm_offsets: [f64; 3],
+    /// Flange along axis 7, m.
+    #[doc(alias = "d7")]
+    pub flange_offset: f64,
+    /// Whether cranks carry the drives of axes 2, 3 and of 5, 6 with them from a fixed motor: then each of
+    /// these motors turns with the sum of its joint and those before it in its group.
+    pub coupled: bool,
+    /// The drives.
+    pub axes: [GearAxis; AXES],
+}
+
+impl PolycrankParameters {
+    /// The robot of the WUT.
+    ///
+    /// From public code: the geometry; of its two published copies one has 0.062 m for the last of the
+    /// forearm's offsets. Nominal, since nothing about its drives is public: ratio 50, no coupling, a home with
+    /// both cranks bent by a right angle and the tool axis level, and motor limits that a 32-bit counter of
+    /// 4000 counts per revolution holds, ±67 000 rad of the joint.
+    pub const fn polycrank() -> Self {
+        const fn drive(joint_at_home: f64) -> GearAxis {
+            GearAxis {
+                ratio: 50.0,
+                joint_at_home,
+                motor_at_home: 0.0,
+                joint_limits: Limits::CONTINUOUS,
+                motor_limits: Limits {
+                    low: -3.35e6,
+                    high: 3.35e6,
+                },
+            }
+        }
+        let right = FRAC_PI_2;
+        Self {
+            upper_cranks: [-0.299, 0.180],
+            upper_offsets: [0.220, 0.152, 0.335],
+            forearm_crank: 0.151,
+            forearm_offsets: [0.120, 0.116, 0.060],
+            flange_offset: 0.043,
+            coupled: false,
+            axes: [
+                drive(0.0),
+                drive(right),
+                drive(-right),
+                drive(0.0),
+                drive(right),
+                drive(0.0),
+                drive(0.0),
+            ],
+        }
+    }
+}
+
+/// The Polycrank of the WUT: seven joints that turn without end.
+///
+/// Joints: q1 .. q7. Axes 1, 2, 3 are parallel and carry two cranks, axes 4, 5, 6 are parallel, across
+/// them, and carry two more: the forearm; axis 7 rolls the tool. Positions count turns; nothing here wraps.
+/// The **base** frame has axis 1 for z, which is level in the laboratory, 0.925 m above the floor; the flange's
+/// z axis is axis 7.
+///
+/// A pose leaves one parameter open: the forearm's reach, the distance of axis 6 from axis 4 across axis 1.
+/// [`Robot::inverse`] takes it from `near` and returns the four or eight branches that have it. As the arm moves
+/// towards an end of the range that the pose admits, the reach moves back, by at most twice the way of the arm;
+/// a pose far from `near` finds it 0.04 m inside. Folded upper cranks it leaves from 0.1 m before. [`Polycrank::inverse_at`] takes it from the caller,
+/// [`Polycrank::most_dexterous`] seeks the best.
+///
+/// Singular poses are refused: a tool axis within 1e-10 of parallel to axis 1 (axis 2), and both
+/// cranks stretched or folded at once, the edge of the workspace (axis 4, bends within 1e-5).
+#[derive(Clone, Debug, PartialEq)]
+pub struct Polycrank {
+    parameters: PolycrankParameters,
+    cranks: Cranks,
+    drive_train: DriveTrain<AXES>,
+}
+
+impl Polycrank {
+    /// The robot of these numbers, or what is wrong with them.
+    pub fn new(parameters: &PolycrankParameters) -> Result<Self, ParameterError> {
+        let &PolycrankParameters {
+            upper_cranks,
+            upper_offsets,
+            forearm_crank,
+            forearm_offsets,
+            flange_offset,
+            coupled,
+            ref axes,
+        } = parameters;
+        for length in upper_cranks {
+            parameters::positive("upper_cranks", length.abs())?;
+        }
+        parameters::positive("forearm_crank", forearm_crank)?;
+        for (name, offsets) in [
+            ("upper_offsets", upper_offsets),
+            ("forearm_offsets", forearm_offsets),
+            ("flange_offset", [flange_offset; 3]),
+        ] {
+            for offset in offsets {
+                parameters::finite(name, offset)?;
+            }
+        }
+        let mut drives = [None; AXES];
+        for (axis, (drive, name)) in drives.iter_mut().zip(NAMES).enumerate() {
+            let carried = coupled && matches!(axis, 1 | 2 | 4 | 5);
+            *drive = Some(Axis {
+                carried_by: carried.then(|| axis - 1),
+                ..parameters::gear(name, &axes[axis])?
+            });
+        }
+        Ok(Self {
+            parameters: *parameters,
+            cranks: Cranks {
+                upper: upper_cranks,
+                upper_offset: upper_offsets.iter().sum(),
+                forearm: forearm_crank,
+                forearm_offset: forearm_offsets.iter().sum(),
+                flange_offset,
+            },
+            drive_train: DriveTrain::new(drives.map(|drive| drive.expect("every axis was set"))),
+        })
+    }
+
+    /// The forearm's reach at these joints, m: how far axis 6 stands from axis 4 across axis 1.
+    pub fn reach(&self, joints: &Joints) -> Result<f64, KinematicsError> {
+        Ok(self.cranks.stand(joints.exactly()?).reach)
+    }
+
+    /// The branches of a pose, nearest to `near` first, with the forearm's reach given, m.
+    pub fn inverse_at(
+        &self,
+        base_from_flange: &Isometry3<f64>,
+        near: &Joints,
+        reach: f64,
+    ) -> Result<Solutions, KinematicsError> {
+        if !reach.is_finite() {
+            return Err(KinematicsError::NotFinite);
+        }
+        self.solve(base_from_flange, near.exactly()?, |facing| {
+            let nearest = self.cranks.reaches(facing, 0.0)?.nearest(reach)?;
+            let missing = (nearest - reach).abs();
+            if missing > REACH_SLACK {
+                return Err(missing);
+            }
+            Ok(nearest)
+        })
+    }
+
+    /// The branches of a pose, nearest to `near` first, with the forearm's reach at which one of them is farthest
+    /// from a singularity: the best of 64 samples, refined by golden section. It takes about a millisecond
+    /// and belongs before a motion, not into it.
+    pub fn most_dexterous(
+        &self,
+        base_from_flange: &Isometry3<f64>,
+        near: &Joints,
+    ) -> Result<Solutions, KinematicsError> {
+        // The reach that `inverse` takes is a candidate: a range may be narrower than the samples are apart.
+        let own = self.reach(self.inverse(base_from_flange, near)?.preferred())?;
+        let margin = |reach| {
+            let solutions = self.inverse_at(base_from_flange, near, reach);
+            solutions.map_or(f64::NEG_INFINITY, |solutions| {
+                let margins = solutions.iter().map(|joints| self.singularity(joints));
+                margins
+                    .flatten()
+                    .map(|singularity| singularity.margin)
+                    .fold(0.0, f64::max)
+            })
+        };
+        let longest = 2.0 * self.cranks.forearm;
+        let step = 2.0 * longest / SAMPLES as f64;
+        let samples = (0..SAMPLES).map(|sample| (sample as f64 + 0.5) * step - longest);
+        let better = |a: (f64, f64), b: (f64, f64)| if b.1 > a.1 { b } else { a };
+        let mut best = samples
+            .map(|reach| (reach, margin(reach)))
+            .fold((own, margin(own)), better);
+        let (mut low, mut high) = (best.0 - step, best.0 + step);
+        for _ in 0..REFINEMENTS {
+            let part = (high - low) * GOLDEN;
+            let (left, right) = (high - part, low + part);
+            let (at_left, at_right) = (margin(left), margin(right));
+            best = better(better(best, (left, at_left)), (right, at_right));
+            if at_left > at_right {
+                high = right;
+            } else {
+                low = left;
+            }
+        }
+        self.inverse_at(base_from_flange, near, best.0)
+    }
+
+    /// The branches of a pose with the reach that `choose` gives each of the two facings, or what it lacks, m.
+    fn solve(
+        &self,
+        base_from_flange: &Isometry3<f64>,
+        near: &[f64; AXES],
+        choose: impl Fn(&Facing) -> Result<f64, f64>,
+    ) -> Result<Solutions, KinematicsError> {
+        let (origin, axes) = arm::parts(base_from_flange)?;
+        let approach = axes.column(2);
+        let tilt = approach.x.hypot(approach.y);
+        if tilt < PARALLEL {
+            return Err(KinematicsError::Singular {
+                axis: PLANE as u8,
+                margin: tilt,
+            });
+        }
+        let facings = [tilt, -tilt].map(|tilt| self.cranks.facing(&origin, &axes, tilt));
+        Search::run(&self.drive_train, near, |search| {
+            for facing in &facings {
+                match choose(facing) {
+                    Ok(reach) => self.branches(search, facing, reach),
+                    Err(margin) => search.out_of_reach(margin),
+                }
+            }
+        })
+    }
+
+    /// Offers the four branches of one facing and one reach of the forearm.
+    fn branches(&self, search: &mut Search<'_, AXES>, facing: &Facing, reach: f64) {
+        let near = search.near();
+        let Facing { end, ahead, .. } = facing;
+        let elbow = [self.cranks.forearm; 2];
+        let (forearm, bend) = cranks::angles(elbow, (reach, end.z), near[3]);
+        let shoulder = (end.x - reach * ahead.x, end.y - reach * ahead.y);
+        let (upper, upper_bend) = cranks::angles(self.cranks.upper, shoulder, near[0]);
+        let margin = bend.max(upper_bend);
+        if margin < STRETCHED {
+            let axis = ELBOW as u8;
+            return search.refuse(KinematicsError::Singular { axis, margin });
+        }
+        for (q1, q2) in upper {
+            for (q4, q5) in forearm {
+                let angles = [
+                    q1,
+                    q2,
+                    facing.phi - q1 - q2,
+                    q4,
+                    q5,
+                    facing.psi - q4 - q5,
+                    facing.roll,
+                ];
+                let mut joints = *near;
+                for (axis, angle) in angles.into_iter().enumerate() {
+                    search.turn(&mut joints, axis, angle);
+                }
+                search.offer(joints);
+            }
+        }
+    }
+
+    /// The reach for one facing of a pose, for an arm that stands at `here`.
+    fn choose(&self, facing: &Facing, here: &Stand) -> Result<f64, f64> {
+        let admitted = self.cranks.reaches(facing, 0.0)?;
+        let nearest = admitted.nearest(here.reach)?;
+        let inside = self.cranks.reaches(facing, BAND);
+        let comfort = inside
+            .map(|ring| self.cranks.ahead_of_the_hole(facing, ring))
+            // No way leads across a hole.
+            .map(|ring| {
+                if admitted.inner > 0.0 {
+                    ring.half(nearest)
+                } else {
+                    ring
+                }
+            })
+            .and_then(|ring| ring.nearest(here.reach))
+            .unwrap_or_else(|_| admitted.middle(nearest));
+        let way = here.way_to(facing);
+        admitted.nearest(free_parameter::drift(here.reach, comfort, way, BAND))
+    }
+}
+
+impl Robot for Polycrank {
+    fn axes(&self) -> usize {
+        AXES
+    }
+
+    fn joint_limits(&self) -> &[Limits] {
+        self.drive_train.joint_limits()
+    }
+
+    fn motor_limits(&self) -> &[Limits] {
+        self.drive_train.motor_limits()
+    }
+
+    fn home(&self) -> Motors {
+        self.drive_train.home().into()
+    }
+
+    fn forward(&self, joints: &Joints) -> Result<Isometry3<f64>, KinematicsError> {
+        let joints = joints.exactly()?;
+        Ok(self.cranks.forward(joints))
+    }
+
+    fn inverse(
+        &self,
+        base_from_flange: &Isometry3<f64>,
+        near: &Joints,
+    ) -> Result<Solutions, KinematicsError> {
+        let near = near.exactly()?;
+        let here = self.cranks.stand(near);
+        self.solve(base_from_flange, near, |facing| self.choose(facing, &here))
+    }
+
+    fn motors_from_joints(&self, joints: &Joints) -> Result<Motors, KinematicsError> {
+        self.drive_train
+            .motors_from_joints(joints.exactly()?)
+            .map(Motors::from)
+    }
+
+    fn joints_from_motors(&self, motors: &Motors) -> Result<Joints, KinematicsError> {
+        self.drive_train
+            .joints_from_motors(motors.exactly()?)
+            .map(Joints::from)
+    }
+
+    fn jacobian(&self, joints: &Joints) -> Result<Jacobian, KinematicsError> {
+        Ok(self.cranks.jacobian(joints.exactly()?))
+    }
+
+    fn links(&self) -> Option<Links> {
+        let PolycrankParameters {
+            upper_cranks: [a1, a2],
+            upper_offsets: [d1, d2, d3],
+            forearm_crank: a4,
+            forearm_offsets: [d4, d5, d6],
+            flange_offset: d7,
+            ..
+        } = self.parameters;
+        let on = Isometry3::translation;
+        let across = Isometry3::rotation(Vector3::x() * FRAC_PI_2);
+        let frames = [
+            Isometry3::identity(),
+            on(a1, 0.0, d1),
+            on(a2, 0.0, d2),
+            on(0.0, 0.0, d3) * across,
+            on(a4, 0.0, d4),
+            on(a4, 0.0, d5),
+            on(0.0, 0.0, d6) * across * on(0.0, 0.0, d7),
+        ];
+        let limits = self.joint_limits();
+        let links = NAMES.iter().zip(frames).enumerate();
+        let link = |(axis, (&name, frame))| Link::turning(name, frame, &[(axis, 1.0)], limits);
+        Some(Links(links.map(link).collect()))
+    }
+}

@@ -1,0 +1,486 @@
+use std::f64::consts::TAU;
+
+use nalgebra::{Isometry3, Rotation3, Vector3};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{
+    GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, LinkKind, Links, Motors,
+    ParameterError, Robot, Solutions, Space,
+    arm::{self, PARALLEL},
+    drive_train::{self, Axis, DriveTrain},
+    legs::{self, Gap, Legs, Posture},
+    parameters,
+    solutions::{Mechanism, Search},
+};
+
+const AXES: usize = 6;
+const ALPHA: usize = 0;
+const BETA: usize = 1;
+const RHO: usize = 2;
+const ROLL: usize = 3;
+const PITCH: usize = 4;
+const SPIN: usize = 5;
+
+/// Sine of the wrist's pitch below which roll and spin turn about the same line.
+const STRAIGHT: f64 = 1e-6;
+
+/// One leg: a ball screw that its motor turns directly.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LegAxis {
+    /// Leg travel per motor turn, m; positive where the leg lengthens as the motor turns forward.
+    pub lead: f64,
+    /// Leg length at home, m.
+    pub length_at_home: f64,
+    /// Motor position at home, rad.
+    pub motor_at_home: f64,
+    /// Range of the leg's length, m; the range of its motor follows from it.
+    pub length_limits: Limits,
+}
+
+/// Numbers of one RNT.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RntParameters {
+    /// Radius of the circle on which the legs begin, m.
+    pub base_radius: f64,
+    /// Radius of the circle on which the legs end, m.
+    pub platform_radius: f64,
+    /// From the platform to the wrist centre along the central leg, m.
+    pub wrist_offset: f64,
+    /// The legs at 0°, 120° and 240° from the base's x axis.
+    pub legs: [LegAxis; 3],
+    /// Range of alpha, the central leg's tilt about the base's x axis, rad; within ±80°.
+    pub alpha: Limits,
+    /// Range of beta, its tilt about its own y axis, rad; within ±80°.
+    pub beta: Limits,
+    /// Range of rho, the distance from base to platform, m; above zero.
+    pub extension: Limits,
+    /// The wrist's first axis, along the central leg.
+    pub roll: GearAxis,
+    /// The wrist's second axis, across the first.
+    pub pitch: GearAxis,
+    /// The wrist's third axis, the flange's z axis.
+    pub spin: GearAxis,
+}
+
+impl RntParameters {
+    /// A stand-in for the RNT: **every number is nominal**, none was measured or published. The size of a
+    /// tripod with a 0.70 m base, ball screws of 5 mm turned directly and harmonic drives of 100:1 in
+    /// the wrist. To be replaced, in the cell file, by the figures of the machine at hand.
+    pub const fn nominal() -> Self {
+        let leg = LegAxis {
+            lead: 0.005,
+            length_at_home: 0.75,
+            motor_at_home: 0.0,
+            length_limits: Limits {
+                low: 0.55,
+                high: 1.38,
+            },
+        };
+        let tilt = parameters::degrees(-30.0, 30.0);
+        Self {
+            base_radius: 0.350,
+            platform_radius: 0.160,
+            wrist_offset: 0.200,
+            legs: [leg; 3],
+            alpha: tilt,
+            beta: tilt,
+            extension: Limits {
+                low: 0.70,
+                high: 1.20,
+            },
+            roll: wrist(180.0),
+            pitch: wrist(110.0),
+            spin: wrist(180.0),
+        }
+    }
+}
+
+impl RntParameters {
+    /// Where each leg begins in the base frame and ends in the platform's, m.
+    pub fn leg_ends(&self) -> [[Vector3<f64>; 2]; 3] {
+        self.geometry().ends()
+    }
+
+    fn geometry(&self) -> Legs {
+        Legs::new(self.base_radius, self.platform_radius)
+    }
+}
+
+/// A wrist axis of ± `range` degrees.
+const fn wrist(range: f64) -> GearAxis {
+    const RATIO: f64 = 100.0;
+    let limits = parameters::degrees(-range, range);
+    GearAxis {
+        ratio: RATIO,
+        joint_at_home: 0.0,
+        motor_at_home: 0.0,
+        joint_limits: limits,
+        motor_limits: Limits {
+            low: RATIO * limits.low,
+            high: RATIO * limits.high,
+        },
+    }
+}
+
+/// The RNT, serial-parallel: three driven legs around a passive central one hold a platform (the joints
+/// alpha, beta and rho), and a wrist of three axes that meet on the central leg's line stands on it.
+///
+/// The geometry is a stand-in of this project, see [`RntParameters::nominal`]. Joints: alpha, beta, rho,
+/// roll, pitch, spin; motors: the three legs, then the three of the wrist. The base frame stands in the
+/// universal joint of the central leg. The flange's origin is the wrist centre; its orientation is
+/// Rx(alpha)·Ry(beta)·Rz(roll)·Ry(pitch)·Rz(spin), so that the tool goes on along the central leg at pitch 0.
+///
+/// A pose has two branches, pitch to either side. With the wrist straight, roll and spin turn about the
+/// same line: below a sine of 1e-6 of the pitch [`Robot::inverse`] answers [`KinematicsError::Singular`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct Rnt {
+    parameters: RntParameters,
+    legs: Legs,
+    /// Between the motors and leg lengths, wrist angles.
+    drive_train: DriveTrain<AXES>,
+    joint_limits: [Limits; AXES],
+}
+
+impl Rnt {
+    /// The robot of these numbers, or what is wrong with them.
+    pub fn new(parameters: &RntParameters) -> Result<Self, ParameterError> {
+        let RntParameters {
+            base_radius,
+            platform_radius,
+            wrist_offset,
+            alpha,
+            beta,
+            extension,
+            ..
+        } = *parameters;
+        parameters::positive("base_radius", base_radius)?;
+        parameters::positive("platform_radius", platform_radius)?;
+        parameters::finite("wrist_offset", wrist_offset)?;
+        for (name, tilt) in [("alpha", alpha), ("beta", beta)] {
+            parameters::room(name, tilt)?;
+            let steepest = tilt.high.max(-tilt.low);
+            if steepest > legs::STEEPEST {
+                return Err(ParameterError::TooSteep {
+                    name,
+                    tilt: steepest,
+                });
+            }
+        }
+        parameters::room("extension", extension)?;
+        parameters::positive("extension", extension.low)?;
+        parameters::positive("extension with wrist_offset", extension.low + wrist_offset)?;
+        let [first, second, third] = parameters.legs;
+        let axes = [
+            first.axis()?,
+            second.axis()?,
+            third.axis()?,
+            parameters::gear("roll", &parameters.roll)?,
+            parameters::gear("pitch", &parameters.pitch)?,
+            parameters::gear("spin", &parameters.spin)?,
+        ];
+        let drive_train = DriveTrain::new(axes);
+        let mut joint_limits = *drive_train.joint_limits();
+        joint_limits[..3].copy_from_slice(&[alpha, beta, extension]);
+        let robot = Self {
+            parameters: *parameters,
+            legs: parameters.geometry(),
+            drive_train,
+            joint_limits,
+        };
+        robot.closes()?;
+        Ok(robot)
+    }
+
+    /// Refuses legs that cannot stand in the middle of the workspace or at home, and a workspace in which
+    /// they lose their hold on the platform: somewhere in it their Jacobian changes its sign.
+    fn closes(&self) -> Result<(), ParameterError> {
+        let middle = self.middle();
+        let lengths = self.legs.lengths(&middle);
+        for (leg, (length, axis)) in lengths.into_iter().zip(&self.parameters.legs).enumerate() {
+            let Limits { low, high } = axis.length_limits;
+            if axis.length_limits.exceeded_by(length).is_some() {
+                return Err(ParameterError::LegReach {
+                    leg: leg as u8,
+                    length,
+                    low,
+                    high,
+                });
+            }
+        }
+        let home = self.parameters.legs.map(|leg| leg.length_at_home);
+        let open = |Gap { leg, residual }| ParameterError::OpenAtHome { leg, residual };
+        self.legs.close(&home, &middle).map_err(open)?;
+        let [alpha, beta, rho] = [ALPHA, BETA, RHO].map(|axis| {
+            let Limits { low, high } = self.joint_limits[axis];
+            [low, (low + high) / 2.0, high]
+        });
+        let hold = |posture: &Posture| self.legs.jacobian(posture).0.determinant();
+        let sign = hold(&middle).signum();
+        for alpha in alpha {
+            for beta in beta {
+                for rho in rho {
+                    if hold(&[alpha, beta, rho]) * sign <= 0.0 {
+                        return Err(ParameterError::NoHold { alpha, beta, rho });
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Rnt {
+    /// Lengths of the three legs at these joints, m. Looks at no limit.
+    pub fn leg_lengths(&self, joints: &Joints) -> Result<[f64; 3], KinematicsError> {
+        let &[alpha, beta, rho, ..] = joints.exactly::<AXES>()?;
+        Ok(self.legs.lengths(&[alpha, beta, rho]))
+    }
+
+    /// Joints for these motor positions as [`Robot::joints_from_motors`] finds them, sought from where the
+    /// robot was: alpha, beta, rho of `near`. Takes 3 to 5 steps of Newton's method from the middle of the
+    /// workspace, 2 from within 10 mm and 10 mrad; 20 at most.
+    pub fn joints_from_motors_near(
+        &self,
+        motors: &Motors,
+        near: &Joints,
+    ) -> Result<Joints, KinematicsError> {
+        let &[alpha, beta, rho, ..] = near.exactly::<AXES>()?;
+        self.joints(motors, &[alpha, beta, rho])
+    }
+
+    fn joints(&self, motors: &Motors, near: &Posture) -> Result<Joints, KinematicsError> {
+        let mut joints = self.drive_train.joints_from_motors(motors.exactly()?)?;
+        let [first, second, third, ..] = joints;
+        let open = |Gap { leg, residual }| KinematicsError::Open { leg, residual };
+        let lengths = [first, second, third];
+        let closure = self.legs.close(&lengths, near).map_err(open)?;
+        joints[..3].copy_from_slice(&closure.posture);
+        Ok(joints.into())
+    }
+
+    #[cfg(test)]
+    pub(super) fn legs(&self) -> &Legs {
+        &self.legs
+    }
+
+    /// Alpha, beta and rho amid their limits.
+    fn middle(&self) -> Posture {
+        std::array::from_fn(|axis| {
+            let Limits { low, high } = self.joint_limits[axis];
+            (low + high) / 2.0
+        })
+    }
+
+    /// What the drive train moves, leg lengths and wrist angles, once alpha, beta, rho and the legs are found
+    /// within their limits.
+    fn driven(&self, joints: &[f64; AXES]) -> Result<[f64; AXES], KinematicsError> {
+        let mut driven = *joints;
+        for (axis, &joint) in joints.iter().enumerate().take(3) {
+            self.check_joint(axis, joint)?;
+        }
+        let [alpha, beta, rho, ..] = *joints;
+        let lengths = self.legs.lengths(&[alpha, beta, rho]);
+        for (leg, (&length, axis)) in lengths.iter().zip(&self.parameters.legs).enumerate() {
+            if let Some(limit) = axis.length_limits.exceeded_by(length) {
+                return Err(KinematicsError::LegLimit {
+                    leg: leg as u8,
+                    length,
+                    limit,
+                });
+            }
+        }
+        driven[..3].copy_from_slice(&lengths);
+        Ok(driven)
+    }
+
+    /// Where the wrist centre is at these joints.
+    fn wrist_centre(&self, joints: &[f64; AXES]) -> Vector3<f64> {
+        let reach = joints[RHO] + self.parameters.wrist_offset;
+        legs::central(joints[0], joints[1]) * (Vector3::z() * reach)
+    }
+}
+
+impl Mechanism<AXES> for Rnt {
+    fn check_joint(&self, axis: usize, joint: f64) -> Result<(), KinematicsError> {
+        drive_train::check(&self.joint_limits[axis], joint, axis, Space::Joint)
+    }
+
+    fn motors_from_joints(&self, joints: &[f64; AXES]) -> Result<[f64; AXES], KinematicsError> {
+        self.drive_train.motors_from_joints(&self.driven(joints)?)
+    }
+
+    fn turn(&self, axis: usize, angle: f64, joints: &[f64; AXES], near: f64) -> f64 {
+        self.drive_train.turn(axis, angle, joints, near)
+    }
+}
+
+impl Robot for Rnt {
+    fn axes(&self) -> usize {
+        AXES
+    }
+
+    fn joint_limits(&self) -> &[Limits] {
+        &self.joint_limits
+    }
+
+    fn motor_limits(&self) -> &[Limits] {
+        self.drive_train.motor_limits()
+    }
+
+    fn home(&self) -> Motors {
+        self.drive_train.home().into()
+    }
+
+    fn forward(&self, joints: &Joints) -> Result<Isometry3<f64>, KinematicsError> {
+        let joints = joints.exactly()?;
+        let &[alpha, beta, _, roll, pitch, spin] = joints;
+        let about = |axis, angle| Rotation3::from_axis_angle(&axis, angle);
+        let base_from_flange = legs::central(alpha, beta)
+            * about(Vector3::z_axis(), roll)
+            * about(Vector3::y_axis(), pitch)
+            * about(Vector3::z_axis(), spin);
+        Ok(arm::pose(
+            self.wrist_centre(joints),
+            base_from_flange.into_inner(),
+        ))
+    }
+
+    fn inverse(
+        &self,
+        base_from_flange: &Isometry3<f64>,
+        near: &Joints,
+    ) -> Result<Solutions, KinematicsError> {
+        let near = near.exactly::<AXES>()?;
+        let (centre, axes) = arm::parts(base_from_flange)?;
+        let reach = centre.norm();
+        if reach < PARALLEL {
+            return Err(KinematicsError::Singular {
+                axis: ALPHA as u8,
+                margin: reach,
+            });
+        }
+        let alpha = (-centre.y).atan2(centre.z);
+        let beta = (centre.x / reach).asin();
+        let rho = reach - self.parameters.wrist_offset;
+        let posture = [alpha, beta, rho, 0.0, 0.0, 0.0];
+        // Both branches stand on the same legs, which have their say before the wrist.
+        self.driven(&posture)?;
+        let wrist = legs::central(alpha, beta).transpose() * axes;
+        let lean = wrist[(0, 2)].hypot(wrist[(1, 2)]);
+        if lean < STRAIGHT {
+            return Err(KinematicsError::Singular {
+                axis: ROLL as u8,
+                margin: lean,
+            });
+        }
+        Search::run(self, near, |search| {
+            for side in [1.0, -1.0] {
+                let mut joints = posture;
+                let (sin, cos) = (side * wrist[(1, 2)] / lean, side * wrist[(0, 2)] / lean);
+                search.turn(&mut joints, ROLL, sin.atan2(cos));
+                search.turn(&mut joints, PITCH, (side * lean).atan2(wrist[(2, 2)]));
+                // Spin follows from the roll just chosen, so that their errors cancel near the singularity.
+                let across = |column| cos * wrist[(1, column)] - sin * wrist[(0, column)];
+                search.turn(&mut joints, SPIN, across(0).atan2(across(1)));
+                search.offer(joints);
+            }
+        })
+    }
+
+    fn motors_from_joints(&self, joints: &Joints) -> Result<Motors, KinematicsError> {
+        Mechanism::motors_from_joints(self, joints.exactly()?).map(Motors::from)
+    }
+
+    /// Legs that close nowhere are [`KinematicsError::Open`]. Sought from the middle of the workspace.
+    fn joints_from_motors(&self, motors: &Motors) -> Result<Joints, KinematicsError> {
+        self.joints(motors, &self.middle())
+    }
+
+    fn jacobian(&self, joints: &Joints) -> Result<Jacobian, KinematicsError> {
+        let joints = joints.exactly()?;
+        let &[alpha, beta, _, roll, pitch, _] = joints;
+        let centre = self.wrist_centre(joints);
+        let base_from_central = legs::central(alpha, beta);
+        let base_from_roll =
+            base_from_central * Rotation3::from_axis_angle(&Vector3::z_axis(), roll);
+        let (sin, cos) = pitch.sin_cos();
+        let central = base_from_central * Vector3::z();
+        let mut jacobian = Jacobian::zeros();
+        let turning = [
+            (ALPHA, Vector3::x()),
+            (BETA, base_from_central * Vector3::y()),
+            (ROLL, central),
+            (PITCH, base_from_roll * Vector3::y()),
+            (SPIN, base_from_roll * Vector3::new(sin, 0.0, cos)),
+        ];
+        for (column, axis) in turning {
+            // The wrist's axes meet in the flange's origin and do not move it.
+            if column < RHO {
+                let moved = axis.cross(&centre);
+                jacobian.fixed_view_mut::<3, 1>(0, column).copy_from(&moved);
+            }
+            jacobian.fixed_view_mut::<3, 1>(3, column).copy_from(&axis);
+        }
+        jacobian.fixed_view_mut::<3, 1>(0, RHO).copy_from(&central);
+        Ok(jacobian)
+    }
+
+    /// The passive central leg and the wrist; the driven legs are no part of a serial chain.
+    fn links(&self) -> Option<Links> {
+        let (x, y, z) = (Vector3::x_axis(), Vector3::y_axis(), Vector3::z_axis());
+        let link = |name, axis, index, offset| Link {
+            axis,
+            kind: if index == RHO {
+                LinkKind::Prismatic
+            } else {
+                LinkKind::Revolute
+            },
+            ..Link::turning(
+                name,
+                Isometry3::translation(0.0, 0.0, offset),
+                &[(index, 1.0)],
+                &self.joint_limits,
+            )
+        };
+        Some(Links(vec![
+            link("alpha", x, ALPHA, 0.0),
+            link("beta", y, BETA, 0.0),
+            link("rho", z, RHO, 0.0),
+            link("roll", z, ROLL, self.parameters.wrist_offset),
+            link("pitch", y, PITCH, 0.0),
+            link("spin", z, SPIN, 0.0),
+        ]))
+    }
+}
+
+impl LegAxis {
+    /// Motor position, rad, at a leg length, m. Looks at no limit.
+    pub fn motor(&self, length: f64) -> f64 {
+        self.motor_at_home + TAU / self.lead * (length - self.length_at_home)
+    }
+
+    /// The leg as an axis whose joint is its length.
+    fn axis(&self) -> Result<Axis, ParameterError> {
+        parameters::positive("length_limits of the legs", self.length_limits.low)?;
+        if self.lead == 0.0 {
+            return Err(ParameterError::NoRatio { name: "legs" });
+        }
+        let ratio = TAU / self.lead;
+        let Limits { low, high } = self.length_limits;
+        let ends = [self.motor(low), self.motor(high)];
+        let gear = GearAxis {
+            ratio,
+            joint_at_home: self.length_at_home,
+            motor_at_home: self.motor_at_home,
+            joint_limits: self.length_limits,
+            motor_limits: Limits {
+                low: ends[0].min(ends[1]),
+                high: ends[0].max(ends[1]),
+            },
+        };
+        parameters::gear("legs", &gear)
+    }
+}

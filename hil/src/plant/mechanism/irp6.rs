@@ -1,0 +1,136 @@
+//! The arm of the IRp-6: two arms on a parallelogram, each by a screw across a triangle, and a wrist carried by rods.
+
+use std::f64::consts::{FRAC_PI_2, PI};
+
+use super::chain::{Body, Chain, Link, Load, Motion};
+use super::screw::Screw;
+use super::{AXES, Loaded};
+
+/// Motor per joint angle where it is constant (public code). The wrist's roll is driven through its pitch.
+const COLUMN: f64 = -158.0;
+const PITCH: f64 = -128.0;
+const ROLL: f64 = -76.8;
+const FLANGE: f64 = 288.8845;
+/// Motor angle per way of the track, rad/m: screw of 8 mm, belt 2:1 (public code).
+const TRACK: f64 = 2.0 * std::f64::consts::TAU / 8e-3;
+
+/// Nominal: of the carriage that the column stands on, kg.
+const CARRIAGE: f64 = 60.0;
+/// Of gravity.
+const UP: [f64; 3] = [0.0, 0.0, 1.0];
+
+/// What turns with the motors at their speed, kg·m²: rotors (public code), screws and wave generators (nominal).
+const TURNING: [f64; 6] = [1.7e-4, 1.8e-4, 1.8e-4, 1.6e-4, 2.0e-5, 1.6e-5];
+/// The same of the track: its rotor, and its long screw behind the belt (nominal).
+const TURNING_TRACK: f64 = 4.5e-4;
+
+#[derive(Clone, Debug)]
+pub(super) struct Irp6 {
+    chain: Chain<6>,
+    lower: Screw,
+    upper: Screw,
+    /// Number of the first axis of the arm: 1 on the track.
+    first: usize,
+}
+
+/// Of the lower and of the upper arm. Crank 140 mm, pivot 157.5 and 183 mm off its axis, screw of 5 mm; the crank of
+/// the lower arm is set at 75.01° to it (all derived from public code).
+pub(super) fn screws() -> (Screw, Screw) {
+    const PIVOT: (f64, f64) = (157.5e-3, 183e-3);
+    let pivot = PIVOT.1.atan2(PIVOT.0);
+    let crank = f64::to_radians(75.0106);
+    let screw = |opposite, home| Screw::new(140e-3, PIVOT, 5e-3, opposite, home);
+    (screw(pivot + PI - crank, -FRAC_PI_2), screw(pivot, 0.0))
+}
+
+impl Irp6 {
+    /// Lengths are those of the public code, all masses and their places nominal.
+    pub(super) fn new(on_track: bool) -> Self {
+        let slender = |mass: f64, centre: f64, length: f64| Body {
+            spread: [length / 12_f64.sqrt(), 0.0, 0.0],
+            ..Body::point(mass, [centre - length, 0.0, 0.0])
+        };
+        let column = Body {
+            spread: [0.2, 0.0, 0.0],
+            ..Body::point(45.0, [0.0; 3])
+        };
+        let wrist = Body::point(4.0, [0.0, -0.095, 0.0]);
+        let gripper = Body::point(1.35, [0.0, 0.0, 0.15]);
+        let (lower, upper) = screws();
+        Self {
+            chain: Chain {
+                links: [
+                    Link::new(0.0, 0.0, -1, column),
+                    Link::new(0.0, 0.455, 0, slender(12.0, 0.20, 0.455)),
+                    Link::new(0.0, 0.670, 0, slender(14.0, 0.25, 0.670)),
+                    Link::new(0.0, 0.0, -1, Body::NONE),
+                    Link::new(0.190, 0.0, 1, wrist),
+                    Link::new(0.0, 0.0, 0, gripper),
+                ],
+                payload: Body::NONE,
+            },
+            lower,
+            upper,
+            first: usize::from(on_track),
+        }
+    }
+
+    pub(super) fn set_payload(&mut self, payload: Body) {
+        self.chain.payload = payload;
+    }
+
+    pub(super) fn load(&self, number: usize, motors: &[f64; AXES]) -> Loaded {
+        let arm = |axis: usize| motors[self.first + axis];
+        let (lower, lower_gear) = self.lower.joint(arm(1));
+        let (upper, upper_gear) = self.upper.joint(arm(2));
+        let pitch = arm(3) / PITCH;
+        let roll = (arm(4) - arm(3)) / ROLL;
+        // Parallelogram and rods keep each link's angle to the horizontal; the chain counts from link to link.
+        let angles = [
+            arm(0) / COLUMN,
+            lower,
+            upper - lower,
+            pitch - upper - FRAC_PI_2,
+            roll,
+            arm(5) / FLANGE,
+        ];
+        let mut base = Motion::standing(UP);
+        let mut rates = [0.0; 6];
+        let mut ratio = 1.0;
+        let turning = match number.checked_sub(self.first) {
+            None => {
+                base.velocity[1] = 1.0 / TRACK;
+                TURNING_TRACK + CARRIAGE / (TRACK * TRACK)
+            }
+            Some(axis) => {
+                match axis {
+                    0 => rates[0] = 1.0 / COLUMN,
+                    1 => {
+                        ratio = lower_gear;
+                        rates[1] = 1.0 / ratio;
+                        rates[2] = -rates[1];
+                    }
+                    2 => {
+                        ratio = upper_gear;
+                        rates[2] = 1.0 / ratio;
+                        rates[3] = -rates[2];
+                    }
+                    3 => {
+                        rates[3] = 1.0 / PITCH;
+                        rates[4] = -1.0 / ROLL;
+                    }
+                    4 => rates[4] = 1.0 / ROLL,
+                    _ => rates[5] = 1.0 / FLANGE,
+                }
+                TURNING[axis.min(5)]
+            }
+        };
+        let Load { torque, inertia } = self.chain.load(&base, &angles, &rates);
+        Loaded {
+            torque,
+            reflected: inertia,
+            turning,
+            ratio,
+        }
+    }
+}

@@ -1,0 +1,65 @@
+//! Polycrank: two planar cranks of three parallel axes each, and a tool roll, on a horizontal first axis.
+
+use super::chain::{Body, Chain, Link, Load, Motion};
+use super::{AXES, Loaded};
+
+/// Nominal.
+const RATIO: f64 = 50.0;
+/// Nominal rotor, kg·m².
+const TURNING: f64 = 1e-4;
+/// The first frame's x axis stands upright: the rotations published with the lengths leave open whether it is x or y.
+const UP: [f64; 3] = [1.0, 0.0, 0.0];
+
+#[derive(Clone, Debug)]
+pub(super) struct Polycrank {
+    chain: Chain<7>,
+    /// Motors stand at the base and set absolute angles within each group of three.
+    coupled: bool,
+}
+
+impl Polycrank {
+    /// Lengths are published, all masses nominal: uniform rods from joint to joint.
+    pub(super) fn new(coupled: bool) -> Self {
+        Self {
+            chain: Chain {
+                links: [
+                    Link::rod(0.220, -0.299, 0, 12.0),
+                    Link::rod(0.152, 0.180, 0, 9.0),
+                    Link::rod(0.335, 0.0, 1, 7.0),
+                    Link::rod(0.120, 0.151, 0, 4.0),
+                    Link::rod(0.116, 0.151, 0, 3.5),
+                    Link::rod(0.060, 0.0, 1, 1.5),
+                    Link::rod(0.043, 0.0, 0, 0.6),
+                ],
+                payload: Body::NONE,
+            },
+            coupled,
+        }
+    }
+
+    pub(super) fn set_payload(&mut self, payload: Body) {
+        self.chain.payload = payload;
+    }
+
+    pub(super) fn load(&self, number: usize, motors: &[f64; AXES]) -> Loaded {
+        let mut angles = motors.map(|motor| motor / RATIO);
+        let mut rates = [0.0; AXES];
+        rates[number] = 1.0 / RATIO;
+        if self.coupled {
+            for joint in [5, 4, 2, 1] {
+                angles[joint] -= angles[joint - 1];
+            }
+            // A motor of a group that turns alone turns the link behind its own back.
+            if !matches!(number, 2 | 5 | 6) {
+                rates[number + 1] = -rates[number];
+            }
+        }
+        let Load { torque, inertia } = self.chain.load(&Motion::standing(UP), &angles, &rates);
+        Loaded {
+            torque,
+            reflected: inertia,
+            turning: TURNING,
+            ratio: 1.0,
+        }
+    }
+}

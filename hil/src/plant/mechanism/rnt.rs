@@ -1,0 +1,306 @@
+//! RNT as the nominal machine of this project: a platform on three screws and a passive central leg, and a wrist.
+//! No number of the real one is public.
+
+use std::f64::consts::TAU;
+
+use super::chain::{Body, Chain, Link, Load, Motion, Vector, add, cross, dot};
+use super::{AXES, Loaded};
+
+/// Of the universal joints, at 0°, 120° and 240°, m.
+const BASE_RADIUS: f64 = 0.350;
+const PLATFORM_RADIUS: f64 = 0.160;
+/// From the platform to the wrist's centre, m.
+const WRIST: f64 = 0.200;
+/// Motor angle per leg length, rad/m: screws of 5 mm without a gear.
+const LEG: f64 = TAU / 5e-3;
+/// Motor per joint angle of the wrist.
+const GEAR: f64 = 100.0;
+/// What turns with the motors: rotor and screw, and rotor and wave generator, kg·m².
+const TURNING: (f64, f64) = (3.0e-4, 2.0e-5);
+/// The machine hangs: its base's z axis, along which the legs reach, points down.
+const UP: Vector = [0.0, 0.0, -1.0];
+
+#[derive(Clone, Debug)]
+pub(super) struct Rnt {
+    /// With the half of each leg that moves most, in its own axes.
+    platform: [Body; 2],
+    wrist: Chain<3>,
+    /// Of each leg where its motor is at home, m.
+    home_length: f64,
+    pose: Pose,
+}
+
+/// Of the platform: turned by `alpha` about the base's x and by `beta` about the y that turned with it, `extension`
+/// away along its own z.
+#[derive(Clone, Copy, Debug)]
+struct Pose {
+    alpha: f64,
+    beta: f64,
+    extension: f64,
+}
+
+/// Steps of Newton's method that find the first pose; each later one is followed in one step.
+const STEPS: usize = 12;
+
+impl Rnt {
+    pub(super) fn new(home_length: f64) -> Self {
+        let disc = PLATFORM_RADIUS / 2.0;
+        let half = |spread| Body {
+            spread,
+            ..Body::point(15.0, [0.0; 3])
+        };
+        let reach = BASE_RADIUS - PLATFORM_RADIUS;
+        Self {
+            platform: [half([disc, 0.0, 0.0]), half([0.0, disc, 0.0])],
+            wrist: Chain {
+                links: [
+                    Link::new(0.0, 0.0, -1, Body::point(5.0, [0.0; 3])),
+                    Link::new(0.0, 0.0, 1, Body::rod(4.0, [0.0, 0.0, 0.10])),
+                    Link::new(0.100, 0.0, 0, Body::rod(3.0, [0.0, 0.0, 0.15])),
+                ],
+                payload: Body::NONE,
+            },
+            home_length,
+            pose: Pose {
+                alpha: 0.0,
+                beta: 0.0,
+                extension: (home_length * home_length - reach * reach).sqrt(),
+            },
+        }
+    }
+
+    pub(super) fn set_payload(&mut self, payload: Body) {
+        self.wrist.payload = payload;
+    }
+
+    /// Length of a leg with its motor so far from home, m.
+    fn length(&self, from_home: f64) -> f64 {
+        self.home_length + from_home / LEG
+    }
+
+    /// Moves the platform to where the legs hold it.
+    pub(super) fn settle(&mut self, motors: &[f64; AXES]) {
+        for _ in 0..STEPS {
+            if self.follow(motors) < 1e-12 {
+                break;
+            }
+        }
+    }
+
+    /// One step of Newton's method towards where the legs hold the platform; how far off the worst leg was, m. Legs
+    /// that no pose fits leave the platform where it last fitted.
+    fn follow(&mut self, motors: &[f64; AXES]) -> f64 {
+        let legs = self.pose.legs();
+        let mut step = [0.0; 3];
+        let mut worst = 0.0_f64;
+        for (leg, (length, column)) in legs.iter().enumerate() {
+            let missing = self.length(motors[leg]) - length;
+            worst = worst.max(missing.abs());
+            step = add(step, missing, *column);
+        }
+        let next = Pose {
+            alpha: self.pose.alpha + step[0],
+            beta: self.pose.beta + step[1],
+            extension: self.pose.extension + step[2],
+        };
+        if next.is_possible() {
+            self.pose = next;
+        }
+        worst
+    }
+
+    pub(super) fn load(&mut self, number: usize, motors: &[f64; AXES]) -> Loaded {
+        self.follow(motors);
+        let mut base = Motion::standing(self.pose.into_platform(UP));
+        let mut rates = [0.0; 3];
+        let angles = [3, 4, 5].map(|axis| motors[axis] / GEAR);
+        let (turning, mut load) = if number < 3 {
+            let (_, rate) = self.pose.legs()[number];
+            base = self.pose.motion(&rate.map(|x| x / LEG), base.up);
+            let load = self.platform.map(|body| body.load(&base));
+            // Its wrist's centre.
+            base.velocity = add(base.velocity, WRIST, cross(base.spin, [0.0, 0.0, 1.0]));
+            (TURNING.0, load[0].and(load[1]))
+        } else {
+            rates[number - 3] = 1.0 / GEAR;
+            (TURNING.1, Load::default())
+        };
+        load = load.and(self.wrist.load(&base, &angles, &rates));
+        Loaded {
+            torque: load.torque,
+            reflected: load.inertia,
+            turning,
+            ratio: 1.0,
+        }
+    }
+}
+
+impl Pose {
+    /// Short of where the joints jam.
+    fn is_possible(&self) -> bool {
+        self.alpha.abs() < 1.0 && self.beta.abs() < 1.0 && (0.3..2.0).contains(&self.extension)
+    }
+
+    /// The platform's axes in the base.
+    fn axes(&self) -> [Vector; 3] {
+        let (sa, ca) = self.alpha.sin_cos();
+        let (sb, cb) = self.beta.sin_cos();
+        [
+            [cb, sa * sb, -ca * sb],
+            [0.0, ca, sa],
+            [sb, -sa * cb, ca * cb],
+        ]
+    }
+
+    fn into_platform(self, vector: Vector) -> Vector {
+        self.axes().map(|axis| dot(axis, vector))
+    }
+
+    /// How the platform's frame moves with the pose at these rates.
+    fn motion(&self, rates: &Vector, up: Vector) -> Motion {
+        let [alpha, beta, extension] = *rates;
+        let spin = add([alpha, 0.0, 0.0], beta, self.axes()[1]);
+        let spin = self.into_platform(spin);
+        let along = [0.0, 0.0, self.extension];
+        Motion {
+            up,
+            spin,
+            velocity: add([0.0, 0.0, extension], 1.0, cross(spin, along)),
+        }
+    }
+
+    /// Of each leg: its length, m, and how the pose changes with it while the others keep theirs, per m.
+    fn legs(&self) -> [(f64, Vector); 3] {
+        let [x, y, z] = self.axes();
+        let legs = CIRCLE.map(|[cos, sin]| {
+            let from_base = add([0.0; 3], PLATFORM_RADIUS * cos, x);
+            let from_base = add(from_base, PLATFORM_RADIUS * sin, y);
+            let joint = add(from_base, self.extension, z);
+            let leg = add(joint, -BASE_RADIUS, [cos, sin, 0.0]);
+            let length = dot(leg, leg).sqrt();
+            let along = leg.map(|part| part / length);
+            // How the leg lengthens with the pose.
+            let slope = [
+                dot(along, cross([1.0, 0.0, 0.0], joint)),
+                dot(along, cross(y, joint)),
+                dot(along, z),
+            ];
+            (length, slope)
+        });
+        let slopes = legs.map(|(_, slope)| slope);
+        let volume = dot(slopes[0], cross(slopes[1], slopes[2]));
+        [0, 1, 2].map(|leg| {
+            let column = cross(slopes[(leg + 1) % 3], slopes[(leg + 2) % 3]);
+            (legs[leg].0, column.map(|part| part / volume))
+        })
+    }
+}
+
+/// Cosine and sine of 0°, 120° and 240°.
+const CIRCLE: [[f64; 2]; 3] = [
+    [1.0, 0.0],
+    [-0.5, 0.866_025_403_784_438_6],
+    [-0.5, -0.866_025_403_784_438_6],
+];
+
+#[cfg(test)]
+mod tests {
+    use super::{AXES, LEG, Pose, Rnt};
+
+    #[test]
+    fn platform_is_where_its_legs_hold_it() {
+        let pose = Pose {
+            alpha: 0.2,
+            beta: -0.1,
+            extension: 0.9,
+        };
+        let golden = [0.953_705_712, 0.960_914_436, 0.842_363_921];
+        for ((length, _), expected) in pose.legs().iter().zip(golden) {
+            assert!((length - expected).abs() < 1e-9, "{length} for {expected}");
+        }
+        let mut rnt = Rnt::new(0.75);
+        let mut motors = [0.0; AXES];
+        for (motor, length) in motors.iter_mut().zip(golden) {
+            *motor = (length - 0.75) * LEG;
+        }
+        rnt.settle(&motors);
+        let found = [rnt.pose.alpha, rnt.pose.beta, rnt.pose.extension];
+        for (found, expected) in found.iter().zip([0.2, -0.1, 0.9]) {
+            assert!((found - expected).abs() < 1e-8, "{found} for {expected}");
+        }
+    }
+
+    #[test]
+    fn legs_that_fit_no_pose_do_not_lose_the_platform() {
+        let mut rnt = Rnt::new(0.75);
+        let mut motors = [0.0; AXES];
+        motors[0] = 0.5 * LEG;
+        rnt.settle(&motors);
+        assert!(rnt.pose.is_possible());
+        motors[0] = 0.02 * LEG;
+        rnt.settle(&motors);
+        for (leg, (length, _)) in rnt.pose.legs().iter().enumerate() {
+            let expected = rnt.length(motors[leg]);
+            assert!((length - expected).abs() < 1e-9, "{length} for {expected}");
+        }
+    }
+
+    #[test]
+    fn legs_carry_what_the_heights_of_the_masses_say() {
+        // Potential over the base, which hangs, by the lengths of the legs: platform, then the straight wrist's three.
+        let potential = |lengths: [f64; 3]| {
+            let mut rnt = Rnt::new(0.75);
+            let mut motors = [0.0; AXES];
+            for (motor, length) in motors.iter_mut().zip(lengths) {
+                *motor = (length - 0.75) * LEG;
+            }
+            rnt.settle(&motors);
+            let Pose {
+                alpha,
+                beta,
+                extension,
+            } = rnt.pose;
+            let moment = 30.0 * extension
+                + 5.0 * (extension + 0.2)
+                + 4.0 * (extension + 0.25)
+                + 3.0 * (extension + 0.375);
+            (rnt, motors, -9.81 * moment * alpha.cos() * beta.cos())
+        };
+        let lengths = [0.953_705_712, 0.960_914_436, 0.842_363_921];
+        for leg in 0..3 {
+            let moved = |by: f64| {
+                let mut lengths = lengths;
+                lengths[leg] += by;
+                potential(lengths).2
+            };
+            let expected = -(moved(1e-5) - moved(-1e-5)) / 2e-5 / LEG;
+            let (mut rnt, motors, _) = potential(lengths);
+            let found = rnt.load(leg, &motors).torque;
+            assert!(
+                (found - expected).abs() < 1e-7,
+                "leg {leg}: {found} for {expected}"
+            );
+        }
+    }
+
+    #[test]
+    fn pose_followed_in_single_steps_does_not_drift() {
+        let mut rnt = Rnt::new(0.75);
+        let mut motors = [0.0; AXES];
+        // All legs move at up to 0.2 m/s, and each tells so once per millisecond.
+        let at = |leg: usize, t: f64| 250.0 + 100.0 * (2.5 * t + leg as f64).sin();
+        for (leg, motor) in motors.iter_mut().take(3).enumerate() {
+            *motor = at(leg, 0.0);
+        }
+        rnt.settle(&motors);
+        for k in 0..90_000 {
+            let t = f64::from(k / 3) * 1e-3;
+            let leg = k as usize % 3;
+            motors[leg] = at(leg, t);
+            rnt.load(leg, &motors);
+            let legs = rnt.pose.legs();
+            let off = legs[leg].0 - rnt.length(motors[leg]);
+            assert!(off.abs() < 1e-6, "{off} m at {t} s");
+        }
+    }
+}

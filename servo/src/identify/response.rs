@@ -1,0 +1,149 @@
+//! From input and output of some periods to points of a frequency response.
+
+use std::f64::consts::{FRAC_1_SQRT_2, TAU};
+
+/// What a response is of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Response {
+    /// The loop cut open: crossover and margin are read from it.
+    Open,
+    /// From command to sample.
+    Closed,
+}
+
+/// The response at one frequency.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Point {
+    /// Hz.
+    pub frequency: f64,
+    /// Output per input.
+    pub magnitude: f64,
+    /// rad, without jumps from point to point.
+    pub phase: f64,
+    /// How far the periods agree, 0 to 1: below 0.9 a point says little.
+    pub coherence: f64,
+}
+
+/// What tells a good loop.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Margin {
+    /// Where the open loop's magnitude falls below 1 for good, Hz.
+    pub crossover: f64,
+    /// What its phase is above half a turn there, rad.
+    pub phase: f64,
+}
+
+/// The response at `lines` from the whole periods of `length` samples in `input` and `output`, a sample each `dt`
+/// seconds.
+///
+/// Every two periods in a row are a block, so two of them at least are needed. It is the ratio of the mean spectra, so
+/// noise in either one is not taken for loop.
+pub fn respond(
+    input: &[f64],
+    output: &[f64],
+    length: usize,
+    lines: &[usize],
+    dt: f64,
+    response: Response,
+) -> Vec<Point> {
+    let periods = input.len().min(output.len()) / length;
+    let starts = (1..periods).map(|block| (block - 1) * length);
+    let block = |start| start..start + 2 * length;
+    let blocks: Vec<_> = starts
+        .map(|start| (&input[block(start)], &output[block(start)]))
+        .collect();
+    // Where the first phase is looked for: about half a turn behind, or none.
+    let mut near = match response {
+        Response::Open => -TAU / 2.0,
+        Response::Closed => 0.0,
+    };
+    let point = |&line: &usize| {
+        let (mut x, mut y, mut cross) = (Complex::ZERO, Complex::ZERO, Complex::ZERO);
+        let (mut x_power, mut y_power) = (0.0, 0.0);
+        for (input, output) in &blocks {
+            let (of_x, of_y) = (transform(input, 2 * line), transform(output, 2 * line));
+            (x, y) = (x.plus(of_x), y.plus(of_y));
+            cross = cross.plus(of_y.over(of_x).times(of_x.power()));
+            x_power += of_x.power();
+            y_power += of_y.power();
+        }
+        let ratio = y.over(x);
+        let turns = ((near - ratio.angle()) / TAU).round();
+        near = ratio.angle() + TAU * turns;
+        Point {
+            frequency: line as f64 / (length as f64 * dt),
+            magnitude: ratio.power().sqrt(),
+            phase: near,
+            coherence: cross.power() / (x_power * y_power),
+        }
+    };
+    lines.iter().map(point).collect()
+}
+
+/// Crossover and margin of an open loop; `None` if its magnitude does not pass 1 between two points.
+pub fn margin(open: &[Point]) -> Option<Margin> {
+    let (crossover, phase) = last_fall(open, 1.0)?;
+    Some(Margin {
+        crossover,
+        phase: phase + TAU / 2.0,
+    })
+}
+
+/// Where a closed loop falls below -3 dB for good, Hz; `None` if not between two points.
+pub fn bandwidth(closed: &[Point]) -> Option<f64> {
+    last_fall(closed, FRAC_1_SQRT_2).map(|(frequency, _)| frequency)
+}
+
+/// Frequency and phase at which the magnitude falls below `level` last, between two points as straight lines on
+/// logarithmic axes.
+fn last_fall(points: &[Point], level: f64) -> Option<(f64, f64)> {
+    let falls = |pair: &&[Point]| pair[0].magnitude >= level && pair[1].magnitude < level;
+    let pair = points.windows(2).rev().find(falls)?;
+    let [before, after] = [pair[0], pair[1]];
+    let share = (before.magnitude / level).ln() / (before.magnitude / after.magnitude).ln();
+    let frequency = before.frequency * (after.frequency / before.frequency).powf(share);
+    Some((
+        frequency,
+        before.phase + share * (after.phase - before.phase),
+    ))
+}
+
+/// One line of the spectrum of a block under a Hann window.
+fn transform(block: &[f64], line: usize) -> Complex {
+    let length = block.len();
+    let mut sum = Complex::ZERO;
+    for (at, value) in block.iter().enumerate() {
+        let window = 1.0 - (TAU * at as f64 / length as f64).cos();
+        let (sin, cos) = (TAU * (line * at % length) as f64 / length as f64).sin_cos();
+        sum = sum.plus(Complex(window * value * cos, -window * value * sin));
+    }
+    sum
+}
+
+#[derive(Clone, Copy)]
+struct Complex(f64, f64);
+
+impl Complex {
+    const ZERO: Self = Self(0.0, 0.0);
+
+    fn plus(self, other: Self) -> Self {
+        Self(self.0 + other.0, self.1 + other.1)
+    }
+
+    fn times(self, factor: f64) -> Self {
+        Self(self.0 * factor, self.1 * factor)
+    }
+
+    fn over(self, other: Self) -> Self {
+        let Self(re, im) = other;
+        Self(self.0 * re + self.1 * im, self.1 * re - self.0 * im).times(1.0 / other.power())
+    }
+
+    fn power(self) -> f64 {
+        self.0 * self.0 + self.1 * self.1
+    }
+
+    fn angle(self) -> f64 {
+        self.1.atan2(self.0)
+    }
+}

@@ -1,0 +1,154 @@
+//! The motion under which an axis is measured, and what is kept of it.
+
+use std::ops::RangeInclusive;
+
+use drive::{AxisCommand, Setpoint};
+
+use super::{Point, Response, respond};
+use crate::{Excitation, MAX_AXES, Macrostep, PositionLoop, Record, ServoAxisConfig};
+
+/// Time at constant velocity before the excitation begins, s.
+const SETTLING: f64 = 0.5;
+
+/// One axis from rest to constant velocity, excited, and to rest; the others stand.
+#[derive(Clone, Debug)]
+pub struct Run {
+    /// The axis of its effector.
+    pub axis: usize,
+    /// Where the axes stand when it begins, rad.
+    pub start: [f64; MAX_AXES],
+    /// Velocity while it is excited, rad/s.
+    pub velocity: f64,
+    /// On the way to it and from it, rad/s².
+    pub acceleration: f64,
+    /// One period of the excitation; a whole number of macrosteps long.
+    pub excitation: Vec<f64>,
+    /// How often it is measured; it is played once more before, for the transient.
+    pub periods: usize,
+    /// Cycles of a macrostep.
+    pub steps: u16,
+    /// Period of the servo, s.
+    pub dt: f64,
+}
+
+impl Run {
+    /// What [`Servo::excite`](crate::Servo::excite) is given.
+    pub fn excitation(&self) -> Excitation {
+        Excitation {
+            period: self.excitation.clone(),
+            macrosteps: self.excited(),
+        }
+    }
+
+    /// The macrostep of this number, from 1; `None` after the last.
+    pub fn macrostep(&self, number: u64) -> Option<Macrostep> {
+        if number == 0 || number > self.macrosteps() {
+            return None;
+        }
+        let at = number as f64 * self.macrostep_time();
+        let ramp = self.ramp() as f64 * self.macrostep_time();
+        let end = self.macrosteps() as f64 * self.macrostep_time();
+        let left = end - at;
+        let (share, way) = if ramp == 0.0 {
+            (0.0, 0.0)
+        } else if at < ramp {
+            (at / ramp, 0.5 * at * at / ramp)
+        } else if left < ramp {
+            (left / ramp, end - ramp - 0.5 * left * left / ramp)
+        } else {
+            (1.0, at - 0.5 * ramp)
+        };
+        let mut position = self.start;
+        position[self.axis] += self.velocity * way;
+        let mut velocity = [0.0; MAX_AXES];
+        velocity[self.axis] = self.velocity * share;
+        Some(Macrostep {
+            number,
+            steps: self.steps,
+            report_at: self.steps,
+            position,
+            velocity,
+        })
+    }
+
+    /// How many macrosteps it has.
+    pub fn macrosteps(&self) -> u64 {
+        self.excited().end() + self.ramp()
+    }
+
+    /// How far the axis moves, rad, with the sign of the velocity.
+    pub fn travel(&self) -> f64 {
+        self.velocity * (self.macrosteps() - self.ramp()) as f64 * self.macrostep_time()
+    }
+
+    fn excited(&self) -> RangeInclusive<u64> {
+        let settled = self.ramp() + (SETTLING / self.macrostep_time()).ceil() as u64;
+        let cycles = self.excitation.len() * (self.periods + 1);
+        settled + 1..=settled + (cycles / usize::from(self.steps)) as u64
+    }
+
+    /// Macrosteps to the velocity.
+    fn ramp(&self) -> u64 {
+        (self.velocity.abs() / self.acceleration / self.macrostep_time()).ceil() as u64
+    }
+
+    fn macrostep_time(&self) -> f64 {
+        f64::from(self.steps) * self.dt
+    }
+}
+
+/// What a servo recorded of an axis since its excitation began.
+#[derive(Clone, Debug, Default)]
+pub struct Trace {
+    records: Vec<crate::AxisRecord>,
+}
+
+impl Trace {
+    /// Takes the record of a cycle; those before the excitation began are left out.
+    pub fn take(&mut self, record: &Record, axis: usize) {
+        let record = record.axis[axis];
+        if !self.records.is_empty() || record.excitation != 0.0 {
+            self.records.push(record);
+        }
+    }
+
+    /// The open loop of an axis whose position loop the servo closes, the closed one of another, of a drive group whose
+    /// [`DriveGroup::delay`](drive::DriveGroup::delay) is `delay`, at `lines`. `None` if the run was broken off before its end.
+    pub fn response(
+        &self,
+        run: &Run,
+        config: &ServoAxisConfig,
+        delay: usize,
+        lines: &[usize],
+    ) -> Option<(Response, Vec<Point>)> {
+        let length = run.excitation.len();
+        let measured = length..length * (run.periods + 1);
+        let records = self.records.get(measured.clone())?;
+        let (kind, input, output): (_, Vec<f64>, Vec<f64>) = match config.position_loop {
+            PositionLoop::Drive => {
+                let samples = self
+                    .records
+                    .get(measured.start + delay..measured.end + delay)?;
+                let beyond = records
+                    .iter()
+                    .zip(samples)
+                    .map(|(record, sample)| sample.measured - record.commanded);
+                let input = records.iter().map(|record| record.excitation);
+                (Response::Closed, input.collect(), beyond.collect())
+            }
+            PositionLoop::Host(_) => {
+                let sent = |record: &crate::AxisRecord| match record.command {
+                    AxisCommand::Follow(
+                        Setpoint::Velocity(it) | Setpoint::Torque(it) | Setpoint::Duty(it),
+                    ) => Some(it.get()),
+                    _ => None,
+                };
+                let input = records.iter().map(sent).collect::<Option<Vec<_>>>()?;
+                let law = records.iter().zip(&input);
+                let output = law.map(|(record, sent)| record.excitation - sent).collect();
+                (Response::Open, input, output)
+            }
+        };
+        Some((kind, respond(&input, &output, length, lines, run.dt, kind)))
+    }
+}

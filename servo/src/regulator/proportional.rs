@@ -1,0 +1,127 @@
+use super::{is_not_negative, is_positive};
+
+/// The gains of one axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ProportionalConfig {
+    /// Velocity per position error, 1/s: about the crossover, rad/s.
+    pub position_gain: f64,
+    /// How fast the position error is integrated: 1 / integral time, 1/s; zero for none.
+    pub integral_rate: f64,
+    /// The most that is put out either way, rad/s.
+    pub limit: f64,
+}
+
+impl ProportionalConfig {
+    /// The first field that makes no sense.
+    pub(crate) fn nonsense(&self) -> Option<&'static str> {
+        if !is_positive(self.position_gain) {
+            Some("position_gain of its loop")
+        } else if !is_not_negative(self.integral_rate) {
+            Some("integral_rate of its loop")
+        } else if !is_positive(self.limit) {
+            Some("limit of its loop")
+        } else {
+            None
+        }
+    }
+}
+
+/// A proportional-integral position loop over a velocity loop that the drive closes.
+///
+/// ```text
+/// C = position_gain (1 + integral_rate / s)
+/// ```
+///
+/// With [`FeedForward::velocity`](crate::FeedForward::velocity) of 1 the commanded velocity needs no error.
+/// At its limit the integral may come down but not wind up.
+#[derive(Clone, Debug)]
+pub struct Proportional {
+    config: ProportionalConfig,
+    integral: f64,
+}
+
+impl Proportional {
+    /// At rest: no output.
+    pub fn new(config: ProportionalConfig) -> Self {
+        Self {
+            config,
+            integral: 0.0,
+        }
+    }
+
+    /// One period of `dt` seconds: the position error, rad, gives the velocity for the next, rad/s, to which
+    /// `feed_forward` is added before it is limited. A `dt` of zero integrates nothing.
+    ///
+    /// What is not a finite number resets it, and it puts out nothing.
+    pub fn step(&mut self, error: f64, feed_forward: f64, dt: f64) -> f64 {
+        let ProportionalConfig {
+            position_gain,
+            integral_rate,
+            limit,
+        } = self.config;
+        let proportional = position_gain * error;
+        let output = proportional + self.integral + feed_forward;
+        if !output.is_finite() {
+            self.reset();
+            return 0.0;
+        }
+        if output.abs() <= limit || proportional * output < 0.0 {
+            let integral = self.integral + proportional * integral_rate * dt;
+            self.integral = integral.clamp(-limit, limit);
+        }
+        output.clamp(-limit, limit)
+    }
+
+    /// Forgets everything.
+    pub fn reset(&mut self) {
+        self.integral = 0.0;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const DT: f64 = 0.002;
+
+    fn law() -> Proportional {
+        Proportional::new(ProportionalConfig {
+            position_gain: 50.0,
+            integral_rate: 5.0,
+            limit: 250.0,
+        })
+    }
+
+    #[test]
+    fn an_error_acts_by_its_gain_and_is_integrated() {
+        let mut law = law();
+        assert_eq!(law.step(0.1, 20.0, DT), 25.0);
+        // 5 rad/s · 5 / s · 2 ms.
+        assert!((law.step(0.0, 0.0, DT) - 0.05).abs() < 1e-12);
+        assert!((law.step(0.0, 0.0, 0.0) - 0.05).abs() < 1e-12);
+    }
+
+    #[test]
+    fn output_stays_within_its_limit_and_leaves_it_at_once() {
+        for sign in [1.0, -1.0] {
+            let mut law = law();
+            for _ in 0..10_000 {
+                assert_eq!(law.step(sign * 10.0, 0.0, DT) * sign, 250.0);
+            }
+            let output = law.step(-0.01 * sign, 0.0, DT) * sign;
+            assert!(output < 0.0, "wound up: {output}");
+        }
+    }
+
+    #[test]
+    fn what_is_not_a_number_gives_no_output_and_is_forgotten() {
+        for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+            for (error, feed_forward) in [(bad, 0.0), (0.1, bad)] {
+                let mut law = law();
+                law.step(0.1, 0.0, DT);
+                assert_eq!(law.step(error, feed_forward, DT), 0.0);
+                assert_eq!(law.step(0.0, 0.0, DT), 0.0, "as new");
+            }
+        }
+    }
+}

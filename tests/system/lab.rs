@@ -1,0 +1,233 @@
+//! The robots of the laboratory together: they meet in the same cycle, and each is refused what it cannot do.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::f64::consts::TAU;
+use std::fs::File;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+
+use controller::cell::{Cell, Instruction, JointGenerator};
+use serde_json::Value;
+
+use crate::cli_refusals::refused;
+use crate::mrroc::{Directory, example, mrroc, text};
+
+/// What a record has of one axis: cycle, phase, motor position commanded, counts.
+type Row = (u64, String, f64, i64);
+
+/// The rows of the first axis of each robot, or of `axis` of the only robot.
+fn record(path: &Path, wanted: &[&str]) -> BTreeMap<String, Vec<Row>> {
+    let file = BufReader::new(File::open(path).expect("the record is there"));
+    let mut rows = BTreeMap::<String, Vec<Row>>::new();
+    for line in file.lines().skip(1) {
+        let line = line.expect("the record is text");
+        let mut columns = line.split(',');
+        let mut next = || columns.next().expect("a record has its columns");
+        let (cycle, _, axis, phase) = (next(), next(), next(), next());
+        if !wanted.contains(&axis) {
+            continue;
+        }
+        let (_, commanded, _, counts) = (next(), next(), next(), next());
+        rows.entry(axis.to_owned()).or_default().push((
+            cycle.parse().expect("a number"),
+            phase.to_owned(),
+            commanded.parse().expect("a number"),
+            counts.parse().expect("a number"),
+        ));
+    }
+    rows
+}
+
+/// The cycles in which an axis comes into the phase `into`.
+fn beginnings(rows: &[Row], into: &str) -> Vec<u64> {
+    let pairs = rows.windows(2);
+    let begins = pairs.filter(|pair| pair[0].1 != into && pair[1].1 == into);
+    begins.map(|pair| pair[1].0).collect()
+}
+
+fn run(cell: &Path, record: &Path) -> Value {
+    let run = mrroc([
+        "run".as_ref(),
+        cell.as_os_str(),
+        "--bench=lockstep".as_ref(),
+        "--json".as_ref(),
+        "--record".as_ref(),
+        record.as_os_str(),
+    ]);
+    assert_eq!(run.status.code(), Some(0), "{run:?}");
+    run.json()
+}
+
+/// Every axis starts 20 rad above its home, but for the belt, which takes for home where it is. The report tells the
+/// counter at the reference to about one cycle's motion.
+fn check_homing(reports: &[Value]) {
+    let cell = Cell::parse(&text("lab")).unwrap();
+    let robots = cell.robot.iter();
+    let axes: Vec<_> = robots.flat_map(|robot| &robot.axis).collect();
+    assert_eq!(axes.len(), reports.len());
+    for (axis, report) in axes.into_iter().zip(reports) {
+        let found = report["homing_offset_counts"].as_f64().unwrap();
+        let turns = if axis.name == "belt" { 0.0 } else { 20.0 / TAU };
+        let expected = -turns * f64::from(axis.counts_per_revolution());
+        assert!(
+            (found - expected).abs() <= 2.0,
+            "{report}, expected {expected}"
+        );
+    }
+}
+
+#[test]
+fn robots_that_meet_go_on_and_arrive_in_the_same_cycle() {
+    const AXES: [&str; 6] = [
+        "irb6.column",
+        "irp6-track.track",
+        "rnt.leg-1",
+        "polycrank.q1",
+        "gripper.jaws",
+        "conveyor.belt",
+    ];
+    let directory = Directory::new();
+    let log = directory.path("lab.csv");
+    let report = run(&example("lab"), &log);
+    check_homing(report["axes"].as_array().unwrap());
+    let rows = record(&log, &AXES);
+    assert_eq!(rows.len(), AXES.len());
+    // They do not come to the first meeting together.
+    let homed: BTreeSet<_> = rows
+        .values()
+        .map(|rows| rows.iter().rfind(|row| row.1 == "Homing").map(|row| row.0))
+        .collect();
+    assert!(homed.len() >= 4, "{homed:?}");
+    let starts = rows.values().map(|rows| beginnings(rows, "Moving"));
+    let starts: BTreeSet<_> = starts.collect();
+    assert_eq!(starts.len(), 1, "{starts:?}");
+    assert_eq!(starts.first().unwrap().len(), 3, "{starts:?}");
+    let ends = rows.values().map(|rows| {
+        let standing = beginnings(rows, "Standing");
+        standing[standing.len() - 3..].to_vec()
+    });
+    let ends: BTreeSet<_> = ends.collect();
+    assert_eq!(ends.len(), 1, "{ends:?}");
+}
+
+#[test]
+fn a_joint_without_end_comes_back_to_its_count_from_twenty_turns() {
+    const TURNS: i64 = 20;
+    let far = (TURNS as f64 * TAU).to_string();
+    let mut cell = Cell::parse(&text("polycrank")).unwrap();
+    let robot = &mut cell.robot[0];
+    let Instruction::Joints(mut motion) = robot.program[0].clone() else {
+        panic!("the example begins with a motion of joints");
+    };
+    let home = [0.0, 1.57, -1.57, 0.0, 1.57, 0.0, 0.0];
+    let turned = |joint: usize| {
+        let mut pose = home.to_vec();
+        pose[joint] += far.parse::<f64>().unwrap();
+        pose
+    };
+    motion.poses = vec![home.to_vec()];
+    (motion.velocity, motion.acceleration) = (1.0, 1.0);
+    let mut there = motion.clone();
+    there.poses = vec![turned(6)];
+    // Friction holds the motor some counts off for a while.
+    let mut rest = motion.clone();
+    (rest.generator, rest.duration) = (JointGenerator::JerkLimited, Some(3.0));
+    let program = [motion.clone(), rest.clone(), there, motion, rest];
+    robot.program = program.map(Instruction::Joints).into();
+    let directory = Directory::new();
+    let path = directory.write("turns.toml", &toml::to_string(&cell).unwrap());
+    let log = directory.path("turns.csv");
+    run(&path, &log);
+    let rows = &record(&log, &["q7"])["q7"];
+    let starts = beginnings(rows, "Moving");
+    let before = rows.iter().find(|row| row.0 + 1 == starts[2]).unwrap();
+    let after = rows.iter().rfind(|row| row.1 == "Standing").unwrap();
+    assert_eq!(before.2, after.2, "commanded");
+    assert_eq!(before.3, after.3, "counts");
+    let farthest = rows.iter().map(|row| row.3).max().unwrap();
+    let counts = TURNS * 50 * 4000;
+    let there = farthest - before.3;
+    assert!((there - counts).abs() <= 20, "{there} counts away");
+}
+
+/// A cell, what stands in it, what stands there instead, and what the refusal must say.
+type Case = (
+    &'static str,
+    &'static str,
+    &'static str,
+    &'static [&'static str],
+);
+
+const REFUSED: &[Case] = &[
+    // The tool axis would have to pass beside the direction of axis 1, which asks axis 3 for half a turn at once.
+    (
+        "polycrank",
+        "line = { position = [0.2, 0.2, 0.8]",
+        "joints = { poses = [[0.0, 1.57, -1.57, 0.0, 1.57, -1.37, 0.0]] }\n\n[[robot.program]]\nline = { \
+         quaternion = [-0.014088493, 0.995004165, 0.0, -0.098834333], position = [-0.139, -0.116, 0.8158]",
+        &["robot[0].program[2]", "of the path: axis 2 jumps"],
+    ),
+    (
+        "polycrank",
+        "position = [0.2, 0.2, 0.8]",
+        "position = [2.0, 0.2, 0.8]",
+        &["robot[0].program[1].line", "out of reach"],
+    ),
+    (
+        "rnt",
+        "[[0.1, -0.1, 0.9,",
+        "[[0.1, -0.1, 1.9,",
+        &["robot[0].program[0].joints.poses[0]", "beyond its limit"],
+    ),
+    (
+        "rnt",
+        "model = \"rnt\"\n",
+        "model = \"rnt\"\nparameters = { rnt = RNT }\n",
+        &["robot[0].parameters", "leg"],
+    ),
+    (
+        "irp6-track",
+        "[[0.3, 0.4,",
+        "[[0.3,",
+        &["robot[0].program[0].joints.poses[0]", "6 joint values", "7"],
+    ),
+    (
+        "polycrank",
+        "[[0.4, 1.2,",
+        "[[nan, 1.2,",
+        &["robot[0].program[0].joints.poses[0][0]", "finite"],
+    ),
+    (
+        "lab",
+        "meet = \"end\"",
+        "meet = \"never\"",
+        &[
+            "robot[0].program[4].meet",
+            "no robot but \"irb6\"",
+            "\"never\"",
+        ],
+    ),
+];
+
+#[test]
+fn what_a_robot_of_the_laboratory_cannot_do_is_refused_before_anything_moves() {
+    let directory = Directory::new();
+    // Legs that would have to be longer than they are.
+    let mut rnt = controller::robot::RntParameters::nominal();
+    rnt.base_radius = 2.0;
+    let rnt = toml::Value::try_from(rnt).unwrap().to_string();
+    for &(name, good, bad, needles) in REFUSED {
+        let text = text(name);
+        assert!(text.contains(good), "{name}: {good}");
+        let spoilt = text.replacen(good, &bad.replace("RNT", &rnt), 1);
+        let cell = directory.write("wrong.toml", &spoilt);
+        let log = directory.path("wrong.log");
+        for run in [
+            crate::cli_refusals::run_in_lockstep(&cell, &log),
+            mrroc(["check".as_ref(), cell.as_os_str()]),
+        ] {
+            refused(&run, needles);
+            assert!(!log.exists(), "{name}, {bad}: a bus was opened");
+        }
+    }
+}
