@@ -136,6 +136,7 @@ impl Setup {
         Socket {
             drive: Epos4::new(Epos4Config {
                 seed: self.seed(number),
+                rated_torque: Some(self.axis(number).cia402().rated_torque),
                 ..Epos4Config::new(node(self.axis(number).node), plant)
             }),
             unplugged: Arc::default(),
