@@ -53,13 +53,13 @@ use can::Instant;
 use can::clock::{now, sleep_until};
 use thiserror::Error;
 
-use self::account::Account;
 use self::explain::{Before, LATE};
 use self::quantile::LearntQuantile;
 use crate::{NotUp, Servo, Timing};
 
-pub use self::account::AccountReads;
+pub use self::account::{Account, AccountReads};
 pub use self::cause::{Cause, Spent, Usage};
+pub use self::explain::GAP;
 pub use self::host::{
     CpuLatency, Denial, Grant, LIMITS, Limit, Scheduler, demand, set_deadline, set_fifo,
 };

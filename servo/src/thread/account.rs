@@ -23,7 +23,7 @@ pub struct AccountReads {
 
 /// What the kernel counted for one thread since it was read last.
 #[derive(Debug)]
-pub(super) struct Account {
+pub struct Account {
     /// `/proc/thread-self/schedstat`, opened before the first cycle; none where the kernel has none.
     schedstat: Option<File>,
     last: Usage,
@@ -35,7 +35,7 @@ pub(super) struct Account {
 
 impl Account {
     /// Of the calling thread, from now on.
-    pub(super) fn open() -> Self {
+    pub fn open() -> Self {
         let mut account = Self {
             schedstat: File::open("/proc/thread-self/schedstat").ok(),
             last: Usage::default(),
@@ -68,7 +68,7 @@ impl Account {
     }
 
     /// What was counted for a disturbed cycle; counts anew.
-    pub(super) fn settle(&mut self) -> Usage {
+    pub fn settle(&mut self) -> Usage {
         let (before, quiet) = (self.last, self.quiet);
         self.begin();
         self.reads.disturbed += 1;
@@ -84,7 +84,7 @@ impl Account {
     }
 
     /// A cycle was quiet, and the thread was woken this late for it.
-    pub(super) fn pass(&mut self, latency: Duration) {
+    pub fn pass(&mut self, latency: Duration) {
         self.quiet += latency;
         self.cycles += 1;
         if self.cycles >= STALE {

@@ -10,7 +10,7 @@ use super::{Awake, Cause, LateCycle, Run, Spent};
 pub(super) const LATE: u32 = 100;
 
 /// Time between two reads of the clock in a spin from which on somebody took the CPU.
-const GAP: Duration = Duration::from_micros(5);
+pub const GAP: Duration = Duration::from_micros(5);
 
 /// What the cycle before leaves to the next.
 #[derive(Clone, Copy, Debug)]
