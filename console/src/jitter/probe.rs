@@ -8,7 +8,8 @@ use std::time::Duration;
 use anyhow::{Context, anyhow};
 use can::clock::{now, sleep_until};
 use servo::thread::{
-    self, Account, Cause, Denial, GAP, LateCycle, LateCycles, RealtimePolicy, Spent, Stamps, Tracer, Waiter,
+    self, Account, Cause, Denial, GAP, LateCycle, LateCycles, RealtimePolicy, Spent, Stamps,
+    Tracer, Waiter,
 };
 
 use super::interval::Recorder;
@@ -75,7 +76,7 @@ pub(crate) fn wait(waiter: &mut Waiter, wakeups: &mut Wakeups, turn: Turn) {
         let spent = Spent::waiting(&awake, awake.asked_at.since(ended), Duration::ZERO);
         let is_late = late > turn.period / 100;
         let counted = if is_late || awake.gap > GAP {
-            Some(account.settle())
+            Some(account.settle(late))
         } else {
             account.pass(spent.wake_up);
             None

@@ -40,7 +40,8 @@ impl Run {
             self.account.pass(spent.wake_up);
             return None;
         }
-        let counted = self.account.settle();
+        let latest = skipped.map_or(late, |(before, _)| before.max(late));
+        let counted = self.account.settle(latest);
         let mut worse = None;
         for (late, spent) in skipped.iter().chain(is_late.then_some(&(late, *spent))) {
             let of_cycle = LateCycle {
