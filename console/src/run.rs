@@ -95,6 +95,8 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
     if options.spikes.is_some() && options.bench == BenchKind::Lockstep {
         bail!("--spikes needs cycles by the clock, which --bench lockstep has none of");
     }
+    let asked = Asked::default();
+    flag::register(SIGUSR1, asked.trace.clone()).context("SIGUSR1 cannot be caught")?;
     let file = CellFile::read(&options.cell)?;
     rehearsal::rehearse(&file)?;
     let budget = crate::budget::check(&file)?;
@@ -134,10 +136,9 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
     };
     let spikes = options.spikes.as_deref().map(SpikeFile::create);
     let spikes = spikes.transpose()?;
-    let interrupted = Arc::new(AtomicBool::new(false));
     let programs = Programs::of(&file, links, servo.stop_request())?;
     let progress = Progress::new(&file, !options.json)?;
-    let (stop, flag) = (servo.stop_request(), interrupted.clone());
+    let (stop, flag) = (servo.stop_request(), asked.stop.clone());
     let nothing_moves = options.bench == BenchKind::Lockstep;
     ctrlc::set_handler(move || {
         let again = flag.swap(true, Ordering::Relaxed);
@@ -157,7 +158,7 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
             programs,
             logs,
             Buses { wire, emulation },
-            &interrupted,
+            &asked.stop,
             progress,
         )?,
         _ => by_the_clock(
@@ -166,11 +167,11 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
             programs,
             logs,
             Buses { wire, emulation },
-            &interrupted,
+            &asked,
             progress,
         )?,
     };
-    let interrupted = interrupted.load(Ordering::Relaxed);
+    let interrupted = asked.stop.load(Ordering::Relaxed);
     if interrupted {
         // What the programs say of it is that they were broken off; what the servo latched meanwhile is a fault.
         ran.faults.retain(|fault| fault.robot.is_none());
@@ -220,6 +221,15 @@ pub(crate) fn print(report: &(impl Serialize + Display), json: bool) -> anyhow::
         Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(error.into()),
         _ => Ok(()),
     }
+}
+
+/// What signals ask for.
+#[derive(Default)]
+struct Asked {
+    /// The end of the run.
+    stop: Arc<AtomicBool>,
+    /// The cycles around this moment.
+    trace: Arc<AtomicBool>,
 }
 
 /// What is beyond the ports of a run.
@@ -472,7 +482,7 @@ fn by_the_clock(
         wire,
         mut emulation,
     }: Buses,
-    interrupted: &AtomicBool,
+    asked: &Asked,
     mut progress: Progress,
 ) -> anyhow::Result<Ran> {
     let began = clock::now();
@@ -489,13 +499,12 @@ fn by_the_clock(
             return not_up(file, servo, cell_time, writing.finish(), error);
         }
     };
-    let running = clockwork::start(servo, emulation, emulated_since, policy, until)?;
-    let request = running.trace_request();
+    let trace = asked.trace.clone();
+    let running = clockwork::start(servo, emulation, emulated_since, policy, trace, until)?;
     let turning = Turning {
         running: Some(running),
         over: Over(done.clone()),
     };
-    flag::register(SIGUSR1, request).context("SIGUSR1 cannot be caught")?;
     let (tell, told) = sync_channel(SEEN);
     std::thread::scope(|scope| {
         // The scope waits for the controller: a panic of this thread must end that too.
@@ -512,7 +521,7 @@ fn by_the_clock(
             let show = |seen| _ = tell.try_send(seen);
             while !done.load(Ordering::Relaxed)
                 && programs.poll(file, clock::now(), show)
-                && !interrupted.load(Ordering::Relaxed)
+                && !asked.stop.load(Ordering::Relaxed)
                 && !turning.is_finished()
             {
                 clock::sleep_until(clock::now() + POLL);

@@ -15,7 +15,7 @@
 //! between the phases of a cycle; the kernel's account of the thread (`getrusage`, `/proc/thread-self/schedstat`) only
 //! in the slack after SYNC, of a cycle that was late or otherwise disturbed and of one quiet cycle in 16, so that what
 //! adds up in quiet ones is not taken for the delay of one. The cycles around the worst are kept phase by phase, and
-//! those around a moment on request: see [`Finished::spikes`] and [`Running::trace_request`].
+//! those around a moment on request: see [`Finished::spikes`] and [`start`].
 //!
 //! **Time** that control laws see is the nominal period, however late a cycle is; [`Record::dt`](crate::Record) has the
 //! real one.
@@ -161,18 +161,12 @@ pub enum StartError {
 pub struct Running {
     thread: JoinHandle<Finished>,
     denied: Vec<Denial>,
-    request: Arc<AtomicBool>,
 }
 
 impl Running {
     /// What the host denied.
     pub fn denied(&self) -> &[Denial] {
         &self.denied
-    }
-
-    /// Raising it keeps the cycles around that moment among [`Finished::spikes`]; the thread lowers it.
-    pub fn trace_request(&self) -> Arc<AtomicBool> {
-        Arc::clone(&self.request)
     }
 
     /// Whether the thread has ended.
@@ -249,18 +243,18 @@ pub fn bring_up(servo: &mut Servo, mut between: impl FnMut(Instant)) -> Result<(
 /// Starts a thread that steps `servo` until `until` says so after a cycle.
 ///
 /// `between` is called after each cycle with the next deadline, in the time that is left of the
-/// period and not counted as the cycle's: an emulated bench advances its world in it.
+/// period and not counted as the cycle's: an emulated bench advances its world in it. Raising `trace_request`, now or
+/// later, keeps the cycles around that moment among [`Finished::spikes`]; the thread lowers it.
 pub fn start(
     servo: Servo,
     policy: RealtimePolicy,
+    trace_request: Arc<AtomicBool>,
     between: impl FnMut(Instant) + Send + 'static,
     until: impl FnMut(&Servo) -> bool + Send + 'static,
 ) -> Result<Running, StartError> {
     let (tell, told) = mpsc::sync_channel(1);
-    let request = Arc::new(AtomicBool::new(false));
-    let requested = Arc::clone(&request);
     let body = move || {
-        let mut run = Run::new(servo, policy, requested);
+        let mut run = Run::new(servo, policy, trace_request);
         let mut denied = demand(&policy);
         let latency = CpuLatency::demand();
         denied.extend(latency.as_ref().err());
@@ -286,11 +280,7 @@ pub fn start(
         errno: e.raw_os_error().unwrap_or(0),
     })?;
     let denied = told.recv().unwrap_or_default();
-    let running = Running {
-        thread,
-        denied,
-        request,
-    };
+    let running = Running { thread, denied };
     match running.denied.first() {
         Some(&denial) if policy.realtime == Realtime::Require => {
             // It has nothing to do; with it the servo goes, and every port is closed.
@@ -301,14 +291,14 @@ pub fn start(
     }
 }
 
-/// [`start`] and [`Running::join`] in one.
+/// [`start`] and [`Running::join`] in one, with nothing to trace on request.
 pub fn run(
     servo: Servo,
     policy: RealtimePolicy,
     between: impl FnMut(Instant) + Send + 'static,
     until: impl FnMut(&Servo) -> bool + Send + 'static,
 ) -> Result<Finished, StartError> {
-    start(servo, policy, between, until).map(Running::join)
+    start(servo, policy, Arc::default(), between, until).map(Running::join)
 }
 
 /// One run of the thread.
