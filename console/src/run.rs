@@ -15,6 +15,7 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, sync_channel};
+use std::thread::Builder;
 use std::time::Duration;
 
 use anyhow::{Context, anyhow, bail};
@@ -53,6 +54,9 @@ const POWER_OFF_WAIT: Duration = Duration::from_millis(500);
 
 /// Longest wait for the files of a run once it has ended.
 const FILES_WAIT: Duration = Duration::from_secs(2);
+
+/// Bytes of the stack of a thread that reads queues and writes files; once memory is locked, all of it is.
+pub(crate) const SMALL_STACK: usize = 128 * 1024;
 
 /// How often the files of a run are written, at the least.
 const DRAIN: Duration = Duration::from_millis(20);
@@ -280,7 +284,7 @@ struct Writing {
 
 impl Writing {
     /// Begins. A file that cannot be written raises `failed`.
-    fn start(mut logs: Logs, failed: Arc<AtomicBool>) -> Self {
+    fn start(mut logs: Logs, failed: Arc<AtomicBool>) -> anyhow::Result<Self> {
         let what = match (&logs.frames, &logs.axes) {
             (_, None) => "trace",
             (None, Some(_)) => "record",
@@ -289,7 +293,8 @@ impl Writing {
         let over = Arc::new(AtomicBool::new(false));
         let (tell, told) = sync_channel(1);
         let last = over.clone();
-        std::thread::spawn(move || {
+        let thread = Builder::new().name("files".into()).stack_size(SMALL_STACK);
+        let body = move || {
             let mut written = Ok(());
             while written.is_ok() && !last.load(Ordering::Relaxed) {
                 std::thread::park_timeout(DRAIN);
@@ -298,8 +303,11 @@ impl Writing {
             failed.fetch_or(written.is_err(), Ordering::Relaxed);
             // Nobody listens any more if it took too long.
             let _ = tell.send(written.and_then(|()| logs.finish()));
-        });
-        Self { what, over, told }
+        };
+        thread
+            .spawn(body)
+            .context("no thread to write the files can be made")?;
+        Ok(Self { what, over, told })
     }
 
     /// Writes the rest, unless that takes too long.
@@ -488,8 +496,8 @@ fn by_the_clock(
     let began = clock::now();
     let policy = |time| setup::realtime_policy(&file.cell, time);
     let done = Arc::new(AtomicBool::new(false));
-    let writing = Writing::start(logs, done.clone());
-    let listening = wire.listen();
+    let writing = Writing::start(logs, done.clone())?;
+    let listening = wire.listen()?;
     let finished = done.clone();
     let until = move |_: &Servo| finished.load(Ordering::Relaxed);
     let emulated_since = match clockwork::bring_up(&mut servo, &mut emulation) {
