@@ -106,7 +106,7 @@ fn of_last(counted: Usage, late: Duration, quiet: Duration, cycles: u32) -> Usag
         counted.delay = counted.delay.map(|delay| delay.saturating_sub(quiet));
     }
     if cycles > 0 {
-        // When they were is not known: a few faults may be of any cycle, and a switch says nothing without its delay.
+        // When they were is not known: few faults may be of any cycle, and so may a switch.
         let took = FAULT.saturating_mul(u32::try_from(counted.faults).unwrap_or(u32::MAX));
         if took < late / 2 {
             counted.faults = 0;
@@ -132,7 +132,7 @@ mod tests {
     #[test]
     fn what_quiet_cycles_may_have_counted_is_not_the_late_ones() {
         let micros = Duration::from_micros;
-        // Faults, switches, delay; quiet cycles and how late those were woken; what is left; µs, of a cycle 400 µs late.
+        // Faults, switches, delay; quiet cycles and how late those were woken; what is left; µs, 400 µs late.
         let cases = [
             ((1, 0, Some(0)), (0, 0), (1, 0, Some(0))),
             ((1, 0, Some(0)), (10, 50), (0, 0, Some(0))),
