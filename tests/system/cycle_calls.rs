@@ -238,7 +238,7 @@ fn a_cycle_on_serial_lines_makes_one_call_each_way_per_line_and_the_wait() {
 }
 
 /// `mrroc emulate --serial` once all its ttys are there.
-fn emulate(cell: &Path, ttys: &Path) -> Running {
+pub(crate) fn emulate(cell: &Path, ttys: &Path) -> Running {
     let arguments = [
         "emulate".as_ref(),
         cell.as_os_str(),

@@ -4,6 +4,8 @@
 //! moves. Every cycle from bring-up to switch-off is measured, by the servo thread itself, so an interval is a turn.
 //! Between its turns there is no servo, and the peer has the host for itself.
 
+use std::sync::Arc;
+
 use anyhow::{anyhow, bail};
 use can::clock::{now, sleep_until};
 use clap::ValueEnum;
@@ -106,7 +108,7 @@ impl<'a> MeasuredCell<'a> {
         let until =
             move |_: &Servo| now() >= end || over.load(std::sync::atomic::Ordering::Relaxed);
         let policy = |time: CellTime| RealtimePolicy { time, ..policy };
-        let running = clockwork::start(servo, emulation, since, policy, until)?;
+        let running = clockwork::start(servo, emulation, since, policy, Arc::default(), until)?;
         let mut stood = vec![false; links.len()];
         while !running.is_finished() {
             for (link, stood) in links.iter_mut().zip(&mut stood) {
