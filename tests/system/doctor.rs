@@ -302,7 +302,23 @@ fn what_a_virtual_bus_lacks_is_set_and_put_back() {
 }
 
 /// `slcand` in the foreground, which keeps an interface on a tty.
-struct Attached(Child);
+pub(crate) struct Attached(Child);
+
+impl Attached {
+    /// Makes the first of `adapters` a card of the kernel's, which is down and has no bit rate.
+    pub(crate) fn card(adapters: &Adapters, name: &str) -> Self {
+        let tty = adapters.interfaces[0].strip_prefix("slcan:").unwrap();
+        let slcand = Command::new("slcand")
+            .args(["-F", tty, name])
+            .stdout(Stdio::null())
+            .spawn();
+        let attached = Self(slcand.unwrap());
+        sh(&format!(
+            "for i in $(seq 100); do ip link show {name} >/dev/null 2>&1 && exit; sleep 0.05; done; exit 1"
+        ));
+        attached
+    }
+}
 
 impl Drop for Attached {
     fn drop(&mut self) {
@@ -319,15 +335,7 @@ fn the_bit_rate_of_a_card_is_held_against_the_cells() {
         "doctor::the_bit_rate_of_a_card_is_held_against_the_cells",
         |_| {
             let adapters = Adapters::with(1, &[]);
-            let tty = adapters.interfaces[0].strip_prefix("slcan:").unwrap();
-            let slcand = Command::new("slcand")
-                .args(["-F", tty, "doctor0"])
-                .stdout(Stdio::null())
-                .spawn();
-            let _attached = Attached(slcand.unwrap());
-            sh(
-                "for i in $(seq 100); do ip link show doctor0 >/dev/null 2>&1 && exit; sleep 0.05; done; exit 1",
-            );
+            let _attached = Attached::card(&adapters, "doctor0");
             let of = "bus arm, doctor0";
             let judged = |what: &str| {
                 let (_, json) = examined("irb6", |cell| cell.bus[0].interface = "doctor0".into());
