@@ -7,9 +7,13 @@
 use std::fs;
 use std::process::Command;
 
-use crate::bench::on_cards;
-use crate::doctor;
+use can::Bitrate;
+use can::card::{self, CardError, CardState};
+
+use crate::bench::{on_cards, on_vcan};
+use crate::doctor::{self, Attached};
 use crate::mrroc::{self, Directory, Running};
+use crate::slcan::Adapters;
 use crate::vcan::{faulted, started};
 
 /// Slow, and patient.
@@ -168,6 +172,40 @@ fn a_bit_rate_that_cannot_be_set_is_refused_and_doctor_puts_back_what_it_sets() 
                 (&of, "txqueuelen"),
             ];
             doctor::mended_and_put_back(here, &knobs, || doctor::standing(here));
+        },
+    );
+}
+
+#[test]
+fn a_card_that_was_up_comes_up_again_if_its_bit_rate_cannot_be_set() {
+    on_vcan(
+        "card::a_card_that_was_up_comes_up_again_if_its_bit_rate_cannot_be_set",
+        |_| {
+            let adapters = Adapters::with(1, &[]);
+            let _attached = Attached::card(&adapters, "rate0");
+            // The driver has a table of bit rates, in which this one is not.
+            let none = Bitrate::new(950).unwrap();
+            let refused = |error| {
+                matches!(
+                    error,
+                    CardError::Unreachable {
+                        bitrate: 950_000,
+                        ..
+                    }
+                )
+            };
+            assert!(refused(card::set_bitrate("rate0", none).unwrap_err()));
+            assert!(!card::is_up("rate0").unwrap(), "one that was down stays so");
+
+            let wanted = Bitrate::new(500).unwrap();
+            let before = card::set_bitrate("rate0", wanted).unwrap();
+            assert_eq!(
+                (before.bitrate, before.state),
+                (Some(500_000), CardState::Running)
+            );
+            assert!(refused(card::set_bitrate("rate0", none).unwrap_err()));
+            assert_eq!(card::read("rate0"), Ok(before));
+            sh("ip link set rate0 down");
         },
     );
 }
