@@ -11,6 +11,7 @@ use crate::bench::on_vcan;
 use crate::mrroc::{self, Directory, Output, mrroc};
 use crate::slcan::Adapters;
 use crate::socketcan::sh;
+use crate::vcan::{Recorder, started};
 
 /// What it says of an example cell that `change` has changed, in words and as JSON; both with the same exit status.
 fn examined(example: &str, change: impl FnOnce(&mut Cell)) -> (Output, Value) {
@@ -237,6 +238,19 @@ pub(crate) fn mended_and_put_back(
     let before = standing();
     assert_eq!(mendable(&doctor(&[cell, "--json"])), knobs, "{before}");
     assert_eq!(standing(), before, "looking changes nothing");
+
+    // A link is left alone while somebody receives on it, be it down or up.
+    let mut candump = Command::new("candump");
+    candump.args(["-D", interface]);
+    candump.stdout(Stdio::null()).stderr(Stdio::null());
+    let listener = Recorder(started(|| candump.spawn().unwrap()));
+    let refused = doctor(&[cell, "--fix", "--yes"]);
+    let why = format!("somebody receives on {interface} and would lose the bus");
+    assert!(refused.stderr.contains(&why), "{refused:?}");
+    let put_back = doctor(&["--undo"]);
+    assert_eq!(put_back.status.code(), Some(0), "{put_back:?}");
+    drop(listener);
+    assert_eq!(standing(), before, "{refused:?}");
 
     let fixed = doctor(&[cell, "--json", "--fix", "--yes"]);
     assert_eq!(mendable(&fixed), [], "{fixed:?}");

@@ -140,7 +140,7 @@ impl Stage<'_> {
 }
 
 /// A `candump` at work, killed on drop.
-pub(crate) struct Recorder(Child);
+pub(crate) struct Recorder(pub(crate) Child);
 
 impl Drop for Recorder {
     fn drop(&mut self) {

@@ -53,6 +53,15 @@ impl fmt::Display for Fix {
 }
 
 impl Knob {
+    /// The interface that goes down for it to be set to `value`.
+    pub(crate) fn takes_down(&self, value: &str) -> Option<&str> {
+        match self {
+            Self::BitTiming(interface) | Self::RestartMs(interface) => Some(interface),
+            Self::State(interface) if value == "down" => Some(interface),
+            _ => None,
+        }
+    }
+
     pub(crate) fn to(self, after: impl Into<String>) -> Fix {
         Fix {
             knob: self,
@@ -90,6 +99,7 @@ impl Knob {
     /// Sets it to `value`, as [`read`](Self::read) returned it.
     fn write(&self, tree: &Tree, value: Option<&str>) -> anyhow::Result<()> {
         let change = |interface: &str, change: card::Change| {
+            unheard(tree, interface)?;
             of_host(tree)?;
             Ok(card::change(interface, &change)?)
         };
@@ -159,6 +169,30 @@ fn timing(value: &str) -> Option<(u32, Option<f64>)> {
     let point = words.next().map(str::parse).transpose().ok()?;
     let point = point.filter(|&point| point > 0.0 && point < 1.0);
     Some((bitrate, point))
+}
+
+/// Refuses an interface that somebody receives on, such as an arm's controller.
+fn unheard(tree: &Tree, interface: &str) -> anyhow::Result<()> {
+    ensure!(
+        !is_heard(tree, interface),
+        "somebody receives on {interface} and would lose the bus: end what runs on it first"
+    );
+    Ok(())
+}
+
+/// Whether a socket receives on `interface`, or on all there are.
+fn is_heard(tree: &Tree, interface: &str) -> bool {
+    const LISTS: &str = "/proc/net/can";
+    let names = tree.names(LISTS).into_iter();
+    let lists = names.filter(|name| name.starts_with("rcvlist_"));
+    let mut texts = lists.filter_map(|name| tree.text(&format!("{LISTS}/{name}")));
+    // A receiver's line is its device and numbers; others say that a device has none, or name the columns.
+    texts.any(|text| {
+        let mut devices = text
+            .lines()
+            .filter_map(|line| line.split_whitespace().next());
+        devices.any(|device| [interface, "any"].contains(&device))
+    })
 }
 
 fn of_host(tree: &Tree) -> anyhow::Result<()> {

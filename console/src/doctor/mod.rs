@@ -64,7 +64,8 @@ pub(crate) struct Options {
     /// Ask nothing.
     #[arg(long, requires = "fix")]
     yes: bool,
-    /// Put back what `--fix` has set, the youngest change first; 1 if something could not be.
+    /// Put back what `--fix` has set, the youngest change first; a cell must not run on this host. 1 if something could
+    /// not be.
     #[arg(long, conflicts_with_all = ["cell", "json", "fix"])]
     undo: bool,
     /// The record of what was set, by default below /var/lib/mrroc or, for users other than root, XDG_STATE_HOME.
