@@ -3,6 +3,7 @@
 use std::fs;
 use std::process::{Child, Command, Stdio};
 
+use can::card;
 use can::{OpenError, SocketCanOptions, SocketCanPort};
 use controller::cell::Cell;
 use serde_json::Value;
@@ -383,6 +384,45 @@ fn the_bit_rate_of_a_card_is_held_against_the_cells() {
                 "{state}"
             );
             sh("ip link set doctor0 down");
+        },
+    );
+}
+
+#[test]
+fn a_card_that_had_no_bit_rate_is_put_back_down() {
+    mrroc::binary();
+    on_vcan(
+        "doctor::a_card_that_had_no_bit_rate_is_put_back_down",
+        |_| {
+            let adapters = Adapters::with(1, &[]);
+            let _attached = Attached::card(&adapters, "fresh0");
+            let directory = Directory::new();
+            let state = directory.path("undo.json");
+            let cell = directory.cell("irb6", |cell| cell.bus[0].interface = "fresh0".into());
+            let doctor = |more: &[&str]| {
+                let paths = ["doctor".as_ref(), "--state".as_ref(), state.as_os_str()];
+                mrroc(paths.into_iter().chain(more.iter().map(AsRef::as_ref)))
+            };
+            let fixed = doctor(&[cell.to_str().unwrap(), "--fix", "--yes"]);
+            let card = card::read("fresh0").unwrap();
+            assert_eq!(
+                (card.up, card.bitrate),
+                (true, Some(1_000_000)),
+                "{fixed:?}"
+            );
+            // Also where it was brought up by hand, so that no change of its state is in the record.
+            for by_hand in [false, true] {
+                if by_hand {
+                    let text = r#"[{"knob":{"bit-timing":"fresh0"},"before":null,"after":"1000000 0.000"}]"#;
+                    fs::write(&state, text).unwrap();
+                    sh("ip link set fresh0 up");
+                }
+                let undone = doctor(&["--undo"]);
+                assert_eq!(undone.status.code(), Some(0), "{undone:?}");
+                let said = "put back bit rate of fresh0 = nothing: the card is down, and keeps its bit rate";
+                assert!(undone.stdout.contains(said), "{undone:?}");
+                assert!(!card::read("fresh0").unwrap().up && !state.exists());
+            }
         },
     );
 }

@@ -7,7 +7,7 @@ use serde_json::Value;
 use crate::bench::on_vcan;
 use crate::cli_refusals::refused;
 use crate::doctor::Attached;
-use crate::mrroc::{self, Directory, Output, Running, binary, example, mrroc};
+use crate::mrroc::{Directory, Output, Running, binary, example, mrroc};
 use crate::slcan::Adapters;
 use crate::socketcan::sh;
 use crate::vcan::started;
@@ -160,7 +160,7 @@ fn what_is_no_cell_to_measure_is_refused() {
 
 #[test]
 fn a_cell_is_measured_on_a_virtual_interface_and_never_on_a_card() {
-    mrroc::binary();
+    binary();
     on_vcan(
         "jitter::a_cell_is_measured_on_a_virtual_interface_and_never_on_a_card",
         |interface| {

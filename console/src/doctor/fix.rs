@@ -135,11 +135,14 @@ impl Knob {
                     ..card::Change::default()
                 },
             ),
-            (Self::BitTiming(_), None) => {
-                bail!(
-                    "a card keeps its bit rate until it is unplugged or its driver is loaded anew"
-                )
-            }
+            // Before it had a bit rate it was down, and that is what can be put back.
+            (Self::BitTiming(interface), None) => change(
+                interface,
+                card::Change {
+                    up: Some(false),
+                    ..card::Change::default()
+                },
+            ),
             (Self::Kernel(_) | Self::RestartMs(_) | Self::State(_), None) => {
                 bail!("it cannot be without a value")
             }
@@ -237,8 +240,8 @@ pub(crate) fn apply(tree: &Tree, fix: &Fix, record: &mut Record) -> anyhow::Resu
     Ok(Some(change))
 }
 
-/// Puts back what was there before `change`.
-pub(crate) fn put_back(tree: &Tree, change: &Change) -> anyhow::Result<()> {
+/// Puts back what was there before `change`; returns a word on what cannot be.
+pub(crate) fn put_back(tree: &Tree, change: &Change) -> anyhow::Result<Option<&'static str>> {
     let Change {
         knob,
         before,
@@ -247,7 +250,7 @@ pub(crate) fn put_back(tree: &Tree, change: &Change) -> anyhow::Result<()> {
     let (before, found) = (before.as_deref(), knob.read(tree)?);
     // It was never made, or the host was started since.
     if knob.stands_at(before, found.as_deref()) {
-        return Ok(());
+        return Ok(None);
     }
     ensure!(
         knob.stands_at(Some(after), found.as_deref()),
@@ -255,13 +258,18 @@ pub(crate) fn put_back(tree: &Tree, change: &Change) -> anyhow::Result<()> {
         shown(found.as_deref())
     );
     knob.write(tree, before)?;
+    if let (Knob::BitTiming(_), None) = (knob, before) {
+        return Ok(Some(
+            "the card is down, and keeps its bit rate until its driver is loaded anew",
+        ));
+    }
     let found = knob.read(tree)?;
     ensure!(
         knob.stands_at(before, found.as_deref()),
         "it reads {}",
         shown(found.as_deref())
     );
-    Ok(())
+    Ok(None)
 }
 
 #[cfg(test)]

@@ -74,8 +74,9 @@ pub(crate) fn undo(tree: &Tree, record: &mut Record) -> anyhow::Result<usize> {
         let change = record.changes()[index].clone();
         let before = shown(change.before.as_deref());
         match put_back(tree, &change) {
-            Ok(()) => {
-                println!("put back {} = {before}", change.knob);
+            Ok(word) => {
+                let word = word.map_or(String::new(), |word| format!(": {word}"));
+                println!("put back {} = {before}{word}", change.knob);
                 record.remove(index)?;
             }
             Err(error) => {
