@@ -7,8 +7,8 @@
 use std::fs;
 use std::process::Command;
 
-use can::Bitrate;
 use can::card::{self, CardError, CardState};
+use can::timing::Bitrate;
 
 use crate::bench::{on_cards, on_vcan};
 use crate::doctor::{self, Attached};
@@ -184,12 +184,12 @@ fn a_card_that_was_up_comes_up_again_if_its_bit_rate_cannot_be_set() {
             let adapters = Adapters::with(1, &[]);
             let _attached = Attached::card(&adapters, "rate0");
             // The driver has a table of bit rates, in which this one is not.
-            let none = Bitrate::new(950).unwrap();
+            let none = Bitrate::from_kbps(400).unwrap();
             let refused = |error| {
                 matches!(
                     error,
                     CardError::Unreachable {
-                        bitrate: 950_000,
+                        bitrate: 400_000,
                         ..
                     }
                 )
@@ -197,7 +197,7 @@ fn a_card_that_was_up_comes_up_again_if_its_bit_rate_cannot_be_set() {
             assert!(refused(card::set_bitrate("rate0", none).unwrap_err()));
             assert!(!card::is_up("rate0").unwrap(), "one that was down stays so");
 
-            let wanted = Bitrate::new(500).unwrap();
+            let wanted = Bitrate::KBPS_500;
             let before = card::set_bitrate("rate0", wanted).unwrap();
             assert_eq!(
                 (before.bitrate, before.state),
