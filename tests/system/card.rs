@@ -9,12 +9,13 @@ use std::process::Command;
 
 use can::card::{self, CardError, CardState};
 use can::timing::Bitrate;
+use controller::cell::Cell;
 
 use crate::bench::{on_cards, on_vcan};
 use crate::doctor::{self, Attached};
 use crate::mrroc::{self, Directory, Running};
 use crate::slcan::Adapters;
-use crate::vcan::{faulted, started};
+use crate::vcan::{faulted, stand_without_power, started};
 
 /// Slow, and patient.
 fn directory_with_cell() -> Directory {
@@ -118,8 +119,9 @@ fn an_arm_on_a_card_stops_when_its_interface_goes_down_and_moves_again_when_it_i
             sh(&format!("ip link set {here} down"));
             faulted(&moving.output(), &["bus arm: interface is down"]);
 
-            // The emulated drives waited with the brakes on.
             sh(&format!("ip link set {here} up"));
+            let text = fs::read_to_string(&cell).unwrap();
+            stand_without_power(here, &directory, &Cell::parse(&text).unwrap());
             completed(start_controller(&directory, here, &[]));
             emulators.signal("INT");
             assert_eq!(emulators.output().status.code(), Some(0));
@@ -171,6 +173,7 @@ fn a_bit_rate_that_cannot_be_set_is_refused_and_doctor_puts_back_what_it_sets() 
                 (&of, "restart-ms"),
                 (&of, "txqueuelen"),
             ];
+            doctor::preempts(here);
             doctor::mended_and_put_back(here, &knobs, || doctor::standing(here));
         },
     );

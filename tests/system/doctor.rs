@@ -215,6 +215,17 @@ fn a_broken_cell_is_refused_in_one_line() {
     }
 }
 
+/// The kernel is found to be PREEMPT_RT, and good.
+pub(crate) fn preempts(interface: &str) {
+    let (_, json) = examined("irb6", |cell| cell.bus[0].interface = interface.into());
+    let found = finding(&json, "kernel", "preemption");
+    let read = found["read"].as_str().unwrap();
+    assert!(
+        found["verdict"] == "ok" && read.contains("PREEMPT_RT"),
+        "{found}"
+    );
+}
+
 /// Lets `--fix` mend an interface that lacks `knobs`, as `(of, what)`, and `--undo` put back what they were; `standing`
 /// shows how they stand.
 pub(crate) fn mended_and_put_back(
