@@ -203,7 +203,7 @@ fn drives_of(cell: &Cell) -> (GroupConfig, Vec<AxisConfig>) {
     let arm = cell.robot[0].arm().unwrap();
     let home = arm.robot().home();
     let axes = cell.robot[0].axis.iter().zip(home.iter());
-    let config = |(axis, home): (&controller::cell::Axis, &f64)| axis.drive_config(*home);
+    let config = |(axis, home): (&Axis, &f64)| axis.drive_config(*home);
     (cell.group_config(0), axes.map(config).collect())
 }
 
@@ -464,8 +464,11 @@ fn ask_how_it_stands(interface: &str, cell: &Cell, duration: Duration) {
     }
 }
 
-/// The drives of `cell`, which have lost the host, have no power and stand, as they themselves say on `interface`.
+/// The drives of `cell`, which have lost the host by now, have no power and stand a period after they must have noticed,
+/// as they themselves say on `interface`.
 pub(crate) fn stand_without_power(interface: &str, directory: &Directory, cell: &Cell) {
+    let heartbeat = Duration::from_millis(cell.bus[0].heartbeat_ms.into());
+    clock::sleep_until(clock::now() + heartbeat * (LOST + 1));
     let log = directory.path("standing.log");
     let mut candump = Command::new("candump");
     candump.args(["-L", interface]).stdin(Stdio::null());
