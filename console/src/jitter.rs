@@ -11,6 +11,7 @@
 //!
 //! **Files** of `--out` are in [`files`], what the verdict is made of is in [`verdict`].
 
+mod bench;
 mod cell;
 mod chart;
 mod cyclictest;
@@ -35,7 +36,8 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use servo::thread::{self, CpuLatency, Denial, Waiter};
 
-use cell::{CellBench, MeasuredCell};
+use bench::CellBench;
+use cell::MeasuredCell;
 use chart::Curve;
 use files::{Files, IntervalLog};
 use interval::{Ledger, recording};
@@ -57,6 +59,9 @@ pub(crate) struct Options {
     /// What to measure the cell on: emulated, unless given.
     #[arg(long, value_enum)]
     bench: Option<CellBench>,
+    /// The virtual interface of a bus, IFACE or BUS=IFACE, with --bench vcan: never the cell's own.
+    #[arg(long, value_name = "IFACE")]
+    can: Vec<String>,
     /// Time from one deadline to the next, with its unit: 1ms, 250us; the cell's or 1ms, unless given.
     #[arg(long)]
     period: Option<String>,
@@ -206,6 +211,7 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
         crate::budget::check(file)?;
     }
     let bench = options.bench.unwrap_or(CellBench::Emulated);
+    bench::check(file.as_ref(), bench, &options.can)?;
     let traffic = options.load.contains(&load::Kind::Bus);
     let buses = file.as_ref().map_or(0, |file| file.cell.bus.len());
     if traffic && (buses == 0 || bench != CellBench::Emulated) {
@@ -215,7 +221,7 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
     }
     let mut cell = file
         .as_ref()
-        .map(|file| MeasuredCell::new(file, bench, traffic));
+        .map(|file| MeasuredCell::new(file, bench, &options.can, traffic));
     if options.against == Some(Peer::Cyclictest) {
         cyclictest::find()?;
     }

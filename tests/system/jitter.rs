@@ -4,8 +4,13 @@ use std::process::{Command, Stdio};
 
 use serde_json::Value;
 
+use crate::bench::on_vcan;
 use crate::cli_refusals::refused;
+use crate::doctor::Attached;
 use crate::mrroc::{Directory, Output, Running, binary, example, mrroc};
+use crate::slcan::Adapters;
+use crate::socketcan::sh;
+use crate::vcan::started;
 
 const KEYS: [&str; 4] = ["p50", "p99", "p999", "max"];
 
@@ -121,6 +126,8 @@ fn the_cycle_of_a_cell_is_measured_with_its_drives_on() {
 fn what_is_no_cell_to_measure_is_refused() {
     let cell = example("irb6");
     let cell = cell.to_str().unwrap();
+    let serial = example("irb6-serial");
+    let serial = serial.to_str().unwrap();
     for (arguments, needles) in [
         (
             &["--cell", cell, "--period", "1500us"][..],
@@ -137,13 +144,67 @@ fn what_is_no_cell_to_measure_is_refused() {
         (&["--cell", "/none.toml"], ["/none.toml", "No such file"]),
         (&["--bench", "vcan"], ["--bench", "--cell"]),
         (&["--load", "bus"], ["--load bus", "--cell"]),
+        (&["--can", "vcan0"], ["--can", "--bench vcan"]),
         (
-            &["--load", "bus", "--cell", cell, "--bench", "vcan"],
-            ["--load bus", "cangen"],
+            &["--cell", cell, "--can", "vcan0"],
+            ["--can", "--bench vcan"],
+        ),
+        (
+            &["--cell", cell, "--bench", "vcan"],
+            ["virtual interface for bus arm", "the cell's own, can0"],
+        ),
+        (
+            &["--cell", cell, "--bench", "vcan", "--can", "lo"],
+            ["--can lo", "CAN"],
+        ),
+        (
+            &["--cell", cell, "--bench=vcan", "--can=slcan:/dev/ttyACM0"],
+            ["--can slcan:/dev/ttyACM0", "may be an arm's"],
+        ),
+        (
+            &["--cell", serial, "--bench", "vcan"],
+            ["serial lines", "--bench emulated"],
         ),
     ] {
         refused(&mrroc(["jitter"].iter().chain(arguments)), &needles);
     }
+}
+
+#[test]
+fn a_cell_is_measured_on_a_virtual_interface_and_never_on_a_card() {
+    binary();
+    on_vcan(
+        "jitter::a_cell_is_measured_on_a_virtual_interface_and_never_on_a_card",
+        |interface| {
+            let directory = Directory::new();
+            let cell = directory.cell("irb6", |cell| {
+                cell.period_us = 10_000;
+                cell.max_missed_in_row = 300;
+                cell.bus[0].tolerated_missing = 50;
+                cell.bus[0].heartbeat_ms = 1000;
+                cell.bus[0].boot_timeout_ms = 10_000;
+            });
+            let cell = cell.to_str().unwrap();
+            let jitter = |can: &str, more: &[&str]| {
+                let words = ["jitter", "--cell", cell, "--bench", "vcan", "--can", can];
+                mrroc(words.iter().chain(more))
+            };
+            let loaded = jitter(interface, &["--load", "bus"]);
+            refused(&loaded, &["--load bus", "cangen"]);
+            let adapters = Adapters::with(1, &[]);
+            let _card = Attached::card(&adapters, "jitter0");
+            sh("ip link set jitter0 type can bitrate 1000000 && ip link set jitter0 up");
+            refused(&jitter("jitter0", &[]), &["--can jitter0: a card"]);
+            sh("ip link set jitter0 down");
+
+            let emulators = started(|| Running::start(["emulate", cell, "--can", interface]));
+            let run = jitter(interface, &["--duration", "2s", "--json"]);
+            assert_eq!(run.status.code(), Some(0), "{run:?}");
+            assert_eq!(run.json()["cell"]["bench"], "vcan", "{run:?}");
+            emulators.signal("INT");
+            assert_eq!(emulators.output().status.code(), Some(0));
+        },
+    );
 }
 
 #[test]

@@ -8,11 +8,11 @@ use std::sync::Arc;
 
 use anyhow::{anyhow, bail};
 use can::clock::{now, sleep_until};
-use clap::ValueEnum;
 use serde::Serialize;
 use servo::thread::{CellTime, Denial, LateCycles, RealtimePolicy, Spike, Tracer, WaitReport};
 use servo::{Order, Phase, Servo};
 
+use super::bench::CellBench;
 use super::interval::{Counts, Interval, Ledger, counts, counts_of};
 use super::probe::{LOOK, Turn};
 use super::report::percentiles;
@@ -22,20 +22,12 @@ use crate::report::Percentiles;
 use crate::wire::{Wire, WireReport};
 use crate::{clockwork, setup};
 
-/// What a cell is measured on; nothing here moves hardware.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub(crate) enum CellBench {
-    /// Emulated drives on a virtual bus, stepped by the servo thread between its cycles.
-    Emulated,
-    /// A virtual CAN interface, or pseudo-terminals; `mrroc emulate` at their other end.
-    Vcan,
-}
-
 /// A cell under measurement.
 pub(crate) struct MeasuredCell<'a> {
     file: &'a CellFile,
     bench: CellBench,
+    /// As `--can` gives it.
+    can: &'a [String],
     /// Whether frames that nobody asked for load its buses.
     traffic: bool,
     step: Counts,
@@ -54,10 +46,16 @@ pub(crate) struct MeasuredCell<'a> {
 }
 
 impl<'a> MeasuredCell<'a> {
-    pub(crate) fn new(file: &'a CellFile, bench: CellBench, traffic: bool) -> Self {
+    pub(crate) fn new(
+        file: &'a CellFile,
+        bench: CellBench,
+        can: &'a [String],
+        traffic: bool,
+    ) -> Self {
         Self {
             file,
             bench,
+            can,
             traffic,
             step: counts(),
             bus: counts(),
@@ -73,7 +71,7 @@ impl<'a> MeasuredCell<'a> {
 
     /// What was seen so far counts for nothing.
     pub(crate) fn forget(&mut self) {
-        *self = Self::new(self.file, self.bench, self.traffic);
+        *self = Self::new(self.file, self.bench, self.can, self.traffic);
     }
 
     /// One turn into `ledger`; returns what the host denied. `look` is called meanwhile.
@@ -89,7 +87,7 @@ impl<'a> MeasuredCell<'a> {
             CellBench::Emulated => BenchKind::Emulated,
             CellBench::Vcan => BenchKind::Vcan,
         };
-        let bench = Bench::open(file, kind, &[], None, false, false)?;
+        let bench = Bench::open(file, kind, self.can, None, false, false)?;
         let mut wire = bench.wire.continuing(self.wire.take());
         let groups = setup::drive_groups(file, bench.ports, bench.lines)?;
         let (mut servo, mut links) = Servo::new(&setup::servo_config(file), groups)?;
