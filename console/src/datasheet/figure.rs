@@ -6,6 +6,7 @@ use nalgebra::Vector3;
 
 use super::ink::{self, Sheet};
 use super::posture::{LEAST, Stand, stands};
+use super::symbols;
 use crate::kinematics::Machine;
 use crate::svg::{self, Point};
 
@@ -81,7 +82,7 @@ pub(super) fn figure(machine: &Machine, symbols: &[&str], views: &[View; 2]) -> 
         );
         panel(&mut svg, left, symbols, view, &stands(&links, &view.joints));
     }
-    ink::legend(&mut svg, [LEFT[0], HEIGHT - 22.0]);
+    symbols::legend(&mut svg, [LEFT[0], HEIGHT - 22.0]);
     svg + "</svg>\n"
 }
 
