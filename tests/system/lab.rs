@@ -58,8 +58,11 @@ fn run(cell: &Path, record: &Path) -> Value {
     run.json()
 }
 
-/// Every axis starts 20 rad above its home, but for the belt, which takes for home where it is. The report tells the
-/// counter at the reference to about one cycle's motion.
+/// Every axis starts 20 rad above its home, but for the belt, which takes for home where it is.
+///
+/// That each finds its reference to a count is tested at the plants, in `homing.rs`. The report is of what the host sees:
+/// the step of the counter between two samples less the way of the motor in that cycle, which it takes from the cycle
+/// before. That is a second difference of three counts, each rounded by up to a half: up to two counts.
 fn check_homing(reports: &[Value]) {
     let cell = Cell::parse(&text("lab")).unwrap();
     let robots = cell.robot.iter();
