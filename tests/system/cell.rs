@@ -20,7 +20,8 @@ use drive::{DriveGroup, Scale};
 use hil::plant::Switch;
 use hil::{
     AxisControllerConfig, Cabinet, Device, DeviceId, Epos4, Epos4Config, HiMoxaAxisController,
-    Irp6Axis, LineDevice, LineFaults, LineId, Nfv2AxisController, World,
+    Irp6Axis, LineDevice, LineFaults, LineId, Mechanism, MechanismConfig, Mount,
+    Nfv2AxisController, PlantConfig, World,
 };
 use servo::{EffectorConfig, EffectorLink, Order, Phase, Record, Servo, ServoConfig};
 
@@ -127,15 +128,29 @@ impl Setup {
         plant
     }
 
+    /// Where an axis is mounted on the arm, unless its plant is one that has no load.
+    fn mount(
+        arm: &Arm,
+        mechanism: &Mechanism,
+        number: usize,
+        plant: &hil::AxisConfig,
+    ) -> Option<Mount> {
+        let home = arm.robot().home()[number];
+        matches!(plant.plant, PlantConfig::Physical(_))
+            .then(|| mechanism.mount(number, home))
+            .flatten()
+    }
+
     fn seed(&self, number: usize) -> u64 {
         self.cell.seed * 1000 + number as u64
     }
 
-    fn device(&self, arm: &Arm, number: usize) -> Socket {
+    fn device(&self, arm: &Arm, mechanism: &Mechanism, number: usize) -> Socket {
         let plant = self.plant(arm, number);
         Socket {
             drive: Epos4::new(Epos4Config {
                 seed: self.seed(number),
+                mount: Self::mount(arm, mechanism, number, &plant),
                 ..Epos4Config::new(node(self.axis(number).node), plant)
             }),
             unplugged: Arc::default(),
@@ -143,11 +158,19 @@ impl Setup {
     }
 
     /// The drive of an axis on a serial line.
-    fn line_device(&self, arm: &Arm, number: usize, cabinet: &Cabinet) -> Box<dyn LineDevice> {
+    fn line_device(
+        &self,
+        arm: &Arm,
+        mechanism: &Mechanism,
+        number: usize,
+        cabinet: &Cabinet,
+    ) -> Box<dyn LineDevice> {
+        let plant = self.plant(arm, number);
         let config = AxisControllerConfig {
             seed: self.seed(number),
             cabinet: cabinet.clone(),
-            ..AxisControllerConfig::new(self.plant(arm, number))
+            mount: Self::mount(arm, mechanism, number, &plant),
+            ..AxisControllerConfig::new(plant)
         };
         match self.cell.serial[0].protocol {
             Protocol::Nfv2 => Box::new(Nfv2AxisController::new(self.axis(number).node, config)),
@@ -197,10 +220,11 @@ impl Setup {
         let bus = &self.cell.bus[0];
         let id = world.add_bus(Bitrate::from_kbps(bus.bitrate_kbps).expect("a possible bit rate"));
         let port = world.host_port(id, 256);
+        let mechanism = Mechanism::new(MechanismConfig::Irp6);
         let mut plugs = Vec::new();
         let mut drives = Vec::new();
         for &axis in &self.axes {
-            let device = self.device(arm, axis);
+            let device = self.device(arm, &mechanism, axis);
             plugs.push(device.unplugged.clone());
             drives.push(DriveId::Node(world.add_device(id, Box::new(device))));
         }
@@ -217,8 +241,9 @@ impl Setup {
         let latency = bundle.emulated_latency_ms;
         let latency = latency.map(|latency| Duration::from_millis(latency.into()));
         let cabinet = Cabinet::default();
+        let mechanism = Mechanism::new(MechanismConfig::Irp6);
         let line = |&axis: &usize| {
-            let device = self.line_device(arm, axis, &cabinet);
+            let device = self.line_device(arm, &mechanism, axis, &cabinet);
             let line = world.add_line(bundle.settings(), latency, device);
             (world.host_line(line, 4096), DriveId::Line(line))
         };
