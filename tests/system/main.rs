@@ -29,6 +29,7 @@ mod loops;
 mod lss;
 mod motion;
 mod mrroc;
+mod payload;
 mod peers;
 mod qemu;
 mod regression;

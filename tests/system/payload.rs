@@ -82,18 +82,27 @@ fn payloads_that_nobody_can_carry_are_refused_with_the_line() {
         centre: [0.0; 3],
     };
     let cases = [
-        ("irp6-track", payload(-1.0, 1.0), "robot[0].emulated_payload[0].at_s"),
-        ("irp6-track", payload(1.0, -1.0), "robot[0].emulated_payload[0].mass"),
+        (
+            "irp6-track",
+            payload(-1.0, 1.0),
+            "robot[0].emulated_payload[0].at_s",
+        ),
+        (
+            "irp6-track",
+            payload(1.0, -1.0),
+            "robot[0].emulated_payload[0].mass",
+        ),
     ];
     for (example, payload, key) in cases {
         let directory = Directory::new();
         let cell = directory.cell(example, |cell| cell.robot[0].emulated_payload.push(payload));
-        refused_at(&cell, key);
+        refused(&mrroc(["check".as_ref(), cell.as_os_str()]), &[key]);
     }
     let directory = Directory::new();
     let cell = directory.cell("lab", |cell| {
         let robot = cell.robot.iter_mut().find(|robot| robot.name == "conveyor");
         robot.unwrap().emulated_payload.push(payload(1.0, 1.0));
     });
-    refused_at(&cell, "conveyor, whose emulation carries nothing");
+    let check = mrroc(["check".as_ref(), cell.as_os_str()]);
+    refused(&check, &["conveyor, whose emulation carries nothing"]);
 }
