@@ -1,5 +1,8 @@
 //! A servo by the wall clock, with the emulated world that hangs on its cycles where there is one.
 
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
 use can::Instant;
 use servo::thread::{self, CellTime, RealtimePolicy, Running, StartError};
 use servo::{NotUp, Servo, lockstep};
@@ -26,13 +29,20 @@ pub(crate) fn start(
     emulation: Option<Emulation>,
     emulated_since: Option<Instant>,
     policy: impl Fn(CellTime) -> RealtimePolicy,
+    trace_request: Arc<AtomicBool>,
     until: impl FnMut(&Servo) -> bool + Send + 'static,
 ) -> Result<Running, StartError> {
     match emulation.zip(emulated_since) {
-        None => thread::start(servo, policy(CellTime::Wall), |_| {}, until),
+        None => thread::start(servo, policy(CellTime::Wall), trace_request, |_| {}, until),
         Some((mut emulation, first)) => {
             let between = move |next| emulation.advance(next);
-            thread::start(servo, policy(CellTime::Nominal(first)), between, until)
+            thread::start(
+                servo,
+                policy(CellTime::Nominal(first)),
+                trace_request,
+                between,
+                until,
+            )
         }
     }
 }

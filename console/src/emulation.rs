@@ -287,6 +287,11 @@ pub(crate) fn config(
         vendor: axis.emulator.vendor.unwrap_or(identity.vendor),
         product: identity.product.unwrap_or(usual.product),
         revision: revision.unwrap_or(usual.revision),
+        main_sensor_resolution: axis.emulator.counts_per_revolution,
+        rated_torque: axis
+            .emulator
+            .rated_torque
+            .or(Some(axis.cia402().rated_torque)),
         seed: seed(file, robot, number),
         power_on,
         ..usual

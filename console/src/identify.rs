@@ -347,7 +347,7 @@ fn by_the_clock(
     let since = clockwork::bring_up(&mut servo, &mut emulation).map_err(not_up)?;
     let policy = |time| setup::realtime_policy(&file.cell, time);
     let until = move |_: &Servo| finished.load(Ordering::Relaxed);
-    let running = clockwork::start(servo, emulation, since, policy, until)?;
+    let running = clockwork::start(servo, emulation, since, policy, Arc::default(), until)?;
     let turning = crate::run::Turning::of(running, done);
     while !session.is_over() && !turning.is_finished() {
         session.poll();

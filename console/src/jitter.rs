@@ -11,6 +11,7 @@
 //!
 //! **Files** of `--out` are in [`files`], what the verdict is made of is in [`verdict`].
 
+mod bench;
 mod cell;
 mod chart;
 mod cyclictest;
@@ -35,7 +36,8 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use servo::thread::{self, CpuLatency, Denial, Waiter};
 
-use cell::{CellBench, MeasuredCell};
+use bench::CellBench;
+use cell::MeasuredCell;
 use chart::Curve;
 use files::{Files, IntervalLog};
 use interval::{Ledger, recording};
@@ -45,6 +47,7 @@ use probe::{Turn, Wakeups};
 use report::{Report, Setting, Side};
 
 use crate::cell_file::CellFile;
+use crate::doctor::stolen_ticks;
 use crate::spikes::SpikeFile;
 
 /// Options of `mrroc jitter`.
@@ -56,6 +59,9 @@ pub(crate) struct Options {
     /// What to measure the cell on: emulated, unless given.
     #[arg(long, value_enum)]
     bench: Option<CellBench>,
+    /// The virtual interface of a bus, IFACE or BUS=IFACE, with --bench vcan: never the cell's own.
+    #[arg(long, value_name = "IFACE")]
+    can: Vec<String>,
     /// Time from one deadline to the next, with its unit: 1ms, 250us; the cell's or 1ms, unless given.
     #[arg(long)]
     period: Option<String>,
@@ -205,6 +211,7 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
         crate::budget::check(file)?;
     }
     let bench = options.bench.unwrap_or(CellBench::Emulated);
+    bench::check(file.as_ref(), bench, &options.can)?;
     let traffic = options.load.contains(&load::Kind::Bus);
     let buses = file.as_ref().map_or(0, |file| file.cell.bus.len());
     if traffic && (buses == 0 || bench != CellBench::Emulated) {
@@ -214,7 +221,7 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
     }
     let mut cell = file
         .as_ref()
-        .map(|file| MeasuredCell::new(file, bench, traffic));
+        .map(|file| MeasuredCell::new(file, bench, &options.can, traffic));
     if options.against == Some(Peer::Cyclictest) {
         cyclictest::find()?;
     }
@@ -240,6 +247,7 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
     let _load = Load::start(&options.load)?;
     let latency = CpuLatency::hold();
 
+    let stolen_before = stolen();
     let began = clock::now();
     let (recorder, mut ledger) = recording(began, log);
     let mut ours = Wakeups::new(recorder);
@@ -324,6 +332,7 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
         load: options.load.clone(),
         against: options.against,
         cpu_latency_held: latency.is_ok(),
+        stolen_ms: stolen().saturating_sub(stolen_before),
         ended_early: over.load(Ordering::Relaxed),
         denied: denied.iter().map(ToString::to_string).collect(),
     };
@@ -362,4 +371,9 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
         eprintln!("mrroc: {error:#}");
     }
     Ok(ExitCode::from(u8::from(ended_early || written.is_err())))
+}
+
+/// What a hypervisor took from all processors since the boot, ms.
+fn stolen() -> u64 {
+    10 * stolen_ticks(&std::fs::read_to_string("/proc/stat").unwrap_or_default())
 }

@@ -10,7 +10,7 @@ mod numbers;
 use std::process::ExitCode;
 
 use anyhow::{Context as _, bail};
-use clap::{Args, Subcommand};
+use clap::{ArgGroup, Args, Subcommand};
 
 pub(crate) use machine::{Machine, Which};
 
@@ -33,16 +33,12 @@ pub(crate) enum Question {
     /// Position and rotation are the flange's in the base frame, m; beyond a limit they are told all the same, and
     /// `motors` is null. Of the RNT the first three of `motors` are the leg lengths, m, here and in the answer;
     /// `motor_angles` has all six in rad. `links` has the positions of the joints in the description of `mrroc urdf`.
+    #[command(group(ArgGroup::new("positions").required(true).args(["joints", "motors"])))]
     Fk {
         #[command(flatten)]
         common: Common,
         /// Joint positions, rad (m for a linear one), separated by commas.
-        #[arg(
-            long,
-            allow_hyphen_values = true,
-            required_unless_present = "motors",
-            conflicts_with = "motors"
-        )]
+        #[arg(long, allow_hyphen_values = true)]
         joints: Option<String>,
         /// Motor positions, rad, separated by commas.
         #[arg(long, allow_hyphen_values = true)]

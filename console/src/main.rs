@@ -13,6 +13,7 @@ mod chart;
 mod check;
 mod clockwork;
 mod configuration;
+mod datasheet;
 mod doctor;
 mod eds;
 mod emulate;
@@ -32,8 +33,10 @@ mod service;
 mod setup;
 mod spikes;
 mod stdout;
+mod svg;
 mod trace;
 mod urdf;
+mod usage;
 mod vm;
 mod wire;
 
@@ -106,6 +109,9 @@ enum Command {
         #[command(subcommand)]
         question: kinematics::Question,
     },
+    /// Print the data sheet of a robot, of the gripper or of the conveyor in Markdown, or its figure in SVG: geometry,
+    /// drives, limits, and where the numbers come from.
+    Datasheet(datasheet::Options),
     /// Print a robot's description (URDF) for viewers and libraries of rigid bodies.
     Urdf(urdf::Options),
     /// Run a command in a virtual machine that has CAN.
@@ -124,7 +130,11 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    let result = match Arguments::parse().command {
+    let arguments = match Arguments::try_parse() {
+        Ok(arguments) => arguments,
+        Err(error) => return usage::answer(&error),
+    };
+    let result = match arguments.command {
         Command::Check { cell, json } => check::check(&cell, json),
         Command::Doctor(options) => doctor::doctor(&options),
         Command::Run(options) => run::run(&options),
@@ -138,6 +148,7 @@ fn main() -> ExitCode {
         Command::Identify(options) => identify::identify(&options),
         Command::Jitter(options) => jitter::jitter(&options),
         Command::Kinematics { question } => kinematics::kinematics(&question),
+        Command::Datasheet(options) => datasheet::datasheet(&options),
         Command::Urdf(options) => urdf::urdf(&options),
         Command::Vm { machine } => vm::vm(&machine),
         Command::Schema => check::schema(),

@@ -15,6 +15,7 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, sync_channel};
+use std::thread::Builder;
 use std::time::Duration;
 
 use anyhow::{Context, anyhow, bail};
@@ -53,6 +54,9 @@ const POWER_OFF_WAIT: Duration = Duration::from_millis(500);
 
 /// Longest wait for the files of a run once it has ended.
 const FILES_WAIT: Duration = Duration::from_secs(2);
+
+/// Bytes of the stack of a thread that reads queues and writes files; once memory is locked, all of it is.
+pub(crate) const SMALL_STACK: usize = 128 * 1024;
 
 /// How often the files of a run are written, at the least.
 const DRAIN: Duration = Duration::from_millis(20);
@@ -95,6 +99,8 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
     if options.spikes.is_some() && options.bench == BenchKind::Lockstep {
         bail!("--spikes needs cycles by the clock, which --bench lockstep has none of");
     }
+    let asked = Asked::default();
+    flag::register(SIGUSR1, asked.trace.clone()).context("SIGUSR1 cannot be caught")?;
     let file = CellFile::read(&options.cell)?;
     rehearsal::rehearse(&file)?;
     let budget = crate::budget::check(&file)?;
@@ -134,10 +140,9 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
     };
     let spikes = options.spikes.as_deref().map(SpikeFile::create);
     let spikes = spikes.transpose()?;
-    let interrupted = Arc::new(AtomicBool::new(false));
     let programs = Programs::of(&file, links, &servo)?;
     let progress = Progress::new(&file, !options.json)?;
-    let (stop, flag) = (servo.stop_request(), interrupted.clone());
+    let (stop, flag) = (servo.stop_request(), asked.stop.clone());
     let nothing_moves = options.bench == BenchKind::Lockstep;
     ctrlc::set_handler(move || {
         let again = flag.swap(true, Ordering::Relaxed);
@@ -157,7 +162,7 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
             programs,
             logs,
             Buses { wire, emulation },
-            &interrupted,
+            &asked.stop,
             progress,
         )?,
         _ => by_the_clock(
@@ -166,11 +171,11 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
             programs,
             logs,
             Buses { wire, emulation },
-            &interrupted,
+            &asked,
             progress,
         )?,
     };
-    let interrupted = interrupted.load(Ordering::Relaxed);
+    let interrupted = asked.stop.load(Ordering::Relaxed);
     if interrupted {
         // What the programs say of it is that they were broken off; what the servo latched meanwhile is a fault.
         ran.faults.retain(|fault| fault.robot.is_none());
@@ -222,6 +227,15 @@ pub(crate) fn print(report: &(impl Serialize + Display), json: bool) -> anyhow::
     }
 }
 
+/// What signals ask for.
+#[derive(Default)]
+struct Asked {
+    /// The end of the run.
+    stop: Arc<AtomicBool>,
+    /// The cycles around this moment.
+    trace: Arc<AtomicBool>,
+}
+
 /// What is beyond the ports of a run.
 struct Buses {
     wire: Wire,
@@ -270,7 +284,7 @@ struct Writing {
 
 impl Writing {
     /// Begins. A file that cannot be written raises `failed`.
-    fn start(mut logs: Logs, failed: Arc<AtomicBool>) -> Self {
+    fn start(mut logs: Logs, failed: Arc<AtomicBool>) -> anyhow::Result<Self> {
         let what = match (&logs.frames, &logs.axes) {
             (_, None) => "trace",
             (None, Some(_)) => "record",
@@ -279,7 +293,8 @@ impl Writing {
         let over = Arc::new(AtomicBool::new(false));
         let (tell, told) = sync_channel(1);
         let last = over.clone();
-        std::thread::spawn(move || {
+        let thread = Builder::new().name("files".into()).stack_size(SMALL_STACK);
+        let body = move || {
             let mut written = Ok(());
             while written.is_ok() && !last.load(Ordering::Relaxed) {
                 std::thread::park_timeout(DRAIN);
@@ -288,8 +303,11 @@ impl Writing {
             failed.fetch_or(written.is_err(), Ordering::Relaxed);
             // Nobody listens any more if it took too long.
             let _ = tell.send(written.and_then(|()| logs.finish()));
-        });
-        Self { what, over, told }
+        };
+        thread
+            .spawn(body)
+            .context("no thread to write the files can be made")?;
+        Ok(Self { what, over, told })
     }
 
     /// Writes the rest, unless that takes too long.
@@ -480,14 +498,14 @@ fn by_the_clock(
         wire,
         mut emulation,
     }: Buses,
-    interrupted: &AtomicBool,
+    asked: &Asked,
     mut progress: Progress,
 ) -> anyhow::Result<Ran> {
     let began = clock::now();
     let policy = |time| setup::realtime_policy(&file.cell, time);
     let done = Arc::new(AtomicBool::new(false));
-    let writing = Writing::start(logs, done.clone());
-    let listening = wire.listen();
+    let writing = Writing::start(logs, done.clone())?;
+    let listening = wire.listen()?;
     let finished = done.clone();
     let until = move |_: &Servo| finished.load(Ordering::Relaxed);
     let emulated_since = match clockwork::bring_up(&mut servo, &mut emulation) {
@@ -497,10 +515,9 @@ fn by_the_clock(
             return not_up(file, servo, cell_time, writing.finish(), error);
         }
     };
-    let running = clockwork::start(servo, emulation, emulated_since, policy, until)?;
-    let request = running.trace_request();
+    let trace = asked.trace.clone();
+    let running = clockwork::start(servo, emulation, emulated_since, policy, trace, until)?;
     let turning = Turning::of(running, done.clone());
-    flag::register(SIGUSR1, request).context("SIGUSR1 cannot be caught")?;
     let (tell, told) = sync_channel(SEEN);
     std::thread::scope(|scope| {
         // The scope waits for the controller: a panic of this thread must end that too.
@@ -517,7 +534,7 @@ fn by_the_clock(
             let show = |seen| _ = tell.try_send(seen);
             while !done.load(Ordering::Relaxed)
                 && programs.poll(file, clock::now(), show)
-                && !interrupted.load(Ordering::Relaxed)
+                && !asked.stop.load(Ordering::Relaxed)
                 && !turning.is_finished()
             {
                 clock::sleep_until(clock::now() + POLL);

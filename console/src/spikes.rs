@@ -16,6 +16,7 @@ use serde_json::{Value, json};
 use servo::thread::{Spike, Stamps};
 
 use crate::report::microseconds;
+use crate::run::SMALL_STACK;
 
 /// Longest wait for the file to be written; the disk of a host takes as long at most.
 const WRITE_WAIT: Duration = Duration::from_secs(2);
@@ -38,14 +39,19 @@ impl SpikeFile {
     /// Writes the `spikes` of a thread of that name; a file that takes nothing is not waited for.
     pub(crate) fn write(self, thread: &'static str, spikes: Vec<Spike>) -> anyhow::Result<()> {
         let (tell, told) = sync_channel(1);
-        std::thread::spawn(move || {
+        let body = move || {
             let mut file = BufWriter::new(self.0);
             let written = serde_json::to_writer(&mut file, &trace(thread, &spikes))
                 .map_err(std::io::Error::from)
                 .and_then(|()| file.flush());
             // Nobody listens any more if it took too long.
             let _ = tell.send(written);
-        });
+        };
+        std::thread::Builder::new()
+            .name("spikes".into())
+            .stack_size(SMALL_STACK)
+            .spawn(body)
+            .context("no thread to write the spikes can be made")?;
         match told.recv_timeout(WRITE_WAIT) {
             Ok(written) => written.context("the spikes cannot be written"),
             Err(_) => Err(anyhow!("the spikes cannot be written in time")),

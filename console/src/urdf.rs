@@ -8,8 +8,9 @@ use std::process::ExitCode;
 
 use anyhow::{Context as _, anyhow};
 use clap::Args;
+use controller::cell::Parameters;
 use controller::robot::{Link, LinkKind};
-use nalgebra::{Isometry3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use crate::kinematics::{Machine, Which};
 use crate::stdout;
@@ -57,6 +58,9 @@ fn write(text: &mut String, machine: &Machine, links: &[Link]) -> fmt::Result {
         writeln!(text, "-->")?;
     }
     writeln!(text, "<robot name=\"{}\">", escaped(&machine.name))?;
+    if let Parameters::Polycrank(_) = machine.parameters {
+        mounting(text)?;
+    }
     let rods = links
         .first()
         .map(|link| rod(&link.parent_from_link.translation.vector));
@@ -78,6 +82,33 @@ fn write(text: &mut String, machine: &Machine, links: &[Link]) -> fmt::Result {
     writeln!(
         text,
         "    <parent link=\"{parent}\"/>\n    <child link=\"flange\"/>\n  </joint>\n</robot>"
+    )
+}
+
+/// The floor under a base whose z axis is level: x of the base points up, z along the floor's y. The height is of public
+/// code; which way axis 1 points is this description's choice, and only moves the zero of joint 1.
+fn mounting(text: &mut String) -> fmt::Result {
+    const HEIGHT: f64 = 0.925;
+    let floor_from_base = Matrix3::new(
+        0.0, 1.0, 0.0, //
+        0.0, 0.0, 1.0, //
+        1.0, 0.0, 0.0,
+    );
+    let rotation = Rotation3::from_matrix_unchecked(floor_from_base);
+    let floor_from_base = Isometry3::from_parts(
+        Translation3::new(0.0, 0.0, HEIGHT),
+        UnitQuaternion::from_rotation_matrix(&rotation),
+    );
+    body(text, "floor", &[])?;
+    writeln!(
+        text,
+        "  <!-- Axis 1 is level, along y of the floor; base_link is the frame of base_from_flange. -->"
+    )?;
+    writeln!(text, "  <joint name=\"mounting\" type=\"fixed\">")?;
+    writeln!(
+        text,
+        "    <parent link=\"floor\"/>\n    <child link=\"base_link\"/>\n    {}\n  </joint>",
+        origin(&floor_from_base)
     )
 }
 

@@ -139,6 +139,20 @@ impl Wire {
         Self(bus.collect())
     }
 
+    /// These listeners with what `before`, others of the same buses, have heard.
+    pub(crate) fn continuing(mut self, before: Option<Self>) -> Self {
+        let before = before.into_iter().flat_map(|wire| wire.0);
+        for (bus, before) in self.0.iter_mut().zip(before) {
+            (bus.times, bus.card) = (before.times, before.card);
+            let times = [Some(&mut bus.times), bus.card.as_mut()];
+            times
+                .into_iter()
+                .flatten()
+                .for_each(|times| times.timing.pause());
+        }
+        self
+    }
+
     /// Takes what was heard since the last call.
     pub(crate) fn look(&mut self) {
         self.0.iter_mut().for_each(BusWire::look);

@@ -13,8 +13,8 @@ use mrroc_controller::generator::{
     Pose, SmoothPose,
 };
 use mrroc_controller::robot::{
-    Irp6, Irp6Parameters, Irp6Track, Irp6TrackParameters, Joints, Polycrank, PolycrankParameters,
-    Robot, Space,
+    Irb6, Irb6Parameters, Irp6, Irp6Parameters, Irp6Track, Irp6TrackParameters, Joints, Polycrank,
+    PolycrankParameters, Rnt, RntParameters, Robot, Space,
 };
 use servo::{EffectorLink, Order, Phase, Report};
 
@@ -135,7 +135,13 @@ fn no_generator_allocates_once_it_was_made() {
 fn no_kinematics_allocates() {
     let track = Irp6Track::new(&Irp6TrackParameters::irp6ot()).expect("the preset is a robot");
     let seven = Polycrank::new(&PolycrankParameters::polycrank()).expect("the preset is a robot");
-    let robots: [(&dyn Robot, Joints); 2] = [
+    let six = Irp6::new(&Irp6Parameters::irp6p()).expect("the preset is a robot");
+    let five = Irb6::new(&Irb6Parameters::irb6()).expect("the preset is a robot");
+    let legs = Rnt::new(&RntParameters::nominal()).expect("the preset is a robot");
+    let robots: [(&dyn Robot, Joints); 5] = [
+        (&five, Joints::from([0.3, -1.7, 0.07, -0.33, 1.1])),
+        (&six, Joints::from([0.3, -1.7, 0.07, -0.33, 1.1, 0.6])),
+        (&legs, Joints::from([0.2, -0.1, 0.9, 0.4, 1.1, 0.6])),
         (
             &track,
             Joints::from([0.4, 0.3, -1.7, 0.07, -0.33, 1.1, 0.6]),

@@ -23,7 +23,7 @@
 //! | IRb-6, serial, by pulse width (wrist roll) | cascade, delay 2 | the same per duty, integral at the motor's pole | 15.6 | 48.9° |
 //! | CiA 402 by torque (CST), as for the RNT | cascade, delay 3 | two thirds of the serial ones | 11.1 | 47.4° |
 //! | CiA 402 by velocity (CSV), as for the RNT | proportional, delay 3 | 50 / s | 8.6 | 82.9° |
-//! | CiA 402 by position (CSP): IRb-6, its track, Polycrank | the drive's: velocity loop at 45 Hz, position at a fifth | the drive's | not seen from outside; command to sample within 3 dB up to 100 Hz | |
+//! | CiA 402 by position (CSP): IRb-6, its track, Polycrank | the drive's: velocity loop at 45 Hz, position at a fifth | the drive's | not seen from outside; command to sample less than 3 dB lost up to 100 Hz | |
 //!
 //! From sample to effect two periods pass on CAN and one on a serial line; with half a period of hold and
 //! half of the velocity's difference that is 6 ms and 4 ms at 2 ms. Hence the two thirds: delay times bandwidth, and

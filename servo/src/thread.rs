@@ -15,7 +15,7 @@
 //! between the phases of a cycle; the kernel's account of the thread (`getrusage`, `/proc/thread-self/schedstat`) only
 //! in the slack after SYNC, of a cycle that was late or otherwise disturbed and of one quiet cycle in 16, so that what
 //! adds up in quiet ones is not taken for the delay of one. The cycles around the worst are kept phase by phase, and
-//! those around a moment on request: see [`Finished::spikes`] and [`Running::trace_request`].
+//! those around a moment on request: see [`Finished::spikes`] and [`start`].
 //!
 //! **Time** that control laws see is the nominal period, however late a cycle is; [`Record::dt`](crate::Record) has the
 //! real one.
@@ -30,11 +30,12 @@
 //! **Real-time needs** are asked for one by one: SCHED_FIFO or SCHED_DEADLINE, a CPU, locked memory, timer slack of
 //! 1 ns, and no deep idle states while the thread runs (`/dev/cpu_dma_latency`). Threads and processes that it starts do
 //! not inherit the scheduling. Either way it is the wait that says when the thread runs: the kernel's period under
-//! SCHED_DEADLINE begins whenever the thread wakes, and only bounds what it takes. What the host denies is returned as [`Denial`]s, which name the line that grants it; with
-//! [`Realtime::Require`] the thread does not start without them.
+//! SCHED_DEADLINE begins whenever the thread wakes, and only bounds what it takes. What the host denies is returned as
+//! [`Denial`]s, which name the line that grants it; with [`Realtime::Require`] the thread does not start without them.
 
 mod account;
 mod cause;
+mod explain;
 mod host;
 mod late;
 mod quantile;
@@ -52,12 +53,13 @@ use can::Instant;
 use can::clock::{now, sleep_until};
 use thiserror::Error;
 
-use self::account::Account;
+use self::explain::{Before, LATE};
 use self::quantile::LearntQuantile;
 use crate::{NotUp, Servo, Timing};
 
-pub use self::account::AccountReads;
+pub use self::account::{Account, AccountReads};
 pub use self::cause::{Cause, Spent, Usage};
+pub use self::explain::GAP;
 pub use self::host::{
     CpuLatency, Denial, Grant, LIMITS, Limit, Scheduler, demand, set_deadline, set_fifo,
 };
@@ -78,12 +80,6 @@ const OFF_CYCLES: u32 = 4;
 /// Share of the period, as a divisor, that the learnt lead may take: the bus delivers the answers of the cycle before
 /// in the rest.
 const LONGEST_LEAD: u32 = 20;
-
-/// Share of the period, as a divisor, by which a SYNC may leave late without a question why.
-const LATE: u32 = 100;
-
-/// Time between two reads of the clock in a spin from which on somebody took the CPU.
-const GAP: Duration = Duration::from_micros(5);
 
 /// Longest time for the drives to report that they have no power, once they are told.
 const POWER_OFF_WAIT: Duration = Duration::from_millis(500);
@@ -165,18 +161,12 @@ pub enum StartError {
 pub struct Running {
     thread: JoinHandle<Finished>,
     denied: Vec<Denial>,
-    request: Arc<AtomicBool>,
 }
 
 impl Running {
     /// What the host denied.
     pub fn denied(&self) -> &[Denial] {
         &self.denied
-    }
-
-    /// Raising it keeps the cycles around that moment among [`Finished::spikes`]; the thread lowers it.
-    pub fn trace_request(&self) -> Arc<AtomicBool> {
-        Arc::clone(&self.request)
     }
 
     /// Whether the thread has ended.
@@ -253,18 +243,18 @@ pub fn bring_up(servo: &mut Servo, mut between: impl FnMut(Instant)) -> Result<(
 /// Starts a thread that steps `servo` until `until` says so after a cycle.
 ///
 /// `between` is called after each cycle with the next deadline, in the time that is left of the
-/// period and not counted as the cycle's: an emulated bench advances its world in it.
+/// period and not counted as the cycle's: an emulated bench advances its world in it. Raising `trace_request`, now or
+/// later, keeps the cycles around that moment among [`Finished::spikes`]; the thread lowers it.
 pub fn start(
     servo: Servo,
     policy: RealtimePolicy,
+    trace_request: Arc<AtomicBool>,
     between: impl FnMut(Instant) + Send + 'static,
     until: impl FnMut(&Servo) -> bool + Send + 'static,
 ) -> Result<Running, StartError> {
     let (tell, told) = mpsc::sync_channel(1);
-    let request = Arc::new(AtomicBool::new(false));
-    let requested = Arc::clone(&request);
     let body = move || {
-        let mut run = Run::new(servo, policy, requested);
+        let mut run = Run::new(servo, policy, trace_request);
         let mut denied = demand(&policy);
         let latency = CpuLatency::demand();
         denied.extend(latency.as_ref().err());
@@ -290,11 +280,7 @@ pub fn start(
         errno: e.raw_os_error().unwrap_or(0),
     })?;
     let denied = told.recv().unwrap_or_default();
-    let running = Running {
-        thread,
-        denied,
-        request,
-    };
+    let running = Running { thread, denied };
     match running.denied.first() {
         Some(&denial) if policy.realtime == Realtime::Require => {
             // It has nothing to do; with it the servo goes, and every port is closed.
@@ -305,14 +291,14 @@ pub fn start(
     }
 }
 
-/// [`start`] and [`Running::join`] in one.
+/// [`start`] and [`Running::join`] in one, with nothing to trace on request.
 pub fn run(
     servo: Servo,
     policy: RealtimePolicy,
     between: impl FnMut(Instant) + Send + 'static,
     until: impl FnMut(&Servo) -> bool + Send + 'static,
 ) -> Result<Finished, StartError> {
-    start(servo, policy, between, until).map(Running::join)
+    start(servo, policy, Arc::default(), between, until).map(Running::join)
 }
 
 /// One run of the thread.
@@ -338,16 +324,6 @@ struct Run {
     before: Before,
     /// How late the thread was for slots that it let go, and where the time went.
     skipped: Option<(Duration, Spent)>,
-}
-
-/// What the cycle before leaves to the next.
-#[derive(Clone, Copy, Debug)]
-struct Before {
-    /// When its SYNC was handed over, and when that was done.
-    sync: Instant,
-    done: Instant,
-    /// How late that was, zero if it was punctual.
-    late: Duration,
 }
 
 impl Run {
@@ -454,11 +430,7 @@ impl Run {
         self.timing.sync.record(sending.since(self.deadline));
         self.timing.step.record(preparation + transfer);
         self.timing.record_bus(&self.servo);
-        let before = Spent::waiting(
-            awake,
-            awake.asked_at.since(self.before.done),
-            self.before.done.since(self.before.sync),
-        );
+        let before = self.waited(awake);
         let spent = Spent {
             own: before.own + computed.since(read),
             bus: before.bus + read.since(reading) + written.since(computed),
@@ -481,36 +453,6 @@ impl Run {
             late,
         });
         (self.before.sync, self.before.done) = (sending, done);
-    }
-
-    /// Attributes the cycle's lateness, and that of the slots let go before it. The kernel is asked only if something
-    /// was out of the ordinary. Returns the worse of them.
-    fn explain(&mut self, late: Duration, spent: &Spent, step: Duration) -> Option<LateCycle> {
-        let is_late = late > self.period / LATE;
-        let long = step > self.usual.get();
-        self.usual.observe(step);
-        let skipped = self.skipped.take();
-        self.before.late = Duration::ZERO;
-        if !is_late && !long && spent.gap <= GAP && skipped.is_none() {
-            self.account.pass(spent.wake_up);
-            return None;
-        }
-        let counted = self.account.settle();
-        let mut worse = None;
-        for (late, spent) in skipped.iter().chain(is_late.then_some(&(late, *spent))) {
-            let of_cycle = LateCycle {
-                cycle: self.number,
-                due: self.deadline.since(self.first),
-                late: *late,
-                cause: Cause::of_cycle(*late, spent, counted),
-            };
-            self.timing.late.record(of_cycle);
-            self.before.late = *late;
-            if worse.is_none_or(|worse: LateCycle| of_cycle.late > worse.late) {
-                worse = Some(of_cycle);
-            }
-        }
-        worse
     }
 
     /// The cycle's own time, where the wall clock shows `wall`.
@@ -545,12 +487,7 @@ impl Run {
             // A cycle that was as late itself leaves no time to sleep, and has been counted.
             let inherited = awake.wake_up_latency().is_none() && self.before.late >= late / 2;
             if !inherited && self.skipped.is_none_or(|(before, _)| late > before) {
-                let spent = Spent::waiting(
-                    &awake,
-                    awake.asked_at.since(self.before.done),
-                    self.before.done.since(self.before.sync),
-                );
-                self.skipped = Some((late, spent));
+                self.skipped = Some((late, self.waited(&awake)));
             }
             let slots = (late - self.period / 2).as_nanos() / self.period.as_nanos() + 1;
             let slots = u32::try_from(slots).unwrap_or(u32::MAX);

@@ -3,6 +3,7 @@
 //! Only planted cycles are judged, and by their share: the host of a test delays others as it likes. Needs SCHED_FIFO
 //! up to priority 90; `MRROC_LEAVE_OUT=realtime` leaves the cases out that do.
 
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Mutex, PoisonError};
 use std::task::Poll;
@@ -16,12 +17,17 @@ use mrroc_servo::*;
 
 mod scripted;
 
-/// What is planted, µs: less than half a period, so that no slot is skipped.
+/// What is planted: less than half a period, so that no slot is skipped.
 const DELAY: Duration = Duration::from_micros(450);
-/// Cycles from one planted one to the next, and how many in one run: the eight worst are kept.
+/// What is planted to have one slot skipped, and what is left of it makes the next late.
+const LONG_DELAY: Duration = Duration::from_micros(1300);
+/// How long before the deadline a wake-up is spoiled: the thread sleeps then.
+const EARLY: Duration = Duration::from_micros(300);
+/// Cycles from one planted one to the next, and how many in one run: the eight worst are kept, and a
+/// skipped slot makes two.
 const EVERY: u64 = 20;
-const PER_RUN: u64 = 6;
-const RUNS: u64 = 7;
+const PER_RUN: u64 = 3;
+const RUNS: u64 = 14;
 
 /// One test at a time: they take the CPU from each other.
 static ALONE: Mutex<()> = Mutex::new(());
@@ -34,6 +40,38 @@ enum Plant {
     PageFaults,
     PreemptedStep,
     StarvedWakeUp,
+    LongStarvedWakeUp,
+    LongSleep,
+}
+
+/// The thread to hold up, from when and until when.
+type Order = (libc::pthread_t, Instant, Instant);
+
+/// When the handler of SIGUSR2 returns, ns.
+static ASLEEP_UNTIL: AtomicU64 = AtomicU64::new(0);
+
+/// Has the thread that it interrupts oversleep.
+extern "C" fn oversleep(_: libc::c_int) {
+    sleep_until(Instant::from_nanos(ASLEEP_UNTIL.load(Ordering::Relaxed)));
+}
+
+/// Has threads oversleep.
+#[expect(unsafe_code, reason = "signals are the system's")]
+fn stopper(orders: Receiver<Order>) {
+    // SAFETY: the handler reads an atomic number and the clock, and sleeps.
+    unsafe { libc::signal(libc::SIGUSR2, oversleep as *const () as libc::sighandler_t) };
+    for (thread, from, to) in orders {
+        ASLEEP_UNTIL.store(to.as_nanos(), Ordering::Relaxed);
+        sleep_until(from);
+        // SAFETY: the thread drives cycles after the last order, or waits for its end.
+        unsafe { libc::pthread_kill(thread, libc::SIGUSR2) };
+    }
+}
+
+#[expect(unsafe_code, reason = "the thread's handle is the system's to tell")]
+fn this_thread() -> libc::pthread_t {
+    // SAFETY: it takes nothing and touches nothing.
+    unsafe { libc::pthread_self() }
 }
 
 fn is_planted(cycle: u64) -> bool {
@@ -52,7 +90,7 @@ struct Delaying {
     plant: Plant,
     cycle: u64,
     pages: Pages,
-    hog: Sender<(Instant, Instant)>,
+    hog: Sender<Order>,
 }
 
 impl DriveGroup for Delaying {
@@ -76,8 +114,14 @@ impl DriveGroup for Delaying {
                 Plant::SpinningBus => spin_until(end),
                 Plant::BlockingBus => sleep_until(end),
                 Plant::PageFaults => self.pages.touch_until(end),
-                Plant::PreemptedStep => self.hog.send((now(), end)).expect("the hog listens"),
-                Plant::SlowCaller | Plant::StarvedWakeUp => {}
+                Plant::PreemptedStep => {
+                    let order = (this_thread(), now(), end);
+                    self.hog.send(order).expect("the hog listens");
+                }
+                Plant::SlowCaller
+                | Plant::StarvedWakeUp
+                | Plant::LongStarvedWakeUp
+                | Plant::LongSleep => {}
             }
         }
     }
@@ -88,10 +132,14 @@ impl DriveGroup for Delaying {
 
     fn send(&mut self, at: Instant) -> bool {
         self.cycle += 1;
-        if is_planted(self.cycle) && self.plant == Plant::StarvedWakeUp {
+        let delay = match self.plant {
+            Plant::StarvedWakeUp => Some(DELAY),
+            Plant::LongStarvedWakeUp | Plant::LongSleep => Some(LONG_DELAY),
+            _ => None,
+        };
+        if let Some(delay) = delay.filter(|_| is_planted(self.cycle)) {
             let due = at + scripted::PERIOD;
-            let early = Duration::from_micros(300);
-            let order = (due - early, due + DELAY);
+            let order = (this_thread(), due - EARLY, due + delay);
             self.hog.send(order).expect("the hog listens");
         }
         if self.plant == Plant::PageFaults {
@@ -158,7 +206,7 @@ impl Drop for Pages {
 }
 
 /// A thread above the servo's, on its CPU, that takes it from one time to another.
-fn hog(cpu: usize, orders: Receiver<(Instant, Instant)>) {
+fn hog(cpu: usize, orders: Receiver<Order>) {
     let policy = RealtimePolicy {
         priority: 90,
         cpu: Some(cpu),
@@ -166,7 +214,7 @@ fn hog(cpu: usize, orders: Receiver<(Instant, Instant)>) {
         ..RealtimePolicy::BEST_EFFORT
     };
     assert_eq!(thread::demand(&policy), [], "the hog needs them");
-    for (from, to) in orders {
+    for (_, from, to) in orders {
         sleep_until(from);
         spin_until(to);
     }
@@ -191,8 +239,13 @@ fn plant(plant: Plant, cause: Cause) -> (u64, u64) {
         let (servo, _links) =
             Servo::new(&config, vec![Box::new(group)]).expect("the configuration is sound");
         let cpu = current_cpu();
-        let hog = matches!(plant, Plant::PreemptedStep | Plant::StarvedWakeUp)
-            .then(|| std::thread::spawn(move || hog(cpu, told)));
+        let hog = match plant {
+            Plant::PreemptedStep | Plant::StarvedWakeUp | Plant::LongStarvedWakeUp => {
+                Some(std::thread::spawn(move || hog(cpu, told)))
+            }
+            Plant::LongSleep => Some(std::thread::spawn(move || stopper(told))),
+            _ => None,
+        };
         // Until the hog waits.
         sleep_until(now() + Duration::from_millis(20));
         let policy = RealtimePolicy {
@@ -224,8 +277,10 @@ fn plant(plant: Plant, cause: Cause) -> (u64, u64) {
             cycles.any(|one| one.late == Some(*late))
         };
         let named = |cycle| {
-            late.worst()
-                .any(|one| one.cycle == cycle && one.cause == cause && is_traced(&one))
+            let mut of_cycle = late.worst().filter(|one| one.cycle == cycle);
+            let worst = of_cycle.next();
+            worst.is_some_and(|one| one.cause == cause && is_traced(&one))
+                && of_cycle.all(|one| one.cause == cause)
         };
         right += (0..EVERY * PER_RUN)
             .filter(|&cycle| is_planted(cycle) && named(cycle))
@@ -291,12 +346,14 @@ fn check(cases: &[(Plant, Cause)]) {
 }
 
 #[test]
-fn what_the_thread_does_itself_is_named() {
+fn what_the_thread_does_itself_and_an_overslept_wake_up_are_named() {
     check(&[
         (Plant::SlowCaller, Cause::OwnStep),
         (Plant::SpinningBus, Cause::Bus),
         (Plant::BlockingBus, Cause::Bus),
         (Plant::PageFaults, Cause::PageFault),
+        // What is left of it after the skipped slot is no work of the thread's.
+        (Plant::LongSleep, Cause::LateWakeUp),
     ]);
 }
 
@@ -319,5 +376,6 @@ fn a_thread_that_takes_the_cpu_is_named() {
         (Plant::PreemptedStep, Cause::Preempted),
         // It could run when it asked to, and another did.
         (Plant::StarvedWakeUp, Cause::Preempted),
+        (Plant::LongStarvedWakeUp, Cause::Preempted),
     ]);
 }

@@ -30,7 +30,8 @@ def main():
     model = pinocchio.buildModelFromXML(mrroc("urdf"))
     data = model.createData()
     flange = model.getFrameId("flange")
-    assert flange < model.nframes, "no flange"
+    base = model.getFrameId("base_link")
+    assert max(base, flange) < model.nframes, "no base or no flange"
 
     def configuration(links):
         q = pinocchio.neutral(model)
@@ -66,8 +67,11 @@ def main():
         q = configuration(answer["links"])
         pinocchio.forwardKinematics(model, data, q)
         pinocchio.updateFramePlacements(model, data)
-        placed = data.oMf[flange]
+        placed = data.oMf[base].actInv(data.oMf[flange])
         jacobian = pinocchio.computeFrameJacobian(model, data, q, flange, pinocchio.LOCAL_WORLD_ALIGNED) @ coupling
+        # The description's root may be the floor; ours is the base.
+        base_from_root = data.oMf[base].rotation.T
+        jacobian = numpy.vstack([base_from_root @ jacobian[:3], base_from_root @ jacobian[3:]])
         ours = {
             "position": numpy.array(answer["position"]),
             "rotation": numpy.array(answer["rotation"]),

@@ -71,6 +71,8 @@ class Drive:
                     values = self.node.data_store.setdefault(variable.index, {})
                     values.setdefault(variable.subindex, variable.encode_raw(0))
         self.set(0x6064, 1000)
+        # µN·m, as the cell says.
+        self.set(0x6076, 420_000)
         self.set(0x6061, self.get(0x6060))
         self.show()
         # The boot-up frame comes last: the host may act on it before the next line is reached.

@@ -7,10 +7,15 @@
 use std::fs;
 use std::process::Command;
 
-use crate::bench::on_cards;
-use crate::doctor;
+use can::card::{self, CardError, CardState};
+use can::timing::Bitrate;
+use controller::cell::Cell;
+
+use crate::bench::{on_cards, on_vcan};
+use crate::doctor::{self, Attached};
 use crate::mrroc::{self, Directory, Running};
-use crate::vcan::{faulted, started};
+use crate::slcan::Adapters;
+use crate::vcan::{faulted, stand_without_power, started};
 
 /// Slow, and patient.
 fn directory_with_cell() -> Directory {
@@ -114,8 +119,9 @@ fn an_arm_on_a_card_stops_when_its_interface_goes_down_and_moves_again_when_it_i
             sh(&format!("ip link set {here} down"));
             faulted(&moving.output(), &["bus arm: interface is down"]);
 
-            // The emulated drives waited with the brakes on.
             sh(&format!("ip link set {here} up"));
+            let text = fs::read_to_string(&cell).unwrap();
+            stand_without_power(here, &directory, &Cell::parse(&text).unwrap());
             completed(start_controller(&directory, here, &[]));
             emulators.signal("INT");
             assert_eq!(emulators.output().status.code(), Some(0));
@@ -167,7 +173,42 @@ fn a_bit_rate_that_cannot_be_set_is_refused_and_doctor_puts_back_what_it_sets() 
                 (&of, "restart-ms"),
                 (&of, "txqueuelen"),
             ];
+            doctor::preempts(here);
             doctor::mended_and_put_back(here, &knobs, || doctor::standing(here));
+        },
+    );
+}
+
+#[test]
+fn a_card_that_was_up_comes_up_again_if_its_bit_rate_cannot_be_set() {
+    on_vcan(
+        "card::a_card_that_was_up_comes_up_again_if_its_bit_rate_cannot_be_set",
+        |_| {
+            let adapters = Adapters::with(1, &[]);
+            let _attached = Attached::card(&adapters, "rate0");
+            // The driver has a table of bit rates, in which this one is not.
+            let none = Bitrate::from_kbps(400).unwrap();
+            let refused = |error| {
+                matches!(
+                    error,
+                    CardError::Unreachable {
+                        bitrate: 400_000,
+                        ..
+                    }
+                )
+            };
+            assert!(refused(card::set_bitrate("rate0", none).unwrap_err()));
+            assert!(!card::is_up("rate0").unwrap(), "one that was down stays so");
+
+            let wanted = Bitrate::KBPS_500;
+            let before = card::set_bitrate("rate0", wanted).unwrap();
+            assert_eq!(
+                (before.bitrate, before.state),
+                (Some(500_000), CardState::Running)
+            );
+            assert!(refused(card::set_bitrate("rate0", none).unwrap_err()));
+            assert_eq!(card::read("rate0"), Ok(before));
+            sh("ip link set rate0 down");
         },
     );
 }

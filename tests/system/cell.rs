@@ -151,6 +151,7 @@ impl Setup {
             drive: Epos4::new(Epos4Config {
                 seed: self.seed(number),
                 mount: Self::mount(arm, mechanism, number, &plant),
+                rated_torque: Some(self.axis(number).cia402().rated_torque),
                 ..Epos4Config::new(node(self.axis(number).node), plant)
             }),
             unplugged: Arc::default(),

@@ -92,11 +92,13 @@ fn a_dcf_is_in_the_drive_before_it_is_switched_on() {
     let frames = trace(&log);
     assert!(enables(&frames) > 0);
     let sdo = sdo(&frames);
-    assert!(
-        !sdo.iter()
-            .any(|frame| frame.starts_with("581#80") && frame != "581#8029100100000206"),
-        "{sdo:#?}"
-    );
+    // No EPOS4 has the ratios of CiA 402-2: encoder, gear, feed.
+    let absent = [
+        "291001", "8F6001", "8F6002", "916001", "916002", "926001", "926002",
+    ]
+    .map(|object| format!("581#80{object}00000206"));
+    let refused = |frame: &&String| frame.starts_with("581#80") && !absent.contains(frame);
+    assert_eq!(sdo.iter().find(refused), None);
     // What the drive answers when it is read: the last of each is what it keeps.
     let holds = |answer: &str| {
         let mut answers = sdo.iter().rev();
@@ -300,6 +302,49 @@ fn a_drive_that_is_not_the_files_is_refused_and_none_is_switched_on() {
         let frames = trace(&log);
         assert!(!frames.is_empty());
         assert_eq!(enables(&frames), 0);
+    }
+}
+
+#[test]
+fn a_drive_that_scales_otherwise_than_the_cell_is_refused_and_none_is_switched_on() {
+    let cases: [(Change, Option<&[&str]>); 4] = [
+        (|_| {}, None),
+        (|axis| axis.emulator.rated_torque = Some(0.423), None),
+        (
+            |axis| axis.emulator.counts_per_revolution = Some(4096),
+            Some(&[
+                "bus arm, axis column: node 1: ",
+                "0x3000:05 is 4096/1 quadrature counts per revolution, the cell says 4000",
+                "correct drive.counts_per_revolution",
+            ]),
+        ),
+        (
+            |axis| axis.emulator.rated_torque = Some(2.1),
+            Some(&[
+                "bus arm, axis column: node 1: ",
+                "0x6076:00 is 2100000/1 µN·m of rated torque, the cell says 420000",
+                "correct drive.rated_torque",
+            ]),
+        ),
+    ];
+    let directory = Directory::new();
+    let (text, _) = dcf(&[VALUE]);
+    for (change, refusal) in cases {
+        let cell = cell(&directory, &text, change);
+        let log = directory.path("drives.log");
+        let run = run_in_lockstep(&cell, &log);
+        let frames = trace(&log);
+        match refusal {
+            None => {
+                assert_eq!(run.status.code(), Some(0), "{run:?}");
+                assert!(enables(&frames) > 0);
+            }
+            Some(needles) => {
+                refused(&run, needles);
+                assert!(!frames.is_empty());
+                assert_eq!(enables(&frames), 0);
+            }
+        }
     }
 }
 

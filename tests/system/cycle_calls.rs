@@ -128,6 +128,9 @@ fn surplus(
         .collect()
 }
 
+/// Cycles from which on a run says something.
+const LEAST: u64 = 100;
+
 /// Asserts that a run made no other calls, and says how many each cycle made.
 #[track_caller]
 fn check(bench: &str, log: &Path, run: &Output, exchange: &[(&str, u64)]) {
@@ -150,7 +153,7 @@ fn check(bench: &str, log: &Path, run: &Output, exchange: &[(&str, u64)]) {
     println!(
         "{bench}: {outcome}, {cycles} cycles, {missed} missed, account {account}, per cycle {each}"
     );
-    assert!(cycles > 100, "{bench}: {report}");
+    assert!(cycles > LEAST, "{bench}: {report}");
     let surplus = surplus(&calls, exchange, cycles, missed, reads);
     assert!(
         surplus.is_empty(),
@@ -238,7 +241,7 @@ fn a_cycle_on_serial_lines_makes_one_call_each_way_per_line_and_the_wait() {
 }
 
 /// `mrroc emulate --serial` once all its ttys are there.
-fn emulate(cell: &Path, ttys: &Path) -> Running {
+pub(crate) fn emulate(cell: &Path, ttys: &Path) -> Running {
     let arguments = [
         "emulate".as_ref(),
         cell.as_os_str(),
@@ -255,13 +258,25 @@ fn a_cycle_on_a_can_bus_sends_once_receives_once_and_waits_once() {
     on_stage(
         "cycle_calls::a_cycle_on_a_can_bus_sends_once_receives_once_and_waits_once",
         |stage| {
-            let _emulators = stage.start_emulators();
             let cell = stage.directory.path("cell.toml");
-            let (log, output) = run(
-                &stage.directory,
-                &cell,
-                &["--bench=vcan", "--can", stage.interface],
-            );
+            let attempt = || {
+                let _emulators = stage.start_emulators();
+                let options = ["--bench=vcan", "--can", stage.interface];
+                run(&stage.directory, &cell, &options)
+            };
+            // Under strace on its one slow processor the drives may be late before the run says anything.
+            let says_nothing = |output: &Output| {
+                output.json()["cycle"]["cycles"]
+                    .as_u64()
+                    .is_some_and(|cycles| cycles <= LEAST)
+            };
+            let mut tried = attempt();
+            for _ in 1..3 {
+                if says_nothing(&tried.1) {
+                    tried = attempt();
+                }
+            }
+            let (log, output) = tried;
             check("vcan", &log, &output, &[("recvmmsg", 1), ("sendmmsg", 1)]);
         },
     );

@@ -3,6 +3,7 @@
 use std::fs;
 use std::process::{Child, Command, Stdio};
 
+use can::card;
 use can::{OpenError, SocketCanOptions, SocketCanPort};
 use controller::cell::Cell;
 use serde_json::Value;
@@ -11,6 +12,7 @@ use crate::bench::on_vcan;
 use crate::mrroc::{self, Directory, Output, mrroc};
 use crate::slcan::Adapters;
 use crate::socketcan::sh;
+use crate::vcan::{Recorder, started};
 
 /// What it says of an example cell that `change` has changed, in words and as JSON; both with the same exit status.
 fn examined(example: &str, change: impl FnOnce(&mut Cell)) -> (Output, Value) {
@@ -213,6 +215,17 @@ fn a_broken_cell_is_refused_in_one_line() {
     }
 }
 
+/// The kernel is found to be PREEMPT_RT, and good.
+pub(crate) fn preempts(interface: &str) {
+    let (_, json) = examined("irb6", |cell| cell.bus[0].interface = interface.into());
+    let found = finding(&json, "kernel", "preemption");
+    let read = found["read"].as_str().unwrap();
+    assert!(
+        found["verdict"] == "ok" && read.contains("PREEMPT_RT"),
+        "{found}"
+    );
+}
+
 /// Lets `--fix` mend an interface that lacks `knobs`, as `(of, what)`, and `--undo` put back what they were; `standing`
 /// shows how they stand.
 pub(crate) fn mended_and_put_back(
@@ -237,6 +250,19 @@ pub(crate) fn mended_and_put_back(
     let before = standing();
     assert_eq!(mendable(&doctor(&[cell, "--json"])), knobs, "{before}");
     assert_eq!(standing(), before, "looking changes nothing");
+
+    // A link is left alone while somebody receives on it, be it down or up.
+    let mut candump = Command::new("candump");
+    candump.args(["-D", interface]);
+    candump.stdout(Stdio::null()).stderr(Stdio::null());
+    let listener = Recorder(started(|| candump.spawn().unwrap()));
+    let refused = doctor(&[cell, "--fix", "--yes"]);
+    let why = format!("somebody receives on {interface} and would lose the bus");
+    assert!(refused.stderr.contains(&why), "{refused:?}");
+    let put_back = doctor(&["--undo"]);
+    assert_eq!(put_back.status.code(), Some(0), "{put_back:?}");
+    drop(listener);
+    assert_eq!(standing(), before, "{refused:?}");
 
     let fixed = doctor(&[cell, "--json", "--fix", "--yes"]);
     assert_eq!(mendable(&fixed), [], "{fixed:?}");
@@ -302,7 +328,23 @@ fn what_a_virtual_bus_lacks_is_set_and_put_back() {
 }
 
 /// `slcand` in the foreground, which keeps an interface on a tty.
-struct Attached(Child);
+pub(crate) struct Attached(Child);
+
+impl Attached {
+    /// Makes the first of `adapters` a card of the kernel's, which is down and has no bit rate.
+    pub(crate) fn card(adapters: &Adapters, name: &str) -> Self {
+        let tty = adapters.interfaces[0].strip_prefix("slcan:").unwrap();
+        let slcand = Command::new("slcand")
+            .args(["-F", tty, name])
+            .stdout(Stdio::null())
+            .spawn();
+        let attached = Self(slcand.unwrap());
+        sh(&format!(
+            "for i in $(seq 100); do ip link show {name} >/dev/null 2>&1 && exit; sleep 0.05; done; exit 1"
+        ));
+        attached
+    }
+}
 
 impl Drop for Attached {
     fn drop(&mut self) {
@@ -319,15 +361,7 @@ fn the_bit_rate_of_a_card_is_held_against_the_cells() {
         "doctor::the_bit_rate_of_a_card_is_held_against_the_cells",
         |_| {
             let adapters = Adapters::with(1, &[]);
-            let tty = adapters.interfaces[0].strip_prefix("slcan:").unwrap();
-            let slcand = Command::new("slcand")
-                .args(["-F", tty, "doctor0"])
-                .stdout(Stdio::null())
-                .spawn();
-            let _attached = Attached(slcand.unwrap());
-            sh(
-                "for i in $(seq 100); do ip link show doctor0 >/dev/null 2>&1 && exit; sleep 0.05; done; exit 1",
-            );
+            let _attached = Attached::card(&adapters, "doctor0");
             let of = "bus arm, doctor0";
             let judged = |what: &str| {
                 let (_, json) = examined("irb6", |cell| cell.bus[0].interface = "doctor0".into());
@@ -361,6 +395,45 @@ fn the_bit_rate_of_a_card_is_held_against_the_cells() {
                 "{state}"
             );
             sh("ip link set doctor0 down");
+        },
+    );
+}
+
+#[test]
+fn a_card_that_had_no_bit_rate_is_put_back_down() {
+    mrroc::binary();
+    on_vcan(
+        "doctor::a_card_that_had_no_bit_rate_is_put_back_down",
+        |_| {
+            let adapters = Adapters::with(1, &[]);
+            let _attached = Attached::card(&adapters, "fresh0");
+            let directory = Directory::new();
+            let state = directory.path("undo.json");
+            let cell = directory.cell("irb6", |cell| cell.bus[0].interface = "fresh0".into());
+            let doctor = |more: &[&str]| {
+                let paths = ["doctor".as_ref(), "--state".as_ref(), state.as_os_str()];
+                mrroc(paths.into_iter().chain(more.iter().map(AsRef::as_ref)))
+            };
+            let fixed = doctor(&[cell.to_str().unwrap(), "--fix", "--yes"]);
+            let card = card::read("fresh0").unwrap();
+            assert_eq!(
+                (card.up, card.bitrate),
+                (true, Some(1_000_000)),
+                "{fixed:?}"
+            );
+            // Also where it was brought up by hand, so that no change of its state is in the record.
+            for by_hand in [false, true] {
+                if by_hand {
+                    let text = r#"[{"knob":{"bit-timing":"fresh0"},"before":null,"after":"1000000 0.000"}]"#;
+                    fs::write(&state, text).unwrap();
+                    sh("ip link set fresh0 up");
+                }
+                let undone = doctor(&["--undo"]);
+                assert_eq!(undone.status.code(), Some(0), "{undone:?}");
+                let said = "put back bit rate of fresh0 = nothing: the card is down, and keeps its bit rate";
+                assert!(undone.stdout.contains(said), "{undone:?}");
+                assert!(!card::read("fresh0").unwrap().up && !state.exists());
+            }
         },
     );
 }

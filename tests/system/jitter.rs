@@ -4,8 +4,13 @@ use std::process::{Command, Stdio};
 
 use serde_json::Value;
 
+use crate::bench::on_vcan;
 use crate::cli_refusals::refused;
+use crate::doctor::Attached;
 use crate::mrroc::{Directory, Output, Running, binary, example, mrroc};
+use crate::slcan::Adapters;
+use crate::socketcan::sh;
+use crate::vcan::started;
 
 const KEYS: [&str; 4] = ["p50", "p99", "p999", "max"];
 
@@ -48,6 +53,18 @@ fn a_measurement_ends_with_one_object_that_compares_both_sides() {
 }
 
 #[test]
+fn cyclictest_is_run_for_as_long_and_read_whole() {
+    let report = measured(&["--against", "cyclictest"]);
+    assert_eq!(report["against"], "cyclictest");
+    let [ours, peer] = ["ours", "peer"].map(|side| report[side]["cycles"].as_u64().unwrap());
+    assert!((1..=150).contains(&ours) && peer == 150, "{report}");
+    let worst = report["peer"]["max"].as_f64().unwrap();
+    let ratio = report["ratio"]["max"].as_f64().unwrap();
+    assert!(worst >= 1.0 && ratio * worst - report["ours"]["max"].as_f64().unwrap() < 1e-6 * worst);
+    assert!(report["stolen_ms"].is_u64(), "{report}");
+}
+
+#[test]
 fn numbers_are_in_microseconds() {
     let report = measured(&["--against", "plain", "--wait", "plain"]);
     let [ours, peer] = ["ours", "peer"].map(|side| report[side]["p50"].as_f64().unwrap());
@@ -80,6 +97,12 @@ fn the_cycle_of_a_cell_is_measured_with_its_drives_on() {
         report["cell"]["state"], "power on, holding position, not homed",
         "{report}"
     );
+    let nodes = report["cell"]["wire"][0]["nodes"].as_array().unwrap();
+    for (node, answer) in nodes.iter().zip([123.0, 245.0, 365.0, 487.0, 609.0]) {
+        let median = node["sync_to_tpdo_us"]["p50"].as_f64().unwrap();
+        assert!((median - answer).abs() < 3.0, "{node}");
+    }
+    assert_eq!(nodes.len(), 5);
     for (part, least) in [("step_us", 0.5), ("bus_us", 300.0), ("wake_us", 0.0)] {
         let values = KEYS.map(|key| report["cell"][part][key].as_f64().unwrap());
         assert!(
@@ -103,6 +126,8 @@ fn the_cycle_of_a_cell_is_measured_with_its_drives_on() {
 fn what_is_no_cell_to_measure_is_refused() {
     let cell = example("irb6");
     let cell = cell.to_str().unwrap();
+    let serial = example("irb6-serial");
+    let serial = serial.to_str().unwrap();
     for (arguments, needles) in [
         (
             &["--cell", cell, "--period", "1500us"][..],
@@ -119,13 +144,67 @@ fn what_is_no_cell_to_measure_is_refused() {
         (&["--cell", "/none.toml"], ["/none.toml", "No such file"]),
         (&["--bench", "vcan"], ["--bench", "--cell"]),
         (&["--load", "bus"], ["--load bus", "--cell"]),
+        (&["--can", "vcan0"], ["--can", "--bench vcan"]),
         (
-            &["--load", "bus", "--cell", cell, "--bench", "vcan"],
-            ["--load bus", "cangen"],
+            &["--cell", cell, "--can", "vcan0"],
+            ["--can", "--bench vcan"],
+        ),
+        (
+            &["--cell", cell, "--bench", "vcan"],
+            ["virtual interface for bus arm", "the cell's own, can0"],
+        ),
+        (
+            &["--cell", cell, "--bench", "vcan", "--can", "lo"],
+            ["--can lo", "CAN"],
+        ),
+        (
+            &["--cell", cell, "--bench=vcan", "--can=slcan:/dev/ttyACM0"],
+            ["--can slcan:/dev/ttyACM0", "may be an arm's"],
+        ),
+        (
+            &["--cell", serial, "--bench", "vcan"],
+            ["serial lines", "--bench emulated"],
         ),
     ] {
         refused(&mrroc(["jitter"].iter().chain(arguments)), &needles);
     }
+}
+
+#[test]
+fn a_cell_is_measured_on_a_virtual_interface_and_never_on_a_card() {
+    binary();
+    on_vcan(
+        "jitter::a_cell_is_measured_on_a_virtual_interface_and_never_on_a_card",
+        |interface| {
+            let directory = Directory::new();
+            let cell = directory.cell("irb6", |cell| {
+                cell.period_us = 10_000;
+                cell.max_missed_in_row = 300;
+                cell.bus[0].tolerated_missing = 50;
+                cell.bus[0].heartbeat_ms = 1000;
+                cell.bus[0].boot_timeout_ms = 10_000;
+            });
+            let cell = cell.to_str().unwrap();
+            let jitter = |can: &str, more: &[&str]| {
+                let words = ["jitter", "--cell", cell, "--bench", "vcan", "--can", can];
+                mrroc(words.iter().chain(more))
+            };
+            let loaded = jitter(interface, &["--load", "bus"]);
+            refused(&loaded, &["--load bus", "cangen"]);
+            let adapters = Adapters::with(1, &[]);
+            let _card = Attached::card(&adapters, "jitter0");
+            sh("ip link set jitter0 type can bitrate 1000000 && ip link set jitter0 up");
+            refused(&jitter("jitter0", &[]), &["--can jitter0: a card"]);
+            sh("ip link set jitter0 down");
+
+            let emulators = started(|| Running::start(["emulate", cell, "--can", interface]));
+            let run = jitter(interface, &["--duration", "2s", "--json"]);
+            assert_eq!(run.status.code(), Some(0), "{run:?}");
+            assert_eq!(run.json()["cell"]["bench"], "vcan", "{run:?}");
+            emulators.signal("INT");
+            assert_eq!(emulators.output().status.code(), Some(0));
+        },
+    );
 }
 
 #[test]

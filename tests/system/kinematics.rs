@@ -195,6 +195,154 @@ fn a_cell_brings_its_own_parameters() {
 }
 
 #[test]
+fn golden_vectors_come_back_to_a_nanometre() {
+    let half = std::f64::consts::FRAC_PI_2;
+    let upright = format!("--robot irp6 --joints 0,{},0,0,{half},0", -half);
+    let turned = "--robot irp6 --joints 0.3,-1.7,0.0707963268,-0.3292036732,1.1,0.6";
+    let reached = [0.754232820, 0.233311552, 0.465238581];
+    let cases: [(&str, [f64; 3]); 4] = [
+        (&upright, [0.86, 0.0, 0.455]),
+        (turned, reached),
+        (
+            "--robot rnt --joints 0.2,-0.1,0.9,0,0.5,0",
+            [-0.109816758, -0.217444493, 1.072687360],
+        ),
+        (
+            "--robot polycrank --joints 0,0,0,0,0,0,0",
+            [0.183, -0.296, 0.664],
+        ),
+    ];
+    for (words, position) in cases {
+        close(&answer(&format!("fk {words}"))["position"], &position, 1e-9);
+    }
+    let found = answer(&format!("fk {turned}"));
+    close(
+        &found["rotation"][0],
+        &[0.612201, 0.676525, -0.409296],
+        1e-6,
+    );
+    let motors = [-63.3, -27.601462, 3.904375, 193.44807, 392.90807, 964.3307];
+    close(&found["motors"], &motors, 1e-6);
+    let polycrank = answer(&format!("fk {}", cases[3].0));
+    for (row, axis) in [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]
+        .iter()
+        .enumerate()
+    {
+        close(&polycrank["rotation"][row], axis, 1e-9);
+    }
+    let solved = answer(&format!(
+        "ik --robot irp6 --position {} --quaternion {} --near 0,{},0,0,{half},0",
+        list(&numbers(&found["position"])),
+        list(&numbers(&found["quaternion"])),
+        -half
+    ));
+    let expected = [0.3, -1.7, 0.0707963268, -0.3292036732, 1.1, 0.6];
+    close(&solved["solutions"][0], &expected, 1e-9);
+}
+
+#[test]
+fn lists_are_read_with_a_sign_in_front_and_spaces_between() {
+    let expected = answer("fk --robot irb6 --joints=-0.3,-1.5,0.1,0.2,1.1");
+    for list in [
+        "-0.3, -1.5, 0.1, 0.2, 1.1",
+        " -0.3 ,-1.5,0.1,0.2,1.1 ",
+        "-3e-1,-1.5,.1,+0.2,1.1",
+    ] {
+        let output = mrroc([
+            "kinematics",
+            "fk",
+            "--json",
+            "--robot",
+            "irb6",
+            "--joints",
+            list,
+        ]);
+        assert_eq!(output.status.code(), Some(0), "{output:?}");
+        assert_eq!(output.json(), expected, "{list}");
+    }
+}
+
+#[test]
+fn wrong_words_are_refused_in_one_line() {
+    let cases: [(&str, &[&str]); 6] = [
+        (
+            "fk --robot irp6",
+            &["not provided: <--joints <JOINTS>|--motors <MOTORS>>; usage: mrroc"],
+        ),
+        (
+            "fk --joints 1",
+            &["not provided: --robot <ROBOT>; usage: mrroc kinematics fk"],
+        ),
+        (
+            "fk --robot irp6 --joints 1 --motors 1",
+            &["'--joints <JOINTS>' cannot be used with '--motors"],
+        ),
+        (
+            "ik --robot irp6 --position 1,2,3",
+            &["not provided: --quaternion <QUATERNION>"],
+        ),
+        (
+            "fk --robot irp6 --jonts 1",
+            &["unexpected argument '--jonts' found; tip: ", "'--joints'"],
+        ),
+        (
+            "forward --robot irp6",
+            &["unrecognized subcommand 'forward'"],
+        ),
+    ];
+    for (words, needles) in cases {
+        refused(&ask(words), needles);
+    }
+    refused(&mrroc(["run"]), &["not provided: <CELL>"]);
+}
+
+#[test]
+fn joints_in_degrees_are_answered_with_a_word_about_radians() {
+    let notes =
+        |joints: &str| answer(&format!("fk --robot irp6 --joints {joints}"))["notes"].to_string();
+    assert!(notes("0,-90,0,0,90,0").contains("rad and m, not degrees"));
+    for within_reason in ["0,-1,0,0,20,0", "0,-1.5,0,0,-9,0"] {
+        let notes = notes(within_reason);
+        assert!(
+            notes.contains("beyond its limit") && !notes.contains("degrees"),
+            "{notes}"
+        );
+    }
+    let free = answer("fk --robot polycrank --joints 90,0,0,0,0,0,0")["notes"].to_string();
+    assert!(
+        !free.contains("degrees"),
+        "a joint without end may turn: {free}"
+    );
+}
+
+#[test]
+fn the_polycranks_description_stands_on_the_floor_with_axis_1_level() {
+    let text = mrroc(["urdf", "--robot", "polycrank"]).stdout;
+    let read = urdf_rs::read_from_string(&text).unwrap();
+    let mounting = read
+        .joints
+        .iter()
+        .find(|joint| joint.name == "mounting")
+        .unwrap();
+    assert_eq!(mounting.parent.link, "floor");
+    assert_eq!(mounting.origin.xyz.0, [0.0, 0.0, 0.925]);
+    let [roll, pitch, yaw] = mounting.origin.rpy.0;
+    // The third column and the third row of Rz(yaw) Ry(pitch) Rx(roll).
+    let z = [
+        yaw.cos() * pitch.sin() * roll.cos() + yaw.sin() * roll.sin(),
+        yaw.sin() * pitch.sin() * roll.cos() - yaw.cos() * roll.sin(),
+        pitch.cos() * roll.cos(),
+    ];
+    for (found, expected) in z.into_iter().zip([0.0, 1.0, 0.0]) {
+        assert!((found - expected).abs() < 1e-12, "{z:?}");
+    }
+    assert!(
+        (-pitch.sin() - 1.0).abs() < 1e-12,
+        "x of the base points up: {pitch}"
+    );
+}
+
+#[test]
 fn questions_without_an_answer_are_refused_in_one_line() {
     let unit = "--quaternion 1,0,0,0";
     let cases: [(&str, &str); 15] = [
@@ -212,7 +360,7 @@ fn questions_without_an_answer_are_refused_in_one_line() {
         ),
         (
             "fk --robot irb6 --joints 1,2,x,4,5",
-            "--joints: \"x\" is not a number",
+            "--joints: \"x\" is not a number, as in a list separated by commas",
         ),
         (
             "fk --robot irb6 --joints 1,2,nan,4,5",
@@ -288,8 +436,10 @@ fn a_description_is_what_urdf_rs_reads_and_reaches_the_flange() {
             .as_array()
             .unwrap()
             .len();
-        assert_eq!(read.joints.len(), axes + 1, "{robot}");
-        let mut parent = "base_link".to_owned();
+        let mounted = usize::from(robot == "polycrank");
+        assert_eq!(read.joints.len(), axes + 1 + mounted, "{robot}");
+        let root = if mounted == 1 { "floor" } else { "base_link" };
+        let mut parent = root.to_owned();
         for joint in &read.joints {
             assert_eq!(joint.parent.link, parent, "{robot}: one chain");
             parent.clone_from(&joint.child.link);

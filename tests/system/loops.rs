@@ -5,7 +5,9 @@
 
 mod cascades;
 mod homing;
+mod letter;
 mod motors;
+mod tracking;
 
 use std::f64::consts::TAU;
 use std::task::Poll;
@@ -127,8 +129,11 @@ struct Running {
     start: f64,
 }
 
-/// A servo with one effector of `axes` on one group.
-fn servo(axes: Vec<ServoAxisConfig>, group: Box<dyn DriveGroup>) -> (Servo, servo::EffectorLink) {
+/// A servo with one effector of `axes`.
+fn servo(
+    axes: Vec<ServoAxisConfig>,
+    groups: Vec<Box<dyn DriveGroup>>,
+) -> (Servo, servo::EffectorLink) {
     let config = ServoConfig {
         period: PERIOD,
         max_missed_in_row: 0,
@@ -140,7 +145,7 @@ fn servo(axes: Vec<ServoAxisConfig>, group: Box<dyn DriveGroup>) -> (Servo, serv
             homing_timeout: Duration::from_secs(20),
         }],
     };
-    let (servo, mut links) = Servo::new(&config, vec![group]).unwrap();
+    let (servo, mut links) = Servo::new(&config, groups).unwrap();
     (servo, links.remove(0))
 }
 
@@ -171,7 +176,7 @@ impl Rig {
             command: AxisCommand::Off,
         };
         let start = group.motor.angle();
-        let (mut servo, link) = servo(vec![self.axis_config()], Box::new(group));
+        let (mut servo, link) = servo(vec![self.axis_config()], vec![Box::new(group)]);
         let records = servo.record(RECORDS);
         let mut running = Running {
             servo,
@@ -271,12 +276,12 @@ fn original(axis: Irp6Axis, motor: MakeMotor) -> Rig {
 
 /// As the original's emulator integrates it.
 fn coarse(axis: Irp6Axis) -> Box<dyn Motor> {
-    Box::new(Regression::new(regression_motor(axis), 1))
+    Box::new(Regression::new(regression_motor(axis), 1, 0.0))
 }
 
 /// As the motor itself would move.
 fn fine(axis: Irp6Axis) -> Box<dyn Motor> {
-    Box::new(Regression::new(regression_motor(axis), 200))
+    Box::new(Regression::new(regression_motor(axis), 200, 0.0))
 }
 
 fn regression_motor(axis: Irp6Axis) -> &'static WutConfig {

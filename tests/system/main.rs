@@ -14,6 +14,7 @@ mod cli_run;
 mod configuration;
 mod cycle;
 mod cycle_calls;
+mod datasheet;
 mod doctor;
 mod emulate_slcan;
 mod epos_service;

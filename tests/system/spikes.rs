@@ -6,6 +6,7 @@ use std::path::Path;
 use serde_json::Value;
 
 use crate::cli_refusals::refused;
+use crate::cycle_calls::emulate;
 use crate::mrroc::{Directory, Running, example, mrroc, shorten};
 
 /// A number of the file in ns, as Perfetto reads it.
@@ -87,6 +88,39 @@ fn a_late_cycle_of_a_run_and_one_that_is_asked_for_are_in_the_file() {
     let text = fs::read_to_string(&file).expect("it was written");
     let cause = worst["cause"].as_str().expect("a cause");
     assert!(text.contains(&format!("µs: {cause}")), "{report}");
+}
+
+/// The lines' other end is stopped, so that the drives cannot come up before.
+#[test]
+fn cycles_that_are_asked_for_before_the_drives_are_up_are_the_first() {
+    let directory = Directory::new();
+    let cell = directory.cell("irb6-serial", |cell| {
+        shorten(cell);
+        cell.serial[0].tolerated_missing = 10;
+        cell.serial[0].answer_timeout_ms = 500;
+        cell.max_missed_in_row = 500;
+    });
+    let [ttys, file] = ["ttys", "spikes.json"].map(|name| directory.path(name));
+    let emulator = emulate(&cell, &ttys);
+    emulator.signal("STOP");
+    let run = Running::start([
+        "run".as_ref(),
+        cell.as_os_str(),
+        "--bench=card".as_ref(),
+        "--serial".as_ref(),
+        ttys.as_os_str(),
+        "--spikes".as_ref(),
+        file.as_os_str(),
+    ]);
+    run.wait_for(&file, |_| true);
+    run.signal("USR1");
+    emulator.signal("CONT");
+    // A busy host may lose answers of the lines; the signal must not end the run.
+    let output = run.output();
+    assert!(output.status.code().is_some(), "{output:?}");
+    let processes = processes(&file);
+    let asked = processes.last().map(String::as_str);
+    assert_eq!(asked, Some("on request: cycle 0"));
 }
 
 #[test]

@@ -21,7 +21,7 @@ use canopen::emcy::Emergency;
 use canopen::objects::{POSITION_ACTUAL, STATUSWORD};
 use canopen::sdo::{Initiate, Request, Response};
 use canopen::{NodeId, Object, cob};
-use controller::cell::Cell;
+use controller::cell::{Axis, Cell};
 use drive::cia402::{AxisConfig, Cia402Group, GroupConfig, Recording};
 use drive::{AxisCommand, AxisState, DriveGroup, Finite, Homing, Increments, Setpoint};
 
@@ -140,7 +140,7 @@ impl Stage<'_> {
 }
 
 /// A `candump` at work, killed on drop.
-pub(crate) struct Recorder(Child);
+pub(crate) struct Recorder(pub(crate) Child);
 
 impl Drop for Recorder {
     fn drop(&mut self) {
@@ -203,7 +203,7 @@ fn drives_of(cell: &Cell) -> (GroupConfig, Vec<AxisConfig>) {
     let arm = cell.robot[0].arm().unwrap();
     let home = arm.robot().home();
     let axes = cell.robot[0].axis.iter().zip(home.iter());
-    let config = |(axis, home): (&controller::cell::Axis, &f64)| axis.drive_config(*home);
+    let config = |(axis, home): (&Axis, &f64)| axis.drive_config(*home);
     (cell.group_config(0), axes.map(config).collect())
 }
 
@@ -381,25 +381,7 @@ fn drives_brake_by_themselves_when_the_controller_vanishes() {
             let _candump = stage.start_candump();
             let (_emulators, controller) = stage.start_moving();
             controller.signal("KILL");
-            // Drives that lost the host answer service requests only.
-            let port = SocketCanPort::open(stage.interface, &SocketCanOptions::default());
-            let mut port = port.unwrap();
-            let mut now = clock::now();
-            let end = now + stage.heartbeat() * 2 * LOST;
-            let objects = [STATUSWORD, POSITION_ACTUAL];
-            for object in objects
-                .into_iter()
-                .cycle()
-                .take_while(|_| clock::now() < end)
-            {
-                let ask = |axis: &controller::cell::Axis| {
-                    Request::InitiateUpload { object }.encode(NodeId::new(axis.node).unwrap())
-                };
-                let requests: Vec<_> = stage.cell.robot[0].axis.iter().map(ask).collect();
-                assert_eq!(port.send(now, &requests), Ok(requests.len()));
-                now += Duration::from_millis(20);
-                clock::sleep_until(now);
-            }
+            ask_how_it_stands(stage.interface, &stage.cell, stage.heartbeat() * 2 * LOST);
             stopped(
                 &frames_of(&stage.directory.path("bus.log")),
                 &stage.cell,
@@ -444,17 +426,61 @@ fn stopped(frames: &[Received], cell: &Cell, heartbeat: Duration) {
         let waited = lost.unwrap().at.since(last);
         let late = waited.abs_diff(heartbeat * LOST);
         assert!(late < heartbeat, "{}: {waited:?}", axis.name);
-        let words = uploaded(frames, node, STATUSWORD, standing);
-        let positions = uploaded(frames, node, POSITION_ACTUAL, standing);
-        assert!(words.len() > 5 && positions.len() > 5, "{}", axis.name);
-        for word in words {
-            let power = Statusword(word as u16).power_state();
-            assert_ne!(power, PowerState::OperationEnabled, "{}", axis.name);
-        }
-        for position in &positions {
-            let moved = position - positions[0];
-            assert!(moved.abs() <= 2, "{} moved by {moved}", axis.name);
-        }
+        stands(frames, axis, standing);
+    }
+}
+
+/// Its drive said more than once after `after` that it has no power and stands where it stood.
+fn stands(frames: &[Received], axis: &Axis, after: Instant) {
+    let node = NodeId::new(axis.node).unwrap();
+    let words = uploaded(frames, node, STATUSWORD, after);
+    let positions = uploaded(frames, node, POSITION_ACTUAL, after);
+    assert!(words.len() > 5 && positions.len() > 5, "{}", axis.name);
+    for word in words {
+        let power = Statusword(word as u16).power_state();
+        assert_ne!(power, PowerState::OperationEnabled, "{}", axis.name);
+    }
+    for position in &positions {
+        let moved = position - positions[0];
+        assert!(moved.abs() <= 2, "{} moved by {moved}", axis.name);
+    }
+}
+
+/// Asks every drive for its state and position, again and again; one that lost the host answers service requests only.
+fn ask_how_it_stands(interface: &str, cell: &Cell, duration: Duration) {
+    let port = SocketCanPort::open(interface, &SocketCanOptions::default());
+    let mut port = port.unwrap();
+    let mut now = clock::now();
+    let end = now + duration;
+    let objects = [STATUSWORD, POSITION_ACTUAL].into_iter().cycle();
+    for object in objects.take_while(|_| clock::now() < end) {
+        let ask = |axis: &Axis| {
+            Request::InitiateUpload { object }.encode(NodeId::new(axis.node).unwrap())
+        };
+        let requests: Vec<_> = cell.robot[0].axis.iter().map(ask).collect();
+        assert_eq!(port.send(now, &requests), Ok(requests.len()));
+        now += Duration::from_millis(20);
+        clock::sleep_until(now);
+    }
+}
+
+/// The drives of `cell`, which have lost the host by now, have no power and stand a period after they must have noticed,
+/// as they themselves say on `interface`.
+pub(crate) fn stand_without_power(interface: &str, directory: &Directory, cell: &Cell) {
+    let heartbeat = Duration::from_millis(cell.bus[0].heartbeat_ms.into());
+    clock::sleep_until(clock::now() + heartbeat * (LOST + 1));
+    let log = directory.path("standing.log");
+    let mut candump = Command::new("candump");
+    candump.args(["-L", interface]).stdin(Stdio::null());
+    candump.stdout(File::create(&log).unwrap());
+    let candump = started(|| Recorder(candump.spawn().unwrap()));
+    ask_how_it_stands(interface, cell, Duration::from_secs(4));
+    // What it has read it has written, line by line, within this.
+    clock::sleep_until(clock::now() + Duration::from_secs(1));
+    drop(candump);
+    let frames = frames_of(&log);
+    for axis in &cell.robot[0].axis {
+        stands(&frames, axis, Instant::ZERO);
     }
 }
 

@@ -217,8 +217,8 @@ pub(crate) fn steal(cpuinfo: &str, before: &str, after: &str) -> Finding {
     finding.warning("run arms from a real machine; here only emulated ones")
 }
 
-/// The eighth number of the first line (proc(5)), in ticks of 10 ms of all processors.
-fn stolen_ticks(stat: &str) -> u64 {
+/// The eighth number of the first line of `/proc/stat` (proc(5)), in ticks of 10 ms of all processors.
+pub(crate) fn stolen_ticks(stat: &str) -> u64 {
     let mut words = stat.lines().next().unwrap_or_default().split_whitespace();
     words.nth(8).and_then(|word| word.parse().ok()).unwrap_or(0)
 }

@@ -53,6 +53,15 @@ impl fmt::Display for Fix {
 }
 
 impl Knob {
+    /// The interface that goes down for it to be set to `value`.
+    pub(crate) fn takes_down(&self, value: &str) -> Option<&str> {
+        match self {
+            Self::BitTiming(interface) | Self::RestartMs(interface) => Some(interface),
+            Self::State(interface) if value == "down" => Some(interface),
+            _ => None,
+        }
+    }
+
     pub(crate) fn to(self, after: impl Into<String>) -> Fix {
         Fix {
             knob: self,
@@ -90,6 +99,7 @@ impl Knob {
     /// Sets it to `value`, as [`read`](Self::read) returned it.
     fn write(&self, tree: &Tree, value: Option<&str>) -> anyhow::Result<()> {
         let change = |interface: &str, change: card::Change| {
+            unheard(tree, interface)?;
             of_host(tree)?;
             Ok(card::change(interface, &change)?)
         };
@@ -125,11 +135,14 @@ impl Knob {
                     ..card::Change::default()
                 },
             ),
-            (Self::BitTiming(_), None) => {
-                bail!(
-                    "a card keeps its bit rate until it is unplugged or its driver is loaded anew"
-                )
-            }
+            // Before it had a bit rate it was down, and that is what can be put back.
+            (Self::BitTiming(interface), None) => change(
+                interface,
+                card::Change {
+                    up: Some(false),
+                    ..card::Change::default()
+                },
+            ),
             (Self::Kernel(_) | Self::RestartMs(_) | Self::State(_), None) => {
                 bail!("it cannot be without a value")
             }
@@ -159,6 +172,30 @@ fn timing(value: &str) -> Option<(u32, Option<f64>)> {
     let point = words.next().map(str::parse).transpose().ok()?;
     let point = point.filter(|&point| point > 0.0 && point < 1.0);
     Some((bitrate, point))
+}
+
+/// Refuses an interface that somebody receives on, such as an arm's controller.
+fn unheard(tree: &Tree, interface: &str) -> anyhow::Result<()> {
+    ensure!(
+        !is_heard(tree, interface),
+        "somebody receives on {interface} and would lose the bus: end what runs on it first"
+    );
+    Ok(())
+}
+
+/// Whether a socket receives on `interface`, or on all there are.
+fn is_heard(tree: &Tree, interface: &str) -> bool {
+    const LISTS: &str = "/proc/net/can";
+    let names = tree.names(LISTS).into_iter();
+    let lists = names.filter(|name| name.starts_with("rcvlist_"));
+    let mut texts = lists.filter_map(|name| tree.text(&format!("{LISTS}/{name}")));
+    // A receiver's line is its device and numbers; others say that a device has none, or name the columns.
+    texts.any(|text| {
+        let mut devices = text
+            .lines()
+            .filter_map(|line| line.split_whitespace().next());
+        devices.any(|device| [interface, "any"].contains(&device))
+    })
 }
 
 fn of_host(tree: &Tree) -> anyhow::Result<()> {
@@ -203,8 +240,8 @@ pub(crate) fn apply(tree: &Tree, fix: &Fix, record: &mut Record) -> anyhow::Resu
     Ok(Some(change))
 }
 
-/// Puts back what was there before `change`.
-pub(crate) fn put_back(tree: &Tree, change: &Change) -> anyhow::Result<()> {
+/// Puts back what was there before `change`; returns a word on what cannot be.
+pub(crate) fn put_back(tree: &Tree, change: &Change) -> anyhow::Result<Option<&'static str>> {
     let Change {
         knob,
         before,
@@ -213,7 +250,7 @@ pub(crate) fn put_back(tree: &Tree, change: &Change) -> anyhow::Result<()> {
     let (before, found) = (before.as_deref(), knob.read(tree)?);
     // It was never made, or the host was started since.
     if knob.stands_at(before, found.as_deref()) {
-        return Ok(());
+        return Ok(None);
     }
     ensure!(
         knob.stands_at(Some(after), found.as_deref()),
@@ -221,13 +258,18 @@ pub(crate) fn put_back(tree: &Tree, change: &Change) -> anyhow::Result<()> {
         shown(found.as_deref())
     );
     knob.write(tree, before)?;
+    if let (Knob::BitTiming(_), None) = (knob, before) {
+        return Ok(Some(
+            "the card is down, and keeps its bit rate until its driver is loaded anew",
+        ));
+    }
     let found = knob.read(tree)?;
     ensure!(
         knob.stands_at(before, found.as_deref()),
         "it reads {}",
         shown(found.as_deref())
     );
-    Ok(())
+    Ok(None)
 }
 
 #[cfg(test)]

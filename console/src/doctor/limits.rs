@@ -91,26 +91,54 @@ pub(crate) fn findings(
         .iter_mut()
         .skip(usize::from(beyond_limits))
         .filter(|finding| finding.mend.is_some());
+    let fix = granting(tree, realtime);
     for finding in denied {
-        finding.fixes = vec![granting(tree, realtime)];
+        match &fix {
+            Some(fix) => finding.fixes = vec![fix.clone()],
+            None => {
+                let why = "to this user, who is not in it or was logged in before: `usermod -aG realtime USER`, then log \
+                           in again";
+                finding.mend = Some(format!(
+                    "{LIMITS} grants it to group realtime and not {why}"
+                ));
+            }
+        }
     }
     findings
 }
 
-/// What is in the file of limits already, and the lines that a cell needs.
-fn granting(tree: &Tree, realtime: &Realtime) -> Fix {
+/// What is in the file of limits already, and the lines that a cell needs; none if it grants as much.
+fn granting(tree: &Tree, realtime: &Realtime) -> Option<Fix> {
     let mut text = tree.whole(LIMITS).ok().flatten().unwrap_or_default();
+    let limits = [Limit::Priority(realtime.priority), Limit::LockedMemory];
+    let lines = limits.map(|limit| limit.to_string());
+    let mut missing = lines.iter().filter(|line| !grants(&text, line)).peekable();
+    missing.peek()?;
+    let missing: Vec<_> = missing.collect();
     if !text.is_empty() && !text.ends_with('\n') {
         text.push('\n');
     }
-    for limit in [Limit::Priority(realtime.priority), Limit::LockedMemory] {
-        let line = limit.to_string();
-        if !text.lines().any(|present| present == line) {
-            text += &line;
-            text.push('\n');
-        }
+    for line in missing {
+        text += line;
+        text.push('\n');
     }
-    Knob::File(LIMITS.to_owned()).to(text)
+    Some(Knob::File(LIMITS.to_owned()).to(text))
+}
+
+/// Whether the file of limits `text` grants as much as `line` would: the last line of the same domain, type and item counts.
+fn grants(text: &str, line: &str) -> bool {
+    let amount = |value: &str| match value {
+        "unlimited" | "infinity" | "-1" => Some(u64::MAX),
+        number => number.parse().ok(),
+    };
+    let (what, value) = line.rsplit_once(' ').unwrap_or((line, ""));
+    let mut present = text.lines().rev().filter_map(|present| {
+        let present = present.split('#').next().unwrap_or_default();
+        let words: Vec<_> = present.split_whitespace().collect();
+        let (value, present) = words.split_last()?;
+        (present.join(" ") == what).then(|| amount(value))
+    });
+    present.next().flatten() >= amount(value)
 }
 
 /// The soft limit of a line of `/proc/self/limits`; `unlimited` is the greatest number.
@@ -273,7 +301,17 @@ Max realtime timeout      unlimited            unlimited            us        ";
                 Some("# lab\n@realtime - nice -20"),
                 format!("# lab\n@realtime - nice -20\n{ours}"),
             ),
-            (Some(ours), ours.to_owned()),
+            // A later line would lower it.
+            (
+                Some("@realtime - rtprio 99\n"),
+                "@realtime - rtprio 99\n@realtime - memlock unlimited\n".to_owned(),
+            ),
+            (
+                Some("@realtime - rtprio 99\n@realtime - memlock unlimited\n@realtime - rtprio 79\n"),
+                "@realtime - rtprio 99\n@realtime - memlock unlimited\n@realtime - rtprio 79\n@realtime - rtprio 80\n"
+                    .to_owned(),
+            ),
+            (Some("# @realtime - rtprio 99"), format!("# @realtime - rtprio 99\n{ours}")),
         ];
         for (before, after) in table {
             let files: Vec<_> = before.map(|text| (path, text)).into_iter().collect();
@@ -292,6 +330,28 @@ Max realtime timeout      unlimited            unlimited            us        ";
             for finding in found {
                 let fix = Knob::File(LIMITS.to_owned()).to(after.as_str());
                 assert_eq!(finding.fixes, [fix], "{before:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn who_is_granted_it_by_the_packages_file_is_told_of_the_group() {
+        let path = LIMITS.trim_start_matches('/');
+        let packaged = include_str!("../../../packaging/limits.conf");
+        let denial = Denial::Fifo {
+            priority: 80,
+            errno: 1,
+        };
+        let exact = "@realtime  -  rtprio\t80 # ours\n@realtime - memlock -1\n";
+        for text in [packaged, exact] {
+            let tree = Fake::new(&[(path, text)]);
+            for finding in findings(&tree.tree(), &Realtime::default(), Err(denial)) {
+                assert_eq!(finding.fixes, [], "{text}");
+                let mend = finding.mend.unwrap();
+                assert!(
+                    mend.contains("`usermod -aG realtime USER`, then log in again"),
+                    "{mend}"
+                );
             }
         }
     }

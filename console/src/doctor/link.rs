@@ -3,11 +3,15 @@
 //! Bit timing, restart time and error counters are in netlink only, not below `/sys`. `ip` is on every Debian, and with
 //! it the examination needs neither a netlink library nor privileges.
 
+use std::process::Command;
+
 use serde::Deserialize;
 use serde_json::Value;
 
+use super::tree::output_of;
+
 /// The arguments of `ip` that write what [`Link::parse`] reads; the interface's name follows.
-pub(crate) const ARGUMENTS: [&str; 6] = ["-details", "-statistics", "-json", "link", "show", "dev"];
+const ARGUMENTS: [&str; 6] = ["-details", "-statistics", "-json", "link", "show", "dev"];
 
 /// One interface.
 #[derive(Clone, Debug, Default, Deserialize)]
@@ -61,6 +65,16 @@ pub(crate) struct Statistics {
 }
 
 impl Link {
+    /// What `ip` tells; none where it is not installed or knows no such interface.
+    pub(crate) fn of(interface: &str) -> Option<Self> {
+        // Where PATH has no directories of the administrator's.
+        let programs = ["ip", "/usr/sbin/ip", "/sbin/ip"];
+        programs.into_iter().find_map(|program| {
+            let told = output_of(Command::new(program).args(ARGUMENTS).arg(interface))?;
+            Self::parse(&told)
+        })
+    }
+
     /// None for what is not the description of one interface.
     pub(crate) fn parse(json: &str) -> Option<Self> {
         let links: Vec<Self> = serde_json::from_str(json).ok()?;

@@ -40,6 +40,14 @@ pub(crate) fn fix(
 
 /// Asks on the terminal.
 pub(crate) fn asked(finding: &Finding) -> io::Result<bool> {
+    eprint!("{}", question(finding));
+    io::stderr().flush()?;
+    let mut answer = String::new();
+    io::stdin().lock().read_line(&mut answer)?;
+    Ok(matches!(answer.trim(), "y" | "Y" | "yes"))
+}
+
+fn question(finding: &Finding) -> String {
     let Finding {
         of,
         what,
@@ -48,15 +56,15 @@ pub(crate) fn asked(finding: &Finding) -> io::Result<bool> {
         fixes,
         ..
     } = finding;
-    eprintln!("\n{of}: {what}: {read}\n  why: {why}");
-    for fix in fixes {
-        eprintln!("  set: {fix}");
-    }
-    eprint!("Set it? [y/N] ");
-    io::stderr().flush()?;
-    let mut answer = String::new();
-    io::stdin().lock().read_line(&mut answer)?;
-    Ok(matches!(answer.trim(), "y" | "Y" | "yes"))
+    let sets = fixes.iter().map(|fix| format!("  set: {fix}\n"));
+    let sets = sets.collect::<String>();
+    let mut down = fixes
+        .iter()
+        .filter_map(|fix| fix.knob.takes_down(&fix.after));
+    let down = down.next().map_or(String::new(), |interface| {
+        format!("  {interface} goes down for it: nothing may run on its bus\n")
+    });
+    format!("\n{of}: {what}: {read}\n  why: {why}\n{sets}{down}Set it? [y/N] ")
 }
 
 /// Puts back all that is in the record, the youngest first; returns how many changes could not be, which stay in it.
@@ -66,8 +74,9 @@ pub(crate) fn undo(tree: &Tree, record: &mut Record) -> anyhow::Result<usize> {
         let change = record.changes()[index].clone();
         let before = shown(change.before.as_deref());
         match put_back(tree, &change) {
-            Ok(()) => {
-                println!("put back {} = {before}", change.knob);
+            Ok(word) => {
+                let word = word.map_or(String::new(), |word| format!(": {word}"));
+                println!("put back {} = {before}{word}", change.knob);
                 record.remove(index)?;
             }
             Err(error) => {
@@ -77,4 +86,31 @@ pub(crate) fn undo(tree: &Tree, record: &mut Record) -> anyhow::Result<usize> {
         }
     }
     Ok(left)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::fix::Knob;
+    use super::*;
+
+    #[test]
+    fn who_is_asked_is_told_that_the_bus_goes_down() {
+        let can = || "can0".to_owned();
+        let table = [
+            (Knob::BitTiming(can()).to("500000"), true),
+            (Knob::RestartMs(can()).to("100"), true),
+            (Knob::State(can()).to("down"), true),
+            (Knob::State(can()).to("up"), false),
+            (
+                Knob::Kernel("/sys/class/net/can0/tx_queue_len".into()).to("128"),
+                false,
+            ),
+        ];
+        for (fix, down) in table {
+            let finding = Finding::new("bus", "x", "y", "z").fixed_by([fix.clone()]);
+            let asked = question(&finding);
+            assert!(asked.contains(&format!("set: {fix}\n")), "{asked}");
+            assert_eq!(asked.contains("can0 goes down for it"), down, "{asked}");
+        }
+    }
 }

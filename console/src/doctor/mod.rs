@@ -10,7 +10,7 @@ mod finding;
 mod fix;
 mod kernel;
 mod limits;
-mod link;
+pub(crate) mod link;
 mod mend;
 mod record;
 mod serial_lines;
@@ -21,7 +21,7 @@ mod tree;
 use std::env;
 use std::io::{self, IsTerminal};
 use std::path::PathBuf;
-use std::process::{Command, ExitCode};
+use std::process::ExitCode;
 use std::thread;
 use std::time::Duration;
 
@@ -40,6 +40,8 @@ use finding::{Finding, Verdict};
 use link::Link;
 use record::Record;
 use tree::Tree;
+
+pub(crate) use cpu::stolen_ticks;
 
 /// How long the steal time is watched.
 const WATCH: Duration = Duration::from_secs(1);
@@ -64,7 +66,8 @@ pub(crate) struct Options {
     /// Ask nothing.
     #[arg(long, requires = "fix")]
     yes: bool,
-    /// Put back what `--fix` has set, the youngest change first; 1 if something could not be.
+    /// Put back what `--fix` has set, the youngest change first; a cell must not run on this host. 1 if something could
+    /// not be.
     #[arg(long, conflicts_with_all = ["cell", "json", "fix"])]
     undo: bool,
     /// The record of what was set, by default below /var/lib/mrroc or, for users other than root, XDG_STATE_HOME.
@@ -163,7 +166,7 @@ fn examine(tree: &Tree, cell: Option<&Cell>) -> anyhow::Result<Vec<Finding>> {
     findings.extend(cpu::findings(tree, &realtime));
     let (interfaces, lines) = wanted(tree, cell);
     for wanted in interfaces {
-        let link = netlink(&wanted.interface);
+        let link = Link::of(&wanted.interface);
         let opened = try_open(&wanted.interface);
         let found = can_interfaces::findings(tree, &wanted, opened, link.as_ref());
         findings.extend(found);
@@ -244,16 +247,6 @@ fn try_scheduler(realtime: &Realtime, period: Duration) -> anyhow::Result<Result
 /// A socket that sends nothing and is closed at once.
 fn try_open(interface: &str) -> Result<(), OpenError> {
     SocketCanPort::open(interface, &SocketCanOptions::default()).map(drop)
-}
-
-/// What `ip` tells; none where it is not installed or knows no such interface.
-fn netlink(interface: &str) -> Option<Link> {
-    // Where PATH has no directories of the administrator's.
-    let programs = ["ip", "/usr/sbin/ip", "/sbin/ip"];
-    programs.into_iter().find_map(|program| {
-        let told = tree::output_of(Command::new(program).args(link::ARGUMENTS).arg(interface))?;
-        Link::parse(&told)
-    })
 }
 
 fn print(examined: &Examined) {

@@ -4,35 +4,30 @@
 //! moves. Every cycle from bring-up to switch-off is measured, by the servo thread itself, so an interval is a turn.
 //! Between its turns there is no servo, and the peer has the host for itself.
 
+use std::sync::Arc;
+
 use anyhow::{anyhow, bail};
 use can::clock::{now, sleep_until};
-use clap::ValueEnum;
 use serde::Serialize;
 use servo::thread::{CellTime, Denial, LateCycles, RealtimePolicy, Spike, Tracer, WaitReport};
 use servo::{Order, Phase, Servo};
 
+use super::bench::CellBench;
 use super::interval::{Counts, Interval, Ledger, counts, counts_of};
 use super::probe::{LOOK, Turn};
 use super::report::percentiles;
 use crate::bench::{Bench, BenchKind};
 use crate::cell_file::CellFile;
 use crate::report::Percentiles;
+use crate::wire::{Wire, WireReport};
 use crate::{clockwork, setup};
-
-/// What a cell is measured on; nothing here moves hardware.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub(crate) enum CellBench {
-    /// Emulated drives on a virtual bus, stepped by the servo thread between its cycles.
-    Emulated,
-    /// A virtual CAN interface, or pseudo-terminals; `mrroc emulate` at their other end.
-    Vcan,
-}
 
 /// A cell under measurement.
 pub(crate) struct MeasuredCell<'a> {
     file: &'a CellFile,
     bench: CellBench,
+    /// As `--can` gives it.
+    can: &'a [String],
     /// Whether frames that nobody asked for load its buses.
     traffic: bool,
     step: Counts,
@@ -44,15 +39,23 @@ pub(crate) struct MeasuredCell<'a> {
     pub(crate) late: LateCycles,
     /// The cycles around the latest, of all turns; each turn numbers its own.
     pub(crate) spikes: Vec<Spike>,
+    /// What listens to its buses, from the first turn on.
+    wire: Option<Wire>,
     /// Whether every robot stood with its power on in every turn.
     stood: bool,
 }
 
 impl<'a> MeasuredCell<'a> {
-    pub(crate) fn new(file: &'a CellFile, bench: CellBench, traffic: bool) -> Self {
+    pub(crate) fn new(
+        file: &'a CellFile,
+        bench: CellBench,
+        can: &'a [String],
+        traffic: bool,
+    ) -> Self {
         Self {
             file,
             bench,
+            can,
             traffic,
             step: counts(),
             bus: counts(),
@@ -61,13 +64,14 @@ impl<'a> MeasuredCell<'a> {
             wait: WaitReport::default(),
             late: LateCycles::default(),
             spikes: Vec::new(),
+            wire: None,
             stood: true,
         }
     }
 
     /// What was seen so far counts for nothing.
     pub(crate) fn forget(&mut self) {
-        *self = Self::new(self.file, self.bench, self.traffic);
+        *self = Self::new(self.file, self.bench, self.can, self.traffic);
     }
 
     /// One turn into `ledger`; returns what the host denied. `look` is called meanwhile.
@@ -83,7 +87,8 @@ impl<'a> MeasuredCell<'a> {
             CellBench::Emulated => BenchKind::Emulated,
             CellBench::Vcan => BenchKind::Vcan,
         };
-        let bench = Bench::open(file, kind, &[], None, false, false)?;
+        let bench = Bench::open(file, kind, self.can, None, false, false)?;
+        let mut wire = bench.wire.continuing(self.wire.take());
         let groups = setup::drive_groups(file, bench.ports, bench.lines)?;
         let (mut servo, mut links) = Servo::new(&setup::servo_config(file), groups)?;
         let mut emulation = bench.emulation;
@@ -101,7 +106,7 @@ impl<'a> MeasuredCell<'a> {
         let until =
             move |_: &Servo| now() >= end || over.load(std::sync::atomic::Ordering::Relaxed);
         let policy = |time: CellTime| RealtimePolicy { time, ..policy };
-        let running = clockwork::start(servo, emulation, since, policy, until)?;
+        let running = clockwork::start(servo, emulation, since, policy, Arc::default(), until)?;
         let mut stood = vec![false; links.len()];
         while !running.is_finished() {
             for (link, stood) in links.iter_mut().zip(&mut stood) {
@@ -109,10 +114,13 @@ impl<'a> MeasuredCell<'a> {
                     *stood |= report.phase == Phase::Standing;
                 }
             }
+            wire.look();
             look(ledger);
             sleep_until(now() + LOOK);
         }
         let finished = running.join();
+        wire.look();
+        self.wire = Some(wire);
         for robot in 0..links.len() {
             if let Some(fault) = finished.servo.fault(robot) {
                 bail!("robot {}: {fault}", file.cell.robot[robot].name);
@@ -158,6 +166,7 @@ impl<'a> MeasuredCell<'a> {
             wake_us: percentiles(&self.wake_up),
             step_us: percentiles(&self.step),
             bus_us: percentiles(&self.bus),
+            wire: self.wire.as_ref().map_or_else(Vec::new, Wire::reports),
         }
     }
 }
@@ -175,4 +184,6 @@ pub(crate) struct CellReport {
     pub(crate) step_us: Percentiles,
     /// From SYNC to the last answer to it, µs.
     pub(crate) bus_us: Percentiles,
+    /// Every bus on the wire.
+    pub(crate) wire: Vec<WireReport>,
 }

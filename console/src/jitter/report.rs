@@ -37,6 +37,8 @@ pub(super) struct Setting {
     pub(super) against: Option<Peer>,
     /// Whether deep idle states were kept away, for both.
     pub(super) cpu_latency_held: bool,
+    /// What a hypervisor took from all processors meanwhile, by the kernel's account, ms.
+    pub(super) stolen_ms: u64,
     /// Whether Ctrl-C, or a file that could not be written, ended it.
     pub(super) ended_early: bool,
     /// What the host denied.
@@ -245,6 +247,9 @@ impl fmt::Display for Report {
                 "\nours is from deadline to SYNC; cell {}: {}",
                 cell.name, cell.state
             )?;
+            for wire in &cell.wire {
+                write!(f, "{wire}")?;
+            }
         }
         writeln!(f)?;
         if let Some(cost) = self.ours.cost.filter(|cost| cost.spin_percent > 0.0) {
@@ -270,6 +275,13 @@ impl fmt::Display for Report {
                 .map(|late| format!("{:.0} µs {}", late.late_us, late.cause))
                 .collect();
             writeln!(f, "the worst: {}", worst.join(", "))?;
+        }
+        if self.setting.stolen_ms > 0 {
+            let stolen = self.setting.stolen_ms;
+            writeln!(
+                f,
+                "the hypervisor took {stolen} ms from all processors meanwhile"
+            )?;
         }
         for denied in &self.setting.denied {
             writeln!(f, "denied: {denied}")?;

@@ -3,10 +3,13 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
-use controller::robot::{Joints, Limits, Solutions};
+use controller::robot::{Joints, KinematicsError, Limits, Solutions, Space};
 use serde::Serialize;
 
 use super::Machine;
+
+/// A joint beyond its limit and beyond this, rad, was probably meant in degrees: four turns.
+const DEGREES: f64 = 8.0 * std::f64::consts::PI;
 
 /// Where the flange is.
 #[derive(Serialize)]
@@ -40,6 +43,15 @@ impl Forward {
             Ok(motors) => Some(motors.to_vec()),
             Err(error) => {
                 notes.push(format!("no motors: {error}"));
+                if let KinematicsError::BeyondLimit {
+                    space: Space::Joint,
+                    value,
+                    ..
+                } = error
+                    && value.abs() > DEGREES
+                {
+                    notes.push("positions of joints are in rad and m, not degrees and mm".into());
+                }
                 None
             }
         };

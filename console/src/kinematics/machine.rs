@@ -31,28 +31,30 @@ pub(crate) struct Which {
     cell: Option<PathBuf>,
 }
 
+impl Which {
+    #[cfg(test)]
+    pub(crate) fn preset(name: &str) -> Self {
+        Self {
+            robot: name.into(),
+            cell: None,
+        }
+    }
+}
+
 /// A robot by name.
 pub(crate) struct Machine {
     pub(crate) name: String,
     pub(crate) robot: Arc<dyn Robot>,
+    pub(crate) parameters: Parameters,
     /// Of a robot that has legs.
-    rnt: Option<(Rnt, RntParameters)>,
+    rnt: Option<Rnt>,
     /// What must be known of the numbers.
     pub(crate) caution: Option<&'static str>,
 }
 
 impl Machine {
-    fn new(robot: Arc<dyn Robot>) -> Self {
-        Self {
-            name: String::new(),
-            robot,
-            rnt: None,
-            caution: None,
-        }
-    }
-
     pub(crate) fn find(Which { robot, cell }: &Which) -> anyhow::Result<Self> {
-        let machine = match cell {
+        let parameters = match cell {
             None => preset(robot)?,
             Some(cell) => {
                 let file = CellFile::read(cell)?;
@@ -62,12 +64,35 @@ impl Machine {
                     let names = file.cell.robot.iter().map(|robot| robot.name.as_str());
                     unknown(&format!("{} has no robot", cell.display()), robot, names)
                 })?;
-                of_cell(&found.parameters.unwrap_or_else(|| found.model.parameters()))?
+                let model = found.model;
+                found.parameters.unwrap_or_else(|| model.parameters())
             }
         };
+        Ok(Self::new(robot.clone(), parameters)?)
+    }
+
+    fn new(name: String, parameters: Parameters) -> Result<Self, ParameterError> {
+        let (rnt, caution) = match &parameters {
+            Parameters::Rnt(numbers) => {
+                let nominal = *numbers == RntParameters::nominal();
+                (Some(Rnt::new(numbers)?), nominal.then_some(RNT))
+            }
+            Parameters::Polycrank(numbers) => {
+                let nominal = *numbers == PolycrankParameters::polycrank();
+                (None, nominal.then_some(POLYCRANK))
+            }
+            Parameters::Irb6(_)
+            | Parameters::Irp6(_)
+            | Parameters::Irp6Track(_)
+            | Parameters::Gripper(_)
+            | Parameters::Conveyor(_) => (None, None),
+        };
         Ok(Self {
-            name: robot.clone(),
-            ..machine
+            name,
+            robot: parameters.kinematics()?,
+            parameters,
+            rnt,
+            caution,
         })
     }
 
@@ -79,7 +104,7 @@ impl Machine {
     /// The joints at a list of motor positions, of the RNT's legs at their lengths.
     pub(super) fn joints_from_motors(&self, list: &str) -> anyhow::Result<Joints> {
         let mut motors: Motors = self.vector("--motors", list)?;
-        if let Some((_, parameters)) = &self.rnt {
+        if let Parameters::Rnt(parameters) = &self.parameters {
             for (motor, leg) in motors.iter_mut().zip(&parameters.legs) {
                 *motor = leg.motor(*motor);
             }
@@ -96,18 +121,22 @@ impl Machine {
     /// Leg lengths at these joints, m, of a robot that has legs.
     pub(super) fn leg_lengths(&self, joints: &Joints) -> anyhow::Result<Option<[f64; 3]>> {
         let rnt = self.rnt.as_ref();
-        Ok(rnt.map(|(rnt, _)| rnt.leg_lengths(joints)).transpose()?)
+        Ok(rnt.map(|rnt| rnt.leg_lengths(joints)).transpose()?)
     }
 
     /// Ranges of the legs, m, of a robot that has them.
     pub(super) fn leg_limits(&self) -> Option<[Limits; 3]> {
-        let (_, parameters) = self.rnt.as_ref()?;
+        let Parameters::Rnt(parameters) = &self.parameters else {
+            return None;
+        };
         Some(parameters.legs.map(|leg| leg.length_limits))
     }
 
     /// Where each leg begins on the base and ends on the platform, m, of a robot that has legs.
     pub(crate) fn leg_ends(&self) -> Option<[[Vector3<f64>; 2]; 3]> {
-        let (_, parameters) = self.rnt.as_ref()?;
+        let Parameters::Rnt(parameters) = &self.parameters else {
+            return None;
+        };
         Some(parameters.leg_ends())
     }
 
@@ -124,33 +153,12 @@ impl Machine {
     }
 }
 
-/// The robot of these numbers of a cell.
-fn of_cell(parameters: &Parameters) -> Result<Machine, ParameterError> {
-    let machine = Machine::new(parameters.kinematics()?);
-    Ok(match parameters {
-        Parameters::Rnt(parameters) => Machine {
-            rnt: Some((Rnt::new(parameters)?, *parameters)),
-            caution: (*parameters == RntParameters::nominal()).then_some(RNT),
-            ..machine
-        },
-        Parameters::Polycrank(parameters) => Machine {
-            caution: (*parameters == PolycrankParameters::polycrank()).then_some(POLYCRANK),
-            ..machine
-        },
-        Parameters::Irb6(_)
-        | Parameters::Irp6(_)
-        | Parameters::Irp6Track(_)
-        | Parameters::Gripper(_)
-        | Parameters::Conveyor(_) => machine,
-    })
-}
-
-fn preset(name: &str) -> anyhow::Result<Machine> {
+fn preset(name: &str) -> anyhow::Result<Parameters> {
     let mut models = Model::ALL.into_iter();
     let found = models.find(|model| model.name() == name);
     let names = Model::ALL.into_iter().map(Model::name);
     let model = found.ok_or_else(|| unknown("there is no robot", name, names))?;
-    Ok(of_cell(&model.parameters())?)
+    Ok(model.parameters())
 }
 
 fn unknown<'a>(what: &str, name: &str, known: impl Iterator<Item = &'a str>) -> anyhow::Error {

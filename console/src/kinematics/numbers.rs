@@ -9,10 +9,9 @@ const NORM: f64 = 0.01;
 /// The finite numbers of a list separated by commas.
 pub(super) fn list(option: &str, text: &str) -> anyhow::Result<Vec<f64>> {
     let number = |part: &str| {
-        let value: f64 = part
-            .trim()
-            .parse()
-            .map_err(|_| anyhow!("{option}: {part:?} is not a number"))?;
+        let value: f64 = part.trim().parse().map_err(|_| {
+            anyhow!("{option}: {part:?} is not a number, as in a list separated by commas")
+        })?;
         ensure!(value.is_finite(), "{option}: {part:?} is not finite");
         Ok(value)
     };

@@ -3,10 +3,13 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, sync_channel};
-use std::thread::Thread;
+use std::thread::{Builder, Thread};
 use std::time::Duration;
 
+use anyhow::Context;
+
 use super::{Wire, WireReport};
+use crate::run::SMALL_STACK;
 
 /// How often the listeners are read, at the least; their queues hold seconds.
 const LOOK: Duration = Duration::from_millis(20);
@@ -38,11 +41,11 @@ impl Drop for Listening {
 
 impl Wire {
     /// Begins to listen on a thread of its own.
-    pub(crate) fn listen(mut self) -> Listening {
+    pub(crate) fn listen(mut self) -> anyhow::Result<Listening> {
         let over = Arc::new(AtomicBool::new(false));
         let (tell, told) = sync_channel(1);
         let last = over.clone();
-        let thread = std::thread::spawn(move || {
+        let body = move || {
             while !last.load(Ordering::Relaxed) {
                 std::thread::park_timeout(LOOK);
                 self.look();
@@ -51,11 +54,16 @@ impl Wire {
             self.look();
             // Nobody waits any more if it took too long.
             let _ = tell.send(self.reports());
-        });
-        Listening {
+        };
+        let thread = Builder::new()
+            .name("listener".into())
+            .stack_size(SMALL_STACK)
+            .spawn(body)
+            .context("no thread to listen to the buses can be made")?;
+        Ok(Listening {
             over,
             told,
             thread: thread.thread().clone(),
-        }
+        })
     }
 }

@@ -358,6 +358,10 @@ pub struct Emulator {
     pub vendor: Option<u32>,
     /// Revision number it answers with; the drive's own where absent.
     pub revision: Option<u32>,
+    /// Quadrature counts per revolution that it says its sensor has; the drive's own where absent.
+    pub counts_per_revolution: Option<u32>,
+    /// Rated torque that it says its motor has, N·m; the drive's own where absent.
+    pub rated_torque: Option<f64>,
     /// NFv2 address it answers with; the axis's own where absent.
     pub address: Option<u8>,
     /// What it speaks on its line; what the axis expects where absent.

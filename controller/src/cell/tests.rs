@@ -95,7 +95,7 @@ fn a_refusal_names_line_key_and_reason() {
         ),
         (
             "priority = 80",
-            "scheduler = \"deadline\"\ncpu = 0",
+            "cpu = 0\nscheduler = \"deadline\"",
             "realtime.cpu",
             "must be left out with scheduler = \"deadline\"",
         ),

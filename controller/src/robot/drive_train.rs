@@ -247,7 +247,11 @@ impl<const N: usize> DriveTrain<N> {
                 high: range.high.min(a.max(b)),
             };
         }
-        let nearest = angle + TAU * ((near - angle) / TAU).round();
+        let mut nearest = angle;
+        // Most angles are there already, and rounding is a call.
+        if (near - angle).abs() > PI {
+            nearest += TAU * ((near - angle) / TAU).round();
+        }
         let inside = match range.exceeded_by(nearest) {
             Some(limit) if limit == range.low => nearest + TAU * ((limit - nearest) / TAU).ceil(),
             Some(limit) => nearest - TAU * ((nearest - limit) / TAU).ceil(),

@@ -66,8 +66,8 @@ impl Link {
         }
     }
 
-    /// The link's frame in the frame of the link before it.
-    fn placed(&self, joints: &Joints) -> Isometry3<f64> {
+    /// Where the link's frame stands in the frame of the link before it at these joints of the robot.
+    pub fn placed(&self, joints: &Joints) -> Isometry3<f64> {
         let position: f64 = joints.iter().zip(self.coupling).map(|(q, k)| k * q).sum();
         let moved = match self.kind {
             LinkKind::Revolute | LinkKind::Continuous => {

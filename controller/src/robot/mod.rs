@@ -10,6 +10,24 @@
 //! frame of the arm. Tools belong to the caller: `base_from_tool = base_from_flange * flange_from_tool`
 //! on the way out, and `base_from_tool * flange_from_tool.inverse()` is what [`Robot::inverse`] takes.
 //!
+//! Where each robot lives:
+//!
+//! | robot | type | file | what is its own |
+//! |---|---|---|---|
+//! | ASEA IRb-6 | [`Irb6`] | `irb6.rs` | five axes: poses whose tool axis lies in the arm's plane |
+//! | WUT IRp-6 | [`Irp6`] | `irp6.rs` | the hand axis; one branch within the limits |
+//! | IRp-6 on its track | [`Irp6Track`] | `irp6_track.rs` | where the carriage stands |
+//! | Polycrank | [`Polycrank`] | `polycrank.rs`, `polycrank/cranks.rs` | joints without end, the forearm's reach |
+//! | RNT | [`Rnt`] | `rnt.rs`, `legs.rs` | legs that close, by Newton's method, and a wrist |
+//! | gripper, conveyor | [`Gripper`], [`Conveyor`] | `axis_map.rs` | one motor each |
+//!
+//! What they share: `arm.rs` is the arm under IRb-6 and IRp-6, `parameters.rs` its numbers and what may be wrong with
+//! any; `drive_train.rs` is gears, screws and couplings between motors and joints; `solutions.rs` collects
+//! branches within the limits, nearest first; `free_parameter.rs` is how a redundant robot chooses;
+//! `links.rs` is a robot link by link, for description files and figures; `singularity.rs` is how near the arm is to
+//! losing a direction; `vector.rs` is positions, one per axis. Figures and every parameter with its source are in
+//! `docs/robots` of the repository. Read [`Robot`] first, then `irp6.rs` for a robot from end to end.
+//!
 //! Numbers carry the place they come from: *public code* is the published source of the WUT robots'
 //! controllers, *derived* follows from those by arithmetic, *nominal* is a plausible figure to be
 //! replaced by measurement.

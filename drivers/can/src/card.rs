@@ -104,7 +104,7 @@ pub fn read(interface: &str) -> Result<Card, CardError> {
 /// Sets the card `interface` to `bitrate`, brings it up, and returns what it then says of itself.
 ///
 /// One that is up at this rate and takes part in the traffic is left as it is. Any other is taken down
-/// before, which ends the traffic of whoever else uses it.
+/// before, which ends the traffic of whoever else uses it, and up again, at the rate that it had, if it cannot be set.
 pub fn set_bitrate(interface: &str, bitrate: Bitrate) -> Result<Card, CardError> {
     let name = find(interface)?;
     let wanted = bitrate.kbps() * 1000;
@@ -113,22 +113,25 @@ pub fn set_bitrate(interface: &str, bitrate: Bitrate) -> Result<Card, CardError>
     if before.up && before.bitrate == Some(wanted) && before.state == CardState::Running {
         return Ok(before);
     }
-    let denied = CardError::Denied {
-        interface: name,
-        bitrate: wanted,
-    };
-    let unreachable = CardError::Unreachable {
-        interface: name,
-        bitrate: wanted,
+    let to = Change {
+        timing: Some((wanted, None)),
+        up: Some(true),
+        ..Change::default()
     };
     // The kernel's reason does not come through `socketcan`, so the step that it refuses has to tell: who may
     // take an interface down may do the rest.
-    let refused = |refusal| move |error| errno(&error).map_or(refusal, |errno| os(name, errno));
-    link.bring_down().map_err(refused(denied))?;
-    link.set_bitrate(wanted, None)
-        .map_err(refused(unreachable))?;
-    link.bring_up()
-        .map_err(refused(CardError::StaysDown(name)))?;
+    make(&link, &to, before.up).map_err(|(step, error)| match (errno(&error), step) {
+        (Some(errno), _) => os(name, errno),
+        (None, Step::Down) => CardError::Denied {
+            interface: name,
+            bitrate: wanted,
+        },
+        (None, Step::Set) => CardError::Unreachable {
+            interface: name,
+            bitrate: wanted,
+        },
+        (None, Step::Up) => CardError::StaysDown(name),
+    })?;
     let after = read_link(name, &link)?;
     match after.bitrate {
         Some(found) if found == wanted => Ok(after),
@@ -177,22 +180,47 @@ pub fn change(interface: &str, change: &Change) -> Result<(), CardError> {
     if on_card {
         read_link(name, &link)?;
     }
-    let mut changed = Ok(());
-    if was_up && (on_card || change.up == Some(false)) {
-        changed = link.bring_down();
+    make(&link, change, was_up).map_err(|(_, error)| {
+        errno(&error).map_or(CardError::Refused(name), |errno| os(name, errno))
+    })
+}
+
+/// What is done to a card, one after the other.
+#[derive(Clone, Copy)]
+enum Step {
+    Down,
+    Set,
+    Up,
+}
+
+/// Does each step of `change`, and says which one failed. What was up comes up again whatever failed.
+fn make(link: &CanInterface, change: &Change, was_up: bool) -> Result<(), (Step, Error)> {
+    let steps = || {
+        let on_card = change.timing.is_some() || change.restart_ms.is_some();
+        if on_card || change.up == Some(false) {
+            link.bring_down().map_err(|error| (Step::Down, error))?;
+        }
+        if let Some((bitrate, sample_point)) = change.timing {
+            link.set_bitrate(bitrate, sample_point.filter(|&point| point < 1000))
+                .map_err(|error| (Step::Set, error))?;
+        }
+        if let Some(restart_ms) = change.restart_ms {
+            link.set_restart_ms(restart_ms)
+                .map_err(|error| (Step::Set, error))?;
+        }
+        Ok(())
+    };
+    let made = steps();
+    let up = match (change.up, &made) {
+        (Some(true), Ok(())) => true,
+        (Some(false), _) => false,
+        _ => was_up,
+    };
+    if up {
+        let up = link.bring_up().map_err(|error| (Step::Up, error));
+        return made.and(up);
     }
-    if let (Ok(()), Some((bitrate, sample_point))) = (&changed, change.timing) {
-        changed = link.set_bitrate(bitrate, sample_point.filter(|&point| point < 1000));
-    }
-    if let (Ok(()), Some(restart_ms)) = (&changed, change.restart_ms) {
-        changed = link.set_restart_ms(restart_ms);
-    }
-    // One that was up comes up again whatever failed.
-    if change.up.unwrap_or(was_up) {
-        let up = link.bring_up();
-        changed = changed.and(up);
-    }
-    changed.map_err(|error| errno(&error).map_or(CardError::Refused(name), |errno| os(name, errno)))
+    made
 }
 
 fn open(interface: InterfaceName) -> Result<CanInterface, CardError> {

@@ -73,6 +73,7 @@ objects! {
     EPOS2_INTERPOLATION_DATA = 0x20C1:0, "EPOS2 interpolation data record";
     EPOS2_INTERPOLATION_STATUS = 0x20C4:1, "EPOS2 interpolation buffer status";
     EPOS4_SUPPLY_VOLTAGE = 0x2200:1, "EPOS4 supply voltage";
+    EPOS4_MAIN_SENSOR_RESOLUTION = 0x3000:5, "EPOS4 main sensor resolution";
     EPOS4_NOMINAL_CURRENT = 0x3001:1, "EPOS4 nominal current";
     EPOS4_TORQUE_CONSTANT = 0x3001:5, "EPOS4 torque constant";
     EPOS4_HOME_POSITION = 0x30B0:0, "EPOS4 home position";
@@ -109,6 +110,12 @@ objects! {
     PROFILE_ACCELERATION = 0x6083:0, "profile acceleration";
     PROFILE_DECELERATION = 0x6084:0, "profile deceleration";
     QUICK_STOP_DECELERATION = 0x6085:0, "quick stop deceleration";
+    POSITION_ENCODER_INCREMENTS = 0x608F:1, "position encoder resolution, encoder increments";
+    POSITION_ENCODER_REVOLUTIONS = 0x608F:2, "position encoder resolution, motor revolutions";
+    GEAR_MOTOR_REVOLUTIONS = 0x6091:1, "gear ratio, motor revolutions";
+    GEAR_SHAFT_REVOLUTIONS = 0x6091:2, "gear ratio, shaft revolutions";
+    FEED = 0x6092:1, "feed constant, feed";
+    FEED_SHAFT_REVOLUTIONS = 0x6092:2, "feed constant, shaft revolutions";
     HOMING_METHOD = 0x6098:0, "homing method";
     HOMING_SWITCH_SPEED = 0x6099:1, "homing speed during search for switch";
     HOMING_ZERO_SPEED = 0x6099:2, "homing speed during search for zero";

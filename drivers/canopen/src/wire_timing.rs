@@ -108,6 +108,15 @@ impl WireTiming {
         }
     }
 
+    /// What follows is another recording of the same bus: the last SYNC of the one before is not judged.
+    pub fn pause(&mut self) {
+        self.last_sync = None;
+        for answers in &mut self.answers {
+            (answers.first, answers.second, answers.owed) = (None, None, None);
+            answers.more = 0;
+        }
+    }
+
     /// How SYNCs were answered under each identifier, in the order given.
     pub fn counts(&self) -> impl Iterator<Item = AnswerCounts> {
         self.answers.iter().map(|answers| answers.counts)
@@ -156,6 +165,27 @@ mod tests {
             timing.observe(at, &parse(frame), |sample| samples.push(sample));
         }
         (samples, timing.counts().collect())
+    }
+
+    #[test]
+    fn a_pause_is_no_time_between_syncs_and_leaves_none_unanswered() {
+        let id = cob::tpdo(PdoNumber::One, NodeId::new(1).unwrap());
+        let mut timing = WireTiming::new([id]);
+        let mut samples = 0;
+        for (micros, frame) in [
+            (0, "080#"),
+            (100, "181#00"),
+            (2000, "080#"),
+            (2100, "181#00"),
+        ] {
+            let at = Instant::from_nanos(micros * 1000);
+            timing.observe(at, &parse(frame), |_| samples += 1);
+        }
+        timing.pause();
+        let at = Instant::from_nanos(9_000_000);
+        timing.observe(at, &parse("080#"), |_| samples += 1);
+        let counts = timing.counts().next().unwrap();
+        assert_eq!((samples, counts.answered, counts.unanswered), (2, 1, 0));
     }
 
     fn check(what: &str, frames: &[(u64, &str)], samples: &[Sample], counts: [[u64; 4]; 2]) {

@@ -167,6 +167,28 @@ pub enum BringUpError {
         /// What the drive says.
         found: u32,
     },
+    /// The drive scales its positions or torques otherwise than the cell.
+    #[error(
+        "node {node}: {index:#06x}:{subindex:02x} is {found}/{per} {what}, the cell says {expected}: {remedy}"
+    )]
+    WrongScale {
+        /// Node-ID.
+        node: u8,
+        /// Object index.
+        index: u16,
+        /// Sub-index; of a ratio that of its dividend.
+        subindex: u8,
+        /// What the drive says; of a ratio its dividend.
+        found: u32,
+        /// The divisor of a ratio, else 1.
+        per: u32,
+        /// What the cell file says, in the drive's unit.
+        expected: u32,
+        /// The quantity and its unit.
+        what: &'static str,
+        /// What to do.
+        remedy: &'static str,
+    },
     /// The drive refused a parameter.
     #[error("node {node}: {index:#06x}:{subindex:02x} refused: {abort}", abort = AbortCode(*.code))]
     Aborted {
@@ -254,6 +276,7 @@ impl BringUpError {
             | Self::NotADrive { node, .. }
             | Self::NotOperational { node, .. }
             | Self::WrongIdentity { node, .. }
+            | Self::WrongScale { node, .. }
             | Self::Aborted { node, .. }
             | Self::ReadBack { node, .. }
             | Self::ReadBackBytes { node, .. }

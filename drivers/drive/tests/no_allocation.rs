@@ -193,6 +193,14 @@ fn no_cycle_allocates() {
         ((0, 0x6502, 0), [0xA5, 3, 0, 0]),
         ((0, 0x6060, 0), [0; 4]),
         ((0, 0x603F, 0), [0x10, 0x23, 0, 0]),
+        ((0, 0x3000, 5), 2_000_u32.to_le_bytes()),
+        ((0, 0x6076, 0), 100_000_u32.to_le_bytes()),
+        ((0, 0x608F, 1), 2_000_u32.to_le_bytes()),
+        ((0, 0x608F, 2), 1_u32.to_le_bytes()),
+        ((0, 0x6091, 1), 1_u32.to_le_bytes()),
+        ((0, 0x6091, 2), 1_u32.to_le_bytes()),
+        ((0, 0x6092, 1), 2_000_u32.to_le_bytes()),
+        ((0, 0x6092, 2), 1_u32.to_le_bytes()),
     ]);
     let inbox = VecDeque::with_capacity(1_024);
     let drives = Drives {

@@ -28,6 +28,11 @@ pub struct Epos4Config {
     pub cyclic_status: CyclicStatus,
     /// What happens when SYNC stays away.
     pub sync_loss: SyncLoss,
+    /// Object 0x3000:05, quadrature counts per revolution; those of its encoder where `None`.
+    pub main_sensor_resolution: Option<u32>,
+    /// Object 0x6076, N·m, which its nominal current (0x3001:01) is reckoned from; that of the amplifier's
+    /// greatest current where `None`.
+    pub rated_torque: Option<f64>,
     /// Bits that stand in every statusword; EPOS2 has bit 8 in all its states.
     pub vendor_bits: u16,
     /// Decides noise and ripple.
@@ -52,6 +57,8 @@ impl Epos4Config {
             answer_delay: Duration::from_micros(300),
             cyclic_status: CyclicStatus::FollowsCommand,
             sync_loss: SyncLoss::Hold,
+            main_sensor_resolution: None,
+            rated_torque: None,
             vendor_bits: 0,
             seed: u64::from(node.raw()),
             axis,

@@ -69,6 +69,18 @@ const NAMES: &[(u16, ObjectType, &str, &[&str])] = &[
         &["Text of the emulator", "Bytes for the emulator"],
     ),
     (
+        0x3000,
+        ObjectType::Record,
+        "Axis configuration",
+        &[
+            "Sensors configuration",
+            "Control structure",
+            "Commutation sensors",
+            "Axis configuration miscellaneous",
+            "Main sensor resolution",
+        ],
+    ),
+    (
         0x3001,
         ObjectType::Record,
         "Motor data",

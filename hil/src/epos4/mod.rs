@@ -55,20 +55,32 @@ const SDO_TIME_OUT: Duration = Duration::from_secs(1);
 const QUEUE: usize = 32;
 
 /// What one unit has in place of the table's defaults.
-fn identity(config: &Epos4Config) -> [(Slot, u32); 7] {
+fn identity(config: &Epos4Config) -> [(Slot, u32); 8] {
     let amps = config.axis.amplifier.max_current;
     let torque_constant = match &config.axis.plant {
         PlantConfig::Wut(wut) => wut.torque_constant,
         PlantConfig::Physical(motor) => motor.torque_constant,
     };
-    let milliamps = (amps * 1e3).round() as u32;
+    let nominal = config.rated_torque.map(|torque| torque / torque_constant);
+    let milliamps = |amps: f64| (amps * 1e3).round() as u32;
+    let counts = config.axis.counts_per_revolution;
     [
         (Slot::of(named::VENDOR_ID), config.vendor),
         (Slot::of(named::PRODUCT_CODE), config.product),
         (Slot::of(named::REVISION), config.revision),
         (Slot::of(named::SERIAL_NUMBER), config.serial),
-        (Slot::of(named::EPOS4_NOMINAL_CURRENT), milliamps),
-        (Slot::of(named::EPOS4_NOMINAL_CURRENT).plus(1), milliamps),
+        (
+            Slot::of(named::EPOS4_MAIN_SENSOR_RESOLUTION),
+            config.main_sensor_resolution.unwrap_or(counts),
+        ),
+        (
+            Slot::of(named::EPOS4_NOMINAL_CURRENT),
+            milliamps(nominal.unwrap_or(amps)),
+        ),
+        (
+            Slot::of(named::EPOS4_NOMINAL_CURRENT).plus(1),
+            milliamps(amps),
+        ),
         (
             Slot::of(named::EPOS4_TORQUE_CONSTANT),
             (torque_constant * 1e6).round() as u32,

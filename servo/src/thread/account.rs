@@ -10,6 +10,10 @@ use super::Usage;
 /// has added up must not be taken for that of one cycle.
 const STALE: u32 = 16;
 
+/// What the fault of a page in memory takes at most, unless others hold it up. One that reads from a disk, or takes
+/// long otherwise, disturbs its own cycle, after which the account is read.
+const FAULT: Duration = Duration::from_micros(2);
+
 /// How often the kernel's account of the thread was read, each time with two system calls, and why.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AccountReads {
@@ -23,7 +27,7 @@ pub struct AccountReads {
 
 /// What the kernel counted for one thread since it was read last.
 #[derive(Debug)]
-pub(super) struct Account {
+pub struct Account {
     /// `/proc/thread-self/schedstat`, opened before the first cycle; none where the kernel has none.
     schedstat: Option<File>,
     last: Usage,
@@ -35,7 +39,7 @@ pub(super) struct Account {
 
 impl Account {
     /// Of the calling thread, from now on.
-    pub(super) fn open() -> Self {
+    pub fn open() -> Self {
         let mut account = Self {
             schedstat: File::open("/proc/thread-self/schedstat").ok(),
             last: Usage::default(),
@@ -67,24 +71,16 @@ impl Account {
         (self.quiet, self.cycles) = (Duration::ZERO, 0);
     }
 
-    /// What was counted for a disturbed cycle; counts anew.
-    pub(super) fn settle(&mut self) -> Usage {
-        let (before, quiet) = (self.last, self.quiet);
+    /// What was counted for a disturbed cycle that was `late`, and not for the quiet ones before it; counts anew.
+    pub fn settle(&mut self, late: Duration) -> Usage {
+        let (before, quiet, cycles) = (self.last, self.quiet, self.cycles);
         self.begin();
         self.reads.disturbed += 1;
-        let counted = self.last.since(before);
-        if counted.switches > 0 {
-            return counted;
-        }
-        // Nobody took the CPU while it ran, so its delays were at wake-ups, of which the quiet ones did no harm.
-        Usage {
-            delay: counted.delay.map(|delay| delay.saturating_sub(quiet)),
-            ..counted
-        }
+        of_last(self.last.since(before), late, quiet, cycles)
     }
 
     /// A cycle was quiet, and the thread was woken this late for it.
-    pub(super) fn pass(&mut self, latency: Duration) {
+    pub fn pass(&mut self, latency: Duration) {
         self.quiet += latency;
         self.cycles += 1;
         if self.cycles >= STALE {
@@ -101,6 +97,25 @@ impl Account {
     }
 }
 
+/// Of what was `counted`, what delayed the last cycle, `late` by that, after some quiet `cycles` that were woken
+/// `quiet` late in all.
+fn of_last(counted: Usage, late: Duration, quiet: Duration, cycles: u32) -> Usage {
+    let mut counted = counted;
+    if counted.switches == 0 {
+        // Nobody took the CPU while it ran, so its delays were at wake-ups, of which the quiet ones did no harm.
+        counted.delay = counted.delay.map(|delay| delay.saturating_sub(quiet));
+    }
+    if cycles > 0 {
+        // When they were is not known: few faults may be of any cycle, and so may a switch.
+        let took = FAULT.saturating_mul(u32::try_from(counted.faults).unwrap_or(u32::MAX));
+        if took < late / 2 {
+            counted.faults = 0;
+        }
+        counted.switches = 0;
+    }
+    counted
+}
+
 /// The second of the numbers in `text`.
 fn parse(text: &[u8]) -> Option<Duration> {
     let field = std::str::from_utf8(text)
@@ -113,6 +128,32 @@ fn parse(text: &[u8]) -> Option<Duration> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_quiet_cycles_may_have_counted_is_not_the_late_ones() {
+        let micros = Duration::from_micros;
+        // Faults, switches, delay; quiet cycles and how late those were woken; what is left; µs, 400 µs late.
+        let cases = [
+            ((1, 0, Some(0)), (0, 0), (1, 0, Some(0))),
+            ((1, 0, Some(0)), (10, 50), (0, 0, Some(0))),
+            ((99, 0, Some(0)), (1, 50), (0, 0, Some(0))),
+            ((100, 0, Some(0)), (10, 50), (100, 0, Some(0))),
+            ((0, 1, None), (0, 0), (0, 1, None)),
+            ((0, 1, None), (10, 50), (0, 0, None)),
+            ((0, 1, Some(390)), (10, 50), (0, 0, Some(390))),
+            ((0, 0, Some(390)), (10, 50), (0, 0, Some(340))),
+            ((0, 0, Some(40)), (10, 50), (0, 0, Some(0))),
+        ];
+        for (counted, (cycles, quiet), expected) in cases {
+            let [counted, expected] = [counted, expected].map(|(faults, switches, delay)| Usage {
+                faults,
+                switches,
+                delay: delay.map(micros),
+            });
+            let found = of_last(counted, micros(400), micros(quiet), cycles);
+            assert_eq!(found, expected, "{counted:?} {cycles} {quiet}");
+        }
+    }
 
     #[test]
     fn the_delay_is_the_second_number() {

@@ -43,16 +43,6 @@ impl Cause {
         }
     }
 
-    /// Who made a wait that ended `late` do so, by how it went and what the kernel counted from the end of the wait
-    /// before to the end of this one. `worked` is the time from there to this wait.
-    pub fn of(late: Duration, worked: Duration, awake: &Awake, counted: Usage) -> Self {
-        Self::of_cycle(
-            late,
-            &Spent::waiting(awake, worked, Duration::ZERO),
-            counted,
-        )
-    }
-
     /// Who made a cycle `late` that `spent` its time so, by what the kernel counted meanwhile.
     ///
     /// A hypervisor that stops the computer inside the step cannot be told from the step.
@@ -166,7 +156,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_late_cycle_is_attributed_by_where_its_time_went() {
+    fn a_late_wait_is_attributed_by_where_its_time_went() {
         let micros = Duration::from_micros;
         let none = Usage::default();
         let [fault, switch] = [(1, 0), (0, 1)].map(|(faults, switches)| Usage {
@@ -197,7 +187,8 @@ mod tests {
                 at: woken + micros(gap),
                 gap: micros(gap),
             };
-            let found = Cause::of(micros(late), micros(worked), &awake, counted);
+            let spent = Spent::waiting(&awake, micros(worked), Duration::ZERO);
+            let found = Cause::of_cycle(micros(late), &spent, counted);
             assert_eq!(
                 found, expected,
                 "{late} {worked} {left} {latency} {gap} {counted:?}"

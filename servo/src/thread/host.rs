@@ -93,8 +93,9 @@ impl fmt::Display for DeadlineGrant {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self.0 {
             libc::EPERM => {
-                "no line of limits grants it: `setcap cap_sys_nice+ep` on the program does, with all CPUs in its \
-                 affinity, so without `taskset`"
+                "no line of limits grants it: CAP_SYS_NICE does, in a unit by AmbientCapabilities= and \
+                 CapabilityBoundingSet=, on a program that no unit starts by `setcap cap_sys_nice+ep`; with all CPUs in \
+                 its affinity, so without `taskset`"
             }
             libc::EBUSY => "other deadline threads have reserved the time of the CPUs; end one of them",
             libc::EINVAL => {

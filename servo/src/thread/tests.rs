@@ -171,7 +171,7 @@ fn what_is_required_and_denied_is_named_before_any_cycle() {
             lock_memory: false,
             ..RealtimePolicy::BEST_EFFORT
         };
-        let refused = start(servo, policy, |_| {}, |_| true).unwrap_err();
+        let refused = start(servo, policy, Arc::default(), |_| {}, |_| true).unwrap_err();
         let StartError::Denied(denial) = refused else {
             panic!("{refused}")
         };

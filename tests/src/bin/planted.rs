@@ -101,7 +101,13 @@ fn main() {
         cycles += 1;
         ended.fetch_or(cycles == CYCLES, Ordering::Relaxed)
     };
-    let running = thread::start(servo, RealtimePolicy::BEST_EFFORT, |_| {}, until);
+    let running = thread::start(
+        servo,
+        RealtimePolicy::BEST_EFFORT,
+        Arc::default(),
+        |_| {},
+        until,
+    );
     while !over.load(Ordering::Relaxed) {
         let _held = held.lock().unwrap_or_else(PoisonError::into_inner);
         clock::sleep_until(clock::now() + PERIOD * 2);

@@ -193,7 +193,7 @@ fn six_physical_axes_find_their_references_at_once_and_without_a_kick() {
         config.homing = Some(HOMING);
         config
     });
-    let (mut servo, mut link) = super::servo(axes.collect(), Box::new(group));
+    let (mut servo, mut link) = super::servo(axes.collect(), vec![Box::new(group)]);
     let mut now = Instant::ZERO;
     let mut run = |servo: &mut servo::Servo, cycles: usize| {
         for _ in 0..cycles {

@@ -1,7 +1,10 @@
 //! Motors for loops: one period under a constant output at a time.
 
 use hil::AxisConfig;
-use hil::plant::{self, Demand, Irp6Axis, MotorConfig, PlantConfig, Wut, WutConfig};
+use hil::plant::{
+    self, Demand, FrictionConfig, Gravity, Irp6Axis, Mechanism, MotorConfig, PlantConfig, Wut,
+    WutConfig,
+};
 
 use super::DT;
 
@@ -25,10 +28,10 @@ pub(super) struct Regression {
 }
 
 impl Regression {
-    pub(super) fn new(config: &WutConfig, steps: u32) -> Self {
+    pub(super) fn new(config: &WutConfig, steps: u32, angle: f64) -> Self {
         Self {
             steps,
-            motor: Wut::new(config, 0.0),
+            motor: Wut::new(config, angle),
             torque_constant: config.torque_constant,
         }
     }
@@ -70,6 +73,32 @@ pub(super) struct ByCurrent(plant::Axis);
 impl ByCurrent {
     pub(super) fn new(axis: Irp6Axis) -> Self {
         Self(plant::Axis::new(&axis_config(axis), 7))
+    }
+
+    /// The axis at `angle`, rad, in its place under the links of the arm.
+    pub(super) fn mounted(axis: Irp6Axis, angle: f64, arm: &Mechanism) -> Self {
+        let config = AxisConfig {
+            start_angle: angle,
+            ..AxisConfig::irp6(axis)
+        };
+        let mount = arm.mount(axis as usize, config.index_angle);
+        let seed = 7 + axis as u64;
+        Self(plant::Axis::mounted(&config, seed, mount.as_ref()))
+    }
+
+    /// The axis at `angle`, rad, without weight and dry friction.
+    pub(super) fn weightless(axis: Irp6Axis, angle: f64) -> Self {
+        let motor = MotorConfig {
+            gravity: Gravity::NONE,
+            friction: FrictionConfig::NONE,
+            ..physical(axis)
+        };
+        let config = AxisConfig {
+            plant: PlantConfig::Physical(motor),
+            start_angle: angle,
+            ..AxisConfig::irp6(axis)
+        };
+        Self(plant::Axis::new(&config, 7 + axis as u64))
     }
 }
 

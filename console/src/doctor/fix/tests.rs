@@ -168,3 +168,36 @@ fn a_bit_rate_stands_where_its_sample_point_is_near() {
         );
     }
 }
+
+#[test]
+fn no_interface_is_touched_that_somebody_receives_on() {
+    let head = "receive list 'rx_fil':\n";
+    let columns = "  device   can_id   can_mask  function  userdata   matches  ident\n";
+    let receiver = |device| {
+        format!("{columns}   {device}      201    c00007ff  00000000  00000000         7  raw\n")
+    };
+    let table = [
+        (String::new(), false),
+        (
+            format!("{head}  (any: no entry)\n  (can0: no entry)\n"),
+            false,
+        ),
+        (format!("{head}{}", receiver("can0")), true),
+        (format!("{head}{}", receiver("can01")), false),
+        (format!("{head}{}", receiver("any")), true),
+    ];
+    for (list, heard) in table {
+        let all = format!("{head}  (any: no entry)\n");
+        let fake = Fake::new(&[
+            ("proc/net/can/rcvlist_all", &all),
+            ("proc/net/can/rcvlist_sff", &list),
+            ("proc/net/can/stats", "can0 1 frames\n"),
+        ]);
+        assert_eq!(is_heard(&fake.tree(), "can0"), heard, "{list}");
+        for knob in [Knob::BitTiming, Knob::RestartMs, Knob::State] {
+            let written = knob("can0".into()).write(&fake.tree(), Some("100"));
+            let why = written.unwrap_err().to_string();
+            assert_eq!(why.contains("somebody receives on can0"), heard, "{why}");
+        }
+    }
+}

@@ -32,6 +32,8 @@ pub(super) struct NodeBringUp {
     phase: Phase,
     boots: u8,
     learnt: Learnt,
+    /// The value of the agreement whose divisor is asked for, if the drive has it.
+    value: Option<u32>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,6 +68,7 @@ impl NodeBringUp {
             phase: Phase::Operational,
             boots: 0,
             learnt: Learnt::default(),
+            value: None,
         })
     }
 
@@ -253,15 +256,27 @@ impl NodeBringUp {
         waited: std::time::Duration,
     ) -> Result<Next, BringUpError> {
         let node = self.node.raw();
-        if let (
-            Step::SetIfPresent(_),
+        let absent = matches!(
+            result,
             Err(SdoError::Aborted {
-                code: AbortCode::NO_OBJECT,
+                code: AbortCode::NO_OBJECT | AbortCode::NO_SUBINDEX,
                 ..
-            }),
-        ) = (step, result)
-        {
-            return Ok(Next::Step);
+            })
+        );
+        match step {
+            Step::SetIfPresent(_) if absent => return Ok(Next::Step),
+            Step::Value(_) if absent => {
+                self.value = None;
+                return Ok(Next::Step);
+            }
+            Step::Agree(agreement) if absent => {
+                // A dividend alone is divided by one.
+                if let Some(value) = self.value.take() {
+                    agreement.check(node, value, 1)?;
+                }
+                return Ok(Next::Step);
+            }
+            _ => {}
         }
         let transfer = result.map_err(|error| error_of(self.node, error))?;
         let error = |error| error_of(self.node, error);
@@ -289,6 +304,15 @@ impl NodeBringUp {
                         mode: mode.raw(),
                         supported,
                     });
+                }
+            }
+            Step::Value(_) => self.value = Some(transfer.number().map_err(error)?),
+            Step::Agree(agreement) => {
+                let read = transfer.number().map_err(error)?;
+                match (agreement.divisor, self.value.take()) {
+                    (None, _) => agreement.check(node, read, 1)?,
+                    (Some(_), Some(value)) => agreement.check(node, value, read)?,
+                    (Some(_), None) => {}
                 }
             }
             Step::Set(_) | Step::SetIfPresent(_) if !reading_back => return Ok(Next::ReadBack),

@@ -33,6 +33,7 @@
 //! Left out: profile modes, interpolated position (EPOS2), several axes behind one node-ID. Read
 //! [`DriveGroup`] first, then `axis`, `bring_up` and `program`.
 
+mod agreement;
 mod axis;
 mod bring_up;
 mod config;

@@ -3,6 +3,7 @@ use canopen::cia402::{HomingMethod, ModeOfOperation};
 use canopen::objects::*;
 use canopen::sdo::{Expedited, Write};
 
+use super::agreement::{self, Agreement};
 use super::config::{AxisConfig, ConfigError, GroupConfig, Parameter};
 use super::process_data;
 
@@ -23,6 +24,10 @@ pub(super) enum Step {
     Identity(Object, u32),
     /// Object 0x6502 must have these modes.
     Modes([ModeOfOperation; 2]),
+    /// What the agreement is about is read; a drive without the object has nothing to disagree.
+    Value(Agreement),
+    /// Its divisor, if it has one, is read; both must say what the cell says.
+    Agree(Agreement),
     /// Write this setting of [`AxisConfig::configuration`], and read it back if that can be.
     Configure(Object, usize),
     /// Write, and read back.
@@ -44,6 +49,8 @@ impl Step {
         match self {
             Self::Identity(object, _) | Self::Configure(object, _) => *object,
             Self::Modes(_) => SUPPORTED_MODES,
+            Self::Value(agreement) => agreement.object,
+            Self::Agree(agreement) => agreement.divisor.unwrap_or(agreement.object),
             Self::Set(write) | Self::SetIfPresent(write) => write.object,
             Self::Shown(_) => MODE_OF_OPERATION_DISPLAY,
             Self::Statusword => STATUSWORD,
@@ -59,6 +66,8 @@ impl Step {
             Self::Identity(..)
             | Self::Configure(..)
             | Self::Modes(_)
+            | Self::Value(_)
+            | Self::Agree(_)
             | Self::Shown(_)
             | Self::Statusword
             | Self::Position
@@ -135,6 +144,11 @@ pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
             .filter_map(Parameter::write)
             .map(Step::Set),
     );
+    // Behind all that may set them.
+    for agreement in agreement::of(axis) {
+        steps.extend(agreement.divisor.map(|_| Step::Value(agreement)));
+        steps.push(Step::Agree(agreement));
+    }
     steps.extend(process_data::mapping_writes(axis.node, axis.mode).map(Step::Set));
     steps.push(Step::Set(Write::new(MODE_OF_OPERATION, mode.raw())));
     steps.extend([

@@ -1,0 +1,124 @@
+//! The posture of a robot in a picture: where its joints, links and legs are in the base frame.
+
+use controller::robot::{Joints, Link, LinkKind};
+use nalgebra::{Isometry3, Vector3};
+
+use crate::kinematics::Machine;
+
+/// What is shorter is no link to be drawn, m.
+pub(super) const LEAST: f64 = 1e-4;
+
+/// Steps of an outline along one joint.
+const STEPS: usize = 48;
+
+/// One joint and the link before it.
+pub(super) struct Stand {
+    pub(super) kind: LinkKind,
+    /// The joint's frame.
+    pub(super) frame: Isometry3<f64>,
+    pub(super) axis: Vector3<f64>,
+    /// The way from the joint before: along that joint's axis, then across it.
+    pub(super) way: Vec<[Vector3<f64>; 2]>,
+    /// Where the link behind this joint would point with the joint at zero, and where it points; none where
+    /// that does not turn with the joint.
+    pub(super) turned: Option<[Vector3<f64>; 2]>,
+}
+
+/// All joints of a robot at the given positions.
+pub(super) fn stands(links: &[Link], all: &Joints) -> Vec<Stand> {
+    let frames = frames(links, all);
+    let mut before = Isometry3::identity();
+    let mut axis_before = Vector3::z();
+    let mut stands = Vec::new();
+    for (number, (link, frame)) in links.iter().zip(&frames).enumerate() {
+        let [from, to] = [before, *frame].map(|frame| frame.translation.vector);
+        let corner = from + axis_before * axis_before.dot(&(to - from));
+        let way = [[from, corner], [corner, to]];
+        let axis = frame.rotation * link.axis.as_ref();
+        let mut zeroed = *all;
+        zeroed[number] = 0.0;
+        let behind = |frames: &[Isometry3<f64>]| {
+            let end = frames.get(number + 1)?.translation.vector - to;
+            let across = end - axis * axis.dot(&end);
+            (across.norm() > LEAST).then(|| across.normalize())
+        };
+        let at_zero = self::frames(links, &zeroed);
+        let turned = (link.kind != LinkKind::Prismatic)
+            .then(|| Some([behind(&at_zero)?, behind(&frames)?]))
+            .flatten();
+        stands.push(Stand {
+            kind: link.kind,
+            frame: *frame,
+            axis,
+            way: way
+                .into_iter()
+                .filter(|[from, to]| (to - from).norm() > LEAST)
+                .collect(),
+            turned,
+        });
+        (before, axis_before) = (*frame, axis);
+    }
+    stands
+}
+
+fn frames(links: &[Link], joints: &Joints) -> Vec<Isometry3<f64>> {
+    let mut base = Isometry3::identity();
+    let mut placed = |link: &Link| {
+        base *= link.placed(joints);
+        base
+    };
+    links.iter().map(&mut placed).collect()
+}
+
+/// Where `point` of the robot can be brought by two of its joints, the others as they are: the outline of the
+/// area, where the first joint does not bring the second one's ends across each other.
+pub(super) fn outline(
+    machine: &Machine,
+    joints: &Joints,
+    [outer, inner]: [usize; 2],
+    point: impl Fn(&Joints) -> Vector3<f64>,
+) -> Vec<Vector3<f64>> {
+    let [low, high] = range(machine, joints, outer);
+    let along = (0..=STEPS).map(|step| step as f64 / STEPS as f64);
+    let edges = [
+        along.clone().map(|share| [share, 0.0]).collect::<Vec<_>>(),
+        along.clone().map(|share| [1.0, share]).collect(),
+        along.clone().rev().map(|share| [share, 1.0]).collect(),
+        along.rev().map(|share| [0.0, share]).collect(),
+    ];
+    let at = |[share, inner_share]: [f64; 2]| {
+        let mut posture = *joints;
+        posture[outer] = low + (high - low) * share;
+        let [low, high] = range(machine, &posture, inner);
+        posture[inner] = low + (high - low) * inner_share;
+        point(&posture)
+    };
+    edges.concat().into_iter().map(at).collect()
+}
+
+/// How far one joint can go to either side, with the others as they are: what its limits, its motor's and the
+/// legs' leave.
+pub(super) fn range(machine: &Machine, joints: &Joints, axis: usize) -> [f64; 2] {
+    let limits = machine.robot.joint_limits()[axis];
+    let here = joints[axis];
+    [limits.low, limits.high].map(|end| {
+        let allowed = |position: f64| {
+            let mut at = *joints;
+            at[axis] = position;
+            machine.robot.motors_from_joints(&at).is_ok()
+        };
+        if allowed(end) {
+            return end;
+        }
+        let (mut good, mut bad) = (here, end);
+        for _ in 0..40 {
+            let middle = (good + bad) / 2.0;
+            if allowed(middle) {
+                good = middle;
+            } else {
+                bad = middle;
+            }
+        }
+        good
+    })
+}

@@ -1,0 +1,60 @@
+//! What to say to arguments that are none: one line, as every other refusal.
+
+use std::process::ExitCode;
+
+use clap::Error;
+use clap::error::ErrorKind;
+
+/// Prints what was asked for, help or version, or what is wrong with the arguments; the exit status.
+pub(crate) fn answer(error: &Error) -> ExitCode {
+    match error.kind() {
+        ErrorKind::DisplayHelp | ErrorKind::DisplayVersion => {
+            // A reader that has gone, such as `head`, has had what it wanted.
+            let _ = error.print();
+            ExitCode::SUCCESS
+        }
+        ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => {
+            let _ = error.print();
+            ExitCode::from(2)
+        }
+        _ => {
+            eprintln!("mrroc: {}", line(&error.to_string()));
+            ExitCode::from(2)
+        }
+    }
+}
+
+/// The message in one line: what is wrong, what may have been meant, and how it is called.
+fn line(message: &str) -> String {
+    let mut said = String::new();
+    for part in message.lines().map(str::trim) {
+        let part = part.strip_prefix("error: ").unwrap_or(part);
+        if part.is_empty() {
+            continue;
+        }
+        if said.ends_with(':') {
+            said.push(' ');
+        } else if !said.is_empty() {
+            said.push_str("; ");
+        }
+        match part {
+            "For more information, try '--help'." => said.push_str("see '--help'"),
+            part => said.push_str(&part.replacen("Usage:", "usage:", 1)),
+        }
+    }
+    said
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_refusal_is_one_line_with_every_part_of_the_message() {
+        let message = "error: the following required arguments were not provided:\n  --robot <ROBOT>\n  --joints <JOINTS>\n\n\
+                       Usage: mrroc kinematics fk --robot <ROBOT>\n\nFor more information, try '--help'.\n";
+        let expected = "the following required arguments were not provided: --robot <ROBOT>; --joints <JOINTS>; \
+                        usage: mrroc kinematics fk --robot <ROBOT>; see '--help'";
+        assert_eq!(line(message), expected);
+    }
+}

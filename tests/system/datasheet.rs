@@ -1,0 +1,34 @@
+//! `mrroc datasheet`: the pages and figures of `docs/robots` are what it prints.
+
+use crate::cli_refusals::refused;
+use crate::kinematics::ROBOTS;
+use crate::mrroc::{mrroc, root};
+
+#[test]
+fn the_pages_and_figures_of_the_robots_are_what_the_parameters_give() {
+    for name in ROBOTS.into_iter().chain(["gripper", "conveyor"]) {
+        for (ending, words) in [("md", vec![]), ("svg", vec!["--figure"])] {
+            let words: Vec<_> = ["datasheet", "--robot", name]
+                .into_iter()
+                .chain(words)
+                .collect();
+            let output = mrroc(&words);
+            assert_eq!(output.status.code(), Some(0), "{output:?}");
+            let path = root().join(format!("docs/robots/{name}.{ending}"));
+            let kept = std::fs::read_to_string(&path)
+                .unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+            assert!(
+                kept == output.stdout,
+                "{} is out of date: write there what `mrroc {}` prints",
+                path.display(),
+                words.join(" ")
+            );
+            assert!(!kept.contains("NaN") && !kept.contains("inf,"), "{name}");
+        }
+    }
+}
+
+#[test]
+fn a_data_sheet_of_nothing_is_refused() {
+    refused(&mrroc(["datasheet", "--robot", "nosuch"]), &["only irb6"]);
+}
