@@ -20,13 +20,15 @@ impl Mechanisms {
         let config = |robot: &controller::cell::Robot| {
             let parameters = robot.parameters.unwrap_or(robot.model.parameters());
             Some(Mechanism::new(match parameters {
-                Parameters::Irb6(_) | Parameters::Irp6(_) => MechanismConfig::Irp6,
+                Parameters::Irb6(_) => MechanismConfig::Irb6,
+                Parameters::Irp6(_) => MechanismConfig::Irp6,
                 Parameters::Irp6Track(_) => MechanismConfig::Irp6OnTrack,
                 Parameters::Rnt(rnt) => MechanismConfig::Rnt {
-                    home_length: rnt.legs[0].length_at_home,
+                    home_lengths: rnt.legs.map(|leg| leg.length_at_home),
                 },
                 Parameters::Polycrank(polycrank) => MechanismConfig::Polycrank {
                     coupled: polycrank.coupled,
+                    at_home: polycrank.axes.map(|axis| axis.joint_at_home),
                 },
                 Parameters::Gripper(_) | Parameters::Conveyor(_) => return None,
             }))
@@ -37,10 +39,7 @@ impl Mechanisms {
     /// The place of an axis in its robot; `None` if it moves a load of its own.
     pub(crate) fn mount(&self, file: &CellFile, robot: usize, number: usize) -> Option<Mount> {
         let home = file.arms[robot].robot().home()[number];
-        match file.cell.robot[robot].axis[number].emulator.plant {
-            Plant::Physical => self.0[robot].as_ref()?.mount(number, home),
-            Plant::Wut => None,
-        }
+        self.0[robot].as_ref()?.mount(number, home)
     }
 }
 

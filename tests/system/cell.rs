@@ -11,7 +11,7 @@ use std::time::Duration;
 use can::timing::Bitrate;
 use can::{Frame, Instant, Port, TraceReader, Tracer, VirtualPort};
 use canopen::NodeId;
-use controller::cell::{Axis, Cell, Protocol};
+use controller::cell::{Axis, Cell, Parameters, Protocol};
 use controller::ecp::{Ecp, EcpConfig};
 use controller::generator::Arm;
 use drive::axis_controller::AxisControllerGroup;
@@ -20,8 +20,8 @@ use drive::{DriveGroup, Scale};
 use hil::plant::Switch;
 use hil::{
     AxisControllerConfig, Cabinet, Device, DeviceId, Epos4, Epos4Config, HiMoxaAxisController,
-    Irp6Axis, LineDevice, LineFaults, LineId, Mechanism, MechanismConfig, Mount,
-    Nfv2AxisController, PlantConfig, World,
+    Irp6Axis, LineDevice, LineFaults, LineId, Mechanism, MechanismConfig, Nfv2AxisController,
+    World,
 };
 use servo::{EffectorConfig, EffectorLink, Order, Phase, Record, Servo, ServoConfig};
 
@@ -128,17 +128,24 @@ impl Setup {
         plant
     }
 
-    /// Where an axis is mounted on the arm, unless its plant is one that has no load.
-    fn mount(
-        arm: &Arm,
-        mechanism: &Mechanism,
-        number: usize,
-        plant: &hil::AxisConfig,
-    ) -> Option<Mount> {
-        let home = arm.robot().home()[number];
-        matches!(plant.plant, PlantConfig::Physical(_))
-            .then(|| mechanism.mount(number, home))
-            .flatten()
+    /// What is behind the axes of the robot.
+    fn mechanism(&self) -> Mechanism {
+        let robot = &self.cell.robot[0];
+        Mechanism::new(match robot.parameters.unwrap_or(robot.model.parameters()) {
+            Parameters::Irb6(_) => MechanismConfig::Irb6,
+            Parameters::Irp6(_) => MechanismConfig::Irp6,
+            Parameters::Irp6Track(_) => MechanismConfig::Irp6OnTrack,
+            Parameters::Rnt(rnt) => MechanismConfig::Rnt {
+                home_lengths: rnt.legs.map(|leg| leg.length_at_home),
+            },
+            Parameters::Polycrank(polycrank) => MechanismConfig::Polycrank {
+                coupled: polycrank.coupled,
+                at_home: polycrank.axes.map(|axis| axis.joint_at_home),
+            },
+            other @ (Parameters::Gripper(_) | Parameters::Conveyor(_)) => {
+                panic!("nothing is behind the axis of {other:?}")
+            }
+        })
     }
 
     fn seed(&self, number: usize) -> u64 {
@@ -150,7 +157,7 @@ impl Setup {
         Socket {
             drive: Epos4::new(Epos4Config {
                 seed: self.seed(number),
-                mount: Self::mount(arm, mechanism, number, &plant),
+                mount: mechanism.mount(number, arm.robot().home()[number]),
                 rated_torque: Some(self.axis(number).cia402().rated_torque),
                 ..Epos4Config::new(node(self.axis(number).node), plant)
             }),
@@ -170,7 +177,7 @@ impl Setup {
         let config = AxisControllerConfig {
             seed: self.seed(number),
             cabinet: cabinet.clone(),
-            mount: Self::mount(arm, mechanism, number, &plant),
+            mount: mechanism.mount(number, arm.robot().home()[number]),
             ..AxisControllerConfig::new(plant)
         };
         match self.cell.serial[0].protocol {
@@ -221,7 +228,7 @@ impl Setup {
         let bus = &self.cell.bus[0];
         let id = world.add_bus(Bitrate::from_kbps(bus.bitrate_kbps).expect("a possible bit rate"));
         let port = world.host_port(id, 256);
-        let mechanism = Mechanism::new(MechanismConfig::Irp6);
+        let mechanism = self.mechanism();
         let mut plugs = Vec::new();
         let mut drives = Vec::new();
         for &axis in &self.axes {
@@ -242,7 +249,7 @@ impl Setup {
         let latency = bundle.emulated_latency_ms;
         let latency = latency.map(|latency| Duration::from_millis(latency.into()));
         let cabinet = Cabinet::default();
-        let mechanism = Mechanism::new(MechanismConfig::Irp6);
+        let mechanism = self.mechanism();
         let line = |&axis: &usize| {
             let device = self.line_device(arm, &mechanism, axis, &cabinet);
             let line = world.add_line(bundle.settings(), latency, device);
