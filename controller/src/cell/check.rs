@@ -463,6 +463,10 @@ fn check_payloads(path: &Path, robot: &Robot) -> Checked {
         in_range(&at, payload.at_s, 0.0, 1e6, "between 0 and 1e6 (s)")?;
         let mass = path.then("mass");
         in_range(&mass, payload.mass, 0.0, 1e3, "between 0 and 1000 (kg)")?;
+        for (number, part) in payload.centre.into_iter().enumerate() {
+            let centre = path.then("centre").then(number);
+            in_range(&centre, part, -10.0, 10.0, "between -10 and 10 (m)")?;
+        }
     }
     Ok(())
 }
