@@ -401,6 +401,25 @@ impl Rig {
             .collect()
     }
 
+    /// After some cycles for the last drive to brake, nothing moves, and nothing went further than `bound` from `start`,
+    /// rad.
+    pub(crate) fn at_rest(&mut self, start: &[f64], cycles: u32, bound: f64) {
+        for _ in 0..cycles {
+            self.cycle();
+        }
+        let rest = self.angles();
+        for (axis, (start, rest)) in start.iter().zip(&rest).enumerate() {
+            let way = (rest - start).abs();
+            assert!(way < bound, "axis {axis} went on for {way:.2} rad");
+        }
+        for _ in 0..250 {
+            self.cycle();
+        }
+        for (axis, (before, after)) in rest.iter().zip(self.angles()).enumerate() {
+            assert!((after - before).abs() < 0.01, "axis {axis} still moves");
+        }
+    }
+
     /// Answers that the drive group has missed.
     pub(crate) fn missed_answers(&self) -> u64 {
         let groups = self.servo.group_counters();

@@ -45,21 +45,7 @@ fn fault_within(rig: &mut Rig, motion: &mut Motion, cycles: u32) -> (Option<u8>,
     rig.until(Motion::LONGEST, "stopped", |rig| {
         rig.phase() == Phase::Faulted
     });
-    for _ in 0..1000 {
-        rig.cycle();
-    }
-    let rest = rig.angles();
-    for (axis, (from, to)) in latched_at.iter().zip(&rest).enumerate() {
-        let way = (to - from).abs();
-        assert!(way < RUN_OUT, "axis {axis} went on for {way:.2} rad");
-    }
-    for _ in 0..250 {
-        rig.cycle();
-    }
-    for (axis, (before, after)) in rest.iter().zip(rig.angles()).enumerate() {
-        let still = (after - before).abs() < 0.05;
-        assert!(still, "axis {axis} still moves");
-    }
+    rig.at_rest(&latched_at, 1000, RUN_OUT);
     let fault = rig.servo.fault(0).expect("it is latched");
     (fault.axis, fault.cause)
 }
