@@ -7,7 +7,7 @@ use std::process::ExitCode;
 use controller::cell::Cell;
 use serde::Serialize;
 
-use crate::budget::{self, BusBudget};
+use crate::budget::{self, Bundle, BusBudget, Line};
 use crate::cell_file::CellFile;
 use crate::{rehearsal, streams};
 
@@ -102,11 +102,38 @@ impl fmt::Display for Checked {
 
 impl Checked {
     fn write_bus(&self, f: &mut fmt::Formatter<'_>, bus: &BusBudget) -> fmt::Result {
-        writeln!(
-            f,
-            "\nbus {}: load {:.1} %, the last frame of a cycle has left after {:.1} % of {} µs at the worst",
-            bus.name, bus.load_percent, bus.worst_case_percent, self.period_us
-        )?;
+        let (load, worst) = (bus.load_percent, bus.worst_case_percent);
+        match &bus.serial {
+            None => writeln!(
+                f,
+                "\nbus {}: load {load:.1} %, the last frame of a cycle has left after {worst:.1} % of {} µs at the worst",
+                bus.name, self.period_us
+            )?,
+            Some(Bundle {
+                protocol,
+                baud,
+                lines,
+            }) => {
+                writeln!(
+                    f,
+                    "\nserial bundle {}: {} at {baud} bit/s, load {load:.1} % of each line, the answer has come after \
+                     {worst:.1} % of {} µs at the worst",
+                    bus.name,
+                    protocol.name(),
+                    self.period_us
+                )?;
+                for Line {
+                    axis,
+                    line,
+                    address,
+                } in lines
+                {
+                    let address =
+                        address.map_or(String::new(), |address| format!(", address {address}"));
+                    writeln!(f, "  axis {axis}: {line}{address}")?;
+                }
+            }
+        }
         writeln!(
             f,
             "  {:16} {:>6} {:>5} {:>10} {:>11}",
