@@ -401,10 +401,9 @@ impl Rig {
             .collect()
     }
 
-    /// After some cycles for the last drive to brake, nothing moves, and nothing went further than `bound` from `start`,
-    /// rad.
-    pub(crate) fn at_rest(&mut self, start: &[f64], cycles: u32, bound: f64) {
-        for _ in 0..cycles {
+    /// After a while for the last drive to brake, nothing moves, and nothing went further than `bound` from `start`, rad.
+    pub(crate) fn at_rest(&mut self, start: &[f64], bound: f64) {
+        for _ in 0..250 {
             self.cycle();
         }
         let rest = self.angles();

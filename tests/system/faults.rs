@@ -32,7 +32,7 @@ fn fault_of(rig: &mut Rig, motion: &mut Motion) -> (u8, StopCause) {
     rig.until(Motion::LONGEST, "stopped", |rig| {
         rig.phase() == Phase::Faulted
     });
-    rig.at_rest(&latched_at, 250, BRAKING);
+    rig.at_rest(&latched_at, BRAKING);
     let fault = rig.servo.fault(0).expect("it is latched");
     (fault.axis.expect("the fault is of an axis"), fault.cause)
 }
@@ -355,7 +355,7 @@ fn a_stop_request_brakes_within_the_limits_and_switches_off() {
     rig.until(Motion::LONGEST, "off", |rig| rig.servo.is_off());
     assert_eq!((rig.phase(), rig.servo.fault(0)), (Phase::Off, None));
     rig.after_cycle = Box::new(|_| {});
-    rig.at_rest(&start, 250, BRAKING);
+    rig.at_rest(&start, BRAKING);
     let count = TAU / 4000.0;
     let measured = rig.last.axis[0].measured;
     assert!((measured - rig.angle(0)).abs() <= 2.0 * count);

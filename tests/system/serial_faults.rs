@@ -45,7 +45,7 @@ fn fault_within(rig: &mut Rig, motion: &mut Motion, cycles: u32) -> (Option<u8>,
     rig.until(Motion::LONGEST, "stopped", |rig| {
         rig.phase() == Phase::Faulted
     });
-    rig.at_rest(&latched_at, 1000, RUN_OUT);
+    rig.at_rest(&latched_at, RUN_OUT);
     let fault = rig.servo.fault(0).expect("it is latched");
     (fault.axis, fault.cause)
 }
