@@ -22,7 +22,7 @@ use hil::{
     AxisControllerConfig, Cabinet, Device, DeviceId, Epos4, Epos4Config, HiMoxaAxisController,
     Irp6Axis, LineDevice, LineFaults, LineId, Nfv2AxisController, World,
 };
-use servo::{EffectorConfig, EffectorLink, Order, Phase, Record, Servo, ServoConfig};
+use servo::{EffectorConfig, EffectorLink, Order, Phase, Record, Servo, ServoConfig, ServoFault};
 
 use crate::allocations;
 use crate::motion::Motion;
@@ -399,6 +399,28 @@ impl Rig {
         (0..self.drives.len())
             .map(|axis| self.angle(axis))
             .collect()
+    }
+
+    /// Cycles on, fed with `motion`, until a fault is latched, which is to be within `limit`, and everything stands, no
+    /// further than `bound` from where it was then, rad.
+    pub(crate) fn fault_within(
+        &mut self,
+        limit: Duration,
+        motion: &mut Motion,
+        bound: f64,
+    ) -> ServoFault {
+        let end = self.now + limit;
+        while self.servo.fault(0).is_none() {
+            assert!(self.now < end, "no fault");
+            self.feed(motion);
+            self.cycle();
+        }
+        let latched_at = self.angles();
+        self.until(Motion::LONGEST, "stopped", |rig| {
+            rig.phase() == Phase::Faulted
+        });
+        self.at_rest(&latched_at, bound);
+        self.servo.fault(0).expect("it is latched")
     }
 
     /// After a while for the last drive to brake, nothing moves, and nothing went further than `bound` from `start`, rad.

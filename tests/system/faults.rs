@@ -20,20 +20,9 @@ use crate::watch::Watcher;
 /// drives are behind, and the give of a joint that was pushed.
 const BRAKING: f64 = Motion::VELOCITY * Motion::VELOCITY / (2.0 * 1500.0) + 1.0;
 
-/// Cycles on, fed with `motion`, until a fault is latched and everything stands; asserts the bounds.
+/// The axis that an arm fed with `motion` is stopped for, and why.
 fn fault_of(rig: &mut Rig, motion: &mut Motion) -> (u8, StopCause) {
-    let end = rig.now + Motion::LONGEST;
-    while rig.servo.fault(0).is_none() {
-        assert!(rig.now < end, "no fault");
-        rig.feed(motion);
-        rig.cycle();
-    }
-    let latched_at = rig.angles();
-    rig.until(Motion::LONGEST, "stopped", |rig| {
-        rig.phase() == Phase::Faulted
-    });
-    rig.at_rest(&latched_at, BRAKING);
-    let fault = rig.servo.fault(0).expect("it is latched");
+    let fault = rig.fault_within(Motion::LONGEST, motion, BRAKING);
     (fault.axis.expect("the fault is of an axis"), fault.cause)
 }
 
