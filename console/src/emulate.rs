@@ -115,11 +115,11 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
     let flag = stop.clone();
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed))
         .context("Ctrl-C cannot be caught")?;
-    println!(
+    crate::streams::say(format_args!(
         "{} emulated: bus {}; Ctrl-C ends it",
         file.cell.name,
         names.join(", bus ")
-    );
+    ))?;
     std::thread::scope(|scope| {
         let flag = &stop;
         scope.spawn(move || {

@@ -23,7 +23,7 @@ use hil::{
     Irp6Axis, LineDevice, LineFaults, LineId, Mechanism, MechanismConfig, Nfv2AxisController,
     World,
 };
-use servo::{EffectorConfig, EffectorLink, Order, Phase, Record, Servo, ServoConfig};
+use servo::{EffectorConfig, EffectorLink, Order, Phase, Record, Servo, ServoConfig, ServoFault};
 
 use crate::allocations;
 use crate::motion::Motion;
@@ -431,6 +431,46 @@ impl Rig {
         (0..self.drives.len())
             .map(|axis| self.angle(axis))
             .collect()
+    }
+
+    /// Cycles on, fed with `motion`, until a fault is latched, which is to be within `limit`, and everything stands, no
+    /// further than `bound` from where it was then, rad.
+    pub(crate) fn fault_within(
+        &mut self,
+        limit: Duration,
+        motion: &mut Motion,
+        bound: f64,
+    ) -> ServoFault {
+        let end = self.now + limit;
+        while self.servo.fault(0).is_none() {
+            assert!(self.now < end, "no fault");
+            self.feed(motion);
+            self.cycle();
+        }
+        let latched_at = self.angles();
+        self.until(Motion::LONGEST, "stopped", |rig| {
+            rig.phase() == Phase::Faulted
+        });
+        self.at_rest(&latched_at, bound);
+        self.servo.fault(0).expect("it is latched")
+    }
+
+    /// After a while for the last drive to brake, nothing moves, and nothing went further than `bound` from `start`, rad.
+    pub(crate) fn at_rest(&mut self, start: &[f64], bound: f64) {
+        for _ in 0..250 {
+            self.cycle();
+        }
+        let rest = self.angles();
+        for (axis, (start, rest)) in start.iter().zip(&rest).enumerate() {
+            let way = (rest - start).abs();
+            assert!(way < bound, "axis {axis} went on for {way:.2} rad");
+        }
+        for _ in 0..250 {
+            self.cycle();
+        }
+        for (axis, (before, after)) in rest.iter().zip(self.angles()).enumerate() {
+            assert!((after - before).abs() < 0.01, "axis {axis} still moves");
+        }
     }
 
     /// Answers that the drive group has missed.

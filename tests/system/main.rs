@@ -11,6 +11,7 @@ mod cell;
 mod cli_check;
 mod cli_refusals;
 mod cli_run;
+mod closed_output;
 mod configuration;
 mod cycle;
 mod cycle_calls;
