@@ -28,7 +28,8 @@ use servo::{EffectorConfig, EffectorLink, Order, Phase, Record, Servo, ServoConf
 use crate::allocations;
 use crate::motion::Motion;
 
-const HOMING: Duration = Duration::from_secs(120);
+/// From the farthest end of the longest travel; in virtual time.
+const HOMING: Duration = Duration::from_secs(900);
 const LONGEST_PROGRAM: Duration = Duration::from_secs(600);
 const LEAD: u16 = 8;
 
@@ -58,6 +59,18 @@ impl Setup {
             plant: Box::new(|_, _| {}),
             port: Box::new(|port| Box::new(port)),
         }
+    }
+
+    /// One axis of a robot of `cells/{name}.toml`, on the bus or the lines that it has there.
+    pub(crate) fn axis_of(name: &str, robot: &str, axis: usize) -> Self {
+        let mut setup = Self::of(name);
+        let cell = &mut setup.cell;
+        cell.robot.retain(|given| given.name == robot);
+        let bus = cell.robot[0].axis[axis].bus.clone();
+        cell.bus.retain(|given| given.name == bus);
+        cell.serial.retain(|given| given.name == bus);
+        setup.axes = vec![axis];
+        setup
     }
 
     /// One axis of the IRb-6.
@@ -104,7 +117,7 @@ impl Setup {
     }
 
     /// Motor, load, sensors and switches of an axis.
-    fn plant(&self, arm: &Arm, number: usize) -> hil::AxisConfig {
+    pub(crate) fn plant(&self, arm: &Arm, number: usize) -> hil::AxisConfig {
         let axis = self.axis(number);
         let home = arm.robot().home()[number];
         let limits = arm.robot().motor_limits()[number];
