@@ -207,8 +207,13 @@ impl EmulatedBus {
     /// a drive watches is the bus and not this program.
     fn let_pass(&mut self, to: Instant) {
         self.passed = self.passed.max(to);
-        for device in &mut self.devices {
-            if device.poll_timeout().is_some_and(|due| due <= self.passed) {
+        let timeouts = self
+            .devices
+            .iter()
+            .filter_map(|device| device.poll_timeout());
+        // All at once: else each moves its plant on in a wake-up of its own.
+        if timeouts.min().is_some_and(|due| due <= self.passed) {
+            for device in &mut self.devices {
                 device.handle_timeout(self.passed);
             }
         }

@@ -22,8 +22,9 @@ const LOOK: Duration = Duration::from_millis(50);
 /// SCHED_FIFO priority that is asked for.
 const PRIORITY: u8 = 60;
 
-/// Between two looks at the lines at the least: a byte of 12 µs is not worth a look, nor does a UART interrupt for one.
-const GRAIN: Duration = Duration::from_micros(100);
+/// Between two looks at what the devices do, at the least: what bytes come is looked at when they come, but no byte that
+/// ends is worth a look, nor does a UART interrupt for one. A request of 2 ms cells and its answer take 0.4 ms.
+const GRAIN: Duration = Duration::from_micros(500);
 
 /// Bytes taken from a pseudo-terminal at a time; more wait in it.
 const CHUNK: usize = 4096;
@@ -115,7 +116,7 @@ impl EmulatedLines {
                 };
                 (line.pty.as_fd(), interest)
             });
-            pty::wait(ends, wake)?;
+            let readable = pty::wait(ends, wake)?;
             // A pseudo-terminal does not tell when its bytes came. If this program slept too long, they are
             // taken for older than what falls due in between: what a device watches is its host's silence and
             // not this program's.
@@ -123,7 +124,8 @@ impl EmulatedLines {
             time.waited(wake, now);
             let now = time.at(now);
             passed = passed.max(now.min(due - Duration::from_nanos(1)));
-            for line in &mut self.lines {
+            let lines = self.lines.iter_mut().zip(readable);
+            for (line, _) in lines.filter(|(_, readable)| *readable) {
                 line.take(&mut self.world, passed)?;
             }
             passed = passed.max(now);

@@ -44,5 +44,6 @@ mod socketcan;
 mod spikes;
 mod uml;
 mod vcan;
+mod vcan_cells;
 mod watch;
 mod wire;
