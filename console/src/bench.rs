@@ -74,6 +74,7 @@ impl Bench {
             bail!("--set-bitrate needs --bench card");
         }
         let interfaces = interfaces::resolve(&file.cell, can)?;
+        interfaces::all_differ(&file.cell, interfaces.iter().map(Some))?;
         let (ports, lines, listeners, emulation): (Vec<Box<dyn Port>>, _, _, _) = match kind {
             BenchKind::Lockstep | BenchKind::Emulated => {
                 if !can.is_empty() || serial.is_some() {

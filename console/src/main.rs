@@ -20,6 +20,7 @@ mod doctor;
 mod eds;
 mod emulate;
 mod emulated_lines;
+mod emulated_time;
 mod emulation;
 mod identify;
 mod interfaces;

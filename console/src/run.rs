@@ -37,7 +37,7 @@ use crate::{clockwork, rehearsal, setup, streams};
 /// Records that an axis log may lag behind the servo, per effector: some seconds.
 const RECORDS: usize = 1 << 13;
 
-/// How often the controller looks at its effectors, at the least: a tenth of the usual macrostep.
+/// How often the controller looks at its effectors: this is a tenth of the usual macrostep, and a tenth of a longer one is.
 const POLL: Duration = Duration::from_millis(2);
 
 /// How far the controller's priority is below the servo's.
@@ -66,7 +66,7 @@ pub(crate) struct Options {
     /// What to run it on.
     #[arg(long, value_enum, default_value = "emulated")]
     bench: BenchKind,
-    /// The interface of a bus, IFACE or BUS=IFACE, in place of the cell's.
+    /// The interface of a bus in place of the cell's: IFACE, or once for each bus BUS=IFACE where there are several.
     #[arg(long, value_name = "IFACE")]
     can: Vec<String>,
     /// The directory of the lines' ttys, one per axis by its name, in place of the cell's lines: as `mrroc emulate
@@ -504,6 +504,7 @@ fn by_the_clock(
     let trace = asked.trace.clone();
     let running = clockwork::start(servo, emulation, emulated_since, policy, trace, until)?;
     let turning = Turning::of(running, done.clone());
+    let poll = POLL.max(file.cell.period() * u32::from(file.cell.macrostep) / 10);
     let (tell, told) = sync_channel(SEEN);
     std::thread::scope(|scope| {
         // The scope waits for the controller: a panic of this thread must end that too.
@@ -523,7 +524,7 @@ fn by_the_clock(
                 && !asked.stop.load(Ordering::Relaxed)
                 && !turning.is_finished()
             {
-                clock::sleep_until(clock::now() + POLL);
+                clock::sleep_until(clock::now() + poll);
             }
             drop(tell);
         });

@@ -12,8 +12,18 @@ use serde_json::Value;
 use crate::cli_refusals::refused;
 use crate::mrroc::{Directory, example, mrroc, text};
 
+/// An axis of each robot.
+const AXES: [&str; 6] = [
+    "irb6.column",
+    "irp6-track.track",
+    "rnt.leg-1",
+    "polycrank.q1",
+    "gripper.jaws",
+    "conveyor.belt",
+];
+
 /// What a record has of one axis: cycle, phase, motor position commanded, counts.
-type Row = (u64, String, f64, i64);
+pub(crate) type Row = (u64, String, f64, i64);
 
 /// The rows of the first axis of each robot, or of `axis` of the only robot.
 fn record(path: &Path, wanted: &[&str]) -> BTreeMap<String, Vec<Row>> {
@@ -85,28 +95,11 @@ fn check_homing(reports: &[Value]) {
     }
 }
 
-#[test]
-fn robots_that_meet_go_on_and_arrive_in_the_same_cycle() {
-    const AXES: [&str; 6] = [
-        "irb6.column",
-        "irp6-track.track",
-        "rnt.leg-1",
-        "polycrank.q1",
-        "gripper.jaws",
-        "conveyor.belt",
-    ];
-    let directory = Directory::new();
-    let log = directory.path("lab.csv");
-    let report = run(&example("lab"), &log);
-    check_homing(report["axes"].as_array().unwrap());
-    let rows = record(&log, &AXES);
+/// By a record, every robot of the laboratory went on from the three meetings, and arrived at its end, in the same cycle
+/// as all others. Returns the rows of an axis of each.
+pub(crate) fn met(log: &Path) -> BTreeMap<String, Vec<Row>> {
+    let rows = record(log, &AXES);
     assert_eq!(rows.len(), AXES.len());
-    // They do not come to the first meeting together.
-    let homed: BTreeSet<_> = rows
-        .values()
-        .map(|rows| rows.iter().rfind(|row| row.1 == "Homing").map(|row| row.0))
-        .collect();
-    assert!(homed.len() >= 4, "{homed:?}");
     let starts = rows.values().map(|rows| beginnings(rows, "Moving"));
     let starts: BTreeSet<_> = starts.collect();
     assert_eq!(starts.len(), 1, "{starts:?}");
@@ -117,6 +110,22 @@ fn robots_that_meet_go_on_and_arrive_in_the_same_cycle() {
     });
     let ends: BTreeSet<_> = ends.collect();
     assert_eq!(ends.len(), 1, "{ends:?}");
+    rows
+}
+
+#[test]
+fn robots_that_meet_go_on_and_arrive_in_the_same_cycle() {
+    let directory = Directory::new();
+    let log = directory.path("lab.csv");
+    let report = run(&example("lab"), &log);
+    check_homing(report["axes"].as_array().unwrap());
+    let rows = met(&log);
+    // They do not come to the first meeting together.
+    let homed: BTreeSet<_> = rows
+        .values()
+        .map(|rows| rows.iter().rfind(|row| row.1 == "Homing").map(|row| row.0))
+        .collect();
+    assert!(homed.len() >= 4, "{homed:?}");
 }
 
 #[test]

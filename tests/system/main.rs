@@ -45,6 +45,7 @@ mod socketcan;
 mod spikes;
 mod uml;
 mod vcan;
+mod vcan_cells;
 mod watch;
 mod weights;
 mod wire;
