@@ -22,7 +22,7 @@ use servo::{
     ExcitationError, MAX_AXES, NotUp, Output, PositionLoop, Servo, ServoAxisConfig, lockstep,
 };
 
-use crate::bench::{Bench, BenchKind};
+use crate::bench::{Bench, BenchKind, Places};
 use crate::cell_file::CellFile;
 use crate::{clockwork, setup};
 use report::Report;
@@ -63,7 +63,9 @@ pub(crate) struct Options {
     /// What to measure on.
     #[arg(long, value_enum, default_value = "lockstep")]
     bench: BenchKind,
-    /// Let the axis move on the card bench. It has to be homed, clear of its surroundings, and watched.
+    #[command(flatten)]
+    places: Places,
+    /// Let the axis move where it may be hardware. It has to be homed, clear of its surroundings, and watched.
     #[arg(long)]
     moves_hardware: bool,
     /// Greatest value of the excitation, in the unit of what is excited: rad/s, N·m or the duty that the host's loop puts
@@ -107,9 +109,11 @@ pub(crate) fn identify(options: &Options) -> anyhow::Result<ExitCode> {
     let axis = config.effectors[place.0].axes[place.1];
     let lines = lines(options, &file)?;
     let plan = plan(options, &file, place, &axis, &lines)?;
-    if options.bench == BenchKind::Card && !options.moves_hardware {
+    let hardware = options.places.may_be_hardware(&file, options.bench)?;
+    if hardware && !options.moves_hardware {
         bail!(
-            "the card bench moves {} by up to {:.0} rad of its motor: --moves-hardware says that it may",
+            "the {} bench moves {} by up to {:.0} rad of its motor: --moves-hardware says that it may",
+            options.bench.name(),
             options.axis,
             plan.travel().abs()
         );
@@ -122,20 +126,19 @@ pub(crate) fn identify(options: &Options) -> anyhow::Result<ExitCode> {
         lines: ttys,
         emulation,
         ..
-    } = Bench::open(&file, options.bench, &[], None, false, false)?;
+    } = Bench::open(&file, options.bench, &options.places, false)?;
     let groups = setup::drive_groups(&file, ports, ttys)?;
     let delay = groups[axis.group].delay();
     let (mut servo, mut links) = Servo::new(&config, groups)?;
     let plan = excite(&mut servo, place, plan, options.amplitude.is_some())?;
     let records = servo.record(RECORDS * file.cell.robot.len());
-    let homes = emulation.is_some();
     let session = Session::new(
         place,
         plan,
         axis,
         links.swap_remove(place.0),
         records,
-        homes,
+        !hardware,
     );
     let ended = match options.bench {
         BenchKind::Lockstep => in_lockstep(servo, session, emulation)?,

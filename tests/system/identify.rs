@@ -3,12 +3,14 @@
 use std::fs;
 use std::path::Path;
 
-use controller::cell::DriveControl;
+use controller::cell::{DriveControl, Law};
 use hil::Irp6Axis;
 
 use crate::cli_refusals::refused;
 use crate::host_closed::closed_by_host;
-use crate::mrroc::{Directory, Output, example, mrroc};
+use crate::mrroc::{Directory, Output, example, mrroc, shorten};
+use crate::serial_cli::emulate;
+use crate::vcan::on_stage;
 
 fn identify(cell: &Path, more: &[&str]) -> Output {
     let arguments = ["identify".as_ref(), cell.as_os_str()];
@@ -103,9 +105,87 @@ fn the_files_hold_what_the_report_says_and_the_same_each_time() {
     assert!(!svg.contains("NaN") && svg.ends_with("</svg>\n"));
 }
 
+/// Where another process keeps frames and answers back a loop is slower than documented, and its figures are rough.
+fn rough(run: &Output, bench: &str, crossover: f64, margin: f64) {
+    assert_eq!(run.status.code(), Some(0), "{run:?}");
+    let report = run.json();
+    assert_eq!(report["bench"], bench, "{run:?}");
+    let number = |key: &str| {
+        report[key]
+            .as_f64()
+            .unwrap_or_else(|| panic!("{key}: {run:?}"))
+    };
+    let found = (number("crossover_hz"), number("phase_margin_deg"));
+    println!("{bench}: {found:?}");
+    assert!((found.0 / crossover).ln().abs() < 0.3, "{found:?}");
+    assert!((found.1 - margin).abs() < 25.0, "{found:?}");
+}
+
+/// An emulator on pseudo-terminals is homed without being asked; what may be hardware is not, and is not moved.
+#[test]
+fn a_loop_is_measured_over_the_ttys_of_another_process() {
+    let directory = Directory::new();
+    let cell = directory.cell("irb6-serial", |cell| {
+        shorten(cell);
+        // The answers of another process come later on a loaded machine.
+        cell.serial[0].tolerated_missing = 10;
+        cell.serial[0].answer_timeout_ms = 500;
+        cell.max_missed_in_row = 100;
+    });
+    let ttys = directory.path("ttys");
+    let _emulator = emulate(&cell, &ttys);
+    let on = |bench, more: &[&str]| {
+        let ttys = ttys.to_str().unwrap();
+        let arguments = [
+            "--axis", "column", "--json", "--bench", bench, "--serial", ttys,
+        ];
+        identify(&cell, &[&arguments, more].concat())
+    };
+    refused(&on("card", &[]), &["--moves-hardware"]);
+    let hardware = ["--moves-hardware"];
+    refused(&on("card", &hardware), &["irb6/column", "not homed"]);
+    rough(&on("vcan", &[]), "vcan", 16.4, 48.0);
+    rough(&on("card", &hardware), "card", 16.4, 48.0);
+}
+
+#[test]
+fn a_loop_is_measured_over_vcan() {
+    on_stage("identify::a_loop_is_measured_over_vcan", |stage| {
+        stage.change(|cell| {
+            for (axis, kind) in cell.robot[0].axis.iter_mut().zip(Irp6Axis::ALL) {
+                closed_by_host(axis, kind, DriveControl::Velocity);
+                let drive = axis.drive.as_mut().unwrap();
+                let Some(Law::Proportional(law)) = drive.r#loop.as_mut().map(|it| &mut it.law)
+                else {
+                    panic!("a loop by velocity is proportional");
+                };
+                // At five times the period.
+                law.position_gain = 18.0;
+            }
+        });
+        let _emulators = stage.start_emulators();
+        let cell = stage.directory.path("cell.toml");
+        let arguments = [
+            "--axis",
+            "column",
+            "--json",
+            "--bench=vcan",
+            "--can",
+            stage.interface,
+        ];
+        let to = ["--to", "40"];
+        rough(
+            &identify(&cell, &[&arguments[..], &to].concat()),
+            "vcan",
+            2.9,
+            55.0,
+        );
+    });
+}
+
 #[test]
 fn what_cannot_be_measured_is_refused_before_anything_moves() {
-    let cases: [(&[&str], &[&str]); 9] = [
+    let cases: [(&[&str], &[&str]); 10] = [
         (
             &["--axis", "nobody"],
             &["no axis is called \"nobody\"", "irb6/column"],
@@ -138,6 +218,10 @@ fn what_cannot_be_measured_is_refused_before_anything_moves() {
         (
             &["--axis", "column", "--bench", "card"],
             &["--moves-hardware"],
+        ),
+        (
+            &["--axis", "column", "--can", "vcan0"],
+            &["--can and --serial need --bench vcan"],
         ),
     ];
     for (arguments, needles) in cases {
