@@ -111,7 +111,7 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
     )?;
     let (mut servo, links) = Servo::new(
         &setup::servo_config(&file),
-        setup::drive_groups(&file, ports, lines)?,
+        setup::drive_groups(&file, ports, lines, None)?,
     )?;
     let logs = Logs {
         frames: options
