@@ -24,7 +24,7 @@ use servo::{NotUp, Servo, Timing, lockstep};
 use signal_hook::consts::SIGUSR1;
 use signal_hook::flag;
 
-use crate::bench::{Bench, BenchKind};
+use crate::bench::{Bench, BenchKind, Places};
 use crate::cell_file::CellFile;
 use crate::emulation::Emulation;
 use crate::programs::{Programs, Progress, servo_faults};
@@ -66,16 +66,8 @@ pub(crate) struct Options {
     /// What to run it on.
     #[arg(long, value_enum, default_value = "emulated")]
     bench: BenchKind,
-    /// The interface of a bus in place of the cell's: IFACE, or once for each bus BUS=IFACE where there are several.
-    #[arg(long, value_name = "IFACE")]
-    can: Vec<String>,
-    /// The directory of the lines' ttys, one per axis by its name, in place of the cell's lines: as `mrroc emulate
-    /// --serial` makes it.
-    #[arg(long, value_name = "DIR")]
-    serial: Option<PathBuf>,
-    /// Set the cards to the cell's bit rates and bring them up; a card that is up at another rate is taken down before.
-    #[arg(long)]
-    set_bitrate: bool,
+    #[command(flatten)]
+    places: Places,
     /// Print one JSON object at the end.
     #[arg(long)]
     json: bool,
@@ -111,14 +103,12 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
     } = Bench::open(
         &file,
         options.bench,
-        &options.can,
-        options.serial.as_deref(),
-        options.set_bitrate,
+        &options.places,
         options.trace.is_some(),
     )?;
     let (mut servo, links) = Servo::new(
         &setup::servo_config(&file),
-        setup::drive_groups(&file, ports, lines)?,
+        setup::drive_groups(&file, ports, lines, None)?,
     )?;
     let logs = Logs {
         frames: options

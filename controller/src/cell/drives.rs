@@ -236,6 +236,7 @@ impl Axis {
             homing_order: self.homing.order,
             increments_per_radian: self.scale(0.0).increments_per_radian(),
             position_loop: self.position_loop(),
+            torque_offset: None,
             homing: self
                 .controller
                 .as_ref()
