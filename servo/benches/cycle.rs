@@ -103,6 +103,7 @@ fn bench(criterion: &mut Criterion, name: &str, position_loop: PositionLoop) {
                     report_at: 5,
                     position,
                     velocity,
+                    torque: [0.0; MAX_AXES],
                 };
                 link.orders
                     .push(Order::Move(macrostep))

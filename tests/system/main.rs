@@ -45,4 +45,5 @@ mod spikes;
 mod uml;
 mod vcan;
 mod watch;
+mod weight;
 mod wire;

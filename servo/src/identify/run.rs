@@ -68,6 +68,7 @@ impl Run {
             report_at: self.steps,
             position,
             velocity,
+            torque: [0.0; MAX_AXES],
         })
     }
 
