@@ -16,6 +16,7 @@ use hil::{Cabinet, Device, Pty};
 use crate::bus_port::BusPort;
 use crate::cell_file::CellFile;
 use crate::emulated_lines::EmulatedLines;
+use crate::plants::{Mechanisms, Payloads};
 use crate::{emulation, interfaces};
 
 /// Longest time between two looks at whether somebody pressed Ctrl-C.
@@ -61,6 +62,8 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
         }
         links[index] = Some(link);
     }
+    let mechanisms = Mechanisms::of(&file);
+    let mut payloads = Payloads::of(&file, &mechanisms, clock::now());
     let mut buses = Vec::new();
     let mut lines = EmulatedLines::default();
     let mut names = Vec::new();
@@ -68,7 +71,7 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
         if let Some(link) = links[index] {
             let pty = Pty::linked(Path::new(link)).with_context(|| format!("--slcan {link}"))?;
             names.push(format!("{} behind {link}", bus.name));
-            lines.add_bus(&file, index, pty);
+            lines.add_bus(&file, &mechanisms, index, pty);
         } else {
             let interface = &interfaces[index];
             let port = BusPort::open(interface, bus.bitrate_kbps);
@@ -77,7 +80,7 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
             let now = clock::now();
             buses.push(EmulatedBus {
                 port,
-                devices: emulation::devices(&file, index, now),
+                devices: emulation::devices(&file, &mechanisms, index, now),
                 passed: now,
             });
         }
@@ -92,7 +95,7 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
         let cabinet = Cabinet::default();
         for axis in file.cell.axes_on(file.cell.bus.len() + bundle) {
             let pty = link_of(&file, axis, directory)?;
-            lines.add_axis(&file, bundle, axis, &cabinet, pty);
+            lines.add_axis(&file, &mechanisms, bundle, axis, &cabinet, pty);
         }
         names.push(format!("{} in {}", serial.name, directory.display()));
     }
@@ -118,6 +121,13 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
         names.join(", bus ")
     );
     std::thread::scope(|scope| {
+        let flag = &stop;
+        scope.spawn(move || {
+            while let Some(due) = payloads.next().filter(|_| !flag.load(Ordering::Relaxed)) {
+                clock::sleep_until(due.min(clock::now() + LOOK));
+                payloads.take_over(clock::now());
+            }
+        });
         let serve = |bus: EmulatedBus| {
             let stop = &stop;
             scope.spawn(move || {

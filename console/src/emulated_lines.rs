@@ -14,6 +14,7 @@ use servo::thread::set_fifo;
 
 use crate::cell_file::CellFile;
 use crate::emulation;
+use crate::plants::Mechanisms;
 
 /// Longest time between two looks at whether somebody pressed Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);
@@ -50,8 +51,14 @@ enum End {
 
 impl EmulatedLines {
     /// Adds CAN bus `index` of a cell, reached by an slcan adapter on `pty`.
-    pub(crate) fn add_bus(&mut self, file: &CellFile, index: usize, pty: Pty) {
-        let bus = emulation::add_bus(&mut self.world, file, index);
+    pub(crate) fn add_bus(
+        &mut self,
+        file: &CellFile,
+        mechanisms: &Mechanisms,
+        index: usize,
+        pty: Pty,
+    ) {
+        let bus = emulation::add_bus(&mut self.world, file, mechanisms, index);
         let config = SlcanConfig::new(emulation::bitrate(file, index));
         let adapter = Box::new(SlcanDevice::new(config));
         let end = End::Adapter(self.world.add_device(bus, adapter));
@@ -63,12 +70,13 @@ impl EmulatedLines {
     pub(crate) fn add_axis(
         &mut self,
         file: &CellFile,
+        mechanisms: &Mechanisms,
         bundle: usize,
         axis: (usize, usize),
         cabinet: &Cabinet,
         pty: Pty,
     ) {
-        let line = emulation::add_line(&mut self.world, file, bundle, axis, cabinet);
+        let line = emulation::add_line(&mut self.world, file, mechanisms, bundle, axis, cabinet);
         self.add_line(line, pty);
     }
 

@@ -24,6 +24,7 @@ mod interfaces;
 mod jitter;
 mod kinematics;
 mod manual;
+mod plants;
 mod programs;
 mod rehearsal;
 mod report;

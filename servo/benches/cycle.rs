@@ -129,7 +129,7 @@ fn cycle(criterion: &mut Criterion) {
                 velocity: 1e-3,
                 acceleration: 6.6e-4,
                 coulomb: 0.08,
-                constant: 0.0,
+                ..FeedForward::default()
             },
             runaway_velocity: 300.0,
         })

@@ -35,6 +35,10 @@ pub struct Macrostep {
 }
 
 /// What the controller asks of one effector.
+#[expect(
+    clippy::large_enum_variant,
+    reason = "nearly all that a queue holds are macrosteps, and a box would allocate"
+)]
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Order {
     /// Switch the drives on and stand.

@@ -190,6 +190,9 @@ pub struct Robot {
     /// What it does after homing, in order.
     #[serde(default)]
     pub program: Vec<Instruction>,
+    /// What the emulated robot carries, and from when on; nothing before the first. The others ignore it.
+    #[serde(default)]
+    pub emulated_payload: Vec<EmulatedPayload>,
 }
 
 impl Robot {
@@ -377,6 +380,19 @@ pub struct Emulator {
     pub protocol: Option<Protocol>,
     /// Whether the bus or line lacks it: a drive that never boots.
     pub absent: bool,
+}
+
+/// What an emulated robot carries from a point of time on, in place of whatever it carried before.
+#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct EmulatedPayload {
+    /// Counted from when the emulated drives are switched on, s.
+    pub at_s: f64,
+    /// kg; 0 puts down what it carried.
+    pub mass: f64,
+    /// The centre of mass in the emulated mechanism's flange frame, m.
+    #[serde(default)]
+    pub centre: [f64; 3],
 }
 
 /// The plants an emulated axis can have.

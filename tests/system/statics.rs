@@ -50,21 +50,22 @@ fn links_weigh_on_motors_what_they_weigh_in_the_emulators() {
         ..PolycrankParameters::polycrank()
     };
     let rnt = MechanismConfig::Rnt {
-        home_length: AxisConfig::RNT_HOME_LENGTH,
+        home_lengths: [AxisConfig::RNT_HOME_LENGTH; 3],
+    };
+    let cranks = |coupled| MechanismConfig::Polycrank {
+        coupled,
+        at_home: [0.0; 7],
     };
     let cases = [
+        (Model::Irb6, None, MechanismConfig::Irb6),
         (Model::Irp6, None, MechanismConfig::Irp6),
         (Model::Irp6Track, None, MechanismConfig::Irp6OnTrack),
         (Model::Rnt, None, rnt),
-        (
-            Model::Polycrank,
-            None,
-            MechanismConfig::Polycrank { coupled: false },
-        ),
+        (Model::Polycrank, None, cranks(false)),
         (
             Model::Polycrank,
             Some(Parameters::Polycrank(coupled)),
-            MechanismConfig::Polycrank { coupled: true },
+            cranks(true),
         ),
     ];
     for (model, parameters, config) in cases {
@@ -100,13 +101,12 @@ fn links_weigh_on_motors_what_they_weigh_in_the_emulators() {
                 let mechanism = posed(config, &motors, &zero);
                 mechanism.set_payload(of_load, carried);
                 let found = weight.torque(&*robot, &motors).unwrap();
-                for axis in 0..robot.axes() {
+                for (axis, found) in found.iter().take(robot.axes()).enumerate() {
                     let expected = -mechanism.load(axis).torque;
-                    worst = worst.max((found[axis] - expected).abs());
+                    worst = worst.max((found - expected).abs());
                     assert!(
-                        (found[axis] - expected).abs() < 1e-6,
-                        "{config:?} axis {axis} at {joints:?}: {} for {expected} N·m",
-                        found[axis]
+                        (found - expected).abs() < 1e-6,
+                        "{config:?} axis {axis} at {joints:?}: {found} for {expected} N·m"
                     );
                 }
             }
