@@ -118,12 +118,9 @@ fn servo_axes(file: &CellFile, robot: usize) -> Vec<ServoAxisConfig> {
             .expect("a parsed cell has the bus");
         let index_in_group = cell
             .axes_on(group)
-            .position(|place| place == (robot, number));
-        axis.servo_config(
-            group,
-            index_in_group.expect("the axis is on its bus"),
-            limits,
-        )
+            .position(|place| place == (robot, number))
+            .expect("the axis is on its bus");
+        cell.robot[robot].servo_config(number, group, index_in_group, limits)
     };
     (0..cell.robot[robot].axis.len()).map(axis).collect()
 }

@@ -101,7 +101,7 @@ impl Setup {
     fn servo_config(&self, arm: &Arm) -> ServoConfig {
         let axis = |(index_in_group, &number): (usize, &usize)| {
             let limits = arm.robot().motor_limits()[number];
-            self.axis(number).servo_config(0, index_in_group, limits)
+            self.cell.robot[0].servo_config(number, 0, index_in_group, limits)
         };
         ServoConfig {
             period: self.period(),

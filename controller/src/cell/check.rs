@@ -6,6 +6,7 @@ use thiserror::Error;
 
 mod axis;
 mod meetings;
+mod weight;
 
 use super::locate::{self, Path};
 use super::{Cell, Instruction, JointGenerator, Plant, Realtime, Robot, Scheduler};
@@ -440,6 +441,7 @@ fn check_robots(cell: &Cell) -> Checked {
             }
             taken.push((what, path));
         }
+        weight::check(&path, robot, &*kinematics)?;
         check_program(&path.then("program"), robot)?;
         check_payloads(&path.then("emulated_payload"), robot)?;
     }

@@ -15,6 +15,7 @@ mod model;
 mod program;
 #[cfg(test)]
 mod tests;
+mod weight;
 
 use std::sync::Arc;
 
@@ -34,6 +35,7 @@ pub use locate::{Path, Step};
 pub use meetings::Meeting;
 pub use model::{Model, Parameters};
 pub use program::{ProgramError, instruction_path};
+pub use weight::Weights;
 
 /// One controller: everything that is stepped on one tick grid.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
@@ -180,6 +182,9 @@ pub struct Robot {
     /// Origin of the tool in the flange's frame, m.
     #[serde(default)]
     pub tool: [f64; 3],
+    /// What its links weigh, to be fed forward to its motors; not fed forward where absent.
+    #[serde(default)]
+    pub weight: Option<Weights>,
     /// The axes, base first.
     pub axis: Vec<Axis>,
     /// What it does after homing, in order.
@@ -191,12 +196,19 @@ pub struct Robot {
 }
 
 impl Robot {
-    /// Its kinematics and its tool, or what is wrong with its parameters.
+    /// Its kinematics, its tool and what weighs on its motors, or what is wrong with its parameters.
     pub fn arm(&self) -> Result<Arm, ParameterError> {
-        Ok(Arm::new(
-            self.kinematics()?,
-            Pose::translation(self.tool[0], self.tool[1], self.tool[2]),
-        ))
+        let robot = self.kinematics()?;
+        let weight = self
+            .weight
+            .as_ref()
+            .map(|weights| weights.of(self.model, &*robot));
+        let tool = Pose::translation(self.tool[0], self.tool[1], self.tool[2]);
+        let arm = Arm::new(robot, tool);
+        Ok(match weight.transpose().map_err(ParameterError::Weight)? {
+            Some(weight) => arm.weighing(weight),
+            None => arm,
+        })
     }
 
     /// Its kinematics and drive train, or what is wrong with its parameters.

@@ -295,7 +295,8 @@ fn a_drive_by_velocity_or_torque_has_a_loop_that_suits_it_and_no_other_has_one()
         match parsed {
             Ok(cell) => {
                 assert_eq!(refusal, "", "{drive}");
-                let config = cell.robot[0].axis[0].servo_config(
+                let config = cell.robot[0].servo_config(
+                    0,
                     0,
                     0,
                     Limits {

@@ -513,10 +513,10 @@ impl Ecp {
         if let Some(axis) = setpoint.and_then(|setpoint| setpoint.not_finite()) {
             return Err(EcpError::NotFinite { step, axis });
         }
-        let motors = self
-            .effector
-            .motors(setpoint)
-            .map_err(|error| EcpError::OutOfReach { step, error })?;
+        let out_of_reach = |error| EcpError::OutOfReach { step, error };
+        let motors = self.effector.motors(setpoint).map_err(out_of_reach)?;
+        let torque = self.effector.arm.torques(&motors.position);
+        let torque = torque.map_err(out_of_reach)?;
         self.effector.commanded = motors;
         self.sent += 1;
         self.outbox.push_back(Order::Move(Macrostep {
@@ -525,6 +525,7 @@ impl Ecp {
             report_at: self.config.report_at,
             position: motors.position,
             velocity: motors.velocity,
+            torque,
         }));
         Ok(())
     }
