@@ -10,7 +10,7 @@ use controller::ecp::{EcpConfig, Meetings};
 use controller::robot::Limits;
 use drive::DriveGroup;
 use drive::axis_controller::AxisControllerGroup;
-use drive::cia402::{AxisConfig, Cia402Group};
+use drive::cia402::{AxisConfig, Cia402Group, CyclicMode};
 use serial::Line;
 use servo::thread::{CellTime, Realtime, RealtimePolicy, Scheduler, Wait};
 use servo::{EffectorConfig, Gates, HostHoming, ServoAxisConfig, ServoConfig};
@@ -43,18 +43,23 @@ pub(crate) fn axis_configs(file: &CellFile, bus: usize) -> Vec<AxisConfig> {
     file.cell.axes_on(bus).map(config).collect()
 }
 
-/// One drive group per bus and bundle of lines, on the given ports and lines.
+/// One drive group per bus and bundle of lines, on the given ports and lines. The drive of axis `with_torque`, of a robot,
+/// is one that takes a torque beside the position.
 pub(crate) fn drive_groups(
     file: &CellFile,
     ports: Vec<Box<dyn Port>>,
     lines: Vec<Vec<Box<dyn Line>>>,
+    with_torque: Option<(usize, usize)>,
 ) -> anyhow::Result<Vec<Box<dyn DriveGroup>>> {
     let group = |((index, bus), port): ((usize, &Bus), _)| {
-        let group = Cia402Group::new(
-            port,
-            file.cell.group_config(index),
-            &axis_configs(file, index),
-        );
+        let mut axes = axis_configs(file, index);
+        let places = file.cell.axes_on(index);
+        for (axis, place) in axes.iter_mut().zip(places) {
+            if Some(place) == with_torque {
+                axis.mode = CyclicMode::CspWithTorque;
+            }
+        }
+        let group = Cia402Group::new(port, file.cell.group_config(index), &axes);
         Ok(Box::new(group.with_context(|| format!("bus {}", bus.name))?) as Box<dyn DriveGroup>)
     };
     let bundle = |((index, bundle), lines): ((usize, &Serial), _)| {
@@ -113,12 +118,9 @@ fn servo_axes(file: &CellFile, robot: usize) -> Vec<ServoAxisConfig> {
             .expect("a parsed cell has the bus");
         let index_in_group = cell
             .axes_on(group)
-            .position(|place| place == (robot, number));
-        axis.servo_config(
-            group,
-            index_in_group.expect("the axis is on its bus"),
-            limits,
-        )
+            .position(|place| place == (robot, number))
+            .expect("the axis is on its bus");
+        cell.robot[robot].servo_config(number, group, index_in_group, limits)
     };
     (0..cell.robot[robot].axis.len()).map(axis).collect()
 }

@@ -415,3 +415,47 @@ fn options_that_contradict_each_other_are_refused() {
         refused(&mrroc(arguments.into_iter().chain(options)), &[needle]);
     }
 }
+
+#[test]
+fn each_bus_has_one_interface_and_each_interface_one_bus() {
+    let cell = example("polycrank");
+    let cases: &[(&[&str], &[&str])] = &[
+        (
+            &["--can=vcan0"],
+            &["2 buses", "BUS=vcan0", "upper, forearm"],
+        ),
+        (&["--can=leg=vcan0"], &["no bus \"leg\"", "upper, forearm"]),
+        (
+            &["--can=upper=vcan0", "--can=upper=vcan1"],
+            &["--can upper=vcan1", "already", "--can upper=vcan0"],
+        ),
+        (
+            &["--can=upper=vcan0", "--can=forearm=vcan0"],
+            &["bus forearm: vcan0 is that of bus upper", "BUS=IFACE"],
+        ),
+        // The other bus is on its own, which the cell names.
+        (
+            &["--can=upper=can1"],
+            &["bus forearm: can1 is that of bus upper"],
+        ),
+        (
+            &["--can=upper=nosuch0", "--can=forearm=nosuch1"],
+            &["bus upper: nosuch0: "],
+        ),
+    ];
+    let commands: [&[&str]; 2] = [&["run", "--bench=vcan"], &["emulate"]];
+    for (options, needles) in cases {
+        for command in commands {
+            let arguments = command.iter().chain(*options).map(AsRef::as_ref);
+            refused(&mrroc(arguments.chain([cell.as_os_str()])), needles);
+        }
+    }
+    // Behind an adapter's tty it needs none, and the other may have that.
+    let directory = Directory::new();
+    let link = format!("--slcan=forearm={}", directory.path("tty").display());
+    let emulate = ["emulate", "--can=upper=can1", &link].map(AsRef::as_ref);
+    refused(
+        &mrroc(emulate.into_iter().chain([cell.as_os_str()])),
+        &["bus upper: can1: "],
+    );
+}

@@ -295,7 +295,8 @@ fn a_drive_by_velocity_or_torque_has_a_loop_that_suits_it_and_no_other_has_one()
         match parsed {
             Ok(cell) => {
                 assert_eq!(refusal, "", "{drive}");
-                let config = cell.robot[0].axis[0].servo_config(
+                let config = cell.robot[0].servo_config(
+                    0,
                     0,
                     0,
                     Limits {
@@ -318,7 +319,7 @@ fn a_drive_by_velocity_or_torque_has_a_loop_that_suits_it_and_no_other_has_one()
         }
     }
     let of_line = SERIAL.replacen(
-        "{ cascade = { position_gain = 25.0, velocity_gain = 0.066, integral_rate = 10.0, limit = 2.1 } }",
+        "{ cascade = { position_gain = 25.0, velocity_gain = 0.043, integral_rate = 10.0, limit = 2.1 } }",
         velocity,
         1,
     );

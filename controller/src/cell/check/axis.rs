@@ -205,6 +205,10 @@ fn check_drive_loop(path: &Path, drive: &Drive, max_velocity: f64) -> Checked {
             return refused(path.clone(), why);
         }
         (DriveControl::Velocity, Some(given)) => {
+            if given.feed_forward.weight.is_some_and(|weight| weight > 0.0) {
+                let why = "is a torque: by velocity the drive's own loop holds the weight";
+                return refused(path.then("feed_forward").then("weight"), why);
+            }
             // A loop at its limit is not to look like one that runs away.
             let runaway = given.runaway_velocity.unwrap_or(1.2 * max_velocity);
             let range = "above 0 and at most runaway_velocity (rad/s of the motor)";
@@ -271,10 +275,36 @@ fn check_loop(path: &Path, given: &Loop, most: (f64, &'static str), max_velocity
         (forward.then("velocity"), it.velocity, not_negative),
         (forward.then("acceleration"), it.acceleration, not_negative),
         (forward.then("coulomb"), it.coulomb, not_negative),
+        (
+            forward.then("weight"),
+            it.weight.unwrap_or(0.0),
+            not_negative,
+        ),
         (forward.then("constant"), it.constant, any),
     ];
     for (path, value, (low, high, range)) in numbers.into_iter().chain(known) {
         in_range(&path, value, low, high, range)?;
+    }
+    if let Some(stiction) = it.stiction {
+        let range = "at least coulomb";
+        in_range(
+            &forward.then("stiction"),
+            stiction,
+            it.coulomb,
+            f64::MAX,
+            range,
+        )?;
+        let Some(velocity) = it.stribeck_velocity else {
+            let why = "needs the velocity over which it falls: stribeck_velocity";
+            return Err((forward.then("stiction"), Problem::Refused(why.into())));
+        };
+        positive(&forward.then("stribeck_velocity"), velocity)?;
+    } else if it.stribeck_velocity.is_some() {
+        let why = "is for a friction that is greater at break-away: stiction";
+        return Err((
+            forward.then("stribeck_velocity"),
+            Problem::Refused(why.into()),
+        ));
     }
     match given.runaway_velocity {
         Some(value) if value <= max_velocity => {

@@ -116,6 +116,11 @@ fn velocity_and_torque_drives_get_their_own_target() {
             "602#2F60600009000000",
         ),
         (
+            CyclicMode::CspWithTorque,
+            "602#230016031000B260",
+            "602#2F60600008000000",
+        ),
+        (
             CyclicMode::Cst,
             "602#2300160210007160",
             "602#2F6060000A000000",
@@ -453,7 +458,12 @@ fn a_drive_that_scales_as_the_cell_or_does_not_say_comes_up_and_another_is_refus
             Some((0x6076, "100000 mN·m of rated torque, the cell says 100:")),
         ),
     ];
-    for mode in [CyclicMode::Csp, CyclicMode::Csv, CyclicMode::Cst] {
+    for mode in [
+        CyclicMode::Csp,
+        CyclicMode::CspWithTorque,
+        CyclicMode::Csv,
+        CyclicMode::Cst,
+    ] {
         for ((vendor, says), refusal) in table {
             let mut axis = axis_config(2);
             axis.mode = mode;
