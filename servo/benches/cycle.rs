@@ -57,6 +57,7 @@ fn servo(position_loop: PositionLoop) -> (Servo, EffectorLink) {
         homing_order: 0,
         increments_per_radian: 4000.0 / std::f64::consts::TAU,
         position_loop,
+        torque_offset: None,
         homing: None,
     };
     let config = ServoConfig {
@@ -103,6 +104,7 @@ fn bench(criterion: &mut Criterion, name: &str, position_loop: PositionLoop) {
                     report_at: 5,
                     position,
                     velocity,
+                    torque: [0.0; MAX_AXES],
                 };
                 link.orders
                     .push(Order::Move(macrostep))
@@ -128,7 +130,7 @@ fn cycle(criterion: &mut Criterion) {
                 velocity: 1e-3,
                 acceleration: 6.6e-4,
                 coulomb: 0.08,
-                constant: 0.0,
+                ..FeedForward::default()
             },
             runaway_velocity: 300.0,
         })

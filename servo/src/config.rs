@@ -65,6 +65,10 @@ pub struct ServoAxisConfig {
     pub increments_per_radian: f64,
     /// Who closes the position loop.
     pub position_loop: PositionLoop,
+    /// Rated torque of the motor, N·m, where a drive that closes the position loop takes a torque beside the position
+    /// ([`Setpoint::PositionWithTorque`](drive::Setpoint::PositionWithTorque)). [Excitations](crate::Excitation) are
+    /// such torques then.
+    pub torque_offset: Option<f64>,
     /// How the servo homes the axis; `None` if its drive does,
     /// [`AxisCommand::Home`](drive::AxisCommand::Home). Only where the servo closes the position loop: a
     /// drive that did would follow positions of the old count, still under way, once its counter is set.
@@ -242,6 +246,11 @@ impl ServoAxisConfig {
             && let Some(field) = host.nonsense(self.max_velocity)
         {
             Some(field)
+        } else if self
+            .torque_offset
+            .is_some_and(|rated| !positive(rated) || self.position_loop != PositionLoop::Drive)
+        {
+            Some("torque_offset")
         } else if self.homing.is_some() && self.position_loop == PositionLoop::Drive {
             Some("homing, where the drive closes the position loop,")
         } else {
@@ -292,7 +301,7 @@ mod tests {
             axes: 2,
         };
         type Case = (fn(&mut ServoConfig), Result<(), ServoError>);
-        let cases: [Case; 14] = [
+        let cases: [Case; 15] = [
             (|_| {}, Ok(())),
             (|c| c.period = Duration::ZERO, Err(ServoError::ZeroPeriod)),
             (
@@ -322,6 +331,10 @@ mod tests {
             (
                 |c| c.effectors[0].axes[1].min_position = f64::NAN,
                 bad("min_position"),
+            ),
+            (
+                |c| c.effectors[0].axes[1].torque_offset = Some(0.0),
+                bad("torque_offset"),
             ),
             (
                 |c| c.effectors[0].axes[1].max_position = -1000.0,
@@ -358,6 +371,9 @@ mod tests {
             velocity: 0.0,
             acceleration: 0.0,
             coulomb: 0.0,
+            stiction: 0.0,
+            stribeck_velocity: 0.0,
+            weight: 0.0,
             constant: 0.0,
         },
         runaway_velocity: 120.0,
@@ -395,7 +411,7 @@ mod tests {
     #[test]
     fn a_loop_of_the_host_is_refused_for_the_field_that_is_wrong() {
         type Case = (fn(&mut HostLoop), Option<&'static str>);
-        let cases: [Case; 14] = [
+        let cases: [Case; 19] = [
             (|_| {}, None),
             (
                 |l| l.runaway_velocity = 100.0,
@@ -412,6 +428,30 @@ mod tests {
             (
                 |l| l.feed_forward.coulomb = -0.1,
                 Some("feed_forward.coulomb"),
+            ),
+            (
+                |l| (l.feed_forward.coulomb, l.feed_forward.stiction) = (0.1, 0.09),
+                Some("feed_forward.stiction"),
+            ),
+            (
+                |l| l.feed_forward.stiction = 0.1,
+                Some("feed_forward.stribeck_velocity"),
+            ),
+            (
+                |l| l.feed_forward.weight = f64::NAN,
+                Some("feed_forward.weight"),
+            ),
+            (
+                |l| (l.output, l.feed_forward.weight) = (Output::Velocity, 1.0),
+                Some("feed_forward.weight, a torque for a drive that is sent velocities,"),
+            ),
+            (
+                |l| {
+                    l.feed_forward.stiction = 0.1;
+                    l.feed_forward.stribeck_velocity = 5.0;
+                    l.feed_forward.weight = 0.1;
+                },
+                None,
             ),
             (
                 |l| l.feed_forward.constant = f64::INFINITY,

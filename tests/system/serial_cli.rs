@@ -78,7 +78,7 @@ fn serial_cells_run_by_the_wall_clock_on_pseudo_terminals() {
 }
 
 /// `mrroc emulate --serial` once all its ttys are there.
-fn emulate(cell: &Path, ttys: &Path) -> Running {
+pub(crate) fn emulate(cell: &Path, ttys: &Path) -> Running {
     let emulator = Running::start([
         "emulate".as_ref(),
         cell.as_os_str(),

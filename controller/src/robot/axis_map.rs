@@ -35,7 +35,8 @@ pub struct GripperParameters {
 }
 
 impl GripperParameters {
-    /// The gripper of the WUT robots (public code). Its vertex is at 2564 rad (derived), its home past it.
+    /// The gripper of the WUT robots (public code). The sign of `linear` is the one by which its home is within its
+    /// openings; the code has the other. Its vertex is at 2564 rad (derived), its home past it.
     #[doc(alias = "tfg")]
     pub const fn two_finger() -> Self {
         Self {
@@ -92,8 +93,8 @@ pub struct ConveyorParameters {
 }
 
 impl ConveyorParameters {
-    /// The conveyor of the WUT laboratory (public code); 4000 counts per revolution make 0.70 µm each. Nominal: its
-    /// home is zero, and a 32-bit counter of as many counts holds the motor's range, ±1489 m of belt.
+    /// The conveyor of the WUT laboratory (public code); 4000 counts per revolution make 0.70 µm each. Derived: a
+    /// 32-bit counter of as many counts holds the motor's range, ±1489 m of belt.
     pub const fn belt() -> Self {
         Self {
             ratio: 2250.0,

@@ -67,6 +67,12 @@ impl Cascade {
         self.velocity_loop.step(error, feed_forward, dt)
     }
 
+    /// Forgets as much of `output` as it puts out at rest by its integral, and says how much that is: what it puts
+    /// out next is less by so much.
+    pub fn give(&mut self, output: f64) -> f64 {
+        self.velocity_loop.give(output)
+    }
+
     /// Forgets everything.
     pub fn reset(&mut self) {
         self.velocity_loop.reset();
