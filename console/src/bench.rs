@@ -1,10 +1,10 @@
 //! What a run runs on: the ports to the drives, and the emulated world behind them where there is one.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use can::{Port, SocketCanOptions, TraceReader, Tracer};
-use clap::ValueEnum;
+use clap::{Args, ValueEnum};
 use controller::cell::Serial;
 use drive::cia402;
 use serial::{Line, Tty, VirtualLine};
@@ -43,6 +43,47 @@ impl BenchKind {
     }
 }
 
+/// Where to find what a bench consists of, if not where the cell says.
+#[derive(Args, Debug, Default)]
+pub(crate) struct Places {
+    /// The interface of a bus in place of the cell's: IFACE, or once for each bus BUS=IFACE where there are several.
+    #[arg(long, value_name = "IFACE")]
+    pub(crate) can: Vec<String>,
+    /// The directory of the lines' ttys, one per axis by its name, in place of the cell's lines: as `mrroc emulate
+    /// --serial` makes it.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) serial: Option<PathBuf>,
+    /// Set the cards to the cell's bit rates and bring them up; a card that is up at another rate is taken down before.
+    #[arg(long)]
+    pub(crate) set_bitrate: bool,
+}
+
+impl Places {
+    /// Whether a motion on the bench `kind` may be one of hardware: on interfaces that are not virtual, and ttys that
+    /// are no pseudo-terminals, whatever the bench is called.
+    pub(crate) fn may_be_hardware(&self, file: &CellFile, kind: BenchKind) -> anyhow::Result<bool> {
+        match kind {
+            BenchKind::Lockstep | BenchKind::Emulated => return Ok(false),
+            BenchKind::Card => return Ok(true),
+            BenchKind::Vcan => {}
+        }
+        let device = |path: &Path| {
+            path.canonicalize()
+                .is_ok_and(|it| !it.starts_with("/dev/pts"))
+        };
+        let interfaces = interfaces::resolve(&file.cell, &self.can)?;
+        let mut interfaces = interfaces.iter();
+        let mut bundles = file.cell.serial.iter().enumerate();
+        Ok(interfaces.any(|interface| match interface {
+            Interface::SocketCan(name) => can::card::read(name).is_ok(),
+            Interface::Slcan { path, .. } | Interface::Epos { path, .. } => device(path.as_ref()),
+        }) || bundles.any(|(index, _)| {
+            let paths = tty_paths(file, index, self.serial.as_deref());
+            paths.into_iter().any(|(_, path)| device(&path))
+        }))
+    }
+}
+
 /// An opened bench.
 pub(crate) struct Bench {
     /// One per bus of the cell.
@@ -60,20 +101,24 @@ pub(crate) struct Bench {
 }
 
 impl Bench {
-    /// Opens the bench `kind` for a cell: `can` in place of the cell's interfaces, and the ttys in the directory
-    /// `serial` in place of the cell's lines. Cards are set to the cell's bit rates if `set_bitrate` says so.
+    /// Opens the bench `kind` for a cell.
     pub(crate) fn open(
         file: &CellFile,
         kind: BenchKind,
-        can: &[String],
-        serial: Option<&Path>,
-        set_bitrate: bool,
+        places: &Places,
         trace: bool,
     ) -> anyhow::Result<Self> {
+        let Places {
+            can,
+            serial,
+            set_bitrate,
+        } = places;
+        let (serial, set_bitrate) = (serial.as_deref(), *set_bitrate);
         if set_bitrate && kind != BenchKind::Card {
             bail!("--set-bitrate needs --bench card");
         }
         let interfaces = interfaces::resolve(&file.cell, can)?;
+        interfaces::all_differ(&file.cell, interfaces.iter().map(Some))?;
         let (ports, lines, listeners, emulation): (Vec<Box<dyn Port>>, _, _, _) = match kind {
             BenchKind::Lockstep | BenchKind::Emulated => {
                 if !can.is_empty() || serial.is_some() {
@@ -158,20 +203,29 @@ fn emulated_lines(
     bundles.map(bundle).collect()
 }
 
-/// The ttys of a cell: those it names, or those that `mrroc emulate --serial` put into `directory`.
+/// The ttys of a cell, opened.
 fn ttys(file: &CellFile, directory: Option<&Path>) -> anyhow::Result<Vec<Vec<Box<dyn Line>>>> {
     let bundles = file.cell.serial.iter().enumerate();
     let bundle = |(index, bundle): (usize, &Serial)| {
-        let open = |(robot, number): (usize, usize)| {
-            let axis = file.axis_name(robot, number);
-            let own =
-                || Path::new(&file.cell.robot[robot].axis[number].axis_controller().line).into();
-            let path = directory.map_or_else(own, |directory| directory.join(&axis));
+        let open = |(axis, path): (String, PathBuf)| {
             let tty = Tty::open(&path, bundle.settings());
             Ok(Box::new(tty.with_context(|| format!("axis {axis}"))?) as Box<dyn Line>)
         };
-        let axes = file.cell.axes_on(file.cell.bus.len() + index);
-        axes.map(open).collect()
+        let paths = tty_paths(file, index, directory);
+        paths.into_iter().map(open).collect()
     };
     bundles.map(bundle).collect()
+}
+
+/// The axes of bundle `bundle` and their ttys: those that the cell names, or those that `mrroc emulate --serial` put
+/// into `directory`.
+fn tty_paths(file: &CellFile, bundle: usize, directory: Option<&Path>) -> Vec<(String, PathBuf)> {
+    let path = |(robot, number): (usize, usize)| {
+        let axis = file.axis_name(robot, number);
+        let own = || PathBuf::from(&file.cell.robot[robot].axis[number].axis_controller().line);
+        let path = directory.map_or_else(own, |directory| directory.join(&axis));
+        (axis, path)
+    };
+    let axes = file.cell.axes_on(file.cell.bus.len() + bundle);
+    axes.map(path).collect()
 }

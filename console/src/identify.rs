@@ -22,7 +22,7 @@ use servo::{
     ExcitationError, MAX_AXES, NotUp, Output, PositionLoop, Servo, ServoAxisConfig, lockstep,
 };
 
-use crate::bench::{Bench, BenchKind};
+use crate::bench::{Bench, BenchKind, Places};
 use crate::cell_file::CellFile;
 use crate::{clockwork, setup};
 use report::Report;
@@ -37,8 +37,15 @@ const POLL: Duration = Duration::from_millis(2);
 /// Length of one period of the excitation, s: its lines are multiples of 1 Hz.
 const PERIOD: f64 = 1.0;
 
+/// Period of the loops of a drive, s: those of the emulated one, and those of an EPOS4 (its hardware references).
+const EMULATED_DRIVE: f64 = 1e-3;
+const EPOS4: f64 = 400e-6;
+
 /// Lines that are asked for.
 const LINES: usize = 40;
+
+/// Usual velocity, rad/s.
+const VELOCITY: f64 = 10.0;
 
 /// Acceleration to the velocity and from it, rad/s², unless the axis has less.
 const ACCELERATION: f64 = 100.0;
@@ -60,19 +67,30 @@ pub(crate) struct Options {
     /// What it is excited by.
     #[arg(long, value_enum, default_value = "multisine")]
     excitation: Excitation,
+    /// Where it is added, if the drive closes the position loop.
+    #[arg(long, value_enum, default_value = "torque")]
+    at: At,
+    /// Period of the drive's own loops, µs, where it closes the position loop: what torque it shows is half of that old.
+    /// That of an EPOS4, unless given, or of the emulated drive.
+    #[arg(long, value_name = "US")]
+    drive_period: Option<f64>,
     /// What to measure on.
     #[arg(long, value_enum, default_value = "lockstep")]
     bench: BenchKind,
-    /// Let the axis move on the card bench. It has to be homed, clear of its surroundings, and watched.
+    #[command(flatten)]
+    places: Places,
+    /// Let the axis move where it may be hardware. It has to be homed, clear of its surroundings, and watched.
     #[arg(long)]
     moves_hardware: bool,
     /// Greatest value of the excitation, in the unit of what is excited: rad/s, N·m or the duty that the host's loop puts
-    /// out; rad of the motor where the drive closes the loop. A small one, unless given.
+    /// out; N·m where the drive closes the loop, or rad of the motor at its command. A small one, unless given.
     #[arg(long)]
     amplitude: Option<f64>,
-    /// Motor velocity meanwhile, rad/s: dry friction holds an axis that stands.
-    #[arg(long, default_value_t = 10.0)]
-    velocity: f64,
+    /// Motor velocity meanwhile, rad/s: dry friction holds an axis that stands. A drive that is excited at
+    /// its torque is given the nearest of a whole number of counts in a cycle. 10 rad/s unless given, or four counts in a
+    /// cycle there, if that is more.
+    #[arg(long)]
+    velocity: Option<f64>,
     /// Lowest frequency, Hz.
     #[arg(long, default_value_t = 2.0)]
     from: f64,
@@ -99,17 +117,44 @@ enum Excitation {
     Multisine,
 }
 
+/// Where an axis is excited whose drive closes the position loop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum At {
+    /// At the torque that the drive's loops ask for (object 0x60B2): the open loop, its crossover and margin.
+    Torque,
+    /// At the commanded position: how the sample follows it. For drives without that object.
+    Command,
+}
+
 /// Measures one axis.
 pub(crate) fn identify(options: &Options) -> anyhow::Result<ExitCode> {
     let file = CellFile::read(&options.cell)?;
     let place = find(&file, &options.axis)?;
-    let config = setup::servo_config(&file);
-    let axis = config.effectors[place.0].axes[place.1];
-    let lines = lines(options, &file)?;
-    let plan = plan(options, &file, place, &axis, &lines)?;
-    if options.bench == BenchKind::Card && !options.moves_hardware {
+    let mut config = setup::servo_config(&file);
+    let axis = &mut config.effectors[place.0].axes[place.1];
+    let by_drive = axis.position_loop == PositionLoop::Drive;
+    if !by_drive && options.at == At::Command {
         bail!(
-            "the card bench moves {} by up to {:.0} rad of its motor: --moves-hardware says that it may",
+            "--at command: the host closes the position loop of {}, and is excited there",
+            options.axis
+        );
+    }
+    let with_torque = Some(place).filter(|_| by_drive && options.at == At::Torque);
+    if with_torque.is_some() {
+        let drive = file.cell.robot[place.0].axis[place.1].cia402();
+        axis.torque_offset = Some(drive.rated_torque);
+    }
+    let axis = *axis;
+    let lines = lines(options, &file)?;
+    let mut plan = plan(options, &file, place, &axis, &lines)?;
+    let hardware = options.places.may_be_hardware(&file, options.bench)?;
+    if options.drive_period.is_none() && !hardware {
+        plan.drive_period = EMULATED_DRIVE;
+    }
+    if hardware && !options.moves_hardware {
+        bail!(
+            "the {} bench moves {} by up to {:.0} rad of its motor: --moves-hardware says that it may",
+            options.bench.name(),
             options.axis,
             plan.travel().abs()
         );
@@ -122,20 +167,19 @@ pub(crate) fn identify(options: &Options) -> anyhow::Result<ExitCode> {
         lines: ttys,
         emulation,
         ..
-    } = Bench::open(&file, options.bench, &[], None, false, false)?;
-    let groups = setup::drive_groups(&file, ports, ttys)?;
+    } = Bench::open(&file, options.bench, &options.places, false)?;
+    let groups = setup::drive_groups(&file, ports, ttys, with_torque)?;
     let delay = groups[axis.group].delay();
     let (mut servo, mut links) = Servo::new(&config, groups)?;
     let plan = excite(&mut servo, place, plan, options.amplitude.is_some())?;
     let records = servo.record(RECORDS * file.cell.robot.len());
-    let homes = emulation.is_some();
     let session = Session::new(
         place,
         plan,
         axis,
         links.swap_remove(place.0),
         records,
-        homes,
+        !hardware,
     );
     let ended = match options.bench {
         BenchKind::Lockstep => in_lockstep(servo, session, emulation)?,
@@ -146,7 +190,7 @@ pub(crate) fn identify(options: &Options) -> anyhow::Result<ExitCode> {
     let (run, trace) = match ended.finish().with_context(|| name.clone())? {
         Ok(measured) => measured,
         Err(why) => {
-            eprintln!("mrroc: {name}: {why}");
+            crate::streams::warn(format_args!("mrroc: {name}: {why}"));
             return Ok(ExitCode::from(1));
         }
     };
@@ -162,7 +206,7 @@ pub(crate) fn identify(options: &Options) -> anyhow::Result<ExitCode> {
         write("bode.svg", bode::chart(&report))?;
         write("bode.csv", report.csv())?;
     }
-    crate::run::print(&report, options.json)?;
+    crate::streams::answer(&report, options.json)?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -225,7 +269,21 @@ fn plan(
     axis: &ServoAxisConfig,
     lines: &[usize],
 ) -> anyhow::Result<Run> {
-    let velocity = options.velocity;
+    let drive_period = options.drive_period.map_or(EPOS4, |it| 1e-6 * it);
+    let dt = file.cell.period().as_secs_f64();
+    if !(0.0..=dt).contains(&drive_period) {
+        bail!(
+            "--drive-period {:.0}: it is at least 0 and at most the {:.0} µs of the servo",
+            1e6 * drive_period,
+            1e6 * dt
+        );
+    }
+    let count = 1.0 / (axis.increments_per_radian.abs() * dt);
+    let usual = match axis.torque_offset {
+        Some(_) => VELOCITY.max(4.0 * count).min(axis.max_velocity),
+        None => VELOCITY,
+    };
+    let velocity = in_counts(options.velocity.unwrap_or(usual), count, axis);
     if !(velocity > 0.0 && velocity <= axis.max_velocity) {
         bail!(
             "--velocity {velocity}: it is above 0 and at most the {} rad/s of the axis",
@@ -238,6 +296,7 @@ fn plan(
     let most = servo::greatest_excitation(axis);
     let amplitude = options.amplitude.unwrap_or(match axis.position_loop {
         PositionLoop::Host(host) if host.output == Output::Velocity => most.min(0.2 * velocity),
+        PositionLoop::Drive if axis.torque_offset.is_some() => most,
         _ => 0.5 * most,
     });
     if !(amplitude > 0.0 && amplitude <= most) {
@@ -255,12 +314,25 @@ fn plan(
         excitation: excite(length(file), lines, amplitude),
         periods: usize::from(options.periods),
         steps: file.cell.macrostep,
-        dt: file.cell.period().as_secs_f64(),
+        dt,
+        drive_period,
     };
     // After homing it stands there; on the card bench the session looks again.
     let home = file.arms[robot].robot().home()[number];
     run.velocity = direct(&run, axis, home).map_err(|why| anyhow!("{}: {why}", options.axis))?;
     Ok(run)
+}
+
+/// The velocity near `velocity` at which a drive that closes the position loop is commanded a whole number of counts
+/// further in every cycle: what positions are rounded by would be noise, of up to a count a cycle, which is `count`, rad/s.
+/// Excited positions need that noise: smaller than a count, they would be rounded away without it.
+fn in_counts(velocity: f64, count: f64, axis: &ServoAxisConfig) -> f64 {
+    let whole = (velocity / count).round().max(1.0) * count;
+    if axis.torque_offset.is_some() && velocity > 0.0 && whole <= axis.max_velocity {
+        whole
+    } else {
+        velocity
+    }
 }
 
 /// The velocity of a run from `position`, towards the end that is farther; or why there is no room.

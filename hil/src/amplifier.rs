@@ -121,6 +121,8 @@ pub(crate) struct Amplifier {
     voltage_integral: f64,
     /// Put out without a loop, V.
     fixed: Option<f64>,
+    /// Added to what the velocity loop asks for, N·m.
+    torque_offset: f64,
 }
 
 impl Amplifier {
@@ -147,7 +149,13 @@ impl Amplifier {
             current: 0.0,
             voltage_integral: 0.0,
             fixed: None,
+            torque_offset: 0.0,
         }
+    }
+
+    /// Has this torque, N·m, added to what the velocity loop asks for, until there is another.
+    pub(crate) fn set_torque_offset(&mut self, torque: f64) {
+        self.torque_offset = torque;
     }
 
     pub(crate) fn set_trip_current(&mut self, current: f64) {
@@ -223,7 +231,8 @@ impl Amplifier {
             (velocity + correction - self.observed_velocity) * self.radians_per_count;
         let torque = self.feed_forward(velocity * self.radians_per_count)
             + self.gains.velocity * velocity_error
-            + self.torque_integral;
+            + self.torque_integral
+            + self.torque_offset;
         let wanted = torque / self.torque_constant;
         self.current = self.limited(wanted);
         // At its limit the integral may come down but not wind up.

@@ -57,6 +57,7 @@ fn servo(position_loop: PositionLoop) -> (Servo, EffectorLink) {
         homing_order: 0,
         increments_per_radian: 4000.0 / std::f64::consts::TAU,
         position_loop,
+        torque_offset: None,
         homing: None,
     };
     let config = ServoConfig {

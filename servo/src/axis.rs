@@ -293,7 +293,10 @@ impl Axis {
         };
         let setpoint = match &mut self.host {
             Some(host) => host.regulate(self.knot, self.torque, dt, &mut self.excitation),
-            None => Setpoint::Position(position),
+            None => match self.torque_beside() {
+                Some(torque) => Setpoint::PositionWithTorque { position, torque },
+                None => Setpoint::Position(position),
+            },
         };
         if self.search.is_some_and(|search| search.is_seeking()) {
             AxisCommand::Seek(setpoint)
@@ -311,10 +314,18 @@ impl Axis {
     }
 
     fn excited_position(&self) -> f64 {
-        match self.host {
-            None if self.excitation != 0.0 => self.knot.position + self.excitation,
-            _ => self.knot.position,
+        let by_position = self.host.is_none() && self.config.torque_offset.is_none();
+        if by_position && self.excitation != 0.0 {
+            self.knot.position + self.excitation
+        } else {
+            self.knot.position
         }
+    }
+
+    /// The torque beside the position, if its drive takes one.
+    fn torque_beside(&self) -> Option<Finite> {
+        self.config.torque_offset?;
+        Finite::new(self.excitation)
     }
 
     /// A cycle in which the set-point stands still: a loop closed here goes on.

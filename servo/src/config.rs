@@ -65,6 +65,10 @@ pub struct ServoAxisConfig {
     pub increments_per_radian: f64,
     /// Who closes the position loop.
     pub position_loop: PositionLoop,
+    /// Rated torque of the motor, N·m, where a drive that closes the position loop takes a torque beside the position
+    /// ([`Setpoint::PositionWithTorque`](drive::Setpoint::PositionWithTorque)). [Excitations](crate::Excitation) are
+    /// such torques then.
+    pub torque_offset: Option<f64>,
     /// How the servo homes the axis; `None` if its drive does,
     /// [`AxisCommand::Home`](drive::AxisCommand::Home). Only where the servo closes the position loop: a
     /// drive that did would follow positions of the old count, still under way, once its counter is set.
@@ -242,6 +246,11 @@ impl ServoAxisConfig {
             && let Some(field) = host.nonsense(self.max_velocity)
         {
             Some(field)
+        } else if self
+            .torque_offset
+            .is_some_and(|rated| !positive(rated) || self.position_loop != PositionLoop::Drive)
+        {
+            Some("torque_offset")
         } else if self.homing.is_some() && self.position_loop == PositionLoop::Drive {
             Some("homing, where the drive closes the position loop,")
         } else {
@@ -292,7 +301,7 @@ mod tests {
             axes: 2,
         };
         type Case = (fn(&mut ServoConfig), Result<(), ServoError>);
-        let cases: [Case; 14] = [
+        let cases: [Case; 15] = [
             (|_| {}, Ok(())),
             (|c| c.period = Duration::ZERO, Err(ServoError::ZeroPeriod)),
             (
@@ -322,6 +331,10 @@ mod tests {
             (
                 |c| c.effectors[0].axes[1].min_position = f64::NAN,
                 bad("min_position"),
+            ),
+            (
+                |c| c.effectors[0].axes[1].torque_offset = Some(0.0),
+                bad("torque_offset"),
             ),
             (
                 |c| c.effectors[0].axes[1].max_position = -1000.0,

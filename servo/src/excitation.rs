@@ -6,13 +6,14 @@ use thiserror::Error;
 
 use crate::{PositionLoop, ServoAxisConfig};
 
-/// Share of what a loop can put out, or of its following error, that an excitation may take.
+/// Share of what a loop can put out, of a rated torque, or of a following error, that an excitation may take.
 const SHARE: f64 = 0.25;
 
 /// A sequence added at an axis while it moves; see [`Servo::excite`](crate::Servo::excite).
 ///
 /// Where the servo closes the position loop, it is added to what the law puts out, before that goes to the
-/// drive, in its unit (rad/s, N·m or a duty); where the drive does, to the commanded position, rad.
+/// drive, in its unit (rad/s, N·m or a duty). Where the drive does, it goes with the position as a torque, N·m, if the
+/// drive takes one ([`ServoAxisConfig::torque_offset`]), and is added to the commanded position, rad, if not.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Excitation {
     /// One value per cycle; it repeats.
@@ -35,7 +36,7 @@ pub enum ExcitationError {
     /// It has no value, or one that is not a number.
     #[error("an excitation of no value, or of one that is not a number")]
     NotFinite,
-    /// It is greater than a quarter of what the loop may put out, or of the following error.
+    /// It is greater than a quarter of what the loop may put out, of the rated torque, or of the following error.
     #[error(
         "an amplitude of {amplitude} is beyond the limit of {limit} at this axis; ask for less"
     )]
@@ -70,7 +71,7 @@ impl Excitation {
         if amplitude > limit {
             return Err(ExcitationError::Amplitude { amplitude, limit });
         }
-        if axis.position_loop == PositionLoop::Drive {
+        if axis.position_loop == PositionLoop::Drive && axis.torque_offset.is_none() {
             let at = |index: usize| values[index % values.len()];
             let bend = |index| at(index + 2) - 2.0 * at(index + 1) + at(index);
             let bends = (0..values.len()).map(|index| bend(index).abs());
@@ -91,7 +92,7 @@ impl Excitation {
 pub fn most(axis: &ServoAxisConfig) -> f64 {
     SHARE
         * match &axis.position_loop {
-            PositionLoop::Drive => axis.following_error,
+            PositionLoop::Drive => axis.torque_offset.unwrap_or(axis.following_error),
             PositionLoop::Host(host) => host.law.limit(),
         }
 }

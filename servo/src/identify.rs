@@ -2,8 +2,14 @@
 //!
 //! An axis whose position loop the servo closes is excited at its plant: of what the law puts out and what the
 //! drive then gets, the open loop is the ratio, with its sign turned. This holds whatever else acts on the axis
-//! that does not repeat with the excitation, and does not disturb the law. Where the drive closes the loop, the command is excited, and
-//! what is seen is the closed loop: how the sample follows the command that it shows the effect of,
+//! that does not repeat with the excitation, and does not disturb the law.
+//!
+//! Where the drive closes the loop, it is excited through the drive, if that takes a torque beside the position (object
+//! 0x60B2, added to what its velocity loop asks for). Of the torque added and the whole one that it then shows (0x6077),
+//! the loop as cut at the torque follows: all of the drive's loops at once, and with it the crossover of the fastest and
+//! the margin of all. What the drive holds and when it samples is taken out, for which its own period has to be known; half
+//! of that period, if it is not, is taken for delay of the loop. If the drive takes no torque, the command is excited,
+//! and what is seen is the closed loop: how the sample follows the command that it shows the effect of,
 //! [`DriveGroup::delay`](drive::DriveGroup::delay) cycles before.
 //!
 //! An axis is measured while it moves one way at constant velocity ([`Run`]), since dry friction holds one
@@ -23,7 +29,7 @@
 //! | IRb-6, serial, by pulse width (wrist roll) | cascade, delay 2 | the same per duty, integral at the motor's pole | 15.7 | 51.6° |
 //! | CiA 402 by torque (CST), as for the RNT | cascade, delay 3 | two thirds of the serial ones | 11.2 | 47.5° |
 //! | CiA 402 by velocity (CSV), as for the RNT | proportional, delay 3 | 50 / s | 8.4 | 81.8° |
-//! | CiA 402 by position (CSP): IRb-6, its track, Polycrank | the drive's: velocity loop at 45 Hz, position at a fifth | the drive's | not seen from outside; command to sample less than 3 dB lost up to 100 Hz | |
+//! | CiA 402 by position (CSP): the IRb-6's axes | the drive's: velocity loop at 45 Hz, position at a fifth | the drive's | 45.9, 46.1, 46.1, 45.7, 44.6 | 40.8°, 38.3°, 39.5°, 40.1°, 40.7° |
 //!
 //! From sample to effect two periods pass on CAN and one on a serial line; with half a period of hold and
 //! half of the velocity's difference that is 6 ms and 4 ms at 2 ms. Hence the two thirds: delay times bandwidth, and

@@ -33,8 +33,8 @@ pub struct AxisRecord {
     pub commanded: f64,
     /// What its drive is told in this cycle.
     pub command: AxisCommand,
-    /// What is added to the output of the loop or, where the drive closes it, to the position, in its unit; zero
-    /// unless the axis is [excited](crate::Servo::excite).
+    /// What the [`Excitation`](crate::Excitation) of the axis adds, in its unit; zero unless it is
+    /// [excited](crate::Servo::excite).
     pub excitation: f64,
     /// Motor position as last measured, rad; it answers the command of as many cycles before as
     /// [`DriveGroup::delay`](drive::DriveGroup::delay) says.

@@ -305,7 +305,8 @@ impl Servo {
     /// is for; to be called before the cycles begin, and once more to change it. Nothing is added otherwise.
     ///
     /// All the guards of the axis stay in force. An excitation beyond a quarter of what its loop may put out is
-    /// refused; where the drive closes the loop, one beyond a quarter of the following error or beyond the axis's acceleration.
+    /// refused; where the drive closes the loop, a torque beyond a quarter of the rated one, or a position beyond a
+    /// quarter of the following error or beyond the axis's acceleration.
     pub fn excite(
         &mut self,
         effector: usize,

@@ -179,6 +179,26 @@ fn a_bit_rate_that_cannot_be_set_is_refused_and_doctor_puts_back_what_it_sets() 
     );
 }
 
+/// Whatever the bench is called.
+#[test]
+fn an_axis_behind_a_card_is_not_excited_unasked() {
+    on_cards(
+        "card::an_axis_behind_a_card_is_not_excited_unasked",
+        |here, _| {
+            let directory = directory_with_cell();
+            let cell = directory.path("cell.toml").display().to_string();
+            for bench in ["vcan", "card"] {
+                let options = ["--axis=column", "--to=20", "--bench", bench, "--can", here];
+                let identify = Running::start(["identify", &cell].iter().chain(&options));
+                refused(
+                    identify,
+                    &format!("the {bench} bench moves column by up to"),
+                );
+            }
+        },
+    );
+}
+
 #[test]
 fn a_card_that_was_up_comes_up_again_if_its_bit_rate_cannot_be_set() {
     on_vcan(

@@ -23,12 +23,13 @@ use hil::{
     Irp6Axis, LineDevice, LineFaults, LineId, Mechanism, MechanismConfig, Nfv2AxisController,
     World,
 };
-use servo::{EffectorConfig, EffectorLink, Order, Phase, Record, Servo, ServoConfig};
+use servo::{EffectorConfig, EffectorLink, Order, Phase, Record, Servo, ServoConfig, ServoFault};
 
 use crate::allocations;
 use crate::motion::Motion;
 
-const HOMING: Duration = Duration::from_secs(120);
+/// From the farthest end of the longest travel; in virtual time.
+const HOMING: Duration = Duration::from_secs(900);
 const LONGEST_PROGRAM: Duration = Duration::from_secs(600);
 const LEAD: u16 = 8;
 
@@ -58,6 +59,18 @@ impl Setup {
             plant: Box::new(|_, _| {}),
             port: Box::new(|port| Box::new(port)),
         }
+    }
+
+    /// One axis of a robot of `cells/{name}.toml`, on the bus or the lines that it has there.
+    pub(crate) fn axis_of(name: &str, robot: &str, axis: usize) -> Self {
+        let mut setup = Self::of(name);
+        let cell = &mut setup.cell;
+        cell.robot.retain(|given| given.name == robot);
+        let bus = cell.robot[0].axis[axis].bus.clone();
+        cell.bus.retain(|given| given.name == bus);
+        cell.serial.retain(|given| given.name == bus);
+        setup.axes = vec![axis];
+        setup
     }
 
     /// One axis of the IRb-6.
@@ -104,7 +117,7 @@ impl Setup {
     }
 
     /// Motor, load, sensors and switches of an axis.
-    fn plant(&self, arm: &Arm, number: usize) -> hil::AxisConfig {
+    pub(crate) fn plant(&self, arm: &Arm, number: usize) -> hil::AxisConfig {
         let axis = self.axis(number);
         let home = arm.robot().home()[number];
         let limits = arm.robot().motor_limits()[number];
@@ -431,6 +444,46 @@ impl Rig {
         (0..self.drives.len())
             .map(|axis| self.angle(axis))
             .collect()
+    }
+
+    /// Cycles on, fed with `motion`, until a fault is latched, which is to be within `limit`, and everything stands, no
+    /// further than `bound` from where it was then, rad.
+    pub(crate) fn fault_within(
+        &mut self,
+        limit: Duration,
+        motion: &mut Motion,
+        bound: f64,
+    ) -> ServoFault {
+        let end = self.now + limit;
+        while self.servo.fault(0).is_none() {
+            assert!(self.now < end, "no fault");
+            self.feed(motion);
+            self.cycle();
+        }
+        let latched_at = self.angles();
+        self.until(Motion::LONGEST, "stopped", |rig| {
+            rig.phase() == Phase::Faulted
+        });
+        self.at_rest(&latched_at, bound);
+        self.servo.fault(0).expect("it is latched")
+    }
+
+    /// After a while for the last drive to brake, nothing moves, and nothing went further than `bound` from `start`, rad.
+    pub(crate) fn at_rest(&mut self, start: &[f64], bound: f64) {
+        for _ in 0..250 {
+            self.cycle();
+        }
+        let rest = self.angles();
+        for (axis, (start, rest)) in start.iter().zip(&rest).enumerate() {
+            let way = (rest - start).abs();
+            assert!(way < bound, "axis {axis} went on for {way:.2} rad");
+        }
+        for _ in 0..250 {
+            self.cycle();
+        }
+        for (axis, (before, after)) in rest.iter().zip(self.angles()).enumerate() {
+            assert!((after - before).abs() < 0.01, "axis {axis} still moves");
+        }
     }
 
     /// Answers that the drive group has missed.

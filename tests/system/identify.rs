@@ -1,14 +1,20 @@
 //! `mrroc identify`: the shapes of the loops of every family, and what it refuses.
 
-use std::fs;
+use std::f64::consts::TAU;
 use std::path::Path;
+use std::{fs, iter};
 
 use controller::cell::DriveControl;
-use hil::Irp6Axis;
+use hil::plant::SUB_STEP;
+use hil::{AxisConfig, Demand, Irp6Axis};
+use nalgebra::Complex;
+use serde_json::Value;
 
 use crate::cli_refusals::refused;
 use crate::host_closed::closed_by_host;
-use crate::mrroc::{Directory, Output, example, mrroc};
+use crate::mrroc::{Directory, Output, example, mrroc, shorten};
+use crate::serial_cli::emulate;
+use crate::vcan::on_stage;
 
 fn identify(cell: &Path, more: &[&str]) -> Output {
     let arguments = ["identify".as_ref(), cell.as_os_str()];
@@ -37,11 +43,12 @@ fn the_loops_of_every_family_are_shaped_as_documented() {
         (torque, "irb6/column", 11.0, 47.0),
     ];
     for (cell, axis, crossover, margin) in cases {
-        shaped(&cell, axis, crossover, margin);
+        shaped(&cell, axis, (crossover, margin), (0.1, 5.0));
     }
 }
 
-fn shaped(cell: &Path, axis: &str, crossover: f64, margin: f64) {
+/// Within a share of the crossover, Hz, and degrees of the margin.
+fn shaped(cell: &Path, axis: &str, (crossover, margin): (f64, f64), within: (f64, f64)) {
     for excitation in ["multisine", "chirp"] {
         let run = identify(
             cell,
@@ -56,18 +63,80 @@ fn shaped(cell: &Path, axis: &str, crossover: f64, margin: f64) {
         };
         let found = (number("crossover_hz"), number("phase_margin_deg"));
         println!("{axis} {}, {excitation}: {found:?}", report["closed_by"]);
-        assert!((found.0 / crossover - 1.0).abs() < 0.1, "{axis}: {found:?}");
-        assert!((found.1 - margin).abs() < 5.0, "{axis}: {found:?}");
+        assert!(
+            (found.0 / crossover - 1.0).abs() < within.0,
+            "{axis}: {found:?}"
+        );
+        assert!((found.1 - margin).abs() < within.1, "{axis}: {found:?}");
         assert!(number("coherence") > 0.95, "{run:?}");
     }
 }
 
 #[test]
-fn a_loop_of_the_drive_is_seen_from_command_to_sample() {
-    let run = identify(&example("irb6"), &["--axis", "column", "--json"]);
+fn a_loop_of_the_drive_is_seen_from_outside_as_it_is_inside() {
+    let inside = seen_inside(Irp6Axis::Roll);
+    println!("inside: {inside:?}");
+    shaped(&example("irb6"), "irb6/wrist-roll", inside, (0.04, 3.0));
+}
+
+/// Crossover, Hz, and phase margin, degrees, of the loops of a drive that holds 10 rad/s, from torques of every
+/// sub-step, which no bus carries: sine by sine, so many times 5 Hz.
+fn seen_inside(kind: Irp6Axis) -> (f64, f64) {
+    const STEPS: u32 = 30_000;
+    let config = AxisConfig::irp6(kind);
+    let velocity = 10.0 * f64::from(config.counts_per_revolution) / TAU;
+    let open = |frequency: f64| {
+        let mut axis = hil::Axis::new(&config, 1);
+        let (mut added, mut sums) = (0.0, [Complex::new(0.0, 0.0); 2]);
+        for step in 0..STEPS {
+            let time = f64::from(step) * SUB_STEP;
+            // The drive takes it over whenever its outer loops turn.
+            if step % 10 == 0 {
+                added = 0.05 * (TAU * frequency * time).sin();
+                axis.set_torque_offset(added);
+            }
+            axis.advance(
+                1,
+                Demand::Position {
+                    counts: velocity * time,
+                    velocity,
+                },
+            );
+            if step >= STEPS / 3 {
+                let turn = Complex::new(0.0, -TAU * frequency * time).exp();
+                sums[0] += turn * added;
+                sums[1] += turn * axis.feedback().torque;
+            }
+        }
+        sums[0] / sums[1] - 1.0
+    };
+    let points = (4..16).map(|number| {
+        let frequency = 5.0 * f64::from(number);
+        (frequency, open(frequency))
+    });
+    let points: Vec<_> = points.collect();
+    let (below, above) = points
+        .iter()
+        .zip(&points[1..])
+        .find(|(below, above)| below.1.norm() >= 1.0 && above.1.norm() < 1.0)
+        .expect("it crosses over there");
+    let share = below.1.norm().ln() / (below.1.norm() / above.1.norm()).ln();
+    let between = |low: f64, high: f64| low + share * (high - low);
+    // Minus the open loop is its margin ahead of the positive axis.
+    let margin = |point: &Complex<f64>| (-point).arg().to_degrees();
+    (
+        between(below.0, above.0),
+        between(margin(&below.1), margin(&above.1)),
+    )
+}
+
+#[test]
+fn a_command_is_followed_from_command_to_sample() {
+    let at = ["--axis", "column", "--at", "command", "--json"];
+    let run = identify(&example("irb6"), &at);
     let report = run.json();
     assert_eq!(report["open_loop"], false);
-    assert_eq!(report["crossover_hz"], serde_json::Value::Null);
+    assert_eq!(report["crossover_hz"], Value::Null);
     let first = report["points"][0]["magnitude"].as_f64().unwrap();
     assert!((first - 1.0).abs() < 0.1, "{run:?}");
 }
@@ -103,23 +172,99 @@ fn the_files_hold_what_the_report_says_and_the_same_each_time() {
     assert!(!svg.contains("NaN") && svg.ends_with("</svg>\n"));
 }
 
+/// Sooner or later the report of `measure` on `bench` is as it should be: another process may keep frames and answers
+/// back, and a machine that was too slow says nothing.
+fn in_the_end(measure: impl Fn() -> Output, bench: &str, is_right: impl Fn(&Value) -> bool) {
+    let right = |run: &Output| {
+        let slow = ["took more than a period", "no answer to be believed"];
+        if slow.iter().any(|said| run.stderr.contains(said)) {
+            return false;
+        }
+        assert_eq!(run.status.code(), Some(0), "{run:?}");
+        let report = run.json();
+        println!(
+            "{bench}: {}, {}",
+            report["crossover_hz"], report["phase_margin_deg"]
+        );
+        report["bench"] == bench && is_right(&report)
+    };
+    let mut runs = iter::repeat_with(measure).take(8);
+    assert!(runs.any(|run| right(&run)), "never right on {bench}");
+}
+
+/// Roughly the loop of the example.
+fn is_serial_column(report: &Value) -> bool {
+    let [crossover, margin] = ["crossover_hz", "phase_margin_deg"].map(|key| report[key].as_f64());
+    crossover.is_some_and(|it| (it / 16.6).ln().abs() < 0.25)
+        && margin.is_some_and(|it| (it - 48.5).abs() < 15.0)
+}
+
+/// An emulator on pseudo-terminals is homed without being asked; what may be hardware is not, and is not moved.
+#[test]
+fn a_loop_is_measured_over_the_ttys_of_another_process() {
+    let directory = Directory::new();
+    let cell = directory.cell("irb6-serial", |cell| {
+        shorten(cell);
+        // The answers of another process come later on a loaded machine.
+        cell.serial[0].tolerated_missing = 10;
+        cell.serial[0].answer_timeout_ms = 500;
+        cell.max_missed_in_row = 100;
+    });
+    let ttys = directory.path("ttys");
+    let _emulator = emulate(&cell, &ttys);
+    let on = |bench, more: &[&str]| {
+        let ttys = ttys.to_str().unwrap();
+        let arguments = [
+            "--axis", "column", "--json", "--bench", bench, "--serial", ttys,
+        ];
+        identify(&cell, &[&arguments, more].concat())
+    };
+    let hardware = || on("card", &["--moves-hardware"]);
+    refused(&on("card", &[]), &["--moves-hardware"]);
+    let unhomed = iter::repeat_with(hardware).take(20);
+    let unhomed = unhomed
+        .map(|run| run.stderr)
+        .find(|said| !said.contains("took more than a period"));
+    assert!(unhomed.is_some_and(|said| said.contains("irb6/column: the robot is not homed")));
+    in_the_end(|| on("vcan", &[]), "vcan", is_serial_column);
+    in_the_end(hardware, "card", is_serial_column);
+}
+
+#[test]
+fn an_axis_is_measured_over_vcan() {
+    on_stage("identify::an_axis_is_measured_over_vcan", |stage| {
+        let _emulators = stage.start_emulators();
+        let cell = stage.directory.path("cell.toml");
+        let on = ["--bench=vcan", "--can", stage.interface];
+        // The period of the stage is too long for the loops of its drives, which follow a slow command.
+        let what = ["--axis=column", "--at=command", "--to=16", "--json"];
+        let arguments = [&on[..], &what].concat();
+        let follows = |report: &Value| {
+            let slow = report["points"].as_array().unwrap().iter().take(3);
+            let mut magnitudes = slow.map(|point| point["magnitude"].as_f64().unwrap());
+            magnitudes.all(|it| (it - 1.0).abs() < 0.2)
+        };
+        in_the_end(|| identify(&cell, &arguments), "vcan", follows);
+    });
+}
+
 #[test]
 fn what_cannot_be_measured_is_refused_before_anything_moves() {
-    let cases: [(&[&str], &[&str]); 9] = [
+    let cases: [(&[&str], &[&str]); 11] = [
         (
             &["--axis", "nobody"],
             &["no axis is called \"nobody\"", "irb6/column"],
         ),
         (
-            &["--axis", "column", "--amplitude", "0.6"],
-            &["--amplitude 0.6", "at most 0.5"],
+            &["--axis", "column", "--amplitude", "0.2"],
+            &["--amplitude 0.2", "at most 0.1050"],
         ),
         (
             &["--axis", "column", "--amplitude", "NaN"],
             &["--amplitude NaN"],
         ),
         (
-            &["--axis", "column", "--amplitude", "0.4"],
+            &["--axis", "column", "--at=command", "--amplitude", "0.4"],
             &["rad/s² is beyond the limit of 1500"],
         ),
         (
@@ -131,6 +276,10 @@ fn what_cannot_be_measured_is_refused_before_anything_moves() {
             &["has room for", "lower --velocity"],
         ),
         (
+            &["--axis", "column", "--drive-period", "2001"],
+            &["--drive-period 2001", "at most the 2000 µs"],
+        ),
+        (
             &["--axis", "column", "--from", "1"],
             &["the lowest frequency is 2 Hz"],
         ),
@@ -138,6 +287,10 @@ fn what_cannot_be_measured_is_refused_before_anything_moves() {
         (
             &["--axis", "column", "--bench", "card"],
             &["--moves-hardware"],
+        ),
+        (
+            &["--axis", "column", "--can", "vcan0"],
+            &["--can and --serial need --bench vcan"],
         ),
     ];
     for (arguments, needles) in cases {

@@ -162,6 +162,7 @@ impl Rig {
             homing_order: 0,
             increments_per_radian: self.counts / TAU,
             position_loop: PositionLoop::Host(self.host),
+            torque_offset: None,
             homing: None,
         }
     }
@@ -204,6 +205,7 @@ impl Rig {
             periods: 3,
             steps: 10,
             dt: DT,
+            drive_period: 0.0,
         };
         running.servo.excite(0, 0, run.excitation()).unwrap();
         let macrosteps = (1..).map_while(|number| run.macrostep(number));

@@ -6,7 +6,8 @@
 use std::f64::consts::{FRAC_PI_2, TAU};
 use std::fs;
 
-use controller::cell::{EmulatedPayload, Instruction, JointGenerator, Joints};
+use controller::cell::{Cell, EmulatedPayload, Instruction, JointGenerator, Joints, Parameters};
+use controller::robot::RntParameters;
 
 use crate::cli_refusals::refused;
 use crate::mrroc::{Directory, mrroc, shorten};
@@ -16,10 +17,20 @@ const G: f64 = 9.81;
 /// What a record has of one axis: time, s, whether it moves, and torque, N·m.
 type Row = (f64, bool, f64);
 
-/// Goes to the first pose, from there to the second and back, and so on for each further pose. Every motion lasts 3 s.
-fn run(example: &str, axis: &str, poses: &[Vec<f64>], payloads: &[EmulatedPayload]) -> Vec<Row> {
+type Alteration = fn(&mut Cell);
+const AS_IT_IS: Alteration = |_| {};
+
+/// Goes to one pose after the other. Every motion lasts 4 s.
+fn run(
+    example: &str,
+    alter: Alteration,
+    axis: &str,
+    poses: &[Vec<f64>],
+    payloads: &[EmulatedPayload],
+) -> Vec<Row> {
     let directory = Directory::new();
     let cell = directory.cell(example, |cell| {
+        alter(cell);
         shorten(cell);
         let joints = |pose: &Vec<f64>| {
             Instruction::Joints(Joints {
@@ -27,7 +38,7 @@ fn run(example: &str, axis: &str, poses: &[Vec<f64>], payloads: &[EmulatedPayloa
                 generator: JointGenerator::JerkLimited,
                 velocity: 1.0,
                 acceleration: 1.0,
-                duration: Some(3.0),
+                duration: Some(4.0),
             })
         };
         cell.robot[0].program = poses.iter().map(joints).collect();
@@ -128,32 +139,64 @@ fn axes_of_every_robot_hold_what_its_masses_weigh() {
     let aside = |by: f64| vec![0.0, 0.0, rho, 0.0, 0.5 + by, 0.0];
     let turned = |by: f64| vec![FRAC_PI_2, 0.0, by, 0.0, 0.0, 0.0, 0.0];
     let by = 0.03;
+    // Whatever each leg's length at home is.
+    let unequal: Alteration = |cell| {
+        let mut rnt = RntParameters::nominal();
+        for (leg, length) in rnt.legs.iter_mut().zip([0.72, 0.75, 0.79]) {
+            leg.length_at_home = length;
+        }
+        cell.robot[0].parameters = Some(Parameters::Rnt(rnt));
+    };
     let cases = [
-        ("irb6", "lower-arm", [leaning(-by), leaning(by)], lower),
-        ("irb6", "upper-arm", [level(-by), level(by)], upper),
+        (
+            "irb6",
+            AS_IT_IS,
+            "lower-arm",
+            [leaning(-by), leaning(by)],
+            lower,
+        ),
+        (
+            "irb6",
+            AS_IT_IS,
+            "upper-arm",
+            [level(-by), level(by)],
+            upper,
+        ),
         (
             "irp6",
+            AS_IT_IS,
             "lower-arm",
             [leaning(-by), leaning(by)].map(six),
             lower,
         ),
         (
             "irp6-track",
+            AS_IT_IS,
             "upper-arm",
             [level(-by), level(by)].map(on_track),
             upper,
         ),
-        ("rnt", "leg-2", [down(-by), down(by)], leg),
-        ("rnt", "wrist-pitch", [aside(-by), aside(by)], bent),
-        ("polycrank", "q3", [turned(-by), turned(by)], crank),
+        ("rnt", AS_IT_IS, "leg-2", [down(-by), down(by)], leg),
+        ("rnt", unequal, "leg-2", [down(-by), down(by)], leg),
+        (
+            "rnt",
+            AS_IT_IS,
+            "wrist-pitch",
+            [aside(-by), aside(by)],
+            bent,
+        ),
+        (
+            "polycrank",
+            AS_IT_IS,
+            "q3",
+            [turned(-by), turned(by)],
+            crank,
+        ),
     ];
-    for (example, axis, [from, to], expected) in cases {
-        let rows = run(example, axis, &[from.clone(), to, from], &[]);
-        check(
-            held(&motions(&rows)[1..]),
-            expected,
-            &format!("{example}, {axis}"),
-        );
+    for (example, alter, axis, [from, to], expected) in cases {
+        let rows = run(example, alter, axis, &[from.clone(), to, from], &[]);
+        let held = held(&motions(&rows)[1..]);
+        check(held, expected, &format!("{example}, {axis}"));
     }
 }
 
@@ -170,7 +213,7 @@ fn an_arm_holds_a_payload_from_when_it_takes_it_up_until_it_puts_it_down() {
             pose(-by, flange),
         ]);
     }
-    let empty = run("irp6-track", "upper-arm", &poses, &[]);
+    let empty = run("irp6-track", AS_IT_IS, "upper-arm", &poses, &[]);
     let begins = |motion: usize| motions(&empty)[motion][0].0;
     let (up, down) = (begins(3) + 0.5, begins(6) + 0.5);
     let payload = |at_s, mass| EmulatedPayload {
@@ -180,7 +223,7 @@ fn an_arm_holds_a_payload_from_when_it_takes_it_up_until_it_puts_it_down() {
     };
     // In whatever order they stand.
     let payloads = [payload(down, 0.0), payload(up, 6.0)];
-    let carried = run("irp6-track", "upper-arm", &poses, &payloads);
+    let carried = run("irp6-track", AS_IT_IS, "upper-arm", &poses, &payloads);
     let earlier = |rows: &[Row]| {
         rows.iter()
             .filter(|row| row.0 <= up)
@@ -220,7 +263,7 @@ fn payloads_that_nobody_can_carry_are_refused_with_the_line() {
         (
             "irp6-track",
             0,
-            payload(1.0, 1.0, f64::NAN),
+            payload(1.0, 1.0, 20.0),
             "robot[0].emulated_payload[0].centre[2]",
         ),
         (

@@ -4,12 +4,11 @@ use std::fmt::Write as _;
 
 use controller::cell::Parameters;
 
-/// A loop: where it is found, how it is closed, its crossover in Hz, its phase margin in degrees or what else is seen.
+/// A loop: where it is found, how it is closed, its crossover in Hz, its phase margin in degrees.
 type Loop = [&'static str; 4];
 
 /// The loop that a CiA 402 drive closes.
-const BY_DRIVE: &str = "by the drive (CSP): emulated with a velocity loop at 45 Hz and a position loop at a fifth of it";
-const UNSEEN: &str = "not seen from outside";
+const BY_DRIVE: &str = "by the drive (CSP): emulated with a velocity loop at 45 Hz and a position loop at a fifth of it; cut open at the torque";
 
 /// The section of a data sheet; its figures are those that `mrroc identify` prints.
 pub(super) fn section(page: &mut String, parameters: &Parameters) {
@@ -18,7 +17,7 @@ pub(super) fn section(page: &mut String, parameters: &Parameters) {
         page,
         "## Loop\n\nEmulated with nominal motors, at 10 rad/s of the motor and a period of 2 ms; as \
          `mrroc identify {example}` measures it.\n\n\
-         | axes | position loop | crossover, Hz | phase margin, or command to sample |\n|---|---|---|---|\n"
+         | axes | position loop | crossover, Hz | phase margin |\n|---|---|---|---|\n"
     );
     for [axes, closed, crossover, margin] in loops {
         let _ = writeln!(page, "| {axes} | {closed} | {crossover} | {margin} |");
@@ -44,10 +43,10 @@ fn loops(parameters: &Parameters) -> (Vec<Loop>, &'static str) {
                     "51.6°",
                 ],
                 [
-                    "`cells/irb6.toml`",
+                    "`cells/irb6.toml`, axis by axis",
                     BY_DRIVE,
-                    UNSEEN,
-                    "less than 3 dB lost up to 100 Hz, 6.0 dB gained at most",
+                    "45.9, 46.1, 46.1, 45.7, 44.6",
+                    "40.8°, 38.3°, 39.5°, 40.1°, 40.7°",
                 ],
             ],
             "cells/irb6-serial.toml --axis column",
@@ -55,10 +54,10 @@ fn loops(parameters: &Parameters) -> (Vec<Loop>, &'static str) {
         Parameters::Irp6(_) => (
             vec![
                 [
-                    "`cells/irp6.toml`",
+                    "`cells/irp6.toml`, axis by axis",
                     BY_DRIVE,
-                    UNSEEN,
-                    "less than 3 dB lost up to 100 Hz, 5.8 dB gained at most",
+                    "46.1, 46.3, 46.4, 45.5, 44.6, 43.9",
+                    "38.9°, 37.3°, 38.2°, 39.3°, 40.7°, 43.0°",
                 ],
                 [
                     "its own law on serial lines, by current; axis by axis",
@@ -71,10 +70,10 @@ fn loops(parameters: &Parameters) -> (Vec<Loop>, &'static str) {
         ),
         Parameters::Irp6Track(_) => (
             vec![[
-                "`cells/irp6-track.toml`",
+                "`cells/irp6-track.toml`, axis by axis",
                 BY_DRIVE,
-                UNSEEN,
-                "less than 3 dB lost up to 100 Hz, 7.4 dB gained at most",
+                "45.3, 47.3, 45.4, 46.6, 45.5, 44.6, 43.9",
+                "39.5°, 38.3°, 38.4°, 38.4°, 38.7°, 40.7°, 43.0°",
             ]],
             "cells/irp6-track.toml --axis track",
         ),
@@ -97,10 +96,10 @@ fn loops(parameters: &Parameters) -> (Vec<Loop>, &'static str) {
         ),
         Parameters::Polycrank(_) => (
             vec![[
-                "`cells/polycrank.toml`",
+                "`cells/polycrank.toml`, axis by axis",
                 BY_DRIVE,
-                UNSEEN,
-                "less than 3 dB lost up to 100 Hz, 5.9 dB gained at most",
+                "70.0, 29.2, 44.9, 46.0, 45.5, 45.5, 45.6",
+                "36.2°, 39.0°, 43.6°, 38.9°, 40.3°, 41.7°, 39.5°",
             ]],
             "cells/polycrank.toml --axis q1",
         ),
@@ -108,18 +107,13 @@ fn loops(parameters: &Parameters) -> (Vec<Loop>, &'static str) {
             vec![[
                 "`cells/lab.toml`",
                 BY_DRIVE,
-                UNSEEN,
-                "not seen either: the excitation that its acceleration allows is below a count, 0.049 rad",
+                "48.9",
+                "38.8°, roughly: at 98 rad/s and by `--periods 12`, with a coherence of 0.85; its encoder has 128 counts a turn",
             ]],
             "cells/lab.toml --axis jaws",
         ),
         Parameters::Conveyor(_) => (
-            vec![[
-                "`cells/lab.toml`",
-                BY_DRIVE,
-                UNSEEN,
-                "less than 3 dB lost up to 100 Hz, 6.9 dB gained at most",
-            ]],
+            vec![["`cells/lab.toml`", BY_DRIVE, "45.9", "39.1°"]],
             "cells/lab.toml --axis belt",
         ),
     }

@@ -6,6 +6,9 @@ use serde::Serialize;
 use servo::identify::{Margin, Point, Response, Run, bandwidth, margin};
 use servo::{Law, Output, PositionLoop, ServoAxisConfig};
 
+/// Coherence of points that need no more periods.
+const SURE: f64 = 0.9;
+
 /// The report of one axis.
 #[derive(Debug, Serialize)]
 pub(crate) struct Report {
@@ -31,7 +34,7 @@ pub(crate) struct Report {
     pub bandwidth_hz: Option<f64>,
     /// The closed loop's greatest magnitude, dB.
     pub peak_db: Option<f64>,
-    /// The lowest coherence up to the crossover, or to the bandwidth.
+    /// The lowest coherence in the octave around the crossover or the bandwidth, or anywhere if there is neither.
     pub coherence: f64,
     /// The response.
     pub points: Vec<PointReport>,
@@ -56,6 +59,7 @@ impl Report {
         points: &[Point],
     ) -> Self {
         let (closed_by, unit) = match &config.position_loop {
+            PositionLoop::Drive if config.torque_offset.is_some() => ("the drive".into(), "N·m"),
             PositionLoop::Drive => ("the drive".into(), "rad"),
             PositionLoop::Host(host) => {
                 let law = match host.law {
@@ -77,10 +81,10 @@ impl Report {
         let margin: Option<Margin> = margin(points).filter(|_| open);
         let bandwidth = bandwidth(points).filter(|_| !open);
         let peak = points.iter().map(|it| it.magnitude).fold(0.0, f64::max);
-        let end = margin.map(|it| it.crossover).or(bandwidth);
+        let middle = margin.map(|it| it.crossover).or(bandwidth);
         let judged = points
             .iter()
-            .filter(|it| it.frequency <= end.unwrap_or(f64::MAX));
+            .filter(|it| middle.is_none_or(|middle| (it.frequency / middle).log2().abs() <= 0.5));
         let most = |most: f64, value: &f64| most.max(value.abs());
         Self {
             axis,
@@ -156,9 +160,17 @@ impl fmt::Display for Report {
         };
         write!(
             f,
-            "{what}: {}; coherence {:.3} or more up to there",
+            "{what}: {}; coherence {:.3} or more around there",
             self.verdict(),
             self.coherence
-        )
+        )?;
+        if self.coherence < SURE {
+            write!(
+                f,
+                "\nrough, below a coherence of {SURE}: more --periods make the figures surer, another --velocity or more \
+                 --amplitude the coherence"
+            )?;
+        }
+        Ok(())
     }
 }

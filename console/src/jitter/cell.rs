@@ -16,7 +16,7 @@ use super::bench::CellBench;
 use super::interval::{Counts, Interval, Ledger, counts, counts_of};
 use super::probe::{LOOK, Turn};
 use super::report::percentiles;
-use crate::bench::{Bench, BenchKind};
+use crate::bench::{Bench, BenchKind, Places};
 use crate::cell_file::CellFile;
 use crate::report::Percentiles;
 use crate::wire::{Wire, WireReport};
@@ -87,9 +87,13 @@ impl<'a> MeasuredCell<'a> {
             CellBench::Emulated => BenchKind::Emulated,
             CellBench::Vcan => BenchKind::Vcan,
         };
-        let bench = Bench::open(file, kind, self.can, None, false, false)?;
+        let places = Places {
+            can: self.can.to_vec(),
+            ..Places::default()
+        };
+        let bench = Bench::open(file, kind, &places, false)?;
         let mut wire = bench.wire.continuing(self.wire.take());
-        let groups = setup::drive_groups(file, bench.ports, bench.lines)?;
+        let groups = setup::drive_groups(file, bench.ports, bench.lines, None)?;
         let (mut servo, mut links) = Servo::new(&setup::servo_config(file), groups)?;
         let mut emulation = bench.emulation;
         if let Some(emulation) = emulation.as_mut().filter(|_| self.traffic) {

@@ -39,6 +39,16 @@ pub enum Protocol {
     HiMoxa,
 }
 
+impl Protocol {
+    /// Its name in cell files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Nfv2 => "nfv2",
+            Self::HiMoxa => "hi-moxa",
+        }
+    }
+}
+
 /// An axis controller on a serial line; the host closes its position loop every period.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]

@@ -240,6 +240,7 @@ impl Robot {
             homing_order: axis.homing.order,
             increments_per_radian: axis.scale(0.0).increments_per_radian(),
             position_loop: axis.position_loop(self.weight.is_some()),
+            torque_offset: None,
             homing: axis
                 .controller
                 .as_ref()

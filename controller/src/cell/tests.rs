@@ -31,7 +31,19 @@ fn example_cells_parse_and_their_programs_can_be_built() {
 
 #[test]
 fn a_refusal_names_line_key_and_reason() {
-    let cases: [(&str, &str, &str, &str); 32] = [
+    let cases: [(&str, &str, &str, &str); 34] = [
+        (
+            "node = 1",
+            "emulator = { counts_per_revolution = 3 }\nnode = 1",
+            "robot[0].axis[0].emulator.counts_per_revolution",
+            "between 4 and 10000000",
+        ),
+        (
+            "node = 1",
+            "emulator = { rated_torque = 0.0 }\nnode = 1",
+            "robot[0].axis[0].emulator.rated_torque",
+            "between 0.000001 and 4294",
+        ),
         (
             "method = 11",
             "method = 12",

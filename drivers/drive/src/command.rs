@@ -22,6 +22,14 @@ impl Finite {
 pub enum Setpoint {
     /// Motor position, rad. The drive closes the position loop (CSP).
     Position(Finite),
+    /// Motor position, rad, and a torque, N·m, that the drive adds to what its loops ask for
+    /// ([`CyclicMode::CspWithTorque`](crate::cia402::CyclicMode::CspWithTorque)).
+    PositionWithTorque {
+        /// Motor position, rad.
+        position: Finite,
+        /// The torque, N·m.
+        torque: Finite,
+    },
     /// Motor velocity, rad/s. The host closes the position loop (CSV).
     Velocity(Finite),
     /// Motor torque, N·m. The host closes every other loop (CST, and axis controllers by current).

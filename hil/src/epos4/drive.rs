@@ -323,6 +323,7 @@ impl Drive {
         } else {
             self.ramp_demand(start, dt)
         };
+        self.axis.set_torque_offset(self.torque_offset(objects));
         let limit_switches = (self.feedback.negative_limit, self.feedback.positive_limit);
         self.axis.advance(steps, demand);
         self.feedback = self.axis.feedback();

@@ -176,6 +176,12 @@ impl Axis {
         self.amplifier.set_trip_current(current);
     }
 
+    /// Has this torque, N·m, added to what the velocity loop asks for from now on, under
+    /// [`Demand::Position`] and [`Demand::Velocity`].
+    pub fn set_torque_offset(&mut self, torque: f64) {
+        self.amplifier.set_torque_offset(torque);
+    }
+
     /// Gives the current loop other gains than those that follow from the motor: voltage per current
     /// error, Ω, and per error and sub-step. The regression model has no use for them.
     pub fn set_current_gains(&mut self, proportional: f64, integral: f64) {

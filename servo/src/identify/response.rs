@@ -68,16 +68,48 @@ pub fn respond(
             y_power += of_y.power();
         }
         let ratio = y.over(x);
-        let turns = ((near - ratio.angle()) / TAU).round();
-        near = ratio.angle() + TAU * turns;
         Point {
             frequency: line as f64 / (length as f64 * dt),
             magnitude: ratio.power().sqrt(),
-            phase: near,
+            phase: continued(&mut near, ratio.angle()),
             coherence: cross.power() / (x_power * y_power),
         }
     };
     lines.iter().map(point).collect()
+}
+
+/// The open loop of a drive, cut at its torque, from how its loops answer a torque that is added to theirs: `answered` is
+/// what they take back of it, and `left` what they leave of it, as the drive samples both at the end of each period of
+/// `dt` seconds that it is held for. The drive's own loops turn every `drive_period` seconds.
+///
+/// What they take back is T = L / (1 + L) of what is added, so L = T / (1 - T). What is held for a period acts as if it
+/// came half of one later, and less of it at high frequencies; what is sampled has been held for a period of the drive,
+/// and is half of that older than it acts. Both are taken out, since they are not of the loop. Where the loop has much gain
+/// nothing is left, and where it has little nothing is taken back: a point is as sure as the less sure of the two.
+pub(super) fn opened(answered: &[Point], left: &[Point], dt: f64, drive_period: f64) -> Vec<Point> {
+    const HALF_TURN: f64 = TAU / 2.0;
+    let open = |(point, left): (&Point, &Point)| {
+        let turn = HALF_TURN * point.frequency * dt;
+        let share = turn.sin() / turn;
+        let ahead = HALF_TURN * point.frequency * (dt - drive_period);
+        let taken = Complex::polar(point.magnitude / share, point.phase - ahead);
+        let open = taken.over(Complex(1.0, 0.0).plus(taken.times(-1.0)));
+        // At low frequencies hardly anything is left of what is added, and noise would turn a phase that is followed from there.
+        let mut near = -HALF_TURN;
+        Point {
+            magnitude: open.power().sqrt(),
+            phase: continued(&mut near, open.angle()),
+            coherence: point.coherence.min(left.coherence),
+            ..*point
+        }
+    };
+    answered.iter().zip(left).map(open).collect()
+}
+
+/// The angle that is `angle` but for whole turns, and nearest to the one before, which it takes the place of.
+fn continued(near: &mut f64, angle: f64) -> f64 {
+    *near = angle + TAU * ((*near - angle) / TAU).round();
+    *near
 }
 
 /// Crossover and margin of an open loop; `None` if its magnitude does not pass 1 between two points.
@@ -125,6 +157,11 @@ struct Complex(f64, f64);
 
 impl Complex {
     const ZERO: Self = Self(0.0, 0.0);
+
+    fn polar(magnitude: f64, angle: f64) -> Self {
+        let (sin, cos) = angle.sin_cos();
+        Self(magnitude * cos, magnitude * sin)
+    }
 
     fn plus(self, other: Self) -> Self {
         Self(self.0 + other.0, self.1 + other.1)

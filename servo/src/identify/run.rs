@@ -4,6 +4,7 @@ use std::ops::RangeInclusive;
 
 use drive::{AxisCommand, Setpoint};
 
+use super::response::opened;
 use super::{Point, Response, respond};
 use crate::{Excitation, MAX_AXES, Macrostep, PositionLoop, Record, ServoAxisConfig};
 
@@ -29,6 +30,8 @@ pub struct Run {
     pub steps: u16,
     /// Period of the servo, s.
     pub dt: f64,
+    /// Period of the loops of the drive, s, where a torque is added to theirs: what it shows is held for so long.
+    pub drive_period: f64,
 }
 
 impl Run {
@@ -113,8 +116,9 @@ impl Trace {
         }
     }
 
-    /// The open loop of an axis whose position loop the servo closes, the closed one of another, of a drive group whose
-    /// [`DriveGroup::delay`](drive::DriveGroup::delay) is `delay`, at `lines`. `None` if the run was broken off before its end.
+    /// The open loop of an axis whose position loop the servo closes, or whose drive takes a torque; the closed one of
+    /// another; of a drive group whose [`DriveGroup::delay`](drive::DriveGroup::delay) is `delay`, at `lines`. `None` if
+    /// the run was broken off before its end.
     pub fn response(
         &self,
         run: &Run,
@@ -125,11 +129,27 @@ impl Trace {
         let length = run.excitation.len();
         let measured = length..length * (run.periods + 1);
         let records = self.records.get(measured.clone())?;
+        let shown = measured.start + delay..measured.end + delay;
         let (kind, input, output): (_, Vec<f64>, Vec<f64>) = match config.position_loop {
+            PositionLoop::Drive if config.torque_offset.is_some() => {
+                let samples = self.records.get(shown)?;
+                let input: Vec<_> = records.iter().map(|record| record.excitation).collect();
+                let left: Vec<_> = samples.iter().map(|sample| sample.torque).collect();
+                let taken: Vec<_> = input
+                    .iter()
+                    .zip(&left)
+                    .map(|(all, left)| all - left)
+                    .collect();
+                let [taken, left] = [taken, left].map(|output| {
+                    respond(&input, &output, length, lines, run.dt, Response::Closed)
+                });
+                return Some((
+                    Response::Open,
+                    opened(&taken, &left, run.dt, run.drive_period),
+                ));
+            }
             PositionLoop::Drive => {
-                let samples = self
-                    .records
-                    .get(measured.start + delay..measured.end + delay)?;
+                let samples = self.records.get(shown)?;
                 let beyond = records
                     .iter()
                     .zip(samples)

@@ -39,6 +39,7 @@ pub fn config(axes: usize) -> ServoConfig {
         homing_order: (axes - index) as u8,
         increments_per_radian: 1000.0,
         position_loop: PositionLoop::Drive,
+        torque_offset: None,
         homing: None,
     };
     ServoConfig {

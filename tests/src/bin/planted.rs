@@ -79,6 +79,7 @@ fn main() {
         homing_order: 0,
         increments_per_radian: 1000.0,
         position_loop: PositionLoop::Drive,
+        torque_offset: None,
         homing: None,
     };
     let config = ServoConfig {

@@ -2,8 +2,8 @@
 
 use super::{Checked, Path, Problem, in_range, positive};
 use crate::cell::{
-    Axis, AxisController, Bus, Cell, Control, Drive, DriveControl, Law, Loop, Plant, Protocol,
-    Serial,
+    Axis, AxisController, Bus, Cell, Control, Drive, DriveControl, Emulator, Law, Loop, Plant,
+    Protocol, Serial,
 };
 use crate::robot::Limits;
 
@@ -82,7 +82,20 @@ pub(super) fn check(path: &Path, axis: &Axis, place: Place<'_>, model: Limits) -
             return refused("drive", "is for an axis on a CAN bus, not on a serial line");
         }
     }
+    check_emulator(&path.then("emulator"), &axis.emulator)?;
     check_homing(&path.then("homing"), axis, place)
+}
+
+fn check_emulator(path: &Path, emulator: &Emulator) -> Checked {
+    if let Some(counts) = emulator.counts_per_revolution {
+        check_counts(path, counts)?;
+    }
+    let Some(torque) = emulator.rated_torque else {
+        return Ok(());
+    };
+    // Object 0x6076 of an EPOS4 holds 32 bits of µN·m.
+    let range = "between 0.000001 and 4294 (N·m)";
+    in_range(&path.then("rated_torque"), torque, 1e-6, 4294.0, range)
 }
 
 fn check_drive(drive: &Path, given: &Drive, max_velocity: f64) -> Checked {

@@ -416,13 +416,13 @@ impl Axis {
                 scale.pulse_width(duty.get()).map(|width| width.0)
             }
             (
-                Control::Current,
-                Setpoint::Position(_) | Setpoint::Velocity(_) | Setpoint::Duty(_),
-            )
-            | (Control::Pwm, Setpoint::Position(_) | Setpoint::Velocity(_) | Setpoint::Torque(_)) =>
-            {
-                return Err(Refusal::WrongKind);
-            }
+                Control::Current | Control::Pwm,
+                Setpoint::Position(_)
+                | Setpoint::PositionWithTorque { .. }
+                | Setpoint::Velocity(_)
+                | Setpoint::Torque(_)
+                | Setpoint::Duty(_),
+            ) => return Err(Refusal::WrongKind),
         };
         if self.state.power != Power::On {
             return Err(Refusal::NotOn);

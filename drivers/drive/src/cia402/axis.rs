@@ -11,7 +11,8 @@ use super::mode::{ModeRequest, ModeSwitch};
 use super::process_data::{self, Answer};
 use super::program::MAXON;
 use super::service::Service;
-use crate::{AxisCommand, AxisState, Fault, Increments, Power, Refusal, Scale, Setpoint};
+use super::target::Target;
+use crate::{AxisCommand, AxisState, Fault, Increments, Permille, Power, Refusal, Scale};
 
 /// Answers until a word handed over in some cycle surely shows: it is latched at the next SYNC, acts
 /// after that, is sampled at the one after and read in the cycle that follows.
@@ -53,7 +54,7 @@ pub(super) struct Axis {
     unserved: bool,
     /// Whether the last cycle's target was one to hold on to.
     held: bool,
-    target: i32,
+    target: Target,
 }
 
 /// What does not change while the group lives.
@@ -150,7 +151,7 @@ impl Axis {
             telling: false,
             unserved: false,
             held: false,
-            target: 0,
+            target: Target::default(),
         };
         axis.search.answered(setup.homing_word(learnt.statusword));
         axis.judge_power(PowerState::NotReadyToSwitchOn);
@@ -343,7 +344,7 @@ impl Axis {
 
     /// The set-point in the drive's units, if the command brings one; the reason if it cannot
     /// be followed. A faulted axis has none: it is being stopped, whatever it is told.
-    pub(super) fn check(&self, command: AxisCommand) -> Result<Option<i32>, Refusal> {
+    pub(super) fn check(&self, command: AxisCommand) -> Result<Option<Target>, Refusal> {
         let setpoint = match command {
             AxisCommand::Follow(setpoint) => setpoint,
             AxisCommand::Seek(_) if self.state.fault.is_none() => return Err(Refusal::WrongKind),
@@ -352,35 +353,17 @@ impl Axis {
         if self.state.fault.is_some() {
             return Ok(None);
         }
-        let raw = match (self.setup.mode, setpoint) {
-            (CyclicMode::Csp, Setpoint::Position(position)) => self
-                .setup
-                .scale
-                .increments(position.get())
-                .map(|increments| increments.0),
-            (CyclicMode::Csv, Setpoint::Velocity(velocity)) => {
-                self.setup.scale.rpm(velocity.get()).map(|rpm| rpm.0)
-            }
-            (CyclicMode::Cst, Setpoint::Torque(torque)) => {
-                let permille = self
-                    .setup
-                    .scale
-                    .permille(torque.get(), self.setup.rated_torque);
-                permille.map(|permille| i32::from(permille.0))
-            }
-            (CyclicMode::Csp, Setpoint::Velocity(_) | Setpoint::Torque(_) | Setpoint::Duty(_))
-            | (CyclicMode::Csv, Setpoint::Position(_) | Setpoint::Torque(_) | Setpoint::Duty(_))
-            | (
-                CyclicMode::Cst,
-                Setpoint::Position(_) | Setpoint::Velocity(_) | Setpoint::Duty(_),
-            ) => {
-                return Err(Refusal::WrongKind);
-            }
-        };
+        let Setup {
+            mode,
+            scale,
+            rated_torque,
+            ..
+        } = &self.setup;
+        let target = Target::of(setpoint, *mode, scale, *rated_torque)?;
         if self.state.power != Power::On {
             return Err(Refusal::NotOn);
         }
-        raw.map(Some).ok_or(Refusal::OutOfRange)
+        target.map(Some).ok_or(Refusal::OutOfRange)
     }
 
     /// We left the drive alone for so long that it has braked by itself. A word that enables would take it
@@ -402,7 +385,7 @@ impl Axis {
     pub(super) fn command(
         &mut self,
         command: AxisCommand,
-        setpoint: Option<i32>,
+        setpoint: Option<Target>,
         hold: bool,
         now: Instant,
     ) -> Frame {
@@ -485,26 +468,37 @@ impl Axis {
 
     /// Chooses the target. While the drive does not act on it, it is where the drive stands, so that
     /// the first one it acts on moves nothing; from then on it changes by set-points alone.
-    fn aim(&mut self, command: AxisCommand, setpoint: Option<i32>, hold: bool, powered: bool) {
+    fn aim(&mut self, command: AxisCommand, setpoint: Option<Target>, hold: bool, powered: bool) {
         let holding = powered && self.modes.is(self.setup.mode.of_operation());
         if !(holding && self.held) {
-            self.target = self.resting_target();
+            self.target = self.resting_target().into();
         }
+        // A torque is for one cycle.
+        self.target.torque = Permille(0);
         self.held = holding;
         if !holding || hold {
             return;
         }
         match (command, setpoint) {
             (AxisCommand::Follow(_), Some(setpoint)) if self.following() => self.target = setpoint,
-            _ if self.setup.mode != CyclicMode::Csp => self.target = 0,
+            _ if self.rests_at_zero() => self.target = Target::default(),
             _ => {}
         }
     }
 
     fn resting_target(&self) -> i32 {
+        if self.rests_at_zero() {
+            0
+        } else {
+            self.state.increments.0
+        }
+    }
+
+    /// Whether it stands by a velocity or torque of zero, not by a position.
+    fn rests_at_zero(&self) -> bool {
         match self.setup.mode {
-            CyclicMode::Csp => self.state.increments.0,
-            CyclicMode::Csv | CyclicMode::Cst => 0,
+            CyclicMode::Csp | CyclicMode::CspWithTorque => false,
+            CyclicMode::Csv | CyclicMode::Cst => true,
         }
     }
 

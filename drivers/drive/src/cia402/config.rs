@@ -78,9 +78,16 @@ pub struct Identity {
 pub enum CyclicMode {
     /// The drive closes the position loop.
     Csp,
+    /// The same, and it adds a torque that it gets with each position (object 0x60B2) to what its loops ask for:
+    /// torque feed-forward in CiA 402-2, mapped beside the position in an EPOS4's own default PDO of the mode.
+    CspWithTorque,
     /// The drive closes the velocity loop.
     Csv,
     /// The drive closes the torque loop.
+    ///
+    /// No limit of speed is set in it. Object 0x6080 is the most that the motor stands (CiA 402-2), from its data sheet;
+    /// whether a drive heeds it in this mode is its maker's choice (Nanotec's PD4-E lists it for the mode, Lenze's i700
+    /// has 0x2946 instead, and of maxon's nothing is known here). The host sees how fast the motor is, and stops it.
     Cst,
 }
 
@@ -185,7 +192,7 @@ pub enum ConfigError {
 impl CyclicMode {
     pub(super) fn of_operation(self) -> ModeOfOperation {
         match self {
-            Self::Csp => ModeOfOperation::CyclicSynchronousPosition,
+            Self::Csp | Self::CspWithTorque => ModeOfOperation::CyclicSynchronousPosition,
             Self::Csv => ModeOfOperation::CyclicSynchronousVelocity,
             Self::Cst => ModeOfOperation::CyclicSynchronousTorque,
         }

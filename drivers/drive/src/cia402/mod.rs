@@ -43,6 +43,7 @@ mod process_data;
 mod program;
 mod recording;
 mod service;
+mod target;
 mod traffic;
 
 #[cfg(test)]
@@ -74,6 +75,7 @@ use axis::Axis;
 use bring_up::NodeBringUp;
 use process_data::Answer;
 use service::Service;
+use target::Target;
 
 /// SDO frames that one call of bring-up sends at most: what a transmit queue of ten still takes.
 const SDO_FRAMES_PER_CALL: usize = 8;
@@ -108,7 +110,7 @@ struct Node {
     axis: Axis,
     sdo: Client,
     service: Option<Service>,
-    setpoint: Option<i32>,
+    setpoint: Option<Target>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -2,7 +2,7 @@ use can::Frame;
 use canopen::cia402::{Controlword, Statusword};
 use canopen::objects::{
     CONTROLWORD, POSITION_ACTUAL, STATUSWORD, TARGET_POSITION, TARGET_TORQUE, TARGET_VELOCITY,
-    TORQUE_ACTUAL,
+    TORQUE_ACTUAL, TORQUE_OFFSET,
 };
 use canopen::pdo::{
     Entry, PdoCobId, PdoKind, PdoMapping, PdoNumber, PdoSetup, TransmissionType, remap,
@@ -11,6 +11,7 @@ use canopen::sdo::Write;
 use canopen::{NodeId, cob};
 
 use super::config::CyclicMode;
+use super::target::Target;
 use crate::{Increments, Permille};
 
 /// What TPDO 1 carries: statusword, position and torque.
@@ -21,19 +22,24 @@ pub(super) const ANSWER: [Entry; 3] = [
 ];
 
 /// What RPDO 1 carries: controlword and the target of the mode.
-pub(super) const fn request(mode: CyclicMode) -> [Entry; 2] {
-    let target = match mode {
-        CyclicMode::Csp => Entry::new(TARGET_POSITION, 32),
-        CyclicMode::Csv => Entry::new(TARGET_VELOCITY, 32),
-        CyclicMode::Cst => Entry::new(TARGET_TORQUE, 16),
-    };
-    [Entry::new(CONTROLWORD, 16), target]
+pub(super) const fn request(mode: CyclicMode) -> &'static [Entry] {
+    const WORD: Entry = Entry::new(CONTROLWORD, 16);
+    const POSITION: Entry = Entry::new(TARGET_POSITION, 32);
+    const ADDED: Entry = Entry::new(TORQUE_OFFSET, 16);
+    const VELOCITY: Entry = Entry::new(TARGET_VELOCITY, 32);
+    const TORQUE: Entry = Entry::new(TARGET_TORQUE, 16);
+    match mode {
+        CyclicMode::Csp => &[WORD, POSITION],
+        CyclicMode::CspWithTorque => &[WORD, POSITION, ADDED],
+        CyclicMode::Csv => &[WORD, VELOCITY],
+        CyclicMode::Cst => &[WORD, TORQUE],
+    }
 }
 
 /// Length of RPDO 1, bytes.
-pub(super) const fn request_len(mode: CyclicMode) -> usize {
-    let [word, target] = request(mode);
-    (word.bits as usize + target.bits as usize) / 8
+pub(super) fn request_len(mode: CyclicMode) -> usize {
+    let bits = request(mode).iter().map(|entry| usize::from(entry.bits));
+    bits.sum::<usize>() / 8
 }
 
 /// The PDOs that a drive exchanges at every SYNC in a mode: the request it receives and the answer it transmits.
@@ -44,7 +50,7 @@ pub fn pdo_setups(node: NodeId, mode: CyclicMode) -> [PdoSetup; 2] {
         kind: PdoKind::Rpdo,
         number: PdoNumber::One,
         cob_id: PdoCobId::new(cob::rpdo(PdoNumber::One, node)),
-        mapping: PdoMapping::new(&request(mode)).expect("six bytes fit"),
+        mapping: PdoMapping::new(request(mode)).expect("eight bytes fit"),
         transmission: TransmissionType::EVERY_SYNC,
         inhibit_time: None,
         event_timer: None,
@@ -78,13 +84,14 @@ pub(super) fn mapping_writes(node: NodeId, mode: CyclicMode) -> impl Iterator<It
         .chain(remap(&answer))
 }
 
-/// The frame of RPDO 1. Of a torque, `target` holds 16 bits.
-pub(super) fn encode(node: NodeId, mode: CyclicMode, word: Controlword, target: i32) -> Frame {
-    let mut bytes = [0; 6];
+/// The frame of RPDO 1.
+pub(super) fn encode(node: NodeId, mode: CyclicMode, word: Controlword, target: Target) -> Frame {
+    let mut bytes = [0; 8];
     bytes[..2].copy_from_slice(&word.0.to_le_bytes());
-    bytes[2..].copy_from_slice(&target.to_le_bytes());
+    bytes[2..6].copy_from_slice(&target.value.to_le_bytes());
+    bytes[6..].copy_from_slice(&target.torque.0.to_le_bytes());
     Frame::new(cob::rpdo(PdoNumber::One, node), &bytes[..request_len(mode)])
-        .expect("six bytes fit a frame")
+        .expect("eight bytes fit a frame")
 }
 
 /// TPDO 1.
@@ -123,8 +130,14 @@ mod tests {
             (CyclicMode::Cst, -2, "202#0F00FEFF"),
         ];
         for (mode, target, bytes) in table {
-            assert_eq!(encode(node, mode, word, target).to_string(), bytes);
+            assert_eq!(encode(node, mode, word, target.into()).to_string(), bytes);
         }
+        let both = Target {
+            value: -2,
+            torque: Permille(0x0102),
+        };
+        let frame = encode(node, CyclicMode::CspWithTorque, word, both);
+        assert_eq!(frame.to_string(), "202#0F00FEFFFFFF0201");
     }
 
     #[test]

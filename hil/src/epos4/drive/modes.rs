@@ -182,6 +182,18 @@ impl Drive {
         }
     }
 
+    /// What object 0x60B2 adds to the torque that the velocity loop asks for, N·m: in CSP and CSV (CiA 402-2, 0x60B2;
+    /// EPOS4 maps it beside the target in its own default PDO of either mode). In CST the target itself has it.
+    pub(super) fn torque_offset(&self, objects: &Objects) -> f64 {
+        use ModeOfOperation as M;
+        match self.mode {
+            M::CyclicSynchronousPosition | M::CyclicSynchronousVelocity if self.follows() => {
+                objects.f(TORQUE_OFFSET) * 1e-3 * rated_torque(objects)
+            }
+            _ => 0.0,
+        }
+    }
+
     /// Goes on along the segment that the last SYNC began, and stands at its end.
     pub(super) fn interpolate(&mut self, dt: f64) {
         let (target, left) = self.segment;

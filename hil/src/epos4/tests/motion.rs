@@ -51,6 +51,30 @@ fn cyclic_positions_are_followed_and_answered_at_every_sync() {
 }
 
 #[test]
+fn a_torque_offset_is_added_in_the_cyclic_modes_of_position_and_velocity() {
+    for (mode, added) in [(8, true), (9, true), (1, false), (3, false)] {
+        for offset in [100, -100] {
+            let mut bench = Bench::booted(config());
+            bench.enable(mode);
+            bench.write("B26000", offset, 2);
+            let torque = i64::from(bench.read("776000") as i16);
+            // The loops have begun to take it back.
+            let expected = if added { 20..=100 } else { 0..=2 };
+            assert!(
+                expected.contains(&(torque * offset.signum())),
+                "mode {mode}: {torque}"
+            );
+            bench.run(500);
+            let torque = i64::from(bench.read("776000") as i16);
+            assert!(torque.abs() < 20, "mode {mode}: {torque}");
+            bench.write("406000", 0x06, 2);
+            bench.run(20);
+            assert_eq!(bench.read("776000") as i16, 0, "mode {mode}");
+        }
+    }
+}
+
+#[test]
 fn a_jump_of_the_set_point_is_a_following_error() {
     let mut bench = Bench::booted(config());
     bench.cyclic();

@@ -114,6 +114,15 @@ fn velocity_and_torque_go_out_in_the_drives_units_and_rest_at_zero() {
             "202#0F0000000000",
         ),
         (
+            CyclicMode::CspWithTorque,
+            Setpoint::PositionWithTorque {
+                position: finite(TAU / 2.0),
+                torque: finite(-0.05),
+            },
+            "202#0F00E80300000CFE",
+            "202#0F00E80300000000",
+        ),
+        (
             CyclicMode::Cst,
             Setpoint::Torque(finite(0.05)),
             "202#0F00F401",

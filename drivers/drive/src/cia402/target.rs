@@ -1,0 +1,59 @@
+use super::config::CyclicMode;
+use crate::{Finite, Permille, Refusal, Scale, Setpoint};
+
+/// What a request asks for, in the drive's units.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Target {
+    /// The target of the mode; of a torque, 16 bits.
+    pub(super) value: i32,
+    /// What the drive adds to the torque that its loops ask for.
+    pub(super) torque: Permille,
+}
+
+impl Target {
+    /// What a set-point is to a drive in a mode; `None` beyond what that can count.
+    pub(super) fn of(
+        setpoint: Setpoint,
+        mode: CyclicMode,
+        scale: &Scale,
+        rated_torque: f64,
+    ) -> Result<Option<Self>, Refusal> {
+        let at = |position: Finite| scale.increments(position.get());
+        let permille = |torque: Finite| scale.permille(torque.get(), rated_torque);
+        Ok(match (mode, setpoint) {
+            (CyclicMode::Csp | CyclicMode::CspWithTorque, Setpoint::Position(position)) => {
+                at(position).map(|increments| increments.0.into())
+            }
+            (CyclicMode::CspWithTorque, Setpoint::PositionWithTorque { position, torque }) => {
+                let both = at(position).zip(permille(torque));
+                both.map(|(increments, torque)| Self {
+                    value: increments.0,
+                    torque,
+                })
+            }
+            (CyclicMode::Csv, Setpoint::Velocity(velocity)) => {
+                scale.rpm(velocity.get()).map(|rpm| rpm.0.into())
+            }
+            (CyclicMode::Cst, Setpoint::Torque(torque)) => {
+                permille(torque).map(|permille| i32::from(permille.0).into())
+            }
+            (
+                CyclicMode::Csp | CyclicMode::CspWithTorque | CyclicMode::Csv | CyclicMode::Cst,
+                Setpoint::Position(_)
+                | Setpoint::PositionWithTorque { .. }
+                | Setpoint::Velocity(_)
+                | Setpoint::Torque(_)
+                | Setpoint::Duty(_),
+            ) => return Err(Refusal::WrongKind),
+        })
+    }
+}
+
+impl From<i32> for Target {
+    fn from(value: i32) -> Self {
+        Self {
+            value,
+            torque: Permille(0),
+        }
+    }
+}
