@@ -7,8 +7,8 @@ use std::{f64::consts::FRAC_PI_2, hint::black_box};
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use mrroc_controller::robot::{
-    Irb6, Irb6Parameters, Irp6, Irp6Parameters, Irp6Track, Irp6TrackParameters, Joints, Polycrank,
-    PolycrankParameters, Rnt, RntParameters, Robot,
+    Irb6, Irb6Parameters, Irp6, Irp6Parameters, Irp6Track, Irp6TrackParameters, Joints, Mass,
+    Polycrank, PolycrankParameters, Rnt, RntParameters, Robot, Weight,
 };
 
 fn robots() -> [(&'static str, Box<dyn Robot>, Joints); 5] {
@@ -54,7 +54,19 @@ fn kinematics(criterion: &mut Criterion) {
             .expect("joints within limits");
         let mut far = flange;
         far.translation.vector *= 3.0;
+        let masses = vec![
+            Mass {
+                mass: 5.0,
+                centre: [0.1; 3]
+            };
+            robot.axes()
+        ];
+        let weight = Weight::new(&*robot, &masses, Mass::default(), [0.0, 0.0, 1.0])
+            .expect("one mass per link");
         let mut group = criterion.benchmark_group(name);
+        group.bench_function("weight", |b| {
+            b.iter(|| weight.torque(&*robot, black_box(&motors)))
+        });
         group.bench_function("forward", |b| b.iter(|| robot.forward(black_box(&joints))));
         group.bench_function("inverse", |b| {
             b.iter(|| robot.inverse(black_box(&flange), black_box(&joints)));

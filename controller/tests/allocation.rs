@@ -13,8 +13,8 @@ use mrroc_controller::generator::{
     Pose, SmoothPose,
 };
 use mrroc_controller::robot::{
-    Irb6, Irb6Parameters, Irp6, Irp6Parameters, Irp6Track, Irp6TrackParameters, Joints, Polycrank,
-    PolycrankParameters, Rnt, RntParameters, Robot, Space,
+    Irb6, Irb6Parameters, Irp6, Irp6Parameters, Irp6Track, Irp6TrackParameters, Joints, Mass,
+    Polycrank, PolycrankParameters, Rnt, RntParameters, Robot, Space, Weight,
 };
 use servo::{EffectorLink, Order, Phase, Report};
 
@@ -43,10 +43,12 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static COUNTING: Counting = Counting;
 
-/// The IRp-6 without a tool.
+/// The IRp-6 without a tool, weighing what it does.
 fn arm() -> Arm {
     let robot = Irp6::new(&Irp6Parameters::irp6p()).expect("its parameters are consistent");
-    Arm::new(Arc::new(robot), Pose::identity())
+    let weight = Weight::new(&robot, &Mass::IRP6, Mass::default(), [0.0, 0.0, 1.0]);
+    let weight = weight.expect("its masses are consistent");
+    Arm::new(Arc::new(robot), Pose::identity()).weighing(weight)
 }
 
 const START: Axes = [0.2, -FRAC_PI_2, 0.1, 0.2, 1.2, 0.3, 0.0, 0.0];

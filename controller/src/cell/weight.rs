@@ -10,7 +10,7 @@ use crate::robot::{Mass, Robot, Weight, WeightError};
 /// fed forward to its motors; without it they are left to the loops. An empty one takes the model's nominal masses.
 ///
 /// Every axis has its loop closed by the host, and is commanded by torque or current; or by pulse width, with the
-/// `weight` of its `feed_forward` given.
+/// `weight` of its `feed_forward` given. Drives that close the loop hold the weight by themselves.
 #[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Weights {

@@ -64,7 +64,8 @@ impl Effector {
             return Ok(None);
         };
         self.admit(&macrostep)?;
-        if self.state == State::Standing {
+        let told = macrostep.torque.iter().any(|torque| *torque != 0.0);
+        if told && self.state == State::Standing {
             // What loops have come to hold by themselves, since homing or since a stop elsewhere, changes hands.
             let axes = self.axes.iter_mut().zip(macrostep.torque);
             axes.for_each(|(axis, torque)| axis.hand_over(torque));

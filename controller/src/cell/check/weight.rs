@@ -40,11 +40,11 @@ fn check_axis(path: &Path, axis: &Axis) -> Checked {
     match (&axis.drive, &axis.controller) {
         (Some(it), _) if it.control == DriveControl::Position => refused(
             drive,
-            "is position, which takes no torque to hold the robot's weight with: use torque, or leave the weight out",
+            "is position, by which the drive's own loop holds the robot's weight: use torque, or leave the weight out",
         ),
         (Some(it), _) if it.control == DriveControl::Velocity => refused(
             drive,
-            "is velocity, which takes no torque to hold the robot's weight with: use torque, or leave the weight out",
+            "is velocity, by which the drive's own loop holds the robot's weight: use torque, or leave the weight out",
         ),
         (_, Some(it)) if it.control == Control::Pwm && it.r#loop.feed_forward.weight.is_none() => {
             refused(
@@ -146,7 +146,7 @@ mod tests {
                 IRB6,
                 "{}",
                 "",
-                "robot[0].axis[0].drive.control: is position, which takes no torque",
+                "robot[0].axis[0].drive.control: is position, by which the drive's own loop holds",
             ),
         ];
         for (cell, weight, roll, refusal) in cases {

@@ -10,6 +10,10 @@ const AT: f64 = 3.0;
 
 /// Switched on under a weight on axis 0 that nobody has told the servo of, and standing.
 fn loaded(config: &ServoConfig, stiction: f64) -> Rig {
+    under(config, stiction, WEIGHT)
+}
+
+fn under(config: &ServoConfig, stiction: f64, weight: f64) -> Rig {
     let mut config = config.clone();
     change(&mut config.effectors[0].axes[0], |host| {
         host.feed_forward.weight = 1.0;
@@ -20,7 +24,7 @@ fn loaded(config: &ServoConfig, stiction: f64) -> Rig {
         drive.state.homing = Homing::Attained;
         drive.state.position = AT;
     }
-    rig.world().axes[0].load = -WEIGHT;
+    rig.world().axes[0].load = -weight;
     rig.order(Order::Enable);
     rig.run(1500);
     assert_eq!(rig.phase(), Phase::Standing, "{:?}", rig.cause());
@@ -73,11 +77,14 @@ fn what_the_loop_does_not_hold_yet_comes_in_over_a_macrostep() {
 #[test]
 fn dry_friction_that_an_axis_stuck_in_is_forgotten_as_it_begins_to_move() {
     for config in laws(1) {
-        let mut rig = loaded(&config, 0.3);
-        // 0.2 N·m less than what the loop holds: the rest is what the axis stuck in.
-        told(&mut rig, WEIGHT - 0.2, 1..=1);
-        let first = rig.torques(0)[0];
-        assert!((first - (WEIGHT - 0.2)).abs() < 0.01, "{first} N·m");
+        for sense in [1.0, -1.0] {
+            let mut rig = under(&config, 0.3, sense * WEIGHT);
+            // 0.2 N·m less than what the loop holds: the rest is what the axis stuck in.
+            let told_of = sense * (WEIGHT - 0.2);
+            told(&mut rig, told_of, 1..=1);
+            let first = rig.torques(0)[0];
+            assert!((first - told_of).abs() < 0.01, "{first} N·m");
+        }
     }
 }
 
