@@ -244,7 +244,8 @@ pub fn bring_up(servo: &mut Servo, mut between: impl FnMut(Instant)) -> Result<(
 ///
 /// `between` is called after each cycle with the next deadline, in the time that is left of the
 /// period and not counted as the cycle's: an emulated bench advances its world in it. What it and `until` take beyond
-/// that is named [`Cause::BetweenCycles`]. Raising `trace_request`, now or later, keeps the cycles around that moment among [`Finished::spikes`]; the thread lowers it.
+/// that is named [`Cause::BetweenCycles`]. Raising `trace_request`, now or later, keeps the cycles around that moment
+/// among [`Finished::spikes`]; the thread lowers it.
 pub fn start(
     servo: Servo,
     policy: RealtimePolicy,

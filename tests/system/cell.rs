@@ -141,36 +141,36 @@ impl Setup {
         plant
     }
 
-    /// What is behind the axes of the robot.
-    fn mechanism(&self) -> Mechanism {
+    /// What is behind the axes of the robot; of gripper and conveyor nothing.
+    fn mechanism(&self) -> Option<Mechanism> {
         let robot = &self.cell.robot[0];
-        Mechanism::new(match robot.parameters.unwrap_or(robot.model.parameters()) {
-            Parameters::Irb6(_) => MechanismConfig::Irb6,
-            Parameters::Irp6(_) => MechanismConfig::Irp6,
-            Parameters::Irp6Track(_) => MechanismConfig::Irp6OnTrack,
-            Parameters::Rnt(rnt) => MechanismConfig::Rnt {
-                home_lengths: rnt.legs.map(|leg| leg.length_at_home),
+        Some(Mechanism::new(
+            match robot.parameters.unwrap_or(robot.model.parameters()) {
+                Parameters::Irb6(_) => MechanismConfig::Irb6,
+                Parameters::Irp6(_) => MechanismConfig::Irp6,
+                Parameters::Irp6Track(_) => MechanismConfig::Irp6OnTrack,
+                Parameters::Rnt(rnt) => MechanismConfig::Rnt {
+                    home_lengths: rnt.legs.map(|leg| leg.length_at_home),
+                },
+                Parameters::Polycrank(polycrank) => MechanismConfig::Polycrank {
+                    coupled: polycrank.coupled,
+                    at_home: polycrank.axes.map(|axis| axis.joint_at_home),
+                },
+                Parameters::Gripper(_) | Parameters::Conveyor(_) => return None,
             },
-            Parameters::Polycrank(polycrank) => MechanismConfig::Polycrank {
-                coupled: polycrank.coupled,
-                at_home: polycrank.axes.map(|axis| axis.joint_at_home),
-            },
-            other @ (Parameters::Gripper(_) | Parameters::Conveyor(_)) => {
-                panic!("nothing is behind the axis of {other:?}")
-            }
-        })
+        ))
     }
 
     fn seed(&self, number: usize) -> u64 {
         self.cell.seed * 1000 + number as u64
     }
 
-    fn device(&self, arm: &Arm, mechanism: &Mechanism, number: usize) -> Socket {
+    fn device(&self, arm: &Arm, mechanism: Option<&Mechanism>, number: usize) -> Socket {
         let plant = self.plant(arm, number);
         Socket {
             drive: Epos4::new(Epos4Config {
                 seed: self.seed(number),
-                mount: mechanism.mount(number, arm.robot().home()[number]),
+                mount: mechanism.and_then(|it| it.mount(number, arm.robot().home()[number])),
                 rated_torque: Some(self.axis(number).cia402().rated_torque),
                 ..Epos4Config::new(node(self.axis(number).node), plant)
             }),
@@ -182,7 +182,7 @@ impl Setup {
     fn line_device(
         &self,
         arm: &Arm,
-        mechanism: &Mechanism,
+        mechanism: Option<&Mechanism>,
         number: usize,
         cabinet: &Cabinet,
     ) -> Box<dyn LineDevice> {
@@ -190,7 +190,7 @@ impl Setup {
         let config = AxisControllerConfig {
             seed: self.seed(number),
             cabinet: cabinet.clone(),
-            mount: mechanism.mount(number, arm.robot().home()[number]),
+            mount: mechanism.and_then(|it| it.mount(number, arm.robot().home()[number])),
             ..AxisControllerConfig::new(plant)
         };
         match self.cell.serial[0].protocol {
@@ -245,7 +245,7 @@ impl Setup {
         let mut plugs = Vec::new();
         let mut drives = Vec::new();
         for &axis in &self.axes {
-            let device = self.device(arm, &mechanism, axis);
+            let device = self.device(arm, mechanism.as_ref(), axis);
             plugs.push(device.unplugged.clone());
             drives.push(DriveId::Node(world.add_device(id, Box::new(device))));
         }
@@ -264,7 +264,7 @@ impl Setup {
         let cabinet = Cabinet::default();
         let mechanism = self.mechanism();
         let line = |&axis: &usize| {
-            let device = self.line_device(arm, &mechanism, axis, &cabinet);
+            let device = self.line_device(arm, mechanism.as_ref(), axis, &cabinet);
             let line = world.add_line(bundle.settings(), latency, device);
             (world.host_line(line, 4096), DriveId::Line(line))
         };

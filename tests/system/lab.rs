@@ -129,6 +129,29 @@ fn robots_that_meet_go_on_and_arrive_in_the_same_cycle() {
 }
 
 #[test]
+fn a_gripper_homes_from_the_far_end_of_its_travel() {
+    // Past its vertex it is no gripper of this side.
+    let start = 2570.0;
+    let directory = Directory::new();
+    let path = directory.cell("lab", |cell| {
+        cell.robot.retain(|robot| robot.name == "gripper");
+        cell.robot[0].program.clear();
+        cell.robot[0].axis[0].emulator.start = Some(start);
+        let bus = cell.robot[0].axis[0].bus.clone();
+        cell.bus.retain(|it| it.name == bus);
+        cell.serial.clear();
+    });
+    // On its switch all the way, which it leaves slowly: 2260 rad at 10 rad/s.
+    let report = run(&path, &directory.path("gripper.csv"));
+    let found = report["axes"][0]["homing_offset_counts"].as_f64().unwrap();
+    let expected = (4830.0 - start) / TAU * 128.0;
+    assert!(
+        (found - expected).abs() <= 2.0,
+        "{report}, expected {expected}"
+    );
+}
+
+#[test]
 fn a_joint_without_end_comes_back_to_its_count_from_twenty_turns() {
     const TURNS: i64 = 20;
     let far = (TURNS as f64 * TAU).to_string();

@@ -265,6 +265,9 @@ mod tests {
         home: bool,
         limits: bool,
         index: bool,
+        /// Milliseconds for which the home switch chatters after an edge, and how many it is since one.
+        bounce: u32,
+        since: u32,
     }
 
     impl Scripted {
@@ -276,7 +279,13 @@ mod tests {
                 home: true,
                 limits: true,
                 index: true,
+                bounce: 0,
+                since: 100,
             }
+        }
+
+        fn pressed(&self) -> bool {
+            self.home && (1000.0..=2000.0).contains(&self.counts)
         }
 
         fn feedback(&self) -> Feedback {
@@ -290,7 +299,8 @@ mod tests {
                 },
                 current: 0.0,
                 index: self.latched,
-                home_switch: self.home && (1000.0..=2000.0).contains(&self.counts),
+                home_switch: self.pressed()
+                    && (self.since >= self.bounce || self.since.is_multiple_of(2)),
                 negative_limit: self.limits && self.counts <= -5000.0,
                 positive_limit: self.limits && self.counts >= 5000.0,
                 trip: None,
@@ -299,6 +309,7 @@ mod tests {
 
         fn go(&mut self, velocity: f64) {
             let before = (self.counts - 300.0) / 1000.0;
+            let pressed = self.pressed();
             self.velocity = velocity;
             self.counts = (self.counts + velocity).clamp(-6000.0, 6000.0);
             let after = (self.counts - 300.0) / 1000.0;
@@ -306,6 +317,11 @@ mod tests {
             if self.index && passed > before.min(after) {
                 self.latched = Some(passed as i32 * 1000 + 300);
             }
+            self.since = if self.pressed() == pressed {
+                self.since + 1
+            } else {
+                0
+            };
         }
 
         /// The reference that a method finds, `None` if it fails.
@@ -371,6 +387,24 @@ mod tests {
                 Some(expected),
                 "method {method} from {start}"
             );
+        }
+    }
+
+    #[test]
+    fn a_chattering_switch_leads_to_the_same_reference_from_either_side() {
+        for bounce in [0, 2, 4] {
+            for (method, start, expected) in [
+                (11, 3000.0, 2300),
+                (11, 2010.0, 2300),
+                (11, 1500.0, 2300),
+                (11, 0.0, 2300),
+                (7, 4000.0, 300),
+            ] {
+                let mut axis = Scripted::at(start);
+                axis.bounce = bounce;
+                let found = axis.home(method);
+                assert_eq!(found, Some(expected), "{method} from {start}, {bounce} ms");
+            }
         }
     }
 

@@ -60,8 +60,8 @@ impl Run {
         worse
     }
 
-    /// Where the time went up to the end of a wait, of a cycle that `begun` then. What is left of the delay that let a slot go is of that: without
-    /// a sleep of its own the time since the SYNC before has been told of.
+    /// Where the time went up to the end of a wait, of a cycle that `begun` then. What is left of the delay that let a
+    /// slot go is of that: without a sleep of its own the time since the SYNC before has been told of.
     pub(super) fn waited(&self, begun: Instant, awake: &Awake) -> Spent {
         let Before {
             sync, done, called, ..
