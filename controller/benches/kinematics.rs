@@ -65,7 +65,7 @@ fn kinematics(criterion: &mut Criterion) {
             .expect("one mass per link");
         let mut group = criterion.benchmark_group(name);
         group.bench_function("weight", |b| {
-            b.iter(|| weight.torque(&*robot, black_box(&motors)))
+            b.iter(|| weight.torque(&*robot, black_box(&motors)));
         });
         group.bench_function("forward", |b| b.iter(|| robot.forward(black_box(&joints))));
         group.bench_function("inverse", |b| {

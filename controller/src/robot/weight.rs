@@ -180,7 +180,7 @@ impl Weight {
     ///
     /// A motor's is the change of potential energy per turn of it while the others stand: virtual work, whatever
     /// gears, screws, couplings and parallel legs lie between. Gears are without losses here. The links' potential
-    /// energy is worked out twice per motor: some 10 µs for six axes.
+    /// energy is worked out twice per motor: some 5 µs for six axes.
     pub fn torque(
         &self,
         robot: &dyn Robot,

@@ -344,7 +344,7 @@ fn the_letter_is_drawn_as_by_the_original_loops_and_fed_forward_three_times_as_w
     }
 }
 
-/// What is left is the columns' own at a reversal and the encoders' counts, each some 5 µm.
+/// What is left, rms: 5 to 8 µm of the column, 2 to 4 µm of each arm; counts of the encoders are 4 to 9 µm.
 #[test]
 fn the_letter_is_drawn_three_times_as_well_under_weight_and_friction_that_are_fed_forward() {
     println!("µm: contour rms, largest, timed rms, largest");

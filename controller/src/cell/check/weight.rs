@@ -188,7 +188,7 @@ mod tests {
 
     #[test]
     fn friction_at_break_away_is_refused_unless_it_is_greater_and_falls_somehow() {
-        let good = "coulomb = 0.08";
+        let good = "coulomb = 0.08 }";
         let cases = [
             (
                 "coulomb = 0.08, stiction = 0.12, stribeck_velocity = 5.0",
@@ -212,7 +212,7 @@ mod tests {
             ),
         ];
         for (bad, refusal) in cases {
-            let found = Cell::parse(&SERIAL.replacen(good, bad, 1));
+            let found = Cell::parse(&SERIAL.replacen(good, &format!("{bad} }}"), 1));
             let shown = found.map_or_else(|error| error.to_string(), |_| String::new());
             assert!(
                 shown.contains(refusal) && shown.is_empty() == refusal.is_empty(),
