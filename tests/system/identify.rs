@@ -41,6 +41,8 @@ fn the_loops_of_every_family_are_shaped_as_documented() {
         (example("irb6-serial"), "irb6/wrist-roll", 15.8, 48.5),
         (velocity, "irb6/column", 8.5, 82.0),
         (torque, "irb6/column", 11.0, 47.0),
+        (example("irp6-track"), "track", 45.5, 38.0),
+        (example("polycrank"), "q2", 29.2, 39.0),
     ];
     for (cell, axis, crossover, margin) in cases {
         shaped(&cell, axis, (crossover, margin), (0.1, 5.0));
