@@ -46,7 +46,7 @@ impl BenchKind {
 /// Where to find what a bench consists of, if not where the cell says.
 #[derive(Args, Debug, Default)]
 pub(crate) struct Places {
-    /// The interface of a bus, IFACE or BUS=IFACE, in place of the cell's.
+    /// The interface of a bus in place of the cell's: IFACE, or once for each bus BUS=IFACE where there are several.
     #[arg(long, value_name = "IFACE")]
     pub(crate) can: Vec<String>,
     /// The directory of the lines' ttys, one per axis by its name, in place of the cell's lines: as `mrroc emulate
@@ -118,6 +118,7 @@ impl Bench {
             bail!("--set-bitrate needs --bench card");
         }
         let interfaces = interfaces::resolve(&file.cell, can)?;
+        interfaces::all_differ(&file.cell, interfaces.iter().map(Some))?;
         let (ports, lines, listeners, emulation): (Vec<Box<dyn Port>>, _, _, _) = match kind {
             BenchKind::Lockstep | BenchKind::Emulated => {
                 if !can.is_empty() || serial.is_some() {

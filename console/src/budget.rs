@@ -6,7 +6,7 @@ use anyhow::anyhow;
 use can::StandardId;
 use can::schedule::{self, Every, Message, Sender};
 use can::timing::Bitrate;
-use controller::cell::Path;
+use controller::cell::{Path, Protocol};
 use drive::cia402::{Cia402Group, Traffic};
 use serde::Serialize;
 
@@ -22,8 +22,28 @@ pub(crate) struct BusBudget {
     /// Share of the period after which the last frame of a cycle has left at the latest, percent.
     pub(crate) worst_case_percent: f64,
     pub(crate) messages: Vec<MessageBudget>,
-    /// The bit rate.
+    /// The bit rate, of all lines of a bundle together.
     pub(crate) bits_per_second: f64,
+    /// Absent for a CAN bus.
+    pub(crate) serial: Option<Bundle>,
+}
+
+/// A bundle of serial lines. Each carries the messages of one axis; loads and times are of one line.
+#[derive(Debug, Serialize)]
+pub(crate) struct Bundle {
+    pub(crate) protocol: Protocol,
+    pub(crate) baud: u32,
+    pub(crate) lines: Vec<Line>,
+}
+
+/// The line of one axis.
+#[derive(Debug, Serialize)]
+pub(crate) struct Line {
+    pub(crate) axis: String,
+    /// The tty.
+    pub(crate) line: String,
+    /// Where the protocol has addresses.
+    pub(crate) address: Option<u8>,
 }
 
 /// One message of a bus.
@@ -76,6 +96,7 @@ fn check_bus(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
             })
             .collect(),
         bits_per_second: 1e3 * f64::from(bus.bitrate_kbps),
+        serial: None,
     };
     if analysis.busy <= period {
         return Ok(budget);
@@ -107,7 +128,16 @@ fn check_lines(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
         period_us: period.as_micros(),
         response_us: Some(response.as_micros()),
     };
-    let lines = file.cell.axes_on(file.cell.bus.len() + index).count();
+    let axes = file.cell.axes_on(file.cell.bus.len() + index);
+    let line = |(robot, axis): (usize, usize)| {
+        let axis = &file.cell.robot[robot].axis[axis];
+        Some(Line {
+            axis: axis.name.clone(),
+            line: axis.controller.as_ref()?.line.clone(),
+            address: (bundle.protocol == Protocol::Nfv2).then_some(axis.node),
+        })
+    };
+    let lines: Vec<_> = axes.filter_map(line).collect();
     let budget = BusBudget {
         name: bundle.name.clone(),
         load_percent: share(settings.line_time(request.max(answer))),
@@ -116,7 +146,12 @@ fn check_lines(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
             message("request", request, asked),
             message("answer", answer, answered),
         ],
-        bits_per_second: f64::from(bundle.baud) * lines as f64,
+        bits_per_second: f64::from(bundle.baud) * lines.len() as f64,
+        serial: Some(Bundle {
+            protocol: bundle.protocol,
+            baud: bundle.baud,
+            lines,
+        }),
     };
     if answered <= period {
         return Ok(budget);

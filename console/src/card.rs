@@ -20,7 +20,11 @@ pub(crate) fn prepare(interface: &Interface, bus: &Bus, set: bool) -> anyhow::Re
         let bitrate = Bitrate::from_kbps(kbps)
             .with_context(|| format!("{kbps} kbit/s is no bit rate of CAN, 10 to 1000 kbit/s"))?;
         let card = card::set_bitrate(name, bitrate)?;
-        eprintln!("bus {}: {name} {}", bus.name, described(&card));
+        crate::streams::warn(format_args!(
+            "bus {}: {name} {}",
+            bus.name,
+            described(&card)
+        ));
         return Ok(());
     }
     let card = match card::read(name) {

@@ -1,14 +1,15 @@
 //! `mrroc check` and `mrroc schema`.
 
+use std::fmt;
 use std::path::Path;
 use std::process::ExitCode;
 
 use controller::cell::Cell;
 use serde::Serialize;
 
-use crate::budget::{self, BusBudget};
+use crate::budget::{self, Bundle, BusBudget, Line};
 use crate::cell_file::CellFile;
-use crate::rehearsal;
+use crate::{rehearsal, streams};
 
 /// What a check found, where nothing is wrong.
 #[derive(Serialize)]
@@ -58,12 +59,7 @@ pub(crate) fn check(path: &Path, json: bool) -> anyhow::Result<ExitCode> {
         program_s: program.as_secs_f64(),
         buses,
     };
-    if json {
-        println!("{}", serde_json::to_string(&checked)?);
-    } else {
-        print(&checked);
-    }
-    Ok(ExitCode::SUCCESS)
+    streams::answer(&checked, json)
 }
 
 fn configurations(file: &CellFile, robot: usize) -> Vec<CheckedConfiguration> {
@@ -80,47 +76,84 @@ fn configurations(file: &CellFile, robot: usize) -> Vec<CheckedConfiguration> {
     configured.collect()
 }
 
-fn print(checked: &Checked) {
-    for robot in &checked.robots {
-        println!(
-            "robot {}: {} axes, {} instructions",
-            robot.name, robot.axes, robot.instructions
-        );
-        for configured in &robot.configurations {
-            println!(
-                "  axis {}: {} asks for {} writes and notes {} values more",
-                configured.axis, configured.file, configured.writes, configured.left_out
-            );
+impl fmt::Display for Checked {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for robot in &self.robots {
+            writeln!(
+                f,
+                "robot {}: {} axes, {} instructions",
+                robot.name, robot.axes, robot.instructions
+            )?;
+            for configured in &robot.configurations {
+                writeln!(
+                    f,
+                    "  axis {}: {} asks for {} writes and notes {} values more",
+                    configured.axis, configured.file, configured.writes, configured.left_out
+                )?;
+            }
         }
+        writeln!(f, "programs take {:.1} s after homing", self.program_s)?;
+        for bus in &self.buses {
+            self.write_bus(f, bus)?;
+        }
+        writeln!(f, "\n{} is ready", self.cell)
     }
-    println!("programs take {:.1} s after homing", checked.program_s);
-    for bus in &checked.buses {
-        println!(
-            "\nbus {}: load {:.1} %, the last frame of a cycle has left after {:.1} % of {} µs at the worst",
-            bus.name, bus.load_percent, bus.worst_case_percent, checked.period_us
-        );
-        println!(
+}
+
+impl Checked {
+    fn write_bus(&self, f: &mut fmt::Formatter<'_>, bus: &BusBudget) -> fmt::Result {
+        let (load, worst) = (bus.load_percent, bus.worst_case_percent);
+        match &bus.serial {
+            None => writeln!(
+                f,
+                "\nbus {}: load {load:.1} %, the last frame of a cycle has left after {worst:.1} % of {} µs at the worst",
+                bus.name, self.period_us
+            )?,
+            Some(Bundle {
+                protocol,
+                baud,
+                lines,
+            }) => {
+                writeln!(
+                    f,
+                    "\nserial bundle {}: {} at {baud} bit/s, load {load:.1} % of each line, the answer has come after \
+                     {worst:.1} % of {} µs at the worst",
+                    bus.name,
+                    protocol.name(),
+                    self.period_us
+                )?;
+                for Line {
+                    axis,
+                    line,
+                    address,
+                } in lines
+                {
+                    let address =
+                        address.map_or(String::new(), |address| format!(", address {address}"));
+                    writeln!(f, "  axis {axis}: {line}{address}")?;
+                }
+            }
+        }
+        writeln!(
+            f,
             "  {:16} {:>6} {:>5} {:>10} {:>11}",
             "frame", "id", "bytes", "every µs", "response µs"
-        );
+        )?;
+        let shown = |value: Option<String>| value.unwrap_or("-".to_owned());
         for message in &bus.messages {
-            let response = message
-                .response_us
-                .map_or("-".to_owned(), |response| response.to_string());
-            let id = message
-                .cob_id
-                .map_or("-".to_owned(), |id| format!("{id:#x}"));
-            println!(
+            let response = shown(message.response_us.map(|response| response.to_string()));
+            let id = shown(message.cob_id.map(|id| format!("{id:#x}")));
+            writeln!(
+                f,
                 "  {:16} {id:>6} {:>5} {:>10} {response:>11}",
                 message.what, message.bytes, message.period_us
-            );
+            )?;
         }
+        Ok(())
     }
-    println!("\n{} is ready", checked.cell);
 }
 
 /// Prints the JSON schema of cell files.
 pub(crate) fn schema() -> anyhow::Result<ExitCode> {
-    println!("{}", serde_json::to_string_pretty(&Cell::schema())?);
-    Ok(ExitCode::SUCCESS)
+    streams::print(serde_json::to_string_pretty(&Cell::schema())? + "\n")
 }

@@ -120,14 +120,11 @@ impl Configuration {
     }
 }
 
-/// The cell counts at the motor shaft, and so must a drive whose scale is written (CiA 402-2, objects 0x608F and 0x6091:
-/// each a ratio of its sub-indices 1 and 2). Else the line and what is wrong.
+/// The cell counts at the motor shaft, and so must a drive whose scale is written: by its feed constant (0x6092), or by
+/// its encoder (0x608F) where that is not written, and its gear ratio (0x6091), each a ratio of its sub-indices 1 and 2.
+/// Else the line and what is wrong.
 fn check_scale(download: &Download, counts: u32) -> Result<(), (u32, String)> {
-    let scales = [
-        (0x608F, "counts per revolution", counts),
-        (0x6091, "motor revolutions per shaft revolution", 1),
-    ];
-    for (index, what, expected) in scales {
+    let ratio = |index: u16| {
         let written = |subindex: u8| {
             let mut writes = download.writes.iter();
             let write =
@@ -135,13 +132,26 @@ fn check_scale(download: &Download, counts: u32) -> Result<(), (u32, String)> {
             let value = <[u8; 4]>::try_from(write.data.as_slice()).ok()?;
             Some((write.line, u32::from_le_bytes(value)))
         };
-        let Some((line, above)) = written(1).or(written(2).map(|(line, _)| (line, 1))) else {
+        let (line, above) = written(1).or(written(2).map(|(line, _)| (line, 1)))?;
+        Some((line, above, written(2).map_or(1, |(_, below)| below)))
+    };
+    let mut scales = vec![
+        (0x6091, "motor revolutions per shaft revolution", 1),
+        (0x6092, "position units per shaft revolution", counts),
+    ];
+    if ratio(0x6092).is_none() {
+        scales.push((0x608F, "counts per revolution", counts));
+    }
+    for (index, what, expected) in scales {
+        let Some((line, above, below)) = ratio(index) else {
             continue;
         };
-        let below = written(2).map_or(1, |(_, below)| below);
         if u64::from(above) != u64::from(expected) * u64::from(below) {
-            let problem =
-                format!("{index:#06x} sets {above}/{below} {what}, the cell says {expected}");
+            let ratio = match below {
+                1 => above.to_string(),
+                _ => format!("{above}/{below}"),
+            };
+            let problem = format!("{index:#06x} sets {ratio} {what}, the cell says {expected}");
             return Err((line, problem));
         }
     }

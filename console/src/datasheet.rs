@@ -15,7 +15,7 @@ use std::process::ExitCode;
 use clap::Args;
 
 use crate::kinematics::{Machine, Which};
-use crate::stdout;
+use crate::streams;
 use views::Drawing;
 
 #[derive(Args)]
@@ -30,7 +30,7 @@ pub(crate) struct Options {
 /// Prints the data sheet of a robot or of a device beside it, the gripper or the conveyor.
 pub(crate) fn datasheet(options: &Options) -> anyhow::Result<ExitCode> {
     let machine = Machine::find(&options.machine)?;
-    stdout::print(match (options.figure, views::drawing(&machine)) {
+    streams::print(match (options.figure, views::drawing(&machine)) {
         (false, _) => tables::sheet(&machine),
         (true, Drawing::Arm(views)) => {
             let symbols = views::symbols(&machine.parameters);

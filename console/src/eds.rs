@@ -8,14 +8,14 @@ use can::Instant;
 use hil::epos4::Epos4;
 
 use crate::cell_file::CellFile;
-use crate::{emulation, stdout};
+use crate::{emulation, streams};
 
 /// Prints the data sheet of the drive that is emulated for an axis.
 pub(crate) fn eds(cell: &Path, axis: &str) -> anyhow::Result<ExitCode> {
     let file = CellFile::read(cell)?;
     let (robot, number) = find(&file, axis)?;
     let config = emulation::config(&file, robot, number, Instant::ZERO);
-    stdout::print(Epos4::eds(&config))
+    streams::print(Epos4::eds(&config))
 }
 
 /// The axis that is called so: ROBOT/AXIS, or one name or node-ID that only one axis has.

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use can::{Instant, Port, Received, clock};
+use can::{Frame, Instant, Port, Received, clock};
 use canopen::sync::Sync;
 use clap::Args;
 use hil::{Cabinet, Device, Pty};
@@ -16,6 +16,8 @@ use hil::{Cabinet, Device, Pty};
 use crate::bus_port::BusPort;
 use crate::cell_file::CellFile;
 use crate::emulated_lines::EmulatedLines;
+use crate::emulated_time::EmulatedTime;
+use crate::plants::{Mechanisms, Payloads};
 use crate::{emulation, interfaces};
 
 /// Longest time between two looks at whether somebody pressed Ctrl-C.
@@ -29,11 +31,11 @@ const SEND: Duration = Duration::from_millis(100);
 pub(crate) struct Options {
     /// The cell file.
     cell: PathBuf,
-    /// The interface of a bus, IFACE or BUS=IFACE, in place of the cell's.
+    /// The interface of a bus in place of the cell's: IFACE, or once for each bus BUS=IFACE where there are several.
     #[arg(long, value_name = "IFACE")]
     can: Vec<String>,
-    /// An emulated slcan adapter for a bus, LINK or BUS=LINK, in place of an interface: LINK will be a symbolic
-    /// link to its tty.
+    /// An emulated slcan adapter for a bus in place of an interface, LINK, or once for each bus BUS=LINK where there are
+    /// several: LINK will be a symbolic link to its tty.
     #[arg(long, value_name = "LINK")]
     slcan: Vec<String>,
     /// Where the ttys of the cell's serial lines are put: one symbolic link per axis, by its name.
@@ -61,6 +63,11 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
         }
         links[index] = Some(link);
     }
+    let on_interfaces = interfaces.iter().zip(&links);
+    let on_interfaces = on_interfaces.map(|(interface, link)| link.is_none().then_some(interface));
+    interfaces::all_differ(&file.cell, on_interfaces)?;
+    let mechanisms = Mechanisms::of(&file);
+    let mut payloads = Payloads::of(&file, &mechanisms, clock::now());
     let mut buses = Vec::new();
     let mut lines = EmulatedLines::default();
     let mut names = Vec::new();
@@ -68,7 +75,7 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
         if let Some(link) = links[index] {
             let pty = Pty::linked(Path::new(link)).with_context(|| format!("--slcan {link}"))?;
             names.push(format!("{} behind {link}", bus.name));
-            lines.add_bus(&file, index, pty);
+            lines.add_bus(&file, &mechanisms, index, pty);
         } else {
             let interface = &interfaces[index];
             let port = BusPort::open(interface, bus.bitrate_kbps);
@@ -77,8 +84,10 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
             let now = clock::now();
             buses.push(EmulatedBus {
                 port,
-                devices: emulation::devices(&file, index, now),
+                devices: emulation::devices(&file, &mechanisms, index, now),
+                time: EmulatedTime::default(),
                 passed: now,
+                outgoing: Vec::new(),
             });
         }
     }
@@ -92,7 +101,7 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
         let cabinet = Cabinet::default();
         for axis in file.cell.axes_on(file.cell.bus.len() + bundle) {
             let pty = link_of(&file, axis, directory)?;
-            lines.add_axis(&file, bundle, axis, &cabinet, pty);
+            lines.add_axis(&file, &mechanisms, bundle, axis, &cabinet, pty);
         }
         names.push(format!("{} in {}", serial.name, directory.display()));
     }
@@ -112,12 +121,19 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
     let flag = stop.clone();
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed))
         .context("Ctrl-C cannot be caught")?;
-    println!(
+    crate::streams::say(format_args!(
         "{} emulated: bus {}; Ctrl-C ends it",
         file.cell.name,
         names.join(", bus ")
-    );
+    ))?;
     std::thread::scope(|scope| {
+        let flag = &stop;
+        scope.spawn(move || {
+            while let Some(due) = payloads.next().filter(|_| !flag.load(Ordering::Relaxed)) {
+                clock::sleep_until(due.min(clock::now() + LOOK));
+                payloads.take_over(clock::now());
+            }
+        });
         let serve = |bus: EmulatedBus| {
             let stop = &stop;
             scope.spawn(move || {
@@ -158,8 +174,11 @@ fn link_of(
 struct EmulatedBus {
     port: BusPort,
     devices: Vec<Box<dyn Device>>,
+    time: EmulatedTime,
     /// How far time has passed for the devices.
     passed: Instant,
+    /// What they have to say; as many as their queues hold.
+    outgoing: Vec<Frame>,
 }
 
 impl EmulatedBus {
@@ -174,50 +193,69 @@ impl EmulatedBus {
                 .devices
                 .iter()
                 .filter_map(|device| device.poll_timeout());
+            let timeouts = timeouts.map(|timeout| self.time.clock(timeout));
             let wake = timeouts.fold(clock::now() + LOOK, Instant::min);
             self.port.wait_readable(wake)?;
             let count = self.port.receive(clock::now(), &mut received)?;
             // Read after the frames came, so that none is ahead of it.
             let now = clock::now();
+            let came = received[..count].first().map_or(now, |first| first.at);
+            self.time.waited(wake, came);
             for Received { frame, at } in &received[..count] {
-                self.let_pass(*at);
+                self.let_pass(self.time.at(*at));
                 self.devices
                     .iter_mut()
                     .for_each(|device| device.handle(frame, self.passed));
             }
-            self.let_pass(now);
+            self.let_pass(self.time.at(now));
             self.transmit(now)?;
         }
         Ok(())
     }
 
-    /// Lets time pass to `to`. A frame is handled at the time it came, however late that is noticed: what
+    /// Lets the devices' time pass to `to`. A frame is handled at the time it came, however late that is noticed: what
     /// a drive watches is the bus and not this program.
     fn let_pass(&mut self, to: Instant) {
         self.passed = self.passed.max(to);
-        for device in &mut self.devices {
-            if device.poll_timeout().is_some_and(|due| due <= self.passed) {
+        let timeouts = self
+            .devices
+            .iter()
+            .filter_map(|device| device.poll_timeout());
+        // All at once: else each moves its plant on in a wake-up of its own.
+        if timeouts.min().is_some_and(|due| due <= self.passed) {
+            for device in &mut self.devices {
                 device.handle_timeout(self.passed);
             }
         }
     }
 
-    /// Sends what the devices have to say, each to the interface and to the other devices.
+    /// Sends what the devices have to say, to the interface and each to the other devices. What the interface does not
+    /// take in time is lost, as behind a bus that nobody acknowledges.
     fn transmit(&mut self, now: Instant) -> anyhow::Result<()> {
         for sender in 0..self.devices.len() {
-            while let Some(frame) = self.devices[sender].poll_transmit(now) {
+            while let Some(frame) = self.devices[sender].poll_transmit(self.passed) {
                 let others = self
                     .devices
                     .iter_mut()
                     .enumerate()
                     .filter(|(number, _)| *number != sender);
-                others.for_each(|(_, device)| device.handle(&frame, now));
-                let give_up = now + SEND;
-                while self.port.send(now, &[frame])? == 0 && clock::now() < give_up {
-                    clock::sleep_until(clock::now() + Duration::from_micros(100));
-                }
+                others.for_each(|(_, device)| device.handle(&frame, self.passed));
+                self.outgoing.push(frame);
             }
         }
+        // At once where there is room: a call for each frame costs more than all that the devices compute.
+        let mut rest = self.outgoing.as_slice();
+        let give_up = now + SEND;
+        while !rest.is_empty() {
+            rest = &rest[self.port.send(now, rest)?..];
+            if !rest.is_empty() {
+                if clock::now() >= give_up {
+                    break;
+                }
+                clock::sleep_until(clock::now() + Duration::from_micros(100));
+            }
+        }
+        self.outgoing.clear();
         Ok(())
     }
 }

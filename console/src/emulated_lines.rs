@@ -13,13 +13,19 @@ use serial::{Line, VirtualLine};
 use servo::thread::set_fifo;
 
 use crate::cell_file::CellFile;
+use crate::emulated_time::EmulatedTime;
 use crate::emulation;
+use crate::plants::Mechanisms;
 
 /// Longest time between two looks at whether somebody pressed Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);
 
 /// SCHED_FIFO priority that is asked for.
 const PRIORITY: u8 = 60;
+
+/// Between two looks at what the devices do, at the least: what bytes come is looked at when they come, but no byte that
+/// ends is worth a look, nor does a UART interrupt for one. A request of 2 ms cells and its answer take 0.4 ms.
+const GRAIN: Duration = Duration::from_micros(500);
 
 /// Bytes taken from a pseudo-terminal at a time; more wait in it.
 const CHUNK: usize = 4096;
@@ -50,8 +56,14 @@ enum End {
 
 impl EmulatedLines {
     /// Adds CAN bus `index` of a cell, reached by an slcan adapter on `pty`.
-    pub(crate) fn add_bus(&mut self, file: &CellFile, index: usize, pty: Pty) {
-        let bus = emulation::add_bus(&mut self.world, file, index);
+    pub(crate) fn add_bus(
+        &mut self,
+        file: &CellFile,
+        mechanisms: &Mechanisms,
+        index: usize,
+        pty: Pty,
+    ) {
+        let bus = emulation::add_bus(&mut self.world, file, mechanisms, index);
         let config = SlcanConfig::new(emulation::bitrate(file, index));
         let adapter = Box::new(SlcanDevice::new(config));
         let end = End::Adapter(self.world.add_device(bus, adapter));
@@ -63,12 +75,13 @@ impl EmulatedLines {
     pub(crate) fn add_axis(
         &mut self,
         file: &CellFile,
+        mechanisms: &Mechanisms,
         bundle: usize,
         axis: (usize, usize),
         cabinet: &Cabinet,
         pty: Pty,
     ) {
-        let line = emulation::add_line(&mut self.world, file, bundle, axis, cabinet);
+        let line = emulation::add_line(&mut self.world, file, mechanisms, bundle, axis, cabinet);
         self.add_line(line, pty);
     }
 
@@ -98,11 +111,12 @@ impl EmulatedLines {
         // Below a controller on the same host, above everything else; where it is denied, a busy host makes the
         // devices late.
         let _ = set_fifo(PRIORITY);
-        let start = clock::now();
+        let mut time = EmulatedTime::since(clock::now());
         let mut passed = Instant::ZERO;
         while !stop.load(Ordering::Relaxed) {
             let due = self.world.next_event().unwrap_or(Instant::FAR_FUTURE);
-            let wake = start + due.since(Instant::ZERO);
+            let wake = time.clock(due.max(passed + GRAIN));
+            let wake = wake.min(clock::now() + LOOK);
             let ends = self.lines.iter().map(|line| {
                 let interest = Interest {
                     read: line.end.room(&self.world) > 0,
@@ -110,13 +124,16 @@ impl EmulatedLines {
                 };
                 (line.pty.as_fd(), interest)
             });
-            pty::wait(ends, wake.min(clock::now() + LOOK))?;
+            let readable = pty::wait(ends, wake)?;
             // A pseudo-terminal does not tell when its bytes came. If this program slept too long, they are
             // taken for older than what falls due in between: what a device watches is its host's silence and
             // not this program's.
-            let now = Instant::ZERO + clock::now().since(start);
+            let now = clock::now();
+            time.waited(wake, now);
+            let now = time.at(now);
             passed = passed.max(now.min(due - Duration::from_nanos(1)));
-            for line in &mut self.lines {
+            let lines = self.lines.iter_mut().zip(readable);
+            for (line, _) in lines.filter(|(_, readable)| *readable) {
                 line.take(&mut self.world, passed)?;
             }
             passed = passed.max(now);

@@ -5,17 +5,16 @@ use std::time::Duration;
 use can::timing::Bitrate;
 use can::{Frame, Instant, StandardId, VirtualPort};
 use canopen::NodeId;
-use controller::cell::{Model, Plant, Protocol};
-use hil::epos4::{Epos4, Epos4Config};
-use hil::plant::Switch;
+use controller::cell::Protocol;
 use hil::{
-    AxisConfig, AxisControllerConfig, BusId, Cabinet, Device, Epos4Serial, EposSerialConfig,
-    HiMoxaAxisController, Irp6Axis, Irp6TrackAxis, LineDevice, Nfv2AxisController, World,
+    AxisControllerConfig, BusId, Cabinet, Device, Epos4, Epos4Config, Epos4Serial,
+    EposSerialConfig, HiMoxaAxisController, LineDevice, Nfv2AxisController, World,
 };
 use serial::{Settings, VirtualLine};
 
 use crate::bridge::{Bridge, BridgedTty};
 use crate::cell_file::CellFile;
+use crate::plants::{Mechanisms, Payloads, plant};
 
 /// Frames that the host's end of a virtual bus holds each way.
 const QUEUE: usize = 256;
@@ -38,6 +37,7 @@ pub(crate) struct Emulation {
     buses: Vec<BusId>,
     /// Where the host's ends of lines are ttys.
     bridges: Vec<Bridge>,
+    payloads: Payloads,
     /// Up to when time has passed.
     passed: Instant,
 }
@@ -56,8 +56,9 @@ impl Emulation {
     /// The world of a cell, switched on at [`Instant::ZERO`].
     pub(crate) fn of(file: &CellFile) -> (Self, HostEnds) {
         let mut world = World::new();
+        let mechanisms = Mechanisms::of(file);
         let buses: Vec<_> = (0..file.cell.bus.len())
-            .map(|index| add_bus(&mut world, file, index))
+            .map(|index| add_bus(&mut world, file, &mechanisms, index))
             .collect();
         let mut ends = |queue| -> Vec<_> {
             let buses = buses.iter();
@@ -67,7 +68,7 @@ impl Emulation {
         let lines = (0..file.cell.serial.len()).map(|bundle| {
             let cabinet = Cabinet::default();
             let axes = file.cell.axes_on(file.cell.bus.len() + bundle);
-            axes.map(|axis| add_line(&mut world, file, bundle, axis, &cabinet))
+            axes.map(|axis| add_line(&mut world, file, &mechanisms, bundle, axis, &cabinet))
                 .collect()
         });
         let ends = HostEnds {
@@ -79,6 +80,7 @@ impl Emulation {
             world,
             buses,
             bridges: Vec::new(),
+            payloads: Payloads::of(file, &mechanisms, Instant::ZERO),
             passed: Instant::ZERO,
         };
         (emulation, ends)
@@ -109,6 +111,7 @@ impl Emulation {
         for bridge in &mut self.bridges {
             bridge.take(self.passed);
         }
+        self.payloads.take_over(self.passed);
         self.world.advance(until);
         for bridge in &mut self.bridges {
             bridge.deliver(until);
@@ -145,9 +148,14 @@ impl Device for Chatter {
 }
 
 /// Adds bus `bus` of a cell with its devices, switched on at [`Instant::ZERO`].
-pub(crate) fn add_bus(world: &mut World, file: &CellFile, bus: usize) -> BusId {
+pub(crate) fn add_bus(
+    world: &mut World,
+    file: &CellFile,
+    mechanisms: &Mechanisms,
+    bus: usize,
+) -> BusId {
     let id = world.add_bus(bitrate(file, bus));
-    for device in devices(file, bus, Instant::ZERO) {
+    for device in devices(file, mechanisms, bus, Instant::ZERO) {
         world.add_device(id, device);
     }
     id
@@ -164,6 +172,7 @@ pub(crate) fn bitrate(file: &CellFile, bus: usize) -> Bitrate {
 pub(crate) fn add_line(
     world: &mut World,
     file: &CellFile,
+    mechanisms: &Mechanisms,
     bundle: usize,
     (robot, number): (usize, usize),
     cabinet: &Cabinet,
@@ -172,7 +181,7 @@ pub(crate) fn add_line(
     let latency = bundle
         .emulated_latency_ms
         .map(|latency| Duration::from_millis(u64::from(latency)));
-    let device = axis_controller(file, bundle.protocol, (robot, number), cabinet);
+    let device = axis_controller(file, mechanisms, bundle.protocol, (robot, number), cabinet);
     let line = world.add_line(bundle.settings(), latency, device);
     world.host_line(line, LINE)
 }
@@ -192,6 +201,7 @@ pub(crate) fn add_service_port(
 
 fn axis_controller(
     file: &CellFile,
+    mechanisms: &Mechanisms,
     protocol: Protocol,
     (robot, number): (usize, usize),
     cabinet: &Cabinet,
@@ -203,6 +213,7 @@ fn axis_controller(
     let config = AxisControllerConfig {
         seed: seed(file, robot, number),
         cabinet: cabinet.clone(),
+        mount: mechanisms.mount(file, robot, number),
         ..AxisControllerConfig::new(plant(file, robot, number))
     };
     match axis.emulator.protocol.unwrap_or(protocol) {
@@ -236,17 +247,31 @@ pub(crate) fn axes_present(file: &CellFile, bus: usize) -> impl Iterator<Item = 
 }
 
 /// The devices on bus `bus`, switched on at `power_on`.
-pub(crate) fn devices(file: &CellFile, bus: usize, power_on: Instant) -> Vec<Box<dyn Device>> {
+pub(crate) fn devices(
+    file: &CellFile,
+    mechanisms: &Mechanisms,
+    bus: usize,
+    power_on: Instant,
+) -> Vec<Box<dyn Device>> {
     axes_present(file, bus)
-        .map(|(robot, axis)| device(file, robot, axis, power_on))
+        .map(|(robot, axis)| device(file, mechanisms, robot, axis, power_on))
         .collect()
 }
 
-fn device(file: &CellFile, robot: usize, number: usize, power_on: Instant) -> Box<dyn Device> {
-    Box::new(Epos4::new(config(file, robot, number, power_on)))
+fn device(
+    file: &CellFile,
+    mechanisms: &Mechanisms,
+    robot: usize,
+    number: usize,
+    power_on: Instant,
+) -> Box<dyn Device> {
+    Box::new(Epos4::new(Epos4Config {
+        mount: mechanisms.mount(file, robot, number),
+        ..config(file, robot, number, power_on)
+    }))
 }
 
-/// What stands in for the drive of an axis.
+/// What stands in for the drive of an axis, its motor on no mechanism.
 pub(crate) fn config(
     file: &CellFile,
     robot: usize,
@@ -276,58 +301,4 @@ pub(crate) fn config(
 fn seed(file: &CellFile, robot: usize, number: usize) -> u64 {
     let axis = (robot * 16 + number) as u64;
     file.cell.seed.wrapping_mul(1000).wrapping_add(axis)
-}
-
-/// Motor, load, sensors and switches of an axis.
-fn plant(file: &CellFile, robot: usize, number: usize) -> AxisConfig {
-    let axis = &file.cell.robot[robot].axis[number];
-    let home = file.arms[robot].robot().home()[number];
-    let preset = match file.cell.robot[robot].model {
-        Model::Irb6 | Model::Irp6 | Model::Irp6Calibrated => {
-            return arm_plant(file, robot, number);
-        }
-        Model::Irp6Track | Model::Irp6TrackCalibrated => {
-            AxisConfig::irp6_track(Irp6TrackAxis::ALL[number])
-        }
-        Model::Rnt => AxisConfig::rnt(number).expect(AS_MANY),
-        Model::Polycrank => AxisConfig::polycrank(number).expect(AS_MANY),
-        Model::Gripper => AxisConfig::gripper(),
-        Model::Conveyor => AxisConfig::conveyor(),
-    };
-    let preset = preset.with_home(home);
-    AxisConfig {
-        counts_per_revolution: axis.counts_per_revolution(),
-        start_angle: axis.emulator.start.unwrap_or(preset.start_angle),
-        ..preset
-    }
-}
-
-const AS_MANY: &str = "a parsed robot has as many axes as its model";
-
-/// The same of an arm on its pedestal.
-fn arm_plant(file: &CellFile, robot: usize, number: usize) -> AxisConfig {
-    let axis = &file.cell.robot[robot].axis[number];
-    let home = file.arms[robot].robot().home()[number];
-    let limits = file.arms[robot].robot().motor_limits()[number];
-    let kind = Irp6Axis::ALL[number];
-    let preset = match axis.emulator.plant {
-        Plant::Physical => AxisConfig::irp6(kind),
-        Plant::Wut => AxisConfig::wut(kind),
-    };
-    let switch = |from, to| {
-        Some(Switch {
-            from,
-            to,
-            bounce: 0,
-        })
-    };
-    AxisConfig {
-        counts_per_revolution: axis.counts_per_revolution(),
-        index_angle: home,
-        start_angle: axis.emulator.start.unwrap_or(home + 20.0),
-        home_switch: switch(home - 20.0, home - 2.0),
-        negative_limit: switch(f64::NEG_INFINITY, limits.low),
-        positive_limit: switch(limits.high, f64::INFINITY),
-        ..preset
-    }
 }

@@ -187,7 +187,7 @@ pub(crate) fn identify(options: &Options) -> anyhow::Result<ExitCode> {
     let (run, trace) = match ended.finish().with_context(|| name.clone())? {
         Ok(measured) => measured,
         Err(why) => {
-            eprintln!("mrroc: {name}: {why}");
+            crate::streams::warn(format_args!("mrroc: {name}: {why}"));
             return Ok(ExitCode::from(1));
         }
     };
@@ -203,7 +203,7 @@ pub(crate) fn identify(options: &Options) -> anyhow::Result<ExitCode> {
         write("bode.svg", bode::chart(&report))?;
         write("bode.csv", report.csv())?;
     }
-    crate::run::print(&report, options.json)?;
+    crate::streams::answer(&report, options.json)?;
     Ok(ExitCode::SUCCESS)
 }
 

@@ -99,17 +99,42 @@ fn tty_of(text: &str) -> (String, u32) {
     (path.to_owned(), baud)
 }
 
-/// The interface of each bus, in the cell's order: the cell's own, or as `overrides` say.
+/// The interface of each bus, in the cell's order: the cell's own, or as `overrides` say, at most one for each bus.
 ///
 /// An override is `IFACE` for a cell of one bus, or `BUS=IFACE`.
 pub(crate) fn resolve(cell: &Cell, overrides: &[String]) -> anyhow::Result<Vec<Interface>> {
     let of_cell = cell.bus.iter().map(|bus| Interface::parse(&bus.interface));
     let mut interfaces: Vec<_> = of_cell.collect();
+    let mut by = vec![None; interfaces.len()];
     for given in overrides {
         let (index, interface) = bus_of(cell, "--can", given)?;
+        if let Some(first) = by[index].replace(given) {
+            bail!("--can {given}: the bus is already given another by --can {first}");
+        }
         interfaces[index] = Interface::parse(interface);
     }
     Ok(interfaces)
+}
+
+/// Refuses buses that share an interface; one without any shares none.
+pub(crate) fn all_differ<'a>(
+    cell: &Cell,
+    interfaces: impl IntoIterator<Item = Option<&'a Interface>>,
+) -> anyhow::Result<()> {
+    let mut taken = Vec::<(&Interface, &str)>::new();
+    for (interface, bus) in interfaces.into_iter().zip(&cell.bus) {
+        let Some(interface) = interface else {
+            continue;
+        };
+        if let Some((_, first)) = taken.iter().find(|(other, _)| *other == interface) {
+            bail!(
+                "bus {}: {interface} is that of bus {first}: give each its own, --can BUS=IFACE",
+                bus.name
+            );
+        }
+        taken.push((interface, &bus.name));
+    }
+    Ok(())
 }
 
 /// What an option says of which bus: `VALUE` for a cell of one bus, or `BUS=VALUE`.
@@ -121,17 +146,28 @@ pub(crate) fn bus_of<'a>(
     match given.split_once('=') {
         Some((name, value)) => {
             let index = cell.bus.iter().position(|bus| bus.name == name);
-            let index =
-                index.with_context(|| format!("{option} {given}: the cell has no bus {name:?}"))?;
+            let index = index.with_context(|| {
+                format!(
+                    "{option} {given}: the cell has no bus {name:?}, only {}",
+                    names(cell)
+                )
+            })?;
             Ok((index, value))
         }
         None if cell.bus.len() == 1 => Ok((0, given)),
         None if cell.bus.is_empty() => bail!("{option} {given}: the cell has no CAN bus"),
         None => bail!(
-            "{option} {given}: the cell has {} buses, say which as BUS=VALUE",
-            cell.bus.len()
+            "{option} {given}: the cell has {} buses, say which as BUS={given}: {}",
+            cell.bus.len(),
+            names(cell)
         ),
     }
+}
+
+/// The names of the buses.
+fn names(cell: &Cell) -> String {
+    let names: Vec<_> = cell.bus.iter().map(|bus| bus.name.as_str()).collect();
+    names.join(", ")
 }
 
 #[cfg(test)]

@@ -351,7 +351,7 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
         cell.as_ref().map_or(&ours.causes, |cell| &cell.late),
         cell.as_ref().map(MeasuredCell::report),
     );
-    crate::run::print(&report, options.json)?;
+    crate::streams::answer(&report, options.json)?;
     let written = match (files, failed) {
         (_, Some(error)) => Err(error).context("ours.hlog cannot be written"),
         (None, None) => Ok(()),
@@ -368,7 +368,7 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
     }));
     if let Err(error) = &written {
         // Too late to refuse: it has been measured.
-        eprintln!("mrroc: {error:#}");
+        crate::streams::warn(format_args!("mrroc: {error:#}"));
     }
     Ok(ExitCode::from(u8::from(ended_early || written.is_err())))
 }

@@ -14,6 +14,7 @@ use clap::{ArgGroup, Args, Subcommand};
 
 pub(crate) use machine::{Machine, Which};
 
+use crate::streams;
 use answers::{Forward, Inverse, Ranges, Sensitivity};
 
 /// The robot, and the form of the answer.
@@ -87,7 +88,7 @@ pub(crate) fn kinematics(question: &Question) -> anyhow::Result<ExitCode> {
                 (None, Some(motors)) => machine.joints_from_motors(motors)?,
                 (None, None) => bail!("neither --joints nor --motors is given"),
             };
-            print(common, &Forward::of(&machine, &joints)?)
+            streams::answer(&Forward::of(&machine, &joints)?, common.json)
         }
         Question::Ik {
             common,
@@ -104,28 +105,16 @@ pub(crate) fn kinematics(question: &Question) -> anyhow::Result<ExitCode> {
             let solutions = machine.robot.inverse(&pose, &near);
             let solutions =
                 solutions.with_context(|| format!("{}: no joints for this pose", machine.name))?;
-            print(common, &Inverse::of(&machine, &solutions))
+            streams::answer(&Inverse::of(&machine, &solutions), common.json)
         }
         Question::Jacobian { common, joints } => {
             let machine = Machine::find(&common.machine)?;
             let joints = machine.joints("--joints", joints)?;
-            print(common, &Sensitivity::of(&machine, &joints)?)
+            streams::answer(&Sensitivity::of(&machine, &joints)?, common.json)
         }
         Question::Limits { common } => {
             let machine = Machine::find(&common.machine)?;
-            print(common, &Ranges::of(&machine))
+            streams::answer(&Ranges::of(&machine), common.json)
         }
     }
-}
-
-fn print<Answer: serde::Serialize + std::fmt::Display>(
-    common: &Common,
-    answer: &Answer,
-) -> anyhow::Result<ExitCode> {
-    let text = if common.json {
-        serde_json::to_string(answer)? + "\n"
-    } else {
-        answer.to_string()
-    };
-    crate::stdout::print(text)
 }

@@ -3,6 +3,8 @@
 //! Exit status: 0 done; 1 stopped by a fault or on request, or a node was told and did not do it; 2 refused before
 //! anything moved, or no answer.
 
+#![deny(clippy::print_stdout, clippy::print_stderr)]
+
 mod bench;
 mod bridge;
 mod budget;
@@ -18,12 +20,14 @@ mod doctor;
 mod eds;
 mod emulate;
 mod emulated_lines;
+mod emulated_time;
 mod emulation;
 mod identify;
 mod interfaces;
 mod jitter;
 mod kinematics;
 mod manual;
+mod plants;
 mod programs;
 mod rehearsal;
 mod report;
@@ -31,7 +35,7 @@ mod run;
 mod service;
 mod setup;
 mod spikes;
-mod stdout;
+mod streams;
 mod svg;
 mod trace;
 mod urdf;
@@ -154,7 +158,7 @@ fn main() -> ExitCode {
         Command::Manual { directory } => manual::write(Arguments::command(), &directory),
     };
     result.unwrap_or_else(|refusal| {
-        eprintln!("mrroc: {refusal:#}");
+        streams::warn(format_args!("mrroc: {refusal:#}"));
         ExitCode::from(2)
     })
 }

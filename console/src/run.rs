@@ -7,8 +7,6 @@
 //! that takes nothing is not waited for. Whatever may still have power afterwards is a fault of the run.
 
 use std::cell::{Cell as Shared, RefCell};
-use std::fmt::Display;
-use std::io::Write as _;
 use std::mem::take;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -21,7 +19,6 @@ use std::time::Duration;
 use anyhow::{Context, anyhow, bail};
 use can::{Instant, clock};
 use clap::Args;
-use serde::Serialize;
 use servo::thread::{self, Finished, Running};
 use servo::{NotUp, Servo, Timing, lockstep};
 use signal_hook::consts::SIGUSR1;
@@ -35,12 +32,12 @@ use crate::report::{FaultReport, Outcome, Ran, Report};
 use crate::spikes::SpikeFile;
 use crate::trace::{AxisLog, FrameLog};
 use crate::wire::Wire;
-use crate::{clockwork, rehearsal, setup};
+use crate::{clockwork, rehearsal, setup, streams};
 
 /// Records that an axis log may lag behind the servo, per effector: some seconds.
 const RECORDS: usize = 1 << 13;
 
-/// How often the controller looks at its effectors, at the least: a tenth of the usual macrostep.
+/// How often the controller looks at its effectors: this is a tenth of the usual macrostep, and a tenth of a longer one is.
 const POLL: Duration = Duration::from_millis(2);
 
 /// How far the controller's priority is below the servo's.
@@ -192,9 +189,11 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
         clock::now().since(began),
         outcome,
     );
-    if let Err(error) = print(&report, options.json) {
+    if let Err(error) = streams::answer(&report, options.json) {
         // Too late to refuse: everything has moved.
-        eprintln!("mrroc: the report cannot be printed: {error:#}");
+        streams::warn(format_args!(
+            "mrroc: the report cannot be printed: {error:#}"
+        ));
         return Ok(ExitCode::from(1));
     }
     Ok(ExitCode::from(if outcome == Outcome::Completed {
@@ -202,19 +201,6 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
     } else {
         1
     }))
-}
-
-/// Prints the report; a reader that has gone, such as `head`, is no failure of the run.
-pub(crate) fn print(report: &(impl Serialize + Display), json: bool) -> anyhow::Result<()> {
-    let text = if json {
-        serde_json::to_string(report)?
-    } else {
-        report.to_string()
-    };
-    match writeln!(std::io::stdout(), "{text}") {
-        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(error.into()),
-        _ => Ok(()),
-    }
 }
 
 /// What signals ask for.
@@ -508,6 +494,7 @@ fn by_the_clock(
     let trace = asked.trace.clone();
     let running = clockwork::start(servo, emulation, emulated_since, policy, trace, until)?;
     let turning = Turning::of(running, done.clone());
+    let poll = POLL.max(file.cell.period() * u32::from(file.cell.macrostep) / 10);
     let (tell, told) = sync_channel(SEEN);
     std::thread::scope(|scope| {
         // The scope waits for the controller: a panic of this thread must end that too.
@@ -527,7 +514,7 @@ fn by_the_clock(
                 && !asked.stop.load(Ordering::Relaxed)
                 && !turning.is_finished()
             {
-                clock::sleep_until(clock::now() + POLL);
+                clock::sleep_until(clock::now() + poll);
             }
             drop(tell);
         });

@@ -5,8 +5,9 @@ use std::time::Duration;
 
 use anyhow::Context;
 use can::Port;
-use controller::cell::{self, Bus, Cell, ENABLING, Policy, Serial};
+use controller::cell::{self, Bus, Cell, ENABLING, Homing, Policy, Serial};
 use controller::ecp::{EcpConfig, Meetings};
+use controller::robot::Limits;
 use drive::DriveGroup;
 use drive::axis_controller::AxisControllerGroup;
 use drive::cia402::{AxisConfig, Cia402Group, CyclicMode};
@@ -17,7 +18,8 @@ use servo::{EffectorConfig, Gates, HostHoming, ServoAxisConfig, ServoConfig};
 use crate::cell_file::CellFile;
 use crate::configuration::Configuration;
 
-/// Longest time that all axes of an effector may take to home, if their drives home them.
+/// An effector may take as long to home, however short the searches of its axes are; and so may a search by the drive
+/// of an axis without ends, since nothing tells how far it goes.
 const HOMING: Duration = Duration::from_secs(120);
 
 /// No effector homes for longer, whatever its searches could take.
@@ -87,7 +89,7 @@ pub(crate) fn servo_config(file: &CellFile) -> ServoConfig {
             name: robot.name.clone(),
             queue: usize::from(LEAD) + 8,
             enabling_timeout: ENABLING,
-            homing_timeout: homing_timeout(&axes),
+            homing_timeout: homing_timeout(file, index, &axes),
             axes,
         }
     };
@@ -116,31 +118,42 @@ fn servo_axes(file: &CellFile, robot: usize) -> Vec<ServoAxisConfig> {
             .expect("a parsed cell has the bus");
         let index_in_group = cell
             .axes_on(group)
-            .position(|place| place == (robot, number));
-        axis.servo_config(
-            group,
-            index_in_group.expect("the axis is on its bus"),
-            limits,
-        )
+            .position(|place| place == (robot, number))
+            .expect("the axis is on its bus");
+        cell.robot[robot].servo_config(number, group, index_in_group, limits)
     };
     (0..cell.robot[robot].axis.len()).map(axis).collect()
 }
 
 /// Longest time that an effector of these axes may take to home: one order after the other, each as long as
-/// the longest of its searches. Each leg of a search has a time-out of its own.
-fn homing_timeout(axes: &[ServoAxisConfig]) -> Duration {
+/// the longest of its searches. Each leg of a search by the host has a time-out of its own.
+fn homing_timeout(file: &CellFile, robot: usize, axes: &[ServoAxisConfig]) -> Duration {
     let mut orders = BTreeMap::<u8, Duration>::new();
-    for axis in axes {
+    let limits = file.arms[robot].robot().motor_limits();
+    let given = file.cell.robot[robot].axis.iter().zip(limits);
+    for (axis, (given, limits)) in axes.iter().zip(given) {
         let longest = orders.entry(axis.homing_order).or_default();
-        *longest = axis
-            .homing
-            .map_or(Duration::ZERO, longest_search)
-            .max(*longest);
+        let search = match axis.homing {
+            Some(homing) => longest_search(homing),
+            None => longest_search_by_drive(&given.homing, *limits),
+        };
+        *longest = search.max(*longest);
     }
     let searches = orders
         .into_values()
         .fold(Duration::ZERO, Duration::saturating_add);
     searches.max(HOMING).min(LONGEST_HOMING)
+}
+
+/// The longest that a search by a drive may take: to one end of the travel and back over all of it, and off a switch
+/// that may be as wide.
+fn longest_search_by_drive(homing: &Homing, limits: Limits) -> Duration {
+    let travel = limits.high - limits.low;
+    let seconds = 2.0 * travel / homing.search_velocity + travel / homing.zero_velocity;
+    match Duration::try_from_secs_f64(seconds) {
+        Ok(search) if search <= LONGEST_HOMING => search,
+        _ => HOMING,
+    }
 }
 
 /// The longest that one search may take: it begins on the home switch and leaves it, turns round at a limit
@@ -165,7 +178,7 @@ pub(crate) fn ecp_config(file: &CellFile, robot: usize) -> EcpConfig {
         lead: LEAD,
         silence: Duration::from_secs(10),
         switching: ENABLING * 2,
-        homing: homing_timeout(&servo_axes(file, robot)) + ENABLING,
+        homing: homing_timeout(file, robot, &servo_axes(file, robot)) + ENABLING,
         meeting: Duration::from_secs(cell.meeting_timeout_s.into()),
     }
 }
@@ -218,8 +231,16 @@ mod tests {
     }
 
     #[test]
-    fn searches_of_the_host_get_the_time_of_their_legs_and_drives_what_they_had() {
-        assert_eq!(timeouts("irb6.toml"), (HOMING, HOMING + ENABLING));
+    fn searches_of_the_host_get_the_time_of_their_legs_and_those_of_drives_that_of_the_travel() {
+        // The Polycrank's axes have no ends: three orders of two minutes.
+        assert_eq!(timeouts("polycrank.toml").0, HOMING * 2);
+        let (servo, ecp) = timeouts("irp6-track.toml");
+        // The track alone: 2100 rad at 30 rad/s there and back, and off the switch at 3.5 rad/s.
+        assert!(
+            servo > Duration::from_secs(740) && ecp == servo + ENABLING,
+            "{servo:?}"
+        );
+        assert!(servo <= LONGEST_HOMING);
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../cells/irb6-serial.toml");
         let axes = servo_axes(&CellFile::read(&path).unwrap(), 0);
         // Every axis turns round at a limit switch and comes back all of its way, in four orders.

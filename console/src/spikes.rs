@@ -132,12 +132,13 @@ fn events(
         })
     };
     for (index, cycle) in spike.cycles.iter().enumerate() {
-        let next = spike.cycles.get(index + 1).map(|next| next.begun);
-        let end = next.unwrap_or(cycle.done);
+        let next = spike.cycles.get(index + 1);
+        let [called, end] = next.map_or([cycle.done; 2], |next| [next.called, next.begun]);
         let name = format!("cycle {}", cycle.cycle);
         events.push(slice(&name, "cycle", cycle.begun, end, details(cycle)));
         let mut from = cycle.begun;
-        for (name, to) in cycle.phases().into_iter().chain([("slack", end)]) {
+        let slack = [("slack", called), ("between cycles", end)];
+        for (name, to) in cycle.phases().into_iter().chain(slack) {
             if from < to {
                 events.push(slice(name, "phase", from, to, json!({})));
                 from = to;
@@ -199,6 +200,7 @@ mod tests {
         Stamps {
             cycle: number,
             deadline: at(1000),
+            called: at(380),
             begun: at(400),
             awake,
             reading: at(950 + late),

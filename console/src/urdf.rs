@@ -13,7 +13,7 @@ use controller::robot::{Link, LinkKind};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use crate::kinematics::{Machine, Which};
-use crate::stdout;
+use crate::streams;
 
 /// Radius of the rod between two joints, m.
 const ROD: f64 = 0.03;
@@ -34,7 +34,7 @@ pub(crate) fn urdf(options: &Options) -> anyhow::Result<ExitCode> {
         .ok_or_else(|| anyhow!("{}: no serial arm, and no description of one", machine.name))?;
     let mut text = String::new();
     write(&mut text, &machine, &links.0).context("the description cannot be written")?;
-    stdout::print(text)
+    streams::print(text)
 }
 
 fn write(text: &mut String, machine: &Machine, links: &[Link]) -> fmt::Result {

@@ -1,7 +1,7 @@
 //! Time of one call of each robot: forward and inverse kinematics, Jacobian, drive train.
 //!
-//! Targets: inverse under 500 ns, forward under 150 ns; inverse of the robots that choose a free parameter or have legs,
-//! and joints from the motors of legs, under 2 µs.
+//! Targets: inverse under 500 ns, forward under 150 ns; inverse of the robots that choose a free parameter or have legs
+//! under 1 µs, joints from the motors of legs under 2 µs.
 
 use std::{f64::consts::FRAC_PI_2, hint::black_box};
 

@@ -26,6 +26,9 @@ const PYTHON: &str = "target/peers/bin/python";
 /// Postures of each robot.
 const POSTURES: usize = 12;
 
+/// Forward kinematics is to take less, ns.
+const FORWARD: f64 = 150.0;
+
 /// Joints from motors are to take less, ns.
 const FROM_MOTORS: f64 = 2000.0;
 
@@ -52,7 +55,7 @@ fn main() -> ExitCode {
         let (forward, inverse, from_motors) =
             (robot.forward(), robot.inverse(), robot.joints_from_motors());
         let number = |key: &str| theirs[key].as_f64().unwrap_or(f64::NAN);
-        let slow = inverse >= robot.within || from_motors >= FROM_MOTORS;
+        let slow = forward >= FORWARD || inverse >= robot.within || from_motors >= FROM_MOTORS;
         holds &= !slow;
         println!(
             "{:10} {forward:8.0} {:10.0} {inverse:8.0} {:10.0}  ({:3.1} steps, {} of {} converged) {from_motors:6.0}{}",
@@ -67,6 +70,7 @@ fn main() -> ExitCode {
         rows.push(json!({
             "robot": robot.name,
             "forward_ns": forward,
+            "forward_within_ns": FORWARD,
             "inverse_ns": inverse,
             "inverse_within_ns": robot.within,
             "joints_from_motors_ns": from_motors,
@@ -203,19 +207,19 @@ fn robots() -> [Measured; 5] {
             "irp6-track",
             Box::new(track),
             &[0.4, 0.3, -1.5, 0.1, -0.2, 1.1, 0.6],
-            2000.0,
+            1000.0,
         ),
         made(
             "rnt",
             Box::new(rnt),
             &[0.1, -0.1, 0.95, 0.4, 1.1, 0.6],
-            2000.0,
+            1000.0,
         ),
         made(
             "polycrank",
             Box::new(seven),
             &[0.3, 1.2, -0.7, 0.4, 1.3, -0.6, 0.2],
-            2000.0,
+            1000.0,
         ),
     ]
 }

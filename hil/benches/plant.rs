@@ -50,9 +50,12 @@ type Preset = fn(usize) -> Option<AxisConfig>;
 fn mounted(c: &mut Criterion) {
     let mut group = c.benchmark_group("advance a robot by one servo period");
     let rnt = MechanismConfig::Rnt {
-        home_length: AxisConfig::RNT_HOME_LENGTH,
+        home_lengths: [AxisConfig::RNT_HOME_LENGTH; 3],
     };
-    let polycrank = MechanismConfig::Polycrank { coupled: false };
+    let polycrank = MechanismConfig::Polycrank {
+        coupled: false,
+        at_home: [0.0; 7],
+    };
     let track: Preset = |axis| Some(AxisConfig::irp6_track(Irp6TrackAxis::ALL[axis]));
     let pedestal: Preset = |axis| Some(AxisConfig::irp6(Irp6Axis::ALL[axis]));
     let robots: [(&str, MechanismConfig, Preset); 4] = [

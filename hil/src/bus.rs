@@ -47,6 +47,7 @@ struct Transmission {
     sender: End,
     pending_since: Instant,
     ends: Instant,
+    bits: u32,
 }
 
 #[derive(Clone, Copy, PartialEq)]
@@ -146,7 +147,7 @@ impl VirtualBus {
             self.now = self.now.max(at);
             match event {
                 Event::TimeOut => self.time_out(),
-                Event::FrameEnd(transmission) => self.end_frame(transmission),
+                Event::FrameEnd => self.end_frame(),
                 Event::FrameStart => self.start_frame(),
             }
         }
@@ -170,7 +171,7 @@ impl VirtualBus {
             .filter_map(|attached| attached.time_out)
             .min();
         let wire = match self.on_wire {
-            Some(transmission) => Some((transmission.ends, Event::FrameEnd(transmission))),
+            Some(transmission) => Some((transmission.ends, Event::FrameEnd)),
             None => self
                 .heads()
                 .map(|(_, head)| head.at)
@@ -232,24 +233,28 @@ impl VirtualBus {
             sender,
             pending_since: head.at,
             ends,
+            bits,
         });
     }
 
-    fn end_frame(&mut self, transmission: Transmission) {
-        let Transmission {
+    fn end_frame(&mut self) {
+        let Some(Transmission {
             frame,
             sender,
             pending_since,
             ends,
-        } = transmission;
-        self.on_wire = None;
+            bits,
+        }) = self.on_wire.take()
+        else {
+            return;
+        };
         self.remove(sender);
         self.statistics.frames += 1;
         self.statistics.max_latency = self.statistics.max_latency.max(ends.since(pending_since));
         for (at, host) in self.hosts.iter_mut().enumerate() {
             if sender != End::Host(at) {
                 // A full host loses the frame and counts it, as a card's driver does.
-                host.deliver(Received { frame, at: ends });
+                host.deliver(Received { frame, at: ends }, bits);
             }
         }
         for (at, attached) in self.devices.iter_mut().enumerate() {
@@ -274,7 +279,7 @@ impl VirtualBus {
 
 enum Event {
     TimeOut,
-    FrameEnd(Transmission),
+    FrameEnd,
     FrameStart,
 }
 

@@ -6,10 +6,39 @@ use std::io;
 use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
+
+use can::clock;
+use thiserror::Error;
 
 /// Where a machine has file systems of its own.
 const HIDDEN: [&str; 4] = ["/tmp", "/var/tmp", "/run", "/dev"];
+
+/// How long the output of a killed machine may take to end.
+const GRACE: Duration = Duration::from_secs(5);
+
+/// Why a test machine that was started, or was to be, did not deliver the exit status of its command.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum MachineError {
+    /// The machine ended before the command began; the boot's messages are in the output.
+    #[error("the test machine did not boot")]
+    BootFailed,
+    /// The machine ended without the command's exit status: its kernel died, or it was killed.
+    #[error("the test machine ended before its command did")]
+    Died,
+    /// It was killed at the end of its time.
+    #[error("the test machine was killed after {0:?}")]
+    TimedOut(Duration),
+    /// The host refused something.
+    #[error("cannot {doing}: {kind}")]
+    Host {
+        /// What was tried.
+        doing: &'static str,
+        /// How it failed.
+        kind: io::ErrorKind,
+    },
+}
 
 /// What to run in the test machine.
 #[derive(Clone, Debug)]
@@ -88,13 +117,15 @@ impl Control {
         self.path.parent().expect("made in the output directory")
     }
 
-    /// What the command ended with, if it did.
-    pub(crate) fn status(&self) -> Option<u8> {
-        fs::read_to_string(self.path.join("status"))
-            .ok()?
-            .trim()
-            .parse()
-            .ok()
+    /// What the command ended with, of a machine that has ended; without that it matters whether the command `began`.
+    pub(crate) fn result(&self, began: bool) -> Result<u8, MachineError> {
+        let status = fs::read_to_string(self.path.join("status")).ok();
+        let status = status.and_then(|status| status.trim().parse().ok());
+        status.ok_or(if began {
+            MachineError::Died
+        } else {
+            MachineError::BootFailed
+        })
     }
 }
 
@@ -102,6 +133,37 @@ impl Drop for Control {
     fn drop(&mut self) {
         // Nothing can be done about a directory that somebody else holds.
         let _ = fs::remove_dir_all(&self.remove);
+    }
+}
+
+/// Shows the `output` of a `machine`, which is killed when dropped, until it ends; after `timeout` it is made to.
+pub(crate) fn pump<Machine>(
+    machine: Machine,
+    output: &Receiver<Vec<u8>>,
+    timeout: Duration,
+    mut show: impl FnMut(&[u8]),
+) -> Result<(), MachineError> {
+    let deadline = clock::now() + timeout;
+    loop {
+        match output.recv_timeout(deadline.since(clock::now())) {
+            Ok(piece) => show(&piece),
+            Err(RecvTimeoutError::Disconnected) => return Ok(()),
+            Err(RecvTimeoutError::Timeout) => break,
+        }
+    }
+    drop(machine);
+    // What was printed just before the end says most of why it hangs. The output ends with the last of the processes.
+    while let Ok(piece) = output.recv_timeout(GRACE) {
+        show(&piece);
+    }
+    Err(MachineError::TimedOut(timeout))
+}
+
+/// Says what the host refused.
+pub(crate) fn host(doing: &'static str) -> impl Fn(io::Error) -> MachineError {
+    move |error| MachineError::Host {
+        doing,
+        kind: error.kind(),
     }
 }
 

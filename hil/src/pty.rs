@@ -143,12 +143,12 @@ pub struct Interest {
     pub write: bool,
 }
 
-/// Waits until one of `ends` is ready for what is of interest, or until `until`. Which one it was,
-/// reading and writing tell. Signals do not shorten the wait.
+/// Waits until one of `ends` is ready for what is of interest, or until `until`, and says of each whether it may be read:
+/// also where an error is to be read, or that nobody is there. Signals do not shorten the wait.
 pub fn wait<'a>(
     ends: impl IntoIterator<Item = (BorrowedFd<'a>, Interest)>,
     until: Instant,
-) -> io::Result<()> {
+) -> io::Result<Vec<bool>> {
     let waited = |(end, interest): (BorrowedFd, Interest)| {
         let read = if interest.read { libc::POLLIN } else { 0 };
         let write = if interest.write { libc::POLLOUT } else { 0 };
@@ -160,7 +160,8 @@ pub fn wait<'a>(
     };
     let mut ends: Vec<_> = ends.into_iter().map(waited).collect();
     clock::wait(&mut ends, until).map_err(io::Error::from_raw_os_error)?;
-    Ok(())
+    let readable = |end: &libc::pollfd| end.revents & !libc::POLLOUT != 0;
+    Ok(ends.iter().map(readable).collect())
 }
 
 /// The number of the host's end, and that end.
@@ -318,10 +319,12 @@ mod tests {
         let pty = [Pty::open().unwrap(), Pty::open().unwrap()];
         let ends = || pty.iter().map(|pty| (pty.as_fd(), READ));
         let start = clock::now();
-        wait(ends(), start + Duration::from_millis(20)).unwrap();
+        let readable = wait(ends(), start + Duration::from_millis(20)).unwrap();
+        assert_eq!(readable, [false, false]);
         assert!(clock::now() >= start + Duration::from_millis(20));
         host(pty[1].path()).write_all(b"\r").unwrap();
-        wait(ends(), start + Duration::from_secs(60)).unwrap();
+        let readable = wait(ends(), start + Duration::from_secs(60)).unwrap();
+        assert_eq!(readable, [false, true]);
         assert!(clock::now() < start + Duration::from_secs(30));
         // Who does not want to read is not woken by what there is to read.
         let nothing = Interest {
@@ -333,7 +336,8 @@ mod tests {
         assert!(clock::now() >= later);
         // Room to write is there at once.
         let ends = [(pty[0].as_fd(), WRITE)];
-        wait(ends, start + Duration::from_secs(60)).unwrap();
+        let readable = wait(ends, start + Duration::from_secs(60)).unwrap();
+        assert_eq!(readable, [false]);
         assert!(clock::now() < start + Duration::from_secs(30));
     }
 

@@ -13,15 +13,13 @@ use std::fs::{self, File};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
+use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread;
-use std::time::Duration;
 
-use can::clock;
 use thiserror::Error;
 
-pub use crate::machine::Options;
-use crate::machine::{Control, command_script, quoted};
+use crate::machine::{Control, command_script, host, pump, quoted};
+pub use crate::machine::{MachineError, Options};
 
 const QEMU: &str = "qemu-system-x86_64";
 const BUSYBOX: &str = "/bin/busybox";
@@ -48,8 +46,6 @@ const MODULES: [&str; 17] = [
 ];
 /// Pieces of output on their way; a full queue stops the machine's writer.
 const OUTPUT_PIECES: usize = 64;
-/// How long the output of a killed machine may take to end.
-const GRACE: Duration = Duration::from_secs(5);
 
 /// Why a test machine did not deliver the exit status of its command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
@@ -69,23 +65,9 @@ pub enum QemuError {
     /// The kernel lacks one of the modules that the machine needs.
     #[error("the PREEMPT_RT kernel has no module {0}.ko: that of Debian 12 has it")]
     ModuleMissing(&'static str),
-    /// The machine ended before the command began; the boot's messages are in the output.
-    #[error("the test machine did not boot")]
-    BootFailed,
-    /// The machine ended without the command's exit status: its kernel died, or it was killed.
-    #[error("the test machine ended before its command did")]
-    Died,
-    /// It was killed at the end of its time.
-    #[error("the test machine was killed after {0:?}")]
-    TimedOut(Duration),
-    /// The host refused something.
-    #[error("cannot {doing}: {kind}")]
-    Host {
-        /// What was tried.
-        doing: &'static str,
-        /// How it failed.
-        kind: io::ErrorKind,
-    },
+    /// It did not run to its end.
+    #[error(transparent)]
+    Machine(#[from] MachineError),
 }
 
 /// A PREEMPT_RT kernel of Debian 12, and all that it takes to boot it here.
@@ -147,43 +129,20 @@ pub fn run(kernel: &Kernel, options: &Options, stdout: &mut dyn Write) -> Result
     let initramfs = initramfs(kernel, options, &control).map_err(host("read the kernel"))?;
     fs::write(control.path.join("initramfs"), initramfs)
         .map_err(host("write the output directory"))?;
-    let deadline = clock::now() + options.timeout;
     let (machine, output) =
         Machine::start(kernel, options, &control).map_err(host("start the test machine"))?;
-    loop {
-        match output.recv_timeout(deadline.since(clock::now())) {
-            // The command runs on when nobody reads what it prints.
-            Ok(piece) => _ = stdout.write_all(&piece).and_then(|()| stdout.flush()),
-            Err(RecvTimeoutError::Disconnected) => break,
-            Err(RecvTimeoutError::Timeout) => {
-                drop(machine);
-                // What was printed just before the end says most of why it hangs.
-                while let Ok(piece) = output.recv_timeout(GRACE) {
-                    let _ = stdout.write_all(&piece);
-                }
-                return Err(QemuError::TimedOut(options.timeout));
-            }
+    pump(machine, &output, options.timeout, |piece| {
+        // The command runs on when nobody reads what it prints.
+        let _ = stdout.write_all(piece).and_then(|()| stdout.flush());
+    })?;
+    let result = control.result(control.path.join("began").exists());
+    if result == Err(MachineError::BootFailed) {
+        // The error is what matters; a reader who left does not.
+        if let Ok(log) = fs::read(boot_log(&control)) {
+            let _ = stdout.write_all(&log);
         }
     }
-    drop(machine);
-    if let Some(status) = control.status() {
-        return Ok(status);
-    }
-    if control.path.join("began").exists() {
-        return Err(QemuError::Died);
-    }
-    // The error is what matters; a reader who left does not.
-    if let Ok(log) = fs::read(boot_log(&control)) {
-        let _ = stdout.write_all(&log);
-    }
-    Err(QemuError::BootFailed)
-}
-
-fn host(doing: &'static str) -> impl Fn(io::Error) -> QemuError {
-    move |error| QemuError::Host {
-        doing,
-        kind: error.kind(),
-    }
+    Ok(result?)
 }
 
 /// What the kernel, `qemu-init.sh` and QEMU itself have to say.

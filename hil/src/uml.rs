@@ -15,15 +15,13 @@ use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
+use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread;
-use std::time::Duration;
 
-use can::clock;
 use thiserror::Error;
 
-pub use crate::machine::Options;
-use crate::machine::{Control, command_script, quoted};
+use crate::machine::{Control, command_script, host, pump, quoted};
+pub use crate::machine::{MachineError, Options};
 
 /// The kernel, as Debian's package `user-mode-linux` installs it.
 const KERNEL: &str = "/usr/bin/linux.uml";
@@ -31,8 +29,6 @@ const MODULES: &str = "/usr/lib/uml/modules";
 const INIT: &str = include_str!("uml-init.sh");
 /// Lines on their way from the console; a full queue stops the machine's writer.
 const CONSOLE_LINES: usize = 256;
-/// How long killed processes may take to vanish.
-const GRACE: Duration = Duration::from_secs(5);
 /// What is kept of the boot's messages, to be shown if it fails.
 const BOOT_LOG_BYTES: usize = 64 << 10;
 
@@ -45,23 +41,9 @@ pub enum UmlError {
     /// The kernel's CAN modules are not installed.
     #[error("no CAN modules in {MODULES}: `apt-get install user-mode-linux`")]
     ModulesMissing,
-    /// The machine ended before the command began; the boot's messages are in the output.
-    #[error("the test machine did not boot")]
-    BootFailed,
-    /// The machine ended without the command's exit status: its kernel died, or it was killed.
-    #[error("the test machine ended before its command did")]
-    Died,
-    /// It was killed at the end of its time.
-    #[error("the test machine was killed after {0:?}")]
-    TimedOut(Duration),
-    /// The host refused something.
-    #[error("cannot {doing}: {kind}")]
-    Host {
-        /// What was tried.
-        doing: &'static str,
-        /// How it failed.
-        kind: io::ErrorKind,
-    },
+    /// It did not run to its end.
+    #[error(transparent)]
+    Machine(#[from] MachineError),
 }
 
 /// Whether the kernel and its modules are installed.
@@ -91,46 +73,21 @@ pub fn run(options: &Options, stdout: &mut dyn Write) -> Result<u8, UmlError> {
     let control = Control::new("uml", options.output.as_deref())
         .and_then(|control| write(&control, options).map(|()| control))
         .map_err(host("write the output directory"))?;
-    let deadline = clock::now() + options.timeout;
     let (machine, console) =
         Machine::start(options, &control).map_err(host("start the test machine"))?;
-
     let mut screen = Screen::new(mark(&control));
-    loop {
-        match console.recv_timeout(deadline.since(clock::now())) {
-            Ok(line) => screen.show(&line, stdout),
-            Err(RecvTimeoutError::Disconnected) => break,
-            Err(RecvTimeoutError::Timeout) => {
-                drop(machine);
-                // What was printed just before the end says most of why it hangs. The console ends with
-                // the last of the processes.
-                while let Ok(line) = console.recv_timeout(GRACE) {
-                    screen.show(&line, stdout);
-                }
-                return Err(UmlError::TimedOut(options.timeout));
-            }
+    pump(machine, &console, options.timeout, |line| {
+        screen.show(line, stdout);
+    })?;
+    let result = control.result(screen.part != Part::Boot);
+    if result == Err(MachineError::BootFailed) {
+        // The error is what matters; a reader who left does not.
+        let _ = stdout.write_all(&screen.boot_log);
+        if let Ok(step) = fs::read_to_string(control.path.join("failed")) {
+            let _ = writeln!(stdout, "the boot failed at: {}", step.trim_end());
         }
     }
-    drop(machine);
-    if let Some(status) = control.status() {
-        return Ok(status);
-    }
-    if screen.part != Part::Boot {
-        return Err(UmlError::Died);
-    }
-    // The error is what matters; a reader who left does not.
-    let _ = stdout.write_all(&screen.boot_log);
-    if let Ok(step) = fs::read_to_string(control.path.join("failed")) {
-        let _ = writeln!(stdout, "the boot failed at: {}", step.trim_end());
-    }
-    Err(UmlError::BootFailed)
-}
-
-fn host(doing: &'static str) -> impl Fn(io::Error) -> UmlError {
-    move |error| UmlError::Host {
-        doing,
-        kind: error.kind(),
-    }
+    Ok(result?)
 }
 
 fn write(control: &Control, options: &Options) -> io::Result<()> {

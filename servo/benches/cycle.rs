@@ -104,6 +104,7 @@ fn bench(criterion: &mut Criterion, name: &str, position_loop: PositionLoop) {
                     report_at: 5,
                     position,
                     velocity,
+                    torque: [0.0; MAX_AXES],
                 };
                 link.orders
                     .push(Order::Move(macrostep))
@@ -129,7 +130,7 @@ fn cycle(criterion: &mut Criterion) {
                 velocity: 1e-3,
                 acceleration: 6.6e-4,
                 coulomb: 0.08,
-                constant: 0.0,
+                ..FeedForward::default()
             },
             runaway_velocity: 300.0,
         })

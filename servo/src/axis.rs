@@ -23,6 +23,8 @@ pub(crate) struct Axis {
     pub(crate) state: AxisState,
     /// The set-point of this cycle.
     pub(crate) knot: Knot,
+    /// What holds the weight on it there, N·m.
+    pub(crate) torque: f64,
     /// Positions commanded, the newest first.
     commanded: [f64; REMEMBERED],
     /// Cycles in a row in which the drive was told to follow.
@@ -48,6 +50,7 @@ impl Axis {
             delay,
             state: AxisState::default(),
             knot: Knot::default(),
+            torque: 0.0,
             commanded: [0.0; REMEMBERED],
             followed: 0,
             searched: false,
@@ -289,8 +292,8 @@ impl Axis {
             return AxisCommand::Off;
         };
         let setpoint = match &mut self.host {
-            Some(host) => host.regulate(self.knot, dt, &mut self.excitation),
-            None => match self.torque() {
+            Some(host) => host.regulate(self.knot, self.torque, dt, &mut self.excitation),
+            None => match self.torque_beside() {
                 Some(torque) => Setpoint::PositionWithTorque { position, torque },
                 None => Setpoint::Position(position),
             },
@@ -299,6 +302,14 @@ impl Axis {
             AxisCommand::Seek(setpoint)
         } else {
             AxisCommand::Follow(setpoint)
+        }
+    }
+
+    /// Takes on as much of the way to `torque`, N·m, as the loop closed here gives away in exchange: together they put
+    /// out what they did.
+    pub(crate) fn hand_over(&mut self, torque: f64) {
+        if let Some(host) = &mut self.host {
+            self.torque += host.hand_over(torque - self.torque);
         }
     }
 
@@ -312,7 +323,7 @@ impl Axis {
     }
 
     /// The torque beside the position, if its drive takes one.
-    fn torque(&self) -> Option<Finite> {
+    fn torque_beside(&self) -> Option<Finite> {
         self.config.torque_offset?;
         Finite::new(self.excitation)
     }

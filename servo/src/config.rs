@@ -371,6 +371,9 @@ mod tests {
             velocity: 0.0,
             acceleration: 0.0,
             coulomb: 0.0,
+            stiction: 0.0,
+            stribeck_velocity: 0.0,
+            weight: 0.0,
             constant: 0.0,
         },
         runaway_velocity: 120.0,
@@ -408,7 +411,7 @@ mod tests {
     #[test]
     fn a_loop_of_the_host_is_refused_for_the_field_that_is_wrong() {
         type Case = (fn(&mut HostLoop), Option<&'static str>);
-        let cases: [Case; 14] = [
+        let cases: [Case; 19] = [
             (|_| {}, None),
             (
                 |l| l.runaway_velocity = 100.0,
@@ -425,6 +428,30 @@ mod tests {
             (
                 |l| l.feed_forward.coulomb = -0.1,
                 Some("feed_forward.coulomb"),
+            ),
+            (
+                |l| (l.feed_forward.coulomb, l.feed_forward.stiction) = (0.1, 0.09),
+                Some("feed_forward.stiction"),
+            ),
+            (
+                |l| l.feed_forward.stiction = 0.1,
+                Some("feed_forward.stribeck_velocity"),
+            ),
+            (
+                |l| l.feed_forward.weight = f64::NAN,
+                Some("feed_forward.weight"),
+            ),
+            (
+                |l| (l.output, l.feed_forward.weight) = (Output::Velocity, 1.0),
+                Some("feed_forward.weight, a torque for a drive that is sent velocities,"),
+            ),
+            (
+                |l| {
+                    l.feed_forward.stiction = 0.1;
+                    l.feed_forward.stribeck_velocity = 5.0;
+                    l.feed_forward.weight = 0.1;
+                },
+                None,
             ),
             (
                 |l| l.feed_forward.constant = f64::INFINITY,

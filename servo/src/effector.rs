@@ -374,6 +374,10 @@ impl Effector {
                 self.segment = None;
             }
             (_, State::Halting(_)) => self.halted = false,
+            (_, State::Enabling) if !self.stands_as_commanded() => {
+                // Somebody moved it while it was off, and its links do not weigh what they did.
+                self.axes.iter_mut().for_each(|axis| axis.torque = 0.0);
+            }
             (_, State::Homing) => self.axes.iter_mut().for_each(Axis::begin_homing),
             (State::Resetting, State::Off) => self.fault = None,
             _ => {}
@@ -453,6 +457,14 @@ impl Effector {
                 }
             }
         }
+    }
+
+    /// Whether all axes have their reference and are where they were last told to be.
+    fn stands_as_commanded(&self) -> bool {
+        self.axes.iter().all(|axis| {
+            let error = axis.knot.position - axis.state.position;
+            axis.is_homed() && error.abs() <= axis.config.following_error
+        })
     }
 
     /// The first axis for which `what` holds, or the first.

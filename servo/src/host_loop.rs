@@ -4,7 +4,7 @@ use drive::{AxisState, Finite, Setpoint};
 
 use crate::axis::REMEMBERED;
 use crate::regulator::{Cascade, Incremental, Proportional};
-use crate::{HostLoop, Knot, Law, Output};
+use crate::{FeedForward, HostLoop, Knot, Law, Output};
 
 /// Samples in a row that a runaway takes. A cycle may be half a period late uncounted, and the way of one and
 /// a half periods then looks like that of one; the next sample comes in time, and shows the rest.
@@ -105,23 +105,25 @@ impl Loop {
         (self.cycles, self.periods) = (0, 0);
     }
 
-    /// One cycle: the set-point of this cycle gives what the drive is sent, with `excitation` added to it, of which
-    /// what the limit leaves is said there.
-    pub(crate) fn regulate(&mut self, knot: Knot, dt: f64, excitation: &mut f64) -> Setpoint {
+    /// One cycle: the set-point of this cycle and the torque that holds the weight there, N·m, give what the drive is
+    /// sent, with `excitation` added to it, of which what the limit leaves is said there.
+    pub(crate) fn regulate(
+        &mut self,
+        knot: Knot,
+        torque: f64,
+        dt: f64,
+        excitation: &mut f64,
+    ) -> Setpoint {
         self.references.rotate_right(1);
         self.references[0] = knot.position;
         let last_velocity = std::mem::replace(&mut self.velocity, knot.velocity);
         let feed = &self.config.feed_forward;
         // The output acts from the last set-point to this one.
         let velocity = 0.5 * (last_velocity + knot.velocity);
-        let dry = if velocity == 0.0 {
-            0.0
-        } else {
-            feed.coulomb.copysign(velocity)
-        };
         let feed_forward = feed.velocity * velocity
             + feed.acceleration * (knot.velocity - last_velocity) / dt
-            + dry
+            + feed.dry(velocity)
+            + feed.weight * torque
             + feed.constant;
         let integrated = if self.cycles == 0 { dt } else { 0.0 };
         let grown = self.error - std::mem::replace(&mut self.taken, self.error);
@@ -147,6 +149,36 @@ impl Loop {
             Output::Velocity => Setpoint::Velocity(output),
             Output::Torque => Setpoint::Torque(output),
             Output::Duty => Setpoint::Duty(output),
+        }
+    }
+
+    /// Gives away as much of a torque, N·m, as the law has come to put out by itself at rest, and says how much that is.
+    ///
+    /// Where weight is fed forward, what the law puts out besides is for the dry friction in which the axis stuck: as
+    /// much of it as that can be is forgotten, since the motion that begins meets it from another side, perhaps, and
+    /// has it fed forward. The axis sticks on meanwhile.
+    pub(crate) fn hand_over(&mut self, torque: f64) -> f64 {
+        let FeedForward {
+            weight,
+            coulomb,
+            stiction,
+            ..
+        } = self.config.feed_forward;
+        if weight == 0.0 {
+            return 0.0;
+        }
+        let given = self.give(weight * torque) / weight;
+        let stuck = coulomb.max(stiction);
+        self.give(stuck);
+        self.give(-stuck);
+        given
+    }
+
+    fn give(&mut self, output: f64) -> f64 {
+        match &mut self.law {
+            Regulator::Incremental(law) => law.give(output),
+            Regulator::Cascade(law) => law.give(output),
+            Regulator::Proportional(_) => 0.0,
         }
     }
 
@@ -197,7 +229,6 @@ impl Loop {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::FeedForward;
     use crate::regulator::CascadeConfig;
 
     const DT: f64 = 0.002;
@@ -231,23 +262,98 @@ mod tests {
             velocity: 0.5,
             acceleration: 0.01,
             coulomb: 0.25,
+            weight: 0.5,
             constant: -0.125,
+            ..FeedForward::default()
         });
-        // Velocities of set-points, and the torque: mean velocity, acceleration, dry friction, weight.
+        // Velocities of set-points, weight, and the torque: mean velocity, acceleration, dry friction, weight.
         let cases = [
-            (0.0, -0.125),
-            (2.0, 0.5 + 10.0 + 0.25 - 0.125),
-            (2.0, 1.0 + 0.25 - 0.125),
-            (-2.0, -20.0 - 0.125),
-            (-4.0, -1.5 - 10.0 - 0.25 - 0.125),
+            (0.0, 0.0, -0.125),
+            (2.0, 0.0, 0.5 + 10.0 + 0.25 - 0.125),
+            (2.0, 3.0, 1.0 + 0.25 + 1.5 - 0.125),
+            (-2.0, -1.0, -20.0 - 0.5 - 0.125),
+            (-4.0, 0.0, -1.5 - 10.0 - 0.25 - 0.125),
         ];
-        for (velocity, expected) in cases {
+        for (velocity, weight, expected) in cases {
             let knot = Knot {
                 position: 0.0,
                 velocity,
             };
-            let found = torque(held.regulate(knot, DT, &mut 0.0));
+            let found = torque(held.regulate(knot, weight, DT, &mut 0.0));
             assert!((found - expected).abs() < 1e-9, "{velocity}: {found}");
+        }
+    }
+
+    #[test]
+    fn dry_friction_is_greatest_at_break_away_and_turns_round_without_a_step() {
+        let feed = FeedForward {
+            coulomb: 0.08,
+            stiction: 0.12,
+            stribeck_velocity: 5.0,
+            ..FeedForward::default()
+        };
+        let cases = [
+            (0.0, 0.0),
+            (1e-9, 0.12e-6),
+            (-5e-4, -0.06),
+            (0.01, 0.12),
+            (5.0, 0.08 + 0.04 / std::f64::consts::E),
+            (-5.0, -0.08 - 0.04 / std::f64::consts::E),
+            (100.0, 0.08),
+        ];
+        for (velocity, expected) in cases {
+            let found = feed.dry(velocity);
+            assert!((found - expected).abs() < 1e-6, "{velocity}: {found}");
+        }
+    }
+
+    #[test]
+    fn what_a_law_has_come_to_hold_by_itself_changes_hands_without_a_step() {
+        let incremental = Law::Incremental(crate::regulator::IRP6[1]);
+        for law in [incremental, Law::Cascade(CASCADE)] {
+            let mut held = Loop::new(
+                HostLoop {
+                    law,
+                    output: Output::Torque,
+                    feed_forward: FeedForward {
+                        weight: 2.0,
+                        ..FeedForward::default()
+                    },
+                    runaway_velocity: 300.0,
+                },
+                636.6,
+                2,
+            );
+            let knot = Knot {
+                position: 0.01,
+                velocity: 0.0,
+            };
+            held.capture(0.0);
+            // An error that a weight brings about, and that the integral has then made good.
+            for (position, cycles) in [(0.0, 10), (0.01, 300)] {
+                let state = AxisState {
+                    position,
+                    ..AxisState::default()
+                };
+                for _ in 0..cycles {
+                    held.observe(&state, 1, DT);
+                    held.regulate(knot, 0.0, DT, &mut 0.0);
+                }
+            }
+            let before = torque(held.regulate(knot, 0.0, DT, &mut 0.0));
+            assert!(before > 1e-4, "{law:?}: {before} N·m");
+            assert_eq!(held.hand_over(-1.0), 0.0, "{law:?}: the other way");
+            for asked in [0.25 * before / 2.0, before] {
+                // The second asks for more than is left.
+                let given = held.hand_over(asked);
+                assert!(given > 0.0 && given <= asked, "{law:?}: {given}");
+                let after = torque(held.regulate(knot, given, DT, &mut 0.0));
+                let expected = before - if asked == before { 0.25 * before } else { 0.0 };
+                assert!(
+                    (after - expected).abs() < 1e-9,
+                    "{law:?}: {after} for {expected}"
+                );
+            }
         }
     }
 
@@ -262,13 +368,13 @@ mod tests {
         let mut state = AxisState::default();
         for _ in 0..5 {
             held.observe(&state, 1, DT);
-            held.regulate(knot, DT, &mut 0.0);
+            held.regulate(knot, 0.0, DT, &mut 0.0);
         }
         let mut outputs = Vec::new();
         for age in 1..=5 {
             state.age = age;
             held.observe(&state, 1, DT);
-            outputs.push(torque(held.regulate(knot, DT, &mut 0.0)));
+            outputs.push(torque(held.regulate(knot, 0.0, DT, &mut 0.0)));
         }
         assert!(outputs[0] > 0.08, "{outputs:?}");
         assert!(
@@ -278,7 +384,7 @@ mod tests {
         // The next sample is compared with what was commanded for it.
         state.age = 0;
         held.observe(&state, 1, DT);
-        assert!(torque(held.regulate(knot, DT, &mut 0.0)) >= outputs[0]);
+        assert!(torque(held.regulate(knot, 0.0, DT, &mut 0.0)) >= outputs[0]);
     }
 
     #[test]

@@ -25,10 +25,10 @@
 //! | family | loop | gains | crossover, Hz | margin |
 //! |---|---|---|---|---|
 //! | IRp-6's own by current, its axes | incremental law, servo at delay 1 | [`IRP6`](crate::regulator::IRP6) | 53.6, 22.9, 34.8, 21.9, 74.6, 7.3 | 47.7°, 78.1°, 77.5°, 82.3°, 8.4°, 52.9° |
-//! | IRb-6, serial, by current | cascade, delay 2 | 25 / s, 100 J / s, 10 / s | 16.6 | 48.5° |
-//! | IRb-6, serial, by pulse width (wrist roll) | cascade, delay 2 | the same per duty, integral at the motor's pole | 15.6 | 48.9° |
-//! | CiA 402 by torque (CST), as for the RNT | cascade, delay 3 | two thirds of the serial ones | 11.1 | 47.4° |
-//! | CiA 402 by velocity (CSV), as for the RNT | proportional, delay 3 | 50 / s | 8.6 | 82.9° |
+//! | IRb-6, serial, by current | cascade, delay 2 | 25 / s, 100 J / s, 10 / s | 16.8 | 48.3° |
+//! | IRb-6, serial, by pulse width (wrist roll) | cascade, delay 2 | the same per duty, integral at the motor's pole | 15.7 | 51.6° |
+//! | CiA 402 by torque (CST), as for the RNT | cascade, delay 3 | two thirds of the serial ones | 11.2 | 47.5° |
+//! | CiA 402 by velocity (CSV), as for the RNT | proportional, delay 3 | 50 / s | 8.4 | 81.8° |
 //! | CiA 402 by position (CSP): the IRb-6's axes | the drive's: velocity loop at 45 Hz, position at a fifth | the drive's | 45.9, 46.1, 46.1, 45.7, 44.6 | 40.8°, 38.3°, 39.5°, 40.1°, 40.7° |
 //!
 //! From sample to effect two periods pass on CAN and one on a serial line; with half a period of hold and

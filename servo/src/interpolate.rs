@@ -30,6 +30,8 @@ pub fn hermite(from: Knot, to: Knot, duration: f64, u: f64) -> Knot {
 pub(crate) struct Segment {
     macrostep: Macrostep,
     from: [Knot; MAX_AXES],
+    /// Torques at its beginning, N·m.
+    from_torque: [f64; MAX_AXES],
     /// Periods already commanded.
     done: u16,
     /// Its duration, s.
@@ -37,12 +39,18 @@ pub(crate) struct Segment {
 }
 
 impl Segment {
-    /// Begins at `from`; `macrostep.steps` is at least 1.
-    pub(crate) fn new(macrostep: Macrostep, from: [Knot; MAX_AXES], dt: f64) -> Self {
+    /// Begins at `from` and under `from_torque`, N·m; `macrostep.steps` is at least 1.
+    pub(crate) fn new(
+        macrostep: Macrostep,
+        from: [Knot; MAX_AXES],
+        from_torque: [f64; MAX_AXES],
+        dt: f64,
+    ) -> Self {
         let duration = f64::from(macrostep.steps) * dt;
         Self {
             macrostep,
             from,
+            from_torque,
             done: 0,
             duration,
         }
@@ -62,8 +70,17 @@ impl Segment {
         if self.is_over() {
             return to;
         }
-        let u = f64::from(self.done) / f64::from(self.macrostep.steps);
-        hermite(self.from[axis], to, self.duration, u)
+        hermite(self.from[axis], to, self.duration, self.share())
+    }
+
+    /// What holds the weight on `axis` now, N·m.
+    pub(crate) fn torque(&self, axis: usize) -> f64 {
+        let (from, to) = (self.from_torque[axis], self.macrostep.torque[axis]);
+        from + self.share() * (to - from)
+    }
+
+    fn share(&self) -> f64 {
+        f64::from(self.done) / f64::from(self.macrostep.steps)
     }
 
     pub(crate) fn is_over(&self) -> bool {

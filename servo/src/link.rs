@@ -26,9 +26,19 @@ pub struct Macrostep {
     pub position: [f64; MAX_AXES],
     /// Motor velocities at its end, rad/s; all zero means the effector may rest there.
     pub velocity: [f64; MAX_AXES],
+    /// Motor torques that hold the weight of links and load at its end, N·m; zero where none is known.
+    ///
+    /// The loops that the servo closes add them to their output, [`FeedForward::weight`](crate::FeedForward::weight)
+    /// of each, and drives that close the position loop themselves are told nothing of them. They change linearly
+    /// from the end of the last macrostep to that of this one, and stay where a motion ends or is stopped.
+    pub torque: [f64; MAX_AXES],
 }
 
 /// What the controller asks of one effector.
+#[expect(
+    clippy::large_enum_variant,
+    reason = "nearly all that a queue holds are macrosteps, and a box would allocate"
+)]
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Order {
     /// Switch the drives on and stand.

@@ -85,6 +85,7 @@ mod tests {
                     report_at: 5,
                     position,
                     velocity,
+                    torque: [0.0; MAX_AXES],
                 };
                 let _ = orders.push(Order::Move(macrostep));
                 if number == 200 {

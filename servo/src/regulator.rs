@@ -13,6 +13,17 @@ pub use cascade::{Cascade, CascadeConfig};
 pub use incremental::{IRP6, IRP6_DUTY, Incremental, IncrementalConfig};
 pub use proportional::{Proportional, ProportionalConfig};
 
+/// How much of `asked` there is in `held`.
+fn share(held: f64, asked: f64) -> f64 {
+    if asked > 0.0 {
+        held.clamp(0.0, asked)
+    } else if asked < 0.0 {
+        held.clamp(asked, 0.0)
+    } else {
+        0.0
+    }
+}
+
 const fn is_positive(value: f64) -> bool {
     value.is_finite() && value > 0.0
 }

@@ -29,7 +29,11 @@ enum Phase {
     /// Towards the home switch.
     Switch,
     /// Off the home switch to the index pulse.
-    Zero,
+    Zero {
+        /// The home switch opened on this way: pulses count from there, since where the axis rested depends on how
+        /// fast it came.
+        open: bool,
+    },
     /// Braking, then pausing since the time given, before what comes next.
     Rest(Option<Instant>, Next),
     /// The counter is set, the motor at rest.
@@ -124,7 +128,7 @@ impl Search {
 
     /// Whether the next index pulse is to be taken for the reference.
     pub(crate) fn is_seeking(&self) -> bool {
-        self.phase == Phase::Zero
+        self.phase == Phase::Zero { open: true }
     }
 
     /// Whether a limit switch turned it round.
@@ -189,7 +193,9 @@ impl Search {
                     self.sense() * self.config.search.velocity
                 }
             }
-            Phase::Zero => {
+            Phase::Zero { open } => {
+                let open = open || !self.home.closed;
+                self.phase = Phase::Zero { open };
                 if state.homing == Homing::Attained {
                     self.rest(Next::Done)
                 } else if let Some(upper) = self.limit(-self.sense()) {
@@ -197,7 +203,11 @@ impl Search {
                 } else {
                     let distance = self.watch(self.config.zero, now)?;
                     if let Some(distance) = distance {
-                        return Err(HomingFailure::NoIndex { distance });
+                        return Err(if open {
+                            HomingFailure::NoIndex { distance }
+                        } else {
+                            HomingFailure::SwitchNotLeft { distance }
+                        });
                     }
                     -self.sense() * self.config.zero.velocity
                 }
@@ -208,7 +218,7 @@ impl Search {
                     Some(since) if now.since(since) >= self.config.pause => match next {
                         Next::Switch => self.begin(Phase::Switch),
                         Next::Zero if !self.home.closed => return Err(HomingFailure::SwitchPassed),
-                        Next::Zero => self.begin(Phase::Zero),
+                        Next::Zero => self.begin(Phase::Zero { open: false }),
                         Next::Done => self.phase = Phase::Done,
                     },
                     _ => {}

@@ -243,8 +243,8 @@ pub fn bring_up(servo: &mut Servo, mut between: impl FnMut(Instant)) -> Result<(
 /// Starts a thread that steps `servo` until `until` says so after a cycle.
 ///
 /// `between` is called after each cycle with the next deadline, in the time that is left of the
-/// period and not counted as the cycle's: an emulated bench advances its world in it. Raising `trace_request`, now or
-/// later, keeps the cycles around that moment among [`Finished::spikes`]; the thread lowers it.
+/// period and not counted as the cycle's: an emulated bench advances its world in it. What it and `until` take beyond
+/// that is named [`Cause::BetweenCycles`]. Raising `trace_request`, now or later, keeps the cycles around that moment among [`Finished::spikes`]; the thread lowers it.
 pub fn start(
     servo: Servo,
     policy: RealtimePolicy,
@@ -350,6 +350,7 @@ impl Run {
             before: Before {
                 sync: Instant::ZERO,
                 done: Instant::ZERO,
+                called: Instant::ZERO,
                 late: Duration::ZERO,
             },
             skipped: None,
@@ -360,7 +361,7 @@ impl Run {
         let begun = now();
         self.deadline = begun + self.period;
         self.first = self.deadline;
-        (self.before.sync, self.before.done) = (begun, begun);
+        (self.before.sync, self.before.done, self.before.called) = (begun, begun, begun);
         let mut over = false;
         while !over && self.cycle() {
             let caller = catch_unwind(AssertUnwindSafe(|| {
@@ -407,6 +408,7 @@ impl Run {
         if stepped.is_err() {
             self.panicked = Some(Panicked::Cycle);
         }
+        self.before.called = now();
         stepped.is_ok()
     }
 
@@ -430,18 +432,19 @@ impl Run {
         self.timing.sync.record(sending.since(self.deadline));
         self.timing.step.record(preparation + transfer);
         self.timing.record_bus(&self.servo);
-        let before = self.waited(awake);
+        let before = self.waited(begun, awake);
         let spent = Spent {
             own: before.own + computed.since(read),
             bus: before.bus + read.since(reading) + written.since(computed),
-            wake_up: before.wake_up,
             gap: before.gap.max(gap).max(reading.since(awake.at)),
+            ..before
         };
         let late = sending.since(self.deadline);
         let late = self.explain(late, &spent, preparation + transfer);
         self.tracer.record(Stamps {
             cycle: self.number,
             deadline: self.deadline,
+            called: self.before.called,
             begun,
             awake: *awake,
             reading,
@@ -469,8 +472,9 @@ impl Run {
     }
 
     /// Waits until the lead before the deadline; a deadline that has long passed is skipped.
-    fn wait(&mut self, at: Instant) -> Awake {
-        if at < self.deadline - self.lead() && at.since(self.before.done) > self.period / LATE {
+    fn wait(&mut self, begun: Instant) -> Awake {
+        if begun < self.deadline - self.lead() && begun.since(self.before.done) > self.period / LATE
+        {
             // What the kernel counted in the caller's time made nothing late.
             self.account.skip();
         }
@@ -487,7 +491,7 @@ impl Run {
             // A cycle that was as late itself leaves no time to sleep, and has been counted.
             let inherited = awake.wake_up_latency().is_none() && self.before.late >= late / 2;
             if !inherited && self.skipped.is_none_or(|(before, _)| late > before) {
-                self.skipped = Some((late, self.waited(&awake)));
+                self.skipped = Some((late, self.waited(begun, &awake)));
             }
             let slots = (late - self.period / 2).as_nanos() / self.period.as_nanos() + 1;
             let slots = u32::try_from(slots).unwrap_or(u32::MAX);

@@ -90,6 +90,7 @@ fn moves_and_stops(config: &ServoConfig) {
             report_at: 5,
             position,
             velocity,
+            torque: [0.0; MAX_AXES],
         };
         link.orders
             .push(Order::Move(macrostep))
@@ -108,6 +109,7 @@ fn moves_and_stops(config: &ServoConfig) {
         report_at: 5,
         position,
         velocity,
+        torque: [0.0; MAX_AXES],
     };
     link.orders
         .push(Order::Move(last))

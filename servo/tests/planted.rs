@@ -34,7 +34,10 @@ static ALONE: Mutex<()> = Mutex::new(());
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Plant {
-    SlowCaller,
+    FloodedStep,
+    SlowCounters,
+    SlowBetween,
+    SlowUntil,
     SpinningBus,
     BlockingBus,
     PageFaults,
@@ -45,7 +48,7 @@ enum Plant {
 }
 
 /// The thread to hold up, from when and until when.
-type Order = (libc::pthread_t, Instant, Instant);
+type HoldUp = (libc::pthread_t, Instant, Instant);
 
 /// When the handler of SIGUSR2 returns, ns.
 static ASLEEP_UNTIL: AtomicU64 = AtomicU64::new(0);
@@ -57,7 +60,7 @@ extern "C" fn oversleep(_: libc::c_int) {
 
 /// Has threads oversleep.
 #[expect(unsafe_code, reason = "signals are the system's")]
-fn stopper(orders: Receiver<Order>) {
+fn stopper(orders: Receiver<HoldUp>) {
     // SAFETY: the handler reads an atomic number and the clock, and sleeps.
     unsafe { libc::signal(libc::SIGUSR2, oversleep as *const () as libc::sighandler_t) };
     for (thread, from, to) in orders {
@@ -89,8 +92,10 @@ struct Delaying {
     inner: Box<dyn DriveGroup>,
     plant: Plant,
     cycle: u64,
+    /// When that is due.
+    due: Instant,
     pages: Pages,
-    hog: Sender<Order>,
+    hog: Sender<HoldUp>,
 }
 
 impl DriveGroup for Delaying {
@@ -118,7 +123,10 @@ impl DriveGroup for Delaying {
                     let order = (this_thread(), now(), end);
                     self.hog.send(order).expect("the hog listens");
                 }
-                Plant::SlowCaller
+                Plant::FloodedStep
+                | Plant::SlowCounters
+                | Plant::SlowBetween
+                | Plant::SlowUntil
                 | Plant::StarvedWakeUp
                 | Plant::LongStarvedWakeUp
                 | Plant::LongSleep => {}
@@ -132,14 +140,14 @@ impl DriveGroup for Delaying {
 
     fn send(&mut self, at: Instant) -> bool {
         self.cycle += 1;
+        self.due = at + scripted::PERIOD;
         let delay = match self.plant {
             Plant::StarvedWakeUp => Some(DELAY),
             Plant::LongStarvedWakeUp | Plant::LongSleep => Some(LONG_DELAY),
             _ => None,
         };
         if let Some(delay) = delay.filter(|_| is_planted(self.cycle)) {
-            let due = at + scripted::PERIOD;
-            let order = (this_thread(), due - EARLY, due + delay);
+            let order = (this_thread(), self.due - EARLY, self.due + delay);
             self.hog.send(order).expect("the hog listens");
         }
         if self.plant == Plant::PageFaults {
@@ -149,6 +157,9 @@ impl DriveGroup for Delaying {
     }
 
     fn counters(&self) -> GroupCounters {
+        if self.plant == Plant::SlowCounters && is_planted(self.cycle) {
+            spin_until(self.due + DELAY);
+        }
         self.inner.counters()
     }
 }
@@ -206,7 +217,7 @@ impl Drop for Pages {
 }
 
 /// A thread above the servo's, on its CPU, that takes it from one time to another.
-fn hog(cpu: usize, orders: Receiver<Order>) {
+fn hog(cpu: usize, orders: Receiver<HoldUp>) {
     let policy = RealtimePolicy {
         priority: 90,
         cpu: Some(cpu),
@@ -220,12 +231,34 @@ fn hog(cpu: usize, orders: Receiver<Order>) {
     }
 }
 
+/// How many orders a servo takes [`DELAY`] to carry out in one step.
+fn flood() -> usize {
+    const ORDERS: usize = 10_000;
+    let mut config = scripted::config(2);
+    config.effectors[0].queue = ORDERS;
+    let (mut servo, mut links) =
+        Servo::new(&config, vec![scripted::group(2).0]).expect("the configuration is sound");
+    let mut step = || {
+        for _ in 0..ORDERS {
+            let pushed = links[0].orders.push(Order::Stop);
+            pushed.expect("the step before carried out all");
+        }
+        let begun = now();
+        servo.compute(begun);
+        now().since(begun)
+    };
+    let least = (0..5).map(|_| step()).min().unwrap_or(DELAY);
+    (ORDERS as u128 * DELAY.as_nanos() / least.as_nanos()) as usize
+}
+
 /// How many of the planted cycles were named `cause`, of how many.
 fn plant(plant: Plant, cause: Cause) -> (u64, u64) {
     let (mut right, mut planted) = (0, 0);
+    let flood = flood();
     for _ in 0..RUNS {
         let mut config = scripted::config(2);
         config.max_missed_in_row = u32::MAX;
+        config.effectors[0].queue = flood;
         let (inner, world) = scripted::group(2);
         world.lock().expect("nobody else has it yet").log = false;
         let (tell, told) = channel();
@@ -233,10 +266,11 @@ fn plant(plant: Plant, cause: Cause) -> (u64, u64) {
             inner,
             plant,
             cycle: 0,
+            due: Instant::ZERO,
             pages: Pages::new(),
             hog: tell,
         };
-        let (servo, _links) =
+        let (servo, mut links) =
             Servo::new(&config, vec![Box::new(group)]).expect("the configuration is sound");
         let cpu = current_cpu();
         let hog = match plant {
@@ -260,13 +294,20 @@ fn plant(plant: Plant, cause: Cause) -> (u64, u64) {
         let mut next_cycle = 0;
         let between = move |next: Instant| {
             next_cycle += 1;
-            if plant == Plant::SlowCaller && is_planted(next_cycle) {
-                spin_until(next + DELAY);
+            match plant {
+                Plant::FloodedStep if is_planted(next_cycle) => {
+                    while links[0].orders.push(Order::Stop).is_ok() {}
+                }
+                Plant::SlowBetween if is_planted(next_cycle) => spin_until(next + DELAY),
+                _ => {}
             }
         };
         let mut cycles = 0;
         let until = move |_: &Servo| {
             cycles += 1;
+            if plant == Plant::SlowUntil && is_planted(cycles) {
+                spin_until(now() + scripted::PERIOD + DELAY);
+            }
             cycles == EVERY * PER_RUN
         };
         let finished = thread::run(servo, policy, between, until).expect("nothing is required");
@@ -307,7 +348,10 @@ fn traced(spike: &Spike) {
     let mut end = Instant::ZERO;
     for (number, cycle) in (cycles[0].cycle..).zip(cycles) {
         assert_eq!(cycle.cycle, number);
-        assert!(end <= cycle.begun, "{cycle:?}");
+        assert!(
+            end <= cycle.called && cycle.called <= cycle.begun,
+            "{cycle:?}"
+        );
         end = cycle.begun;
         for (phase, ended) in cycle.phases() {
             assert!(end <= ended, "{phase}: {cycle:?}");
@@ -348,7 +392,10 @@ fn check(cases: &[(Plant, Cause)]) {
 #[test]
 fn what_the_thread_does_itself_and_an_overslept_wake_up_are_named() {
     check(&[
-        (Plant::SlowCaller, Cause::OwnStep),
+        (Plant::FloodedStep, Cause::OwnStep),
+        (Plant::SlowCounters, Cause::OwnStep),
+        (Plant::SlowBetween, Cause::BetweenCycles),
+        (Plant::SlowUntil, Cause::BetweenCycles),
         (Plant::SpinningBus, Cause::Bus),
         (Plant::BlockingBus, Cause::Bus),
         (Plant::PageFaults, Cause::PageFault),

@@ -52,7 +52,7 @@ const RIM: [&str; 10] = [
     "drivers/can/src/socketcan.rs",
     "servo/src/thread.rs",
     "hil/src/pty.rs",
-    "hil/src/uml.rs",
+    "hil/src/machine.rs",
     "console/src/run.rs",
     "console/src/emulate.rs",
     "console/src/emulated_lines.rs",

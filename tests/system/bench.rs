@@ -20,13 +20,18 @@ use crate::mrroc;
 /// `test` is the calling test's own path, such as `socketcan::frames_come_back`: inside the test
 /// machine this binary runs it again, and the machine is given two minutes for it.
 pub(crate) fn on_vcan(test: &str, body: impl FnOnce(&str)) {
+    on_vcan_within(Duration::from_secs(120), test, body);
+}
+
+/// The same, with another time for the test machine.
+pub(crate) fn on_vcan_within(timeout: Duration, test: &str, body: impl FnOnce(&str)) {
     if let Some(interface) = env::var("HIL_CAN").ok().filter(|name| !name.is_empty()) {
         return body(&interface);
     }
     if left_out(test) {
         return;
     }
-    let options = again(test, ("HIL_CAN", "vcan0"), Duration::from_secs(120));
+    let options = again(test, ("HIL_CAN", "vcan0"), timeout);
     let mut output = Vec::new();
     let outcome = uml::run(&options, &mut output);
     judge(test, &outcome, &output);

@@ -11,7 +11,7 @@ use std::time::Duration;
 use can::timing::Bitrate;
 use can::{Frame, Instant, Port, TraceReader, Tracer, VirtualPort};
 use canopen::NodeId;
-use controller::cell::{Axis, Cell, Protocol};
+use controller::cell::{Axis, Cell, Parameters, Protocol};
 use controller::ecp::{Ecp, EcpConfig};
 use controller::generator::Arm;
 use drive::axis_controller::AxisControllerGroup;
@@ -20,14 +20,16 @@ use drive::{DriveGroup, Scale};
 use hil::plant::Switch;
 use hil::{
     AxisControllerConfig, Cabinet, Device, DeviceId, Epos4, Epos4Config, HiMoxaAxisController,
-    Irp6Axis, LineDevice, LineFaults, LineId, Nfv2AxisController, World,
+    Irp6Axis, LineDevice, LineFaults, LineId, Mechanism, MechanismConfig, Nfv2AxisController,
+    World,
 };
-use servo::{EffectorConfig, EffectorLink, Order, Phase, Record, Servo, ServoConfig};
+use servo::{EffectorConfig, EffectorLink, Order, Phase, Record, Servo, ServoConfig, ServoFault};
 
 use crate::allocations;
 use crate::motion::Motion;
 
-const HOMING: Duration = Duration::from_secs(120);
+/// From the farthest end of the longest travel; in virtual time.
+const HOMING: Duration = Duration::from_secs(900);
 const LONGEST_PROGRAM: Duration = Duration::from_secs(600);
 const LEAD: u16 = 8;
 
@@ -59,6 +61,18 @@ impl Setup {
         }
     }
 
+    /// One axis of a robot of `cells/{name}.toml`, on the bus or the lines that it has there.
+    pub(crate) fn axis_of(name: &str, robot: &str, axis: usize) -> Self {
+        let mut setup = Self::of(name);
+        let cell = &mut setup.cell;
+        cell.robot.retain(|given| given.name == robot);
+        let bus = cell.robot[0].axis[axis].bus.clone();
+        cell.bus.retain(|given| given.name == bus);
+        cell.serial.retain(|given| given.name == bus);
+        setup.axes = vec![axis];
+        setup
+    }
+
     /// One axis of the IRb-6.
     pub(crate) fn one_axis(axis: usize) -> Self {
         Self {
@@ -87,7 +101,7 @@ impl Setup {
     fn servo_config(&self, arm: &Arm) -> ServoConfig {
         let axis = |(index_in_group, &number): (usize, &usize)| {
             let limits = arm.robot().motor_limits()[number];
-            self.axis(number).servo_config(0, index_in_group, limits)
+            self.cell.robot[0].servo_config(number, 0, index_in_group, limits)
         };
         ServoConfig {
             period: self.period(),
@@ -103,7 +117,7 @@ impl Setup {
     }
 
     /// Motor, load, sensors and switches of an axis.
-    fn plant(&self, arm: &Arm, number: usize) -> hil::AxisConfig {
+    pub(crate) fn plant(&self, arm: &Arm, number: usize) -> hil::AxisConfig {
         let axis = self.axis(number);
         let home = arm.robot().home()[number];
         let limits = arm.robot().motor_limits()[number];
@@ -127,15 +141,36 @@ impl Setup {
         plant
     }
 
+    /// What is behind the axes of the robot.
+    fn mechanism(&self) -> Mechanism {
+        let robot = &self.cell.robot[0];
+        Mechanism::new(match robot.parameters.unwrap_or(robot.model.parameters()) {
+            Parameters::Irb6(_) => MechanismConfig::Irb6,
+            Parameters::Irp6(_) => MechanismConfig::Irp6,
+            Parameters::Irp6Track(_) => MechanismConfig::Irp6OnTrack,
+            Parameters::Rnt(rnt) => MechanismConfig::Rnt {
+                home_lengths: rnt.legs.map(|leg| leg.length_at_home),
+            },
+            Parameters::Polycrank(polycrank) => MechanismConfig::Polycrank {
+                coupled: polycrank.coupled,
+                at_home: polycrank.axes.map(|axis| axis.joint_at_home),
+            },
+            other @ (Parameters::Gripper(_) | Parameters::Conveyor(_)) => {
+                panic!("nothing is behind the axis of {other:?}")
+            }
+        })
+    }
+
     fn seed(&self, number: usize) -> u64 {
         self.cell.seed * 1000 + number as u64
     }
 
-    fn device(&self, arm: &Arm, number: usize) -> Socket {
+    fn device(&self, arm: &Arm, mechanism: &Mechanism, number: usize) -> Socket {
         let plant = self.plant(arm, number);
         Socket {
             drive: Epos4::new(Epos4Config {
                 seed: self.seed(number),
+                mount: mechanism.mount(number, arm.robot().home()[number]),
                 rated_torque: Some(self.axis(number).cia402().rated_torque),
                 ..Epos4Config::new(node(self.axis(number).node), plant)
             }),
@@ -144,11 +179,19 @@ impl Setup {
     }
 
     /// The drive of an axis on a serial line.
-    fn line_device(&self, arm: &Arm, number: usize, cabinet: &Cabinet) -> Box<dyn LineDevice> {
+    fn line_device(
+        &self,
+        arm: &Arm,
+        mechanism: &Mechanism,
+        number: usize,
+        cabinet: &Cabinet,
+    ) -> Box<dyn LineDevice> {
+        let plant = self.plant(arm, number);
         let config = AxisControllerConfig {
             seed: self.seed(number),
             cabinet: cabinet.clone(),
-            ..AxisControllerConfig::new(self.plant(arm, number))
+            mount: mechanism.mount(number, arm.robot().home()[number]),
+            ..AxisControllerConfig::new(plant)
         };
         match self.cell.serial[0].protocol {
             Protocol::Nfv2 => Box::new(Nfv2AxisController::new(self.axis(number).node, config)),
@@ -198,10 +241,11 @@ impl Setup {
         let bus = &self.cell.bus[0];
         let id = world.add_bus(Bitrate::from_kbps(bus.bitrate_kbps).expect("a possible bit rate"));
         let port = world.host_port(id, 256);
+        let mechanism = self.mechanism();
         let mut plugs = Vec::new();
         let mut drives = Vec::new();
         for &axis in &self.axes {
-            let device = self.device(arm, axis);
+            let device = self.device(arm, &mechanism, axis);
             plugs.push(device.unplugged.clone());
             drives.push(DriveId::Node(world.add_device(id, Box::new(device))));
         }
@@ -218,8 +262,9 @@ impl Setup {
         let latency = bundle.emulated_latency_ms;
         let latency = latency.map(|latency| Duration::from_millis(latency.into()));
         let cabinet = Cabinet::default();
+        let mechanism = self.mechanism();
         let line = |&axis: &usize| {
-            let device = self.line_device(arm, axis, &cabinet);
+            let device = self.line_device(arm, &mechanism, axis, &cabinet);
             let line = world.add_line(bundle.settings(), latency, device);
             (world.host_line(line, 4096), DriveId::Line(line))
         };
@@ -399,6 +444,46 @@ impl Rig {
         (0..self.drives.len())
             .map(|axis| self.angle(axis))
             .collect()
+    }
+
+    /// Cycles on, fed with `motion`, until a fault is latched, which is to be within `limit`, and everything stands, no
+    /// further than `bound` from where it was then, rad.
+    pub(crate) fn fault_within(
+        &mut self,
+        limit: Duration,
+        motion: &mut Motion,
+        bound: f64,
+    ) -> ServoFault {
+        let end = self.now + limit;
+        while self.servo.fault(0).is_none() {
+            assert!(self.now < end, "no fault");
+            self.feed(motion);
+            self.cycle();
+        }
+        let latched_at = self.angles();
+        self.until(Motion::LONGEST, "stopped", |rig| {
+            rig.phase() == Phase::Faulted
+        });
+        self.at_rest(&latched_at, bound);
+        self.servo.fault(0).expect("it is latched")
+    }
+
+    /// After a while for the last drive to brake, nothing moves, and nothing went further than `bound` from `start`, rad.
+    pub(crate) fn at_rest(&mut self, start: &[f64], bound: f64) {
+        for _ in 0..250 {
+            self.cycle();
+        }
+        let rest = self.angles();
+        for (axis, (start, rest)) in start.iter().zip(&rest).enumerate() {
+            let way = (rest - start).abs();
+            assert!(way < bound, "axis {axis} went on for {way:.2} rad");
+        }
+        for _ in 0..250 {
+            self.cycle();
+        }
+        for (axis, (before, after)) in rest.iter().zip(self.angles()).enumerate() {
+            assert!((after - before).abs() < 0.01, "axis {axis} still moves");
+        }
     }
 
     /// Answers that the drive group has missed.

@@ -3,7 +3,7 @@
 use std::fs;
 
 use controller::cell::{Bus, Cell, Robot};
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use crate::mrroc::{CELLS, Directory, Output, example, mrroc, root, text};
 
@@ -36,6 +36,38 @@ fn check_accepts_the_example_cells_and_says_what_their_buses_carry() {
             }
         }
         assert!(bus["messages"].as_array().unwrap().len() > 10, "{bus}");
+        assert_eq!(bus["serial"], Value::Null);
+    }
+}
+
+#[test]
+fn check_says_what_a_bundle_speaks_and_which_line_each_axis_has() {
+    for (name, bundle, axis) in [
+        (
+            "irb6-serial",
+            "serial bundle arm: nfv2 at 921600 bit/s, load 11.3 % of each line",
+            json!({"axis": "wrist-roll", "line": "/dev/ttyMI12", "address": 4}),
+        ),
+        (
+            "irb6-hi-moxa",
+            "serial bundle arm: hi-moxa at 921600 bit/s, load 7.2 % of each line",
+            json!({"axis": "wrist-roll", "line": "/dev/ttyMI12", "address": null}),
+        ),
+    ] {
+        let cell = example(name);
+        let check = mrroc(["check".as_ref(), cell.as_os_str()]);
+        assert_eq!(check.status.code(), Some(0), "{check:?}");
+        assert!(check.stdout.contains(bundle), "{check:?}");
+        let address = axis["address"].as_u64();
+        let address = address.map_or(String::new(), |address| format!(", address {address}"));
+        let line = format!("\n  axis wrist-roll: /dev/ttyMI12{address}\n");
+        assert!(check.stdout.contains(&line), "{check:?}");
+        let json = mrroc(["check".as_ref(), cell.as_os_str(), "--json".as_ref()]).json();
+        let serial = &json["buses"][0]["serial"];
+        assert_eq!(serial["lines"].as_array().unwrap().len(), 5);
+        assert_eq!(serial["lines"][4], axis);
+        assert_eq!(serial["baud"], 921_600);
+        assert!(bundle.contains(serial["protocol"].as_str().unwrap()));
     }
 }
 

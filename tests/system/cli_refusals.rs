@@ -2,6 +2,13 @@
 
 use std::path::Path;
 
+use can::{Frame, Id, Instant, StandardId, clock};
+use canopen::NodeId;
+use controller::cell::{Cell, Instruction};
+use hil::epos4::{Epos4, Epos4Config};
+use hil::{AxisConfig, Device};
+
+use crate::adapter::Adapter;
 use crate::mrroc::{Directory, Output, enables, example, mrroc, text, trace};
 
 /// Asserts one line on stderr with each of `needles`, silence on stdout, and exit status 2.
@@ -240,6 +247,119 @@ fn by_the_wall_clock_as_well_no_drive_is_switched_on_that_is_another() {
     assert_eq!(enables(&frames), 0);
 }
 
+/// An emulated EPOS4 that has numbers besides, or in place of, its own objects: those of CiA 402-2's ratios, which no
+/// EPOS4 has.
+struct Scaled {
+    drive: Epos4,
+    node: u8,
+    numbers: &'static [(u16, u8, u32)],
+    answer: Option<Frame>,
+}
+
+impl Device for Scaled {
+    fn handle(&mut self, frame: &Frame, now: Instant) {
+        let of_this = frame.id() == StandardId::new(0x600 + u16::from(self.node)).map(Id::Standard);
+        if let (true, &[0x40, low, high, subindex, ..]) = (of_this, frame.data()) {
+            let asked = (u16::from_le_bytes([low, high]), subindex);
+            let mut numbers = self.numbers.iter();
+            if let Some(&(.., value)) = numbers.find(|it| (it.0, it.1) == asked) {
+                let [a, b, c, d] = value.to_le_bytes();
+                let id = StandardId::new(0x580 + u16::from(self.node)).unwrap();
+                self.answer = Frame::new(id, &[0x43, low, high, subindex, a, b, c, d]);
+                return;
+            }
+        }
+        self.drive.handle(frame, now);
+    }
+    fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
+        let answer = self.answer.take();
+        answer.or_else(|| self.drive.poll_transmit(now))
+    }
+    fn poll_timeout(&self) -> Option<Instant> {
+        self.drive.poll_timeout()
+    }
+    fn handle_timeout(&mut self, now: Instant) {
+        self.drive.handle_timeout(now);
+    }
+}
+
+/// What a drive says of its scale, and what the refusal must say.
+type Scale = (&'static [(u16, u8, u32)], &'static str);
+
+/// The belt's cell has 4000 counts per motor revolution and counts at the motor's shaft.
+const SCALES: &[Scale] = &[
+    (
+        &[(0x6091, 1, 158), (0x6091, 2, 1)],
+        "0x6091:01 is 158 motor revolutions per shaft revolution, the cell says 1: set 1/1",
+    ),
+    (
+        &[(0x6092, 1, 3600), (0x6092, 2, 1), (0x608F, 1, 4000)],
+        "0x6092:01 is 3600 position units per shaft revolution, the cell says 4000: correct",
+    ),
+    (
+        &[(0x608F, 1, 8192), (0x608F, 2, 3)],
+        "0x608f:01 is 8192/3 encoder increments per motor revolution, the cell says 4000: correct",
+    ),
+    (
+        &[(0x3000, 5, 4096)],
+        "0x3000:05 is 4096 quadrature counts per revolution, the cell says 4000: correct",
+    ),
+    (
+        &[(0x6076, 0, 840_000)],
+        "0x6076:00 is 840000 µN·m of rated torque, the cell says 420000: correct drive.rated_torque",
+    ),
+];
+
+#[test]
+fn a_drive_whose_own_ratios_are_not_the_cells_is_refused_on_a_bus_and_not_switched_on() {
+    let directory = Directory::new();
+    let cell = directory.cell("lab", |cell| {
+        cell.robot.retain(|robot| robot.name == "conveyor");
+        cell.robot[0]
+            .program
+            .retain(|it| matches!(it, Instruction::Joints(_)));
+        let bus = cell.robot[0].axis[0].bus.clone();
+        cell.bus.retain(|it| it.name == bus);
+        cell.serial.clear();
+    });
+    let node = Cell::parse(&text("lab"))
+        .unwrap()
+        .robot
+        .last()
+        .unwrap()
+        .axis[0]
+        .node;
+    for &(numbers, needle) in SCALES {
+        let config = Epos4Config {
+            power_on: clock::now(),
+            ..Epos4Config::new(NodeId::new(node).unwrap(), AxisConfig::conveyor())
+        };
+        let drive = Scaled {
+            drive: Epos4::new(config),
+            node,
+            numbers,
+            answer: None,
+        };
+        let log = directory.path("scale.log");
+        let run = Adapter::new(Some(Box::new(drive))).served(|tty| {
+            let interface = format!("slcan:{}", tty.display());
+            mrroc([
+                "run".as_ref(),
+                cell.as_os_str(),
+                "--bench=card".as_ref(),
+                "--can".as_ref(),
+                interface.as_ref(),
+                "--trace".as_ref(),
+                log.as_os_str(),
+            ])
+        });
+        refused(&run, &["axis belt: node 4: ", needle]);
+        let frames = trace(&log);
+        assert!(!frames.is_empty(), "{needle}");
+        assert_eq!(enables(&frames), 0, "{needle}");
+    }
+}
+
 #[test]
 fn a_missing_file_is_refused_by_every_command() {
     for command in ["run", "check", "emulate"] {
@@ -294,4 +414,48 @@ fn options_that_contradict_each_other_are_refused() {
         let options = options.iter().map(AsRef::as_ref);
         refused(&mrroc(arguments.into_iter().chain(options)), &[needle]);
     }
+}
+
+#[test]
+fn each_bus_has_one_interface_and_each_interface_one_bus() {
+    let cell = example("polycrank");
+    let cases: &[(&[&str], &[&str])] = &[
+        (
+            &["--can=vcan0"],
+            &["2 buses", "BUS=vcan0", "upper, forearm"],
+        ),
+        (&["--can=leg=vcan0"], &["no bus \"leg\"", "upper, forearm"]),
+        (
+            &["--can=upper=vcan0", "--can=upper=vcan1"],
+            &["--can upper=vcan1", "already", "--can upper=vcan0"],
+        ),
+        (
+            &["--can=upper=vcan0", "--can=forearm=vcan0"],
+            &["bus forearm: vcan0 is that of bus upper", "BUS=IFACE"],
+        ),
+        // The other bus is on its own, which the cell names.
+        (
+            &["--can=upper=can1"],
+            &["bus forearm: can1 is that of bus upper"],
+        ),
+        (
+            &["--can=upper=nosuch0", "--can=forearm=nosuch1"],
+            &["bus upper: nosuch0: "],
+        ),
+    ];
+    let commands: [&[&str]; 2] = [&["run", "--bench=vcan"], &["emulate"]];
+    for (options, needles) in cases {
+        for command in commands {
+            let arguments = command.iter().chain(*options).map(AsRef::as_ref);
+            refused(&mrroc(arguments.chain([cell.as_os_str()])), needles);
+        }
+    }
+    // Behind an adapter's tty it needs none, and the other may have that.
+    let directory = Directory::new();
+    let link = format!("--slcan=forearm={}", directory.path("tty").display());
+    let emulate = ["emulate", "--can=upper=can1", &link].map(AsRef::as_ref);
+    refused(
+        &mrroc(emulate.into_iter().chain([cell.as_os_str()])),
+        &["bus upper: can1: "],
+    );
 }

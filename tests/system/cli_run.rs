@@ -247,6 +247,7 @@ fn stopped(run: &Output) {
     let causes = report["cycle"]["causes"].as_object().unwrap();
     let names: Vec<_> = causes.keys().collect();
     let expected = [
+        "between cycles",
         "bus",
         "host",
         "late wake-up",

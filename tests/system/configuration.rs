@@ -314,7 +314,7 @@ fn a_drive_that_scales_otherwise_than_the_cell_is_refused_and_none_is_switched_o
             |axis| axis.emulator.counts_per_revolution = Some(4096),
             Some(&[
                 "bus arm, axis column: node 1: ",
-                "0x3000:05 is 4096/1 quadrature counts per revolution, the cell says 4000",
+                "0x3000:05 is 4096 quadrature counts per revolution, the cell says 4000",
                 "correct drive.counts_per_revolution",
             ]),
         ),
@@ -322,7 +322,7 @@ fn a_drive_that_scales_otherwise_than_the_cell_is_refused_and_none_is_switched_o
             |axis| axis.emulator.rated_torque = Some(2.1),
             Some(&[
                 "bus arm, axis column: node 1: ",
-                "0x6076:00 is 2100000/1 µN·m of rated torque, the cell says 420000",
+                "0x6076:00 is 2100000 µN·m of rated torque, the cell says 420000",
                 "correct drive.rated_torque",
             ]),
         ),
@@ -366,13 +366,18 @@ fn a_dcf_that_scales_otherwise_than_the_cell_is_refused() {
         (scale("608F", 4000, 1), None),
         (scale("608F", 8000, 2), None),
         (scale("6091", 1, 1), None),
+        (scale("608F", 524_288, 1) + &scale("6092", 4000, 1), None),
+        (
+            scale("6092", 3600, 7),
+            Some("0x6092 sets 3600/7 position units per shaft revolution, the cell says 4000"),
+        ),
         (
             scale("608F", 2000, 1),
-            Some("0x608f sets 2000/1 counts per revolution, the cell says 4000"),
+            Some("0x608f sets 2000 counts per revolution, the cell says 4000"),
         ),
         (
             scale("6091", 158, 1),
-            Some("0x6091 sets 158/1 motor revolutions per shaft revolution, the cell says 1"),
+            Some("0x6091 sets 158 motor revolutions per shaft revolution, the cell says 1"),
         ),
     ];
     for (objects, refusal) in cases {

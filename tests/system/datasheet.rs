@@ -1,12 +1,13 @@
 //! `mrroc datasheet`: the pages and figures of `docs/robots` are what it prints.
 
+use controller::cell::Model;
+
 use crate::cli_refusals::refused;
-use crate::kinematics::ROBOTS;
 use crate::mrroc::{mrroc, root};
 
 #[test]
 fn the_pages_and_figures_of_the_robots_are_what_the_parameters_give() {
-    for name in ROBOTS.into_iter().chain(["gripper", "conveyor"]) {
+    for name in Model::ALL.map(Model::name) {
         for (ending, words) in [("md", vec![]), ("svg", vec!["--figure"])] {
             let words: Vec<_> = ["datasheet", "--robot", name]
                 .into_iter()
@@ -24,8 +25,31 @@ fn the_pages_and_figures_of_the_robots_are_what_the_parameters_give() {
                 words.join(" ")
             );
             assert!(!kept.contains("NaN") && !kept.contains("inf,"), "{name}");
+            let (told, _) = kept.split_once("## Loop").unwrap_or((&kept, ""));
+            let rows = told.lines().filter(|line| line.starts_with("| "));
+            for row in rows.filter(|row| !row.ends_with("| source |")) {
+                let cells: Vec<_> = row.trim_matches('|').split('|').map(str::trim).collect();
+                let [.., tag, source] = cells[..] else {
+                    panic!("{name}: {row}");
+                };
+                assert!(
+                    ["public code", "derived", "nominal"].contains(&tag),
+                    "{name}: {row}"
+                );
+                assert!(!source.is_empty(), "{name}: {row}");
+            }
         }
     }
+}
+
+#[test]
+fn the_readme_names_every_robot_that_the_program_knows() {
+    let readme = std::fs::read_to_string(root().join("README.md")).unwrap();
+    let (_, section) = readme.split_once("## Which robot").unwrap();
+    let (section, _) = section.split_once("\n## ").unwrap();
+    let (list, _) = section.split_once("; with `--cell`").unwrap();
+    let told: Vec<_> = list.split('`').skip(3).step_by(2).collect();
+    assert_eq!(told, Model::ALL.map(Model::name));
 }
 
 #[test]

@@ -20,39 +20,10 @@ use crate::watch::Watcher;
 /// drives are behind, and the give of a joint that was pushed.
 const BRAKING: f64 = Motion::VELOCITY * Motion::VELOCITY / (2.0 * 1500.0) + 1.0;
 
-/// Cycles on, fed with `motion`, until a fault is latched and everything stands; asserts the bounds.
+/// The axis that an arm fed with `motion` is stopped for, and why.
 fn fault_of(rig: &mut Rig, motion: &mut Motion) -> (u8, StopCause) {
-    let end = rig.now + Motion::LONGEST;
-    while rig.servo.fault(0).is_none() {
-        assert!(rig.now < end, "no fault");
-        rig.feed(motion);
-        rig.cycle();
-    }
-    let latched_at = rig.angles();
-    rig.until(Motion::LONGEST, "stopped", |rig| {
-        rig.phase() == Phase::Faulted
-    });
-    at_rest(rig, &latched_at, BRAKING);
-    let fault = rig.servo.fault(0).expect("it is latched");
+    let fault = rig.fault_within(Motion::LONGEST, motion, BRAKING);
     (fault.axis.expect("the fault is of an axis"), fault.cause)
-}
-
-/// After a while for the last drive to brake, nothing moves, and nothing went further than `bound` from `start`.
-fn at_rest(rig: &mut Rig, start: &[f64], bound: f64) {
-    for _ in 0..250 {
-        rig.cycle();
-    }
-    let rest = rig.angles();
-    for (axis, (start, rest)) in start.iter().zip(&rest).enumerate() {
-        let way = (rest - start).abs();
-        assert!(way < bound, "axis {axis} went on for {way:.2} rad");
-    }
-    for _ in 0..250 {
-        rig.cycle();
-    }
-    for (axis, (before, after)) in rest.iter().zip(rig.angles()).enumerate() {
-        assert!((after - before).abs() < 0.01, "axis {axis} still moves");
-    }
 }
 
 /// Resets the fault and enables again: no motor moves by more than what taking up its load needs.
@@ -341,6 +312,7 @@ fn what_may_not_be_commanded_never_reaches_the_bus() {
             report_at: 1,
             position: before.map(|axis| axis.commanded),
             velocity: [0.0; MAX_AXES],
+            torque: [0.0; MAX_AXES],
         };
         spoil(&mut step);
         rig.order(Order::Move(step));
@@ -373,7 +345,7 @@ fn a_stop_request_brakes_within_the_limits_and_switches_off() {
     rig.until(Motion::LONGEST, "off", |rig| rig.servo.is_off());
     assert_eq!((rig.phase(), rig.servo.fault(0)), (Phase::Off, None));
     rig.after_cycle = Box::new(|_| {});
-    at_rest(&mut rig, &start, BRAKING);
+    rig.at_rest(&start, BRAKING);
     let count = TAU / 4000.0;
     let measured = rig.last.axis[0].measured;
     assert!((measured - rig.angle(0)).abs() <= 2.0 * count);

@@ -50,7 +50,7 @@ pub(crate) fn closed_by_host(axis: &mut Axis, kind: Irp6Axis, control: DriveCont
                 velocity: motor.viscous,
                 acceleration: motor.inertia,
                 coulomb: motor.friction.coulomb,
-                constant: 0.0,
+                ..FeedForward::default()
             },
         ),
     };

@@ -345,7 +345,7 @@ fn the_polycranks_description_stands_on_the_floor_with_axis_1_level() {
 #[test]
 fn questions_without_an_answer_are_refused_in_one_line() {
     let unit = "--quaternion 1,0,0,0";
-    let cases: [(&str, &str); 15] = [
+    let cases: [(&str, &str); 25] = [
         (
             "fk --robot nosuch --joints 1",
             "\"nosuch\", only irb6, irp6, irp6-calibrated, irp6-track, irp6-track-calibrated, rnt, polycrank, gripper, conveyor",
@@ -399,6 +399,46 @@ fn questions_without_an_answer_are_refused_in_one_line() {
         (
             "ik --robot rnt --position 0,0,1.1",
             "axis 3 is undetermined 0.0e0",
+        ),
+        (
+            "ik --robot irb6 --position 3,0,0.5 --quaternion 0,1,0,0",
+            "1.876837 m out of reach",
+        ),
+        (
+            "ik --robot irb6 --position 0,0,1 --quaternion 0,1,0,0",
+            "axis 0 is undetermined 0.0e0 from a singular pose",
+        ),
+        (
+            "ik --robot irp6-calibrated --position 3,0,0.5 --quaternion 0,1,0,0",
+            "1.721342 m out of reach",
+        ),
+        (
+            "ik --robot irp6-track --position 0,3,0.5 --quaternion 0,1,0,0",
+            "m out of reach",
+        ),
+        (
+            "ik --robot irp6-track-calibrated --position 0,3,0.5 --quaternion 0,1,0,0",
+            "m out of reach",
+        ),
+        (
+            "ik --robot polycrank --position 3,0.2,0.8 --quaternion 0.9,0.1,0.3,0.3",
+            "m out of reach",
+        ),
+        (
+            "ik --robot polycrank --position 3,0,0.5 --quaternion 0,1,0,0",
+            "axis 2 is undetermined 0.0e0 from a singular pose",
+        ),
+        (
+            "ik --robot gripper --position 0.2,0,0",
+            "axis 0: joint at 0.200000 is beyond its limit 0.091000",
+        ),
+        (
+            "ik --robot conveyor --position 0.2,0.1,0",
+            "0.100000 m and 0.000000 rad off the only axis",
+        ),
+        (
+            "fk --robot conveyor --joints nan",
+            "--joints: \"nan\" is not finite",
         ),
     ];
     for (words, needle) in cases {

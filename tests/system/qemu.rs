@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::time::Duration;
 
-use hil::qemu::{Kernel, Options, QemuError, run};
+use hil::qemu::{Kernel, MachineError, Options, QemuError, run};
 
 use crate::bench::kernel;
 use crate::uml::{Scratch, processes_of};
@@ -61,11 +61,14 @@ fn a_machine_that_does_not_end_by_itself_is_told_from_one_that_dies() {
     let (outcome, output) = shell(&kernel, &scratch, timeout, "echo begun; sleep 1000");
     assert_eq!(
         (outcome, &*output),
-        (Err(QemuError::TimedOut(timeout)), "begun\n")
+        (Err(MachineError::TimedOut(timeout).into()), "begun\n")
     );
     let panic = "echo begun; sleep 1; echo c >/proc/sysrq-trigger";
     let (outcome, output) = shell(&kernel, &scratch, Duration::from_secs(120), panic);
-    assert_eq!((outcome, &*output), (Err(QemuError::Died), "begun\n"));
+    assert_eq!(
+        (outcome, &*output),
+        (Err(MachineError::Died.into()), "begun\n")
+    );
     assert_eq!(fs::read_dir(scratch.0.join("out")).unwrap().count(), 0);
     assert_eq!(scratch.names(), ["out"]);
 }

@@ -16,6 +16,9 @@ const TRACKING: f64 = 0.25;
 /// What the counter shows at the reference is known to a cycle's motion at 3.5 rad/s, counts.
 const CYCLE: f64 = 5.0;
 
+/// A motor without power stands to six counts: its friction holds it, rad.
+const STILL: f64 = 0.01;
+
 fn completed(run: &Output, name: &str, tracking: f64) -> Value {
     assert_eq!(run.status.code(), Some(0), "{run:?}");
     let report = run.json();
@@ -149,11 +152,13 @@ fn an_emulator_in_another_process_outlives_runs_and_a_run_does_not_outlive_it() 
     // The drives kept their counters and references.
     let record = directory.path("second.csv");
     let report = run_on(&cell, &ttys, &record).output().json();
-    // Where another process keeps the answers back the loops suffer, and the run says so.
-    let named = report["faults"]
-        .as_array()
-        .is_some_and(|faults| !faults.is_empty());
-    assert!(report["outcome"] == "completed" || named, "{report}");
+    // Where another process keeps the answers back, or the host the cycles, the loops suffer, and the run says so.
+    let count = |value: &Value| value.as_u64().expect("a count");
+    let kept_back =
+        count(&report["buses"][0]["missed_answers"]) + count(&report["cycle"]["missed"]) > 0;
+    let named = !report["faults"].as_array().expect("a list").is_empty();
+    let excused = named && kept_back;
+    assert!(report["outcome"] == "completed" || excused, "{report}");
     for axis in report["axes"].as_array().unwrap() {
         assert_eq!(axis["homing_offset_counts"], Value::Null, "{axis}");
     }
@@ -161,7 +166,7 @@ fn an_emulator_in_another_process_outlives_runs_and_a_run_does_not_outlive_it() 
     assert!(second.iter().all(|(phase, _)| phase != "Homing"), "{name}");
     let way = (second[0].1 - left_at).abs();
     assert!(
-        way < 1.0,
+        way < STILL,
         "{name}: found {way:.3} rad from where it was left"
     );
 

@@ -6,10 +6,9 @@ use std::time::Duration;
 use drive::Fault;
 use drive::axis_controller::AxisControllerFault;
 use hil::{LineFaults, PlantConfig, Stuck, WireFaults};
-use servo::{Order, Phase, StopCause};
+use servo::{Order, Phase, ServoFault, StopCause};
 
-use crate::cell::{Rig, Setup};
-use crate::motion::Motion;
+use crate::cell::Setup;
 use crate::mrroc::SERIAL_CELLS;
 
 /// How far a motor without power runs on from [`Motion::VELOCITY`], with friction alone to stop it, rad.
@@ -29,39 +28,6 @@ fn stuck(how: Stuck) -> WireFaults {
         stuck: Some(how),
         ..WireFaults::default()
     }
-}
-
-/// Cycles on, fed with `motion`, until a fault is latched, which is to be within `cycles`, and everything stands;
-/// the axis and what happened. A drive that hears nothing has no watchdog: the others' opening the cabinet's emergency
-/// stop is what stops it.
-fn fault_within(rig: &mut Rig, motion: &mut Motion, cycles: u32) -> (Option<u8>, StopCause) {
-    let end = rig.now + rig.period * cycles;
-    while rig.servo.fault(0).is_none() {
-        assert!(rig.now < end, "no fault");
-        rig.feed(motion);
-        rig.cycle();
-    }
-    let latched_at = rig.angles();
-    rig.until(Motion::LONGEST, "stopped", |rig| {
-        rig.phase() == Phase::Faulted
-    });
-    for _ in 0..1000 {
-        rig.cycle();
-    }
-    let rest = rig.angles();
-    for (axis, (from, to)) in latched_at.iter().zip(&rest).enumerate() {
-        let way = (to - from).abs();
-        assert!(way < RUN_OUT, "axis {axis} went on for {way:.2} rad");
-    }
-    for _ in 0..250 {
-        rig.cycle();
-    }
-    for (axis, (before, after)) in rest.iter().zip(rig.angles()).enumerate() {
-        let still = (after - before).abs() < 0.05;
-        assert!(still, "axis {axis} still moves");
-    }
-    let fault = rig.servo.fault(0).expect("it is latched");
-    (fault.axis, fault.cause)
 }
 
 fn of_line(cause: StopCause) -> Option<(u8, AxisControllerFault)> {
@@ -87,7 +53,10 @@ fn a_line_that_hangs_in_motion_stops_the_arm_by_the_name_of_its_axis() {
                 }
                 rig.set_line_faults(2, &faults);
                 let tolerated = rig.cell.serial[0].tolerated_missing;
-                let (axis, cause) = fault_within(&mut rig, &mut motion, tolerated + 3);
+                // A drive that hears nothing has no watchdog: the others' opening the cabinet's emergency stop is
+                // what stops it.
+                let limit = rig.period * (tolerated + 3);
+                let ServoFault { axis, cause } = rig.fault_within(limit, &mut motion, RUN_OUT);
                 assert_eq!(axis, Some(2), "{cell}, {how:?}, {direction}");
                 let cycles = tolerated + 1;
                 let silent = AxisControllerFault::Silent { cycles };

@@ -5,7 +5,7 @@ use std::process::Command;
 use std::time::Duration;
 use std::{env, fs, process};
 
-use hil::uml::{Options, UmlError, run};
+use hil::uml::{MachineError, Options, run};
 
 use crate::bench::left_out;
 use crate::mrroc;
@@ -109,7 +109,10 @@ fn a_machine_out_of_time_is_killed_with_all_its_processes() {
         ..shell("echo begun; sleep 1000 & sleep 1000")
     };
     let mut output = Vec::new();
-    assert_eq!(run(&options, &mut output), Err(UmlError::TimedOut(timeout)));
+    assert_eq!(
+        run(&options, &mut output),
+        Err(MachineError::TimedOut(timeout).into())
+    );
     assert_eq!(String::from_utf8(output).unwrap(), "begun\n");
     assert_eq!(processes_of(&scratch.0), 0);
     assert!(scratch.names().is_empty());

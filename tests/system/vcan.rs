@@ -10,7 +10,7 @@ use std::fs::{self, File};
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::task::Poll;
 use std::time::Duration;
 
@@ -21,7 +21,7 @@ use canopen::emcy::Emergency;
 use canopen::objects::{POSITION_ACTUAL, STATUSWORD};
 use canopen::sdo::{Initiate, Request, Response};
 use canopen::{NodeId, Object, cob};
-use controller::cell::{Axis, Cell};
+use controller::cell::{Axis, Cell, Wait};
 use drive::cia402::{AxisConfig, Cia402Group, GroupConfig, Recording};
 use drive::{AxisCommand, AxisState, DriveGroup, Finite, Homing, Increments, Setpoint};
 
@@ -44,9 +44,7 @@ pub(crate) struct Stage<'a> {
 
 /// Runs `body` where `test` has an interface, with the program built before.
 pub(crate) fn on_stage(test: &str, body: impl FnOnce(&mut Stage)) {
-    // One at a time: a machine that waits for its processor misses deadlines.
-    static TURN: Mutex<()> = Mutex::new(());
-    let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+    let _turn = turn();
     mrroc::binary();
     on_vcan(test, |interface| {
         let directory = Directory::new();
@@ -60,17 +58,27 @@ pub(crate) fn on_stage(test: &str, body: impl FnOnce(&mut Stage)) {
     });
 }
 
+/// One at a time: a machine that waits for its processor misses deadlines.
+pub(crate) fn turn() -> MutexGuard<'static, ()> {
+    static TURN: Mutex<()> = Mutex::new(());
+    TURN.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 /// Slower, and more patient.
-fn shorten(cell: &mut Cell) {
+pub(crate) fn shorten(cell: &mut Cell) {
     mrroc::shorten(cell);
     cell.period_us = 10_000;
     cell.macrostep = 4;
     cell.max_missed_in_row = 300;
-    cell.bus[0].tolerated_missing = 50;
-    cell.bus[0].heartbeat_ms = 1000;
-    cell.bus[0].boot_timeout_ms = 10_000;
+    // The only processor is the emulators' too.
+    cell.realtime.wait = Wait::Plain;
+    for bus in &mut cell.bus {
+        bus.tolerated_missing = 50;
+        bus.heartbeat_ms = 1000;
+        bus.boot_timeout_ms = 10_000;
+    }
     // What the machine's own time is worth must not be taken for the arm's.
-    for axis in &mut cell.robot[0].axis {
+    for axis in cell.robot.iter_mut().flat_map(|robot| &mut robot.axis) {
         axis.following_error = 100.0;
     }
 }

@@ -64,6 +64,7 @@ pub(super) fn figure(machine: &Machine, symbols: &[&str], views: &[View; 2]) -> 
     if let Some(caution) = machine.caution {
         svg::text(&mut svg, [LEFT[0], 55.0], "start", ink::SECONDARY, caution);
     }
+    let mut told = Vec::new();
     for (view, left) in views.iter().zip(LEFT) {
         svg::text(
             &mut svg,
@@ -80,7 +81,8 @@ pub(super) fn figure(machine: &Machine, symbols: &[&str], views: &[View; 2]) -> 
             "font-size=\"12\" fill=\"#666\"",
             &posture,
         );
-        panel(&mut svg, left, symbols, view, &stands(&links, &view.joints));
+        let stands = stands(&links, &view.joints);
+        panel(&mut svg, left, symbols, view, &stands, &mut told);
     }
     symbols::legend(&mut svg, [LEFT[0], HEIGHT - 22.0]);
     svg + "</svg>\n"
@@ -101,7 +103,15 @@ fn at(joints: &Joints, symbols: &[&str], machine: &Machine) -> String {
     values.join(", ").replace('-', "\u{2212}")
 }
 
-fn panel(svg: &mut String, left: f64, symbols: &[&str], view: &View, stands: &[Stand]) {
+/// Draws a view, and adds to what was `told` the lengths that it tells: joint and part of the way to it.
+fn panel(
+    svg: &mut String,
+    left: f64,
+    symbols: &[&str],
+    view: &View,
+    stands: &[Stand],
+    told: &mut Vec<(usize, usize)>,
+) {
     let flange = stands
         .last()
         .map_or_else(Vector3::zeros, |stand| stand.frame.translation.vector);
@@ -149,11 +159,14 @@ fn panel(svg: &mut String, left: f64, symbols: &[&str], view: &View, stands: &[S
     if let Some(last) = stands.last() {
         sheet.frame(svg, &last.frame);
     }
-    for (symbol, place) in symbols.iter().zip(&places) {
-        sheet.name(svg, *place, symbol);
+    for ((symbol, place), stand) in symbols.iter().zip(&places).zip(stands) {
+        sheet.name(svg, *place, symbol, &stand.axis);
     }
-    for (stand, symbol) in stands.iter().zip(symbols) {
-        for [from, to] in &stand.way {
+    for (joint, (stand, symbol)) in stands.iter().zip(symbols).enumerate() {
+        for (part, [from, to]) in stand.way.iter().enumerate() {
+            if told.contains(&(joint, part)) {
+                continue;
+            }
             let along = (to - from).normalize();
             let variable = stand.kind == LinkKind::Prismatic && along.dot(&stand.axis).abs() > 0.99;
             let length = (to - from).norm() * 1e3;
@@ -162,7 +175,9 @@ fn panel(svg: &mut String, left: f64, symbols: &[&str], view: &View, stands: &[S
             } else {
                 ink::millimetres(length)
             };
-            sheet.dimension(svg, [*from, *to], &said);
+            if sheet.dimension(svg, [*from, *to], &said) {
+                told.push((joint, part));
+            }
         }
     }
     for other in &view.others {
@@ -184,7 +199,8 @@ fn places(sheet: &Sheet, stands: &[Stand]) -> Vec<Point> {
     for seen_along in [true, false] {
         for (number, stand) in stands.iter().enumerate() {
             if sheet.is_seen_along(&stand.axis) == seen_along {
-                places[number] = place(sheet, stand, number + 1 == stands.len(), &places);
+                let ends = [number == 0, number + 1 == stands.len()];
+                places[number] = place(sheet, stand, ends, &places);
             }
         }
     }
@@ -192,14 +208,15 @@ fn places(sheet: &Sheet, stands: &[Stand]) -> Vec<Point> {
 }
 
 /// Where a joint is drawn: on the way that leads to it where it turns about that or slides along it, else in its
-/// frame, or beside it along its axis where another joint is there already.
-fn place(sheet: &Sheet, stand: &Stand, last: bool, taken: &[Point]) -> Point {
+/// frame, or beside it along its axis where another joint is there already. The first leaves room for the base frame.
+fn place(sheet: &Sheet, stand: &Stand, [first, last]: [bool; 2], taken: &[Point]) -> Point {
     let own = sheet.at(stand.frame.translation.vector);
     let on_way = stand.way.last().and_then(|[from, to]| {
         let along = (to - from).normalize().dot(&stand.axis).abs() > 0.99;
         let [a, b] = [from, to].map(|end| sheet.at(*end));
         let long = (to - from).norm() > LEAST && (b[0] - a[0]).hypot(b[1] - a[1]) > 30.0;
-        (along && long).then(|| [0, 1].map(|side| f64::midpoint(a[side], b[side])))
+        let share = if first { 0.65 } else { 0.5 };
+        (along && long).then(|| [0, 1].map(|side| a[side] + share * (b[side] - a[side])))
     });
     let is_free = |place: &Point| {
         let near = |other: &Point| (other[0] - place[0]).hypot(other[1] - place[1]) < 27.0;

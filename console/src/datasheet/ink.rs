@@ -188,7 +188,8 @@ impl Sheet {
             },
         );
         let middle = f64::midpoint(low[0], high[0]);
-        let places = [[middle, high[1] + 14.0], [middle, low[1] - 12.0]];
+        let heights = [high[1] + 14.0, low[1] - 12.0, high[1] + 28.0, low[1] - 26.0];
+        let places = heights.map(|height| [middle, height]);
         self.text(svg, places.into_iter(), 12.0, "fill=\"#4a86c5\"", said);
     }
 
@@ -327,8 +328,9 @@ impl Sheet {
         self.taken.extend(points);
     }
 
-    /// What a joint is called.
-    pub(super) fn name(&mut self, svg: &mut String, at: Point, symbol: &str) {
+    /// What a joint is called. A dimension leaves one that is seen along its axis across its links, most of which stand
+    /// or lie: there it is told askew.
+    pub(super) fn name(&mut self, svg: &mut String, at: Point, symbol: &str, axis: &Vector3<f64>) {
         let round = |radius: f64| {
             [3, 5, 1, 7, 4, 0, 2, 6].map(|eighth| {
                 let angle = std::f64::consts::FRAC_PI_4 * f64::from(eighth);
@@ -338,24 +340,31 @@ impl Sheet {
                 ]
             })
         };
+        let askew = if self.is_seen_along(axis) { 2 } else { 0 };
+        let askew = round(34.0).into_iter().take(askew);
         let places = [26.0, 34.0, 46.0].into_iter().flat_map(round);
         self.text(
             svg,
-            places,
+            askew.chain(places),
             14.0,
             "fill=\"#111\" font-weight=\"bold\"",
             symbol,
         );
     }
 
-    /// A dimension beside a line that lies in the page.
-    pub(super) fn dimension(&mut self, svg: &mut String, ends: [Vector3<f64>; 2], said: &str) {
+    /// A dimension beside a line, if that lies in the page; whether it does.
+    pub(super) fn dimension(
+        &mut self,
+        svg: &mut String,
+        ends: [Vector3<f64>; 2],
+        said: &str,
+    ) -> bool {
         let length = (ends[1] - ends[0]).norm() * self.scale;
         let [from, to] = ends.map(|end| self.at(end));
         let along = [to[0] - from[0], to[1] - from[1]];
         let seen = along[0].hypot(along[1]);
         if seen < 9.0 || seen < 0.999 * length {
-            return;
+            return false;
         }
         let (along, size) = (unit(along), 12.0);
         let across = [-along[1], along[0]];
@@ -390,7 +399,7 @@ impl Sheet {
             10 * self.crowd(place(*offset), said, size) + self.taken.iter().filter(crossed).count()
         };
         let Some(&offset) = offsets.iter().min_by_key(|offset| crowd(offset)) else {
-            return;
+            return false;
         };
         let [a, b] = [beside(offset, from), beside(offset, to)];
         for (end, mark) in [(from, a), (to, b)] {
@@ -410,6 +419,7 @@ impl Sheet {
             "fill=\"#222\"",
             said,
         );
+        true
     }
 
     /// The axes of a frame.

@@ -33,14 +33,14 @@ fn loops(parameters: &Parameters) -> (Vec<Loop>, &'static str) {
                 [
                     "`cells/irb6-serial.toml`, by current (figures: column)",
                     "by the servo: cascade, 25 / s, 100 J / s, 10 / s, delay 2",
-                    "16.6",
-                    "48.5°",
+                    "16.8",
+                    "48.3°",
                 ],
                 [
                     "`cells/irb6-serial.toml`, wrist roll, by pulse width",
                     "by the servo: the same per duty, integral at the motor's pole, delay 2",
-                    "15.6",
-                    "48.9°",
+                    "15.7",
+                    "51.6°",
                 ],
                 [
                     "`cells/irb6.toml`, axis by axis",
@@ -82,14 +82,14 @@ fn loops(parameters: &Parameters) -> (Vec<Loop>, &'static str) {
                 [
                     "`cells/rnt.toml`, by velocity (CSV; figures: first leg)",
                     "by the servo: proportional, 50 / s, delay 3",
-                    "8.5",
-                    "83.5°",
+                    "8.4",
+                    "82.3°",
                 ],
                 [
                     "by torque (CST) instead (figures: column of an IRb-6 so driven)",
                     "by the servo: cascade, two thirds of the gains of the IRb-6, delay 3",
-                    "11.1",
-                    "47.4°",
+                    "11.2",
+                    "47.5°",
                 ],
             ],
             "cells/rnt.toml --axis leg-1",

@@ -25,7 +25,7 @@ pub(super) enum Tag {
 
 pub(super) const WUT: &str = "ptroja/mrrocpp, src/robot/irp6p_m";
 pub(super) const WUT_TRACK: &str = "ptroja/mrrocpp, src/robot/irp6ot_m";
-const GRIPPER: &str = "ptroja/mrrocpp, src/robot/irp6_tfg";
+const GRIPPER: &str = "ptroja/mrrocpp, src/robot/irp6ot_tfg";
 const CONVEYOR: &str = "ptroja/mrrocpp, src/robot/conveyor";
 const GRASPIT: &str = "mzbikows/Graspit, Polycrank";
 
@@ -285,6 +285,11 @@ fn lengths(parameters: &Parameters) -> Vec<Row> {
         }
         Parameters::Gripper(gripper) => {
             let (motors, openings) = (gripper.motor_limits, gripper.opening_limits);
+            let sign = Tag::Derived(
+                "ptroja/mrrocpp, src/robot/irp6ot_tfg; with the sign by which its home, 4830 rad, is within its \
+                 openings: the code has the other, by which it is not",
+            );
+            let code = Tag::PublicCode(GRIPPER);
             [
                 (
                     "square",
@@ -326,7 +331,8 @@ fn lengths(parameters: &Parameters) -> Vec<Row> {
                 ("opening_limits.high", "widest opening", openings.high, "m"),
             ]
             .map(|(name, meaning, value, unit)| {
-                row(name, meaning, value, unit, Tag::PublicCode(GRIPPER))
+                let tag = if name == "linear" { sign } else { code };
+                row(name, meaning, value, unit, tag)
             })
             .into()
         }
@@ -347,7 +353,7 @@ fn lengths(parameters: &Parameters) -> Vec<Row> {
                     "motor position at home",
                     conveyor.motor_at_home,
                     "rad",
-                    Tag::Nominal,
+                    code,
                 ),
                 (
                     "motor_limits.low",

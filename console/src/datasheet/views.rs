@@ -69,7 +69,7 @@ fn arm(machine: &Machine, degrees: &[f64]) -> [View; 2] {
     turned[column] = 35.0_f64.to_radians();
     let (mut others, mut above) = (Vec::new(), None);
     if on_track {
-        turned[0] = 0.6;
+        turned[0] = 0.9;
         let ends = range(machine, &joints, 0).map(|end| Vector3::y() * end);
         let travel = format!("{:.0}", (ends[1] - ends[0]).norm() * 1e3);
         others.push(Other {

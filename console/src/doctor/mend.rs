@@ -6,6 +6,7 @@ use super::finding::Finding;
 use super::fix::{apply, put_back, shown};
 use super::record::Record;
 use super::tree::Tree;
+use crate::streams;
 
 /// Applies the fixes of all findings that `agreed` agrees to; says what was done on stderr.
 ///
@@ -25,22 +26,27 @@ pub(crate) fn fix(
             match apply(tree, fix, record) {
                 Ok(None) => {}
                 Ok(Some(change)) => {
-                    eprintln!("set {fix}, before {}", shown(change.before.as_deref()));
+                    streams::warn(format_args!(
+                        "set {fix}, before {}",
+                        shown(change.before.as_deref())
+                    ));
                 }
-                Err(error) => eprintln!("not set: {fix}: {error:#}"),
+                Err(error) => streams::warn(format_args!("not set: {fix}: {error:#}")),
             }
         }
     }
     if record.changes().len() > before {
         let path = record.path().display();
-        eprintln!("`mrroc doctor --undo --state {path}` puts it back");
+        streams::warn(format_args!(
+            "`mrroc doctor --undo --state {path}` puts it back"
+        ));
     }
     Ok(())
 }
 
 /// Asks on the terminal.
 pub(crate) fn asked(finding: &Finding) -> io::Result<bool> {
-    eprint!("{}", question(finding));
+    write!(io::stderr(), "{}", question(finding))?;
     io::stderr().flush()?;
     let mut answer = String::new();
     io::stdin().lock().read_line(&mut answer)?;
@@ -76,12 +82,15 @@ pub(crate) fn undo(tree: &Tree, record: &mut Record) -> anyhow::Result<usize> {
         match put_back(tree, &change) {
             Ok(word) => {
                 let word = word.map_or(String::new(), |word| format!(": {word}"));
-                println!("put back {} = {before}{word}", change.knob);
                 record.remove(index)?;
+                streams::say(format_args!("put back {} = {before}{word}", change.knob))?;
             }
             Err(error) => {
-                println!("left {}, which was {before}: {error:#}", change.knob);
                 left += 1;
+                streams::say(format_args!(
+                    "left {}, which was {before}: {error:#}",
+                    change.knob
+                ))?;
             }
         }
     }

@@ -19,6 +19,7 @@ mod tests;
 mod tree;
 
 use std::env;
+use std::fmt;
 use std::io::{self, IsTerminal};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -36,6 +37,7 @@ use servo::thread::{Denial, set_deadline, set_fifo};
 
 use crate::cell_file::CellFile;
 use crate::interfaces::Interface;
+use crate::streams;
 use finding::{Finding, Verdict};
 use link::Link;
 use record::Record;
@@ -113,11 +115,7 @@ pub(crate) fn doctor(options: &Options) -> anyhow::Result<ExitCode> {
         verdict: worst.unwrap_or(Verdict::Ok),
         findings,
     };
-    if options.json {
-        println!("{}", serde_json::to_string(&examined)?);
-    } else {
-        print(&examined);
-    }
+    streams::answer(&examined, options.json)?;
     Ok(ExitCode::from(match examined.verdict {
         Verdict::Ok => 0,
         Verdict::Warning => 1,
@@ -128,7 +126,10 @@ pub(crate) fn doctor(options: &Options) -> anyhow::Result<ExitCode> {
 fn undo(tree: &Tree, options: &Options) -> anyhow::Result<ExitCode> {
     let mut record = Record::open(&state(tree, options)?)?;
     if record.changes().is_empty() {
-        println!("{}: nothing to put back", record.path().display());
+        streams::say(format_args!(
+            "{}: nothing to put back",
+            record.path().display()
+        ))?;
     }
     let left = mend::undo(tree, &mut record)?;
     Ok(ExitCode::from(u8::from(left > 0)))
@@ -249,43 +250,46 @@ fn try_open(interface: &str) -> Result<(), OpenError> {
     SocketCanPort::open(interface, &SocketCanOptions::default()).map(drop)
 }
 
-fn print(examined: &Examined) {
-    for finding in &examined.findings {
-        let Finding {
-            of,
-            what,
-            read,
-            why,
-            ..
-        } = finding;
-        let verdict = match finding.verdict {
-            Verdict::Ok => "ok",
-            Verdict::Warning => "warning",
-            Verdict::NotUsable => "not usable",
+impl fmt::Display for Examined {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for finding in &self.findings {
+            let Finding {
+                of,
+                what,
+                read,
+                why,
+                ..
+            } = finding;
+            let verdict = match finding.verdict {
+                Verdict::Ok => "ok",
+                Verdict::Warning => "warning",
+                Verdict::NotUsable => "not usable",
+            };
+            writeln!(f, "{verdict:10}  {of}: {what}: {read}")?;
+            if let Some(mend) = &finding.mend {
+                writeln!(f, "{:12}why: {why}\n{:12}mend: {mend}", "", "")?;
+            }
+            for fix in &finding.fixes {
+                writeln!(f, "{:12}--fix: {fix}", "")?;
+            }
+        }
+        let count = |verdict| {
+            let findings = self.findings.iter();
+            findings
+                .filter(|finding| finding.verdict == verdict)
+                .count()
         };
-        println!("{verdict:10}  {of}: {what}: {read}");
-        if let Some(mend) = &finding.mend {
-            println!("{:12}why: {why}\n{:12}mend: {mend}", "", "");
+        let whose = self.cell.as_deref().map(|cell| format!(" for {cell}"));
+        let whose = whose.unwrap_or_default();
+        let warnings = count(Verdict::Warning);
+        match self.verdict {
+            Verdict::Ok => writeln!(f, "\nready{whose}"),
+            Verdict::Warning => writeln!(f, "\nusable{whose}, with warnings: {warnings}"),
+            Verdict::NotUsable => writeln!(
+                f,
+                "\nnot usable{whose}: {} in the way, warnings: {warnings}",
+                count(Verdict::NotUsable)
+            ),
         }
-        for fix in &finding.fixes {
-            println!("{:12}--fix: {fix}", "");
-        }
-    }
-    let count = |verdict| {
-        let findings = examined.findings.iter();
-        findings
-            .filter(|finding| finding.verdict == verdict)
-            .count()
-    };
-    let whose = examined.cell.as_deref().map(|cell| format!(" for {cell}"));
-    let whose = whose.unwrap_or_default();
-    let warnings = count(Verdict::Warning);
-    match examined.verdict {
-        Verdict::Ok => println!("\nready{whose}"),
-        Verdict::Warning => println!("\nusable{whose}, with warnings: {warnings}"),
-        Verdict::NotUsable => println!(
-            "\nnot usable{whose}: {} in the way, warnings: {warnings}",
-            count(Verdict::NotUsable)
-        ),
     }
 }

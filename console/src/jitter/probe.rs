@@ -73,7 +73,11 @@ pub(crate) fn wait(waiter: &mut Waiter, wakeups: &mut Wakeups, turn: Turn) {
         let awake = waiter.wait(due, Duration::ZERO);
         let late = awake.at.since(due);
         wakeups.late.record(late, awake.at);
-        let spent = Spent::waiting(&awake, awake.asked_at.since(ended), Duration::ZERO);
+        let before = Spent {
+            own: awake.asked_at.since(ended),
+            ..Spent::default()
+        };
+        let spent = Spent::waiting(&awake, before);
         let is_late = late > turn.period / 100;
         let counted = if is_late || awake.gap > GAP {
             Some(account.settle(late))

@@ -22,7 +22,6 @@ mod tests;
 mod value;
 mod words;
 
-use std::io::{ErrorKind, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -38,6 +37,7 @@ use clap::Args;
 use crate::bus_port::BusPort;
 use crate::cell_file::CellFile;
 use crate::interfaces::Interface;
+use crate::streams::say;
 use epos::ServicePort;
 use talk::{Conversation, Ended};
 use value::Type;
@@ -279,15 +279,6 @@ fn until_interrupted() -> anyhow::Result<Arc<AtomicBool>> {
 /// Broken off by Ctrl-C.
 fn interrupted() -> ExitCode {
     ExitCode::from(1)
-}
-
-/// Writes to standard output; whether anybody still reads. A reader that has gone, such as `head`, is no failure.
-fn say(line: impl std::fmt::Display) -> anyhow::Result<bool> {
-    match writeln!(std::io::stdout(), "{line}") {
-        Ok(()) => Ok(true),
-        Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(false),
-        Err(error) => Err(error).context("standard output"),
-    }
 }
 
 /// Now, by the clock of the conversations.

@@ -155,7 +155,7 @@ fn watch(bus: &mut Bus, decoder: &Decoder, options: &Options) -> anyhow::Result<
             }
         }
         if let Some(news) = health.news(bus) {
-            eprintln!("mrroc: {}: {news}", bus.interface);
+            crate::streams::warn(format_args!("mrroc: {}: {news}", bus.interface));
         }
         out.flush()?;
     }

@@ -186,24 +186,26 @@ fn write(
             }
             let (object, wrote) = (target.object, Shown::of(&data, Some(ty), false));
             let found = Shown::of(&found, Some(ty), false);
-            eprintln!("mrroc: {object} was written as {wrote} and reads back as {found}");
+            crate::streams::warn(format_args!(
+                "mrroc: {object} was written as {wrote} and reads back as {found}"
+            ));
             Ok(ExitCode::from(1))
         }
         Some(Err(SdoError::Aborted {
             code: AbortCode::WRITE_ONLY,
             ..
         })) => {
-            eprintln!(
+            crate::streams::warn(format_args!(
                 "mrroc: {} is written; it cannot be read back",
                 target.object
-            );
+            ));
             Ok(ExitCode::SUCCESS)
         }
         Some(Err(error)) => {
-            eprintln!(
+            crate::streams::warn(format_args!(
                 "mrroc: {} is written; reading it back failed: {error}",
                 target.object
-            );
+            ));
             Ok(ExitCode::from(1))
         }
     }

@@ -39,6 +39,16 @@ pub enum Protocol {
     HiMoxa,
 }
 
+impl Protocol {
+    /// Its name in cell files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Nfv2 => "nfv2",
+            Self::HiMoxa => "hi-moxa",
+        }
+    }
+}
+
 /// An axis controller on a serial line; the host closes its position loop every period.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -157,9 +167,17 @@ pub struct FeedForward {
     pub velocity: f64,
     /// Per commanded acceleration, output·s²/rad: inertia; under `control = "velocity"` the lag of the drive's loop, s.
     pub acceleration: f64,
-    /// In the sense of the commanded velocity: dry friction.
+    /// In the sense of the commanded velocity: dry friction while sliding fast.
     pub coulomb: f64,
-    /// Always: the mean weight of the load.
+    /// The same at break-away, at least `coulomb`; `coulomb` where absent.
+    pub stiction: Option<f64>,
+    /// Velocity over which it falls from `stiction` to `coulomb`, rad/s: to 0.37 of the difference. Needed with
+    /// `stiction`.
+    pub stribeck_velocity: Option<f64>,
+    /// Per torque, 1/(N·m), that the robot's `weight` takes: 1 where absent under `control = "current"` or `"torque"`;
+    /// under `control = "pwm"` winding resistance / (torque constant * supply voltage).
+    pub weight: Option<f64>,
+    /// Always: the mean weight of the load, where the robot has no `weight`.
     pub constant: f64,
 }
 

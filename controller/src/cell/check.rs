@@ -6,6 +6,7 @@ use thiserror::Error;
 
 mod axis;
 mod meetings;
+mod weight;
 
 use super::locate::{self, Path};
 use super::{Cell, Instruction, JointGenerator, Plant, Realtime, Robot, Scheduler};
@@ -440,7 +441,34 @@ fn check_robots(cell: &Cell) -> Checked {
             }
             taken.push((what, path));
         }
+        weight::check(&path, robot, &*kinematics)?;
         check_program(&path.then("program"), robot)?;
+        check_payloads(&path.then("emulated_payload"), robot)?;
+    }
+    Ok(())
+}
+
+fn check_payloads(path: &Path, robot: &Robot) -> Checked {
+    for (number, payload) in robot.emulated_payload.iter().enumerate() {
+        let path = path.then(number);
+        if robot.model.axes() == 1 {
+            let why = "is of a gripper or conveyor, whose emulation carries nothing: leave it out";
+            return Err((path, Problem::Refused(why.into())));
+        }
+        if let Some(axis) = robot.axis.iter().find(|it| it.emulator.plant == Plant::Wut) {
+            let name = &axis.name;
+            let why =
+                format!("would not be felt by axis {name:?}, whose plant is wut: use physical");
+            return Err((path, Problem::Refused(why)));
+        }
+        let at = path.then("at_s");
+        in_range(&at, payload.at_s, 0.0, 1e6, "between 0 and 1e6 (s)")?;
+        let mass = path.then("mass");
+        in_range(&mass, payload.mass, 0.0, 1e3, "between 0 and 1000 (kg)")?;
+        for (number, part) in payload.centre.into_iter().enumerate() {
+            let centre = path.then("centre").then(number);
+            in_range(&centre, part, -10.0, 10.0, "between -10 and 10 (m)")?;
+        }
     }
     Ok(())
 }

@@ -10,7 +10,7 @@ use servo::{FeedForward, HomingLeg, HostHoming, HostLoop, Output, PositionLoop, 
 
 use super::{
     Axis, AxisController, Cell, Control, Direction, Drive, DriveControl, Homing, Law, Loop,
-    Parameter, Protocol, Serial,
+    Parameter, Protocol, Robot, Serial,
 };
 use crate::robot::Limits;
 
@@ -193,10 +193,10 @@ impl Axis {
         }
     }
 
-    /// Who closes its position loop, and how.
-    fn position_loop(&self) -> PositionLoop {
+    /// Who closes its position loop, and how; `weighs` tells of a robot whose weight is known.
+    fn position_loop(&self, weighs: bool) -> PositionLoop {
         let by_host =
-            |given: &Loop, output| PositionLoop::Host(given.of(output, self.max_velocity));
+            |given: &Loop, output| PositionLoop::Host(given.of(output, self.max_velocity, weighs));
         match (&self.drive, &self.controller) {
             (Some(drive), _) => {
                 let output = match drive.control {
@@ -216,37 +216,41 @@ impl Axis {
             (None, None) => unreachable!("{HAS_DRIVE}"),
         }
     }
+}
 
-    /// What the servo holds it to, within the motor's own `limits`, as axis `index_in_group` of drive
+impl Robot {
+    /// What the servo holds axis `number` to, within the motor's own `limits`, as axis `index_in_group` of drive
     /// group `group`.
     pub fn servo_config(
         &self,
+        number: usize,
         group: usize,
         index_in_group: usize,
         limits: Limits,
     ) -> ServoAxisConfig {
+        let axis = &self.axis[number];
         ServoAxisConfig {
             group,
             index_in_group,
-            min_position: self.min_position.unwrap_or(limits.low),
-            max_position: self.max_position.unwrap_or(limits.high),
-            max_velocity: self.max_velocity,
-            max_acceleration: self.max_acceleration,
-            following_error: self.following_error,
-            homing_order: self.homing.order,
-            increments_per_radian: self.scale(0.0).increments_per_radian(),
-            position_loop: self.position_loop(),
+            min_position: axis.min_position.unwrap_or(limits.low),
+            max_position: axis.max_position.unwrap_or(limits.high),
+            max_velocity: axis.max_velocity,
+            max_acceleration: axis.max_acceleration,
+            following_error: axis.following_error,
+            homing_order: axis.homing.order,
+            increments_per_radian: axis.scale(0.0).increments_per_radian(),
+            position_loop: axis.position_loop(self.weight.is_some()),
             torque_offset: None,
-            homing: self
+            homing: axis
                 .controller
                 .as_ref()
-                .map(|_| self.homing.by_host(limits)),
+                .map(|_| axis.homing.by_host(limits)),
         }
     }
 }
 
 impl Loop {
-    fn of(&self, output: Output, max_velocity: f64) -> HostLoop {
+    fn of(&self, output: Output, max_velocity: f64, weighs: bool) -> HostLoop {
         let Loop {
             law,
             feed_forward,
@@ -280,6 +284,13 @@ impl Loop {
                 velocity: feed_forward.velocity,
                 acceleration: feed_forward.acceleration,
                 coulomb: feed_forward.coulomb,
+                stiction: feed_forward.stiction.unwrap_or(0.0),
+                stribeck_velocity: feed_forward.stribeck_velocity.unwrap_or(0.0),
+                weight: match output {
+                    _ if !weighs => 0.0,
+                    Output::Torque => feed_forward.weight.unwrap_or(1.0),
+                    Output::Velocity | Output::Duty => feed_forward.weight.unwrap_or(0.0),
+                },
                 constant: feed_forward.constant,
             },
             runaway_velocity: runaway_velocity.unwrap_or(1.2 * max_velocity),

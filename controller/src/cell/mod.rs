@@ -15,6 +15,7 @@ mod model;
 mod program;
 #[cfg(test)]
 mod tests;
+mod weight;
 
 use std::sync::Arc;
 
@@ -34,6 +35,7 @@ pub use locate::{Path, Step};
 pub use meetings::Meeting;
 pub use model::{Model, Parameters};
 pub use program::{ProgramError, instruction_path};
+pub use weight::Weights;
 
 /// One controller: everything that is stepped on one tick grid.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
@@ -180,20 +182,33 @@ pub struct Robot {
     /// Origin of the tool in the flange's frame, m.
     #[serde(default)]
     pub tool: [f64; 3],
+    /// What its links weigh, to be fed forward to its motors; not fed forward where absent.
+    #[serde(default)]
+    pub weight: Option<Weights>,
     /// The axes, base first.
     pub axis: Vec<Axis>,
     /// What it does after homing, in order.
     #[serde(default)]
     pub program: Vec<Instruction>,
+    /// What the emulated robot carries, and from when on; nothing before the first. The others ignore it.
+    #[serde(default)]
+    pub emulated_payload: Vec<EmulatedPayload>,
 }
 
 impl Robot {
-    /// Its kinematics and its tool, or what is wrong with its parameters.
+    /// Its kinematics, its tool and what weighs on its motors, or what is wrong with its parameters.
     pub fn arm(&self) -> Result<Arm, ParameterError> {
-        Ok(Arm::new(
-            self.kinematics()?,
-            Pose::translation(self.tool[0], self.tool[1], self.tool[2]),
-        ))
+        let robot = self.kinematics()?;
+        let weight = self
+            .weight
+            .as_ref()
+            .map(|weights| weights.of(self.model, &*robot));
+        let tool = Pose::translation(self.tool[0], self.tool[1], self.tool[2]);
+        let arm = Arm::new(robot, tool);
+        Ok(match weight.transpose().map_err(ParameterError::Weight)? {
+            Some(weight) => arm.weighing(weight),
+            None => arm,
+        })
     }
 
     /// Its kinematics and drive train, or what is wrong with its parameters.
@@ -365,6 +380,19 @@ pub struct Emulator {
     pub protocol: Option<Protocol>,
     /// Whether the bus or line lacks it: a drive that never boots.
     pub absent: bool,
+}
+
+/// What an emulated robot carries from a point of time on, in place of whatever it carried before.
+#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct EmulatedPayload {
+    /// Counted from when the emulated drives are switched on, s.
+    pub at_s: f64,
+    /// kg; 0 puts down what it carried.
+    pub mass: f64,
+    /// The centre of mass in the emulated mechanism's flange frame, m.
+    #[serde(default)]
+    pub centre: [f64; 3],
 }
 
 /// The plants an emulated axis can have.

@@ -31,7 +31,19 @@ fn example_cells_parse_and_their_programs_can_be_built() {
 
 #[test]
 fn a_refusal_names_line_key_and_reason() {
-    let cases: [(&str, &str, &str, &str); 32] = [
+    let cases: [(&str, &str, &str, &str); 34] = [
+        (
+            "node = 1",
+            "emulator = { counts_per_revolution = 3 }\nnode = 1",
+            "robot[0].axis[0].emulator.counts_per_revolution",
+            "between 4 and 10000000",
+        ),
+        (
+            "node = 1",
+            "emulator = { rated_torque = 0.0 }\nnode = 1",
+            "robot[0].axis[0].emulator.rated_torque",
+            "between 0.000001 and 4294",
+        ),
         (
             "method = 11",
             "method = 12",
@@ -283,7 +295,8 @@ fn a_drive_by_velocity_or_torque_has_a_loop_that_suits_it_and_no_other_has_one()
         match parsed {
             Ok(cell) => {
                 assert_eq!(refusal, "", "{drive}");
-                let config = cell.robot[0].axis[0].servo_config(
+                let config = cell.robot[0].servo_config(
+                    0,
                     0,
                     0,
                     Limits {
@@ -306,7 +319,7 @@ fn a_drive_by_velocity_or_torque_has_a_loop_that_suits_it_and_no_other_has_one()
         }
     }
     let of_line = SERIAL.replacen(
-        "{ cascade = { position_gain = 25.0, velocity_gain = 0.066, integral_rate = 10.0, limit = 2.1 } }",
+        "{ cascade = { position_gain = 25.0, velocity_gain = 0.043, integral_rate = 10.0, limit = 2.1 } }",
         velocity,
         1,
     );

@@ -400,7 +400,11 @@ impl Ecp {
                 if self.outbox.is_empty() && self.is_done(order) {
                     return Some(Ok(()));
                 }
-                if waited > patience {
+                let homing = matches!(phase, Phase::Standing | Phase::Homing);
+                if order == Order::Home && !homing {
+                    // Whoever stopped the servo did not ask for the rest of the search.
+                    self.break_off(now);
+                } else if waited > patience {
                     self.brake(Err(EcpError::TimedOut { phase, waited }));
                 }
                 None
@@ -447,13 +451,7 @@ impl Ecp {
         let phase = self.phase();
         let waited = now.since(self.heard);
         if !matches!(phase, Phase::Standing | Phase::Moving) {
-            let fault = self.report.and_then(|report| report.fault);
-            let outcome = Err(fault.map_or(EcpError::BrokenOff { phase }, EcpError::Servo));
-            self.clear_outbox();
-            self.activity = Activity::Stopping {
-                since: Some(now),
-                outcome,
-            };
+            self.break_off(now);
         } else if waited > self.config.silence + self.config.macrostep() {
             self.brake(Err(EcpError::Silent { waited }));
         } else if matches!(self.activity, Activity::Arriving) {
@@ -465,6 +463,18 @@ impl Ecp {
             }
         }
         None
+    }
+
+    /// Ends what the servo has ended, once the effector rests.
+    fn break_off(&mut self, now: Instant) {
+        let phase = self.phase();
+        let fault = self.report.and_then(|report| report.fault);
+        let outcome = Err(fault.map_or(EcpError::BrokenOff { phase }, EcpError::Servo));
+        self.clear_outbox();
+        self.activity = Activity::Stopping {
+            since: Some(now),
+            outcome,
+        };
     }
 
     /// Asks the generator for the next macrostep if one is due.
@@ -503,10 +513,10 @@ impl Ecp {
         if let Some(axis) = setpoint.and_then(|setpoint| setpoint.not_finite()) {
             return Err(EcpError::NotFinite { step, axis });
         }
-        let motors = self
-            .effector
-            .motors(setpoint)
-            .map_err(|error| EcpError::OutOfReach { step, error })?;
+        let out_of_reach = |error| EcpError::OutOfReach { step, error };
+        let motors = self.effector.motors(setpoint).map_err(out_of_reach)?;
+        let torque = self.effector.arm.torques(&motors.position);
+        let torque = torque.map_err(out_of_reach)?;
         self.effector.commanded = motors;
         self.sent += 1;
         self.outbox.push_back(Order::Move(Macrostep {
@@ -515,6 +525,7 @@ impl Ecp {
             report_at: self.config.report_at,
             position: motors.position,
             velocity: motors.velocity,
+            torque,
         }));
         Ok(())
     }

@@ -1,6 +1,7 @@
 //! The ECP against a scripted servo end, in virtual time.
 
 mod failures;
+mod weight;
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -12,7 +13,9 @@ use super::*;
 use crate::generator::{
     Axes, Generator, JerkLimited, MotionLimits, Newsmooth, Next, Pose, SmoothPose, Wait,
 };
-use crate::robot::{Jacobian, Joints, KinematicsError, Limits, Motors, Robot, Solutions, Space};
+use crate::robot::{
+    Jacobian, Joints, KinematicsError, Limits, Links, Motors, Robot, Solutions, Space,
+};
 
 const PERIOD: Duration = Duration::from_millis(2);
 const CONFIG: EcpConfig = EcpConfig {
@@ -75,6 +78,9 @@ impl Robot for Gantry {
     }
     fn jacobian(&self, _: &Joints) -> Result<Jacobian, KinematicsError> {
         Ok(Jacobian::identity())
+    }
+    fn links(&self) -> Option<Links> {
+        Some(weight::links())
     }
 }
 
@@ -215,6 +221,10 @@ struct Bench {
 
 impl Bench {
     fn new(room: usize) -> Self {
+        Self::of(Arm::new(Arc::new(Gantry), Pose::identity()), room)
+    }
+
+    fn of(arm: Arm, room: usize) -> Self {
         let (orders, servo_orders) = rtrb::RingBuffer::new(room);
         let (servo_reports, reports) = rtrb::RingBuffer::new(64);
         let report = Report {
@@ -239,11 +249,7 @@ impl Bench {
             lost: false,
             fault: None,
         };
-        let ecp = Ecp::new(
-            Arm::new(Arc::new(Gantry), Pose::identity()),
-            EffectorLink { orders, reports },
-            CONFIG,
-        );
+        let ecp = Ecp::new(arm, EffectorLink { orders, reports }, CONFIG);
         Self {
             ecp,
             servo,

@@ -1,13 +1,14 @@
 use std::sync::Arc;
 
 use super::{Axes, Pose};
-use crate::robot::{KinematicsError, Robot, Vector};
+use crate::robot::{KinematicsError, Robot, Vector, Weight};
 
 /// A robot and the tool it carries: its kinematics from tool to motors, on numbers padded with zeros.
 #[derive(Clone, Debug)]
 pub struct Arm {
     robot: Arc<dyn Robot>,
     flange_from_tool: Pose,
+    weight: Option<Weight>,
 }
 
 impl Arm {
@@ -16,6 +17,15 @@ impl Arm {
         Self {
             robot,
             flange_from_tool,
+            weight: None,
+        }
+    }
+
+    /// The same with links that weigh; without, they are taken to weigh nothing.
+    pub fn weighing(self, weight: Weight) -> Self {
+        Self {
+            weight: Some(weight),
+            ..self
         }
     }
 
@@ -49,6 +59,14 @@ impl Arm {
     /// Joint positions at these motor positions.
     pub fn joints(&self, motors: &Axes) -> Result<Axes, KinematicsError> {
         Ok(self.robot.joints_from_motors(&self.given(motors))?.padded())
+    }
+
+    /// Torques of the motors at these positions, N·m, that hold the weight of links and load.
+    pub fn torques(&self, motors: &Axes) -> Result<Axes, KinematicsError> {
+        match &self.weight {
+            None => Ok(Axes::default()),
+            Some(weight) => weight.torque(&*self.robot, &self.given(motors)),
+        }
     }
 
     fn given<Space>(&self, numbers: &Axes) -> Vector<Space> {

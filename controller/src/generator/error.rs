@@ -72,12 +72,14 @@ pub enum GeneratorError {
         cause: KinematicsError,
     },
     /// The arm would have to jump between two neighbouring poses of a path.
-    #[error("at {s:.4} of the path: axis {axis} jumps")]
+    #[error("at {s:.4} of the path: axis {axis} jumps by {by:.3} to the next pose")]
     Jump {
         /// Path parameter.
         s: f64,
         /// Index of the axis.
         axis: u8,
+        /// How far, rad or m.
+        by: f64,
     },
     /// A path that has to be walked so slowly for one axis that this is a refusal: it is next to a
     /// singularity.

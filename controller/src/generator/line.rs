@@ -225,10 +225,12 @@ impl Line {
                 .velocity
                 .min((2.0 * rates.acceleration * reach).sqrt());
             for axis in 0..axes {
-                if (ahead[axis] - joints[axis]).abs() > JUMP {
+                let by = (ahead[axis] - joints[axis]).abs();
+                if by > JUMP {
                     return Err(GeneratorError::Jump {
                         s,
                         axis: axis as u8,
+                        by,
                     });
                 }
                 slope[axis] = (ahead[axis] - joints[axis]) / ds;

@@ -169,12 +169,12 @@ impl ArmParameters {
     ) {
         let (s4, c4) = at.pitch;
         let mut joints = *search.near();
-        search.turn(&mut joints, PITCH, s4.atan2(c4));
+        search.turn(&mut joints, PITCH, [s4.atan2(c4)]);
         if !search.follows(&joints, PITCH) {
             return;
         }
         let (s1, c1) = at.th1;
-        search.turn(&mut joints, COLUMN, s1.atan2(c1));
+        search.turn(&mut joints, COLUMN, [s1.atan2(c1)]);
         let reach = at.reach - self.wrist_length * c4;
         let drop = self.shoulder_height - at.height - self.wrist_length * s4;
         let shoulders = match self.shoulders(reach, drop) {

@@ -35,7 +35,8 @@ pub struct GripperParameters {
 }
 
 impl GripperParameters {
-    /// The gripper of the WUT robots (public code). Its vertex is at 2564 rad (derived), its home past it.
+    /// The gripper of the WUT robots (public code). The sign of `linear` is the one by which its home is within its
+    /// openings; the code has the other. Its vertex is at 2564 rad (derived), its home past it.
     #[doc(alias = "tfg")]
     pub const fn two_finger() -> Self {
         Self {
@@ -92,8 +93,8 @@ pub struct ConveyorParameters {
 }
 
 impl ConveyorParameters {
-    /// The conveyor of the WUT laboratory (public code); 4000 counts per revolution make 0.70 µm each. Nominal: its
-    /// home is zero, and a 32-bit counter of as many counts holds the motor's range, ±1489 m of belt.
+    /// The conveyor of the WUT laboratory (public code); 4000 counts per revolution make 0.70 µm each. Derived: a
+    /// 32-bit counter of as many counts holds the motor's range, ±1489 m of belt.
     pub const fn belt() -> Self {
         Self {
             ratio: 2250.0,
@@ -222,10 +223,7 @@ impl Robot for Gripper {
         base_from_flange: &Isometry3<f64>,
         near: &Joints,
     ) -> Result<Solutions, KinematicsError> {
-        near.exactly::<1>()?;
-        let joints = from_x(base_from_flange)?;
-        self.motors_from_joints(&joints)?;
-        Ok(joints.into())
+        from_x(self, base_from_flange, near)
     }
 
     fn motors_from_joints(&self, joints: &Joints) -> Result<Motors, KinematicsError> {
@@ -273,10 +271,7 @@ impl Robot for Conveyor {
         base_from_flange: &Isometry3<f64>,
         near: &Joints,
     ) -> Result<Solutions, KinematicsError> {
-        near.exactly::<1>()?;
-        let joints = from_x(base_from_flange)?;
-        self.motors_from_joints(&joints)?;
-        Ok(joints.into())
+        from_x(self, base_from_flange, near)
     }
 
     fn motors_from_joints(&self, joints: &Joints) -> Result<Motors, KinematicsError> {
@@ -305,16 +300,22 @@ fn along_x(joints: &Joints) -> Result<Isometry3<f64>, KinematicsError> {
     Ok(Isometry3::translation(x, 0.0, 0.0))
 }
 
-fn from_x(base_from_flange: &Isometry3<f64>) -> Result<Joints, KinematicsError> {
+fn from_x(
+    robot: &impl Robot,
+    base_from_flange: &Isometry3<f64>,
+    near: &Joints,
+) -> Result<Solutions, KinematicsError> {
+    near.exactly::<1>()?;
     let at = base_from_flange.translation.vector;
     let x = finite(at.x)?;
     let distance = finite(at.y.hypot(at.z))?;
     let angle = finite(base_from_flange.rotation.angle())?;
-    if distance <= OFF_AXIS && angle <= OFF_AXIS {
-        Ok(one(x))
-    } else {
-        Err(KinematicsError::OffAxis { distance, angle })
+    if distance > OFF_AXIS || angle > OFF_AXIS {
+        return Err(KinematicsError::OffAxis { distance, angle });
     }
+    let joints = one(x);
+    robot.motors_from_joints(&joints)?;
+    Ok(joints.into())
 }
 
 fn unit_x(joints: &Joints) -> Result<Jacobian, KinematicsError> {

@@ -127,6 +127,21 @@ impl Axis {
         }
     }
 
+    /// Range of the joint in which a geared one's motor is within its limits too, while others carry it by
+    /// `carried` rad.
+    fn range(&self, carried: f64) -> Limits {
+        let Transmission::Gear(gear) = &self.transmission else {
+            return self.limits(Space::Joint);
+        };
+        let joint =
+            |motor| (motor - gear.motor_at_home - carried) / gear.ratio + gear.joint_at_home;
+        let (a, b) = (joint(gear.motor_limits.low), joint(gear.motor_limits.high));
+        Limits {
+            low: gear.joint_limits.low.max(a.min(b)),
+            high: gear.joint_limits.high.min(a.max(b)),
+        }
+    }
+
     /// How far the motor is from home for this joint position, were it not carried, rad.
     fn travel(&self, joint: f64) -> f64 {
         match &self.transmission {
@@ -154,11 +169,14 @@ pub(super) struct DriveTrain<const N: usize> {
     axes: [Axis; N],
     joint_limits: [Limits; N],
     motor_limits: [Limits; N],
+    /// Range of each joint within the limits of both, were it not carried.
+    ranges: [Limits; N],
 }
 
 impl<const N: usize> DriveTrain<N> {
     pub(super) fn new(axes: [Axis; N]) -> Self {
         Self {
+            ranges: axes.map(|axis| axis.range(0.0)),
             joint_limits: axes.map(|axis| axis.limits(Space::Joint)),
             motor_limits: axes.map(|axis| axis.limits(Space::Motor)),
             axes,
@@ -230,38 +248,31 @@ impl<const N: usize> DriveTrain<N> {
     /// `angle` plus the whole turns that bring a geared joint nearest to `near` and, if any turn does,
     /// within the limits of joint and motor. `joints` holds the axes that carry this one.
     pub(super) fn turn(&self, index: usize, angle: f64, joints: &[f64; N], near: f64) -> f64 {
-        let mut range = self.joint_limits[index];
-        let axis = &self.axes[index];
-        if let Transmission::Gear(gear) = &axis.transmission {
-            let mut carried = 0.0;
-            let mut carrier = axis.carried_by;
-            while let Some(by) = carrier {
-                carried += self.axes[by].travel(joints[by]);
-                carrier = self.axes[by].carried_by;
-            }
-            let joint =
-                |motor| (motor - gear.motor_at_home - carried) / gear.ratio + gear.joint_at_home;
-            let (a, b) = (joint(gear.motor_limits.low), joint(gear.motor_limits.high));
-            range = Limits {
-                low: range.low.max(a.min(b)),
-                high: range.high.min(a.max(b)),
-            };
-        }
+        let range = match self.axes[index].carried_by {
+            Some(by) => self.axes[index].range(self.carried(by, joints)),
+            None => self.ranges[index],
+        };
         let mut nearest = angle;
         // Most angles are there already, and rounding is a call.
         if (near - angle).abs() > PI {
             nearest += TAU * ((near - angle) / TAU).round();
         }
         let inside = match range.exceeded_by(nearest) {
+            None => return nearest,
             Some(limit) if limit == range.low => nearest + TAU * ((limit - nearest) / TAU).ceil(),
             Some(limit) => nearest - TAU * ((nearest - limit) / TAU).ceil(),
-            None => nearest,
         };
         if range.exceeded_by(inside).is_none() {
             inside
         } else {
             nearest
         }
+    }
+
+    /// How far an axis and those that carry it turn the motors they carry, rad.
+    fn carried(&self, axis: usize, joints: &[f64; N]) -> f64 {
+        let carriers = std::iter::successors(Some(axis), |&by| self.axes[by].carried_by);
+        carriers.map(|by| self.axes[by].travel(joints[by])).sum()
     }
 }
 

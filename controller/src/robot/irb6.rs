@@ -139,7 +139,7 @@ impl Robot for Irb6 {
                     let roll = normal
                         .dot(&wrist.column(1))
                         .atan2(normal.dot(&wrist.column(0)));
-                    search.turn(joints, ROLL, roll);
+                    search.turn(joints, ROLL, [roll]);
                 });
             }
         })

@@ -177,9 +177,8 @@ impl Robot for Irp6 {
                         let (ahead, across, along) =
                             (wrist.column(0), wrist.column(1), wrist.column(2));
                         let roll = approach.dot(&ahead).atan2(-approach.dot(&across));
-                        search.turn(joints, ROLL, roll);
                         let hand = normal.dot(&along).atan2(orientation.dot(&along));
-                        search.turn(joints, HAND, hand);
+                        search.turn(joints, ROLL, [roll, hand]);
                     });
                 }
             }

@@ -25,7 +25,7 @@
 //! any; `drive_train.rs` is gears, screws and couplings between motors and joints; `solutions.rs` collects
 //! branches within the limits, nearest first; `free_parameter.rs` is how a redundant robot chooses;
 //! `links.rs` is a robot link by link, for description files and figures; `singularity.rs` is how near the arm is to
-//! losing a direction; `vector.rs` is positions, one per axis. Figures and every parameter with its source are in
+//! losing a direction; `weight.rs` is what links weigh on motors; `vector.rs` is positions, one per axis. Figures and every parameter with its source are in
 //! `docs/robots` of the repository. Read [`Robot`] first, then `irp6.rs` for a robot from end to end.
 //!
 //! Numbers carry the place they come from: *public code* is the published source of the WUT robots'
@@ -47,6 +47,7 @@ mod rnt;
 mod singularity;
 mod solutions;
 mod vector;
+mod weight;
 
 #[cfg(test)]
 mod tests;
@@ -71,6 +72,7 @@ pub use rnt::{LegAxis, Rnt, RntParameters};
 pub use singularity::Singularity;
 pub use solutions::Solutions;
 pub use vector::{Joint, Joints, Motor, Motors, Vector};
+pub use weight::{Mass, Weight, WeightError};
 
 /// Velocity of the flange per unit of joint velocity: column i is joint i, columns past the last
 /// axis are zero. Rows 0..3 are the linear velocity of the flange origin, m/s; rows 3..6 the angular

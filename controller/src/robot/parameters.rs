@@ -212,6 +212,9 @@ pub enum ParameterError {
         /// What it misses, m.
         residual: f64,
     },
+    /// Masses that are not those of its links.
+    #[error("{0}")]
+    Weight(super::WeightError),
     /// A workspace that the legs do not hold everywhere.
     #[error(
         "the legs lose hold of the platform before alpha {alpha:.6}, beta {beta:.6} rad, rho {rho:.6} m"

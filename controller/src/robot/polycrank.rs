@@ -19,6 +19,11 @@ use cranks::{Cranks, Facing, Stand};
 const AXES: usize = 7;
 const NAMES: [&str; AXES] = ["q1", "q2", "q3", "q4", "q5", "q6", "q7"];
 
+/// The first axes of the upper cranks, of the forearm, and of the tool.
+const UPPER: usize = 0;
+const FOREARM: usize = 3;
+const ROLL: usize = 6;
+
 /// The axis that turns the forearm's plane, which no pose determines whose tool axis is parallel to axis 1.
 const PLANE: usize = 2;
 /// The axis that bends the forearm.
@@ -253,14 +258,14 @@ impl Polycrank {
     ) -> Result<Solutions, KinematicsError> {
         let (origin, axes) = arm::parts(base_from_flange)?;
         let approach = axes.column(2);
-        let tilt = approach.x.hypot(approach.y);
+        let tilt = approach.xy().norm();
         if tilt < PARALLEL {
             return Err(KinematicsError::Singular {
                 axis: PLANE as u8,
                 margin: tilt,
             });
         }
-        let facings = [tilt, -tilt].map(|tilt| self.cranks.facing(&origin, &axes, tilt));
+        let facings = self.cranks.facings(&origin, &axes, tilt);
         Search::run(&self.drive_train, near, |search| {
             for facing in &facings {
                 match choose(facing) {
@@ -276,29 +281,20 @@ impl Polycrank {
         let near = search.near();
         let Facing { end, ahead, .. } = facing;
         let elbow = [self.cranks.forearm; 2];
-        let (forearm, bend) = cranks::angles(elbow, (reach, end.z), near[3]);
+        let (forearm, bend) = cranks::angles(elbow, (reach, end.z), near[FOREARM]);
         let shoulder = (end.x - reach * ahead.x, end.y - reach * ahead.y);
-        let (upper, upper_bend) = cranks::angles(self.cranks.upper, shoulder, near[0]);
+        let (upper, upper_bend) = cranks::angles(self.cranks.upper, shoulder, near[UPPER]);
         let margin = bend.max(upper_bend);
         if margin < STRETCHED {
             let axis = ELBOW as u8;
             return search.refuse(KinematicsError::Singular { axis, margin });
         }
+        let mut joints = *near;
+        search.turn(&mut joints, ROLL, [facing.roll]);
         for (q1, q2) in upper {
+            search.turn(&mut joints, UPPER, [q1, q2, facing.phi - q1 - q2]);
             for (q4, q5) in forearm {
-                let angles = [
-                    q1,
-                    q2,
-                    facing.phi - q1 - q2,
-                    q4,
-                    q5,
-                    facing.psi - q4 - q5,
-                    facing.roll,
-                ];
-                let mut joints = *near;
-                for (axis, angle) in angles.into_iter().enumerate() {
-                    search.turn(&mut joints, axis, angle);
-                }
+                search.turn(&mut joints, FOREARM, [q4, q5, facing.psi - q4 - q5]);
                 search.offer(joints);
             }
         }

@@ -1,6 +1,6 @@
 use std::f64::consts::TAU;
 
-use nalgebra::{Isometry3, Rotation3, Vector3};
+use nalgebra::{Isometry3, Rotation3, Vector2, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -369,7 +369,7 @@ impl Robot for Rnt {
         // Both branches stand on the same legs, which have their say before the wrist.
         self.driven(&posture)?;
         let wrist = legs::central(alpha, beta).transpose() * axes;
-        let lean = wrist[(0, 2)].hypot(wrist[(1, 2)]);
+        let lean = Vector2::new(wrist[(0, 2)], wrist[(1, 2)]).norm();
         if lean < STRAIGHT {
             return Err(KinematicsError::Singular {
                 axis: ROLL as u8,
@@ -380,11 +380,11 @@ impl Robot for Rnt {
             for side in [1.0, -1.0] {
                 let mut joints = posture;
                 let (sin, cos) = (side * wrist[(1, 2)] / lean, side * wrist[(0, 2)] / lean);
-                search.turn(&mut joints, ROLL, sin.atan2(cos));
-                search.turn(&mut joints, PITCH, (side * lean).atan2(wrist[(2, 2)]));
+                let pitch = (side * lean).atan2(wrist[(2, 2)]);
                 // Spin follows from the roll just chosen, so that their errors cancel near the singularity.
                 let across = |column| cos * wrist[(1, column)] - sin * wrist[(0, column)];
-                search.turn(&mut joints, SPIN, across(0).atan2(across(1)));
+                let spin = across(0).atan2(across(1));
+                search.turn(&mut joints, ROLL, [sin.atan2(cos), pitch, spin]);
                 search.offer(joints);
             }
         })

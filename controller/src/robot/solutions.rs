@@ -125,9 +125,16 @@ impl<'a, const N: usize, M: Mechanism<N>> Search<'a, N, M> {
         self.near
     }
 
-    /// Sets one joint of a branch to `angle`, in the turn nearest to where the robot is.
-    pub(super) fn turn(&self, joints: &mut [f64; N], axis: usize, angle: f64) {
-        joints[axis] = self.mechanism.turn(axis, angle, joints, self.near[axis]);
+    /// Sets the joints of a branch from `first` on, each in the turn nearest to where the robot is.
+    pub(super) fn turn<const K: usize>(
+        &self,
+        joints: &mut [f64; N],
+        first: usize,
+        angles: [f64; K],
+    ) {
+        for (axis, angle) in (first..).zip(angles) {
+            joints[axis] = self.mechanism.turn(axis, angle, joints, self.near[axis]);
+        }
     }
 
     /// Whether a branch with the joint of this axis is worth following.
@@ -148,7 +155,8 @@ impl<'a, const N: usize, M: Mechanism<N>> Search<'a, N, M> {
     /// Takes a branch if the robot can stand there. Distance is the largest joint travel from `near`.
     pub(super) fn offer(&mut self, joints: [f64; N]) {
         let travel = joints.iter().zip(self.near).map(|(a, b)| (a - b).abs());
-        let distance = travel.fold(0.0, f64::max);
+        // The numbers are finite; `f64::max` would look for a NaN at every one.
+        let distance = travel.fold(0.0, |most, way| if way > most { way } else { most });
         if let Err(error) = self.mechanism.motors_from_joints(&joints) {
             if self.refused.is_none_or(|(nearest, _)| distance < nearest) {
                 self.refused = Some((distance, error));

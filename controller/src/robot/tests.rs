@@ -10,6 +10,7 @@ mod irp6_track;
 mod polycrank;
 mod refusals;
 mod rnt;
+mod weight;
 
 const SEED: u64 = 0x6d72_726f;
 

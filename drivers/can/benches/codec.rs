@@ -67,7 +67,7 @@ fn virtual_round_trip(criterion: &mut Criterion) {
         bencher.iter(|| {
             let sent = port.send(Instant::ZERO, black_box(&frames));
             while let Some(received) = peer.take_sent() {
-                peer.deliver(received);
+                peer.deliver(received, 111);
             }
             (sent, port.receive(Instant::ZERO, &mut into))
         });

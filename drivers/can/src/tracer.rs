@@ -220,7 +220,7 @@ mod tests {
         let (port, mut peer) = virtual_port(2);
         let (mut port, mut trace) = Tracer::new(port, 8);
         assert_eq!(port.send(at(1), &[frame(1), frame(2), frame(3)]), Ok(2));
-        peer.deliver(received(4, 5));
+        peer.deliver(received(4, 5), 47);
         assert_eq!(receive(&mut port, 9), [received(4, 5)]);
         let traced = |id, nanos, direction| {
             Some(Traced {

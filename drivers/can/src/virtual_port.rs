@@ -40,10 +40,17 @@ pub fn virtual_port(capacity: usize) -> (VirtualPort, VirtualPeer) {
 /// queue is empty.
 pub struct VirtualPort {
     to_bus: Producer<Received>,
-    received: Consumer<Received>,
+    received: Consumer<Delivered>,
     dropped: Arc<AtomicU64>,
     counters: Counters,
     state: ControllerState,
+}
+
+/// A frame and its bits on the wire, which the bus has counted already.
+#[derive(Clone, Copy)]
+struct Delivered {
+    received: Received,
+    bits: u32,
 }
 
 impl Port for VirtualPort {
@@ -69,7 +76,7 @@ impl Port for VirtualPort {
         let gone = self.received.is_abandoned();
         let mut count = 0;
         while count < into.len() {
-            let Ok(&received) = self.received.peek() else {
+            let Ok(&Delivered { received, bits }) = self.received.peek() else {
                 if gone && count == 0 {
                     return Err(PortError::Gone);
                 }
@@ -86,8 +93,9 @@ impl Port for VirtualPort {
             }
             into[count] = received;
             count += 1;
+            self.counters.received += 1;
+            self.counters.bits += u64::from(bits);
         }
-        self.counters.count_received(&into[..count]);
         Ok(count)
     }
 
@@ -108,7 +116,7 @@ impl Port for VirtualPort {
 /// It takes frames in the order they were sent and delivers them in the order of their times.
 pub struct VirtualPeer {
     sent: Consumer<Received>,
-    to_host: Producer<Received>,
+    to_host: Producer<Delivered>,
     dropped: Arc<AtomicU64>,
 }
 
@@ -125,13 +133,16 @@ impl VirtualPeer {
         self.sent.pop().ok()
     }
 
-    /// Hands a frame to the host, who sees it once its clock reaches `received.at`.
+    /// Hands a frame to the host, who sees it once its clock reaches `received.at`. It took `bits` on the wire
+    /// ([`bits_on_wire`]), which the host's counters take over.
     ///
     /// `false` if the host's queue is full: the frame is lost and shows in [`Counters::dropped`].
     /// Times must not decrease: a frame holds back those delivered after it. Error frames reach the
     /// host's counters and state, as from the kernel.
-    pub fn deliver(&mut self, received: Received) -> bool {
-        let delivered = self.to_host.push(received).is_ok();
+    ///
+    /// [`bits_on_wire`]: crate::timing::bits_on_wire
+    pub fn deliver(&mut self, received: Received, bits: u32) -> bool {
+        let delivered = self.to_host.push(Delivered { received, bits }).is_ok();
         if !delivered {
             self.dropped.fetch_add(1, Ordering::Relaxed);
         }
@@ -158,11 +169,15 @@ mod tests {
         Instant::from_nanos(nanos)
     }
 
+    fn received(id: u16, nanos: u64) -> Received {
+        Received {
+            frame: frame(id),
+            at: at(nanos),
+        }
+    }
+
     fn receive(port: &mut VirtualPort, now: u64) -> Result<Vec<Received>, PortError> {
-        let mut into = [Received {
-            frame: frame(0),
-            at: at(0),
-        }; 4];
+        let mut into = [received(0, 0); 4];
         port.receive(at(now), &mut into)
             .map(|count| into[..count].to_vec())
     }
@@ -172,35 +187,11 @@ mod tests {
         let (mut port, mut peer) = virtual_port(2);
         assert_eq!(port.send(at(7), &[frame(1), frame(2), frame(3)]), Ok(2));
         assert_eq!(port.send(at(8), &[frame(3)]), Ok(0));
-        assert_eq!(
-            peer.peek_sent(),
-            Some(&Received {
-                frame: frame(1),
-                at: at(7)
-            })
-        );
-        assert_eq!(
-            peer.take_sent(),
-            Some(Received {
-                frame: frame(1),
-                at: at(7)
-            })
-        );
+        assert_eq!(peer.peek_sent(), Some(&received(1, 7)));
+        assert_eq!(peer.take_sent(), Some(received(1, 7)));
         assert_eq!(port.send(at(9), &[frame(3)]), Ok(1));
-        assert_eq!(
-            peer.take_sent(),
-            Some(Received {
-                frame: frame(2),
-                at: at(7)
-            })
-        );
-        assert_eq!(
-            peer.take_sent(),
-            Some(Received {
-                frame: frame(3),
-                at: at(9)
-            })
-        );
+        assert_eq!(peer.take_sent(), Some(received(2, 7)));
+        assert_eq!(peer.take_sent(), Some(received(3, 9)));
         assert_eq!(peer.take_sent(), None);
         let expected = Counters {
             sent: 3,
@@ -217,36 +208,21 @@ mod tests {
     #[test]
     fn a_frame_is_held_back_until_its_time() {
         let (mut port, mut peer) = virtual_port(4);
-        let frames = [10, 10, 20].map(|nanos| Received {
-            frame: frame(1),
-            at: at(nanos),
-        });
-        assert!(frames.iter().all(|&received| peer.deliver(received)));
+        let frames = [10, 10, 20].map(|nanos| received(1, nanos));
+        assert!(frames.iter().all(|&received| peer.deliver(received, 50)));
         assert_eq!(receive(&mut port, 9).unwrap(), []);
         assert_eq!(receive(&mut port, 10).unwrap(), frames[..2]);
         assert_eq!(receive(&mut port, 19).unwrap(), []);
         assert_eq!(receive(&mut port, 20).unwrap(), frames[2..]);
-        assert_eq!(port.counters().received, 3);
+        assert_eq!((port.counters().received, port.counters().bits), (3, 150));
     }
 
     #[test]
     fn a_frame_for_a_full_host_is_dropped_and_counted() {
         let (mut port, mut peer) = virtual_port(1);
-        assert!(peer.deliver(Received {
-            frame: frame(1),
-            at: at(1)
-        }));
-        assert!(!peer.deliver(Received {
-            frame: frame(2),
-            at: at(2)
-        }));
-        assert_eq!(
-            receive(&mut port, 2).unwrap(),
-            [Received {
-                frame: frame(1),
-                at: at(1)
-            }]
-        );
+        assert!(peer.deliver(received(1, 1), 47));
+        assert!(!peer.deliver(received(2, 2), 47));
+        assert_eq!(receive(&mut port, 2).unwrap(), [received(1, 1)]);
         assert_eq!(port.counters().dropped, 1);
     }
 
@@ -255,7 +231,7 @@ mod tests {
         let (mut port, mut peer) = virtual_port(2);
         let bus_off = Frame::from_raw(0x2000_0040, 8, [0; 8]).unwrap();
         for frame in [bus_off, frame(1)] {
-            peer.deliver(Received { frame, at: at(5) });
+            peer.deliver(Received { frame, at: at(5) }, 47);
         }
         assert_eq!(port.state(), ControllerState::Active);
         assert_eq!(receive(&mut port, 5).unwrap().len(), 1);
@@ -266,10 +242,7 @@ mod tests {
     #[test]
     fn a_dropped_bus_is_gone_once_its_frames_were_read() {
         let (mut port, mut peer) = virtual_port(4);
-        peer.deliver(Received {
-            frame: frame(1),
-            at: at(1),
-        });
+        peer.deliver(received(1, 1), 47);
         drop(peer);
         assert_eq!(port.send(at(1), &[frame(1)]), Err(PortError::Gone));
         assert_eq!(receive(&mut port, 1).unwrap().len(), 1);

@@ -1,3 +1,4 @@
+use std::fmt;
 use std::time::Duration;
 
 use canopen::cia402::FaultTable;
@@ -169,7 +170,8 @@ pub enum BringUpError {
     },
     /// The drive scales its positions or torques otherwise than the cell.
     #[error(
-        "node {node}: {index:#06x}:{subindex:02x} is {found}/{per} {what}, the cell says {expected}: {remedy}"
+        "node {node}: {index:#06x}:{subindex:02x} is {ratio} {what}, the cell says {expected}: {remedy}",
+        ratio = Ratio(*.found, *.per)
     )]
     WrongScale {
         /// Node-ID.
@@ -291,6 +293,19 @@ impl BringUpError {
         match *self {
             Self::AxisController { line, .. } => Some(usize::from(line)),
             _ => None,
+        }
+    }
+}
+
+/// `4000`, or `8000/3`.
+struct Ratio(u32, u32);
+
+impl fmt::Display for Ratio {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self(dividend, divisor) = self;
+        match divisor {
+            1 => write!(f, "{dividend}"),
+            _ => write!(f, "{dividend}/{divisor}"),
         }
     }
 }

@@ -259,24 +259,25 @@ impl<'a> Answer<'a> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::frame::tests::{encoded, frames};
+pub(crate) mod tests {
+    pub(crate) use super::frame::tests::encoded;
+    use super::frame::tests::frames;
     use super::*;
 
-    const STATUSWORD: Address = Address {
+    pub(crate) const STATUSWORD: Address = Address {
         node: 1,
         index: 0x6041,
         subindex: 0,
     };
-    const HOME_POSITION: Address = Address {
+    pub(crate) const HOME_POSITION: Address = Address {
         index: 0x30B0,
         ..STATUSWORD
     };
-    const CONTROLWORD: Address = Address {
+    pub(crate) const CONTROLWORD: Address = Address {
         index: 0x6040,
         ..STATUSWORD
     };
-    const NAME: Address = Address {
+    pub(crate) const NAME: Address = Address {
         index: 0x1008,
         ..STATUSWORD
     };

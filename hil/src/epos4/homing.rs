@@ -17,6 +17,9 @@ use crate::Feedback;
 
 /// How long the current must stay above the threshold, s.
 const STOP_TIME: f64 = 5e-3;
+/// How long a switch must stay closed before its opening counts, s: contacts chatter on the way in, which after a turn
+/// at a limit switch is the way out as well.
+const SETTLING: f64 = 5e-3;
 /// Motor turns within which an index must come.
 const INDEX_TURNS: f64 = 2.0;
 
@@ -60,7 +63,8 @@ enum Phase {
         turned: bool,
         pressing: f64,
     },
-    Leave,
+    /// How long it was closed at first, and has been open since, s.
+    Leave { closed_for: f64, open_for: f64 },
     Index {
         direction: f64,
         begun_at: Option<i32>,
@@ -154,7 +158,12 @@ impl Search {
                     return self.reference(feedback.counts);
                 }
                 if found {
-                    self.phase = Phase::Leave;
+                    // Under an axis that stands it is quiet.
+                    let stands = around.velocity == 0.0;
+                    self.phase = Phase::Leave {
+                        closed_for: if stands { SETTLING } else { 0.0 },
+                        open_for: 0.0,
+                    };
                     return Progress::Slow(-self.initial);
                 }
                 if limit && self.sought == Sought::Home {
@@ -166,16 +175,34 @@ impl Search {
                 }
                 Progress::Fast(*direction)
             }
-            Phase::Leave => {
+            Phase::Leave {
+                closed_for,
+                open_for,
+            } => {
                 let direction = -self.initial;
                 let closed = match self.sought {
                     Sought::Home => feedback.home_switch,
                     _ => limit_ahead(feedback, self.initial),
                 };
-                // Contacts chatter on the way in, so they count once the axis is on its way out.
                 let leaving = around.velocity * direction > 0.0;
-                if leaving && !closed {
-                    self.reference(feedback.counts)
+                let settled = *closed_for >= SETTLING;
+                if closed {
+                    *closed_for += around.dt;
+                    *open_for = 0.0;
+                } else if settled && leaving {
+                    return self.reference(feedback.counts);
+                } else if !settled {
+                    *closed_for = 0.0;
+                    *open_for += around.dt;
+                }
+                if *open_for >= SETTLING {
+                    // It turned round on the very edge.
+                    self.phase = Phase::Seek {
+                        direction: self.initial,
+                        turned: false,
+                        pressing: 0.0,
+                    };
+                    Progress::Fast(self.initial)
                 } else if leaving && limit_ahead(feedback, direction) {
                     Progress::Failed
                 } else {

@@ -49,7 +49,7 @@ struct Row {
     trip_current: f64,
     /// Rotor inertia, kg·m², and viscous friction, N·m·s/rad, of the emulator (public code).
     wut: (f64, f64),
-    /// Inertia of the load at the motor, kg·m² (derived from nominal masses).
+    /// Inertia of the load at the motor, kg·m²: at home (derived from nominal masses).
     load: f64,
     /// Gravity at the motor: N·m, motor per joint angle, joint angle at `home` counted from the
     /// horizontal, rad (ratio and angle from public code, torque derived from nominal masses: lower
@@ -71,7 +71,7 @@ const ROWS: [Row; 6] = [
         max_current: 20.0,
         trip_current: 25.0,
         wut: (1.5e-4, 0.02),
-        load: 5.1e-4,
+        load: 2.8e-4,
         gravity: (0.0, -158.0, 0.0),
         friction: (1e-3, 0.08, 0.12),
         winding: (0.6, 0.5e-3),

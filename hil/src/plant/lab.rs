@@ -167,7 +167,7 @@ impl AxisConfig {
     /// Length of RNT's legs at home between their universal joints, m (nominal).
     pub const RNT_HOME_LENGTH: f64 = 0.75;
 
-    /// An axis of RNT, legs 0 to 2 and wrist 3 to 5, to be mounted on [`MechanismConfig::Rnt`] with
+    /// An axis of RNT, legs 0 to 2 and wrist 3 to 5, to be mounted on [`MechanismConfig::Rnt`] with three times
     /// [`AxisConfig::RNT_HOME_LENGTH`]; `None` beyond. Every number is nominal.
     ///
     /// Motors read zero at home. Legs lengthen by 5 mm per positive turn, from 0.55 m to 1.38 m; the wrist turns once
@@ -175,7 +175,7 @@ impl AxisConfig {
     pub fn rnt(number: usize) -> Option<Self> {
         use std::f64::consts::{PI, TAU};
         let mechanism = MechanismConfig::Rnt {
-            home_length: Self::RNT_HOME_LENGTH,
+            home_lengths: [Self::RNT_HOME_LENGTH; 3],
         };
         let leg = |length: f64| (length - Self::RNT_HOME_LENGTH) * TAU / 5e-3;
         let travel = match number {
@@ -213,7 +213,10 @@ impl AxisConfig {
     /// below the index that is home. Beyond ten turns from home it repeats on the real thing and is open here.
     /// Windings are sized for 6 rad/s (axes 0 to 2) and 10 rad/s with 40 rad/s² in the worst pose.
     pub fn polycrank(number: usize) -> Option<Self> {
-        let mechanism = MechanismConfig::Polycrank { coupled: false };
+        let mechanism = MechanismConfig::Polycrank {
+            coupled: false,
+            at_home: [0.0; 7],
+        };
         let (torque_constant, winding, max_current) = match number {
             0..=2 => (0.4, (0.5, 2.0e-3), 24.0),
             3..=5 => (0.2, (1.0, 2.0e-3), 10.0),

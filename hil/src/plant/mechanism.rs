@@ -19,20 +19,24 @@ use rnt::Rnt;
 /// Which robot's mechanics stand between the motors and the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum MechanismConfig {
-    /// Six axes; at home the lower arm stands upright, and upper arm, wrist and gripper are level.
+    /// Five axes; at home the lower arm stands upright, and upper arm, wrist and gripper are level, in one line.
+    Irb6,
+    /// Six axes; the same at home, but for the gripper, which is level across the wrist.
     Irp6,
     /// The same behind a track as the first of seven axes.
     Irp6OnTrack,
     /// Three legs and three axes of a wrist; nominal throughout. At home the wrist is straight.
     Rnt {
-        /// Of each leg at home, between its universal joints, m.
-        home_length: f64,
+        /// Of each leg where its own motor is at home, between its universal joints, m.
+        home_lengths: [f64; 3],
     },
-    /// Seven axes; at home all angles are zero.
+    /// Seven axes.
     Polycrank {
         /// Whether motors 1 to 3 and 4 to 6 set sums of joint angles, as motors do that stand at the base of their
         /// group behind parallel cranks; otherwise each turns one joint.
         coupled: bool,
+        /// Joint angles at home by Denavit and Hartenberg, rad.
+        at_home: [f64; 7],
     },
 }
 
@@ -109,11 +113,12 @@ impl Mechanism {
     /// At home and without a payload, until axes are mounted.
     pub fn new(config: MechanismConfig) -> Self {
         let (links, count) = match config {
+            MechanismConfig::Irb6 => (Links::Irp6(Irp6::with_straight_wrist()), 5),
             MechanismConfig::Irp6 => (Links::Irp6(Irp6::new(false)), 6),
             MechanismConfig::Irp6OnTrack => (Links::Irp6(Irp6::new(true)), 7),
-            MechanismConfig::Rnt { home_length } => (Links::Rnt(Rnt::new(home_length)), 6),
-            MechanismConfig::Polycrank { coupled } => {
-                (Links::Polycrank(Polycrank::new(coupled)), 7)
+            MechanismConfig::Rnt { home_lengths } => (Links::Rnt(Rnt::new(home_lengths)), 6),
+            MechanismConfig::Polycrank { coupled, at_home } => {
+                (Links::Polycrank(Polycrank::new(coupled, at_home)), 7)
             }
         };
         Self(Arc::new(Mutex::new(Robot {
@@ -144,7 +149,8 @@ impl Mechanism {
     }
 
     /// Has the robot carry `mass`, kg, with its centre at `centre`, m, in the frame of its flange, whose z axis is that
-    /// of the tool: of the IRp-6 where roll and flange axis meet, before the gripper; of RNT 100 mm beyond the wrist's
+    /// of the tool: of the IRb-6 95 mm beyond the pitch axis, of the IRp-6 where roll and flange axis meet, each before the
+    /// gripper; of RNT 100 mm beyond the wrist's
     /// centre; of Polycrank the last. In place of whatever it carried before.
     pub fn set_payload(&self, mass: f64, centre: [f64; 3]) {
         let payload = Body::point(mass, centre);

@@ -3,8 +3,8 @@ use std::time::Duration;
 /// How the servo homes an axis whose drive has an index latch but no homing of its own.
 ///
 /// The axis searches its home switch, stops, pauses and leaves the switch again slowly, in the
-/// opposite sense, with [`AxisCommand::Seek`](drive::AxisCommand::Seek): the first index pulse on that way
-/// is the reference. If the switch is closed at the start the axis leaves it first, so that it is always
+/// opposite sense. From where the switch opens it goes on with [`AxisCommand::Seek`](drive::AxisCommand::Seek): the
+/// first index pulse there is the reference, as with the methods of CiA 402. If the switch is closed at the start the axis leaves it first, so that it is always
 /// entered from the same side. A limit switch in the way turns a search round once, if `reverse_at_limit`
 /// says so; anywhere else it ends homing.
 #[derive(Clone, Copy, Debug, PartialEq)]

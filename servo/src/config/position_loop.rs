@@ -64,10 +64,33 @@ pub struct FeedForward {
     /// Per commanded acceleration, output·s²/rad: inertia; the lag of the drive's loop, s, where the output is a
     /// velocity.
     pub acceleration: f64,
-    /// In the sense of the commanded velocity: dry friction.
+    /// In the sense of the commanded velocity: dry friction while sliding fast.
     pub coulomb: f64,
-    /// Always: the mean weight of the load.
+    /// The same at break-away, at least `coulomb`; or zero, for no more than `coulomb`.
+    pub stiction: f64,
+    /// Velocity over which it falls from `stiction` to `coulomb`, rad/s, as `exp(-(v / stribeck_velocity)²)` does.
+    pub stribeck_velocity: f64,
+    /// Per torque that weight takes in the pose commanded, output/(N·m): 1 where the output is a torque; winding
+    /// resistance by torque constant and supply voltage where it is a duty; 0 leaves [`Macrostep::torque`](crate::Macrostep::torque)
+    /// out.
+    pub weight: f64,
+    /// Always: the mean weight of the load, where no pose tells it.
     pub constant: f64,
+}
+
+/// Commanded speed, rad/s, over which dry friction changes its sign: what generators round must not be a hammer.
+const REVERSAL: f64 = 1e-3;
+
+impl FeedForward {
+    /// What dry friction takes at a commanded velocity, rad/s. Nothing at rest.
+    pub(crate) fn dry(&self, velocity: f64) -> f64 {
+        let mut level = self.coulomb;
+        if self.stiction > level {
+            let x = velocity / self.stribeck_velocity;
+            level += (self.stiction - level) * (-x * x).exp();
+        }
+        level * (velocity / REVERSAL).clamp(-1.0, 1.0)
+    }
 }
 
 impl Law {
@@ -96,6 +119,9 @@ impl HostLoop {
             velocity,
             acceleration,
             coulomb,
+            stiction,
+            stribeck_velocity,
+            weight,
             constant,
         } = self.feed_forward;
         let not_negative = |value: f64| value.is_finite() && value >= 0.0;
@@ -109,6 +135,15 @@ impl HostLoop {
             Some("feed_forward.acceleration")
         } else if !not_negative(coulomb) {
             Some("feed_forward.coulomb")
+        } else if !not_negative(stiction) || stiction > 0.0 && stiction < coulomb {
+            Some("feed_forward.stiction")
+        } else if !not_negative(stribeck_velocity) || stiction > coulomb && stribeck_velocity == 0.0
+        {
+            Some("feed_forward.stribeck_velocity")
+        } else if !not_negative(weight) {
+            Some("feed_forward.weight")
+        } else if weight > 0.0 && self.output == Output::Velocity {
+            Some("feed_forward.weight, a torque for a drive that is sent velocities,")
         } else if !constant.is_finite() {
             Some("feed_forward.constant")
         } else if !self.runaway_velocity.is_finite() || self.runaway_velocity <= max_velocity {

@@ -32,10 +32,10 @@ impl Effector {
             knots[index] = knot;
         }
         // Only now is any of it taken: an effector is never half commanded.
-        self.axes
-            .iter_mut()
-            .zip(knots)
-            .for_each(|(axis, knot)| axis.knot = knot);
+        for (index, axis) in self.axes.iter_mut().enumerate() {
+            axis.knot = knots[index];
+            axis.torque = segment.torque(index);
+        }
         self.segment = Some(segment);
         Ok(())
     }
@@ -64,15 +64,21 @@ impl Effector {
             return Ok(None);
         };
         self.admit(&macrostep)?;
+        if self.state == State::Standing {
+            // What loops have come to hold by themselves, since homing or since a stop elsewhere, changes hands.
+            let axes = self.axes.iter_mut().zip(macrostep.torque);
+            axes.for_each(|(axis, torque)| axis.hand_over(torque));
+        }
         self.apply(tick, Event::Move);
         self.macrostep = macrostep.number;
         self.counters.macrosteps += 1;
         let mut from = [Knot::default(); MAX_AXES];
-        self.axes
-            .iter()
-            .zip(&mut from)
-            .for_each(|(axis, from)| *from = axis.knot);
-        Ok(Some(Segment::new(macrostep, from, tick.dt)))
+        let mut from_torque = [0.0; MAX_AXES];
+        for (index, axis) in self.axes.iter().enumerate() {
+            from[index] = axis.knot;
+            from_torque[index] = axis.torque;
+        }
+        Ok(Some(Segment::new(macrostep, from, from_torque, tick.dt)))
     }
 
     /// Whether a macrostep can be begun at all.
@@ -83,12 +89,14 @@ impl Effector {
             report_at,
             position,
             velocity,
+            torque,
         } = macrostep;
         if *report_at < 1 || report_at > steps {
             return Err((None, StopCause::Malformed { number: *number }));
         }
         for (index, axis) in self.axes.iter().enumerate() {
-            if !position[index].is_finite() || !velocity[index].is_finite() {
+            let asked = [position[index], velocity[index], torque[index]];
+            if !asked.iter().all(|value| value.is_finite()) {
                 return Err((Some(index), StopCause::NotFinite));
             }
             if !axis.is_homed() {

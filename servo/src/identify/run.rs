@@ -71,6 +71,7 @@ impl Run {
             report_at: self.steps,
             position,
             velocity,
+            torque: [0.0; MAX_AXES],
         })
     }
 

@@ -1,3 +1,4 @@
+use super::proportional::{Proportional, ProportionalConfig};
 use super::{is_not_negative, is_positive};
 
 /// The gains of one axis.
@@ -39,16 +40,21 @@ impl CascadeConfig {
 /// At its limit the integral may come down but not wind up, and by itself it never exceeds the limit.
 #[derive(Clone, Debug)]
 pub struct Cascade {
-    config: CascadeConfig,
-    integral: f64,
+    position_gain: f64,
+    /// The same law, of the velocity error: it puts out N·m or duty.
+    velocity_loop: Proportional,
 }
 
 impl Cascade {
     /// At rest: no output.
     pub fn new(config: CascadeConfig) -> Self {
         Self {
-            config,
-            integral: 0.0,
+            position_gain: config.position_gain,
+            velocity_loop: Proportional::new(ProportionalConfig {
+                position_gain: config.velocity_gain,
+                integral_rate: config.integral_rate,
+                limit: config.limit,
+            }),
         }
     }
 
@@ -57,28 +63,19 @@ impl Cascade {
     ///
     /// What is not a finite number resets it, and it puts out nothing.
     pub fn step(&mut self, error: f64, velocity_error: f64, feed_forward: f64, dt: f64) -> f64 {
-        let CascadeConfig {
-            position_gain,
-            velocity_gain,
-            integral_rate,
-            limit,
-        } = self.config;
-        let proportional = velocity_gain * (velocity_error + position_gain * error);
-        let output = proportional + self.integral + feed_forward;
-        if !output.is_finite() {
-            self.reset();
-            return 0.0;
-        }
-        if output.abs() <= limit || proportional * output < 0.0 {
-            let integral = self.integral + proportional * integral_rate * dt;
-            self.integral = integral.clamp(-limit, limit);
-        }
-        output.clamp(-limit, limit)
+        let error = velocity_error + self.position_gain * error;
+        self.velocity_loop.step(error, feed_forward, dt)
+    }
+
+    /// Forgets as much of `output` as it puts out at rest by its integral, and says how much that is: what it puts
+    /// out next is less by so much.
+    pub fn give(&mut self, output: f64) -> f64 {
+        self.velocity_loop.give(output)
     }
 
     /// Forgets everything.
     pub fn reset(&mut self) {
-        self.integral = 0.0;
+        self.velocity_loop.reset();
     }
 }
 

@@ -1,4 +1,4 @@
-use super::{is_not_negative, is_positive};
+use super::{is_not_negative, is_positive, share};
 
 /// The coefficients of one axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -149,6 +149,16 @@ impl Incremental {
         self.filtered = filtered;
         self.output = [(limited - feed_forward) / gain, self.output[0]];
         limited
+    }
+
+    /// Forgets as much of `output` as it puts out at rest by its integral, and says how much that is: what it puts
+    /// out next is less by so much.
+    pub fn give(&mut self, output: f64) -> f64 {
+        let IncrementalConfig { integral, gain, .. } = self.config;
+        let held = if integral { gain * self.output[0] } else { 0.0 };
+        let given = share(held, output);
+        self.output.iter_mut().for_each(|own| *own -= given / gain);
+        given
     }
 
     /// Forgets everything.

@@ -1,4 +1,4 @@
-use super::{is_not_negative, is_positive};
+use super::{is_not_negative, is_positive, share};
 
 /// The gains of one axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -70,6 +70,14 @@ impl Proportional {
             self.integral = integral.clamp(-limit, limit);
         }
         output.clamp(-limit, limit)
+    }
+
+    /// Forgets as much of `output` as it puts out at rest by its integral, and says how much that is: what it puts
+    /// out next is less by so much.
+    pub fn give(&mut self, output: f64) -> f64 {
+        let given = share(self.integral, output);
+        self.integral -= given;
+        given
     }
 
     /// Forgets everything.

@@ -4,6 +4,7 @@ mod limit_switches;
 mod motion;
 mod power;
 mod stops;
+mod weights;
 
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::task::Poll;
@@ -139,6 +140,7 @@ fn macrostep(number: u64, steps: u16, position: f64, velocity: f64) -> Macrostep
         report_at: steps,
         position,
         velocity,
+        torque: [0.0; MAX_AXES],
     }
 }
 
@@ -179,6 +181,7 @@ fn control_sees_the_nominal_period_and_records_have_the_real_one() {
                     report_at: 5,
                     position: [0.1; MAX_AXES],
                     velocity: [0.0; MAX_AXES],
+                    torque: [0.0; MAX_AXES],
                 };
                 orders.push(Order::Move(macrostep)).unwrap();
             }

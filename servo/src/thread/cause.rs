@@ -5,10 +5,12 @@ use super::Awake;
 /// Who took the time of a late cycle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Cause {
-    /// Its own computing: regulators, set-points.
+    /// Its own computing: regulators, set-points, and the figures it keeps once SYNC has left.
     OwnStep,
     /// Reading from a bus, or writing to one.
     Bus,
+    /// What the caller has the thread do between cycles: on an emulated bench, the emulators of the whole cell.
+    BetweenCycles,
     /// A page of the process was not in memory.
     PageFault,
     /// Another thread was given the CPU.
@@ -22,9 +24,10 @@ pub enum Cause {
 
 impl Cause {
     /// All, the least of a host's faults first.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 7] = [
         Self::OwnStep,
         Self::Bus,
+        Self::BetweenCycles,
         Self::PageFault,
         Self::Preempted,
         Self::LateWakeUp,
@@ -36,6 +39,7 @@ impl Cause {
         match self {
             Self::OwnStep => "own step",
             Self::Bus => "bus",
+            Self::BetweenCycles => "between cycles",
             Self::PageFault => "page fault",
             Self::Preempted => "preempted",
             Self::LateWakeUp => "late wake-up",
@@ -45,7 +49,7 @@ impl Cause {
 
     /// Who made a cycle `late` that `spent` its time so, by what the kernel counted meanwhile.
     ///
-    /// A hypervisor that stops the computer inside the step cannot be told from the step.
+    /// A hypervisor that stops the computer inside the step, or between cycles, cannot be told from what is done there.
     pub fn of_cycle(late: Duration, spent: &Spent, counted: Usage) -> Self {
         // What took less than half of the time is not what took it.
         let preempted = match counted.delay {
@@ -55,18 +59,18 @@ impl Cause {
         let places = [
             (spent.own, Self::OwnStep),
             (spent.bus, Self::Bus),
+            (spent.between, Self::BetweenCycles),
             (spent.wake_up, Self::LateWakeUp),
             (spent.gap, Self::Host),
         ];
         let longest = places.into_iter().max_by_key(|(time, _)| *time);
         match longest {
             _ if preempted => Self::Preempted,
-            Some((time, Self::OwnStep | Self::Bus | Self::Host))
-                if counted.faults > 0 && time >= late / 2 =>
-            {
-                Self::PageFault
-            }
-            Some((time, cause)) if time >= late / 2 => cause,
+            Some((time, cause)) if time >= late / 2 => match cause {
+                Self::LateWakeUp => cause,
+                _ if counted.faults > 0 => Self::PageFault,
+                _ => cause,
+            },
             _ => Self::Host,
         }
     }
@@ -79,6 +83,8 @@ pub struct Spent {
     pub own: Duration,
     /// In reading from buses and writing to them.
     pub bus: Duration,
+    /// In what the caller does between cycles.
+    pub between: Duration,
     /// From when the thread asked to be woken to when it ran.
     pub wake_up: Duration,
     /// Between two reads of the clock while it spun, the longest.
@@ -86,21 +92,16 @@ pub struct Spent {
 }
 
 impl Spent {
-    /// Up to the end of a wait. What was done before it, `own` and on the `bus`, counts if it left no time to sleep.
-    pub fn waiting(awake: &Awake, own: Duration, bus: Duration) -> Self {
-        let gap = awake.gap;
-        match awake.wake_up_latency() {
-            Some(wake_up) => Self {
-                wake_up,
-                gap,
-                ..Self::default()
-            },
-            None => Self {
-                own,
-                bus,
-                gap,
-                ..Self::default()
-            },
+    /// Up to the end of a wait. What was spent before it counts if it left no time to sleep.
+    pub fn waiting(awake: &Awake, before: Self) -> Self {
+        let (gap, slept) = (awake.gap, awake.wake_up_latency());
+        let of_wait = |wake_up| Self {
+            wake_up,
+            ..Self::default()
+        };
+        Self {
+            gap,
+            ..slept.map_or(before, of_wait)
         }
     }
 }
@@ -187,7 +188,11 @@ mod tests {
                 at: woken + micros(gap),
                 gap: micros(gap),
             };
-            let spent = Spent::waiting(&awake, micros(worked), Duration::ZERO);
+            let before = Spent {
+                own: micros(worked),
+                ..Spent::default()
+            };
+            let spent = Spent::waiting(&awake, before);
             let found = Cause::of_cycle(micros(late), &spent, counted);
             assert_eq!(
                 found, expected,
@@ -199,26 +204,33 @@ mod tests {
     #[test]
     fn a_late_cycle_is_of_what_took_most_of_it_unless_the_kernel_names_another() {
         let micros = Duration::from_micros;
-        // Own, bus, wake-up, gap; faults, switches, delay; µs, of a cycle 400 µs late.
+        // Own, bus, between, wake-up, gap; faults, switches, delay; µs, of a cycle 400 µs late.
         let cases = [
-            ((450, 20, 10, 0), (0, 0, Some(0)), Cause::OwnStep),
-            ((20, 450, 10, 0), (0, 0, Some(0)), Cause::Bus),
-            ((20, 20, 600, 0), (0, 0, Some(0)), Cause::LateWakeUp),
-            ((20, 20, 10, 400), (0, 0, Some(0)), Cause::Host),
-            ((20, 20, 10, 0), (0, 0, Some(0)), Cause::Host),
-            ((450, 20, 10, 0), (9, 0, Some(0)), Cause::PageFault),
-            ((20, 450, 10, 0), (9, 0, Some(0)), Cause::PageFault),
-            ((20, 20, 600, 0), (9, 0, Some(0)), Cause::LateWakeUp),
-            ((450, 20, 10, 0), (9, 1, Some(390)), Cause::Preempted),
-            ((20, 20, 600, 0), (0, 0, Some(590)), Cause::Preempted),
-            ((450, 20, 10, 0), (0, 1, Some(90)), Cause::OwnStep),
-            ((450, 20, 10, 0), (0, 1, None), Cause::Preempted),
+            ((450, 20, 20, 10, 0), (0, 0, Some(0)), Cause::OwnStep),
+            ((20, 450, 20, 10, 0), (0, 0, Some(0)), Cause::Bus),
+            ((20, 20, 450, 10, 0), (0, 0, Some(0)), Cause::BetweenCycles),
+            ((20, 20, 20, 600, 0), (0, 0, Some(0)), Cause::LateWakeUp),
+            ((20, 20, 20, 10, 400), (0, 0, Some(0)), Cause::Host),
+            ((20, 20, 20, 10, 0), (0, 0, Some(0)), Cause::Host),
+            ((450, 20, 20, 10, 0), (9, 0, Some(0)), Cause::PageFault),
+            ((20, 450, 20, 10, 0), (9, 0, Some(0)), Cause::PageFault),
+            ((20, 20, 450, 10, 0), (9, 0, Some(0)), Cause::PageFault),
+            ((20, 20, 20, 600, 0), (9, 0, Some(0)), Cause::LateWakeUp),
+            ((20, 20, 20, 10, 0), (9, 0, Some(0)), Cause::Host),
+            ((450, 20, 20, 10, 0), (9, 1, Some(390)), Cause::Preempted),
+            ((20, 20, 450, 10, 0), (9, 1, Some(390)), Cause::Preempted),
+            ((20, 20, 20, 600, 0), (0, 0, Some(590)), Cause::Preempted),
+            ((450, 20, 20, 10, 0), (0, 1, Some(90)), Cause::OwnStep),
+            ((20, 20, 450, 10, 0), (0, 1, Some(90)), Cause::BetweenCycles),
+            ((450, 20, 20, 10, 0), (0, 1, None), Cause::Preempted),
+            ((20, 20, 450, 10, 0), (0, 1, None), Cause::Preempted),
         ];
-        for ((own, bus, wake_up, gap), (faults, switches, delay), expected) in cases {
-            let [own, bus, wake_up, gap] = [own, bus, wake_up, gap].map(micros);
+        for ((own, bus, between, wake_up, gap), (faults, switches, delay), expected) in cases {
+            let [own, bus, between, wake_up, gap] = [own, bus, between, wake_up, gap].map(micros);
             let spent = Spent {
                 own,
                 bus,
+                between,
                 wake_up,
                 gap,
             };

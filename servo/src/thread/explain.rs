@@ -15,9 +15,10 @@ pub const GAP: Duration = Duration::from_micros(5);
 /// What the cycle before leaves to the next.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Before {
-    /// When its SYNC was handed over, and when that was done.
+    /// When its SYNC was handed over, when that was done, and when all else was and the caller was called.
     pub sync: Instant,
     pub done: Instant,
+    pub called: Instant,
     /// How late that was, zero if it was punctual.
     pub late: Duration,
 }
@@ -59,16 +60,21 @@ impl Run {
         worse
     }
 
-    /// Where the time went up to the end of a wait. What is left of the delay that let a slot go is of that: without
+    /// Where the time went up to the end of a wait, of a cycle that `begun` then. What is left of the delay that let a slot go is of that: without
     /// a sleep of its own the time since the SYNC before has been told of.
-    pub(super) fn waited(&self, awake: &Awake) -> Spent {
+    pub(super) fn waited(&self, begun: Instant, awake: &Awake) -> Spent {
+        let Before {
+            sync, done, called, ..
+        } = self.before;
+        let before = Spent {
+            own: called.since(done) + awake.asked_at.since(begun),
+            bus: done.since(sync),
+            between: begun.since(called),
+            ..Spent::default()
+        };
         match self.skipped {
             Some((_, spent)) if awake.wake_up_latency().is_none() => spent,
-            _ => Spent::waiting(
-                awake,
-                awake.asked_at.since(self.before.done),
-                self.before.done.since(self.before.sync),
-            ),
+            _ => Spent::waiting(awake, before),
         }
     }
 }

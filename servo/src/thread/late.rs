@@ -97,7 +97,11 @@ mod tests {
         ];
         assert!(kept.eq(expected), "{late:?}");
         assert_eq!(late.count(), 11);
-        assert!(late.causes().map(|(_, count)| count).eq([2, 2, 2, 2, 2, 1]));
+        assert!(
+            late.causes()
+                .map(|(_, count)| count)
+                .eq([2, 2, 2, 2, 1, 1, 1])
+        );
         for (place, cause) in Cause::ALL.into_iter().enumerate() {
             assert_eq!(cause as usize, place, "counts go by the place of a cause");
         }

@@ -20,7 +20,9 @@ pub struct Stamps {
     pub cycle: u64,
     /// When its SYNC was due.
     pub deadline: Instant,
-    /// The end of the slack before it.
+    /// The end of the cycle before it: from here on the caller had the thread.
+    pub called: Instant,
+    /// The caller was done.
     pub begun: Instant,
     /// The wait for it, the last one if slots were let go.
     pub awake: Awake,
@@ -61,6 +63,7 @@ impl Stamps {
         Self {
             cycle,
             deadline,
+            called: awake.asked_at,
             begun: awake.asked_at,
             awake,
             reading: awake.at,

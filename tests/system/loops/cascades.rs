@@ -29,7 +29,7 @@ fn by_torque(axis: Irp6Axis) -> HostLoop {
             velocity: motor.viscous,
             acceleration: motor.inertia,
             coulomb: motor.friction.coulomb,
-            constant: 0.0,
+            ..FeedForward::default()
         },
         runaway_velocity: 300.0,
     }
@@ -53,7 +53,7 @@ fn by_duty(axis: Irp6Axis) -> HostLoop {
             velocity: motor.torque_constant / SUPPLY + motor.viscous * duty_per_torque,
             acceleration: motor.inertia * duty_per_torque,
             coulomb: motor.friction.coulomb * duty_per_torque,
-            constant: 0.0,
+            ..FeedForward::default()
         },
         ..torque
     }

@@ -2,8 +2,8 @@
 
 use super::{Checked, Path, Problem, in_range, positive};
 use crate::cell::{
-    Axis, AxisController, Bus, Cell, Control, Drive, DriveControl, Law, Loop, Plant, Protocol,
-    Serial,
+    Axis, AxisController, Bus, Cell, Control, Drive, DriveControl, Emulator, Law, Loop, Plant,
+    Protocol, Serial,
 };
 use crate::robot::Limits;
 
@@ -82,7 +82,20 @@ pub(super) fn check(path: &Path, axis: &Axis, place: Place<'_>, model: Limits) -
             return refused("drive", "is for an axis on a CAN bus, not on a serial line");
         }
     }
+    check_emulator(&path.then("emulator"), &axis.emulator)?;
     check_homing(&path.then("homing"), axis, place)
+}
+
+fn check_emulator(path: &Path, emulator: &Emulator) -> Checked {
+    if let Some(counts) = emulator.counts_per_revolution {
+        check_counts(path, counts)?;
+    }
+    let Some(torque) = emulator.rated_torque else {
+        return Ok(());
+    };
+    // Object 0x6076 of an EPOS4 holds 32 bits of µN·m.
+    let range = "between 0.000001 and 4294 (N·m)";
+    in_range(&path.then("rated_torque"), torque, 1e-6, 4294.0, range)
 }
 
 fn check_drive(drive: &Path, given: &Drive, max_velocity: f64) -> Checked {
@@ -192,6 +205,10 @@ fn check_drive_loop(path: &Path, drive: &Drive, max_velocity: f64) -> Checked {
             return refused(path.clone(), why);
         }
         (DriveControl::Velocity, Some(given)) => {
+            if given.feed_forward.weight.is_some_and(|weight| weight > 0.0) {
+                let why = "is a torque: by velocity the drive's own loop holds the weight";
+                return refused(path.then("feed_forward").then("weight"), why);
+            }
             // A loop at its limit is not to look like one that runs away.
             let runaway = given.runaway_velocity.unwrap_or(1.2 * max_velocity);
             let range = "above 0 and at most runaway_velocity (rad/s of the motor)";
@@ -258,10 +275,36 @@ fn check_loop(path: &Path, given: &Loop, most: (f64, &'static str), max_velocity
         (forward.then("velocity"), it.velocity, not_negative),
         (forward.then("acceleration"), it.acceleration, not_negative),
         (forward.then("coulomb"), it.coulomb, not_negative),
+        (
+            forward.then("weight"),
+            it.weight.unwrap_or(0.0),
+            not_negative,
+        ),
         (forward.then("constant"), it.constant, any),
     ];
     for (path, value, (low, high, range)) in numbers.into_iter().chain(known) {
         in_range(&path, value, low, high, range)?;
+    }
+    if let Some(stiction) = it.stiction {
+        let range = "at least coulomb";
+        in_range(
+            &forward.then("stiction"),
+            stiction,
+            it.coulomb,
+            f64::MAX,
+            range,
+        )?;
+        let Some(velocity) = it.stribeck_velocity else {
+            let why = "needs the velocity over which it falls: stribeck_velocity";
+            return Err((forward.then("stiction"), Problem::Refused(why.into())));
+        };
+        positive(&forward.then("stribeck_velocity"), velocity)?;
+    } else if it.stribeck_velocity.is_some() {
+        let why = "is for a friction that is greater at break-away: stiction";
+        return Err((
+            forward.then("stribeck_velocity"),
+            Problem::Refused(why.into()),
+        ));
     }
     match given.runaway_velocity {
         Some(value) if value <= max_velocity => {

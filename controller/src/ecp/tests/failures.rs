@@ -205,3 +205,26 @@ fn homing_that_takes_too_long_is_stopped() {
     assert_eq!(bench.servo.log.last(), Some(&Order::Stop));
     assert_eq!(bench.ecp.status().phase, Phase::Standing);
 }
+
+#[test]
+fn homing_that_the_servo_broke_off_is_not_waited_for() {
+    let mut bench = Bench::new(16);
+    bench.servo.lost = true;
+    let task = Task::new().enable().home().run(to(1.0, 0.0, 0.0));
+    bench.ecp.execute(task).unwrap();
+    let events = bench.go_on(|bench| {
+        if bench.ecp.status().phase == Phase::Homing {
+            bench.servo.phase(Phase::Off);
+        }
+    });
+    let outcome = Err(EcpError::BrokenOff { phase: Phase::Off });
+    assert_eq!(
+        events.last().copied(),
+        Some(Event {
+            instruction: 1,
+            outcome
+        })
+    );
+    let took = bench.now.since(Instant::ZERO);
+    assert!(took < CONFIG.homing, "{took:?}");
+}

@@ -1,3 +1,5 @@
+use std::f64::consts::PI;
+
 use nalgebra::{Isometry3, Matrix3, Vector3};
 
 use super::AXES;
@@ -61,18 +63,20 @@ pub(super) fn angles(
     kept: f64,
 ) -> ([(f64, f64); 2], f64) {
     let square = x * x + y * y;
-    let cos = (square - inner * inner - outer * outer) / (2.0 * inner * outer);
-    let cos = cos.clamp(-1.0, 1.0);
-    let sin = ((1.0 - cos) * (1.0 + cos)).sqrt();
-    let bend = sin.atan2(cos);
+    let (sum, difference) = (inner + outer, inner - outer);
+    // Sine and cosine of half the bend, by the law of cosines.
+    let half = |squares: f64| (squares / (4.0 * inner * outer)).clamp(0.0, 1.0).sqrt();
+    let sin = half(sum * sum - square);
+    let cos = half(square - difference * difference);
+    let half = sin.atan2(cos);
+    let (bend, bend_sin) = (2.0 * half, 2.0 * sin * cos);
     if square < PARALLEL * PARALLEL {
-        return ([(kept, bend), (kept, -bend)], sin);
+        return ([(kept, bend), (kept, -bend)], bend_sin);
     }
-    let first = |sin: f64| {
-        let (along, across) = (inner + outer * cos, outer * sin);
-        (y * along - x * across).atan2(x * along + y * across)
-    };
-    ([(first(sin), bend), (first(-sin), -bend)], sin)
+    // The first crank leads the point by half the bend if both are equal, otherwise by Mollweide's formula.
+    let lead = half - (difference * sin).atan2(sum * cos);
+    let point = y.atan2(x);
+    ([(point - lead, bend), (point + lead, -bend)], bend_sin)
 }
 
 /// Where two cranks end for the angles of the first and of both together.
@@ -150,22 +154,38 @@ impl Cranks {
         jacobian
     }
 
-    /// The facing of a pose with this signed sine of the angle between axis 1 and tool axis.
-    pub(super) fn facing(&self, origin: &Vector3<f64>, axes: &Matrix3<f64>, tilt: f64) -> Facing {
+    /// Both facings of a pose; `tilt` is the sine of the angle between axis 1 and tool axis, above zero.
+    pub(super) fn facings(
+        &self,
+        origin: &Vector3<f64>,
+        axes: &Matrix3<f64>,
+        tilt: f64,
+    ) -> [Facing; 2] {
         let (normal, approach) = (axes.column(0), axes.column(2));
         let (c, s) = (approach.x / tilt, approach.y / tilt);
         let ahead = Vector3::new(c, s, 0.0);
         let along = Vector3::new(s, -c, 0.0);
-        let psi = tilt.atan2(-approach.z);
-        let (level, _) = tool(&ahead, psi);
-        let offsets = along * self.forearm_offset + Vector3::z() * self.upper_offset;
-        Facing {
-            phi: s.atan2(c),
-            psi,
-            roll: normal.dot(&along).atan2(normal.dot(&level)),
-            end: origin - approach * self.flange_offset - offsets,
-            ahead,
-        }
+        let level = Vector3::new(-approach.z * c, -approach.z * s, tilt);
+        let (phi, psi) = (s.atan2(c), tilt.atan2(-approach.z));
+        let roll = normal.dot(&along).atan2(normal.dot(&level));
+        let middle = origin - approach * self.flange_offset - Vector3::z() * self.upper_offset;
+        let offset = along * self.forearm_offset;
+        [
+            Facing {
+                phi,
+                psi,
+                roll,
+                ahead,
+                end: middle - offset,
+            },
+            Facing {
+                phi: phi + PI,
+                psi: -psi,
+                roll: roll + PI,
+                ahead: -ahead,
+                end: middle + offset,
+            },
+        ]
     }
 
     /// The reaches of the forearm for which both pairs of cranks get to the end of a facing and stay `spare` m

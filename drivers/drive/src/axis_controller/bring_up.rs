@@ -26,10 +26,12 @@ const CALLS_TO_DRAIN: u8 = 3;
 /// ```
 ///
 /// The last answers are where operation begins: the gate has passed them, and the power stage is on. A line on which
-/// most answers took more than a call is refused: it is called every period, in which they have to come.
+/// most answers took more than a period is refused: in operation they have to come in one. Calls that a host makes
+/// after each other to catch up with its deadlines are no periods.
 #[derive(Clone, Debug)]
 pub(super) struct BringUp {
     dialect: Dialect,
+    period: Duration,
     answer_timeout: Duration,
     attempts_allowed: u8,
     /// What to say, one after the other.
@@ -46,7 +48,7 @@ pub(super) struct BringUp {
     heard: u32,
     /// Calls since the question.
     calls: u32,
-    /// Answers that took more than one call.
+    /// Answers that took more than one call and more than a period.
     late: usize,
     last: Option<Answer>,
     /// Why the last answer was not taken.
@@ -77,6 +79,7 @@ impl BringUp {
         script.push(manual);
         Self {
             dialect,
+            period: group.period,
             answer_timeout: group.answer_timeout,
             attempts_allowed: group.attempts,
             script,
@@ -137,7 +140,10 @@ impl BringUp {
                 self.heard = self.heard.saturating_add(count as u32);
                 self.calls = self.calls.saturating_add(1);
                 if self.answered(bytes, counters, step) {
-                    self.late += usize::from(self.calls > 1);
+                    let took = now.since(self.asked_at);
+                    // Halfway to the second period: calls are not punctual.
+                    let late = self.calls > 1 && took > self.period * 3 / 2;
+                    self.late += usize::from(late);
                     let (late, answers) = (self.late, self.script.len());
                     if step + 1 == answers && late > answers / 2 {
                         return Err(AxisControllerError::Late { late, answers });

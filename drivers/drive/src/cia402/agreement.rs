@@ -7,9 +7,10 @@ use super::config::AxisConfig;
 use super::program::MAXON;
 use crate::BringUpError;
 
-/// Vendors whose object 0x6076 has a unit of its own, N·m: maxon counts µN·m (EPOS4 Firmware Specification, 0x6076).
+/// Vendors whose object 0x6076 has a unit of its own, N·m: maxon counts µN·m, as published drivers for
+/// EPOS4 read it.
 const TORQUE_UNITS: [(u32, f64); 1] = [(MAXON, 1e-6)];
-/// The unit of object 0x6076 in CiA 402-2, N·m.
+/// The unit of object 0x6076 elsewhere, N·m, as manuals of CiA 402 drives give it.
 const TORQUE_UNIT: f64 = 1e-3;
 
 const CORRECT_COUNTS: &str = "correct drive.counts_per_revolution or the drive's own setting";
@@ -22,6 +23,8 @@ pub(super) struct Agreement {
     pub(super) object: Object,
     /// Of a ratio, the object that the first is divided by.
     pub(super) divisor: Option<Object>,
+    /// It counts only where the drive has not the object of the agreement before.
+    pub(super) instead: bool,
     expected: u32,
     /// How far it may be from `expected`.
     tolerance: u32,
@@ -52,8 +55,13 @@ impl Agreement {
 
 /// All that the dictionary of an axis's drive must agree in.
 ///
-/// EPOS4 has none of CiA 402-2's ratios: it counts increments of its main sensor, whose resolution it reckons from the
-/// encoder's settings (0x3000:05, quadrature counts). Its gear (0x3003) scales neither positions nor velocities.
+/// Position units per motor revolution are feed constant (0x6092) / gear ratio (0x6091): a drive makes its increments of
+/// them by encoder resolution (0x608F) * gear ratio / feed constant, as manuals of CiA 402 drives have it, so that its
+/// encoder may be finer than the units. One without a feed constant counts increments of its encoder. What a vendor
+/// makes of 0x60A8, the SI unit of position, is its own affair and not asked for.
+///
+/// EPOS4 has none of these ratios: it counts increments of its main sensor, whose resolution in quadrature counts is
+/// object 0x3000:05.
 ///
 /// The rated torque counts in every mode: in CST it scales the loop, and elsewhere every torque that is reported.
 pub(super) fn of(axis: &AxisConfig) -> Vec<Agreement> {
@@ -61,19 +69,20 @@ pub(super) fn of(axis: &AxisConfig) -> Vec<Agreement> {
     let ratio = |object, divisor, expected, what, remedy| Agreement {
         object,
         divisor,
+        instead: false,
         expected,
         tolerance: 0,
         what,
         remedy,
     };
+    let encoder = ratio(
+        POSITION_ENCODER_INCREMENTS,
+        Some(POSITION_ENCODER_REVOLUTIONS),
+        counts,
+        "encoder increments per motor revolution",
+        CORRECT_COUNTS,
+    );
     let mut agreements = vec![
-        ratio(
-            POSITION_ENCODER_INCREMENTS,
-            Some(POSITION_ENCODER_REVOLUTIONS),
-            counts,
-            "encoder increments per motor revolution",
-            CORRECT_COUNTS,
-        ),
         ratio(
             GEAR_MOTOR_REVOLUTIONS,
             Some(GEAR_SHAFT_REVOLUTIONS),
@@ -88,6 +97,10 @@ pub(super) fn of(axis: &AxisConfig) -> Vec<Agreement> {
             "position units per shaft revolution",
             CORRECT_COUNTS,
         ),
+        Agreement {
+            instead: true,
+            ..encoder
+        },
     ];
     if axis.identity.vendor == MAXON {
         agreements.push(ratio(
@@ -108,6 +121,7 @@ pub(super) fn of(axis: &AxisConfig) -> Vec<Agreement> {
     agreements.push(Agreement {
         object: MOTOR_RATED_TORQUE,
         divisor: None,
+        instead: false,
         expected,
         // 1 %, or the last digit of a small motor.
         tolerance: (expected / 100).max(1),

@@ -34,6 +34,8 @@ pub(super) struct NodeBringUp {
     learnt: Learnt,
     /// The value of the agreement whose divisor is asked for, if the drive has it.
     value: Option<u32>,
+    /// Whether the drive has the object of the last agreement.
+    agreed: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -69,6 +71,7 @@ impl NodeBringUp {
             boots: 0,
             learnt: Learnt::default(),
             value: None,
+            agreed: false,
         })
     }
 
@@ -190,6 +193,15 @@ impl NodeBringUp {
                     self.phase = Phase::Configured;
                     return Ok(());
                 };
+                if !asked && self.agreed && current.instead() {
+                    self.phase = Phase::Configuring {
+                        step: step + 1,
+                        reading_back: false,
+                        asked: false,
+                        since: now,
+                    };
+                    return self.advance(sdo, now);
+                }
                 if !asked {
                     match (current, reading_back) {
                         (Step::Configure(object, number), false) => {
@@ -271,7 +283,9 @@ impl NodeBringUp {
             }
             Step::Agree(agreement) if absent => {
                 // A dividend alone is divided by one.
-                if let Some(value) = self.value.take() {
+                let value = self.value.take();
+                self.agreed = value.is_some();
+                if let Some(value) = value {
                     agreement.check(node, value, 1)?;
                 }
                 return Ok(Next::Step);
@@ -309,6 +323,7 @@ impl NodeBringUp {
             Step::Value(_) => self.value = Some(transfer.number().map_err(error)?),
             Step::Agree(agreement) => {
                 let read = transfer.number().map_err(error)?;
+                self.agreed = agreement.divisor.is_none() || self.value.is_some();
                 match (agreement.divisor, self.value.take()) {
                     (None, _) => agreement.check(node, read, 1)?,
                     (Some(_), Some(value)) => agreement.check(node, value, read)?,

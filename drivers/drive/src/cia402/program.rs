@@ -59,6 +59,11 @@ impl Step {
         }
     }
 
+    /// Whether it is left out where the last agreement was about an object that the drive has.
+    pub(super) fn instead(&self) -> bool {
+        matches!(self, Self::Value(agreement) | Self::Agree(agreement) if agreement.instead)
+    }
+
     /// The number it writes; `None` if it writes a setting, or only reads.
     pub(super) fn write(&self) -> Option<Write> {
         match self {

@@ -116,6 +116,26 @@ fn a_line_whose_answers_take_longer_than_a_period_is_refused() {
 }
 
 #[test]
+fn calls_of_a_host_that_catches_up_make_no_answer_late() {
+    for protocol in BOTH {
+        let mut rig = Rig::of(Drive::new(protocol, 8));
+        let result = (0..1_000).find_map(|_| {
+            rig.now += PERIOD;
+            let result = rig.group.bring_up(rig.now);
+            // What was asked just now is not answered yet.
+            let under_way: Vec<u8> = rig.drive().outbox.drain(..).collect();
+            for call in 1..=3 {
+                let now = rig.now + call * Duration::from_micros(10);
+                assert!(result.is_ready() || rig.group.bring_up(now).is_pending());
+            }
+            rig.drive().outbox.extend(under_way);
+            result.is_ready().then_some(result)
+        });
+        assert_eq!(result, Some(Poll::Ready(Ok(()))), "{protocol:?}");
+    }
+}
+
+#[test]
 fn bring_up_says_who_is_at_the_other_end() {
     let error = |rig: &mut Rig| match rig.bring_up() {
         Err(BringUpError::AxisController { line: 0, error }) => error,

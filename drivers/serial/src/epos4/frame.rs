@@ -200,7 +200,7 @@ pub(super) mod tests {
     /// Read 6041:00 of node 1.
     const READ: &[u8] = &[0x90, 0x02, 0x60, 0x02, 0x01, 0x41, 0x60, 0x00, 0x22, 0xD1];
 
-    pub(in super::super) fn encoded(frame: &Frame) -> Vec<u8> {
+    pub(crate) fn encoded(frame: &Frame) -> Vec<u8> {
         let mut into = [0; LONGEST];
         let length = frame.encode(&mut into);
         into[..length].to_vec()

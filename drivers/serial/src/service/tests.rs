@@ -1,19 +1,6 @@
 use super::*;
 use crate::Settings;
-
-const STATUSWORD: Address = Address {
-    node: 1,
-    index: 0x6041,
-    subindex: 0,
-};
-const CONTROLWORD: Address = Address {
-    index: 0x6040,
-    ..STATUSWORD
-};
-const NAME: Address = Address {
-    index: 0x1008,
-    ..STATUSWORD
-};
+use crate::epos4::tests::{CONTROLWORD, HOME_POSITION, NAME, STATUSWORD, encoded};
 
 /// What of a value is owed by a reply, without its borrow.
 type Owned = Result<(Option<u32>, Vec<u8>), ServiceError>;
@@ -79,9 +66,7 @@ fn hex(text: &str) -> Vec<u8> {
 }
 
 fn epos4(answer: Answer<'_>) -> Vec<u8> {
-    let mut bytes = [0; LONGEST];
-    let length = answer.encode().encode(&mut bytes);
-    bytes[..length].to_vec()
+    encoded(&answer.encode())
 }
 
 const READ: &str = "90 02 60 02 01 41 60 00 22 D1";
@@ -90,16 +75,7 @@ const WRITE: &str = "90 02 68 04 01 40 60 00 0F 00 00 00 B3 07";
 #[test]
 fn exchanges_are_the_bytes_of_the_line() {
     type Start = fn(&mut Client, Instant) -> Result<(), StartError>;
-    let home: Start = |client, now| {
-        let index = 0x30B0;
-        client.read(
-            Address {
-                index,
-                ..STATUSWORD
-            },
-            now,
-        )
-    };
+    let home: Start = |client, now| client.read(HOME_POSITION, now);
     let read: Start = |client, now| client.read(STATUSWORD, now);
     let write: Start = |client, now| client.write(CONTROLWORD, 0x000F, now);
     let reset: Start = |client, now| client.nmt(1, 0x81, now);

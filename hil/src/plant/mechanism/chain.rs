@@ -119,6 +119,8 @@ pub(super) struct Link {
     reach: Vector,
     /// In this frame.
     body: Body,
+    /// The last angle of the joint, rad, its sine and its cosine: between two turns of one motor most joints stand.
+    turn: (f64, (f64, f64)),
 }
 
 impl Link {
@@ -133,6 +135,7 @@ impl Link {
             twist,
             reach: [a, d * twist.0, d * twist.1],
             body,
+            turn: (0.0, (0.0, 1.0)),
         }
     }
 
@@ -142,6 +145,13 @@ impl Link {
         // The rod begins where the frame before is, which this one sees at `-reach`.
         let body = Body::rod(mass, link.reach.map(|x| -x));
         Self { body, ..link }
+    }
+
+    fn turn(&mut self, angle: f64) -> (f64, f64) {
+        if angle != self.turn.0 {
+            self.turn = (angle, angle.sin_cos());
+        }
+        self.turn.1
     }
 
     /// A vector in the frame before, as this one sees it.
@@ -162,11 +172,11 @@ pub(super) struct Chain<const N: usize> {
 impl<const N: usize> Chain<N> {
     /// What it is to a motor which, at 1 rad/s, moves the base so and turns the joints, which are at `angles`,
     /// at `rates`.
-    pub(super) fn load(&self, base: &Motion, angles: &[f64; N], rates: &[f64; N]) -> Load {
+    pub(super) fn load(&mut self, base: &Motion, angles: &[f64; N], rates: &[f64; N]) -> Load {
         let mut motion = *base;
         let mut load = Load::default();
-        for ((link, angle), rate) in self.links.iter().zip(angles).zip(rates) {
-            let angle = angle.sin_cos();
+        for ((link, angle), rate) in self.links.iter_mut().zip(angles).zip(rates) {
+            let angle = link.turn(*angle);
             motion.spin[2] += rate;
             motion.up = link.turned(angle, motion.up);
             motion.spin = link.turned(angle, motion.spin);

@@ -1,4 +1,5 @@
-//! The arm of the IRp-6: two arms on a parallelogram, each by a screw across a triangle, and a wrist carried by rods.
+//! The arm of the IRb-6 and the IRp-6: two arms on a parallelogram, each by a screw across a triangle, and a wrist
+//! carried by rods.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -18,6 +19,8 @@ const TRACK: f64 = 2.0 * std::f64::consts::TAU / 8e-3;
 const CARRIAGE: f64 = 60.0;
 /// Of gravity.
 const UP: [f64; 3] = [0.0, 0.0, 1.0];
+/// Nominal: of the gripper, along its own axis from where the wrist ends.
+const GRIPPER: Body = Body::point(1.35, [0.0, 0.0, 0.15]);
 
 /// What turns with the motors at their speed, kg·m²: rotors (public code), screws and wave generators (nominal).
 const TURNING: [f64; 6] = [1.7e-4, 1.8e-4, 1.8e-4, 1.6e-4, 2.0e-5, 1.6e-5];
@@ -55,7 +58,6 @@ impl Irp6 {
             ..Body::point(45.0, [0.0; 3])
         };
         let wrist = Body::point(4.0, [0.0, -0.095, 0.0]);
-        let gripper = Body::point(1.35, [0.0, 0.0, 0.15]);
         let (lower, upper) = screws();
         Self {
             chain: Chain {
@@ -65,7 +67,7 @@ impl Irp6 {
                     Link::new(0.0, 0.670, 0, slender(14.0, 0.25, 0.670)),
                     Link::new(0.0, 0.0, -1, Body::NONE),
                     Link::new(0.190, 0.0, 1, wrist),
-                    Link::new(0.0, 0.0, 0, gripper),
+                    Link::new(0.0, 0.0, 0, GRIPPER),
                 ],
                 payload: Body::NONE,
             },
@@ -75,11 +77,19 @@ impl Irp6 {
         }
     }
 
+    /// Of the IRb-6: shorter, its gripper along the roll axis. The sixth axis is not there and stands.
+    pub(super) fn with_straight_wrist() -> Self {
+        let mut arm = Self::new(false);
+        let wrist = Body::point(4.0, [0.0, 0.0, -0.0475]);
+        arm.chain.links[4] = Link::new(0.095, 0.0, 0, wrist);
+        arm
+    }
+
     pub(super) fn set_payload(&mut self, payload: Body) {
         self.chain.payload = payload;
     }
 
-    pub(super) fn load(&self, number: usize, motors: &[f64; AXES]) -> Loaded {
+    pub(super) fn load(&mut self, number: usize, motors: &[f64; AXES]) -> Loaded {
         let arm = |axis: usize| motors[self.first + axis];
         let (lower, lower_gear) = self.lower.joint(arm(1));
         let (upper, upper_gear) = self.upper.joint(arm(2));

@@ -15,11 +15,13 @@ pub(super) struct Polycrank {
     chain: Chain<7>,
     /// Motors stand at the base and set absolute angles within each group of three.
     coupled: bool,
+    /// Joint angles, rad.
+    at_home: [f64; AXES],
 }
 
 impl Polycrank {
     /// Lengths are published, all masses nominal: uniform rods from joint to joint.
-    pub(super) fn new(coupled: bool) -> Self {
+    pub(super) fn new(coupled: bool, at_home: [f64; AXES]) -> Self {
         Self {
             chain: Chain {
                 links: [
@@ -34,6 +36,7 @@ impl Polycrank {
                 payload: Body::NONE,
             },
             coupled,
+            at_home,
         }
     }
 
@@ -41,7 +44,7 @@ impl Polycrank {
         self.chain.payload = payload;
     }
 
-    pub(super) fn load(&self, number: usize, motors: &[f64; AXES]) -> Loaded {
+    pub(super) fn load(&mut self, number: usize, motors: &[f64; AXES]) -> Loaded {
         let mut angles = motors.map(|motor| motor / RATIO);
         let mut rates = [0.0; AXES];
         rates[number] = 1.0 / RATIO;
@@ -53,6 +56,9 @@ impl Polycrank {
             if !matches!(number, 2 | 5 | 6) {
                 rates[number + 1] = -rates[number];
             }
+        }
+        for (angle, at_home) in angles.iter_mut().zip(self.at_home) {
+            *angle += at_home;
         }
         let Load { torque, inertia } = self.chain.load(&Motion::standing(UP), &angles, &rates);
         Loaded {

@@ -25,8 +25,8 @@ pub(super) struct Rnt {
     /// With the half of each leg that moves most, in its own axes.
     platform: [Body; 2],
     wrist: Chain<3>,
-    /// Of each leg where its motor is at home, m.
-    home_length: f64,
+    /// Of each leg where its own motor is at home, m.
+    home_lengths: [f64; 3],
     pose: Pose,
 }
 
@@ -39,18 +39,22 @@ struct Pose {
     extension: f64,
 }
 
+/// Distance of the platform at which its joints jam, m.
+const SHORTEST: f64 = 0.3;
+
 /// Steps of Newton's method that find the first pose; each later one is followed in one step.
 const STEPS: usize = 12;
 
 impl Rnt {
-    pub(super) fn new(home_length: f64) -> Self {
+    pub(super) fn new(home_lengths: [f64; 3]) -> Self {
         let disc = PLATFORM_RADIUS / 2.0;
         let half = |spread| Body {
             spread,
             ..Body::point(15.0, [0.0; 3])
         };
         let reach = BASE_RADIUS - PLATFORM_RADIUS;
-        Self {
+        let length = home_lengths.iter().sum::<f64>() / 3.0;
+        let mut rnt = Self {
             platform: [half([disc, 0.0, 0.0]), half([0.0, disc, 0.0])],
             wrist: Chain {
                 links: [
@@ -60,22 +64,26 @@ impl Rnt {
                 ],
                 payload: Body::NONE,
             },
-            home_length,
+            home_lengths,
             pose: Pose {
                 alpha: 0.0,
                 beta: 0.0,
-                extension: (home_length * home_length - reach * reach).sqrt(),
+                extension: (length * length - reach * reach)
+                    .max(SHORTEST * SHORTEST)
+                    .sqrt(),
             },
-        }
+        };
+        rnt.settle(&[0.0; AXES]);
+        rnt
     }
 
     pub(super) fn set_payload(&mut self, payload: Body) {
         self.wrist.payload = payload;
     }
 
-    /// Length of a leg with its motor so far from home, m.
-    fn length(&self, from_home: f64) -> f64 {
-        self.home_length + from_home / LEG
+    /// Of a leg, m.
+    fn length(&self, leg: usize, motors: &[f64; AXES]) -> f64 {
+        self.home_lengths[leg] + motors[leg] / LEG
     }
 
     /// Moves the platform to where the legs hold it.
@@ -94,7 +102,7 @@ impl Rnt {
         let mut step = [0.0; 3];
         let mut worst = 0.0_f64;
         for (leg, (length, column)) in legs.iter().enumerate() {
-            let missing = self.length(motors[leg]) - length;
+            let missing = self.length(leg, motors) - length;
             worst = worst.max(missing.abs());
             step = add(step, missing, *column);
         }
@@ -138,7 +146,7 @@ impl Rnt {
 impl Pose {
     /// Short of where the joints jam.
     fn is_possible(&self) -> bool {
-        self.alpha.abs() < 1.0 && self.beta.abs() < 1.0 && (0.3..2.0).contains(&self.extension)
+        self.alpha.abs() < 1.0 && self.beta.abs() < 1.0 && (SHORTEST..2.0).contains(&self.extension)
     }
 
     /// The platform's axes in the base.
@@ -218,7 +226,7 @@ mod tests {
         for ((length, _), expected) in pose.legs().iter().zip(golden) {
             assert!((length - expected).abs() < 1e-9, "{length} for {expected}");
         }
-        let mut rnt = Rnt::new(0.75);
+        let mut rnt = Rnt::new([0.75; 3]);
         let mut motors = [0.0; AXES];
         for (motor, length) in motors.iter_mut().zip(golden) {
             *motor = (length - 0.75) * LEG;
@@ -228,11 +236,17 @@ mod tests {
         for (found, expected) in found.iter().zip([0.2, -0.1, 0.9]) {
             assert!((found - expected).abs() < 1e-8, "{found} for {expected}");
         }
+        // The same where each leg is at home with a length of its own.
+        let home = Rnt::new(golden).pose;
+        let found = [home.alpha, home.beta, home.extension];
+        for (found, expected) in found.iter().zip([0.2, -0.1, 0.9]) {
+            assert!((found - expected).abs() < 1e-8, "{found} for {expected}");
+        }
     }
 
     #[test]
     fn legs_that_fit_no_pose_do_not_lose_the_platform() {
-        let mut rnt = Rnt::new(0.75);
+        let mut rnt = Rnt::new([0.75; 3]);
         let mut motors = [0.0; AXES];
         motors[0] = 0.5 * LEG;
         rnt.settle(&motors);
@@ -240,7 +254,7 @@ mod tests {
         motors[0] = 0.02 * LEG;
         rnt.settle(&motors);
         for (leg, (length, _)) in rnt.pose.legs().iter().enumerate() {
-            let expected = rnt.length(motors[leg]);
+            let expected = rnt.length(leg, &motors);
             assert!((length - expected).abs() < 1e-9, "{length} for {expected}");
         }
     }
@@ -249,7 +263,7 @@ mod tests {
     fn legs_carry_what_the_heights_of_the_masses_say() {
         // Potential over the base, which hangs, by the lengths of the legs: platform, then the straight wrist's three.
         let potential = |lengths: [f64; 3]| {
-            let mut rnt = Rnt::new(0.75);
+            let mut rnt = Rnt::new([0.75; 3]);
             let mut motors = [0.0; AXES];
             for (motor, length) in motors.iter_mut().zip(lengths) {
                 *motor = (length - 0.75) * LEG;
@@ -285,7 +299,7 @@ mod tests {
 
     #[test]
     fn pose_followed_in_single_steps_does_not_drift() {
-        let mut rnt = Rnt::new(0.75);
+        let mut rnt = Rnt::new([0.75; 3]);
         let mut motors = [0.0; AXES];
         // All legs move at up to 0.2 m/s, and each tells so once per millisecond.
         let at = |leg: usize, t: f64| 250.0 + 100.0 * (2.5 * t + leg as f64).sin();
@@ -299,7 +313,7 @@ mod tests {
             motors[leg] = at(leg, t);
             rnt.load(leg, &motors);
             let legs = rnt.pose.legs();
-            let off = legs[leg].0 - rnt.length(motors[leg]);
+            let off = legs[leg].0 - rnt.length(leg, &motors);
             assert!(off.abs() < 1e-6, "{off} m at {t} s");
         }
     }

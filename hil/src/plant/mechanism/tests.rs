@@ -9,15 +9,24 @@ use crate::plant::{
 
 const G: f64 = 9.81;
 const RNT: MechanismConfig = MechanismConfig::Rnt {
-    home_length: AxisConfig::RNT_HOME_LENGTH,
+    home_lengths: [AxisConfig::RNT_HOME_LENGTH; 3],
 };
-const ROBOTS: [MechanismConfig; 5] = [
+const ROBOTS: [MechanismConfig; 6] = [
+    MechanismConfig::Irb6,
     MechanismConfig::Irp6,
     MechanismConfig::Irp6OnTrack,
     RNT,
-    MechanismConfig::Polycrank { coupled: false },
-    MechanismConfig::Polycrank { coupled: true },
+    polycrank(false),
+    polycrank(true),
 ];
+
+/// At home with all angles zero.
+const fn polycrank(coupled: bool) -> MechanismConfig {
+    MechanismConfig::Polycrank {
+        coupled,
+        at_home: [0.0; 7],
+    }
+}
 
 /// With its motors so far from home.
 fn posed(config: MechanismConfig, motors: &[f64]) -> Mechanism {
@@ -78,6 +87,24 @@ fn irp6_weighs_what_its_masses_say() {
     check(leaning.load(1).torque, lower, "lower arm");
     check(leaning.load(2).torque, home[2], "upper arm");
     check(leaning.load(3).torque, home[3], "pitch");
+}
+
+#[test]
+fn irb6_holds_its_gripper_along_the_roll_axis() {
+    let upper = G * (14.0 * 0.25 + 5.35 * 0.67) / upper_gear();
+    let pitch = -G * (4.0 * 0.0475 + 1.35 * 0.245) / 128.0;
+    // However it is rolled: the sixth axis would be next, and is not there.
+    for roll in [0.0, 40.0] {
+        let level = posed(MechanismConfig::Irb6, &[0.0, 0.0, 0.0, 0.0, roll]);
+        for (number, expected) in [0.0, 0.0, upper, pitch, 0.0].into_iter().enumerate() {
+            check(level.load(number).torque, expected, "home");
+        }
+        assert!(level.axes() == 5 && level.mount(5, 0.0).is_none());
+    }
+    // Lowered by a quarter, it hangs straight down.
+    let quarter = 128.0 * FRAC_PI_2;
+    let down = posed(MechanismConfig::Irb6, &[0.0, 0.0, 0.0, -quarter]);
+    check(down.load(3).torque, 0.0, "down");
 }
 
 #[test]
@@ -143,12 +170,9 @@ fn polycrank_weighs_what_its_masses_say() {
         9.0 * 0.09 + 7.0 * 0.18 + 4.0 * 0.2555 + 3.5 * 0.4065 + 2.1 * 0.482,
         4.0 * 0.0755 + 3.5 * 0.2265 + 2.1 * 0.302,
     ];
-    let single = posed(MechanismConfig::Polycrank { coupled: false }, &[quarter]);
+    let single = posed(polycrank(false), &[quarter]);
     // Behind parallel cranks the motors set sums of angles: all three turn with the first.
-    let coupled = posed(
-        MechanismConfig::Polycrank { coupled: true },
-        &[quarter, quarter, quarter],
-    );
+    let coupled = posed(polycrank(true), &[quarter, quarter, quarter]);
     for (number, arm) in arms.into_iter().enumerate() {
         check(single.load(number).torque, G * arm / 50.0, "joint");
         let next = arms.get(number + 1).copied().unwrap_or(0.0);
@@ -159,7 +183,7 @@ fn polycrank_weighs_what_its_masses_say() {
         );
     }
     // At home the second group turns about a level axis too: only the tool hangs beside it, by 21.5 mm.
-    let home = posed(MechanismConfig::Polycrank { coupled: false }, &[]);
+    let home = posed(polycrank(false), &[]);
     for number in 0..3 {
         let arm = 4.0 * -0.06 + 3.5 * -0.178 + 1.5 * -0.266 + 0.6 * -0.296;
         check(home.load(number).torque, G * arm / 50.0, "home");
@@ -170,6 +194,25 @@ fn polycrank_weighs_what_its_masses_say() {
         );
     }
     check(home.load(6).torque, 0.0, "roll");
+    // A machine that is at home in another posture is there what the first is away from home.
+    let at_home = [0.3, 1.5, -1.2, 0.4, 0.9, -0.5, 0.2];
+    for coupled in [false, true] {
+        let mut motors = at_home.map(|angle| 50.0 * angle);
+        if coupled {
+            for joint in [1, 2, 4, 5] {
+                motors[joint] += motors[joint - 1];
+            }
+        }
+        let away = posed(polycrank(coupled), &motors);
+        let home = Mechanism::new(MechanismConfig::Polycrank { coupled, at_home });
+        for number in 0..7 {
+            check(
+                home.load(number).torque,
+                away.load(number).torque,
+                "at home",
+            );
+        }
+    }
 }
 
 #[test]
@@ -192,7 +235,7 @@ fn polycrank_is_as_inert_as_its_masses_say() {
         // A rod's squares of distance average to a third of the sum of those of its ends and their product.
         inertia += mass * (ax * ax + ax * bx + bx * bx + ay * ay + ay * by + by * by) / 3.0;
     }
-    let home = Mechanism::new(MechanismConfig::Polycrank { coupled: false });
+    let home = Mechanism::new(polycrank(false));
     check(home.load(0).inertia, 1e-4 + inertia / 2500.0, "axis 1");
 }
 
@@ -374,7 +417,9 @@ fn axes(config: MechanismConfig, seed: u64) -> (Mechanism, Vec<AxisConfig>, Vec<
 
 fn preset(config: MechanismConfig, number: usize) -> Option<AxisConfig> {
     match config {
-        MechanismConfig::Irp6 => Some(AxisConfig::irp6(Irp6Axis::ALL[number])),
+        MechanismConfig::Irb6 | MechanismConfig::Irp6 => {
+            Some(AxisConfig::irp6(Irp6Axis::ALL[number]))
+        }
         MechanismConfig::Irp6OnTrack => {
             Some(AxisConfig::irp6_track(crate::Irp6TrackAxis::ALL[number]))
         }

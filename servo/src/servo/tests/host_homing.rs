@@ -171,6 +171,36 @@ fn a_switch_closed_at_the_start_is_left_and_entered_from_its_side() {
     }
 }
 
+/// An axis that was slow when the switch closed rests nearer to its edge than one that came at full speed.
+#[test]
+fn an_index_pulse_on_the_switch_is_passed_wherever_the_axis_rested_there() {
+    for config in configs(1) {
+        for start in [0.05, 0.2, 10.0] {
+            let mut rig = rig(&config);
+            rig.order(Order::Disable);
+            rig.run(200);
+            {
+                let drive = &mut rig.world().axes[0];
+                drive.state.position = start;
+                drive.index = -0.2;
+            }
+            rig.order(Order::Enable);
+            rig.run(20);
+            rig.order(Order::Home);
+            rig.run(10_000);
+            let cause = rig.cause();
+            assert!(
+                matches!(
+                    cause,
+                    Some(StopCause::NoReference(HomingFailure::NoIndex { .. }))
+                ),
+                "from {start}: {cause:?}, offset {:?}",
+                offset(&rig)
+            );
+        }
+    }
+}
+
 #[test]
 fn a_limit_switch_turns_the_search_round_once_or_ends_it() {
     for config in configs(1) {

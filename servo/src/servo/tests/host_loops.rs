@@ -24,7 +24,7 @@ pub(super) fn laws(axes: usize) -> [ServoConfig; 2] {
     [cascade, incremental]
 }
 
-fn change(axis: &mut crate::ServoAxisConfig, how: impl FnOnce(&mut HostLoop)) {
+pub(super) fn change(axis: &mut crate::ServoAxisConfig, how: impl FnOnce(&mut HostLoop)) {
     let PositionLoop::Host(host) = &mut axis.position_loop else {
         unreachable!("made by host_config")
     };
@@ -33,7 +33,7 @@ fn change(axis: &mut crate::ServoAxisConfig, how: impl FnOnce(&mut HostLoop)) {
 
 impl Rig {
     /// What axis `axis` was sent, cycle by cycle.
-    fn torques(&self, axis: usize) -> Vec<f64> {
+    pub(super) fn torques(&self, axis: usize) -> Vec<f64> {
         let torque = |batch: &Vec<AxisCommand>| match batch[axis] {
             AxisCommand::Follow(Setpoint::Torque(torque)) => torque.get(),
             AxisCommand::Off | AxisCommand::Stand => 0.0,

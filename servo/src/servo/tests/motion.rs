@@ -62,6 +62,7 @@ fn a_bad_macrostep_is_never_sent() {
     let cases = [
         (with(|m| m.position[1] = f64::NAN), "NotFinite"),
         (with(|m| m.velocity[1] = f64::INFINITY), "NotFinite"),
+        (with(|m| m.torque[1] = f64::NAN), "NotFinite"),
         (
             Macrostep {
                 velocity: [f64::NAN; MAX_AXES],

@@ -90,10 +90,10 @@ fn an_epos4_is_asked_and_told_this_frame_by_frame() {
             expected.push("602#237C600000000000".to_owned());
         }
         if told.starts_with("602#23013001") {
-            // What it must agree in with the cell, none of which this store has: encoder, gear, feed, main sensor,
+            // What it must agree in with the cell, none of which this store has: gear, feed, encoder, main sensor,
             // rated torque.
             for object in [
-                "8F6001", "8F6002", "916001", "916002", "926001", "926002", "003005", "766000",
+                "916001", "916002", "926001", "926002", "8F6001", "8F6002", "003005", "766000",
             ] {
                 expected.push(format!("602#40{object}00000000"));
             }
@@ -393,6 +393,21 @@ fn a_drive_that_scales_as_the_cell_or_does_not_say_comes_up_and_another_is_refus
         (maxon(&[(0x608F, 1, 2_000)]), None),
         (maxon(&[(0x6091, 1, 7), (0x6091, 2, 7)]), None),
         (maxon(&[(0x6092, 1, 2_000), (0x6092, 2, 1)]), None),
+        // An encoder finer than the units, and a feed constant that says nothing of it.
+        (
+            maxon(&[
+                (0x608F, 1, 524_288),
+                (0x608F, 2, 1),
+                (0x6092, 1, 4_000),
+                (0x6092, 2, 2),
+            ]),
+            None,
+        ),
+        (
+            maxon(&[(0x608F, 1, 2_000), (0x6092, 1, 360)]),
+            Some((0x6092, "is 360 position units")),
+        ),
+        (maxon(&[(0x608F, 1, 524_288)]), Some((0x608F, "is 524288 "))),
         (maxon(&[(0x3000, 5, 2_000)]), None),
         (maxon(&[(0x6076, 0, 100_000)]), None),
         (maxon(&[(0x6076, 0, 101_000)]), None),
@@ -403,7 +418,7 @@ fn a_drive_that_scales_as_the_cell_or_does_not_say_comes_up_and_another_is_refus
             maxon(&[(0x608F, 1, 4_000), (0x608F, 2, 1)]),
             Some((
                 0x608F,
-                "0x608f:01 is 4000/1 encoder increments per motor revolution, the cell says 2000",
+                "0x608f:01 is 4000 encoder increments per motor revolution, the cell says 2000",
             )),
         ),
         (
@@ -414,33 +429,33 @@ fn a_drive_that_scales_as_the_cell_or_does_not_say_comes_up_and_another_is_refus
             maxon(&[(0x608F, 1, 0), (0x608F, 2, 0)]),
             Some((0x608F, "is 0/0 ")),
         ),
-        (maxon(&[(0x608F, 1, 500)]), Some((0x608F, "is 500/1 "))),
+        (maxon(&[(0x608F, 1, 500)]), Some((0x608F, "is 500 "))),
         (
             maxon(&[(0x6091, 1, 26), (0x6091, 2, 1)]),
             Some((
                 0x6091,
-                "0x6091:01 is 26/1 motor revolutions per shaft revolution, the cell says 1: set 1/1",
+                "0x6091:01 is 26 motor revolutions per shaft revolution, the cell says 1: set 1/1",
             )),
         ),
         (
             maxon(&[(0x6092, 1, 360), (0x6092, 2, 1)]),
-            Some((0x6092, "is 360/1 position units per shaft revolution")),
+            Some((0x6092, "is 360 position units per shaft revolution")),
         ),
         (
             maxon(&[(0x3000, 5, 2_048)]),
-            Some((0x3000, "0x3000:05 is 2048/1 quadrature counts")),
+            Some((0x3000, "0x3000:05 is 2048 quadrature counts")),
         ),
         (
             maxon(&[(0x6076, 0, 101_001)]),
             Some((
                 0x6076,
-                "101001/1 µN·m of rated torque, the cell says 100000: correct drive.rated_torque",
+                "101001 µN·m of rated torque, the cell says 100000: correct drive.rated_torque",
             )),
         ),
-        (maxon(&[(0x6076, 0, 100)]), Some((0x6076, "is 100/1 µN·m"))),
+        (maxon(&[(0x6076, 0, 100)]), Some((0x6076, "is 100 µN·m"))),
         (
             another(&[(0x6076, 0, 100_000)]),
-            Some((0x6076, "100000/1 mN·m of rated torque, the cell says 100:")),
+            Some((0x6076, "100000 mN·m of rated torque, the cell says 100:")),
         ),
     ];
     for mode in [

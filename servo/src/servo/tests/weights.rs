@@ -1,0 +1,120 @@
+//! Torques that hold the weight, from the macrosteps to the drives.
+
+use super::host_loops::{change, laws};
+use super::*;
+
+const WEIGHT: f64 = 0.5;
+
+/// Where its motors stand.
+const AT: f64 = 3.0;
+
+/// Switched on under a weight on axis 0 that nobody has told the servo of, and standing.
+fn loaded(config: &ServoConfig, stiction: f64) -> Rig {
+    let mut config = config.clone();
+    change(&mut config.effectors[0].axes[0], |host| {
+        host.feed_forward.weight = 1.0;
+        host.feed_forward.coulomb = stiction;
+    });
+    let mut rig = Rig::with(&config);
+    for drive in &mut rig.world().axes {
+        drive.state.homing = Homing::Attained;
+        drive.state.position = AT;
+    }
+    rig.world().axes[0].load = -WEIGHT;
+    rig.order(Order::Enable);
+    rig.run(1500);
+    assert_eq!(rig.phase(), Phase::Standing, "{:?}", rig.cause());
+    rig.world().sent.clear();
+    rig
+}
+
+/// Macrosteps that lead nowhere, each with the weight told.
+fn told(rig: &mut Rig, torque: f64, numbers: std::ops::RangeInclusive<u64>) {
+    for number in numbers {
+        let mut step = macrostep(number, 10, AT, 0.0);
+        step.torque[0] = torque;
+        rig.order(Order::Move(step));
+    }
+    rig.run(100);
+    assert_eq!(rig.phase(), Phase::Standing, "{:?}", rig.cause());
+}
+
+#[test]
+fn what_the_loop_has_come_to_hold_changes_hands_without_a_step() {
+    for config in laws(1) {
+        let mut rig = loaded(&config, 0.0);
+        told(&mut rig, WEIGHT, 1..=3);
+        let torques = rig.torques(0);
+        assert!(
+            torques.iter().all(|torque| (torque - WEIGHT).abs() < 0.01),
+            "{torques:?}"
+        );
+    }
+}
+
+#[test]
+fn what_the_loop_does_not_hold_yet_comes_in_over_a_macrostep() {
+    for config in laws(1) {
+        let mut rig = loaded(&config, 0.0);
+        rig.world().axes[0].load = 0.0;
+        // The other way: there is nothing of it to take over.
+        rig.run(1500);
+        rig.world().sent.clear();
+        told(&mut rig, -0.2, 1..=1);
+        let torques = rig.torques(0);
+        // Then the loop stems itself against it, since nothing weighs there.
+        for (cycle, torque) in torques.iter().take(4).enumerate() {
+            let expected = -0.02 * (cycle + 1) as f64;
+            assert!((torque - expected).abs() < 0.02, "{torques:?}");
+        }
+    }
+}
+
+#[test]
+fn dry_friction_that_an_axis_stuck_in_is_forgotten_as_it_begins_to_move() {
+    for config in laws(1) {
+        let mut rig = loaded(&config, 0.3);
+        // 0.2 N·m less than what the loop holds: the rest is what the axis stuck in.
+        told(&mut rig, WEIGHT - 0.2, 1..=1);
+        let first = rig.torques(0)[0];
+        assert!((first - (WEIGHT - 0.2)).abs() < 0.01, "{first} N·m");
+    }
+}
+
+#[test]
+fn a_stop_keeps_the_torque_and_the_next_power_begins_with_it() {
+    for config in laws(1) {
+        let mut rig = loaded(&config, 0.0);
+        told(&mut rig, WEIGHT, 1..=1);
+        rig.order(Order::Stop);
+        rig.run(50);
+        let torques = rig.torques(0);
+        assert!(
+            torques.iter().all(|torque| (torque - WEIGHT).abs() < 0.01),
+            "{torques:?}"
+        );
+        // Off, with the brake on; then on again where it stands, and once more after it was moved by hand.
+        for (moved, expected) in [(0.0, WEIGHT), (10.0, 0.0)] {
+            rig.order(Order::Disable);
+            rig.run_until(Phase::Off);
+            rig.world().axes[0].load = 0.0;
+            rig.world().axes[0].spin = 0.0;
+            rig.world().axes[0].state.position = AT + moved;
+            rig.run(5);
+            rig.world().sent.clear();
+            rig.order(Order::Enable);
+            rig.world().axes[0].load = -WEIGHT;
+            let begun = |batch: &Vec<AxisCommand>| match batch[0] {
+                AxisCommand::Follow(Setpoint::Torque(torque)) => Some(torque.get()),
+                _ => None,
+            };
+            rig.run(100);
+            let first = rig.world().sent.iter().find_map(begun).unwrap();
+            assert!(
+                (first - expected).abs() < 0.02,
+                "{first} for {expected} N·m"
+            );
+            rig.run_until(Phase::Standing);
+        }
+    }
+}

@@ -1,0 +1,117 @@
+//! What links weigh on their motors, by the controller's own kinematics and by the mechanics that emulated drives
+//! stand under: written apart, with nothing in common but the figures they are for.
+
+use controller::cell::{Model, Parameters};
+use controller::robot::{Joints, Mass, Motors, PolycrankParameters, Robot, Weight};
+use hil::AxisConfig;
+use hil::plant::{Axis, Irp6Axis, Mechanism, MechanismConfig};
+
+/// Joint positions amid the limits, another set for each `number`, all of them within the reach of every mechanism.
+fn joints(robot: &dyn Robot, number: u32) -> Joints {
+    let shares = robot
+        .joint_limits()
+        .iter()
+        .enumerate()
+        .map(|(axis, limits)| {
+            let share = 0.5 + 0.4 * (f64::from(number) * (1.3 + axis as f64)).sin();
+            let (low, high) = if limits.is_continuous() {
+                (-7.0, 7.0)
+            } else {
+                (limits.low, limits.high)
+            };
+            low + share * (high - low)
+        });
+    Joints::new(&shares.collect::<Vec<_>>()).unwrap()
+}
+
+/// A mechanism with its motors there, taken there by and by as legs have to be; `zero` is where they are with the
+/// mechanism at its own home.
+fn posed(config: MechanismConfig, motors: &[f64], zero: &Motors) -> Mechanism {
+    const STEPS: u32 = 20;
+    let mechanism = Mechanism::new(config);
+    for step in 1..=STEPS {
+        let share = f64::from(step) / f64::from(STEPS);
+        for (number, (&angle, &zero)) in motors.iter().zip(zero.iter()).enumerate() {
+            let axis = AxisConfig {
+                start_angle: zero + share * (angle - zero),
+                ..AxisConfig::wut(Irp6Axis::Column)
+            };
+            let mount = mechanism.mount(number, zero).unwrap();
+            Axis::mounted(&axis, 1, Some(&mount));
+        }
+    }
+    mechanism
+}
+
+#[test]
+fn links_weigh_on_motors_what_they_weigh_in_the_emulators() {
+    let coupled = PolycrankParameters {
+        coupled: true,
+        ..PolycrankParameters::polycrank()
+    };
+    let rnt = MechanismConfig::Rnt {
+        home_lengths: [AxisConfig::RNT_HOME_LENGTH; 3],
+    };
+    let cranks = |coupled| MechanismConfig::Polycrank {
+        coupled,
+        at_home: [0.0; 7],
+    };
+    let cases = [
+        (Model::Irb6, None, MechanismConfig::Irb6),
+        (Model::Irp6, None, MechanismConfig::Irp6),
+        (Model::Irp6Track, None, MechanismConfig::Irp6OnTrack),
+        (Model::Rnt, None, rnt),
+        (Model::Polycrank, None, cranks(false)),
+        (
+            Model::Polycrank,
+            Some(Parameters::Polycrank(coupled)),
+            cranks(true),
+        ),
+    ];
+    for (model, parameters, config) in cases {
+        let robot = parameters
+            .unwrap_or(model.parameters())
+            .kinematics()
+            .unwrap();
+        let zero = match config {
+            MechanismConfig::Polycrank { .. } => {
+                let zero = Joints::new(&[0.0; 7]).unwrap();
+                robot.motors_from_joints(&zero).unwrap()
+            }
+            _ => robot.home(),
+        };
+        let load = Mass {
+            mass: 3.0,
+            centre: [0.02, -0.03, 0.1],
+        };
+        // RNT's emulated flange is 100 mm beyond the wrist's centre, where the robot's own is.
+        let mut carried = load.centre;
+        if model == Model::Rnt {
+            carried[2] -= 0.1;
+        }
+        for (load, of_load) in [(Mass::default(), 0.0), (load, load.mass)] {
+            let weight = Weight::new(&*robot, model.masses(), load, model.up()).unwrap();
+            let (mut worst, mut poses) = (0.0_f64, 0);
+            for number in 0..200 {
+                let joints = joints(&*robot, number);
+                let Ok(motors) = robot.motors_from_joints(&joints) else {
+                    continue;
+                };
+                poses += 1;
+                let mechanism = posed(config, &motors, &zero);
+                mechanism.set_payload(of_load, carried);
+                let found = weight.torque(&*robot, &motors).unwrap();
+                for (axis, found) in found.iter().take(robot.axes()).enumerate() {
+                    let expected = -mechanism.load(axis).torque;
+                    worst = worst.max((found - expected).abs());
+                    assert!(
+                        (found - expected).abs() < 1e-6,
+                        "{config:?} axis {axis} at {joints:?}: {found} for {expected} N·m"
+                    );
+                }
+            }
+            println!("{config:?}, load of {of_load} kg: within {worst:.1e} N·m in {poses} poses");
+            assert!(poses > 50, "{config:?}");
+        }
+    }
+}

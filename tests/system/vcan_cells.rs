@@ -1,0 +1,190 @@
+//! Emulators and controller as two processes, cell by cell: each example cell on one virtual interface for each of its
+//! buses, and the whole laboratory on five of them and five pseudo-terminals.
+//!
+//! Required hardware, with `HIL_CAN` set: root, who may add virtual interfaces.
+
+use std::ffi::OsString;
+use std::process::Command;
+use std::time::Duration;
+
+use controller::cell::{Cell, Control, Law};
+use serde_json::{Value, json};
+
+use crate::bench::on_vcan_within;
+use crate::lab::met;
+use crate::mrroc::{self, Directory, Output, Running, text};
+use crate::vcan::{shorten, started, turn, wait_until};
+
+/// How often a cell is run where the machine is too slow, and what all that may take.
+const ATTEMPTS: usize = 3;
+const LONGEST: Duration = Duration::from_secs(280);
+
+/// Every axis in every cycle of the last run.
+const RECORD: &str = "states.csv";
+
+/// One interface for each bus of a cell, gone when this is dropped.
+struct Interfaces(Vec<(String, String)>);
+
+impl Interfaces {
+    fn of(cell: &Cell) -> Self {
+        let buses = cell.bus.iter().enumerate();
+        let named = buses.map(|(number, bus)| (bus.name.clone(), format!("mrroc{number}")));
+        let interfaces = Self(named.collect());
+        for (_, interface) in &interfaces.0 {
+            ip(&["link", "add", "dev", interface, "type", "vcan"]);
+            ip(&["link", "set", interface, "up"]);
+        }
+        interfaces
+    }
+
+    /// As `--can` takes them.
+    fn options(&self) -> impl Iterator<Item = String> {
+        let options = self.0.iter();
+        options.map(|(bus, interface)| format!("--can={bus}={interface}"))
+    }
+}
+
+impl Drop for Interfaces {
+    fn drop(&mut self) {
+        for (_, interface) in &self.0 {
+            let delete = ["link", "delete", interface];
+            // One that could not be added is not there.
+            let _ = Command::new("ip").args(delete).status();
+        }
+    }
+}
+
+fn ip(arguments: &[&str]) {
+    let done = Command::new("ip").args(arguments).status();
+    assert!(done.expect("ip runs").success(), "ip {arguments:?}");
+}
+
+/// Gains for loops of the host that turn `times` slower than at 2 ms, by the rule of the shipped ones: `loops/cascades.rs`.
+fn slow_down(cell: &mut Cell, times: f64) {
+    for axis in cell.robot.iter_mut().flat_map(|robot| &mut robot.axis) {
+        let by_duty = axis
+            .controller
+            .as_ref()
+            .is_some_and(|controller| controller.control == Control::Pwm);
+        let of_line = axis.controller.as_mut().map(|it| &mut it.r#loop);
+        let of_drive = axis.drive.as_mut().and_then(|it| it.r#loop.as_mut());
+        match of_line.or(of_drive).map(|it| &mut it.law) {
+            None => {}
+            Some(Law::Cascade(law)) => {
+                law.position_gain /= times;
+                law.velocity_gain /= times;
+                // Under pulse width it cancels the motor's own pole, which stays.
+                law.integral_rate /= if by_duty { 1.0 } else { times };
+            }
+            Some(Law::Proportional(law)) => law.position_gain /= times,
+            Some(Law::Incremental(law)) => panic!("no rule for {law:?}"),
+        }
+    }
+}
+
+/// Runs example cell `name`, changed by `change`, as two processes; it completes without faults, all axes homed. The record
+/// is in `directory`.
+fn completes(name: &str, directory: &Directory, change: impl FnOnce(&mut Cell)) -> Value {
+    let mut cell = Cell::parse(&text(name)).unwrap();
+    shorten(&mut cell);
+    change(&mut cell);
+    let times = f64::from(cell.period_us) / 2000.0;
+    slow_down(&mut cell, times);
+    directory.write("cell.toml", &toml::to_string(&cell).unwrap());
+    let interfaces = Interfaces::of(&cell);
+    let mut output = run(directory, &cell, &interfaces);
+    for _ in 1..ATTEMPTS {
+        if !too_slow(&output) {
+            break;
+        }
+        println!("{name}: again, the machine was too slow");
+        output = run(directory, &cell, &interfaces);
+    }
+    assert_eq!(output.status.code(), Some(0), "{name}: {output:?}");
+    let report = output.json();
+    assert_eq!(report["outcome"], "completed", "{name}: {report}");
+    assert_eq!(report["faults"], json!([]), "{name}: {report}");
+    assert_eq!(report["bench"], "vcan", "{name}: {report}");
+    let groups: Vec<_> = cell.groups().map(|group| json!(group)).collect();
+    let buses = report["buses"].as_array().unwrap().iter();
+    let buses: Vec<_> = buses.map(|bus| bus["name"].clone()).collect();
+    assert_eq!(buses, groups, "{name}: {report}");
+    let axes = report["axes"].as_array().unwrap();
+    let expected: usize = cell.robot.iter().map(|robot| robot.axis.len()).sum();
+    assert_eq!(axes.len(), expected, "{name}: {report}");
+    for axis in axes {
+        assert!(axis["homing_offset_counts"].is_number(), "{name}: {axis}");
+        let peak = axis["tracking_peak_rad"].as_f64().unwrap();
+        assert!(peak > 0.0, "{name}: {axis}");
+    }
+    println!("{name}: {}", report["cycle"]);
+    report
+}
+
+/// Runs the cell in `directory` once.
+fn run(directory: &Directory, cell: &Cell, interfaces: &Interfaces) -> Output {
+    let ttys = directory.path("ttys");
+    let ends = |command: &str| {
+        let mut arguments = vec![command.into(), directory.path("cell.toml").into()];
+        arguments.extend(interfaces.options().map(OsString::from));
+        if !cell.serial.is_empty() {
+            arguments.extend(["--serial".into(), ttys.clone().into()]);
+        }
+        arguments
+    };
+    let _emulators = started(|| Running::start(ends("emulate")));
+    let groups = cell.bus.len()..cell.groups().count();
+    let lines: usize = groups.map(|group| cell.axes_on(group).count()).sum();
+    wait_until("the ttys are there", || {
+        let there = std::fs::read_dir(&ttys).into_iter().flatten().count();
+        there == lines
+    });
+    let mut arguments = ends("run");
+    arguments.extend(["--bench=vcan", "--json", "--record"].map(Into::into));
+    arguments.push(directory.path(RECORD).into());
+    mrroc::mrroc(arguments)
+}
+
+/// Whether a run that broke off missed one deadline in twenty or more: two processes that get the processor so seldom say
+/// nothing of what they do with it.
+fn too_slow(output: &Output) -> bool {
+    if output.status.code() != Some(1) {
+        return false;
+    }
+    let cycle = &output.json()["cycle"];
+    let count = |key: &str| cycle[key].as_u64().unwrap();
+    count("missed") * 20 > count("cycles")
+}
+
+#[test]
+fn the_whole_laboratory_completes_on_five_buses_and_five_lines() {
+    const TEST: &str = "vcan_cells::the_whole_laboratory_completes_on_five_buses_and_five_lines";
+    let _turn = turn();
+    mrroc::binary();
+    on_vcan_within(LONGEST, TEST, |_| {
+        let directory = Directory::new();
+        completes("lab", &directory, |cell| {
+            // Two processes take some 5 ms of the machine's processor in each cycle, and a fault is when a quarter of the
+            // answers on a line are late.
+            cell.period_us = 20_000;
+            cell.macrostep = 2;
+            cell.serial[0].tolerated_missing = 10;
+            cell.serial[0].answer_timeout_ms = 1000;
+        });
+        met(&directory.path(RECORD));
+    });
+}
+
+#[test]
+fn every_other_cell_on_can_completes() {
+    let _turn = turn();
+    mrroc::binary();
+    let test = "vcan_cells::every_other_cell_on_can_completes";
+    on_vcan_within(LONGEST, test, |_| {
+        for name in ["irp6", "irp6-track", "rnt", "polycrank"] {
+            completes(name, &Directory::new(), |cell| {
+                cell.robot[0].program.truncate(1);
+            });
+        }
+    });
+}
