@@ -146,11 +146,8 @@ pub(crate) fn identify(options: &Options) -> anyhow::Result<ExitCode> {
     }
     let axis = *axis;
     let lines = lines(options, &file)?;
-    let mut plan = plan(options, &file, place, &axis, &lines)?;
     let hardware = options.places.may_be_hardware(&file, options.bench)?;
-    if options.drive_period.is_none() && !hardware {
-        plan.drive_period = EMULATED_DRIVE;
-    }
+    let plan = plan(options, &file, place, &axis, &lines, hardware)?;
     if hardware && !options.moves_hardware {
         bail!(
             "the {} bench moves {} by up to {:.0} rad of its motor: --moves-hardware says that it may",
@@ -268,9 +265,11 @@ fn plan(
     (robot, number): (usize, usize),
     axis: &ServoAxisConfig,
     lines: &[usize],
+    hardware: bool,
 ) -> anyhow::Result<Run> {
-    let drive_period = options.drive_period.map_or(EPOS4, |it| 1e-6 * it);
     let dt = file.cell.period().as_secs_f64();
+    let known = if hardware { EPOS4 } else { EMULATED_DRIVE };
+    let drive_period = options.drive_period.map_or(known.min(dt), |it| 1e-6 * it);
     if !(0.0..=dt).contains(&drive_period) {
         bail!(
             "--drive-period {:.0}: it is at least 0 and at most the {:.0} µs of the servo",

@@ -12,6 +12,9 @@
 //! and what is seen is the closed loop: how the sample follows the command that it shows the effect of,
 //! [`DriveGroup::delay`](drive::DriveGroup::delay) cycles before.
 //!
+//! A motor that turns round meanwhile is damped by dry friction, and has more margin than its loop: 12° more at a light
+//! axis by a chirp of the greatest torque. A lower amplitude or a higher velocity shows it.
+//!
 //! An axis is measured while it moves one way at constant velocity ([`Run`]), since dry friction holds one
 //! that stands. Sequences are periodic, and every two periods in a row are transformed under a Hann window: it parts
 //! neighbouring lines, weighs every part of a sequence alike, and keeps out what drifts (Pintelon and Schoukens, System
