@@ -59,28 +59,32 @@ pub(crate) struct Places {
 }
 
 impl Places {
-    /// Whether a motion on the bench `kind` may be one of hardware: on interfaces that are not virtual, and ttys that
-    /// are no pseudo-terminals, whatever the bench is called.
-    pub(crate) fn may_be_hardware(&self, file: &CellFile, kind: BenchKind) -> anyhow::Result<bool> {
-        match kind {
-            BenchKind::Lockstep | BenchKind::Emulated => return Ok(false),
-            BenchKind::Card => return Ok(true),
-            BenchKind::Vcan => {}
+    /// Refuses what may be hardware on a bench that is none: on [`BenchKind::Vcan`] interfaces that are not virtual, and
+    /// ttys that are no pseudo-terminals.
+    pub(crate) fn check(&self, file: &CellFile, kind: BenchKind) -> anyhow::Result<()> {
+        if kind != BenchKind::Vcan {
+            return Ok(());
         }
-        let device = |path: &Path| {
+        let is_device = |path: &Path| {
             path.canonicalize()
                 .is_ok_and(|it| !it.starts_with("/dev/pts"))
         };
         let interfaces = interfaces::resolve(&file.cell, &self.can)?;
-        let mut interfaces = interfaces.iter();
-        let mut bundles = file.cell.serial.iter().enumerate();
-        Ok(interfaces.any(|interface| match interface {
+        let may_be_hardware = |interface: &&Interface| match interface {
             Interface::SocketCan(name) => can::card::read(name).is_ok(),
-            Interface::Slcan { path, .. } | Interface::Epos { path, .. } => device(path.as_ref()),
-        }) || bundles.any(|(index, _)| {
-            let paths = tty_paths(file, index, self.serial.as_deref());
-            paths.into_iter().any(|(_, path)| device(&path))
-        }))
+            Interface::Slcan { path, .. } | Interface::Epos { path, .. } => {
+                is_device(path.as_ref())
+            }
+        };
+        let bus = interfaces.iter().find(may_be_hardware);
+        let mut ttys = (0..file.cell.serial.len())
+            .flat_map(|bundle| tty_paths(file, bundle, self.serial.as_deref()));
+        let tty = ttys.find(|(_, path)| is_device(path));
+        let names = bus.map(Interface::to_string);
+        if let Some(name) = names.or(tty.map(|(_, path)| path.display().to_string())) {
+            bail!("--bench vcan: {name} may be hardware, which takes --bench card");
+        }
+        Ok(())
     }
 }
 
@@ -119,6 +123,7 @@ impl Bench {
         }
         let interfaces = interfaces::resolve(&file.cell, can)?;
         interfaces::all_differ(&file.cell, interfaces.iter().map(Some))?;
+        places.check(file, kind)?;
         let (ports, lines, listeners, emulation): (Vec<Box<dyn Port>>, _, _, _) = match kind {
             BenchKind::Lockstep | BenchKind::Emulated => {
                 if !can.is_empty() || serial.is_some() {

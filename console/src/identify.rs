@@ -146,7 +146,8 @@ pub(crate) fn identify(options: &Options) -> anyhow::Result<ExitCode> {
     }
     let axis = *axis;
     let lines = lines(options, &file)?;
-    let hardware = options.places.may_be_hardware(&file, options.bench)?;
+    options.places.check(&file, options.bench)?;
+    let hardware = options.bench == BenchKind::Card;
     let plan = plan(options, &file, place, &axis, &lines, hardware)?;
     if hardware && !options.moves_hardware {
         bail!(

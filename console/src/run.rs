@@ -92,6 +92,9 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
     flag::register(SIGUSR1, asked.trace.clone()).context("SIGUSR1 cannot be caught")?;
     let file = CellFile::read(&options.cell)?;
     rehearsal::rehearse(&file)?;
+    if options.trace.is_some() && file.cell.bus.is_empty() {
+        streams::warn("--trace stays empty: it has the frames of CAN buses, and the cell has none");
+    }
     let budget = crate::budget::check(&file)?;
     let Bench {
         ports,

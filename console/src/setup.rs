@@ -232,7 +232,7 @@ mod tests {
 
     #[test]
     fn searches_of_the_host_get_the_time_of_their_legs_and_those_of_drives_that_of_the_travel() {
-        // The Polycrank's axes have no ends: three orders of two minutes.
+        // The Polycrank's axes have no ends: two orders of two minutes.
         assert_eq!(timeouts("polycrank.toml").0, HOMING * 2);
         let (servo, ecp) = timeouts("irp6-track.toml");
         // The track alone: 2100 rad at 30 rad/s there and back, and off the switch at 3.5 rad/s.

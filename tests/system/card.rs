@@ -181,19 +181,22 @@ fn a_bit_rate_that_cannot_be_set_is_refused_and_doctor_puts_back_what_it_sets() 
 
 /// Whatever the bench is called.
 #[test]
-fn an_axis_behind_a_card_is_not_excited_unasked() {
+fn an_arm_behind_a_card_is_not_moved_unasked() {
     on_cards(
-        "card::an_axis_behind_a_card_is_not_excited_unasked",
+        "card::an_arm_behind_a_card_is_not_moved_unasked",
         |here, _| {
             let directory = directory_with_cell();
             let cell = directory.path("cell.toml").display().to_string();
-            for bench in ["vcan", "card"] {
-                let options = ["--axis=column", "--to=20", "--bench", bench, "--can", here];
-                let identify = Running::start(["identify", &cell].iter().chain(&options));
-                refused(
-                    identify,
-                    &format!("the {bench} bench moves column by up to"),
-                );
+            let identify = ["identify", &cell, "--axis=column", "--to=20"];
+            let no_card = format!("--bench vcan: {here} may be hardware");
+            let cases: [(&[&str], _, _); 3] = [
+                (&identify, "card", "the card bench moves column by up to"),
+                (&identify, "vcan", &no_card),
+                (&["run", &cell], "vcan", &no_card),
+            ];
+            for (words, bench, line) in cases {
+                let options = ["--bench", bench, "--can", here];
+                refused(Running::start(words.iter().chain(&options)), line);
             }
         },
     );

@@ -154,29 +154,37 @@ fn a_line_that_cannot_be_used_is_refused_by_its_axis() {
     for (axis, pty) in axes.iter().zip(&ptys) {
         symlink(pty.path(), ttys.join(axis)).unwrap();
     }
-    let run = || {
+    let run = |bench: &str| {
         mrroc([
             "run".as_ref(),
             cell.as_os_str(),
-            "--bench=card".as_ref(),
+            bench.as_ref(),
             "--serial".as_ref(),
             ttys.as_os_str(),
         ])
     };
     // Nobody is at their other ends.
     refused(
-        &run(),
+        &run("--bench=card"),
         &["bus arm, axis column: ", "no answer", "baud rate"],
     );
     // Root may open what another process has for itself alone.
     let held = Tty::open(ttys.join("column"), Settings::AXIS_CONTROLLER).unwrap();
-    let busy = run();
+    let busy = run("--bench=card");
     if !busy.stderr.contains("no answer") {
         refused(&busy, &["axis column: ", "in use by another process"]);
     }
     drop(held);
     fs::remove_file(ttys.join("lower-arm")).unwrap();
-    refused(&run(), &["axis lower-arm: ", "no such device"]);
+    refused(
+        &run("--bench=card"),
+        &["axis lower-arm: ", "no such device"],
+    );
     fs::write(ttys.join("lower-arm"), "no tty").unwrap();
-    refused(&run(), &["axis lower-arm: ", "not a tty"]);
+    refused(&run("--bench=card"), &["axis lower-arm: ", "not a tty"]);
+    // Where only pseudo-terminals are expected, it is not even opened.
+    refused(
+        &run("--bench=vcan"),
+        &["lower-arm may be hardware", "--bench card"],
+    );
 }

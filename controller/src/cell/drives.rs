@@ -194,7 +194,7 @@ impl Axis {
     }
 
     /// Who closes its position loop, and how; `weighs` tells of a robot whose weight is known.
-    fn position_loop(&self, weighs: bool) -> PositionLoop {
+    pub(super) fn position_loop(&self, weighs: bool) -> PositionLoop {
         let by_host =
             |given: &Loop, output| PositionLoop::Host(given.of(output, self.max_velocity, weighs));
         match (&self.drive, &self.controller) {

@@ -1,12 +1,17 @@
 //! What a robot that says what it weighs must satisfy.
 
+use servo::PositionLoop;
+
 use super::{Checked, Path, Problem};
-use crate::cell::{Axis, Control, DriveControl, Robot};
+use crate::cell::{Axis, Control, DriveControl, FeedForward, Robot};
 use crate::robot::WeightError;
 
 pub(super) fn check(robot: &Path, given: &Robot, kinematics: &dyn crate::robot::Robot) -> Checked {
+    let mut axes = given.axis.iter().enumerate();
     let Some(weights) = &given.weight else {
-        return Ok(());
+        return axes.try_for_each(|(number, axis)| {
+            check_weightless(&robot.then("axis").then(number), axis)
+        });
     };
     let path = robot.then("weight");
     let at = |error: WeightError| {
@@ -28,9 +33,67 @@ pub(super) fn check(robot: &Path, given: &Robot, kinematics: &dyn crate::robot::
         };
         (place, Problem::Refused(error.to_string()))
     };
-    weights.of(given.model, kinematics).map_err(at)?;
-    let mut axes = given.axis.iter().enumerate();
-    axes.try_for_each(|(number, axis)| check_axis(&robot.then("axis").then(number), axis))
+    let weight = weights.of(given.model, kinematics).map_err(at)?;
+    let torques = weight.torque(kinematics, &kinematics.home());
+    let torques =
+        torques.map_err(|error| (path.clone(), Problem::Refused(format!("at home: {error}"))))?;
+    axes.try_for_each(|(number, axis)| {
+        let path = robot.then("axis").then(number);
+        check_axis(&path, axis)?;
+        check_output(&path, axis, torques[number])
+    })
+}
+
+/// The feed-forward of the loop that the host closes, if it closes one.
+fn feed_forward(path: &Path, axis: &Axis) -> Option<(Path, FeedForward)> {
+    match (&axis.drive, &axis.controller) {
+        (Some(drive), _) => {
+            let path = path.then("drive").then("loop").then("feed_forward");
+            drive.r#loop.as_ref().map(|it| (path, it.feed_forward))
+        }
+        (None, controller) => {
+            let path = path.then("controller").then("loop").then("feed_forward");
+            controller.as_ref().map(|it| (path, it.r#loop.feed_forward))
+        }
+    }
+}
+
+/// Whether an axis of a robot that does not say what it weighs asks for its weight.
+fn check_weightless(path: &Path, axis: &Axis) -> Checked {
+    match feed_forward(path, axis) {
+        Some((path, it)) if it.weight.is_some_and(|weight| weight != 0.0) => Err((
+            path.then("weight"),
+            Problem::Refused(
+                "is for a robot that says what it weighs: give it a table weight, or leave this out"
+                    .into(),
+            ),
+        )),
+        _ => Ok(()),
+    }
+}
+
+/// Whether the loop of an axis can put out what holds the weight at home, N·m, and is not given it twice.
+fn check_output(path: &Path, axis: &Axis, torque: f64) -> Checked {
+    let PositionLoop::Host(host) = axis.position_loop(true) else {
+        return Ok(());
+    };
+    let Some((path, given)) = feed_forward(path, axis).filter(|_| host.feed_forward.weight != 0.0)
+    else {
+        return Ok(());
+    };
+    if given.constant != 0.0 {
+        let why = "is the mean of a weight that the robot's table weight feeds forward already: leave it out";
+        return Err((path.then("constant"), Problem::Refused(why.into())));
+    }
+    let (output, limit) = (host.feed_forward.weight * torque, host.law.limit());
+    if output.abs() > limit {
+        let why = format!(
+            "is to hold {torque:.3} N·m at home, {:.3} of an output of {limit} at most: correct the masses or the limit",
+            output.abs()
+        );
+        return Err((path, Problem::Refused(why)));
+    }
+    Ok(())
 }
 
 /// Whether a motor can be given what holds its robot's weight.
@@ -83,6 +146,7 @@ mod tests {
         let good = masses("{ mass = 1.0, centre = [0.0, 0.0, 0.1] }");
         let negative = masses("{ mass = -1.0, centre = [0.0, 0.0, 0.1] }");
         let heavy = masses("{ mass = 1000.5, centre = [0.0, 0.0, 0.1] }");
+        let typed = masses("{ mass = 600.0, centre = [0.0, 0.0, 0.1] }");
         let four = format!("{{ masses = [{five}] }}");
         let cases = [
             (SERIAL, "{}", roll, ""),
@@ -104,6 +168,13 @@ mod tests {
                 &heavy,
                 roll,
                 "robot[0].weight.masses[4].mass: a mass of 1000.5 kg",
+            ),
+            (SERIAL, &typed, roll, "feed_forward: is to hold "),
+            (
+                SERIAL,
+                "{}",
+                ", weight = 0.119, constant = 0.01",
+                "robot[0].axis[4].controller.loop.feed_forward.constant: is the mean of a weight",
             ),
             (
                 SERIAL,

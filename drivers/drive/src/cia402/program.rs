@@ -134,6 +134,12 @@ pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
         ERROR_BEHAVIOUR,
         STAY_OPERATIONAL,
     )));
+    // Offsets outlive a host that added them and died, and are added to every set-point.
+    steps.extend([
+        Step::SetIfPresent(Write::new(POSITION_OFFSET, 0_i32)),
+        Step::SetIfPresent(Write::new(VELOCITY_OFFSET, 0_i32)),
+        Step::SetIfPresent(Write::new(TORQUE_OFFSET, 0_i16)),
+    ]);
     // The homed counter reads zero at home, and home is where the reference was found. EPOS4 has no
     // home offset, but two objects of its own.
     steps.push(Step::SetIfPresent(Write::new(HOME_OFFSET, 0_i32)));

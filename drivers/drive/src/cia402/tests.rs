@@ -1,5 +1,6 @@
 //! The group against frames written by hand.
 
+mod agreement;
 mod bench;
 mod bring_up;
 mod configuration;

@@ -405,3 +405,16 @@ pub(super) fn follow(increments: f64) -> AxisCommand {
 }
 
 pub(super) const NONE: &[&str] = &[];
+
+/// What was sent, as candump writes it.
+pub(crate) fn sent(bench: &Bench) -> Vec<String> {
+    bench
+        .bus
+        .0
+        .lock()
+        .unwrap()
+        .sent
+        .iter()
+        .map(Frame::to_string)
+        .collect()
+}
