@@ -306,7 +306,7 @@ impl Axis {
     }
 
     /// Takes on as much of the way to `torque`, N·m, as the loop closed here gives away in exchange: together they put
-    /// out what they did.
+    /// out what they did, but for the dry friction that the loop forgets.
     pub(crate) fn hand_over(&mut self, torque: f64) {
         if let Some(host) = &mut self.host {
             self.torque += host.hand_over(torque - self.torque);

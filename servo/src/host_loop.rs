@@ -156,7 +156,8 @@ impl Loop {
     ///
     /// Where weight is fed forward, what the law puts out besides is for the dry friction in which the axis stuck: as
     /// much of it as that can be is forgotten, since the motion that begins meets it from another side, perhaps, and
-    /// has it fed forward. The axis sticks on meanwhile.
+    /// has it fed forward. The axis sticks on meanwhile, unless it carries what nobody was told of: then its torque steps,
+    /// by that friction at most.
     pub(crate) fn hand_over(&mut self, torque: f64) -> f64 {
         let FeedForward {
             weight,
