@@ -232,6 +232,29 @@ mod tests {
     }
 
     #[test]
+    fn an_axis_that_is_to_hold_a_weight_nobody_told_is_refused() {
+        let roll = "coulomb = 0.002381";
+        for (weight, refusal) in [
+            (0.0, None),
+            (
+                0.119,
+                Some(
+                    "robot[0].axis[4].controller.loop.feed_forward.weight: is for a robot that says",
+                ),
+            ),
+        ] {
+            let cell = SERIAL.replacen(roll, &format!("{roll}, weight = {weight}"), 1);
+            let found = Cell::parse(&cell).err().map(|error| error.to_string());
+            assert_eq!(found.is_some(), refusal.is_some(), "{found:?}");
+            assert!(
+                found
+                    .iter()
+                    .all(|it| refusal.is_some_and(|why| it.contains(why)))
+            );
+        }
+    }
+
+    #[test]
     fn only_axes_of_a_robot_that_weighs_are_given_its_torques() {
         let factors = |text: &str| {
             let cell = Cell::parse(text).unwrap();
