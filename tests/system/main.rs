@@ -13,6 +13,7 @@ mod cli_refusals;
 mod cli_run;
 mod closed_output;
 mod configuration;
+mod conformance;
 mod cycle;
 mod cycle_calls;
 mod datasheet;
