@@ -284,7 +284,7 @@ fn csp_limits(rig: &mut Rig) -> Verdict {
             target += 20 * direction;
             let actual = cycle(rig, target)?;
             ensure!(
-                (-530..=830).contains(&actual),
+                (-630..=930).contains(&actual),
                 "position {actual} beyond the limit {limit}"
             );
         }

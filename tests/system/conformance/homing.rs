@@ -256,6 +256,7 @@ fn method_37(rig: &mut Rig) -> Verdict {
     rig.set_mode(PP)?;
     rig.set_point(3_000, 0)?;
     rig.reach(1_000)?;
+    rig.pass(200);
     rig.set_mode(HM)?;
     let angle = rig.angle();
     start(rig)?;
@@ -342,33 +343,34 @@ fn unknown_method(rig: &mut Rig) -> Verdict {
     Ok(())
 }
 
-/// Greatest speed of the axis until it is homed, and its speed as it comes off the switch, rpm.
-fn search_speeds(rig: &mut Rig) -> Result<(i32, i32), Deviation> {
-    let (mut greatest, mut last_moving) = (0, 0);
-    for _ in 0..5_000 {
-        let velocity = rig.velocity()?;
-        greatest = greatest.max(velocity.abs());
-        let word = rig.statusword()?;
-        if word & MASK == ATTAINED {
-            return Ok((greatest, last_moving));
-        }
-        last_moving = velocity;
-    }
-    Err(Deviation("homing was not attained".to_owned()))
+/// Mean speed over so many milliseconds, rpm.
+fn mean_speed(rig: &mut Rig, millis: u64) -> f64 {
+    let (angle, begin) = (rig.angle(), rig.now());
+    rig.pass(millis);
+    let span = rig.now().since(begin).as_secs_f64();
+    (rig.angle() - angle) / span / TAU * 60.0
 }
 
 fn speeds(rig: &mut Rig) -> Verdict {
-    begin(rig, switched_axis(), 17)?;
+    // Slow enough that the axis is off the switch for 100 ms at least.
+    begin(rig, switched_axis(), 1)?;
     start(rig)?;
-    let (greatest, last) = search_speeds(rig)?;
+    rig.pass(100);
+    let search = mean_speed(rig, 100);
     ensure!(
-        (i64::from(greatest) - SEARCH).abs() <= SEARCH / 10,
-        "{greatest} rpm towards the switch, expected {SEARCH}"
+        (search + SEARCH as f64).abs() <= SEARCH as f64 / 20.0,
+        "{search:.0} rpm towards the negative switch, expected {}",
+        -SEARCH
     );
-    // Off the negative switch, in positive direction.
+    // Past the switch and its reversal.
+    while rig.angle() > START - 10.0 {
+        rig.pass(1);
+    }
+    rig.pass(200);
+    let zero = mean_speed(rig, 100);
     ensure!(
-        (i64::from(last) - ZERO).abs() <= ZERO / 3,
-        "{last} rpm off the switch, expected {ZERO}"
+        (zero - ZERO as f64).abs() <= ZERO as f64 / 20.0,
+        "{zero:.1} rpm off the switch, expected {ZERO}"
     );
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! Claims about LSS: its two states, switching, configuration, inquiry, identification and fastscan.
+//! Claims about LSS: the two states, switching between them, and configuration.
 
 use super::rig::{Deviation, Mark, NODE, Rig, SDO_ANSWER, Verdict, ensure, hex, request, unit};
 use super::{CIA_305, Row};
@@ -90,41 +90,6 @@ pub(super) const ROWS: &[Row] = &[
         bit_timing,
     ),
     CIA_305.row(
-        "lss-identity",
-        "6.5.2",
-        ("Inquire identity", &[0x1018]),
-        "5A to 5D return the four numbers of 0x1018",
-        identity,
-    ),
-    CIA_305.row(
-        "lss-inquire-node-id",
-        "6.5.3",
-        ("Inquire node-ID", &[]),
-        "5E returns the active node-ID, 255 in a drive without one",
-        inquire_node_id,
-    ),
-    CIA_305.row(
-        "lss-identify",
-        "6.6.2",
-        ("Identify remote slave", &[0x1018]),
-        "numbers and ranges that contain the drive are answered by 4F, in both states",
-        identify,
-    ),
-    CIA_305.row(
-        "lss-identify-other",
-        "6.6.2",
-        ("Identify remote slave", &[0x1018]),
-        "numbers and ranges without the drive are not answered",
-        identify_other,
-    ),
-    CIA_305.row(
-        "lss-identify-unconfigured",
-        "6.6.4",
-        ("Identify non-configured remote slave", &[]),
-        "a drive without a node-ID answers 50, one with a node-ID does not",
-        identify_unconfigured,
-    ),
-    CIA_305.row(
         "lss-unconfigured-silent",
         "",
         ("Drive without a node-ID", &[]),
@@ -139,27 +104,6 @@ pub(super) const ROWS: &[Row] = &[
         unconfigured_start,
     ),
     CIA_305.row(
-        "lss-fastscan",
-        "6.7",
-        ("Fastscan", &[0x1018]),
-        "finds the four numbers bit by bit, and leads to configuration",
-        fastscan,
-    ),
-    CIA_305.row(
-        "lss-fastscan-configured",
-        "6.7",
-        ("Fastscan", &[]),
-        "a drive with a node-ID does not take part",
-        fastscan_configured,
-    ),
-    CIA_305.row(
-        "lss-fastscan-state",
-        "",
-        ("Fastscan", &[]),
-        "a drive in configuration does not take part",
-        fastscan_state,
-    ),
-    CIA_305.row(
         "lss-frames",
         "",
         ("LSS protocols", &[]),
@@ -169,10 +113,11 @@ pub(super) const ROWS: &[Row] = &[
 ];
 
 const REQUEST: u16 = 0x7E5;
+
 const ANSWER: u16 = 0x7E4;
 
 /// Sends a request of 8 bytes; the answers.
-fn ask(rig: &mut Rig, bytes: &[u8]) -> Vec<Vec<u8>> {
+pub(super) fn ask(rig: &mut Rig, bytes: &[u8]) -> Vec<Vec<u8>> {
     let mark = rig.mark();
     let mut frame = [0; 8];
     frame[..bytes.len()].copy_from_slice(bytes);
@@ -189,7 +134,7 @@ fn answers(rig: &Rig, mark: Mark) -> Vec<Vec<u8>> {
 }
 
 /// Expects one answer that begins so and is filled up with zeros.
-fn expect(rig: &mut Rig, bytes: &[u8], answer: &[u8]) -> Verdict {
+pub(super) fn expect(rig: &mut Rig, bytes: &[u8], answer: &[u8]) -> Verdict {
     let answers = ask(rig, bytes);
     let mut expected = [0; 8];
     expected[..answer.len()].copy_from_slice(answer);
@@ -202,7 +147,7 @@ fn expect(rig: &mut Rig, bytes: &[u8], answer: &[u8]) -> Verdict {
     Ok(())
 }
 
-fn expect_silence(rig: &mut Rig, bytes: &[u8]) -> Verdict {
+pub(super) fn expect_silence(rig: &mut Rig, bytes: &[u8]) -> Verdict {
     let answers = ask(rig, bytes);
     ensure!(
         answers.is_empty(),
@@ -212,7 +157,7 @@ fn expect_silence(rig: &mut Rig, bytes: &[u8]) -> Verdict {
     Ok(())
 }
 
-fn to_configuration(rig: &mut Rig) -> Verdict {
+pub(super) fn to_configuration(rig: &mut Rig) -> Verdict {
     expect_silence(rig, &[0x04, 0x01])
 }
 
@@ -221,13 +166,13 @@ fn to_waiting(rig: &mut Rig) -> Verdict {
 }
 
 /// Command specifier and number.
-fn numbered(command: u8, number: u32) -> [u8; 5] {
+pub(super) fn numbered(command: u8, number: u32) -> [u8; 5] {
     let [a, b, c, d] = number.to_le_bytes();
     [command, a, b, c, d]
 }
 
 /// Vendor-ID, product code, revision number, serial number.
-fn numbers() -> [u32; 4] {
+pub(super) fn numbers() -> [u32; 4] {
     let Epos4Config {
         vendor,
         product,
@@ -238,7 +183,7 @@ fn numbers() -> [u32; 4] {
     [vendor, product, revision, serial]
 }
 
-fn unconfigured() -> Rig {
+pub(super) fn unconfigured() -> Rig {
     let mut rig = Rig::powered(Epos4Config {
         node: None,
         ..unit()
@@ -504,75 +449,6 @@ fn bit_timing(rig: &mut Rig) -> Verdict {
     Ok(())
 }
 
-fn identity(rig: &mut Rig) -> Verdict {
-    to_configuration(rig)?;
-    for ((command, number), subindex) in (0x5A..).zip(numbers()).zip(1..) {
-        expect(rig, &[command], &numbered(command, number))?;
-        rig.expect(0x1018, subindex, number)?;
-    }
-    Ok(())
-}
-
-fn inquire_node_id(rig: &mut Rig) -> Verdict {
-    to_configuration(rig)?;
-    expect(rig, &[0x5E], &[0x5E, NODE])?;
-    *rig = unconfigured();
-    to_configuration(rig)?;
-    expect(rig, &[0x5E], &[0x5E, 0xFF])
-}
-
-/// Vendor-ID, product code, and ranges of revision and serial numbers.
-fn identify_range(rig: &mut Rig, numbers: [u32; 6]) -> Vec<Vec<u8>> {
-    (0x46..=0x4B)
-        .zip(numbers)
-        .flat_map(|(command, number)| ask(rig, &numbered(command, number)))
-        .collect()
-}
-
-fn identify(rig: &mut Rig) -> Verdict {
-    let [vendor, product, revision, serial] = numbers();
-    for _ in 0..2 {
-        for ranges in [
-            [revision, revision, serial, serial],
-            [0, u32::MAX, 0, u32::MAX],
-            [revision - 1, revision, serial, serial + 1],
-        ] {
-            let [a, b, c, d] = ranges;
-            let answers = identify_range(rig, [vendor, product, a, b, c, d]);
-            ensure!(
-                answers == [[0x4F, 0, 0, 0, 0, 0, 0, 0]],
-                "ranges {ranges:#x?}: {answers:02X?}"
-            );
-        }
-        to_configuration(rig)?;
-    }
-    Ok(())
-}
-
-fn identify_other(rig: &mut Rig) -> Verdict {
-    let [vendor, product, revision, serial] = numbers();
-    for numbers in [
-        [vendor + 1, product, 0, u32::MAX, 0, u32::MAX],
-        [vendor, product + 1, 0, u32::MAX, 0, u32::MAX],
-        [vendor, product, revision + 1, u32::MAX, 0, u32::MAX],
-        [vendor, product, 0, revision - 1, 0, u32::MAX],
-        [vendor, product, 0, u32::MAX, serial + 1, u32::MAX],
-        [vendor, product, 0, u32::MAX, 0, serial - 1],
-    ] {
-        let answers = identify_range(rig, numbers);
-        ensure!(answers.is_empty(), "{numbers:#x?}: {answers:02X?}");
-    }
-    Ok(())
-}
-
-fn identify_unconfigured(rig: &mut Rig) -> Verdict {
-    expect_silence(rig, &[0x4C])?;
-    *rig = unconfigured();
-    expect(rig, &[0x4C], &[0x50])?;
-    to_configuration(rig)?;
-    expect(rig, &[0x4C], &[0x50])
-}
-
 fn unconfigured_silent(rig: &mut Rig) -> Verdict {
     *rig = Rig::powered(Epos4Config {
         node: None,
@@ -603,50 +479,6 @@ fn unconfigured_start(rig: &mut Rig) -> Verdict {
     ensure!(booted(rig, mark, 9), "no boot-up under the new node-ID");
     ensure!(answers_as(rig, 9), "no SDO answer under the new node-ID");
     expect_silence(rig, &[0x4C])
-}
-
-/// ID number, bit to check, sub-index, next sub-index.
-fn scan(rig: &mut Rig, number: u32, bit: u8, sub: u8, next: u8) -> bool {
-    let [a, b, c, d] = number.to_le_bytes();
-    ask(rig, &[0x51, a, b, c, d, bit, sub, next]) == [[0x4F, 0, 0, 0, 0, 0, 0, 0]]
-}
-
-fn fastscan(rig: &mut Rig) -> Verdict {
-    *rig = unconfigured();
-    ensure!(
-        scan(rig, 0, 0x80, 0, 0),
-        "no answer to the begin of the scan"
-    );
-    for (sub, expected) in (0..4).zip(numbers()) {
-        let mut number = 0;
-        for bit in (0..32).rev() {
-            // No answer: the bit is 1.
-            if !scan(rig, number, bit, sub, sub) {
-                number |= 1 << bit;
-            }
-        }
-        ensure!(
-            number == expected,
-            "number {sub} is {number:#x}, expected {expected:#x}"
-        );
-        ensure!(
-            scan(rig, number, 0, sub, (sub + 1) % 4),
-            "number {sub} was not confirmed"
-        );
-    }
-    expect(rig, &[0x5E], &[0x5E, 0xFF])
-}
-
-fn fastscan_configured(rig: &mut Rig) -> Verdict {
-    ensure!(!scan(rig, 0, 0x80, 0, 0), "an answer");
-    Ok(())
-}
-
-fn fastscan_state(rig: &mut Rig) -> Verdict {
-    *rig = unconfigured();
-    to_configuration(rig)?;
-    ensure!(!scan(rig, 0, 0x80, 0, 0), "an answer in configuration");
-    Ok(())
 }
 
 fn frames(rig: &mut Rig) -> Verdict {

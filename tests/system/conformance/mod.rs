@@ -9,17 +9,21 @@ mod drive;
 mod emergency;
 mod error_control;
 mod homing;
+mod identification;
 mod lss;
+mod mapping;
 mod nmt;
 mod objects;
 mod options;
 mod pdo;
 mod position;
 mod power;
+mod profile;
 mod rig;
 mod sdo;
 mod store;
 mod sync;
+mod transmission;
 mod velocity;
 
 use std::collections::BTreeSet;
@@ -96,13 +100,17 @@ const TABLE: &[(&str, &[Row])] = &[
     ("SDO", sdo::ROWS),
     ("SDO block transfer", block::ROWS),
     ("SYNC", sync::ROWS),
-    ("PDO", pdo::ROWS),
+    ("PDO parameters", pdo::ROWS),
+    ("PDO mapping", mapping::ROWS),
+    ("PDO transmission", transmission::ROWS),
     ("EMCY", emergency::ROWS),
     ("Stored parameters", store::ROWS),
-    ("LSS", lss::ROWS),
+    ("LSS states and configuration", lss::ROWS),
+    ("LSS identification", identification::ROWS),
     ("Power states", power::ROWS),
     ("Option codes", options::ROWS),
     ("Profile position", position::ROWS),
+    ("Profiles and limits", profile::ROWS),
     ("Profile velocity", velocity::ROWS),
     ("Homing", homing::ROWS),
     ("Cyclic synchronous modes", cyclic::ROWS),

@@ -155,7 +155,7 @@ pub(super) const ROWS: &[Row] = &[
         "status-voltage",
         "",
         ("Statusword, bit 4", &[0x6041]),
-        "voltage enabled stands in switched on and operation enabled",
+        "voltage enabled stands in operation enabled",
         voltage_enabled,
     ),
     CIA_402_2.row(
@@ -426,11 +426,8 @@ fn by_pdo(rig: &mut Rig) -> Verdict {
 }
 
 fn voltage_enabled(rig: &mut Rig) -> Verdict {
-    for power in [SwitchedOn, OperationEnabled] {
-        rig.bring(power)?;
-        rig.expect_bits((0x10, 0x10), &format!("in {power:?}"))?;
-    }
-    Ok(())
+    rig.bring(OperationEnabled)?;
+    rig.expect_bits((0x10, 0x10), "in operation enabled")
 }
 
 fn remote(rig: &mut Rig) -> Verdict {

@@ -319,8 +319,10 @@ fn halt(rig: &mut Rig) -> Verdict {
 }
 
 fn units(rig: &mut Rig) -> Verdict {
-    // Prefix 10^-3.
+    // Prefix 10^-3. The limits are far off in either unit.
     rig.write(0x60A9, 0, 0xFDB4_4700, 4)?;
+    rig.write(0x607F, 0, 50_000_000, 4)?;
+    rig.write(0x6080, 0, 50_000_000, 4)?;
     rig.write(0x60FF, 0, 1_000_000, 4)?;
     rig.enable(PV)?;
     rig.pass(400);
