@@ -529,8 +529,7 @@ fn state_after_loss(
     behaviour: i64,
     command: u8,
 ) -> Result<u8, super::rig::Deviation> {
-    *rig = Rig::powered(unit());
-    rig.pass(60);
+    rig.boot(unit());
     rig.write(0x6007, 0, 0, 2)?;
     rig.write(0x1029, 1, behaviour, 1)?;
     rig.write(0x1017, 0, 10, 2)?;

@@ -110,7 +110,7 @@ pub(super) const ROWS: &[Row] = &[
         "hm-offset",
         "",
         ("Home offset", &[0x607C]),
-        "0: the home position is position 0; otherwise zero lies that far from home",
+        "the zero position is the home position plus the home offset",
         offset,
     ),
     CIA_402_2.row(
@@ -142,7 +142,7 @@ const REACTION: f64 = ZERO as f64 / 60.0 * TAU * 2e-3;
 const INDEX: f64 = START + 1.0;
 
 fn begin(rig: &mut Rig, axis: AxisConfig, method: i64) -> Verdict {
-    *rig = Rig::on(axis);
+    rig.boot_on(axis);
     rig.write(0x6065, 0, 0xFFFF_FFFF, 4)?;
     rig.write(0x6098, 0, method, 1)?;
     rig.write(0x6099, 1, SEARCH, 4)?;
@@ -407,13 +407,8 @@ fn offset(rig: &mut Rig) -> Verdict {
     rig.write(0x607C, 0, 1_000, 4)?;
     start(rig)?;
     attain(rig)?;
-    let found = zero_angle(rig)?;
-    let distance = (found - index_after(START, true)).abs() / COUNT;
-    ensure!(
-        (distance - 1_000.0).abs() <= 3.0,
-        "zero lies {distance:.0} counts from home, expected 1000"
-    );
-    Ok(())
+    let zero = index_after(START, true) + 1_000.0 * COUNT;
+    expect_zero(rig, zero, 2.0 * COUNT, "0x607c = 1000")
 }
 
 fn again(rig: &mut Rig) -> Verdict {

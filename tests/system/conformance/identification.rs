@@ -75,7 +75,7 @@ fn identity(rig: &mut Rig) -> Verdict {
 fn inquire_node_id(rig: &mut Rig) -> Verdict {
     to_configuration(rig)?;
     expect(rig, &[0x5E], &[0x5E, NODE])?;
-    *rig = unconfigured();
+    unconfigured(rig);
     to_configuration(rig)?;
     expect(rig, &[0x5E], &[0x5E, 0xFF])
 }
@@ -121,12 +121,14 @@ fn identify_other(rig: &mut Rig) -> Verdict {
         let answers = identify_range(rig, numbers);
         ensure!(answers.is_empty(), "{numbers:#x?}: {answers:02X?}");
     }
+    let answers = identify_range(rig, [vendor, product, 0, u32::MAX, 0, u32::MAX]);
+    ensure!(answers.len() == 1, "the drive does not answer at all");
     Ok(())
 }
 
 fn identify_unconfigured(rig: &mut Rig) -> Verdict {
     expect_silence(rig, &[0x4C])?;
-    *rig = unconfigured();
+    unconfigured(rig);
     expect(rig, &[0x4C], &[0x50])?;
     to_configuration(rig)?;
     expect(rig, &[0x4C], &[0x50])
@@ -139,7 +141,7 @@ fn scan(rig: &mut Rig, number: u32, bit: u8, sub: u8, next: u8) -> bool {
 }
 
 fn fastscan(rig: &mut Rig) -> Verdict {
-    *rig = unconfigured();
+    unconfigured(rig);
     ensure!(
         scan(rig, 0, 0x80, 0, 0),
         "no answer to the begin of the scan"
@@ -166,12 +168,13 @@ fn fastscan(rig: &mut Rig) -> Verdict {
 
 fn fastscan_configured(rig: &mut Rig) -> Verdict {
     ensure!(!scan(rig, 0, 0x80, 0, 0), "an answer");
-    Ok(())
+    to_configuration(rig)?;
+    expect(rig, &[0x5E], &[0x5E, NODE])
 }
 
 fn fastscan_state(rig: &mut Rig) -> Verdict {
-    *rig = unconfigured();
+    unconfigured(rig);
     to_configuration(rig)?;
     ensure!(!scan(rig, 0, 0x80, 0, 0), "an answer in configuration");
-    Ok(())
+    expect(rig, &[0x5E], &[0x5E, 0xFF])
 }

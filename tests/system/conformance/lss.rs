@@ -183,13 +183,13 @@ pub(super) fn numbers() -> [u32; 4] {
     [vendor, product, revision, serial]
 }
 
-pub(super) fn unconfigured() -> Rig {
-    let mut rig = Rig::powered(Epos4Config {
+/// A drive without a node-ID, switched on 100 ms ago.
+pub(super) fn unconfigured(rig: &mut Rig) {
+    rig.power_on(Epos4Config {
         node: None,
         ..unit()
     });
     rig.pass(100);
-    rig
 }
 
 fn in_configuration(rig: &mut Rig) -> bool {
@@ -249,7 +249,7 @@ fn selective_other(rig: &mut Rig) -> Verdict {
             "number {at} of another device: {answers:02X?}"
         );
     }
-    Ok(())
+    selective(rig)
 }
 
 fn selective_order(rig: &mut Rig) -> Verdict {
@@ -273,7 +273,7 @@ fn selective_order(rig: &mut Rig) -> Verdict {
             hex(&commands)
         );
     }
-    Ok(())
+    selective(rig)
 }
 
 fn waiting(rig: &mut Rig) -> Verdict {
@@ -450,7 +450,7 @@ fn bit_timing(rig: &mut Rig) -> Verdict {
 }
 
 fn unconfigured_silent(rig: &mut Rig) -> Verdict {
-    *rig = Rig::powered(Epos4Config {
+    rig.power_on(Epos4Config {
         node: None,
         ..unit()
     });
@@ -466,11 +466,11 @@ fn unconfigured_silent(rig: &mut Rig) -> Verdict {
     rig.pass(20);
     let heard = rig.all_heard(mark);
     ensure!(heard.is_empty(), "{heard:?}");
-    Ok(())
+    expect(rig, &[0x4C], &[0x50])
 }
 
 fn unconfigured_start(rig: &mut Rig) -> Verdict {
-    *rig = unconfigured();
+    unconfigured(rig);
     to_configuration(rig)?;
     expect(rig, &[0x11, 9], &[0x11, 0])?;
     let mark = rig.mark();

@@ -33,7 +33,7 @@ use std::fs;
 use canopen::eds::Eds;
 
 use crate::mrroc::root;
-use rig::{Rig, Verdict};
+use rig::{Bench, Rig, Verdict};
 
 /// A standard and the version whose sections are cited.
 #[derive(Clone, Copy)]
@@ -127,11 +127,11 @@ fn rows() -> impl Iterator<Item = &'static Row> {
     TABLE.iter().flat_map(|(_, rows)| *rows)
 }
 
-/// Runs every row on a drive of its own.
-fn run() -> Vec<Outcome> {
+/// Runs every row on a bench of its own.
+fn run(bench: Bench) -> Vec<Outcome> {
     rows()
         .map(|row| {
-            let mut rig = Rig::new();
+            let mut rig = Rig::new(bench);
             let deviation = (row.check)(&mut rig)
                 .err()
                 .map(|deviation| format!("{}\n{}", deviation.0, rig.tail()));
@@ -218,7 +218,7 @@ do not replace the conformance test of CAN in Automation.
 /// Runs the table once for all tests of this module.
 fn outcomes() -> &'static [Outcome] {
     static OUTCOMES: std::sync::OnceLock<Vec<Outcome>> = std::sync::OnceLock::new();
-    OUTCOMES.get_or_init(run)
+    OUTCOMES.get_or_init(|| run(Bench::Drive))
 }
 
 #[test]
@@ -244,6 +244,16 @@ fn every_claim_of_the_emulated_drive_holds() {
         outcomes.len(),
         failures.join("\n")
     );
+}
+
+#[test]
+fn no_claim_holds_on_a_bus_without_the_drive() {
+    let holding: Vec<_> = run(Bench::Empty)
+        .iter()
+        .filter(|outcome| outcome.deviation.is_none())
+        .map(|outcome| outcome.row.id)
+        .collect();
+    assert_eq!(holding, [""; 0]);
 }
 
 #[test]

@@ -175,7 +175,7 @@ fn expect_state(rig: &mut Rig, state: u8, after: &str) -> Verdict {
 }
 
 fn boot_up(rig: &mut Rig) -> Verdict {
-    *rig = Rig::powered(unit());
+    rig.power_on(unit());
     let mark = rig.mark();
     rig.pass(100);
     let heard = rig.all_heard(mark);
@@ -304,7 +304,9 @@ fn no_answer(rig: &mut Rig) -> Verdict {
             .collect();
         ensure!(answers.is_empty(), "answers to {command:02X}: {answers:?}");
     }
-    Ok(())
+    rig.nmt(0x80);
+    show_state(rig)?;
+    expect_state(rig, PRE_OPERATIONAL, "the commands")
 }
 
 fn sdo_states(rig: &mut Rig) -> Verdict {

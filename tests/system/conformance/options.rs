@@ -3,7 +3,7 @@
 use super::drive::Power::{
     self, Fault, OperationEnabled, QuickStopActive, ReadyToSwitchOn, SwitchOnDisabled, SwitchedOn,
 };
-use super::rig::{Rig, Verdict, ensure};
+use super::rig::{Rig, Verdict, ensure, unit};
 use super::{CIA_402_2, Row};
 
 pub(super) const ROWS: &[Row] = &[
@@ -164,7 +164,7 @@ enum Stop {
 
 /// A fresh drive that turns at [`SPEED`] with both ramps set.
 fn turning(rig: &mut Rig) -> Verdict {
-    *rig = Rig::new();
+    rig.boot(unit());
     rig.write(0x6084, 0, i64::from(PROFILE), 4)?;
     rig.write(0x6085, 0, i64::from(QUICK), 4)?;
     rig.spin(SPEED)

@@ -198,9 +198,9 @@ fn disable(rig: &mut Rig) -> Verdict {
     for works in [true, false, true] {
         for pdo in [rpdo(1), tpdo(1)] {
             if works {
-                pdo.create(rig)?
+                pdo.create(rig)?;
             } else {
-                pdo.destroy(rig)?
+                pdo.destroy(rig)?;
             }
         }
         let found = (reacts(rig, RPDO[0])?, reports(rig, TPDO[0])?);
@@ -282,6 +282,7 @@ fn no_rtr(rig: &mut Rig) -> Verdict {
     rig.pass(20);
     let heard = rig.all_heard(mark);
     ensure!(heard.is_empty(), "answer to a remote frame: {heard:?}");
+    ensure!(reports(rig, TPDO[0])?, "TPDO1 does not work at all");
     Ok(())
 }
 

@@ -314,6 +314,8 @@ fn following_window(rig: &mut Rig) -> Verdict {
 fn position_window(rig: &mut Rig) -> Verdict {
     begin(rig)?;
     rig.write(0x6067, 0, 20, 4)?;
+    // So slow that the following error alone is always within the window.
+    rig.write(0x6081, 0, 300, 4)?;
     for window_time in [20, 100] {
         rig.write(0x6068, 0, window_time, 2)?;
         let target = if rig.position()? > TARGET / 2 {

@@ -70,7 +70,7 @@ pub(super) struct Mark(usize);
 pub(super) struct Rig {
     world: World,
     port: VirtualPort,
-    device: DeviceId,
+    device: Option<DeviceId>,
     now: Instant,
     trace: Vec<Line>,
 }
@@ -120,20 +120,31 @@ pub(super) fn unit() -> Epos4Config {
     Epos4Config::new(node, free_axis())
 }
 
+/// What hangs on the bus beside the client.
+#[derive(Clone, Copy, PartialEq)]
+pub(super) enum Bench {
+    Drive,
+    /// Nothing, so that every claim must fail.
+    Empty,
+}
+
 impl Rig {
     /// The drive of [`unit`], past its boot-up.
-    pub(super) fn new() -> Self {
-        let mut rig = Self::powered(unit());
+    pub(super) fn new(bench: Bench) -> Self {
+        let mut rig = Self::powered(bench, unit());
         rig.pass(60);
         rig
     }
 
     /// A drive that is switched on now.
-    pub(super) fn powered(config: Epos4Config) -> Self {
+    fn powered(bench: Bench, config: Epos4Config) -> Self {
         let mut world = World::new();
         let bus = world.add_bus(Bitrate::KBPS_1000);
         let port = world.host_port(bus, 256);
-        let device = world.add_device(bus, Box::new(Epos4::new(config)));
+        let device = match bench {
+            Bench::Drive => Some(world.add_device(bus, Box::new(Epos4::new(config)))),
+            Bench::Empty => None,
+        };
         Self {
             world,
             port,
@@ -143,20 +154,30 @@ impl Rig {
         }
     }
 
-    /// A drive on `axis`, past its boot-up.
-    pub(super) fn on(axis: AxisConfig) -> Self {
-        let mut rig = Self::powered(Epos4Config { axis, ..unit() });
-        rig.pass(60);
-        rig
+    /// Another drive in place of this one, switched on now; time and trace begin anew.
+    pub(super) fn power_on(&mut self, config: Epos4Config) {
+        let bench = match self.device {
+            Some(_) => Bench::Drive,
+            None => Bench::Empty,
+        };
+        *self = Self::powered(bench, config);
+    }
+
+    /// Another drive in place of this one, past its boot-up.
+    pub(super) fn boot(&mut self, config: Epos4Config) {
+        self.power_on(config);
+        self.pass(60);
+    }
+
+    /// Another drive on `axis` in place of this one, past its boot-up.
+    pub(super) fn boot_on(&mut self, axis: AxisConfig) {
+        self.boot(Epos4Config { axis, ..unit() });
     }
 
     /// Motor angle, rad, which no frame carries.
     pub(super) fn angle(&self) -> f64 {
-        let device: &Epos4 = self
-            .world
-            .device(self.device)
-            .expect("the rig's device is an EPOS4");
-        device.axis().angle()
+        let device = self.device.and_then(|device| self.world.device(device));
+        device.map_or(START, |device: &Epos4| device.axis().angle())
     }
 
     pub(super) fn now(&self) -> Instant {

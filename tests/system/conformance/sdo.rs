@@ -542,5 +542,5 @@ fn other_node(rig: &mut Rig) -> Verdict {
     rig.pass(20);
     let heard = rig.all_heard(mark);
     ensure!(heard.is_empty(), "{heard:?}");
-    Ok(())
+    rig.expect(0x1018, 1, 0xFB)
 }

@@ -188,7 +188,7 @@ fn steady_at_rest(rig: &mut Rig) -> Verdict {
         AxisConfig::irp6(Irp6Axis::UpperArm),
         AxisConfig::wut(Irp6Axis::Column),
     ] {
-        *rig = Rig::on(axis);
+        rig.boot_on(axis);
         rig.write(0x60FF, 0, 0, 4)?;
         rig.enable(PV)?;
         rig.pass(300);
@@ -349,7 +349,7 @@ fn inputs(rig: &mut Rig) -> Verdict {
         (START + 11.0, 0b010),
         (START - 5.0, 0b100),
     ] {
-        *rig = Rig::on(AxisConfig {
+        rig.boot_on(AxisConfig {
             start_angle: angle,
             ..switched_axis()
         });
