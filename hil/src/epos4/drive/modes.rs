@@ -266,21 +266,22 @@ impl Drive {
         start
     }
 
-    /// The raw counter's `counts` is the home position.
+    /// The switch, stop or index is at the raw counter's `counts`. The zero position lies the home offset (0x607C) from
+    /// there (CiA 402-2); the axis goes there, and the counter reads the home position (0x30B0) then.
     pub(super) fn reference(&mut self, counts: i32, objects: &Objects) {
         if matches!(self.homing, Homing::Searching(search) if search.feels_for_stop()) {
             // The stop held the axis back; what it was told meanwhile is void.
             self.motion.position = self.position();
         }
         let home = objects.i(EPOS4_HOME_POSITION);
-        let offset = home.wrapping_sub(counts);
+        let zero = counts.wrapping_add(objects.i(EPOS4_HOME_OFFSET_MOVE));
+        let offset = home.wrapping_sub(zero);
         let shift = f64::from(offset.wrapping_sub(self.offset));
         self.offset = offset;
         self.motion.position += shift;
         self.segment.0 += shift;
         self.referenced = true;
-        let rest = home.wrapping_add(objects.i(EPOS4_HOME_OFFSET_MOVE));
-        self.homing = Homing::Resting(f64::from(rest));
+        self.homing = Homing::Resting(f64::from(home));
     }
 }
 
