@@ -10,6 +10,9 @@ use crate::epos4::objects::Objects;
 use crate::epos4::power::Brake;
 use crate::epos4::profile::{Limits, Motion};
 
+/// Below this speed an axis that brakes at its limits stands, revolutions/s.
+const STANDING: f64 = 0.1;
+
 impl Drive {
     pub(super) fn new_setpoint(&mut self, started: bool, objects: &Objects) {
         let word = self.controlword;
@@ -86,10 +89,15 @@ impl Drive {
         dt: f64,
     ) -> Demand {
         let start = self.motion;
-        let standing = self
-            .motion
-            .ramp(0.0, &self.braking_limits(brake, limits, objects), dt);
-        let demand = if self.demands_velocity() {
+        let standing = if brake == Brake::AtLimits {
+            self.brake_at_limits()
+        } else {
+            self.motion
+                .ramp(0.0, &self.braking_limits(brake, limits, objects), dt)
+        };
+        let demand = if brake == Brake::AtLimits {
+            Demand::Velocity(0.0)
+        } else if self.demands_velocity() {
             Demand::Velocity(self.motion.velocity)
         } else {
             self.ramp_demand(start, dt)
@@ -105,6 +113,17 @@ impl Drive {
         demand
     }
 
+    /// The velocity loop is asked for 0 and its output saturates; whether the axis stands.
+    fn brake_at_limits(&mut self) -> bool {
+        let before = self.motion.velocity;
+        self.motion = Motion {
+            position: self.position(),
+            velocity: self.feedback.velocity,
+        };
+        let slow = self.feedback.velocity.abs() < self.counts_per_turn * STANDING;
+        slow || before * self.feedback.velocity < 0.0
+    }
+
     pub(super) fn braking_limits(
         &self,
         brake: Brake,
@@ -116,6 +135,7 @@ impl Drive {
             Brake::QuickStop => {
                 objects.f(QUICK_STOP_DECELERATION).max(1.0) * self.counts_per_turn / 60.0
             }
+            Brake::AtLimits => f64::INFINITY,
         };
         Limits {
             deceleration,
