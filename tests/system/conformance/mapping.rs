@@ -1,10 +1,26 @@
 //! Claims about PDO mapping: what can be mapped, the re-mapping procedure, and the order of the bytes.
 
+use super::objects::sheet;
 use super::pdo::{Pdo, SECOND, rpdo, tpdo};
 use super::rig::{Rig, TPDO, Verdict, ensure, hex};
 use super::{CIA_301, CIA_402_3, Row};
+use canopen::eds::Access;
 
 pub(super) const ROWS: &[Row] = &[
+    CIA_301.row(
+        "map-data-sheet",
+        "7.5.2.38",
+        ("Every entry of the data sheet", &[]),
+        "is mappable into TPDOs and RPDOs exactly where the data sheet says so",
+        as_the_data_sheet_says,
+    ),
+    CIA_301.row(
+        "map-eight",
+        "7.5.2.38",
+        ("TPDO mapping", &[0x1A00]),
+        "eight objects of 8 bits fill a frame",
+        map_eight,
+    ),
     CIA_402_3.row(
         "pdo-default-mapping",
         "",
@@ -348,4 +364,51 @@ fn mapping_reset(rig: &mut Rig) -> Verdict {
     rig.expect(0x1A01, 1, 0x6041_0010)?;
     rig.expect(0x1601, 1, 0x6040_0010)?;
     rig.expect(0x1801, 1, 0xC000_0000 | u32::from(TPDO[1]))
+}
+
+fn as_the_data_sheet_says(rig: &mut Rig) -> Verdict {
+    let (received, sent) = (rpdo(2), tpdo(2));
+    received.open(rig)?;
+    sent.open(rig)?;
+    let mut mappable = 0;
+    for (object, variable) in sheet().variables() {
+        let Some(bytes) = variable.data_type.size() else {
+            continue;
+        };
+        let entry = i64::from(object.index) << 16 | i64::from(object.subindex) << 8;
+        let entry = entry | 8 * bytes as i64;
+        let writable = matches!(
+            variable.access,
+            Access::ReadWrite | Access::ReadWriteOutput | Access::WriteOnly
+        );
+        let readable = !matches!(variable.access, Access::ReadWriteOutput | Access::WriteOnly);
+        for (pdo, direction) in [(received, writable), (sent, readable)] {
+            let answer = rig.download(pdo.mapping, 1, entry, 4)?;
+            let expected = variable.pdo_mapping && direction;
+            ensure!(
+                (answer[0] == 0x60) == expected,
+                "{entry:#010x} into {:#06x}: {}, mappable by the data sheet: {expected}",
+                pdo.mapping,
+                hex(&answer)
+            );
+            mappable += u32::from(expected);
+        }
+    }
+    ensure!(mappable >= 30, "{mappable} mappable entries");
+    Ok(())
+}
+
+fn map_eight(rig: &mut Rig) -> Verdict {
+    let pdo = tpdo(1);
+    pdo.destroy(rig)?;
+    pdo.set_type(rig, 1)?;
+    pdo.map(rig, &[0x6061_0008; 8])?;
+    rig.write(0x6060, 0, 3, 1)?;
+    rig.nmt(0x01);
+    let mark = rig.mark();
+    rig.send(0x080, &[]);
+    rig.pass(5);
+    let sent = pdo.sent(rig, mark);
+    ensure!(sent == [[3; 8]], "{sent:02X?}");
+    Ok(())
 }

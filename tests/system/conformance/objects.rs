@@ -150,7 +150,8 @@ pub(super) const ROWS: &[Row] = &[
     ),
 ];
 
-fn sheet() -> Eds {
+/// The data sheet whose claims these are.
+pub(super) fn sheet() -> Eds {
     let sheet =
         std::fs::read(root().join("cells/epos4-emulated.eds")).expect("the data sheet is there");
     Eds::read(&sheet).expect("the data sheet is readable")
