@@ -76,8 +76,12 @@ impl Drive {
                     .with(BIT_12, slow)
             }
             M::Homing => {
+                let halted = self.controlword.has(Controlword::HALT);
                 let status = match self.homing {
                     Homing::Idle if standing => HomingStatus::Interrupted,
+                    Homing::Searching(_) | Homing::Resting(_) if halted && standing => {
+                        HomingStatus::Interrupted
+                    }
                     Homing::Idle | Homing::Searching(_) => HomingStatus::InProgress,
                     Homing::Resting(_) => HomingStatus::Attained,
                     Homing::Done => HomingStatus::Done,
