@@ -55,8 +55,8 @@ pub(super) struct Drive {
     segment: (f64, f64),
     homing: Homing,
     following_error: bool,
-    /// How long the position has been within its window, s.
-    in_window: f64,
+    /// How long the position has been within the window around its target, s; `None` outside.
+    in_window: Option<f64>,
     average_current: f64,
 }
 
@@ -107,7 +107,7 @@ impl Drive {
             segment: (0.0, 0.0),
             homing: Homing::Idle,
             following_error: false,
-            in_window: 0.0,
+            in_window: None,
             average_current: 0.0,
         }
     }
@@ -274,7 +274,7 @@ impl Drive {
         self.segment = (self.motion.position, 0.0);
         self.profile = Setpoints::default();
         self.homing = Homing::Idle;
-        self.in_window = 0.0;
+        self.in_window = None;
         self.braking = None;
     }
 

@@ -40,7 +40,7 @@ pub(super) const ROWS: &[Row] = &[
         "hm-halt",
         "",
         ("Halt", &[0x6040]),
-        "bit 8 stops the axis with target reached and without homing attained",
+        "bit 8 stops the axis with bit 10 alone; without bit 8 the search goes on",
         halt,
     ),
     CIA_402_2.row(
@@ -247,7 +247,10 @@ fn halt(rig: &mut Rig) -> Verdict {
     rig.control(0x11F)?;
     rig.pass(200);
     rig.expect_bits((MASK, 0x0400), "after the halt")?;
-    rig.expect_velocity(0, 10)
+    rig.expect_velocity(0, 10)?;
+    rig.control(0x1F)?;
+    attain(rig)?;
+    expect_zero(rig, START - 10.0, REACTION, "after a halt")
 }
 
 fn method_37(rig: &mut Rig) -> Verdict {

@@ -32,7 +32,7 @@ impl Drive {
                 profile.active = Some(target);
             }
             profile.acknowledged = true;
-            self.in_window = 0.0;
+            self.in_window = None;
         } else if !word.has(Controlword::START) {
             profile.acknowledged = false;
         }
@@ -51,6 +51,13 @@ impl Drive {
         {
             self.homing = Homing::Idle;
         }
+    }
+
+    /// Whether the position has been in its window for the window time; a window of 0xFFFF_FFFF is none (CiA 402-2).
+    pub(super) fn settled(&self, objects: &Objects) -> bool {
+        let time = objects.f(POSITION_WINDOW_TIME);
+        objects.u(POSITION_WINDOW) == u32::MAX
+            || self.in_window.is_some_and(|passed| passed * 1e3 >= time)
     }
 
     /// The straight way from `start` to where the motion is now.
@@ -166,8 +173,12 @@ impl Drive {
                 match self.profile.active {
                     Some(target) => {
                         if self.motion.approach(target, &limits, dt) {
-                            self.profile.active = self.profile.next.take();
+                            self.profile.active = None;
                         }
+                    }
+                    None if self.profile.next.is_some() && self.settled(objects) => {
+                        self.profile.active = self.profile.next.take();
+                        self.in_window = None;
                     }
                     None => {
                         self.motion.ramp(0.0, &limits, dt);

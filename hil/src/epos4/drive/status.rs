@@ -19,8 +19,9 @@ impl Drive {
         let rated = rated_torque(objects);
         self.average_current += (current - self.average_current) * (dt / 0.01).min(1.0);
         let late = demand.wrapping_sub(position);
-        let settled = f64::from(late.unsigned_abs()) <= objects.f(POSITION_WINDOW);
-        self.in_window = if settled { self.in_window + dt } else { 0.0 };
+        let target = self.profile.active.unwrap_or(self.motion.position);
+        let near = (target - f64::from(position)).abs() <= objects.f(POSITION_WINDOW);
+        self.in_window = near.then(|| self.in_window.map_or(0.0, |passed| passed + dt));
         let signed = |value: f64| value.round() as i32 as u32;
         objects.set(POSITION_ACTUAL, position as u32);
         objects.set(POSITION_DEMAND, demand as u32);
@@ -61,9 +62,8 @@ impl Drive {
         let word = match self.mode {
             M::ProfilePosition => {
                 let profile = &self.profile;
-                let settled = objects.u(POSITION_WINDOW) == u32::MAX
-                    || self.in_window * 1e3 >= objects.f(POSITION_WINDOW_TIME);
-                let arrived = profile.active.is_none() && settled;
+                let ended = profile.active.is_none() && profile.next.is_none();
+                let arrived = ended && self.settled(objects);
                 word.with(REACHED, if halted { standing } else { arrived })
                     .with(BIT_12, profile.acknowledged || profile.next.is_some())
             }
