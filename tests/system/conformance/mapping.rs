@@ -376,7 +376,7 @@ fn as_the_data_sheet_says(rig: &mut Rig) -> Verdict {
             continue;
         };
         let entry = i64::from(object.index) << 16 | i64::from(object.subindex) << 8;
-        let entry = entry | 8 * bytes as i64;
+        let entry = entry | (8 * bytes as i64);
         let writable = matches!(
             variable.access,
             Access::ReadWrite | Access::ReadWriteOutput | Access::WriteOnly
