@@ -69,6 +69,13 @@ pub(super) const ROWS: &[Row] = &[
         node_id_cob_ids,
     ),
     CIA_305.row(
+        "lss-node-id-255",
+        "6.4.2",
+        ("Configure node-ID", &[]),
+        "255 leaves the drive without a node-ID after a reset of the communication",
+        node_id_255,
+    ),
+    CIA_305.row(
         "lss-node-id-unstored",
         "6.4.5",
         ("Configure node-ID", &[]),
@@ -391,6 +398,16 @@ fn node_id_cob_ids(rig: &mut Rig) -> Verdict {
         "PDOs do not work under the new node-ID"
     );
     Ok(())
+}
+
+fn node_id_255(rig: &mut Rig) -> Verdict {
+    configure(rig, 255)?;
+    ensure!(answers_as(rig, NODE), "the node-ID is gone at once");
+    let mark = rig.mark();
+    rig.reset(0x82);
+    let heard = rig.all_heard(mark);
+    ensure!(heard.is_empty(), "{heard:?}");
+    expect(rig, &[0x4C], &[0x50])
 }
 
 fn node_id_unstored(rig: &mut Rig) -> Verdict {
