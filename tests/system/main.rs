@@ -36,6 +36,7 @@ mod peers;
 mod qemu;
 mod regression;
 mod repetition;
+mod second_controller;
 mod serial_cli;
 mod serial_faults;
 mod serial_homing;

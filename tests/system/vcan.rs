@@ -113,7 +113,7 @@ impl Stage<'_> {
     }
 
     /// Starts the controller, writing states, a trace and its report.
-    fn start_controller(&self) -> Running {
+    pub(crate) fn start_controller(&self) -> Running {
         let path = |name| self.directory.path(name).into_os_string();
         Running::start([
             "run".into(),
@@ -131,7 +131,7 @@ impl Stage<'_> {
     }
 
     /// Starts both, and returns once the arm is some cycles into its motion.
-    fn start_moving(&self) -> (Running, Running) {
+    pub(crate) fn start_moving(&self) -> (Running, Running) {
         let emulators = self.start_emulators();
         let controller = self.start_controller();
         let moving = 20 * self.cell.robot[0].axis.len();

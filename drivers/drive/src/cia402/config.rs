@@ -224,6 +224,12 @@ impl GroupConfig {
         }
     }
 
+    /// How long the bus is listened to before the first frame is sent: three periods of the heartbeat and of SYNC. A
+    /// controller that is silent for that long has lost its drives, which have stopped by themselves.
+    pub fn listening(&self) -> Duration {
+        self.heartbeat_period.max(self.period) * HEARTBEATS_TO_LOSE
+    }
+
     /// How long a heartbeat may stay away.
     pub(super) fn heartbeat_lost_after(&self) -> Duration {
         self.heartbeat_period * HEARTBEATS_TO_LOSE

@@ -5,6 +5,9 @@
 //! statuswords. What a drive does when it loses *us* is set and read back at bring-up: three host
 //! heartbeats missing, and it brakes by its quick stop and holds.
 //!
+//! Before its first frame the group listens ([`GroupConfig::listening`]). A frame that only a controller sends, from
+//! another, refuses the start; in operation such a frame is a fault of every axis ([`Sign`]).
+//!
 //! # What each command means
 //! - [`Off`](AxisCommand::Off) takes the voltage away, also from a moving axis; who wants it
 //!   braked brakes it before.
@@ -39,6 +42,7 @@ mod bring_up;
 mod config;
 mod homing;
 mod mode;
+mod other_controller;
 mod process_data;
 mod program;
 mod recording;
@@ -64,6 +68,7 @@ pub use canopen::NodeId;
 pub use config::{
     AxisConfig, ConfigError, CyclicMode, GroupConfig, HomingConfig, Identity, Parameter, Setting,
 };
+pub use other_controller::Sign;
 pub use process_data::pdo_setups;
 pub use recording::Recording;
 pub use traffic::Traffic;
@@ -116,6 +121,10 @@ struct Node {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stage {
     Down,
+    /// Nothing is sent; another controller would be heard.
+    Listening {
+        until: Instant,
+    },
     Configuring,
     Starting,
     Up,
@@ -201,8 +210,18 @@ impl<P: Port> Cia402Group<P> {
         self.nodes.get_mut(usize::from(index))
     }
 
+    /// What `frame` says of another controller.
+    fn sign(&self, frame: &Frame) -> Option<Sign> {
+        let is_ours = |node: NodeId| self.index[usize::from(node.raw())].is_some();
+        Sign::of(frame, self.config.host_node, is_ours)
+    }
+
     /// Takes one frame during operation; `None` if it was not understood or not expected.
     fn take(&mut self, Received { frame, at }: Received, now: Instant) -> Option<()> {
+        if let Some(sign) = self.sign(&frame) {
+            self.latch_all(Fault::OtherController { sign });
+            return Some(());
+        }
         match cob::Function::of(frame.standard_data_id()?)? {
             cob::Function::Tpdo(PdoNumber::One, node) => {
                 let answer = Answer::decode(frame.data())?;
@@ -261,19 +280,35 @@ impl<P: Port> Cia402Group<P> {
         self.batch.extend(nodes);
     }
 
+    /// Ends the listening: whatever the nodes were told before is to be forgotten.
+    fn begin(&mut self, now: Instant) {
+        self.stage = Stage::Configuring;
+        self.batch.clear();
+        self.service = None;
+        for node in &mut self.nodes {
+            node.bring_up.reset(now);
+            node.sdo = node.bring_up.client();
+            node.service = None;
+        }
+        self.order(nmt::Command::ResetCommunication);
+    }
+
     fn advance_bring_up(&mut self, now: Instant) -> Result<bool, BringUpError> {
         if matches!(self.stage, Stage::Down | Stage::Up) {
-            self.stage = Stage::Configuring;
-            self.batch.clear();
-            self.service = None;
-            for node in &mut self.nodes {
-                node.bring_up.reset(now);
-                node.sdo = node.bring_up.client();
-                node.service = None;
-            }
-            self.order(nmt::Command::ResetCommunication);
+            let until = now + self.config.listening();
+            self.stage = Stage::Listening { until };
         }
         let count = self.port.receive(now, &mut self.received)?;
+        let mut heard = self.received[..count].iter();
+        if let Some(sign) = heard.find_map(|received| self.sign(&received.frame)) {
+            return Err(BringUpError::OtherController { sign });
+        }
+        if let Stage::Listening { until } = self.stage {
+            if now < until {
+                return Ok(false);
+            }
+            self.begin(now);
+        }
         for i in 0..count {
             let frame = self.received[i].frame;
             if let Some(heartbeat) = Heartbeat::decode(&frame)
@@ -327,7 +362,8 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
         3
     }
 
-    /// Called after it was ready, or after an error, it begins anew with a reset of communication.
+    /// Called after it was ready, or after an error, it begins anew: it listens for [`GroupConfig::listening`], then
+    /// resets the communication of its drives.
     /// The error of the first failing axis decides.
     fn bring_up(&mut self, now: Instant) -> Poll<Result<(), BringUpError>> {
         match self.advance_bring_up(now) {

@@ -7,3 +7,4 @@ mod configuration;
 mod cycle;
 mod faults;
 mod homing;
+mod other_controller;

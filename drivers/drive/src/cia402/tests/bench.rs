@@ -327,7 +327,7 @@ impl Bench {
 
     /// Runs bring-up to its end, a call every period.
     pub(super) fn bring_up(&mut self) -> Result<(), BringUpError> {
-        for _ in 0..5_000 {
+        for _ in 0..10_000 {
             if let Poll::Ready(result) = self.group.bring_up(self.now) {
                 return result;
             }
