@@ -17,6 +17,7 @@ mod cycle;
 mod cycle_calls;
 mod datasheet;
 mod doctor;
+mod drive_parameters;
 mod emulate_slcan;
 mod epos_service;
 mod faults;

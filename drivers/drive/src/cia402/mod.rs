@@ -26,12 +26,13 @@
 //!
 //! No set-point is clamped, queued or sent twice.
 //!
-//! # Who has the last word on an object
-//! [`AxisConfig::configuration`] is written first. Then this driver sets heartbeats (0x1016:01, 0x1017), reactions (0x1029:01,
-//! 0x6007, 0x605A, 0x6085), the interpolation period (0x60C2), the following error window (0x6065), homing (0x6098, 0x6099,
-//! 0x609A, 0x607C and maxon's 0x30B0, 0x30B1); then [`AxisConfig::parameters`] are written; and last this driver maps
-//! RPDO 1 and TPDO 1, switches the others off, and sets the mode of operation (0x6060). The controlword (0x6040) cannot be
-//! configured.
+//! # Who writes an object
+//! [`AxisConfig::configuration`] is written first, then [`AxisConfig::parameters`]. Neither may hold an object that is
+//! [`reserved`]: those belong to this driver, which writes and reads back its own part of them last, before operation:
+//! heartbeats (0x1016:01, 0x1017), reactions (0x1029:01, 0x6007, 0x605A, 0x6085), the interpolation period (0x60C2), the
+//! following error window (0x6065), homing (0x6098, 0x6099, 0x609A, 0x607C and maxon's 0x30B0, 0x30B1), offsets (0x60B0 to
+//! 0x60B2), process data and the mode of operation (0x6060). Of the PDOs, RPDO 1 and TPDO 1 are mapped and the others
+//! switched off.
 //!
 //! Left out: profile modes, interpolated position (EPOS2), several axes behind one node-ID. Read
 //! [`DriveGroup`] first, then `axis`, `bring_up` and `program`.
@@ -46,6 +47,7 @@ mod other_controller;
 mod process_data;
 mod program;
 mod recording;
+mod reserved;
 mod service;
 mod target;
 mod traffic;
@@ -71,6 +73,7 @@ pub use config::{
 pub use other_controller::Sign;
 pub use process_data::pdo_setups;
 pub use recording::Recording;
+pub use reserved::{Reserved, reserved};
 pub use traffic::Traffic;
 
 #[cfg(doc)]
@@ -362,8 +365,8 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
         3
     }
 
-    /// Called after it was ready, or after an error, it begins anew: it listens for [`GroupConfig::listening`], then
-    /// resets the communication of its drives.
+    /// A call after readiness or an error begins bring-up again, with [`GroupConfig::listening`] and a reset of the
+    /// drives' communication.
     /// The error of the first failing axis decides.
     fn bring_up(&mut self, now: Instant) -> Poll<Result<(), BringUpError>> {
         match self.advance_bring_up(now) {

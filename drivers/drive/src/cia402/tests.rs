@@ -8,3 +8,4 @@ mod cycle;
 mod faults;
 mod homing;
 mod other_controller;
+mod reserved;
