@@ -15,7 +15,7 @@ use serde_json::json;
 
 use crate::cli_refusals::refused;
 use crate::mrroc::{Running, mrroc, trace};
-use crate::vcan::{Stage, on_stage};
+use crate::vcan::{Stage, faulted, on_stage};
 
 /// A controller in another computer: sends `frame` every `period` while `body` runs.
 fn beside_a_master(stage: &Stage, frame: Frame, period: Duration, body: impl FnOnce()) {
@@ -115,6 +115,20 @@ fn a_master_in_another_computer_refuses_the_start_before_a_frame_is_sent() {
             });
             assert_eq!(sent.count(), 0, "{}", fs::read_to_string(&log).unwrap());
         }
+    });
+}
+
+#[test]
+fn a_master_that_comes_in_operation_stops_the_robot_and_is_named() {
+    const TEST: &str =
+        "second_controller::a_master_that_comes_in_operation_stops_the_robot_and_is_named";
+    on_stage(TEST, |stage| {
+        let (_emulators, controller) = stage.start_moving();
+        let cycle = Duration::from_micros(stage.cell.period_us.into());
+        beside_a_master(stage, Sync::default().encode(), cycle, || {
+            let named = "bus arm: another controller is at work: it sent SYNC";
+            faulted(&controller.output(), &[named]);
+        });
     });
 }
 

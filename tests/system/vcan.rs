@@ -17,7 +17,7 @@ use std::time::Duration;
 use can::candump::Reader;
 use can::{Frame, Instant, Port, Received, SocketCanOptions, SocketCanPort, Tracer, clock};
 use canopen::cia402::{PowerState, Statusword};
-use canopen::emcy::Emergency;
+use canopen::emcy::{Emergency, ErrorRegister};
 use canopen::objects::{POSITION_ACTUAL, STATUSWORD};
 use canopen::sdo::{Initiate, Request, Response};
 use canopen::{NodeId, Object, cob};
@@ -490,6 +490,39 @@ pub(crate) fn stand_without_power(interface: &str, directory: &Directory, cell: 
     for axis in &cell.robot[0].axis {
         stands(&frames, axis, Instant::ZERO);
     }
+}
+
+#[test]
+fn an_error_that_is_no_fault_is_in_the_report() {
+    on_stage(
+        "vcan::an_error_that_is_no_fault_is_in_the_report",
+        |stage| {
+            stage.change(|cell| cell.robot[0].program.truncate(1));
+            let (_emulators, controller) = stage.start_moving();
+            let port = SocketCanPort::open(stage.interface, &SocketCanOptions::default());
+            let temperature = Emergency {
+                node: NodeId::new(1).unwrap(),
+                code: 0x4210,
+                error_register: ErrorRegister::TEMPERATURE,
+                vendor: [0; 5],
+            };
+            let frames = [temperature.encode(); 2];
+            assert_eq!(port.unwrap().send(clock::now(), &frames), Ok(2));
+            let output = controller.output();
+            assert_eq!(output.status.code(), Some(0), "{output:?}");
+            let report = output.json();
+            let warnings = report["warnings"].as_array().unwrap();
+            let [warning] = warnings.as_slice() else {
+                panic!("{report}");
+            };
+            assert_eq!(warning["axis"], "column", "{report}");
+            for (key, value) in [("node", 1), ("code", 0x4210), ("register", 8), ("count", 2)] {
+                assert_eq!(warning[key], value, "{report}");
+            }
+            assert!(warning["time_s"].as_f64().unwrap() > 0.0, "{report}");
+            assert_eq!(report["more_warnings"], 0, "{report}");
+        },
+    );
 }
 
 #[test]

@@ -42,6 +42,7 @@ mod axis;
 mod bring_up;
 mod config;
 mod homing;
+mod measurement;
 mod mode;
 mod other_controller;
 mod process_data;
@@ -49,6 +50,7 @@ mod program;
 mod recording;
 mod reserved;
 mod service;
+mod setup;
 mod target;
 mod traffic;
 
@@ -78,7 +80,9 @@ pub use traffic::Traffic;
 
 #[cfg(doc)]
 use crate::Power;
-use crate::{AxisCommand, AxisState, BringUpError, DriveGroup, Fault, GroupCounters};
+use crate::{
+    AxisCommand, AxisState, BringUpError, DriveGroup, Fault, GroupCounters, Warning, Warnings,
+};
 use axis::Axis;
 use bring_up::NodeBringUp;
 use process_data::Answer;
@@ -110,6 +114,9 @@ pub struct Cia402Group<P: Port> {
     syncs: Syncs,
     heartbeat_due: Instant,
     counters: GroupCounters,
+    warnings: Warnings,
+    /// When bring-up was ready.
+    up_since: Instant,
 }
 
 /// One drive: how it is brought up, how it runs, and the client both use.
@@ -119,6 +126,8 @@ struct Node {
     sdo: Client,
     service: Option<Service>,
     setpoint: Option<Target>,
+    /// That of the last cycle.
+    fault: Option<Fault>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -180,6 +189,7 @@ impl<P: Port> Cia402Group<P> {
                 sdo,
                 service: None,
                 setpoint: None,
+                fault: None,
             });
         }
         let nothing = Received {
@@ -200,6 +210,8 @@ impl<P: Port> Cia402Group<P> {
             syncs: Syncs::default(),
             heartbeat_due: Instant::ZERO,
             counters: GroupCounters::default(),
+            warnings: Warnings::with_room(),
+            up_since: Instant::ZERO,
         })
     }
 
@@ -245,7 +257,19 @@ impl<P: Port> Cia402Group<P> {
                 self.node(node)?.axis.heard(state, at);
             }
             cob::Function::Emcy(node) => {
-                self.node(node)?.axis.emergency(&Emergency::decode(&frame)?);
+                let emergency = Emergency::decode(&frame)?;
+                let axis = &mut self.node(node)?.axis;
+                axis.emergency(&emergency);
+                // The one that explains a fault may come before the statusword that shows the fault.
+                if !emergency.is_reset() && axis.fault() != Some(axis.drive_fault(emergency.code)) {
+                    self.warnings.add(Warning {
+                        after: at.since(self.up_since),
+                        node: node.raw(),
+                        code: emergency.code,
+                        register: emergency.error_register.0,
+                        count: 1,
+                    });
+                }
             }
             cob::Function::SdoResponse(node) => self.node(node)?.sdo.handle(&frame, now),
             cob::Function::Nmt
@@ -378,8 +402,11 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
                 self.turn = 0;
                 self.syncs = Syncs::default();
                 self.heartbeat_due = now;
+                self.up_since = now;
+                self.warnings.clear();
                 for node in &mut self.nodes {
                     node.axis.begin(now, node.bring_up.learnt());
+                    node.fault = None;
                 }
                 Poll::Ready(Ok(()))
             }
@@ -417,8 +444,13 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
                 node.axis.left_alone(waited);
             }
             node.finish_service(now);
+            let before = node.fault;
             let (read, missing) = node.axis.end_of_read(now, attempted);
             *state = read;
+            node.fault = read.fault;
+            if let Some(Fault::Drive { node, code }) = read.fault.filter(|_| read.fault != before) {
+                self.warnings.explain(node, code);
+            }
             self.counters.missed_answers += u64::from(missing && sent);
         }
         self.syncs.attempted = false;
@@ -490,6 +522,10 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
             port: self.port.counters(),
             ..self.counters
         }
+    }
+
+    fn warnings(&self) -> &Warnings {
+        &self.warnings
     }
 }
 

@@ -9,3 +9,4 @@ mod faults;
 mod homing;
 mod other_controller;
 mod reserved;
+mod warnings;
