@@ -139,6 +139,8 @@ impl Bench {
                 let open = |(index, interface): (usize, &Interface)| {
                     let bus = &file.cell.bus[index];
                     let on_bus = || format!("bus {}", bus.name);
+                    // Before the card is touched, which another controller may have in use.
+                    let claim = interface.claim_as_controller().with_context(on_bus)?;
                     if kind == BenchKind::Card {
                         card::prepare(interface, bus, set_bitrate).with_context(on_bus)?;
                     }
@@ -148,7 +150,7 @@ impl Bench {
                         ..SocketCanOptions::default()
                     };
                     let port = BusPort::with_options(interface, bus.bitrate_kbps, &options);
-                    Ok(Box::new(port.with_context(on_bus)?) as _)
+                    Ok(Box::new(port.with_context(on_bus)?.holding(claim)) as _)
                 };
                 let ports = interfaces.iter().enumerate().map(open);
                 let ports = ports.collect::<anyhow::Result<_>>()?;

@@ -78,8 +78,16 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
             lines.add_bus(&file, &mechanisms, index, pty);
         } else {
             let interface = &interfaces[index];
-            let port = BusPort::open(interface, bus.bitrate_kbps);
-            let port = port.with_context(|| format!("bus {}", bus.name))?;
+            let on_bus = || format!("bus {}", bus.name);
+            let claim = |(robot, axis): (usize, usize)| {
+                interface.claim_as_node(file.cell.robot[robot].axis[axis].node)
+            };
+            let claims = emulation::axes_present(&file, index).map(claim);
+            let claims = claims
+                .collect::<anyhow::Result<Vec<_>>>()
+                .with_context(on_bus)?;
+            let port = BusPort::open(interface, bus.bitrate_kbps).with_context(on_bus)?;
+            let port = port.holding(claims.into_iter().flatten());
             names.push(format!("{} on {interface}", bus.name));
             let now = clock::now();
             buses.push(EmulatedBus {

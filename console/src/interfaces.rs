@@ -3,6 +3,7 @@
 use std::fmt;
 
 use anyhow::{Context, bail};
+use can::{Claim, ClaimError};
 use controller::cell::Cell;
 use serial::service::Dialect;
 
@@ -57,6 +58,32 @@ impl Interface {
             }
         }
         Self::SocketCan(name.to_owned())
+    }
+
+    /// Claims the interface for the one controller that its bus may have; `None` for a tty, which one process opens at
+    /// a time. A controller in another computer on the same bus does not show here, but by its frames.
+    pub(crate) fn claim_as_controller(&self) -> anyhow::Result<Option<Claim>> {
+        self.claim("controller", "another controller is at work")
+    }
+
+    /// Claims the node `node` of the interface for the one emulator that it may have; `None` for a tty.
+    pub(crate) fn claim_as_node(&self, node: u8) -> anyhow::Result<Option<Claim>> {
+        let taken = format!("node {node} is emulated already");
+        self.claim(&format!("node {node}"), &taken)
+    }
+
+    fn claim(&self, part: &str, taken: &str) -> anyhow::Result<Option<Claim>> {
+        let Self::SocketCan(name) = self else {
+            return Ok(None);
+        };
+        match Claim::take(name, part) {
+            Ok(claim) => Ok(Some(claim)),
+            Err(ClaimError::Taken { holder, .. }) => {
+                let holder = holder.map(|process| format!(": process {process}"));
+                bail!("{name}: {taken}{}", holder.unwrap_or_default())
+            }
+            Err(error) => Err(error.into()),
+        }
     }
 
     /// What a candump log calls the interface, as bus `bus` of the cell: paths are too long for it.

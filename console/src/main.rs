@@ -41,6 +41,7 @@ mod trace;
 mod urdf;
 mod usage;
 mod vm;
+mod warning_report;
 mod wire;
 
 use std::path::PathBuf;

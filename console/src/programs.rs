@@ -145,13 +145,20 @@ fn describe(file: &CellFile, robot: usize, error: &EcpError) -> FaultReport {
 fn describe_fault(file: &CellFile, robot: usize, fault: &ServoFault) -> FaultReport {
     let name = Some(file.cell.robot[robot].name.clone());
     let axis = fault.axis.map(usize::from);
-    if let (StopCause::Drive(Fault::Port(error)), Some(axis)) = (fault.cause, axis) {
-        // It is the bus's, and of every axis on it.
+    // Those of the bus are faults of every axis on it.
+    let of_bus = match fault.cause {
+        StopCause::Drive(Fault::Port(error)) => Some(error.to_string()),
+        StopCause::Drive(Fault::OtherController { sign }) => {
+            Some(format!("another controller is at work: it sent {sign}"))
+        }
+        _ => None,
+    };
+    if let Some((what, axis)) = of_bus.zip(axis) {
         let bus = &file.cell.robot[robot].axis[axis].bus;
         return FaultReport {
             robot: name,
             axis: None,
-            what: format!("bus {bus}: {error}"),
+            what: format!("bus {bus}: {what}"),
         };
     }
     FaultReport {

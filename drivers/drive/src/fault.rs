@@ -6,6 +6,7 @@ use canopen::sdo::AbortCode;
 use thiserror::Error;
 
 use crate::axis_controller::{AxisControllerError, AxisControllerFault};
+use crate::cia402::Sign;
 
 /// A latched condition of one axis, cleared by [`AxisCommand::ResetFault`](crate::AxisCommand::ResetFault).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
@@ -104,6 +105,12 @@ pub enum Fault {
         line: u8,
         /// Which.
         fault: AxisControllerFault,
+    },
+    /// A second controller commands the drives of the bus.
+    #[error("bus: another controller is at work: it sent {sign}")]
+    OtherController {
+        /// The frame that gave it away.
+        sign: Sign,
     },
     /// The port cannot send or receive.
     #[error("bus: {0}")]
@@ -265,6 +272,12 @@ pub enum BringUpError {
         /// Why.
         error: AxisControllerError,
     },
+    /// A second controller commands the drives of the bus.
+    #[error("another controller is at work: it sent {sign}; end it before this one is started")]
+    OtherController {
+        /// The frame that gave it away.
+        sign: Sign,
+    },
     /// The port cannot send or receive.
     #[error("bus: {0}")]
     Port(#[from] can::PortError),
@@ -284,7 +297,7 @@ impl BringUpError {
             | Self::ReadBackBytes { node, .. }
             | Self::TimedOut { node, .. }
             | Self::ModeUnsupported { node, .. } => Some(node),
-            Self::AxisController { .. } | Self::Port(_) => None,
+            Self::AxisController { .. } | Self::OtherController { .. } | Self::Port(_) => None,
         }
     }
 

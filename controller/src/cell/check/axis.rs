@@ -1,5 +1,7 @@
 //! What one axis of a cell must satisfy, on a CAN bus or on a serial line.
 
+use drive::cia402::reserved;
+
 use super::{Checked, Path, Problem, in_range, positive};
 use crate::cell::{
     Axis, AxisController, Bus, Cell, Control, Drive, DriveControl, Emulator, Law, Loop, Plant,
@@ -103,10 +105,14 @@ fn check_drive(drive: &Path, given: &Drive, max_velocity: f64) -> Checked {
     positive(&drive.then("rated_torque"), given.rated_torque)?;
     check_drive_loop(&drive.then("loop"), given, max_velocity)?;
     for (number, parameter) in given.parameter.iter().enumerate() {
+        let path = drive.then("parameter").then(number);
+        if let Some(found) = reserved(given.vendor, parameter.index, parameter.subindex) {
+            return Err((path.then("index"), Problem::Refused(found.to_string())));
+        }
         if !matches!(parameter.bytes, 1 | 2 | 4) {
             let value = f64::from(parameter.bytes);
             return Err((
-                drive.then("parameter").then(number).then("bytes"),
+                path.then("bytes"),
                 Problem::OutOfRange {
                     value,
                     range: "1, 2 or 4",

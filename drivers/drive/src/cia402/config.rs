@@ -1,11 +1,13 @@
+//! What a drive group and its axes are configured to, and what is refused before a frame is sent.
+
 use std::time::Duration;
 
 use canopen::cia402::ModeOfOperation;
-use canopen::objects::CONTROLWORD;
 use canopen::sdo::CAPACITY;
 use canopen::{NodeId, Object};
 use thiserror::Error;
 
+use super::reserved::reserved;
 use crate::Scale;
 use crate::scale::rpm_magnitude;
 
@@ -54,11 +56,11 @@ pub struct AxisConfig {
     pub following_error: f64,
     /// Deceleration of a quick stop, rad/s² (object 0x6085).
     pub quick_stop_deceleration: f64,
-    /// What its device configuration file states, in order, before all that this driver sets itself and before
-    /// `parameters`: those win.
+    /// The objects of its device configuration file, in order, downloaded before `parameters`. None of them may be
+    /// [`reserved`](super::reserved).
     pub configuration: Vec<Setting>,
-    /// Further objects to download, in order, after all that this driver sets itself but the PDOs and the mode of
-    /// operation.
+    /// Further objects to download, in order, before all that this driver sets itself. None of them may be
+    /// [`reserved`](super::reserved).
     pub parameters: Vec<Parameter>,
 }
 
@@ -134,21 +136,11 @@ impl Setting {
     pub(super) fn object(&self) -> Object {
         Object::new(self.index, self.subindex)
     }
+}
 
-    fn check(&self, node: NodeId) -> Result<(), ConfigError> {
-        let why = if self.object() == CONTROLWORD {
-            "the controlword commands the drive"
-        } else if self.data.len() > CAPACITY {
-            "256 bytes at most are transferred"
-        } else {
-            return Ok(());
-        };
-        Err(ConfigError::Setting {
-            node: node.raw(),
-            index: self.index,
-            subindex: self.subindex,
-            why,
-        })
+impl Parameter {
+    pub(super) fn object(&self) -> Object {
+        Object::new(self.index, self.subindex)
     }
 }
 
@@ -224,6 +216,12 @@ impl GroupConfig {
         }
     }
 
+    /// How long the bus is listened to before the first frame is sent: three periods of the heartbeat and of SYNC. A
+    /// controller that is silent for that long has lost its drives, which have stopped by themselves.
+    pub fn listening(&self) -> Duration {
+        self.heartbeat_period.max(self.period) * HEARTBEATS_TO_LOSE
+    }
+
     /// How long a heartbeat may stay away.
     pub(super) fn heartbeat_lost_after(&self) -> Duration {
         self.heartbeat_period * HEARTBEATS_TO_LOSE
@@ -246,6 +244,29 @@ pub(super) struct DriveUnits {
 }
 
 impl AxisConfig {
+    /// Refuses what cannot or must not be written by a setting or a parameter.
+    fn check_writes(&self) -> Result<(), ConfigError> {
+        let refusal = |object: Object, why| ConfigError::Setting {
+            node: self.node.raw(),
+            index: object.index,
+            subindex: object.subindex,
+            why,
+        };
+        let settings = self.configuration.iter().map(Setting::object);
+        let mut objects = settings.chain(self.parameters.iter().map(Parameter::object));
+        if let Some(error) = objects.find_map(|object| {
+            let found = reserved(self.identity.vendor, object.index, object.subindex)?;
+            Some(refusal(object, found.why()))
+        }) {
+            return Err(error);
+        }
+        let mut settings = self.configuration.iter();
+        match settings.find(|setting| setting.data.len() > CAPACITY) {
+            Some(long) => Err(refusal(long.object(), "256 bytes at most are transferred")),
+            None => Ok(()),
+        }
+    }
+
     pub(super) fn drive_units(&self) -> Result<DriveUnits, ConfigError> {
         let positive = |what, value: Option<u32>| match value {
             Some(value @ 1..) => Ok(value),
@@ -304,9 +325,7 @@ pub(super) fn check(config: &GroupConfig, axes: &[AxisConfig]) -> Result<(), Con
             return Err(ConfigError::DuplicateNode(axis.node.raw()));
         }
         axis.drive_units()?;
-        axis.configuration
-            .iter()
-            .try_for_each(|setting| setting.check(axis.node))?;
+        axis.check_writes()?;
     }
     config.interpolation_period()?;
     config.heartbeat_times()?;

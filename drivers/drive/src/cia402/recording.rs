@@ -72,6 +72,10 @@ impl Recording {
             .frames
             .iter()
             .take_while(|received| !is_sync(&received.frame));
+        // The run listened before its first frame, long enough.
+        if let Poll::Ready(ended) = group.bring_up(Instant::ZERO) {
+            return Poll::Ready(ended);
+        }
         before
             .map(|received| group.bring_up(received.at))
             .find(Poll::is_ready)

@@ -7,3 +7,6 @@ mod configuration;
 mod cycle;
 mod faults;
 mod homing;
+mod other_controller;
+mod reserved;
+mod warnings;
