@@ -62,8 +62,8 @@ pub(crate) struct Effector {
     fault: Option<ServoFault>,
     segment: Option<Segment>,
     stop: StraightStop,
-    /// The stop under way began anew from rest, or from the motion measured, since a bus took none of it.
-    stop_renewed: bool,
+    /// The present stop was restarted, because a bus took no set-point of the first one.
+    stop_restarted: bool,
     /// While [`State::Halting`]: the drives have come to rest.
     halted: bool,
     /// Number of the last macrostep begun.
@@ -102,7 +102,7 @@ impl Effector {
             fault: None,
             segment: None,
             stop: StraightStop::new(&[], &[], 1.0),
-            stop_renewed: false,
+            stop_restarted: false,
             halted: false,
             macrostep: 0,
             news: false,
@@ -203,12 +203,12 @@ impl Effector {
     /// Whether the set-points of the last cycle are due again, because a bus did not take them.
     fn is_held(&mut self, tick: &Tick) -> bool {
         if matches!(self.state, State::Braking(_)) && tick.refused > REFUSED_IN_STOP {
-            // Nobody hears where to brake, and the drives stand by now. Once: a stop that begins anew in each cycle has
-            // no end where a motor is measured to move.
-            if !self.stop_renewed {
+            // The drives hear no set-point, and stand by now. The stop is restarted once: a restart in every cycle would
+            // never end while a motor is measured to move.
+            if !self.stop_restarted {
                 self.axes.iter_mut().for_each(|axis| axis.rest(0, tick.dt));
                 self.begin_stop(tick);
-                self.stop_renewed = true;
+                self.stop_restarted = true;
             }
             return false;
         }
@@ -383,7 +383,7 @@ impl Effector {
             }
             (_, State::Braking(_)) => {
                 self.begin_stop(tick);
-                self.stop_renewed = false;
+                self.stop_restarted = false;
                 self.segment = None;
             }
             (_, State::Halting(_)) => self.halted = false,

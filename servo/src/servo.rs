@@ -243,9 +243,9 @@ impl Servo {
 
     /// Sends SYNC and what was prepared, on every bus.
     ///
-    /// If a bus does not take all of it, the next cycle repeats the set-points of every effector with an axis there:
-    /// their motion is then late by a period, and no drive is ever handed two steps at once. Other effectors go on, and
-    /// so does a stop whose axes on that bus all have faults.
+    /// After a refused batch the next cycle repeats the set-points of every effector with an axis on that bus. The motion
+    /// of these effectors is then late by a period, and no drive is ever handed two steps at once. Other effectors go on.
+    /// A bus whose axes all have a fault holds up nothing.
     #[cfg_attr(mrroc_rtsan, sanitize(realtime = "nonblocking"))]
     pub fn send(&mut self, now: Instant) {
         self.sent = Some(now);

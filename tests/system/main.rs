@@ -38,6 +38,7 @@ mod regression;
 mod repetition;
 mod serial_cli;
 mod serial_faults;
+mod serial_hang_up;
 mod serial_homing;
 mod serial_refusals;
 mod service;

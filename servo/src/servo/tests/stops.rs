@@ -329,10 +329,10 @@ fn two_in_motion(config: &ServoConfig) -> (Servo, Vec<EffectorLink>, Vec<Arc<Mut
         }
         servo.step(Instant::ZERO + PERIOD * cycle);
     }
-    for index in 0..2 {
+    for (index, world) in worlds.iter().enumerate() {
         let phase = servo.state(index).unwrap().phase();
         assert_eq!(phase, Phase::Moving, "{:?}", servo.fault(index));
-        worlds[index].lock().unwrap().sent.clear();
+        world.lock().unwrap().sent.clear();
     }
     (servo, links, worlds)
 }
@@ -352,13 +352,8 @@ fn a_bus_that_is_gone_or_full_holds_up_no_effector_of_another() {
         let stopped = if gone { Phase::Faulted } else { Phase::Moving };
         let phases = [0, 1].map(|index| servo.state(index).unwrap().phase());
         assert_eq!(phases, [stopped, Phase::Moving], "gone: {gone}");
-        let positions: Vec<f64> = worlds[1]
-            .lock()
-            .unwrap()
-            .sent
-            .iter()
-            .map(set_point)
-            .collect();
+        let other = worlds[1].lock().unwrap();
+        let positions: Vec<f64> = other.sent.iter().map(|batch| set_point(batch)).collect();
         assert_eq!(positions.len(), 300);
         let way = positions[299] - positions[0];
         assert!(
@@ -369,7 +364,7 @@ fn a_bus_that_is_gone_or_full_holds_up_no_effector_of_another() {
     }
 }
 
-fn set_point(batch: &Vec<AxisCommand>) -> f64 {
+fn set_point(batch: &[AxisCommand]) -> f64 {
     match batch[0] {
         AxisCommand::Follow(Setpoint::Position(position)) => position.get(),
         other => panic!("{other:?}"),
