@@ -204,6 +204,12 @@ impl SerialLine {
         self.host = Some(peer);
     }
 
+    /// Disconnects the host's end for good: the adapter was unplugged, or its driver is gone. The host's next call fails
+    /// with [`LineError::Gone`](serial::LineError::Gone), and the device hears nothing more.
+    pub fn hang_up(&mut self) {
+        self.host = None;
+    }
+
     /// The device on the line.
     pub fn device(&self) -> &dyn LineDevice {
         self.device.as_ref()

@@ -156,6 +156,11 @@ impl World {
         self.lines[line.0].set_faults(faults);
     }
 
+    /// Disconnects the host's end of a line for good, as an adapter that is unplugged does. `line` must be of this world.
+    pub fn hang_up(&mut self, line: LineId) {
+        self.lines[line.0].hang_up();
+    }
+
     /// The device of a line as what it was added as, to look at its true state; `None` if it is no `D`.
     pub fn line_device<D: LineDevice>(&self, line: LineId) -> Option<&D> {
         let device: &dyn Any = self.lines.get(line.0)?.device();

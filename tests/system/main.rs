@@ -41,6 +41,7 @@ mod repetition;
 mod second_controller;
 mod serial_cli;
 mod serial_faults;
+mod serial_hang_up;
 mod serial_homing;
 mod serial_refusals;
 mod service;

@@ -271,9 +271,14 @@ impl Ecp {
     }
 
     fn fault(&self) -> EcpError {
+        self.cause_of(EcpError::Faulted)
+    }
+
+    /// The fault that began a stop, where the stop ends in `consequence`: the cause is reported, not what followed from it.
+    fn cause_of(&self, consequence: EcpError) -> EcpError {
         self.report
             .and_then(|report| report.fault)
-            .map_or(EcpError::Faulted, EcpError::Servo)
+            .map_or(consequence, EcpError::Servo)
     }
 
     fn end(&mut self, outcome: Result<(), EcpError>) -> Event {
@@ -427,7 +432,8 @@ impl Ecp {
             Activity::Running { .. } | Activity::Arriving => self.advance_motion(now),
             Activity::Stopping { since: None, .. } => {
                 let waited = now.since(self.heard);
-                (waited > self.config.switching).then_some(Err(EcpError::Silent { waited }))
+                (waited > self.config.switching)
+                    .then(|| Err(self.cause_of(EcpError::Silent { waited })))
             }
             Activity::Stopping {
                 since: Some(since),
@@ -441,7 +447,7 @@ impl Ecp {
                     Some(outcome)
                 } else {
                     (waited > self.config.switching)
-                        .then_some(Err(EcpError::TimedOut { phase, waited }))
+                        .then(|| Err(self.cause_of(EcpError::TimedOut { phase, waited })))
                 }
             }
         }

@@ -538,6 +538,11 @@ impl Axis {
         self.not_sent == 0
     }
 
+    /// Whether a fault is latched: no set-point of this axis is followed.
+    pub(super) fn is_faulted(&self) -> bool {
+        self.state.fault.is_some()
+    }
+
     /// What is said last to a drive whose group ends.
     pub(super) fn farewell(&self) -> Telegram {
         let dialect = self.setup.dialect;

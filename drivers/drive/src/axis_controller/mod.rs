@@ -285,7 +285,7 @@ impl<L: Line> DriveGroup for AxisControllerGroup<L> {
             };
             axis.handed_over(taken, now);
             self.counters.dropped_setpoints += u64::from(!taken);
-            all &= taken;
+            all &= taken || axis.is_faulted();
         }
         self.attempted = true;
         all
