@@ -23,6 +23,7 @@ mod emulated_lines;
 mod emulated_time;
 mod emulation;
 mod identify;
+mod input;
 mod interfaces;
 mod jitter;
 mod kinematics;
@@ -159,7 +160,9 @@ fn main() -> ExitCode {
         Command::Manual { directory } => manual::write(Arguments::command(), &directory),
     };
     result.unwrap_or_else(|refusal| {
-        streams::warn(format_args!("mrroc: {refusal:#}"));
+        // A refusal may quote a file: nothing of it acts on a terminal, and it stays one line.
+        let said = controller::cell::printable(&format!("{refusal:#}"));
+        streams::warn(format_args!("mrroc: {said}"));
         ExitCode::from(2)
     })
 }

@@ -137,7 +137,7 @@ fn describe(file: &CellFile, robot: usize, error: &EcpError) -> FaultReport {
         error => FaultReport {
             robot: Some(file.cell.robot[robot].name.clone()),
             axis: None,
-            what: error.to_string(),
+            what: file.cell.robot[robot].naming_axes(error),
         },
     }
 }

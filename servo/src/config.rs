@@ -227,8 +227,8 @@ impl ServoAxisConfig {
         homing.max(self.max_velocity / self.max_acceleration)
     }
 
-    /// The first field that makes no sense.
-    fn nonsense(&self) -> Option<&'static str> {
+    /// The first field that makes no sense, as [`ServoError::BadLimit`] names it.
+    pub fn nonsense(&self) -> Option<&'static str> {
         let positive = |value: f64| value.is_finite() && value > 0.0;
         if !self.min_position.is_finite() {
             Some("min_position")

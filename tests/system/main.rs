@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "in a test it is a verdict")]
 
 mod adapter;
+mod agreement;
 mod allocations;
 mod architecture;
 mod bench;
@@ -27,6 +28,7 @@ mod heap;
 mod homing;
 mod host_closed;
 mod identify;
+mod inputs;
 mod jitter;
 mod kinematics;
 mod lab;

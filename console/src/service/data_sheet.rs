@@ -7,6 +7,7 @@ use canopen::eds::{Access, DataType, Eds, Value};
 use canopen::{NodeId, Object};
 
 use super::value::{self, Type};
+use crate::input;
 
 /// One object by its data sheet.
 pub(super) struct DataSheet {
@@ -25,7 +26,7 @@ impl DataSheet {
     /// Reads the file, which has to know the object.
     pub(super) fn read(path: &Path, object: Object) -> anyhow::Result<Self> {
         let shown = || path.display().to_string();
-        let bytes = std::fs::read(path).with_context(shown)?;
+        let bytes = input::read(path, input::SHEET).with_context(shown)?;
         let eds = Eds::read(&bytes).map_err(|error| anyhow!("{}:{error}", shown()))?;
         Self::of(&eds, object, shown())
     }

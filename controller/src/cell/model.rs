@@ -56,6 +56,19 @@ pub enum Parameters {
 }
 
 impl Parameters {
+    /// The key that cell files give them by.
+    pub const fn name(&self) -> &'static str {
+        match self {
+            Self::Irb6(_) => "irb6",
+            Self::Irp6(_) => "irp6",
+            Self::Irp6Track(_) => "irp6-track",
+            Self::Rnt(_) => "rnt",
+            Self::Polycrank(_) => "polycrank",
+            Self::Gripper(_) => "gripper",
+            Self::Conveyor(_) => "conveyor",
+        }
+    }
+
     /// The robot of these numbers, or what is wrong with them.
     pub fn kinematics(&self) -> Result<Arc<dyn crate::robot::Robot>, ParameterError> {
         Ok(match self {

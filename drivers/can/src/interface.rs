@@ -8,10 +8,11 @@ pub struct InterfaceName {
 }
 
 impl InterfaceName {
-    /// `None` if `name` is empty, longer than 15 bytes, or has a NUL, a slash or white space in it.
+    /// `None` for what the kernel takes for no name: an empty one, one longer than 15 bytes, `.` and `..`, and one with a
+    /// slash, a colon or white space in it. Nor may it have control characters, which logs and terminals act on.
     pub fn new(name: &str) -> Option<Self> {
-        let forbidden = |c: char| c == '\0' || c == '/' || c.is_whitespace();
-        if name.is_empty() || name.contains(forbidden) {
+        let forbidden = |c: char| matches!(c, '/' | ':') || c.is_control() || c.is_whitespace();
+        if matches!(name, "" | "." | "..") || name.contains(forbidden) {
             return None;
         }
         let mut bytes = [0; 15];

@@ -61,8 +61,11 @@ fn identity(config: &Epos4Config) -> [(Slot, u32); 8] {
         PlantConfig::Wut(wut) => wut.torque_constant,
         PlantConfig::Physical(motor) => motor.torque_constant,
     };
-    let nominal = config.rated_torque.map(|torque| torque / torque_constant);
     let milliamps = |amps: f64| (amps * 1e3).round() as u32;
+    let rated = config.rated_torque.unwrap_or(amps * torque_constant);
+    // In whole milliamperes: the torque constant makes up for what that rounds away of a small motor's.
+    let nominal = milliamps(rated / torque_constant).max(1);
+    let torque_constant = (rated / f64::from(nominal) * 1e9).round() as u32;
     let counts = config.axis.counts_per_revolution;
     [
         (Slot::of(named::VENDOR_ID), config.vendor),
@@ -73,18 +76,12 @@ fn identity(config: &Epos4Config) -> [(Slot, u32); 8] {
             Slot::of(named::EPOS4_MAIN_SENSOR_RESOLUTION),
             config.main_sensor_resolution.unwrap_or(counts),
         ),
-        (
-            Slot::of(named::EPOS4_NOMINAL_CURRENT),
-            milliamps(nominal.unwrap_or(amps)),
-        ),
+        (Slot::of(named::EPOS4_NOMINAL_CURRENT), nominal),
         (
             Slot::of(named::EPOS4_NOMINAL_CURRENT).plus(1),
             milliamps(amps),
         ),
-        (
-            Slot::of(named::EPOS4_TORQUE_CONSTANT),
-            (torque_constant * 1e6).round() as u32,
-        ),
+        (Slot::of(named::EPOS4_TORQUE_CONSTANT), torque_constant),
     ]
 }
 

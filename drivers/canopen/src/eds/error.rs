@@ -1,6 +1,6 @@
 use thiserror::Error;
 
-use super::MAX_VARIABLES;
+use super::{MAX_SECTIONS, MAX_VARIABLES};
 
 /// Why a file is no electronic data sheet: the line, what is wrong there, what to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
@@ -70,6 +70,9 @@ pub enum EdsError {
     /// More than any device has.
     #[error("{line}: more than {MAX_VARIABLES} variables; split the file")]
     TooMany { line: u32 },
+    /// More than the most variables take.
+    #[error("{line}: more than {MAX_SECTIONS} sections; split the file")]
+    TooManySections { line: u32 },
 }
 
 impl EdsError {
@@ -92,7 +95,8 @@ impl EdsError {
             | Self::Limits { line, .. }
             | Self::Access { line }
             | Self::ObjectType { line, .. }
-            | Self::TooMany { line } => line,
+            | Self::TooMany { line }
+            | Self::TooManySections { line } => line,
         }
     }
 }

@@ -26,6 +26,9 @@ pub use value::Value;
 /// The most variables that a file may describe; a device has some thousands.
 pub const MAX_VARIABLES: usize = 100_000;
 
+/// Most sections of a file: one for each of so many variables, and more for what is no variable.
+pub const MAX_SECTIONS: usize = 110_000;
+
 /// One EDS or DCF.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Eds {

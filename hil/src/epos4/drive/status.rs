@@ -1,12 +1,14 @@
 //! What the drive says of itself: the objects that can be read or mapped to transmit.
 
 use canopen::cia402::{Controlword, HomingStatus, ModeOfOperation, Statusword};
+use canopen::objects::VENDOR_ID;
 
 use super::modes::rated_torque;
 use super::slots::*;
 use super::{Drive, Homing};
 use crate::epos4::CyclicStatus;
 use crate::epos4::objects::Objects;
+use crate::epos4::table::Slot;
 
 impl Drive {
     /// Writes what can be read to the dictionary.
@@ -32,7 +34,10 @@ impl Drive {
         objects.set(TORQUE_ACTUAL, signed(share));
         objects.set(EPOS4_CURRENT_ACTUAL, signed(current));
         objects.set(CURRENT_AVERAGE, signed(self.average_current));
-        objects.set(MOTOR_RATED_TORQUE, (rated * 1e6).round() as u32);
+        // maxon counts µN·m; a drive that says it is of another maker counts the mN·m of CiA 402.
+        let of_maxon = objects.u(Slot::of(VENDOR_ID)) == 0x0000_00FB;
+        let unit = if of_maxon { 1e6 } else { 1e3 };
+        objects.set(MOTOR_RATED_TORQUE, (rated * unit).round() as u32);
         objects.set(MODE_OF_OPERATION_DISPLAY, i32::from(self.mode.raw()) as u32);
         let inputs = u32::from(self.feedback.negative_limit)
             | u32::from(self.feedback.positive_limit) << 1
