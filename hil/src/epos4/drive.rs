@@ -15,6 +15,7 @@ mod slots;
 mod status;
 
 pub(super) use modes::interpolation_period;
+pub(super) use slots::ABORT_CONNECTION_OPTION;
 
 use canopen::cia402::{Controlword, ModeOfOperation, PowerCommand, PowerState};
 
@@ -123,6 +124,7 @@ impl Drive {
         self.power = PowerState::NotReadyToSwitchOn;
         self.mode = ModeOfOperation::None;
         self.controlword = Controlword(0);
+        self.following_error = false;
         self.stand();
     }
 
@@ -218,6 +220,7 @@ impl Drive {
     /// Does what an error asks for; a drive without power only shows it.
     pub(super) fn react(&mut self, error: Error, objects: &Objects) {
         let at_once = match error.reaction {
+            Reaction::None => return,
             Reaction::Disable => true,
             Reaction::Fault => false,
             Reaction::AbortConnection => return self.abort_connection(objects),

@@ -10,6 +10,7 @@ use canopen::pdo::{Entry as MapEntry, PdoCobId, PdoKind, PdoNumber};
 use canopen::sdo::{AbortCode, Dictionary, MAX_SIZE};
 use canopen::{NodeId, Object, cob, nmt};
 
+use super::heartbeats::{ENTRIES, watched};
 use super::table::{Access, Kind, MAPPED, ROWS, Slot, TABLE};
 
 /// "save", as object 0x1010 wants it.
@@ -26,8 +27,13 @@ pub(super) struct Changes {
     pub(super) mode: bool,
     /// A set-point of a cyclic mode.
     pub(super) setpoint: bool,
-    pub(super) pdo: bool,
-    pub(super) heartbeat: bool,
+    /// Parameters of RPDOs and of TPDOs, by number.
+    pub(super) received: [bool; 4],
+    pub(super) transmitted: [bool; 4],
+    /// The time of the node's own heartbeat.
+    pub(super) producer: bool,
+    /// The nodes whose heartbeats are watched.
+    pub(super) consumers: bool,
 }
 
 /// The values of all objects.
@@ -152,8 +158,10 @@ impl Objects {
             named::HOME_OFFSET => self.set(Slot::of(named::EPOS4_HOME_OFFSET_MOVE), value),
             named::EPOS4_HOME_OFFSET_MOVE => self.set(Slot::of(named::HOME_OFFSET), value),
             _ => match object.index {
-                0x1400..=0x1BFF => changes.pdo = true,
-                0x1016 | 0x1017 => changes.heartbeat = true,
+                0x1400..=0x17FF => changes.received[usize::from(object.index & 3)] = true,
+                0x1800..=0x1BFF => changes.transmitted[usize::from(object.index & 3)] = true,
+                0x1016 => changes.consumers = true,
+                0x1017 => changes.producer = true,
                 _ => {}
             },
         }
@@ -165,6 +173,7 @@ impl Objects {
         match object {
             named::ERROR_HISTORY_COUNT if value != 0 => Err(AbortCode::VALUE_RANGE),
             named::STORE_ALL | named::RESTORE_ALL => self.store_or_restore(object, value),
+            Object { index: 0x1016, .. } => self.refuse_consumer(slot, value),
             named::MODE_OF_OPERATION if !supported(value) => Err(AbortCode::VALUE_RANGE),
             named::HOMING_METHOD
                 if !HomingMethod::EPOS4.contains(&HomingMethod(value as i32 as i8)) =>
@@ -183,6 +192,22 @@ impl Objects {
                 None => Ok(()),
             },
         }
+    }
+
+    /// No two entries may watch one node (CiA 301, object 0x1016).
+    fn refuse_consumer(&self, slot: Slot, value: u32) -> Result<(), AbortCode> {
+        let Some((node, _)) = watched(value) else {
+            return Ok(());
+        };
+        let others =
+            (0..ENTRIES).map(|number| Slot::of(named::CONSUMER_HEARTBEAT_1).plus(number as u16));
+        let mut others = others
+            .filter(|other| *other != slot)
+            .map(|other| watched(self.u(other)));
+        if others.any(|other| other.is_some_and(|(other, _)| other == node)) {
+            return Err(AbortCode::PARAMETER_INCOMPATIBLE);
+        }
+        Ok(())
     }
 
     fn store_or_restore(&mut self, object: Object, value: u32) -> Result<(), AbortCode> {
