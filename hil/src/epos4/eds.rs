@@ -281,24 +281,6 @@ fn variable_name(entry: &table::Entry) -> String {
     }
 }
 
-/// What a download must not touch: commands, and set-points, which are the servo's.
-fn refuses_download(entry: &table::Entry) -> bool {
-    matches!(
-        entry.object,
-        named::ERROR_HISTORY_COUNT
-            | named::STORE_ALL
-            | named::RESTORE_ALL
-            | named::CONTROLWORD
-            | named::TARGET_TORQUE
-            | named::TARGET_POSITION
-            | named::POSITION_OFFSET
-            | named::VELOCITY_OFFSET
-            | named::TORQUE_OFFSET
-            | named::DIGITAL_OUTPUTS
-            | named::TARGET_VELOCITY
-    )
-}
-
 /// `stated` is what the unit has in place of the table's default.
 fn variable(entry: &table::Entry, stated: Option<u32>) -> Variable {
     let writable = entry.access == table::Access::Write;
@@ -339,7 +321,7 @@ fn variable(entry: &table::Entry, stated: Option<u32>) -> Variable {
         low: (entry.min != i64::MIN).then(|| number(entry.min)),
         high: (entry.max != i64::MAX).then(|| number(entry.max)),
         pdo_mapping: entry.mappable.receive || entry.mappable.transmit,
-        refuses_download: refuses_download(entry),
+        refuses_download: entry.volatile,
         refuses_scan: false,
         parameter: None,
     }

@@ -214,7 +214,7 @@ impl Objects {
         match (object, value) {
             (named::STORE_ALL, SAVE) => {
                 for (row, entry) in TABLE.iter().enumerate() {
-                    if entry.access == Access::Write && entry.object != named::CONTROLWORD {
+                    if entry.access == Access::Write && !entry.volatile {
                         self.stored[row] = self.values[row];
                     }
                 }

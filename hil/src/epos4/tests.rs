@@ -7,6 +7,7 @@ mod emergencies;
 mod heartbeats;
 mod motion;
 mod process_data;
+mod storage;
 
 use super::*;
 use crate::{AxisConfig, DeviceId, Irp6Axis, World};
