@@ -237,6 +237,9 @@ impl Objects {
         match place {
             Place::Communication(1) => {
                 let wanted = PdoCobId(value);
+                if !wanted.is_standard() {
+                    return Err(AbortCode::VALUE_RANGE);
+                }
                 let changed = (value ^ existing.0) & 0x3FFF_FFFF != 0;
                 let free = wanted.id().is_some_and(|id| !cob::reserved(id));
                 if existing.is_valid() && wanted.is_valid() && changed || wanted.is_valid() && !free
@@ -254,6 +257,8 @@ impl Objects {
             Place::Mapping(_) if existing.is_valid() || self.nmt == nmt::State::Operational => {
                 return Err(AbortCode::DEVICE_STATE);
             }
+            // Every object takes a byte at least.
+            Place::Mapping(0) if value > 8 => return Err(AbortCode::PDO_LENGTH),
             Place::Mapping(0) => {
                 let mut bits = 0;
                 for sub in 1..=value as u16 {
@@ -422,7 +427,7 @@ impl Dictionary for Objects {
         let size = entry.kind.size();
         if data.len() != size {
             return Err(if data.len() > size {
-                AbortCode::TOO_LONG
+                AbortCode::LENGTH_MISMATCH
             } else {
                 AbortCode::TOO_SHORT
             });
@@ -431,11 +436,8 @@ impl Dictionary for Objects {
         bytes[..size].copy_from_slice(data);
         let value = entry.kind.decode(bytes);
         let number = entry.kind.number(value);
-        if number > entry.max {
-            return Err(AbortCode::VALUE_TOO_HIGH);
-        }
-        if number < entry.min {
-            return Err(AbortCode::VALUE_TOO_LOW);
+        if !(entry.min..=entry.max).contains(&number) {
+            return Err(AbortCode::VALUE_RANGE);
         }
         self.refuse(slot, value)?;
         if !matches!(object, named::STORE_ALL | named::RESTORE_ALL) {

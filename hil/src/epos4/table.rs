@@ -7,8 +7,8 @@ use canopen::Object;
 
 use Kind::{Domain, I8, I16, I32, Text, U8, U16, U32};
 
-/// How many mapping entries a PDO has here; an EPOS4 has twelve.
-pub(super) const MAPPED: u8 = 8;
+/// How many mapping entries a PDO has, as an EPOS4's.
+pub(super) const MAPPED: u8 = 12;
 
 /// The type of an object.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -275,8 +275,8 @@ const TRANSMITTED: [&[u32]; 4] = [
 const RECEIVED_COB: [u32; 4] = [0x0000_0200, 0x8000_0300, 0x8000_0400, 0x8000_0500];
 const TRANSMITTED_COB: [u32; 4] = [0x4000_0180, 0xC000_0280, 0xC000_0380, 0xC000_0480];
 
-/// Rows of four PDOs: communication parameters of `communication` each, mappings of 9 each.
-const PDO_ROWS: usize = 4 * (4 + 9) + 4 * (5 + 9);
+/// Rows of four PDOs each way: communication parameters, then a count and the entries of a mapping.
+const PDO_ROWS: usize = 4 * (4 + 1 + MAPPED as usize) + 4 * (5 + 1 + MAPPED as usize);
 /// Rows of the whole table.
 pub(super) const ROWS: usize = COMMUNICATION.len() + PDO_ROWS + APPLICATION.len();
 

@@ -113,6 +113,7 @@ fn the_loss_of_another_producer_is_another_error() {
 #[test]
 fn a_producer_is_watched_by_one_entry_only() {
     let incompatible = 0x0604_0043;
+    let range = 0x0609_0030;
     let mut bench = Bench::booted(config());
     let steps = [
         ("161001", 0x007F_0032, 0),
@@ -126,6 +127,9 @@ fn a_producer_is_watched_by_one_entry_only() {
         ("161002", 0x0000_0032, 0),
         ("161001", 0x0080_0032, 0),
         ("161002", 0x0080_0032, 0),
+        // Bits 24 to 31 are reserved.
+        ("161001", 0x0100_0000, range),
+        ("161001", 0x807F_0032, range),
     ];
     for (step, (object, value, code)) in steps.into_iter().enumerate() {
         assert_eq!(bench.refusal(object, value, 4), code, "step {step}");

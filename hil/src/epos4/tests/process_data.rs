@@ -2,6 +2,7 @@
 
 use super::*;
 
+const RANGE: u32 = 0x0609_0030;
 const NO_ERROR: &str = "082#0000000000000000";
 const OVERDUE: &str = "082#5082110000000000";
 
@@ -99,6 +100,25 @@ fn an_rpdo_whose_watch_is_given_another_time_stays_watched() {
 }
 
 #[test]
+fn an_identifier_of_11_bits_has_no_further_bits() {
+    let mut bench = Bench::booted(config());
+    for (object, own) in [("001401", 0x202), ("011401", 0x302), ("001801", 0x182)] {
+        for invalid in [0, 0x8000_0000_u32] {
+            for bit in 11..=29 {
+                let value = invalid | 1 << bit | own;
+                assert_eq!(
+                    bench.refusal(object, value, 4),
+                    RANGE,
+                    "{object} {value:#010x}"
+                );
+            }
+        }
+        assert_eq!(bench.refusal(object, 0x8000_0000 | own, 4), 0, "{object}");
+        assert_eq!(bench.refusal(object, 0x4000_0000 | own, 4), 0, "{object}");
+    }
+}
+
+#[test]
 fn writing_one_pdo_leaves_the_others_as_they_are() {
     let mut bench = Bench::booted(config());
     // TPDO1 at every third SYNC, TPDO2 on events, RPDO3 at SYNC.
@@ -135,4 +155,27 @@ fn a_change_of_timers_sends_no_pdo() {
         let answers = bench.say(&format!("602#{specifier}{object}{value}0000"));
         assert_eq!(answers, [format!("582#60{object}00000000")]);
     }
+}
+
+#[test]
+fn a_mapping_has_room_for_twelve_entries_and_eight_bytes() {
+    let length = 0x0604_0042;
+    let mut bench = Bench::booted(config());
+    assert_eq!(bench.refusal("011600", 0, 1), 0);
+    for sub in 1..=12 {
+        let object = format!("0116{sub:02X}");
+        assert_eq!(bench.refusal(&object, 0x0005_0008, 4), 0, "entry {sub}");
+    }
+    assert_eq!(bench.refusal("01160D", 0x0005_0008, 4), 0x0609_0011);
+    for count in 9..=12 {
+        assert_eq!(bench.refusal("011600", count, 1), length, "{count} entries");
+    }
+    for count in [13, 64, 65, 0xFE, 0xFF] {
+        assert_eq!(bench.refusal("011600", count, 1), RANGE, "{count} entries");
+    }
+    assert_eq!(bench.refusal("011600", 8, 1), 0);
+    // A count beyond what is mapped.
+    assert_eq!(bench.refusal("011A00", 0, 1), 0);
+    assert_eq!(bench.refusal("011A00", 3, 1), 0x0602_0000);
+    assert_eq!(bench.refusal("011A00", 9, 1), length);
 }
