@@ -12,6 +12,7 @@
 
 mod modes;
 mod slots;
+mod standstill;
 mod status;
 
 pub(super) use modes::interpolation_period;
@@ -28,6 +29,7 @@ use super::profile::Motion;
 use crate::plant::SUB_STEP;
 use crate::{Axis, AxisConfig, Demand, Feedback, Mount, Trip};
 use slots::*;
+use standstill::Standstill;
 
 /// Sub-steps of a whole chunk: 1 ms.
 pub(super) const CHUNK: u32 = 10;
@@ -56,6 +58,7 @@ pub(super) struct Drive {
     segment: (f64, f64),
     homing: Homing,
     following_error: bool,
+    standstill: Standstill,
     /// How long the position has been within its window, s.
     in_window: f64,
     average_current: f64,
@@ -108,6 +111,7 @@ impl Drive {
             segment: (0.0, 0.0),
             homing: Homing::Idle,
             following_error: false,
+            standstill: Standstill::REACHED,
             in_window: 0.0,
             average_current: 0.0,
         }

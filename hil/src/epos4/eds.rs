@@ -105,6 +105,16 @@ const NAMES: &[(u16, ObjectType, &str, &[&str])] = &[
         &["Current actual value averaged", "Current actual value"],
     ),
     (
+        0x30E0,
+        ObjectType::Record,
+        "Standstill window configuration",
+        &[
+            "Standstill window",
+            "Standstill window time",
+            "Standstill window timeout",
+        ],
+    ),
+    (
         0x3141,
         ObjectType::Record,
         "Digital input properties",

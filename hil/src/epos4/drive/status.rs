@@ -4,6 +4,7 @@ use canopen::cia402::{Controlword, HomingStatus, ModeOfOperation, Statusword};
 
 use super::modes::rated_torque;
 use super::slots::*;
+use super::standstill::Window;
 use super::{Drive, Homing};
 use crate::epos4::CyclicStatus;
 use crate::epos4::objects::Objects;
@@ -21,6 +22,14 @@ impl Drive {
         let late = demand.wrapping_sub(position);
         let settled = f64::from(late.unsigned_abs()) <= objects.f(POSITION_WINDOW);
         self.in_window = if settled { self.in_window + dt } else { 0.0 };
+        let told = self.powered() && self.motion.velocity == 0.0;
+        let window = Window {
+            velocity: objects.f(STANDSTILL_WINDOW) * unit,
+            time: objects.f(STANDSTILL_WINDOW_TIME) * 1e-3,
+            time_out: objects.f(STANDSTILL_WINDOW_TIME_OUT) * 1e-3,
+        };
+        self.standstill
+            .advance(self.feedback.velocity, told, &window, dt);
         let signed = |value: f64| value.round() as i32 as u32;
         objects.set(POSITION_ACTUAL, position as u32);
         objects.set(POSITION_DEMAND, demand as u32);
@@ -70,10 +79,8 @@ impl Drive {
             M::ProfileVelocity => {
                 let target = objects.f(TARGET_VELOCITY) * self.counts_per_velocity(objects);
                 let arrived = (self.motion.velocity - target).abs() < 0.5;
-                // Standing is less than one revolution per minute.
-                let slow = self.feedback.velocity.abs() < self.counts_per_turn / 60.0;
                 word.with(REACHED, if halted { standing } else { arrived })
-                    .with(BIT_12, slow)
+                    .with(BIT_12, self.standstill.reached())
             }
             M::Homing => {
                 let status = match self.homing {
