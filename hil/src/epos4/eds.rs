@@ -7,6 +7,7 @@ use canopen::eds::{
 };
 use canopen::objects as named;
 
+use super::conformity::STATEMENTS;
 use super::objects::DUMMIES;
 use super::table::{self, Kind, TABLE};
 use super::{Epos4Config, identity};
@@ -195,6 +196,7 @@ pub(super) fn eds(config: &Epos4Config) -> Eds {
             lss: true,
             ..DeviceInfo::default()
         },
+        comments: STATEMENTS.iter().map(|&line| line.to_owned()).collect(),
         dummies: DUMMIES.map(|bits| bits > 0),
         ..Eds::default()
     };

@@ -4,18 +4,18 @@
 //! way with strict re-mapping, power states with their option codes, modes PP, PV, HM, CSP, CSV and
 //! CST, and an [`Axis`] with its physics behind it. The object dictionary is one table.
 //!
-//! Facts come from EPOS4's electronic data sheet and communication guide. Where those are silent
-//! this is a choice, and it is said where it is made: bits 10 and 12 in the cyclic modes
-//! ([`CyclicStatus`]), a missing SYNC ([`SyncLoss`]), what leaving operational does (reset and stop
-//! act as the abort connection option 0x6007 says), errors of communication (they end when what was
-//! missed is heard again), and the order within a SYNC (TPDOs are sampled before RPDOs take
-//! effect). A bit rate configured by LSS is taken and changes nothing; the record 0x2FF0 is the
-//! emulator's own. Left out: store to a file, the torque offset in CSP and CSV.
+//! Facts come from EPOS4's electronic data sheet and communication guide. Where those are silent, CiA 301 and CiA 402
+//! decide, and where they are silent as well the emulator chooses. The comments of its data sheet ([`Epos4::eds`], `mrroc
+//! eds`) list the choices. Further choices: bits 10 and 12 in the cyclic modes ([`CyclicStatus`]), a missing SYNC
+//! ([`SyncLoss`]), errors of communication (each ends when what was missed is heard again), and the order within a SYNC
+//! (TPDOs are sampled before RPDOs take effect). A bit rate configured by LSS is taken and changes nothing. Left out:
+//! store to a file.
 //!
 //! The drive runs at 1 kHz and is caught up lazily, when a frame or a time-out needs to know, so a
 //! device whose host sends SYNC costs nothing between SYNCs.
 
 mod config;
+mod conformity;
 mod drive;
 mod eds;
 mod errors;
