@@ -99,7 +99,7 @@ impl Service {
         let mut bytes = [0; MAX_SIZE];
         match self.read_whole(node, object, &mut bytes, now)? {
             0..=4 => Ok(u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]])),
-            _ => Err(AbortCode::TOO_LONG),
+            _ => Err(AbortCode::LENGTH_MISMATCH),
         }
     }
 

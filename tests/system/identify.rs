@@ -139,8 +139,19 @@ fn a_command_is_followed_from_command_to_sample() {
     let report = run.json();
     assert_eq!(report["open_loop"], false);
     assert_eq!(report["crossover_hz"], Value::Null);
-    let first = report["points"][0]["magnitude"].as_f64().unwrap();
-    assert!((first - 1.0).abs() < 0.1, "{run:?}");
+    // Positions are rounded to counts, so that a single point of this small an excitation is off by up to 15 %.
+    let points = report["points"].as_array().unwrap();
+    let low = points
+        .iter()
+        .filter(|point| point["frequency_hz"].as_f64().unwrap() < 8.0);
+    let low: Vec<_> = low
+        .map(|point| point["magnitude"].as_f64().unwrap())
+        .collect();
+    let mean = low.iter().sum::<f64>() / low.len() as f64;
+    assert!(
+        low.len() >= 5 && (mean - 1.0).abs() < 0.1,
+        "{mean}: {run:?}"
+    );
 }
 
 #[test]

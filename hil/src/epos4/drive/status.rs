@@ -5,6 +5,7 @@ use canopen::objects::VENDOR_ID;
 
 use super::modes::rated_torque;
 use super::slots::*;
+use super::standstill::Window;
 use super::{Drive, Homing};
 use crate::epos4::CyclicStatus;
 use crate::epos4::objects::Objects;
@@ -24,6 +25,14 @@ impl Drive {
         let target = self.profile.active.unwrap_or(self.motion.position);
         let near = (target - f64::from(position)).abs() <= objects.f(POSITION_WINDOW);
         self.in_window = near.then(|| self.in_window.map_or(0.0, |passed| passed + dt));
+        let told = self.powered() && self.motion.velocity == 0.0;
+        let window = Window {
+            velocity: objects.f(STANDSTILL_WINDOW) * unit,
+            time: objects.f(STANDSTILL_WINDOW_TIME) * 1e-3,
+            time_out: objects.f(STANDSTILL_WINDOW_TIME_OUT) * 1e-3,
+        };
+        self.standstill
+            .advance(self.feedback.velocity, told, &window, dt);
         let signed = |value: f64| value.round() as i32 as u32;
         objects.set(POSITION_ACTUAL, position as u32);
         objects.set(POSITION_DEMAND, demand as u32);
@@ -75,10 +84,8 @@ impl Drive {
             M::ProfileVelocity => {
                 let target = objects.f(TARGET_VELOCITY) * self.counts_per_velocity(objects);
                 let arrived = (self.motion.velocity - target).abs() < 0.5;
-                // Standing is less than one revolution per minute.
-                let slow = self.feedback.velocity.abs() < self.counts_per_turn / 60.0;
                 word.with(REACHED, if halted { standing } else { arrived })
-                    .with(BIT_12, slow)
+                    .with(BIT_12, self.standstill.reached())
             }
             M::Homing => {
                 let halted = self.controlword.has(Controlword::HALT);
