@@ -12,7 +12,7 @@ use servo::Servo;
 
 use crate::budget::{self, Bundle, BusBudget};
 use crate::cell_file::CellFile;
-use crate::emulation::{Emulation, HostEnds};
+use crate::emulation::{self, Emulation, HostEnds};
 use crate::programs::Programs;
 use crate::{rehearsal, setup, streams};
 
@@ -51,6 +51,11 @@ pub(crate) fn check(path: &Path, json: bool) -> anyhow::Result<ExitCode> {
     let buses = budget::check(&file)?;
     let program = rehearsal::rehearse(&file)?;
     assemble(&file)?;
+    for problem in emulation::problems(&file) {
+        streams::warn(format_args!(
+            "mrroc: {problem}; only for robots that are wired otherwise than the emulated ones"
+        ));
+    }
     let robots = file.cell.robot.iter().enumerate();
     let robots = robots.map(|(number, robot)| CheckedRobot {
         name: robot.name.clone(),

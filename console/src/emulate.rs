@@ -66,6 +66,7 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
     let on_interfaces = interfaces.iter().zip(&links);
     let on_interfaces = on_interfaces.map(|(interface, link)| link.is_none().then_some(interface));
     interfaces::all_differ(&file.cell, on_interfaces)?;
+    emulation::problems(&file).next().map_or(Ok(()), Err)?;
     let mechanisms = Mechanisms::of(&file);
     let mut payloads = Payloads::of(&file, &mechanisms, clock::now());
     let mut buses = Vec::new();

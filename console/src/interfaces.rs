@@ -4,7 +4,7 @@ use std::fmt;
 
 use anyhow::{Context, bail};
 use can::{Claim, ClaimError};
-use controller::cell::Cell;
+use controller::cell::{Cell, quoted};
 use serial::service::Dialect;
 
 /// What begins the name of an slcan adapter.
@@ -90,12 +90,13 @@ impl Interface {
     pub(crate) fn check(&self) -> anyhow::Result<()> {
         match self {
             Self::SocketCan(name) if can::InterfaceName::new(name).is_none() => bail!(
-                "{name:?} is no interface: 1 to 15 bytes without white space, slash or colon, or slcan:PATH"
+                "{} is no interface: 1 to 15 bytes without white space, slash or colon, or slcan:PATH",
+                quoted(name)
             ),
             Self::Slcan { path, .. } | Self::Epos { path, .. }
                 if path.is_empty() || path.contains(char::is_control) =>
             {
-                bail!("{:?} names no tty", self.to_string())
+                bail!("{} names no tty", quoted(&self.to_string()))
             }
             Self::SocketCan(_) | Self::Slcan { .. } | Self::Epos { .. } => Ok(()),
         }

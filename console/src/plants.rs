@@ -4,7 +4,8 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use can::Instant;
-use controller::cell::{Model, Parameters, Plant};
+use canopen::cia402::HomingMethod;
+use controller::cell::{Model, Parameters, Path, Plant};
 use hil::plant::Switch;
 use hil::{AxisConfig, Irp6Axis, Irp6TrackAxis, Mechanism, MechanismConfig, Mount};
 
@@ -84,6 +85,37 @@ impl Payloads {
             }
         }
     }
+}
+
+/// Why the emulated drive of an axis cannot home by its method, with the key that says so, if it cannot. On a card the
+/// robot may be wired otherwise.
+pub(crate) fn homing_problem(
+    file: &CellFile,
+    (robot, number): (usize, usize),
+) -> Option<(Path, String)> {
+    let axis = &file.cell.robot[robot].axis[number];
+    let method = axis.homing.method.filter(|_| !axis.emulator.absent)?;
+    let needed = HomingMethod(method).references()?;
+    if !needed.home_switch {
+        return None;
+    }
+    let plant = plant(file, robot, number);
+    let limit = plant.negative_limit;
+    let lowest = limit.map_or(f64::NEG_INFINITY, |limit| limit.to);
+    let why = match plant.home_switch {
+        None => "needs a home switch, which the emulated axis does not have: use 33, 34 or 37",
+        Some(_) if needed.positive_limit && plant.positive_limit.is_none() => {
+            "turns round at a positive limit switch, which the emulated axis does not have: use 11 or 27"
+        }
+        // It leaves the switch against the direction of its search, which is upwards.
+        Some(switch) if needed.positive_limit && switch.from <= lowest => {
+            "leaves the home switch downwards, where that of the emulated axis never opens: use 11 or 27"
+        }
+        Some(_) => return None,
+    };
+    let key = Path::default().then("robot").then(robot);
+    let key = key.then("axis").then(number).then("homing");
+    Some((key.then("method"), format!("is {method}, which {why}")))
 }
 
 /// Motor, load, sensors and switches of an axis.

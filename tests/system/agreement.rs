@@ -341,6 +341,43 @@ fn what_a_check_calls_ready_runs() {
 }
 
 #[test]
+fn a_method_for_another_wiring_than_the_emulated_one_is_warned_of_and_runs_on_no_emulated_robot() {
+    let directory = Directory::new();
+    let (below, above) = (
+        "which leaves the home switch downwards",
+        "which turns round at a positive limit switch",
+    );
+    for (example, good, bad, why) in [
+        ("rnt", "method = 11", "method = 7", below),
+        ("rnt", "method = 11", "method = 23", below),
+        ("polycrank", "method = 11", "method = 7", above),
+        (
+            "lab",
+            "method = 37",
+            "method = 11",
+            "which needs a home switch",
+        ),
+    ] {
+        let text = text(example);
+        let line = text[..text.find(good).unwrap()].matches('\n').count() + 1;
+        let cell = directory.write("cell.toml", &text.replacen(good, bad, 1));
+        let problem = format!(
+            "mrroc: {}:{line}: robot[{}].axis[0].homing.{}, {why}",
+            cell.display(),
+            if example == "lab" { 5 } else { 0 },
+            bad.replace("= ", "").replacen(" ", ": is ", 1)
+        );
+        let check = check(&cell);
+        assert_eq!(check.status.code(), Some(0), "{check:?}");
+        assert!(check.stderr.starts_with(&problem), "{check:?}");
+        assert!(check.stderr.contains("wired otherwise"), "{check:?}");
+        refused(&run(&cell), &[&problem]);
+        let emulate = mrroc(["emulate".as_ref(), cell.as_os_str()]);
+        refused(&emulate, &[&problem]);
+    }
+}
+
+#[test]
 fn names_lead_no_file_out_of_its_directory() {
     let directory = Directory::new();
     let outside = directory.path("evil");

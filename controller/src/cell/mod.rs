@@ -40,7 +40,7 @@ pub use locate::{Path, Step};
 pub use meetings::Meeting;
 pub use model::{Model, Parameters};
 pub use program::{ProgramError, instruction_path};
-pub use text::{Figure, Range, printable};
+pub use text::{Figure, Range, printable, quoted};
 pub use weight::Weights;
 
 /// One controller: everything that is stepped on one tick grid.

@@ -47,7 +47,7 @@ pub(super) fn excerpt(text: &str) -> String {
 }
 
 /// The beginning of a text in quotes, as a message shows it.
-pub(super) fn quoted(text: &str) -> String {
+pub fn quoted(text: &str) -> String {
     match text.char_indices().nth(LONGEST) {
         None => format!("{text:?}"),
         Some((end, _)) => format!("{:?}… ({} characters)", &text[..end], text.chars().count()),

@@ -42,3 +42,32 @@ impl fmt::Debug for InterfaceName {
         f.write_str(self.as_str())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_is_what_the_kernel_takes_for_one_and_a_log_can_show() {
+        for name in ["can0", "vcan-1", "a.b", "a=b", "fifteen-bytes-1"] {
+            assert_eq!(InterfaceName::new(name).unwrap().as_str(), name);
+        }
+        let bad = [
+            "",
+            ".",
+            "..",
+            "a b",
+            "a/b",
+            "can0:1",
+            "a\tb",
+            "a\0b",
+            "a\nb",
+            "\u{1b}[m",
+            "\u{9b}m",
+            "sixteen-bytes-16",
+        ];
+        for name in bad {
+            assert_eq!(InterfaceName::new(name), None, "{name:?}");
+        }
+    }
+}

@@ -97,6 +97,17 @@ pub(super) fn check(
         &path.then("acceleration"),
         homing.acceleration,
         acceleration,
+    )?;
+    let Place::Serial(_) = place else {
+        return Ok(());
+    };
+    let most = (2.0 * homing.acceleration * FARTHEST_INDEX).sqrt();
+    let of = "rad/s of the motor: a search by the host brakes within five turns behind the switch";
+    let search = Range::new(0.0, most, of);
+    within(
+        &path.then("search_velocity"),
+        homing.search_velocity,
+        search,
     )
 }
 

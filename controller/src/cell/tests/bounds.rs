@@ -101,6 +101,18 @@ fn a_search_that_would_not_end_is_refused_by_the_time_that_homing_has() {
 }
 
 #[test]
+fn a_search_by_the_host_that_would_stop_far_behind_its_switch_is_refused() {
+    // 31.4 rad of braking at 150 rad/s² are 97.08 rad/s.
+    for (fast, possible) in [("97.0", true), ("97.1", false)] {
+        let fast = format!("search_velocity = {fast}");
+        let parsed = Cell::parse(&SERIAL.replacen("search_velocity = 15.0", &fast, 1));
+        assert_eq!(parsed.is_ok(), possible, "{fast}");
+        // A drive brakes by its own rules.
+        assert!(Cell::parse(&IRB6.replacen("search_velocity = 15.0", &fast, 1)).is_ok());
+    }
+}
+
+#[test]
 fn every_time_of_a_search_that_is_accepted_can_be_said() {
     let text = SERIAL.replacen("search_velocity = 15.0", "search_velocity = 0.8", 1);
     let text = text.replacen("zero_velocity = 3.5", "zero_velocity = 0.11", 1);
