@@ -29,12 +29,14 @@ pub struct Master {
 enum State {
     Idle,
     /// Of `Fastscan`, `scan` is the question asked; of `InquireIdentity`, `identity` is what was
-    /// answered before `part`; of `SwitchSelective`, `part` is the one sent last.
+    /// answered before `part`; of `SwitchSelective`, `part` is the one sent last; of `IdentifyUnconfigured`,
+    /// `scan` has been asked for once `scanning`.
     Busy {
         service: Service,
         part: Part,
         identity: Identity,
         scan: Scan,
+        scanning: bool,
         /// Whether somebody answered a question that all may answer.
         heard: bool,
     },
@@ -65,7 +67,8 @@ pub enum Service {
     InquireIdentity,
     /// Ask it for its node-ID.
     InquireNodeId,
-    /// Ask whether any slave has no node-ID. Takes `timeout`.
+    /// Ask whether any slave has no node-ID. Takes `timeout`, and as long again if none answers: slaves that know only
+    /// fastscan answer its first question.
     IdentifyUnconfigured,
     /// Find the identity of a slave without a node-ID, the smallest if there are several, and put that
     /// slave into configuration mode. Takes 133 times `timeout`, for slaves that agree answer at different
@@ -185,6 +188,7 @@ impl Master {
             part: Part::Vendor,
             identity: Identity::default(),
             scan,
+            scanning: service == Service::Fastscan,
             heard: false,
         };
         self.timeout = timeout;
@@ -255,7 +259,7 @@ impl Master {
                 }
             }
             (Service::IdentifyUnconfigured, Response::Unconfigured)
-            | (Service::Fastscan, Response::Identified) => {
+            | (Service::IdentifyUnconfigured | Service::Fastscan, Response::Identified) => {
                 *heard = true;
                 return;
             }
@@ -296,6 +300,7 @@ impl Master {
         let State::Busy {
             service,
             scan,
+            scanning,
             heard,
             ..
         } = &mut self.state
@@ -308,6 +313,11 @@ impl Master {
         let (service, sent) = (*service, self.request.is_none());
         let result = match service {
             Service::ActivateBitTiming { .. } if sent => Ok(Answer::Done),
+            Service::IdentifyUnconfigured if sent && !*heard && !*scanning => {
+                *scanning = true;
+                let question = scan.question();
+                return self.ask(Request::Fastscan(question), now);
+            }
             Service::IdentifyUnconfigured if sent => Ok(Answer::Unconfigured(*heard)),
             Service::Fastscan if sent => match scan.answered(std::mem::take(heard)) {
                 Next::Ask(question) => return self.ask(Request::Fastscan(question), now),
