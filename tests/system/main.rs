@@ -38,6 +38,7 @@ mod motion;
 mod mrroc;
 mod peers;
 mod qemu;
+mod readme;
 mod regression;
 mod repetition;
 mod second_controller;

@@ -35,34 +35,47 @@ pub(crate) fn example(name: &str) -> PathBuf {
     root().join(format!("cells/{name}.toml"))
 }
 
-/// The binary, built in the profile and the target directory of this test. The test machine, where nothing
-/// can be built, has the one that the host built before.
+/// The command, built in the profile and the target directory of this test. The test machine, where nothing can be
+/// built, has the one that the host built before.
 pub(crate) fn binary() -> &'static Path {
     static BINARY: OnceLock<PathBuf> = OnceLock::new();
-    BINARY.get_or_init(|| {
-        let test = std::env::current_exe().expect("a test binary knows its own path");
-        let profile = test
-            .ancestors()
-            .nth(2)
-            .expect("cargo puts tests into target/<profile>/deps");
-        let binary = profile.join("mrroc");
-        if std::env::var_os("MRROC_OUT").is_some() {
-            return binary;
-        }
-        let name = match profile.file_name().and_then(OsStr::to_str) {
-            None | Some("debug") => "dev",
-            Some(name) => name,
-        };
-        let target = profile.parent().expect("a profile is in a directory");
-        let built = Command::new(env!("CARGO"))
-            .args(["build", "--quiet", "--locked", "--package", "mrroc-console"])
-            .args(["--profile", name, "--target-dir"])
-            .arg(target)
-            .current_dir(root())
-            .status();
-        assert!(built.expect("cargo runs").success(), "mrroc does not build");
-        binary
-    })
+    BINARY.get_or_init(|| built("mrroc", &["--package", "mrroc-console"]))
+}
+
+/// The example `planted` of this package, which only the host runs.
+pub(crate) fn planted() -> PathBuf {
+    let of_package = ["--package", "mrroc-tests", "--example", "planted"];
+    built("examples/planted", &of_package)
+}
+
+/// A program of the workspace, by its place in the directory of the profile and what cargo is to build.
+fn built(place: &str, of_package: &[&str]) -> PathBuf {
+    let test = std::env::current_exe().expect("a test binary knows its own path");
+    let profile = test
+        .ancestors()
+        .nth(2)
+        .expect("cargo puts tests into target/<profile>/deps");
+    let program = profile.join(place);
+    if std::env::var_os("MRROC_OUT").is_some() {
+        return program;
+    }
+    let name = match profile.file_name().and_then(OsStr::to_str) {
+        None | Some("debug") => "dev",
+        Some(name) => name,
+    };
+    let target = profile.parent().expect("a profile is in a directory");
+    let built = Command::new(env!("CARGO"))
+        .args(["build", "--quiet", "--locked", "--profile", name])
+        .args(of_package)
+        .arg("--target-dir")
+        .arg(target)
+        .current_dir(root())
+        .status();
+    assert!(
+        built.expect("cargo runs").success(),
+        "{place} does not build"
+    );
+    program
 }
 
 /// What the command said.
