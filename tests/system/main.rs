@@ -34,6 +34,7 @@ mod motion;
 mod mrroc;
 mod peers;
 mod qemu;
+mod random;
 mod regression;
 mod repetition;
 mod serial_cli;

@@ -9,6 +9,7 @@
 mod axis_controller;
 mod check;
 mod drives;
+mod home;
 mod locate;
 mod meetings;
 mod model;
