@@ -35,6 +35,7 @@ mod mrroc;
 mod peers;
 mod qemu;
 mod random;
+mod referenced;
 mod regression;
 mod repetition;
 mod serial_cli;
