@@ -39,6 +39,8 @@ mod mrroc;
 mod peers;
 mod qemu;
 mod readme;
+mod random;
+mod referenced;
 mod regression;
 mod repetition;
 mod second_controller;

@@ -126,6 +126,14 @@ impl Running {
         Self::of(strace.arg(log).arg(program).args(arguments))
     }
 
+    /// The same with `memory` KiB of address space at most; an allocation beyond aborts it.
+    pub(crate) fn within(memory: u32, arguments: impl IntoIterator<Item: AsRef<OsStr>>) -> Self {
+        let script = format!("ulimit -v {memory}; exec \"$@\"");
+        let mut shell = Command::new("sh");
+        shell.args(["-c", &script, "sh"]).arg(binary());
+        Self::of(shell.args(arguments))
+    }
+
     fn of(command: &mut Command) -> Self {
         let mut child = command
             .stdin(Stdio::null())

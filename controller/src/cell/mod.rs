@@ -11,6 +11,7 @@ mod check;
 mod document;
 mod drives;
 mod error;
+mod home;
 mod locate;
 mod meetings;
 mod model;
