@@ -40,8 +40,8 @@ pub(super) fn text(bytes: &[u8]) -> Result<&str, CellError> {
 pub(super) fn parse(text: &str) -> Result<DeTable<'_>, CellError> {
     self::text(text.as_bytes())?;
     let elements = |byte: &u8| matches!(byte, b'.' | b',' | b'=' | b'[' | b'{');
-    let excess = text.bytes().enumerate().filter(|(_, byte)| elements(byte));
-    if let Some((offset, _)) = excess.skip(MOST_ELEMENTS).next() {
+    let mut excess = text.bytes().enumerate().filter(|(_, byte)| elements(byte));
+    if let Some((offset, _)) = excess.nth(MOST_ELEMENTS) {
         return Err(CellError {
             line: line_at(text, offset),
             key: String::new(),
