@@ -34,6 +34,7 @@ mod report;
 mod run;
 mod service;
 mod setup;
+mod signals;
 mod spikes;
 mod streams;
 mod svg;
@@ -49,7 +50,7 @@ use std::process::ExitCode;
 use clap::{CommandFactory, Parser, Subcommand};
 
 /// What scripts may build upon.
-const EXIT_STATUS: &str = "Exit status: 0 done; 1 stopped by a fault or by Ctrl-C, or a node was told and did not do \
+const EXIT_STATUS: &str = "Exit status: 0 done; 1 stopped by a fault or by a signal such as Ctrl-C, or a node was told and did not do \
 it; 2 refused before anything moved, aborted by the node, no answer, or no bus.";
 
 /// A multi-robot research-oriented controller with its hardware in the loop.

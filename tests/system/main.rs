@@ -49,6 +49,7 @@ mod statics;
 mod uml;
 mod vcan;
 mod vcan_cells;
+mod vm;
 mod watch;
 mod weights;
 mod wire;
