@@ -24,7 +24,8 @@ use servo::{
 
 use crate::bench::{Bench, BenchKind, Places};
 use crate::cell_file::CellFile;
-use crate::{clockwork, setup};
+use crate::signals::Motion;
+use crate::{clockwork, setup, signals};
 use report::Report;
 use session::Session;
 
@@ -128,6 +129,7 @@ enum At {
 
 /// Measures one axis.
 pub(crate) fn identify(options: &Options) -> anyhow::Result<ExitCode> {
+    signals::block_suspension()?;
     let file = CellFile::read(&options.cell)?;
     let place = find(&file, &options.axis)?;
     let mut config = setup::servo_config(&file);
@@ -179,10 +181,14 @@ pub(crate) fn identify(options: &Options) -> anyhow::Result<ExitCode> {
         records,
         !hardware,
     );
+    let motion = Motion::on(options.bench);
+    let stop = servo.stop_request();
+    signals::on_ending_of_motion(motion.clone(), move |_| stop.request())?;
     let ended = match options.bench {
         BenchKind::Lockstep => in_lockstep(servo, session, emulation)?,
         _ => by_the_clock(&file, servo, session, emulation)?,
     };
+    motion.is_over();
     let robot = &file.cell.robot[place.0];
     let name = format!("{}/{}", robot.name, robot.axis[place.1].name);
     let (run, trace) = match ended.finish().with_context(|| name.clone())? {
@@ -411,9 +417,6 @@ fn by_the_clock(
     mut session: Session,
     mut emulation: Option<crate::emulation::Emulation>,
 ) -> anyhow::Result<Session> {
-    let stop = servo.stop_request();
-    ctrlc::set_handler(move || stop.request())
-        .context("Ctrl-C cannot be caught, so the arm could not be stopped by it")?;
     let done = Arc::new(AtomicBool::new(false));
     let finished = done.clone();
     let since = clockwork::bring_up(&mut servo, &mut emulation).map_err(not_up)?;

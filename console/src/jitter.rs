@@ -48,6 +48,7 @@ use report::{Report, Setting, Side};
 
 use crate::cell_file::CellFile;
 use crate::doctor::stolen_ticks;
+use crate::signals;
 use crate::spikes::SpikeFile;
 
 /// Options of `mrroc jitter`.
@@ -240,10 +241,7 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
     let log = log
         .transpose()
         .context("--out: ours.hlog cannot be written")?;
-    let over = Arc::new(AtomicBool::new(false));
-    let interrupted = over.clone();
-    ctrlc::set_handler(move || interrupted.store(true, Ordering::Relaxed))
-        .context("Ctrl-C cannot be caught, so what was measured until then would be lost")?;
+    let over = signals::ending_flag()?;
     let _load = Load::start(&options.load)?;
     let latency = CpuLatency::hold();
 

@@ -29,10 +29,11 @@ use crate::cell_file::CellFile;
 use crate::emulation::Emulation;
 use crate::programs::{Programs, Progress, servo_faults};
 use crate::report::{FaultReport, Outcome, Ran, Report};
+use crate::signals::Motion;
 use crate::spikes::SpikeFile;
 use crate::trace::{AxisLog, FrameLog};
 use crate::wire::Wire;
-use crate::{clockwork, rehearsal, setup, streams};
+use crate::{clockwork, rehearsal, setup, signals, streams};
 
 /// Records that an axis log may lag behind the servo, per effector: some seconds.
 const RECORDS: usize = 1 << 13;
@@ -88,6 +89,7 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
     if options.spikes.is_some() && options.bench == BenchKind::Lockstep {
         bail!("--spikes needs cycles by the clock, which --bench lockstep has none of");
     }
+    signals::block_suspension()?;
     let asked = Asked::default();
     flag::register(SIGUSR1, asked.trace.clone()).context("SIGUSR1 cannot be caught")?;
     let file = CellFile::read(&options.cell)?;
@@ -133,16 +135,11 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
     let programs = Programs::of(&file, links, &servo)?;
     let progress = Progress::new(&file, !options.json)?;
     let (stop, flag) = (servo.stop_request(), asked.stop.clone());
-    let nothing_moves = options.bench == BenchKind::Lockstep;
-    ctrlc::set_handler(move || {
-        let again = flag.swap(true, Ordering::Relaxed);
+    let motion = Motion::on(options.bench);
+    signals::on_ending_of_motion(motion.clone(), move |_| {
+        flag.store(true, Ordering::Relaxed);
         stop.request();
-        if again && nothing_moves {
-            // A file may hold up the only thread that there is.
-            std::process::exit(1);
-        }
-    })
-    .context("Ctrl-C cannot be caught, so the arm could not be stopped by it")?;
+    })?;
 
     let began = clock::now();
     let mut ran = match options.bench {
@@ -165,6 +162,7 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
             progress,
         )?,
     };
+    motion.is_over();
     let interrupted = asked.stop.load(Ordering::Relaxed);
     if interrupted {
         // What the programs say of it is that they were broken off; what the servo latched meanwhile is a fault.

@@ -42,6 +42,7 @@ mod serial_faults;
 mod serial_homing;
 mod serial_refusals;
 mod service;
+mod signals;
 mod slcan;
 mod socketcan;
 mod spikes;
