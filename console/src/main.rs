@@ -27,6 +27,7 @@ mod interfaces;
 mod jitter;
 mod kinematics;
 mod manual;
+mod outputs;
 mod plants;
 mod programs;
 mod rehearsal;
@@ -130,6 +131,8 @@ enum Command {
     Manual {
         /// The directory.
         directory: PathBuf,
+        #[command(flatten)]
+        replacement: outputs::Replacement,
     },
 }
 
@@ -156,7 +159,10 @@ fn main() -> ExitCode {
         Command::Urdf(options) => urdf::urdf(&options),
         Command::Vm { machine } => vm::vm(&machine),
         Command::Schema => check::schema(),
-        Command::Manual { directory } => manual::write(Arguments::command(), &directory),
+        Command::Manual {
+            directory,
+            replacement,
+        } => manual::write(Arguments::command(), &directory, replacement),
     };
     result.unwrap_or_else(|refusal| {
         streams::warn(format_args!("mrroc: {refusal:#}"));

@@ -27,6 +27,7 @@ use signal_hook::flag;
 use crate::bench::{Bench, BenchKind, Places};
 use crate::cell_file::CellFile;
 use crate::emulation::Emulation;
+use crate::outputs::{Outputs, Replacement};
 use crate::programs::{Programs, Progress, servo_faults};
 use crate::report::{FaultReport, Outcome, Ran, Report};
 use crate::signals::Motion;
@@ -82,6 +83,8 @@ pub(crate) struct Options {
     /// those around a moment of yours.
     #[arg(long, value_name = "FILE")]
     spikes: Option<PathBuf>,
+    #[command(flatten)]
+    replacement: Replacement,
 }
 
 /// Runs a cell.
@@ -98,6 +101,11 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
         streams::warn("--trace stays empty: it has the frames of CAN buses, and the cell has none");
     }
     let budget = crate::budget::check(&file)?;
+    let mut outputs = Outputs::new(options.replacement);
+    outputs.reads(&file);
+    let trace = outputs.open_if("--trace", options.trace.as_deref())?;
+    let record = outputs.open_if("--record", options.record.as_deref())?;
+    let spikes = outputs.open_if("--spikes", options.spikes.as_deref())?;
     let Bench {
         ports,
         lines,
@@ -115,23 +123,18 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
         &setup::servo_config(&file),
         setup::drive_groups(&file, ports, lines, None)?,
     )?;
-    let logs = Logs {
-        frames: options
-            .trace
-            .as_ref()
-            .map(|path| FrameLog::create(path, &interfaces, traces))
-            .transpose()?,
-        axes: match &options.record {
-            Some(path) => Some(AxisLog::create(
-                path,
-                &file,
-                servo.record(RECORDS * file.cell.robot.len()),
-            )?),
-            None => None,
-        },
+    outputs.begin()?;
+    let mut axes = |sink| {
+        let records = servo.record(RECORDS * file.cell.robot.len());
+        AxisLog::new(sink, &file, records)
     };
-    let spikes = options.spikes.as_deref().map(SpikeFile::create);
-    let spikes = spikes.transpose()?;
+    let logs = Logs {
+        axes: record.map(&mut axes).transpose().context("--record")?,
+        frames: trace
+            .map(|sink| FrameLog::new(sink, &interfaces, traces))
+            .transpose()?,
+    };
+    let spikes = spikes.map(SpikeFile::new);
     let programs = Programs::of(&file, links, &servo)?;
     let progress = Progress::new(&file, !options.json)?;
     let (stop, flag) = (servo.stop_request(), asked.stop.clone());

@@ -21,7 +21,7 @@ const START: f64 = 20.0;
 fn lockstep_runs_are_the_same_bit_for_bit() {
     let directory = Directory::new();
     for cell in CELLS {
-        let logs = ["a.log", "b.log"].map(|name| directory.path(name));
+        let logs = ["a", "b"].map(|run| directory.path(&format!("{cell}-{run}.log")));
         for log in &logs {
             let run = mrroc([
                 "run".as_ref(),

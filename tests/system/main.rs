@@ -32,6 +32,7 @@ mod loops;
 mod lss;
 mod motion;
 mod mrroc;
+mod outputs;
 mod peers;
 mod qemu;
 mod readme;
