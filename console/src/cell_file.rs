@@ -80,6 +80,12 @@ impl CellFile {
         self.configurations[robot][axis].as_ref()
     }
 
+    /// The device configuration files of all axes that have one.
+    pub(crate) fn configuration_files(&self) -> impl Iterator<Item = &Path> {
+        let configurations = self.configurations.iter().flatten().flatten();
+        configurations.map(|configuration| configuration.path.as_path())
+    }
+
     /// Who the drive of an axis must be: by the cell, and by its device configuration file where the cell does not say.
     pub(crate) fn identity(&self, robot: usize, axis: usize) -> Identity {
         let drive = self.cell.robot[robot].axis[axis].cia402();

@@ -3,7 +3,6 @@
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
@@ -18,7 +17,7 @@ use crate::cell_file::CellFile;
 use crate::emulated_lines::EmulatedLines;
 use crate::emulated_time::EmulatedTime;
 use crate::plants::{Mechanisms, Payloads};
-use crate::{emulation, interfaces};
+use crate::{emulation, interfaces, signals};
 
 /// Longest time between two looks at whether somebody pressed Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);
@@ -126,10 +125,7 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
         }
         names.push(format!("of service ports in {}", directory.display()));
     }
-    let stop = Arc::new(AtomicBool::new(false));
-    let flag = stop.clone();
-    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed))
-        .context("Ctrl-C cannot be caught")?;
+    let stop = signals::ending_flag()?;
     crate::streams::say(format_args!(
         "{} emulated: bus {}; Ctrl-C ends it",
         file.cell.name,

@@ -27,6 +27,7 @@ pub(crate) fn run_in_lockstep(cell: &Path, log: &Path) -> Output {
         "run".as_ref(),
         cell.as_os_str(),
         "--bench=lockstep".as_ref(),
+        "--force".as_ref(),
         "--trace".as_ref(),
         log.as_os_str(),
     ])
@@ -349,6 +350,7 @@ fn a_drive_whose_own_ratios_are_not_the_cells_is_refused_on_a_bus_and_not_switch
                 "--bench=card".as_ref(),
                 "--can".as_ref(),
                 interface.as_ref(),
+                "--force".as_ref(),
                 "--trace".as_ref(),
                 log.as_os_str(),
             ])

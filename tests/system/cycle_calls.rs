@@ -195,6 +195,7 @@ fn run(directory: &Directory, cell: &Path, more: &[&str]) -> (std::path::PathBuf
         "run".as_ref(),
         cell.as_os_str(),
         "--json".as_ref(),
+        "--force".as_ref(),
         "--record".as_ref(),
         record.as_os_str(),
         "--trace".as_ref(),

@@ -1,5 +1,6 @@
 //! The `mrroc` command as a child process: built once, run with a deadline, its words captured.
 
+use std::cell::Cell as Shared;
 use std::ffi::OsStr;
 use std::fs;
 use std::io::{BufReader, Read};
@@ -104,7 +105,8 @@ pub(crate) fn mrroc(arguments: impl IntoIterator<Item: AsRef<OsStr>>) -> Output 
 /// A running `mrroc`, killed if it is dropped before its end.
 pub(crate) struct Running {
     child: Child,
-    stdout: Receiver<String>,
+    /// `None` if it is not captured.
+    stdout: Option<Receiver<String>>,
     stderr: Receiver<String>,
 }
 
@@ -134,14 +136,25 @@ impl Running {
         Self::of(shell.args(arguments))
     }
 
+    /// `mrroc` whose standard output is `stdout`, of which nothing is captured.
+    pub(crate) fn with_stdout(
+        stdout: impl Into<Stdio>,
+        arguments: impl IntoIterator<Item: AsRef<OsStr>>,
+    ) -> Self {
+        Self::spawn(Command::new(binary()).args(arguments).stdout(stdout))
+    }
+
     fn of(command: &mut Command) -> Self {
+        Self::spawn(command.stdout(Stdio::piped()))
+    }
+
+    fn spawn(command: &mut Command) -> Self {
         let mut child = command
             .stdin(Stdio::null())
-            .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             .spawn()
             .unwrap_or_else(|error| panic!("{command:?} does not start: {error}"));
-        let stdout = read(child.stdout.take().expect("stdout is piped"));
+        let stdout = child.stdout.take().map(read);
         let stderr = read(child.stderr.take().expect("stderr is piped"));
         Self {
             child,
@@ -170,17 +183,36 @@ impl Running {
                 return;
             }
             // What it prints comes at its end.
-            if let Ok(stdout) = self.stdout.recv_timeout(LOOK) {
-                panic!("mrroc ended early: {stdout} {:?}", self.stderr.recv());
+            let said = self.stdout.as_ref().unwrap_or(&self.stderr);
+            if let Ok(said) = said.recv_timeout(LOOK) {
+                panic!("mrroc ended early: {said} {:?}", self.stderr.try_recv());
             }
         }
         panic!("{} never became what it should", file.display());
     }
 
+    /// Waits until `file` satisfies `wanted` and grows no more.
+    pub(crate) fn wait_until_stalled(&self, file: &Path, wanted: impl Fn(&str) -> bool) {
+        let (length, looks) = (Shared::new(0), Shared::new(0));
+        self.wait_for(file, |text| {
+            let grown = length.replace(text.len()) < text.len();
+            looks.set(if grown { 0 } else { looks.get() + 1 });
+            wanted(text) && looks.get() > 20
+        });
+    }
+
+    /// Waits for the end of a command whose output is not captured.
+    pub(crate) fn status(mut self) -> ExitStatus {
+        let closed = "mrroc closes its outputs in time";
+        self.stderr.recv_timeout(DEADLINE).expect(closed);
+        self.child.wait().expect("mrroc can be waited for")
+    }
+
     /// Waits for the end.
     pub(crate) fn output(mut self) -> Output {
         let closed = "mrroc closes its outputs in time";
-        let stdout = self.stdout.recv_timeout(DEADLINE).expect(closed);
+        let stdout = self.stdout.take().expect("stdout is captured");
+        let stdout = stdout.recv_timeout(DEADLINE).expect(closed);
         let stderr = self.stderr.recv_timeout(DEADLINE).expect(closed);
         let status = self.child.wait().expect("mrroc can be waited for");
         Output {

@@ -111,6 +111,7 @@ fn a_wrong_serial_cell_or_drive_is_refused_and_nothing_is_enabled() {
             "run".as_ref(),
             cell.as_os_str(),
             "--bench=lockstep".as_ref(),
+            "--force".as_ref(),
             "--record".as_ref(),
             record.as_os_str(),
         ]);
