@@ -73,7 +73,7 @@ pub(crate) fn check(path: &Path, json: bool) -> anyhow::Result<ExitCode> {
     streams::answer(&checked, json)
 }
 
-/// Makes all that a run on emulated drives consists of, by the functions that a run makes it by, and lets go of it.
+/// Makes everything that a run on emulated drives consists of, with the functions of the run.
 fn assemble(file: &CellFile) -> anyhow::Result<()> {
     let (_, HostEnds { ports, lines, .. }) = Emulation::of(file);
     let ports = ports

@@ -88,8 +88,8 @@ impl Payloads {
     }
 }
 
-/// Why the emulated drive of an axis cannot home by its method, with the key that says so, if it cannot. On a card the
-/// robot may be wired otherwise.
+/// The reason for which the emulated drive of an axis cannot home by its method, and the method's key; `None` if it can.
+/// A real robot may be wired otherwise.
 pub(crate) fn homing_problem(
     file: &CellFile,
     (robot, number): (usize, usize),

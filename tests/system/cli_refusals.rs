@@ -66,13 +66,13 @@ const FILES: &[Case] = &[
         "unknown key",
         "macrostep = 10",
         "macrosteps = 10",
-        &["unknown field `macrosteps`", "`macrostep`"],
+        &["macrosteps: is an unknown key", "\"macrostep\""],
     ),
     (
         "wrong type",
         "period_us = 2000",
         "period_us = \"2 ms\"",
-        &["invalid type"],
+        &["period_us: is \"2 ms\", must be a whole number"],
     ),
     (
         "NaN",
@@ -116,7 +116,7 @@ const FILES: &[Case] = &[
         "period",
         "period_us = 2000",
         "period_us = 0",
-        &["period_us: ", "between 1000 and 1000000"],
+        &["period_us: ", "between 1000 and 100000"],
     ),
     (
         "unreachable pose",

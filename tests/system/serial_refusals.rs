@@ -29,13 +29,16 @@ const CELLS: &[Case] = &[
         "a negative limit of the loop",
         "limit = 2.1",
         "limit = -2.1",
-        &["loop.law.cascade.limit: is -2.1, must be above 0"],
+        &["loop.law.cascade.limit: is -2.1, must be between 0.002626 and 2.625"],
     ),
     (
         "a limit that no current reaches",
         "limit = 2.1",
         "limit = 2.7",
-        &["loop.law.cascade.limit: is 2.7", "at most max_current"],
+        &[
+            "loop.law.cascade.limit: is 2.7",
+            "max_current * torque_constant at the most",
+        ],
     ),
     (
         "more than the full pulse width",

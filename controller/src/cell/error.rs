@@ -119,7 +119,7 @@ pub enum Problem {
         /// The name.
         name: String,
     },
-    /// None of what there must be one of at least.
+    /// An empty list that must have an element.
     #[error("has no {what}, must have at least one")]
     None {
         /// Of what.

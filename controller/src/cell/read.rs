@@ -199,7 +199,7 @@ struct Value<'de> {
 }
 
 impl<'de> Value<'de> {
-    /// A table that only dotted keys made stands nowhere: it is where the one around it is.
+    /// A table of dotted keys alone has no place in the text: its place is that of the enclosing table.
     fn of(value: &'de Spanned<DeValue<'de>>, around: usize) -> Self {
         let span = value.span();
         Self {

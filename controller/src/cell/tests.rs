@@ -1,4 +1,4 @@
-//! Cells as a whole: what is read, what is refused, what becomes of it.
+//! Whole cells: parsing, refusals, and the configurations made of them.
 
 mod bounds;
 mod families;

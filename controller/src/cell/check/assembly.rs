@@ -1,7 +1,7 @@
 //! Whether the drive groups and the servo can be made of a cell: what they refuse, by the keys of the cell.
 //!
-//! The bounds of the other rooms here are narrower, in the units of the file. This is what holds them to what the
-//! drivers and the servo take, by their own checks.
+//! The bounds of the other modules are narrower, in the units of the file. The checks here are the drivers' and the
+//! servo's own.
 
 use drive::{axis_controller, cia402};
 
@@ -41,13 +41,15 @@ pub(super) fn check(cell: &Cell) -> Checked {
         let checked = bundle
             .group_config(cell.period())
             .check(&configs, axes.len());
-        checked.map_err(|error| {
-            let bundle = Path::default().then("serial").then(index);
-            (
-                place_of_controller(cell, &bundle, &axes, error),
-                refusal(error),
-            )
-        })?;
+        match checked {
+            // The budget of the line refuses it with what would fit.
+            Ok(()) | Err(axis_controller::ConfigError::Period { .. }) => {}
+            Err(error) => {
+                let bundle = Path::default().then("serial").then(index);
+                let place = place_of_controller(cell, &bundle, &axes, error);
+                return Err((place, refusal(error)));
+            }
+        }
     }
     for (number, robot) in cell.robot.iter().enumerate() {
         for axis in 0..robot.axis.len() {

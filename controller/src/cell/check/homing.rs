@@ -11,23 +11,22 @@ use crate::robot::Limits;
 /// The homing methods of an EPOS4.
 const METHODS: [i8; 15] = [37, 34, 33, 27, 23, 18, 17, 11, 7, 2, 1, -1, -2, -3, -4];
 
-/// Those that take the negative end of travel for home, by a limit switch or by a mechanical stop, and those that take
-/// the positive one. Ends are in the sense of the drive's counter.
+/// Methods whose reference is the negative end of the travel, a limit switch or a mechanical stop, and methods of the
+/// positive end. The ends are in the sense of the drive's counter.
 const NEGATIVE_END: [i8; 4] = [1, 17, -2, -4];
 const POSITIVE_END: [i8; 4] = [2, 18, -1, -3];
 
-/// How far from the end of its travel the home of an axis may be that is homed there, rad: a switch, an index pulse
-/// and a buffer are between them.
+/// Greatest distance of home from such an end, rad: a switch, an index pulse and a buffer lie between them.
 const NEAR_END: f64 = FARTHEST_INDEX;
 
-/// Travel from which on an axis is taken for one that turns without end, rad: its limits are those of its counter.
+/// Greatest travel of an axis with ends, rad. The limits of an axis that turns without end are those of its counter.
 const ENDLESS: f64 = 1e5;
 
-/// Longest time in which a search crosses the travel once, s: there and back, and off a switch that is as wide, are
-/// an hour.
+/// Longest time in which a search crosses the travel once, s. The way there, the way back and the way off a switch of
+/// the same width take an hour.
 const CROSSING: f64 = 1200.0;
 
-/// What an axis without ends has to come by while its drive searches, rad and s: it is given two minutes.
+/// Least distance that the search of an axis without ends covers, rad, and the time that its drive has for it, s.
 const ENDLESS_SEARCH: (f64, f64) = (100.0, 120.0);
 
 /// Longest time from the home switch to the index beside it, s, of a search by the host.
@@ -111,7 +110,7 @@ pub(super) fn check(
     )
 }
 
-/// A homed counter reads zero at the robot's home, so that a method has to find its reference there.
+/// A homed counter reads zero at the robot's home: the reference of the method has to be there.
 fn check_method(path: &Path, axis: &Axis, model: Limits, home: f64) -> Checked {
     let Some(method) = axis.homing.method else {
         let why = "is missing: a drive homes by one of its methods";

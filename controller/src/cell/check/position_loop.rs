@@ -1,8 +1,8 @@
 //! What a position loop that the host closes must satisfy.
 //!
-//! The bounds of gains are no design: they keep out what no sampled loop can be. A velocity error is asked away within a
-//! period at the most, one encoder count does not put out all that there is, and a position error as great as the
-//! following error puts out something.
+//! The bounds of gains are no design, they exclude what no sampled loop can be. No error is corrected faster than in one
+//! period. One encoder count does not saturate the output. A position error of `following_error` changes the output by
+//! a thousandth of its limit at the least.
 
 use std::f64::consts::TAU;
 use std::time::Duration;
@@ -21,6 +21,9 @@ const LEAST_OUTPUT: f64 = 1e-3;
 
 /// The least position gain, 1/s: an error is gone after some minutes.
 const LEAST_GAIN: f64 = 0.01;
+
+/// Greatest rate of integration per period. One that cancels the pole of a motor may be as fast as the motor.
+const INTEGRATED: f64 = 100.0;
 
 /// Greatest coefficient of the incremental law.
 const GREATEST: f64 = 1e6;
@@ -134,8 +137,9 @@ fn check_law(
     let period = period.as_secs_f64();
     let count = TAU / f64::from(axis.counts_per_revolution());
     let error = axis.following_error;
-    let rate = Range::new(0.0, 1.0 / period, "1/s; one per period at the most");
-    let position_gain = Range::new(LEAST_GAIN, 1.0 / period, rate.of);
+    let rate = Range::new(0.0, INTEGRATED / period, "1/s; 100 per period at the most");
+    let of = "1/s; one per period at the most";
+    let position_gain = Range::new(LEAST_GAIN, 1.0 / period, of);
     let fraction = Range::new(0.0, 1.0 - f64::EPSILON, "below 1");
     match given.law {
         Law::Incremental(it) => {

@@ -1,4 +1,4 @@
-//! What robots must satisfy: their names, their axes, what stands in for them.
+//! Checks of robots: names, parameters, axes, emulated payloads.
 
 use super::axis::{self, Place};
 use super::{Checked, MOST, first_same, name, program, refused, some, twice, weight, within};
