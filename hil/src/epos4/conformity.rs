@@ -25,6 +25,10 @@ pub(super) const STATEMENTS: &[&str] = &[
     "Statusword in profile velocity mode: bit 12 shows standstill by 30E0. An EPOS4 has no objects 606D to 6070.",
     "Standstill (30E0): ends when the velocity is beyond the window for the window time, as by 606F and 6070 of CiA 402.",
     "Statusword in profile velocity mode: bit 10 compares target and demand. Not checked.",
+    "Position window (6067): target reached needs the position within the window around the target (CiA 402).",
+    "Quick stop option code (605A): 3, 4, 7 and 8 brake at the limits of the amplifier (CiA 402). Not checked.",
+    "Home offset (607C, 30B1): position 0 lies this far from home, and the axis goes there (CiA 402). Not checked.",
+    "Homing: halt is shown as interrupted, and the search goes on without halt (CiA 402). Not checked.",
 ];
 
 #[cfg(test)]
