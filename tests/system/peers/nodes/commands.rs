@@ -178,24 +178,21 @@ pub(super) fn layer_settings(stage: &Stage, programs: &Programs) {
         });
     }
     scan(stage, nodes);
-    for (peer, node, other) in [(canopen_rs, nodes[1], "52"), (durand, nodes[2], "53")] {
-        println!("{}: another node-ID", peer.name);
-        let identity = peer.written();
-        let told = says(
-            stage,
-            &format!("lss set-node-id --identity {identity} {other}"),
-        );
-        assert!(
-            told.contains("at its next reset of communication"),
-            "{told}"
-        );
-        says(stage, &format!("sdo read {node} 0x1000"));
-        run(
-            stage,
-            &format!("nmt reset-communication {node} --timeout 500"),
-        );
-        says(stage, &format!("sdo read {other} 0x1000"));
-    }
+    renumber(stage, durand, nodes[2]);
+}
+
+/// A peer takes another node-ID at its next reset of communication, and not before.
+fn renumber(stage: &Stage, peer: &Peer, node: NodeId) {
+    println!("{}: another node-ID", peer.name);
+    let (identity, other) = (peer.written(), 0x41);
+    let words = format!("lss set-node-id --identity {identity} {other}");
+    let told = says(stage, &words);
+    let when = "at its next reset of communication";
+    assert!(told.contains(when), "{told}");
+    says(stage, &format!("sdo read {node} 0x1000"));
+    let words = format!("nmt reset-communication {node} --timeout 300");
+    run(stage, &words);
+    says(stage, &format!("sdo read {other} 0x1000"));
 }
 
 /// Gives a peer without a node-ID one.

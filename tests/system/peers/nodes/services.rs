@@ -15,7 +15,7 @@ const DOMAIN: Object = Object::new(0x2F00, 0);
 
 /// Lengths at the edges of frames (4, 7), of the blocks of 127 segments (889), and the longest that all keep.
 const SEGMENTED: &[usize] = &[0, 1, 4, 5, 6, 7, 8, 13, 14, 15, 200, 1022];
-const BLOCKS: &[usize] = &[29, 35, 36, 888, 889, 890, 896, 1021, 1022];
+const BLOCKS: &[usize] = &[29, 35, 888, 889, 890, 1022];
 
 type Check = fn(&mut Host, &Peer);
 
