@@ -26,11 +26,10 @@ impl CellFile {
     pub(crate) fn read(path: &Path) -> anyhow::Result<Self> {
         let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
         let cell = Cell::parse(&text).map_err(|error| refusal(path, &error))?;
-        let arms = cell
-            .robot
-            .iter()
-            .map(|robot| robot.arm().expect("a parsed cell has sound parameters"))
-            .collect();
+        let arm = |robot| cell.arm(robot);
+        let arms = (0..cell.robot.len()).map(arm);
+        let arms = arms.collect::<Result<_, _>>();
+        let arms = arms.expect("a parsed cell has sound parameters");
         let mut file = Self {
             path: path.to_owned(),
             text,
