@@ -31,11 +31,10 @@ impl CellFile {
         let text = Cell::text(&bytes).map_err(|error| refusal(path, &error))?;
         let text = text.to_owned();
         let cell = Cell::parse(&text).map_err(|error| refusal(path, &error))?;
-        let arms = cell
-            .robot
-            .iter()
-            .map(|robot| robot.arm().expect("a parsed cell has sound parameters"))
-            .collect();
+        let arm = |robot| cell.arm(robot);
+        let arms = (0..cell.robot.len()).map(arm);
+        let arms = arms.collect::<Result<_, _>>();
+        let arms = arms.expect("a parsed cell has sound parameters");
         let mut file = Self {
             path: path.to_owned(),
             text,

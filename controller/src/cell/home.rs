@@ -4,6 +4,7 @@ use std::f64::consts::TAU;
 
 use super::{Axis, Cell};
 use crate::generator::{Arm, Axes, PlannedStart};
+use crate::robot::{ParameterError, Room};
 
 /// Periods from a motor's reference to the begin of its braking. The reference is seen at the next sample, the command has
 /// effect a period later, and a group states a delay of up to two periods.
@@ -13,16 +14,31 @@ const LATE: f64 = 4.0;
 const SETTLING: f64 = 4.0;
 
 impl Cell {
+    /// Robot `robot` as [`Robot::arm`](super::Robot::arm), with room for homing in each range that ends at home.
+    pub fn arm(&self, robot: usize) -> Result<Arm, ParameterError> {
+        let given = &self.robot[robot];
+        let parameters = given.parameters.unwrap_or(given.model.parameters());
+        let roomy = super::Robot {
+            parameters: Some(parameters.with_room_at_home(&self.home_tolerances(robot))),
+            ..given.clone()
+        };
+        roomy.arm().or_else(|_| given.arm())
+    }
+
     /// The home position of robot `robot`, and how far beside it homing may leave each motor.
     pub fn home(&self, robot: usize, arm: &Arm) -> PlannedStart {
-        let mut tolerance = Axes::default();
-        for (tolerance, axis) in tolerance.iter_mut().zip(&self.robot[robot].axis) {
-            *tolerance = self.home_tolerance(axis);
-        }
         PlannedStart {
             motors: arm.robot().home().padded(),
-            tolerance,
+            tolerance: self.home_tolerances(robot),
         }
+    }
+
+    fn home_tolerances(&self, robot: usize) -> Axes {
+        let mut tolerances = Axes::default();
+        for (tolerance, axis) in tolerances.iter_mut().zip(&self.robot[robot].axis) {
+            *tolerance = self.home_tolerance(axis);
+        }
+        tolerances
     }
 
     /// Greatest distance of a homed motor from its home position, rad.

@@ -63,7 +63,7 @@ impl ScrewAxis {
     }
 
     /// The joint angle at a screw length, or the nearest length that a triangle can have.
-    fn joint(&self, length: f64) -> Result<f64, f64> {
+    pub(super) fn joint(&self, length: f64) -> Result<f64, f64> {
         let swing = self.cosine.hypot(self.sine);
         let excess = length * length - self.squared;
         let shortest = (self.squared - swing).sqrt();

@@ -25,7 +25,7 @@
 //! any; `drive_train.rs` is gears, screws and couplings between motors and joints; `solutions.rs` collects
 //! branches within the limits, nearest first; `free_parameter.rs` is how a redundant robot chooses;
 //! `links.rs` is a robot link by link, for description files and figures; `singularity.rs` is how near the arm is to
-//! losing a direction; `weight.rs` is what links weigh on motors; `vector.rs` is positions, one per axis. Figures and every parameter with its source are in
+//! losing a direction; `weight.rs` is what links weigh on motors; `room.rs` is room in a range that ends at home; `vector.rs` is positions, one per axis. Figures and every parameter with its source are in
 //! `docs/robots` of the repository. Read [`Robot`] first, then `irp6.rs` for a robot from end to end.
 //!
 //! Numbers carry the place they come from: *public code* is the published source of the WUT robots'
@@ -44,6 +44,7 @@ mod links;
 mod parameters;
 mod polycrank;
 mod rnt;
+mod room;
 mod singularity;
 mod solutions;
 mod vector;
@@ -69,6 +70,7 @@ pub use links::{Link, LinkKind, Links};
 pub use parameters::{ArmParameters, ParameterError};
 pub use polycrank::{Polycrank, PolycrankParameters};
 pub use rnt::{LegAxis, Rnt, RntParameters};
+pub use room::Room;
 pub use singularity::Singularity;
 pub use solutions::Solutions;
 pub use vector::{Joint, Joints, Motor, Motors, Vector};

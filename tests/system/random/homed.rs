@@ -3,7 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 
-use controller::cell::{Cell, Instruction, JointGenerator, Joints, Line};
+use controller::cell::{Cell, Instruction, JointGenerator, Joints, Line, Parameters};
+use controller::robot::Irb6Parameters;
 
 use super::draw::Draw;
 use super::verdict::{Verdict, judge_all};
@@ -202,4 +203,64 @@ fn an_arm_goes_to_the_end_of_each_motor_range_and_touches_no_limit_switch() {
         }
         assert!(refused.count() < verdicts.len() / 2, "{name}: {verdicts:?}");
     }
+}
+
+/// An IRb-6 whose column ends at its home position, to the side of `sign`, and whose program is one instruction.
+fn at_the_end(sign: f64, first: Instruction, draw: &mut Draw) -> String {
+    let mut cell = Cell::parse(&text("irb6")).expect("the example cells are sound");
+    shorten(&mut cell);
+    cell.seed = draw.next() >> 32;
+    let robot = &mut cell.robot[0];
+    let mut parameters = Irb6Parameters::irb6();
+    let column = &mut parameters.arm.column;
+    if sign < 0.0 {
+        column.joint_limits.low = column.joint_at_home;
+        column.motor_limits.high = column.motor_at_home;
+    } else {
+        column.joint_limits.high = column.joint_at_home;
+        column.motor_limits.low = column.motor_at_home;
+    }
+    robot.parameters = Some(Parameters::Irb6(parameters));
+    robot.program = vec![first];
+    toml::to_string(&cell).expect("a cell is TOML")
+}
+
+#[test]
+fn an_arm_that_is_homed_at_the_end_of_its_range_leaves_it_by_every_motion() {
+    let cell = |number: u64| {
+        let mut draw = Draw::of(3, number);
+        let sign = if number.is_multiple_of(2) { 1.0 } else { -1.0 };
+        // The column stays where it is, at its limit, or leaves it.
+        let column = if draw.one_in(2) {
+            0.0
+        } else {
+            -sign * draw.within(0.0, 0.3)
+        };
+        let line = Instruction::Line(Line {
+            position: [0.7, 0.0, 1.1],
+            quaternion: None,
+            velocity: 0.2,
+            acceleration: 0.5,
+        });
+        let joints = |generator| {
+            Instruction::Joints(Joints {
+                poses: vec![vec![column, -1.6, 0.1, 0.2, 0.1]],
+                generator,
+                velocity: 0.5,
+                acceleration: 0.5,
+                duration: None,
+            })
+        };
+        let first = match number % 3 {
+            0 => line,
+            1 => joints(JointGenerator::Newsmooth),
+            _ => joints(JointGenerator::JerkLimited),
+        };
+        at_the_end(sign, first, &mut draw)
+    };
+    let verdicts = judge_all(24, cell);
+    assert!(
+        verdicts.iter().all(|verdict| *verdict == Verdict::Ready),
+        "{verdicts:#?}"
+    );
 }
