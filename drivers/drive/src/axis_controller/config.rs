@@ -1,3 +1,5 @@
+//! Configuration of a bundle of axis controllers.
+
 use std::fmt;
 use std::time::Duration;
 
