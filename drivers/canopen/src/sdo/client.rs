@@ -45,9 +45,9 @@ pub const CAPACITY: usize = 256;
 /// * A server that refuses block transfer (0x0504_0001) is asked for an ordinary transfer, and so is any
 ///   server for up to 28 bytes, which that moves in no more frames.
 /// * The receiver of the data recovers what is lost: it acknowledges what came in order, after `timeout`
-/// if the end of a sub-block is missing, and the rest is sent again. As receiver, the client halves the size of its
-/// sub-blocks at each loss, for a queue on the way may be too short. After `retries` successive sub-blocks without
-/// any segment the transfer restarts as above.
+///   if the end of a sub-block is missing, and the rest is sent again. As receiver, the client halves the size of its
+///   sub-blocks at each loss, for a queue on the way may be too short. After `retries` successive sub-blocks without
+///   any segment the transfer restarts as above.
 /// * Data whose checksum is wrong fail the transfer (0x0504_0004). A server that knows no checksum is
 ///   taken at its word, but a sub-block whose end is missing then starts the transfer anew.
 #[derive(Clone, Debug)]
