@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use can::candump::Direction;
 use can::{Frame, StandardId};
+use canopen::cia402::ModeOfOperation;
 use canopen::emcy::Emergency;
 use drive::Fault;
 use hil::PlantConfig;
@@ -136,6 +137,36 @@ fn the_servo_sees_a_blocked_motor_that_its_drive_overlooks() {
     assert_eq!((axis, limit), (0, allowed));
     let more = Motion::VELOCITY * rig.period.as_secs_f64();
     assert!(error > limit && error < limit + 2.0 * more, "{error}");
+    resume(&mut rig);
+}
+
+#[test]
+fn a_mode_of_operation_that_a_service_command_changes_stops_the_arm() {
+    let watcher = Watcher::new();
+    let watch = watcher.clone();
+    let mut setup = Setup::of("irb6");
+    setup.port = Box::new(move |port| watch.wrap(port));
+    let mut rig = setup.bring_up();
+    rig.home();
+    let mut motion = rig.in_motion();
+    // 0x6060 of node 2 is 3: profile velocity.
+    let request = StandardId::new(0x602).unwrap();
+    let change = Frame::new(request, &[0x2F, 0x60, 0x60, 0, 3, 0, 0, 0]);
+    watcher.lock().foreign.push(change.unwrap());
+    let changed_at = rig.now;
+    let expected = StopCause::Drive(Fault::ModeChanged {
+        node: 2,
+        expected: ModeOfOperation::CyclicSynchronousPosition,
+        found: ModeOfOperation::ProfileVelocity,
+    });
+    for _ in 0..5 {
+        rig.feed(&mut motion);
+        rig.cycle();
+    }
+    let fault = rig.servo.fault(0).expect("it shows at once");
+    assert_eq!((fault.axis, fault.cause), (Some(1), expected));
+    assert!(rig.now.since(changed_at) <= 5 * rig.period);
+    assert_eq!(fault_of(&mut rig, &mut motion), (1, expected));
     resume(&mut rig);
 }
 

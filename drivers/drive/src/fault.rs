@@ -3,7 +3,7 @@
 use std::fmt;
 use std::time::Duration;
 
-use canopen::cia402::FaultTable;
+use canopen::cia402::{FaultTable, ModeOfOperation};
 use canopen::sdo::AbortCode;
 use thiserror::Error;
 
@@ -67,6 +67,16 @@ pub enum Fault {
         node: u8,
         /// Object 0x6041.
         statusword: u16,
+    },
+    /// The drive is in another mode of operation than it was told, by a command of somebody else.
+    #[error("node {node}: mode of operation is {found}, commanded was {expected}")]
+    ModeChanged {
+        /// Node-ID.
+        node: u8,
+        /// The mode that the drive was told (object 0x6060).
+        expected: ModeOfOperation,
+        /// The mode that the drive shows (object 0x6061).
+        found: ModeOfOperation,
     },
     /// The drive did not reach the asked state in time.
     #[error(

@@ -205,6 +205,20 @@ impl Axis {
         }
     }
 
+    /// Takes the mode of operation that the drive shows by itself. Frames come in the order in which they were sent, so
+    /// that one behind the answer that showed a mode is no older than that.
+    pub(super) fn shows(&mut self, found: ModeOfOperation) {
+        let settled = self.modes.settled_in().filter(|_| !self.telling);
+        if let Some(expected) = settled.filter(|expected| *expected != found) {
+            self.modes.overruled(found);
+            self.latch(Fault::ModeChanged {
+                node: self.setup.node.raw(),
+                expected,
+                found,
+            });
+        }
+    }
+
     pub(super) fn emergency(&mut self, emergency: &Emergency) {
         if emergency.is_reset() {
             self.error_code = 0;
@@ -499,6 +513,10 @@ impl Axis {
         }
         if self.state.fault == Some(self.drive_fault(0)) {
             return Some(Service::ErrorCode);
+        }
+        // While its quick stop brakes it, a drive in a foreign mode stays there.
+        if matches!(self.state.fault, Some(Fault::ModeChanged { .. })) {
+            return None;
         }
         let request = self.modes.next(self.wanted_mode())?;
         self.telling = matches!(request, ModeRequest::Tell(_));

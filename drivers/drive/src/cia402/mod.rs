@@ -5,6 +5,9 @@
 //! statuswords. What a drive does when it loses *us* is set and read back at bring-up: three host
 //! heartbeats missing, and it brakes by its quick stop and holds.
 //!
+//! TPDO 2 brings the mode of operation when it changes: a change that the group did not command is a fault. A drive
+//! sends nothing on TPDO 2 as a rule, so that the watch costs no bus load.
+//!
 //! Before its first frame the group listens ([`GroupConfig::listening`]). A frame that only a controller sends, from
 //! another, refuses the start; in operation such a frame is a fault of every axis ([`Sign`]).
 //!
@@ -31,8 +34,8 @@
 //! [`reserved`]: those belong to this driver, which writes and reads back its own part of them last, before operation:
 //! heartbeats (0x1016:01, 0x1017), reactions (0x1029:01, 0x6007, 0x605A, 0x6085), the interpolation period (0x60C2), the
 //! following error window (0x6065), homing (0x6098, 0x6099, 0x609A, 0x607C and maxon's 0x30B0, 0x30B1), offsets (0x60B0 to
-//! 0x60B2), process data and the mode of operation (0x6060). Of the PDOs, RPDO 1 and TPDO 1 are mapped and the others
-//! switched off.
+//! 0x60B2), process data and the mode of operation (0x6060). Of the PDOs, RPDO 1, TPDO 1 and TPDO 2 are mapped and the
+//! others switched off.
 //!
 //! Left out: profile modes, interpolated position (EPOS2), several axes behind one node-ID. Read
 //! [`DriveGroup`] first, then `axis`, `bring_up` and `program`.
@@ -272,7 +275,16 @@ impl<P: Port> Cia402Group<P> {
                     });
                 }
             }
-            cob::Function::SdoResponse(node) => self.node(node)?.sdo.handle(&frame, now),
+            cob::Function::Tpdo(PdoNumber::Two, node) => {
+                let mode = process_data::mode_shown(frame.data())?;
+                self.node(node)?.axis.shows(mode);
+            }
+            cob::Function::SdoResponse(node) => {
+                let node = self.node(node)?;
+                node.sdo.handle(&frame, now);
+                // Before the frames behind it.
+                node.finish_service(now);
+            }
             cob::Function::Nmt
             | cob::Function::Sync
             | cob::Function::Time

@@ -162,7 +162,7 @@ impl Store {
             put(0x1800 + i, 2, &[255]);
             put(0x1800 + i, 3, &[10, 0]);
         }
-        for index in [0x1600, 0x1A00] {
+        for index in [0x1600, 0x1A00, 0x1A01] {
             put(index, 0, &[1]);
             (1..=3).for_each(|subindex| _ = put(index, subindex, &[0; 4]));
         }
