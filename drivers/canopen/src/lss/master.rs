@@ -28,7 +28,7 @@ pub struct Master {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
     Idle,
-    /// Of `Fastscan`, `scan` is the question asked; of `InquireIdentity`, `identity` is what was
+    /// Of fastscans, `scan` is the question asked; of `InquireIdentity`, `identity` is what was
     /// answered before `part`; of `SwitchSelective`, `part` is the one sent last.
     Busy {
         service: Service,
@@ -68,9 +68,15 @@ pub enum Service {
     /// Ask whether any slave has no node-ID. Takes `timeout`.
     IdentifyUnconfigured,
     /// Find the identity of a slave without a node-ID, the smallest if there are several, and put that
-    /// slave into configuration mode. Takes 133 times `timeout`, for slaves that agree answer at different
+    /// slave into configuration mode. Takes 134 times `timeout`, for slaves that agree answer at different
     /// times, and silence means no; it may be as short as the slowest slave's answer, some 10 ms.
+    ///
+    /// Slaves in configuration mode should be silent. One that answers every question, as CANopenNode's does, fails the
+    /// scan with [`LssError::Untrue`]; [`Service::FastscanAbove`] goes round it.
     Fastscan,
+    /// Find the smallest identity above this one in the same way. With all slaves in [`Mode::Waiting`] the ones found
+    /// before are passed over. Takes up to 270 times `timeout`.
+    FastscanAbove(Identity),
 }
 
 /// What came of a service.
@@ -84,7 +90,7 @@ pub enum Answer {
     NodeId(Option<NodeId>),
     /// To [`Service::IdentifyUnconfigured`]: whether there is any.
     Unconfigured(bool),
-    /// To [`Service::Fastscan`]; `None` if there is no slave without a node-ID.
+    /// To [`Service::Fastscan`] and [`Service::FastscanAbove`]; `None` if there is no such slave without a node-ID.
     Found(Option<Identity>),
 }
 
@@ -135,6 +141,11 @@ pub enum LssError {
         /// The number.
         number: u32,
     },
+    /// A slave answers questions that exclude each other.
+    #[error(
+        "a slave answers every question of a fastscan, so that no other slave can be found: take it off the bus, or give it a node-ID"
+    )]
+    Untrue,
 }
 
 impl fmt::Display for Service {
@@ -149,7 +160,7 @@ impl fmt::Display for Service {
             Self::InquireIdentity => "inquire identity",
             Self::InquireNodeId => "inquire node-ID",
             Self::IdentifyUnconfigured => "identify non-configured",
-            Self::Fastscan => "fastscan",
+            Self::Fastscan | Self::FastscanAbove(_) => "fastscan",
         })
     }
 }
@@ -179,7 +190,10 @@ impl Master {
             State::Busy { service, .. } => return Err(Busy { service }),
             State::Finished(_) => return Err(Busy { service }),
         }
-        let scan = Scan::new();
+        let scan = match service {
+            Service::FastscanAbove(identity) => Scan::above(identity),
+            _ => Scan::new(),
+        };
         self.state = State::Busy {
             service,
             part: Part::Vendor,
@@ -204,7 +218,7 @@ impl Master {
             Service::InquireIdentity => Request::Inquire(Part::Vendor),
             Service::InquireNodeId => Request::InquireNodeId,
             Service::IdentifyUnconfigured => Request::IdentifyUnconfigured,
-            Service::Fastscan => Request::Fastscan(scan.question()),
+            Service::Fastscan | Service::FastscanAbove(_) => Request::Fastscan(scan.question()),
         };
         self.ask(request, now);
         Ok(())
@@ -255,7 +269,7 @@ impl Master {
                 }
             }
             (Service::IdentifyUnconfigured, Response::Unconfigured)
-            | (Service::Fastscan, Response::Identified) => {
+            | (Service::Fastscan | Service::FastscanAbove(_), Response::Identified) => {
                 *heard = true;
                 return;
             }
@@ -309,11 +323,14 @@ impl Master {
         let result = match service {
             Service::ActivateBitTiming { .. } if sent => Ok(Answer::Done),
             Service::IdentifyUnconfigured if sent => Ok(Answer::Unconfigured(*heard)),
-            Service::Fastscan if sent => match scan.answered(std::mem::take(heard)) {
-                Next::Ask(question) => return self.ask(Request::Fastscan(question), now),
-                Next::Found(identity) => Ok(Answer::Found(identity)),
-                Next::Vanished { part, number } => Err(LssError::Vanished { part, number }),
-            },
+            Service::Fastscan | Service::FastscanAbove(_) if sent => {
+                match scan.answered(std::mem::take(heard)) {
+                    Next::Ask(question) => return self.ask(Request::Fastscan(question), now),
+                    Next::Found(identity) => Ok(Answer::Found(identity)),
+                    Next::Vanished { part, number } => Err(LssError::Vanished { part, number }),
+                    Next::Untrue => Err(LssError::Untrue),
+                }
+            }
             _ => Err(LssError::TimedOut {
                 service,
                 waited: now.since(self.started),

@@ -180,6 +180,7 @@ fn a_request_that_was_never_sent_times_out_and_is_not_sent_later() {
         Service::ActivateBitTiming { delay_ms: 1 },
         Service::IdentifyUnconfigured,
         Service::Fastscan,
+        Service::FastscanAbove(IDENTITY),
         Service::Store,
     ] {
         let mut master = started(service);
@@ -229,7 +230,8 @@ fn a_scan_that_nobody_owns_up_to_fails() {
         "7E5#5100000000800000 7E4#4F00000000000000",
     );
     let mut millis = 0;
-    for _ in 0..33 {
+    // A question out of turn, 32 bits and their confirmation.
+    for _ in 0..34 {
         millis += 100;
         master.handle_timeout(at(millis));
         assert!(master.poll_transmit(at(millis)).is_some());
