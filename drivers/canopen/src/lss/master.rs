@@ -31,12 +31,8 @@ pub struct Master {
 enum State {
     Idle,
     /// Of fastscans, `scan` is the question asked; of `InquireIdentity`, `identity` is what was
-<<<<<<< HEAD
     /// answered before `part`; of `SwitchSelective`, `part` is the one sent last; of `IdentifyUnconfigured`,
     /// `scan` has been asked for once `scanning`.
-=======
-    /// answered before `part`; of `SwitchSelective`, `part` is the one sent last.
->>>>>>> serial
     Busy {
         service: Service,
         part: Part,
@@ -278,14 +274,10 @@ impl Master {
                 }
             }
             (Service::IdentifyUnconfigured, Response::Unconfigured)
-<<<<<<< HEAD
             | (
                 Service::IdentifyUnconfigured | Service::Fastscan | Service::FastscanAbove(_),
                 Response::Identified,
             ) => {
-=======
-            | (Service::Fastscan | Service::FastscanAbove(_), Response::Identified) => {
->>>>>>> serial
                 *heard = true;
                 return;
             }
