@@ -48,6 +48,7 @@ fn run_on(cell: &Path, ttys: &Path, record: &Path) -> Output {
         "--serial".as_ref(),
         ttys.as_os_str(),
         "--json".as_ref(),
+        "--force".as_ref(),
         "--record".as_ref(),
         record.as_os_str(),
     ])

@@ -125,7 +125,7 @@ fn every_time_of_a_search_that_is_accepted_can_be_said() {
 }
 
 #[test]
-fn an_emulated_axis_stands_within_its_travel() {
+fn an_emulated_axis_stands_within_its_travel_or_beside_a_limit_switch() {
     let start = |text: &str, start: &str| {
         let given = format!("emulator = {{ start = {start} }}\nmax_velocity");
         Cell::parse(&text.replacen("max_velocity", &given, 1))
@@ -133,7 +133,8 @@ fn an_emulated_axis_stands_within_its_travel() {
     for (text, at, possible) in [
         (IRB6, "-470.0", true),
         (IRB6, "450.0", true),
-        (IRB6, "-470.1", false),
+        (IRB6, "-473.1", true),
+        (IRB6, "-473.2", false),
         (IRB6, "1e12", false),
         (IRB6, "1e300", false),
         (POLYCRANK, "1000.0", true),

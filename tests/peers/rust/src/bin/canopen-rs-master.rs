@@ -303,10 +303,10 @@ impl Master {
         aborted(self.write(0x5FFF, 0, byte), 0x0602_0000)?;
         aborted(self.read(0x1018, 9, DataType::Unsigned8), 0x0609_0011)?;
         aborted(self.write(0x1000, 0, Value::Unsigned32(0)), 0x0601_0002)?;
-        aborted(self.write(0x6040, 0, Value::Unsigned32(0)), 0x0607_0012)?;
+        aborted(self.write(0x6040, 0, Value::Unsigned32(0)), 0x0607_0010)?;
         aborted(self.write(0x6081, 0, Value::Unsigned16(0)), 0x0607_0013)?;
-        aborted(self.write(0x6081, 0, Value::Unsigned64(0)), 0x0607_0012)?;
-        aborted(self.write(0x60C2, 1, Value::Unsigned8(200)), 0x0609_0031)?;
+        aborted(self.write(0x6081, 0, Value::Unsigned64(0)), 0x0607_0010)?;
+        aborted(self.write(0x60C2, 1, Value::Unsigned8(200)), 0x0609_0030)?;
         let none = self.block_upload(Address::new(0x5FFF, 0), true);
         same("block upload", none, Err("aborted 0x06020000".to_owned()))?;
         let long = self.block_download(DOMAIN, &bytes(PASSED + 1), true);

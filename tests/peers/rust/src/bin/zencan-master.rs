@@ -246,10 +246,10 @@ impl<S: AsyncCanSender + Clone + Send + Sync> Master<S> {
             aborted(c.write_u8(0x5FFF, 0, 0).await, 0x0602_0000)?;
             aborted(c.upload(0x1018, 9).await, 0x0609_0011)?;
             aborted(c.write_u32(0x1000, 0, 0).await, 0x0601_0002)?;
-            aborted(c.write_u32(0x6040, 0, 0).await, 0x0607_0012)?;
+            aborted(c.write_u32(0x6040, 0, 0).await, 0x0607_0010)?;
             aborted(c.write_u16(0x6081, 0, 0).await, 0x0607_0013)?;
-            aborted(c.download(0x6081, 0, &[0; 20]).await, 0x0607_0012)?;
-            aborted(c.write_u8(0x60C2, 1, 200).await, 0x0609_0031)?;
+            aborted(c.download(0x6081, 0, &[0; 20]).await, 0x0607_0010)?;
+            aborted(c.write_u8(0x60C2, 1, 200).await, 0x0609_0030)?;
             aborted(c.download(index, sub, &bytes(1023)).await, 0x0504_0005)?;
             aborted(
                 c.block_download(index, sub, &bytes(1023)).await,
