@@ -1,5 +1,5 @@
-//! Files that a command writes: none replaces what is there unless `--force` says so, none is a file that the command
-//! reads, and no two are one.
+//! Output files of a command. An output never is an input or another output, and replaces an existing file only with
+//! `--force`.
 
 use std::fmt::Display;
 use std::fs::{self, File, Metadata};
@@ -81,7 +81,7 @@ impl Outputs {
     }
 
     fn reads_file(&mut self, what: &str, path: &Path) {
-        // A file that is gone cannot be overwritten.
+        // A file that has been removed meanwhile cannot be overwritten.
         if let Ok(found) = fs::metadata(path) {
             self.inputs.push(Known {
                 what: what.to_owned(),
@@ -90,7 +90,7 @@ impl Outputs {
         }
     }
 
-    /// Opens an output, by what the user calls it.
+    /// Opens the output of the option `what`.
     pub(crate) fn open(&mut self, what: impl Display, path: &Path) -> anyhow::Result<File> {
         let shown = path.display();
         let opened = self.open_as(what.to_string(), path);
@@ -121,11 +121,10 @@ impl Outputs {
         if let Some(known) = self.inputs.iter().chain(&self.standard).find(same) {
             bail!("{} is the same file: name another", known.what);
         }
-        // What goes to a device such as /dev/null is not mixed up in it; what goes to a pipe or a terminal is.
+        // A device such as /dev/null keeps writers apart; a pipe or a terminal mixes their bytes.
         let mixes = !found.file_type().is_char_device() || file.is_terminal();
         let mut before = self.opened.iter();
         if let Some(other) = before.find(|other| mixes && other.identity == opened.identity) {
-            // It was not there, so that the other has made it.
             bail!("{} has the same file: name two", other.what);
         }
         if found.is_file() && !made && !self.replacement.force {

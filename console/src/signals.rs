@@ -68,8 +68,8 @@ impl Motion {
     }
 }
 
-/// From now on each signal that would end the process has `ask` called with it, on a thread of its own. The third of them
-/// ends the process unless there may be `motion`.
+/// Calls `ask`, on a thread of its own, with each signal that would end the process. The third signal ends the process
+/// unless there may be `motion`.
 pub(crate) fn on_ending(
     motion: Motion,
     ask: impl FnMut(c_int) + Send + 'static,
@@ -77,8 +77,8 @@ pub(crate) fn on_ending(
     on(ending(), motion, ask)
 }
 
-/// The same, of a command that moves an arm. Such a command does not let itself be suspended: Ctrl-Z ends it as well, and
-/// in the background it may write to its terminal whatever `stty tostop` says. SIGUSR1 is not among the signals.
+/// As [`on_ending`], for a command that moves an arm. SIGTSTP (Ctrl-Z) ends such a command too, since a suspended
+/// controller cannot watch its arm. SIGUSR1 is left to the command.
 pub(crate) fn on_ending_of_motion(
     motion: Motion,
     ask: impl FnMut(c_int) + Send + 'static,
@@ -95,7 +95,8 @@ pub(crate) fn ending_flag() -> anyhow::Result<Arc<AtomicBool>> {
     Ok(ended)
 }
 
-/// Keeps SIGTTIN and SIGTTOU from suspending this thread and those that it starts.
+/// Keeps SIGTTIN and SIGTTOU from suspending this thread and the threads that it starts. Writes to the terminal then
+/// succeed in the background, also under `stty tostop`.
 pub(crate) fn block_suspension() -> anyhow::Result<()> {
     let signals: SigSet = [Signal::SIGTTIN, Signal::SIGTTOU].into_iter().collect();
     signals.thread_block().context("SIGTTOU cannot be blocked")

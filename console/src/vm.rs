@@ -44,8 +44,8 @@ pub(crate) enum Machine {
 /// What to run in a machine.
 #[derive(Args)]
 pub(crate) struct Options {
-    /// The directory that MRROC_OUT names inside; nothing comes out without it. It is made where it is not there, and
-    /// refused where other users can change it or its path.
+    /// The directory that MRROC_OUT names inside; nothing comes out without it. The directory is made if it does not
+    /// exist, and refused if other users can change its content or its path.
     #[arg(long)]
     out: Option<PathBuf>,
     /// A directory under /tmp, /var/tmp, /run or /dev that is to be seen inside.
@@ -84,8 +84,8 @@ impl Options {
     }
 }
 
-/// Runs a command in a machine; its exit status becomes ours. A signal that ends the machine does as one that ends the
-/// command: 128 and its number.
+/// Runs a command in a machine; its exit status becomes ours. The status is 128 plus the number of the signal if a signal
+/// ended the machine.
 pub(crate) fn vm(machine: &Machine) -> anyhow::Result<ExitCode> {
     let mut stdout = io::stdout();
     let cancellation = Cancellation::default();
@@ -93,7 +93,7 @@ pub(crate) fn vm(machine: &Machine) -> anyhow::Result<ExitCode> {
     let first = ended_by.clone();
     signals::on_ending(Motion::none(), move |signal| {
         let signal = u8::try_from(signal).expect("signals have small numbers");
-        // A second one does not change by what it was ended.
+        // The exit status names the first signal.
         let _ = first.compare_exchange(0, signal, Ordering::Relaxed, Ordering::Relaxed);
         cancel.cancel();
     })?;

@@ -1,4 +1,4 @@
-//! What the test machines have in common: what to run in them, where its exit status comes out, and how they end.
+//! Common parts of the test machines: the command, its directories, its exit status, and the end of the machine.
 
 mod supervisor;
 mod trust;
@@ -121,8 +121,8 @@ pub struct Options {
     pub directory: PathBuf,
     /// Further directories of the host to be seen inside, read-only, wherever they lie.
     pub visible: Vec<PathBuf>,
-    /// The one directory of the host that the program can write to, made if it is not there; no other user may be able to
-    /// change it or where its path leads. `None` makes one and removes it.
+    /// The one directory of the host that the program can write to; it is made if it does not exist. The directory is
+    /// refused if other users can change its content or its path. `None` makes a directory and removes it afterwards.
     pub output: Option<PathBuf>,
     /// Memory of the machine, MiB.
     pub memory_mib: u32,
@@ -210,7 +210,8 @@ impl Control {
         symlink(directory, self.path.join(name))
     }
 
-    /// What the command ended with, of a machine that has ended; without that it matters whether the command `began`.
+    /// Exit status of the command, once the machine has ended. Without a status, the error depends on whether the command
+    /// `began`.
     fn result(&self, began: bool) -> Result<u8, MachineError> {
         let status = fs::read_to_string(self.path.join("status")).ok();
         let status = status.and_then(|status| status.trim().parse().ok());
@@ -222,7 +223,7 @@ impl Control {
     }
 }
 
-/// A machine and its directory: neither is left when this has been dropped.
+/// A machine and its directory. Dropping the value ends the machine and removes the directory.
 pub(crate) struct Machine {
     // Dropped first, since the machine writes to the directory.
     supervisor: Supervisor,
@@ -231,8 +232,8 @@ pub(crate) struct Machine {
 }
 
 impl Machine {
-    /// A machine that is to be started by `command`, and writes to `stdout` and `stderr`. From now on its directory is
-    /// removed even if this program is killed.
+    /// A machine that `command` will start, and that writes to `stdout` and `stderr`. From now on the directory is removed
+    /// even if this program is killed.
     pub(crate) fn new(
         control: Control,
         command: impl IntoIterator<Item = OsString>,
@@ -248,7 +249,7 @@ impl Machine {
         })
     }
 
-    /// Starts it, and shows its `output` until it ends; after `timeout` it is made to.
+    /// Starts the machine and shows its `output` until the machine ends. After `timeout` the machine is killed.
     pub(crate) fn run(
         &self,
         output: &Receiver<Vec<u8>>,
@@ -274,7 +275,8 @@ impl Machine {
         Err(MachineError::TimedOut(timeout))
     }
 
-    /// What the command ended with, of a machine that has ended; without that it matters whether the command `began`.
+    /// Exit status of the command, once the machine has ended. Without a status, the error depends on whether the command
+    /// `began`.
     pub(crate) fn result(&self, began: bool) -> Result<u8, MachineError> {
         let result = self.control.result(began);
         result.map_err(|error| match self.cancellation.is_requested() {

@@ -231,7 +231,8 @@ fn settings(control: &Control) -> Vec<u8> {
     [b"control=", &*control, b"\n"].concat()
 }
 
-/// Mounts what is to be seen inside and would be hidden, and the output directory, which may lie inside one of these.
+/// A script that mounts the hidden directories which are to be seen, then the output directory, which may lie in one of
+/// them.
 fn mount_script(options: &Options, output: &Path) -> Vec<u8> {
     let mount = |place: &Path, how: &[u8]| {
         let place = quoted(place.as_os_str());

@@ -7,23 +7,20 @@ directory=$1
 shift
 exec 3<&0 </dev/null 4>&2 2>/dev/null
 
-# The machine's process group; or the process alone, if it did not become the leader of a group yet.
-kill_machine() {
-    kill -s KILL -- "-$machine" || kill -s KILL "$machine"
-}
-
 if read -r _ <&3; then
     setsid "$@" 2>&4 3<&- 4>&- &
     machine=$!
     trap '' HUP INT QUIT TERM
     {
         read -r _
-        kill_machine
+        # The process alone, if it did not become the leader of a group yet.
+        kill -s KILL -- "-$machine" || kill -s KILL "$machine"
     } <&3 >/dev/null 4>&- &
     watcher=$!
     exec 4>&-
     wait "$machine"
-    kill_machine
+    # The number of the process that has ended may be another's by now; that of its group is not as long as one is left.
+    kill -s KILL -- "-$machine"
     kill -s KILL "$watcher"
     # Who reads the machine's output sees its end.
     exec >/dev/null

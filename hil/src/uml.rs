@@ -2,9 +2,9 @@
 //! process, booted in about three seconds on the host's own file system.
 //!
 //! It promises that the command inside can write to one directory of the host and nowhere else, that
-//! it ends within its time, and that no process and no file is left behind, however the program that asked for it
-//! ends: `supervise.sh` is a process of its own that outlives it. Other users of the host can neither read nor change the
-//! machine's files. Interface `vcan0` is up;
+//! it ends within its time, and that no process and no file is left behind. The last promise holds even if the calling
+//! program is killed: the shell of `supervise.sh` outlives that program. Other users of the host can neither read nor
+//! change the machine's files. Interface `vcan0` is up;
 //! `can-utils`, `ip` and `tc` work as on any host. There is one processor, and its timing proves
 //! nothing. `/tmp`, `/var/tmp`, `/run` and `/dev` are the machine's own: what lies there on the host is not
 //! seen inside, but for the working directory, the program's directory and those of [`Options::visible`].
@@ -103,8 +103,8 @@ fn mark(control: &Control) -> Vec<u8> {
     [name.as_bytes(), b"\n"].concat()
 }
 
-/// Mounts what is to be seen inside and would be hidden, and the output directory, which may lie inside one of these.
-/// hostfs is told of a link to each: its option would take a sign of a name for one of its own.
+/// A script that mounts the hidden directories which are to be seen, then the output directory, which may lie in one of
+/// them. Each mount names a symbolic link, because a mount option cannot carry every path.
 fn mount_script(control: &Control, options: &Options) -> io::Result<Vec<u8>> {
     let mut script = Vec::new();
     let mut mount = |name: &str, place: &Path, access: &str| {

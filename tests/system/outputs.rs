@@ -1,4 +1,4 @@
-//! Files that commands write: what they never replace, and what they replace when they are told to.
+//! Output files of commands: the files they never replace, and the files they replace with `--force`.
 
 use std::ffi::OsStr;
 use std::fs::{self, File};

@@ -7,9 +7,8 @@ use std::process::Command;
 use crate::cli_run::{interrupted, stopped, stops_in_motion};
 use crate::mrroc::{Directory, Running, example, shorten};
 
-/// All but 9 and 19, which cannot be caught; 4, 7, 8 and 11, after which no code is to be trusted; 13, which does not
-/// end the process; 10, which asks for the cycles of this moment; and those that suspend only readers and writers of the
-/// terminal.
+/// Signals that end or suspend a process by default, but for INT and TERM, which `cli_run` sends, and for those that
+/// `console/src/signals.rs` leaves alone.
 const ENDING: [&str; 19] = [
     "HUP", "QUIT", "TRAP", "ABRT", "USR2", "ALRM", "16", "XCPU", "XFSZ", "VTALRM", "PROF", "29",
     "PWR", "SYS", "TSTP", "34", "35", "63", "64",
@@ -23,7 +22,8 @@ fn every_signal_that_would_end_or_suspend_a_run_brakes_the_arm() {
     }
 }
 
-/// A run in the background whose terminal is set to stop those that write to it (`stty tostop`) is sent SIGTTOU.
+/// The kernel sends SIGTTOU to a background process that writes to a terminal under `stty tostop`, and SIGTTIN to one
+/// that reads.
 #[test]
 fn a_run_in_the_background_is_not_suspended_by_its_terminal() {
     let directory = Directory::new();
@@ -38,8 +38,9 @@ fn a_run_in_the_background_is_not_suspended_by_its_terminal() {
     ]);
     let lines = |text: &str| text.lines().count();
     run.wait_for(&record, |text| lines(text) > 200);
-    run.signal("TTOU");
-    run.signal("TTIN");
+    for signal in ["TTOU", "TTIN", "PIPE"] {
+        run.signal(signal);
+    }
     let before = lines(&fs::read_to_string(&record).unwrap());
     run.wait_for(&record, |text| lines(text) > before + 2000);
     run.signal("INT");

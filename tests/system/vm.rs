@@ -1,4 +1,4 @@
-//! `mrroc vm` as a user sees it: what stays behind, and what other users of the host can do to it.
+//! `mrroc vm`: nothing of a machine stays behind, and no other user of the host gets into it.
 
 use std::fs::{self, Permissions};
 use std::io::{BufRead, BufReader, Read};

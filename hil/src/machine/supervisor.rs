@@ -1,5 +1,5 @@
-//! The process that outlives the program which wants a test machine: kills the machine and removes its directory, also
-//! when that program is killed.
+//! The supervisor of a test machine: a process that outlives the calling program, kills the machine and removes the
+//! machine's directory.
 
 use std::ffi::OsStr;
 use std::io::{self, PipeWriter, Write};
@@ -39,7 +39,7 @@ impl Cancellation {
     }
 }
 
-/// A supervisor and its machine; both and the directory are gone when this has been dropped.
+/// A supervisor and its machine. Dropping the value ends both and removes the directory.
 #[derive(Debug)]
 pub(super) struct Supervisor {
     shell: Child,
@@ -93,7 +93,7 @@ impl Supervisor {
 impl Drop for Supervisor {
     fn drop(&mut self) {
         self.kill();
-        // A supervisor that somebody else has waited for is gone as well.
+        // The wait fails only if the supervisor has been waited for, and then the supervisor has ended.
         let _ = self.shell.wait();
     }
 }

@@ -1,4 +1,4 @@
-//! Directories that no other user of the host can change: neither what lies in them, nor where their path leads.
+//! Trusted directories: no other user of the host can change their content or their path.
 
 use std::fs::{self, Metadata};
 use std::io;
