@@ -4,12 +4,13 @@ use std::fmt;
 use std::path::Path;
 use std::process::ExitCode;
 
-use controller::cell::Cell;
+use mrroc::cell::Cell;
 use serde::Serialize;
 
-use crate::budget::{self, Bundle, BusBudget, Line};
-use crate::cell_file::CellFile;
-use crate::{rehearsal, streams};
+use mrroc::budget::{self, Bundle, BusBudget, Line};
+use mrroc::cell_file::CellFile;
+use mrroc::streams;
+use mrroc::rehearsal;
 
 /// What a check found, where nothing is wrong.
 #[derive(Serialize)]

@@ -15,7 +15,7 @@ use std::process::ExitCode;
 use clap::Args;
 
 use crate::kinematics::{Machine, Which};
-use crate::streams;
+use mrroc::streams;
 use views::Drawing;
 
 #[derive(Args)]
@@ -43,7 +43,7 @@ pub(crate) fn datasheet(options: &Options) -> anyhow::Result<ExitCode> {
 
 #[cfg(test)]
 mod tests {
-    use controller::cell::{Model, Parameters};
+    use mrroc::cell::{Model, Parameters};
 
     use super::*;
 

@@ -7,8 +7,9 @@ use anyhow::anyhow;
 use can::Instant;
 use hil::epos4::Epos4;
 
-use crate::cell_file::CellFile;
-use crate::{emulation, streams};
+use mrroc::cell_file::CellFile;
+use mrroc::streams;
+use mrroc::bench::emulation;
 
 /// Prints the data sheet of the drive that is emulated for an axis.
 pub(crate) fn eds(cell: &Path, axis: &str) -> anyhow::Result<ExitCode> {
@@ -29,7 +30,7 @@ fn find(file: &CellFile, wanted: &str) -> anyhow::Result<(usize, usize)> {
         .filter(|(.., axis)| axis.drive.is_some())
         .map(|(place, robot, axis)| (place, format!("{}/{}", robot.name, axis.name), axis))
         .collect();
-    let called = |full: &str, axis: &controller::cell::Axis| {
+    let called = |full: &str, axis: &mrroc::cell::Axis| {
         full == wanted || axis.name == wanted || wanted.parse() == Ok(axis.node)
     };
     let mut found = axes.iter().filter(|(_, full, axis)| called(full, axis));

@@ -13,12 +13,12 @@ use canopen::sync::Sync;
 use clap::Args;
 use hil::{Cabinet, Device, Pty};
 
-use crate::bus_port::BusPort;
-use crate::cell_file::CellFile;
-use crate::emulated_lines::EmulatedLines;
-use crate::emulated_time::EmulatedTime;
-use crate::plants::{Mechanisms, Payloads};
-use crate::{emulation, interfaces};
+use mrroc::bench::bus_port::BusPort;
+use mrroc::cell_file::CellFile;
+use mrroc::bench::emulated_lines::EmulatedLines;
+use mrroc::bench::emulated_time::EmulatedTime;
+use mrroc::bench::plants::{Mechanisms, Payloads};
+use mrroc::bench::{emulation, interfaces};
 
 /// Longest time between two looks at whether somebody pressed Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);
@@ -121,7 +121,7 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
     let flag = stop.clone();
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed))
         .context("Ctrl-C cannot be caught")?;
-    crate::streams::say(format_args!(
+    mrroc::streams::say(format_args!(
         "{} emulated: bus {}; Ctrl-C ends it",
         file.cell.name,
         names.join(", bus ")

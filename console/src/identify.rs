@@ -22,9 +22,10 @@ use servo::{
     ExcitationError, MAX_AXES, NotUp, Output, PositionLoop, Servo, ServoAxisConfig, lockstep,
 };
 
-use crate::bench::{Bench, BenchKind, Places};
-use crate::cell_file::CellFile;
-use crate::{clockwork, setup};
+use mrroc::bench::{Bench, BenchKind, Places};
+use mrroc::cell_file::CellFile;
+use mrroc::bench::clockwork;
+use mrroc::setup;
 use report::Report;
 use session::Session;
 
@@ -188,7 +189,7 @@ pub(crate) fn identify(options: &Options) -> anyhow::Result<ExitCode> {
     let (run, trace) = match ended.finish().with_context(|| name.clone())? {
         Ok(measured) => measured,
         Err(why) => {
-            crate::streams::warn(format_args!("mrroc: {name}: {why}"));
+            mrroc::streams::warn(format_args!("mrroc: {name}: {why}"));
             return Ok(ExitCode::from(1));
         }
     };
@@ -204,7 +205,7 @@ pub(crate) fn identify(options: &Options) -> anyhow::Result<ExitCode> {
         write("bode.svg", bode::chart(&report))?;
         write("bode.csv", report.csv())?;
     }
-    crate::streams::answer(&report, options.json)?;
+    mrroc::streams::answer(&report, options.json)?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -379,7 +380,7 @@ fn not_up(error: NotUp) -> anyhow::Error {
 fn in_lockstep(
     mut servo: Servo,
     session: Session,
-    emulation: Option<crate::emulation::Emulation>,
+    emulation: Option<mrroc::bench::emulation::Emulation>,
 ) -> anyhow::Result<Session> {
     let emulation = RefCell::new(emulation.expect("lockstep has emulated drives"));
     let between = |next| emulation.borrow_mut().advance(next);
@@ -409,7 +410,7 @@ fn by_the_clock(
     file: &CellFile,
     mut servo: Servo,
     mut session: Session,
-    mut emulation: Option<crate::emulation::Emulation>,
+    mut emulation: Option<mrroc::bench::emulation::Emulation>,
 ) -> anyhow::Result<Session> {
     let stop = servo.stop_request();
     ctrlc::set_handler(move || stop.request())
@@ -420,7 +421,7 @@ fn by_the_clock(
     let policy = |time| setup::realtime_policy(&file.cell, time);
     let until = move |_: &Servo| finished.load(Ordering::Relaxed);
     let running = clockwork::start(servo, emulation, since, policy, Arc::default(), until)?;
-    let turning = crate::run::Turning::of(running, done);
+    let turning = mrroc::run::Turning::of(running, done);
     while !session.is_over() && !turning.is_finished() {
         session.poll();
         clock::sleep_until(clock::now() + POLL);

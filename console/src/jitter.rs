@@ -46,9 +46,9 @@ use plan::Plan;
 use probe::{Turn, Wakeups};
 use report::{Report, Setting, Side};
 
-use crate::cell_file::CellFile;
+use mrroc::cell_file::CellFile;
 use crate::doctor::stolen_ticks;
-use crate::spikes::SpikeFile;
+use mrroc::spikes::SpikeFile;
 
 /// Options of `mrroc jitter`.
 #[derive(Args)]
@@ -208,7 +208,7 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
     let plan = Plan::of(options, file.as_ref().map(|file| &file.cell))?;
     if let Some(file) = &mut file {
         file.cell.period_us = plan.period.as_micros() as u32;
-        crate::budget::check(file)?;
+        mrroc::budget::check(file)?;
     }
     let bench = options.bench.unwrap_or(CellBench::Emulated);
     bench::check(file.as_ref(), bench, &options.can)?;
@@ -315,7 +315,7 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
     let failed = course.failed.take();
 
     let setting = Setting {
-        period_us: crate::report::microseconds(plan.period),
+        period_us: mrroc::report::microseconds(plan.period),
         seconds: (plan.turn * plan.rounds).as_secs_f64(),
         rounds: plan.rounds,
         warm_up_s: plan.warm_up.as_secs_f64(),
@@ -351,7 +351,7 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
         cell.as_ref().map_or(&ours.causes, |cell| &cell.late),
         cell.as_ref().map(MeasuredCell::report),
     );
-    crate::streams::answer(&report, options.json)?;
+    mrroc::streams::answer(&report, options.json)?;
     let written = match (files, failed) {
         (_, Some(error)) => Err(error).context("ours.hlog cannot be written"),
         (None, None) => Ok(()),
@@ -368,7 +368,7 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
     }));
     if let Err(error) = &written {
         // Too late to refuse: it has been measured.
-        crate::streams::warn(format_args!("mrroc: {error:#}"));
+        mrroc::streams::warn(format_args!("mrroc: {error:#}"));
     }
     Ok(ExitCode::from(u8::from(ended_early || written.is_err())))
 }

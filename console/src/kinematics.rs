@@ -14,7 +14,7 @@ use clap::{ArgGroup, Args, Subcommand};
 
 pub(crate) use machine::{Machine, Which};
 
-use crate::streams;
+use mrroc::streams;
 use answers::{Forward, Inverse, Ranges, Sensitivity};
 
 /// The robot, and the form of the answer.

@@ -5,43 +5,22 @@
 
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
-mod bench;
-mod bridge;
-mod budget;
-mod bus_port;
-mod card;
-mod cell_file;
 mod chart;
 mod check;
-mod clockwork;
-mod configuration;
 mod datasheet;
 mod doctor;
 mod eds;
 mod emulate;
-mod emulated_lines;
-mod emulated_time;
-mod emulation;
 mod identify;
-mod interfaces;
 mod jitter;
 mod kinematics;
 mod manual;
-mod plants;
-mod programs;
-mod rehearsal;
-mod report;
-mod run;
 mod service;
-mod setup;
-mod spikes;
-mod streams;
+
 mod svg;
-mod trace;
 mod urdf;
 mod usage;
 mod vm;
-mod wire;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -73,7 +52,7 @@ enum Command {
     /// Examine this host: can it run the cell, and what has to change where it cannot? Changes nothing.
     Doctor(doctor::Options),
     /// Bring a cell up, home it, run its programs and report. Moves hardware on the card bench.
-    Run(run::Options),
+    Run(mrroc::run::Options),
     /// Stand in for the axis controllers of a cell on a CAN interface, behind an slcan adapter, on serial lines.
     Emulate(emulate::Options),
     /// Who is on a bus: asks every node-ID by SDO, whoever has none by LSS, and listens to heartbeats. Not while another
@@ -140,7 +119,7 @@ fn main() -> ExitCode {
     let result = match arguments.command {
         Command::Check { cell, json } => check::check(&cell, json),
         Command::Doctor(options) => doctor::doctor(&options),
-        Command::Run(options) => run::run(&options),
+        Command::Run(options) => mrroc::run::run(&options),
         Command::Emulate(options) => emulate::emulate(&options),
         Command::Scan(options) => service::scan::scan(&options),
         Command::Sdo { action } => service::sdo::sdo(&action),
@@ -158,7 +137,7 @@ fn main() -> ExitCode {
         Command::Manual { directory } => manual::write(Arguments::command(), &directory),
     };
     result.unwrap_or_else(|refusal| {
-        streams::warn(format_args!("mrroc: {refusal:#}"));
+        mrroc::streams::warn(format_args!("mrroc: {refusal:#}"));
         ExitCode::from(2)
     })
 }

@@ -8,12 +8,12 @@ use std::process::ExitCode;
 
 use anyhow::{Context as _, anyhow};
 use clap::Args;
-use controller::cell::Parameters;
+use mrroc::cell::Parameters;
 use controller::robot::{Link, LinkKind};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use crate::kinematics::{Machine, Which};
-use crate::streams;
+use mrroc::streams;
 
 /// Radius of the rod between two joints, m.
 const ROD: f64 = 0.03;

@@ -9,7 +9,7 @@ use std::process::Command;
 
 use can::card::{self, CardError, CardState};
 use can::timing::Bitrate;
-use controller::cell::Cell;
+use mrroc::cell::Cell;
 
 use crate::bench::{on_cards, on_vcan};
 use crate::doctor::{self, Attached};

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use can::{Frame, Id, Instant, StandardId, clock};
 use canopen::NodeId;
-use controller::cell::{Cell, Instruction};
+use mrroc::cell::{Cell, Instruction};
 use hil::epos4::{Epos4, Epos4Config};
 use hil::{AxisConfig, Device};
 

@@ -5,7 +5,7 @@ use std::process::{Child, Command, Stdio};
 
 use can::card;
 use can::{OpenError, SocketCanOptions, SocketCanPort};
-use controller::cell::Cell;
+use mrroc::cell::Cell;
 use serde_json::Value;
 
 use crate::bench::on_vcan;

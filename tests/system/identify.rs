@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 use std::path::Path;
 use std::{fs, iter};
 
-use controller::cell::DriveControl;
+use mrroc::cell::DriveControl;
 use hil::plant::SUB_STEP;
 use hil::{AxisConfig, Demand, Irp6Axis};
 use nalgebra::Complex;

@@ -12,7 +12,7 @@ use std::thread;
 use std::time::Duration;
 
 use can::candump;
-use controller::cell::Cell;
+use mrroc::cell::Cell;
 
 /// Nothing these tests run takes longer.
 const DEADLINE: Duration = Duration::from_secs(90);

@@ -4,7 +4,7 @@ use can::timing::bits_on_wire;
 use can::{Instant, Received};
 use canopen::pdo::PdoNumber;
 use canopen::{NodeId, cob};
-use controller::cell::Cell;
+use mrroc::cell::Cell;
 use serde_json::Value;
 
 use crate::mrroc::{Directory, example, mrroc, text, trace};

@@ -1,6 +1,6 @@
 //! The axes of a robot between joint and motor, in words.
 
-use controller::cell::Parameters;
+use mrroc::cell::Parameters;
 use controller::robot::{ArmParameters, GearAxis, LegAxis, Limits, ScrewAxis};
 
 use super::tables::{Tag, WUT, WUT_TRACK};

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use controller::cell::Parameters;
+use mrroc::cell::Parameters;
 
 /// A loop: where it is found, how it is closed, its crossover in Hz, its phase margin in degrees.
 type Loop = [&'static str; 4];

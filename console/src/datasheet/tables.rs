@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::mem::discriminant;
 
-use controller::cell::{Model, Parameters};
+use mrroc::cell::{Model, Parameters};
 use controller::robot::ArmParameters;
 
 use super::drives::{Drive, axes};

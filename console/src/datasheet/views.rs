@@ -1,6 +1,6 @@
 //! From where each robot is seen, and in which posture.
 
-use controller::cell::Parameters;
+use mrroc::cell::Parameters;
 use controller::robot::{ConveyorParameters, GripperParameters, Joints, Vector};
 use nalgebra::Vector3;
 

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use controller::cell::{Policy, Realtime};
+use mrroc::cell::{Policy, Realtime};
 use servo::thread::Denial;
 
 use super::finding::Finding;
@@ -225,7 +225,7 @@ pub(crate) fn stolen_ticks(stat: &str) -> u64 {
 
 #[cfg(test)]
 mod tests {
-    use controller::cell::Policy;
+    use mrroc::cell::Policy;
 
     use super::super::finding::Verdict;
     use super::super::tests::Fake;

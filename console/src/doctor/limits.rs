@@ -1,6 +1,6 @@
 //! What the user of this process may ask of the scheduler and of the memory.
 
-use controller::cell::{Policy, Realtime, Scheduler};
+use mrroc::cell::{Policy, Realtime, Scheduler};
 
 use servo::thread::{Denial, Grant, LIMITS, Limit};
 

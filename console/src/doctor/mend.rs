@@ -6,7 +6,7 @@ use super::finding::Finding;
 use super::fix::{apply, put_back, shown};
 use super::record::Record;
 use super::tree::Tree;
-use crate::streams;
+use mrroc::streams;
 
 /// Applies the fixes of all findings that `agreed` agrees to; says what was done on stderr.
 ///

@@ -30,14 +30,14 @@ use anyhow::{Context, ensure};
 use can::clock::{now, sleep_until};
 use can::{OpenError, SocketCanOptions, SocketCanPort};
 use clap::Args;
-use controller::cell::{Cell, Realtime, Scheduler};
+use mrroc::cell::{Cell, Realtime, Scheduler};
 use drive::cia402;
 use serde::Serialize;
 use servo::thread::{Denial, set_deadline, set_fifo};
 
-use crate::cell_file::CellFile;
-use crate::interfaces::Interface;
-use crate::streams;
+use mrroc::cell_file::CellFile;
+use mrroc::bench::interfaces::Interface;
+use mrroc::streams;
 use finding::{Finding, Verdict};
 use link::Link;
 use record::Record;

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use can::OpenError;
-use controller::cell::Realtime;
+use mrroc::cell::Realtime;
 
 use super::finding::Finding;
 use super::link::Link;

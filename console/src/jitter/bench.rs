@@ -5,9 +5,9 @@ use can::card::{self, CardError};
 use clap::ValueEnum;
 use serde::Serialize;
 
-use crate::cell_file::CellFile;
+use mrroc::cell_file::CellFile;
 use crate::doctor::link::Link;
-use crate::interfaces::{Interface, bus_of};
+use mrroc::bench::interfaces::{Interface, bus_of};
 
 /// What a cell is measured on; nothing here moves hardware.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]

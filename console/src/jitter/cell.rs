@@ -16,11 +16,12 @@ use super::bench::CellBench;
 use super::interval::{Counts, Interval, Ledger, counts, counts_of};
 use super::probe::{LOOK, Turn};
 use super::report::percentiles;
-use crate::bench::{Bench, BenchKind, Places};
-use crate::cell_file::CellFile;
-use crate::report::Percentiles;
-use crate::wire::{Wire, WireReport};
-use crate::{clockwork, setup};
+use mrroc::bench::{Bench, BenchKind, Places};
+use mrroc::cell_file::CellFile;
+use mrroc::report::Percentiles;
+use mrroc::wire::{Wire, WireReport};
+use mrroc::bench::clockwork;
+use mrroc::setup;
 
 /// A cell under measurement.
 pub(crate) struct MeasuredCell<'a> {
@@ -100,7 +101,7 @@ impl<'a> MeasuredCell<'a> {
             emulation.add_traffic();
         }
         let since = clockwork::bring_up(&mut servo, &mut emulation)
-            .map_err(|error| crate::run::why_not_up(file, error))?;
+            .map_err(|error| mrroc::run::why_not_up(file, error))?;
         for link in &mut links {
             let ordered = link.orders.push(Order::Enable);
             ordered.map_err(|_| anyhow!("no order could be given"))?;

@@ -3,11 +3,11 @@
 use std::time::Duration;
 
 use anyhow::{anyhow, bail};
-use controller::cell::Cell;
+use mrroc::cell::Cell;
 use servo::thread::{self, CellTime, Realtime, RealtimePolicy};
 
 use super::{Options, Scheduler, Wait};
-use crate::setup;
+use mrroc::setup;
 
 /// Shortest and longest period.
 const PERIODS: [Duration; 2] = [Duration::from_micros(50), Duration::from_secs(1)];

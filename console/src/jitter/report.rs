@@ -10,7 +10,7 @@ use super::cell::CellReport;
 use super::interval::Counts;
 use super::verdict::{self, Fit, Tail};
 use super::{Peer, Scheduler, Wait, load};
-use crate::report::{Percentiles, WaitCost, microseconds};
+use mrroc::report::{Percentiles, WaitCost, microseconds};
 
 /// What was measured, and how.
 #[derive(Debug, Serialize)]

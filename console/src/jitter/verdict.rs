@@ -11,7 +11,7 @@ use std::fmt::Write as _;
 
 use serde::Serialize;
 
-use crate::report::Percentiles;
+use mrroc::report::Percentiles;
 
 /// Cycles from which on 999 of 1000 says something: the latest thousandth is a hundred of them.
 const ENOUGH: u64 = 100_000;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use anyhow::{Context as _, anyhow};
 use clap::Args;
-use controller::cell::{Model, Parameters};
+use mrroc::cell::{Model, Parameters};
 use controller::robot::{
     Joints, Limits, Motors, ParameterError, PolycrankParameters, Rnt, RntParameters, Robot, Vector,
 };
@@ -13,7 +13,7 @@ use controller::robot::{
 use nalgebra::Vector3;
 
 use super::numbers;
-use crate::cell_file::CellFile;
+use mrroc::cell_file::CellFile;
 
 const RNT: &str =
     "geometry, drives and limits of the RNT are nominal: none was measured or published";

@@ -14,7 +14,7 @@ use serde::Serialize;
 
 use super::talk::{Conversation, Ended};
 use super::{BusArgs, interrupted, milliseconds, node_id, say, value, words};
-use crate::interfaces::Interface;
+use mrroc::bench::interfaces::Interface;
 
 /// How long a slave may take to store its configuration.
 const STORING: Duration = Duration::from_secs(2);

@@ -34,10 +34,10 @@ use canopen::sdo::SdoError;
 use canopen::{NodeId, Object};
 use clap::Args;
 
-use crate::bus_port::BusPort;
-use crate::cell_file::CellFile;
-use crate::interfaces::Interface;
-use crate::streams::say;
+use mrroc::bench::bus_port::BusPort;
+use mrroc::cell_file::CellFile;
+use mrroc::bench::interfaces::Interface;
+use mrroc::streams::say;
 use epos::ServicePort;
 use talk::{Conversation, Ended};
 use value::Type;

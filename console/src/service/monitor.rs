@@ -18,8 +18,8 @@ use super::pdo_map::{MappingQuestions, Pdo, PdoMap};
 use super::survey::Survey;
 use super::talk::Ended;
 use super::{Bus, BusArgs, interrupted, milliseconds, now, words};
-use crate::interfaces::Interface;
-use crate::setup;
+use mrroc::bench::interfaces::Interface;
+use mrroc::setup;
 
 /// Longest time between two looks at whether somebody pressed Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);
@@ -155,7 +155,7 @@ fn watch(bus: &mut Bus, decoder: &Decoder, options: &Options) -> anyhow::Result<
             }
         }
         if let Some(news) = health.news(bus) {
-            crate::streams::warn(format_args!("mrroc: {}: {news}", bus.interface));
+            mrroc::streams::warn(format_args!("mrroc: {}: {news}", bus.interface));
         }
         out.flush()?;
     }

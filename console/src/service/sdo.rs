@@ -186,7 +186,7 @@ fn write(
             }
             let (object, wrote) = (target.object, Shown::of(&data, Some(ty), false));
             let found = Shown::of(&found, Some(ty), false);
-            crate::streams::warn(format_args!(
+            mrroc::streams::warn(format_args!(
                 "mrroc: {object} was written as {wrote} and reads back as {found}"
             ));
             Ok(ExitCode::from(1))
@@ -195,14 +195,14 @@ fn write(
             code: AbortCode::WRITE_ONLY,
             ..
         })) => {
-            crate::streams::warn(format_args!(
+            mrroc::streams::warn(format_args!(
                 "mrroc: {} is written; it cannot be read back",
                 target.object
             ));
             Ok(ExitCode::SUCCESS)
         }
         Some(Err(error)) => {
-            crate::streams::warn(format_args!(
+            mrroc::streams::warn(format_args!(
                 "mrroc: {} is written; reading it back failed: {error}",
                 target.object
             ));

@@ -6,7 +6,7 @@ use std::time::Duration;
 use can::{Frame, Instant, Port, PortError, Received, clock};
 use canopen::sync::Sync;
 
-use crate::bus_port::BusPort;
+use mrroc::bench::bus_port::BusPort;
 
 /// Longest time between two looks at whether somebody pressed Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);
