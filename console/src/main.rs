@@ -5,20 +5,10 @@
 
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
-mod chart;
 mod check;
-mod datasheet;
-mod doctor;
-mod eds;
 mod emulate;
-mod identify;
-mod jitter;
-mod kinematics;
 mod manual;
-mod service;
 
-mod svg;
-mod urdf;
 mod usage;
 mod vm;
 
@@ -50,7 +40,7 @@ enum Command {
         json: bool,
     },
     /// Examine this host: can it run the cell, and what has to change where it cannot? Changes nothing.
-    Doctor(doctor::Options),
+    Doctor(host::doctor::Options),
     /// Bring a cell up, home it, run its programs and report. Moves hardware on the card bench.
     Run(mrroc::run::Options),
     /// Stand in for the axis controllers of a cell on a CAN interface, behind an slcan adapter, on serial lines.
@@ -85,17 +75,17 @@ enum Command {
     /// benches; moves hardware on the card bench, where it has to be told so.
     Identify(identify::Options),
     /// Measure how punctual a thread that waits as the servo's does is on this host, beside cyclictest in the same run.
-    Jitter(jitter::Options),
+    Jitter(host::jitter::Options),
     /// Where a robot's flange is for given joints, which joints put it there, and how they move it.
     Kinematics {
         #[command(subcommand)]
-        question: kinematics::Question,
+        question: descriptions::kinematics::Question,
     },
     /// Print the data sheet of a robot, of the gripper or of the conveyor in Markdown, or its figure in SVG: geometry,
     /// drives, limits, and where the numbers come from.
-    Datasheet(datasheet::Options),
+    Datasheet(descriptions::datasheet::Options),
     /// Print a robot's description (URDF) for viewers and libraries of rigid bodies.
-    Urdf(urdf::Options),
+    Urdf(descriptions::urdf::Options),
     /// Run a command in a virtual machine that has CAN.
     Vm {
         #[command(subcommand)]
@@ -118,7 +108,7 @@ fn main() -> ExitCode {
     };
     let result = match arguments.command {
         Command::Check { cell, json } => check::check(&cell, json),
-        Command::Doctor(options) => doctor::doctor(&options),
+        Command::Doctor(options) => host::doctor::doctor(&options),
         Command::Run(options) => mrroc::run::run(&options),
         Command::Emulate(options) => emulate::emulate(&options),
         Command::Scan(options) => service::scan::scan(&options),
@@ -126,12 +116,12 @@ fn main() -> ExitCode {
         Command::Nmt(options) => service::nmt::nmt(&options),
         Command::Lss { action } => service::lss::lss(&action),
         Command::Monitor(options) => service::monitor::monitor(&options),
-        Command::Eds { cell, axis } => eds::eds(&cell, &axis),
+        Command::Eds { cell, axis } => descriptions::eds::eds(&cell, &axis),
         Command::Identify(options) => identify::identify(&options),
-        Command::Jitter(options) => jitter::jitter(&options),
-        Command::Kinematics { question } => kinematics::kinematics(&question),
-        Command::Datasheet(options) => datasheet::datasheet(&options),
-        Command::Urdf(options) => urdf::urdf(&options),
+        Command::Jitter(options) => host::jitter::jitter(&options),
+        Command::Kinematics { question } => descriptions::kinematics::kinematics(&question),
+        Command::Datasheet(options) => descriptions::datasheet::datasheet(&options),
+        Command::Urdf(options) => descriptions::urdf::urdf(&options),
         Command::Vm { machine } => vm::vm(&machine),
         Command::Schema => check::schema(),
         Command::Manual { directory } => manual::write(Arguments::command(), &directory),
