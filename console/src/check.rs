@@ -9,8 +9,8 @@ use serde::Serialize;
 
 use mrroc::budget::{self, Bundle, BusBudget, Line};
 use mrroc::cell_file::CellFile;
-use mrroc::streams;
 use mrroc::rehearsal;
+use mrroc::streams;
 
 /// What a check found, where nothing is wrong.
 #[derive(Serialize)]

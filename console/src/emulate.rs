@@ -14,11 +14,11 @@ use clap::Args;
 use hil::{Cabinet, Device, Pty};
 
 use mrroc::bench::bus_port::BusPort;
-use mrroc::cell_file::CellFile;
 use mrroc::bench::emulated_lines::EmulatedLines;
 use mrroc::bench::emulated_time::EmulatedTime;
 use mrroc::bench::plants::{Mechanisms, Payloads};
 use mrroc::bench::{emulation, interfaces};
+use mrroc::cell_file::CellFile;
 
 /// Longest time between two looks at whether somebody pressed Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);

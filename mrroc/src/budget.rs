@@ -2,11 +2,11 @@
 
 use std::time::Duration;
 
+use crate::cell::{Path, Protocol};
 use anyhow::anyhow;
 use can::StandardId;
 use can::schedule::{self, Every, Message, Sender};
 use can::timing::Bitrate;
-use crate::cell::{Path, Protocol};
 use drive::cia402::{Cia402Group, Traffic};
 use serde::Serialize;
 

@@ -3,8 +3,8 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, anyhow};
 use crate::cell::{Cell, CellError};
+use anyhow::{Context, anyhow};
 use controller::generator::Arm;
 use drive::cia402::Identity;
 

@@ -2,13 +2,13 @@
 
 use std::path::PathBuf;
 
+use crate::cell::Path;
 use anyhow::{Context, anyhow};
 use canopen::NodeId;
 use canopen::dcf::{self, Download};
 use canopen::eds::Eds;
 use canopen::objects::{CONTROLWORD, PRODUCT_CODE, RESTORE_ALL, REVISION, STORE_ALL, VENDOR_ID};
 use canopen::sdo::CAPACITY;
-use crate::cell::Path;
 use drive::cia402::Setting;
 
 use crate::cell_file::CellFile;

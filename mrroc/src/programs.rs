@@ -12,7 +12,7 @@ use crate::report::FaultReport;
 use crate::setup;
 
 /// One effector control process per robot, each with its program.
-pub struct Programs {
+pub(crate) struct Programs {
     ecps: Vec<Ecp>,
     meetings: Meetings,
     /// The phase of each that was last told.
@@ -23,7 +23,7 @@ pub struct Programs {
 
 /// What is new of one robot.
 #[derive(Clone, Copy, Debug)]
-pub struct Seen {
+pub(crate) struct Seen {
     robot: usize,
     phase: Phase,
     /// Instructions that ended.
@@ -32,7 +32,7 @@ pub struct Seen {
 
 impl Programs {
     /// The programs of a cell's robots on the links to its servo, whose handles the meetings and the first failure use.
-    pub fn of(
+    pub(crate) fn of(
         file: &CellFile,
         links: Vec<EffectorLink>,
         servo: &Servo,
@@ -56,7 +56,7 @@ impl Programs {
 
     /// Lets every effector control process do what is due; `false` once all are done. The first failure
     /// stops every effector. `tell` hears of what is new, and must not wait.
-    pub fn poll(
+    pub(crate) fn poll(
         &mut self,
         file: &CellFile,
         now: Instant,
@@ -85,7 +85,7 @@ impl Programs {
 }
 
 /// The progress bar of a run.
-pub struct Progress {
+pub(crate) struct Progress {
     bar: ProgressBar,
     names: Vec<String>,
     phases: Vec<Phase>,
@@ -93,7 +93,7 @@ pub struct Progress {
 
 impl Progress {
     /// A bar over every instruction of every robot, or none.
-    pub fn new(file: &CellFile, shown: bool) -> anyhow::Result<Self> {
+    pub(crate) fn new(file: &CellFile, shown: bool) -> anyhow::Result<Self> {
         let moves = |robot: &crate::cell::Robot| robot.task_len() as u64;
         let bar = match shown {
             true => ProgressBar::new(file.cell.robot.iter().map(moves).sum()),
@@ -114,7 +114,7 @@ impl Progress {
     }
 
     /// Shows what is new.
-    pub fn show(&mut self, seen: Seen) {
+    pub(crate) fn show(&mut self, seen: Seen) {
         self.bar.inc(seen.done);
         self.phases[seen.robot] = seen.phase;
         let robots = self.names.iter().zip(&self.phases);
@@ -125,7 +125,7 @@ impl Progress {
     }
 
     /// Takes the bar away.
-    pub fn finish(self) {
+    pub(crate) fn finish(self) {
         self.bar.finish_and_clear();
     }
 }
@@ -162,7 +162,7 @@ fn describe_fault(file: &CellFile, robot: usize, fault: &ServoFault) -> FaultRep
 }
 
 /// What the servo has latched of each robot, and that not all are without power.
-pub fn servo_faults(file: &CellFile, servo: &Servo) -> Vec<FaultReport> {
+pub(crate) fn servo_faults(file: &CellFile, servo: &Servo) -> Vec<FaultReport> {
     let robots = &file.cell.robot;
     let latched = |robot| Some(describe_fault(file, robot, &servo.fault(robot)?));
     let mut faults: Vec<_> = (0..robots.len()).filter_map(latched).collect();

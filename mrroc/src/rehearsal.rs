@@ -6,8 +6,8 @@
 use std::task::Poll;
 use std::time::Duration;
 
-use can::Instant;
 use crate::cell::{Path, instruction_path};
+use can::Instant;
 use controller::ecp::Ecp;
 use drive::{
     AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Homing, Power, Setpoint,

@@ -24,15 +24,15 @@ use servo::{NotUp, Servo, Timing, lockstep};
 use signal_hook::consts::SIGUSR1;
 use signal_hook::flag;
 
+use crate::bench::clockwork;
+use crate::bench::emulation::Emulation;
 use crate::bench::{Bench, BenchKind, Places};
 use crate::cell_file::CellFile;
-use crate::bench::emulation::Emulation;
 use crate::programs::{Programs, Progress, servo_faults};
 use crate::report::{FaultReport, Outcome, Ran, Report};
 use crate::spikes::SpikeFile;
 use crate::trace::{AxisLog, FrameLog};
 use crate::wire::Wire;
-use crate::bench::clockwork;
 use crate::{rehearsal, setup, streams};
 
 /// Records that an axis log may lag behind the servo, per effector: some seconds.

@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
+use crate::cell::{self, Bus, Cell, ENABLING, Homing, Policy, Serial};
 use anyhow::Context;
 use can::Port;
-use crate::cell::{self, Bus, Cell, ENABLING, Homing, Policy, Serial};
 use controller::ecp::{EcpConfig, Meetings};
 use controller::robot::Limits;
 use drive::DriveGroup;

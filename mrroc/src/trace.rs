@@ -9,11 +9,11 @@ use can::{TraceReader, candump};
 use drive::AxisCommand;
 use servo::Record;
 
-use crate::cell_file::CellFile;
 use crate::bench::interfaces::Interface;
+use crate::cell_file::CellFile;
 
 /// A candump log of every frame that passed the ports of a run.
-pub struct FrameLog {
+pub(crate) struct FrameLog {
     readers: Vec<TraceReader>,
     /// What the log calls each bus.
     names: Vec<can::InterfaceName>,
@@ -22,7 +22,7 @@ pub struct FrameLog {
 
 impl FrameLog {
     /// Creates the file. `interfaces` are what the buses run on.
-    pub fn create(
+    pub(crate) fn create(
         path: &Path,
         interfaces: &[Interface],
         readers: Vec<TraceReader>,
@@ -42,7 +42,7 @@ impl FrameLog {
     }
 
     /// Writes what has passed since the last call.
-    pub fn drain(&mut self) -> io::Result<()> {
+    pub(crate) fn drain(&mut self) -> io::Result<()> {
         for (reader, name) in self.readers.iter_mut().zip(&self.names) {
             while let Some(traced) = reader.read() {
                 let (at, frame) = (traced.at, traced.frame);
@@ -58,7 +58,7 @@ impl FrameLog {
     }
 
     /// Writes the rest and returns how many frames were lost because the file was too slow.
-    pub fn finish(mut self) -> io::Result<u64> {
+    pub(crate) fn finish(mut self) -> io::Result<u64> {
         self.drain()?;
         self.writer.into_inner().flush()?;
         Ok(self.readers.iter().map(TraceReader::lost).sum())
@@ -66,7 +66,7 @@ impl FrameLog {
 }
 
 /// A CSV file of every axis in every cycle.
-pub struct AxisLog {
+pub(crate) struct AxisLog {
     records: rtrb::Consumer<Record>,
     names: Vec<Vec<String>>,
     writer: BufWriter<File>,
@@ -74,7 +74,7 @@ pub struct AxisLog {
 
 impl AxisLog {
     /// Creates the file and writes its head.
-    pub fn create(
+    pub(crate) fn create(
         path: &Path,
         file: &CellFile,
         records: rtrb::Consumer<Record>,
@@ -100,7 +100,7 @@ impl AxisLog {
     }
 
     /// Writes what was recorded since the last call.
-    pub fn drain(&mut self) -> io::Result<()> {
+    pub(crate) fn drain(&mut self) -> io::Result<()> {
         while let Ok(record) = self.records.pop() {
             let names = &self.names[usize::from(record.effector)];
             for (axis, name) in record.axis.iter().zip(names) {

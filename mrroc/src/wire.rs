@@ -26,8 +26,8 @@ use canopen::wire_timing::{Sample, WireTiming};
 use drive::cia402::pdo_setups;
 use hdrhistogram::Histogram;
 
-use crate::cell_file::CellFile;
 use crate::bench::interfaces::Interface;
+use crate::cell_file::CellFile;
 use crate::report::{Percentiles, microseconds};
 use crate::setup;
 

@@ -11,7 +11,6 @@ use std::time::Duration;
 use can::timing::Bitrate;
 use can::{Frame, Instant, Port, TraceReader, Tracer, VirtualPort};
 use canopen::NodeId;
-use mrroc::cell::{Axis, Cell, Parameters, Protocol};
 use controller::ecp::{Ecp, EcpConfig};
 use controller::generator::Arm;
 use drive::axis_controller::AxisControllerGroup;
@@ -23,6 +22,7 @@ use hil::{
     Irp6Axis, LineDevice, LineFaults, LineId, Mechanism, MechanismConfig, Nfv2AxisController,
     World,
 };
+use mrroc::cell::{Axis, Cell, Parameters, Protocol};
 use servo::{EffectorConfig, EffectorLink, Order, Phase, Record, Servo, ServoConfig, ServoFault};
 
 use crate::allocations;

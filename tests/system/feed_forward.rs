@@ -1,7 +1,7 @@
 //! What a cell gains that says what its robot weighs and how its motors break away.
 
-use mrroc::cell::{Cell, EmulatedPayload, Weights};
 use controller::robot::Mass;
+use mrroc::cell::{Cell, EmulatedPayload, Weights};
 use serde_json::Value;
 
 use crate::mrroc::{Directory, mrroc};

@@ -21,9 +21,9 @@ use canopen::emcy::Emergency;
 use canopen::objects::{POSITION_ACTUAL, STATUSWORD};
 use canopen::sdo::{Initiate, Request, Response};
 use canopen::{NodeId, Object, cob};
-use mrroc::cell::{Axis, Cell, Wait};
 use drive::cia402::{AxisConfig, Cia402Group, GroupConfig, Recording};
 use drive::{AxisCommand, AxisState, DriveGroup, Finite, Homing, Increments, Setpoint};
+use mrroc::cell::{Axis, Cell, Wait};
 
 use crate::bench::on_vcan;
 use crate::mrroc::{self, Directory, Output, Running};

@@ -1,17 +1,17 @@
 //! The card of a bus before a run: its bit rate is set where that was asked for, and compared with the cell's
 //! where not.
 
+use crate::cell::Bus;
 use anyhow::{Context, bail};
 use can::card::{self, Card, CardError, CardState};
 use can::timing::Bitrate;
-use crate::cell::Bus;
 
 use crate::bench::interfaces::Interface;
 
 /// Sees to it that the card of `bus` has the cell's bit rate: by setting it, or by refusing any other.
 ///
 /// An slcan adapter is set whenever it is opened, and a virtual interface has no bit rate to be compared.
-pub fn prepare(interface: &Interface, bus: &Bus, set: bool) -> anyhow::Result<()> {
+pub(super) fn prepare(interface: &Interface, bus: &Bus, set: bool) -> anyhow::Result<()> {
     let Interface::SocketCan(name) = interface else {
         return Ok(());
     };

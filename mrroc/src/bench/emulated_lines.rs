@@ -12,10 +12,10 @@ use hil::{Cabinet, DeviceId, Pty, SlcanConfig, SlcanDevice, World};
 use serial::{Line, VirtualLine};
 use servo::thread::set_fifo;
 
-use crate::cell_file::CellFile;
 use crate::bench::emulated_time::EmulatedTime;
 use crate::bench::emulation;
 use crate::bench::plants::Mechanisms;
+use crate::cell_file::CellFile;
 
 /// Longest time between two looks at whether somebody pressed Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);
@@ -56,13 +56,7 @@ enum End {
 
 impl EmulatedLines {
     /// Adds CAN bus `index` of a cell, reached by an slcan adapter on `pty`.
-    pub fn add_bus(
-        &mut self,
-        file: &CellFile,
-        mechanisms: &Mechanisms,
-        index: usize,
-        pty: Pty,
-    ) {
+    pub fn add_bus(&mut self, file: &CellFile, mechanisms: &Mechanisms, index: usize, pty: Pty) {
         let bus = emulation::add_bus(&mut self.world, file, mechanisms, index);
         let config = SlcanConfig::new(emulation::bitrate(file, index));
         let adapter = Box::new(SlcanDevice::new(config));

@@ -2,10 +2,10 @@
 
 use std::time::Duration;
 
+use crate::cell::Protocol;
 use can::timing::Bitrate;
 use can::{Frame, Instant, StandardId, VirtualPort};
 use canopen::NodeId;
-use crate::cell::Protocol;
 use hil::{
     AxisControllerConfig, BusId, Cabinet, Device, Epos4, Epos4Config, Epos4Serial,
     EposSerialConfig, HiMoxaAxisController, LineDevice, Nfv2AxisController, World,
@@ -13,8 +13,8 @@ use hil::{
 use serial::{Settings, VirtualLine};
 
 use crate::bench::bridge::{Bridge, BridgedTty};
-use crate::cell_file::CellFile;
 use crate::bench::plants::{Mechanisms, Payloads, plant};
+use crate::cell_file::CellFile;
 
 /// Frames that the host's end of a virtual bus holds each way.
 const QUEUE: usize = 256;
@@ -87,11 +87,7 @@ impl Emulation {
     }
 
     /// Puts a pseudo-terminal between the host and its end of a line, and returns the tty.
-    pub fn on_tty(
-        &mut self,
-        line: VirtualLine,
-        settings: Settings,
-    ) -> anyhow::Result<BridgedTty> {
+    pub fn on_tty(&mut self, line: VirtualLine, settings: Settings) -> anyhow::Result<BridgedTty> {
         let (bridge, tty) = Bridge::new(line, settings)?;
         self.bridges.push(bridge);
         Ok(tty)
@@ -148,12 +144,7 @@ impl Device for Chatter {
 }
 
 /// Adds bus `bus` of a cell with its devices, switched on at [`Instant::ZERO`].
-pub fn add_bus(
-    world: &mut World,
-    file: &CellFile,
-    mechanisms: &Mechanisms,
-    bus: usize,
-) -> BusId {
+pub fn add_bus(world: &mut World, file: &CellFile, mechanisms: &Mechanisms, bus: usize) -> BusId {
     let id = world.add_bus(bitrate(file, bus));
     for device in devices(file, mechanisms, bus, Instant::ZERO) {
         world.add_device(id, device);
@@ -272,12 +263,7 @@ fn device(
 }
 
 /// What stands in for the drive of an axis, its motor on no mechanism.
-pub fn config(
-    file: &CellFile,
-    robot: usize,
-    number: usize,
-    power_on: Instant,
-) -> Epos4Config {
+pub fn config(file: &CellFile, robot: usize, number: usize, power_on: Instant) -> Epos4Config {
     let axis = &file.cell.robot[robot].axis[number];
     let node = NodeId::new(axis.node).expect("a parsed cell has valid node-IDs");
     let identity = file.identity(robot, number);

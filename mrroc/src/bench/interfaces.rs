@@ -2,8 +2,8 @@
 
 use std::fmt;
 
-use anyhow::{Context, bail};
 use crate::cell::Cell;
+use anyhow::{Context, bail};
 use serial::service::Dialect;
 
 /// What begins the name of an slcan adapter.
@@ -138,11 +138,7 @@ pub fn all_differ<'a>(
 }
 
 /// What an option says of which bus: `VALUE` for a cell of one bus, or `BUS=VALUE`.
-pub fn bus_of<'a>(
-    cell: &Cell,
-    option: &str,
-    given: &'a str,
-) -> anyhow::Result<(usize, &'a str)> {
+pub fn bus_of<'a>(cell: &Cell, option: &str, given: &'a str) -> anyhow::Result<(usize, &'a str)> {
     match given.split_once('=') {
         Some((name, value)) => {
             let index = cell.bus.iter().position(|bus| bus.name == name);

@@ -12,17 +12,17 @@ pub mod plants;
 
 use std::path::{Path, PathBuf};
 
+use crate::cell::Serial;
 use anyhow::{Context, bail};
 use can::{Port, SocketCanOptions, TraceReader, Tracer};
 use clap::{Args, ValueEnum};
-use crate::cell::Serial;
 use drive::cia402;
 use serial::{Line, Tty, VirtualLine};
 
 use crate::bench::bus_port::BusPort;
-use crate::cell_file::CellFile;
 use crate::bench::emulation::Emulation;
 use crate::bench::interfaces::Interface;
+use crate::cell_file::CellFile;
 use crate::wire::{Listener, Wire};
 
 /// Frames that a trace may lag behind the bus: some seconds of a full one.

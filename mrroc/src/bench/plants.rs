@@ -3,8 +3,8 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use can::Instant;
 use crate::cell::{Model, Parameters, Plant};
+use can::Instant;
 use hil::plant::Switch;
 use hil::{AxisConfig, Irp6Axis, Irp6TrackAxis, Mechanism, MechanismConfig, Mount};
 

@@ -7,9 +7,9 @@ use anyhow::anyhow;
 use can::Instant;
 use hil::epos4::Epos4;
 
+use mrroc::bench::emulation;
 use mrroc::cell_file::CellFile;
 use mrroc::streams;
-use mrroc::bench::emulation;
 
 /// Prints the data sheet of the drive that is emulated for an axis.
 pub fn eds(cell: &Path, axis: &str) -> anyhow::Result<ExitCode> {

@@ -14,8 +14,8 @@ use clap::{ArgGroup, Args, Subcommand};
 
 pub use machine::{Machine, Which};
 
-use mrroc::streams;
 use answers::{Forward, Inverse, Ranges, Sensitivity};
+use mrroc::streams;
 
 /// The robot, and the form of the answer.
 #[derive(Args)]

@@ -8,8 +8,8 @@ use std::process::ExitCode;
 
 use anyhow::{Context as _, anyhow};
 use clap::Args;
-use mrroc::cell::Parameters;
 use controller::robot::{Link, LinkKind};
+use mrroc::cell::Parameters;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use crate::kinematics::{Machine, Which};

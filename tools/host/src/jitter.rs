@@ -46,8 +46,8 @@ use plan::Plan;
 use probe::{Turn, Wakeups};
 use report::{Report, Setting, Side};
 
-use mrroc::cell_file::CellFile;
 use crate::doctor::stolen_ticks;
+use mrroc::cell_file::CellFile;
 use mrroc::spikes::SpikeFile;
 
 /// Options of `mrroc jitter`.

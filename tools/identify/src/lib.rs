@@ -22,9 +22,9 @@ use servo::{
     ExcitationError, MAX_AXES, NotUp, Output, PositionLoop, Servo, ServoAxisConfig, lockstep,
 };
 
+use mrroc::bench::clockwork;
 use mrroc::bench::{Bench, BenchKind, Places};
 use mrroc::cell_file::CellFile;
-use mrroc::bench::clockwork;
 use mrroc::setup;
 use report::Report;
 use session::Session;

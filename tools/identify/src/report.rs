@@ -11,7 +11,7 @@ const SURE: f64 = 0.9;
 
 /// The report of one axis.
 #[derive(Debug, Serialize)]
-pub struct Report {
+pub(crate) struct Report {
     /// ROBOT/AXIS.
     pub axis: String,
     /// The bench it was measured on.
@@ -42,7 +42,7 @@ pub struct Report {
 
 /// One frequency of a response.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct PointReport {
+pub(crate) struct PointReport {
     pub frequency_hz: f64,
     pub magnitude: f64,
     pub phase_deg: f64,
@@ -50,7 +50,7 @@ pub struct PointReport {
 }
 
 impl Report {
-    pub fn of(
+    pub(crate) fn of(
         axis: String,
         bench: &'static str,
         config: &ServoAxisConfig,
@@ -104,7 +104,7 @@ impl Report {
     }
 
     /// The response as a file for other programs.
-    pub fn csv(&self) -> String {
+    pub(crate) fn csv(&self) -> String {
         let head = "frequency_hz,magnitude,phase_deg,coherence\n".to_owned();
         let row = |it: &PointReport| {
             format!(
@@ -116,7 +116,7 @@ impl Report {
     }
 
     /// What was measured, in few words.
-    pub fn setting(&self) -> String {
+    pub(crate) fn setting(&self) -> String {
         format!(
             "{} bench, loop closed by {}, excited by {:.4} {} at {:.0} rad/s of the motor",
             self.bench, self.closed_by, self.amplitude, self.unit, self.velocity
@@ -124,7 +124,7 @@ impl Report {
     }
 
     /// What it is worth.
-    pub fn verdict(&self) -> String {
+    pub(crate) fn verdict(&self) -> String {
         let peak = self.peak_db.unwrap_or_default();
         match (self.crossover_hz, self.phase_margin_deg, self.bandwidth_hz) {
             (Some(crossover), Some(margin), _) => {

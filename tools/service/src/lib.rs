@@ -34,11 +34,11 @@ use canopen::sdo::SdoError;
 use canopen::{NodeId, Object};
 use clap::Args;
 
-use mrroc::bench::bus_port::BusPort;
-use mrroc::cell_file::CellFile;
-use mrroc::bench::interfaces::Interface;
-use mrroc::streams::say;
 use epos::ServicePort;
+use mrroc::bench::bus_port::BusPort;
+use mrroc::bench::interfaces::Interface;
+use mrroc::cell_file::CellFile;
+use mrroc::streams::say;
 use talk::{Conversation, Ended};
 use value::Type;
 

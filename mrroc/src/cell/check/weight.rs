@@ -6,7 +6,11 @@ use super::{Checked, Path, Problem};
 use crate::cell::{Axis, Control, DriveControl, FeedForward, Robot};
 use controller::robot::WeightError;
 
-pub(super) fn check(robot: &Path, given: &Robot, kinematics: &dyn controller::robot::Robot) -> Checked {
+pub(super) fn check(
+    robot: &Path,
+    given: &Robot,
+    kinematics: &dyn controller::robot::Robot,
+) -> Checked {
     let mut axes = given.axis.iter().enumerate();
     let Some(weights) = &given.weight else {
         return axes.try_for_each(|(number, axis)| {

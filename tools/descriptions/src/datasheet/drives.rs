@@ -1,7 +1,7 @@
 //! The axes of a robot between joint and motor, in words.
 
-use mrroc::cell::Parameters;
 use controller::robot::{ArmParameters, GearAxis, LegAxis, Limits, ScrewAxis};
+use mrroc::cell::Parameters;
 
 use super::tables::{Tag, WUT, WUT_TRACK};
 use super::views;

@@ -3,8 +3,8 @@
 use std::fmt::Write as _;
 use std::mem::discriminant;
 
-use mrroc::cell::{Model, Parameters};
 use controller::robot::ArmParameters;
+use mrroc::cell::{Model, Parameters};
 
 use super::drives::{Drive, axes};
 use super::loops;

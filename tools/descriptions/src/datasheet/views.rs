@@ -1,7 +1,7 @@
 //! From where each robot is seen, and in which posture.
 
-use mrroc::cell::Parameters;
 use controller::robot::{ConveyorParameters, GripperParameters, Joints, Vector};
+use mrroc::cell::Parameters;
 use nalgebra::Vector3;
 
 use super::figure::{Other, Part, View};

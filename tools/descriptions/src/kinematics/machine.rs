@@ -5,10 +5,10 @@ use std::sync::Arc;
 
 use anyhow::{Context as _, anyhow};
 use clap::Args;
-use mrroc::cell::{Model, Parameters};
 use controller::robot::{
     Joints, Limits, Motors, ParameterError, PolycrankParameters, Rnt, RntParameters, Robot, Vector,
 };
+use mrroc::cell::{Model, Parameters};
 
 use nalgebra::Vector3;
 

@@ -14,7 +14,7 @@ const CAN: i64 = 280;
 
 /// What is wanted of one interface.
 #[derive(Clone, Debug)]
-pub struct Wanted {
+pub(super) struct Wanted {
     /// What findings call it: the bus of the cell and the interface.
     pub of: String,
     pub interface: String,
@@ -27,14 +27,14 @@ pub struct Wanted {
 }
 
 /// The CAN interfaces that are there.
-pub fn present(tree: &Tree) -> Vec<String> {
+pub(super) fn present(tree: &Tree) -> Vec<String> {
     let mut names = tree.names(NET);
     names.retain(|name| tree.number(&format!("{NET}/{name}/type")) == Some(CAN));
     names
 }
 
 /// What is found of one interface. `opened` is the kernel's answer to a socket on it, `link` what netlink tells.
-pub fn findings(
+pub(super) fn findings(
     tree: &Tree,
     wanted: &Wanted,
     opened: Result<(), OpenError>,

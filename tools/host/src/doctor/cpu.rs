@@ -20,7 +20,7 @@ const EACCES: i32 = 13;
 const BEARABLE_US: i64 = 20;
 
 /// What a servo thread of `realtime` finds.
-pub fn findings(tree: &Tree, realtime: &Realtime) -> Vec<Finding> {
+pub(super) fn findings(tree: &Tree, realtime: &Realtime) -> Vec<Finding> {
     let online = cpu_list(&tree.text(&format!("{CPUS}/online")).unwrap_or_default());
     let isolated = cpu_list(&tree.text(&format!("{CPUS}/isolated")).unwrap_or_default());
     let status = tree.text("/proc/self/status").unwrap_or_default();
@@ -191,7 +191,7 @@ fn placement(
 }
 
 /// Time that a hypervisor took from this machine's processors between two readings of `/proc/stat`.
-pub fn steal(cpuinfo: &str, before: &str, after: &str) -> Finding {
+pub(super) fn steal(cpuinfo: &str, before: &str, after: &str) -> Finding {
     let virtual_machine = field(cpuinfo, "flags").is_some_and(|flags| {
         let mut flags = flags.split_whitespace();
         flags.any(|flag| flag == "hypervisor")

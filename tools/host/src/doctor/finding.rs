@@ -7,7 +7,7 @@ use super::fix::Fix;
 /// Whether a cell can run on what was found. The worst of all findings is the command's exit status.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Verdict {
+pub(super) enum Verdict {
     /// As it should be.
     Ok,
     /// It runs, and cycles may be late or faults heal slowly.
@@ -18,7 +18,7 @@ pub enum Verdict {
 
 /// One thing that was read, and what follows from it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Finding {
+pub(super) struct Finding {
     /// What was examined: a room of the host, an interface or a line.
     pub of: String,
     /// Which property of it.
@@ -37,7 +37,7 @@ pub struct Finding {
 
 impl Finding {
     /// A property that is as it should be, until [`warning`](Self::warning) or [`not_usable`](Self::not_usable).
-    pub fn new(
+    pub(super) fn new(
         of: &str,
         what: &'static str,
         read: impl Into<String>,
@@ -55,7 +55,7 @@ impl Finding {
     }
 
     /// What `--fix` does about it.
-    pub fn fixed_by(self, fixes: impl IntoIterator<Item = Fix>) -> Self {
+    pub(super) fn fixed_by(self, fixes: impl IntoIterator<Item = Fix>) -> Self {
         Self {
             fixes: fixes.into_iter().collect(),
             ..self
@@ -63,17 +63,17 @@ impl Finding {
     }
 
     /// A warning instead.
-    pub fn warning(self, mend: impl Into<String>) -> Self {
+    pub(super) fn warning(self, mend: impl Into<String>) -> Self {
         self.judged(Verdict::Warning, mend)
     }
 
     /// Not usable instead.
-    pub fn not_usable(self, mend: impl Into<String>) -> Self {
+    pub(super) fn not_usable(self, mend: impl Into<String>) -> Self {
         self.judged(Verdict::NotUsable, mend)
     }
 
     /// `verdict`, which is not [`Verdict::Ok`], instead.
-    pub fn judged(self, verdict: Verdict, mend: impl Into<String>) -> Self {
+    pub(super) fn judged(self, verdict: Verdict, mend: impl Into<String>) -> Self {
         let mend = Some(mend.into());
         Self {
             verdict,

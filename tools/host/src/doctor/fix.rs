@@ -15,7 +15,7 @@ const SAMPLE_POINT_STEP: f64 = 0.02;
 /// Something that can be set.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Knob {
+pub(super) enum Knob {
     /// A value that the kernel keeps, by its path below `/proc` or `/sys`.
     Kernel(String),
     /// A whole file, by its path.
@@ -30,7 +30,7 @@ pub enum Knob {
 
 /// A knob and what it is set to.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Fix {
+pub(super) struct Fix {
     pub knob: Knob,
     pub after: String,
 }
@@ -54,7 +54,7 @@ impl fmt::Display for Fix {
 
 impl Knob {
     /// The interface that goes down for it to be set to `value`.
-    pub fn takes_down(&self, value: &str) -> Option<&str> {
+    pub(super) fn takes_down(&self, value: &str) -> Option<&str> {
         match self {
             Self::BitTiming(interface) | Self::RestartMs(interface) => Some(interface),
             Self::State(interface) if value == "down" => Some(interface),
@@ -62,7 +62,7 @@ impl Knob {
         }
     }
 
-    pub fn to(self, after: impl Into<String>) -> Fix {
+    pub(super) fn to(self, after: impl Into<String>) -> Fix {
         Fix {
             knob: self,
             after: after.into(),
@@ -70,7 +70,7 @@ impl Knob {
     }
 
     /// What it stands at; none for a file that is not there and a bit rate that was never set.
-    pub fn read(&self, tree: &Tree) -> anyhow::Result<Option<String>> {
+    pub(super) fn read(&self, tree: &Tree) -> anyhow::Result<Option<String>> {
         let card = |interface: &str| {
             of_host(tree)?;
             Ok::<_, anyhow::Error>(card::read(interface)?)
@@ -204,7 +204,7 @@ fn of_host(tree: &Tree) -> anyhow::Result<()> {
 }
 
 /// A value in one line.
-pub fn shown(value: Option<&str>) -> String {
+pub(super) fn shown(value: Option<&str>) -> String {
     value.map_or("nothing".to_owned(), |value| {
         value.trim_end().replace('\n', "; ")
     })
@@ -213,7 +213,7 @@ pub fn shown(value: Option<&str>) -> String {
 /// Applies `fix` and reads it back; returns what was there before, none where nothing had to be done.
 ///
 /// The change is in the record, on the disk, before it is made.
-pub fn apply(tree: &Tree, fix: &Fix, record: &mut Record) -> anyhow::Result<Option<Change>> {
+pub(super) fn apply(tree: &Tree, fix: &Fix, record: &mut Record) -> anyhow::Result<Option<Change>> {
     let Fix { knob, after } = fix;
     let before = knob.read(tree)?;
     if knob.stands_at(Some(after), before.as_deref()) {
@@ -241,7 +241,7 @@ pub fn apply(tree: &Tree, fix: &Fix, record: &mut Record) -> anyhow::Result<Opti
 }
 
 /// Puts back what was there before `change`; returns a word on what cannot be.
-pub fn put_back(tree: &Tree, change: &Change) -> anyhow::Result<Option<&'static str>> {
+pub(super) fn put_back(tree: &Tree, change: &Change) -> anyhow::Result<Option<&'static str>> {
     let Change {
         knob,
         before,

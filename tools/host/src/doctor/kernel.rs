@@ -9,7 +9,7 @@ const OF: &str = "kernel";
 const RUNTIME: &str = "/proc/sys/kernel/sched_rt_runtime_us";
 
 /// What a servo of `period_us` finds in the kernel; without a cell, no period. `fifo` is whether SCHED_FIFO was granted.
-pub fn findings(tree: &Tree, period_us: Option<u32>, fifo: bool) -> Vec<Finding> {
+pub(super) fn findings(tree: &Tree, period_us: Option<u32>, fifo: bool) -> Vec<Finding> {
     let config = tree.kernel_config();
     let config = config.as_deref();
     let mut findings = vec![preemption(

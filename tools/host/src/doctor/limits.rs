@@ -20,7 +20,7 @@ const LOCKED: u64 = 512 << 20;
 
 /// Who this process is.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Identity {
+pub(super) struct Identity {
     uid: u32,
     /// The effective group first.
     groups: Vec<u32>,
@@ -29,7 +29,7 @@ pub struct Identity {
 }
 
 impl Identity {
-    pub fn of(tree: &Tree) -> Self {
+    pub(super) fn of(tree: &Tree) -> Self {
         Self::parse(&tree.text("/proc/self/status").unwrap_or_default())
     }
 
@@ -53,7 +53,7 @@ impl Identity {
         }
     }
 
-    pub fn is_root(&self) -> bool {
+    pub(super) fn is_root(&self) -> bool {
         self.uid == 0
     }
 
@@ -62,7 +62,7 @@ impl Identity {
     }
 
     /// Whether all of `wanted`, such as 0o6 for reading and writing, is granted; access control lists are not looked at.
-    pub fn may(&self, wanted: u32, access: Access) -> bool {
+    pub(super) fn may(&self, wanted: u32, access: Access) -> bool {
         let granted = if access.uid == self.uid {
             access.mode >> 6
         } else if self.groups.contains(&access.gid) {
@@ -75,7 +75,7 @@ impl Identity {
 }
 
 /// What a servo thread of `realtime` is granted; `tried` is the scheduler's answer to such a thread.
-pub fn findings(
+pub(super) fn findings(
     tree: &Tree,
     realtime: &Realtime,
     tried: Result<(), Denial>,
@@ -159,7 +159,7 @@ fn told(limit: Option<u64>) -> String {
 }
 
 /// What a denial means to a cell of this policy.
-pub fn denied(policy: Policy) -> Verdict {
+pub(super) fn denied(policy: Policy) -> Verdict {
     match policy {
         Policy::Require => Verdict::NotUsable,
         Policy::BestEffort => Verdict::Warning,

@@ -11,7 +11,7 @@ use mrroc::streams;
 /// Applies the fixes of all findings that `agreed` agrees to; says what was done on stderr.
 ///
 /// One that fails is told, and the rest follows; only a record that cannot be written ends it.
-pub fn fix(
+pub(super) fn fix(
     tree: &Tree,
     findings: &[Finding],
     record: &mut Record,
@@ -45,7 +45,7 @@ pub fn fix(
 }
 
 /// Asks on the terminal.
-pub fn asked(finding: &Finding) -> io::Result<bool> {
+pub(super) fn asked(finding: &Finding) -> io::Result<bool> {
     write!(io::stderr(), "{}", question(finding))?;
     io::stderr().flush()?;
     let mut answer = String::new();
@@ -74,7 +74,7 @@ fn question(finding: &Finding) -> String {
 }
 
 /// Puts back all that is in the record, the youngest first; returns how many changes could not be, which stay in it.
-pub fn undo(tree: &Tree, record: &mut Record) -> anyhow::Result<usize> {
+pub(super) fn undo(tree: &Tree, record: &mut Record) -> anyhow::Result<usize> {
     let mut left = 0;
     for index in (0..record.changes().len()).rev() {
         let change = record.changes()[index].clone();

@@ -30,16 +30,16 @@ use anyhow::{Context, ensure};
 use can::clock::{now, sleep_until};
 use can::{OpenError, SocketCanOptions, SocketCanPort};
 use clap::Args;
-use mrroc::cell::{Cell, Realtime, Scheduler};
 use drive::cia402;
+use mrroc::cell::{Cell, Realtime, Scheduler};
 use serde::Serialize;
 use servo::thread::{Denial, set_deadline, set_fifo};
 
-use mrroc::cell_file::CellFile;
-use mrroc::bench::interfaces::Interface;
-use mrroc::streams;
 use finding::{Finding, Verdict};
 use link::Link;
+use mrroc::bench::interfaces::Interface;
+use mrroc::cell_file::CellFile;
+use mrroc::streams;
 use record::Record;
 use tree::Tree;
 

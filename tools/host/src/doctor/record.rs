@@ -12,14 +12,14 @@ use super::tree;
 
 /// What was set, and what it was before; none for a file that was not there.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Change {
+pub(super) struct Change {
     pub knob: Knob,
     pub before: Option<String>,
     pub after: String,
 }
 
 /// A record that nobody else writes to while it is open.
-pub struct Record {
+pub(super) struct Record {
     path: PathBuf,
     changes: Vec<Change>,
     _lock: File,
@@ -27,7 +27,7 @@ pub struct Record {
 
 impl Record {
     /// Opens the record at `path`, empty where there is none, and makes its directory.
-    pub fn open(path: &Path) -> anyhow::Result<Self> {
+    pub(super) fn open(path: &Path) -> anyhow::Result<Self> {
         let shown = || path.display().to_string();
         let path = std::path::absolute(path).with_context(shown)?;
         let directory = path.parent().context("a record is a file")?;
@@ -51,22 +51,22 @@ impl Record {
         })
     }
 
-    pub fn path(&self) -> &Path {
+    pub(super) fn path(&self) -> &Path {
         &self.path
     }
 
-    pub fn changes(&self) -> &[Change] {
+    pub(super) fn changes(&self) -> &[Change] {
         &self.changes
     }
 
     /// Adds a change that is about to be made.
-    pub fn push(&mut self, change: Change) -> anyhow::Result<()> {
+    pub(super) fn push(&mut self, change: Change) -> anyhow::Result<()> {
         self.changes.push(change);
         self.store()
     }
 
     /// The last change came out otherwise.
-    pub fn amend(&mut self, after: String) -> anyhow::Result<()> {
+    pub(super) fn amend(&mut self, after: String) -> anyhow::Result<()> {
         if let Some(last) = self.changes.last_mut() {
             last.after = after;
         }
@@ -74,12 +74,12 @@ impl Record {
     }
 
     /// Forgets the last change.
-    pub fn pop(&mut self) -> anyhow::Result<()> {
+    pub(super) fn pop(&mut self) -> anyhow::Result<()> {
         self.remove(self.changes.len() - 1)
     }
 
     /// Forgets the change at `index`.
-    pub fn remove(&mut self, index: usize) -> anyhow::Result<()> {
+    pub(super) fn remove(&mut self, index: usize) -> anyhow::Result<()> {
         self.changes.remove(index);
         self.store()
     }

@@ -7,14 +7,14 @@ use super::tree::Tree;
 
 /// One tty of a cell.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Wanted {
+pub(super) struct Wanted {
     /// What findings call it: who is at its other end, and the tty.
     pub of: String,
     pub path: String,
 }
 
 /// What is found of one tty, which is not opened for it: that would raise its control lines.
-pub fn findings(tree: &Tree, wanted: &Wanted) -> Vec<Finding> {
+pub(super) fn findings(tree: &Tree, wanted: &Wanted) -> Vec<Finding> {
     let of = wanted.of.as_str();
     let presence = |read: String| {
         let why = "the axis controller or adapter behind it is reached through it and no other";

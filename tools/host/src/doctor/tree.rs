@@ -9,20 +9,20 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// The files of a host.
-pub struct Tree {
+pub(super) struct Tree {
     root: PathBuf,
 }
 
 /// Who owns a file, and who may do what with it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Access {
+pub(super) struct Access {
     pub mode: u32,
     pub uid: u32,
     pub gid: u32,
 }
 
 impl Tree {
-    pub fn new(root: impl Into<PathBuf>) -> Self {
+    pub(super) fn new(root: impl Into<PathBuf>) -> Self {
         let root = root.into();
         // Links are followed and must end below it.
         let root = root.canonicalize().unwrap_or(root);
@@ -34,18 +34,18 @@ impl Tree {
     }
 
     /// The text of a file, without the white space around it; none for one that cannot be read.
-    pub fn text(&self, path: &str) -> Option<String> {
+    pub(super) fn text(&self, path: &str) -> Option<String> {
         let text = fs::read_to_string(self.at(path)).ok()?;
         Some(text.trim().to_owned())
     }
 
     /// The number in a file.
-    pub fn number(&self, path: &str) -> Option<i64> {
+    pub(super) fn number(&self, path: &str) -> Option<i64> {
         self.text(path)?.parse().ok()
     }
 
     /// The names in a directory, sorted; none in one that is not there.
-    pub fn names(&self, path: &str) -> Vec<String> {
+    pub(super) fn names(&self, path: &str) -> Vec<String> {
         let entries = fs::read_dir(self.at(path)).into_iter().flatten().flatten();
         let mut names: Vec<_> = entries
             .filter_map(|entry| entry.file_name().into_string().ok())
@@ -55,19 +55,19 @@ impl Tree {
     }
 
     /// Where a path leads when every link is followed, from the root.
-    pub fn resolved(&self, path: &str) -> Option<PathBuf> {
+    pub(super) fn resolved(&self, path: &str) -> Option<PathBuf> {
         let path = self.at(path).canonicalize().ok()?;
         let below = path.strip_prefix(&self.root).ok()?;
         Some(Path::new("/").join(below))
     }
 
     /// The last part of [`resolved`](Self::resolved).
-    pub fn resolved_name(&self, path: &str) -> Option<String> {
+    pub(super) fn resolved_name(&self, path: &str) -> Option<String> {
         let path = self.resolved(path)?;
         Some(path.file_name()?.to_str()?.to_owned())
     }
 
-    pub fn access(&self, path: &str) -> Option<Access> {
+    pub(super) fn access(&self, path: &str) -> Option<Access> {
         let metadata = fs::metadata(self.at(path)).ok()?;
         Some(Access {
             mode: metadata.mode(),
@@ -77,12 +77,12 @@ impl Tree {
     }
 
     /// Whether this is the running host's own tree, so that what is in no file can be asked of its kernel.
-    pub fn is_host(&self) -> bool {
+    pub(super) fn is_host(&self) -> bool {
         self.root == Path::new("/")
     }
 
     /// The whole of a file; none where there is none.
-    pub fn whole(&self, path: &str) -> io::Result<Option<String>> {
+    pub(super) fn whole(&self, path: &str) -> io::Result<Option<String>> {
         match fs::read_to_string(self.at(path)) {
             Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
             text => text.map(Some),
@@ -90,7 +90,7 @@ impl Tree {
     }
 
     /// Writes a file that is there already, as one below `/proc` or `/sys`.
-    pub fn set(&self, path: &str, text: &str) -> io::Result<()> {
+    pub(super) fn set(&self, path: &str, text: &str) -> io::Result<()> {
         // A link that leads out of the tree leads to somebody else's file.
         if self.resolved(path).is_none() {
             return Err(ErrorKind::NotFound.into());
@@ -104,12 +104,12 @@ impl Tree {
 
     /// Puts `text` in the place of a whole file, or removes it for none. It is as it was or as it shall be, whenever the
     /// power fails.
-    pub fn replace(&self, path: &str, text: Option<&str>) -> io::Result<()> {
+    pub(super) fn replace(&self, path: &str, text: Option<&str>) -> io::Result<()> {
         replace(&self.at(path), text)
     }
 
     /// What the running kernel was built with, where it tells.
-    pub fn kernel_config(&self) -> Option<String> {
+    pub(super) fn kernel_config(&self) -> Option<String> {
         let release = self.text("/proc/sys/kernel/osrelease")?;
         self.text(&format!("/boot/config-{release}")).or_else(|| {
             let packed = self.at("/proc/config.gz");
@@ -119,7 +119,7 @@ impl Tree {
 }
 
 /// What [`Tree::replace`] does, for a path outside the tree.
-pub fn replace(path: &Path, text: Option<&str>) -> io::Result<()> {
+pub(super) fn replace(path: &Path, text: Option<&str>) -> io::Result<()> {
     let directory = path.parent().ok_or(ErrorKind::InvalidInput)?;
     if let Some(text) = text {
         fs::create_dir_all(directory)?;
@@ -140,7 +140,7 @@ pub fn replace(path: &Path, text: Option<&str>) -> io::Result<()> {
 }
 
 /// What a program prints within two seconds; none where it is not installed, fails or takes longer.
-pub fn output_of(program: &Command) -> Option<String> {
+pub(super) fn output_of(program: &Command) -> Option<String> {
     let mut bounded = Command::new("timeout");
     bounded.args(["--kill-after=1", "2"]);
     bounded.arg(program.get_program()).args(program.get_args());
@@ -153,7 +153,7 @@ pub fn output_of(program: &Command) -> Option<String> {
 const MOST_CPUS: usize = 8192;
 
 /// The numbers of a list such as `0-3,6`, as the kernel writes sets of CPUs. What is no CPU's is left out.
-pub fn cpu_list(text: &str) -> BTreeSet<usize> {
+pub(super) fn cpu_list(text: &str) -> BTreeSet<usize> {
     let ranges = text.trim().split(',').filter_map(|part| {
         let (first, last) = part.split_once('-').unwrap_or((part, part));
         let last: usize = last.trim().parse().ok()?;
@@ -163,7 +163,7 @@ pub fn cpu_list(text: &str) -> BTreeSet<usize> {
 }
 
 /// The list that [`cpu_list`] reads, as the kernel writes it.
-pub fn cpu_ranges(cpus: &BTreeSet<usize>) -> String {
+pub(super) fn cpu_ranges(cpus: &BTreeSet<usize>) -> String {
     let mut ranges: Vec<(usize, usize)> = Vec::new();
     for &cpu in cpus {
         match ranges.last_mut() {
@@ -179,7 +179,7 @@ pub fn cpu_ranges(cpus: &BTreeSet<usize>) -> String {
 }
 
 /// The value behind `name` and a colon, as in `/proc/self/status`.
-pub fn field<'a>(text: &'a str, name: &str) -> Option<&'a str> {
+pub(super) fn field<'a>(text: &'a str, name: &str) -> Option<&'a str> {
     text.lines().find_map(|line| {
         let (key, value) = line.split_once(':')?;
         (key.trim() == name).then_some(value.trim())

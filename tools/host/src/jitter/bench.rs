@@ -5,14 +5,14 @@ use can::card::{self, CardError};
 use clap::ValueEnum;
 use serde::Serialize;
 
-use mrroc::cell_file::CellFile;
 use crate::doctor::link::Link;
 use mrroc::bench::interfaces::{Interface, bus_of};
+use mrroc::cell_file::CellFile;
 
 /// What a cell is measured on; nothing here moves hardware.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum CellBench {
+pub(super) enum CellBench {
     /// Emulated drives on a virtual bus, stepped by the servo thread between its cycles.
     Emulated,
     /// Virtual CAN interfaces, given by --can; `mrroc emulate` at their other end.

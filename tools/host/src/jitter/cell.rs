@@ -16,15 +16,15 @@ use super::bench::CellBench;
 use super::interval::{Counts, Interval, Ledger, counts, counts_of};
 use super::probe::{LOOK, Turn};
 use super::report::percentiles;
+use mrroc::bench::clockwork;
 use mrroc::bench::{Bench, BenchKind, Places};
 use mrroc::cell_file::CellFile;
 use mrroc::report::Percentiles;
-use mrroc::wire::{Wire, WireReport};
-use mrroc::bench::clockwork;
 use mrroc::setup;
+use mrroc::wire::{Wire, WireReport};
 
 /// A cell under measurement.
-pub struct MeasuredCell<'a> {
+pub(super) struct MeasuredCell<'a> {
     file: &'a CellFile,
     bench: CellBench,
     /// As `--can` gives it.
@@ -47,7 +47,7 @@ pub struct MeasuredCell<'a> {
 }
 
 impl<'a> MeasuredCell<'a> {
-    pub fn new(
+    pub(super) fn new(
         file: &'a CellFile,
         bench: CellBench,
         can: &'a [String],
@@ -71,12 +71,12 @@ impl<'a> MeasuredCell<'a> {
     }
 
     /// What was seen so far counts for nothing.
-    pub fn forget(&mut self) {
+    pub(super) fn forget(&mut self) {
         *self = Self::new(self.file, self.bench, self.can, self.traffic);
     }
 
     /// One turn into `ledger`; returns what the host denied. `look` is called meanwhile.
-    pub fn turn(
+    pub(super) fn turn(
         &mut self,
         policy: RealtimePolicy,
         turn: Turn,
@@ -159,7 +159,7 @@ impl<'a> MeasuredCell<'a> {
     }
 
     /// What was seen of the cycle besides its punctuality.
-    pub fn report(&self) -> CellReport {
+    pub(super) fn report(&self) -> CellReport {
         CellReport {
             name: self.file.cell.name.clone(),
             bench: self.bench,
@@ -178,7 +178,7 @@ impl<'a> MeasuredCell<'a> {
 
 /// The cycle of a measured cell.
 #[derive(Debug, Serialize)]
-pub struct CellReport {
+pub(super) struct CellReport {
     pub name: String,
     pub bench: CellBench,
     /// What its drives did.

@@ -25,14 +25,14 @@ const PEER: &str = "#d9731a";
 const EARLIEST: f64 = 0.01;
 
 /// One side of the chart.
-pub struct Curve<'a> {
+pub(super) struct Curve<'a> {
     pub name: &'a str,
     pub late: &'a Counts,
     pub series: &'a Series,
 }
 
 impl<'a> Curve<'a> {
-    pub fn of(name: &'a str, ledger: &'a Ledger) -> Self {
+    pub(super) fn of(name: &'a str, ledger: &'a Ledger) -> Self {
         Self {
             name,
             late: &ledger.total,
@@ -42,7 +42,7 @@ impl<'a> Curve<'a> {
 }
 
 /// The chart of ours and the peer's; `setting` is said below the title.
-pub fn chart(setting: &str, ours: &Curve, peer: Option<&Curve>) -> String {
+pub(super) fn chart(setting: &str, ours: &Curve, peer: Option<&Curve>) -> String {
     let curves = || {
         peer.map(|peer| (peer, PEER))
             .into_iter()

@@ -20,7 +20,7 @@ const OVERHEAD: Duration = Duration::from_secs(20);
 const POLL: Duration = Duration::from_millis(20);
 
 /// Refuses where it is not installed.
-pub fn find() -> anyhow::Result<()> {
+pub(super) fn find() -> anyhow::Result<()> {
     let found = Command::new("cyclictest")
         .arg("--help")
         .stdin(Stdio::null())
@@ -37,7 +37,7 @@ pub fn find() -> anyhow::Result<()> {
 }
 
 /// Lets it wait for the deadlines of a turn and returns what it saw. It leaves /dev/cpu_dma_latency alone.
-pub fn measure(turn: Turn, priority: u8, cpu: Option<usize>) -> anyhow::Result<Interval> {
+pub(super) fn measure(turn: Turn, priority: u8, cpu: Option<usize>) -> anyhow::Result<Interval> {
     let mut command = Command::new("cyclictest");
     command
         .args(["--mlockall", "--quiet", "--threads=1", "--policy=fifo"])

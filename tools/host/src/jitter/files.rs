@@ -24,7 +24,7 @@ const NANOS_PER_MICRO: f64 = 1e3;
 const TICKS: u32 = 5;
 
 /// The files, open from before the measurement on.
-pub struct Files {
+pub(super) struct Files {
     directory: PathBuf,
     pub ours: File,
     pub peer: Option<File>,
@@ -33,7 +33,7 @@ pub struct Files {
 
 impl Files {
     /// Creates the files in `directory`, and that where it is not there yet; returns the interval log's too.
-    pub fn create(directory: &Path, peer: bool) -> anyhow::Result<(Self, LineWriter<File>)> {
+    pub(super) fn create(directory: &Path, peer: bool) -> anyhow::Result<(Self, LineWriter<File>)> {
         let create = |name| {
             let path = directory.join(name);
             let file = File::create(&path);
@@ -51,7 +51,7 @@ impl Files {
     }
 
     /// Writes what was measured.
-    pub fn write(mut self, ours: &Counts, peer: &Counts, chart: &str) -> anyhow::Result<()> {
+    pub(super) fn write(mut self, ours: &Counts, peer: &Counts, chart: &str) -> anyhow::Result<()> {
         let mut write = || {
             percentile_distribution(ours, &mut self.ours)?;
             if let Some(file) = &mut self.peer {
@@ -64,11 +64,11 @@ impl Files {
 }
 
 /// An interval log, flushed line by line.
-pub struct IntervalLog<'a>(IntervalLogWriter<'a, 'a, LineWriter<File>, V2DeflateSerializer>);
+pub(super) struct IntervalLog<'a>(IntervalLogWriter<'a, 'a, LineWriter<File>, V2DeflateSerializer>);
 
 impl<'a> IntervalLog<'a> {
     /// Begins it now.
-    pub fn begin(
+    pub(super) fn begin(
         file: &'a mut LineWriter<File>,
         serializer: &'a mut V2DeflateSerializer,
     ) -> io::Result<Self> {
@@ -88,7 +88,7 @@ impl<'a> IntervalLog<'a> {
     }
 
     /// Writes one interval, its times from `began` on.
-    pub fn write(&mut self, interval: &Interval, began: Instant) -> io::Result<()> {
+    pub(super) fn write(&mut self, interval: &Interval, began: Instant) -> io::Result<()> {
         let (begun, lasted) = (
             interval.begun.since(began),
             interval.ended.since(interval.begun),

@@ -15,7 +15,7 @@ use rtrb::{Consumer, Producer, RingBuffer};
 use super::files::IntervalLog;
 
 /// Nanoseconds, counted.
-pub type Counts = Histogram<u64>;
+pub(super) type Counts = Histogram<u64>;
 
 /// Least length of an interval.
 const INTERVAL: Duration = Duration::from_secs(1);
@@ -30,13 +30,13 @@ const LATEST: u64 = 10_000_000_000;
 const TIMES: usize = 2048;
 
 /// An empty one, from 1 ns to 10 s in three significant digits, as [`servo::Histogram`].
-pub fn counts() -> Counts {
+pub(super) fn counts() -> Counts {
     Counts::new_with_bounds(1, LATEST, 3)
         .expect("the bounds are constants that the library accepts")
 }
 
 /// The same counts as `histogram`'s, which has the same bins.
-pub fn counts_of(histogram: &servo::Histogram) -> Counts {
+pub(super) fn counts_of(histogram: &servo::Histogram) -> Counts {
     let mut counted = counts();
     for (duration, count) in histogram.bins() {
         counted.saturating_record_n(duration.as_nanos() as u64, count);
@@ -45,7 +45,7 @@ pub fn counts_of(histogram: &servo::Histogram) -> Counts {
 }
 
 /// A part of a measurement.
-pub struct Interval {
+pub(super) struct Interval {
     pub begun: Instant,
     pub ended: Instant,
     pub late: Counts,
@@ -62,7 +62,7 @@ impl Interval {
 }
 
 /// The measuring thread's end.
-pub struct Recorder {
+pub(super) struct Recorder {
     filling: Box<Interval>,
     full: Producer<Box<Interval>>,
     empty: Consumer<Box<Interval>>,
@@ -70,14 +70,14 @@ pub struct Recorder {
 
 impl Recorder {
     /// A turn begins.
-    pub fn begin(&mut self, now: Instant) {
+    pub(super) fn begin(&mut self, now: Instant) {
         if self.filling.late.is_empty() {
             self.filling.begun = now;
         }
     }
 
     /// Counts one wake-up.
-    pub fn record(&mut self, late: Duration, now: Instant) {
+    pub(super) fn record(&mut self, late: Duration, now: Instant) {
         let nanos = u64::try_from(late.as_nanos()).unwrap_or(LATEST);
         self.filling.late.saturating_record(nanos.min(LATEST));
         self.filling.ended = now;
@@ -87,7 +87,7 @@ impl Recorder {
     }
 
     /// Gives the interval away, if there is an empty one to go on with.
-    pub fn hand_over(&mut self) {
+    pub(super) fn hand_over(&mut self) {
         if self.filling.late.is_empty() {
             return;
         }
@@ -101,7 +101,7 @@ impl Recorder {
 }
 
 /// The ordinary thread's end: all that one side's turns came to.
-pub struct Ledger<'a> {
+pub(super) struct Ledger<'a> {
     full: Consumer<Box<Interval>>,
     empty: Producer<Box<Interval>>,
     /// Of the whole measurement.
@@ -111,7 +111,7 @@ pub struct Ledger<'a> {
 }
 
 /// Both ends. `began` is the zero of the series and the log.
-pub fn recording(began: Instant, log: Option<IntervalLog<'_>>) -> (Recorder, Ledger<'_>) {
+pub(super) fn recording(began: Instant, log: Option<IntervalLog<'_>>) -> (Recorder, Ledger<'_>) {
     let (full, filled) = RingBuffer::new(SPARE + 1);
     let (mut emptied, empty) = RingBuffer::new(SPARE + 1);
     for _ in 0..SPARE {
@@ -134,7 +134,7 @@ pub fn recording(began: Instant, log: Option<IntervalLog<'_>>) -> (Recorder, Led
 
 impl Ledger<'_> {
     /// Takes what has been handed over.
-    pub fn drain(&mut self) -> io::Result<()> {
+    pub(super) fn drain(&mut self) -> io::Result<()> {
         while let Ok(mut interval) = self.full.pop() {
             self.add(&interval)?;
             interval.late.reset();
@@ -144,7 +144,7 @@ impl Ledger<'_> {
     }
 
     /// Adds an interval that was measured elsewhere.
-    pub fn add(&mut self, interval: &Interval) -> io::Result<()> {
+    pub(super) fn add(&mut self, interval: &Interval) -> io::Result<()> {
         if interval.late.is_empty() {
             return Ok(());
         }
@@ -160,14 +160,14 @@ impl Ledger<'_> {
 }
 
 /// The worst of each interval, in bounded room.
-pub struct Series {
+pub(super) struct Series {
     began: Instant,
     /// From and to, s, and the worst in between, µs.
     pub times: Vec<[f64; 3]>,
 }
 
 impl Series {
-    pub fn new(began: Instant) -> Self {
+    pub(super) fn new(began: Instant) -> Self {
         Self {
             began,
             times: Vec::with_capacity(TIMES),

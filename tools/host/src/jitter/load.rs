@@ -39,7 +39,7 @@ const ENDING: Duration = Duration::from_secs(3);
 /// What loads the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Kind {
+pub(super) enum Kind {
     /// Arithmetic.
     Cpu,
     /// Reads and writes all over a memory larger than the caches.
@@ -58,7 +58,7 @@ pub enum Kind {
 
 impl Kind {
     /// As on the command line.
-    pub fn name(self) -> String {
+    pub(super) fn name(self) -> String {
         let value = self.to_possible_value();
         value.map_or_else(String::new, |value| value.get_name().to_owned())
     }
@@ -74,14 +74,14 @@ impl Kind {
 }
 
 /// Load under way; dropping it ends it.
-pub struct Load {
+pub(super) struct Load {
     over: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
 }
 
 impl Load {
     /// Refuses programs among `kinds` that are not installed.
-    pub fn find(kinds: &[Kind]) -> anyhow::Result<()> {
+    pub(super) fn find(kinds: &[Kind]) -> anyhow::Result<()> {
         for (name, package) in kinds.iter().filter_map(|kind| kind.program()) {
             let found = Command::new(name)
                 .arg("--help")
@@ -100,7 +100,7 @@ impl Load {
     }
 
     /// Starts each of `kinds` on as many threads as there are CPUs, each program once.
-    pub fn start(kinds: &[Kind]) -> anyhow::Result<Self> {
+    pub(super) fn start(kinds: &[Kind]) -> anyhow::Result<Self> {
         let mut load = Self {
             over: Arc::default(),
             threads: Vec::new(),

@@ -18,11 +18,11 @@ use super::interval::Recorder;
 const STACK: usize = 512 * 1024;
 
 /// How often what is measured is looked at meanwhile.
-pub const LOOK: Duration = Duration::from_millis(20);
+pub(super) const LOOK: Duration = Duration::from_millis(20);
 
 /// When a turn ends.
 #[derive(Clone, Copy)]
-pub struct Turn<'a> {
+pub(super) struct Turn<'a> {
     pub period: Duration,
     pub time: Duration,
     /// Ends it early.
@@ -30,13 +30,13 @@ pub struct Turn<'a> {
 }
 
 impl Turn<'_> {
-    pub fn is_over(&self) -> bool {
+    pub(super) fn is_over(&self) -> bool {
         self.over.load(Ordering::Relaxed)
     }
 }
 
 /// Wake-ups of one probe.
-pub struct Wakeups {
+pub(super) struct Wakeups {
     /// How many.
     cycles: u64,
     /// From the deadline to when the thread was there.
@@ -50,7 +50,7 @@ pub struct Wakeups {
 }
 
 impl Wakeups {
-    pub fn new(late: Recorder) -> Self {
+    pub(super) fn new(late: Recorder) -> Self {
         Self {
             cycles: 0,
             late,
@@ -62,7 +62,7 @@ impl Wakeups {
 }
 
 /// Waits for deadlines as the servo thread does.
-pub fn wait(waiter: &mut Waiter, wakeups: &mut Wakeups, turn: Turn) {
+pub(super) fn wait(waiter: &mut Waiter, wakeups: &mut Wakeups, turn: Turn) {
     let began = now();
     let (mut ended, mut due, end) = (began, began + turn.period, began + turn.time);
     let mut account = Account::open();
@@ -109,7 +109,7 @@ pub fn wait(waiter: &mut Waiter, wakeups: &mut Wakeups, turn: Turn) {
 
 /// Waits for deadlines as cyclictest does: an absolute sleep, one read of the clock, and the next deadline that has not
 /// passed.
-pub fn probe(wakeups: &mut Wakeups, turn: Turn) {
+pub(super) fn probe(wakeups: &mut Wakeups, turn: Turn) {
     let start = now();
     let (mut next, end) = (start + turn.period, start + turn.time);
     wakeups.late.begin(start);
@@ -127,7 +127,7 @@ pub fn probe(wakeups: &mut Wakeups, turn: Turn) {
 
 /// Runs `body` on a thread of its own with what `policy` asks for, and `meanwhile` on this one now and then; returns
 /// what the host denied as well.
-pub fn on_thread<T: Send>(
+pub(super) fn on_thread<T: Send>(
     policy: &RealtimePolicy,
     body: impl FnOnce() -> T + Send,
     mut meanwhile: impl FnMut(),
