@@ -16,11 +16,13 @@ use crate::setup;
 /// What one bus has to carry.
 #[derive(Debug, Serialize)]
 pub struct BusBudget {
+    /// Name of the bus or bundle.
     pub name: String,
     /// Share of the bus's time that its frames need in the long run, with as many stuff bits as can be, percent.
     pub load_percent: f64,
     /// Share of the period after which the last frame of a cycle has left at the latest, percent.
     pub worst_case_percent: f64,
+    /// Every message of the bus.
     pub messages: Vec<MessageBudget>,
     /// The bit rate, of all lines of a bundle together.
     pub bits_per_second: f64,
@@ -31,14 +33,18 @@ pub struct BusBudget {
 /// A bundle of serial lines. Each carries the messages of one axis; loads and times are of one line.
 #[derive(Debug, Serialize)]
 pub struct Bundle {
+    /// Protocol of the axis controllers.
     pub protocol: Protocol,
+    /// Baud rate of each line, bit/s.
     pub baud: u32,
+    /// The lines of the bundle.
     pub lines: Vec<Line>,
 }
 
 /// The line of one axis.
 #[derive(Debug, Serialize)]
 pub struct Line {
+    /// Name of the axis.
     pub axis: String,
     /// The tty.
     pub line: String,
@@ -49,10 +55,13 @@ pub struct Line {
 /// One message of a bus.
 #[derive(Debug, Serialize)]
 pub struct MessageBudget {
+    /// What the message carries.
     pub what: &'static str,
     /// COB-ID; absent for a telegram of a serial line.
     pub cob_id: Option<u16>,
+    /// Length of the data, bytes.
     pub bytes: u8,
+    /// Time from one such message to the next, µs.
     pub period_us: u128,
     /// From the start of the cycle to its last bit at the latest, µs; absent for what may take longer than a cycle.
     pub response_us: Option<u128>,

@@ -12,8 +12,11 @@ use crate::configuration::Configuration;
 
 /// A cell with the arms of its robots, and the text it came from.
 pub struct CellFile {
+    /// Path of the file.
     pub path: PathBuf,
+    /// Text of the file.
     pub text: String,
+    /// The cell.
     pub cell: Cell,
     /// One per robot.
     pub arms: Vec<Arm>,

@@ -14,12 +14,17 @@ use crate::wire::WireReport;
 
 /// What a run leaves behind.
 pub struct Ran {
+    /// The servo, its robots switched off.
     pub servo: Servo,
+    /// Times of the cycles.
     pub timing: Timing,
     /// The cycles around the latest ones.
     pub spikes: Vec<Spike>,
+    /// Real-time requests that the host denied.
     pub denied: Vec<String>,
+    /// Faults of the run, the first cause first.
     pub faults: Vec<FaultReport>,
+    /// Times on the wire of each bus.
     pub wire: Vec<WireReport>,
     /// Time that passed in the cell.
     pub cell_time: Duration,
@@ -300,6 +305,7 @@ impl From<WaitReport> for WaitCost {
     }
 }
 
+/// A duration in µs.
 pub fn microseconds(time: Duration) -> f64 {
     time.as_nanos() as f64 / 1e3
 }

@@ -314,10 +314,12 @@ impl Turning {
         }
     }
 
+    /// Whether the servo thread has ended.
     pub fn is_finished(&self) -> bool {
         self.running.as_ref().is_none_or(Running::is_finished)
     }
 
+    /// Stops the servo thread in order and waits for its end.
     pub fn end(mut self) -> Finished {
         self.over.raise();
         let running = self.running.take();

@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
+use ::mrroc::cell::{Axis, Cell, Parameters, Protocol};
 use can::timing::Bitrate;
 use can::{Frame, Instant, Port, TraceReader, Tracer, VirtualPort};
 use canopen::NodeId;
@@ -22,7 +23,6 @@ use hil::{
     Irp6Axis, LineDevice, LineFaults, LineId, Mechanism, MechanismConfig, Nfv2AxisController,
     World,
 };
-use mrroc::cell::{Axis, Cell, Parameters, Protocol};
 use servo::{EffectorConfig, EffectorLink, Order, Phase, Record, Servo, ServoConfig, ServoFault};
 
 use crate::allocations;
@@ -110,7 +110,7 @@ impl Setup {
                 name: self.cell.name.clone(),
                 axes: self.axes.iter().enumerate().map(axis).collect(),
                 queue: usize::from(LEAD) + 8,
-                enabling_timeout: mrroc::cell::ENABLING,
+                enabling_timeout: ::mrroc::cell::ENABLING,
                 homing_timeout: HOMING,
             }],
         }

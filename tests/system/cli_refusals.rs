@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
+use ::mrroc::cell::{Cell, Instruction};
 use can::{Frame, Id, Instant, StandardId, clock};
 use canopen::NodeId;
 use hil::epos4::{Epos4, Epos4Config};
 use hil::{AxisConfig, Device};
-use mrroc::cell::{Cell, Instruction};
 
 use crate::adapter::Adapter;
 use crate::mrroc::{Directory, Output, enables, example, mrroc, text, trace};

@@ -116,7 +116,7 @@ fn a_blocked_motor_trips_its_drive() {
 #[test]
 fn the_servo_sees_a_blocked_motor_that_its_drive_overlooks() {
     let mut setup = blocked();
-    let following_error_window = mrroc::cell::Parameter {
+    let following_error_window = ::mrroc::cell::Parameter {
         index: 0x6065,
         subindex: 0,
         value: 1_000_000,

@@ -2,10 +2,10 @@
 
 use std::time::Duration;
 
+use ::mrroc::cell::{Axis, Cascade, DriveControl, FeedForward, Law, Loop, Proportional};
 use drive::{AxisCommand, AxisState, Finite, Power, Setpoint};
 use hil::AxisConfig;
 use hil::plant::{Irp6Axis, PlantConfig};
-use mrroc::cell::{Axis, Cascade, DriveControl, FeedForward, Law, Loop, Proportional};
 use servo::{Order, Phase, StopCause};
 
 use crate::cell::{Setup, ends};

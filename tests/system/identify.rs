@@ -4,9 +4,9 @@ use std::f64::consts::TAU;
 use std::path::Path;
 use std::{fs, iter};
 
+use ::mrroc::cell::DriveControl;
 use hil::plant::SUB_STEP;
 use hil::{AxisConfig, Demand, Irp6Axis};
-use mrroc::cell::DriveControl;
 use nalgebra::Complex;
 use serde_json::Value;
 

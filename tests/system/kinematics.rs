@@ -1,7 +1,7 @@
 //! `mrroc kinematics` and `mrroc urdf`, as a user asks and a program reads them.
 
+use ::mrroc::cell::{Model, Parameters};
 use controller::robot::RntParameters;
-use mrroc::cell::{Model, Parameters};
 use serde_json::Value;
 
 use crate::cli_refusals::refused;

@@ -3,8 +3,8 @@
 use std::f64::consts::TAU;
 use std::time::Duration;
 
+use ::mrroc::cell::Cell;
 use hil::plant::Switch;
-use mrroc::cell::Cell;
 use servo::{Order, Phase};
 
 use crate::cell::{Rig, Setup};

@@ -1,10 +1,10 @@
 //! What links weigh on their motors, by the controller's own kinematics and by the mechanics that emulated drives
 //! stand under: written apart, with nothing in common but the figures they are for.
 
+use ::mrroc::cell::{Model, Parameters};
 use controller::robot::{Joints, Mass, Motors, PolycrankParameters, Robot, Weight};
 use hil::AxisConfig;
 use hil::plant::{Axis, Irp6Axis, Mechanism, MechanismConfig};
-use mrroc::cell::{Model, Parameters};
 
 /// Joint positions amid the limits, another set for each `number`, all of them within the reach of every mechanism.
 fn joints(robot: &dyn Robot, number: u32) -> Joints {

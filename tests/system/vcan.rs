@@ -14,6 +14,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::task::Poll;
 use std::time::Duration;
 
+use ::mrroc::cell::{Axis, Cell, Wait};
 use can::candump::Reader;
 use can::{Frame, Instant, Port, Received, SocketCanOptions, SocketCanPort, Tracer, clock};
 use canopen::cia402::{PowerState, Statusword};
@@ -23,7 +24,6 @@ use canopen::sdo::{Initiate, Request, Response};
 use canopen::{NodeId, Object, cob};
 use drive::cia402::{AxisConfig, Cia402Group, GroupConfig, Recording};
 use drive::{AxisCommand, AxisState, DriveGroup, Finite, Homing, Increments, Setpoint};
-use mrroc::cell::{Axis, Cell, Wait};
 
 use crate::bench::on_vcan;
 use crate::mrroc::{self, Directory, Output, Running};

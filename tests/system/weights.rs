@@ -6,8 +6,8 @@
 use std::f64::consts::{FRAC_PI_2, TAU};
 use std::fs;
 
+use ::mrroc::cell::{Cell, EmulatedPayload, Instruction, JointGenerator, Joints, Parameters};
 use controller::robot::RntParameters;
-use mrroc::cell::{Cell, EmulatedPayload, Instruction, JointGenerator, Joints, Parameters};
 
 use crate::cli_refusals::refused;
 use crate::mrroc::{Directory, mrroc, shorten};

@@ -15,7 +15,9 @@ use crate::bench::interfaces::Interface;
 
 /// A port that can be waited for.
 pub enum BusPort {
+    /// A network interface of the kernel.
     SocketCan(SocketCanPort),
+    /// An slcan adapter on a tty.
     Slcan(SlcanPort<Tty>),
 }
 

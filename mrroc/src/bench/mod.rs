@@ -42,6 +42,7 @@ pub enum BenchKind {
 }
 
 impl BenchKind {
+    /// The name of the bench, as the command line and reports have it.
     pub fn name(self) -> &'static str {
         match self {
             Self::Lockstep => "lockstep",

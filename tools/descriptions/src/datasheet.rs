@@ -18,6 +18,7 @@ use crate::kinematics::{Machine, Which};
 use mrroc::streams;
 use views::Drawing;
 
+/// Options of `mrroc datasheet`.
 #[derive(Args)]
 pub struct Options {
     #[command(flatten)]

@@ -27,6 +27,7 @@ pub struct Common {
     json: bool,
 }
 
+/// Questions of `mrroc kinematics`.
 #[derive(Subcommand)]
 pub enum Question {
     /// Where the flange is for given joints or motors.
@@ -36,6 +37,7 @@ pub enum Question {
     /// `motor_angles` has all six in rad. `links` has the positions of the joints in the description of `mrroc urdf`.
     #[command(group(ArgGroup::new("positions").required(true).args(["joints", "motors"])))]
     Fk {
+        /// The robot, and the form of the answer.
         #[command(flatten)]
         common: Common,
         /// Joint positions, rad (m for a linear one), separated by commas.
@@ -47,6 +49,7 @@ pub enum Question {
     },
     /// Which joints put the flange there: every branch within the limits, the nearest to --near first.
     Ik {
+        /// The robot, and the form of the answer.
         #[command(flatten)]
         common: Common,
         /// Origin of the flange in the base frame, m: x,y,z.
@@ -61,6 +64,7 @@ pub enum Question {
     },
     /// Velocity of the flange per unit of joint velocity, in the base frame: three rows in m/s, three in rad/s.
     Jacobian {
+        /// The robot, and the form of the answer.
         #[command(flatten)]
         common: Common,
         /// Joint positions, rad (m for a linear one), separated by commas.
@@ -69,6 +73,7 @@ pub enum Question {
     },
     /// Ranges of joints and motors; null where there is none.
     Limits {
+        /// The robot, and the form of the answer.
         #[command(flatten)]
         common: Common,
     },

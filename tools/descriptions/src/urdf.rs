@@ -20,6 +20,7 @@ const ROD: f64 = 0.03;
 /// Radius and length of the drum at a joint, m.
 const DRUM: (f64, f64) = (0.045, 0.09);
 
+/// Options of `mrroc urdf`.
 #[derive(Args)]
 pub struct Options {
     #[command(flatten)]

@@ -14,6 +14,7 @@ pub fn open([width, height]: [f64; 2]) -> String {
     )
 }
 
+/// Adds a text; `anchor` is the SVG attribute text-anchor.
 pub fn text(svg: &mut String, [x, y]: Point, anchor: &str, style: &str, said: &str) {
     let said = said.replace('&', "&amp;").replace('<', "&lt;");
     let _ = writeln!(
@@ -22,6 +23,7 @@ pub fn text(svg: &mut String, [x, y]: Point, anchor: &str, style: &str, said: &s
     );
 }
 
+/// Adds a straight line.
 pub fn line(svg: &mut String, from: Point, to: Point, style: &str) {
     path(svg, &[from, to], style);
 }
@@ -35,6 +37,7 @@ pub fn path(svg: &mut String, points: &[Point], style: &str) {
     let _ = writeln!(svg, "<path d=\"{way}\" {style}/>");
 }
 
+/// Adds a circle.
 pub fn circle(svg: &mut String, [x, y]: Point, radius: f64, style: &str) {
     let _ = writeln!(
         svg,

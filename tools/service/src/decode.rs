@@ -67,9 +67,11 @@ impl Kind {
 /// A frame in words.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Described {
+    /// Service of the frame.
     pub kind: Kind,
     /// Who sends it or whom it is for, where it is one node.
     pub node: Option<NodeId>,
+    /// The frame in words.
     pub text: String,
 }
 

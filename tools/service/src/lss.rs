@@ -33,6 +33,7 @@ const MOST_FOUND: usize = 127;
 pub enum Action {
     /// Find every node without a node-ID, by fastscan.
     Scan {
+        /// The bus.
         #[command(flatten)]
         bus: BusArgs,
         /// How long each of the 133 questions for a node waits, ms: longer than the slowest node's answer and the
@@ -45,6 +46,7 @@ pub enum Action {
     },
     /// Ask a node for its identity and node-ID.
     Inquire {
+        /// The node.
         #[command(flatten)]
         slave: Slave,
         /// Print one JSON object.
@@ -53,6 +55,7 @@ pub enum Action {
     },
     /// Give a node a node-ID. One that had none boots with it; another takes it at its next reset of communication.
     SetNodeId {
+        /// The node.
         #[command(flatten)]
         slave: Slave,
         /// The node-ID, or `none` to take it away.
@@ -64,6 +67,7 @@ pub enum Action {
     },
     /// Have a node keep its node-ID and bit rate over power-off.
     Store {
+        /// The node.
         #[command(flatten)]
         slave: Slave,
     },

@@ -28,6 +28,7 @@ const CAPACITY: usize = 1 << 20;
 pub enum Action {
     /// Read an object (SDO upload).
     Read {
+        /// The object.
         #[command(flatten)]
         target: Target,
         /// What to show it as; without it, as the data sheet says, or in every way that makes sense.
@@ -37,6 +38,7 @@ pub enum Action {
     /// Write an object (SDO download) and read it back. Some objects move the drive, store or erase its parameters.
     #[command(allow_negative_numbers = true)]
     Write {
+        /// The object.
         #[command(flatten)]
         target: Target,
         /// The value, decimal or 0x…, or the text or the bytes.

@@ -43,8 +43,11 @@ impl Which {
 
 /// A robot by name.
 pub struct Machine {
+    /// Name of the robot or its model.
     pub name: String,
+    /// Kinematics and drive train.
     pub robot: Arc<dyn Robot>,
+    /// Parameters of the robot.
     pub parameters: Parameters,
     /// Of a robot that has legs.
     rnt: Option<Rnt>,
@@ -53,6 +56,7 @@ pub struct Machine {
 }
 
 impl Machine {
+    /// The robot of that name: a model, or a robot of a cell.
     pub fn find(Which { robot, cell }: &Which) -> anyhow::Result<Self> {
         let parameters = match cell {
             None => preset(robot)?,

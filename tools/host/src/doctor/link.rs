@@ -17,6 +17,7 @@ const ARGUMENTS: [&str; 6] = ["-details", "-statistics", "-json", "link", "show"
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default)]
 pub struct Link {
+    /// Queueing discipline.
     pub qdisc: String,
     linkinfo: LinkInfo,
 }
@@ -51,7 +52,9 @@ struct Bittiming {
 /// The controller's own error counters (ISO 11898-1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 pub struct ErrorCounters {
+    /// Transmit error counter.
     pub tx: u32,
+    /// Receive error counter.
     pub rx: u32,
 }
 
@@ -59,8 +62,11 @@ pub struct ErrorCounters {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(default)]
 pub struct Statistics {
+    /// Restarts after bus-off.
     pub restarts: u32,
+    /// Changes to error passive.
     pub error_passive: u32,
+    /// Changes to bus-off.
     pub bus_off: u32,
 }
 
@@ -110,10 +116,12 @@ impl Link {
         self.linkinfo.info_data.restart_ms
     }
 
+    /// Error counters of the controller, where it has them.
     pub fn error_counters(&self) -> Option<ErrorCounters> {
         self.linkinfo.info_data.berr_counter
     }
 
+    /// Counts since the interface was made.
     pub fn statistics(&self) -> Statistics {
         self.linkinfo.info_xstats
     }
