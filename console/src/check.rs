@@ -45,7 +45,7 @@ struct CheckedConfiguration {
 pub(crate) fn check(path: &Path, json: bool) -> anyhow::Result<ExitCode> {
     let file = CellFile::read(path)?;
     let buses = budget::check(&file)?;
-    let program = rehearsal::rehearse(&file)?;
+    let program = rehearsal::rehearse(&file, &mrroc::Tasks::programs)?;
     let robots = file.cell.robot.iter().enumerate();
     let robots = robots.map(|(number, robot)| CheckedRobot {
         name: robot.name.clone(),

@@ -16,6 +16,8 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
+use mrroc::Tasks;
+use mrroc::cell_file::CellFile;
 
 /// What scripts may build upon.
 const EXIT_STATUS: &str = "Exit status: 0 done; 1 stopped by a fault or by Ctrl-C, or a node was told and did not do \
@@ -42,7 +44,12 @@ enum Command {
     /// Examine this host: can it run the cell, and what has to change where it cannot? Changes nothing.
     Doctor(host::doctor::Options),
     /// Bring a cell up, home it, run its programs and report. Moves hardware on the card bench.
-    Run(mrroc::run::Options),
+    Run {
+        /// The cell file.
+        cell: PathBuf,
+        #[command(flatten)]
+        options: mrroc::ProgramOptions,
+    },
     /// Stand in for the axis controllers of a cell on a CAN interface, behind an slcan adapter, on serial lines.
     Emulate(emulate::Options),
     /// Who is on a bus: asks every node-ID by SDO, whoever has none by LSS, and listens to heartbeats. Not while another
@@ -109,7 +116,8 @@ fn main() -> ExitCode {
     let result = match arguments.command {
         Command::Check { cell, json } => check::check(&cell, json),
         Command::Doctor(options) => host::doctor::doctor(&options),
-        Command::Run(options) => mrroc::run::run(&options),
+        Command::Run { cell, options } => CellFile::read(&cell)
+            .and_then(|file| mrroc::run_program(&file, &options, &Tasks::programs)),
         Command::Emulate(options) => emulate::emulate(&options),
         Command::Scan(options) => service::scan::scan(&options),
         Command::Sdo { action } => service::sdo::sdo(&action),

@@ -1,132 +1,76 @@
-//! The effector control processes of a run, and how far they are.
+//! The subcontrollers of a run under way: what they report and what stops them.
 
-use anyhow::anyhow;
 use can::Instant;
-use controller::ecp::{Ecp, EcpError, Meetings};
+use controller::ecp::{EcpError, Subcontrollers};
 use drive::Fault;
-use indicatif::{ProgressBar, ProgressStyle};
-use servo::{EffectorLink, Phase, Servo, ServoFault, StopCause, StopRequest};
+use servo::{Phase, Servo, ServoFault, StopCause, StopRequest};
 
 use crate::cell_file::CellFile;
 use crate::report::FaultReport;
-use crate::setup;
 
-/// One effector control process per robot, each with its program.
+/// Every task of a run. The first failure stops every robot.
 pub(crate) struct Programs {
-    ecps: Vec<Ecp>,
-    meetings: Meetings,
-    /// The phase of each that was last told.
+    subcontrollers: Subcontrollers,
+    /// The phase of each robot that was last told.
     phases: Vec<Phase>,
-    pub faults: Vec<FaultReport>,
+    /// Instructions of each robot that ended in this poll.
+    ended: Vec<u64>,
+    pub(crate) faults: Vec<FaultReport>,
     stop: StopRequest,
 }
 
-/// What is new of one robot.
+/// News of one robot.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Seen {
-    robot: usize,
-    phase: Phase,
-    /// Instructions that ended.
-    done: u64,
+pub struct Progress {
+    /// Index of the robot in its cell.
+    pub robot: usize,
+    /// What its effector does.
+    pub phase: Phase,
+    /// Instructions that ended since the last news.
+    pub ended: u64,
 }
 
 impl Programs {
-    /// The programs of a cell's robots on the links to its servo, whose handles the meetings and the first failure use.
-    pub(crate) fn of(
-        file: &CellFile,
-        links: Vec<EffectorLink>,
-        servo: &Servo,
-    ) -> anyhow::Result<Self> {
-        let mut ecps = Vec::new();
-        for (robot, link) in links.into_iter().enumerate() {
-            let arm = &file.arms[robot];
-            let mut ecp = Ecp::new(arm.clone(), link, setup::ecp_config(file, robot));
-            let task = file.cell.task(robot, arm);
-            ecp.execute(task.map_err(|(_, error)| anyhow!(error))?)?;
-            ecps.push(ecp);
-        }
-        Ok(Self {
-            phases: vec![Phase::Off; ecps.len()],
-            ecps,
-            meetings: setup::meetings(file, servo.gates()),
+    /// The processes of a cell on the links to `servo`.
+    pub(crate) fn new(subcontrollers: Subcontrollers, servo: &Servo) -> Self {
+        let robots = subcontrollers.statuses().count();
+        Self {
+            phases: vec![Phase::Off; robots],
+            ended: vec![0; robots],
+            subcontrollers,
             faults: Vec::new(),
             stop: servo.stop_request(),
-        })
+        }
     }
 
-    /// Lets every effector control process do what is due; `false` once all are done. The first failure
-    /// stops every effector. `tell` hears of what is new, and must not wait.
+    /// Polls every process. Returns whether any has an instruction. `tell` receives news and must not wait.
     pub(crate) fn poll(
         &mut self,
         file: &CellFile,
         now: Instant,
-        mut tell: impl FnMut(Seen),
+        mut tell: impl FnMut(Progress),
     ) -> bool {
-        for (robot, ecp) in self.ecps.iter_mut().enumerate() {
-            let mut done = 0;
-            while let Some(event) = ecp.poll(now) {
-                done += 1;
-                if let Err(error) = event.outcome {
-                    self.stop.request();
-                    self.faults.push(describe(file, robot, &error));
-                }
+        let ended = &mut self.ended;
+        ended.fill(0);
+        let busy = self.subcontrollers.poll(now, |robot, event| {
+            ended[robot] += 1;
+            if let Err(error) = event.outcome {
+                self.stop.request();
+                self.faults.push(describe(file, robot, &error));
             }
-            let phase = ecp.status().phase;
-            if done > 0 || phase != self.phases[robot] {
-                self.phases[robot] = phase;
-                tell(Seen { robot, phase, done });
+        });
+        let news = self.subcontrollers.statuses().zip(&mut self.phases);
+        for (robot, ((status, phase), &ended)) in news.zip(&self.ended).enumerate() {
+            if ended > 0 || status.phase != *phase {
+                *phase = status.phase;
+                tell(Progress {
+                    robot,
+                    phase: status.phase,
+                    ended,
+                });
             }
         }
-        self.meetings.poll(&mut self.ecps);
-        self.ecps
-            .iter()
-            .any(|ecp| ecp.status().instruction.is_some())
-    }
-}
-
-/// The progress bar of a run.
-pub(crate) struct Progress {
-    bar: ProgressBar,
-    names: Vec<String>,
-    phases: Vec<Phase>,
-}
-
-impl Progress {
-    /// A bar over every instruction of every robot, or none.
-    pub(crate) fn new(file: &CellFile, shown: bool) -> anyhow::Result<Self> {
-        let moves = |robot: &crate::cell::Robot| robot.task_len() as u64;
-        let bar = match shown {
-            true => ProgressBar::new(file.cell.robot.iter().map(moves).sum()),
-            false => ProgressBar::hidden(),
-        };
-        let style = ProgressStyle::with_template("{elapsed:>4} [{bar:30}] {pos}/{len} {msg}")?;
-        bar.set_style(style.progress_chars("=> "));
-        Ok(Self {
-            bar,
-            names: file
-                .cell
-                .robot
-                .iter()
-                .map(|robot| robot.name.clone())
-                .collect(),
-            phases: vec![Phase::Off; file.cell.robot.len()],
-        })
-    }
-
-    /// Shows what is new.
-    pub(crate) fn show(&mut self, seen: Seen) {
-        self.bar.inc(seen.done);
-        self.phases[seen.robot] = seen.phase;
-        let robots = self.names.iter().zip(&self.phases);
-        let message: Vec<_> = robots
-            .map(|(name, phase)| format!("{name}: {phase:?}"))
-            .collect();
-        self.bar.set_message(message.join(", "));
-    }
-
-    /// Takes the bar away.
-    pub(crate) fn finish(self) {
-        self.bar.finish_and_clear();
+        busy
     }
 }
 

@@ -7,8 +7,8 @@ use std::task::Poll;
 use std::time::Duration;
 
 use crate::cell::{Path, instruction_path};
+use anyhow::anyhow;
 use can::Instant;
-use controller::ecp::Ecp;
 use drive::{
     AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Homing, Power, Setpoint,
 };
@@ -16,12 +16,16 @@ use servo::{PositionLoop, Servo, lockstep};
 
 use crate::cell_file::CellFile;
 use crate::setup;
+use crate::tasks::Tasks;
 
 /// No program is longer than this.
 const LONGEST: Duration = Duration::from_secs(24 * 3600);
 
-/// Rehearses every program and returns how long the longest takes after homing.
-pub fn rehearse(file: &CellFile) -> anyhow::Result<Duration> {
+/// Rehearses the tasks of a cell and returns how long the longest takes after homing.
+pub fn rehearse(
+    file: &CellFile,
+    tasks: &dyn Fn(&CellFile) -> anyhow::Result<Tasks>,
+) -> anyhow::Result<Duration> {
     let groups = (0..file.cell.groups().count())
         .map(|bus| Box::new(IdealDrives::of(file, bus)) as Box<dyn DriveGroup>);
     let mut config = setup::servo_config(file);
@@ -31,20 +35,9 @@ pub fn rehearse(file: &CellFile) -> anyhow::Result<Duration> {
         axis.homing = None;
     }
     let (mut servo, links) = Servo::new(&config, groups.collect())?;
-    let mut ecps = Vec::new();
-    for (robot, link) in links.into_iter().enumerate() {
-        let arm = file.arms[robot].clone();
-        let task = file.cell.task(robot, &arm);
-        let task = task.map_err(|(key, error)| {
-            let axis = error.axis().map(|axis| file.axis_name(robot, axis));
-            let axis = axis.map_or(String::new(), |name| name + ", ");
-            file.refuse(&key, format_args!("{axis}{error}"))
-        })?;
-        let mut ecp = Ecp::new(arm, link, setup::ecp_config(file, robot));
-        ecp.execute(task).expect("a new ECP has nothing under way");
-        ecps.push(ecp);
-    }
-    let mut meetings = setup::meetings(file, servo.gates());
+    let tasks = tasks(file)?;
+    let from_cell = tasks.are_programs();
+    let mut subcontrollers = setup::subcontrollers(file, links, servo.gates(), tasks);
     let mut failure = None;
     let start =
         lockstep::bring_up(&mut servo, Instant::ZERO, |_| {}).expect("ideal drives come up");
@@ -54,19 +47,25 @@ pub fn rehearse(file: &CellFile) -> anyhow::Result<Duration> {
         start,
         |now| {
             end.set(now);
-            for (robot, ecp) in ecps.iter_mut().enumerate() {
-                while let Some(event) = ecp.poll(now) {
-                    let Err(error) = event.outcome else { continue };
+            let busy = subcontrollers.poll(now, |robot, event| {
+                let Err(error) = event.outcome else { return };
+                failure.get_or_insert_with(|| {
+                    let name = &file.cell.robot[robot].name;
+                    if !from_cell {
+                        return anyhow!(
+                            "robot {name}: instruction {} of the task: {error}",
+                            event.instruction
+                        );
+                    }
                     let place = file.cell.robot[robot].instruction_of(event.instruction);
                     let key = place.map_or_else(
                         || Path::default().then("robot").then(robot),
                         |index| instruction_path(robot, index),
                     );
-                    failure.get_or_insert_with(|| file.refuse(&key, error));
-                }
-            }
-            meetings.poll(&mut ecps);
-            if failure.is_some() || ecps.iter().all(|ecp| ecp.status().instruction.is_none()) {
+                    file.refuse(&key, error)
+                });
+            });
+            if failure.is_some() || !busy {
                 end.set(Instant::FAR_FUTURE);
             }
         },

@@ -13,7 +13,7 @@ use crate::cell_file::CellFile;
 use crate::wire::WireReport;
 
 /// What a run leaves behind.
-pub struct Ran {
+pub struct RunEnd {
     /// The servo, its robots switched off.
     pub servo: Servo,
     /// Times of the cycles.
@@ -32,7 +32,7 @@ pub struct Ran {
 
 /// The report of one run.
 #[derive(Debug, Serialize)]
-pub struct Report {
+pub struct RunReport {
     /// The cell's name.
     pub cell: String,
     /// The bench it ran on.
@@ -55,24 +55,24 @@ pub struct Report {
     pub outcome: Outcome,
 }
 
-impl Report {
-    /// The report of what `ran` in `wall` of the host's time.
+impl RunReport {
+    /// The report of what `end` in `wall` of the host's time.
     pub fn of(
         file: &CellFile,
         bench: &'static str,
-        ran: Ran,
+        end: RunEnd,
         budgets: &[BusBudget],
         wall: Duration,
         outcome: Outcome,
     ) -> Self {
-        let counters = ran.servo.counters();
+        let counters = end.servo.counters();
         let robots = file.cell.robot.iter().enumerate();
         let axes = robots.flat_map(|(robot, value)| {
             value
                 .axis
                 .iter()
-                .zip(ran.servo.tracking(robot))
-                .zip(ran.servo.homing_offsets(robot))
+                .zip(end.servo.tracking(robot))
+                .zip(end.servo.homing_offsets(robot))
                 .enumerate()
                 .map(move |(number, ((axis, error), homing_offset_counts))| {
                     let counts = f64::from(axis.counts_per_revolution()) / std::f64::consts::TAU;
@@ -87,7 +87,7 @@ impl Report {
                 })
         });
         let buses =
-            ran.servo
+            end.servo
                 .group_counters()
                 .zip(budgets)
                 .enumerate()
@@ -96,7 +96,7 @@ impl Report {
                     lines: (index >= file.cell.bus.len()).then(|| file.cell.axes_on(index).count()),
                     frames: group.port.sent + group.port.received,
                     load_percent: 100.0 * group.port.bits as f64
-                        / (budget.bits_per_second * ran.cell_time.as_secs_f64()),
+                        / (budget.bits_per_second * end.cell_time.as_secs_f64()),
                     worst_case_percent: budget.worst_case_percent,
                     dropped_setpoints: group.dropped_setpoints,
                     missed_answers: group.missed_answers,
@@ -109,25 +109,25 @@ impl Report {
                 period_us: file.cell.period().as_micros() as u32,
                 cycles: counters.cycles,
                 missed: counters.missed_cycles,
-                wake_us: Percentiles::from(&ran.timing.wake_up),
-                sync_us: Percentiles::from(&ran.timing.sync),
-                step_us: Percentiles::from(&ran.timing.step),
-                bus_us: Percentiles::from(&ran.timing.bus),
-                wait: WaitCost::from(ran.timing.wait),
-                causes: ran
+                wake_us: Percentiles::from(&end.timing.wake_up),
+                sync_us: Percentiles::from(&end.timing.sync),
+                step_us: Percentiles::from(&end.timing.step),
+                bus_us: Percentiles::from(&end.timing.bus),
+                wait: WaitCost::from(end.timing.wait),
+                causes: end
                     .timing
                     .late
                     .causes()
                     .map(|(cause, count)| (cause.name(), count))
                     .collect(),
-                worst: ran.timing.late.worst().map(WorstCycle::from).collect(),
-                account: AccountReport::from(ran.timing.account),
+                worst: end.timing.late.worst().map(WorstCycle::from).collect(),
+                account: AccountReport::from(end.timing.account),
             },
             buses: buses.collect(),
-            wire: ran.wire,
-            faults: ran.faults,
-            denied: ran.denied,
-            realtime_factor: ran.cell_time.as_secs_f64() / wall.as_secs_f64(),
+            wire: end.wire,
+            faults: end.faults,
+            denied: end.denied,
+            realtime_factor: end.cell_time.as_secs_f64() / wall.as_secs_f64(),
             outcome,
         }
     }
@@ -171,7 +171,7 @@ impl fmt::Display for FaultReport {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Outcome {
-    /// The program ran to its end.
+    /// The program end to its end.
     Completed,
     /// Somebody stopped it.
     Stopped,
@@ -353,7 +353,7 @@ pub struct BusReport {
     pub missed_answers: u64,
 }
 
-impl fmt::Display for Report {
+impl fmt::Display for RunReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let names = self
             .axes

@@ -6,17 +6,18 @@ use std::time::Duration;
 use crate::cell::{self, Bus, Cell, ENABLING, Homing, Policy, Serial};
 use anyhow::Context;
 use can::Port;
-use controller::ecp::{EcpConfig, Meetings};
+use controller::ecp::{Ecp, EcpConfig, Meetings, Subcontrollers, Task};
 use controller::robot::Limits;
 use drive::DriveGroup;
 use drive::axis_controller::AxisControllerGroup;
 use drive::cia402::{AxisConfig, Cia402Group, CyclicMode};
 use serial::Line;
 use servo::thread::{CellTime, Realtime, RealtimePolicy, Scheduler, Wait};
-use servo::{EffectorConfig, Gates, HostHoming, ServoAxisConfig, ServoConfig};
+use servo::{EffectorConfig, EffectorLink, Gates, HostHoming, ServoAxisConfig, ServoConfig};
 
 use crate::cell_file::CellFile;
 use crate::configuration::Configuration;
+use crate::tasks::Tasks;
 
 /// An effector may take as long to home, however short the searches of its axes are; and so may a search by the drive
 /// of an axis without ends, since nothing tells how far it goes.
@@ -101,9 +102,26 @@ pub fn servo_config(file: &CellFile) -> ServoConfig {
 }
 
 /// The meetings of the effector control processes of a cell, on the gates of its servo.
-pub fn meetings(file: &CellFile, gates: Gates) -> Meetings {
+fn meetings(file: &CellFile, gates: Gates) -> Meetings {
     let meetings = file.cell.meetings().into_iter();
     Meetings::new(meetings.map(|meeting| meeting.robots), gates)
+}
+
+/// The effector control processes of a cell with their tasks, on the links to its servo.
+pub(crate) fn subcontrollers(
+    file: &CellFile,
+    links: Vec<EffectorLink>,
+    gates: Gates,
+    tasks: Tasks,
+) -> Subcontrollers {
+    let ecp = |(robot, (link, task)): (usize, (EffectorLink, Option<Task>))| {
+        let mut ecp = Ecp::new(file.arms[robot].clone(), link, ecp_config(file, robot));
+        ecp.execute(task.unwrap_or_default())
+            .expect("a new process has no instruction");
+        ecp
+    };
+    let ecps = links.into_iter().zip(tasks.tasks).enumerate().map(ecp);
+    Subcontrollers::new(ecps.collect(), meetings(file, gates))
 }
 
 /// The axes of robot `robot`.
@@ -169,7 +187,7 @@ fn longest_search(homing: HostHoming) -> Duration {
 }
 
 /// How the effector control process of robot `robot` paces its effector.
-pub fn ecp_config(file: &CellFile, robot: usize) -> EcpConfig {
+fn ecp_config(file: &CellFile, robot: usize) -> EcpConfig {
     let cell = &file.cell;
     EcpConfig {
         period: cell.period(),

@@ -206,7 +206,7 @@ impl Robot {
     /// What each joint may do so that no motor is asked for more than its share.
     ///
     /// Several joints may turn one motor; they are slowed together.
-    pub(super) fn motion_limits(&self, arm: &Arm) -> MotionLimits {
+    pub(crate) fn motion_limits(&self, arm: &Arm) -> MotionLimits {
         let (velocity, acceleration, jerk) = JOINT_LIMITS;
         let mut limits = MotionLimits::uniform(velocity, acceleration, jerk);
         let gains = steepest_gains(arm);

@@ -1,39 +1,46 @@
-//! `mrroc run`: brings a cell up, homes it, runs its programs, switches it off and reports.
+//! A run: brings a cell up, does the tasks of its robots, switches it off and reports.
 //!
 //! By the wall clock five threads take part: the servo's, the controller's below it, one that writes the
-//! files, one that listens to the buses, and the main thread, which shows the progress. However a run ends,
-//! the servo thread is waited for until it has braked the arms and switched them off: at the programs' end,
-//! on a signal, when a file cannot be written, and by a panic of the main thread or the controller's. A file
+//! files, one that listens to the buses, and the caller's, which receives the progress. However a run ends,
+//! the servo thread is waited for until it has braked the arms and switched them off: at the end of the tasks,
+//! on a signal, when a file cannot be written, and by a panic of the caller's thread or the controller's. A file
 //! that takes nothing is not waited for. Whatever may still have power afterwards is a fault of the run.
+
+mod files;
+mod requests;
+mod turning;
 
 use std::cell::{Cell as Shared, RefCell};
 use std::mem::take;
 use std::path::PathBuf;
-use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, sync_channel};
-use std::thread::Builder;
+use std::sync::mpsc::sync_channel;
 use std::time::Duration;
 
-use anyhow::{Context, anyhow, bail};
+use anyhow::{anyhow, bail};
 use can::{Instant, clock};
 use clap::Args;
-use servo::thread::{self, Finished, Running};
+use servo::thread;
 use servo::{NotUp, Servo, Timing, lockstep};
-use signal_hook::consts::SIGUSR1;
-use signal_hook::flag;
 
 use crate::bench::clockwork;
 use crate::bench::emulation::Emulation;
 use crate::bench::{Bench, BenchKind, Places};
 use crate::cell_file::CellFile;
-use crate::programs::{Programs, Progress, servo_faults};
-use crate::report::{FaultReport, Outcome, Ran, Report};
+use crate::programs::{Programs, servo_faults};
+use crate::report::{FaultReport, Outcome, RunEnd, RunReport};
 use crate::spikes::SpikeFile;
+use crate::tasks::Tasks;
 use crate::trace::{AxisLog, FrameLog};
 use crate::wire::Wire;
-use crate::{rehearsal, setup, streams};
+use crate::{budget, rehearsal, setup, streams};
+use files::{Logs, Writing};
+use turning::Over;
+
+pub use crate::programs::Progress;
+pub use requests::Requests;
+pub use turning::Turning;
 
 /// Records that an axis log may lag behind the servo, per effector: some seconds.
 const RECORDS: usize = 1 << 13;
@@ -44,59 +51,68 @@ const POLL: Duration = Duration::from_millis(2);
 /// How far the controller's priority is below the servo's.
 const BELOW_SERVO: u8 = 10;
 
-/// News of the controller that the progress bar may lag behind; what does not fit is not shown.
-const SEEN: usize = 64;
+/// News of the controller that the progress may lag behind; what does not fit is not shown.
+const NEWS: usize = 64;
 
 /// Longest time in the cell for the drives to report that they have no power, once they are told.
 const POWER_OFF_WAIT: Duration = Duration::from_millis(500);
 
-/// Longest wait for the files of a run once it has ended.
-const FILES_WAIT: Duration = Duration::from_secs(2);
-
 /// Bytes of the stack of a thread that reads queues and writes files; once memory is locked, all of it is.
 pub const SMALL_STACK: usize = 128 * 1024;
 
-/// How often the files of a run are written, at the least.
-const DRAIN: Duration = Duration::from_millis(20);
-
-/// Options of `mrroc run`.
-#[derive(Args)]
-pub struct Options {
-    /// The cell file.
-    cell: PathBuf,
+/// What a run runs on and which files it writes.
+#[derive(Args, Debug)]
+pub struct RunOptions {
     /// What to run it on.
     #[arg(long, value_enum, default_value = "emulated")]
-    bench: BenchKind,
+    pub bench: BenchKind,
+    /// Where the bench is found.
     #[command(flatten)]
-    places: Places,
-    /// Print one JSON object at the end.
-    #[arg(long)]
-    json: bool,
+    pub places: Places,
     /// Write every frame to this file, as candump does.
     #[arg(long, value_name = "FILE")]
-    trace: Option<PathBuf>,
+    pub trace: Option<PathBuf>,
     /// Write every axis in every cycle to this file, as CSV.
     #[arg(long, value_name = "FILE")]
-    record: Option<PathBuf>,
+    pub record: Option<PathBuf>,
     /// Write the servo cycles around the latest ones to this file, phase by phase, for ui.perfetto.dev; SIGUSR1 adds
     /// those around a moment of yours.
     #[arg(long, value_name = "FILE")]
-    spikes: Option<PathBuf>,
+    pub spikes: Option<PathBuf>,
 }
 
-/// Runs a cell.
-pub fn run(options: &Options) -> anyhow::Result<ExitCode> {
+impl RunOptions {
+    /// A run on `bench` that writes no files.
+    pub fn on(bench: BenchKind) -> Self {
+        Self {
+            bench,
+            places: Places::default(),
+            trace: None,
+            record: None,
+            spikes: None,
+        }
+    }
+}
+
+/// Rehearses the tasks, then runs them.
+///
+/// `tasks` is called twice: for the rehearsal on ideal drives, and for the run. `progress` receives news on the
+/// caller's thread. An error means that nothing has moved; a fault during the run is in the report.
+pub fn run(
+    file: &CellFile,
+    options: &RunOptions,
+    requests: &Requests,
+    tasks: &dyn Fn(&CellFile) -> anyhow::Result<Tasks>,
+    progress: &mut dyn FnMut(Progress),
+) -> anyhow::Result<RunReport> {
     if options.spikes.is_some() && options.bench == BenchKind::Lockstep {
         bail!("--spikes needs cycles by the clock, which --bench lockstep has none of");
     }
-    let asked = Asked::default();
-    flag::register(SIGUSR1, asked.trace.clone()).context("SIGUSR1 cannot be caught")?;
-    let file = CellFile::read(&options.cell)?;
-    rehearsal::rehearse(&file)?;
+    rehearsal::rehearse(file, tasks)?;
     if options.trace.is_some() && file.cell.bus.is_empty() {
         streams::warn("--trace stays empty: it has the frames of CAN buses, and the cell has none");
     }
-    let budget = crate::budget::check(&file)?;
+    let budget = budget::check(file)?;
     let Bench {
         ports,
         lines,
@@ -105,14 +121,14 @@ pub fn run(options: &Options) -> anyhow::Result<ExitCode> {
         wire,
         emulation,
     } = Bench::open(
-        &file,
+        file,
         options.bench,
         &options.places,
         options.trace.is_some(),
     )?;
     let (mut servo, links) = Servo::new(
-        &setup::servo_config(&file),
-        setup::drive_groups(&file, ports, lines, None)?,
+        &setup::servo_config(file),
+        setup::drive_groups(file, ports, lines, None)?,
     )?;
     let logs = Logs {
         frames: options
@@ -123,7 +139,7 @@ pub fn run(options: &Options) -> anyhow::Result<ExitCode> {
         axes: match &options.record {
             Some(path) => Some(AxisLog::create(
                 path,
-                &file,
+                file,
                 servo.record(RECORDS * file.cell.robot.len()),
             )?),
             None => None,
@@ -131,224 +147,51 @@ pub fn run(options: &Options) -> anyhow::Result<ExitCode> {
     };
     let spikes = options.spikes.as_deref().map(SpikeFile::create);
     let spikes = spikes.transpose()?;
-    let programs = Programs::of(&file, links, &servo)?;
-    let progress = Progress::new(&file, !options.json)?;
-    let (stop, flag) = (servo.stop_request(), asked.stop.clone());
-    let nothing_moves = options.bench == BenchKind::Lockstep;
-    ctrlc::set_handler(move || {
-        let again = flag.swap(true, Ordering::Relaxed);
-        stop.request();
-        if again && nothing_moves {
-            // A file may hold up the only thread that there is.
-            std::process::exit(1);
-        }
-    })
-    .context("Ctrl-C cannot be caught, so the arm could not be stopped by it")?;
+    let subcontrollers = setup::subcontrollers(file, links, servo.gates(), tasks(file)?);
+    let programs = Programs::new(subcontrollers, &servo);
+    requests.stop_through(servo.stop_request());
 
     let began = clock::now();
-    let mut ran = match options.bench {
-        BenchKind::Lockstep => in_lockstep(
-            &file,
-            servo,
-            programs,
-            logs,
-            Buses { wire, emulation },
-            &asked.stop,
-            progress,
-        )?,
-        _ => by_the_clock(
-            &file,
-            servo,
-            programs,
-            logs,
-            Buses { wire, emulation },
-            &asked,
-            progress,
-        )?,
+    let buses = Buses { wire, emulation };
+    let mut end = match options.bench {
+        BenchKind::Lockstep => {
+            in_lockstep(file, servo, programs, logs, buses, &requests.stop, progress)?
+        }
+        _ => by_the_clock(file, servo, programs, logs, buses, requests, progress)?,
     };
-    let interrupted = asked.stop.load(Ordering::Relaxed);
+    let interrupted = requests.is_stopped();
     if interrupted {
-        // What the programs say of it is that they were broken off; what the servo latched meanwhile is a fault.
-        ran.faults.retain(|fault| fault.robot.is_none());
+        // What the tasks say of it is that they were broken off; what the servo latched meanwhile is a fault.
+        end.faults.retain(|fault| fault.robot.is_none());
     }
-    for fault in servo_faults(&file, &ran.servo) {
-        if !ran.faults.contains(&fault) {
-            ran.faults.push(fault);
+    for fault in servo_faults(file, &end.servo) {
+        if !end.faults.contains(&fault) {
+            end.faults.push(fault);
         }
     }
-    let written = spikes.map(|file| file.write("servo", take(&mut ran.spikes)));
+    let written = spikes.map(|file| file.write("servo", take(&mut end.spikes)));
     if let Some(Err(error)) = written {
-        ran.faults.push(FaultReport::of_run(error));
+        end.faults.push(FaultReport::of_run(error));
     }
-    let outcome = match (interrupted, ran.faults.is_empty()) {
+    let outcome = match (interrupted, end.faults.is_empty()) {
         (_, false) => Outcome::Faulted,
         (true, true) => Outcome::Stopped,
         (false, true) => Outcome::Completed,
     };
-    let report = Report::of(
-        &file,
+    Ok(RunReport::of(
+        file,
         options.bench.name(),
-        ran,
+        end,
         &budget,
         clock::now().since(began),
         outcome,
-    );
-    if let Err(error) = streams::answer(&report, options.json) {
-        // Too late to refuse: everything has moved.
-        streams::warn(format_args!(
-            "mrroc: the report cannot be printed: {error:#}"
-        ));
-        return Ok(ExitCode::from(1));
-    }
-    Ok(ExitCode::from(if outcome == Outcome::Completed {
-        0
-    } else {
-        1
-    }))
-}
-
-/// What signals ask for.
-#[derive(Default)]
-struct Asked {
-    /// The end of the run.
-    stop: Arc<AtomicBool>,
-    /// The cycles around this moment.
-    trace: Arc<AtomicBool>,
+    ))
 }
 
 /// What is beyond the ports of a run.
 struct Buses {
     wire: Wire,
     emulation: Option<Emulation>,
-}
-
-/// The files of a run.
-struct Logs {
-    frames: Option<FrameLog>,
-    axes: Option<AxisLog>,
-}
-
-impl Logs {
-    fn drain(&mut self) -> anyhow::Result<()> {
-        if let Some(frames) = &mut self.frames {
-            frames.drain().context("the trace cannot be written")?;
-        }
-        if let Some(axes) = &mut self.axes {
-            axes.drain().context("the record cannot be written")?;
-        }
-        Ok(())
-    }
-
-    fn finish(mut self) -> anyhow::Result<()> {
-        self.drain()?;
-        match self
-            .frames
-            .map(FrameLog::finish)
-            .transpose()
-            .context("the trace cannot be written")?
-        {
-            Some(lost @ 1..) => Err(anyhow!(
-                "the trace lacks {lost} frames: the file was too slow"
-            )),
-            _ => Ok(()),
-        }
-    }
-}
-
-/// The files of a run, written by a thread of its own: a file that takes nothing any more holds up nothing else.
-struct Writing {
-    what: &'static str,
-    over: Arc<AtomicBool>,
-    told: Receiver<anyhow::Result<()>>,
-}
-
-impl Writing {
-    /// Begins. A file that cannot be written raises `failed`.
-    fn start(mut logs: Logs, failed: Arc<AtomicBool>) -> anyhow::Result<Self> {
-        let what = match (&logs.frames, &logs.axes) {
-            (_, None) => "trace",
-            (None, Some(_)) => "record",
-            (Some(_), Some(_)) => "trace or the record",
-        };
-        let over = Arc::new(AtomicBool::new(false));
-        let (tell, told) = sync_channel(1);
-        let last = over.clone();
-        let thread = Builder::new().name("files".into()).stack_size(SMALL_STACK);
-        let body = move || {
-            let mut written = Ok(());
-            while written.is_ok() && !last.load(Ordering::Relaxed) {
-                std::thread::park_timeout(DRAIN);
-                written = logs.drain();
-            }
-            failed.fetch_or(written.is_err(), Ordering::Relaxed);
-            // Nobody listens any more if it took too long.
-            let _ = tell.send(written.and_then(|()| logs.finish()));
-        };
-        thread
-            .spawn(body)
-            .context("no thread to write the files can be made")?;
-        Ok(Self { what, over, told })
-    }
-
-    /// Writes the rest, unless that takes too long.
-    fn finish(self) -> anyhow::Result<()> {
-        self.over.store(true, Ordering::Relaxed);
-        self.told
-            .recv_timeout(FILES_WAIT)
-            .unwrap_or_else(|_| Err(anyhow!("the {} cannot be written in time", self.what)))
-    }
-}
-
-/// A servo thread that is stopped in order and waited for when this is dropped, by a panic too.
-pub struct Turning {
-    running: Option<Running>,
-    over: Over,
-}
-
-impl Turning {
-    /// A servo thread that ends once `over` is set.
-    pub fn of(running: Running, over: Arc<AtomicBool>) -> Self {
-        Self {
-            running: Some(running),
-            over: Over(over),
-        }
-    }
-
-    /// Whether the servo thread has ended.
-    pub fn is_finished(&self) -> bool {
-        self.running.as_ref().is_none_or(Running::is_finished)
-    }
-
-    /// Stops the servo thread in order and waits for its end.
-    pub fn end(mut self) -> Finished {
-        self.over.raise();
-        let running = self.running.take();
-        running.expect("taken at its end alone").join()
-    }
-}
-
-impl Drop for Turning {
-    fn drop(&mut self) {
-        self.over.raise();
-        if let Some(running) = self.running.take() {
-            let _ = running.join();
-        }
-    }
-}
-
-/// Ends the cycles when it is raised or dropped: the servo thread brakes the arms and switches them off.
-struct Over(Arc<AtomicBool>);
-
-impl Over {
-    fn raise(&self) {
-        self.0.store(true, Ordering::Relaxed);
-    }
-}
-
-impl Drop for Over {
-    fn drop(&mut self) {
-        self.raise();
-    }
 }
 
 /// What a run ends in whose drives did not come up: the refusal of a bus, in the words of the cell, or a stop on
@@ -359,10 +202,10 @@ fn not_up(
     cell_time: Duration,
     written: anyhow::Result<()>,
     why: NotUp,
-) -> anyhow::Result<Ran> {
+) -> anyhow::Result<RunEnd> {
     written?;
     if why == NotUp::Stopped {
-        return Ok(Ran {
+        return Ok(RunEnd {
             servo,
             timing: Timing::default(),
             spikes: Vec::new(),
@@ -405,8 +248,8 @@ fn in_lockstep(
     logs: Logs,
     Buses { wire, emulation }: Buses,
     interrupted: &AtomicBool,
-    mut progress: Progress,
-) -> anyhow::Result<Ran> {
+    progress: &mut dyn FnMut(Progress),
+) -> anyhow::Result<RunEnd> {
     let emulation = RefCell::new(emulation.expect("lockstep has emulated drives"));
     let wire = RefCell::new(wire);
     let between = |next| {
@@ -436,7 +279,7 @@ fn in_lockstep(
             if failed.borrow().is_some() {
                 return;
             }
-            let busy = programs.poll(file, now, |seen| progress.show(seen));
+            let busy = programs.poll(file, now, &mut *progress);
             let drained = logs.borrow_mut().drain();
             done.set(!busy || interrupted.load(Ordering::Relaxed) || drained.is_err());
             failed.replace(drained.err());
@@ -454,13 +297,12 @@ fn in_lockstep(
             servo.is_off() || now >= over
         },
     );
-    progress.finish();
     let written = failed
         .take()
         .map_or_else(|| logs.into_inner().finish(), Err);
     let mut faults = programs.faults;
     faults.extend(written.err().map(FaultReport::of_run));
-    Ok(Ran {
+    Ok(RunEnd {
         servo,
         timing,
         spikes: Vec::new(),
@@ -480,9 +322,9 @@ fn by_the_clock(
         wire,
         mut emulation,
     }: Buses,
-    asked: &Asked,
-    mut progress: Progress,
-) -> anyhow::Result<Ran> {
+    requests: &Requests,
+    progress: &mut dyn FnMut(Progress),
+) -> anyhow::Result<RunEnd> {
     let began = clock::now();
     let policy = |time| setup::realtime_policy(&file.cell, time);
     let done = Arc::new(AtomicBool::new(false));
@@ -497,11 +339,11 @@ fn by_the_clock(
             return not_up(file, servo, cell_time, writing.finish(), error);
         }
     };
-    let trace = asked.trace.clone();
+    let trace = requests.spikes.clone();
     let running = clockwork::start(servo, emulation, emulated_since, policy, trace, until)?;
     let turning = Turning::of(running, done.clone());
     let poll = POLL.max(file.cell.period() * u32::from(file.cell.macrostep) / 10);
-    let (tell, told) = sync_channel(SEEN);
+    let (tell, told) = sync_channel(NEWS);
     std::thread::scope(|scope| {
         // The scope waits for the controller: a panic of this thread must end that too.
         let _over = Over(done.clone());
@@ -517,14 +359,14 @@ fn by_the_clock(
             let show = |seen| _ = tell.try_send(seen);
             while !done.load(Ordering::Relaxed)
                 && programs.poll(file, clock::now(), show)
-                && !asked.stop.load(Ordering::Relaxed)
+                && !requests.stop.load(Ordering::Relaxed)
                 && !turning.is_finished()
             {
                 clock::sleep_until(clock::now() + poll);
             }
             drop(tell);
         });
-        told.iter().for_each(|seen| progress.show(seen));
+        told.iter().for_each(&mut *progress);
     });
     let ended = turning.end();
     // An emulated cell's time stands still while the host misses deadlines.
@@ -534,14 +376,13 @@ fn by_the_clock(
         Some(first) => cycles(first).since(Instant::ZERO),
         None => clock::now().since(began),
     };
-    progress.finish();
     let mut faults = programs.faults;
     faults.extend(writing.finish().err().map(FaultReport::of_run));
     if let Some(panicked) = ended.panicked {
         let what = format!("the servo thread panicked: {panicked:?}");
         faults.push(FaultReport::of_run(what));
     }
-    Ok(Ran {
+    Ok(RunEnd {
         servo: ended.servo,
         timing: ended.timing,
         spikes: ended.spikes,
