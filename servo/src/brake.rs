@@ -1,3 +1,5 @@
+//! The straight stop.
+
 use crate::{Knot, MAX_AXES};
 
 /// A straight stop: all motors decelerate together and come to rest at the same time.

@@ -1,3 +1,5 @@
+//! Configuration of a servo.
+
 mod host_homing;
 mod position_loop;
 

@@ -1,3 +1,5 @@
+//! Limits of the set-points that are sent.
+
 use crate::StopCause;
 
 /// Share by which a finite difference of sent positions may exceed a limit.

@@ -1,3 +1,5 @@
+//! Orders to an effector and reports from it.
+
 use std::fmt;
 
 use std::time::Duration;

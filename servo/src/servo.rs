@@ -1,3 +1,5 @@
+//! The cycle of the servo.
+
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::task::Poll;

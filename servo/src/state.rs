@@ -1,3 +1,5 @@
+//! State machine of an effector.
+
 use crate::Phase;
 
 /// What an effector does: [`Phase`] with what only its servo needs to know.

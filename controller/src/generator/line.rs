@@ -1,3 +1,5 @@
+//! Straight line of the tool.
+
 use std::time::Duration;
 
 use nalgebra::{Translation3, UnitQuaternion, Vector3};

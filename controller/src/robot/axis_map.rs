@@ -1,3 +1,5 @@
+//! Devices of one axis: gripper and conveyor.
+
 use nalgebra::Isometry3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -1,3 +1,5 @@
+//! Drive trains: gears and ball-screw triangles.
+
 use std::f64::consts::{PI, TAU};
 
 use schemars::JsonSchema;

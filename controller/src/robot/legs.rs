@@ -1,3 +1,5 @@
+//! Kinematics of the three parallel legs of the RNT.
+
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
 /// Most steps of the forward solution.

@@ -1,3 +1,5 @@
+//! Parameters of the arm that IRb-6 and IRp-6 share, and errors of parameters.
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;

@@ -1,3 +1,5 @@
+//! Kinematics of the Polycrank.
+
 mod cranks;
 
 use std::f64::consts::FRAC_PI_2;

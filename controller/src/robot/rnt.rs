@@ -1,3 +1,5 @@
+//! Kinematics of the RNT, serial-parallel.
+
 use std::f64::consts::TAU;
 
 use nalgebra::{Isometry3, Rotation3, Vector2, Vector3};

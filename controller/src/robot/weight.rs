@@ -1,3 +1,5 @@
+//! Torques that hold the weight of links and load.
+
 use nalgebra::{UnitVector3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -1,3 +1,5 @@
+//! CAN frames.
+
 use std::fmt;
 
 use crate::{ExtendedId, Id, StandardId};

@@ -1,3 +1,5 @@
+//! Names of network interfaces.
+
 use std::fmt;
 
 /// The name of a network interface, as Linux limits it: 1 to 15 bytes.

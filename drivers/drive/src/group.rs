@@ -1,3 +1,5 @@
+//! The contract of a drive group.
+
 use std::task::Poll;
 
 use can::{Counters, Instant};

@@ -1,3 +1,5 @@
+//! The contract of a serial line.
+
 use std::time::Duration;
 
 use can::Instant;

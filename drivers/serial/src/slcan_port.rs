@@ -1,3 +1,5 @@
+//! A CAN port on an slcan adapter.
+
 use std::task::Poll;
 use std::time::Duration;
 

@@ -1,3 +1,5 @@
+//! Emulated axis controller with NFv2 telegrams.
+
 use can::Instant;
 use serial::nfv2::{
     Answer, BROADCAST, Command, Frame, FrameBuilder, LONGEST, Malformed, START, Status,

@@ -1,3 +1,5 @@
+//! An emulated axis: motor, encoder, switches.
+
 use thiserror::Error;
 
 use super::SUB_STEP;

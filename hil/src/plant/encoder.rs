@@ -1,3 +1,5 @@
+//! Quadrature encoder with an index pulse.
+
 use std::f64::consts::TAU;
 
 use super::noise::Noise;

@@ -1,3 +1,5 @@
+//! Dry friction with break-away.
+
 /// Dry friction of a motor and its gear, at the motor shaft.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrictionConfig {

@@ -1,3 +1,5 @@
+//! Plants of the IRp-6 on a pedestal.
+
 use super::axis::{AxisConfig, PlantConfig};
 use super::friction::FrictionConfig;
 use super::motor::{EndStops, Gravity, MotorConfig};

@@ -1,3 +1,5 @@
+//! Plants of the IRp-6 on its track, RNT, Polycrank, gripper and conveyor.
+
 use super::axis::{AxisConfig, PlantConfig};
 use super::friction::FrictionConfig;
 use super::irp6::{Irp6Axis, THERMAL};

@@ -1,3 +1,5 @@
+//! Motor with load.
+
 use super::SUB_STEP;
 use super::friction::{Friction, FrictionConfig};
 use super::mechanism::{Loaded, Mount};

@@ -1,3 +1,5 @@
+//! Dialogues of the emulated slcan adapter.
+
 use super::*;
 use crate::World;
 use can::{ExtendedId, Port, Received, StandardId};

@@ -1,3 +1,5 @@
+//! Cell files that are read, and cell files that are refused.
+
 use super::*;
 use controller::robot::Limits;
 

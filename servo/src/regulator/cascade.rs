@@ -1,3 +1,5 @@
+//! Cascade: proportional position loop over proportional-integral velocity loop.
+
 use super::proportional::{Proportional, ProportionalConfig};
 use super::{is_not_negative, is_positive};
 

@@ -1,3 +1,5 @@
+//! Incremental law of the original IRp-6 controller.
+
 use super::{is_not_negative, is_positive, share};
 
 /// The coefficients of one axis.

@@ -1,3 +1,5 @@
+//! Proportional position loop.
+
 use super::{is_not_negative, is_positive, share};
 
 /// The gains of one axis.

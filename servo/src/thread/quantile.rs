@@ -1,3 +1,5 @@
+//! A learnt quantile of durations.
+
 use std::time::Duration;
 
 /// One in this many observations is longer than what is learnt.

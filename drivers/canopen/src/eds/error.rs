@@ -1,3 +1,5 @@
+//! Errors of electronic data sheets.
+
 use thiserror::Error;
 
 use super::MAX_VARIABLES;

@@ -1,3 +1,5 @@
+//! Reads an electronic data sheet.
+
 use std::collections::BTreeMap;
 
 use super::ini::{self, Section, Text};

@@ -1,3 +1,5 @@
+//! Writes an electronic data sheet.
+
 use std::fmt::{self, Display, Formatter};
 
 use super::ini::uncommented;

@@ -1,3 +1,5 @@
+//! LSS master (CiA 305).
+
 use std::fmt;
 use std::time::Duration;
 

@@ -1,3 +1,5 @@
+//! LSS fastscan (CiA 305).
+
 use super::{FASTSCAN_RESET, Fastscan, Identity, Part};
 
 /// Guesses the identity of a slave without a node-ID bit by bit, from the highest of the vendor-ID down.

@@ -1,3 +1,5 @@
+//! SDO client: expedited, segmented and block transfer.
+
 use std::time::Duration;
 
 use can::{Frame, Instant};

@@ -1,3 +1,5 @@
+//! Configuration of a bundle of axis controllers.
+
 use std::time::Duration;
 
 use serial::{Settings, hi_moxa, nfv2};

@@ -1,3 +1,5 @@
+//! One CiA 402 drive during operation.
+
 use std::time::Duration;
 
 use can::{Frame, Instant};

@@ -1,3 +1,5 @@
+//! Configuration of a group of CiA 402 drives.
+
 use std::time::Duration;
 
 use canopen::cia402::ModeOfOperation;

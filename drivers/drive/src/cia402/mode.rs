@@ -1,3 +1,5 @@
+//! Change of the mode of operation.
+
 use canopen::cia402::ModeOfOperation;
 
 /// Which mode of operation the drive was told, and which it shows.

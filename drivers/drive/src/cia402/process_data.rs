@@ -1,3 +1,5 @@
+//! Process data of the drives: mapping, requests and answers.
+
 use can::Frame;
 use canopen::cia402::{Controlword, Statusword};
 use canopen::objects::{

@@ -1,3 +1,5 @@
+//! Objects that bring-up writes and reads, in order.
+
 use canopen::Object;
 use canopen::cia402::{HomingMethod, ModeOfOperation};
 use canopen::objects::*;

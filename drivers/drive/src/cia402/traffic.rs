@@ -1,3 +1,5 @@
+//! Frames of a group, for the arithmetic of bus load.
+
 use std::time::Duration;
 
 use can::StandardId;

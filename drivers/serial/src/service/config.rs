@@ -1,3 +1,5 @@
+//! Configuration of a service port.
+
 use std::time::Duration;
 
 use super::TIME_OUT;

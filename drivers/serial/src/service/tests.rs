@@ -1,3 +1,5 @@
+//! Dialogues of the service port's host.
+
 use super::*;
 use crate::Settings;
 use crate::epos4::tests::{CONTROLWORD, HOME_POSITION, NAME, STATUSWORD, encoded};

@@ -1,3 +1,5 @@
+//! Bytes of both service protocols.
+
 use super::{Dialect, ServiceError};
 use crate::epos2::{ANSWER, Acknowledge, Answer, Malformed, Request, Telegram, body_length};
 use crate::epos4::Deframer;

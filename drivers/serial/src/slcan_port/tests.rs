@@ -1,3 +1,5 @@
+//! Dialogues with an slcan adapter.
+
 use can::StandardId;
 
 use super::*;

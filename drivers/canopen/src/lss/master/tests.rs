@@ -1,3 +1,5 @@
+//! Dialogues of the LSS master.
+
 use super::*;
 use crate::parse;
 

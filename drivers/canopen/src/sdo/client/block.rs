@@ -1,3 +1,5 @@
+//! Block transfer of the SDO client.
+
 use can::{Frame, Instant};
 
 use super::{Client, SdoError, Start};

@@ -1,3 +1,5 @@
+//! Bring-up, frame by frame.
+
 use std::task::Poll;
 use std::time::Duration;
 
