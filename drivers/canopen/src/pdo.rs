@@ -328,8 +328,8 @@ pub struct PdoSetup {
     pub event_timer: Option<u16>,
 }
 
-/// What to write, in the only order that CiA 301 allows: switch the PDO off, empty the mapping, fill
-/// it, set its count, then the communication parameters, and last switch the PDO on.
+/// Writes in the order of CiA 301 §7.5.2.36: switch the PDO off, clear the mapping, fill it, set its count, write the
+/// communication parameters, switch the PDO on.
 ///
 /// Devices abort writes in another order.
 pub fn remap(setup: &PdoSetup) -> impl Iterator<Item = Write> + use<> {

@@ -36,7 +36,7 @@ pub enum EdsError {
         "{line}: object {index:#06x} is listed and not described; add its section or take it from the list"
     )]
     Undescribed { line: u32, index: u16 },
-    /// A count that is not that of what it counts.
+    /// The declared count differs from the number of entries.
     #[error("{line}: {key} says {said} and {found} are there; correct it")]
     Count {
         line: u32,

@@ -37,7 +37,7 @@ enum State {
         part: Part,
         identity: Identity,
         scan: Scan,
-        /// Whether somebody answered a question that all may answer.
+        /// Whether any slave answered a question to all slaves.
         heard: bool,
     },
     Finished(Result<Answer, LssError>),
@@ -54,9 +54,8 @@ pub enum Service {
     ConfigureNodeId(Option<NodeId>),
     /// Give it a bit rate, for when it is activated.
     ConfigureBitTiming(BitRate),
-    /// Have all slaves in configuration mode change to their new bit rate. Not answered: done after twice
-    /// the delay, ms. Nobody may send in the meantime, and this host has to change its own bit
-    /// rate when the delay is over once.
+    /// Have all slaves in configuration mode change to their new bit rate. Not answered: done after twice the delay,
+    /// ms. No node may send during the switch. The host changes its own bit rate after the first delay.
     ActivateBitTiming {
         /// ms.
         delay_ms: u16,

@@ -30,7 +30,7 @@ impl Wire {
     }
 }
 
-/// One request to an EPOS2 whose opcode is on its way, and its answer.
+/// One request to an EPOS2, from the opcode on the wire to the answer.
 #[derive(Clone, Debug)]
 pub(super) struct Exchange {
     request: Request,
