@@ -1,11 +1,11 @@
 //! A test machine with CAN for hosts whose kernel has none: user-mode Linux, a kernel that runs as a
 //! process, booted in about three seconds on the host's own file system.
 //!
-//! It promises that the command inside can write to one directory of the host and nowhere else, that
-//! it ends within its time, and that no process and no file is left behind. Interface `vcan0` is up;
-//! `can-utils`, `ip` and `tc` work as on any host. There is one processor, and its timing proves
-//! nothing. `/tmp`, `/var/tmp`, `/run` and `/dev` are the machine's own: what lies there on the host is not
-//! seen inside, but for the working directory, the program's directory and those of [`Options::visible`].
+//! The command inside can write to one directory of the host and nowhere else. The machine ends within its time and
+//! leaves no process and no file behind. Interface `vcan0` is up; `can-utils`, `ip` and `tc` work as on any host.
+//! There is one processor, and its timing proves nothing. `/tmp`, `/var/tmp`, `/run` and `/dev` are the machine's
+//! own: what lies there on the host is not seen inside, but for the working directory, the program's directory and
+//! those of [`Options::visible`].
 //!
 //! Read [`Options`], then [`run`]; the machine's first process is `uml-init.sh`.
 

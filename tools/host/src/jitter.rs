@@ -1,8 +1,8 @@
 //! `mrroc jitter`: how punctual a thread is on this host that waits for deadlines as the servo's does.
 //!
-//! It measures the error of the wake-up, from a deadline to when the thread was there, with the servo's own wait and
-//! without a servo; or, of a cell, from a deadline to its SYNC. The peer, cyclictest or a probe with its algorithm, takes
-//! turns with it within the run, so that both see the same host.
+//! The measured time is the error of the wake-up: from a deadline to the time at which the thread runs, with the
+//! servo's own wait and without a servo. With a cell, the time runs from a deadline to its SYNC. The peer, cyclictest
+//! or a probe with its algorithm, takes turns within the run, so that both sides see the same host.
 //!
 //! **Both sides alike**: what keeps CPUs from deep idle states is held for both, or for neither where it is denied, and
 //! cyclictest is told to leave it alone; the same priority under SCHED_FIFO (but for cyclictest, which knows no other,

@@ -1,7 +1,7 @@
 //! `mrroc identify`: excites one axis while it moves, and reports the frequency response of its loop.
 //!
-//! Only the robot of that axis gets power, and of it only that axis moves: one way, at constant velocity, as far as
-//! is said before it begins. Every guard of a run stays in force.
+//! Only the robot of that axis gets power, and only that axis moves: in one direction, at constant velocity, over a
+//! distance that is printed before. Every guard of a run stays in force.
 
 mod bode;
 mod report;
@@ -324,9 +324,9 @@ fn plan(
     Ok(run)
 }
 
-/// The velocity near `velocity` at which a drive that closes the position loop is commanded a whole number of counts
-/// further in every cycle: what positions are rounded by would be noise, of up to a count a cycle, which is `count`, rad/s.
-/// Excited positions need that noise: smaller than a count, they would be rounded away without it.
+/// The velocity near `velocity` at which a drive that closes the position loop advances by a whole number of counts
+/// per cycle. Rounding of positions would otherwise be noise of up to one count per cycle, `count`, rad/s. Excited
+/// positions need that noise: smaller than a count, they would be rounded away without it.
 fn in_counts(velocity: f64, count: f64, axis: &ServoAxisConfig) -> f64 {
     let whole = (velocity / count).round().max(1.0) * count;
     if axis.torque_offset.is_some() && velocity > 0.0 && whole <= axis.max_velocity {
