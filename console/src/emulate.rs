@@ -12,12 +12,13 @@ use canopen::sync::Sync;
 use clap::Args;
 use hil::{Cabinet, Device, Pty};
 
-use crate::bus_port::BusPort;
-use crate::cell_file::CellFile;
-use crate::emulated_lines::EmulatedLines;
-use crate::emulated_time::EmulatedTime;
-use crate::plants::{Mechanisms, Payloads};
-use crate::{emulation, interfaces, signals};
+use mrroc::bench::bus_port::BusPort;
+use mrroc::bench::emulated_lines::EmulatedLines;
+use mrroc::bench::emulated_time::EmulatedTime;
+use mrroc::bench::plants::{Mechanisms, Payloads};
+use mrroc::bench::{emulation, interfaces};
+use mrroc::cell_file::CellFile;
+use mrroc::signals;
 
 /// Longest time between two looks at whether somebody pressed Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);
@@ -126,7 +127,7 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
         names.push(format!("of service ports in {}", directory.display()));
     }
     let stop = signals::ending_flag()?;
-    crate::streams::say(format_args!(
+    mrroc::streams::say(format_args!(
         "{} emulated: bus {}; Ctrl-C ends it",
         file.cell.name,
         names.join(", bus ")

@@ -5,52 +5,19 @@
 
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
-mod bench;
-mod bridge;
-mod budget;
-mod bus_port;
-mod card;
-mod cell_file;
-mod chart;
-mod check;
-mod clockwork;
-mod configuration;
-mod datasheet;
-mod doctor;
-mod eds;
 mod emulate;
-mod emulated_lines;
-mod emulated_time;
-mod emulation;
-mod identify;
-mod input;
-mod interfaces;
-mod jitter;
-mod kinematics;
 mod manual;
-mod outputs;
-mod plants;
-mod programs;
-mod rehearsal;
-mod report;
-mod run;
-mod service;
-mod setup;
-mod signals;
-mod spikes;
-mod streams;
-mod svg;
-mod trace;
-mod urdf;
 mod usage;
 mod vm;
-mod warning_report;
-mod wire;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
+use mrroc::Tasks;
+use mrroc::cell::Cell;
+use mrroc::cell_file::CellFile;
+use mrroc::streams;
 
 /// What scripts may build upon.
 const EXIT_STATUS: &str = "Exit status: 0 done; 1 stopped by a fault or by a signal such as Ctrl-C, or a node was told and did not do \
@@ -75,9 +42,14 @@ enum Command {
         json: bool,
     },
     /// Examine this host: can it run the cell, and what has to change where it cannot? Changes nothing.
-    Doctor(doctor::Options),
+    Doctor(host::doctor::Options),
     /// Bring a cell up, home it, run its programs and report. Moves hardware on the card bench.
-    Run(run::Options),
+    Run {
+        /// The cell file.
+        cell: PathBuf,
+        #[command(flatten)]
+        options: mrroc::ProgramOptions,
+    },
     /// Stand in for the axis controllers of a cell on a CAN interface, behind an slcan adapter, on serial lines.
     Emulate(emulate::Options),
     /// Who is on a bus: asks every node-ID by SDO, whoever has none by LSS, and listens to heartbeats. Not while another
@@ -110,17 +82,17 @@ enum Command {
     /// benches; moves hardware on the card bench, where it has to be told so.
     Identify(identify::Options),
     /// Measure how punctual a thread that waits as the servo's does is on this host, beside cyclictest in the same run.
-    Jitter(jitter::Options),
+    Jitter(host::jitter::Options),
     /// Where a robot's flange is for given joints, which joints put it there, and how they move it.
     Kinematics {
         #[command(subcommand)]
-        question: kinematics::Question,
+        question: descriptions::kinematics::Question,
     },
     /// Print the data sheet of a robot, of the gripper or of the conveyor in Markdown, or its figure in SVG: geometry,
     /// drives, limits, and where the numbers come from.
-    Datasheet(datasheet::Options),
+    Datasheet(descriptions::datasheet::Options),
     /// Print a robot's description (URDF) for viewers and libraries of rigid bodies.
-    Urdf(urdf::Options),
+    Urdf(descriptions::urdf::Options),
     /// Run a command in a virtual machine that has CAN.
     Vm {
         #[command(subcommand)]
@@ -134,7 +106,7 @@ enum Command {
         /// The directory.
         directory: PathBuf,
         #[command(flatten)]
-        replacement: outputs::Replacement,
+        replacement: mrroc::outputs::Replacement,
     },
 }
 
@@ -144,32 +116,47 @@ fn main() -> ExitCode {
         Err(error) => return usage::answer(&error),
     };
     let result = match arguments.command {
-        Command::Check { cell, json } => check::check(&cell, json),
-        Command::Doctor(options) => doctor::doctor(&options),
-        Command::Run(options) => run::run(&options),
+        Command::Check { cell, json } => check(&cell, json),
+        Command::Doctor(options) => host::doctor::doctor(&options),
+        Command::Run { cell, options } => CellFile::read(&cell)
+            .and_then(|file| mrroc::run_program(&file, &options, &Tasks::programs)),
         Command::Emulate(options) => emulate::emulate(&options),
         Command::Scan(options) => service::scan::scan(&options),
         Command::Sdo { action } => service::sdo::sdo(&action),
         Command::Nmt(options) => service::nmt::nmt(&options),
         Command::Lss { action } => service::lss::lss(&action),
         Command::Monitor(options) => service::monitor::monitor(&options),
-        Command::Eds { cell, axis } => eds::eds(&cell, &axis),
+        Command::Eds { cell, axis } => descriptions::eds::eds(&cell, &axis),
         Command::Identify(options) => identify::identify(&options),
-        Command::Jitter(options) => jitter::jitter(&options),
-        Command::Kinematics { question } => kinematics::kinematics(&question),
-        Command::Datasheet(options) => datasheet::datasheet(&options),
-        Command::Urdf(options) => urdf::urdf(&options),
+        Command::Jitter(options) => host::jitter::jitter(&options),
+        Command::Kinematics { question } => descriptions::kinematics::kinematics(&question),
+        Command::Datasheet(options) => descriptions::datasheet::datasheet(&options),
+        Command::Urdf(options) => descriptions::urdf::urdf(&options),
         Command::Vm { machine } => vm::vm(&machine),
-        Command::Schema => check::schema(),
+        Command::Schema => schema(),
         Command::Manual {
             directory,
             replacement,
         } => manual::write(Arguments::command(), &directory, replacement),
     };
     result.unwrap_or_else(|refusal| {
-        // A refusal may quote a file: nothing of it acts on a terminal, and it stays one line.
-        let said = controller::cell::printable(&format!("{refusal:#}"));
-        streams::warn(format_args!("mrroc: {said}"));
+        streams::refuse(&refusal);
         ExitCode::from(2)
     })
+}
+
+/// Checks a cell file, its programs and its buses.
+fn check(cell: &Path, json: bool) -> anyhow::Result<ExitCode> {
+    let checked = mrroc::check(&CellFile::read(cell)?, &Tasks::programs)?;
+    for problem in &checked.problems {
+        streams::warn(format_args!(
+            "mrroc: {problem}; only for robots that are wired otherwise than the emulated ones"
+        ));
+    }
+    streams::answer(&checked, json)
+}
+
+/// Prints the JSON schema of cell files.
+fn schema() -> anyhow::Result<ExitCode> {
+    streams::print(serde_json::to_string_pretty(&Cell::schema())? + "\n")
 }

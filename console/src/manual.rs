@@ -13,7 +13,7 @@ use clap::Command;
 use clap_complete::{Generator, Shell};
 use clap_mangen::Man;
 
-use crate::outputs::{Outputs, Replacement};
+use mrroc::outputs::{Outputs, Replacement};
 
 /// What shells are told of the command.
 const SHELLS: [Shell; 3] = [Shell::Bash, Shell::Zsh, Shell::Fish];

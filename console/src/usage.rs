@@ -18,7 +18,7 @@ pub(crate) fn answer(error: &Error) -> ExitCode {
             ExitCode::from(2)
         }
         _ => {
-            crate::streams::warn(format_args!("mrroc: {}", line(&error.to_string())));
+            mrroc::streams::warn(format_args!("mrroc: {}", line(&error.to_string())));
             ExitCode::from(2)
         }
     }

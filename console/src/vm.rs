@@ -14,7 +14,7 @@ use clap::{Args, Subcommand};
 use hil::uml::Cancellation;
 use hil::{qemu, uml};
 
-use crate::signals::{self, Motion};
+use mrroc::signals::{self, Motion};
 
 /// Where the machine looks for programs after the directory of this one.
 const PATH: &str = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin";

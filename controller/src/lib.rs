@@ -1,6 +1,5 @@
-//! Robots, generators, the effector control process and the cell file.
+//! Robots, generators and the effector control process.
 
-pub mod cell;
 pub mod ecp;
 pub mod generator;
 pub mod robot;

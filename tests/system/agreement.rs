@@ -279,7 +279,7 @@ fn a_search_of_any_speed_ends_a_check_without_a_panic() {
 
 /// A number as a message shows it.
 fn shown(value: &str) -> String {
-    controller::cell::Figure(value.parse().unwrap()).to_string()
+    ::mrroc::cell::Figure(value.parse().unwrap()).to_string()
 }
 
 /// Cells at the ends of what is accepted.

@@ -12,7 +12,7 @@ fn root() -> PathBuf {
 }
 
 /// Each room and the rooms it may import, by their names in the workspace.
-const ARROWS: [(&str, &[&str]); 9] = [
+const ARROWS: [(&str, &[&str]); 15] = [
     ("drivers/can", &[]),
     ("drivers/canopen", &["can"]),
     ("drivers/serial", &["can"]),
@@ -20,16 +20,29 @@ const ARROWS: [(&str, &[&str]); 9] = [
     ("servo", &["can", "drive"]),
     ("controller", &["can", "drive", "servo"]),
     ("hil", &["can", "canopen", "serial"]),
+    ("mrroc", BELOW_LIBRARY),
+    ("tools/figures", &[]),
+    (
+        "tools/descriptions",
+        &["can", "controller", "hil", "mrroc", "figures"],
+    ),
+    ("tools/host", &["can", "drive", "servo", "mrroc", "figures"]),
+    ("tools/identify", &["can", "servo", "mrroc", "figures"]),
+    (
+        "tools/service",
+        &["can", "canopen", "serial", "drive", "mrroc"],
+    ),
     (
         "console",
         &[
             "can",
             "canopen",
-            "serial",
-            "drive",
-            "servo",
-            "controller",
             "hil",
+            "mrroc",
+            "descriptions",
+            "host",
+            "identify",
+            "service",
         ],
     ),
     (
@@ -42,8 +55,20 @@ const ARROWS: [(&str, &[&str]); 9] = [
             "servo",
             "controller",
             "hil",
+            "mrroc",
         ],
     ),
+];
+
+/// The rooms below the library of robot programs.
+const BELOW_LIBRARY: &[&str] = &[
+    "can",
+    "canopen",
+    "serial",
+    "drive",
+    "servo",
+    "controller",
+    "hil",
 ];
 
 /// The files that read clocks or wait, and what each is for.
@@ -53,11 +78,11 @@ const RIM: [&str; 10] = [
     "servo/src/thread.rs",
     "hil/src/pty.rs",
     "hil/src/machine.rs",
-    "console/src/run.rs",
+    "mrroc/src/run.rs",
+    "mrroc/src/bench/emulated_lines.rs",
+    "mrroc/src/wire/listening.rs",
+    "tools/host/src/jitter/files.rs",
     "console/src/emulate.rs",
-    "console/src/emulated_lines.rs",
-    "console/src/jitter/files.rs",
-    "console/src/wire/listening.rs",
 ];
 
 const CLOCKS: [&str; 8] = [

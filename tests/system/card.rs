@@ -7,9 +7,9 @@
 use std::fs;
 use std::process::Command;
 
+use ::mrroc::cell::Cell;
 use can::card::{self, CardError, CardState};
 use can::timing::Bitrate;
-use controller::cell::Cell;
 
 use crate::bench::{on_cards, on_vcan};
 use crate::doctor::{self, Attached};

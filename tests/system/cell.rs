@@ -8,10 +8,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
+use ::mrroc::cell::{Axis, Cell, Parameters, Protocol};
 use can::timing::Bitrate;
 use can::{Frame, Instant, Port, TraceReader, Tracer, VirtualPort};
 use canopen::NodeId;
-use controller::cell::{Axis, Cell, Parameters, Protocol};
 use controller::ecp::{Ecp, EcpConfig};
 use controller::generator::Arm;
 use drive::axis_controller::AxisControllerGroup;
@@ -110,7 +110,7 @@ impl Setup {
                 name: self.cell.name.clone(),
                 axes: self.axes.iter().enumerate().map(axis).collect(),
                 queue: usize::from(LEAD) + 8,
-                enabling_timeout: controller::cell::ENABLING,
+                enabling_timeout: ::mrroc::cell::ENABLING,
                 homing_timeout: HOMING,
             }],
         }

@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use controller::cell::{Bus, Cell, Robot};
+use ::mrroc::cell::{Bus, Cell, Robot};
 use serde_json::{Value, json};
 
 use crate::mrroc::{CELLS, Directory, Output, example, mrroc, root, text};

@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
+use ::mrroc::cell::{Cell, Instruction};
 use can::{Frame, Id, Instant, StandardId, clock};
 use canopen::NodeId;
-use controller::cell::{Cell, Instruction};
 use hil::epos4::{Epos4, Epos4Config};
 use hil::{AxisConfig, Device};
 

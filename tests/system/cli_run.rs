@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::fs;
 use std::process::Command;
 
-use controller::cell::{Cell, Plant};
+use ::mrroc::cell::{Cell, Plant};
 use serde_json::Value;
 
 use crate::mrroc::{

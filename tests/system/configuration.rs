@@ -114,7 +114,7 @@ fn a_dcf_is_in_the_drive_before_it_is_switched_on() {
 }
 
 /// What is done to the axis of the cell.
-type Change = fn(&mut controller::cell::Axis);
+type Change = fn(&mut ::mrroc::cell::Axis);
 
 /// A name, what is put into the sheet, what is done to the axis, and what the refusal must say; `@` stands for file and line of
 /// the first value.

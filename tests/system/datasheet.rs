@@ -1,6 +1,6 @@
 //! `mrroc datasheet`: the pages and figures of `docs/robots` are what it prints.
 
-use controller::cell::Model;
+use ::mrroc::cell::Model;
 
 use crate::cli_refusals::refused;
 use crate::mrroc::{mrroc, root};

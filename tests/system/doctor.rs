@@ -3,9 +3,9 @@
 use std::fs;
 use std::process::{Child, Command, Stdio};
 
+use ::mrroc::cell::Cell;
 use can::card;
 use can::{OpenError, SocketCanOptions, SocketCanPort};
-use controller::cell::Cell;
 use serde_json::Value;
 
 use crate::bench::on_vcan;

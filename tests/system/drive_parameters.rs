@@ -3,12 +3,12 @@
 use std::fs;
 use std::time::Duration;
 
+use ::mrroc::cell::{Cell, CellError, DriveControl, Parameter};
 use can::Instant;
 use can::timing::Bitrate;
 use canopen::NodeId;
 use canopen::eds::Eds;
 use canopen::objects as named;
-use controller::cell::{Cell, CellError, DriveControl, Parameter};
 use drive::cia402::Cia402Group;
 use drive::{AxisCommand, AxisState, DriveGroup, Finite, Power, Setpoint};
 use hil::plant::Irp6Axis;

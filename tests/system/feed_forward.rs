@@ -1,6 +1,6 @@
 //! What a cell gains that says what its robot weighs and how its motors break away.
 
-use controller::cell::{Cell, EmulatedPayload, Weights};
+use ::mrroc::cell::{Cell, EmulatedPayload, Weights};
 use controller::robot::Mass;
 use serde_json::Value;
 
@@ -26,7 +26,7 @@ fn know(cell: &mut Cell) {
         feed.stiction = Some(1.5 * feed.coulomb);
         feed.stribeck_velocity = Some(5.0);
         // The last is commanded by pulse width: 1.2 ohm, 0.105 N·m/A, 48 V.
-        let by_pulse_width = controller.control == controller::cell::Control::Pwm;
+        let by_pulse_width = controller.control == ::mrroc::cell::Control::Pwm;
         feed.weight = by_pulse_width.then_some(1.2 / (0.105 * 48.0));
     }
 }

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use controller::cell::{Axis, Cascade, DriveControl, FeedForward, Law, Loop, Proportional};
+use ::mrroc::cell::{Axis, Cascade, DriveControl, FeedForward, Law, Loop, Proportional};
 use drive::{AxisCommand, AxisState, Finite, Power, Setpoint};
 use hil::AxisConfig;
 use hil::plant::{Irp6Axis, PlantConfig};

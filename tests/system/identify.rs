@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::Command;
 use std::{fs, iter};
 
-use controller::cell::DriveControl;
+use ::mrroc::cell::DriveControl;
 use hil::plant::SUB_STEP;
 use hil::{AxisConfig, Demand, Irp6Axis};
 use nalgebra::Complex;

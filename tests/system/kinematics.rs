@@ -1,6 +1,6 @@
 //! `mrroc kinematics` and `mrroc urdf`, as a user asks and a program reads them.
 
-use controller::cell::{Model, Parameters};
+use ::mrroc::cell::{Model, Parameters};
 use controller::robot::RntParameters;
 use serde_json::Value;
 

@@ -6,7 +6,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 
-use controller::cell::{Cell, Instruction, JointGenerator};
+use ::mrroc::cell::{Cell, Instruction, JointGenerator};
 use serde_json::Value;
 
 use crate::cli_refusals::refused;

@@ -12,8 +12,8 @@ use std::sync::mpsc::{self, Receiver};
 use std::thread;
 use std::time::Duration;
 
+use ::mrroc::cell::Cell;
 use can::candump;
-use controller::cell::Cell;
 
 /// Nothing these tests run takes longer.
 const DEADLINE: Duration = Duration::from_secs(90);

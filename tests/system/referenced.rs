@@ -4,7 +4,7 @@ use std::f64::consts::FRAC_PI_2;
 use std::fs;
 use std::path::Path;
 
-use controller::cell::{Cell, Instruction, JointGenerator, Joints, Line};
+use ::mrroc::cell::{Cell, Instruction, JointGenerator, Joints, Line};
 
 use crate::mrroc::{Directory, Output, mrroc, shorten};
 use crate::serial_cli::emulate;

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 use std::time::Duration;
 
-use controller::cell::Cell;
+use ::mrroc::cell::Cell;
 use serde_json::Value;
 
 use crate::mrroc::{Directory, Output, Running, SERIAL_CELLS, example, mrroc, shorten, text};

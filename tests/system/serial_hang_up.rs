@@ -9,8 +9,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use ::mrroc::cell::Cell;
 use can::{Instant, clock};
-use controller::cell::Cell;
 use hil::Pty;
 use hil::pty::{self, Interest};
 use serde_json::Value;

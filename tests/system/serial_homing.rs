@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 use std::time::Duration;
 
-use controller::cell::Cell;
+use ::mrroc::cell::Cell;
 use hil::plant::Switch;
 use servo::{Order, Phase};
 

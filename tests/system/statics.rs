@@ -1,7 +1,7 @@
 //! What links weigh on their motors, by the controller's own kinematics and by the mechanics that emulated drives
 //! stand under: written apart, with nothing in common but the figures they are for.
 
-use controller::cell::{Model, Parameters};
+use ::mrroc::cell::{Model, Parameters};
 use controller::robot::{Joints, Mass, Motors, PolycrankParameters, Robot, Weight};
 use hil::AxisConfig;
 use hil::plant::{Axis, Irp6Axis, Mechanism, MechanismConfig};

@@ -14,6 +14,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::task::Poll;
 use std::time::Duration;
 
+use ::mrroc::cell::{Axis, Cell, Wait};
 use can::candump::Reader;
 use can::{Frame, Instant, Port, Received, SocketCanOptions, SocketCanPort, Tracer, clock};
 use canopen::cia402::{PowerState, Statusword};
@@ -21,7 +22,6 @@ use canopen::emcy::{Emergency, ErrorRegister};
 use canopen::objects::{POSITION_ACTUAL, STATUSWORD};
 use canopen::sdo::{Initiate, Request, Response};
 use canopen::{NodeId, Object, cob};
-use controller::cell::{Axis, Cell, Wait};
 use drive::cia402::{AxisConfig, Cia402Group, GroupConfig, Recording};
 use drive::{AxisCommand, AxisState, DriveGroup, Finite, Homing, Increments, Setpoint};
 

@@ -7,7 +7,7 @@ use std::ffi::OsString;
 use std::process::Command;
 use std::time::Duration;
 
-use controller::cell::{Cell, Control, Law};
+use ::mrroc::cell::{Cell, Control, Law};
 use serde_json::{Value, json};
 
 use crate::bench::on_vcan_within;

@@ -6,7 +6,7 @@
 use std::f64::consts::{FRAC_PI_2, TAU};
 use std::fs;
 
-use controller::cell::{Cell, EmulatedPayload, Instruction, JointGenerator, Joints, Parameters};
+use ::mrroc::cell::{Cell, EmulatedPayload, Instruction, JointGenerator, Joints, Parameters};
 use controller::robot::RntParameters;
 
 use crate::cli_refusals::refused;

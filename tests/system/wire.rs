@@ -1,10 +1,10 @@
 //! What a run says of the wire: against the lengths of frames on a virtual bus, and against another listener.
 
+use ::mrroc::cell::Cell;
 use can::timing::bits_on_wire;
 use can::{Instant, Received};
 use canopen::pdo::PdoNumber;
 use canopen::{NodeId, cob};
-use controller::cell::Cell;
 use serde_json::Value;
 
 use crate::mrroc::{Directory, example, mrroc, text, trace};

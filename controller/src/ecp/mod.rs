@@ -17,6 +17,7 @@
 mod error;
 mod image;
 mod meetings;
+mod subcontrollers;
 mod task;
 #[cfg(test)]
 mod tests;
@@ -34,6 +35,7 @@ use crate::generator::{
 pub use error::EcpError;
 use image::Effector;
 pub use meetings::Meetings;
+pub use subcontrollers::Subcontrollers;
 use task::Instruction;
 pub use task::Task;
 

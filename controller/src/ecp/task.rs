@@ -82,6 +82,18 @@ impl Task {
         self.instructions.is_empty()
     }
 
+    /// Index of the first instruction that homes the axes.
+    pub fn first_homing(&self) -> Option<usize> {
+        let homes = |it: &Instruction| matches!(it, Instruction::Home);
+        self.instructions.iter().position(homes)
+    }
+
+    /// Index of the first instruction that runs a generator.
+    pub fn first_motion(&self) -> Option<usize> {
+        let moves = |it: &Instruction| matches!(it, Instruction::Run(_));
+        self.instructions.iter().position(moves)
+    }
+
     fn then(mut self, instruction: Instruction) -> Self {
         self.instructions.push_back(instruction);
         self

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 
-use controller::cell::{Cell, Instruction, JointGenerator, Joints, Line, Parameters};
+use ::mrroc::cell::{Cell, Instruction, JointGenerator, Joints, Line, Parameters};
 use controller::robot::Irb6Parameters;
 
 use super::draw::Draw;

@@ -1,0 +1,128 @@
+//! A bus of the real world: a SocketCAN interface or an slcan adapter.
+
+use std::os::fd::AsFd;
+use std::task::Poll;
+
+use anyhow::{Context, bail};
+use can::timing::Bitrate;
+use can::{
+    Claim, ControllerState, Counters, Frame, Instant, Port, PortError, Received, SocketCanOptions,
+    SocketCanPort, clock,
+};
+use serial::{Settings, SlcanError, SlcanPort, StopBits, Tty};
+
+use crate::bench::interfaces::Interface;
+
+/// A port that can be waited for.
+pub enum BusPort {
+    /// A SocketCAN interface, and what this process has claimed of it.
+    SocketCan(SocketCanPort, Vec<Claim>),
+    /// An slcan adapter, whose tty no other process can open.
+    Slcan(SlcanPort<Tty>),
+}
+
+impl BusPort {
+    /// Opens an interface; `kbps` is the bit rate that an slcan adapter is set to.
+    pub fn open(interface: &Interface, kbps: u32) -> anyhow::Result<Self> {
+        Self::with_options(interface, kbps, &SocketCanOptions::default())
+    }
+
+    /// The same, for who sends nothing: an slcan adapter stays off the bus, even if the bit rate is wrong.
+    pub fn listen(interface: &Interface, kbps: u32) -> anyhow::Result<Self> {
+        match interface {
+            Interface::SocketCan(_) | Interface::Epos { .. } => Self::open(interface, kbps),
+            Interface::Slcan { path, baud } => Self::slcan(path, *baud, kbps, SlcanPort::listening),
+        }
+    }
+
+    /// The same, with `options` where it is a SocketCAN interface. An slcan adapter is given 0.9 s to answer.
+    pub fn with_options(
+        interface: &Interface,
+        kbps: u32,
+        options: &SocketCanOptions,
+    ) -> anyhow::Result<Self> {
+        match interface {
+            Interface::SocketCan(name) => Ok(Self::SocketCan(
+                SocketCanPort::open(name, options)?,
+                Vec::new(),
+            )),
+            Interface::Slcan { path, baud } => Self::slcan(path, *baud, kbps, SlcanPort::new),
+            Interface::Epos { .. } => bail!(
+                "{interface}: the service port of a drive is no CAN bus; `mrroc sdo`, `mrroc nmt` and `mrroc scan` \
+                 speak to it"
+            ),
+        }
+    }
+
+    /// The same port, which gives `claims` up when it is closed.
+    pub fn holding(mut self, claims: impl IntoIterator<Item = Claim>) -> Self {
+        if let Self::SocketCan(_, held) = &mut self {
+            held.extend(claims);
+        }
+        self
+    }
+
+    fn slcan(path: &str, baud: u32, kbps: u32, begin: Begin) -> anyhow::Result<Self> {
+        let stop_bits = StopBits::One;
+        let tty = Tty::open(path, Settings { baud, stop_bits })?;
+        let opened = open_slcan(tty, kbps, begin);
+        Ok(Self::Slcan(opened.with_context(|| path.to_owned())?))
+    }
+
+    /// Waits until there is something to receive or the clock shows `until`, and says which.
+    pub fn wait_readable(&self, until: Instant) -> Result<bool, PortError> {
+        match self {
+            Self::SocketCan(port, _) => port.wait_readable(until),
+            Self::Slcan(port) => {
+                clock::wait_readable(port.line().as_fd(), until).map_err(PortError::Os)
+            }
+        }
+    }
+
+    fn port(&self) -> &dyn Port {
+        match self {
+            Self::SocketCan(port, _) => port,
+            Self::Slcan(port) => port,
+        }
+    }
+
+    fn port_mut(&mut self) -> &mut dyn Port {
+        match self {
+            Self::SocketCan(port, _) => port,
+            Self::Slcan(port) => port,
+        }
+    }
+}
+
+/// Begins to open an adapter, to send or only to listen.
+type Begin = fn(Tty, Bitrate, Instant) -> Result<SlcanPort<Tty>, SlcanError>;
+
+fn open_slcan(tty: Tty, kbps: u32, begin: Begin) -> anyhow::Result<SlcanPort<Tty>> {
+    let bitrate = Bitrate::from_kbps(kbps)
+        .with_context(|| format!("{kbps} kbit/s is no bit rate of CAN, 10 to 1000 kbit/s"))?;
+    let mut port = begin(tty, bitrate, clock::now())?;
+    loop {
+        if let Poll::Ready(result) = port.poll_open(clock::now()) {
+            return result.map(|()| port).map_err(Into::into);
+        }
+        let until = port
+            .poll_timeout()
+            .expect("it has a deadline while it is being opened");
+        clock::wait_readable(port.line().as_fd(), until).map_err(PortError::Os)?;
+    }
+}
+
+impl Port for BusPort {
+    fn send(&mut self, now: Instant, frames: &[Frame]) -> Result<usize, PortError> {
+        self.port_mut().send(now, frames)
+    }
+    fn receive(&mut self, now: Instant, into: &mut [Received]) -> Result<usize, PortError> {
+        self.port_mut().receive(now, into)
+    }
+    fn counters(&self) -> Counters {
+        self.port().counters()
+    }
+    fn state(&self) -> ControllerState {
+        self.port().state()
+    }
+}

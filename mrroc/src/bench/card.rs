@@ -1,0 +1,59 @@
+//! The card of a bus before a run: its bit rate is set where that was asked for, and compared with the cell's
+//! where not.
+
+use crate::cell::Bus;
+use anyhow::{Context, bail};
+use can::card::{self, Card, CardError, CardState};
+use can::timing::Bitrate;
+
+use crate::bench::interfaces::Interface;
+
+/// Sees to it that the card of `bus` has the cell's bit rate: by setting it, or by refusing any other.
+///
+/// An slcan adapter is set whenever it is opened, and a virtual interface has no bit rate to be compared.
+pub(super) fn prepare(interface: &Interface, bus: &Bus, set: bool) -> anyhow::Result<()> {
+    let Interface::SocketCan(name) = interface else {
+        return Ok(());
+    };
+    let kbps = bus.bitrate_kbps;
+    if set {
+        let bitrate = Bitrate::from_kbps(kbps)
+            .with_context(|| format!("{kbps} kbit/s is no bit rate of CAN, 10 to 1000 kbit/s"))?;
+        let card = card::set_bitrate(name, bitrate)?;
+        crate::streams::warn(format_args!(
+            "bus {}: {name} {}",
+            bus.name,
+            described(&card)
+        ));
+        return Ok(());
+    }
+    let card = match card::read(name) {
+        Err(CardError::NotCard(_)) => return Ok(()),
+        card => card?,
+    };
+    match card.bitrate {
+        Some(found) if u64::from(found) != u64::from(kbps) * 1000 => bail!(
+            "{name}: the card is at {} kbit/s, the cell's bus at {kbps} kbit/s: --set-bitrate sets it",
+            f64::from(found) / 1000.0
+        ),
+        _ if card.state == CardState::BusOff => bail!(
+            "{name}: the card is off the bus after too many errors: mend the bus, then \
+             `ip link set {name} type can restart`"
+        ),
+        _ => Ok(()),
+    }
+}
+
+/// What was read back.
+fn described(card: &Card) -> String {
+    let state = match card.state {
+        CardState::Running => "running",
+        CardState::BusOff => "bus-off",
+        CardState::Stopped => "stopped",
+    };
+    format!(
+        "is {state} at {} kbit/s, sample point {} %",
+        f64::from(card.bitrate.unwrap_or(0)) / 1000.0,
+        f64::from(card.sample_point.unwrap_or(0)) / 10.0
+    )
+}

@@ -1,0 +1,213 @@
+//! Emulated devices on pseudo-terminals, in step with the wall clock: the buses of a cell behind slcan adapters, its
+//! serial axis controllers, and service ports. Waits for bytes and for the devices' time.
+
+use std::io;
+use std::os::fd::AsFd;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use can::{Instant, clock};
+use hil::pty::{self, Interest};
+use hil::{Cabinet, DeviceId, Pty, SlcanConfig, SlcanDevice, World};
+use serial::{Line, VirtualLine};
+use servo::thread::set_fifo;
+
+use crate::bench::emulated_time::EmulatedTime;
+use crate::bench::emulation;
+use crate::bench::plants::Mechanisms;
+use crate::cell_file::CellFile;
+
+/// Longest time between two looks at whether somebody pressed Ctrl-C.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// SCHED_FIFO priority that is asked for.
+const PRIORITY: u8 = 60;
+
+/// Between two looks at what the devices do, at the least: what bytes come is looked at when they come, but no byte that
+/// ends is worth a look, nor does a UART interrupt for one. A request of 2 ms cells and its answer take 0.4 ms.
+const GRAIN: Duration = Duration::from_micros(500);
+
+/// Bytes taken from a pseudo-terminal at a time; more wait in it.
+const CHUNK: usize = 4096;
+
+/// A world, and the pseudo-terminals on which hosts reach it. Its time begins at [`Instant::ZERO`].
+#[derive(Default)]
+pub struct EmulatedLines {
+    world: World,
+    lines: Vec<EmulatedLine>,
+}
+
+/// One pseudo-terminal and what is behind it.
+struct EmulatedLine {
+    pty: Pty,
+    end: End,
+    /// The host does not read.
+    full: bool,
+}
+
+enum End {
+    Adapter(DeviceId),
+    Line {
+        line: VirtualLine,
+        /// What has arrived for the host.
+        arrived: Vec<u8>,
+    },
+}
+
+impl EmulatedLines {
+    /// Adds CAN bus `index` of a cell, reached by an slcan adapter on `pty`.
+    pub fn add_bus(&mut self, file: &CellFile, mechanisms: &Mechanisms, index: usize, pty: Pty) {
+        let bus = emulation::add_bus(&mut self.world, file, mechanisms, index);
+        let config = SlcanConfig::new(emulation::bitrate(file, index));
+        let adapter = Box::new(SlcanDevice::new(config));
+        let end = End::Adapter(self.world.add_device(bus, adapter));
+        self.add(pty, end);
+    }
+
+    /// Adds the axis controller of `axis`, robot and number, which is of bundle `bundle` and stands in
+    /// `cabinet`, on `pty`.
+    pub fn add_axis(
+        &mut self,
+        file: &CellFile,
+        mechanisms: &Mechanisms,
+        bundle: usize,
+        axis: (usize, usize),
+        cabinet: &Cabinet,
+        pty: Pty,
+    ) {
+        let line = emulation::add_line(&mut self.world, file, mechanisms, bundle, axis, cabinet);
+        self.add_line(line, pty);
+    }
+
+    /// Adds on `pty` the service port of a drive that is as the one of `axis`, robot and number.
+    pub fn add_service_port(&mut self, file: &CellFile, axis: (usize, usize), pty: Pty) {
+        let line = emulation::add_service_port(&mut self.world, file, axis);
+        self.add_line(line, pty);
+    }
+
+    fn add_line(&mut self, line: VirtualLine, pty: Pty) {
+        let arrived = Vec::new();
+        self.add(pty, End::Line { line, arrived });
+    }
+
+    fn add(&mut self, pty: Pty, end: End) {
+        let full = false;
+        self.lines.push(EmulatedLine { pty, end, full });
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.lines.is_empty()
+    }
+
+    /// Lets the devices live until `stop`.
+    pub fn serve(&mut self, stop: &AtomicBool) -> io::Result<()> {
+        // Below a controller on the same host, above everything else; where it is denied, a busy host makes the
+        // devices late.
+        let _ = set_fifo(PRIORITY);
+        let mut time = EmulatedTime::since(clock::now());
+        let mut passed = Instant::ZERO;
+        while !stop.load(Ordering::Relaxed) {
+            let due = self.world.next_event().unwrap_or(Instant::FAR_FUTURE);
+            let wake = time.clock(due.max(passed + GRAIN));
+            let wake = wake.min(clock::now() + LOOK);
+            let ends = self.lines.iter().map(|line| {
+                let interest = Interest {
+                    read: line.end.room(&self.world) > 0,
+                    write: line.full,
+                };
+                (line.pty.as_fd(), interest)
+            });
+            let readable = pty::wait(ends, wake)?;
+            // A pseudo-terminal does not tell when its bytes came. If this program slept too long, they are
+            // taken for older than what falls due in between: what a device watches is its host's silence and
+            // not this program's.
+            let now = clock::now();
+            time.waited(wake, now);
+            let now = time.at(now);
+            passed = passed.max(now.min(due - Duration::from_nanos(1)));
+            let lines = self.lines.iter_mut().zip(readable);
+            for (line, _) in lines.filter(|(_, readable)| *readable) {
+                line.take(&mut self.world, passed)?;
+            }
+            passed = passed.max(now);
+            self.world.advance(passed);
+            for line in &mut self.lines {
+                line.deliver(&mut self.world, passed)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl EmulatedLine {
+    /// Takes what the host has written.
+    fn take(&mut self, world: &mut World, now: Instant) -> io::Result<()> {
+        let mut bytes = [0; CHUNK];
+        let room = self.end.room(world).min(CHUNK);
+        let count = match room {
+            0 => 0,
+            room => self.pty.read(&mut bytes[..room])?,
+        };
+        match &mut self.end {
+            _ if count == 0 => {}
+            End::Adapter(id) => change(world, *id, now, |adapter| {
+                adapter.handle_bytes(&bytes[..count], now);
+            }),
+            // What finds no room is lost, as in an overrun receiver.
+            End::Line { line, .. } => _ = line.write(now, &bytes[..count]),
+        }
+        Ok(())
+    }
+
+    /// Hands the host what has arrived for it, as far as it reads.
+    fn deliver(&mut self, world: &mut World, now: Instant) -> io::Result<()> {
+        self.full = false;
+        match &mut self.end {
+            End::Adapter(id) => {
+                while !adapter(world, *id).bytes().is_empty() && !self.full {
+                    let count = self.pty.write(adapter(world, *id).bytes())?;
+                    change(world, *id, now, |adapter| adapter.consume(count));
+                    self.full = count == 0;
+                }
+            }
+            End::Line { line, arrived } => {
+                let mut bytes = [0; CHUNK];
+                while !self.full {
+                    if arrived.is_empty() {
+                        // Of a line that fails nothing arrives.
+                        let count = line.read(now, &mut bytes).unwrap_or(0);
+                        arrived.extend_from_slice(&bytes[..count]);
+                    }
+                    if arrived.is_empty() {
+                        break;
+                    }
+                    let count = self.pty.write(arrived)?;
+                    arrived.drain(..count);
+                    // Meanwhile the line's own queue fills up, and then loses bytes, as a tty's does.
+                    self.full = !arrived.is_empty();
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+impl End {
+    /// How many bytes it takes; the host is held up for the rest.
+    fn room(&self, world: &World) -> usize {
+        match self {
+            Self::Adapter(id) => adapter(world, *id).room(),
+            Self::Line { .. } => CHUNK,
+        }
+    }
+}
+
+fn adapter(world: &World, id: DeviceId) -> &SlcanDevice {
+    world.device(id).expect("it was added as an adapter")
+}
+
+fn change(world: &mut World, id: DeviceId, now: Instant, change: impl FnOnce(&mut SlcanDevice)) {
+    let changed = world.change(id, now, change);
+    changed.expect("it was added as an adapter");
+}

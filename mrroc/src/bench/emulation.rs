@@ -1,0 +1,297 @@
+//! From a cell to the emulated axis controllers that stand in for its drives.
+
+use std::time::Duration;
+
+use crate::cell::Protocol;
+use can::timing::Bitrate;
+use can::{Frame, Instant, StandardId, VirtualPort};
+use canopen::NodeId;
+use hil::{
+    AxisControllerConfig, BusId, Cabinet, Device, Epos4, Epos4Config, Epos4Serial,
+    EposSerialConfig, HiMoxaAxisController, LineDevice, Nfv2AxisController, World,
+};
+use serial::{Settings, VirtualLine};
+
+use crate::bench::bridge::{Bridge, BridgedTty};
+use crate::bench::plants::{Mechanisms, Payloads, homing_problem, plant};
+use crate::cell_file::CellFile;
+
+/// Frames that the host's end of a virtual bus holds each way.
+const QUEUE: usize = 256;
+
+/// Frames that a listener of a virtual bus may lag behind: some seconds of a full one.
+const HEARD: usize = 1 << 15;
+
+/// Bytes that the host's end of a virtual line holds each way: as a tty's buffer.
+const LINE: usize = 4096;
+
+/// Time between two frames of the traffic that nobody asked for: a quarter of a bus of 1 Mbit/s.
+const CHATTER: Duration = Duration::from_micros(500);
+
+/// Its identifier: of no node-ID, and of a lower priority than all that CANopen predefines but LSS.
+const CHATTER_ID: u16 = 0x7A0;
+
+/// The emulated cell on virtual buses and lines.
+pub struct Emulation {
+    world: World,
+    buses: Vec<BusId>,
+    /// Where the host's ends of lines are ttys.
+    bridges: Vec<Bridge>,
+    payloads: Payloads,
+    /// Up to when time has passed.
+    passed: Instant,
+}
+
+/// The host's ends of an emulated cell.
+pub struct HostEnds {
+    /// The port of each CAN bus.
+    pub ports: Vec<VirtualPort>,
+    /// An end of each CAN bus to listen at.
+    pub listeners: Vec<VirtualPort>,
+    /// Each bundle's lines, in the order of [`Cell::axes_on`](crate::cell::Cell::axes_on).
+    pub lines: Vec<Vec<VirtualLine>>,
+}
+
+impl Emulation {
+    /// The world of a cell, switched on at [`Instant::ZERO`].
+    pub fn of(file: &CellFile) -> (Self, HostEnds) {
+        let mut world = World::new();
+        let mechanisms = Mechanisms::of(file);
+        let buses: Vec<_> = (0..file.cell.bus.len())
+            .map(|index| add_bus(&mut world, file, &mechanisms, index))
+            .collect();
+        let mut ends = |queue| -> Vec<_> {
+            let buses = buses.iter();
+            buses.map(|&bus| world.host_port(bus, queue)).collect()
+        };
+        let (ports, listeners) = (ends(QUEUE), ends(HEARD));
+        let lines = (0..file.cell.serial.len()).map(|bundle| {
+            let cabinet = Cabinet::default();
+            let axes = file.cell.axes_on(file.cell.bus.len() + bundle);
+            axes.map(|axis| add_line(&mut world, file, &mechanisms, bundle, axis, &cabinet))
+                .collect()
+        });
+        let ends = HostEnds {
+            lines: lines.collect(),
+            ports,
+            listeners,
+        };
+        let emulation = Self {
+            world,
+            buses,
+            bridges: Vec::new(),
+            payloads: Payloads::of(file, &mechanisms, Instant::ZERO),
+            passed: Instant::ZERO,
+        };
+        (emulation, ends)
+    }
+
+    /// Puts a pseudo-terminal between the host and its end of a line, and returns the tty.
+    pub fn on_tty(&mut self, line: VirtualLine, settings: Settings) -> anyhow::Result<BridgedTty> {
+        let (bridge, tty) = Bridge::new(line, settings)?;
+        self.bridges.push(bridge);
+        Ok(tty)
+    }
+
+    /// Adds a node to every bus that sends frames nobody asked for, of the lowest priority.
+    pub fn add_traffic(&mut self) {
+        for &bus in &self.buses {
+            let next = Instant::ZERO;
+            self.world
+                .add_device(bus, Box::new(Chatter { next, due: false }));
+        }
+    }
+
+    /// Lets time pass to `until`, at which the host is to have whatever has arrived by then.
+    pub fn advance(&mut self, until: Instant) {
+        for bridge in &mut self.bridges {
+            bridge.take(self.passed);
+        }
+        self.payloads.take_over(self.passed);
+        self.world.advance(until);
+        for bridge in &mut self.bridges {
+            bridge.deliver(until);
+        }
+        self.passed = until;
+    }
+}
+
+/// A node that sends a frame of eight bytes every [`CHATTER`], and listens to nobody.
+struct Chatter {
+    next: Instant,
+    due: bool,
+}
+
+impl Device for Chatter {
+    fn handle(&mut self, _frame: &Frame, _now: Instant) {}
+
+    fn poll_transmit(&mut self, _now: Instant) -> Option<Frame> {
+        let id = StandardId::new(CHATTER_ID)?;
+        let due = std::mem::take(&mut self.due);
+        Frame::new(id, &[0x55; 8]).filter(|_| due)
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        Some(self.next)
+    }
+
+    fn handle_timeout(&mut self, now: Instant) {
+        if now >= self.next {
+            self.due = true;
+            self.next = now + CHATTER;
+        }
+    }
+}
+
+/// What an emulated cell cannot do of what the cell asks for; real robots may.
+pub fn problems(file: &CellFile) -> impl Iterator<Item = anyhow::Error> {
+    let axes = (0..file.cell.bus.len()).flat_map(|bus| file.cell.axes_on(bus));
+    let problems = axes.filter_map(|axis| homing_problem(file, axis));
+    problems.map(|(key, problem)| file.refuse(&key, problem))
+}
+
+/// Adds bus `bus` of a cell with its devices, switched on at [`Instant::ZERO`].
+pub fn add_bus(world: &mut World, file: &CellFile, mechanisms: &Mechanisms, bus: usize) -> BusId {
+    let id = world.add_bus(bitrate(file, bus));
+    for device in devices(file, mechanisms, bus, Instant::ZERO) {
+        world.add_device(id, device);
+    }
+    id
+}
+
+/// The bit rate of bus `bus`.
+pub fn bitrate(file: &CellFile, bus: usize) -> Bitrate {
+    Bitrate::from_kbps(file.cell.bus[bus].bitrate_kbps)
+        .expect("a parsed cell has possible bit rates")
+}
+
+/// Adds the line of an axis of bundle `bundle`, its axis controller in `cabinet` switched on at [`Instant::ZERO`], and
+/// returns the host's end.
+pub fn add_line(
+    world: &mut World,
+    file: &CellFile,
+    mechanisms: &Mechanisms,
+    bundle: usize,
+    (robot, number): (usize, usize),
+    cabinet: &Cabinet,
+) -> VirtualLine {
+    let bundle = &file.cell.serial[bundle];
+    let latency = bundle
+        .emulated_latency_ms
+        .map(|latency| Duration::from_millis(u64::from(latency)));
+    let device = axis_controller(file, mechanisms, bundle.protocol, (robot, number), cabinet);
+    let line = world.add_line(bundle.settings(), latency, device);
+    world.host_line(line, LINE)
+}
+
+/// Adds the line to the service port of a drive that is as the one of a CAN axis and hangs on no bus, switched on at
+/// [`Instant::ZERO`], and returns the host's end.
+pub fn add_service_port(
+    world: &mut World,
+    file: &CellFile,
+    (robot, number): (usize, usize),
+) -> VirtualLine {
+    let config = EposSerialConfig::new(config(file, robot, number, Instant::ZERO));
+    let device = Box::new(Epos4Serial::new(config));
+    let line = world.add_line(Settings::EPOS, None, device);
+    world.host_line(line, LINE)
+}
+
+fn axis_controller(
+    file: &CellFile,
+    mechanisms: &Mechanisms,
+    protocol: Protocol,
+    (robot, number): (usize, usize),
+    cabinet: &Cabinet,
+) -> Box<dyn LineDevice> {
+    let axis = &file.cell.robot[robot].axis[number];
+    if axis.emulator.absent {
+        return Box::new(Absent);
+    }
+    let config = AxisControllerConfig {
+        seed: seed(file, robot, number),
+        cabinet: cabinet.clone(),
+        mount: mechanisms.mount(file, robot, number),
+        ..AxisControllerConfig::new(plant(file, robot, number))
+    };
+    match axis.emulator.protocol.unwrap_or(protocol) {
+        Protocol::Nfv2 => {
+            let address = axis.emulator.address.unwrap_or(axis.node);
+            Box::new(Nfv2AxisController::new(address, config))
+        }
+        Protocol::HiMoxa => Box::new(HiMoxaAxisController::new(config)),
+    }
+}
+
+/// The end of a line that nothing is plugged into.
+struct Absent;
+
+impl LineDevice for Absent {
+    fn receive(&mut self, _byte: u8, _now: Instant) {}
+    fn poll_transmit(&mut self, _now: Instant) -> Option<u8> {
+        None
+    }
+    fn poll_timeout(&self) -> Option<Instant> {
+        None
+    }
+    fn handle_timeout(&mut self, _now: Instant) {}
+}
+
+/// The axes on bus `bus` that have a drive, robot and number.
+pub fn axes_present(file: &CellFile, bus: usize) -> impl Iterator<Item = (usize, usize)> {
+    let present =
+        |&(robot, axis): &(usize, usize)| !file.cell.robot[robot].axis[axis].emulator.absent;
+    file.cell.axes_on(bus).filter(present)
+}
+
+/// The devices on bus `bus`, switched on at `power_on`.
+pub fn devices(
+    file: &CellFile,
+    mechanisms: &Mechanisms,
+    bus: usize,
+    power_on: Instant,
+) -> Vec<Box<dyn Device>> {
+    axes_present(file, bus)
+        .map(|(robot, axis)| device(file, mechanisms, robot, axis, power_on))
+        .collect()
+}
+
+fn device(
+    file: &CellFile,
+    mechanisms: &Mechanisms,
+    robot: usize,
+    number: usize,
+    power_on: Instant,
+) -> Box<dyn Device> {
+    Box::new(Epos4::new(Epos4Config {
+        mount: mechanisms.mount(file, robot, number),
+        ..config(file, robot, number, power_on)
+    }))
+}
+
+/// What stands in for the drive of an axis, its motor on no mechanism.
+pub fn config(file: &CellFile, robot: usize, number: usize, power_on: Instant) -> Epos4Config {
+    let axis = &file.cell.robot[robot].axis[number];
+    let node = NodeId::new(axis.node).expect("a parsed cell has valid node-IDs");
+    let identity = file.identity(robot, number);
+    let usual = Epos4Config::new(node, plant(file, robot, number));
+    let revision = axis.emulator.revision.or(identity.revision);
+    Epos4Config {
+        vendor: axis.emulator.vendor.unwrap_or(identity.vendor),
+        product: identity.product.unwrap_or(usual.product),
+        revision: revision.unwrap_or(usual.revision),
+        main_sensor_resolution: axis.emulator.counts_per_revolution,
+        rated_torque: axis
+            .emulator
+            .rated_torque
+            .or(Some(axis.cia402().rated_torque)),
+        seed: seed(file, robot, number),
+        power_on,
+        ..usual
+    }
+}
+
+fn seed(file: &CellFile, robot: usize, number: usize) -> u64 {
+    let axis = (robot * 16 + number) as u64;
+    file.cell.seed.wrapping_mul(1000).wrapping_add(axis)
+}

@@ -1,0 +1,284 @@
+//! The notation of interfaces, and which of them each bus of a cell is on.
+
+use std::fmt;
+
+use anyhow::{Context, bail};
+use can::{Claim, ClaimError};
+use serial::service::Dialect;
+
+use crate::cell::{Cell, quoted};
+
+/// What begins the name of an slcan adapter.
+const SLCAN: &str = "slcan:";
+
+/// What begins the name of a service port.
+const EPOS: [(&str, Dialect); 2] = [("epos2:", Dialect::Epos2), ("epos4:", Dialect::Epos4)];
+
+/// Speed of a tty whose name says none, which is that of service ports as delivered. Adapters and drives that are USB
+/// devices themselves do not look at it.
+const BAUD: u32 = 115_200;
+
+/// An interface by the name that options and cell files give it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Interface {
+    /// That of SocketCAN, such as `can0`.
+    SocketCan(String),
+    /// An slcan adapter on a tty: `slcan:/dev/ttyACM0`, or `slcan:/dev/ttyUSB0@921600`.
+    Slcan {
+        /// The tty.
+        path: String,
+        /// Its speed, bit/s.
+        baud: u32,
+    },
+    /// The service port of one drive on a tty, which is no bus: `epos2:/dev/ttyS0@38400`, `epos4:/dev/ttyACM0`.
+    Epos {
+        /// What the drive speaks.
+        dialect: Dialect,
+        /// The tty.
+        path: String,
+        /// Its speed, bit/s.
+        baud: u32,
+    },
+}
+
+impl Interface {
+    /// Whatever does not begin with `slcan:`, `epos2:` or `epos4:` is SocketCAN's.
+    pub fn parse(name: &str) -> Self {
+        if let Some(tty) = name.strip_prefix(SLCAN) {
+            let (path, baud) = tty_of(tty);
+            return Self::Slcan { path, baud };
+        }
+        for (prefix, dialect) in EPOS {
+            if let Some(tty) = name.strip_prefix(prefix) {
+                let (path, baud) = tty_of(tty);
+                return Self::Epos {
+                    dialect,
+                    path,
+                    baud,
+                };
+            }
+        }
+        Self::SocketCan(name.to_owned())
+    }
+
+    /// Claims the interface for the one controller that its bus may have; `None` for a tty, which one process opens at
+    /// a time. A controller in another computer on the same bus does not show here, but by its frames.
+    pub fn claim_as_controller(&self) -> anyhow::Result<Option<Claim>> {
+        self.claim("controller", "another controller is at work")
+    }
+
+    /// Claims the node `node` of the interface for the one emulator that it may have; `None` for a tty.
+    pub fn claim_as_node(&self, node: u8) -> anyhow::Result<Option<Claim>> {
+        let taken = format!("node {node} is emulated already");
+        self.claim(&format!("node {node}"), &taken)
+    }
+
+    fn claim(&self, part: &str, taken: &str) -> anyhow::Result<Option<Claim>> {
+        let Self::SocketCan(name) = self else {
+            return Ok(None);
+        };
+        match Claim::take(name, part) {
+            Ok(claim) => Ok(Some(claim)),
+            Err(ClaimError::Taken { holder, .. }) => {
+                let holder = holder.map(|process| format!(": process {process}"));
+                bail!("{name}: {taken}{}", holder.unwrap_or_default())
+            }
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// Refuses what no interface can be called.
+    pub fn check(&self) -> anyhow::Result<()> {
+        match self {
+            Self::SocketCan(name) if can::InterfaceName::new(name).is_none() => bail!(
+                "{} is no interface: 1 to 15 bytes without white space, slash or colon, or slcan:PATH",
+                quoted(name)
+            ),
+            Self::Slcan { path, .. } | Self::Epos { path, .. }
+                if path.is_empty() || path.contains(char::is_control) =>
+            {
+                bail!("{} names no tty", quoted(&self.to_string()))
+            }
+            Self::SocketCan(_) | Self::Slcan { .. } | Self::Epos { .. } => Ok(()),
+        }
+    }
+
+    /// What a candump log calls the interface, as bus `bus` of the cell: paths are too long for it.
+    pub fn log_name(&self, bus: usize) -> String {
+        match self {
+            Self::SocketCan(name) => name.clone(),
+            Self::Slcan { .. } => format!("slcan{bus}"),
+            Self::Epos { .. } => format!("epos{bus}"),
+        }
+    }
+}
+
+impl fmt::Display for Interface {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (prefix, path, baud) = match self {
+            Self::SocketCan(name) => return f.write_str(name),
+            Self::Slcan { path, baud } => (SLCAN, path, *baud),
+            Self::Epos {
+                dialect,
+                path,
+                baud,
+            } => match dialect {
+                Dialect::Epos2 => (EPOS[0].0, path, *baud),
+                Dialect::Epos4 => (EPOS[1].0, path, *baud),
+            },
+        };
+        match baud {
+            BAUD => write!(f, "{prefix}{path}"),
+            baud => write!(f, "{prefix}{path}@{baud}"),
+        }
+    }
+}
+
+/// `PATH` or `PATH@BAUD`.
+fn tty_of(text: &str) -> (String, u32) {
+    let with_baud = text.rsplit_once('@');
+    let (path, baud) = with_baud
+        .and_then(|(path, baud)| Some((path, baud.parse().ok()?)))
+        .unwrap_or((text, BAUD));
+    (path.to_owned(), baud)
+}
+
+/// The interface of each bus, in the cell's order: the cell's own, or as `overrides` say, at most one for each bus.
+///
+/// An override is `IFACE` for a cell of one bus, or `BUS=IFACE`.
+pub fn resolve(cell: &Cell, overrides: &[String]) -> anyhow::Result<Vec<Interface>> {
+    let of_cell = cell.bus.iter().map(|bus| Interface::parse(&bus.interface));
+    let mut interfaces: Vec<_> = of_cell.collect();
+    let mut by = vec![None; interfaces.len()];
+    for given in overrides {
+        let (index, interface) = bus_of(cell, "--can", given)?;
+        if let Some(first) = by[index].replace(given) {
+            bail!("--can {given}: the bus is already given another by --can {first}");
+        }
+        let interface = Interface::parse(interface);
+        interface
+            .check()
+            .with_context(|| format!("--can {given}"))?;
+        interfaces[index] = interface;
+    }
+    Ok(interfaces)
+}
+
+/// Refuses buses that share an interface; one without any shares none.
+pub fn all_differ<'a>(
+    cell: &Cell,
+    interfaces: impl IntoIterator<Item = Option<&'a Interface>>,
+) -> anyhow::Result<()> {
+    let mut taken = Vec::<(&Interface, &str)>::new();
+    for (interface, bus) in interfaces.into_iter().zip(&cell.bus) {
+        let Some(interface) = interface else {
+            continue;
+        };
+        if let Some((_, first)) = taken.iter().find(|(other, _)| *other == interface) {
+            bail!(
+                "bus {}: {interface} is that of bus {first}: give each its own, --can BUS=IFACE",
+                bus.name
+            );
+        }
+        taken.push((interface, &bus.name));
+    }
+    Ok(())
+}
+
+/// What an option says of which bus: `VALUE` for a cell of one bus, or `BUS=VALUE`.
+pub fn bus_of<'a>(cell: &Cell, option: &str, given: &'a str) -> anyhow::Result<(usize, &'a str)> {
+    match given.split_once('=') {
+        Some((name, value)) => {
+            let index = cell.bus.iter().position(|bus| bus.name == name);
+            let index = index.with_context(|| {
+                format!(
+                    "{option} {given}: the cell has no bus {name:?}, only {}",
+                    names(cell)
+                )
+            })?;
+            Ok((index, value))
+        }
+        None if cell.bus.len() == 1 => Ok((0, given)),
+        None if cell.bus.is_empty() => bail!("{option} {given}: the cell has no CAN bus"),
+        None => bail!(
+            "{option} {given}: the cell has {} buses, say which as BUS={given}: {}",
+            cell.bus.len(),
+            names(cell)
+        ),
+    }
+}
+
+/// The names of the buses.
+fn names(cell: &Cell) -> String {
+    let names: Vec<_> = cell.bus.iter().map(|bus| bus.name.as_str()).collect();
+    names.join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_the_kernel_takes_for_no_name_is_no_interface() {
+        let good = [
+            "can0",
+            "vcan-7",
+            "a.b",
+            "slcan:/dev/ttyACM0",
+            "epos4:/dev/a@9600",
+        ];
+        for name in good {
+            assert!(Interface::parse(name).check().is_ok(), "{name}");
+        }
+        let bad = [
+            "",
+            ".",
+            "..",
+            "a b",
+            "a/b",
+            "a\0b",
+            "a\nb",
+            "can0:1",
+            "sixteen-bytes-16",
+            "\u{1b}[2J",
+            "slcan:",
+            "slcan:@9600",
+            "slcan:/dev/a\nb",
+            "epos2:",
+        ];
+        for name in bad {
+            let refused = Interface::parse(name).check().unwrap_err().to_string();
+            assert!(!refused.contains(char::is_control), "{refused:?}");
+        }
+    }
+
+    #[test]
+    fn adapters_and_service_ports_are_named_by_their_tty_and_its_speed() {
+        let slcan = |path: &str, baud| Interface::Slcan {
+            path: path.to_owned(),
+            baud,
+        };
+        let epos = |dialect, path: &str, baud| Interface::Epos {
+            dialect,
+            path: path.to_owned(),
+            baud,
+        };
+        let table = [
+            ("epos4:/dev/a", epos(Dialect::Epos4, "/dev/a", 115_200)),
+            ("epos2:/dev/b@9600", epos(Dialect::Epos2, "/dev/b", 9600)),
+            (
+                "epos3:/dev/b",
+                Interface::SocketCan("epos3:/dev/b".to_owned()),
+            ),
+            ("can0", Interface::SocketCan("can0".to_owned())),
+            ("slcan0", Interface::SocketCan("slcan0".to_owned())),
+            ("slcan:/dev/ttyACM0", slcan("/dev/ttyACM0", 115_200)),
+            ("slcan:/dev/ttyUSB0@921600", slcan("/dev/ttyUSB0", 921_600)),
+            ("slcan:/dev/a@b", slcan("/dev/a@b", 115_200)),
+        ];
+        for (name, interface) in table {
+            assert_eq!(Interface::parse(name), interface);
+            assert_eq!(interface.to_string(), name);
+        }
+    }
+}

@@ -1,0 +1,249 @@
+//! What a run runs on: the ports to the drives, and the emulated world behind them where there is one.
+
+pub mod bridge;
+pub mod bus_port;
+mod card;
+pub mod clockwork;
+pub mod emulated_lines;
+pub mod emulated_time;
+pub mod emulation;
+pub mod interfaces;
+pub mod plants;
+
+use std::path::{Path, PathBuf};
+
+use crate::cell::Serial;
+use anyhow::{Context, bail};
+use can::{Port, SocketCanOptions, TraceReader, Tracer};
+use clap::{Args, ValueEnum};
+use drive::cia402;
+use serial::{Line, Tty, VirtualLine};
+
+use crate::bench::bus_port::BusPort;
+use crate::bench::emulation::Emulation;
+use crate::bench::interfaces::Interface;
+use crate::cell_file::CellFile;
+use crate::wire::{Listener, Wire};
+
+/// Frames that a trace may lag behind the bus: some seconds of a full one.
+const TRACE: usize = 1 << 16;
+
+/// The benches.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum BenchKind {
+    /// Emulated drives on a virtual bus, in virtual time.
+    Lockstep,
+    /// Emulated drives on a virtual bus, by the wall clock.
+    Emulated,
+    /// A virtual CAN interface, or pseudo-terminals; `mrroc emulate` at their other end.
+    Vcan,
+    /// CAN cards and ttys. Moves hardware.
+    Card,
+}
+
+impl BenchKind {
+    /// The name of the bench, as the command line and reports have it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Lockstep => "lockstep",
+            Self::Emulated => "emulated",
+            Self::Vcan => "vcan",
+            Self::Card => "card",
+        }
+    }
+}
+
+/// Where to find what a bench consists of, if not where the cell says.
+#[derive(Args, Debug, Default)]
+pub struct Places {
+    /// The interface of a bus in place of the cell's: IFACE, or once for each bus BUS=IFACE where there are several.
+    #[arg(long, value_name = "IFACE")]
+    pub can: Vec<String>,
+    /// The directory of the lines' ttys, one per axis by its name, in place of the cell's lines: as `mrroc emulate
+    /// --serial` makes it.
+    #[arg(long, value_name = "DIR")]
+    pub serial: Option<PathBuf>,
+    /// Set the cards to the cell's bit rates and bring them up; a card that is up at another rate is taken down before.
+    #[arg(long)]
+    pub set_bitrate: bool,
+}
+
+impl Places {
+    /// Refuses what may be hardware on a bench that is none: on [`BenchKind::Vcan`] interfaces that are not virtual, and
+    /// ttys that are no pseudo-terminals.
+    pub fn check(&self, file: &CellFile, kind: BenchKind) -> anyhow::Result<()> {
+        if kind != BenchKind::Vcan {
+            return Ok(());
+        }
+        let is_device = |path: &Path| {
+            path.canonicalize()
+                .is_ok_and(|it| !it.starts_with("/dev/pts"))
+        };
+        let interfaces = interfaces::resolve(&file.cell, &self.can)?;
+        let may_be_hardware = |interface: &&Interface| match interface {
+            Interface::SocketCan(name) => can::card::read(name).is_ok(),
+            Interface::Slcan { path, .. } | Interface::Epos { path, .. } => {
+                is_device(path.as_ref())
+            }
+        };
+        let bus = interfaces.iter().find(may_be_hardware);
+        let mut ttys = (0..file.cell.serial.len())
+            .flat_map(|bundle| tty_paths(file, bundle, self.serial.as_deref()));
+        let tty = ttys.find(|(_, path)| is_device(path));
+        let names = bus.map(Interface::to_string);
+        if let Some(name) = names.or(tty.map(|(_, path)| path.display().to_string())) {
+            bail!("--bench vcan: {name} may be hardware, which takes --bench card");
+        }
+        Ok(())
+    }
+}
+
+/// An opened bench.
+pub struct Bench {
+    /// One per bus of the cell.
+    pub ports: Vec<Box<dyn Port>>,
+    /// The lines of each bundle of the cell.
+    pub lines: Vec<Vec<Box<dyn Line>>>,
+    /// What each of them is on: the cell's interface, or the one given in its place.
+    pub interfaces: Vec<Interface>,
+    /// What passed each port, if a trace was asked for.
+    pub traces: Vec<TraceReader>,
+    /// What listens to the buses.
+    pub wire: Wire,
+    /// The emulated cell, on the benches without hardware.
+    pub emulation: Option<Emulation>,
+}
+
+impl Bench {
+    /// Opens the bench `kind` for a cell.
+    pub fn open(
+        file: &CellFile,
+        kind: BenchKind,
+        places: &Places,
+        trace: bool,
+    ) -> anyhow::Result<Self> {
+        let Places {
+            can,
+            serial,
+            set_bitrate,
+        } = places;
+        let (serial, set_bitrate) = (serial.as_deref(), *set_bitrate);
+        if set_bitrate && kind != BenchKind::Card {
+            bail!("--set-bitrate needs --bench card");
+        }
+        let interfaces = interfaces::resolve(&file.cell, can)?;
+        interfaces::all_differ(&file.cell, interfaces.iter().map(Some))?;
+        places.check(file, kind)?;
+        let (ports, lines, listeners, emulation): (Vec<Box<dyn Port>>, _, _, _) = match kind {
+            BenchKind::Lockstep | BenchKind::Emulated => {
+                if !can.is_empty() || serial.is_some() {
+                    bail!("--can and --serial need --bench vcan or --bench card");
+                }
+                emulation::problems(file).next().map_or(Ok(()), Err)?;
+                let (mut emulation, ends) = Emulation::of(file);
+                let lines = emulated_lines(file, kind, &mut emulation, ends.lines)?;
+                let ports = ends.ports.into_iter().map(|port| Box::new(port) as _);
+                let listeners = ends.listeners.into_iter().map(Listener::Virtual).collect();
+                (ports.collect(), lines, listeners, Some(emulation))
+            }
+            BenchKind::Vcan | BenchKind::Card => {
+                let open = |(index, interface): (usize, &Interface)| {
+                    let bus = &file.cell.bus[index];
+                    let on_bus = || format!("bus {}", bus.name);
+                    // Before the card is touched, which another controller may have in use.
+                    let claim = interface.claim_as_controller().with_context(on_bus)?;
+                    if kind == BenchKind::Card {
+                        card::prepare(interface, bus, set_bitrate).with_context(on_bus)?;
+                    }
+                    let setpoints = file.cell.axes_on(index).count();
+                    let options = SocketCanOptions {
+                        send_queue: setpoints + cia402::BESIDE_SETPOINTS,
+                        ..SocketCanOptions::default()
+                    };
+                    let port = BusPort::with_options(interface, bus.bitrate_kbps, &options);
+                    Ok(Box::new(port.with_context(on_bus)?.holding(claim)) as _)
+                };
+                let ports = interfaces.iter().enumerate().map(open);
+                let ports = ports.collect::<anyhow::Result<_>>()?;
+                let listen = |(index, interface): (usize, &Interface)| {
+                    let listener = Listener::open(file, index, interface);
+                    listener.with_context(|| format!("bus {}", file.cell.bus[index].name))
+                };
+                let listeners = interfaces.iter().enumerate().map(listen);
+                let listeners = listeners.collect::<anyhow::Result<_>>()?;
+                (ports, ttys(file, serial)?, listeners, None)
+            }
+        };
+        let wire = Wire::new(file, listeners);
+        if !trace {
+            return Ok(Self {
+                ports,
+                lines,
+                interfaces,
+                traces: Vec::new(),
+                wire,
+                emulation,
+            });
+        }
+        let traced = ports.into_iter().map(|port| {
+            let (port, reader) = Tracer::new(port, TRACE);
+            (Box::new(port) as _, reader)
+        });
+        let (ports, traces) = traced.unzip();
+        Ok(Self {
+            ports,
+            lines,
+            interfaces,
+            traces,
+            wire,
+            emulation,
+        })
+    }
+}
+
+/// The host's ends of emulated lines: as they are in lockstep, as ttys by the wall clock.
+fn emulated_lines(
+    file: &CellFile,
+    kind: BenchKind,
+    emulation: &mut Emulation,
+    lines: Vec<Vec<VirtualLine>>,
+) -> anyhow::Result<Vec<Vec<Box<dyn Line>>>> {
+    let bundles = lines.into_iter().zip(&file.cell.serial);
+    let bundle = |(lines, bundle): (Vec<VirtualLine>, &Serial)| {
+        let line = |line| -> anyhow::Result<Box<dyn Line>> {
+            Ok(match kind {
+                BenchKind::Emulated => Box::new(emulation.on_tty(line, bundle.settings())?),
+                _ => Box::new(line),
+            })
+        };
+        lines.into_iter().map(line).collect()
+    };
+    bundles.map(bundle).collect()
+}
+
+/// The ttys of a cell, opened.
+fn ttys(file: &CellFile, directory: Option<&Path>) -> anyhow::Result<Vec<Vec<Box<dyn Line>>>> {
+    let bundles = file.cell.serial.iter().enumerate();
+    let bundle = |(index, bundle): (usize, &Serial)| {
+        let open = |(axis, path): (String, PathBuf)| {
+            let tty = Tty::open(&path, bundle.settings());
+            Ok(Box::new(tty.with_context(|| format!("axis {axis}"))?) as Box<dyn Line>)
+        };
+        let paths = tty_paths(file, index, directory);
+        paths.into_iter().map(open).collect()
+    };
+    bundles.map(bundle).collect()
+}
+
+/// The axes of bundle `bundle` and their ttys: those that the cell names, or those that `mrroc emulate --serial` put
+/// into `directory`.
+fn tty_paths(file: &CellFile, bundle: usize, directory: Option<&Path>) -> Vec<(String, PathBuf)> {
+    let path = |(robot, number): (usize, usize)| {
+        let axis = file.axis_name(robot, number);
+        let own = || PathBuf::from(&file.cell.robot[robot].axis[number].axis_controller().line);
+        let path = directory.map_or_else(own, |directory| directory.join(&axis));
+        (axis, path)
+    };
+    let axes = file.cell.axes_on(file.cell.bus.len() + bundle);
+    axes.map(path).collect()
+}

@@ -1,0 +1,192 @@
+//! From a cell to the motors, sensors and switches behind its emulated drives, and to the mechanics between them.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use can::Instant;
+use canopen::cia402::HomingMethod;
+use controller::robot::Limits;
+use hil::plant::{PlantConfig, Switch};
+use hil::{AxisConfig, Irp6Axis, Irp6TrackAxis, Mechanism, MechanismConfig, Mount};
+
+use crate::cell::{Model, Parameters, Path, Plant};
+use crate::cell_file::CellFile;
+
+/// The mechanism of each robot of a cell that has one, whatever buses and lines its axes are on.
+pub struct Mechanisms(Vec<Option<Mechanism>>);
+
+impl Mechanisms {
+    /// All at home and without payloads.
+    pub fn of(file: &CellFile) -> Self {
+        let robots = file.cell.robot.iter();
+        let config = |robot: &crate::cell::Robot| {
+            let parameters = robot.parameters.unwrap_or(robot.model.parameters());
+            Some(Mechanism::new(match parameters {
+                Parameters::Irb6(_) => MechanismConfig::Irb6,
+                Parameters::Irp6(_) => MechanismConfig::Irp6,
+                Parameters::Irp6Track(_) => MechanismConfig::Irp6OnTrack,
+                Parameters::Rnt(rnt) => MechanismConfig::Rnt {
+                    home_lengths: rnt.legs.map(|leg| leg.length_at_home),
+                },
+                Parameters::Polycrank(polycrank) => MechanismConfig::Polycrank {
+                    coupled: polycrank.coupled,
+                    at_home: polycrank.axes.map(|axis| axis.joint_at_home),
+                },
+                Parameters::Gripper(_) | Parameters::Conveyor(_) => return None,
+            }))
+        };
+        Self(robots.map(config).collect())
+    }
+
+    /// The place of an axis in its robot; `None` if it moves a load of its own.
+    pub fn mount(&self, file: &CellFile, robot: usize, number: usize) -> Option<Mount> {
+        let home = file.arms[robot].robot().home()[number];
+        self.0[robot].as_ref()?.mount(number, home)
+    }
+}
+
+/// The payloads that the robots of a cell take over as time passes.
+pub struct Payloads(VecDeque<Payload>);
+
+struct Payload {
+    due: Instant,
+    mechanism: Mechanism,
+    mass: f64,
+    centre: [f64; 3],
+}
+
+impl Payloads {
+    /// Those of a cell whose drives are switched on at `power_on`.
+    pub fn of(file: &CellFile, mechanisms: &Mechanisms, power_on: Instant) -> Self {
+        let robots = file.cell.robot.iter().zip(&mechanisms.0);
+        let payloads = robots.filter_map(|(robot, mechanism)| Some((robot, mechanism.as_ref()?)));
+        let payloads = payloads.flat_map(|(robot, mechanism)| {
+            robot.emulated_payload.iter().map(|payload| Payload {
+                due: power_on + Duration::from_secs_f64(payload.at_s),
+                mechanism: mechanism.clone(),
+                mass: payload.mass,
+                centre: payload.centre,
+            })
+        });
+        let mut payloads: Vec<_> = payloads.collect();
+        payloads.sort_by_key(|payload| payload.due);
+        Self(payloads.into())
+    }
+
+    /// When the next is due.
+    pub fn next(&self) -> Option<Instant> {
+        self.0.front().map(|payload| payload.due)
+    }
+
+    /// Hands the robots those that are due.
+    pub fn take_over(&mut self, now: Instant) {
+        while self.next().is_some_and(|due| due <= now) {
+            if let Some(payload) = self.0.pop_front() {
+                payload.mechanism.set_payload(payload.mass, payload.centre);
+            }
+        }
+    }
+}
+
+/// The reason for which the emulated drive of an axis cannot home by its method, and the method's key; `None` if it can.
+/// A real robot may be wired otherwise.
+pub fn homing_problem(file: &CellFile, (robot, number): (usize, usize)) -> Option<(Path, String)> {
+    let axis = &file.cell.robot[robot].axis[number];
+    let method = axis.homing.method.filter(|_| !axis.emulator.absent)?;
+    let needed = HomingMethod(method).references()?;
+    if !needed.home_switch {
+        return None;
+    }
+    let plant = plant(file, robot, number);
+    let limit = plant.negative_limit;
+    let lowest = limit.map_or(f64::NEG_INFINITY, |limit| limit.to);
+    let why = match plant.home_switch {
+        None => "needs a home switch, which the emulated axis does not have: use 33, 34 or 37",
+        Some(_) if needed.positive_limit && plant.positive_limit.is_none() => {
+            "turns round at a positive limit switch, which the emulated axis does not have: use 11 or 27"
+        }
+        // It leaves the switch against the direction of its search, which is upwards.
+        Some(switch) if needed.positive_limit && switch.from <= lowest => {
+            "leaves the home switch downwards, where that of the emulated axis never opens: use 11 or 27"
+        }
+        Some(_) => return None,
+    };
+    let key = Path::default().then("robot").then(robot);
+    let key = key.then("axis").then(number).then("homing");
+    Some((key.then("method"), format!("is {method}, which {why}")))
+}
+
+/// Motor, load, sensors and switches of an axis.
+pub fn plant(file: &CellFile, robot: usize, number: usize) -> AxisConfig {
+    let axis = &file.cell.robot[robot].axis[number];
+    let home = file.arms[robot].robot().home()[number];
+    let preset = match file.cell.robot[robot].model {
+        Model::Irb6 | Model::Irp6 | Model::Irp6Calibrated => {
+            return arm_plant(file, robot, number);
+        }
+        Model::Irp6Track | Model::Irp6TrackCalibrated => {
+            AxisConfig::irp6_track(Irp6TrackAxis::ALL[number])
+        }
+        Model::Rnt => AxisConfig::rnt(number).expect(AS_MANY),
+        Model::Polycrank => AxisConfig::polycrank(number).expect(AS_MANY),
+        Model::Gripper => AxisConfig::gripper(),
+        Model::Conveyor => AxisConfig::conveyor(),
+    };
+    let preset = preset.with_home(home);
+    let plant = AxisConfig {
+        counts_per_revolution: axis.counts_per_revolution(),
+        start_angle: axis.emulator.start.unwrap_or(preset.start_angle),
+        ..preset
+    };
+    bounded(plant, file.arms[robot].robot().motor_limits()[number])
+}
+
+/// The same axis with its limit switches and buffers, if it has any, no nearer than beyond the range of the motor, rad.
+fn bounded(mut plant: AxisConfig, range: Limits) -> AxisConfig {
+    if let Some(switch) = &mut plant.negative_limit {
+        switch.to = switch.to.min(range.low - SWITCHES);
+    }
+    if let Some(switch) = &mut plant.positive_limit {
+        switch.from = switch.from.max(range.high + SWITCHES);
+    }
+    if let PlantConfig::Physical(motor) = &mut plant.plant
+        && let Some(stops) = &mut motor.end_stops
+    {
+        stops.negative = stops.negative.min(range.low - BUFFERS);
+        stops.positive = stops.positive.max(range.high + BUFFERS);
+    }
+    plant
+}
+
+/// Distance of the limit switches from the range of the motor, rad. A motor that stops at the end of its range
+/// overshoots by some counts, and that must not close a switch.
+const SWITCHES: f64 = 1.0;
+
+/// Distance of the buffers from the range of the motor, rad.
+const BUFFERS: f64 = 3.0;
+
+const AS_MANY: &str = "a parsed robot has as many axes as its model";
+
+/// The same of an arm on its pedestal.
+fn arm_plant(file: &CellFile, robot: usize, number: usize) -> AxisConfig {
+    let axis = &file.cell.robot[robot].axis[number];
+    let home = file.arms[robot].robot().home()[number];
+    let limits = file.arms[robot].robot().motor_limits()[number];
+    let kind = Irp6Axis::ALL[number];
+    let preset = match axis.emulator.plant {
+        Plant::Physical => AxisConfig::irp6(kind),
+        Plant::Wut => AxisConfig::wut(kind),
+    };
+    let plant = AxisConfig {
+        counts_per_revolution: axis.counts_per_revolution(),
+        index_angle: home,
+        start_angle: axis.emulator.start.unwrap_or(home + 20.0),
+        home_switch: Some(Switch {
+            from: home - 20.0,
+            to: home - 2.0,
+            bounce: 0,
+        }),
+        ..preset
+    };
+    bounded(plant, limits)
+}

@@ -1,0 +1,313 @@
+//! What one axis of a cell must satisfy, on a CAN bus or on a serial line.
+
+use std::f64::consts::{PI, TAU};
+use std::time::Duration;
+
+use drive::cia402::reserved;
+
+use super::{Checked, buses, homing, no_effect, position_loop, refused, within};
+use crate::cell::error::Problem;
+use crate::cell::text::Range;
+use crate::cell::{
+    Axis, AxisController, Bus, Cell, Control, Drive, Emulator, Path, Plant, Protocol, Serial,
+};
+use controller::robot::Limits;
+
+/// Encoder counts that a limit of the following error has at the least: a loop at work is some counts off.
+const LEAST_ERROR: f64 = 10.0;
+
+/// The greatest velocity and acceleration of any motor, rad/s and rad/s².
+const FASTEST: (f64, f64) = (1e5, 1e7);
+
+/// Longest time in which an axis comes to rest from its greatest velocity, s.
+const LONGEST_STOP: f64 = 60.0;
+
+/// The greatest rated torque and torque constant, N·m and N·m/A. Object 0x6076 of an EPOS4 holds 32 bits of µN·m.
+const STRONGEST: f64 = 4294.0;
+
+/// How far from home an emulated axis without ends may stand, rad: its search for the home switch takes that long.
+const FARTHEST_START: f64 = 1000.0;
+
+/// What an axis hangs on.
+#[derive(Clone, Copy)]
+pub(super) enum Place<'a> {
+    Bus(&'a Bus),
+    Serial(&'a Serial),
+}
+
+impl<'a> Place<'a> {
+    /// The bus or the bundle of lines called `name`.
+    pub(super) fn of(cell: &'a Cell, name: &str) -> Option<Self> {
+        let bus = cell.bus.iter().find(|bus| bus.name == name).map(Self::Bus);
+        let serial = || cell.serial.iter().find(|serial| serial.name == name);
+        bus.or_else(|| serial().map(Self::Serial))
+    }
+}
+
+/// `model` is what the model says of the motor, which the axis may narrow; `home` is its position at home, rad.
+pub(super) fn check(
+    path: &Path,
+    period: Duration,
+    axis: &Axis,
+    place: Place<'_>,
+    model: Limits,
+    home: f64,
+) -> Checked {
+    let node = match place {
+        Place::Bus(_) => Range::new(1.0, 127.0, ""),
+        Place::Serial(_) => Range::new(0.0, 253.0, ""),
+    };
+    within(&path.then("node"), f64::from(axis.node), node)?;
+    if let Place::Serial(serial) = place {
+        let given = serial.protocol == Protocol::HiMoxa && axis.node != 0;
+        no_effect(
+            &path.then("node"),
+            given,
+            "with protocol = \"hi-moxa\", which has no addresses",
+        )?;
+    }
+    check_family(path, axis, place)?;
+    let slowest = homing::slowest(model);
+    let of = "rad/s of the motor; the least crosses the travel in 20 min";
+    let velocity = Range::new(slowest, FASTEST.0, of);
+    within(&path.then("max_velocity"), axis.max_velocity, velocity)?;
+    let of = "rad/s² of the motor; the least brakes from max_velocity in 60 s";
+    let acceleration = Range::new(axis.max_velocity / LONGEST_STOP, FASTEST.1, of);
+    within(
+        &path.then("max_acceleration"),
+        axis.max_acceleration,
+        acceleration,
+    )?;
+    match (place, &axis.drive, &axis.controller) {
+        (Place::Bus(_), Some(drive), _) => {
+            check_counts(&path.then("drive"), drive.counts_per_revolution)
+        }
+        (_, _, Some(controller)) => {
+            check_counts(&path.then("controller"), controller.counts_per_revolution)
+        }
+        _ => Ok(()),
+    }?;
+    check_positions(path, axis, model, home)?;
+    let count = TAU / f64::from(axis.counts_per_revolution());
+    let least = LEAST_ERROR * count;
+    let most = (model.high - model.low).min(f64::from(u32::MAX) * count);
+    let of = "rad of the motor: 10 counts to all of its travel";
+    let error = Range::new(least, most.max(least), of);
+    within(&path.then("following_error"), axis.following_error, error)?;
+    match (place, &axis.drive, &axis.controller) {
+        (Place::Bus(_), Some(drive), _) => check_drive(&path.then("drive"), period, drive, axis),
+        (Place::Serial(serial), _, Some(controller)) => {
+            check_controller(&path.then("controller"), period, controller, serial, axis)
+        }
+        _ => Ok(()),
+    }?;
+    check_emulator(&path.then("emulator"), axis, place, model, home)?;
+    homing::check(&path.then("homing"), axis, place, model, home)
+}
+
+/// Positions are within those of the model, and counted in 32 bits.
+fn check_positions(path: &Path, axis: &Axis, model: Limits, home: f64) -> Checked {
+    let given = [
+        ("min_position", axis.min_position),
+        ("max_position", axis.max_position),
+    ];
+    for (key, value) in given {
+        let Some(value) = value else { continue };
+        if !(model.low..=model.high).contains(&value) {
+            let Limits { low, high } = model;
+            return Err((path.then(key), Problem::BeyondModel { value, low, high }));
+        }
+    }
+    let low = axis.min_position.unwrap_or(model.low);
+    let high = axis.max_position.unwrap_or(model.high);
+    if low >= high {
+        return Err(if axis.min_position.is_some() {
+            (path.then("min_position"), Problem::UpsideDown { low, high })
+        } else {
+            (path.then("max_position"), Problem::BelowLow { low, high })
+        });
+    }
+    let scale = axis.scale(home);
+    for (key, value) in [("min_position", low), ("max_position", high)] {
+        if scale.increments(value).is_none() {
+            let counts = axis.counts_per_revolution();
+            let reach = f64::from(i32::MAX) * TAU / f64::from(counts);
+            let why = format!(
+                "is {value} rad, more than the {reach:.0} rad from home that a counter of 32 bits reaches at {counts} \
+                 counts per revolution: narrow it"
+            );
+            return refused(path.then(key), why);
+        }
+    }
+    Ok(())
+}
+
+/// An axis on a CAN bus has a drive, and one on a serial line an axis controller.
+fn check_family(path: &Path, axis: &Axis, place: Place<'_>) -> Checked {
+    match (place, &axis.drive, &axis.controller) {
+        (Place::Bus(_), Some(_), None) | (Place::Serial(_), None, Some(_)) => Ok(()),
+        (Place::Bus(_), None, _) => refused(
+            path.then("drive"),
+            "is missing: an axis on a CAN bus has a drive",
+        ),
+        (Place::Bus(_), _, Some(_)) => refused(
+            path.then("controller"),
+            "is for an axis on a serial line, not on a CAN bus",
+        ),
+        (Place::Serial(_), _, None) => refused(
+            path.then("controller"),
+            "is missing: an axis on a serial line has an axis controller",
+        ),
+        (Place::Serial(_), Some(_), _) => refused(
+            path.then("drive"),
+            "is for an axis on a CAN bus, not on a serial line",
+        ),
+    }
+}
+
+fn check_emulator(path: &Path, axis: &Axis, place: Place<'_>, model: Limits, home: f64) -> Checked {
+    let Emulator {
+        start,
+        vendor,
+        revision,
+        counts_per_revolution,
+        rated_torque,
+        address,
+        protocol,
+        ..
+    } = axis.emulator;
+    let of_drives = [
+        ("vendor", vendor.is_some()),
+        ("revision", revision.is_some()),
+        ("counts_per_revolution", counts_per_revolution.is_some()),
+        ("rated_torque", rated_torque.is_some()),
+    ];
+    match place {
+        Place::Bus(_) => {
+            let because = "on a CAN bus: it is of serial lines";
+            no_effect(&path.then("address"), address.is_some(), because)?;
+            no_effect(&path.then("protocol"), protocol.is_some(), because)?;
+        }
+        Place::Serial(serial) => {
+            for (key, given) in of_drives {
+                no_effect(
+                    &path.then(key),
+                    given,
+                    "on a serial line: it is of drives on CAN",
+                )?;
+            }
+            let spoken = protocol.unwrap_or(serial.protocol);
+            let given = address.is_some() && spoken == Protocol::HiMoxa;
+            let because = "with protocol = \"hi-moxa\", which has no addresses";
+            no_effect(&path.then("address"), given, because)?;
+        }
+    }
+    if let Some(start) = start {
+        let range = if homing::is_endless(model) {
+            let of = "rad of the motor: 1000 rad from home";
+            Range::new(home - FARTHEST_START, home + FARTHEST_START, of)
+        } else {
+            // The emulated limit switches lie beyond the travel.
+            let of = "rad of the motor: its travel and half a turn beyond";
+            Range::new(model.low - PI, model.high + PI, of)
+        };
+        within(&path.then("start"), start, range)?;
+    }
+    if let Some(counts) = counts_per_revolution {
+        check_counts(path, counts)?;
+    }
+    let torque = Range::new(1e-6, STRONGEST, "N·m");
+    rated_torque.map_or(Ok(()), |rated| {
+        within(&path.then("rated_torque"), rated, torque)
+    })
+}
+
+fn check_drive(path: &Path, period: Duration, drive: &Drive, axis: &Axis) -> Checked {
+    // The unit of object 0x6076 is 1 mN·m, of maxon's 1 µN·m.
+    let torque = Range::new(1e-3, STRONGEST, "N·m");
+    within(&path.then("rated_torque"), drive.rated_torque, torque)?;
+    if let Some(dcf) = &drive.dcf {
+        buses::text(&path.then("dcf"), dcf)?;
+    }
+    position_loop::check_drive(&path.then("loop"), period, drive, axis)?;
+    for (number, parameter) in drive.parameter.iter().enumerate() {
+        let path = path.then("parameter").then(number);
+        if let Some(found) = reserved(drive.vendor, parameter.index, parameter.subindex) {
+            return refused(path.then("index"), found.to_string());
+        }
+        if !matches!(parameter.bytes, 1 | 2 | 4) {
+            let (value, expected) = (f64::from(parameter.bytes), "1, 2 or 4");
+            return Err((path.then("bytes"), Problem::NoneOf { value, expected }));
+        }
+        // As an unsigned number, or as the two's complement of a signed one.
+        let unused = 32 - 8 * u32::from(parameter.bytes);
+        let value = parameter.value;
+        let extended = ((value << unused) as i32 >> unused) as u32;
+        if value << unused >> unused != value && extended != value {
+            let bytes = parameter.bytes;
+            let why = format!("is {value:#x}, more than {bytes} bytes hold");
+            return refused(path.then("value"), why);
+        }
+    }
+    Ok(())
+}
+
+fn check_counts(path: &Path, counts: u32) -> Checked {
+    let range = Range::new(4.0, 1e7, "quadrature counts");
+    within(
+        &path.then("counts_per_revolution"),
+        f64::from(counts),
+        range,
+    )
+}
+
+fn check_controller(
+    path: &Path,
+    period: Duration,
+    controller: &AxisController,
+    serial: &Serial,
+    axis: &Axis,
+) -> Checked {
+    buses::text(&path.then("line"), &controller.line)?;
+    let constant = Range::new(1e-4, STRONGEST, "N·m/A");
+    within(
+        &path.then("torque_constant"),
+        controller.torque_constant,
+        constant,
+    )?;
+    // The telegrams hold 16 bits of milliamperes.
+    let current = Range::new(1e-3, 32.767, "A");
+    within(&path.then("max_current"), controller.max_current, current)?;
+    position_loop::check_controller(&path.then("loop"), period, controller, axis)?;
+    let plausible = [
+        (
+            "plausible_velocity",
+            controller.plausible_velocity,
+            (axis.max_velocity, "rad/s; max_velocity at the least"),
+        ),
+        (
+            "plausible_acceleration",
+            controller.plausible_acceleration,
+            (
+                axis.max_acceleration,
+                "rad/s²; max_acceleration at the least",
+            ),
+        ),
+    ];
+    for (key, given, (least, of)) in plausible {
+        let value = given.unwrap_or(least);
+        within(&path.then(key), value, Range::new(least, 1e9, of))?;
+    }
+    match (controller.control, serial.protocol, axis.emulator.plant) {
+        (Control::Current, Protocol::HiMoxa, _) => refused(
+            path.then("control"),
+            "is current, which the older protocol's axis controllers do not follow: use pwm",
+        ),
+        (Control::Pwm, _, Plant::Wut) => refused(
+            path.then("control"),
+            "is pwm, which the emulator's plant wut cannot follow, having no voltage: use the \
+             physical one",
+        ),
+        _ => Ok(()),
+    }
+}

@@ -1,0 +1,310 @@
+//! From the program of a cell file to the task of an effector control process.
+
+use std::f64::consts::PI;
+use std::time::Duration;
+
+use nalgebra::{Quaternion, Translation3, UnitQuaternion};
+use servo::MAX_AXES;
+use thiserror::Error;
+
+use super::{Cell, Instruction, JointGenerator, Joints, Line, Meeting, Path, Robot};
+use controller::ecp::Task;
+use controller::generator::{
+    self, Arm, Axes, GeneratorError, JerkLimited, LineLimits, MotionLimits, Newsmooth,
+    PlannedStart, Pose, SmoothPose,
+};
+use controller::robot::{KinematicsError, Limits, Space};
+
+/// Greatest joint velocity, acceleration and jerk of generators, rad/s and so on: velocity and acceleration are
+/// those of MRROC++'s generators, the jerk reaches that acceleration in a tenth of a second.
+const JOINT_LIMITS: (f64, f64, f64) = (1.5, 7.0, 70.0);
+
+/// Share of a motor's limits that plans may use. The cubics between macrosteps need up to 5/3 of a planned
+/// acceleration, and a ball screw turns constant joint velocity into some motor acceleration.
+const PLANNED: (f64, f64) = (0.95, 0.5);
+
+/// How many joint positions the drive train is sampled at, over the range of each joint.
+const SAMPLES: usize = 32;
+
+/// Tool acceleration is reached within this time, s.
+const LINE_RISE: f64 = 0.1;
+
+/// Rotation allowed per metre of the tool's way, rad/m: a line's angular limits are its linear ones times this.
+const TURN_PER_METRE: f64 = 5.0;
+
+/// Instructions of a task before those of the program: enable and home.
+const PREAMBLE: usize = 2;
+
+/// Why a program cannot be run.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+pub enum ProgramError {
+    /// The arm cannot take the pose.
+    #[error("{0}")]
+    Kinematics(#[from] KinematicsError),
+    /// A generator refuses the motion.
+    #[error("{0}")]
+    Generator(#[from] GeneratorError),
+}
+
+impl ProgramError {
+    /// The axis it is about.
+    pub fn axis(&self) -> Option<usize> {
+        match *self {
+            Self::Kinematics(cause) | Self::Generator(GeneratorError::Path { cause, .. }) => {
+                cause.axis()
+            }
+            Self::Generator(_) => None,
+        }
+    }
+}
+
+/// The key of instruction `index` of the program of robot `robot`.
+pub fn instruction_path(robot: usize, index: usize) -> Path {
+    Path::default()
+        .then("robot")
+        .then(robot)
+        .then("program")
+        .then(index)
+}
+
+impl Cell {
+    /// The program of robot `robot` as a task: enable, home, the instructions one by one, disable.
+    ///
+    /// Every pose is looked at here, from where the instruction before it will have ended; the error comes with the
+    /// key of the instruction or the pose.
+    pub fn task(&self, robot: usize, arm: &Arm) -> Result<Task, (Path, ProgramError)> {
+        let home = self.home(robot, arm);
+        self.robot[robot].task(robot, arm, home, &self.meetings())
+    }
+}
+
+impl Robot {
+    /// How many instructions its [`task`](Cell::task) has.
+    pub fn task_len(&self) -> usize {
+        PREAMBLE + self.program.iter().map(moves).sum::<usize>() + 1
+    }
+
+    /// Which instruction of the program instruction `index` of its [`task`](Cell::task) is of; `None` for
+    /// those before and behind it.
+    pub fn instruction_of(&self, index: usize) -> Option<usize> {
+        let mut left = index.checked_sub(PREAMBLE)?;
+        self.program.iter().position(|instruction| {
+            let (mine, others) = (
+                left < moves(instruction),
+                left.saturating_sub(moves(instruction)),
+            );
+            left = others;
+            mine
+        })
+    }
+
+    fn task(
+        &self,
+        robot: usize,
+        arm: &Arm,
+        home: PlannedStart,
+        meetings: &[Meeting],
+    ) -> Result<Task, (Path, ProgramError)> {
+        let mut task = Task::new().enable().home();
+        let mut joints = arm
+            .joints(&home.motors)
+            .map_err(|error| (instruction_path(robot, 0), error.into()))?;
+        let mut start = Some(home);
+        for (index, instruction) in self.program.iter().enumerate() {
+            let key = instruction_path(robot, index);
+            let (next, end) = match instruction {
+                Instruction::Joints(motion) => {
+                    let key = key.then("joints").then("poses");
+                    self.joint_motion(arm, motion, task)
+                        .map_err(|(pose, error)| (key.then(pose), error))
+                }
+                Instruction::Line(line) => self
+                    .line(arm, line, &joints, start, task)
+                    .map_err(|error| (key.then("line"), error)),
+                Instruction::Meet(_) => {
+                    let meeting = self.meeting_at(index, meetings);
+                    let meeting = meeting.expect("a parsed cell has few enough meetings");
+                    Ok((task.meet(meeting), joints))
+                }
+            }?;
+            (task, joints) = (next, end);
+            // From the end of the first motion on, the arm is where it was sent.
+            start = start.filter(|_| matches!(instruction, Instruction::Meet(_)));
+        }
+        Ok(task.disable())
+    }
+
+    /// The error comes with the number of its pose.
+    fn joint_motion(
+        &self,
+        arm: &Arm,
+        motion: &Joints,
+        task: Task,
+    ) -> Result<(Task, Axes), (usize, ProgramError)> {
+        let poses: Vec<Axes> = motion.poses.iter().map(|pose| padded(pose)).collect();
+        for (number, pose) in poses.iter().enumerate() {
+            arm.motors(pose).map_err(|error| (number, error.into()))?;
+        }
+        let no_pose = (0, GeneratorError::NoPoses.into());
+        let end = *poses.last().ok_or(no_pose)?;
+        let limits = self.motion_limits(arm);
+        let task = match motion.generator {
+            JointGenerator::Newsmooth => {
+                let pose = |position| SmoothPose {
+                    position,
+                    velocity: [motion.velocity; MAX_AXES],
+                    acceleration: [motion.acceleration; MAX_AXES],
+                };
+                let poses = poses.into_iter().map(pose).collect();
+                Newsmooth::new(Space::Joint, arm.axes(), limits, poses)
+                    .map(|generator| task.run(generator))
+                    .map_err(|error| (0, error.into()))?
+            }
+            JointGenerator::JerkLimited => {
+                let limits = MotionLimits {
+                    max_velocity: limits.max_velocity.map(|limit| limit * motion.velocity),
+                    max_acceleration: limits
+                        .max_acceleration
+                        .map(|limit| limit * motion.acceleration),
+                    max_jerk: limits.max_jerk.map(|limit| limit * motion.acceleration),
+                };
+                let mut poses = poses.iter().enumerate();
+                poses.try_fold(task, |task, (number, pose)| {
+                    JerkLimited::new(Space::Joint, arm.axes(), limits, &[*pose])
+                        .map(|generator| match motion.duration {
+                            Some(duration) => generator.lasting(Duration::from_secs_f64(duration)),
+                            None => generator,
+                        })
+                        .map(|generator| task.run(generator))
+                        .map_err(|error| (number, error.into()))
+                })?
+            }
+        };
+        Ok((task, end))
+    }
+
+    fn line(
+        &self,
+        arm: &Arm,
+        line: &Line,
+        from: &Axes,
+        start: Option<PlannedStart>,
+        task: Task,
+    ) -> Result<(Task, Axes), ProgramError> {
+        let rotation = match line.quaternion {
+            Some([w, x, y, z]) => UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z)),
+            None => arm.forward(from)?.rotation,
+        };
+        let target = Pose::from_parts(Translation3::from(line.position), rotation);
+        let end = arm.inverse(&target, from)?;
+        let limits = LineLimits {
+            max_velocity: line.velocity,
+            max_acceleration: line.acceleration,
+            max_jerk: line.acceleration / LINE_RISE,
+            max_angular_velocity: line.velocity * TURN_PER_METRE,
+            max_angular_acceleration: line.acceleration * TURN_PER_METRE,
+            max_angular_jerk: line.acceleration * TURN_PER_METRE / LINE_RISE,
+        };
+        let generator = generator::Line::new(arm.clone(), target, limits, self.motion_limits(arm))?;
+        let generator = match start {
+            Some(start) => generator.beginning_at(start),
+            None => generator,
+        };
+        Ok((task.run(generator), end))
+    }
+
+    /// What each joint may do so that no motor is asked for more than its share.
+    ///
+    /// Several joints may turn one motor; they are slowed together.
+    pub fn motion_limits(&self, arm: &Arm) -> MotionLimits {
+        let (velocity, acceleration, jerk) = JOINT_LIMITS;
+        let mut limits = MotionLimits::uniform(velocity, acceleration, jerk);
+        let gains = steepest_gains(arm);
+        for (motor, gains) in gains.iter().enumerate().take(arm.axes()) {
+            let axis = &self.axis[motor];
+            slow(
+                &mut limits.max_velocity,
+                gains,
+                axis.max_velocity * PLANNED.0,
+            );
+            slow(
+                &mut limits.max_acceleration,
+                gains,
+                axis.max_acceleration * PLANNED.1,
+            );
+        }
+        for joint in 0..arm.axes() {
+            limits.max_jerk[joint] = jerk * limits.max_acceleration[joint] / acceleration;
+        }
+        limits
+    }
+}
+
+/// How many instructions of a task one of a program becomes.
+fn moves(instruction: &Instruction) -> usize {
+    match instruction {
+        Instruction::Joints(Joints {
+            generator: JointGenerator::JerkLimited,
+            poses,
+            ..
+        }) => poses.len(),
+        Instruction::Joints(_) | Instruction::Line(_) | Instruction::Meet(_) => 1,
+    }
+}
+
+/// Lowers the `rates` of the joints that turn a motor until their sum is within `limit`.
+fn slow(rates: &mut Axes, gains: &Axes, limit: f64) {
+    let sum: f64 = rates
+        .iter()
+        .zip(gains)
+        .map(|(rate, gain)| rate * gain)
+        .sum();
+    if sum > limit {
+        for (rate, _) in rates.iter_mut().zip(gains).filter(|(_, gain)| **gain > 0.0) {
+            *rate *= limit / sum;
+        }
+    }
+}
+
+/// The steepest |∂motor/∂joint| over the range of each joint, a row per motor.
+fn steepest_gains(arm: &Arm) -> [Axes; MAX_AXES] {
+    let mut gains = [[0.0; MAX_AXES]; MAX_AXES];
+    let Ok(home) = arm.joints(&arm.robot().home().padded()) else {
+        return gains;
+    };
+    for (joint, range) in arm.robot().joint_limits().iter().enumerate() {
+        // A joint without end has the gear of every turn within one.
+        let range = if range.is_continuous() {
+            Limits {
+                low: home[joint] - PI,
+                high: home[joint] + PI,
+            }
+        } else {
+            *range
+        };
+        let step = (range.high - range.low) / SAMPLES as f64;
+        let at = |sample: usize| {
+            let mut joints = home;
+            joints[joint] = range.low + step * sample as f64;
+            arm.motors(&joints).ok()
+        };
+        for sample in 0..SAMPLES {
+            let (Some(low), Some(high)) = (at(sample), at(sample + 1)) else {
+                continue;
+            };
+            for motor in 0..arm.axes() {
+                gains[motor][joint] = f64::max(
+                    gains[motor][joint],
+                    ((high[motor] - low[motor]) / step).abs(),
+                );
+            }
+        }
+    }
+    gains
+}
+
+fn padded(pose: &[f64]) -> Axes {
+    let mut axes = Axes::default();
+    axes[..pose.len()].copy_from_slice(pose);
+    axes
+}

@@ -1,0 +1,525 @@
+//! Whole cells: parsing, refusals, and the configurations made of them.
+
+mod bounds;
+mod families;
+mod names;
+mod shape;
+
+use super::*;
+use controller::robot::Limits;
+
+const IRB6: &str = include_str!("../../../cells/irb6.toml");
+const IRP6: &str = include_str!("../../../cells/irp6.toml");
+const TRACK: &str = include_str!("../../../cells/irp6-track.toml");
+const RNT: &str = include_str!("../../../cells/rnt.toml");
+const POLYCRANK: &str = include_str!("../../../cells/polycrank.toml");
+const LAB: &str = include_str!("../../../cells/lab.toml");
+const SERIAL: &str = include_str!("../../../cells/irb6-serial.toml");
+
+/// The line, from 1, of the first occurrence of `needle`.
+fn line_of(text: &str, needle: &str) -> usize {
+    text[..text.find(needle).expect("the needle is in the text")]
+        .matches('\n')
+        .count()
+        + 1
+}
+
+#[test]
+fn example_cells_parse_and_their_programs_can_be_built() {
+    for text in [IRB6, IRP6, TRACK, RNT, POLYCRANK, LAB] {
+        let cell = Cell::parse(text).unwrap();
+        for (number, robot) in cell.robot.iter().enumerate() {
+            let arm = robot.arm().unwrap();
+            let task = cell.task(number, &arm).unwrap();
+            assert_eq!(task.len(), robot.task_len(), "{}", cell.name);
+        }
+    }
+}
+
+#[test]
+fn a_refusal_names_line_key_and_reason() {
+    let cases: [(&str, &str, &str, &str); 34] = [
+        (
+            "node = 1",
+            "emulator = { counts_per_revolution = 3 }\nnode = 1",
+            "robot[0].axis[0].emulator.counts_per_revolution",
+            "between 4 and 10000000",
+        ),
+        (
+            "node = 1",
+            "emulator = { rated_torque = 0.0 }\nnode = 1",
+            "robot[0].axis[0].emulator.rated_torque",
+            "between 1e-6 and 4294",
+        ),
+        (
+            "method = 11",
+            "method = 12",
+            "robot[0].axis[0].homing.method",
+            "must be 37, 34,",
+        ),
+        (
+            "search_velocity = 15.0",
+            "search_velocity = 1500.0",
+            "robot[0].axis[0].homing.search_velocity",
+            "is 1500, must be between 0.7667 and 250 (rad/s of the motor",
+        ),
+        (
+            "period_us = 2000",
+            "period_us = 0",
+            "period_us",
+            "must be between 1000 and 100000 (µs)",
+        ),
+        (
+            "period_us = 2000",
+            "period_us = 2500",
+            "period_us",
+            "must be a multiple of 1000",
+        ),
+        (
+            "period_us = 2000",
+            "period_us = \"fast\"",
+            "period_us",
+            "is \"fast\", must be a whole number from 0 to 4294967295",
+        ),
+        ("period_us = 2000", "period_us = = 1", "", "extra `=`"),
+        (
+            "period_us = 2000",
+            "priod_us = 2000",
+            "priod_us",
+            "is an unknown key, must be \"name\", \"period_us\", \"macrostep\"",
+        ),
+        (
+            "macrostep = 10",
+            "macrostep = 0",
+            "macrostep",
+            "must be between 1 and 1000",
+        ),
+        (
+            "priority = 80",
+            "priority = 100",
+            "realtime.priority",
+            "must be between 1 and 99",
+        ),
+        (
+            "priority = 80",
+            "spin_share = 0.6\npriority = 80",
+            "realtime.spin_share",
+            "must be between 0 and 0.5",
+        ),
+        (
+            "priority = 80",
+            "margin_us = 401\npriority = 80",
+            "realtime.margin_us",
+            "is 401, must be between 0 and 400 (µs, spin_share of the period)",
+        ),
+        (
+            "priority = 80",
+            "cpu = 0\nscheduler = \"deadline\"",
+            "realtime.cpu",
+            "must be left out with scheduler = \"deadline\"",
+        ),
+        (
+            "priority = 80",
+            "wait = \"spin\"\npriority = 80",
+            "realtime.wait",
+            "is \"spin\", must be \"plain\" or \"hybrid\"",
+        ),
+        (
+            "bitrate_kbps = 1000",
+            "bitrate_kbps = 83",
+            "bus[0].bitrate_kbps",
+            "bit time of whole nanoseconds",
+        ),
+        (
+            "model = \"irb6\"",
+            "model = \"irp6\"",
+            "robot[0].axis",
+            "has 5 axes, must have 6",
+        ),
+        (
+            "bus = \"arm\"",
+            "bus = \"leg\"",
+            "robot[0].axis[0].bus",
+            "no bus is called \"leg\"",
+        ),
+        (
+            "node = 2",
+            "node = 1",
+            "robot[0].axis[1].node",
+            "used twice, first by robot[0].axis[0]",
+        ),
+        (
+            "node = 2",
+            "node = 127",
+            "robot[0].axis[1].node",
+            "used twice, first by the host",
+        ),
+        (
+            "node = 2",
+            "node = 128",
+            "robot[0].axis[1].node",
+            "must be between 1 and 127",
+        ),
+        (
+            "max_velocity = 250.0",
+            "max_velocity = nan",
+            "robot[0].axis[0].max_velocity",
+            "must be a finite number",
+        ),
+        (
+            "max_velocity = 250.0",
+            "max_velocity = -1.0",
+            "robot[0].axis[0].max_velocity",
+            "is -1, must be between 0.7667 and 100000 (rad/s of the motor",
+        ),
+        (
+            "max_velocity = 250.0",
+            "min_position = 5.0\nmax_position = -5.0\nmax_velocity = 1.0",
+            "robot[0].axis[0].min_position",
+            "is 5, not below the upper limit -5",
+        ),
+        (
+            "max_velocity = 250.0",
+            "min_position = 450.0\nmax_velocity = 1.0",
+            "robot[0].axis[0].min_position",
+            "is 450, not below the upper limit 450",
+        ),
+        (
+            "max_velocity = 250.0",
+            "max_position = -470.0\nmax_velocity = 1.0",
+            "robot[0].axis[0].max_position",
+            "is -470, not above the lower limit -470",
+        ),
+        (
+            "max_velocity = 250.0",
+            "min_position = -470.1\nmax_velocity = 1.0",
+            "robot[0].axis[0].min_position",
+            "is -470.1, must lie within the model's limits -470 and 450",
+        ),
+        (
+            "max_velocity = 250.0",
+            "min_position = 500.0\nmax_velocity = 1.0",
+            "robot[0].axis[0].min_position",
+            "is 500, must lie within the model's limits -470 and 450",
+        ),
+        (
+            "max_velocity = 250.0",
+            "max_position = 450.1\nmax_velocity = 1.0",
+            "robot[0].axis[0].max_position",
+            "is 450.1, must lie within the model's limits -470 and 450",
+        ),
+        (
+            "max_velocity = 250.0",
+            "max_position = -500.0\nmax_velocity = 1.0",
+            "robot[0].axis[0].max_position",
+            "is -500, must lie within the model's limits -470 and 450",
+        ),
+        (
+            "name = \"lower-arm\"",
+            "name = \"column\"",
+            "robot[0].axis[1].name",
+            "axis \"column\" is used twice, first by robot[0].axis[0]",
+        ),
+        (
+            "[[0.4, ",
+            "[[inf, ",
+            "robot[0].program[0].joints.poses[0][0]",
+            "must be a finite number",
+        ),
+        (
+            "[[0.4, ",
+            "[[",
+            "robot[0].program[0].joints.poses[0]",
+            "has 4 joint values, must have 5",
+        ),
+        (
+            "velocity = 0.2",
+            "velocity = 0.0",
+            "robot[0].program[1].line.velocity",
+            "is 0, must be between 0.0001 and 100 (m/s)",
+        ),
+    ];
+    for (good, bad, key, reason) in cases {
+        let text = IRB6.replacen(good, bad, 1);
+        let error = Cell::parse(&text).unwrap_err();
+        let shown = error.to_string();
+        assert!(shown.contains(reason), "{bad}: {shown}");
+        assert_eq!(error.key, key, "{bad}");
+        // A list stands where its first element does, all else where it was replaced.
+        let place = if key.ends_with(".axis") {
+            "[[robot.axis]]"
+        } else {
+            good
+        };
+        assert_eq!(error.line, line_of(IRB6, place), "{bad}: {shown}");
+        assert!(!shown.contains('\n'), "{bad}: {shown}");
+    }
+}
+
+#[test]
+fn a_loop_that_may_ask_for_more_current_than_the_drive_has_is_refused() {
+    // The column: 25 A at 0.105 N·m/A are 2.625 N·m.
+    for (good, bad) in [
+        ("limit = 2.1 ", "limit = 2.63 "),
+        ("max_current = 25.0", "max_current = 19.9"),
+    ] {
+        let error = Cell::parse(&SERIAL.replacen(good, bad, 1)).unwrap_err();
+        assert_eq!(error.line, line_of(SERIAL, good), "{error}");
+        let key = "robot[0].axis[0].controller.loop.law.cascade.limit";
+        assert_eq!(error.key, key);
+        assert!(error.to_string().contains("max_current * torque_constant"));
+    }
+    assert!(Cell::parse(&SERIAL.replacen("limit = 2.1 ", "limit = 2.625 ", 1)).is_ok());
+    assert!(Cell::parse(SERIAL).is_ok());
+}
+
+#[test]
+fn a_drive_by_velocity_or_torque_has_a_loop_that_suits_it_and_no_other_has_one() {
+    let velocity = "{ proportional = { position_gain = 50.0, limit = 280.0 } }";
+    let cascade = "{ cascade = { position_gain = 17.0, velocity_gain = 0.04, integral_rate = 7.0, limit = 2.0 } }";
+    let over = "{ proportional = { position_gain = 50.0, limit = 301.0 } }";
+    let strong = "{ cascade = { position_gain = 17.0, velocity_gain = 0.04, integral_rate = 7.0, limit = 13.5 } }";
+    let cases = [
+        ("velocity", Some(velocity), ""),
+        ("velocity", Some(cascade), ""),
+        ("torque", Some(cascade), ""),
+        ("position", None, ""),
+        ("position", Some(cascade), "loop: is for control"),
+        ("velocity", None, "loop: is missing"),
+        ("torque", None, "loop: is missing"),
+        (
+            "torque",
+            Some(velocity),
+            "loop.law.proportional: is for control = \"velocity\"",
+        ),
+        ("velocity", Some(over), "runaway_velocity at the most"),
+        ("torque", Some(strong), "32 * rated_torque at the most"),
+    ];
+    for (control, law, refusal) in cases {
+        let law = law.map_or(String::new(), |law| format!(", loop = {{ law = {law} }}"));
+        let drive = format!("rated_torque = 0.42, control = \"{control}\"{law} }}");
+        let parsed = Cell::parse(&IRB6.replacen("rated_torque = 0.42 }", &drive, 1));
+        match parsed {
+            Ok(cell) => {
+                assert_eq!(refusal, "", "{drive}");
+                let config = cell.robot[0].servo_config(
+                    0,
+                    0,
+                    0,
+                    Limits {
+                        low: -1.0,
+                        high: 1.0,
+                    },
+                );
+                let by_host = config.position_loop != servo::PositionLoop::Drive;
+                assert_eq!(by_host, control != "position");
+                assert_eq!(config.homing, None, "the drive homes it");
+            }
+            Err(error) => {
+                let text = error.to_string();
+                assert!(
+                    !refusal.is_empty() && text.contains(refusal),
+                    "{drive}: {text}"
+                );
+                assert_eq!(error.line, line_of(IRB6, "rated_torque"), "{text}");
+            }
+        }
+    }
+    let of_line = SERIAL.replacen(
+        "{ cascade = { position_gain = 25.0, velocity_gain = 0.043, integral_rate = 10.0, limit = 2.1 } }",
+        velocity,
+        1,
+    );
+    let text = Cell::parse(&of_line).unwrap_err().to_string();
+    assert!(
+        text.contains("proportional: is for a drive that closes"),
+        "{text}"
+    );
+}
+
+#[test]
+fn an_axis_controller_is_not_left_unheard_for_longer_than_ten_cycles() {
+    let cases = [
+        ("tolerated_missing", 0, "must be between 1 and 10 (cycles)"),
+        ("tolerated_missing", 1, ""),
+        ("tolerated_missing", 10, ""),
+        ("tolerated_missing", 11, "must be between 1 and 10 (cycles)"),
+        ("answer_timeout_ms", 1000, ""),
+        ("answer_timeout_ms", 1001, "must be between 1 and 1000 (ms)"),
+    ];
+    for (key, value, refusal) in cases {
+        let line = format!("protocol = \"nfv2\"\n{key} = {value}");
+        let parsed = Cell::parse(&SERIAL.replacen("protocol = \"nfv2\"", &line, 1));
+        match parsed {
+            Ok(_) => assert_eq!(refusal, "", "{key} = {value}"),
+            Err(error) => {
+                assert_eq!(error.key, format!("serial[0].{key}"));
+                let text = error.to_string();
+                assert!(!refusal.is_empty() && text.contains(refusal), "{text}");
+            }
+        }
+    }
+}
+
+#[test]
+fn torque_of_the_example_cell_leaves_a_tenth_to_the_overshoot_of_the_current_loops() {
+    let cell = Cell::parse(SERIAL).unwrap();
+    for axis in &cell.robot[0].axis {
+        let controller = axis.axis_controller();
+        let Law::Cascade(law) = controller.r#loop.law else {
+            panic!("{}: {:?}", axis.name, controller.r#loop);
+        };
+        let greatest = controller.max_current * controller.torque_constant;
+        if controller.control == Control::Current {
+            assert!(law.limit <= 0.9 * greatest, "{}: {}", axis.name, law.limit);
+        }
+    }
+}
+
+#[test]
+fn a_pose_that_the_arm_cannot_take_names_its_instruction() {
+    let cases = [
+        (
+            "[[0.4, -1.8,",
+            "[[0.4, -0.5,",
+            "robot[0].program[0].joints.poses[0]",
+            "axis 1",
+        ),
+        (
+            "position = [0.85, 0.0, 0.85]",
+            "position = [3.0, 0.0, 0.85]",
+            "robot[0].program[1].line",
+            "out of reach",
+        ),
+        (
+            "position = [0.85, 0.0, 0.85]",
+            "position = [0.85, 0.3, 0.85]",
+            "robot[0].program[1].line",
+            "out of the arm's plane",
+        ),
+    ];
+    for (good, bad, key, reason) in cases {
+        let text = IRB6.replacen(good, bad, 1);
+        assert_ne!(text, IRB6, "{good}");
+        let cell = Cell::parse(&text).unwrap();
+        let (found, error) = cell.task(0, &cell.robot[0].arm().unwrap()).unwrap_err();
+        assert_eq!(found.to_string(), key, "{bad}: {error}");
+        assert!(error.to_string().contains(reason), "{bad}: {error}");
+    }
+}
+
+#[test]
+fn every_motor_stays_within_its_share_when_all_joints_move_at_once() {
+    let cell = Cell::parse(IRP6).unwrap();
+    let robot = &cell.robot[0];
+    let arm = robot.arm().unwrap();
+    let limits = robot.motion_limits(&arm);
+    let home = arm.joints(&arm.robot().home().padded()).unwrap();
+    let before = arm.motors(&home).unwrap();
+    let dt = 1e-4;
+    let mut joints = home;
+    for (joint, limit) in joints.iter_mut().zip(limits.max_velocity).take(arm.axes()) {
+        *joint += limit * dt;
+    }
+    let after = arm.motors(&joints).unwrap();
+    for (motor, axis) in robot.axis.iter().enumerate() {
+        let velocity = (after[motor] - before[motor]).abs() / dt;
+        assert!(velocity <= axis.max_velocity, "motor {motor}: {velocity}");
+    }
+}
+
+#[test]
+fn each_instruction_of_a_task_is_of_one_of_the_program() {
+    let two_poses = IRB6.replacen("[[-0.5, ", "[[-0.4, -1.6, 0.0, 0.9, 1.0], [-0.5, ", 1);
+    let cell = Cell::parse(&two_poses).unwrap();
+    let robot = &cell.robot[0];
+    let expected = [None, None, Some(0), Some(1), Some(2), Some(2), None, None];
+    assert_eq!(
+        std::array::from_fn(|index| robot.instruction_of(index)),
+        expected
+    );
+    assert_eq!(robot.task_len(), 7);
+}
+
+#[test]
+fn a_model_has_one_name_and_the_axes_of_its_robot() {
+    for model in Model::ALL {
+        assert_eq!(
+            toml::Value::try_from(model).unwrap().as_str(),
+            Some(model.name())
+        );
+        let robot = model.parameters().kinematics().unwrap();
+        assert_eq!(robot.axes(), model.axes(), "{}", model.name());
+    }
+}
+
+#[test]
+fn meetings_that_cannot_be_held_are_refused_at_their_line() {
+    // Of the robots irb6, irp6-track, rnt, polycrank, gripper and conveyor, each with start, half-way and end.
+    let third = |good: &str, bad: &str, occurrence: usize| {
+        let at = LAB.match_indices(good).nth(occurrence).unwrap().0;
+        format!("{}{bad}{}", &LAB[..at], &LAB[at + good.len()..])
+    };
+    let meet = |name: &str| format!("meet = {name:?}");
+    let swapped = third(&meet("start"), &meet("tmp"), 2);
+    let swapped = swapped
+        .match_indices("meet = \"half-way\"")
+        .nth(2)
+        .map(|(at, it)| {
+            format!(
+                "{}{}{}",
+                &swapped[..at],
+                meet("start"),
+                &swapped[at + it.len()..]
+            )
+        });
+    let swapped = swapped.unwrap().replacen("\"tmp\"", "\"half-way\"", 1);
+    let cases = [
+        (
+            third(&meet("end"), &meet("END"), 1),
+            "robot[1].program[4].meet: no robot but \"irp6-track\" comes to meeting \"END\"",
+        ),
+        (
+            third(&meet("end"), &meet("start"), 5),
+            "robot[5].program[4].meet: robot \"conveyor\" comes 2 times to meeting \"start\", robot \"irb6\" 1 times",
+        ),
+        (
+            swapped,
+            "robot[0].program[0].meet: meeting \"start\" is never held: robot \"irb6\" waits for robot \"rnt\" there, \
+             which waits at \"half-way\"",
+        ),
+        (
+            LAB.replacen(
+                "[[robot.program]]",
+                "[[robot.program]]\nmeet = \"many\"\n\n",
+                1,
+            )
+            .replace(
+                "meet = \"many\"\n\n",
+                &"meet = \"many\"\n\n[[robot.program]]\n".repeat(62),
+            ),
+            "robot[0].program[66].meet: is one of 65 meetings of the robot, which may have 64",
+        ),
+        (
+            third("duration = 6.0", "duration = 0.0", 0),
+            "robot[0].program[1].joints.duration: is 0, must be between 0.001",
+        ),
+        (
+            third("generator = \"jerk-limited\", duration", "duration", 0),
+            "robot[0].program[1].joints.duration: is for jerk-limited motions",
+        ),
+    ];
+    for (text, refusal) in cases {
+        let error = Cell::parse(&text).unwrap_err().to_string();
+        assert!(error.contains(refusal), "{error}");
+        let key = refusal
+            .split(": ")
+            .next()
+            .unwrap()
+            .rsplit('.')
+            .next()
+            .unwrap();
+        let line: usize = error.split(':').next().unwrap().parse().unwrap();
+        assert!(text.lines().nth(line - 1).unwrap().contains(key), "{error}");
+    }
+}

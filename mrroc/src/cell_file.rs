@@ -1,0 +1,126 @@
+//! A cell file that was read and checked, with the device configuration files it names; what its programs ask for is not
+//! yet looked at.
+
+use std::path::{Path, PathBuf};
+
+use crate::cell::{self, Cell, CellError};
+use anyhow::{Context, anyhow};
+use controller::generator::Arm;
+use drive::cia402::Identity;
+
+use crate::bench::interfaces::Interface;
+use crate::configuration::Configuration;
+use crate::input;
+
+/// A cell with the arms of its robots, and the text it came from.
+pub struct CellFile {
+    /// Path of the file.
+    pub path: PathBuf,
+    /// Text of the file.
+    pub text: String,
+    /// The cell.
+    pub cell: Cell,
+    /// One per robot.
+    pub arms: Vec<Arm>,
+    /// Of each axis of each robot that has a device configuration file.
+    configurations: Vec<Vec<Option<Configuration>>>,
+}
+
+impl CellFile {
+    /// Reads and checks a cell file. What its programs ask for is not looked at: that is a rehearsal's work.
+    pub fn read(path: &Path) -> anyhow::Result<Self> {
+        let bytes = input::read(path, cell::LARGEST);
+        let bytes = bytes.with_context(|| path.display().to_string())?;
+        let text = Cell::text(&bytes).map_err(|error| refusal(path, &error))?;
+        let text = text.to_owned();
+        let cell = Cell::parse(&text).map_err(|error| refusal(path, &error))?;
+        let arm = |robot| cell.arm(robot);
+        let arms = (0..cell.robot.len()).map(arm);
+        let arms = arms.collect::<Result<_, _>>();
+        let arms = arms.expect("a parsed cell has sound parameters");
+        let mut file = Self {
+            path: path.to_owned(),
+            text,
+            cell,
+            arms,
+            configurations: Vec::new(),
+        };
+        file.check_interfaces()?;
+        for robot in 0..file.cell.robot.len() {
+            let axes = 0..file.cell.robot[robot].axis.len();
+            let read = axes.map(|axis| Configuration::read(&file, robot, axis));
+            let read = read.collect::<anyhow::Result<_>>()?;
+            file.configurations.push(read);
+        }
+        Ok(file)
+    }
+
+    /// Each bus is on an interface of its own, and one that can be.
+    fn check_interfaces(&self) -> anyhow::Result<()> {
+        let mut taken = Vec::new();
+        for (index, bus) in self.cell.bus.iter().enumerate() {
+            let interface = Interface::parse(&bus.interface);
+            let problem = match interface.check() {
+                Err(problem) => Some(problem.to_string()),
+                Ok(()) if matches!(interface, Interface::Epos { .. }) => Some(format!(
+                    "{interface} is the service port of a drive, which is no CAN bus"
+                )),
+                Ok(()) => (taken.iter().position(|other| *other == interface))
+                    .map(|first| format!("{interface} is that of bus[{first}]: give each its own")),
+            };
+            if let Some(problem) = problem {
+                let key = cell::Path::default().then("bus").then(index);
+                return Err(self.refuse(&key.then("interface"), problem));
+            }
+            taken.push(interface);
+        }
+        Ok(())
+    }
+
+    /// The device configuration of axis `axis` of robot `robot`, if it has one.
+    pub fn configuration(&self, robot: usize, axis: usize) -> Option<&Configuration> {
+        self.configurations[robot][axis].as_ref()
+    }
+
+    /// The device configuration files of all axes that have one.
+    pub fn configuration_files(&self) -> impl Iterator<Item = &Path> {
+        let configurations = self.configurations.iter().flatten().flatten();
+        configurations.map(|configuration| configuration.path.as_path())
+    }
+
+    /// Who the drive of an axis must be: by the cell, and by its device configuration file where the cell does not say.
+    pub fn identity(&self, robot: usize, axis: usize) -> Identity {
+        let drive = self.cell.robot[robot].axis[axis].cia402();
+        let configured = self.configuration(robot, axis);
+        let configured = |of: fn(&Configuration) -> Option<u32>| configured.and_then(of);
+        Identity {
+            vendor: drive.vendor,
+            product: drive.product.or(configured(|dcf| dcf.product)),
+            revision: drive.revision.or(configured(|dcf| dcf.revision)),
+        }
+    }
+
+    /// The error of the value at `key`, with its line. An axis that it numbers is called by its name.
+    pub fn refuse(&self, key: &cell::Path, problem: impl std::fmt::Display) -> anyhow::Error {
+        let robot = key.robot().and_then(|robot| self.cell.robot.get(robot));
+        let problem = match robot {
+            Some(robot) => robot.naming_axes(problem),
+            None => problem.to_string(),
+        };
+        refusal(&self.path, &CellError::at(&self.text, key, problem))
+    }
+
+    /// What reports call axis `axis` of robot `robot`.
+    pub fn axis_name(&self, robot: usize, axis: usize) -> String {
+        let robot = &self.cell.robot[robot];
+        if self.cell.robot.len() == 1 {
+            robot.axis[axis].name.clone()
+        } else {
+            format!("{}.{}", robot.name, robot.axis[axis].name)
+        }
+    }
+}
+
+fn refusal(path: &Path, error: &CellError) -> anyhow::Error {
+    anyhow!("{}:{error}", path.display())
+}

@@ -1,0 +1,181 @@
+//! The check of a cell: everything that a run would refuse, found before anything moves.
+
+use std::fmt;
+
+use can::Port;
+use serde::Serialize;
+use serial::{Line, VirtualLine};
+use servo::Servo;
+
+use crate::bench::emulation::{self, Emulation, HostEnds};
+use crate::budget::{self, Bundle, BusBudget};
+use crate::cell::printable;
+use crate::cell_file::CellFile;
+use crate::programs::Programs;
+use crate::tasks::MakeTasks;
+use crate::{rehearsal, setup};
+
+/// The result of a check that found nothing wrong.
+#[derive(Debug, Serialize)]
+pub struct CheckReport {
+    cell: String,
+    period_us: u32,
+    robots: Vec<CheckedRobot>,
+    /// How long the tasks take without homing, s.
+    program_s: f64,
+    buses: Vec<BusBudget>,
+    /// What the emulated axes cannot do of what the cell asks for; real robots may be wired otherwise.
+    pub problems: Vec<String>,
+}
+
+#[derive(Debug, Serialize)]
+struct CheckedRobot {
+    name: String,
+    axes: usize,
+    instructions: usize,
+    configurations: Vec<CheckedConfiguration>,
+}
+
+/// What a device configuration file asks for.
+#[derive(Debug, Serialize)]
+struct CheckedConfiguration {
+    axis: String,
+    file: String,
+    writes: usize,
+    /// Values that the file only notes.
+    left_out: usize,
+}
+
+/// Checks a cell with its tasks: rehearses the tasks, computes the load of the buses, and makes all that a run
+/// consists of.
+pub fn check(file: &CellFile, tasks: &MakeTasks) -> anyhow::Result<CheckReport> {
+    let buses = budget::check(file)?;
+    let program = rehearsal::rehearse(file, tasks)?;
+    assemble(file, tasks)?;
+    let robots = file.cell.robot.iter().enumerate();
+    let robots = robots.map(|(number, robot)| CheckedRobot {
+        name: robot.name.clone(),
+        axes: robot.axis.len(),
+        instructions: robot.program.len(),
+        configurations: configurations(file, number),
+    });
+    Ok(CheckReport {
+        cell: file.cell.name.clone(),
+        period_us: file.cell.period_us,
+        robots: robots.collect(),
+        program_s: program.as_secs_f64(),
+        buses,
+        problems: emulation::problems(file)
+            .map(|problem| problem.to_string())
+            .collect(),
+    })
+}
+
+/// Makes everything that a run on emulated drives consists of, with the functions of the run.
+fn assemble(file: &CellFile, tasks: &MakeTasks) -> anyhow::Result<()> {
+    let (_, HostEnds { ports, lines, .. }) = Emulation::of(file);
+    let ports = ports
+        .into_iter()
+        .map(|port| Box::new(port) as Box<dyn Port>);
+    let boxed = |lines: Vec<VirtualLine>| {
+        let lines = lines
+            .into_iter()
+            .map(|line| Box::new(line) as Box<dyn Line>);
+        lines.collect()
+    };
+    let lines = lines.into_iter().map(boxed).collect();
+    let groups = setup::drive_groups(file, ports.collect(), lines, None)?;
+    let (servo, links) = Servo::new(&setup::servo_config(file), groups)?;
+    Programs::new(file, tasks, links, &servo).map(|_| ())
+}
+
+fn configurations(file: &CellFile, robot: usize) -> Vec<CheckedConfiguration> {
+    let axes = file.cell.robot[robot].axis.iter().enumerate();
+    let configured = axes.filter_map(|(number, axis)| {
+        let configuration = file.configuration(robot, number)?;
+        Some(CheckedConfiguration {
+            axis: axis.name.clone(),
+            file: printable(&configuration.path.display().to_string()),
+            writes: configuration.download.writes.len(),
+            left_out: configuration.download.left_out,
+        })
+    });
+    configured.collect()
+}
+
+impl fmt::Display for CheckReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for robot in &self.robots {
+            writeln!(
+                f,
+                "robot {}: {} axes, {} instructions",
+                robot.name, robot.axes, robot.instructions
+            )?;
+            for configured in &robot.configurations {
+                writeln!(
+                    f,
+                    "  axis {}: {} asks for {} writes and notes {} values more",
+                    configured.axis, configured.file, configured.writes, configured.left_out
+                )?;
+            }
+        }
+        writeln!(f, "programs take {:.1} s after homing", self.program_s)?;
+        for bus in &self.buses {
+            self.write_bus(f, bus)?;
+        }
+        writeln!(f, "\n{} is ready", self.cell)
+    }
+}
+
+impl CheckReport {
+    fn write_bus(&self, f: &mut fmt::Formatter<'_>, bus: &BusBudget) -> fmt::Result {
+        let (load, worst) = (bus.load_percent, bus.worst_case_percent);
+        match &bus.serial {
+            None => writeln!(
+                f,
+                "\nbus {}: load {load:.1} %, the last frame of a cycle has left after {worst:.1} % of {} µs at the worst",
+                bus.name, self.period_us
+            )?,
+            Some(Bundle {
+                protocol,
+                baud,
+                lines,
+            }) => {
+                writeln!(
+                    f,
+                    "\nserial bundle {}: {} at {baud} bit/s, load {load:.1} % of each line, the answer has come after \
+                     {worst:.1} % of {} µs at the worst",
+                    bus.name,
+                    protocol.name(),
+                    self.period_us
+                )?;
+                for budget::Line {
+                    axis,
+                    line,
+                    address,
+                } in lines
+                {
+                    let address =
+                        address.map_or(String::new(), |address| format!(", address {address}"));
+                    writeln!(f, "  axis {axis}: {line}{address}")?;
+                }
+            }
+        }
+        writeln!(
+            f,
+            "  {:16} {:>6} {:>5} {:>10} {:>11}",
+            "frame", "id", "bytes", "every µs", "response µs"
+        )?;
+        let shown = |value: Option<String>| value.unwrap_or("-".to_owned());
+        for message in &bus.messages {
+            let response = shown(message.response_us.map(|response| response.to_string()));
+            let id = shown(message.cob_id.map(|id| format!("{id:#x}")));
+            writeln!(
+                f,
+                "  {:16} {id:>6} {:>5} {:>10} {response:>11}",
+                message.what, message.bytes, message.period_us
+            )?;
+        }
+        Ok(())
+    }
+}

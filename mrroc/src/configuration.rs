@@ -1,0 +1,188 @@
+//! The device configuration file (DCF of CiA 306) of an axis, checked against the cell.
+
+use std::path::PathBuf;
+
+use crate::cell::Path;
+use anyhow::{Context, anyhow};
+use canopen::dcf::{self, Download};
+use canopen::eds::Eds;
+use canopen::objects::{PRODUCT_CODE, REVISION, VENDOR_ID};
+use canopen::sdo::CAPACITY;
+use canopen::{NodeId, Object};
+use drive::cia402::{Setting, reserved};
+
+use crate::cell_file::CellFile;
+use crate::input;
+
+/// Most values that are written to a drive before operation: each takes two exchanges of some milliseconds.
+const MOST_WRITES: usize = 4096;
+
+/// What a device configuration file asks for, and of which drive.
+pub struct Configuration {
+    pub path: PathBuf,
+    pub product: Option<u32>,
+    pub revision: Option<u32>,
+    pub download: Download,
+}
+
+impl Configuration {
+    /// Reads the file of an axis, if the cell names one.
+    pub fn read(file: &CellFile, robot: usize, axis: usize) -> anyhow::Result<Option<Self>> {
+        let key = Path::default().then("robot").then(robot);
+        let key = key.then("axis").then(axis).then("drive").then("dcf");
+        let axis = &file.cell.robot[robot].axis[axis];
+        let Some(drive) = &axis.drive else {
+            return Ok(None);
+        };
+        let Some(name) = &drive.dcf else {
+            return Ok(None);
+        };
+        let path = file.path.parent().unwrap_or(&file.path).join(name);
+        let shown = path.display();
+        let bytes = input::read(&path, input::SHEET);
+        let bytes = bytes.map_err(|error| file.refuse(&key, format_args!("{shown}: {error}")))?;
+        let dcf = Eds::read(&bytes).map_err(|error| anyhow!("{shown}:{error}"))?;
+
+        let place = dcf.commissioning.as_ref();
+        let node = place.and_then(|place| place.node);
+        if let Some(node) = node.filter(|node| node.raw() != axis.node) {
+            let problem = format_args!("{shown} is of node {node}, the axis of node {}", axis.node);
+            return Err(file.refuse(&key, problem));
+        }
+        let bus = file.cell.bus.iter().find(|bus| bus.name == axis.bus);
+        let bitrate = bus.expect("a parsed cell has the bus").bitrate_kbps;
+        let rate = place.and_then(|place| place.baud_rate).map(u32::from);
+        if let Some(rate) = rate.filter(|rate| *rate != bitrate) {
+            let problem = format_args!("{shown} is for {rate} kbit/s, the bus has {bitrate}");
+            return Err(file.refuse(&key, problem));
+        }
+        let identity = [
+            (VENDOR_ID, Some(drive.vendor)),
+            (PRODUCT_CODE, drive.product),
+            (REVISION, drive.revision),
+        ];
+        for (object, expected) in identity {
+            let stated = dcf.identity(object.subindex);
+            if let (Some(stated), Some(expected)) = (stated, expected)
+                && stated != expected
+            {
+                let name = object.name().unwrap_or("identity");
+                let problem = format_args!(
+                    "{shown} is of {name} {stated:#010x} ({object}), the cell says {expected:#010x}"
+                );
+                return Err(file.refuse(&key, problem));
+            }
+        }
+
+        let node = NodeId::new(axis.node).context("a parsed cell has valid node-IDs")?;
+        let download = dcf::download(&dcf, node).map_err(|error| anyhow!("{shown}:{error}"))?;
+        if download.writes.is_empty() {
+            let problem = format_args!("{shown} asks for no write: it has no ParameterValue");
+            return Err(file.refuse(&key, problem));
+        }
+        check_reserved(&download, drive.vendor)
+            .map_err(|(line, problem)| anyhow!("{shown}:{line}: {problem}"))?;
+        if download.writes.len() > MOST_WRITES {
+            let writes = download.writes.len();
+            let problem = format_args!(
+                "{shown} asks for {writes} writes, more than the {MOST_WRITES} that a drive may be given"
+            );
+            return Err(file.refuse(&key, problem));
+        }
+        for write in &download.writes {
+            let (line, object, size) = (write.line, write.object, write.data.len());
+            if size > CAPACITY {
+                return Err(anyhow!(
+                    "{shown}:{line}: {object} takes {size} bytes, at most {CAPACITY} are transferred"
+                ));
+            }
+        }
+        check_scale(&download, drive.counts_per_revolution)
+            .map_err(|(line, problem)| anyhow!("{shown}:{line}: {problem}"))?;
+        Ok(Some(Self {
+            product: dcf.identity(PRODUCT_CODE.subindex),
+            revision: dcf.identity(REVISION.subindex),
+            path,
+            download,
+        }))
+    }
+
+    /// The writes, for the drive group.
+    pub fn settings(&self) -> Vec<Setting> {
+        let setting = |write: &dcf::ObjectWrite| Setting {
+            index: write.object.index,
+            subindex: write.object.subindex,
+            data: write.data.clone(),
+            readable: write.readable,
+        };
+        self.download.writes.iter().map(setting).collect()
+    }
+}
+
+/// Refuses values for objects that belong to the driver: the line of the first, what it is, and the lines of the others.
+fn check_reserved(download: &Download, vendor: u32) -> Result<(), (u32, String)> {
+    let mut found: Vec<_> = download
+        .writes
+        .iter()
+        .filter_map(|write| {
+            let Object { index, subindex } = write.object;
+            Some((write.line, reserved(vendor, index, subindex)?))
+        })
+        .collect();
+    found.sort_by_key(|(line, _)| *line);
+    // One line of a PDO leads to several writes.
+    found.dedup_by_key(|(line, _)| *line);
+    let Some(((line, first), others)) = found.split_first() else {
+        return Ok(());
+    };
+    let mut problem = format!(
+        "{first}; remove its ParameterValue, or set bit 0 of its ObjFlags to keep it as a note"
+    );
+    if !others.is_empty() {
+        let lines: Vec<_> = others.iter().map(|(line, _)| line.to_string()).collect();
+        let lines = lines.join(", ");
+        problem += &format!(
+            "; the same holds for {} further lines: {lines}",
+            others.len()
+        );
+    }
+    Err((*line, problem))
+}
+
+/// The cell counts at the motor shaft, and so must a drive whose scale is written: by its feed constant (0x6092), or by
+/// its encoder (0x608F) where that is not written, and its gear ratio (0x6091), each a ratio of its sub-indices 1 and 2.
+/// Else the line and what is wrong.
+fn check_scale(download: &Download, counts: u32) -> Result<(), (u32, String)> {
+    let ratio = |index: u16| {
+        let written = |subindex: u8| {
+            let mut writes = download.writes.iter();
+            let write =
+                writes.find(|it| it.object.index == index && it.object.subindex == subindex)?;
+            let value = <[u8; 4]>::try_from(write.data.as_slice()).ok()?;
+            Some((write.line, u32::from_le_bytes(value)))
+        };
+        let (line, above) = written(1).or(written(2).map(|(line, _)| (line, 1)))?;
+        Some((line, above, written(2).map_or(1, |(_, below)| below)))
+    };
+    let mut scales = vec![
+        (0x6091, "motor revolutions per shaft revolution", 1),
+        (0x6092, "position units per shaft revolution", counts),
+    ];
+    if ratio(0x6092).is_none() {
+        scales.push((0x608F, "counts per revolution", counts));
+    }
+    for (index, what, expected) in scales {
+        let Some((line, above, below)) = ratio(index) else {
+            continue;
+        };
+        if u64::from(above) != u64::from(expected) * u64::from(below) {
+            let ratio = match below {
+                1 => above.to_string(),
+                _ => format!("{above}/{below}"),
+            };
+            let problem = format!("{index:#06x} sets {ratio} {what}, the cell says {expected}");
+            return Err((line, problem));
+        }
+    }
+    Ok(())
+}

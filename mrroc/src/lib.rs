@@ -1,0 +1,79 @@
+//! The library of robot programs: cell files, benches, runs and their results.
+//!
+//! A program reads a [cell file](cell_file::CellFile), gives each robot a [task](prelude::Task) made of
+//! [generators](controller::generator), and runs the tasks on a [bench](bench::BenchKind):
+//!
+//! ```
+//! use mrroc::prelude::*;
+//!
+//! let cell = CellFile::read("../cells/irb6.toml")?;
+//! let tasks = |cell: &CellFile| Tasks::new(cell).give("irb6", Task::new().enable().home().disable());
+//! let report = mrroc::run(&cell, BenchKind::Lockstep, &tasks)?;
+//! assert_eq!(report.outcome, Outcome::Completed);
+//! # Ok::<(), mrroc::Error>(())
+//! ```
+//!
+//! [`program`] is the `main` of such a program, with all options of `mrroc run`.
+
+pub mod bench;
+pub mod budget;
+pub mod cell;
+pub mod cell_file;
+pub mod check;
+mod configuration;
+pub mod input;
+mod motions;
+pub mod outputs;
+mod program;
+mod programs;
+pub mod rehearsal;
+pub mod report;
+pub mod run;
+pub mod setup;
+pub mod signals;
+pub mod spikes;
+pub mod streams;
+mod tasks;
+mod trace;
+pub mod warning_report;
+pub mod wire;
+
+pub use check::check;
+pub use motions::Motions;
+pub use program::{ProgramOptions, program, run_program};
+pub use tasks::{MakeTasks, Tasks};
+
+use bench::BenchKind;
+use cell_file::CellFile;
+use report::RunReport;
+use run::{Requests, RunOptions};
+
+/// Why a cell or a program was refused, in words.
+pub type Error = anyhow::Error;
+
+/// Rehearses `tasks`, runs them on `bench` and returns the report. Moves hardware on [`BenchKind::Card`].
+///
+/// No signal is caught: a process that ends by a signal leaves its drives to their own watchdogs. [`program`] and
+/// [`run::run`] with [`Requests`] brake first.
+pub fn run(cell: &CellFile, bench: BenchKind, tasks: &MakeTasks) -> Result<RunReport, Error> {
+    let options = RunOptions::on(bench);
+    run::run(cell, &options, &Requests::default(), tasks, &mut |_| {})
+}
+
+/// What a robot program needs, in one `use`.
+pub mod prelude {
+    pub use std::process::ExitCode;
+    pub use std::time::Duration;
+
+    pub use controller::ecp::Task;
+    pub use controller::generator::{
+        AxesState, EffectorImage, Generator, GeneratorError, JerkLimited, Line, LineLimits,
+        MotionLimits, Newsmooth, Next, Pose, Setpoint, SmoothPose, Wait,
+    };
+
+    pub use crate::bench::BenchKind;
+    pub use crate::cell_file::CellFile;
+    pub use crate::motions::Motions;
+    pub use crate::report::{Outcome, RunReport};
+    pub use crate::tasks::Tasks;
+}

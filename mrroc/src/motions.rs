@@ -1,0 +1,64 @@
+//! Motions of one robot of a cell, within the limits of its axes.
+
+use anyhow::{Context, bail};
+use controller::generator::{Arm, Axes, MotionLimits, Newsmooth, SmoothPose};
+use controller::robot::Space;
+use servo::MAX_AXES;
+
+use crate::cell_file::CellFile;
+
+/// Makes generators for one robot of a cell.
+#[derive(Clone, Debug)]
+pub struct Motions {
+    arm: Arm,
+    limits: MotionLimits,
+}
+
+impl Motions {
+    /// Motions of the robot called `name`. Refuses a name that the cell does not have.
+    pub fn of(cell: &CellFile, name: &str) -> anyhow::Result<Self> {
+        let mut robots = cell.cell.robot.iter();
+        let Some(robot) = robots.position(|robot| robot.name == name) else {
+            bail!("{}: the cell has no robot {name:?}", cell.path.display());
+        };
+        let arm = cell.arms[robot].clone();
+        let limits = cell.cell.robot[robot].motion_limits(&arm);
+        Ok(Self { arm, limits })
+    }
+
+    /// Kinematics, drive train and tool of the robot.
+    pub fn arm(&self) -> &Arm {
+        &self.arm
+    }
+
+    /// Limits of the joints: what the motors can do, rad or m and s.
+    pub fn limits(&self) -> MotionLimits {
+        self.limits
+    }
+
+    /// A synchronised trapezoid through joint positions, rad (m for a linear joint).
+    ///
+    /// `share` is the part of the limits of velocity and acceleration that the motion uses, above 0 and at most 1.
+    pub fn joints<const AXES: usize>(
+        &self,
+        share: f64,
+        poses: &[[f64; AXES]],
+    ) -> anyhow::Result<Newsmooth> {
+        let axes = self.arm.axes();
+        if AXES != axes {
+            bail!("a pose has {AXES} joints, and the robot has {axes}");
+        }
+        let pose = |pose: &[f64; AXES]| {
+            let mut position = Axes::default();
+            position[..AXES].copy_from_slice(pose);
+            SmoothPose {
+                position,
+                velocity: [share; MAX_AXES],
+                acceleration: [share; MAX_AXES],
+            }
+        };
+        let poses = poses.iter().map(pose).collect();
+        let motion = Newsmooth::new(Space::Joint, axes, self.limits, poses);
+        motion.context("the joint motion cannot be planned")
+    }
+}

@@ -1,0 +1,129 @@
+//! The `main` of a robot program: arguments, signals, progress and the printed report.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::Context;
+use clap::{Args, Parser};
+use indicatif::{ProgressBar, ProgressStyle};
+use servo::Phase;
+use signal_hook::consts::SIGUSR1;
+use signal_hook::flag;
+
+use crate::cell_file::CellFile;
+use crate::report::Outcome;
+use crate::run::{Progress, Requests, RunOptions, run};
+use crate::signals::Motion;
+use crate::tasks::{MakeTasks, Tasks};
+use crate::{signals, streams};
+
+/// Options of a robot program beside its cell: the options of `mrroc run`.
+#[derive(Args, Debug)]
+pub struct ProgramOptions {
+    /// The bench and the files.
+    #[command(flatten)]
+    pub run: RunOptions,
+    /// Print one JSON object at the end.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Arguments of a robot program.
+#[derive(Parser)]
+struct Arguments {
+    /// The cell file, in place of the program's own.
+    cell: Option<PathBuf>,
+    #[command(flatten)]
+    options: ProgramOptions,
+}
+
+/// The `main` of a robot program: reads the arguments, rehearses and runs `tasks`, prints the report.
+///
+/// The arguments are those of `mrroc run`; `cell` is the cell file where none is given. Moves hardware with
+/// `--bench card`. The exit status is 0 when the tasks are done, 1 after a fault or a stop on request, and 2 if
+/// the program was refused before anything moved.
+pub fn program(cell: &str, tasks: impl Fn(&CellFile) -> anyhow::Result<Tasks> + Sync) -> ExitCode {
+    let Arguments {
+        cell: given,
+        options,
+    } = Arguments::parse();
+    let cell = given.unwrap_or_else(|| cell.into());
+    let file = CellFile::read(&cell);
+    let result = file.and_then(|file| run_program(&file, &options, &tasks));
+    result.unwrap_or_else(|refusal| {
+        streams::refuse(&refusal);
+        ExitCode::from(2)
+    })
+}
+
+/// Runs `tasks` with a progress bar and prints the report. Signals that end a process brake the robots first.
+pub fn run_program(
+    file: &CellFile,
+    options: &ProgramOptions,
+    tasks: &MakeTasks,
+) -> anyhow::Result<ExitCode> {
+    signals::block_suspension()?;
+    let requests = Requests::default();
+    flag::register(SIGUSR1, requests.spikes()).context("SIGUSR1 cannot be caught")?;
+    let (asked, motion) = (requests.clone(), Motion::on(options.run.bench));
+    signals::on_ending_of_motion(motion.clone(), move |_| asked.stop())?;
+    let mut bar = Bar::new(file, tasks(file)?.instructions() as u64, !options.json)?;
+    let report = run(file, &options.run, &requests, tasks, &mut |news| {
+        bar.show(news)
+    });
+    motion.is_over();
+    bar.finish();
+    let report = report?;
+    if let Err(error) = streams::answer(&report, options.json) {
+        // Too late to refuse: everything has moved.
+        streams::warn(format_args!(
+            "mrroc: the report cannot be printed: {error:#}"
+        ));
+        return Ok(ExitCode::from(1));
+    }
+    Ok(ExitCode::from(match report.outcome {
+        Outcome::Completed => 0,
+        Outcome::Faulted | Outcome::Stopped => 1,
+    }))
+}
+
+/// The progress bar of a run.
+struct Bar {
+    bar: ProgressBar,
+    names: Vec<String>,
+    phases: Vec<Phase>,
+}
+
+impl Bar {
+    /// A bar over every instruction of every robot, or none.
+    fn new(file: &CellFile, instructions: u64, shown: bool) -> anyhow::Result<Self> {
+        let bar = match shown {
+            true => ProgressBar::new(instructions),
+            false => ProgressBar::hidden(),
+        };
+        let style = ProgressStyle::with_template("{elapsed:>4} [{bar:30}] {pos}/{len} {msg}")?;
+        bar.set_style(style.progress_chars("=> "));
+        let names = file.cell.robot.iter().map(|robot| robot.name.clone());
+        Ok(Self {
+            bar,
+            names: names.collect(),
+            phases: vec![Phase::Off; file.cell.robot.len()],
+        })
+    }
+
+    /// Shows news of a robot.
+    fn show(&mut self, news: Progress) {
+        self.bar.inc(news.ended);
+        self.phases[news.robot] = news.phase;
+        let robots = self.names.iter().zip(&self.phases);
+        let message: Vec<_> = robots
+            .map(|(name, phase)| format!("{name}: {phase:?}"))
+            .collect();
+        self.bar.set_message(message.join(", "));
+    }
+
+    /// Takes the bar away.
+    fn finish(self) {
+        self.bar.finish_and_clear();
+    }
+}

@@ -1,0 +1,174 @@
+//! The subcontrollers of a run under way: what they report and what stops them.
+
+use can::Instant;
+use controller::ecp::{Ecp, EcpError, Subcontrollers, Task};
+use drive::Fault;
+use servo::{EffectorLink, Phase, Servo, ServoFault, StopCause, StopRequest};
+
+use crate::cell_file::CellFile;
+use crate::report::FaultReport;
+use crate::tasks::MakeTasks;
+use crate::{rehearsal, setup};
+
+/// Every task of a run. The first failure stops every robot.
+pub(crate) struct Programs<'a> {
+    file: &'a CellFile,
+    tasks: &'a MakeTasks<'a>,
+    subcontrollers: Subcontrollers,
+    /// The instruction of each task that homes its robot first.
+    homings: Vec<Option<usize>>,
+    /// The phase of each robot that was last told.
+    phases: Vec<Phase>,
+    /// Instructions of each robot that ended in this poll.
+    ended: Vec<u64>,
+    pub(crate) faults: Vec<FaultReport>,
+    stop: StopRequest,
+}
+
+/// News of one robot.
+#[derive(Clone, Copy, Debug)]
+pub struct Progress {
+    /// Index of the robot in its cell.
+    pub robot: usize,
+    /// What its effector does.
+    pub phase: Phase,
+    /// Instructions that ended since the last news.
+    pub ended: u64,
+}
+
+impl<'a> Programs<'a> {
+    /// The tasks of a cell's robots, on the `links` to `servo`.
+    pub(crate) fn new(
+        file: &'a CellFile,
+        tasks: &'a MakeTasks<'a>,
+        links: Vec<EffectorLink>,
+        servo: &Servo,
+    ) -> anyhow::Result<Self> {
+        let given = tasks(file)?;
+        let homing = |task: &Option<_>| Option::as_ref(task).and_then(Task::first_homing);
+        let robots = file.cell.robot.len();
+        Ok(Self {
+            file,
+            tasks,
+            homings: given.tasks.iter().map(homing).collect(),
+            subcontrollers: setup::subcontrollers(file, links, servo.gates(), given),
+            phases: vec![Phase::Off; robots],
+            ended: vec![0; robots],
+            faults: Vec::new(),
+            stop: servo.stop_request(),
+        })
+    }
+
+    /// Polls every process. Returns whether any has an instruction. `tell` receives news and must not wait.
+    pub(crate) fn poll(&mut self, now: Instant, mut tell: impl FnMut(Progress)) -> bool {
+        self.ended.fill(0);
+        let (file, tasks) = (self.file, self.tasks);
+        let busy = self.subcontrollers.poll(now, |robot, ecp, event| {
+            self.ended[robot] += 1;
+            let fault = match event.outcome {
+                // The cause of the stop has been reported.
+                Err(EcpError::Stopped) => None,
+                Err(error) => Some(describe(file, robot, &error)),
+                Ok(()) if self.homings[robot] == Some(event.instruction) => {
+                    refused_from_here(file, tasks, robot, ecp)
+                }
+                Ok(()) => None,
+            };
+            if let Some(fault) = fault {
+                self.stop.request();
+                self.faults.push(fault);
+                ecp.stop();
+            }
+        });
+        let news = self.subcontrollers.statuses().zip(&mut self.phases);
+        for (robot, ((status, phase), &ended)) in news.zip(&self.ended).enumerate() {
+            if ended > 0 || status.phase != *phase {
+                *phase = status.phase;
+                tell(Progress {
+                    robot,
+                    phase: status.phase,
+                    ended,
+                });
+            }
+        }
+        busy
+    }
+}
+
+/// Why a robot must not go on behind its homing instruction, if it stands anywhere but where homing leaves it: its
+/// drives kept their reference, and no rehearsal began there.
+fn refused_from_here(
+    file: &CellFile,
+    tasks: &MakeTasks,
+    robot: usize,
+    ecp: &Ecp,
+) -> Option<FaultReport> {
+    let motors = ecp.commanded()?;
+    let home = file.cell.home(robot, &file.arms[robot]);
+    if home.admits(&motors) {
+        return None;
+    }
+    let error = rehearsal::rehearse_from(file, tasks, robot, motors).err()?;
+    Some(FaultReport {
+        robot: Some(file.cell.robot[robot].name.clone()),
+        axis: None,
+        what: format!(
+            "was referenced and stands away from its home position, from where {error:#}"
+        ),
+    })
+}
+
+/// The failure of an instruction, in the words of the cell.
+fn describe(file: &CellFile, robot: usize, error: &EcpError) -> FaultReport {
+    match error {
+        EcpError::Servo(fault) => describe_fault(file, robot, fault),
+        error => FaultReport {
+            robot: Some(file.cell.robot[robot].name.clone()),
+            axis: None,
+            what: file.cell.robot[robot].naming_axes(error),
+        },
+    }
+}
+
+fn describe_fault(file: &CellFile, robot: usize, fault: &ServoFault) -> FaultReport {
+    let name = Some(file.cell.robot[robot].name.clone());
+    let axis = fault.axis.map(usize::from);
+    // Some faults are those of the bus and of every axis on it.
+    let of_bus = match fault.cause {
+        StopCause::Drive(Fault::Port(error)) => Some(error.to_string()),
+        StopCause::Drive(Fault::OtherController { sign }) => {
+            Some(format!("another controller is at work: it sent {sign}"))
+        }
+        _ => None,
+    };
+    if let Some((what, axis)) = of_bus.zip(axis) {
+        let bus = &file.cell.robot[robot].axis[axis].bus;
+        return FaultReport {
+            robot: name,
+            axis: None,
+            what: format!("bus {bus}: {what}"),
+        };
+    }
+    FaultReport {
+        robot: name,
+        axis: axis.map(|axis| file.axis_name(robot, axis)),
+        what: fault.cause.to_string(),
+    }
+}
+
+/// What the servo has latched of each robot, and that not all are without power.
+pub(crate) fn servo_faults(file: &CellFile, servo: &Servo) -> Vec<FaultReport> {
+    let robots = &file.cell.robot;
+    let latched = |robot| Some(describe_fault(file, robot, &servo.fault(robot)?));
+    let mut faults: Vec<_> = (0..robots.len()).filter_map(latched).collect();
+    if !servo.is_off() {
+        // The servo answers for all of them at once.
+        let names: Vec<_> = robots.iter().map(|robot| robot.name.as_str()).collect();
+        faults.push(FaultReport {
+            robot: Some(names.join(" or ")),
+            axis: None,
+            what: "still has power, or did not say otherwise".into(),
+        });
+    }
+    faults
+}

@@ -1,0 +1,301 @@
+//! The programs of a cell, run through the real servo and the real generators on ideal drives.
+//!
+//! The servo and the generators refuse here what they would refuse on the robot, in virtual time and before anything
+//! moves: a pose out of reach, a motion beyond a limit, a line through a singularity.
+//!
+//! A rehearsal promises a run to its end for robots that are homed first. Drives that kept their reference from an earlier
+//! run are not homed, and their robot stands anywhere: `mrroc run` then rehearses its program again from there.
+
+use std::task::Poll;
+use std::time::Duration;
+
+use anyhow::anyhow;
+use can::Instant;
+use controller::ecp::{EcpError, Subcontrollers};
+use controller::generator::{Axes, PlannedStart};
+use drive::{
+    AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Homing, Power, Setpoint,
+};
+use servo::{PositionLoop, Servo, lockstep};
+
+use crate::cell::{Path, instruction_path};
+use crate::cell_file::CellFile;
+use crate::setup;
+use crate::tasks::{MakeTasks, Tasks};
+
+/// No task is longer than this.
+const LONGEST: Duration = Duration::from_secs(24 * 3600);
+
+/// Time of a first motion that is rehearsed from beside the home position.
+const BEGINNING: Duration = Duration::from_secs(600);
+
+/// Starts beside the home position that are rehearsed.
+const STARTS: usize = 16;
+
+/// Rehearses every task and returns how long the longest takes after homing.
+///
+/// The tasks are rehearsed from the home positions first. Then the first motion of each robot is rehearsed from
+/// [`STARTS`] places beside its home position, where homing may leave the arm. Each first motion ends at the place that it
+/// names, so that all motions after it are the same in every run.
+pub fn rehearse(file: &CellFile, tasks: &MakeTasks) -> anyhow::Result<Duration> {
+    let homes = homes(file);
+    let motors: Vec<_> = homes.iter().map(|home| home.motors).collect();
+    let duration = Rehearsal::of(file, tasks(file)?, &motors)?.run(Extent::Tasks)?;
+    for number in 0..STARTS {
+        let starts: Vec<_> = homes.iter().map(|home| beside(home, number)).collect();
+        Rehearsal::of(file, tasks(file)?, &starts)?.run(Extent::FirstMotions)?;
+    }
+    Ok(duration)
+}
+
+/// Rehearses every task with robot `robot` at these motor positions, rad, and the others at home.
+pub(crate) fn rehearse_from(
+    file: &CellFile,
+    tasks: &MakeTasks,
+    robot: usize,
+    motors: Axes,
+) -> anyhow::Result<()> {
+    let mut starts: Vec<_> = homes(file).iter().map(|home| home.motors).collect();
+    starts[robot] = motors;
+    Rehearsal::of(file, tasks(file)?, &starts)?.run(Extent::Tasks)?;
+    Ok(())
+}
+
+/// The home positions of the robots.
+fn homes(file: &CellFile) -> Vec<PlannedStart> {
+    let robots = file.arms.iter().enumerate();
+    robots
+        .map(|(robot, arm)| file.cell.home(robot, arm))
+        .collect()
+}
+
+/// The motor positions of start `number` of [`STARTS`].
+///
+/// Each motor is beside its home position by its tolerance. Any three motors are so in all eight combinations of signs:
+/// an orthogonal array of strength 3. To first order a quantity has its extremes at such corners.
+fn beside(home: &PlannedStart, number: usize) -> Axes {
+    std::array::from_fn(|axis| {
+        let odd = (number & (STARTS / 2 + axis)).count_ones() % 2 == 1;
+        let distance = home.tolerance[axis];
+        home.motors[axis] + if odd { -distance } else { distance }
+    })
+}
+
+/// How much of the tasks is rehearsed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Extent {
+    /// All.
+    Tasks,
+    /// The first motion of each robot, or [`BEGINNING`] of it.
+    FirstMotions,
+}
+
+/// A rehearsal that has not begun.
+struct Rehearsal<'a> {
+    file: &'a CellFile,
+    servo: Servo,
+    subcontrollers: Subcontrollers,
+    /// Instructions of each task, and those up to its first motion.
+    lengths: Vec<[usize; 2]>,
+    /// Whether the tasks are the programs of the cell file.
+    programs: bool,
+}
+
+impl<'a> Rehearsal<'a> {
+    /// On ideal drives at these motor positions, rad, of one robot after the other.
+    fn of(file: &'a CellFile, tasks: Tasks, starts: &[Axes]) -> anyhow::Result<Self> {
+        let groups = (0..file.cell.groups().count())
+            .map(|bus| Box::new(IdealDrives::of(file, bus, starts)) as Box<dyn DriveGroup>);
+        let mut config = setup::servo_config(file);
+        // Ideal drives follow positions, and are where they should be from the start.
+        for axis in config.effectors.iter_mut().flat_map(|it| &mut it.axes) {
+            axis.position_loop = PositionLoop::Drive;
+            axis.homing = None;
+        }
+        let (servo, links) = Servo::new(&config, groups.collect())?;
+        let lengths = tasks.tasks.iter().map(|task| {
+            let task = task.as_ref();
+            let first_motion = task.and_then(|task| task.first_motion());
+            [
+                task.map_or(0, |task| task.len()),
+                first_motion.map_or(0, |first| first + 1),
+            ]
+        });
+        Ok(Self {
+            lengths: lengths.collect(),
+            programs: tasks.are_programs(),
+            subcontrollers: setup::subcontrollers(file, links, servo.gates(), tasks),
+            file,
+            servo,
+        })
+    }
+
+    /// Runs the tasks, all of them or their first motions, and returns how long that takes.
+    fn run(mut self, extent: Extent) -> anyhow::Result<Duration> {
+        let needed: Vec<_> = self
+            .lengths
+            .iter()
+            .map(|&[all, first]| if extent == Extent::Tasks { all } else { first })
+            .collect();
+        let mut ended = vec![0; needed.len()];
+        let mut failure = None;
+        let (file, programs) = (self.file, self.programs);
+        let start = lockstep::bring_up(&mut self.servo, Instant::ZERO, |_| {})
+            .expect("ideal drives come up");
+        let end = std::cell::Cell::new(start);
+        lockstep::run(
+            &mut self.servo,
+            start,
+            |now| {
+                end.set(now);
+                self.subcontrollers.poll(now, |robot, _, event| {
+                    ended[robot] = event.instruction + 1;
+                    if let Err(error) = event.outcome {
+                        failure.get_or_insert_with(|| {
+                            let refuse = if programs { of_program } else { of_task };
+                            refuse(file, robot, event.instruction, extent.refusal(&error))
+                        });
+                    }
+                });
+                let over = ended
+                    .iter()
+                    .zip(&needed)
+                    .all(|(ended, needed)| ended >= needed);
+                if failure.is_some() || over {
+                    end.set(Instant::FAR_FUTURE);
+                }
+            },
+            |_| {},
+            |_, now| end.get() == Instant::FAR_FUTURE || now.since(start) > extent.longest(),
+        );
+        match failure {
+            Some(failure) => Err(failure),
+            None if extent == Extent::Tasks && end.get() != Instant::FAR_FUTURE => {
+                let problem = format!("a program takes longer than {} h", LONGEST.as_secs() / 3600);
+                Err(file.refuse(&Path::default().then("robot"), problem))
+            }
+            None => Ok(Duration::from_nanos(self.servo.counters().cycles)
+                * self.servo.period().as_nanos() as u32),
+        }
+    }
+}
+
+/// The refusal of an instruction of the cell file's program.
+fn of_program(file: &CellFile, robot: usize, instruction: usize, why: String) -> anyhow::Error {
+    let place = file.cell.robot[robot].instruction_of(instruction);
+    let key = place.map_or_else(
+        || Path::default().then("robot").then(robot),
+        |index| instruction_path(robot, index),
+    );
+    file.refuse(&key, why)
+}
+
+/// The refusal of an instruction of a task that is in no file.
+fn of_task(file: &CellFile, robot: usize, instruction: usize, why: String) -> anyhow::Error {
+    let robot = &file.cell.robot[robot];
+    let why = robot.naming_axes(why);
+    anyhow!(
+        "robot {}: instruction {instruction} of its task: {why}",
+        robot.name
+    )
+}
+
+impl Extent {
+    fn longest(self) -> Duration {
+        match self {
+            Self::Tasks => LONGEST,
+            Self::FirstMotions => BEGINNING,
+        }
+    }
+
+    /// Why an instruction is refused.
+    fn refusal(self, error: &EcpError) -> String {
+        match self {
+            Self::Tasks => error.to_string(),
+            Self::FirstMotions => {
+                format!("{error}; from beside the home position, where homing may leave the robot")
+            }
+        }
+    }
+}
+
+/// Drives that are where they were told to be at the SYNC that told them.
+struct IdealDrives {
+    axes: Vec<IdealAxis>,
+    now: Instant,
+}
+
+#[derive(Clone, Copy)]
+struct IdealAxis {
+    /// The command of this cycle, the one that was sent and the next SYNC latches, and the one latched.
+    written: AxisCommand,
+    sent: AxisCommand,
+    latched: AxisCommand,
+    /// Where the motor was when the last SYNC sampled it.
+    position: f64,
+}
+
+impl IdealDrives {
+    fn of(file: &CellFile, bus: usize, starts: &[Axes]) -> Self {
+        let off = AxisCommand::Off;
+        let axis = |(robot, axis): (usize, usize)| IdealAxis {
+            written: off,
+            sent: off,
+            latched: off,
+            position: starts[robot][axis],
+        };
+        Self {
+            axes: file.cell.axes_on(bus).map(axis).collect(),
+            now: Instant::ZERO,
+        }
+    }
+}
+
+impl DriveGroup for IdealDrives {
+    fn axes(&self) -> usize {
+        self.axes.len()
+    }
+
+    fn delay(&self) -> usize {
+        2
+    }
+
+    fn bring_up(&mut self, _: Instant) -> Poll<Result<(), BringUpError>> {
+        Poll::Ready(Ok(()))
+    }
+
+    fn read(&mut self, _: Instant, states: &mut [AxisState]) {
+        for (axis, state) in self.axes.iter().zip(states) {
+            let on = !matches!(axis.latched, AxisCommand::Off | AxisCommand::ResetFault);
+            *state = AxisState {
+                at: self.now,
+                position: axis.position,
+                power: if on { Power::On } else { Power::Off },
+                homing: Homing::Attained,
+                following: on,
+                ..AxisState::default()
+            };
+        }
+    }
+
+    fn write(&mut self, _: Instant, commands: &[AxisCommand]) {
+        for (axis, command) in self.axes.iter_mut().zip(commands) {
+            axis.written = *command;
+        }
+    }
+
+    fn send(&mut self, now: Instant) -> bool {
+        self.now = now;
+        for axis in &mut self.axes {
+            axis.latched = std::mem::replace(&mut axis.sent, axis.written);
+            if let AxisCommand::Follow(Setpoint::Position(position)) = axis.latched {
+                axis.position = position.get();
+            }
+        }
+        true
+    }
+
+    fn counters(&self) -> GroupCounters {
+        GroupCounters::default()
+    }
+}

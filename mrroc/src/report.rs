@@ -1,0 +1,494 @@
+//! What a run says at its end: one JSON object, or tables for a person.
+
+use std::collections::BTreeMap;
+use std::fmt::{self, Write as _};
+use std::time::Duration;
+
+use drive::Warnings;
+use serde::Serialize;
+use servo::thread::{AccountReads, LateCycle, Spike, WaitReport};
+use servo::{Histogram, Servo, Timing};
+
+use crate::budget::BusBudget;
+use crate::cell_file::CellFile;
+use crate::warning_report::WarningReport;
+use crate::wire::WireReport;
+
+/// What a run leaves behind.
+pub struct RunEnd {
+    /// The servo, its robots switched off.
+    pub servo: Servo,
+    /// Times of the cycles.
+    pub timing: Timing,
+    /// The cycles around the latest ones.
+    pub spikes: Vec<Spike>,
+    /// Real-time requests that the host denied.
+    pub denied: Vec<String>,
+    /// Faults of the run, the first cause first.
+    pub faults: Vec<FaultReport>,
+    /// Times on the wire of each bus.
+    pub wire: Vec<WireReport>,
+    /// Time that passed in the cell.
+    pub cell_time: Duration,
+}
+
+/// The report of one run.
+#[derive(Debug, Serialize)]
+pub struct RunReport {
+    /// The cell's name.
+    pub cell: String,
+    /// The bench it ran on.
+    pub bench: &'static str,
+    /// Every axis, robot by robot.
+    pub axes: Vec<AxisReport>,
+    /// The servo cycle.
+    pub cycle: CycleReport,
+    /// Every bus.
+    pub buses: Vec<BusReport>,
+    /// Every bus on the wire; empty if nothing was heard.
+    pub wire: Vec<WireReport>,
+    /// What went wrong.
+    pub faults: Vec<FaultReport>,
+    /// Errors that drives reported without a fault.
+    pub warnings: Vec<WarningReport>,
+    /// Reports of further errors, which are counted alone.
+    pub more_warnings: u64,
+    /// What the host denied of the real-time requests.
+    pub denied: Vec<String>,
+    /// Time of the cell over time of the host: above 1 is faster than real time.
+    pub realtime_factor: f64,
+    /// How it ended.
+    pub outcome: Outcome,
+}
+
+impl RunReport {
+    /// The report of what `end` in `wall` of the host's time.
+    pub fn of(
+        file: &CellFile,
+        bench: &'static str,
+        end: RunEnd,
+        budgets: &[BusBudget],
+        wall: Duration,
+        outcome: Outcome,
+    ) -> Self {
+        let counters = end.servo.counters();
+        let robots = file.cell.robot.iter().enumerate();
+        let axes = robots.flat_map(|(robot, value)| {
+            value
+                .axis
+                .iter()
+                .zip(end.servo.tracking(robot))
+                .zip(end.servo.homing_offsets(robot))
+                .enumerate()
+                .map(move |(number, ((axis, error), homing_offset_counts))| {
+                    let counts = f64::from(axis.counts_per_revolution()) / std::f64::consts::TAU;
+                    AxisReport {
+                        name: file.axis_name(robot, number),
+                        tracking_rms_rad: error.rms(),
+                        tracking_peak_rad: error.peak(),
+                        tracking_rms_counts: error.rms() * counts,
+                        tracking_peak_counts: error.peak() * counts,
+                        homing_offset_counts,
+                    }
+                })
+        });
+        let buses =
+            end.servo
+                .group_counters()
+                .zip(budgets)
+                .enumerate()
+                .map(|(index, (group, budget))| BusReport {
+                    name: budget.name.clone(),
+                    lines: (index >= file.cell.bus.len()).then(|| file.cell.axes_on(index).count()),
+                    frames: group.port.sent + group.port.received,
+                    load_percent: 100.0 * group.port.bits as f64
+                        / (budget.bits_per_second * end.cell_time.as_secs_f64()),
+                    worst_case_percent: budget.worst_case_percent,
+                    dropped_setpoints: group.dropped_setpoints,
+                    missed_answers: group.missed_answers,
+                });
+        let groups = end.servo.warnings().enumerate();
+        let warnings = groups.flat_map(|(group, warnings)| {
+            warnings
+                .iter()
+                .map(move |warning| WarningReport::of(file, group, warning))
+        });
+        Self {
+            cell: file.cell.name.clone(),
+            bench,
+            warnings: warnings.collect(),
+            more_warnings: end.servo.warnings().map(Warnings::omitted).sum(),
+            axes: axes.collect(),
+            cycle: CycleReport {
+                period_us: file.cell.period().as_micros() as u32,
+                cycles: counters.cycles,
+                missed: counters.missed_cycles,
+                wake_us: Percentiles::from(&end.timing.wake_up),
+                sync_us: Percentiles::from(&end.timing.sync),
+                step_us: Percentiles::from(&end.timing.step),
+                bus_us: Percentiles::from(&end.timing.bus),
+                wait: WaitCost::from(end.timing.wait),
+                causes: end
+                    .timing
+                    .late
+                    .causes()
+                    .map(|(cause, count)| (cause.name(), count))
+                    .collect(),
+                worst: end.timing.late.worst().map(WorstCycle::from).collect(),
+                account: AccountReport::from(end.timing.account),
+            },
+            buses: buses.collect(),
+            wire: end.wire,
+            faults: end.faults,
+            denied: end.denied,
+            realtime_factor: end.cell_time.as_secs_f64() / wall.as_secs_f64(),
+            outcome,
+        }
+    }
+}
+
+/// One fault: whose, and what happened.
+#[derive(Debug, PartialEq, Serialize)]
+pub struct FaultReport {
+    /// The robot; absent if it is not of one.
+    pub robot: Option<String>,
+    /// The axis, as in [`AxisReport::name`]; absent if it is not of one.
+    pub axis: Option<String>,
+    /// What happened.
+    pub what: String,
+}
+
+impl FaultReport {
+    /// A fault of the run itself.
+    pub fn of_run(what: impl fmt::Display) -> Self {
+        Self {
+            robot: None,
+            axis: None,
+            what: format!("{what:#}"),
+        }
+    }
+}
+
+impl fmt::Display for FaultReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(robot) = &self.robot {
+            write!(f, "{robot}: ")?;
+        }
+        if let Some(axis) = &self.axis {
+            write!(f, "axis {axis}: ")?;
+        }
+        f.write_str(&self.what)
+    }
+}
+
+/// How a run ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Outcome {
+    /// The program end to its end.
+    Completed,
+    /// Somebody stopped it.
+    Stopped,
+    /// A fault stopped it.
+    Faulted,
+}
+
+impl fmt::Display for Outcome {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Completed => "completed",
+            Self::Stopped => "stopped on request",
+            Self::Faulted => "stopped by a fault",
+        })
+    }
+}
+
+/// One axis of the report. Errors are of the motor shaft, while moving.
+#[derive(Debug, Serialize)]
+pub struct AxisReport {
+    /// Robot and axis.
+    pub name: String,
+    /// Root mean square of commanded minus measured motor position, rad.
+    pub tracking_rms_rad: f64,
+    /// Greatest absolute value of it, rad.
+    pub tracking_peak_rad: f64,
+    /// The same in increments of the encoder.
+    pub tracking_rms_counts: f64,
+    /// The same in increments of the encoder.
+    pub tracking_peak_counts: f64,
+    /// What the counter since power-on showed at the reference, increments; null without a search.
+    pub homing_offset_counts: Option<i64>,
+}
+
+/// The servo cycle in the report.
+#[derive(Debug, Serialize)]
+pub struct CycleReport {
+    /// Period, µs.
+    pub period_us: u32,
+    /// Cycles turned.
+    pub cycles: u64,
+    /// Deadlines missed.
+    pub missed: u64,
+    /// Lateness of the wake-up, µs.
+    pub wake_us: Percentiles,
+    /// From the deadline to when SYNC was handed over, µs.
+    pub sync_us: Percentiles,
+    /// Duration of the step, µs.
+    pub step_us: Percentiles,
+    /// From SYNC to the last answer to it, µs.
+    pub bus_us: Percentiles,
+    /// What the wait cost.
+    pub wait: WaitCost,
+    /// How many cycles were late, by who took the time: SYNC left more than a hundredth of the period after the
+    /// deadline, or slots were let go.
+    pub causes: BTreeMap<&'static str, u64>,
+    /// The latest of them, the worst first.
+    pub worst: Vec<WorstCycle>,
+    /// How often the kernel was asked who, in the slack.
+    pub account: AccountReport,
+}
+
+/// How often the kernel's account of the servo thread was read, each time with two system calls.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct AccountReport {
+    /// After a cycle that was late, longer than usual or interrupted.
+    pub disturbed: u64,
+    /// After the last of 16 quiet cycles.
+    pub quiet: u64,
+    /// Before the wait, since what followed a cycle took more than a hundredth of the period.
+    pub slack: u64,
+}
+
+impl From<AccountReads> for AccountReport {
+    fn from(reads: AccountReads) -> Self {
+        let AccountReads {
+            disturbed,
+            quiet,
+            slack,
+        } = reads;
+        Self {
+            disturbed,
+            quiet,
+            slack,
+        }
+    }
+}
+
+/// One late cycle.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct WorstCycle {
+    /// Its number, from 0.
+    pub cycle: u64,
+    /// When it was due, from the first deadline, s.
+    pub time_s: f64,
+    /// How late it was, µs.
+    pub late_us: f64,
+    /// Who took the time.
+    pub cause: &'static str,
+}
+
+impl From<LateCycle> for WorstCycle {
+    fn from(late: LateCycle) -> Self {
+        Self {
+            cycle: late.cycle,
+            time_s: late.due.as_secs_f64(),
+            late_us: microseconds(late.late),
+            cause: late.cause.name(),
+        }
+    }
+}
+
+/// What waiting for deadlines cost.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct WaitCost {
+    /// How long before it needs to run the thread asks to be woken, as of last, µs.
+    pub margin_us: f64,
+    /// How long before the deadline it prepares the cycle, as of last, µs.
+    pub lead_us: f64,
+    /// Time spent spinning, percent of a core.
+    pub spin_percent: f64,
+}
+
+impl From<WaitReport> for WaitCost {
+    fn from(wait: WaitReport) -> Self {
+        Self {
+            margin_us: microseconds(wait.margin),
+            lead_us: microseconds(wait.lead),
+            spin_percent: 100.0 * wait.spin_share,
+        }
+    }
+}
+
+/// A duration in µs.
+pub fn microseconds(time: Duration) -> f64 {
+    time.as_nanos() as f64 / 1e3
+}
+
+/// Four points of a distribution, µs.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct Percentiles {
+    /// Median.
+    pub p50: f64,
+    /// 99th percentile.
+    pub p99: f64,
+    /// 99.9th percentile.
+    pub p999: f64,
+    /// Greatest.
+    pub max: f64,
+}
+
+impl From<&Histogram> for Percentiles {
+    fn from(histogram: &Histogram) -> Self {
+        Self {
+            p50: microseconds(histogram.quantile(0.5)),
+            p99: microseconds(histogram.quantile(0.99)),
+            p999: microseconds(histogram.quantile(0.999)),
+            max: microseconds(histogram.max()),
+        }
+    }
+}
+
+/// One bus of the report.
+#[derive(Debug, Serialize)]
+pub struct BusReport {
+    /// Its name.
+    pub name: String,
+    /// Lines, of a bundle of them; null for a CAN bus.
+    pub lines: Option<usize>,
+    /// Frames, or telegrams on lines, sent and received by the host.
+    pub frames: u64,
+    /// Share of the bus's time that those frames took, from bring-up to switch-off, percent.
+    pub load_percent: f64,
+    /// Share of the period after which the last frame of a cycle has left at the latest, percent.
+    pub worst_case_percent: f64,
+    /// Set-points that the bus did not take in their cycle and that were dropped.
+    pub dropped_setpoints: u64,
+    /// Answers of drives that did not come in their cycle.
+    pub missed_answers: u64,
+}
+
+impl fmt::Display for RunReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let names = self
+            .axes
+            .iter()
+            .map(|axis| axis.name.len())
+            .max()
+            .unwrap_or(0)
+            .max(4);
+        writeln!(
+            f,
+            "{:names$}  {:>12} {:>12} {:>10} {:>10} {:>10} {:>7}",
+            "axis", "rms rad", "peak rad", "rms cnt", "peak cnt", "homing cnt", "faults"
+        )?;
+        for axis in &self.axes {
+            let offset = axis
+                .homing_offset_counts
+                .map_or("-".to_owned(), |counts| counts.to_string());
+            let of_axis = |fault: &&FaultReport| fault.axis.as_ref() == Some(&axis.name);
+            let faults = self.faults.iter().filter(of_axis).count();
+            writeln!(
+                f,
+                "{:names$}  {:>12.6} {:>12.6} {:>10.2} {:>10.1} {offset:>10} {faults:>7}",
+                axis.name,
+                axis.tracking_rms_rad,
+                axis.tracking_peak_rad,
+                axis.tracking_rms_counts,
+                axis.tracking_peak_counts,
+            )?;
+        }
+        writeln!(
+            f,
+            "\n{:9} {:>10} {:>10} {:>10} {:>10}",
+            "cycle, µs", "p50", "p99", "p99.9", "max"
+        )?;
+        let rows = [
+            ("wake-up", self.cycle.wake_us),
+            ("SYNC", self.cycle.sync_us),
+            ("step", self.cycle.step_us),
+        ];
+        // A tty does not tell when an answer came.
+        let bus = Some(("bus", self.cycle.bus_us)).filter(|(_, times)| times.max > 0.0);
+        for (name, times) in rows.into_iter().chain(bus) {
+            writeln!(
+                f,
+                "{name:9} {:>10.1} {:>10.1} {:>10.1} {:>10.1}",
+                times.p50, times.p99, times.p999, times.max
+            )?;
+        }
+        let cycle = &self.cycle;
+        writeln!(
+            f,
+            "\n{} cycles of {} µs, {} missed",
+            cycle.cycles, cycle.period_us, cycle.missed
+        )?;
+        if cycle.wait.spin_percent > 0.0 {
+            writeln!(
+                f,
+                "hybrid wait: woken {:.0} µs early, prepared {:.0} µs early, {:.1} % of a core spent spinning",
+                cycle.wait.margin_us, cycle.wait.lead_us, cycle.wait.spin_percent
+            )?;
+        }
+        let causes = cycle.causes.iter().filter(|(_, count)| **count > 0);
+        let causes: Vec<_> = causes
+            .map(|(cause, count)| format!("{cause} {count}"))
+            .collect();
+        if !causes.is_empty() {
+            let limit = f64::from(cycle.period_us) / 100.0;
+            writeln!(f, "more than {limit} µs late: {}", causes.join(", "))?;
+            let worst = cycle.worst.iter().map(|worst| {
+                let WorstCycle {
+                    time_s,
+                    late_us,
+                    cause,
+                    ..
+                } = worst;
+                format!("{late_us:.0} µs {cause} at {time_s:.3} s")
+            });
+            writeln!(f, "the worst: {}", worst.collect::<Vec<_>>().join(", "))?;
+        }
+        for bus in &self.buses {
+            let traffic = match bus.lines {
+                None => format!("{} frames", bus.frames),
+                Some(1) => format!("{} telegrams on 1 line", bus.frames),
+                Some(lines) => format!("{} telegrams on {lines} lines", bus.frames),
+            };
+            let mut line = format!(
+                "bus {}: {traffic}, load {:.1} %, worst case {:.1} % of the period",
+                bus.name, bus.load_percent, bus.worst_case_percent
+            );
+            if bus.dropped_setpoints + bus.missed_answers > 0 {
+                write!(
+                    line,
+                    ", {} set-points dropped, {} answers missed",
+                    bus.dropped_setpoints, bus.missed_answers
+                )?;
+            }
+            writeln!(f, "{line}")?;
+        }
+        for wire in &self.wire {
+            write!(f, "{wire}")?;
+        }
+        for denied in &self.denied {
+            writeln!(f, "denied: {denied}")?;
+        }
+        for warning in &self.warnings {
+            writeln!(f, "warning: {warning}")?;
+        }
+        if self.more_warnings > 0 {
+            writeln!(
+                f,
+                "warning: {} further reports of drives",
+                self.more_warnings
+            )?;
+        }
+        for fault in &self.faults {
+            writeln!(f, "fault: {fault}")?;
+        }
+        write!(
+            f,
+            "{} {}, {:.1} times real time",
+            self.cell, self.outcome, self.realtime_factor
+        )
+    }
+}

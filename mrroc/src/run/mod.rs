@@ -1,0 +1,398 @@
+//! A run: brings a cell up, does the tasks of its robots, switches it off and reports.
+//!
+//! By the wall clock five threads take part: the servo's, the controller's below it, one that writes the
+//! files, one that listens to the buses, and the caller's, which receives the progress. However a run ends,
+//! the servo thread is waited for until it has braked the arms and switched them off: at the end of the tasks,
+//! on a signal, when a file cannot be written, and by a panic of the caller's thread or the controller's. A file
+//! that takes nothing is not waited for. Whatever may still have power afterwards is a fault of the run.
+
+mod files;
+mod requests;
+mod turning;
+
+use std::cell::{Cell as Shared, RefCell};
+use std::mem::take;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::sync_channel;
+use std::time::Duration;
+
+use anyhow::{Context, anyhow, bail};
+use can::{Instant, clock};
+use clap::Args;
+use servo::thread;
+use servo::{NotUp, Servo, Timing, lockstep};
+
+use crate::bench::clockwork;
+use crate::bench::emulation::Emulation;
+use crate::bench::{Bench, BenchKind, Places};
+use crate::cell_file::CellFile;
+use crate::outputs::{Outputs, Replacement};
+use crate::programs::{Programs, servo_faults};
+use crate::report::{FaultReport, Outcome, RunEnd, RunReport};
+use crate::spikes::SpikeFile;
+use crate::tasks::MakeTasks;
+use crate::trace::{AxisLog, FrameLog};
+use crate::wire::Wire;
+use crate::{budget, rehearsal, setup, streams};
+use files::{Logs, Writing};
+use turning::Over;
+
+pub use crate::programs::Progress;
+pub use requests::Requests;
+pub use turning::Turning;
+
+/// Records that an axis log may lag behind the servo, per effector: some seconds.
+const RECORDS: usize = 1 << 13;
+
+/// How often the controller looks at its effectors: this is a tenth of the usual macrostep, and a tenth of a longer one is.
+const POLL: Duration = Duration::from_millis(2);
+
+/// How far the controller's priority is below the servo's.
+const BELOW_SERVO: u8 = 10;
+
+/// News of the controller that the progress may lag behind; what does not fit is not shown.
+const NEWS: usize = 64;
+
+/// Longest time in the cell for the drives to report that they have no power, once they are told.
+const POWER_OFF_WAIT: Duration = Duration::from_millis(500);
+
+/// Bytes of the stack of a thread that reads queues and writes files; once memory is locked, all of it is.
+pub const SMALL_STACK: usize = 128 * 1024;
+
+/// What a run runs on and which files it writes.
+#[derive(Args, Debug)]
+pub struct RunOptions {
+    /// What to run it on.
+    #[arg(long, value_enum, default_value = "emulated")]
+    pub bench: BenchKind,
+    /// Where the bench is found.
+    #[command(flatten)]
+    pub places: Places,
+    /// Write every frame to this file, as candump does.
+    #[arg(long, value_name = "FILE")]
+    pub trace: Option<PathBuf>,
+    /// Write every axis in every cycle to this file, as CSV.
+    #[arg(long, value_name = "FILE")]
+    pub record: Option<PathBuf>,
+    /// Write the servo cycles around the latest ones to this file, phase by phase, for ui.perfetto.dev; SIGUSR1 adds
+    /// those around a moment of yours.
+    #[arg(long, value_name = "FILE")]
+    pub spikes: Option<PathBuf>,
+    /// Replacement of files that are there.
+    #[command(flatten)]
+    pub replacement: Replacement,
+}
+
+impl RunOptions {
+    /// A run on `bench` that writes no files.
+    pub fn on(bench: BenchKind) -> Self {
+        Self {
+            bench,
+            places: Places::default(),
+            trace: None,
+            record: None,
+            spikes: None,
+            replacement: Replacement::default(),
+        }
+    }
+}
+
+/// Rehearses the tasks, then runs them.
+///
+/// `tasks` is called for every rehearsal on ideal drives and for the run, with the same result each time. `progress` receives news on the
+/// caller's thread. An error means that nothing has moved; a fault during the run is in the report.
+pub fn run(
+    file: &CellFile,
+    options: &RunOptions,
+    requests: &Requests,
+    tasks: &MakeTasks,
+    progress: &mut dyn FnMut(Progress),
+) -> anyhow::Result<RunReport> {
+    if options.spikes.is_some() && options.bench == BenchKind::Lockstep {
+        bail!("--spikes needs cycles by the clock, which --bench lockstep has none of");
+    }
+    rehearsal::rehearse(file, tasks)?;
+    if options.trace.is_some() && file.cell.bus.is_empty() {
+        streams::warn("--trace stays empty: it has the frames of CAN buses, and the cell has none");
+    }
+    let budget = budget::check(file)?;
+    let mut outputs = Outputs::new(options.replacement);
+    outputs.reads(file);
+    let trace = outputs.open_if("--trace", options.trace.as_deref())?;
+    let record = outputs.open_if("--record", options.record.as_deref())?;
+    let spikes = outputs.open_if("--spikes", options.spikes.as_deref())?;
+    let Bench {
+        ports,
+        lines,
+        interfaces,
+        traces,
+        wire,
+        emulation,
+    } = Bench::open(
+        file,
+        options.bench,
+        &options.places,
+        options.trace.is_some(),
+    )?;
+    let (mut servo, links) = Servo::new(
+        &setup::servo_config(file),
+        setup::drive_groups(file, ports, lines, None)?,
+    )?;
+    outputs.begin()?;
+    let axes = |sink| {
+        let records = servo.record(RECORDS * file.cell.robot.len());
+        AxisLog::new(sink, file, records)
+    };
+    let logs = Logs {
+        axes: record.map(axes).transpose().context("--record")?,
+        frames: trace
+            .map(|sink| FrameLog::new(sink, &interfaces, traces))
+            .transpose()?,
+    };
+    let spikes = spikes.map(SpikeFile::new);
+    let programs = Programs::new(file, tasks, links, &servo)?;
+    requests.stop_through(servo.stop_request());
+
+    let began = clock::now();
+    let buses = Buses { wire, emulation };
+    let mut end = match options.bench {
+        BenchKind::Lockstep => {
+            in_lockstep(file, servo, programs, logs, buses, &requests.stop, progress)?
+        }
+        _ => by_the_clock(file, servo, programs, logs, buses, requests, progress)?,
+    };
+    let interrupted = requests.is_stopped();
+    if interrupted {
+        // What the tasks say of it is that they were broken off; what the servo latched meanwhile is a fault.
+        end.faults.retain(|fault| fault.robot.is_none());
+    }
+    for fault in servo_faults(file, &end.servo) {
+        if !end.faults.contains(&fault) {
+            end.faults.push(fault);
+        }
+    }
+    let written = spikes.map(|file| file.write("servo", take(&mut end.spikes)));
+    if let Some(Err(error)) = written {
+        end.faults.push(FaultReport::of_run(error));
+    }
+    let outcome = match (interrupted, end.faults.is_empty()) {
+        (_, false) => Outcome::Faulted,
+        (true, true) => Outcome::Stopped,
+        (false, true) => Outcome::Completed,
+    };
+    Ok(RunReport::of(
+        file,
+        options.bench.name(),
+        end,
+        &budget,
+        clock::now().since(began),
+        outcome,
+    ))
+}
+
+/// What is beyond the ports of a run.
+struct Buses {
+    wire: Wire,
+    emulation: Option<Emulation>,
+}
+
+/// What a run ends in whose drives did not come up: the refusal of a bus, in the words of the cell, or a stop on
+/// request. The files keep what led to it.
+fn not_up(
+    file: &CellFile,
+    servo: Servo,
+    cell_time: Duration,
+    written: anyhow::Result<()>,
+    why: NotUp,
+) -> anyhow::Result<RunEnd> {
+    written?;
+    if why == NotUp::Stopped {
+        return Ok(RunEnd {
+            servo,
+            timing: Timing::default(),
+            spikes: Vec::new(),
+            denied: Vec::new(),
+            faults: Vec::new(),
+            wire: Vec::new(),
+            cell_time,
+        });
+    }
+    Err(why_not_up(file, why))
+}
+
+/// Why the drives of a cell did not come up, in the words of the cell.
+pub fn why_not_up(file: &CellFile, why: NotUp) -> anyhow::Error {
+    let NotUp::Group(bus, error) = why else {
+        return anyhow!("stopped on request");
+    };
+    let axis = file
+        .cell
+        .axes_on(bus)
+        .enumerate()
+        .find(|&(index, (robot, axis))| match error.line() {
+            Some(line) => index == line,
+            None => error.node() == Some(file.cell.robot[robot].axis[axis].node),
+        })
+        .map(|(_, (robot, axis))| format!(", axis {}", file.axis_name(robot, axis)))
+        .unwrap_or_default();
+    let name = file
+        .cell
+        .groups()
+        .nth(bus)
+        .expect("the servo has the groups of the cell");
+    anyhow!("bus {name}{axis}: {error}")
+}
+
+fn in_lockstep(
+    file: &CellFile,
+    mut servo: Servo,
+    mut programs: Programs,
+    logs: Logs,
+    Buses { wire, emulation }: Buses,
+    interrupted: &AtomicBool,
+    progress: &mut dyn FnMut(Progress),
+) -> anyhow::Result<RunEnd> {
+    let emulation = RefCell::new(emulation.expect("lockstep has emulated drives"));
+    let wire = RefCell::new(wire);
+    let between = |next| {
+        emulation.borrow_mut().advance(next);
+        wire.borrow_mut().look();
+    };
+    let mut reached = Instant::ZERO;
+    let up = lockstep::bring_up(&mut servo, Instant::ZERO, |next| {
+        reached = next;
+        between(next);
+    });
+    let start = match up {
+        Ok(start) => start,
+        Err(error) => {
+            let cell_time = reached.since(Instant::ZERO);
+            return not_up(file, servo, cell_time, logs.finish(), error);
+        }
+    };
+    let (done, failed) = (Shared::new(false), RefCell::new(None));
+    let mut over = None;
+    let logs = RefCell::new(logs);
+    let mut timing = Timing::default();
+    let end = lockstep::run(
+        &mut servo,
+        start,
+        |now| {
+            if failed.borrow().is_some() {
+                return;
+            }
+            let busy = programs.poll(now, &mut *progress);
+            let drained = logs.borrow_mut().drain();
+            done.set(!busy || interrupted.load(Ordering::Relaxed) || drained.is_err());
+            failed.replace(drained.err());
+        },
+        between,
+        |servo, now| {
+            timing.record_bus(servo);
+            if !done.get() {
+                return false;
+            }
+            let over = *over.get_or_insert_with(|| {
+                servo.stop_request().request();
+                now + servo.longest_stop() + POWER_OFF_WAIT
+            });
+            servo.is_off() || now >= over
+        },
+    );
+    let written = failed
+        .take()
+        .map_or_else(|| logs.into_inner().finish(), Err);
+    let mut faults = programs.faults;
+    faults.extend(written.err().map(FaultReport::of_run));
+    Ok(RunEnd {
+        servo,
+        timing,
+        spikes: Vec::new(),
+        denied: Vec::new(),
+        faults,
+        wire: wire.into_inner().reports(),
+        cell_time: end.since(Instant::ZERO),
+    })
+}
+
+fn by_the_clock(
+    file: &CellFile,
+    mut servo: Servo,
+    mut programs: Programs,
+    logs: Logs,
+    Buses {
+        wire,
+        mut emulation,
+    }: Buses,
+    requests: &Requests,
+    progress: &mut dyn FnMut(Progress),
+) -> anyhow::Result<RunEnd> {
+    let began = clock::now();
+    let policy = |time| setup::realtime_policy(&file.cell, time);
+    let done = Arc::new(AtomicBool::new(false));
+    let writing = Writing::start(logs, done.clone())?;
+    let listening = wire.listen()?;
+    let finished = done.clone();
+    let until = move |_: &Servo| finished.load(Ordering::Relaxed);
+    let emulated_since = match clockwork::bring_up(&mut servo, &mut emulation) {
+        Ok(first) => first,
+        Err(error) => {
+            let cell_time = clock::now().since(began);
+            return not_up(file, servo, cell_time, writing.finish(), error);
+        }
+    };
+    let trace = requests.spikes.clone();
+    let running = clockwork::start(servo, emulation, emulated_since, policy, trace, until)?;
+    let turning = Turning::of(running, done.clone());
+    let poll = POLL.max(file.cell.period() * u32::from(file.cell.macrostep) / 10);
+    let (tell, told) = sync_channel(NEWS);
+    std::thread::scope(|scope| {
+        // The scope waits for the controller: a panic of this thread must end that too.
+        let _over = Over(done.clone());
+        scope.spawn(|| {
+            // Below the servo and above everything else; a host that denies this was named by the servo thread.
+            let _ = thread::set_fifo(
+                file.cell
+                    .realtime
+                    .priority
+                    .saturating_sub(BELOW_SERVO)
+                    .max(1),
+            );
+            let show = |seen| _ = tell.try_send(seen);
+            while !done.load(Ordering::Relaxed)
+                && programs.poll(clock::now(), show)
+                && !requests.stop.load(Ordering::Relaxed)
+                && !turning.is_finished()
+            {
+                clock::sleep_until(clock::now() + poll);
+            }
+            drop(tell);
+        });
+        told.iter().for_each(&mut *progress);
+    });
+    let ended = turning.end();
+    // An emulated cell's time stands still while the host misses deadlines.
+    let cycles =
+        |first: Instant| first + ended.servo.period() * ended.servo.counters().cycles as u32;
+    let cell_time = match emulated_since {
+        Some(first) => cycles(first).since(Instant::ZERO),
+        None => clock::now().since(began),
+    };
+    let mut faults = programs.faults;
+    faults.extend(writing.finish().err().map(FaultReport::of_run));
+    if let Some(panicked) = ended.panicked {
+        let what = format!("the servo thread panicked: {panicked:?}");
+        faults.push(FaultReport::of_run(what));
+    }
+    Ok(RunEnd {
+        servo: ended.servo,
+        timing: ended.timing,
+        spikes: ended.spikes,
+        denied: ended.denied.iter().map(ToString::to_string).collect(),
+        faults,
+        wire: listening.finish(),
+        cell_time,
+    })
+}

@@ -1,0 +1,279 @@
+//! From a cell to what runs it: drive groups, the servo and the effector control processes.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use can::Port;
+use controller::ecp::{Ecp, EcpConfig, Meetings, Subcontrollers, Task};
+use controller::robot::Limits;
+use drive::DriveGroup;
+use drive::axis_controller::AxisControllerGroup;
+use drive::cia402::{AxisConfig, Cia402Group, CyclicMode};
+use serial::Line;
+use servo::thread::{CellTime, Realtime, RealtimePolicy, Scheduler, Wait};
+use servo::{EffectorConfig, EffectorLink, Gates, HostHoming, ServoAxisConfig, ServoConfig};
+
+use crate::cell::{self, Bus, Cell, ENABLING, Homing, Path, Policy, Serial};
+use crate::cell_file::CellFile;
+use crate::configuration::Configuration;
+use crate::tasks::Tasks;
+
+/// An effector may take as long to home, however short the searches of its axes are; and so may a search by the drive
+/// of an axis without ends, since nothing tells how far it goes.
+const HOMING: Duration = Duration::from_secs(120);
+
+/// No effector homes for longer, whatever its searches could take.
+const LONGEST_HOMING: Duration = Duration::from_secs(3600);
+
+/// Macrosteps that a generator may be ahead of the servo if it need not see what the servo does: at the usual 20 ms
+/// this rides through two seconds in which only the servo thread gets the processor. A stop drops them.
+const LEAD: u16 = 100;
+
+/// The drives of bus `bus`, in the order of [`Cell::axes_on`].
+pub fn axis_configs(file: &CellFile, bus: usize) -> Vec<AxisConfig> {
+    let config = |(robot, number): (usize, usize)| {
+        let axis = &file.cell.robot[robot].axis[number];
+        let configuration = file.configuration(robot, number);
+        AxisConfig {
+            identity: file.identity(robot, number),
+            configuration: configuration.map_or_else(Vec::new, Configuration::settings),
+            ..axis.drive_config(file.arms[robot].robot().home()[number])
+        }
+    };
+    file.cell.axes_on(bus).map(config).collect()
+}
+
+/// One drive group per bus and bundle of lines, on the given ports and lines. The drive of axis `with_torque`, of a robot,
+/// is one that takes a torque beside the position.
+pub fn drive_groups(
+    file: &CellFile,
+    ports: Vec<Box<dyn Port>>,
+    lines: Vec<Vec<Box<dyn Line>>>,
+    with_torque: Option<(usize, usize)>,
+) -> anyhow::Result<Vec<Box<dyn DriveGroup>>> {
+    let group = |((index, _), port): ((usize, &Bus), _)| {
+        let mut axes = axis_configs(file, index);
+        let places = file.cell.axes_on(index);
+        for (axis, place) in axes.iter_mut().zip(places) {
+            if Some(place) == with_torque {
+                axis.mode = CyclicMode::CspWithTorque;
+            }
+        }
+        let group = Cia402Group::new(port, file.cell.group_config(index), &axes);
+        let refused = |error| file.refuse(&Path::default().then("bus").then(index), error);
+        Ok(Box::new(group.map_err(refused)?) as Box<dyn DriveGroup>)
+    };
+    let bundle = |((index, bundle), lines): ((usize, &Serial), _)| {
+        let config = |(robot, number): (usize, usize)| {
+            let axis = &file.cell.robot[robot].axis[number];
+            axis.controller_config(file.arms[robot].robot().home()[number])
+        };
+        let axes: Vec<_> = file
+            .cell
+            .axes_on(file.cell.bus.len() + index)
+            .map(config)
+            .collect();
+        let group = AxisControllerGroup::new(lines, bundle.group_config(file.cell.period()), &axes);
+        let refused = |error| file.refuse(&Path::default().then("serial").then(index), error);
+        Ok(Box::new(group.map_err(refused)?) as Box<dyn DriveGroup>)
+    };
+    let buses = file.cell.bus.iter().enumerate().zip(ports).map(group);
+    let bundles = file.cell.serial.iter().enumerate().zip(lines).map(bundle);
+    buses.chain(bundles).collect()
+}
+
+/// The servo of the whole cell.
+pub fn servo_config(file: &CellFile) -> ServoConfig {
+    let cell = &file.cell;
+    let effector = |(index, robot): (usize, &cell::Robot)| {
+        let axes = servo_axes(file, index);
+        EffectorConfig {
+            name: robot.name.clone(),
+            queue: usize::from(LEAD) + 8,
+            enabling_timeout: ENABLING,
+            homing_timeout: homing_timeout(file, index, &axes),
+            axes,
+        }
+    };
+    ServoConfig {
+        period: cell.period(),
+        max_missed_in_row: cell.max_missed_in_row,
+        effectors: cell.robot.iter().enumerate().map(effector).collect(),
+    }
+}
+
+/// The meetings of the effector control processes of a cell, on the gates of its servo.
+fn meetings(file: &CellFile, gates: Gates) -> Meetings {
+    let meetings = file.cell.meetings().into_iter();
+    Meetings::new(meetings.map(|meeting| meeting.robots), gates)
+}
+
+/// The effector control processes of a cell with their tasks, on the links to its servo.
+pub fn subcontrollers(
+    file: &CellFile,
+    links: Vec<EffectorLink>,
+    gates: Gates,
+    tasks: Tasks,
+) -> Subcontrollers {
+    let ecp = |(robot, (link, task)): (usize, (EffectorLink, Option<Task>))| {
+        let mut ecp = Ecp::new(file.arms[robot].clone(), link, ecp_config(file, robot));
+        ecp.execute(task.unwrap_or_default())
+            .expect("a new process has no instruction");
+        ecp
+    };
+    let ecps = links.into_iter().zip(tasks.tasks).enumerate().map(ecp);
+    Subcontrollers::new(ecps.collect(), meetings(file, gates))
+}
+
+/// The axes of robot `robot`.
+fn servo_axes(file: &CellFile, robot: usize) -> Vec<ServoAxisConfig> {
+    let cell = &file.cell;
+    let axis = |number: usize| {
+        let axis = &cell.robot[robot].axis[number];
+        let limits = file.arms[robot].robot().motor_limits()[number];
+        let group = cell
+            .groups()
+            .position(|name| name == axis.bus)
+            .expect("a parsed cell has the bus");
+        let index_in_group = cell
+            .axes_on(group)
+            .position(|place| place == (robot, number))
+            .expect("the axis is on its bus");
+        cell.robot[robot].servo_config(number, group, index_in_group, limits)
+    };
+    (0..cell.robot[robot].axis.len()).map(axis).collect()
+}
+
+/// Longest time that an effector of these axes may take to home: one order after the other, each as long as
+/// the longest of its searches. Each leg of a search by the host has a time-out of its own.
+fn homing_timeout(file: &CellFile, robot: usize, axes: &[ServoAxisConfig]) -> Duration {
+    let mut orders = BTreeMap::<u8, Duration>::new();
+    let limits = file.arms[robot].robot().motor_limits();
+    let given = file.cell.robot[robot].axis.iter().zip(limits);
+    for (axis, (given, limits)) in axes.iter().zip(given) {
+        let longest = orders.entry(axis.homing_order).or_default();
+        let search = match axis.homing {
+            Some(homing) => longest_search(homing),
+            None => longest_search_by_drive(&given.homing, *limits),
+        };
+        *longest = search.max(*longest);
+    }
+    let searches = orders
+        .into_values()
+        .fold(Duration::ZERO, Duration::saturating_add);
+    searches.max(HOMING).min(LONGEST_HOMING)
+}
+
+/// The longest that a search by a drive may take: to one end of the travel and back over all of it, and off a switch
+/// that may be as wide.
+fn longest_search_by_drive(homing: &Homing, limits: Limits) -> Duration {
+    let travel = limits.high - limits.low;
+    let seconds = 2.0 * travel / homing.search_velocity + travel / homing.zero_velocity;
+    match Duration::try_from_secs_f64(seconds) {
+        Ok(search) if search <= LONGEST_HOMING => search,
+        _ => HOMING,
+    }
+}
+
+/// The longest that one search may take: it begins on the home switch and leaves it, turns round at a limit
+/// switch, and comes to the home switch from there; each rest begins with a stop.
+fn longest_search(homing: HostHoming) -> Duration {
+    let velocity = homing.search.velocity.max(homing.zero.velocity);
+    let stop =
+        Duration::try_from_secs_f64(velocity / homing.acceleration).unwrap_or(LONGEST_HOMING);
+    let rest = stop.saturating_add(homing.pause);
+    let legs = homing.search.timeout.saturating_mul(4);
+    legs.saturating_add(homing.zero.timeout)
+        .saturating_add(rest.saturating_mul(4))
+}
+
+/// How the effector control process of robot `robot` paces its effector.
+fn ecp_config(file: &CellFile, robot: usize) -> EcpConfig {
+    let cell = &file.cell;
+    EcpConfig {
+        period: cell.period(),
+        steps: cell.macrostep,
+        report_at: cell.macrostep.saturating_sub(2).max(1),
+        lead: LEAD,
+        silence: Duration::from_secs(10),
+        switching: ENABLING * 2,
+        homing: homing_timeout(file, robot, &servo_axes(file, robot)) + ENABLING,
+        meeting: Duration::from_secs(cell.meeting_timeout_s.into()),
+    }
+}
+
+/// What the servo thread asks of the host.
+pub fn realtime_policy(cell: &Cell, time: CellTime) -> RealtimePolicy {
+    let realtime = &cell.realtime;
+    RealtimePolicy {
+        realtime: match realtime.policy {
+            Policy::Require => Realtime::Require,
+            Policy::BestEffort => Realtime::BestEffort,
+        },
+        scheduler: match realtime.scheduler {
+            cell::Scheduler::Fifo => Scheduler::Fifo,
+            cell::Scheduler::Deadline => Scheduler::Deadline {
+                period: cell.period(),
+            },
+        },
+        priority: realtime.priority,
+        cpu: realtime.cpu,
+        lock_memory: realtime.lock_memory,
+        lead: Duration::ZERO,
+        wait: match realtime.wait {
+            cell::Wait::Plain => Wait::Plain,
+            cell::Wait::Hybrid => Wait::Hybrid {
+                margin: realtime
+                    .margin_us
+                    .map(|margin| Duration::from_micros(margin.into())),
+                spin_share: realtime.spin_share(),
+            },
+        },
+        time,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    /// Of the robot of an example cell.
+    fn timeouts(cell: &str) -> (Duration, Duration) {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("../cells")
+            .join(cell);
+        let file = CellFile::read(&path).unwrap();
+        let servo = servo_config(&file).effectors[0].homing_timeout;
+        (servo, ecp_config(&file, 0).homing)
+    }
+
+    #[test]
+    fn searches_of_the_host_get_the_time_of_their_legs_and_those_of_drives_that_of_the_travel() {
+        // The Polycrank's axes have no ends: two orders of two minutes.
+        assert_eq!(timeouts("polycrank.toml").0, HOMING * 2);
+        let (servo, ecp) = timeouts("irp6-track.toml");
+        // The track alone: 2100 rad at 30 rad/s there and back, and off the switch at 3.5 rad/s.
+        assert!(
+            servo > Duration::from_secs(740) && ecp == servo + ENABLING,
+            "{servo:?}"
+        );
+        assert!(servo <= LONGEST_HOMING);
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../cells/irb6-serial.toml");
+        let axes = servo_axes(&CellFile::read(&path).unwrap(), 0);
+        // Every axis turns round at a limit switch and comes back all of its way, in four orders.
+        let there_and_back = |axis: &ServoAxisConfig| {
+            let homing = axis.homing.unwrap();
+            3 * homing.search.timeout + homing.zero.timeout + 3 * homing.pause
+        };
+        let of_order = |order: u8| {
+            let axes = axes.iter().filter(|axis| axis.homing_order == order);
+            axes.map(there_and_back).max().unwrap()
+        };
+        let needed: Duration = (1..=4).map(of_order).sum();
+        let (servo, ecp) = timeouts("irb6-serial.toml");
+        assert!(servo >= needed && needed > HOMING, "{servo:?}, {needed:?}");
+        assert!(servo <= LONGEST_HOMING && ecp == servo + ENABLING);
+    }
+}

@@ -1,0 +1,275 @@
+//! The cycles around the latest ones as a file for <https://ui.perfetto.dev> or chrome://tracing.
+//!
+//! The format is trace-event JSON. Each spike is a process of its own with a track for the thread and one for deadlines,
+//! and all are shifted in time so that their late deadlines are below each other: what is common to them is seen at a
+//! glance. When a spike really was is among the labels of its process.
+
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::sync::mpsc::sync_channel;
+use std::time::Duration;
+
+use anyhow::{Context, anyhow};
+use can::Instant;
+use serde_json::{Value, json};
+use servo::thread::{Spike, Stamps};
+
+use crate::report::microseconds;
+use crate::run::SMALL_STACK;
+
+/// Longest wait for the file to be written; the disk of a host takes as long at most.
+const WRITE_WAIT: Duration = Duration::from_secs(2);
+
+/// Tracks of a spike.
+const THREAD: u32 = 1;
+const DEADLINES: u32 = 2;
+
+/// The file, open from before the run on.
+pub struct SpikeFile(File);
+
+impl SpikeFile {
+    /// A file that is empty yet.
+    pub fn new(file: File) -> Self {
+        Self(file)
+    }
+
+    /// Writes the `spikes` of a thread of that name; a file that takes nothing is not waited for.
+    pub fn write(self, thread: &'static str, spikes: Vec<Spike>) -> anyhow::Result<()> {
+        let (tell, told) = sync_channel(1);
+        let body = move || {
+            let mut file = BufWriter::new(self.0);
+            let written = serde_json::to_writer(&mut file, &trace(thread, &spikes))
+                .map_err(std::io::Error::from)
+                .and_then(|()| file.flush());
+            // Nobody listens any more if it took too long.
+            let _ = tell.send(written);
+        };
+        std::thread::Builder::new()
+            .name("spikes".into())
+            .stack_size(SMALL_STACK)
+            .spawn(body)
+            .context("no thread to write the spikes can be made")?;
+        match told.recv_timeout(WRITE_WAIT) {
+            Ok(written) => written.context("the spikes cannot be written"),
+            Err(_) => Err(anyhow!("the spikes cannot be written in time")),
+        }
+    }
+}
+
+/// The document.
+fn trace(thread: &str, spikes: &[Spike]) -> Value {
+    // Every spike has that much before its late deadline.
+    let before = spikes.iter().filter_map(|spike| {
+        let first = spike.cycles.first()?;
+        Some(anchor(spike)?.since(first.begun))
+    });
+    let before = before.max().unwrap_or_default();
+    let processes = (1..).zip(spikes);
+    let events = processes.filter_map(|(process, spike)| {
+        let anchor = anchor(spike)?;
+        Some(events(process, thread, spike, anchor, before))
+    });
+    json!({
+        "displayTimeUnit": "ns",
+        "traceEvents": events.flatten().collect::<Vec<_>>(),
+    })
+}
+
+/// The deadline that a spike is about.
+fn anchor(spike: &Spike) -> Option<Instant> {
+    let named = spike.cycles.iter().find(|one| one.cycle == spike.cycle);
+    named.or(spike.cycles.first()).map(|one| one.deadline)
+}
+
+fn events(
+    process: u32,
+    thread: &str,
+    spike: &Spike,
+    anchor: Instant,
+    before: Duration,
+) -> Vec<Value> {
+    // What is long before the anchor in one spike is so in `before`.
+    let at = |time: Instant| (before + time.since(anchor)).saturating_sub(anchor.since(time));
+    let (what, due) = match spike.late {
+        Some(late) => (
+            format!(
+                "spike {process}: {:.0} µs late, {}, cycle {}",
+                microseconds(late.late),
+                late.cause.name(),
+                spike.cycle
+            ),
+            format!(
+                "due {:.6} s after the first deadline, ",
+                late.due.as_secs_f64()
+            ),
+        ),
+        None => (format!("on request: cycle {}", spike.cycle), String::new()),
+    };
+    let nanos = anchor.as_nanos();
+    let monotonic = format!("{}.{:09}", nanos / 1_000_000_000, nanos % 1_000_000_000);
+    let label = format!("{due}CLOCK_MONOTONIC {monotonic} s");
+    let named = |what: &str, track: u32, key: &str, value: Value| json!({"ph": "M", "name": what, "pid": process, "tid": track, "args": {key: value}});
+    let mut events = vec![
+        named("process_name", 0, "name", what.into()),
+        named("process_labels", 0, "labels", label.into()),
+        named("process_sort_index", 0, "sort_index", process.into()),
+        named("thread_name", THREAD, "name", thread.into()),
+        named("thread_name", DEADLINES, "name", "deadlines".into()),
+    ];
+    let instant = |name: String, time| {
+        json!({
+            "ph": "i", "s": "t", "name": name, "cat": "deadline",
+            "pid": process, "tid": DEADLINES, "ts": micros(at(time)),
+        })
+    };
+    let slice = |name: &str, category: &str, from: Instant, to: Instant, args: Value| {
+        json!({
+            "ph": "X", "name": name, "cat": category, "pid": process, "tid": THREAD,
+            "ts": micros(at(from)), "dur": micros(to.since(from)), "args": args,
+        })
+    };
+    for (index, cycle) in spike.cycles.iter().enumerate() {
+        let next = spike.cycles.get(index + 1);
+        let [called, end] = next.map_or([cycle.done; 2], |next| [next.called, next.begun]);
+        let name = format!("cycle {}", cycle.cycle);
+        events.push(slice(&name, "cycle", cycle.begun, end, details(cycle)));
+        let mut from = cycle.begun;
+        let slack = [("slack", called), ("between cycles", end)];
+        for (name, to) in cycle.phases().into_iter().chain(slack) {
+            if from < to {
+                events.push(slice(name, "phase", from, to, json!({})));
+                from = to;
+            }
+        }
+        events.push(instant("deadline".to_owned(), cycle.deadline));
+        if let Some(late) = cycle.late {
+            let by = microseconds(late.late);
+            let words = format!("late by {by:.0} µs: {}", late.cause.name());
+            events.push(instant(words, cycle.sending));
+        }
+    }
+    events
+}
+
+/// What a cycle says when it is selected.
+fn details(cycle: &Stamps) -> Value {
+    let late = cycle.sending.since(cycle.deadline);
+    json!({
+        "cycle": cycle.cycle,
+        "sync_late_us": microseconds(late),
+        "wake_up_latency_us": cycle.awake.wake_up_latency().map(microseconds),
+        "longest_gap_us": microseconds(cycle.awake.gap),
+        "cause": cycle.late.map(|late| late.cause.name()),
+    })
+}
+
+/// In µs, an eighth of a nanosecond more than it was: a reader that cuts off at nanoseconds, as Perfetto does, has them
+/// again whatever its decimals cost. With one less, a phase would end after its cycle.
+fn micros(time: Duration) -> f64 {
+    (time.as_nanos() as f64 + 0.125) / 1e3
+}
+
+#[cfg(test)]
+mod tests {
+    use servo::thread::{Awake, Cause, LateCycle};
+
+    use super::*;
+
+    #[test]
+    fn a_reader_that_cuts_off_has_every_nanosecond_again() {
+        for nanos in (0..200_000_000).step_by(997).chain(0..100_000) {
+            let text = json!(micros(Duration::from_nanos(nanos))).to_string();
+            let read: Value = serde_json::from_str(&text).unwrap();
+            assert_eq!((read.as_f64().unwrap() * 1e3) as u64, nanos, "{text}");
+        }
+    }
+
+    /// A cycle of 1 ms whose phases take some µs each, late by as many.
+    fn cycle(number: u64, late: u64) -> Stamps {
+        let at = |micros: u64| Instant::from_nanos((1000 * (number + 1) + micros) * 1000 + 7);
+        let awake = Awake {
+            asked_at: at(400),
+            wake_up: at(900),
+            woken: at(900 + late),
+            at: at(950 + late),
+            gap: Duration::from_micros(1),
+        };
+        Stamps {
+            cycle: number,
+            deadline: at(1000),
+            called: at(380),
+            begun: at(400),
+            awake,
+            reading: at(950 + late),
+            read: at(960 + late),
+            computed: at(975 + late),
+            written: at(980 + late),
+            sending: at(1000 + late),
+            done: at(1010 + late),
+            late: (late > 0).then(|| LateCycle {
+                cycle: number,
+                due: Duration::from_millis(number),
+                late: Duration::from_micros(late),
+                cause: Cause::Preempted,
+            }),
+        }
+    }
+
+    fn spike(first: u64, late: u64, micros: u64) -> Spike {
+        let cycles: Vec<_> = (first..late + 3)
+            .map(|number| cycle(number, if number == late { micros } else { 0 }))
+            .collect();
+        Spike {
+            late: cycles[(late - first) as usize].late,
+            cycle: late,
+            cycles,
+        }
+    }
+
+    #[test]
+    fn spikes_lie_below_each_other_with_their_phases_in_their_cycles() {
+        let document = trace("servo", &[spike(5, 8, 312), spike(40, 50, 33)]);
+        let events = document["traceEvents"].as_array().unwrap();
+        let of = |process: u32, kind: &str| {
+            let events = events.iter();
+            let events = events.filter(move |event| event["pid"] == process);
+            let kind = kind.to_owned();
+            events.filter(move |event| event["ph"] == *kind)
+        };
+        let nanos = |value: &Value| (value.as_f64().unwrap() * 1e3) as u64;
+        for (process, cycles) in [(1, 6), (2, 13)] {
+            let slices: Vec<_> = of(process, "X").collect();
+            let whole: Vec<_> = slices.iter().filter(|one| one["cat"] == "cycle").collect();
+            assert_eq!(whole.len(), cycles);
+            for cycle in whole {
+                let (from, lasts) = (nanos(&cycle["ts"]), nanos(&cycle["dur"]));
+                let mut end = from;
+                for phase in slices.iter().filter(|one| one["cat"] == "phase") {
+                    if (from..from + lasts).contains(&nanos(&phase["ts"])) {
+                        assert_eq!(nanos(&phase["ts"]), end, "{cycle} {phase}");
+                        end += nanos(&phase["dur"]);
+                    }
+                }
+                assert_eq!(end, from + lasts, "{cycle}");
+            }
+        }
+        let late = |process| {
+            let mut all = of(process, "i").filter(|one| one["name"] != "deadline");
+            let one = all.next().unwrap();
+            assert_eq!(all.next(), None);
+            (one["name"].as_str().unwrap(), nanos(&one["ts"]))
+        };
+        let [(first, at), (second, then)] = [late(1), late(2)];
+        assert_eq!(
+            [first, second],
+            ["late by 312 µs: preempted", "late by 33 µs: preempted"]
+        );
+        // Both were due at the same place.
+        assert_eq!(at - 312_000, then - 33_000);
+        let name = of(1, "M").find(|one| one["name"] == "process_name");
+        assert_eq!(
+            name.unwrap()["args"]["name"],
+            "spike 1: 312 µs late, preempted, cycle 8"
+        );
+    }
+}

@@ -1,0 +1,135 @@
+//! The files a run writes: frames as a candump log, axes as CSV.
+
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
+
+use anyhow::Context;
+use can::{TraceReader, candump};
+use drive::AxisCommand;
+use servo::Record;
+
+use crate::bench::interfaces::Interface;
+use crate::cell_file::CellFile;
+
+/// A candump log of every frame that passed the ports of a run.
+pub(crate) struct FrameLog {
+    readers: Vec<TraceReader>,
+    /// What the log calls each bus.
+    names: Vec<can::InterfaceName>,
+    writer: candump::Writer<BufWriter<File>>,
+}
+
+impl FrameLog {
+    /// Begins the log. `interfaces` are what the buses run on.
+    pub(crate) fn new(
+        file: File,
+        interfaces: &[Interface],
+        readers: Vec<TraceReader>,
+    ) -> anyhow::Result<Self> {
+        let name = |(bus, interface): (usize, &Interface)| {
+            let name = interface.log_name(bus);
+            can::InterfaceName::new(&name).with_context(|| format!("{name:?} is no interface name"))
+        };
+        let interfaces = interfaces.iter().enumerate();
+        let names = interfaces.map(name).collect::<anyhow::Result<_>>()?;
+        Ok(Self {
+            readers,
+            names,
+            writer: candump::Writer::new(BufWriter::new(file)),
+        })
+    }
+
+    /// Writes what has passed since the last call.
+    pub(crate) fn drain(&mut self) -> io::Result<()> {
+        for (reader, name) in self.readers.iter_mut().zip(&self.names) {
+            while let Some(traced) = reader.read() {
+                let (at, frame) = (traced.at, traced.frame);
+                self.writer.write(&candump::Entry {
+                    at,
+                    interface: *name,
+                    frame,
+                    direction: None,
+                })?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes the rest and returns how many frames were lost because the file was too slow.
+    pub(crate) fn finish(mut self) -> io::Result<u64> {
+        self.drain()?;
+        self.writer.into_inner().flush()?;
+        Ok(self.readers.iter().map(TraceReader::lost).sum())
+    }
+}
+
+/// A CSV file of every axis in every cycle.
+pub(crate) struct AxisLog {
+    records: rtrb::Consumer<Record>,
+    names: Vec<Vec<String>>,
+    writer: BufWriter<File>,
+}
+
+impl AxisLog {
+    /// Writes the head of the file.
+    pub(crate) fn new(
+        sink: File,
+        file: &CellFile,
+        records: rtrb::Consumer<Record>,
+    ) -> io::Result<Self> {
+        let mut writer = BufWriter::new(sink);
+        writeln!(
+            writer,
+            "cycle,time_s,axis,phase,command,commanded_rad,measured_rad,counts,\
+             velocity_rad_per_s,torque_nm,homing,dt_s"
+        )?;
+        let robots = file.cell.robot.iter().enumerate();
+        let names = robots.map(|(robot, value)| {
+            (0..value.axis.len())
+                .map(|axis| file.axis_name(robot, axis))
+                .collect()
+        });
+        Ok(Self {
+            records,
+            names: names.collect(),
+            writer,
+        })
+    }
+
+    /// Writes what was recorded since the last call.
+    pub(crate) fn drain(&mut self) -> io::Result<()> {
+        while let Ok(record) = self.records.pop() {
+            let names = &self.names[usize::from(record.effector)];
+            for (axis, name) in record.axis.iter().zip(names) {
+                let seconds = record.at.as_nanos() as f64 / 1e9;
+                writeln!(
+                    self.writer,
+                    "{},{seconds:.9},{name},{:?},{},{},{},{},{},{},{:?},{:.9}",
+                    record.cycle,
+                    record.phase,
+                    word(axis.command),
+                    axis.commanded,
+                    axis.measured,
+                    axis.increments.0,
+                    axis.velocity,
+                    axis.torque,
+                    axis.homing,
+                    record.dt.as_secs_f64(),
+                )?;
+            }
+        }
+        self.writer.flush()
+    }
+}
+
+/// What the CSV file calls a command; the set-point of `Follow` stands in a column of its own.
+fn word(command: AxisCommand) -> &'static str {
+    match command {
+        AxisCommand::Off => "Off",
+        AxisCommand::ResetFault => "ResetFault",
+        AxisCommand::Stand => "Stand",
+        AxisCommand::Home => "Home",
+        AxisCommand::Follow(_) => "Follow",
+        AxisCommand::Seek(_) => "Seek",
+    }
+}

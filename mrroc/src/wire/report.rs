@@ -1,0 +1,222 @@
+//! What a report says of the wire: one JSON object per bus, or a table for a person.
+
+use std::fmt;
+
+use serde::Serialize;
+
+use crate::report::Percentiles;
+
+/// Whose instants the times are from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Source {
+    /// The virtual bus's, exact to the bit. Its time waits for the host, so what the host misses does not show.
+    Virtual,
+    /// The kernel's stamps.
+    Kernel,
+    /// The card's own stamps.
+    Hardware,
+}
+
+/// When a SYNC of this host gets its stamp.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum SyncStamp {
+    /// Once it was on the bus.
+    Sent,
+    /// When the driver took it: what it waits for the bus is in the times to the answers.
+    HandedOver,
+}
+
+/// One bus on the wire. Each time is between the ends of two frames.
+#[derive(Debug, Serialize)]
+pub struct WireReport {
+    /// Its name.
+    pub bus: String,
+    /// Whose instants these are; null where nothing tells when a frame was on the wire.
+    pub source: Option<Source>,
+    /// When SYNC was stamped; null with the source.
+    pub sync_stamp: Option<SyncStamp>,
+    /// From one SYNC to the next, µs; null where there were no two.
+    pub sync_to_sync_us: Option<Percentiles>,
+    /// By how much that was off the period, either way, µs.
+    pub sync_off_period_us: Option<Percentiles>,
+    /// Every drive, in the order of the cell; none where nothing is measured.
+    pub nodes: Vec<NodeReport>,
+    /// Frames that were not read in time; each may be behind a SYNC that seems missing or unanswered.
+    pub lost_frames: u64,
+}
+
+/// The answers of one drive.
+#[derive(Debug, Serialize)]
+pub struct NodeReport {
+    /// Robot and axis.
+    pub axis: String,
+    /// Its node-ID.
+    pub node: u8,
+    /// From SYNC to the answer, µs; null where none came.
+    pub sync_to_tpdo_us: Option<Percentiles>,
+    /// SYNCs without an answer.
+    pub unanswered: u64,
+    /// Answers that came behind the next SYNC, as far as they can be told.
+    pub late: u64,
+    /// Answers that no SYNC asked for.
+    pub surplus: u64,
+}
+
+impl fmt::Display for WireReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Some(source) = self.source else {
+            let bus = &self.bus;
+            return writeln!(
+                f,
+                "\nbus {bus}: times on the wire not measured, nothing here tells them"
+            );
+        };
+        let by = match source {
+            Source::Virtual => "on the virtual bus",
+            Source::Kernel => "by the kernel's stamps",
+            Source::Hardware => "by the card's stamps",
+        };
+        let title = match self.sync_stamp {
+            Some(SyncStamp::HandedOver) => {
+                format!("bus {} {by}, SYNC as handed over, µs", self.bus)
+            }
+            _ => format!("bus {} {by}, µs", self.bus),
+        };
+        let answers = self.nodes.iter().map(|node| {
+            let counts = [
+                (node.unanswered, "unanswered"),
+                (node.late, "late"),
+                (node.surplus, "surplus"),
+            ];
+            let counts = counts.iter().filter(|(count, _)| *count > 0);
+            let counts: String = counts
+                .map(|(count, what)| format!("  {count} {what}"))
+                .collect();
+            (
+                format!("SYNC to {}", node.axis),
+                node.sync_to_tpdo_us,
+                counts,
+            )
+        });
+        let syncs = [
+            ("SYNC to SYNC".to_owned(), self.sync_to_sync_us),
+            ("SYNC off the period".to_owned(), self.sync_off_period_us),
+        ];
+        let syncs = syncs.map(|(name, times)| (name, times, String::new()));
+        let rows: Vec<_> = syncs.into_iter().chain(answers).collect();
+        let names = rows.iter().map(|(name, ..)| name).chain([&title]);
+        let names = names.map(|name| name.chars().count()).max().unwrap_or(0);
+        writeln!(
+            f,
+            "\n{title:names$} {:>10} {:>10} {:>10} {:>10}",
+            "p50", "p99", "p99.9", "max"
+        )?;
+        for (name, times, counts) in rows {
+            write!(f, "{name:names$}")?;
+            match times {
+                Some(Percentiles {
+                    p50,
+                    p99,
+                    p999,
+                    max,
+                }) => {
+                    write!(f, " {p50:>10.1} {p99:>10.1} {p999:>10.1} {max:>10.1}")?;
+                }
+                None => write!(f, " {:>10} {:>10} {:>10} {:>10}", "-", "-", "-", "-")?,
+            }
+            writeln!(f, "{counts}")?;
+        }
+        match self.lost_frames {
+            0 => Ok(()),
+            lost => writeln!(f, "{lost} frames were lost to this table"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn bus(source: Option<Source>, sync_stamp: Option<SyncStamp>) -> WireReport {
+        let times = |us: f64| {
+            Some(Percentiles {
+                p50: us,
+                p99: us + 1.0,
+                p999: us + 2.0,
+                max: us + 3.0,
+            })
+        };
+        let node =
+            |axis: &str, sync_to_tpdo_us, [unanswered, late, surplus]: [u64; 3]| NodeReport {
+                axis: axis.to_owned(),
+                node: 1,
+                sync_to_tpdo_us,
+                unanswered,
+                late,
+                surplus,
+            };
+        WireReport {
+            bus: "arm".to_owned(),
+            source,
+            sync_stamp,
+            sync_to_sync_us: times(2000.0),
+            sync_off_period_us: times(0.5),
+            nodes: vec![
+                node("column", times(120.0), [0, 0, 0]),
+                node("wrist", times(240.0), [3, 2, 1]),
+                node("hand", None, [9, 0, 0]),
+            ],
+            lost_frames: 0,
+        }
+    }
+
+    #[test]
+    fn a_table_has_a_row_per_drive_and_says_what_is_not_as_it_should_be() {
+        let table = bus(Some(Source::Hardware), Some(SyncStamp::Sent)).to_string();
+        assert_eq!(
+            table,
+            "\n\
+             bus arm by the card's stamps, µs        p50        p99      p99.9        max\n\
+             SYNC to SYNC                         2000.0     2001.0     2002.0     2003.0\n\
+             SYNC off the period                     0.5        1.5        2.5        3.5\n\
+             SYNC to column                        120.0      121.0      122.0      123.0\n\
+             SYNC to wrist                         240.0      241.0      242.0      243.0  3 unanswered  2 late  1 surplus\n\
+             SYNC to hand                              -          -          -          -  9 unanswered\n"
+        );
+    }
+
+    #[test]
+    fn whose_stamps_they_are_is_in_the_title() {
+        for (source, stamp, title) in [
+            (Source::Virtual, SyncStamp::Sent, "on the virtual bus, µs"),
+            (
+                Source::Kernel,
+                SyncStamp::Sent,
+                "by the kernel's stamps, µs",
+            ),
+            (
+                Source::Kernel,
+                SyncStamp::HandedOver,
+                "by the kernel's stamps, SYNC as handed over, µs",
+            ),
+        ] {
+            let table = bus(Some(source), Some(stamp)).to_string();
+            assert!(table.starts_with(&format!("\nbus arm {title} ")), "{table}");
+        }
+        let lost = WireReport {
+            lost_frames: 7,
+            ..bus(Some(Source::Kernel), Some(SyncStamp::Sent))
+        };
+        assert!(
+            lost.to_string()
+                .ends_with("7 frames were lost to this table\n")
+        );
+        assert!(
+            bus(None, None)
+                .to_string()
+                .contains("bus arm: times on the wire not measured")
+        );
+    }
+}

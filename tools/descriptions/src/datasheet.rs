@@ -1,0 +1,88 @@
+//! `mrroc datasheet`: a robot's figure and its parameters, each with the place it comes from.
+
+mod devices;
+mod drives;
+mod figure;
+mod ink;
+mod loops;
+mod posture;
+mod symbols;
+mod tables;
+mod views;
+
+use std::process::ExitCode;
+
+use clap::Args;
+
+use crate::kinematics::{Machine, Which};
+use mrroc::streams;
+use views::Drawing;
+
+/// Options of `mrroc datasheet`.
+#[derive(Args)]
+pub struct Options {
+    #[command(flatten)]
+    machine: Which,
+    /// Print the figure (SVG) that the data sheet shows.
+    #[arg(long)]
+    figure: bool,
+}
+
+/// Prints the data sheet of a robot or of a device beside it, the gripper or the conveyor.
+pub fn datasheet(options: &Options) -> anyhow::Result<ExitCode> {
+    let machine = Machine::find(&options.machine)?;
+    streams::print(match (options.figure, views::drawing(&machine)) {
+        (false, _) => tables::sheet(&machine),
+        (true, Drawing::Arm(views)) => {
+            let symbols = views::symbols(&machine.parameters);
+            figure::figure(&machine, symbols, &views)
+        }
+        (true, Drawing::Gripper(gripper)) => devices::gripper(gripper),
+        (true, Drawing::Conveyor(conveyor)) => devices::conveyor(conveyor),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use mrroc::cell::{Model, Parameters};
+
+    use super::*;
+
+    fn machine(model: Model) -> Machine {
+        Machine::find(&Which::preset(model.name())).unwrap()
+    }
+
+    #[test]
+    fn every_view_shows_a_posture_that_the_robot_can_take() {
+        for model in Model::ALL {
+            let machine = machine(model);
+            let Drawing::Arm(views) = views::drawing(&machine) else {
+                assert_eq!(model.axes(), 1, "{}", model.name());
+                continue;
+            };
+            for view in *views {
+                let motors = machine.robot.motors_from_joints(&view.joints);
+                assert!(
+                    motors.is_ok(),
+                    "{}, {}: {motors:?}",
+                    model.name(),
+                    view.title
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn only_numbers_of_no_model_are_said_to_be_a_cell_files() {
+        for model in Model::ALL {
+            let sheet = tables::sheet(&machine(model));
+            assert!(!sheet.contains("cell file |"), "{}: {sheet}", model.name());
+        }
+        let mut gripper = machine(Model::Gripper);
+        if let Parameters::Gripper(numbers) = &mut gripper.parameters {
+            numbers.opening_limits.low += 0.001;
+        }
+        let sheet = tables::sheet(&gripper);
+        assert_eq!(sheet.matches("cell file |").count(), 1, "{sheet}");
+    }
+}

@@ -1,0 +1,233 @@
+//! The picture of an arm: links, joints with their positive directions, dimensions, reach and frames, drawn from
+//! [`controller::robot::Robot::links`].
+
+use controller::robot::{Joints, LinkKind};
+use nalgebra::Vector3;
+
+use super::ink::{self, Sheet};
+use super::posture::{LEAST, Stand, stands};
+use super::symbols;
+use crate::kinematics::Machine;
+use figures::svg::{self, Point};
+
+const WIDTH: f64 = 960.0;
+/// The area of a view's drawing.
+const PANEL: [f64; 2] = [400.0, 430.0];
+/// Left edge of a view, of the second one, and top of both.
+const LEFT: [f64; 2] = [60.0, 520.0];
+const TOP: f64 = 112.0;
+const HEIGHT: f64 = TOP + PANEL[1] + 96.0;
+
+/// One view of a robot in one posture.
+pub(super) struct View {
+    pub(super) title: &'static str,
+    pub(super) joints: Joints,
+    /// What points right and up on the sheet, in the base frame. They span the page.
+    pub(super) right: Vector3<f64>,
+    pub(super) up: Vector3<f64>,
+    /// An area that a point of the robot reaches, as its outlines, and what it is called.
+    pub(super) reach: Option<(Vec<Vec<Vector3<f64>>>, &'static str)>,
+    /// A line of other parts: rails, legs, platforms.
+    pub(super) others: Vec<Other>,
+}
+
+/// A part that is no link of the serial arm.
+pub(super) struct Other {
+    pub(super) points: Vec<Vector3<f64>>,
+    pub(super) part: Part,
+    pub(super) said: Option<String>,
+}
+
+/// What a part is.
+#[derive(Clone, Copy, PartialEq)]
+pub(super) enum Part {
+    /// It is rigid.
+    Solid,
+    /// A leg, driven along its line.
+    Leg,
+    /// Not there: only its length is told.
+    Measure,
+}
+
+/// The picture of one or two views; `symbols` are the joints' names in the formulas.
+pub(super) fn figure(machine: &Machine, symbols: &[&str], views: &[View; 2]) -> String {
+    let links = machine.robot.links().map_or_else(Vec::new, |links| links.0);
+    let mut svg = svg::open([WIDTH, HEIGHT]);
+    let title = format!("{}: geometry in mm", machine.name);
+    svg::text(
+        &mut svg,
+        [LEFT[0], 34.0],
+        "start",
+        "font-size=\"19\" fill=\"#111\"",
+        &title,
+    );
+    if let Some(caution) = machine.caution {
+        svg::text(&mut svg, [LEFT[0], 55.0], "start", ink::SECONDARY, caution);
+    }
+    let mut told = Vec::new();
+    for (view, left) in views.iter().zip(LEFT) {
+        svg::text(
+            &mut svg,
+            [left, TOP - 28.0],
+            "start",
+            "font-size=\"15\" fill=\"#111\"",
+            view.title,
+        );
+        let posture = at(&view.joints, symbols, machine);
+        svg::text(
+            &mut svg,
+            [left, TOP - 10.0],
+            "start",
+            "font-size=\"12\" fill=\"#666\"",
+            &posture,
+        );
+        let stands = stands(&links, &view.joints);
+        panel(&mut svg, left, symbols, view, &stands, &mut told);
+    }
+    symbols::legend(&mut svg, [LEFT[0], HEIGHT - 22.0]);
+    svg + "</svg>\n"
+}
+
+/// The posture in words.
+fn at(joints: &Joints, symbols: &[&str], machine: &Machine) -> String {
+    let links = machine.robot.links().map_or_else(Vec::new, |links| links.0);
+    let values = joints.iter().zip(symbols).zip(&links);
+    let values: Vec<_> = values
+        .map(|((joint, symbol), link)| match link.kind {
+            LinkKind::Prismatic => format!("{symbol} {:.0} mm", joint * 1e3),
+            LinkKind::Revolute | LinkKind::Continuous => {
+                format!("{symbol} {:.0}°", joint.to_degrees())
+            }
+        })
+        .collect();
+    values.join(", ").replace('-', "\u{2212}")
+}
+
+/// Draws a view, and adds to what was `told` the lengths that it tells: joint and part of the way to it.
+fn panel(
+    svg: &mut String,
+    left: f64,
+    symbols: &[&str],
+    view: &View,
+    stands: &[Stand],
+    told: &mut Vec<(usize, usize)>,
+) {
+    let flange = stands
+        .last()
+        .map_or_else(Vector3::zeros, |stand| stand.frame.translation.vector);
+    let mut seen: Vec<Vector3<f64>> = vec![Vector3::zeros(), flange];
+    seen.extend(stands.iter().flat_map(|stand| stand.way.iter().flatten()));
+    seen.extend(view.others.iter().flat_map(|other| &other.points));
+    seen.extend(
+        view.reach
+            .iter()
+            .flat_map(|(outlines, _)| outlines.iter().flatten()),
+    );
+    let mut sheet = Sheet::fit([view.right, view.up], &seen, [left, TOP], PANEL);
+
+    if let Some((outlines, _)) = &view.reach {
+        sheet.area(svg, outlines);
+    }
+    let ways = || stands.iter().flat_map(|stand| &stand.way);
+    for [from, to] in ways() {
+        sheet.occupy(*from, *to);
+    }
+    // A base frame below the first joint stands on the ground.
+    let stands_on_it = stands.first().is_some_and(|stand| !stand.way.is_empty());
+    sheet.ground(svg, if stands_on_it { 4.0 } else { 44.0 });
+    for other in &view.others {
+        if other.part != Part::Measure {
+            sheet.other(svg, &other.points, other.part == Part::Leg);
+        }
+    }
+    for [from, to] in ways() {
+        sheet.link(svg, *from, *to);
+    }
+    let places = places(&sheet, stands);
+    for place in &places {
+        sheet.block(*place, 13.0);
+    }
+    for (stand, place) in stands.iter().zip(&places) {
+        if let Some([zero, now]) = stand.turned {
+            sheet.angle(svg, *place, [zero, now], stand.axis);
+        }
+    }
+    for (stand, place) in stands.iter().zip(&places) {
+        sheet.joint(svg, *place, stand.kind, stand.axis);
+    }
+    sheet.frame(svg, &nalgebra::Isometry3::identity());
+    if let Some(last) = stands.last() {
+        sheet.frame(svg, &last.frame);
+    }
+    for ((symbol, place), stand) in symbols.iter().zip(&places).zip(stands) {
+        sheet.name(svg, *place, symbol, &stand.axis);
+    }
+    for (joint, (stand, symbol)) in stands.iter().zip(symbols).enumerate() {
+        for (part, [from, to]) in stand.way.iter().enumerate() {
+            if told.contains(&(joint, part)) {
+                continue;
+            }
+            let along = (to - from).normalize();
+            let variable = stand.kind == LinkKind::Prismatic && along.dot(&stand.axis).abs() > 0.99;
+            let length = (to - from).norm() * 1e3;
+            let said = if variable {
+                (*symbol).to_owned()
+            } else {
+                ink::millimetres(length)
+            };
+            if sheet.dimension(svg, [*from, *to], &said) {
+                told.push((joint, part));
+            }
+        }
+    }
+    for other in &view.others {
+        if let (Some(said), Some(&[from, to])) = (&other.said, other.points.first_chunk()) {
+            sheet.dimension(svg, [from, to], said);
+        }
+    }
+    sheet.frame_name(svg, &Vector3::zeros(), "base");
+    sheet.frame_name(svg, &flange, "flange");
+    if let Some((outlines, said)) = &view.reach {
+        sheet.area_name(svg, outlines, said);
+    }
+    sheet.scale(svg, [left, TOP + PANEL[1] + 24.0]);
+}
+
+/// Where the joints are drawn, those seen along their axes first: these cannot be moved aside.
+fn places(sheet: &Sheet, stands: &[Stand]) -> Vec<Point> {
+    let mut places = vec![[f64::INFINITY; 2]; stands.len()];
+    for seen_along in [true, false] {
+        for (number, stand) in stands.iter().enumerate() {
+            if sheet.is_seen_along(&stand.axis) == seen_along {
+                let ends = [number == 0, number + 1 == stands.len()];
+                places[number] = place(sheet, stand, ends, &places);
+            }
+        }
+    }
+    places
+}
+
+/// Where a joint is drawn: on the way that leads to it where it turns about that or slides along it, else in its
+/// frame, or beside it along its axis where another joint is there already. The first leaves room for the base frame.
+fn place(sheet: &Sheet, stand: &Stand, [first, last]: [bool; 2], taken: &[Point]) -> Point {
+    let own = sheet.at(stand.frame.translation.vector);
+    let on_way = stand.way.last().and_then(|[from, to]| {
+        let along = (to - from).normalize().dot(&stand.axis).abs() > 0.99;
+        let [a, b] = [from, to].map(|end| sheet.at(*end));
+        let long = (to - from).norm() > LEAST && (b[0] - a[0]).hypot(b[1] - a[1]) > 30.0;
+        let share = if first { 0.65 } else { 0.5 };
+        (along && long).then(|| [0, 1].map(|side| a[side] + share * (b[side] - a[side])))
+    });
+    let is_free = |place: &Point| {
+        let near = |other: &Point| (other[0] - place[0]).hypot(other[1] - place[1]) < 27.0;
+        !taken.iter().any(near)
+    };
+    // Before the others on the base's side, behind them on the flange's.
+    let towards = svg::unit(sheet.direction(if last { stand.axis } else { -stand.axis }));
+    let beside =
+        [30.0, -30.0, 56.0, -56.0].map(|away| [0, 1].map(|side| own[side] + away * towards[side]));
+    let seen_along = sheet.is_seen_along(&stand.axis);
+    let aside = beside.into_iter().filter(|_| !seen_along);
+    let mut places = on_way.into_iter().chain([own]).chain(aside);
+    places.find(is_free).unwrap_or(own)
+}

@@ -1,0 +1,503 @@
+//! What a view is drawn with: the projection, the links, and places for texts.
+
+use std::fmt::Write as _;
+
+use controller::robot::LinkKind;
+use nalgebra::{Isometry3, Vector3};
+
+use super::symbols::{ACCENT, BODY, DASHED, axis_line, drum, pole, square, turn_about};
+use figures::svg::{self, Point, unit};
+
+pub(super) const SECONDARY: &str = "fill=\"#666\"";
+const LINK: &str = "fill=\"none\" stroke=\"#8a939e\" stroke-width=\"9\" stroke-linecap=\"round\"";
+const THIN: &str = "stroke=\"#98a1ab\" stroke-width=\"1\"";
+/// The axes x, y, z of a frame.
+const AXES: [(&str, &str); 3] = [("x", "#c62828"), ("y", "#2e7d32"), ("z", "#1546a0")];
+/// A text stays legible on lines.
+const HALO: &str =
+    "paint-order=\"stroke\" stroke=\"#fff\" stroke-width=\"4\" stroke-linejoin=\"round\"";
+
+/// Lengths in mm with the digits they have.
+pub(super) fn millimetres(length: f64) -> String {
+    let rounded = (length * 10.0).round() / 10.0;
+    format!("{rounded}")
+}
+
+/// A view on the sheet.
+pub(super) struct Sheet {
+    right: Vector3<f64>,
+    up: Vector3<f64>,
+    origin: Point,
+    /// px per m.
+    scale: f64,
+    /// Points that texts avoid.
+    taken: Vec<Point>,
+}
+
+impl Sheet {
+    /// The view in which all of `seen` is inside the panel.
+    pub(super) fn fit(
+        [right, up]: [Vector3<f64>; 2],
+        seen: &[Vector3<f64>],
+        corner: Point,
+        size: [f64; 2],
+    ) -> Self {
+        const MARGIN: f64 = 62.0;
+        let ends = |direction: &Vector3<f64>| {
+            let along = seen.iter().map(|point| point.dot(direction));
+            along.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| {
+                [low.min(value), high.max(value)]
+            })
+        };
+        let (across, upwards) = (ends(&right), ends(&up));
+        let room =
+            |size: f64, [low, high]: [f64; 2]| (size - 2.0 * MARGIN) / (high - low).max(1e-3);
+        let scale = room(size[0], across).min(room(size[1], upwards));
+        let middle = |[low, high]: [f64; 2]| f64::midpoint(low, high) * scale;
+        Self {
+            right,
+            up,
+            origin: [
+                corner[0] + size[0] / 2.0 - middle(across),
+                corner[1] + size[1] / 2.0 + middle(upwards),
+            ],
+            scale,
+            taken: Vec::new(),
+        }
+    }
+
+    pub(super) fn at(&self, point: Vector3<f64>) -> Point {
+        let [x, y] = self.direction(point);
+        [self.origin[0] + x, self.origin[1] + y]
+    }
+
+    /// A direction on the sheet; of no length where the view is along it.
+    pub(super) fn direction(&self, direction: Vector3<f64>) -> Point {
+        [
+            direction.dot(&self.right) * self.scale,
+            -direction.dot(&self.up) * self.scale,
+        ]
+    }
+
+    /// Towards the viewer.
+    fn viewer(&self) -> Vector3<f64> {
+        self.right.cross(&self.up)
+    }
+
+    pub(super) fn is_seen_along(&self, axis: &Vector3<f64>) -> bool {
+        axis.dot(&self.viewer()).abs() > 0.9
+    }
+
+    /// Keeps texts off the line.
+    pub(super) fn occupy(&mut self, from: Vector3<f64>, to: Vector3<f64>) {
+        let [from, to] = [from, to].map(|end| self.at(end));
+        self.occupy_line(from, to);
+    }
+
+    fn occupy_line(&mut self, from: Point, to: Point) {
+        let steps = ((to[0] - from[0]).hypot(to[1] - from[1]) / 5.0)
+            .ceil()
+            .max(1.0);
+        for step in 0..=steps as u32 {
+            let share = f64::from(step) / steps;
+            self.taken
+                .push([0, 1].map(|side| from[side] + (to[side] - from[side]) * share));
+        }
+    }
+
+    /// Keeps texts off a square.
+    pub(super) fn block(&mut self, [x, y]: Point, half: f64) {
+        for [dx, dy] in [
+            [-1.0, -1.0],
+            [1.0, -1.0],
+            [1.0, 1.0],
+            [-1.0, 1.0],
+            [0.0, 0.0],
+        ] {
+            self.taken.push([x + dx * half, y + dy * half]);
+        }
+        self.occupy_line([x - half, y], [x + half, y]);
+        self.occupy_line([x, y - half], [x, y + half]);
+    }
+
+    /// How many of the points that texts avoid a text centred there would cover.
+    fn crowd(&self, [x, y]: Point, said: &str, size: f64) -> usize {
+        let half = [
+            0.30 * size * said.chars().count() as f64 + 3.0,
+            0.55 * size + 2.0,
+        ];
+        let covered =
+            |other: &&Point| (other[0] - x).abs() < half[0] && (other[1] - y).abs() < half[1];
+        self.taken.iter().filter(covered).count()
+    }
+
+    /// A text at the emptiest of the places, the first of equals.
+    fn text(
+        &mut self,
+        svg: &mut String,
+        places: impl Iterator<Item = Point>,
+        size: f64,
+        style: &str,
+        said: &str,
+    ) {
+        let places: Vec<_> = places.collect();
+        let best = places
+            .iter()
+            .min_by_key(|place| self.crowd(**place, said, size));
+        let Some(&[x, y]) = best else { return };
+        let style = format!("font-size=\"{size}\" {style} {HALO}");
+        svg::text(svg, [x, y + 0.36 * size], "middle", &style, said);
+        let half = 0.29 * size * said.chars().count() as f64;
+        for dy in [-0.4 * size, 0.0, 0.4 * size] {
+            self.occupy_line([x - half, y + dy], [x + half, y + dy]);
+        }
+    }
+
+    /// An area inside lines that end where they begin.
+    pub(super) fn area(&self, svg: &mut String, outlines: &[Vec<Vector3<f64>>]) {
+        let mut way = String::new();
+        for outline in outlines {
+            for (number, point) in outline.iter().enumerate() {
+                let [x, y] = self.at(*point);
+                let _ = write!(way, "{}{x:.1} {y:.1}", if number == 0 { 'M' } else { 'L' });
+            }
+            way.push('Z');
+        }
+        let _ = writeln!(
+            svg,
+            "<path d=\"{way}\" fill=\"#e8f1fb\" fill-rule=\"evenodd\" stroke=\"#9dc1e8\" stroke-width=\"1\" \
+             stroke-dasharray=\"6 3\"/>"
+        );
+    }
+
+    /// What an area is called, below or above it.
+    pub(super) fn area_name(
+        &mut self,
+        svg: &mut String,
+        outlines: &[Vec<Vector3<f64>>],
+        said: &str,
+    ) {
+        let points = outlines.iter().flatten().map(|point| self.at(*point));
+        let (low, high) = points.fold(
+            ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]),
+            |(low, high), [x, y]| {
+                (
+                    [low[0].min(x), low[1].min(y)],
+                    [high[0].max(x), high[1].max(y)],
+                )
+            },
+        );
+        let middle = f64::midpoint(low[0], high[0]);
+        let heights = [high[1] + 14.0, low[1] - 12.0, high[1] + 28.0, low[1] - 26.0];
+        let places = heights.map(|height| [middle, height]);
+        self.text(svg, places.into_iter(), 12.0, "fill=\"#4a86c5\"", said);
+    }
+
+    /// The base, hatched, where it is seen from the side, `depth` px below the base frame: it carries axis 1 along
+    /// that frame's z.
+    pub(super) fn ground(&mut self, svg: &mut String, depth: f64) {
+        if self.is_seen_along(&Vector3::z()) {
+            return;
+        }
+        let down = unit(self.direction(-Vector3::z()));
+        let across = [-down[1], down[0]];
+        let place = |along: f64, deep: f64| {
+            [0, 1].map(|side| self.origin[side] + across[side] * along + down[side] * deep)
+        };
+        let top = [place(-44.0, depth), place(44.0, depth)];
+        svg::line(svg, place(0.0, 0.0), place(0.0, depth), LINK);
+        svg::line(svg, top[0], top[1], "stroke=\"#222\" stroke-width=\"2\"");
+        for step in 0..9 {
+            let from = -40.0 + 10.0 * f64::from(step);
+            svg::line(
+                svg,
+                place(from, depth),
+                place(from - 8.0, depth + 9.0),
+                "stroke=\"#222\" stroke-width=\"1\"",
+            );
+        }
+        self.occupy_line(top[0], top[1]);
+        let origin = self.origin;
+        self.occupy_line(origin, [0, 1].map(|side| origin[side] + depth * down[side]));
+    }
+
+    pub(super) fn link(&self, svg: &mut String, from: Vector3<f64>, to: Vector3<f64>) {
+        let [from, to] = [from, to].map(|end| self.at(end));
+        if (to[0] - from[0]).hypot(to[1] - from[1]) > 1.0 {
+            svg::line(svg, from, to, LINK);
+        }
+    }
+
+    /// A rail, a leg or a platform; a box on it where it is driven along its line.
+    pub(super) fn other(&mut self, svg: &mut String, points: &[Vector3<f64>], slides: bool) {
+        let points: Vec<_> = points.iter().map(|point| self.at(*point)).collect();
+        svg::path(
+            svg,
+            &points,
+            "fill=\"none\" stroke=\"#5b6570\" stroke-width=\"3\" stroke-linejoin=\"round\"",
+        );
+        for ends in points.windows(2) {
+            self.occupy_line(ends[0], ends[1]);
+        }
+        if let (true, &[from, to]) = (slides, &points[..]) {
+            // Joints at both ends, and the screw between them.
+            for end in [from, to] {
+                svg::circle(svg, end, 4.5, BODY);
+            }
+            let along = [to[0] - from[0], to[1] - from[1]];
+            let middle = [0, 1].map(|side| from[side] + 0.45 * along[side]);
+            drum(svg, middle, unit(along), [22.0, 6.0]);
+        }
+    }
+
+    /// The symbol of a joint and its positive direction.
+    pub(super) fn joint(&self, svg: &mut String, at: Point, kind: LinkKind, axis: Vector3<f64>) {
+        let towards = axis.dot(&self.viewer());
+        let along = unit(self.direction(axis));
+        let seen_along = self.is_seen_along(&axis);
+        if kind == LinkKind::Prismatic {
+            if seen_along {
+                square(svg, at, 10.0);
+                pole(svg, at, towards > 0.0, "#222");
+            } else {
+                drum(svg, at, along, [20.0, 10.0]);
+                let tip = [0, 1].map(|side| at[side] + 15.0 * along[side]);
+                let tail = [0, 1].map(|side| at[side] - 13.0 * along[side]);
+                svg::line(svg, tail, tip, "stroke=\"#1666c0\" stroke-width=\"2\"");
+                svg::arrowhead(svg, tip, along, 9.0, ACCENT);
+            }
+        } else if seen_along {
+            svg::circle(svg, at, 11.0, BODY);
+            pole(svg, at, towards > 0.0, "#222");
+        } else {
+            axis_line(svg, at, along);
+            drum(svg, at, along, [13.0, 9.0]);
+            turn_about(svg, at, along);
+        }
+    }
+
+    /// The angle of a joint seen along its axis: dashed where the link points at zero, and the positive direction.
+    pub(super) fn angle(
+        &mut self,
+        svg: &mut String,
+        at: Point,
+        [zero, now]: [Vector3<f64>; 2],
+        axis: Vector3<f64>,
+    ) {
+        if !self.is_seen_along(&axis) {
+            return;
+        }
+        let [zero, now] = [zero, now].map(|direction| {
+            let [x, y] = self.direction(direction);
+            y.atan2(x)
+        });
+        // On the sheet y points down, so that a turn about an axis towards the viewer lessens the angle.
+        let sense = -axis.dot(&self.viewer()).signum();
+        let end = [at[0] + 56.0 * zero.cos(), at[1] + 56.0 * zero.sin()];
+        svg::line(svg, at, end, DASHED);
+        self.occupy_line(at, end);
+        let mut swept = now - zero;
+        swept -= std::f64::consts::TAU * (swept / std::f64::consts::TAU).round();
+        let arc = |radius: f64, from: f64, sweep: f64| -> Vec<Point> {
+            let steps = 24;
+            let angle = move |step: i32| from + sweep * f64::from(step) / f64::from(steps);
+            let place = |angle: f64| [at[0] + radius * angle.cos(), at[1] + radius * angle.sin()];
+            (0..=steps).map(angle).map(place).collect()
+        };
+        if swept.abs() > 0.05 {
+            let points = arc(40.0, zero, swept);
+            svg::path(
+                svg,
+                &points,
+                &format!("fill=\"none\" stroke=\"{ACCENT}\" stroke-width=\"1\""),
+            );
+            self.taken.extend(points);
+        }
+        let span = 1.3 * sense;
+        let points = arc(20.0, zero - span / 2.0 + sense * 0.9, span);
+        svg::path(
+            svg,
+            &points,
+            &format!("fill=\"none\" stroke=\"{ACCENT}\" stroke-width=\"2\""),
+        );
+        if let Some([before, tip]) = points.last_chunk::<2>() {
+            let onwards = [tip[0] - before[0], tip[1] - before[1]];
+            let tip = [0, 1].map(|side| tip[side] + 5.0 * unit(onwards)[side]);
+            svg::arrowhead(svg, tip, onwards, 9.0, ACCENT);
+        }
+        self.taken.extend(points);
+    }
+
+    /// What a joint is called. A dimension leaves one that is seen along its axis across its links, most of which stand
+    /// or lie: there it is told askew.
+    pub(super) fn name(&mut self, svg: &mut String, at: Point, symbol: &str, axis: &Vector3<f64>) {
+        let round = |radius: f64| {
+            [3, 5, 1, 7, 4, 0, 2, 6].map(|eighth| {
+                let angle = std::f64::consts::FRAC_PI_4 * f64::from(eighth);
+                [
+                    at[0] + 1.15 * radius * angle.cos(),
+                    at[1] - radius * angle.sin(),
+                ]
+            })
+        };
+        let askew = if self.is_seen_along(axis) { 2 } else { 0 };
+        let askew = round(34.0).into_iter().take(askew);
+        let places = [26.0, 34.0, 46.0].into_iter().flat_map(round);
+        self.text(
+            svg,
+            askew.chain(places),
+            14.0,
+            "fill=\"#111\" font-weight=\"bold\"",
+            symbol,
+        );
+    }
+
+    /// A dimension beside a line, if that lies in the page; whether it does.
+    pub(super) fn dimension(
+        &mut self,
+        svg: &mut String,
+        ends: [Vector3<f64>; 2],
+        said: &str,
+    ) -> bool {
+        let length = (ends[1] - ends[0]).norm() * self.scale;
+        let [from, to] = ends.map(|end| self.at(end));
+        let along = [to[0] - from[0], to[1] - from[1]];
+        let seen = along[0].hypot(along[1]);
+        if seen < 9.0 || seen < 0.999 * length {
+            return false;
+        }
+        let (along, size) = (unit(along), 12.0);
+        let across = [-along[1], along[0]];
+        let beside = |offset: f64, end: Point| [0, 1].map(|side| end[side] + offset * across[side]);
+        let middle = [0, 1].map(|side| f64::midpoint(from[side], to[side]));
+        let offsets = [30.0, -30.0, 48.0, -48.0, 66.0, -66.0, 84.0, -84.0];
+        // A text wider than its line stands behind it.
+        let wide = 0.6 * size * said.chars().count() as f64 > seen - 4.0;
+        let place = |offset: f64| {
+            let further = if wide {
+                offset + 12.0 * offset.signum()
+            } else {
+                offset
+            };
+            beside(further, middle)
+        };
+        let crowd = |offset: &f64| {
+            let on_line = |other: &&Point| {
+                let apart = [other[0] - middle[0], other[1] - middle[1]];
+                let [x, y] = [along, across].map(|axis| apart[0] * axis[0] + apart[1] * axis[1]);
+                x.abs() < seen / 2.0 && (y - offset).abs() < 7.0
+            };
+            let on_mark = |other: &&Point| {
+                [from, to].into_iter().any(|end| {
+                    let apart = [other[0] - end[0], other[1] - end[1]];
+                    let [x, y] =
+                        [along, across].map(|axis| apart[0] * axis[0] + apart[1] * axis[1]);
+                    x.abs() < 3.0 && (14.0..offset.abs()).contains(&(y * offset.signum()))
+                })
+            };
+            let crossed = |other: &&Point| on_line(other) || on_mark(other);
+            10 * self.crowd(place(*offset), said, size) + self.taken.iter().filter(crossed).count()
+        };
+        let Some(&offset) = offsets.iter().min_by_key(|offset| crowd(offset)) else {
+            return false;
+        };
+        let [a, b] = [beside(offset, from), beside(offset, to)];
+        for (end, mark) in [(from, a), (to, b)] {
+            let past = [0, 1].map(|side| mark[side] + 4.0 * across[side] * offset.signum());
+            let off = [0, 1].map(|side| end[side] + 9.0 * across[side] * offset.signum());
+            svg::line(svg, off, past, THIN);
+            self.occupy_line(off, past);
+        }
+        svg::line(svg, a, b, THIN);
+        svg::arrowhead(svg, b, along, 7.0, "#6b747e");
+        svg::arrowhead(svg, a, along.map(|part| -part), 7.0, "#6b747e");
+        self.occupy_line(a, b);
+        self.text(
+            svg,
+            [place(offset)].into_iter(),
+            size,
+            "fill=\"#222\"",
+            said,
+        );
+        true
+    }
+
+    /// The axes of a frame.
+    pub(super) fn frame(&mut self, svg: &mut String, frame: &Isometry3<f64>) {
+        const LENGTH: f64 = 58.0;
+        let origin = self.at(frame.translation.vector);
+        let columns = frame.rotation.to_rotation_matrix().into_inner();
+        for ((name, colour), axis) in AXES.iter().zip(columns.column_iter()) {
+            let axis = axis.into_owned();
+            if self.is_seen_along(&axis) {
+                continue;
+            }
+            let direction = self.direction(axis);
+            let [x, y] = direction.map(|part| part / self.scale * LENGTH);
+            let tip = [origin[0] + x, origin[1] + y];
+            svg::line(
+                svg,
+                origin,
+                tip,
+                &format!("stroke=\"{colour}\" stroke-width=\"2\""),
+            );
+            svg::arrowhead(svg, tip, direction, 9.0, colour);
+            self.occupy_line(origin, tip);
+            let towards = unit(direction);
+            let beyond = [0, 1].map(|side| tip[side] + 9.0 * towards[side]);
+            self.text(
+                svg,
+                [beyond].into_iter(),
+                13.0,
+                &format!("fill=\"{colour}\""),
+                name,
+            );
+        }
+    }
+
+    /// What a frame is called.
+    pub(super) fn frame_name(&mut self, svg: &mut String, origin: &Vector3<f64>, said: &str) {
+        let origin = self.at(*origin);
+        let round = |radius: f64| {
+            (0..8).map(move |eighth| {
+                let angle = std::f64::consts::FRAC_PI_4 * f64::from(eighth);
+                [
+                    origin[0] + 1.5 * radius * angle.cos(),
+                    origin[1] - radius * angle.sin(),
+                ]
+            })
+        };
+        let places: Vec<_> = [24.0, 36.0, 50.0].into_iter().flat_map(round).collect();
+        self.text(
+            svg,
+            places.into_iter(),
+            12.0,
+            "fill=\"#666\" font-style=\"italic\"",
+            said,
+        );
+    }
+
+    /// A bar of 200 mm.
+    pub(super) fn scale(&self, svg: &mut String, [x, y]: Point) {
+        let end = x + 0.2 * self.scale;
+        svg::path(
+            svg,
+            &[
+                [x, y - 4.0],
+                [x, y + 4.0],
+                [x, y],
+                [end, y],
+                [end, y - 4.0],
+                [end, y + 4.0],
+            ],
+            "fill=\"none\" stroke=\"#666\" stroke-width=\"1.5\"",
+        );
+        svg::text(
+            svg,
+            [end + 8.0, y + 4.0],
+            "start",
+            "font-size=\"12\" fill=\"#666\"",
+            "200 mm",
+        );
+    }
+}

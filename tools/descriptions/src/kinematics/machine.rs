@@ -1,0 +1,174 @@
+//! The robot that is asked about.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use anyhow::{Context as _, anyhow};
+use clap::Args;
+use controller::robot::{
+    Joints, Limits, Motors, ParameterError, PolycrankParameters, Rnt, RntParameters, Robot, Vector,
+};
+use mrroc::cell::{Model, Parameters};
+
+use nalgebra::Vector3;
+
+use super::numbers;
+use mrroc::cell_file::CellFile;
+
+const RNT: &str =
+    "geometry, drives and limits of the RNT are nominal: none was measured or published";
+const POLYCRANK: &str =
+    "drives and home of the Polycrank are nominal: none was measured or published";
+
+/// Which robot.
+#[derive(Args)]
+pub struct Which {
+    /// The robot by its model, such as irp6-track; with --cell by its name in the cell.
+    #[arg(long)]
+    robot: String,
+    /// A cell file, whose robot may have parameters of its own.
+    #[arg(long)]
+    cell: Option<PathBuf>,
+}
+
+impl Which {
+    #[cfg(test)]
+    /// The machine of a robot, by its name.
+    pub fn preset(name: &str) -> Self {
+        Self {
+            robot: name.into(),
+            cell: None,
+        }
+    }
+}
+
+/// A robot by name.
+pub struct Machine {
+    /// Name of the robot or its model.
+    pub name: String,
+    /// Kinematics and drive train.
+    pub robot: Arc<dyn Robot>,
+    /// Parameters of the robot.
+    pub parameters: Parameters,
+    /// Of a robot that has legs.
+    rnt: Option<Rnt>,
+    /// What must be known of the numbers.
+    pub caution: Option<&'static str>,
+}
+
+impl Machine {
+    /// The robot of that name: a model, or a robot of a cell.
+    pub fn find(Which { robot, cell }: &Which) -> anyhow::Result<Self> {
+        let parameters = match cell {
+            None => preset(robot)?,
+            Some(cell) => {
+                let file = CellFile::read(cell)?;
+                let mut robots = file.cell.robot.iter();
+                let found = robots.find(|candidate| candidate.name == *robot);
+                let found = found.ok_or_else(|| {
+                    let names = file.cell.robot.iter().map(|robot| robot.name.as_str());
+                    unknown(&format!("{} has no robot", cell.display()), robot, names)
+                })?;
+                let model = found.model;
+                found.parameters.unwrap_or_else(|| model.parameters())
+            }
+        };
+        Ok(Self::new(robot.clone(), parameters)?)
+    }
+
+    fn new(name: String, parameters: Parameters) -> Result<Self, ParameterError> {
+        let (rnt, caution) = match &parameters {
+            Parameters::Rnt(numbers) => {
+                let nominal = *numbers == RntParameters::nominal();
+                (Some(Rnt::new(numbers)?), nominal.then_some(RNT))
+            }
+            Parameters::Polycrank(numbers) => {
+                let nominal = *numbers == PolycrankParameters::polycrank();
+                (None, nominal.then_some(POLYCRANK))
+            }
+            Parameters::Irb6(_)
+            | Parameters::Irp6(_)
+            | Parameters::Irp6Track(_)
+            | Parameters::Gripper(_)
+            | Parameters::Conveyor(_) => (None, None),
+        };
+        Ok(Self {
+            name,
+            robot: parameters.kinematics()?,
+            parameters,
+            rnt,
+            caution,
+        })
+    }
+
+    /// The joints of a list.
+    pub(super) fn joints(&self, option: &str, list: &str) -> anyhow::Result<Joints> {
+        self.vector(option, list)
+    }
+
+    /// The joints at a list of motor positions, of the RNT's legs at their lengths.
+    pub(super) fn joints_from_motors(&self, list: &str) -> anyhow::Result<Joints> {
+        let mut motors: Motors = self.vector("--motors", list)?;
+        if let Parameters::Rnt(parameters) = &self.parameters {
+            for (motor, leg) in motors.iter_mut().zip(&parameters.legs) {
+                *motor = leg.motor(*motor);
+            }
+        }
+        let joints = self.robot.joints_from_motors(&motors);
+        joints.with_context(|| format!("{}: no joints at these motors", self.name))
+    }
+
+    /// The joints at home.
+    pub(super) fn home(&self) -> anyhow::Result<Joints> {
+        Ok(self.robot.joints_from_motors(&self.robot.home())?)
+    }
+
+    /// Leg lengths at these joints, m, of a robot that has legs.
+    pub(super) fn leg_lengths(&self, joints: &Joints) -> anyhow::Result<Option<[f64; 3]>> {
+        let rnt = self.rnt.as_ref();
+        Ok(rnt.map(|rnt| rnt.leg_lengths(joints)).transpose()?)
+    }
+
+    /// Ranges of the legs, m, of a robot that has them.
+    pub(super) fn leg_limits(&self) -> Option<[Limits; 3]> {
+        let Parameters::Rnt(parameters) = &self.parameters else {
+            return None;
+        };
+        Some(parameters.legs.map(|leg| leg.length_limits))
+    }
+
+    /// Where each leg begins on the base and ends on the platform, m, of a robot that has legs.
+    pub fn leg_ends(&self) -> Option<[[Vector3<f64>; 2]; 3]> {
+        let Parameters::Rnt(parameters) = &self.parameters else {
+            return None;
+        };
+        Some(parameters.leg_ends())
+    }
+
+    fn vector<Space>(&self, option: &str, text: &str) -> anyhow::Result<Vector<Space>> {
+        let numbers = numbers::list(option, text)?;
+        let (given, axes) = (numbers.len(), self.robot.axes());
+        let vector = Vector::new(&numbers).filter(|_| given == axes);
+        vector.ok_or_else(|| {
+            anyhow!(
+                "{option}: {given} positions, and {} has {axes} axes",
+                self.name
+            )
+        })
+    }
+}
+
+fn preset(name: &str) -> anyhow::Result<Parameters> {
+    let mut models = Model::ALL.into_iter();
+    let found = models.find(|model| model.name() == name);
+    let names = Model::ALL.into_iter().map(Model::name);
+    let model = found.ok_or_else(|| unknown("there is no robot", name, names))?;
+    Ok(model.parameters())
+}
+
+fn unknown<'a>(what: &str, name: &str, known: impl Iterator<Item = &'a str>) -> anyhow::Error {
+    anyhow!(
+        "{what} {name:?}, only {}",
+        known.collect::<Vec<_>>().join(", ")
+    )
+}

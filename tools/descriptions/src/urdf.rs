@@ -1,0 +1,297 @@
+//! `mrroc urdf`: a robot in the Unified Robot Description Format, from the parameters that its kinematics have.
+//!
+//! The links are those of `base_from_flange`; a rod stands for each so that something is seen. There are no masses: a
+//! viewer needs none, and a library of rigid bodies takes them for zero.
+
+use std::fmt::{self, Write as _};
+use std::process::ExitCode;
+
+use anyhow::{Context as _, anyhow};
+use clap::Args;
+use controller::robot::{Link, LinkKind};
+use mrroc::cell::Parameters;
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+
+use crate::kinematics::{Machine, Which};
+use mrroc::streams;
+
+/// Radius of the rod between two joints, m.
+const ROD: f64 = 0.03;
+/// Radius and length of the drum at a joint, m.
+const DRUM: (f64, f64) = (0.045, 0.09);
+
+/// Options of `mrroc urdf`.
+#[derive(Args)]
+pub struct Options {
+    #[command(flatten)]
+    machine: Which,
+}
+
+/// Prints the description of a robot.
+pub fn urdf(options: &Options) -> anyhow::Result<ExitCode> {
+    let machine = Machine::find(&options.machine)?;
+    let links = machine.robot.links();
+    let links = links
+        .ok_or_else(|| anyhow!("{}: no serial arm, and no description of one", machine.name))?;
+    let mut text = String::new();
+    write(&mut text, &machine, &links.0).context("the description cannot be written")?;
+    streams::print(text)
+}
+
+fn write(text: &mut String, machine: &Machine, links: &[Link]) -> fmt::Result {
+    writeln!(text, "<?xml version=\"1.0\"?>")?;
+    writeln!(
+        text,
+        "<!-- Kinematics only, metres and radians: no masses, and efforts and velocities of 0 for unknown. -->"
+    )?;
+    if let Some(caution) = machine.caution {
+        writeln!(text, "<!-- Mind: {caution}. -->")?;
+    }
+    if let Some(legs) = machine.leg_ends() {
+        writeln!(
+            text,
+            "<!-- The serial equivalent: the motors of alpha, beta and rho are three legs, which URDF cannot close:"
+        )?;
+        for [base, platform] in legs {
+            let [from, to] = [base, platform].map(|point| triple(&point));
+            writeln!(text, "     from {from} on base_link to {to} on rho_link")?;
+        }
+        writeln!(text, "-->")?;
+    }
+    writeln!(text, "<robot name=\"{}\">", escaped(&machine.name))?;
+    if let Parameters::Polycrank(_) = machine.parameters {
+        mounting(text)?;
+    }
+    let rods = links
+        .first()
+        .map(|link| rod(&link.parent_from_link.translation.vector));
+    body(text, "base_link", &[rods.flatten()])?;
+    for (number, link) in links.iter().enumerate() {
+        let onwards = links
+            .get(number + 1)
+            .map(|next| rod(&next.parent_from_link.translation.vector));
+        let visuals = [Some(drum(link)), onwards.flatten(), slide(link)];
+        body(text, &format!("{}_link", link.name), &visuals)?;
+    }
+    body(text, "flange", &[])?;
+    let mut parent = "base_link".to_owned();
+    for link in links {
+        joint(text, link, &parent)?;
+        parent = format!("{}_link", link.name);
+    }
+    writeln!(text, "  <joint name=\"flange_joint\" type=\"fixed\">")?;
+    writeln!(
+        text,
+        "    <parent link=\"{parent}\"/>\n    <child link=\"flange\"/>\n  </joint>\n</robot>"
+    )
+}
+
+/// The floor under a base whose z axis is level: x of the base points up, z along the floor's y. The height is of public
+/// code; which way axis 1 points is this description's choice, and only moves the zero of joint 1.
+fn mounting(text: &mut String) -> fmt::Result {
+    const HEIGHT: f64 = 0.925;
+    let floor_from_base = Matrix3::new(
+        0.0, 1.0, 0.0, //
+        0.0, 0.0, 1.0, //
+        1.0, 0.0, 0.0,
+    );
+    let rotation = Rotation3::from_matrix_unchecked(floor_from_base);
+    let floor_from_base = Isometry3::from_parts(
+        Translation3::new(0.0, 0.0, HEIGHT),
+        UnitQuaternion::from_rotation_matrix(&rotation),
+    );
+    body(text, "floor", &[])?;
+    writeln!(
+        text,
+        "  <!-- Axis 1 is level, along y of the floor; base_link is the frame of base_from_flange. -->"
+    )?;
+    writeln!(text, "  <joint name=\"mounting\" type=\"fixed\">")?;
+    writeln!(
+        text,
+        "    <parent link=\"floor\"/>\n    <child link=\"base_link\"/>\n    {}\n  </joint>",
+        origin(&floor_from_base)
+    )
+}
+
+fn joint(text: &mut String, link: &Link, parent: &str) -> fmt::Result {
+    let kind = match link.kind {
+        LinkKind::Revolute => "revolute",
+        LinkKind::Continuous => "continuous",
+        LinkKind::Prismatic => "prismatic",
+    };
+    let terms = link
+        .coupling
+        .iter()
+        .enumerate()
+        .filter(|(_, factor)| **factor != 0.0);
+    let terms: Vec<_> = terms
+        .map(|(axis, factor)| format!("{factor:+} x joint {axis}"))
+        .collect();
+    if terms.len() > 1 {
+        writeln!(
+            text,
+            "  <!-- {} is {} of the robot's joints. -->",
+            link.name,
+            terms.join(" ")
+        )?;
+    }
+    writeln!(text, "  <joint name=\"{}\" type=\"{kind}\">", link.name)?;
+    writeln!(
+        text,
+        "    <parent link=\"{parent}\"/>\n    <child link=\"{}_link\"/>",
+        link.name
+    )?;
+    writeln!(text, "    {}", origin(&link.parent_from_link))?;
+    writeln!(text, "    <axis xyz=\"{}\"/>", triple(&link.axis))?;
+    if link.kind != LinkKind::Continuous {
+        let (low, high) = (link.limits.low, link.limits.high);
+        writeln!(
+            text,
+            "    <limit lower=\"{low}\" upper=\"{high}\" effort=\"0\" velocity=\"0\"/>"
+        )?;
+    }
+    writeln!(text, "  </joint>")
+}
+
+/// A cylinder along the z axis of the frame that stands there in its link.
+struct Cylinder {
+    link_from_cylinder: Isometry3<f64>,
+    radius: f64,
+    length: f64,
+}
+
+fn body(text: &mut String, name: &str, visuals: &[Option<Cylinder>]) -> fmt::Result {
+    writeln!(text, "  <link name=\"{name}\">")?;
+    for Cylinder {
+        link_from_cylinder,
+        radius,
+        length,
+    } in visuals.iter().flatten()
+    {
+        writeln!(text, "    <visual>\n      {}", origin(link_from_cylinder))?;
+        writeln!(
+            text,
+            "      <geometry><cylinder radius=\"{radius}\" length=\"{length}\"/></geometry>"
+        )?;
+        writeln!(
+            text,
+            "      <material name=\"grey\"><color rgba=\"0.6 0.6 0.65 1\"/></material>\n    </visual>"
+        )?;
+    }
+    writeln!(text, "  </link>")
+}
+
+/// A rod from a link's origin to `end`, unless that is the same point.
+fn rod(end: &Vector3<f64>) -> Option<Cylinder> {
+    let length = end.norm();
+    (length > 1e-3).then(|| Cylinder {
+        link_from_cylinder: Isometry3::from_parts(Translation3::from(end / 2.0), along(end)),
+        radius: ROD,
+        length,
+    })
+}
+
+/// A drum about a link's axis.
+fn drum(link: &Link) -> Cylinder {
+    let (radius, length) = DRUM;
+    Cylinder {
+        link_from_cylinder: Isometry3::from_parts(Translation3::identity(), along(&link.axis)),
+        radius,
+        length,
+    }
+}
+
+/// The part of a sliding link that never leaves the one before it.
+fn slide(link: &Link) -> Option<Cylinder> {
+    let sliding = link.kind == LinkKind::Prismatic;
+    sliding.then(|| rod(&(link.axis.as_ref() * -link.limits.low)))?
+}
+
+/// The shortest turn of the z axis there.
+fn along(direction: &Vector3<f64>) -> UnitQuaternion<f64> {
+    UnitQuaternion::rotation_between(&Vector3::z(), direction).unwrap_or_else(|| {
+        UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)
+    })
+}
+
+fn origin(pose: &Isometry3<f64>) -> String {
+    let rpy = roll_pitch_yaw(&pose.rotation.to_rotation_matrix());
+    format!(
+        "<origin xyz=\"{}\" rpy=\"{}\"/>",
+        triple(&pose.translation.vector),
+        triple(&rpy)
+    )
+}
+
+fn triple(vector: &Vector3<f64>) -> String {
+    // Zero has no sign here.
+    let [x, y, z] = [vector.x, vector.y, vector.z].map(|value| value + 0.0);
+    format!("{x} {y} {z}")
+}
+
+/// The angles about the fixed axes x, y, z of URDF, yaw 0 where only its sum with roll is determined. An arc sine
+/// of the pitch would lose half the digits near a right angle.
+fn roll_pitch_yaw(rotation: &Rotation3<f64>) -> Vector3<f64> {
+    let level = rotation[(0, 0)].hypot(rotation[(1, 0)]);
+    let pitch = (-rotation[(2, 0)]).atan2(level);
+    if level > 1e-9 {
+        let roll = rotation[(2, 1)].atan2(rotation[(2, 2)]);
+        return Vector3::new(roll, pitch, rotation[(1, 0)].atan2(rotation[(0, 0)]));
+    }
+    Vector3::new(
+        (rotation[(0, 1)] * pitch.signum()).atan2(rotation[(1, 1)]),
+        pitch,
+        0.0,
+    )
+}
+
+/// A name as the value of an attribute.
+fn escaped(name: &str) -> String {
+    name.replace('&', "&amp;")
+        .replace('<', "&lt;")
+        .replace('"', "&quot;")
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::FRAC_PI_2;
+
+    use super::*;
+
+    #[test]
+    fn roll_pitch_and_yaw_are_the_rotation_even_upright() {
+        for pitch in [
+            0.0,
+            0.7,
+            -1.2,
+            FRAC_PI_2,
+            -FRAC_PI_2,
+            FRAC_PI_2 - 1e-7,
+            1e-8 - FRAC_PI_2,
+        ] {
+            for (roll, yaw) in [(0.0, 0.0), (0.3, -2.0), (-3.0, 1.0), (FRAC_PI_2, FRAC_PI_2)] {
+                let rotation = Rotation3::from_euler_angles(roll, pitch, yaw);
+                let found = roll_pitch_yaw(&rotation);
+                let again = Rotation3::from_euler_angles(found.x, found.y, found.z);
+                let apart = (again.matrix() - rotation.matrix()).amax();
+                assert!(apart < 1e-15, "{roll} {pitch} {yaw}: {found} {apart}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_rod_reaches_from_the_origin_to_its_end() {
+        for end in [
+            Vector3::z() * 0.5,
+            Vector3::z() * -0.5,
+            Vector3::new(0.1, -0.2, 0.3),
+        ] {
+            let rod = rod(&end).expect("it is long enough");
+            for (side, expected) in [(-0.5, Vector3::zeros()), (0.5, end)] {
+                let tip =
+                    rod.link_from_cylinder * nalgebra::Point3::new(0.0, 0.0, side * rod.length);
+                assert!((tip.coords - expected).norm() < 1e-15, "{end} {tip}");
+            }
+        }
+    }
+}

@@ -1,0 +1,344 @@
+//! The CAN interfaces of a cell: whether they are there, are set as the cell says, and get along with their bus.
+
+use can::OpenError;
+
+use super::finding::Finding;
+use super::fix::{Fix, Knob};
+use super::link::Link;
+use super::tree::{Tree, cpu_list, cpu_ranges};
+
+const NET: &str = "/sys/class/net";
+
+/// `ARPHRD_CAN` of `linux/if_arp.h`, the type of CAN interfaces.
+const CAN: i64 = 280;
+
+/// What is wanted of one interface.
+#[derive(Clone, Debug)]
+pub(super) struct Wanted {
+    /// What findings call it: the bus of the cell and the interface.
+    pub of: String,
+    pub interface: String,
+    /// Bit rate, kbit/s; none where no cell says.
+    pub bitrate_kbps: Option<u32>,
+    /// Frames that one cycle may leave waiting for the bus.
+    pub send_queue: usize,
+    /// The CPU of the servo thread, where the cell pins it.
+    pub servo_cpu: Option<usize>,
+}
+
+/// The CAN interfaces that are there.
+pub(super) fn present(tree: &Tree) -> Vec<String> {
+    let mut names = tree.names(NET);
+    names.retain(|name| tree.number(&format!("{NET}/{name}/type")) == Some(CAN));
+    names
+}
+
+/// What is found of one interface. `opened` is the kernel's answer to a socket on it, `link` what netlink tells.
+pub(super) fn findings(
+    tree: &Tree,
+    wanted: &Wanted,
+    opened: Result<(), OpenError>,
+    link: Option<&Link>,
+) -> Vec<Finding> {
+    let name = wanted.interface.as_str();
+    let driver = tree.resolved_name(&format!("{NET}/{name}/device/driver"));
+    let kind = link.map(Link::kind).filter(|kind| !kind.is_empty());
+    let presence = Finding::new(
+        &wanted.of,
+        "interface",
+        match (&driver, kind) {
+            (Some(driver), _) => format!("present, driver {driver}"),
+            (None, Some(kind)) => format!("present, {kind} without a device"),
+            (None, None) => "present, without a device".to_owned(),
+        },
+        "the drives of the bus are reached through it and no other",
+    );
+    let wrong = |read: &str, mend: String| {
+        let absent = Finding {
+            read: read.to_owned(),
+            ..presence.clone()
+        };
+        vec![absent.not_usable(mend)]
+    };
+    let up = match opened {
+        Ok(()) => true,
+        Err(OpenError::Down(_)) => false,
+        Err(OpenError::NoCan(_)) => {
+            return wrong(
+                "this kernel has no CAN",
+                "modprobe can-raw; where there is no such module, a kernel with CAN such as Debian's, or `mrroc vm uml`"
+                    .to_owned(),
+            );
+        }
+        Err(OpenError::Absent(_)) => {
+            let present = present(tree);
+            let others = if present.is_empty() {
+                "no CAN interface is".to_owned()
+            } else {
+                format!("there are {}", present.join(", "))
+            };
+            return wrong(
+                &format!("not there; {others}"),
+                "plug the card in, load its driver and look into dmesg; or bus.interface in the cell".to_owned(),
+            );
+        }
+        Err(error) => return wrong(&error.to_string(), "bus.interface in the cell".to_owned()),
+    };
+    let bitrate = u64::from(wanted.bitrate_kbps.unwrap_or(1000)) * 1000;
+    let fix_up = || Knob::State(name.to_owned()).to("up");
+    let virtual_bus = match kind {
+        Some(kind) => kind != "can",
+        None => driver.is_none(),
+    };
+    // A change of the bit timing wants the interface down.
+    let set = |settings: &str| {
+        format!(
+            "ip link set {name} down; ip link set {name} type can {settings}; ip link set {name} up"
+        )
+    };
+
+    let mut findings = vec![presence];
+    findings.extend(frame_order(tree, &wanted.of, driver.as_deref()));
+    let state = Finding::new(
+        &wanted.of,
+        "up",
+        if up { "yes" } else { "no" },
+        "an interface that is down sends nothing",
+    );
+    findings.push(match (up, virtual_bus) {
+        (true, _) => state,
+        (false, true) => state
+            .not_usable(format!("ip link set {name} up"))
+            .fixed_by([fix_up()]),
+        (false, false) => {
+            let rate = match wanted.bitrate_kbps {
+                Some(kbps) => kbps.checked_mul(1000),
+                None => link.and_then(Link::bitrate),
+            };
+            let timing = rate.map(|rate| fix_timing(name, rate, None));
+            let fixes = timing.into_iter().flat_map(|timing| [timing, fix_up()]);
+            state
+                .not_usable(set(&format!("bitrate {bitrate} restart-ms 100")))
+                .fixed_by(fixes)
+        }
+    });
+    match link {
+        _ if virtual_bus => {}
+        None => findings.push(
+            Finding::new(
+                &wanted.of,
+                "bit rate",
+                "unknown: there is no command ip, or it failed",
+                "bit rate, error counters and restart time are told through it",
+            )
+            .warning("apt-get install iproute2"),
+        ),
+        Some(link) => {
+            findings.extend(bit_timing(wanted, link, set));
+            findings.extend(errors(&wanted.of, up, link));
+            if driver.is_some() {
+                findings.push(restart(wanted, link, set));
+            }
+        }
+    }
+    findings.extend(queue(tree, wanted, link, virtual_bus));
+    findings.extend(interrupt(tree, wanted));
+    findings
+}
+
+/// Of the one driver that has mixed frames up.
+fn frame_order(tree: &Tree, of: &str, driver: Option<&str>) -> Option<Finding> {
+    let release = tree.text("/proc/sys/kernel/osrelease").unwrap_or_default();
+    if driver != Some("gs_usb") {
+        return None;
+    }
+    let finding = Finding::new(
+        of,
+        "frame order",
+        format!("gs_usb on kernel {release}"),
+        "before kernel 6.6 this driver hands frames over in another order than the bus had: an older position may come \
+         after a newer one",
+    );
+    let mut numbers = release.split(['.', '-']).map(str::parse::<u32>);
+    let version = (numbers.next(), numbers.next());
+    Some(match version {
+        (Some(Ok(major)), Some(Ok(minor))) if (major, minor) >= (6, 6) => finding,
+        _ => finding.warning("a kernel of 6.6 or later, such as that of Debian 13"),
+    })
+}
+
+/// Sets a bit rate, bit/s, and a sample point, share of the bit.
+fn fix_timing(name: &str, bitrate: u32, point: Option<f64>) -> Fix {
+    let point = point.map_or(String::new(), |point| format!(" {point:.3}"));
+    Knob::BitTiming(name.to_owned()).to(format!("{bitrate}{point}"))
+}
+
+fn bit_timing(wanted: &Wanted, link: &Link, set: impl Fn(&str) -> String) -> Vec<Finding> {
+    let (of, name, wanted_kbps) = (&*wanted.of, &*wanted.interface, wanted.bitrate_kbps);
+    let bitrate = link.bitrate();
+    let told = bitrate.map_or("not set".to_owned(), |rate| {
+        format!("{} kbit/s", f64::from(rate) / 1000.0)
+    });
+    let finding = Finding::new(
+        of,
+        "bit rate",
+        match wanted_kbps {
+            Some(wanted) => format!("{told}, the cell says {wanted} kbit/s"),
+            None => told,
+        },
+        "a node at another bit rate destroys every frame on the bus",
+    );
+    let wanted = wanted_kbps.map(|kbps| kbps.saturating_mul(1000));
+    let mend = set(&format!("bitrate {}", wanted.unwrap_or(1_000_000)));
+    let agrees = match (bitrate, wanted) {
+        (Some(rate), Some(wanted)) => rate == wanted,
+        (rate, _) => rate.is_some(),
+    };
+    let mut findings = vec![if agrees {
+        finding
+    } else {
+        let fix = wanted.map(|wanted| fix_timing(name, wanted, None));
+        finding.not_usable(mend).fixed_by(fix)
+    }];
+    if let (Some(rate), Some(point)) = (bitrate, link.sample_point()) {
+        let finding = Finding::new(
+            of,
+            "sample point",
+            format!("{:.1} %", point * 100.0),
+            "nodes that sample much earlier or later than 87.5 % (CiA 301) disagree about bits on a long bus; \
+             75 % is usual at 1 Mbit/s",
+        );
+        findings.push(if (0.70..=0.90).contains(&point) {
+            finding
+        } else {
+            let mend = set(&format!("bitrate {rate} sample-point 0.875"));
+            // A bit rate that is wrong is set first, and with it the kernel chooses the sample point.
+            let fix = agrees.then(|| fix_timing(name, rate, Some(0.875)));
+            finding.warning(mend).fixed_by(fix)
+        });
+    }
+    findings
+}
+
+fn errors(of: &str, up: bool, link: &Link) -> Option<Finding> {
+    let state = link.state().filter(|_| up)?;
+    let counters = link.error_counters();
+    let statistics = link.statistics();
+    let counted = counters.map_or("no error counters".to_owned(), |counters| {
+        format!("errors tx {} rx {}", counters.tx, counters.rx)
+    });
+    let finding = Finding::new(
+        of,
+        "bus state",
+        format!(
+            "{state}, {counted}; error-passive {} times, bus-off {} times, restarted {} times",
+            statistics.error_passive, statistics.bus_off, statistics.restarts
+        ),
+        "errors on an idle bus are wiring: both ends terminated with 120 Ω, one bit rate, another node that is \
+         switched on and acknowledges",
+    );
+    let cabling =
+        "the cable, its two terminators, and the drives' supply; then `ip link set` down and up";
+    let counting = counters.is_some_and(|counters| counters.tx > 0 || counters.rx > 0);
+    Some(match state {
+        "BUS-OFF" | "STOPPED" | "SLEEPING" => finding.not_usable(cabling),
+        "ERROR-ACTIVE" if !counting && statistics.bus_off == 0 => finding,
+        _ => finding.warning(cabling),
+    })
+}
+
+fn restart(wanted: &Wanted, link: &Link, set: impl Fn(&str) -> String) -> Finding {
+    let after = link.restart_ms();
+    let finding = Finding::new(
+        &wanted.of,
+        "restart-ms",
+        after.to_string(),
+        "after bus-off the card stays silent until it is restarted; 0 leaves that to a person",
+    );
+    match after {
+        0 => finding
+            .warning(set("restart-ms 100"))
+            .fixed_by([Knob::RestartMs(wanted.interface.clone()).to("100")]),
+        _ => finding,
+    }
+}
+
+fn queue(tree: &Tree, wanted: &Wanted, link: Option<&Link>, virtual_bus: bool) -> Option<Finding> {
+    let name = wanted.interface.as_str();
+    let file = format!("{NET}/{name}/tx_queue_len");
+    let length = tree.number(&file)?;
+    let discipline = link.map_or("", |link| &link.qdisc);
+    let told = match discipline {
+        "" => length.to_string(),
+        discipline => format!("{length}, {discipline}"),
+    };
+    let finding = Finding::new(
+        &wanted.of,
+        "txqueuelen",
+        format!("{told}; a cycle queues up to {}", wanted.send_queue),
+        "a queue that one cycle fills throws frames away; one of more than some hundred holds set-points that are \
+         long out of date",
+    );
+    let unqueued = discipline == "noqueue" || (virtual_bus && discipline.is_empty());
+    let needed = i64::try_from(wanted.send_queue).unwrap_or(i64::MAX);
+    Some(if unqueued || (length > needed && length <= 1000) {
+        finding
+    } else {
+        let long_enough = 128.max(wanted.send_queue + 1);
+        finding
+            .warning(format!("ip link set {name} txqueuelen {long_enough}"))
+            .fixed_by([Knob::Kernel(file).to(long_enough.to_string())])
+    })
+}
+
+/// Where the interrupts of the card go: its own, or those of the USB host controller it hangs on.
+fn interrupt(tree: &Tree, wanted: &Wanted) -> Option<Finding> {
+    let device = tree.resolved(&format!("{NET}/{}/device", wanted.interface))?;
+    let numbers = device.ancestors().find_map(|above| {
+        let above = above.to_str()?;
+        let mut numbers = tree.names(&format!("{above}/msi_irqs"));
+        if numbers.is_empty() {
+            let number = tree.text(&format!("{above}/irq"));
+            numbers.extend(number.filter(|number| number != "0"));
+        }
+        (!numbers.is_empty()).then_some(numbers)
+    })?;
+    let cpus = numbers.iter().filter_map(|number| {
+        let directory = format!("/proc/irq/{number}");
+        tree.text(&format!("{directory}/effective_affinity_list"))
+            .filter(|list| !list.is_empty())
+            .or_else(|| tree.text(&format!("{directory}/smp_affinity_list")))
+    });
+    let cpus: Vec<_> = cpus.collect();
+    let finding = Finding::new(
+        &wanted.of,
+        "interrupt",
+        format!("{} on CPU {}", numbers.join(", "), cpus.join(", ")),
+        "interrupts on the servo's CPU delay its cycle, unless they are the only ones there on purpose",
+    );
+    let elsewhere = wanted
+        .servo_cpu
+        .is_none_or(|servo| !cpus.iter().any(|list| cpu_list(list).contains(&servo)));
+    let only = wanted
+        .servo_cpu
+        .is_some_and(|servo| cpus.iter().all(|list| cpu_list(list).iter().eq([&servo])));
+    Some(if elsewhere || only {
+        finding
+    } else {
+        let list: Vec<_> = numbers
+            .iter()
+            .map(|number| format!("/proc/irq/{number}/smp_affinity_list"))
+            .collect();
+        let online = tree.text("/sys/devices/system/cpu/online");
+        let mut others = cpu_list(&online.unwrap_or_default());
+        others.retain(|cpu| Some(*cpu) != wanted.servo_cpu);
+        let mend = format!("echo another CPU > {}", list.join(" "));
+        let elsewhere = list.into_iter().filter(|_| !others.is_empty());
+        finding
+            .warning(mend)
+            .fixed_by(elsewhere.map(|file| Knob::Kernel(file).to(cpu_ranges(&others))))
+    })
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,372 @@
+//! The processors: their clocks, how deep they sleep, who else uses them.
+
+use std::collections::BTreeSet;
+
+use mrroc::cell::{Policy, Realtime};
+use servo::thread::Denial;
+
+use super::finding::Finding;
+use super::fix::Knob;
+use super::limits::{Identity, denied};
+use super::tree::{Tree, cpu_list, field};
+
+const OF: &str = "cpu";
+const CPUS: &str = "/sys/devices/system/cpu";
+
+/// What the system says where a file is not to be opened (errno(3)).
+const EACCES: i32 = 13;
+
+/// Latency of leaving an idle state that a cycle of 1 ms can bear, µs.
+const BEARABLE_US: i64 = 20;
+
+/// What a servo thread of `realtime` finds.
+pub(super) fn findings(tree: &Tree, realtime: &Realtime) -> Vec<Finding> {
+    let online = cpu_list(&tree.text(&format!("{CPUS}/online")).unwrap_or_default());
+    let isolated = cpu_list(&tree.text(&format!("{CPUS}/isolated")).unwrap_or_default());
+    let status = tree.text("/proc/self/status").unwrap_or_default();
+    let allowed = cpu_list(field(&status, "Cpus_allowed_list").unwrap_or_default());
+    let latency = tree.access("/dev/cpu_dma_latency");
+    let identity = Identity::of(tree);
+    let writable = latency.map(|access| identity.may(0o2, access));
+    vec![
+        governors(tree, &online),
+        idle_states(&enabled(tree, &online)),
+        cpu_latency(writable, realtime.policy),
+        placement(realtime, &online, &isolated, &allowed),
+    ]
+}
+
+fn governors(tree: &Tree, online: &BTreeSet<usize>) -> Finding {
+    let files = online
+        .iter()
+        .map(|cpu| format!("{CPUS}/cpu{cpu}/cpufreq/scaling_governor"));
+    let files: Vec<_> = files
+        .filter_map(|file| Some((tree.text(&file)?, file)))
+        .collect();
+    let named: BTreeSet<_> = files
+        .iter()
+        .map(|(governor, _)| governor.as_str())
+        .collect();
+    let named: Vec<_> = named.into_iter().collect();
+    let finding = Finding::new(
+        OF,
+        "governor",
+        if named.is_empty() {
+            "none: the kernel does not change the clock".to_owned()
+        } else {
+            named.join(", ")
+        },
+        "a processor that slowed down while it waited steps the next cycle at a fraction of its speed",
+    );
+    if named.iter().all(|&governor| governor == "performance") {
+        return finding;
+    }
+    let slow = files
+        .iter()
+        .filter(|(governor, _)| governor != "performance");
+    let fixes = slow.map(|(_, file)| Knob::Kernel(file.clone()).to("performance"));
+    finding
+        .warning("cpupower frequency-set -g performance")
+        .fixed_by(fixes)
+}
+
+/// An idle state that is enabled.
+#[derive(Debug)]
+struct IdleState {
+    /// How long it takes to leave, µs.
+    latency: i64,
+    name: String,
+    directory: String,
+}
+
+fn enabled(tree: &Tree, online: &BTreeSet<usize>) -> Vec<IdleState> {
+    let states = online.iter().flat_map(|cpu| {
+        let directory = format!("{CPUS}/cpu{cpu}/cpuidle");
+        let states = tree.names(&directory).into_iter();
+        states.map(move |state| format!("{directory}/{state}"))
+    });
+    let enabled = states.filter(|state| tree.number(&format!("{state}/disable")) == Some(0));
+    enabled
+        .filter_map(|directory| {
+            Some(IdleState {
+                latency: tree.number(&format!("{directory}/latency"))?,
+                name: tree.text(&format!("{directory}/name"))?,
+                directory,
+            })
+        })
+        .collect()
+}
+
+/// `writable` is whether this user may hold `/dev/cpu_dma_latency`, as a servo thread does; none where there is no such
+/// file, and then no idle state to keep away from.
+fn cpu_latency(writable: Option<bool>, policy: Policy) -> Finding {
+    let read = match writable {
+        None => "no /dev/cpu_dma_latency",
+        Some(false) => "/dev/cpu_dma_latency is not this user's to write",
+        Some(true) => "/dev/cpu_dma_latency is writable",
+    };
+    let finding = Finding::new(
+        OF,
+        "CPU latency",
+        read,
+        "while a servo thread runs it keeps all processors from idle states that take time to leave",
+    );
+    if writable != Some(false) {
+        return finding;
+    }
+    let denial = Denial::CpuLatency { errno: EACCES };
+    finding.judged(denied(policy), denial.to_string())
+}
+
+fn idle_states(enabled: &[IdleState]) -> Finding {
+    let deepest = enabled.iter().max_by_key(|state| state.latency);
+    let (latency, read) = match deepest {
+        None => (0, "none".to_owned()),
+        Some(IdleState { latency, name, .. }) => {
+            (*latency, format!("down to {name}, {latency} µs to leave"))
+        }
+    };
+    let finding = Finding::new(
+        OF,
+        "idle states",
+        read,
+        "a processor that sleeps deeply wakes late for the next cycle, by as much as the state takes to leave",
+    );
+    if latency <= BEARABLE_US {
+        return finding;
+    }
+    let deep = enabled.iter().filter(|state| state.latency > BEARABLE_US);
+    let fixes = deep.map(|state| Knob::Kernel(format!("{}/disable", state.directory)).to("1"));
+    finding
+        .warning(format!(
+            "cpupower idle-set -D {BEARABLE_US}; or processor.max_cstate=1 intel_idle.max_cstate=1 on the kernel's \
+             command line"
+        ))
+        .fixed_by(fixes)
+}
+
+fn placement(
+    realtime: &Realtime,
+    online: &BTreeSet<usize>,
+    isolated: &BTreeSet<usize>,
+    allowed: &BTreeSet<usize>,
+) -> Finding {
+    let list = |cpus: &BTreeSet<usize>| {
+        let cpus: Vec<_> = cpus.iter().map(usize::to_string).collect();
+        if cpus.is_empty() {
+            "none".to_owned()
+        } else {
+            cpus.join(",")
+        }
+    };
+    let pinned = realtime.cpu;
+    let servo = pinned.map_or("not pinned".to_owned(), |cpu| format!("on CPU {cpu}"));
+    let finding = Finding::new(
+        OF,
+        "isolated CPUs",
+        format!(
+            "online {}, isolated {}, servo thread {servo}",
+            list(online),
+            list(isolated)
+        ),
+        "on an isolated CPU nothing but the servo thread runs; on any other it waits for the kernel's own work",
+    );
+    match pinned {
+        Some(cpu) if !online.contains(&cpu) || !allowed.contains(&cpu) => finding.judged(
+            denied(realtime.policy),
+            format!("realtime.cpu in the cell: one of {}", list(allowed)),
+        ),
+        Some(cpu) if !isolated.contains(&cpu) => finding.warning(format!(
+            "isolcpus={cpu} nohz_full={cpu} rcu_nocbs={cpu} on the kernel's command line"
+        )),
+        None if !isolated.is_empty() => finding.warning(format!(
+            "realtime.cpu in the cell: one of {}, which nobody uses otherwise",
+            list(isolated)
+        )),
+        None if online.len() < 2 => {
+            finding.warning("a second processor: everything else shares the servo's")
+        }
+        _ => finding,
+    }
+}
+
+/// Time that a hypervisor took from this machine's processors between two readings of `/proc/stat`.
+pub(super) fn steal(cpuinfo: &str, before: &str, after: &str) -> Finding {
+    let virtual_machine = field(cpuinfo, "flags").is_some_and(|flags| {
+        let mut flags = flags.split_whitespace();
+        flags.any(|flag| flag == "hypervisor")
+    });
+    let stolen = stolen_ticks(after).saturating_sub(stolen_ticks(before));
+    let host = if virtual_machine {
+        "virtual machine"
+    } else {
+        "no hypervisor"
+    };
+    let finding = Finding::new(
+        OF,
+        "steal time",
+        format!(
+            "{host}, {stolen} ticks of 10 ms stolen while this looked, {} since the boot",
+            stolen_ticks(after)
+        ),
+        "a hypervisor stops the whole machine whenever it likes, and no setting inside can prevent that",
+    );
+    if !virtual_machine && stolen == 0 {
+        return finding;
+    }
+    finding.warning("run arms from a real machine; here only emulated ones")
+}
+
+/// The eighth number of the first line of `/proc/stat` (proc(5)), in ticks of 10 ms of all processors.
+pub fn stolen_ticks(stat: &str) -> u64 {
+    let mut words = stat.lines().next().unwrap_or_default().split_whitespace();
+    words.nth(8).and_then(|word| word.parse().ok()).unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests {
+    use mrroc::cell::Policy;
+
+    use super::super::finding::Verdict;
+    use super::super::tests::Fake;
+    use super::*;
+
+    fn host(files: &[(&str, &str)]) -> Vec<Finding> {
+        let fake = Fake::new(files);
+        findings(&fake.tree(), &Realtime::default())
+    }
+
+    #[test]
+    fn every_online_cpu_counts() {
+        let quiet = "sys/devices/system/cpu/cpu0/cpufreq/scaling_governor";
+        let lazy = "sys/devices/system/cpu/cpu1/cpufreq/scaling_governor";
+        let online = "sys/devices/system/cpu/online";
+        let table: [(&[_], _, _); 4] = [
+            (
+                &[(online, "0-1\n")],
+                Verdict::Ok,
+                "none: the kernel does not change the clock",
+            ),
+            (
+                &[
+                    (online, "0-1\n"),
+                    (quiet, "performance\n"),
+                    (lazy, "powersave\n"),
+                ],
+                Verdict::Warning,
+                "performance, powersave",
+            ),
+            (
+                &[
+                    (online, "0-1\n"),
+                    (quiet, "performance\n"),
+                    (lazy, "performance\n"),
+                ],
+                Verdict::Ok,
+                "performance",
+            ),
+            (
+                &[
+                    (online, "0\n"),
+                    (quiet, "performance\n"),
+                    (lazy, "powersave\n"),
+                ],
+                Verdict::Ok,
+                "performance",
+            ),
+        ];
+        for (files, verdict, read) in table {
+            let finding = &host(files)[0];
+            assert_eq!((finding.verdict, &*finding.read), (verdict, read));
+            let fix = Knob::Kernel(format!("/{lazy}")).to("performance");
+            let fix = (verdict == Verdict::Warning).then_some(fix);
+            assert_eq!(finding.fixes, Vec::from_iter(fix));
+        }
+    }
+
+    #[test]
+    fn a_deep_idle_state_counts_unless_it_is_disabled() {
+        let files = |disable| {
+            [
+                ("sys/devices/system/cpu/online", "0"),
+                ("sys/devices/system/cpu/cpu0/cpuidle/state0/name", "POLL"),
+                ("sys/devices/system/cpu/cpu0/cpuidle/state0/latency", "0"),
+                ("sys/devices/system/cpu/cpu0/cpuidle/state0/disable", "0"),
+                ("sys/devices/system/cpu/cpu0/cpuidle/state1/name", "C6"),
+                ("sys/devices/system/cpu/cpu0/cpuidle/state1/latency", "133"),
+                (
+                    "sys/devices/system/cpu/cpu0/cpuidle/state1/disable",
+                    disable,
+                ),
+            ]
+        };
+        let deep = &host(&files("0"))[1];
+        assert_eq!(deep.verdict, Verdict::Warning);
+        let disable = "/sys/devices/system/cpu/cpu0/cpuidle/state1/disable";
+        assert_eq!(deep.fixes, [Knob::Kernel(disable.to_owned()).to("1")]);
+        assert_eq!(deep.read, "down to C6, 133 µs to leave");
+        assert_eq!(host(&files("1"))[1].verdict, Verdict::Ok);
+    }
+
+    #[test]
+    fn a_latency_that_may_not_be_held_stops_a_cell_that_requires_it() {
+        for (writable, policy, verdict) in [
+            (None, Policy::Require, Verdict::Ok),
+            (Some(true), Policy::Require, Verdict::Ok),
+            (Some(false), Policy::BestEffort, Verdict::Warning),
+            (Some(false), Policy::Require, Verdict::NotUsable),
+        ] {
+            let found = cpu_latency(writable, policy);
+            assert_eq!(found.verdict, verdict, "{writable:?} {policy:?}");
+            let rule = found.mend.unwrap_or_default();
+            let names_rule = rule.contains("udev rule `KERNEL==\"cpu_dma_latency\"");
+            assert_eq!(names_rule, verdict != Verdict::Ok, "{rule}");
+        }
+    }
+
+    #[test]
+    fn the_servo_thread_belongs_on_an_isolated_cpu_that_is_there() {
+        let table = [
+            (None, "0-3", "", Verdict::Ok),
+            (None, "0", "", Verdict::Warning),
+            (None, "0-3", "3", Verdict::Warning),
+            (Some(3), "0-3", "3", Verdict::Ok),
+            (Some(2), "0-3", "3", Verdict::Warning),
+            (Some(4), "0-3", "3", Verdict::NotUsable),
+        ];
+        for (cpu, online, isolated, verdict) in table {
+            let realtime = Realtime {
+                cpu,
+                policy: Policy::Require,
+                ..Realtime::default()
+            };
+            let online = cpu_list(online);
+            let finding = placement(&realtime, &online, &cpu_list(isolated), &online);
+            assert_eq!(finding.verdict, verdict, "{}", finding.read);
+        }
+        let realtime = Realtime {
+            cpu: Some(1),
+            ..Realtime::default()
+        };
+        let (online, allowed) = (cpu_list("0-1"), cpu_list("0"));
+        let finding = placement(&realtime, &online, &online, &allowed);
+        assert_eq!(finding.verdict, Verdict::Warning, "not in its cgroup");
+        assert!(finding.mend.unwrap().ends_with("one of 0"));
+    }
+
+    #[test]
+    fn a_machine_that_loses_time_is_told() {
+        let stat = |steal| format!("cpu  9 8 7 6 5 4 3 {steal} 0 0\ncpu0 1 1 1 1 1 1 1 77 0 0");
+        let table = [
+            ("flags\t\t: fpu vme", 4, 4, Verdict::Ok),
+            ("flags\t\t: fpu vme", 4, 5, Verdict::Warning),
+            ("flags\t\t: fpu hypervisor", 0, 0, Verdict::Warning),
+        ];
+        for (cpuinfo, before, after, verdict) in table {
+            let finding = steal(cpuinfo, &stat(before), &stat(after));
+            assert_eq!(finding.verdict, verdict);
+            let told = format!("{} ticks", after - before);
+            assert!(finding.read.contains(&told), "{}", finding.read);
+        }
+    }
+}

@@ -1,0 +1,284 @@
+//! The kernel: how soon it lets a waiting thread run, and what it takes from one that does not wait.
+
+use super::finding::Finding;
+use super::fix::Knob;
+use super::tree::Tree;
+
+const OF: &str = "kernel";
+
+const RUNTIME: &str = "/proc/sys/kernel/sched_rt_runtime_us";
+
+/// What a servo of `period_us` finds in the kernel; without a cell, no period. `fifo` is whether SCHED_FIFO was granted.
+pub(super) fn findings(tree: &Tree, period_us: Option<u32>, fifo: bool) -> Vec<Finding> {
+    let config = tree.kernel_config();
+    let config = config.as_deref();
+    let mut findings = vec![preemption(
+        &tree.text("/proc/version").unwrap_or_default(),
+        tree.text("/sys/kernel/realtime").as_deref() == Some("1"),
+    )];
+    findings.push(timers(config, period_us));
+    findings.extend(throttling(
+        tree.number(RUNTIME),
+        tree.number("/proc/sys/kernel/sched_rt_period_us"),
+    ));
+    let groups = tree.text("/proc/self/cgroup").unwrap_or_default();
+    let group = cpu_group(&groups);
+    let runtime = group.and_then(|group| {
+        let controllers = ["cpu", "cpu,cpuacct", "cpuacct,cpu"];
+        controllers.iter().find_map(|controller| {
+            tree.number(&format!(
+                "/sys/fs/cgroup/{controller}{group}/cpu.rt_runtime_us"
+            ))
+        })
+    });
+    // The second version's one hierarchy has no number.
+    let unified = groups.lines().find_map(|line| line.strip_prefix("0::"));
+    let unified = unified.filter(|&group| group != "/" && !fifo);
+    findings.push(group_scheduling(config, group, runtime, unified));
+    findings
+}
+
+fn preemption(version: &str, realtime: bool) -> Finding {
+    let model = version
+        .split_whitespace()
+        .find(|word| word.starts_with("PREEMPT"))
+        .unwrap_or("no preemption");
+    let release = version.split_whitespace().nth(2).unwrap_or("unknown");
+    let finding = Finding::new(
+        OF,
+        "preemption",
+        format!("{release}, {model}"),
+        "only PREEMPT_RT lets the servo thread interrupt the kernel itself; without it drivers and disk writes delay \
+         a cycle by milliseconds now and then",
+    );
+    if realtime || model == "PREEMPT_RT" {
+        return finding;
+    }
+    finding.warning("apt-get install linux-image-rt-amd64, then boot it")
+}
+
+/// The value of an option of the kernel's configuration; none where it is not set.
+fn option<'a>(config: &'a str, name: &str) -> Option<&'a str> {
+    config
+        .lines()
+        .find_map(|line| line.strip_prefix(name)?.strip_prefix('='))
+}
+
+fn timers(config: Option<&str>, period_us: Option<u32>) -> Finding {
+    let why = "without high-resolution timers a sleep ends at a tick, 1/HZ apart; with them HZ rounds time-outs of \
+               sockets only";
+    let Some(config) = config else {
+        return Finding::new(
+            OF,
+            "timers",
+            "the kernel does not tell its configuration",
+            why,
+        )
+        .warning("read HZ and HIGH_RES_TIMERS where the kernel was built");
+    };
+    let hz: Option<u32> = option(config, "CONFIG_HZ").and_then(|hz| hz.parse().ok());
+    let fine = option(config, "CONFIG_HIGH_RES_TIMERS") == Some("y");
+    let resolution = if fine { "high" } else { "tick" };
+    let told = hz.map_or("unknown".to_owned(), |hz| hz.to_string());
+    let finding = Finding::new(
+        OF,
+        "timers",
+        format!("HZ {told}, {resolution} resolution"),
+        why,
+    );
+    let tick_us = hz.filter(|&hz| hz > 0).map(|hz| 1_000_000 / hz);
+    let mend = "boot a kernel with CONFIG_HIGH_RES_TIMERS=y, as Debian's are; remove highres=off from its command line";
+    match (fine, tick_us, period_us) {
+        (true, ..) => finding,
+        (false, Some(tick), Some(period)) if tick <= period / 10 => finding.warning(mend),
+        (false, _, Some(_)) => finding.not_usable(mend),
+        (false, _, None) => finding.warning(mend),
+    }
+}
+
+fn throttling(runtime_us: Option<i64>, period_us: Option<i64>) -> Option<Finding> {
+    let (runtime, period) = (runtime_us?, period_us?);
+    let finding = Finding::new(
+        OF,
+        "real-time throttling",
+        format!("{runtime} of {period} µs"),
+        "real-time threads are stopped for the rest of each such time once they have used their share; a servo that \
+         waits between its cycles stays far below the usual 95 %",
+    );
+    let usual = period / 100 * 95;
+    let mend = format!("sysctl -w kernel.sched_rt_runtime_us={usual}");
+    let fix = Knob::Kernel(RUNTIME.to_owned()).to(usual.to_string());
+    Some(match runtime {
+        0 => finding.not_usable(mend).fixed_by([fix]),
+        1.. if runtime.saturating_mul(10) < period.saturating_mul(9) => {
+            finding.warning(mend).fixed_by([fix])
+        }
+        _ => finding,
+    })
+}
+
+/// The group of this process under the first version's CPU controller.
+fn cpu_group(groups: &str) -> Option<&str> {
+    groups.lines().find_map(|line| {
+        let mut parts = line.splitn(3, ':');
+        let controllers = parts.nth(1)?;
+        let group = parts.next()?;
+        controllers
+            .split(',')
+            .any(|controller| controller == "cpu")
+            .then_some(group)
+    })
+}
+
+/// `unified` is the group under the second version of control groups, which gives none but its root real-time run time, of
+/// a process that was denied SCHED_FIFO.
+fn group_scheduling(
+    config: Option<&str>,
+    group: Option<&str>,
+    runtime_us: Option<i64>,
+    unified: Option<&str>,
+) -> Finding {
+    let built = config.and_then(|config| option(config, "CONFIG_RT_GROUP_SCHED")) == Some("y");
+    let unified = unified.filter(|_| built && group.is_none());
+    let read = match (built, group, runtime_us) {
+        _ if unified.is_some() => format!("built in, group {}", unified.unwrap_or_default()),
+        (_, Some(group), Some(runtime)) => format!("group {group} has {runtime} µs"),
+        (true, Some(group), None) => format!("built in, group {group}"),
+        (true, None, None) => "built in, no group of the CPU controller".to_owned(),
+        _ => "not in use".to_owned(),
+    };
+    let finding = Finding::new(
+        OF,
+        "real-time group scheduling",
+        read,
+        "a control group without real-time run time is denied SCHED_FIFO, whatever the limits say",
+    );
+    if unified.is_some() {
+        return finding.warning(
+            "echo $$ > /sys/fs/cgroup/cgroup.procs before the start, as root; or a kernel without \
+             CONFIG_RT_GROUP_SCHED, as Debian's are",
+        );
+    }
+    match (group, runtime_us) {
+        (Some(group), Some(0)) => finding.not_usable(format!(
+            "echo 800000 > /sys/fs/cgroup/cpu{group}/cpu.rt_runtime_us, its parents first; or start from the root group"
+        )),
+        _ => finding,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::finding::Verdict::{self, NotUsable, Ok, Warning};
+    use super::*;
+
+    const RT: &str =
+        "Linux version 6.1.0-56-rt-amd64 (debian-kernel@lists.debian.org) #1 SMP PREEMPT_RT Debian";
+
+    #[test]
+    fn only_a_preempt_rt_kernel_is_without_a_warning() {
+        let dynamic = "Linux version 6.1.0-56-amd64 (x) #1 SMP PREEMPT_DYNAMIC Debian";
+        let table = [
+            (RT, false, Ok, "6.1.0-56-rt-amd64, PREEMPT_RT"),
+            (dynamic, false, Warning, "6.1.0-56-amd64, PREEMPT_DYNAMIC"),
+            (
+                "Linux version 6.1.176 (x) #1",
+                false,
+                Warning,
+                "6.1.176, no preemption",
+            ),
+            (
+                "Linux version 4.19.0 (x) #1 SMP PREEMPT RT",
+                true,
+                Ok,
+                "4.19.0, PREEMPT",
+            ),
+            ("", false, Warning, "unknown, no preemption"),
+        ];
+        for (version, realtime, verdict, read) in table {
+            let finding = preemption(version, realtime);
+            assert_eq!((finding.verdict, &*finding.read), (verdict, read));
+        }
+    }
+
+    #[test]
+    fn a_kernel_that_sleeps_to_ticks_suits_no_short_period() {
+        let fine = "CONFIG_HIGH_RES_TIMERS=y\nCONFIG_HZ_250=y\nCONFIG_HZ=250";
+        let coarse = "# CONFIG_HIGH_RES_TIMERS is not set\nCONFIG_HZ=1000";
+        let table = [
+            (Some(fine), Some(1000), Ok),
+            (Some(coarse), Some(2000), NotUsable),
+            (Some(coarse), Some(10_000), Warning),
+            (Some(coarse), None, Warning),
+            (Some(""), Some(1000), NotUsable),
+            (None, Some(1000), Warning),
+        ];
+        for (config, period, verdict) in table {
+            assert_eq!(
+                timers(config, period).verdict,
+                verdict,
+                "{config:?} {period:?}"
+            );
+        }
+        assert_eq!(timers(Some(fine), None).read, "HZ 250, high resolution");
+    }
+
+    #[test]
+    fn a_small_share_for_real_time_threads_is_seen() {
+        let table = [
+            (Some(950_000), Some(1_000_000), Some(Ok)),
+            (Some(-1), Some(1_000_000), Some(Ok)),
+            (Some(500_000), Some(1_000_000), Some(Warning)),
+            (Some(0), Some(1_000_000), Some(NotUsable)),
+            (None, Some(1_000_000), None),
+        ];
+        for (runtime, period, verdict) in table {
+            let found = throttling(runtime, period);
+            let fixes = found.iter().flat_map(|finding| &finding.fixes);
+            let fix = Knob::Kernel(RUNTIME.to_owned()).to("950000");
+            let mendable = verdict.is_some_and(|verdict| verdict != Ok);
+            assert!(fixes.eq(mendable.then_some(&fix)), "{runtime:?}");
+            assert_eq!(found.map(|finding| finding.verdict), verdict, "{runtime:?}");
+        }
+    }
+
+    #[test]
+    fn a_group_without_real_time_run_time_is_not_usable() {
+        let built = Some("CONFIG_RT_GROUP_SCHED=y");
+        let table: [(_, _, _, Verdict, &str); 4] = [
+            (
+                built,
+                Some("/lab"),
+                Some(0),
+                NotUsable,
+                "group /lab has 0 µs",
+            ),
+            (built, Some("/"), Some(950_000), Ok, "group / has 950000 µs"),
+            (
+                built,
+                None,
+                None,
+                Ok,
+                "built in, no group of the CPU controller",
+            ),
+            (None, None, None, Ok, "not in use"),
+        ];
+        for (config, group, runtime, verdict, read) in table {
+            let finding = group_scheduling(config, group, runtime, None);
+            assert_eq!((finding.verdict, &*finding.read), (verdict, read));
+        }
+        let table = [
+            (built, None, Some("/user.slice"), Warning),
+            (built, None, None, Ok),
+            (built, Some("/"), Some("/user.slice"), Ok),
+            (None, None, Some("/user.slice"), Ok),
+        ];
+        for (config, group, unified, verdict) in table {
+            let finding = group_scheduling(config, group, None, unified);
+            assert_eq!(finding.verdict, verdict, "{}", finding.read);
+        }
+        let first = "9:name=systemd:/\n4:cpu,cpuacct:/lab/robot\n0::/user.slice";
+        assert_eq!(cpu_group(first), Some("/lab/robot"));
+        assert_eq!(cpu_group("2:cpuacct:/\n0::/user.slice"), None);
+    }
+}

@@ -1,0 +1,232 @@
+//! The host's files below a root, `/` but in tests, and the notations that several of them share. This is the rim:
+//! everything else in the examination works on what it returned.
+
+use std::collections::BTreeSet;
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, ErrorKind, Write};
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// The files of a host.
+pub(super) struct Tree {
+    root: PathBuf,
+}
+
+/// Owner and permissions of a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Access {
+    pub mode: u32,
+    pub uid: u32,
+    pub gid: u32,
+}
+
+impl Tree {
+    pub(super) fn new(root: impl Into<PathBuf>) -> Self {
+        let root = root.into();
+        // Links are followed and must end below it.
+        let root = root.canonicalize().unwrap_or(root);
+        Self { root }
+    }
+
+    fn at(&self, path: &str) -> PathBuf {
+        self.root.join(path.trim_start_matches('/'))
+    }
+
+    /// The text of a file, without the white space around it; none for one that cannot be read.
+    pub(super) fn text(&self, path: &str) -> Option<String> {
+        let text = fs::read_to_string(self.at(path)).ok()?;
+        Some(text.trim().to_owned())
+    }
+
+    /// The number in a file.
+    pub(super) fn number(&self, path: &str) -> Option<i64> {
+        self.text(path)?.parse().ok()
+    }
+
+    /// The names in a directory, sorted; none in one that is not there.
+    pub(super) fn names(&self, path: &str) -> Vec<String> {
+        let entries = fs::read_dir(self.at(path)).into_iter().flatten().flatten();
+        let mut names: Vec<_> = entries
+            .filter_map(|entry| entry.file_name().into_string().ok())
+            .collect();
+        names.sort();
+        names
+    }
+
+    /// Where a path leads when every link is followed, from the root.
+    pub(super) fn resolved(&self, path: &str) -> Option<PathBuf> {
+        let path = self.at(path).canonicalize().ok()?;
+        let below = path.strip_prefix(&self.root).ok()?;
+        Some(Path::new("/").join(below))
+    }
+
+    /// The last part of [`resolved`](Self::resolved).
+    pub(super) fn resolved_name(&self, path: &str) -> Option<String> {
+        let path = self.resolved(path)?;
+        Some(path.file_name()?.to_str()?.to_owned())
+    }
+
+    pub(super) fn access(&self, path: &str) -> Option<Access> {
+        let metadata = fs::metadata(self.at(path)).ok()?;
+        Some(Access {
+            mode: metadata.mode(),
+            uid: metadata.uid(),
+            gid: metadata.gid(),
+        })
+    }
+
+    /// Whether this is the running host's own tree, so that what is in no file can be asked of its kernel.
+    pub(super) fn is_host(&self) -> bool {
+        self.root == Path::new("/")
+    }
+
+    /// The whole of a file; none where there is none.
+    pub(super) fn whole(&self, path: &str) -> io::Result<Option<String>> {
+        match fs::read_to_string(self.at(path)) {
+            Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
+            text => text.map(Some),
+        }
+    }
+
+    /// Writes a file that is there already, as one below `/proc` or `/sys`.
+    pub(super) fn set(&self, path: &str, text: &str) -> io::Result<()> {
+        // A link that leads out of the tree leads to somebody else's file.
+        if self.resolved(path).is_none() {
+            return Err(ErrorKind::NotFound.into());
+        }
+        let mut file = OpenOptions::new()
+            .write(true)
+            .truncate(true)
+            .open(self.at(path))?;
+        file.write_all(text.as_bytes())
+    }
+
+    /// Puts `text` in the place of a whole file, or removes it for none. It is as it was or as it shall be, whenever the
+    /// power fails.
+    pub(super) fn replace(&self, path: &str, text: Option<&str>) -> io::Result<()> {
+        replace(&self.at(path), text)
+    }
+
+    /// What the running kernel was built with, where it tells.
+    pub(super) fn kernel_config(&self) -> Option<String> {
+        let release = self.text("/proc/sys/kernel/osrelease")?;
+        self.text(&format!("/boot/config-{release}")).or_else(|| {
+            let packed = self.at("/proc/config.gz");
+            output_of(Command::new("gzip").arg("-dc").arg(packed))
+        })
+    }
+}
+
+/// What [`Tree::replace`] does, for a path outside the tree.
+pub(super) fn replace(path: &Path, text: Option<&str>) -> io::Result<()> {
+    let directory = path.parent().ok_or(ErrorKind::InvalidInput)?;
+    if let Some(text) = text {
+        fs::create_dir_all(directory)?;
+        let mut name = path.file_name().ok_or(ErrorKind::InvalidInput)?.to_owned();
+        name.push(".new");
+        let new = directory.join(name);
+        let mut file = File::create(&new)?;
+        if let Ok(old) = fs::metadata(path) {
+            file.set_permissions(old.permissions())?;
+        }
+        file.write_all(text.as_bytes())?;
+        file.sync_all()?;
+        fs::rename(&new, path)?;
+    } else {
+        fs::remove_file(path)?;
+    }
+    File::open(directory)?.sync_all()
+}
+
+/// What a program prints within two seconds; none where it is not installed, fails or takes longer.
+pub(super) fn output_of(program: &Command) -> Option<String> {
+    let mut bounded = Command::new("timeout");
+    bounded.args(["--kill-after=1", "2"]);
+    bounded.arg(program.get_program()).args(program.get_args());
+    let output = bounded.output().ok()?;
+    let printed = String::from_utf8(output.stdout).ok()?;
+    output.status.success().then_some(printed)
+}
+
+/// No kernel is built for more CPUs.
+const MOST_CPUS: usize = 8192;
+
+/// The numbers of a list such as `0-3,6`, as the kernel writes sets of CPUs. What is no CPU's is left out.
+pub(super) fn cpu_list(text: &str) -> BTreeSet<usize> {
+    let ranges = text.trim().split(',').filter_map(|part| {
+        let (first, last) = part.split_once('-').unwrap_or((part, part));
+        let last: usize = last.trim().parse().ok()?;
+        Some(first.trim().parse().ok()?..=last.min(MOST_CPUS))
+    });
+    ranges.flatten().collect()
+}
+
+/// The list that [`cpu_list`] reads, as the kernel writes it.
+pub(super) fn cpu_ranges(cpus: &BTreeSet<usize>) -> String {
+    let mut ranges: Vec<(usize, usize)> = Vec::new();
+    for &cpu in cpus {
+        match ranges.last_mut() {
+            Some((_, last)) if *last + 1 == cpu => *last = cpu,
+            _ => ranges.push((cpu, cpu)),
+        }
+    }
+    let shown = ranges.into_iter().map(|(first, last)| match last - first {
+        0 => first.to_string(),
+        _ => format!("{first}-{last}"),
+    });
+    shown.collect::<Vec<_>>().join(",")
+}
+
+/// The value behind `name` and a colon, as in `/proc/self/status`.
+pub(super) fn field<'a>(text: &'a str, name: &str) -> Option<&'a str> {
+    text.lines().find_map(|line| {
+        let (key, value) = line.split_once(':')?;
+        (key.trim() == name).then_some(value.trim())
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sets_of_cpus_are_read_as_the_kernel_writes_them() {
+        let table: [(&str, &[usize]); 6] = [
+            ("", &[]),
+            ("0\n", &[0]),
+            ("0-3,6", &[0, 1, 2, 3, 6]),
+            ("2-3,8-9\n", &[2, 3, 8, 9]),
+            ("(null)", &[]),
+            ("5-", &[]),
+        ];
+        for (text, cpus) in table {
+            let set = cpu_list(text);
+            assert!(set.iter().eq(cpus), "{text:?}");
+            assert_eq!(cpu_list(&cpu_ranges(&set)), set);
+        }
+        assert_eq!(cpu_ranges(&[0, 1, 2, 4, 6, 7].into()), "0-2,4,6-7");
+        assert_eq!(cpu_list("0-18446744073709551615").len(), MOST_CPUS + 1);
+    }
+
+    #[test]
+    fn a_program_that_fails_hangs_or_is_not_there_tells_nothing() {
+        let mut echo = Command::new("echo");
+        assert_eq!(output_of(echo.arg("told")).as_deref(), Some("told\n"));
+        let mut sleep = Command::new("sleep");
+        for program in [
+            &mut Command::new("false"),
+            &mut Command::new("no-such-program"),
+            sleep.arg("60"),
+        ] {
+            assert_eq!(output_of(program), None, "{program:?}");
+        }
+    }
+
+    #[test]
+    fn a_field_is_found_by_its_whole_name() {
+        let status = "CapInh:\t00\nCpus_allowed:\t3\nCpus_allowed_list:\t0-1\n";
+        assert_eq!(field(status, "Cpus_allowed_list"), Some("0-1"));
+        assert_eq!(field(status, "Cpus"), None);
+    }
+}

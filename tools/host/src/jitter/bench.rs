@@ -1,0 +1,76 @@
+//! What a cell is measured on: nothing that may have an arm at its other end, whatever interfaces the cell names.
+
+use anyhow::{Context, bail};
+use can::card::{self, CardError};
+use clap::ValueEnum;
+use serde::Serialize;
+
+use crate::doctor::link::Link;
+use mrroc::bench::interfaces::{Interface, bus_of};
+use mrroc::cell_file::CellFile;
+
+/// What a cell is measured on; nothing here moves hardware.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub(super) enum CellBench {
+    /// Emulated drives on a virtual bus, stepped by the servo thread between its cycles.
+    Emulated,
+    /// Virtual CAN interfaces, given by --can; `mrroc emulate` at their other end.
+    Vcan,
+}
+
+/// Refuses what `bench` may not or cannot use; `can` is as `--can` gives it.
+pub(super) fn check(
+    file: Option<&CellFile>,
+    bench: CellBench,
+    can: &[String],
+) -> anyhow::Result<()> {
+    let (Some(file), CellBench::Vcan) = (file, bench) else {
+        if !can.is_empty() {
+            bail!("--can needs --cell with --bench vcan");
+        }
+        return Ok(());
+    };
+    let cell = &file.cell;
+    if !cell.serial.is_empty() {
+        bail!(
+            "--bench vcan has no serial lines, and those of the cell may be an arm's: --bench emulated measures it"
+        );
+    }
+    let mut given = vec![None; cell.bus.len()];
+    for option in can {
+        let (index, interface) = bus_of(cell, "--can", option)?;
+        given[index] = Some(interface);
+    }
+    for (bus, interface) in cell.bus.iter().zip(given) {
+        let interface = interface.with_context(|| {
+            format!(
+                "--bench vcan needs a virtual interface for bus {}, as --can vcan0: the cell's own, {}, may be an arm's",
+                bus.name, bus.interface
+            )
+        })?;
+        virtual_alone(interface).with_context(|| format!("--can {interface}"))?;
+    }
+    Ok(())
+}
+
+/// Refuses whatever is not known to be virtual.
+fn virtual_alone(interface: &str) -> anyhow::Result<()> {
+    if let Interface::Slcan { .. } | Interface::Epos { .. } = Interface::parse(interface) {
+        bail!("an adapter on a tty may be an arm's, --bench vcan takes virtual interfaces alone");
+    }
+    match card::read(interface) {
+        Ok(_) => bail!("a card may be an arm's, --bench vcan takes virtual interfaces alone"),
+        Err(CardError::NotCard(_)) => {}
+        Err(error) => return Err(error.into()),
+    }
+    // A driver that tells netlink nothing of its card is no virtual interface either.
+    let link = Link::of(interface).context("`ip` of iproute2 has to tell its kind")?;
+    if !["vcan", "vxcan"].contains(&link.kind()) {
+        bail!(
+            "its kind is {:?}, neither vcan nor vxcan, and it may be an arm's",
+            link.kind()
+        );
+    }
+    Ok(())
+}

@@ -1,0 +1,194 @@
+//! The whole cycle of a cell as what is measured: from the deadline to when its SYNC is handed over.
+//!
+//! Each turn brings the drives up, switches them on and lets them hold their position; nothing is homed and nothing
+//! moves. Every cycle from bring-up to switch-off is measured, by the servo thread itself, so an interval is a turn.
+//! Between its turns there is no servo, and the peer has the host for itself.
+
+use std::sync::Arc;
+
+use anyhow::{anyhow, bail};
+use can::clock::{now, sleep_until};
+use serde::Serialize;
+use servo::thread::{CellTime, Denial, LateCycles, RealtimePolicy, Spike, Tracer, WaitReport};
+use servo::{Order, Phase, Servo};
+
+use super::bench::CellBench;
+use super::interval::{Counts, Interval, Ledger, counts, counts_of};
+use super::probe::{LOOK, Turn};
+use super::report::percentiles;
+use mrroc::bench::clockwork;
+use mrroc::bench::{Bench, BenchKind, Places};
+use mrroc::cell_file::CellFile;
+use mrroc::report::Percentiles;
+use mrroc::setup;
+use mrroc::wire::{Wire, WireReport};
+
+/// A cell under measurement.
+pub(super) struct MeasuredCell<'a> {
+    file: &'a CellFile,
+    bench: CellBench,
+    /// As `--can` gives it.
+    can: &'a [String],
+    /// Whether frames that nobody asked for load its buses.
+    traffic: bool,
+    step: Counts,
+    bus: Counts,
+    wake_up: Counts,
+    pub missed: u64,
+    pub wait: WaitReport,
+    /// Cycles that were late, of all turns.
+    pub late: LateCycles,
+    /// The cycles around the latest, of all turns; each turn numbers its own.
+    pub spikes: Vec<Spike>,
+    /// What listens to its buses, from the first turn on.
+    wire: Option<Wire>,
+    /// Whether every robot stood with its power on in every turn.
+    stood: bool,
+}
+
+impl<'a> MeasuredCell<'a> {
+    pub(super) fn new(
+        file: &'a CellFile,
+        bench: CellBench,
+        can: &'a [String],
+        traffic: bool,
+    ) -> Self {
+        Self {
+            file,
+            bench,
+            can,
+            traffic,
+            step: counts(),
+            bus: counts(),
+            wake_up: counts(),
+            missed: 0,
+            wait: WaitReport::default(),
+            late: LateCycles::default(),
+            spikes: Vec::new(),
+            wire: None,
+            stood: true,
+        }
+    }
+
+    /// What was seen so far counts for nothing.
+    pub(super) fn forget(&mut self) {
+        *self = Self::new(self.file, self.bench, self.can, self.traffic);
+    }
+
+    /// One turn into `ledger`; returns what the host denied. `look` is called meanwhile.
+    pub(super) fn turn(
+        &mut self,
+        policy: RealtimePolicy,
+        turn: Turn,
+        ledger: &mut Ledger,
+        mut look: impl FnMut(&mut Ledger),
+    ) -> anyhow::Result<Vec<Denial>> {
+        let file = self.file;
+        let kind = match self.bench {
+            CellBench::Emulated => BenchKind::Emulated,
+            CellBench::Vcan => BenchKind::Vcan,
+        };
+        let places = Places {
+            can: self.can.to_vec(),
+            ..Places::default()
+        };
+        let bench = Bench::open(file, kind, &places, false)?;
+        let mut wire = bench.wire.continuing(self.wire.take());
+        let groups = setup::drive_groups(file, bench.ports, bench.lines, None)?;
+        let (mut servo, mut links) = Servo::new(&setup::servo_config(file), groups)?;
+        let mut emulation = bench.emulation;
+        if let Some(emulation) = emulation.as_mut().filter(|_| self.traffic) {
+            emulation.add_traffic();
+        }
+        let since = clockwork::bring_up(&mut servo, &mut emulation)
+            .map_err(|error| mrroc::run::why_not_up(file, error))?;
+        for link in &mut links {
+            let ordered = link.orders.push(Order::Enable);
+            ordered.map_err(|_| anyhow!("no order could be given"))?;
+        }
+        let (begun, over) = (now(), turn.over.clone());
+        let end = begun + turn.time;
+        let until =
+            move |_: &Servo| now() >= end || over.load(std::sync::atomic::Ordering::Relaxed);
+        let policy = |time: CellTime| RealtimePolicy { time, ..policy };
+        let running = clockwork::start(servo, emulation, since, policy, Arc::default(), until)?;
+        let mut stood = vec![false; links.len()];
+        while !running.is_finished() {
+            for (link, stood) in links.iter_mut().zip(&mut stood) {
+                while let Ok(report) = link.reports.pop() {
+                    *stood |= report.phase == Phase::Standing;
+                }
+            }
+            wire.look();
+            look(ledger);
+            sleep_until(now() + LOOK);
+        }
+        let finished = running.join();
+        wire.look();
+        self.wire = Some(wire);
+        for robot in 0..links.len() {
+            if let Some(fault) = finished.servo.fault(robot) {
+                bail!("robot {}: {fault}", file.cell.robot[robot].name);
+            }
+        }
+        if let Some(panicked) = finished.panicked {
+            bail!("the servo thread panicked: {panicked:?}");
+        }
+        let timing = &finished.timing;
+        for (all, of_turn) in [
+            (&mut self.step, &timing.step),
+            (&mut self.bus, &timing.bus),
+            (&mut self.wake_up, &timing.wake_up),
+        ] {
+            all.add(counts_of(of_turn))?;
+        }
+        self.missed += finished.servo.counters().missed_cycles;
+        self.wait = timing.wait;
+        self.late.add(&timing.late);
+        self.spikes.extend(finished.spikes);
+        self.spikes
+            .sort_by_key(|spike| std::cmp::Reverse(spike.lateness()));
+        self.spikes.truncate(Tracer::KEPT);
+        self.stood &= stood.into_iter().all(|stood| stood);
+        ledger.add(&Interval {
+            begun,
+            ended: now(),
+            late: counts_of(&timing.sync),
+        })?;
+        Ok(finished.denied)
+    }
+
+    /// What was seen of the cycle besides its punctuality.
+    pub(super) fn report(&self) -> CellReport {
+        CellReport {
+            name: self.file.cell.name.clone(),
+            bench: self.bench,
+            state: if self.stood {
+                "power on, holding position, not homed"
+            } else {
+                "switching on, holding position not reached in every turn"
+            },
+            wake_us: percentiles(&self.wake_up),
+            step_us: percentiles(&self.step),
+            bus_us: percentiles(&self.bus),
+            wire: self.wire.as_ref().map_or_else(Vec::new, Wire::reports),
+        }
+    }
+}
+
+/// The cycle of a measured cell.
+#[derive(Debug, Serialize)]
+pub(super) struct CellReport {
+    pub name: String,
+    pub bench: CellBench,
+    /// What its drives did.
+    pub state: &'static str,
+    /// Lateness of the wake-up, µs.
+    pub wake_us: Percentiles,
+    /// Duration of the step, µs.
+    pub step_us: Percentiles,
+    /// From SYNC to the last answer to it, µs.
+    pub bus_us: Percentiles,
+    /// Every bus on the wire.
+    pub wire: Vec<WireReport>,
+}

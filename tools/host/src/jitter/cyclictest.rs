@@ -1,0 +1,181 @@
+//! cyclictest of Debian's package rt-tests as the peer: run for a while, its histogram read.
+
+use std::io::{ErrorKind, Read};
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+use anyhow::{Context, anyhow, bail};
+use can::clock::{now, sleep_until};
+
+use super::interval::{Counts, Interval, counts};
+use super::probe::Turn;
+
+/// Bins of its histogram, µs; what is later is counted as its maximum.
+const BINS: u32 = 20_000;
+
+/// How long it may take to start and to print.
+const OVERHEAD: Duration = Duration::from_secs(20);
+
+/// How often to look whether it has ended.
+const POLL: Duration = Duration::from_millis(20);
+
+/// Refuses where it is not installed.
+pub(super) fn find() -> anyhow::Result<()> {
+    let found = Command::new("cyclictest")
+        .arg("--help")
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .status();
+    match found {
+        Err(error) if error.kind() == ErrorKind::NotFound => bail!(
+            "cyclictest is not installed; `apt install rt-tests` installs it, --against plain does without"
+        ),
+        Err(error) => Err(error).context("cyclictest cannot be run"),
+        Ok(_) => Ok(()),
+    }
+}
+
+/// Lets it wait for the deadlines of a turn and returns what it saw. It leaves /dev/cpu_dma_latency alone.
+pub(super) fn measure(turn: Turn, priority: u8, cpu: Option<usize>) -> anyhow::Result<Interval> {
+    let mut command = Command::new("cyclictest");
+    command
+        .args(["--mlockall", "--quiet", "--threads=1", "--policy=fifo"])
+        .arg("--default-system")
+        .arg(format!("--priority={priority}"))
+        .arg(format!("--interval={}", turn.period.as_micros()))
+        .arg(format!(
+            "--loops={}",
+            turn.time.as_nanos() / turn.period.as_nanos()
+        ))
+        .arg(format!("--histogram={BINS}"))
+        .args(cpu.map(|cpu| format!("--affinity={cpu}")));
+    let begun = now();
+    let mut child = command
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .context("cyclictest cannot be run")?;
+    let (out, err) = (child.stdout.take(), child.stderr.take());
+    let end = begun + turn.time * 2 + OVERHEAD;
+    let mut told = false;
+    std::thread::scope(|scope| {
+        let text = |pipe: Option<Box<dyn Read + Send>>| {
+            let mut text = String::new();
+            // What is not text is refused below.
+            let _ = pipe.map(|mut pipe| pipe.read_to_string(&mut text));
+            text
+        };
+        let out = scope.spawn(move || text(out.map(|pipe| Box::new(pipe) as _)));
+        let err = scope.spawn(move || text(err.map(|pipe| Box::new(pipe) as _)));
+        let status = loop {
+            if let Some(status) = child
+                .try_wait()
+                .context("cyclictest cannot be waited for")?
+            {
+                break Some(status);
+            }
+            if turn.is_over() && !told {
+                told = true;
+                // It prints what it has. A terminal's Ctrl-C reached it already, and it may have ended since.
+                let _ = Command::new("sh")
+                    .args(["-c", &format!("kill -INT {}", child.id())])
+                    .stderr(Stdio::null())
+                    .status();
+            }
+            if now() >= end {
+                child.kill().context("cyclictest cannot be ended")?;
+                break None;
+            }
+            sleep_until(now() + POLL);
+        };
+        let [out, err] = [out, err].map(|thread| thread.join().unwrap_or_default());
+        match status {
+            None => bail!("cyclictest did not end in time"),
+            Some(status) if !status.success() => {
+                let said = err.lines().chain(out.lines()).find(|line| !line.is_empty());
+                bail!("cyclictest failed ({status}): {}", said.unwrap_or(""))
+            }
+            Some(_) => {
+                let late = parse(&out)
+                    .ok_or_else(|| anyhow!("cyclictest printed no histogram that can be read"))?;
+                Ok(Interval {
+                    begun,
+                    ended: now(),
+                    late,
+                })
+            }
+        }
+    })
+}
+
+/// The histogram of one thread that `text` shows: lines of bin, µs, and count, then totals after `#`.
+fn parse(text: &str) -> Option<Counts> {
+    let mut late = counts();
+    let total = |name: &str| -> Option<u64> {
+        let line = text.lines().find_map(|line| line.strip_prefix(name))?;
+        line.trim().parse().ok()
+    };
+    let overflows = total("# Histogram Overflows:")?;
+    let max = total("# Max Latencies:")?;
+    let mut counted = 0;
+    let bins = text
+        .lines()
+        .filter(|line| line.starts_with(|first: char| first.is_ascii_digit()));
+    for line in bins {
+        let (bin, count) = line.split_once(char::is_whitespace)?;
+        let (bin, count): (u64, u64) = (bin.parse().ok()?, count.trim().parse().ok()?);
+        if count > 0 {
+            // None of a value would still count as the greatest.
+            late.saturating_record_n(1000 * bin, count);
+        }
+        counted += count;
+    }
+    if overflows > 0 {
+        late.saturating_record_n(1000 * max, overflows);
+    }
+    (counted == total("# Total:")?).then_some(late)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// As cyclictest 2.40 printed it for `-m -q -t1 -p80 -i1000 -l 8 -h 4`, in part.
+    const PRINTED: &str = "# /dev/cpu_dma_latency set to 0us\n# Histogram\n000000 000000\n000001 000002\n\
+        000002 000000\n000003 000003\n# Total: 000000005\n# Min Latencies: 00001\n# Avg Latencies: 00035\n\
+        # Max Latencies: 01471\n# Histogram Overflows: 00003\n# Histogram Overflow at cycle number:\n\
+        # Thread 0: 00004 00006 00007\n";
+
+    #[test]
+    fn its_histogram_is_read_with_what_overflowed_as_the_maximum() {
+        let late = parse(PRINTED).unwrap();
+        assert_eq!(late.len(), 8);
+        assert_eq!(late.value_at_quantile(0.2) / 1000, 1);
+        assert_eq!(late.value_at_quantile(0.6) / 1000, 3);
+        assert_eq!(late.max() / 10_000, 147);
+    }
+
+    #[test]
+    fn bins_of_nothing_are_not_its_latest() {
+        let text = PRINTED.replace("000003 000003", "000002 000003\n019999 000000");
+        let text = text.replace("Overflows: 00003", "Overflows: 00000");
+        assert_eq!(parse(&text).unwrap().max() / 1000, 2);
+    }
+
+    #[test]
+    fn what_is_not_its_histogram_is_refused() {
+        for (good, bad) in [
+            ("000003 000003", "000003 000002"),
+            ("000003 000003", "000003"),
+            ("000003 000003", "000003 x"),
+            ("# Max Latencies", "# Max"),
+            ("# Histogram Overflows", "# Overflows"),
+            ("# Total: 000000005\n", ""),
+        ] {
+            let text = PRINTED.replacen(good, bad, 1);
+            assert_eq!(parse(&text), None, "{bad}");
+        }
+    }
+}

@@ -1,0 +1,258 @@
+//! From a measuring thread to an ordinary one: histograms of about a second, exchanged whole.
+//!
+//! All of them are made before anything is measured, and each is with one of the two threads at a time: the measuring
+//! thread neither allocates nor waits. If the ordinary thread lags, an interval grows longer and nothing is lost: the
+//! memory of a measurement does not depend on its duration.
+
+use std::io;
+use std::mem;
+use std::time::Duration;
+
+use can::Instant;
+use hdrhistogram::Histogram;
+use rtrb::{Consumer, Producer, RingBuffer};
+
+use super::files::IntervalLog;
+
+/// Nanoseconds, counted.
+pub(super) type Counts = Histogram<u64>;
+
+/// Least length of an interval.
+const INTERVAL: Duration = Duration::from_secs(1);
+
+/// Histograms under way beside the one that is being filled: some seconds.
+const SPARE: usize = 3;
+
+/// What is later is counted as this late.
+const LATEST: u64 = 10_000_000_000;
+
+/// Times of a series; two are made one when there are more.
+const TIMES: usize = 2048;
+
+/// An empty one, from 1 ns to 10 s in three significant digits, as [`servo::Histogram`].
+pub(super) fn counts() -> Counts {
+    Counts::new_with_bounds(1, LATEST, 3)
+        .expect("the bounds are constants that the library accepts")
+}
+
+/// The same counts as `histogram`'s, which has the same bins.
+pub(super) fn counts_of(histogram: &servo::Histogram) -> Counts {
+    let mut counted = counts();
+    for (duration, count) in histogram.bins() {
+        counted.saturating_record_n(duration.as_nanos() as u64, count);
+    }
+    counted
+}
+
+/// A part of a measurement.
+pub(super) struct Interval {
+    pub begun: Instant,
+    pub ended: Instant,
+    pub late: Counts,
+}
+
+impl Interval {
+    fn empty() -> Box<Self> {
+        Box::new(Self {
+            begun: Instant::ZERO,
+            ended: Instant::ZERO,
+            late: counts(),
+        })
+    }
+}
+
+/// The measuring thread's end.
+pub(super) struct Recorder {
+    filling: Box<Interval>,
+    full: Producer<Box<Interval>>,
+    empty: Consumer<Box<Interval>>,
+}
+
+impl Recorder {
+    /// A turn begins.
+    pub(super) fn begin(&mut self, now: Instant) {
+        if self.filling.late.is_empty() {
+            self.filling.begun = now;
+        }
+    }
+
+    /// Counts one wake-up.
+    pub(super) fn record(&mut self, late: Duration, now: Instant) {
+        let nanos = u64::try_from(late.as_nanos()).unwrap_or(LATEST);
+        self.filling.late.saturating_record(nanos.min(LATEST));
+        self.filling.ended = now;
+        if now.since(self.filling.begun) >= INTERVAL {
+            self.hand_over();
+        }
+    }
+
+    /// Gives the interval away, if there is an empty one to go on with.
+    pub(super) fn hand_over(&mut self) {
+        if self.filling.late.is_empty() {
+            return;
+        }
+        if let Ok(mut next) = self.empty.pop() {
+            next.begun = self.filling.ended;
+            let full = mem::replace(&mut self.filling, next);
+            // There are as many places as histograms.
+            let _ = self.full.push(full);
+        }
+    }
+}
+
+/// The ordinary thread's end: all that one side's turns came to.
+pub(super) struct Ledger<'a> {
+    full: Consumer<Box<Interval>>,
+    empty: Producer<Box<Interval>>,
+    /// Of the whole measurement.
+    pub total: Counts,
+    pub series: Series,
+    log: Option<IntervalLog<'a>>,
+}
+
+/// Both ends. `began` is the zero of the series and the log.
+pub(super) fn recording(began: Instant, log: Option<IntervalLog<'_>>) -> (Recorder, Ledger<'_>) {
+    let (full, filled) = RingBuffer::new(SPARE + 1);
+    let (mut emptied, empty) = RingBuffer::new(SPARE + 1);
+    for _ in 0..SPARE {
+        let _ = emptied.push(Interval::empty());
+    }
+    let recorder = Recorder {
+        filling: Interval::empty(),
+        full,
+        empty,
+    };
+    let ledger = Ledger {
+        full: filled,
+        empty: emptied,
+        total: counts(),
+        series: Series::new(began),
+        log,
+    };
+    (recorder, ledger)
+}
+
+impl Ledger<'_> {
+    /// Takes what has been handed over.
+    pub(super) fn drain(&mut self) -> io::Result<()> {
+        while let Ok(mut interval) = self.full.pop() {
+            self.add(&interval)?;
+            interval.late.reset();
+            let _ = self.empty.push(interval);
+        }
+        Ok(())
+    }
+
+    /// Adds an interval that was measured elsewhere.
+    pub(super) fn add(&mut self, interval: &Interval) -> io::Result<()> {
+        if interval.late.is_empty() {
+            return Ok(());
+        }
+        (self.total)
+            .add(&interval.late)
+            .expect("all histograms have the same bounds");
+        self.series.add(interval);
+        match &mut self.log {
+            Some(log) => log.write(interval, self.series.began),
+            None => Ok(()),
+        }
+    }
+}
+
+/// The worst of each interval, in bounded room.
+pub(super) struct Series {
+    began: Instant,
+    /// From and to, s, and the worst in between, µs.
+    pub times: Vec<[f64; 3]>,
+}
+
+impl Series {
+    pub(super) fn new(began: Instant) -> Self {
+        Self {
+            began,
+            times: Vec::with_capacity(TIMES),
+        }
+    }
+
+    fn add(&mut self, interval: &Interval) {
+        if self.times.len() == TIMES {
+            let pairs = self.times.chunks(2);
+            let joined = pairs.map(|pair| {
+                let last = pair[pair.len() - 1];
+                [pair[0][0], last[1], pair[0][2].max(last[2])]
+            });
+            self.times = joined.collect();
+        }
+        let [from, to] =
+            [interval.begun, interval.ended].map(|at| at.since(self.began).as_secs_f64());
+        self.times
+            .push([from, to, interval.late.max() as f64 / 1e3]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TICK: Duration = Duration::from_millis(10);
+
+    #[test]
+    fn a_reader_that_lags_makes_intervals_longer_and_loses_none() {
+        let (mut recorder, mut ledger) = recording(Instant::ZERO, None);
+        let mut now = Instant::ZERO;
+        recorder.begin(now);
+        for cycle in 0..2000 {
+            now += TICK;
+            recorder.record(Duration::from_micros(cycle % 100 + 1), now);
+        }
+        ledger.drain().unwrap();
+        assert_eq!(ledger.series.times.len(), SPARE);
+        recorder.hand_over();
+        ledger.drain().unwrap();
+        assert_eq!(ledger.total.len(), 2000);
+        let spans: Vec<_> = (ledger.series.times.iter())
+            .map(|[from, to, _]| (to - from).round() as u32)
+            .collect();
+        assert_eq!(spans, [1, 1, 1, 17]);
+        assert!((ledger.total.value_at_quantile(0.5) as f64 / 50e3 - 1.0).abs() < 2e-3);
+    }
+
+    #[test]
+    fn a_series_of_a_week_stays_in_its_room_and_keeps_the_worst() {
+        let mut series = Series::new(Instant::ZERO);
+        let mut interval = Interval::empty();
+        for second in 0..10 * TIMES as u64 {
+            interval.late.reset();
+            let late = if second == 777 { 5_000_000 } else { 1000 };
+            interval.late.saturating_record(late);
+            interval.begun = Instant::from_nanos(second * 1_000_000_000);
+            interval.ended = Instant::from_nanos((second + 1) * 1_000_000_000);
+            series.add(&interval);
+        }
+        assert!(series.times.len() <= TIMES && series.times.len() > TIMES / 4);
+        let worst = series
+            .times
+            .iter()
+            .max_by(|a, b| a[2].total_cmp(&b[2]))
+            .unwrap();
+        assert!(
+            worst[2] >= 5000.0 && (worst[0]..worst[1]).contains(&777.5),
+            "{worst:?}"
+        );
+    }
+
+    #[test]
+    fn counts_of_the_servo_are_the_same_counts() {
+        let (mut ours, mut servos) = (counts(), servo::Histogram::new());
+        for nanos in (0..3_000_000).step_by(977) {
+            ours.saturating_record(nanos);
+            servos.record(Duration::from_nanos(nanos));
+        }
+        let copied = counts_of(&servos);
+        for quantile in [0.5, 0.99, 0.999, 1.0] {
+            let expected = ours.value_at_quantile(quantile);
+            assert_eq!(copied.value_at_quantile(quantile), expected);
+        }
+        assert_eq!(copied.len(), ours.len());
+    }
+}

@@ -1,0 +1,292 @@
+//! From the command line to what is measured.
+
+use std::time::Duration;
+
+use anyhow::{anyhow, bail};
+use mrroc::cell::Cell;
+use servo::thread::{self, CellTime, Realtime, RealtimePolicy};
+
+use super::{Options, Scheduler, Wait};
+use mrroc::setup;
+
+/// Shortest and longest period.
+const PERIODS: [Duration; 2] = [Duration::from_micros(50), Duration::from_secs(1)];
+
+/// Without a cell.
+const USUAL_PERIOD: Duration = Duration::from_millis(1);
+
+/// Unit of the drives' interpolation period, of which a cell's period is a multiple.
+const INTERPOLATION: Duration = Duration::from_millis(1);
+
+/// Longest time to measure.
+const LONGEST: Duration = Duration::from_secs(7 * 24 * 3600);
+
+/// Turns of each side.
+const ROUNDS: u32 = 10;
+
+/// A turn is no shorter, if the time to measure is not, and no longer: cyclictest takes some time to start.
+const TURN: [Duration; 2] = [Duration::from_secs(1), Duration::from_secs(30)];
+
+/// Longest warm-up of each side: several times as long as a margin takes to be learnt.
+const WARM_UP: Duration = Duration::from_secs(1);
+
+/// What to measure.
+pub(super) struct Plan {
+    pub(super) period: Duration,
+    /// Of each side.
+    pub(super) turn: Duration,
+    pub(super) rounds: u32,
+    /// The turn of each side that counts for nothing.
+    pub(super) warm_up: Duration,
+    pub(super) policy: RealtimePolicy,
+}
+
+impl Plan {
+    /// What the options say, of a cell whatever it says unless they do.
+    pub(super) fn of(options: &Options, cell: Option<&Cell>) -> anyhow::Result<Self> {
+        if cell.is_none() && options.bench.is_some() {
+            bail!("--bench needs --cell");
+        }
+        let period = match (&options.period, cell) {
+            (Some(text), cell) => period(text, cell.is_some())?,
+            (None, Some(cell)) => cell.period(),
+            (None, None) => USUAL_PERIOD,
+        };
+        let time = duration("duration", &options.duration)?;
+        if !(10 * period..=LONGEST).contains(&time) {
+            bail!(
+                "--duration is {}, must be between ten periods and a week",
+                options.duration
+            );
+        }
+        let usual = match cell {
+            Some(cell) => setup::realtime_policy(cell, CellTime::Wall),
+            None => RealtimePolicy {
+                wait: thread::Wait::HYBRID,
+                ..RealtimePolicy::BEST_EFFORT
+            },
+        };
+        let given = options.priority.unwrap_or(usual.priority.into());
+        let priority = u8::try_from(given)
+            .ok()
+            .filter(|priority| (1..=99).contains(priority))
+            .ok_or_else(|| anyhow!("--priority is {}, must be between 1 and 99", given))?;
+        let scheduler = match (options.scheduler, usual.scheduler) {
+            (Some(Scheduler::Fifo), _) | (None, thread::Scheduler::Fifo) => thread::Scheduler::Fifo,
+            (Some(Scheduler::Deadline), _) | (None, thread::Scheduler::Deadline { .. }) => {
+                thread::Scheduler::Deadline { period }
+            }
+        };
+        let cpu = options.cpu.or(usual.cpu);
+        if let (thread::Scheduler::Deadline { .. }, Some(cpu)) = (scheduler, cpu) {
+            bail!(
+                "CPU {cpu} cannot be had with --scheduler deadline, which the kernel grants only to a thread that may \
+                 run on all CPUs"
+            );
+        }
+        let turn = (time / ROUNDS).clamp(TURN[0].min(time), TURN[1]);
+        Ok(Self {
+            period,
+            warm_up: turn.min(WARM_UP),
+            turn,
+            rounds: time.div_duration_f64(turn).ceil() as u32,
+            policy: RealtimePolicy {
+                realtime: Realtime::BestEffort,
+                scheduler,
+                priority,
+                cpu,
+                wait: wait(options, usual.wait, period)?,
+                // Both sides alike.
+                lock_memory: true,
+                ..usual
+            },
+        })
+    }
+}
+
+/// How to wait: as `usual` but for what the options say, within what a cell may say.
+fn wait(options: &Options, usual: thread::Wait, period: Duration) -> anyhow::Result<thread::Wait> {
+    let wait = match (options.wait, usual) {
+        (Some(Wait::Plain), _) | (None, thread::Wait::Plain) => thread::Wait::Plain,
+        (Some(Wait::Hybrid), thread::Wait::Plain) => thread::Wait::HYBRID,
+        (Some(Wait::Hybrid) | None, hybrid) => hybrid,
+    };
+    let thread::Wait::Hybrid { margin, spin_share } = wait else {
+        if options.margin.is_some() || options.spin_share.is_some() {
+            bail!("--margin and --spin-share need --wait hybrid");
+        }
+        return Ok(wait);
+    };
+    let given = options.margin.as_deref();
+    let given = given.map(|text| duration("margin", text)).transpose()?;
+    let (margin, spin_share) = (given.or(margin), options.spin_share.unwrap_or(spin_share));
+    if !(0.0..=0.5).contains(&spin_share) {
+        bail!("--spin-share is {spin_share}, must be between 0 and 0.5 (of a core)");
+    }
+    let longest = period.mul_f64(spin_share);
+    if let Some(margin) = margin.filter(|&margin| margin > longest) {
+        bail!(
+            "--margin is {margin:?}, must be at most the share of the period to spin in, {longest:?}"
+        );
+    }
+    Ok(thread::Wait::Hybrid { margin, spin_share })
+}
+
+fn period(text: &str, of_cell: bool) -> anyhow::Result<Duration> {
+    let period = duration("period", text)?;
+    if !(PERIODS[0]..=PERIODS[1]).contains(&period) {
+        bail!("--period is {text}, must be between 50us and 1s");
+    }
+    if !period.as_nanos().is_multiple_of(1000) {
+        bail!("--period is {text}, must be whole microseconds");
+    }
+    if of_cell && !period.as_nanos().is_multiple_of(INTERPOLATION.as_nanos()) {
+        bail!(
+            "--period is {text}, must be a multiple of 1ms, the drives' unit of the interpolation period, with --cell"
+        );
+    }
+    Ok(period)
+}
+
+/// A time with its unit: us, ms, s, m or h.
+fn duration(option: &str, text: &str) -> anyhow::Result<Duration> {
+    let digits = text.find(|c: char| !c.is_ascii_digit() && c != '.');
+    let (number, unit) = text.split_at(digits.unwrap_or(text.len()));
+    let seconds = match unit {
+        "us" | "µs" => Some(1e-6),
+        "ms" => Some(1e-3),
+        "s" => Some(1.0),
+        "m" => Some(60.0),
+        "h" => Some(3600.0),
+        _ => None,
+    };
+    number
+        .parse::<f64>()
+        .ok()
+        .zip(seconds)
+        .and_then(|(number, seconds)| Duration::try_from_secs_f64(number * seconds).ok())
+        .ok_or_else(|| {
+            anyhow!("--{option} is {text:?}, must be a number and us, ms, s, m or h, such as 250us")
+        })
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        options: Options,
+    }
+
+    fn plan(line: &str) -> Result<Plan, String> {
+        let words = std::iter::once("jitter").chain(line.split_whitespace());
+        let line = Line::try_parse_from(words).map_err(|e| e.to_string())?;
+        Plan::of(&line.options, None).map_err(|e| e.to_string())
+    }
+
+    #[test]
+    fn times_are_read_with_their_unit() {
+        for (text, micros) in [
+            ("250us", 250),
+            ("1ms", 1000),
+            ("0.5ms", 500),
+            ("20s", 20_000_000),
+            ("2m", 120_000_000),
+            ("1h", 3_600_000_000),
+        ] {
+            assert_eq!(
+                duration("period", text).unwrap().as_micros(),
+                micros,
+                "{text}"
+            );
+        }
+        for text in [
+            "", "1", "ms", "1 ms", "-1ms", "1.2.3s", "1d", "9e99s", "nans",
+        ] {
+            assert!(duration("period", text).is_err(), "{text:?}");
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_measured_is_refused_in_one_line() {
+        for (line, needle) in [
+            (
+                "--period 0ms",
+                "--period is 0ms, must be between 50us and 1s",
+            ),
+            ("--period 1001ms", "--period"),
+            ("--period 49us", "--period"),
+            ("--period 100.5us", "whole microseconds"),
+            ("--duration 0s", "--duration"),
+            ("--duration 9ms", "--duration"),
+            ("--duration 1000h", "--duration"),
+            ("--priority 0", "--priority is 0, must be between 1 and 99"),
+            ("--priority 100", "--priority"),
+            ("--priority 336", "--priority"),
+            (
+                "--scheduler deadline --cpu 1",
+                "CPU 1 cannot be had with --scheduler deadline",
+            ),
+            (
+                "--spin-share 0.6",
+                "--spin-share is 0.6, must be between 0 and 0.5",
+            ),
+            ("--spin-share nan", "--spin-share"),
+            (
+                "--margin 201us",
+                "--margin is 201µs, must be at most the share of the period to spin in, 200µs",
+            ),
+            ("--margin 200", "--margin is \"200\", must be a number"),
+            ("--wait plain --margin 9us", "need --wait hybrid"),
+            ("--wait plain --spin-share 0.1", "need --wait hybrid"),
+        ] {
+            let refusal = plan(line).err().unwrap_or_default();
+            assert!(refusal.contains(needle), "{line}: {refusal:?}");
+            assert_eq!(refusal.lines().count(), 1, "{line}: {refusal}");
+        }
+    }
+
+    #[test]
+    fn the_thread_is_scheduled_and_waits_as_the_options_say() {
+        let hybrid = |margin: Option<u64>, spin_share| thread::Wait::Hybrid {
+            margin: margin.map(Duration::from_micros),
+            spin_share,
+        };
+        let deadline = |period| thread::Scheduler::Deadline {
+            period: Duration::from_millis(period),
+        };
+        let fifo = thread::Scheduler::Fifo;
+        for (line, scheduler, wait) in [
+            ("", fifo, thread::Wait::HYBRID),
+            ("--scheduler fifo --wait plain", fifo, thread::Wait::Plain),
+            ("--scheduler deadline", deadline(1), thread::Wait::HYBRID),
+            (
+                "--scheduler deadline --period 2ms --margin 800us --spin-share 0.4",
+                deadline(2),
+                hybrid(Some(800), 0.4),
+            ),
+            ("--wait hybrid --spin-share 0", fifo, hybrid(None, 0.0)),
+        ] {
+            let policy = plan(line).unwrap().policy;
+            assert_eq!((policy.scheduler, policy.wait), (scheduler, wait), "{line}");
+        }
+    }
+
+    #[test]
+    fn turns_make_up_the_time() {
+        for (duration, rounds, turn) in [
+            ("10ms", 1, 10),
+            ("3s", 3, 1000),
+            ("60s", 10, 6000),
+            ("1h", 120, 30_000),
+        ] {
+            let plan = plan(&format!("--duration {duration}")).unwrap();
+            let expected = (rounds, Duration::from_millis(turn));
+            assert_eq!((plan.rounds, plan.turn), expected, "{duration}");
+        }
+    }
+}

@@ -1,0 +1,291 @@
+//! What `mrroc jitter` says at its end: one JSON object, or tables for a person.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use serde::Serialize;
+use servo::thread::{LateCycles, WaitReport};
+
+use super::cell::CellReport;
+use super::interval::Counts;
+use super::verdict::{self, Fit, Tail};
+use super::{Peer, Scheduler, Wait, load};
+use mrroc::report::{Percentiles, WaitCost, microseconds};
+
+/// What was measured, and how.
+#[derive(Debug, Serialize)]
+pub(super) struct Setting {
+    /// Time from one deadline to the next, µs.
+    pub(super) period_us: f64,
+    /// Time measured, of each side.
+    pub(super) seconds: f64,
+    /// Turns of each side.
+    pub(super) rounds: u32,
+    /// The turn of each side that counts for nothing, s.
+    pub(super) warm_up_s: f64,
+    /// What scheduled ours.
+    pub(super) scheduler: Scheduler,
+    /// Priority under SCHED_FIFO, of whoever was under it.
+    pub(super) priority: u8,
+    /// The CPU both sides stayed on.
+    pub(super) cpu: Option<usize>,
+    /// How ours waited.
+    pub(super) wait: Wait,
+    /// What loaded the host.
+    pub(super) load: Vec<load::Kind>,
+    /// Who the peer was.
+    pub(super) against: Option<Peer>,
+    /// Whether deep idle states were kept away, for both.
+    pub(super) cpu_latency_held: bool,
+    /// What a hypervisor took from all processors meanwhile, by the kernel's account, ms.
+    pub(super) stolen_ms: u64,
+    /// Whether Ctrl-C, or a file that could not be written, ended it.
+    pub(super) ended_early: bool,
+    /// What the host denied.
+    pub(super) denied: Vec<String>,
+}
+
+/// In one line, without what the host denied.
+impl fmt::Display for Setting {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let wait = match self.wait {
+            Wait::Plain => "plain",
+            Wait::Hybrid => "hybrid",
+        };
+        let Self {
+            period_us,
+            priority,
+            ..
+        } = self;
+        write!(f, "period {period_us} µs, {wait} wait, ")?;
+        match self.scheduler {
+            Scheduler::Fifo => write!(f, "SCHED_FIFO {priority}, ")?,
+            Scheduler::Deadline => f.write_str("SCHED_DEADLINE, ")?,
+        }
+        match self.cpu {
+            Some(cpu) => write!(f, "CPU {cpu}, ")?,
+            None => f.write_str("any CPU, ")?,
+        }
+        let loads = self.load.iter().map(|load| load.name());
+        match loads.collect::<Vec<_>>().join(", ") {
+            none if none.is_empty() => f.write_str("no load"),
+            loads => write!(f, "load {loads}"),
+        }
+    }
+}
+
+/// The report.
+#[derive(Debug, Serialize)]
+pub(super) struct Report {
+    #[serde(flatten)]
+    setting: Setting,
+    /// The cycle of the cell, if one was measured; ours is then from the deadline to SYNC.
+    cell: Option<CellReport>,
+    /// Our thread.
+    ours: Side,
+    /// The peer.
+    peer: Option<Side>,
+    /// Ours over the peer's; null where the peer's is zero.
+    ratio: Option<Ratio>,
+    /// How many wake-ups of ours, or SYNCs of the cell, were more than a hundredth of the period late, by cause.
+    causes: BTreeMap<&'static str, u64>,
+    /// The latest of them.
+    worst: Vec<Late>,
+    /// How well the usual periods and this one are kept.
+    fits: Vec<Fit>,
+    /// Whose the tail is; null without a peer.
+    tail: Option<Tail>,
+    /// The same in words.
+    verdict: String,
+}
+
+/// One side: the error of its wake-ups, µs.
+#[derive(Debug, Serialize)]
+pub(super) struct Side {
+    #[serde(flatten)]
+    late: Percentiles,
+    /// Wake-ups.
+    cycles: u64,
+    /// Deadlines skipped; null for cyclictest, which does not tell.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    missed: Option<u64>,
+    #[serde(flatten)]
+    cost: Option<WaitCost>,
+}
+
+impl Side {
+    pub(super) fn of(late: &Counts, missed: Option<u64>, cost: Option<WaitReport>) -> Self {
+        Self {
+            late: percentiles(late),
+            cycles: late.len(),
+            missed,
+            cost: cost.map(WaitCost::from),
+        }
+    }
+}
+
+pub(super) fn percentiles(late: &Counts) -> Percentiles {
+    let micros = |nanos: u64| nanos as f64 / 1e3;
+    Percentiles {
+        p50: micros(late.value_at_quantile(0.5)),
+        p99: micros(late.value_at_quantile(0.99)),
+        p999: micros(late.value_at_quantile(0.999)),
+        max: micros(late.max()),
+    }
+}
+
+/// Ours over the peer's.
+#[derive(Debug, Serialize)]
+pub(super) struct Ratio {
+    p50: Option<f64>,
+    p99: Option<f64>,
+    p999: Option<f64>,
+    max: Option<f64>,
+}
+
+/// One late wake-up.
+#[derive(Debug, Serialize)]
+pub(super) struct Late {
+    late_us: f64,
+    cause: &'static str,
+}
+
+impl Report {
+    /// What follows from what was measured.
+    pub(super) fn of(
+        setting: Setting,
+        ours: Side,
+        peer: Option<Side>,
+        late: &LateCycles,
+        cell: Option<CellReport>,
+    ) -> Self {
+        let over = |ours: f64, peer: f64| (peer > 0.0).then(|| ours / peer);
+        let ratio = peer.as_ref().map(|peer| Ratio {
+            p50: over(ours.late.p50, peer.late.p50),
+            p99: over(ours.late.p99, peer.late.p99),
+            p999: over(ours.late.p999, peer.late.p999),
+            max: over(ours.late.max, peer.late.max),
+        });
+        // A thread alone is late for what it skips, and that is in its percentiles.
+        let skipped = (cell.as_ref()).and(ours.missed).unwrap_or(0);
+        let fits = verdict::fits(&ours.late, setting.period_us, ours.cycles, skipped);
+        let tail = (peer.as_ref()).map(|peer| verdict::tail(&ours.late, &peer.late));
+        let causes = late.causes();
+        let worst = late.worst().map(|worst| Late {
+            late_us: microseconds(worst.late),
+            cause: worst.cause.name(),
+        });
+        Self {
+            verdict: verdict::words(&fits, tail.as_ref(), ours.cycles, !setting.load.is_empty()),
+            fits,
+            tail,
+            setting,
+            cell,
+            ours,
+            peer,
+            ratio,
+            causes: causes.map(|(cause, count)| (cause.name(), count)).collect(),
+            worst: worst.collect(),
+        }
+    }
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(
+            f,
+            "{:11} {:>10} {:>10} {:>10} {:>10} {:>10} {:>8}",
+            "late by, µs", "p50", "p99", "p99.9", "max", "cycles", "missed"
+        )?;
+        let mut side = |name: &str, side: &Side| {
+            let missed = side
+                .missed
+                .map_or("-".to_owned(), |missed| missed.to_string());
+            let Percentiles {
+                p50,
+                p99,
+                p999,
+                max,
+            } = side.late;
+            writeln!(
+                f,
+                "{name:11} {p50:>10.3} {p99:>10.3} {p999:>10.3} {max:>10.3} {:>10} {missed:>8}",
+                side.cycles
+            )
+        };
+        side("ours", &self.ours)?;
+        if let (Some(peer), Some(against)) = (&self.peer, self.setting.against) {
+            side(against.name(), peer)?;
+        }
+        if let Some(Ratio {
+            p50,
+            p99,
+            p999,
+            max,
+        }) = &self.ratio
+        {
+            let [p50, p99, p999, max] = [p50, p99, p999, max]
+                .map(|ratio| ratio.map_or("-".to_owned(), |ratio| format!("{ratio:.4}")));
+            writeln!(f, "{:11} {p50:>10} {p99:>10} {p999:>10} {max:>10}", "ratio")?;
+        }
+        if let Some(cell) = &self.cell {
+            let times = [
+                ("wake-up", cell.wake_us),
+                ("step", cell.step_us),
+                ("bus", cell.bus_us),
+            ];
+            // A tty does not tell when an answer came.
+            for (name, times) in times.into_iter().filter(|(_, times)| times.max > 0.0) {
+                writeln!(
+                    f,
+                    "{name:11} {:>10.3} {:>10.3} {:>10.3} {:>10.3}",
+                    times.p50, times.p99, times.p999, times.max
+                )?;
+            }
+            writeln!(
+                f,
+                "\nours is from deadline to SYNC; cell {}: {}",
+                cell.name, cell.state
+            )?;
+            for wire in &cell.wire {
+                write!(f, "{wire}")?;
+            }
+        }
+        writeln!(f)?;
+        if let Some(cost) = self.ours.cost.filter(|cost| cost.spin_percent > 0.0) {
+            writeln!(
+                f,
+                "woken {:.0} µs early, {:.1} % of a core spent spinning",
+                cost.margin_us, cost.spin_percent
+            )?;
+        }
+        let causes = self.causes.iter().filter(|(_, count)| **count > 0);
+        let causes: Vec<_> = causes
+            .map(|(cause, count)| format!("{cause} {count}"))
+            .collect();
+        if !causes.is_empty() {
+            writeln!(
+                f,
+                "more than {} µs late: {}",
+                self.setting.period_us / 100.0,
+                causes.join(", ")
+            )?;
+            let worst = self.worst.iter();
+            let worst: Vec<_> = worst
+                .map(|late| format!("{:.0} µs {}", late.late_us, late.cause))
+                .collect();
+            writeln!(f, "the worst: {}", worst.join(", "))?;
+        }
+        if self.setting.stolen_ms > 0 {
+            let stolen = self.setting.stolen_ms;
+            writeln!(
+                f,
+                "the hypervisor took {stolen} ms from all processors meanwhile"
+            )?;
+        }
+        for denied in &self.setting.denied {
+            writeln!(f, "denied: {denied}")?;
+        }
+        f.write_str(&self.verdict.replace("; ", "\n"))
+    }
+}

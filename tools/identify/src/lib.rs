@@ -1,0 +1,482 @@
+//! `mrroc identify`: excites one axis while it moves, and reports the frequency response of its loop.
+//!
+//! Only the robot of that axis gets power, and only that axis moves: in one direction, at constant velocity, over a
+//! distance that is printed before. Every guard of a run stays in force.
+
+mod bode;
+mod report;
+mod session;
+
+use std::cell::RefCell;
+use std::fs::{File, create_dir_all};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use anyhow::{Context, anyhow, bail};
+use can::{Instant, clock};
+use clap::{Args, ValueEnum};
+use servo::identify::{self as measure, Run};
+use servo::{
+    ExcitationError, MAX_AXES, NotUp, Output, PositionLoop, Servo, ServoAxisConfig, lockstep,
+};
+
+use mrroc::bench::clockwork;
+use mrroc::bench::{Bench, BenchKind, Places};
+use mrroc::cell_file::CellFile;
+use mrroc::outputs::{Outputs, Replacement};
+use mrroc::signals::Motion;
+use mrroc::{setup, signals};
+use report::Report;
+use session::Session;
+
+/// Records that the measurement may lag behind the servo, per effector: some seconds.
+const RECORDS: usize = 1 << 13;
+
+/// How often the orders are looked after, at the least.
+const POLL: Duration = Duration::from_millis(2);
+
+/// Length of one period of the excitation, s: its lines are multiples of 1 Hz.
+const PERIOD: f64 = 1.0;
+
+/// Period of the loops of a drive, s: those of the emulated one, and those of an EPOS4 (its hardware references).
+const EMULATED_DRIVE: f64 = 1e-3;
+const EPOS4: f64 = 400e-6;
+
+/// Lines that are asked for.
+const LINES: usize = 40;
+
+/// Usual velocity, rad/s.
+const VELOCITY: f64 = 10.0;
+
+/// Acceleration to the velocity and from it, rad/s², unless the axis has less.
+const ACCELERATION: f64 = 100.0;
+
+/// Room that is left to the end of the axis's range, rad of the motor.
+const ROOM: f64 = 5.0;
+
+/// Longest time in the cell for the power to be off once all is done.
+const POWER_OFF_WAIT: Duration = Duration::from_millis(500);
+
+/// Options of `mrroc identify`.
+#[derive(Args)]
+pub struct Options {
+    /// The cell file.
+    cell: PathBuf,
+    /// The axis: ROBOT/AXIS, or the axis's name if no other has it.
+    #[arg(long)]
+    axis: String,
+    /// What it is excited by.
+    #[arg(long, value_enum, default_value = "multisine")]
+    excitation: Excitation,
+    /// Where it is added, if the drive closes the position loop.
+    #[arg(long, value_enum, default_value = "torque")]
+    at: At,
+    /// Period of the drive's own loops, µs, where it closes the position loop: what torque it shows is half of that old.
+    /// That of an EPOS4, unless given, or of the emulated drive.
+    #[arg(long, value_name = "US")]
+    drive_period: Option<f64>,
+    /// What to measure on.
+    #[arg(long, value_enum, default_value = "lockstep")]
+    bench: BenchKind,
+    #[command(flatten)]
+    places: Places,
+    /// Let the axis move where it may be hardware. It has to be homed, clear of its surroundings, and watched.
+    #[arg(long)]
+    moves_hardware: bool,
+    /// Greatest value of the excitation, in the unit of what is excited: rad/s, N·m or the duty that the host's loop puts
+    /// out; N·m where the drive closes the loop, or rad of the motor at its command. A small one, unless given.
+    #[arg(long)]
+    amplitude: Option<f64>,
+    /// Motor velocity meanwhile, rad/s: dry friction holds an axis that stands. A drive that is excited at
+    /// its torque is given the nearest of a whole number of counts in a cycle. 10 rad/s unless given, or four counts in a
+    /// cycle there, if that is more.
+    #[arg(long)]
+    velocity: Option<f64>,
+    /// Lowest frequency, Hz.
+    #[arg(long, default_value_t = 2.0)]
+    from: f64,
+    /// Highest frequency, Hz, below half the servo's rate.
+    #[arg(long, default_value_t = 120.0)]
+    to: f64,
+    /// Periods of the excitation, a second each, that are measured.
+    #[arg(long, default_value_t = 4)]
+    periods: u8,
+    /// Write bode.svg and bode.csv into this directory.
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    #[command(flatten)]
+    replacement: Replacement,
+    /// Print one JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
+/// What an axis is excited by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Excitation {
+    /// A sine that rises from the lowest frequency to the highest.
+    Chirp,
+    /// Many sines at once.
+    Multisine,
+}
+
+/// Where an axis is excited whose drive closes the position loop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum At {
+    /// At the torque that the drive's loops ask for (object 0x60B2): the open loop, its crossover and margin.
+    Torque,
+    /// At the commanded position: how the sample follows it. For drives without that object.
+    Command,
+}
+
+/// Measures one axis.
+pub fn identify(options: &Options) -> anyhow::Result<ExitCode> {
+    signals::block_suspension()?;
+    let file = CellFile::read(&options.cell)?;
+    let place = find(&file, &options.axis)?;
+    let mut config = setup::servo_config(&file);
+    let axis = &mut config.effectors[place.0].axes[place.1];
+    let by_drive = axis.position_loop == PositionLoop::Drive;
+    if !by_drive && options.at == At::Command {
+        bail!(
+            "--at command: the host closes the position loop of {}, and is excited there",
+            options.axis
+        );
+    }
+    let with_torque = Some(place).filter(|_| by_drive && options.at == At::Torque);
+    if with_torque.is_some() {
+        let drive = file.cell.robot[place.0].axis[place.1].cia402();
+        axis.torque_offset = Some(drive.rated_torque);
+    }
+    let axis = *axis;
+    let lines = lines(options, &file)?;
+    options.places.check(&file, options.bench)?;
+    let hardware = options.bench == BenchKind::Card;
+    let plan = plan(options, &file, place, &axis, &lines, hardware)?;
+    if hardware && !options.moves_hardware {
+        bail!(
+            "the {} bench moves {} by up to {:.0} rad of its motor: --moves-hardware says that it may",
+            options.bench.name(),
+            options.axis,
+            plan.travel().abs()
+        );
+    }
+    let mut outputs = Outputs::new(options.replacement);
+    outputs.reads(&file);
+    let files = options.out.as_deref();
+    let files = files.map(|directory| BodeFiles::open(&mut outputs, directory));
+    let files = files.transpose()?;
+    let Bench {
+        ports,
+        lines: ttys,
+        emulation,
+        ..
+    } = Bench::open(&file, options.bench, &options.places, false)?;
+    let groups = setup::drive_groups(&file, ports, ttys, with_torque)?;
+    let delay = groups[axis.group].delay();
+    let (mut servo, mut links) = Servo::new(&config, groups)?;
+    let plan = excite(&mut servo, place, plan, options.amplitude.is_some())?;
+    let records = servo.record(RECORDS * file.cell.robot.len());
+    let session = Session::new(
+        place,
+        plan,
+        axis,
+        links.swap_remove(place.0),
+        records,
+        !hardware,
+    );
+    outputs.begin()?;
+    let motion = Motion::on(options.bench);
+    let stop = servo.stop_request();
+    signals::on_ending_of_motion(motion.clone(), move |_| stop.request())?;
+    let ended = match options.bench {
+        BenchKind::Lockstep => in_lockstep(servo, session, emulation),
+        _ => by_the_clock(&file, servo, session, emulation),
+    };
+    motion.is_over();
+    let robot = &file.cell.robot[place.0];
+    let name = format!("{}/{}", robot.name, robot.axis[place.1].name);
+    let report = ended.and_then(Session::finish).and_then(|(run, trace)| {
+        let (kind, points) = trace
+            .response(&run, &axis, delay, &lines)
+            .ok_or_else(|| Unmeasured::Stopped("the measurement was broken off".into()))?;
+        let bench = options.bench.name();
+        Ok(Report::of(name.clone(), bench, &axis, &run, kind, &points))
+    });
+    // From here on it is too late to refuse: the axis has moved.
+    let told = match report {
+        Err(Unmeasured::Refused(why)) => return Err(why.context(name)),
+        Err(Unmeasured::Stopped(why)) => Err(anyhow!("{name}: {why}")),
+        Ok(report) => {
+            let written = files.map_or(Ok(()), |files| files.write(&report));
+            written.and(mrroc::streams::answer(&report, options.json).map(|_| ()))
+        }
+    };
+    Ok(match told {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            mrroc::streams::warn(format_args!("mrroc: {error:#}"));
+            ExitCode::from(1)
+        }
+    })
+}
+
+/// Why nothing was measured.
+enum Unmeasured {
+    /// Nothing has moved.
+    Refused(anyhow::Error),
+    /// Something may have moved.
+    Stopped(String),
+}
+
+/// The files of `--out`, open from before anything moves on.
+struct BodeFiles {
+    chart: File,
+    table: File,
+}
+
+impl BodeFiles {
+    fn open(outputs: &mut Outputs, directory: &Path) -> anyhow::Result<Self> {
+        create_dir_all(directory)
+            .with_context(|| format!("--out: {} cannot be made", directory.display()))?;
+        Ok(Self {
+            chart: outputs.open("--out", &directory.join("bode.svg"))?,
+            table: outputs.open("--out", &directory.join("bode.csv"))?,
+        })
+    }
+
+    fn write(mut self, report: &Report) -> anyhow::Result<()> {
+        let chart = self.chart.write_all(bode::chart(report).as_bytes());
+        chart.context("bode.svg cannot be written")?;
+        let table = self.table.write_all(report.csv().as_bytes());
+        table.context("bode.csv cannot be written")
+    }
+}
+
+/// The axis that is called so: ROBOT/AXIS, or one name that only one axis has.
+fn find(file: &CellFile, wanted: &str) -> anyhow::Result<(usize, usize)> {
+    let robots = file.cell.robot.iter().enumerate();
+    let axes = robots.flat_map(|(robot, value)| {
+        let axes = value.axis.iter().enumerate();
+        axes.map(move |(axis, it)| {
+            let full = format!("{}/{}", value.name, it.name);
+            ((robot, axis), full, it.name.as_str())
+        })
+    });
+    let axes: Vec<_> = axes.collect();
+    let mut found = axes
+        .iter()
+        .filter(|(_, full, name)| full == wanted || *name == wanted);
+    match (found.next(), found.next()) {
+        (Some(&(place, ..)), None) => Ok(place),
+        (first, _) => {
+            let what = if first.is_some() {
+                "more than one"
+            } else {
+                "no"
+            };
+            let all: Vec<_> = axes.iter().map(|(_, full, _)| full.as_str()).collect();
+            bail!(
+                "{what} axis is called {wanted:?}; there are {}",
+                all.join(", ")
+            )
+        }
+    }
+}
+
+/// Cycles of one period of the excitation: whole macrosteps.
+fn length(file: &CellFile) -> usize {
+    let steps = usize::from(file.cell.macrostep);
+    let cycles = PERIOD / file.cell.period().as_secs_f64();
+    (cycles / steps as f64).round().max(1.0) as usize * steps
+}
+
+fn lines(options: &Options, file: &CellFile) -> anyhow::Result<Vec<usize>> {
+    let dt = file.cell.period().as_secs_f64();
+    let (from, to) = (options.from, options.to);
+    if !(from >= 2.0 / PERIOD && to > 2.0 * from && to < 0.5 / dt) {
+        bail!(
+            "from {from} to {to} Hz: the lowest frequency is 2 Hz, the highest below {} Hz, half the servo's rate, and \
+             more than an octave apart",
+            0.5 / dt
+        );
+    }
+    Ok(measure::lines(length(file), dt, [from, to], LINES))
+}
+
+/// The motion and the excitation, or why there is none.
+fn plan(
+    options: &Options,
+    file: &CellFile,
+    (robot, number): (usize, usize),
+    axis: &ServoAxisConfig,
+    lines: &[usize],
+    hardware: bool,
+) -> anyhow::Result<Run> {
+    let dt = file.cell.period().as_secs_f64();
+    let known = if hardware { EPOS4 } else { EMULATED_DRIVE };
+    let drive_period = options.drive_period.map_or(known.min(dt), |it| 1e-6 * it);
+    if !(0.0..=dt).contains(&drive_period) {
+        bail!(
+            "--drive-period {:.0}: it is at least 0 and at most the {:.0} µs of the servo",
+            1e6 * drive_period,
+            1e6 * dt
+        );
+    }
+    let count = 1.0 / (axis.increments_per_radian.abs() * dt);
+    let usual = match axis.torque_offset {
+        Some(_) => VELOCITY.max(4.0 * count).min(axis.max_velocity),
+        None => VELOCITY,
+    };
+    let velocity = in_counts(options.velocity.unwrap_or(usual), count, axis);
+    if !(velocity > 0.0 && velocity <= axis.max_velocity) {
+        bail!(
+            "--velocity {velocity}: it is above 0 and at most the {} rad/s of the axis",
+            axis.max_velocity
+        );
+    }
+    if options.periods < 2 {
+        bail!("--periods {}: two at least are measured", options.periods);
+    }
+    let most = servo::greatest_excitation(axis);
+    let amplitude = options.amplitude.unwrap_or(match axis.position_loop {
+        PositionLoop::Host(host) if host.output == Output::Velocity => most.min(0.2 * velocity),
+        PositionLoop::Drive if axis.torque_offset.is_some() => most,
+        _ => 0.5 * most,
+    });
+    if !(amplitude > 0.0 && amplitude <= most) {
+        bail!("--amplitude {amplitude}: it is above 0 and at most {most:.4} at this axis");
+    }
+    let excite = match options.excitation {
+        Excitation::Chirp => measure::chirp,
+        Excitation::Multisine => measure::multisine,
+    };
+    let mut run = Run {
+        axis: number,
+        start: [0.0; MAX_AXES],
+        velocity,
+        acceleration: ACCELERATION.min(axis.max_acceleration),
+        excitation: excite(length(file), lines, amplitude),
+        periods: usize::from(options.periods),
+        steps: file.cell.macrostep,
+        dt,
+        drive_period,
+    };
+    // After homing it stands there; on the card bench the session looks again.
+    let home = file.arms[robot].robot().home()[number];
+    run.velocity = direct(&run, axis, home).map_err(|why| anyhow!("{}: {why}", options.axis))?;
+    Ok(run)
+}
+
+/// The velocity near `velocity` at which a drive that closes the position loop advances by a whole number of counts
+/// per cycle. Rounding of positions would otherwise be noise of up to one count per cycle, `count`, rad/s. Excited
+/// positions need that noise: smaller than a count, they would be rounded away without it.
+fn in_counts(velocity: f64, count: f64, axis: &ServoAxisConfig) -> f64 {
+    let whole = (velocity / count).round().max(1.0) * count;
+    if axis.torque_offset.is_some() && velocity > 0.0 && whole <= axis.max_velocity {
+        whole
+    } else {
+        velocity
+    }
+}
+
+/// The velocity of a run from `position`, towards the end that is farther; or why there is no room.
+fn direct(run: &Run, axis: &ServoAxisConfig, position: f64) -> Result<f64, String> {
+    let (below, above) = (position - axis.min_position, axis.max_position - position);
+    let sense = if above >= below { 1.0 } else { -1.0 };
+    let (room, travel) = (above.max(below) - ROOM, run.travel().abs());
+    if travel > room {
+        return Err(format!(
+            "a run of {travel:.0} rad of the motor, and the axis has room for {room:.0}: lower --velocity or --periods"
+        ));
+    }
+    Ok(sense * run.velocity.abs())
+}
+
+/// Excites the axis; an amplitude that nobody asked for gives way to the axis's acceleration.
+fn excite(
+    servo: &mut Servo,
+    (robot, axis): (usize, usize),
+    mut run: Run,
+    given: bool,
+) -> anyhow::Result<Run> {
+    match servo.excite(robot, axis, run.excitation()) {
+        Err(ExcitationError::Acceleration {
+            acceleration,
+            limit,
+        }) if !given => {
+            let share = 0.5 * limit / acceleration;
+            run.excitation.iter_mut().for_each(|it| *it *= share);
+            servo.excite(robot, axis, run.excitation())?;
+        }
+        result => result?,
+    }
+    Ok(run)
+}
+
+fn not_up(error: NotUp) -> Unmeasured {
+    match error {
+        NotUp::Group(group, error) => Unmeasured::Refused(anyhow!("drive group {group}: {error}")),
+        NotUp::Stopped => Unmeasured::Stopped("stopped before the drives were up".into()),
+    }
+}
+
+fn in_lockstep(
+    mut servo: Servo,
+    session: Session,
+    emulation: Option<mrroc::bench::emulation::Emulation>,
+) -> Result<Session, Unmeasured> {
+    let emulation = RefCell::new(emulation.expect("lockstep has emulated drives"));
+    let between = |next| emulation.borrow_mut().advance(next);
+    let start = lockstep::bring_up(&mut servo, Instant::ZERO, between).map_err(not_up)?;
+    let session = RefCell::new(session);
+    let mut over = None;
+    lockstep::run(
+        &mut servo,
+        start,
+        |_| session.borrow_mut().poll(),
+        between,
+        |servo, now| {
+            if !session.borrow().is_over() {
+                return false;
+            }
+            let over = *over.get_or_insert_with(|| {
+                servo.stop_request().request();
+                now + servo.longest_stop() + POWER_OFF_WAIT
+            });
+            servo.is_off() || now >= over
+        },
+    );
+    Ok(session.into_inner())
+}
+
+fn by_the_clock(
+    file: &CellFile,
+    mut servo: Servo,
+    mut session: Session,
+    mut emulation: Option<mrroc::bench::emulation::Emulation>,
+) -> Result<Session, Unmeasured> {
+    let done = Arc::new(AtomicBool::new(false));
+    let finished = done.clone();
+    let since = clockwork::bring_up(&mut servo, &mut emulation).map_err(not_up)?;
+    let policy = |time| setup::realtime_policy(&file.cell, time);
+    let until = move |_: &Servo| finished.load(Ordering::Relaxed);
+    let running = clockwork::start(servo, emulation, since, policy, Arc::default(), until);
+    let running = running.map_err(|error| Unmeasured::Refused(error.into()))?;
+    let turning = mrroc::run::Turning::of(running, done);
+    while !session.is_over() && !turning.is_finished() {
+        session.poll();
+        clock::sleep_until(clock::now() + POLL);
+    }
+    let ended = turning.end();
+    match ended.panicked {
+        Some(panicked) => Err(Unmeasured::Stopped(format!(
+            "the servo thread panicked: {panicked:?}"
+        ))),
+        None => Ok(session),
+    }
+}

@@ -1,0 +1,216 @@
+//! What an electronic data sheet says of one object.
+
+use std::path::Path;
+
+use anyhow::{Context, anyhow, bail};
+use canopen::eds::{Access, DataType, Eds, Value};
+use canopen::{NodeId, Object};
+use mrroc::cell::printable;
+
+use super::value::{self, Type};
+use mrroc::input;
+
+/// One object by its data sheet.
+pub(super) struct DataSheet {
+    /// The file, for refusals.
+    path: String,
+    object: Object,
+    /// What it is called; of an object with sub-indices both names.
+    pub(super) name: String,
+    data_type: DataType,
+    access: Access,
+    low: Option<Value>,
+    high: Option<Value>,
+}
+
+impl DataSheet {
+    /// Reads the file, which has to know the object.
+    pub(super) fn read(path: &Path, object: Object) -> anyhow::Result<Self> {
+        let shown = || printable(&path.display().to_string());
+        let bytes = input::read(path, input::SHEET).with_context(shown)?;
+        let eds = Eds::read(&bytes).map_err(|error| anyhow!("{}:{error}", shown()))?;
+        Self::of(&eds, object, shown())
+    }
+
+    fn of(eds: &Eds, object: Object, path: String) -> anyhow::Result<Self> {
+        let (Some(entry), Some(variable)) = (eds.objects.get(&object.index), eds.variable(object))
+        else {
+            bail!("{path} has no object {object}");
+        };
+        let name = if entry.object_type.has_subindices() {
+            format!("{}: {}", entry.name, variable.name)
+        } else {
+            variable.name.clone()
+        };
+        Ok(Self {
+            path,
+            object,
+            name: printable(&name),
+            data_type: variable.data_type,
+            access: variable.access,
+            low: variable.low.clone(),
+            high: variable.high.clone(),
+        })
+    }
+
+    /// The type of its values; `None` of a type that the command line cannot say.
+    pub(super) fn value_type(&self) -> Option<Type> {
+        Some(match self.data_type {
+            DataType::Boolean => Type::Bool,
+            DataType::Integer8 => Type::I8,
+            DataType::Integer16 => Type::I16,
+            DataType::Integer32 => Type::I32,
+            DataType::Integer64 => Type::I64,
+            DataType::Unsigned8 => Type::U8,
+            DataType::Unsigned16 => Type::U16,
+            DataType::Unsigned32 => Type::U32,
+            DataType::Unsigned64 => Type::U64,
+            DataType::Real32 => Type::F32,
+            DataType::Real64 => Type::F64,
+            DataType::VisibleString => Type::String,
+            DataType::OctetString | DataType::Domain => Type::Hex,
+            _ => return None,
+        })
+    }
+
+    /// Refuses to read what can only be written.
+    pub(super) fn check_read(&self) -> anyhow::Result<()> {
+        if !self.access.readable() {
+            bail!(
+                "{} {} is write-only by {}",
+                self.object,
+                self.name,
+                self.path
+            );
+        }
+        Ok(())
+    }
+
+    /// Refuses to write what can only be read, numbers of another length than the object's, and those out of the range
+    /// that is stated for `node`.
+    pub(super) fn check_write(&self, node: NodeId, data: &[u8]) -> anyhow::Result<()> {
+        let Self {
+            object, name, path, ..
+        } = self;
+        if !self.access.writable() {
+            bail!("{object} {name} is read-only by {path}");
+        }
+        let length = self.value_type().and_then(Type::bytes);
+        if let Some(length) = length.filter(|length| *length != data.len()) {
+            let given = data.len();
+            bail!("{object} {name} takes {length} bytes by {path}, not {given}: leave out --type");
+        }
+        let number = match self.data_type.range() {
+            Some((least, _)) if least < 0 => value::signed(data).map(i128::from),
+            Some(_) => value::unsigned(data).map(i128::from),
+            None => None,
+        };
+        let bound = |bound: &Option<Value>| bound.as_ref().and_then(|bound| bound.integer(node));
+        let (low, high) = (bound(&self.low), bound(&self.high));
+        let Some(number) = number else {
+            return Ok(());
+        };
+        if low.is_some_and(|low| number < low) {
+            bail!(
+                "{object} {name} takes no less than {} by {path}",
+                low.unwrap_or(number)
+            );
+        }
+        if high.is_some_and(|high| number > high) {
+            bail!(
+                "{object} {name} takes no more than {} by {path}",
+                high.unwrap_or(number)
+            );
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FILE: &str = "[MandatoryObjects]\nSupportedObjects=1\n1=0x1000\n\
+        [1000]\nParameterName=Device type\nObjectType=0x7\nDataType=0x0007\nAccessType=ro\n\
+        [OptionalObjects]\nSupportedObjects=2\n1=0x1017\n2=0x2000\n\
+        [1017]\nParameterName=Heartbeat\nObjectType=0x7\nDataType=0x0006\nAccessType=rw\nLowLimit=10\nHighLimit=500\n\
+        [2000]\nParameterName=Gains\nObjectType=0x9\nSubNumber=2\n\
+        [2000sub0]\nParameterName=Count\nObjectType=0x7\nDataType=0x0005\nAccessType=ro\n\
+        [2000sub1]\nParameterName=P\nObjectType=0x7\nDataType=0x0003\nAccessType=wo\nLowLimit=-5\n";
+
+    fn sheet(index: u16, subindex: u8) -> anyhow::Result<DataSheet> {
+        let eds = Eds::read(FILE.as_bytes()).unwrap();
+        DataSheet::of(&eds, Object::new(index, subindex), "drive.eds".to_owned())
+    }
+
+    fn text<T>(result: anyhow::Result<T>) -> String {
+        result
+            .err()
+            .map_or(String::new(), |error| error.to_string())
+    }
+
+    #[test]
+    fn a_name_of_a_data_sheet_does_nothing_to_a_terminal() {
+        let red = FILE.replace("Heartbeat", "Heart\u{1b}[31mbeat");
+        let eds = Eds::read(red.as_bytes()).unwrap();
+        let sheet = DataSheet::of(&eds, Object::new(0x1017, 0), "drive.eds".to_owned());
+        assert_eq!(sheet.unwrap().name, "Heart\\u{1b}[31mbeat");
+    }
+
+    #[test]
+    fn the_data_sheet_names_and_types_an_object() {
+        let cases = [
+            (0x1000, 0, "Device type", Type::U32),
+            (0x1017, 0, "Heartbeat", Type::U16),
+            (0x2000, 1, "Gains: P", Type::I16),
+        ];
+        for (index, subindex, name, ty) in cases {
+            let sheet = sheet(index, subindex).unwrap();
+            assert_eq!((sheet.name.as_str(), sheet.value_type()), (name, Some(ty)));
+        }
+        assert_eq!(text(sheet(0x2000, 2)), "drive.eds has no object 0x2000:02");
+    }
+
+    #[test]
+    fn what_the_data_sheet_does_not_allow_is_refused_before_it_is_sent() {
+        let node = NodeId::new(1).unwrap();
+        let write = |index, subindex, data: &[u8]| {
+            text(sheet(index, subindex).unwrap().check_write(node, data))
+        };
+        assert_eq!(
+            write(0x1000, 0, &[0; 4]),
+            "0x1000:00 Device type is read-only by drive.eds"
+        );
+        let least = "0x1017:00 Heartbeat takes no less than 10 by drive.eds";
+        assert_eq!(write(0x1017, 0, &[9, 0]), least);
+        let most = "0x1017:00 Heartbeat takes no more than 500 by drive.eds";
+        assert_eq!(write(0x1017, 0, &[0xF5, 0x01]), most);
+        for fits in [[10, 0], [0xF4, 0x01]] {
+            assert_eq!(write(0x1017, 0, &fits), "");
+        }
+        assert_eq!(write(0x2000, 1, &[0xFB, 0xFF]), "");
+        for data in [&[][..], &[0], &[0; 4], &[0; 9]] {
+            let given = data.len();
+            let length = format!(
+                "0x2000:01 Gains: P takes 2 bytes by drive.eds, not {given}: leave out --type"
+            );
+            assert_eq!(write(0x2000, 1, data), length);
+        }
+        let signed = "0x2000:01 Gains: P takes no less than -5 by drive.eds";
+        assert_eq!(write(0x2000, 1, &[0xFA, 0xFF]), signed);
+        assert_eq!(text(sheet(0x1017, 0).unwrap().check_read()), "");
+        let read = text(sheet(0x2000, 1).unwrap().check_read());
+        assert_eq!(read, "0x2000:01 Gains: P is write-only by drive.eds");
+    }
+
+    #[test]
+    fn a_file_that_is_no_data_sheet_is_refused_by_file_and_line() {
+        // Its first line already is none.
+        let refused = text(DataSheet::read(
+            Path::new("src/main.rs"),
+            Object::new(0x1000, 0),
+        ));
+        let rest = refused.strip_prefix("src/main.rs:").unwrap_or_default();
+        assert!(rest.starts_with(|c: char| c.is_ascii_digit()), "{refused}");
+    }
+}

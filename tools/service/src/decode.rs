@@ -1,0 +1,440 @@
+//! Frames in words.
+//!
+//! [`Decoder::describe`] is a function of the frame, of the frames before, and of what is known of the bus beforehand:
+//! what its PDOs carry and whose error codes its nodes send. Of the frames before, the decoder keeps the SDO transfer
+//! that is under way with each node, since a segment of a block looks like any command. Where the beginning of a
+//! transfer was not seen, the text says "unknown" instead of a guess.
+
+mod block;
+mod lss;
+mod transfer;
+
+use std::collections::BTreeMap;
+
+use can::{Frame, Instant};
+use canopen::cia402::FaultTable;
+use canopen::emcy::Emergency;
+use canopen::guarding;
+use canopen::nmt::{Command, Request as NmtRequest, State, Target};
+use canopen::pdo::{Entry, PdoKind};
+use canopen::sdo::{Initiate, Request, Response, Segment};
+use canopen::sync::Sync;
+use canopen::time::TimeOfDay;
+use canopen::{NodeId, Object, cob};
+use clap::ValueEnum;
+use serde::Serialize;
+
+use super::pdo_map::{Pdo, PdoMap};
+use super::value::Shown;
+use super::words;
+use transfer::{Channel, Reading};
+
+/// What a frame is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Kind {
+    /// NMT commands.
+    Nmt,
+    /// SYNC.
+    Sync,
+    /// Emergencies.
+    Emcy,
+    /// Time stamps.
+    Time,
+    /// PDOs, both ways.
+    Pdo,
+    /// SDO, both ways.
+    Sdo,
+    /// Heartbeats, answers to node guarding, and boot-up messages.
+    Heartbeat,
+    /// Layer setting services.
+    Lss,
+    /// Anything else.
+    Other,
+}
+
+impl Kind {
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Nmt => "NMT",
+            Self::Sync => "SYNC",
+            Self::Emcy => "EMCY",
+            Self::Time => "TIME",
+            Self::Pdo => "PDO",
+            Self::Sdo => "SDO",
+            Self::Heartbeat => "heartbeat",
+            Self::Lss => "LSS",
+            Self::Other => "frame",
+        }
+    }
+}
+
+/// A frame in words.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Described {
+    /// Service of the frame.
+    pub kind: Kind,
+    /// Who sends it or whom it is for, where it is one node.
+    pub node: Option<NodeId>,
+    /// The frame in words.
+    pub text: String,
+}
+
+/// What is known of a bus. By default no SDO transfer is under way.
+#[derive(Clone, Debug, Default)]
+pub struct Decoder {
+    pdos: PdoMap,
+    vendors: BTreeMap<NodeId, u32>,
+    /// SDO channels that were heard.
+    channels: BTreeMap<NodeId, Channel>,
+    /// Since when every frame was seen; always if `None`.
+    complete_since: Option<Instant>,
+}
+
+impl Decoder {
+    /// Adds PDOs to those that are known.
+    pub(super) fn add_pdos(&mut self, pdos: PdoMap) {
+        self.pdos.extend(pdos);
+    }
+
+    /// Whose error codes `node` sends.
+    pub(super) fn set_vendor(&mut self, node: NodeId, vendor: u32) {
+        self.vendors.insert(node, vendor);
+    }
+
+    /// Says that frames before `at` were not seen: the beginning of the listening, or a loss of frames.
+    pub(super) fn begin(&mut self, at: Instant) {
+        self.channels.clear();
+        self.complete_since = Some(at);
+    }
+
+    fn channel(&mut self, node: NodeId) -> &mut Channel {
+        let channel = || match self.complete_since {
+            None => Channel::idle(node),
+            Some(began) => Channel::listened_to_since(node, began),
+        };
+        self.channels.entry(node).or_insert_with(channel)
+    }
+
+    fn faults(&self, node: NodeId) -> FaultTable {
+        words::fault_table(self.vendors.get(&node).copied())
+    }
+
+    /// The frame in words; it came at `at`.
+    pub fn describe(&mut self, frame: &Frame, at: Instant) -> Described {
+        let other = |what: &str| Described {
+            kind: Kind::Other,
+            node: None,
+            text: format!("{what}{}", bytes(frame.data())),
+        };
+        let Some(id) = frame.standard_data_id() else {
+            return if frame.is_remote() {
+                other("remote frame")
+            } else {
+                other("29-bit identifier: ")
+            };
+        };
+        if let Some(pdo) = self.pdos.get(&id.raw()) {
+            return self.mapped(pdo, frame.data());
+        }
+        if matches!(id, cob::LSS_REQUEST | cob::LSS_RESPONSE) {
+            let text = lss::request(frame).or_else(|| lss::response(frame));
+            return Described {
+                kind: Kind::Lss,
+                node: None,
+                text: text.unwrap_or_else(|| malformed(Kind::Lss, frame)),
+            };
+        }
+        let Some(function) = cob::Function::of(id) else {
+            return other("unknown identifier: ");
+        };
+        let (kind, node, text) = match function {
+            cob::Function::Nmt => (Kind::Nmt, None, nmt(frame)),
+            cob::Function::Sync => (Kind::Sync, None, sync(frame)),
+            cob::Function::Time => (Kind::Time, None, time(frame)),
+            cob::Function::Emcy(node) => (Kind::Emcy, Some(node), self.emcy(frame)),
+            cob::Function::Heartbeat(node) => (Kind::Heartbeat, Some(node), heartbeat(frame)),
+            cob::Function::SdoRequest(node) => {
+                (Kind::Sdo, Some(node), self.request(frame, node, at))
+            }
+            cob::Function::SdoResponse(node) => {
+                (Kind::Sdo, Some(node), self.response(frame, node, at))
+            }
+            cob::Function::Tpdo(number, node) => {
+                let text = unmapped("TPDO", number.offset(), frame.data());
+                (Kind::Pdo, Some(node), Some(text))
+            }
+            cob::Function::Rpdo(number, node) => {
+                let text = unmapped("RPDO", number.offset(), frame.data());
+                (Kind::Pdo, Some(node), Some(text))
+            }
+        };
+        Described {
+            kind,
+            node,
+            text: text.unwrap_or_else(|| malformed(kind, frame)),
+        }
+    }
+
+    fn mapped(&self, pdo: &Pdo, data: &[u8]) -> Described {
+        let name = match pdo.kind {
+            PdoKind::Rpdo => "RPDO",
+            PdoKind::Tpdo => "TPDO",
+        };
+        let mut text = format!("{name} {}", pdo.number.offset() + 1);
+        let mut from = 0;
+        for (position, entry) in pdo.entries.iter().enumerate() {
+            text += if position == 0 { ": " } else { "; " };
+            match bits(data, from, entry.bits) {
+                Some(raw) => text += &self.entry(*entry, raw, pdo.node),
+                None => {
+                    text += "too short for its mapping";
+                    break;
+                }
+            }
+            from += usize::from(entry.bits);
+        }
+        if data.len() > from.div_ceil(8) {
+            text += "; and ";
+            text += &bytes(&data[from.div_ceil(8)..]);
+        }
+        Described {
+            kind: Kind::Pdo,
+            node: Some(pdo.node),
+            text,
+        }
+    }
+
+    /// A mapped object and its value.
+    fn entry(&self, entry: Entry, raw: u64, node: NodeId) -> String {
+        let Entry { object, bits } = entry;
+        // Indices of data types stand for room that nothing uses (CiA 301, dummy mapping).
+        if object.index < 0x0020 {
+            return "unused".to_owned();
+        }
+        let name = words::object(object).unwrap_or_else(|| object.to_string());
+        let unused = 64 - u32::from(bits);
+        let number = if words::is_signed(object) {
+            format!("{}", (raw << unused) as i64 >> unused)
+        } else {
+            format!("{raw:#0width$x}", width = 2 + usize::from(bits.div_ceil(4)))
+        };
+        match words::meaning(object, raw, self.faults(node)) {
+            Some(meaning) => format!("{name} {number} ({meaning})"),
+            None => format!("{name} {number}"),
+        }
+    }
+
+    fn emcy(&self, frame: &Frame) -> Option<String> {
+        let emergency = Emergency::decode(frame)?;
+        let vendor = match emergency.vendor {
+            [0, 0, 0, 0, 0] => String::new(),
+            vendor => format!(", vendor's bytes {}", bytes(&vendor)),
+        };
+        let register = words::error_register(emergency.error_register);
+        Some(if emergency.is_reset() {
+            format!("error gone; still present: {register}{vendor}")
+        } else {
+            let (code, text) = (
+                emergency.code,
+                self.faults(emergency.node).text(emergency.code),
+            );
+            format!("error {code:#06x} ({text}); present: {register}{vendor}")
+        })
+    }
+
+    fn request(&mut self, frame: &Frame, node: NodeId, at: Instant) -> Option<String> {
+        let request = Request::decode(frame, node)?;
+        let transferred = match self.channel(node).request(frame, at) {
+            Reading::Command(object) => object,
+            Reading::BlockSegment(object) => return Some(block::segment(frame, object)),
+            Reading::Unknown => return Some(block::unknown(frame, "a command")),
+        };
+        Some(match request {
+            Request::InitiateUpload { object } => format!("read {}", named(object)),
+            Request::InitiateDownload { object, initiate } => match initiate {
+                Initiate::Expedited(data) => {
+                    format!(
+                        "write {} = {}",
+                        named(object),
+                        self.value(object, data.data(), node)
+                    )
+                }
+                Initiate::Segmented { size: Some(size) } => {
+                    format!("write {}, {size} bytes in segments", named(object))
+                }
+                Initiate::Segmented { size: None } => {
+                    format!("write {} in segments", named(object))
+                }
+            },
+            Request::DownloadSegment(segment) => segment_text(&segment, transferred),
+            Request::UploadSegment { .. } => "next segment, please".to_owned(),
+            Request::Abort { object, code } => format!("client aborts {}: {code}", named(object)),
+            Request::Unsupported(_) => block::request(frame, node).unwrap_or_else(|| odd(frame)),
+        })
+    }
+
+    fn response(&mut self, frame: &Frame, node: NodeId, at: Instant) -> Option<String> {
+        let response = Response::decode(frame, node)?;
+        let transferred = match self.channel(node).response(frame, at) {
+            Reading::Command(object) => object,
+            Reading::BlockSegment(object) => return Some(block::segment(frame, object)),
+            Reading::Unknown => return Some(block::unknown(frame, "an answer")),
+        };
+        Some(match response {
+            Response::InitiateUpload { object, initiate } => match initiate {
+                Initiate::Expedited(data) => {
+                    format!(
+                        "{} = {}",
+                        named(object),
+                        self.value(object, data.data(), node)
+                    )
+                }
+                Initiate::Segmented { size: Some(size) } => {
+                    format!("{}: {size} bytes in segments", named(object))
+                }
+                Initiate::Segmented { size: None } => format!("{} in segments", named(object)),
+            },
+            Response::InitiateDownload { object } => format!("{} taken", named(object)),
+            Response::UploadSegment(segment) => segment_text(&segment, transferred),
+            Response::DownloadSegment { .. } => "segment taken".to_owned(),
+            Response::Abort { object, code } => format!("aborts {}: {code}", named(object)),
+            Response::Unsupported(_) => block::response(frame, node).unwrap_or_else(|| odd(frame)),
+        })
+    }
+
+    fn value(&self, object: Object, data: &[u8], node: NodeId) -> String {
+        let shown = Shown::of(data, None, words::is_signed(object));
+        let raw = super::value::unsigned(data);
+        match raw.and_then(|raw| words::meaning(object, raw, self.faults(node))) {
+            Some(meaning) => format!("{shown} ({meaning})"),
+            None => shown.to_string(),
+        }
+    }
+}
+
+/// `bits` bits of a PDO from bit `from` on; `None` if it is shorter.
+fn bits(data: &[u8], from: usize, bits: u8) -> Option<u64> {
+    if bits == 0 || bits > 64 || from + usize::from(bits) > 8 * data.len() {
+        return None;
+    }
+    let mut padded = [0; 8];
+    padded.get_mut(..data.len())?.copy_from_slice(data);
+    let value = u64::from_le_bytes(padded) >> from;
+    Some(value & u64::MAX >> (64 - u32::from(bits)))
+}
+
+fn malformed(kind: Kind, frame: &Frame) -> String {
+    format!("malformed {}: {}", kind.name(), bytes(frame.data()))
+}
+
+fn named(object: Object) -> String {
+    match words::object(object) {
+        Some(name) => format!("{object} {name}"),
+        None => object.to_string(),
+    }
+}
+
+fn bytes(data: &[u8]) -> String {
+    let bytes: Vec<_> = data.iter().map(|byte| format!("{byte:02x}")).collect();
+    bytes.join(" ")
+}
+
+/// An SDO frame that CiA 301 does not know.
+fn odd(frame: &Frame) -> String {
+    format!("unknown command specifier: {}", bytes(frame.data()))
+}
+
+fn segment_text(segment: &Segment, object: Option<Object>) -> String {
+    let last = if segment.last {
+        "last segment"
+    } else {
+        "segment"
+    };
+    let of = object.map_or(String::new(), |object| format!(" of {}:", named(object)));
+    let printable = segment
+        .data()
+        .iter()
+        .all(|byte| matches!(byte, b' '..=b'~'));
+    let text = if printable {
+        format!(" {:?}", String::from_utf8_lossy(segment.data()))
+    } else {
+        String::new()
+    };
+    format!("{last}{of} {}{text}", bytes(segment.data()))
+}
+
+fn nmt(frame: &Frame) -> Option<String> {
+    let NmtRequest { command, target } = NmtRequest::decode(frame)?;
+    let command = match command {
+        Command::Start => "start",
+        Command::Stop => "stop",
+        Command::EnterPreOperational => "enter pre-operational",
+        Command::ResetNode => "reset node",
+        Command::ResetCommunication => "reset communication",
+    };
+    Some(match target {
+        Target::All => format!("{command}, all nodes"),
+        Target::Node(node) => format!("{command}, node {node}"),
+    })
+}
+
+fn sync(frame: &Frame) -> Option<String> {
+    Some(match Sync::decode(frame)?.counter {
+        Some(counter) => format!("SYNC {counter}"),
+        None => "SYNC".to_owned(),
+    })
+}
+
+fn heartbeat(frame: &Frame) -> Option<String> {
+    // Answers to node guarding are heartbeats with a toggle bit; a heartbeat proper has it 0.
+    let said = guarding::Response::decode(frame)?;
+    Some(match (said.state, said.toggle) {
+        (State::Initialising, false) => "booted".to_owned(),
+        (state, false) => state.to_string(),
+        (state, true) => format!("{state}, toggle bit set"),
+    })
+}
+
+fn unmapped(name: &str, offset: u16, data: &[u8]) -> String {
+    format!("{name} {}: {}", offset + 1, bytes(data))
+}
+
+fn time(frame: &Frame) -> Option<String> {
+    let time = TimeOfDay::decode(frame)?;
+    let (year, month, day) = date(time.days());
+    let seconds = time.millis() / 1000;
+    Some(format!(
+        "TIME {year}-{month:02}-{day:02} {:02}:{:02}:{:02}.{:03}",
+        seconds / 3600,
+        seconds / 60 % 60,
+        seconds % 60,
+        time.millis() % 1000
+    ))
+}
+
+/// The date so many days after 1984-01-01.
+fn date(days: u16) -> (u32, u32, u32) {
+    let mut rest = u32::from(days);
+    let mut year = 1984;
+    let leap = |year: u32| {
+        year.is_multiple_of(4) && (!year.is_multiple_of(100) || year.is_multiple_of(400))
+    };
+    while rest >= 365 + u32::from(leap(year)) {
+        rest -= 365 + u32::from(leap(year));
+        year += 1;
+    }
+    let february = 28 + u32::from(leap(year));
+    let mut month = 1;
+    for length in [31, february, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31] {
+        if rest < length {
+            break;
+        }
+        rest -= length;
+        month += 1;
+    }
+    (year, month, rest + 1)
+}
+
+#[cfg(test)]
+mod tests;

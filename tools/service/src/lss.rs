@@ -1,0 +1,536 @@
+//! `mrroc lss`: giving node-IDs to nodes that have none, and asking them who they are.
+
+use std::collections::VecDeque;
+use std::process::ExitCode;
+use std::time::Duration;
+
+use can::{Frame, Instant};
+use canopen::NodeId;
+use canopen::heartbeat::Heartbeat;
+use canopen::lss::{Answer, Identity, LssError, Master, Mode, Part, Request, Service};
+use canopen::nmt::State;
+use clap::{Args, Subcommand};
+use serde::Serialize;
+
+use super::talk::{Conversation, Ended};
+use super::{BusArgs, interrupted, milliseconds, node_id, say, value, words};
+use mrroc::bench::interfaces::Interface;
+
+/// How long a slave may take to store its configuration.
+const STORING: Duration = Duration::from_secs(2);
+
+/// How long a node is given to boot with its new node-ID.
+const BOOTING: Duration = Duration::from_secs(2);
+
+/// How long a command that nobody answers may wait to be sent.
+const SWITCHING: Duration = Duration::from_millis(200);
+
+/// No bus has more nodes.
+const MOST_FOUND: usize = 127;
+
+/// What to do.
+#[derive(Subcommand)]
+pub enum Action {
+    /// Find every node without a node-ID, by fastscan.
+    Scan {
+        /// The bus.
+        #[command(flatten)]
+        bus: BusArgs,
+        /// How long each of the 134 questions for a node waits, ms: longer than the slowest node's answer and the
+        /// latency of the interface. Twice as many questions are asked where a node answers the scan although it was
+        /// found, as CANopenNode's do. [default: 20, or 50 on slcan]
+        #[arg(long, value_name = "MS")]
+        timeout: Option<u64>,
+        /// Print one JSON object.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Ask a node for its identity and node-ID.
+    Inquire {
+        /// The node.
+        #[command(flatten)]
+        slave: Slave,
+        /// Print one JSON object.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Give a node a node-ID. One that had none boots with it; another takes it at its next reset of communication.
+    SetNodeId {
+        /// The node.
+        #[command(flatten)]
+        slave: Slave,
+        /// The node-ID, or `none` to take it away.
+        #[arg(value_parser = new_node_id)]
+        node: NewNodeId,
+        /// Have the node keep it over power-off.
+        #[arg(long)]
+        store: bool,
+    },
+    /// Have a node keep its node-ID and bit rate over power-off.
+    Store {
+        /// The node.
+        #[command(flatten)]
+        slave: Slave,
+    },
+}
+
+/// Which node is meant.
+#[derive(Args)]
+pub struct Slave {
+    #[command(flatten)]
+    bus: BusArgs,
+    /// Its identity, object 0x1018, as `mrroc lss scan` prints it.
+    #[arg(long, value_name = "VENDOR:PRODUCT:REVISION:SERIAL", value_parser = identity, required_unless_present = "alone")]
+    identity: Option<Identity>,
+    /// It is the only node on the bus: every node that is there obeys.
+    #[arg(long, conflicts_with = "identity")]
+    alone: bool,
+    /// How long an answer may take, ms.
+    #[arg(long, value_name = "MS", default_value_t = 200)]
+    timeout: u64,
+}
+
+/// Clap's parsers want a type of their own that can be cloned.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NewNodeId(Option<NodeId>);
+
+fn new_node_id(text: &str) -> Result<NewNodeId, String> {
+    if text == "none" {
+        return Ok(NewNodeId(None));
+    }
+    node_id(text).map(|node| NewNodeId(Some(node)))
+}
+
+fn identity(text: &str) -> Result<Identity, String> {
+    let number = |text| value::number(text).and_then(|number| u32::try_from(number).ok());
+    let numbers: Option<Vec<u32>> = text.split(':').map(number).collect();
+    match numbers.as_deref() {
+        Some(&[vendor, product, revision, serial]) => Ok(Identity {
+            vendor,
+            product,
+            revision,
+            serial,
+        }),
+        _ => {
+            Err("an identity is four numbers, such as 0xfb:0x61500000:0x1700000:0x12345678".into())
+        }
+    }
+}
+
+fn written(identity: &Identity) -> String {
+    let numbers = Part::ALL.map(|part| format!("{:#010x}", identity.get(part)));
+    numbers.join(":")
+}
+
+/// Does it.
+pub fn lss(action: &Action) -> anyhow::Result<ExitCode> {
+    match action {
+        Action::Scan { bus, timeout, json } => scan(bus, timeout.map(milliseconds), *json),
+        Action::Inquire { slave, json } => inquire(slave, *json),
+        Action::SetNodeId { slave, node, store } => set_node_id(slave, node.0, *store),
+        Action::Store { slave } => {
+            let services = [(Service::Store, STORING)];
+            let Some(_) = slave.ask(&services, None)? else {
+                return Ok(interrupted());
+            };
+            say("stored")?;
+            Ok(ExitCode::SUCCESS)
+        }
+    }
+}
+
+#[derive(Serialize)]
+struct Found {
+    identity: String,
+    vendor: u32,
+    vendor_name: Option<&'static str>,
+    product: u32,
+    revision: u32,
+    serial: u32,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    node: Option<u8>,
+}
+
+impl Found {
+    fn of(identity: &Identity) -> Self {
+        Self {
+            identity: written(identity),
+            vendor: identity.vendor,
+            vendor_name: words::vendor(identity.vendor),
+            product: identity.product,
+            revision: identity.revision,
+            serial: identity.serial,
+            node: None,
+        }
+    }
+}
+
+/// How long a question for a node waits on an interface. A serial adapter may keep an answer for 16 ms, as FTDI's chips
+/// do by default, before it hands it over.
+fn question(interface: &Interface) -> Duration {
+    match interface {
+        Interface::SocketCan(_) | Interface::Epos { .. } => Duration::from_millis(20),
+        Interface::Slcan { .. } => Duration::from_millis(50),
+    }
+}
+
+fn scan(bus: &BusArgs, timeout: Option<Duration>, json: bool) -> anyhow::Result<ExitCode> {
+    #[derive(Serialize)]
+    struct Unconfigured {
+        unconfigured: Vec<Found>,
+    }
+    let mut bus = bus.open()?;
+    let timeout = timeout.unwrap_or_else(|| question(&bus.interface));
+    let mut dialogue = Dialogue::scan(timeout);
+    if bus.hold(&mut dialogue)? == Ended::Interrupted {
+        return Ok(interrupted());
+    }
+    let (found, failed) = dialogue.found();
+    if json {
+        // An incomplete list has no form of its own.
+        if let Some(error) = failed {
+            return Err(error.into());
+        }
+        let unconfigured = found.iter().map(Found::of).collect();
+        say(serde_json::to_string(&Unconfigured { unconfigured })?)?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    if found.is_empty() && failed.is_none() {
+        say("every node that knows LSS has a node-ID")?;
+    }
+    for identity in found {
+        let vendor =
+            words::vendor(identity.vendor).map_or(String::new(), |name| format!(" ({name})"));
+        say(format_args!("no node-ID: {}{vendor}", written(&identity)))?;
+    }
+    failed.map_or(Ok(ExitCode::SUCCESS), |error| Err(error.into()))
+}
+
+fn inquire(slave: &Slave, json: bool) -> anyhow::Result<ExitCode> {
+    let timeout = milliseconds(slave.timeout);
+    let services = [
+        (Service::InquireIdentity, timeout),
+        (Service::InquireNodeId, timeout),
+    ];
+    let Some((answers, _)) = slave.ask(&services, None)? else {
+        return Ok(interrupted());
+    };
+    for pair in answers.windows(2) {
+        let [Answer::Identity(identity), Answer::NodeId(node)] = pair else {
+            continue;
+        };
+        let text = if json {
+            serde_json::to_string(&Found {
+                node: node.map(NodeId::raw),
+                ..Found::of(identity)
+            })?
+        } else {
+            let node = node.map_or("no node-ID".to_owned(), |node| format!("node {node}"));
+            format!("{node}: {}", written(identity))
+        };
+        say(text)?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn set_node_id(slave: &Slave, node: Option<NodeId>, store: bool) -> anyhow::Result<ExitCode> {
+    let mut services = vec![(Service::ConfigureNodeId(node), milliseconds(slave.timeout))];
+    if store {
+        services.push((Service::Store, STORING));
+    }
+    let Some((_, booted)) = slave.ask(&services, node)? else {
+        return Ok(interrupted());
+    };
+    let stored = if store { " and stored" } else { "" };
+    let Some(node) = node else {
+        say(format_args!(
+            "node-ID taken away{stored}, from the next reset of communication on"
+        ))?;
+        return Ok(ExitCode::SUCCESS);
+    };
+    if booted {
+        say(format_args!("node {node}: configured{stored}, and booted"))?;
+    } else {
+        say(format_args!(
+            "node {node}: configured{stored}; a node that had another node-ID takes it at its next reset of communication"
+        ))?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+impl Slave {
+    /// What the slave answers, and whether `expected` boots then; `None` if Ctrl-C came before.
+    fn ask(
+        &self,
+        services: &[(Service, Duration)],
+        expected: Option<NodeId>,
+    ) -> anyhow::Result<Option<(Vec<Answer>, bool)>> {
+        let mut bus = self.bus.open()?;
+        let mut dialogue = Dialogue::with(
+            self.identity,
+            services,
+            expected,
+            milliseconds(self.timeout),
+        );
+        if bus.hold(&mut dialogue)? == Ended::Interrupted {
+            return Ok(None);
+        }
+        let booted = dialogue.booted;
+        Ok(Some((dialogue.result()?, booted)))
+    }
+}
+
+/// Services one after the other; at the end, come what may, all slaves are back in waiting mode.
+pub(super) struct Dialogue {
+    master: Master,
+    services: VecDeque<(Service, Duration)>,
+    answers: Vec<Answer>,
+    failed: Option<LssError>,
+    scanning: Option<Scanning>,
+    /// Whose boot ends it.
+    expected: Option<NodeId>,
+    pub(super) booted: bool,
+    /// Whether a service is under way.
+    busy: bool,
+    ending: Ending,
+}
+
+/// How a scan goes on behind a node that it found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Scanning {
+    /// For each question.
+    timeout: Duration,
+    /// The node found last.
+    last: Option<Identity>,
+    /// All nodes are in waiting mode during a scan, and those found before are passed over.
+    above: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Ending {
+    /// Services are still to be done.
+    NotYet,
+    /// All slaves are being sent to waiting mode.
+    Waiting,
+    /// The expected node boots.
+    Booting {
+        until: Instant,
+    },
+    Over,
+}
+
+impl Dialogue {
+    /// With the slave of `identity`, or the only one.
+    pub(super) fn with(
+        identity: Option<Identity>,
+        services: &[(Service, Duration)],
+        expected: Option<NodeId>,
+        timeout: Duration,
+    ) -> Self {
+        let select = match identity {
+            Some(identity) => Service::SwitchSelective(identity),
+            None => Service::SwitchGlobal(Mode::Configuration),
+        };
+        let begin = [
+            (Service::SwitchGlobal(Mode::Waiting), SWITCHING),
+            (select, timeout),
+        ];
+        Self {
+            services: begin.into_iter().chain(services.iter().copied()).collect(),
+            expected,
+            ..Self::scan(timeout)
+        }
+        .not_scanning()
+    }
+
+    /// With every slave without a node-ID. A slave that was found is in configuration mode and should be silent from then
+    /// on. If one is not, the scan goes on with all slaves in waiting mode, each time above the identity found last.
+    pub(super) fn scan(timeout: Duration) -> Self {
+        let services = [
+            (Service::SwitchGlobal(Mode::Waiting), SWITCHING),
+            (Service::Fastscan, timeout),
+        ];
+        Self {
+            master: Master::new(),
+            services: services.into(),
+            answers: Vec::new(),
+            failed: None,
+            scanning: Some(Scanning {
+                timeout,
+                last: None,
+                above: false,
+            }),
+            expected: None,
+            booted: false,
+            busy: false,
+            ending: Ending::NotYet,
+        }
+    }
+
+    /// Whether any slave has no node-ID.
+    pub(super) fn anybody(timeout: Duration) -> Self {
+        Self {
+            services: [(Service::IdentifyUnconfigured, timeout)].into(),
+            ..Self::scan(timeout)
+        }
+        .not_scanning()
+    }
+
+    fn not_scanning(mut self) -> Self {
+        self.scanning = None;
+        self
+    }
+
+    /// The answers, in the order of the services.
+    pub(super) fn result(self) -> Result<Vec<Answer>, LssError> {
+        self.failed.map_or(Ok(self.answers), Err)
+    }
+
+    /// The nodes that a scan found, in the order of their identities, and why it ended early, if it did.
+    pub(super) fn found(self) -> (Vec<Identity>, Option<LssError>) {
+        let found = self.answers.iter().filter_map(|answer| match answer {
+            Answer::Found(found) => *found,
+            _ => None,
+        });
+        (found.collect(), self.failed)
+    }
+
+    /// Takes what the service has come to and starts the next.
+    fn go_on(&mut self, now: Instant) {
+        if self.busy {
+            let Some(result) = self.master.poll() else {
+                return;
+            };
+            self.busy = false;
+            self.take(result);
+        }
+        match self.ending {
+            Ending::NotYet => {
+                let last = (Service::SwitchGlobal(Mode::Waiting), SWITCHING);
+                let next = self.services.pop_front();
+                if next.is_none() {
+                    self.ending = Ending::Waiting;
+                }
+                let (service, timeout) = next.unwrap_or(last);
+                let started = self.master.start(service, timeout, now);
+                started.expect("the result of the service before was taken");
+                self.busy = true;
+            }
+            Ending::Waiting if self.expected.is_some() && self.failed.is_none() && !self.booted => {
+                let until = now + BOOTING;
+                self.ending = Ending::Booting { until };
+            }
+            Ending::Waiting => self.ending = Ending::Over,
+            Ending::Booting { .. } | Ending::Over => {}
+        }
+    }
+
+    fn take(&mut self, result: Result<Answer, LssError>) {
+        let scanning = self.scanning.as_mut();
+        match (result, scanning) {
+            // A slave in configuration mode that is not silent, or one that was found and stayed in waiting mode.
+            (Err(LssError::Untrue), Some(scanning))
+                if scanning.last.is_some() && !scanning.above =>
+            {
+                scanning.above = true;
+                self.scan_on();
+            }
+            (Ok(Answer::Found(Some(found))), Some(scanning)) if scanning.last == Some(found) => {
+                scanning.above = true;
+                self.scan_on();
+            }
+            (Err(error), _) => {
+                self.failed.get_or_insert(error);
+                self.services.clear();
+            }
+            (Ok(answer @ Answer::Found(Some(found))), Some(scanning)) => {
+                scanning.last = Some(found);
+                self.answers.push(answer);
+                let is_find = |answer: &&Answer| matches!(answer, Answer::Found(Some(_)));
+                if self.answers.iter().filter(is_find).count() < MOST_FOUND {
+                    self.scan_on();
+                }
+            }
+            (Ok(answer), _) => self.answers.push(answer),
+        }
+    }
+
+    /// The scan for the next slave.
+    fn scan_on(&mut self) {
+        let Some(Scanning {
+            timeout,
+            last,
+            above,
+        }) = self.scanning
+        else {
+            return;
+        };
+        match last.filter(|_| above) {
+            Some(last) => self.services.extend([
+                (Service::SwitchGlobal(Mode::Waiting), SWITCHING),
+                (Service::FastscanAbove(last), timeout),
+            ]),
+            None => self.services.push_back((Service::Fastscan, timeout)),
+        }
+    }
+}
+
+impl Conversation for Dialogue {
+    fn handle(&mut self, frame: &Frame, now: Instant) {
+        self.master.handle(frame, now);
+        let boot = Heartbeat::decode(frame).filter(|said| said.state == State::Initialising);
+        if boot.is_some_and(|said| Some(said.node) == self.expected) {
+            self.booted = true;
+            if let Ending::Booting { .. } = self.ending {
+                self.ending = Ending::Over;
+            }
+        }
+        self.go_on(now);
+    }
+
+    fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
+        let frame = self.master.poll_transmit(now);
+        // Some services are done once they are sent.
+        self.go_on(now);
+        frame
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        match self.ending {
+            // Before its first service there is something to do at once.
+            Ending::NotYet | Ending::Waiting => {
+                Some(self.master.poll_timeout().unwrap_or(Instant::ZERO))
+            }
+            Ending::Booting { until } => Some(until),
+            Ending::Over => None,
+        }
+    }
+
+    fn handle_timeout(&mut self, now: Instant) {
+        self.master.handle_timeout(now);
+        if let Ending::Booting { until } = self.ending
+            && now >= until
+        {
+            self.ending = Ending::Over;
+        }
+        self.go_on(now);
+    }
+
+    /// Slaves in configuration mode would answer the next master as if it had selected them.
+    fn break_off(&self) -> Option<Frame> {
+        Some(Request::SwitchGlobal(Mode::Waiting).encode())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_question_outlasts_the_latency_of_its_interface() {
+        for (interface, ms) in [("can0", 20), ("slcan:/dev/ttyUSB0", 50)] {
+            let waits = question(&Interface::parse(interface));
+            assert_eq!(waits, Duration::from_millis(ms), "{interface}");
+        }
+    }
+}

@@ -1,0 +1,259 @@
+//! `mrroc monitor`: the frames of a bus in words, as they come.
+
+use std::io::{BufWriter, ErrorKind, Write};
+use std::process::ExitCode;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use anyhow::Context;
+use can::{ControllerState, Frame, Instant, Port, Received, clock};
+use canopen::NodeId;
+use canopen::sync::Sync;
+use clap::Args;
+use drive::cia402::pdo_setups;
+use serde::Serialize;
+
+use super::decode::{Decoder, Described, Kind};
+use super::pdo_map::{MappingQuestions, Pdo, PdoMap};
+use super::survey::Survey;
+use super::talk::Ended;
+use super::{Bus, BusArgs, interrupted, milliseconds, now, words};
+use mrroc::bench::interfaces::Interface;
+use mrroc::setup;
+
+/// Longest time between two looks at whether somebody pressed Ctrl-C.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// Options of `mrroc monitor`.
+#[derive(Args)]
+pub struct Options {
+    #[command(flatten)]
+    bus: BusArgs,
+    /// Ask the nodes by SDO at the start what their PDOs carry. Not while another master uses SDO.
+    #[arg(long)]
+    map: bool,
+    /// How long each node may take for an answer to --map, ms.
+    #[arg(long, value_name = "MS", default_value_t = 200)]
+    timeout: u64,
+    /// End after so many frames were shown.
+    #[arg(long, value_name = "N")]
+    count: Option<u64>,
+    /// Show frames of these kinds only.
+    #[arg(long, value_name = "KIND", value_enum, value_delimiter = ',')]
+    only: Vec<Kind>,
+    /// Leave frames of these kinds out.
+    #[arg(
+        long,
+        value_name = "KIND",
+        value_enum,
+        value_delimiter = ',',
+        conflicts_with = "only"
+    )]
+    without: Vec<Kind>,
+    /// Print one JSON object per frame.
+    #[arg(long)]
+    json: bool,
+}
+
+impl Options {
+    fn wants(&self, kind: Kind) -> bool {
+        (self.only.is_empty() || self.only.contains(&kind)) && !self.without.contains(&kind)
+    }
+}
+
+/// Shows frames until Ctrl-C, `--count`, or until nobody reads any more: all of them as good an end as another.
+pub fn monitor(options: &Options) -> anyhow::Result<ExitCode> {
+    let mut bus = if options.map {
+        options.bus.open()?
+    } else {
+        options.bus.listen()?
+    };
+    let mut decoder = of_cell(&bus);
+    if options.map {
+        let nodes = NodeId::all().map(|node| (node, MappingQuestions::of(node)));
+        let mut survey = Survey::new(nodes, milliseconds(options.timeout));
+        if bus.hold(&mut survey)? == Ended::Interrupted {
+            return Ok(interrupted());
+        }
+        for (node, questions) in survey.into_answers() {
+            if let Some(vendor) = questions.vendor {
+                decoder.set_vendor(node, vendor);
+            }
+            decoder.add_pdos(questions.into_map());
+        }
+    }
+    match watch(&mut bus, &mut decoder, options) {
+        Err(error) if is_broken_pipe(&error) => Ok(ExitCode::SUCCESS),
+        watched => watched.map(|()| ExitCode::SUCCESS),
+    }
+}
+
+fn is_broken_pipe(error: &anyhow::Error) -> bool {
+    let io = error.downcast_ref::<std::io::Error>();
+    io.is_some_and(|error| error.kind() == ErrorKind::BrokenPipe)
+}
+
+/// What a run of the cell makes its drives' PDOs carry.
+fn of_cell(bus: &Bus) -> Decoder {
+    let mut decoder = Decoder::default();
+    let Some((file, index)) = &bus.cell else {
+        return decoder;
+    };
+    let mut pdos = PdoMap::new();
+    for axis in setup::axis_configs(file, *index) {
+        decoder.set_vendor(axis.node, axis.identity.vendor);
+        for setup in pdo_setups(axis.node, axis.mode) {
+            let id = setup.cob_id.id().expect("these have 11-bit identifiers");
+            let pdo = Pdo {
+                node: axis.node,
+                kind: setup.kind,
+                number: setup.number,
+                entries: setup.mapping.entries().to_vec(),
+            };
+            pdos.insert(id.raw(), pdo);
+        }
+    }
+    decoder.add_pdos(pdos);
+    decoder
+}
+
+fn watch(bus: &mut Bus, decoder: &mut Decoder, options: &Options) -> anyhow::Result<()> {
+    let mut received = [Received {
+        frame: Sync::default().encode(),
+        at: Instant::ZERO,
+    }; 256];
+    let mut out = BufWriter::new(std::io::stdout());
+    let began = now();
+    decoder.begin(began);
+    let mut left = options.count.unwrap_or(u64::MAX);
+    let mut health = Health::default();
+    while left > 0 && !bus.interrupted.load(Ordering::Relaxed) {
+        let on = || bus.interface.to_string();
+        bus.port
+            .wait_readable(clock::now() + LOOK)
+            .with_context(on)?;
+        let on = || bus.interface.to_string();
+        let count = bus
+            .port
+            .receive(clock::now(), &mut received)
+            .with_context(on)?;
+        if health.has_lost(bus) {
+            // Which of the frames came before the loss is not known.
+            decoder.begin(clock::now());
+        }
+        for Received { frame, at } in &received[..count] {
+            let described = decoder.describe(frame, *at);
+            if left == 0 || !options.wants(described.kind) {
+                continue;
+            }
+            left -= 1;
+            let shown = Line {
+                bus,
+                at: at.since(began),
+                frame,
+                described: &described,
+            };
+            if options.json {
+                writeln!(out, "{}", serde_json::to_string(&shown.to_json())?)?;
+            } else {
+                writeln!(out, "{shown}")?;
+            }
+        }
+        if let Some(news) = health.news(bus) {
+            mrroc::streams::warn(format_args!("mrroc: {}: {news}", bus.interface));
+        }
+        out.flush()?;
+    }
+    Ok(())
+}
+
+/// What was last said of the controller and of lost frames.
+#[derive(Default)]
+struct Health {
+    state: ControllerState,
+    dropped: u64,
+}
+
+impl Health {
+    /// Whether frames were lost since the last news.
+    fn has_lost(&self, bus: &Bus) -> bool {
+        bus.port.counters().dropped > self.dropped
+    }
+
+    fn news(&mut self, bus: &Bus) -> Option<String> {
+        let (state, dropped) = (bus.port.state(), bus.port.counters().dropped);
+        let lost = dropped - self.dropped;
+        let changed = state != self.state;
+        *self = Self { state, dropped };
+        if lost > 0 {
+            return Some(loss(&bus.interface, lost));
+        }
+        changed.then(|| format!("the controller is {}", words::controller_state(state)))
+    }
+}
+
+/// Of lines that an adapter spoilt nobody knows whether they were frames.
+fn loss(interface: &Interface, count: u64) -> String {
+    match interface {
+        Interface::SocketCan(_) | Interface::Epos { .. } => {
+            format!("{count} frames lost, this host did not keep up")
+        }
+        Interface::Slcan { .. } => format!("{count} frames lost or unreadable"),
+    }
+}
+
+struct Line<'a> {
+    bus: &'a Bus,
+    at: Duration,
+    frame: &'a Frame,
+    described: &'a Described,
+}
+
+#[derive(Serialize)]
+struct JsonLine<'a> {
+    at_s: f64,
+    frame: String,
+    kind: Kind,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    node: Option<u8>,
+    text: &'a str,
+}
+
+impl Line<'_> {
+    fn to_json(&self) -> JsonLine<'_> {
+        JsonLine {
+            at_s: self.at.as_secs_f64(),
+            frame: self.frame.to_string(),
+            kind: self.described.kind,
+            node: self.described.node.map(NodeId::raw),
+            text: &self.described.text,
+        }
+    }
+}
+
+impl std::fmt::Display for Line<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let (at, frame) = (self.at.as_secs_f64(), self.frame.to_string());
+        write!(f, "{at:12.6}  {frame:<20}  ")?;
+        if let Some(node) = self.described.node {
+            write!(f, "{}: ", self.bus.name_of(node))?;
+        }
+        f.write_str(&self.described.text)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_loss_is_blamed_on_this_host_only_where_nothing_else_can_be() {
+        let table = [
+            ("can0", "3 frames lost, this host did not keep up"),
+            ("slcan:/dev/ttyACM0", "3 frames lost or unreadable"),
+        ];
+        for (interface, text) in table {
+            assert_eq!(loss(&Interface::parse(interface), 3), text);
+        }
+    }
+}

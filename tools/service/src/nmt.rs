@@ -1,0 +1,304 @@
+//! `mrroc nmt`: telling nodes which state to enter, and hearing whether they did.
+
+use std::process::ExitCode;
+use std::time::Duration;
+
+use anyhow::{Context, bail};
+use can::{Frame, Instant};
+use canopen::guarding::Response;
+use canopen::nmt::{Command, Request, State, Target};
+use canopen::objects::PRODUCER_HEARTBEAT;
+use canopen::sdo::{self, SdoError};
+use canopen::{NodeId, Object};
+use clap::{Args, ValueEnum};
+
+use super::talk::{Conversation, Ended};
+use super::{Bus, BusArgs, Channel, Drive, interrupted, milliseconds, node_id, now, say};
+
+/// How long a node may take to answer what else it can be seen by.
+const ANSWER: Duration = Duration::from_millis(300);
+
+/// What says whether a node sends a heartbeat.
+const ASKED: Object = PRODUCER_HEARTBEAT;
+
+/// The commands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Order {
+    /// Enter operational: PDOs flow.
+    Start,
+    /// Enter stopped.
+    Stop,
+    /// Enter pre-operational.
+    PreOperational,
+    /// Reset the device: it loses what was not stored, and its power.
+    ResetNode,
+    /// Reset its communication to stored values.
+    ResetCommunication,
+}
+
+/// Options of `mrroc nmt`.
+#[derive(Args)]
+pub struct Options {
+    #[command(flatten)]
+    bus: BusArgs,
+    /// What to tell.
+    #[arg(value_enum)]
+    order: Order,
+    /// The node-ID, or `all`.
+    #[arg(value_name = "NODE", value_parser = target)]
+    target: Whom,
+    /// How long heartbeats and boot-up messages are waited for, ms.
+    #[arg(long, value_name = "MS", default_value_t = 2000)]
+    timeout: u64,
+}
+
+/// Clap's parsers want a type of their own that can be cloned.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Whom(Target);
+
+fn target(text: &str) -> Result<Whom, String> {
+    if text == "all" {
+        return Ok(Whom(Target::All));
+    }
+    node_id(text).map(|node| Whom(Target::Node(node)))
+}
+
+impl Order {
+    fn command(self) -> Command {
+        match self {
+            Self::Start => Command::Start,
+            Self::Stop => Command::Stop,
+            Self::PreOperational => Command::EnterPreOperational,
+            Self::ResetNode => Command::ResetNode,
+            Self::ResetCommunication => Command::ResetCommunication,
+        }
+    }
+}
+
+/// Tells nodes and reports what they say of it.
+pub fn nmt(options: &Options) -> anyhow::Result<ExitCode> {
+    let request = Request {
+        command: options.order.command(),
+        target: options.target.0,
+    };
+    let timeout = milliseconds(options.timeout);
+    let mut bus = match options.bus.open_channel(timeout)? {
+        Channel::Bus(bus) => bus,
+        Channel::Drive(mut drive) => return tell(&mut drive, request),
+    };
+    let mut told = Told::new(request, timeout, now());
+    if bus.hold(&mut told)? == Ended::Interrupted {
+        return Ok(interrupted());
+    }
+    let report = told.report();
+    for line in report.lines(&bus) {
+        say(line)?;
+    }
+    Ok(ExitCode::from(u8::from(!report.confirmed())))
+}
+
+/// Tells by a service port, over which nobody is heard of what became of it.
+fn tell(drive: &mut Drive, request: Request) -> anyhow::Result<ExitCode> {
+    let whom = match request.target {
+        Target::All => "all nodes".to_owned(),
+        Target::Node(node) => super::name_of(node, drive.cell.as_ref()),
+    };
+    let told = drive.port.nmt(request, &drive.interrupted);
+    match told.with_context(|| drive.interface.to_string())? {
+        None => return Ok(interrupted()),
+        Some(Ok(())) => {}
+        Some(Err(SdoError::Aborted { code, .. })) => bail!("{whom}: refused: {code}"),
+        Some(Err(SdoError::TimedOut { waited, .. })) => {
+            bail!("{whom}: timed out after {waited:?}: {}", drive.silence())
+        }
+        Some(Err(other)) => return Err(other).context(whom),
+    }
+    say(format_args!(
+        "{whom}: told, and the drive on the line accepted it; its service port does not say what became of it"
+    ))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// A command and what is heard after it.
+pub(super) struct Told {
+    request: Request,
+    /// The state that says it was obeyed.
+    wanted: State,
+    frame: Option<Frame>,
+    deadline: Instant,
+    over: bool,
+    /// What each node said last of itself since, or whether it booted.
+    heard: [Option<State>; 128],
+    /// Asks one node whether it sends heartbeats at all, for where it does not.
+    client: Option<sdo::Client>,
+    answer: Option<Result<u16, SdoError>>,
+}
+
+/// What became of a command.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) struct Report {
+    pub(super) wanted: State,
+    /// The nodes heard, and their states.
+    pub(super) heard: Vec<(NodeId, State)>,
+    /// What one node says of its heartbeat by SDO, if it was not heard.
+    pub(super) silent: Option<(NodeId, Option<Result<u16, SdoError>>)>,
+}
+
+impl Told {
+    /// Tells at once, and listens for `patience`.
+    pub(super) fn new(request: Request, patience: Duration, now: Instant) -> Self {
+        let wanted = match request.command {
+            Command::Start => State::Operational,
+            Command::Stop => State::Stopped,
+            Command::EnterPreOperational => State::PreOperational,
+            Command::ResetNode | Command::ResetCommunication => State::Initialising,
+        };
+        let client = match (request.target, wanted) {
+            // Every reset is announced.
+            (Target::All, _) | (_, State::Initialising) => None,
+            (Target::Node(node), _) => {
+                let mut client = sdo::Client::new(node, ANSWER, 1);
+                let started = client.upload(ASKED, now);
+                started.expect("nothing is being transferred yet");
+                Some(client)
+            }
+        };
+        Self {
+            request,
+            wanted,
+            frame: Some(request.encode()),
+            deadline: now + patience,
+            over: false,
+            heard: [None; 128],
+            client,
+            answer: None,
+        }
+    }
+
+    fn take_answer(&mut self) {
+        let Some(result) = self.client.as_mut().and_then(sdo::Client::poll) else {
+            return;
+        };
+        self.answer = Some(match result {
+            // An answer as well: a node without the object sends no heartbeat.
+            Err(SdoError::Aborted { .. }) => Ok(0),
+            result => result.and_then(|transfer| transfer.number::<u16>()),
+        });
+        // No heartbeat will come.
+        if let Some(Ok(0)) = self.answer {
+            self.over = true;
+        }
+    }
+
+    pub(super) fn report(self) -> Report {
+        let heard = |node: NodeId| Some((node, self.heard[usize::from(node.raw())]?));
+        let heard: Vec<_> = NodeId::all()
+            .filter(|node| self.request.concerns(*node))
+            .filter_map(heard)
+            .collect();
+        let silent = match self.request.target {
+            Target::Node(node) if heard.is_empty() => Some((node, self.answer)),
+            Target::Node(_) | Target::All => None,
+        };
+        Report {
+            wanted: self.wanted,
+            heard,
+            silent,
+        }
+    }
+}
+
+impl Conversation for Told {
+    fn handle(&mut self, frame: &Frame, now: Instant) {
+        // What came before the command was sent says nothing.
+        if self.frame.is_some() {
+            return;
+        }
+        // One that another master guards says its state with a toggle bit.
+        if let Some(Response { node, state, .. }) = Response::decode(frame) {
+            let heard = &mut self.heard[usize::from(node.raw())];
+            // A node that has booted says next which state it is in.
+            if *heard != Some(self.wanted) || self.wanted != State::Initialising {
+                *heard = Some(state);
+            }
+            let is_it = self.request.target == Target::Node(node);
+            self.over |= is_it && state == self.wanted;
+        }
+        if let Some(client) = &mut self.client {
+            client.handle(frame, now);
+        }
+        self.take_answer();
+    }
+
+    fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
+        let client = &mut self.client;
+        self.frame
+            .take()
+            .or_else(|| client.as_mut()?.poll_transmit(now))
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        let answer = self.client.as_ref().and_then(sdo::Client::poll_timeout);
+        let due = answer.map_or(self.deadline, |due| due.min(self.deadline));
+        (!self.over).then_some(due)
+    }
+
+    fn handle_timeout(&mut self, now: Instant) {
+        if let Some(client) = &mut self.client {
+            client.handle_timeout(now);
+        }
+        self.take_answer();
+        self.over |= now >= self.deadline;
+    }
+}
+
+impl Report {
+    /// Whether somebody was heard and everybody heard obeyed; a node that sends no heartbeat and
+    /// answers SDO shows by that that it is not stopped, and no more can be known of it.
+    pub(super) fn confirmed(&self) -> bool {
+        match self.silent {
+            Some((_, Some(Ok(0)))) => self.wanted != State::Stopped,
+            Some(_) => false,
+            None => {
+                let obeyed = |(_, state): &(NodeId, State)| *state == self.wanted;
+                !self.heard.is_empty() && self.heard.iter().all(obeyed)
+            }
+        }
+    }
+
+    fn lines(&self, bus: &Bus) -> Vec<String> {
+        let said = |(node, state): &(NodeId, State)| {
+            let name = bus.name_of(*node);
+            match (*state, *state == self.wanted) {
+                (State::Initialising, true) => format!("{name}: booted"),
+                (state, true) => format!("{name}: {state}"),
+                (state, false) => format!("{name}: is {state}, and did not obey"),
+            }
+        };
+        let mut lines: Vec<_> = self.heard.iter().map(said).collect();
+        if let Some((node, answer)) = &self.silent {
+            let what = match (answer, self.wanted) {
+                (_, State::Initialising) => "told, and did not boot".to_owned(),
+                (Some(Ok(0)), State::Stopped) => {
+                    "told, and still answers SDO, so it did not stop".to_owned()
+                }
+                (Some(Ok(0)), _) => {
+                    "told; it sends no heartbeat (0x1017 is 0 or missing), and is not stopped"
+                        .to_owned()
+                }
+                (Some(Ok(ms)), _) => format!("told, and its heartbeat of {ms} ms was not heard"),
+                (Some(Err(_)) | None, State::Stopped) => {
+                    "told; neither heartbeat nor SDO answer: stopped, or not there".to_owned()
+                }
+                (Some(Err(_)) | None, _) => format!(
+                    "told, and neither a heartbeat nor an SDO answer came: {}",
+                    bus.silence()
+                ),
+            };
+            lines.push(format!("{}: {what}", bus.name_of(*node)));
+        } else if self.heard.is_empty() {
+            lines.push(format!("told, and nobody was heard: {}", bus.silence()));
+        }
+        lines
+    }
+}

@@ -1,0 +1,332 @@
+//! `mrroc scan`: who is on a bus.
+
+use std::fmt;
+use std::process::ExitCode;
+use std::time::Duration;
+
+use anyhow::bail;
+use can::{Frame, Instant};
+use canopen::guarding::Response;
+use canopen::lss::Answer;
+use canopen::objects::{
+    DEVICE_NAME, DEVICE_TYPE, PRODUCER_HEARTBEAT, PRODUCT_CODE, REVISION, SERIAL_NUMBER, VENDOR_ID,
+};
+use canopen::sdo::SdoError;
+use canopen::{NodeId, Object, nmt};
+use clap::Args;
+use serde::Serialize;
+
+use super::lss::Dialogue;
+use super::survey::{Questions, Survey};
+use super::talk::{Conversation, Ended};
+use super::value::Type;
+use super::{BusArgs, Channel, Drive, interrupted, milliseconds, now, say, words};
+
+/// How long heartbeats are listened to at the least: nodes that are stopped show themselves by nothing else.
+const LISTEN: Duration = Duration::from_secs(1);
+
+/// How long a heartbeat is waited for at most that a node said it sends.
+const LONGEST_LISTEN: Duration = Duration::from_secs(3);
+
+/// How long nodes without a node-ID may take to say so.
+const LSS_ANSWER: Duration = Duration::from_millis(100);
+
+/// What the drive on a service port is called there, whatever its node-ID is.
+const ON_THE_LINE: u8 = 0;
+
+/// What a node is asked, in this order.
+const ASKED: [Object; 7] = [
+    DEVICE_TYPE,
+    VENDOR_ID,
+    PRODUCT_CODE,
+    REVISION,
+    SERIAL_NUMBER,
+    PRODUCER_HEARTBEAT,
+    DEVICE_NAME,
+];
+
+/// Options of `mrroc scan`.
+#[derive(Args)]
+pub struct Options {
+    #[command(flatten)]
+    bus: BusArgs,
+    /// How long each node may take for an answer, ms.
+    #[arg(long, value_name = "MS", default_value_t = 200)]
+    timeout: u64,
+    /// Print one JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Asks every node-ID who it is.
+pub fn scan(options: &Options) -> anyhow::Result<ExitCode> {
+    let mut bus = match options.bus.open_channel(milliseconds(options.timeout))? {
+        Channel::Bus(bus) => bus,
+        Channel::Drive(mut drive) => return identify(&mut drive, options.json),
+    };
+    let mut scan = Scan::new(milliseconds(options.timeout), now());
+    if bus.hold(&mut scan)? == Ended::Interrupted {
+        return Ok(interrupted());
+    }
+    let mut without_id = Dialogue::anybody(LSS_ANSWER);
+    if bus.hold(&mut without_id)? == Ended::Interrupted {
+        return Ok(interrupted());
+    }
+    let unconfigured = without_id.result()?.contains(&Answer::Unconfigured(true));
+    let nodes: Vec<_> = scan.into_nodes().collect();
+    if nodes.is_empty() && !unconfigured {
+        bail!("no node answers: {}", bus.silence());
+    }
+    if options.json {
+        let scanned = Scanned {
+            nodes,
+            unconfigured,
+        };
+        say(serde_json::to_string(&scanned)?)?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    if unconfigured {
+        say("there are nodes without a node-ID: `mrroc lss scan` finds them")?;
+    }
+    for node in &nodes {
+        let id = NodeId::new(node.node).expect("it came from a node-ID");
+        if !say(format_args!("{}: {node}", bus.name_of(id)))? {
+            break;
+        }
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Asks the drive on a service port who it is.
+fn identify(drive: &mut Drive, json: bool) -> anyhow::Result<ExitCode> {
+    let mut identity = Identity::default();
+    while let Some(object) = identity.next() {
+        let ty = (object == DEVICE_NAME).then_some(Type::String);
+        match drive.transfer(ON_THE_LINE, object, None, ty)? {
+            None => return Ok(interrupted()),
+            Some(Ok(data)) => identity.answer(Ok(&data)),
+            Some(Err(error)) => identity.answer(Err(error)),
+        }
+    }
+    let Some(node) = identity.into_node(ON_THE_LINE) else {
+        bail!("no drive answers: {}", drive.silence());
+    };
+    if json {
+        let scanned = Scanned {
+            nodes: vec![node],
+            unconfigured: false,
+        };
+        say(serde_json::to_string(&scanned)?)?;
+    } else {
+        say(format_args!("{}: {node}", drive.interface))?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// What a scan found.
+#[derive(Serialize)]
+struct Scanned {
+    nodes: Vec<Node>,
+    /// Whether any node that knows LSS has no node-ID.
+    unconfigured: bool,
+}
+
+/// The questions to every node-ID, and the heartbeats heard meanwhile.
+pub(super) struct Scan {
+    survey: Survey<Identity>,
+    began: Instant,
+    now: Instant,
+}
+
+impl Scan {
+    pub(super) fn new(timeout: Duration, now: Instant) -> Self {
+        let nodes = NodeId::all().map(|node| (node, Identity::default()));
+        Self {
+            survey: Survey::new(nodes, timeout),
+            began: now,
+            now,
+        }
+    }
+
+    /// Who answered or was heard, in ascending order.
+    pub(super) fn into_nodes(self) -> impl Iterator<Item = Node> {
+        let nodes = self.survey.into_answers();
+        nodes.filter_map(|(node, identity)| identity.into_node(node.raw()))
+    }
+}
+
+impl Conversation for Scan {
+    fn handle(&mut self, frame: &Frame, now: Instant) {
+        // One that another master guards says its state with a toggle bit.
+        if let Some(Response { node, state, .. }) = Response::decode(frame) {
+            let mut all = self.survey.questions();
+            if let Some((_, identity)) = all.find(|(asked, _)| *asked == node) {
+                identity.heard(state, now);
+            }
+        }
+        self.survey.handle(frame, now);
+    }
+
+    fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
+        self.survey.poll_transmit(now)
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        let waited_for = self.survey.nodes_seen().any(Identity::owes_a_heartbeat);
+        let listen = self.began + if waited_for { LONGEST_LISTEN } else { LISTEN };
+        let listening = (self.now < listen).then_some(listen);
+        // A node that keeps its promise ends the wait by its frame.
+        self.survey
+            .poll_timeout()
+            .into_iter()
+            .chain(listening)
+            .min()
+    }
+
+    fn handle_timeout(&mut self, now: Instant) {
+        self.now = now;
+        self.survey.handle_timeout(now);
+    }
+}
+
+/// What one node-ID was asked and is known by.
+#[derive(Debug, Default)]
+struct Identity {
+    /// How many of [`ASKED`] were answered, or given up.
+    asked: usize,
+    /// Whether anything was answered, be it by an abort.
+    answered: bool,
+    silent: bool,
+    numbers: [Option<u32>; ASKED.len()],
+    name: Option<String>,
+    state: Option<nmt::State>,
+    heard: Option<Instant>,
+    /// Between the last two heartbeats.
+    interval: Option<Duration>,
+}
+
+impl Identity {
+    fn heard(&mut self, state: nmt::State, now: Instant) {
+        self.interval = self.heard.map(|before| now.since(before));
+        self.heard = Some(now);
+        self.state = Some(state);
+    }
+
+    fn number(&self, object: Object) -> Option<u32> {
+        let at = ASKED.iter().position(|asked| *asked == object)?;
+        self.numbers[at]
+    }
+
+    fn owes_a_heartbeat(&self) -> bool {
+        self.heard.is_none() && self.number(PRODUCER_HEARTBEAT).is_some_and(|ms| ms > 0)
+    }
+
+    fn into_node(self, node: u8) -> Option<Node> {
+        if !self.answered && self.heard.is_none() {
+            return None;
+        }
+        let vendor = self.number(VENDOR_ID);
+        Some(Node {
+            node,
+            answers_sdo: self.answered,
+            device_type: self.number(DEVICE_TYPE),
+            profile: self.number(DEVICE_TYPE).map(words::device_type),
+            vendor,
+            vendor_name: vendor.and_then(words::vendor),
+            product: self.number(PRODUCT_CODE),
+            revision: self.number(REVISION),
+            serial: self.number(SERIAL_NUMBER),
+            state: self.state.map(|state| state.to_string()),
+            heartbeat_ms: self.number(PRODUCER_HEARTBEAT),
+            heard_every_ms: self.interval.map(|interval| interval.as_millis()),
+            name: self.name,
+        })
+    }
+}
+
+impl Questions for Identity {
+    fn next(&self) -> Option<Object> {
+        if self.silent {
+            return None;
+        }
+        ASKED.get(self.asked).copied()
+    }
+
+    fn answer(&mut self, answer: Result<&[u8], SdoError>) {
+        let object = ASKED[self.asked];
+        self.asked += 1;
+        match answer {
+            Ok(data) if object == DEVICE_NAME => {
+                let text = String::from_utf8_lossy(data);
+                self.name = Some(text.trim_end_matches('\0').to_owned());
+                self.answered = true;
+            }
+            Ok(data) => {
+                self.numbers[self.asked - 1] = super::value::unsigned(data).map(|raw| raw as u32);
+                self.answered = true;
+            }
+            Err(SdoError::TimedOut { .. }) => self.silent = true,
+            Err(_) => self.answered = true,
+        }
+    }
+}
+
+/// A node that was found.
+#[derive(Debug, Serialize, PartialEq, Eq)]
+pub(super) struct Node {
+    node: u8,
+    /// Whether it answered a request, or was only heard.
+    answers_sdo: bool,
+    device_type: Option<u32>,
+    profile: Option<String>,
+    name: Option<String>,
+    vendor: Option<u32>,
+    vendor_name: Option<&'static str>,
+    product: Option<u32>,
+    revision: Option<u32>,
+    serial: Option<u32>,
+    /// NMT state by its heartbeat.
+    state: Option<String>,
+    /// What object 0x1017 says; 0 where it sends none.
+    heartbeat_ms: Option<u32>,
+    /// Between the last two heartbeats that were heard.
+    heard_every_ms: Option<u128>,
+}
+
+impl fmt::Display for Node {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.answers_sdo {
+            f.write_str(self.profile.as_deref().unwrap_or("no device type"))?;
+        } else {
+            f.write_str("is heard and answers no SDO")?;
+        }
+        if let Some(name) = &self.name {
+            write!(f, ", {name:?}")?;
+        }
+        match (self.vendor_name, self.vendor) {
+            (Some(name), _) => write!(f, ", {name}")?,
+            (None, Some(id)) => write!(f, ", vendor {id:#010x}")?,
+            (None, None) => {}
+        }
+        let numbers = [
+            ("product", self.product),
+            ("revision", self.revision),
+            ("serial number", self.serial),
+        ];
+        for (what, number) in numbers {
+            if let Some(number) = number {
+                write!(f, ", {what} {number:#010x}")?;
+            }
+        }
+        match &self.state {
+            Some(state) => write!(f, ", {state}")?,
+            None => f.write_str(", NMT state unknown")?,
+        }
+        match (self.heartbeat_ms, self.heard_every_ms) {
+            (Some(0), _) => f.write_str(", sends no heartbeat"),
+            (Some(ms), _) => write!(f, ", heartbeat each {ms} ms"),
+            (None, Some(ms)) => write!(f, ", heard each {ms} ms"),
+            (None, None) => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,435 @@
+//! `mrroc sdo`: reading and writing one object of one node.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Duration;
+
+use anyhow::{Context, anyhow, bail};
+use can::{Frame, Instant};
+use canopen::objects::{ERROR_CODE, ERROR_HISTORY_NEWEST, VENDOR_ID};
+use canopen::sdo::{self, AbortCode, SdoError, StartError};
+use canopen::{NodeId, Object};
+use clap::{Args, Subcommand};
+use serde::Serialize;
+
+use super::data_sheet::DataSheet;
+use super::talk::{Conversation, Ended};
+use super::value::{self, Shown, Type};
+use super::{BusArgs, Channel, interrupted, milliseconds, node_id, now, say, words};
+
+/// How often a transfer is begun anew if no answer comes.
+const RETRIES: u8 = 2;
+
+/// The longest object that is transferred, bytes: programs and tables of drives are shorter.
+const CAPACITY: usize = 1 << 20;
+
+/// What to do with an object.
+#[derive(Subcommand)]
+pub enum Action {
+    /// Read an object (SDO upload).
+    Read {
+        /// The object.
+        #[command(flatten)]
+        target: Target,
+        /// What to show it as; without it, as the data sheet says, or in every way that makes sense.
+        #[arg(long = "type", value_name = "TYPE")]
+        ty: Option<Type>,
+    },
+    /// Write an object (SDO download) and read it back. Some objects move the drive, store or erase its parameters.
+    #[command(allow_negative_numbers = true)]
+    Write {
+        /// The object.
+        #[command(flatten)]
+        target: Target,
+        /// The value, decimal or 0x…, or the text or the bytes.
+        value: String,
+        /// What it is; without it, what the data sheet says.
+        #[arg(long = "type", value_name = "TYPE", required_unless_present = "eds")]
+        ty: Option<Type>,
+        /// Do not read it back.
+        #[arg(long)]
+        no_read_back: bool,
+    },
+}
+
+/// Which object of which node, and on which bus.
+#[derive(Args)]
+pub struct Target {
+    #[command(flatten)]
+    bus: BusArgs,
+    /// The node-ID.
+    #[arg(value_parser = node_id)]
+    node: NodeId,
+    /// The object, such as 0x6041:0, or 6041:0: both numbers are hexadecimal, as data sheets and this program write
+    /// them, with 0x or without; without, the index has four digits. The sub-index is 0 where none is given.
+    #[arg(value_name = "INDEX:SUB", value_parser = object)]
+    object: Object,
+    /// The data sheet (EDS or DCF) of the device: names and types come from it, and it refuses what it does not allow.
+    #[arg(long, value_name = "FILE")]
+    eds: Option<PathBuf>,
+    /// Transfer by blocks, faster for large objects; a node that knows none is asked for an ordinary transfer.
+    #[arg(long)]
+    block: bool,
+    /// How long an answer may take, ms; storing parameters may take seconds.
+    #[arg(long, value_name = "MS", default_value_t = 1000)]
+    timeout: u64,
+    /// Print one JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
+impl Target {
+    fn open(&self) -> anyhow::Result<Channel> {
+        self.bus.open_channel(milliseconds(self.timeout))
+    }
+
+    fn data_sheet(&self) -> anyhow::Result<Option<DataSheet>> {
+        let read = |path: &PathBuf| DataSheet::read(path, self.object);
+        self.eds.as_ref().map(read).transpose()
+    }
+}
+
+/// An object on the command line.
+fn object(text: &str) -> Result<Object, String> {
+    const NOTATION: &str = "an object is INDEX:SUB in hexadecimal, such as 0x6041:0, or 6041:0 with all four digits of the index";
+    let (index, subindex) = text.split_once(':').unwrap_or((text, "0"));
+    let marked = index.starts_with("0x") || index.starts_with("0X");
+    let index = hexadecimal(index, 4).filter(|_| marked || index.len() == 4);
+    let subindex = hexadecimal(subindex, 2).map(|subindex| subindex as u8);
+    match (index, subindex) {
+        (Some(index), Some(subindex)) => Ok(Object::new(index, subindex)),
+        _ => Err(NOTATION.to_owned()),
+    }
+}
+
+/// A number of at most so many hexadecimal digits, with 0x before them or without.
+fn hexadecimal(text: &str, most: usize) -> Option<u16> {
+    let marked = text.strip_prefix("0x").or_else(|| text.strip_prefix("0X"));
+    let digits = marked.unwrap_or(text);
+    let plain = digits.len() <= most && digits.bytes().all(|digit| digit.is_ascii_hexdigit());
+    u16::from_str_radix(digits, 16).ok().filter(|_| plain)
+}
+
+/// Reads or writes.
+pub fn sdo(action: &Action) -> anyhow::Result<ExitCode> {
+    match action {
+        Action::Read { target, ty } => read(target, *ty),
+        Action::Write {
+            target,
+            value,
+            ty,
+            no_read_back,
+        } => write(target, value, *ty, !no_read_back),
+    }
+}
+
+fn read(target: &Target, ty: Option<Type>) -> anyhow::Result<ExitCode> {
+    let sheet = target.data_sheet()?;
+    if let Some(sheet) = &sheet {
+        sheet.check_read()?;
+    }
+    let mut channel = target.open()?;
+    let ty = ty.or_else(|| sheet.as_ref()?.value_type());
+    match transfer(&mut channel, target, target.object, None, ty)? {
+        None => Ok(interrupted()),
+        Some(Ok(data)) => {
+            let vendor = vendor(&mut channel, target)?;
+            show(target, &data, ty, sheet.as_ref(), vendor)?;
+            Ok(ExitCode::SUCCESS)
+        }
+        Some(Err(error)) => Err(refusal(&channel, target, error)),
+    }
+}
+
+/// Whose error codes the node has, if it is an error code that is read.
+fn vendor(channel: &mut Channel, target: &Target) -> anyhow::Result<Option<u32>> {
+    if !matches!(target.object, ERROR_CODE | ERROR_HISTORY_NEWEST) {
+        return Ok(None);
+    }
+    let answer = transfer(channel, target, VENDOR_ID, None, None)?;
+    let data = answer.and_then(Result::ok);
+    Ok(data
+        .and_then(|data| value::unsigned(&data))
+        .map(|raw| raw as u32))
+}
+
+fn write(
+    target: &Target,
+    text: &str,
+    ty: Option<Type>,
+    read_back: bool,
+) -> anyhow::Result<ExitCode> {
+    let sheet = target.data_sheet()?;
+    let ty = ty.or_else(|| sheet.as_ref()?.value_type());
+    let ty = ty.with_context(|| format!("{}: say its --type, such as hex", target.object))?;
+    let data = ty.encode(text)?;
+    if let Some(sheet) = &sheet {
+        sheet.check_write(target.node, &data)?;
+    }
+    let read_back = read_back
+        && sheet
+            .as_ref()
+            .is_none_or(|sheet| sheet.check_read().is_ok());
+    let mut channel = target.open()?;
+    match transfer(&mut channel, target, target.object, Some(&data), Some(ty))? {
+        None => return Ok(interrupted()),
+        Some(Err(error)) => return Err(refusal(&channel, target, error)),
+        Some(Ok(_)) => {}
+    }
+    if !read_back {
+        return Ok(ExitCode::SUCCESS);
+    }
+    match read_back_of(&mut channel, target, &data, ty)? {
+        None => Ok(interrupted()),
+        Some(Ok((found, agrees))) => {
+            show(target, &found, Some(ty), sheet.as_ref(), None)?;
+            if agrees {
+                return Ok(ExitCode::SUCCESS);
+            }
+            let (object, wrote) = (target.object, Shown::of(&data, Some(ty), false));
+            let found = Shown::of(&found, Some(ty), false);
+            mrroc::streams::warn(format_args!(
+                "mrroc: {object} was written as {wrote} and reads back as {found}"
+            ));
+            Ok(ExitCode::from(1))
+        }
+        Some(Err(SdoError::Aborted {
+            code: AbortCode::WRITE_ONLY,
+            ..
+        })) => {
+            mrroc::streams::warn(format_args!(
+                "mrroc: {} is written; it cannot be read back",
+                target.object
+            ));
+            Ok(ExitCode::SUCCESS)
+        }
+        Some(Err(error)) => {
+            mrroc::streams::warn(format_args!(
+                "mrroc: {} is written; reading it back failed: {error}",
+                target.object
+            ));
+            Ok(ExitCode::from(1))
+        }
+    }
+}
+
+/// What was read back, and whether it is what was written.
+type ReadBack = (Vec<u8>, bool);
+
+/// What is read back after a write, and whether it is what was written; `None` if Ctrl-C came before.
+fn read_back_of(
+    channel: &mut Channel,
+    target: &Target,
+    wrote: &[u8],
+    ty: Type,
+) -> anyhow::Result<Option<Result<ReadBack, SdoError>>> {
+    let Channel::Bus(bus) = channel else {
+        let found = transfer(channel, target, target.object, None, Some(ty))?;
+        let judged = |found: Vec<u8>| {
+            let agrees = found == wrote;
+            (found, agrees)
+        };
+        return Ok(found.map(|found| found.map(judged)));
+    };
+    let timeout = milliseconds(target.timeout);
+    let (node, object) = (target.node, target.object);
+    let mut reading = Transfer::start(node, object, None, target.block, timeout, now())?;
+    reading.wrote = wrote.to_vec();
+    if bus.hold(&mut reading)? == Ended::Interrupted {
+        return Ok(None);
+    }
+    let agrees = reading.agrees;
+    Ok(reading
+        .result
+        .map(|found| found.map(|found| (found, agrees))))
+}
+
+/// What was read, or written; `None` if Ctrl-C came before. A service port does not say how long an object is: `ty`
+/// does.
+fn transfer(
+    channel: &mut Channel,
+    target: &Target,
+    object: Object,
+    data: Option<&[u8]>,
+    ty: Option<Type>,
+) -> anyhow::Result<Option<Result<Vec<u8>, SdoError>>> {
+    let bus = match channel {
+        Channel::Bus(bus) => bus,
+        Channel::Drive(_) if target.block => bail!("--block: a service port transfers no blocks"),
+        Channel::Drive(drive) => return drive.transfer(target.node.raw(), object, data, ty),
+    };
+    let timeout = milliseconds(target.timeout);
+    let mut transfer = Transfer::start(target.node, object, data, target.block, timeout, now())?;
+    if bus.hold(&mut transfer)? == Ended::Interrupted {
+        return Ok(None);
+    }
+    Ok(transfer.result)
+}
+
+/// An abort or silence in one line.
+fn refusal(channel: &Channel, target: &Target, error: SdoError) -> anyhow::Error {
+    let node = channel.name_of(target.node);
+    let error = match error {
+        SdoError::Aborted { code, .. } => match words::hint(code) {
+            Some(hint) => anyhow!("{error}: {hint}"),
+            None => anyhow!("{error}"),
+        },
+        SdoError::TimedOut { .. } => anyhow!("{error}: {}", channel.silence()),
+        other => anyhow!(other),
+    };
+    error.context(node)
+}
+
+#[derive(Serialize)]
+struct Answer {
+    node: u8,
+    index: u16,
+    subindex: u8,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    name: Option<String>,
+    #[serde(flatten)]
+    shown: Shown,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    meaning: Option<String>,
+}
+
+fn show(
+    target: &Target,
+    data: &[u8],
+    ty: Option<Type>,
+    sheet: Option<&DataSheet>,
+    vendor: Option<u32>,
+) -> anyhow::Result<()> {
+    let object = target.object;
+    let ty = ty.or_else(|| sheet?.value_type());
+    let shown = Shown::of(data, ty, words::is_signed(object));
+    let raw = value::unsigned(data);
+    let faults = words::fault_table(vendor);
+    let answer = Answer {
+        node: target.node.raw(),
+        index: object.index,
+        subindex: object.subindex,
+        name: sheet.map_or_else(|| words::object(object), |sheet| Some(sheet.name.clone())),
+        meaning: raw.and_then(|raw| words::meaning(object, raw, faults)),
+        shown,
+    };
+    if target.json {
+        say(serde_json::to_string(&answer)?)?;
+        return Ok(());
+    }
+    let name = answer.name.map_or(String::new(), |name| format!(" {name}"));
+    let meaning = answer
+        .meaning
+        .map_or(String::new(), |it| format!(" ({it})"));
+    say(format_args!("{object}{name} = {}{meaning}", answer.shown))?;
+    Ok(())
+}
+
+/// One transfer as a conversation.
+pub(super) struct Transfer {
+    client: sdo::Client,
+    /// What was written before, where it is to be read back.
+    wrote: Vec<u8>,
+    /// Whether it was read back.
+    agrees: bool,
+    /// Once it is over.
+    pub(super) result: Option<Result<Vec<u8>, SdoError>>,
+}
+
+impl Transfer {
+    /// Starts to write `data`, or to read where there are none.
+    pub(super) fn start(
+        node: NodeId,
+        object: Object,
+        data: Option<&[u8]>,
+        by_blocks: bool,
+        timeout: Duration,
+        now: Instant,
+    ) -> Result<Self, StartError> {
+        let mut client = sdo::Client::with_capacity(node, timeout, RETRIES, CAPACITY);
+        match (data, by_blocks) {
+            (Some(data), false) => client.download(object, data, now)?,
+            (Some(data), true) => client.block_download(object, data, now)?,
+            (None, false) => client.upload(object, now)?,
+            (None, true) => client.block_upload(object, now)?,
+        }
+        Ok(Self {
+            client,
+            wrote: Vec::new(),
+            agrees: false,
+            result: None,
+        })
+    }
+
+    fn take_result(&mut self) {
+        if let Some(result) = self.client.poll() {
+            self.agrees = result.is_ok_and(|transfer| transfer.agrees_with(&self.wrote));
+            self.result = Some(result.map(|transfer| transfer.data.to_vec()));
+        }
+    }
+}
+
+impl Conversation for Transfer {
+    fn handle(&mut self, frame: &Frame, now: Instant) {
+        self.client.handle(frame, now);
+        self.take_result();
+    }
+
+    fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
+        self.client.poll_transmit(now)
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        self.client.poll_timeout()
+    }
+
+    fn handle_timeout(&mut self, now: Instant) {
+        self.client.handle_timeout(now);
+        self.take_result();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn objects_are_hexadecimal_with_0x_or_without() {
+        for (text, index, subindex) in [
+            ("0x6041:0", 0x6041, 0),
+            ("6041:0", 0x6041, 0),
+            ("6041", 0x6041, 0),
+            ("0x6041", 0x6041, 0),
+            ("0X1f80:0A", 0x1F80, 0x0A),
+            ("1a00:0x10", 0x1A00, 0x10),
+            ("1018:10", 0x1018, 0x10),
+            ("0x5:1", 5, 1),
+        ] {
+            assert_eq!(object(text), Ok(Object::new(index, subindex)), "{text}");
+        }
+        // Others than four digits may be meant as a decimal number.
+        for text in [
+            "24641:0",
+            "123:0",
+            "0x12345:0",
+            "",
+            ":",
+            ":1",
+            "0x",
+            "0x:0",
+            "6041:",
+            "6041:100",
+            "6041:1:1",
+            "-041:0",
+            "+041:0",
+            "0x+041:0",
+            "60_1:0",
+            "604g:0",
+            "6041:-1",
+            "6041:+1",
+        ] {
+            let said = object(text).unwrap_err();
+            assert!(said.contains("such as 0x6041:0"), "{text}: {said}");
+        }
+    }
+}

@@ -1,0 +1,398 @@
+//! Values of objects: from the command line to bytes, and from bytes to text.
+
+use std::fmt;
+
+use clap::ValueEnum;
+use serde::Serialize;
+use thiserror::Error;
+
+/// The data types of CiA 301 that a value may be given or shown as.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Type {
+    /// BOOLEAN.
+    Bool,
+    /// UNSIGNED8.
+    U8,
+    /// UNSIGNED16.
+    U16,
+    /// UNSIGNED32.
+    U32,
+    /// UNSIGNED64.
+    U64,
+    /// INTEGER8.
+    I8,
+    /// INTEGER16.
+    I16,
+    /// INTEGER32.
+    I32,
+    /// INTEGER64.
+    I64,
+    /// REAL32.
+    F32,
+    /// REAL64.
+    F64,
+    /// VISIBLE_STRING.
+    String,
+    /// Bytes in the order of the bus, two hexadecimal digits each.
+    Hex,
+}
+
+/// Why a text is no value of a type.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum ValueError {
+    /// Not a number at all, or one that the type does not hold.
+    #[error("{text:?} is no {ty}: {least} to {most}, decimal or 0x…")]
+    Number {
+        /// What was given.
+        text: String,
+        /// The type.
+        ty: &'static str,
+        /// The least value.
+        least: i128,
+        /// The greatest value.
+        most: i128,
+    },
+    /// Not a real number.
+    #[error("{0:?} is no real number")]
+    Real(String),
+    /// Not bytes.
+    #[error("{0:?} are no bytes: two hexadecimal digits each, such as 7f00")]
+    Bytes(String),
+    /// A string that VISIBLE_STRING does not hold.
+    #[error("{0:?} has other characters than those of ASCII")]
+    Text(String),
+}
+
+impl Type {
+    /// Bytes of a number; `None` for what may have any length.
+    pub(super) const fn bytes(self) -> Option<usize> {
+        match self {
+            Self::Bool | Self::U8 | Self::I8 => Some(1),
+            Self::U16 | Self::I16 => Some(2),
+            Self::U32 | Self::I32 | Self::F32 => Some(4),
+            Self::U64 | Self::I64 | Self::F64 => Some(8),
+            Self::String | Self::Hex => None,
+        }
+    }
+
+    const fn is_signed(self) -> bool {
+        matches!(self, Self::I8 | Self::I16 | Self::I32 | Self::I64)
+    }
+
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Bool => "bool",
+            Self::U8 => "u8",
+            Self::U16 => "u16",
+            Self::U32 => "u32",
+            Self::U64 => "u64",
+            Self::I8 => "i8",
+            Self::I16 => "i16",
+            Self::I32 => "i32",
+            Self::I64 => "i64",
+            Self::F32 => "f32",
+            Self::F64 => "f64",
+            Self::String => "string",
+            Self::Hex => "hex",
+        }
+    }
+
+    /// The bytes of `text`, as they go onto the bus. A signed type takes a hexadecimal number as its bits.
+    pub(super) fn encode(self, text: &str) -> Result<Vec<u8>, ValueError> {
+        match self {
+            Self::String if text.is_ascii() => Ok(text.as_bytes().to_owned()),
+            Self::String => Err(ValueError::Text(text.to_owned())),
+            Self::Hex => bytes(text).ok_or_else(|| ValueError::Bytes(text.to_owned())),
+            Self::F32 => {
+                let real = text.parse::<f32>().ok().filter(|real| real.is_finite());
+                let real = real.ok_or_else(|| ValueError::Real(text.to_owned()))?;
+                Ok(real.to_le_bytes().to_vec())
+            }
+            Self::F64 => {
+                let real = text.parse::<f64>().ok().filter(|real| real.is_finite());
+                let real = real.ok_or_else(|| ValueError::Real(text.to_owned()))?;
+                Ok(real.to_le_bytes().to_vec())
+            }
+            Self::Bool | Self::U8 | Self::U16 | Self::U32 | Self::U64 => self.integer(text),
+            Self::I8 | Self::I16 | Self::I32 | Self::I64 => self.integer(text),
+        }
+    }
+
+    fn integer(self, text: &str) -> Result<Vec<u8>, ValueError> {
+        let size = self.bytes().expect("integers have sizes");
+        let bits = 8 * size as u32;
+        let (least, most) = match (self, self.is_signed()) {
+            (Self::Bool, _) => (0, 1),
+            (_, true) => (-(1_i128 << (bits - 1)), (1_i128 << (bits - 1)) - 1),
+            (_, false) => (0, (1_i128 << bits) - 1),
+        };
+        let fits = |(value, hexadecimal): &(i128, bool)| {
+            let as_bits = *hexadecimal && self.is_signed() && (0..1_i128 << bits).contains(value);
+            (least..=most).contains(value) || as_bits
+        };
+        let (value, _) = integer(text)
+            .filter(fits)
+            .ok_or_else(|| ValueError::Number {
+                text: text.to_owned(),
+                ty: self.name(),
+                least,
+                most,
+            })?;
+        Ok(value.to_le_bytes()[..size].to_vec())
+    }
+}
+
+/// A whole number, decimal or hexadecimal, with its sign and with groups parted by `_`, but no
+/// leading zeros where it is decimal; and whether it is hexadecimal.
+fn integer(text: &str) -> Option<(i128, bool)> {
+    let digits = text.replace('_', "");
+    let (negative, digits) = match digits.strip_prefix('-') {
+        Some(rest) => (true, rest),
+        None => (false, digits.as_str()),
+    };
+    let hexadecimal = digits
+        .strip_prefix("0x")
+        .or_else(|| digits.strip_prefix("0X"));
+    // A second sign is none.
+    if digits.starts_with(['+', '-']) || hexadecimal.is_some_and(|digits| digits.starts_with('+')) {
+        return None;
+    }
+    // 017 is 15 to those who write data sheets, and 17 to everybody else.
+    if hexadecimal.is_none() && digits.len() > 1 && digits.starts_with('0') {
+        return None;
+    }
+    let value = match hexadecimal {
+        Some(digits) => i128::from_str_radix(digits, 16).ok()?,
+        None => digits.parse().ok()?,
+    };
+    Some((if negative { -value } else { value }, hexadecimal.is_some()))
+}
+
+/// An unsigned number on the command line, decimal or hexadecimal.
+pub(super) fn number(text: &str) -> Option<u64> {
+    integer(text).and_then(|(value, _)| u64::try_from(value).ok())
+}
+
+fn bytes(text: &str) -> Option<Vec<u8>> {
+    let digits: Vec<u8> = text.bytes().filter(|byte| *byte != b' ').collect();
+    let pairs = digits.chunks(2).map(|pair| {
+        let pair = str::from_utf8(pair).ok().filter(|pair| pair.len() == 2)?;
+        pair.bytes()
+            .all(|digit| digit.is_ascii_hexdigit())
+            .then(|| u8::from_str_radix(pair, 16).ok())?
+    });
+    pairs.collect()
+}
+
+/// Little-endian bytes as a number; `None` unless there are 1 to 8.
+pub(super) fn unsigned(data: &[u8]) -> Option<u64> {
+    let mut bytes = [0; 8];
+    bytes.get_mut(..data.len())?.copy_from_slice(data);
+    (!data.is_empty()).then_some(u64::from_le_bytes(bytes))
+}
+
+/// The same, the highest bit being the sign.
+pub(super) fn signed(data: &[u8]) -> Option<i64> {
+    unsigned(data).map(|raw| {
+        let unused = 64 - 8 * data.len() as u32;
+        (raw << unused) as i64 >> unused
+    })
+}
+
+/// Bytes in every way that they make sense.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(super) struct Shown {
+    /// In the order of the bus, two hexadecimal digits each.
+    pub(super) bytes: String,
+    /// As an integer.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) value: Option<i128>,
+    /// As a real number.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) real: Option<f64>,
+    /// As text.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) text: Option<String>,
+    #[serde(skip)]
+    text_only: bool,
+    #[serde(skip)]
+    hex: Option<String>,
+    /// The other reading of bits whose sign is not known.
+    #[serde(skip)]
+    or: Option<i64>,
+}
+
+impl Shown {
+    /// Without a type, numbers are those of 1, 2, 4 or 8 bytes, and text is what only has printable characters.
+    ///
+    /// `signed` says whether an object without a type is known to hold a signed number.
+    pub(super) fn of(data: &[u8], ty: Option<Type>, is_signed: bool) -> Self {
+        let sized = ty.map_or(matches!(data.len(), 1 | 2 | 4 | 8), |ty| {
+            ty.bytes() == Some(data.len())
+        });
+        let real = match (ty, data) {
+            (Some(Type::F32), &[a, b, c, d]) => Some(f64::from(f32::from_le_bytes([a, b, c, d]))),
+            (Some(Type::F64), &[a, b, c, d, e, f, g, h]) => {
+                Some(f64::from_le_bytes([a, b, c, d, e, f, g, h]))
+            }
+            _ => None,
+        };
+        let raw = unsigned(data).filter(|_| sized && real.is_none());
+        let as_signed = signed_if(sized && real.is_none(), data);
+        let is_signed = ty.map_or(is_signed, Type::is_signed);
+        let value = if is_signed {
+            as_signed.map(i128::from)
+        } else {
+            raw.map(i128::from)
+        };
+        let text = match ty {
+            Some(Type::String) => Some(String::from_utf8_lossy(data)),
+            None if data.len() >= 4 => printable(data),
+            _ => None,
+        };
+        let text = text.map(|text| text.trim_end_matches('\0').to_owned());
+        Self {
+            bytes: data.iter().map(|byte| format!("{byte:02x}")).collect(),
+            hex: raw.map(|raw| format!("{raw:#0width$x}", width = 2 + 2 * data.len())),
+            or: as_signed.filter(|value| ty.is_none() && !is_signed && *value < 0),
+            value,
+            real,
+            text_only: ty == Some(Type::String),
+            text,
+        }
+    }
+}
+
+fn signed_if(wanted: bool, data: &[u8]) -> Option<i64> {
+    if wanted { signed(data) } else { None }
+}
+
+fn printable(data: &[u8]) -> Option<std::borrow::Cow<'_, str>> {
+    let end = data.iter().rposition(|byte| *byte != 0)? + 1;
+    let text = &data[..end];
+    text.iter()
+        .all(|byte| matches!(byte, b' '..=b'~'))
+        .then(|| String::from_utf8_lossy(text))
+}
+
+impl fmt::Display for Shown {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let (true, Some(text)) = (self.text_only, &self.text) {
+            return write!(f, "{text:?}");
+        }
+        match (&self.hex, self.value, self.real) {
+            (Some(hex), Some(value), _) => write!(f, "{hex}, {value}")?,
+            (_, _, Some(real)) => write!(f, "{real}")?,
+            _ if self.bytes.is_empty() => f.write_str("no bytes")?,
+            _ => write!(f, "{} bytes {}", self.bytes.len() / 2, self.bytes)?,
+        }
+        if let Some(or) = self.or {
+            write!(f, " or {or}")?;
+        }
+        if let Some(text) = &self.text {
+            write!(f, ", {text:?}")?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_become_the_bytes_of_their_type() {
+        let table: [(Type, &str, &[u8]); 18] = [
+            (Type::U8, "255", &[0xFF]),
+            (Type::U8, "0", &[0]),
+            (Type::U8, "0x0F", &[0x0F]),
+            (Type::U16, "0x6041", &[0x41, 0x60]),
+            (Type::U32, "1_000_000", &[0x40, 0x42, 0x0F, 0x00]),
+            (Type::I8, "-1", &[0xFF]),
+            (Type::I16, "-0x10", &[0xF0, 0xFF]),
+            (Type::I32, "-2", &[0xFE, 0xFF, 0xFF, 0xFF]),
+            (Type::I32, "0xFFFFFFFE", &[0xFE, 0xFF, 0xFF, 0xFF]),
+            (Type::U64, "0xFFFFFFFFFFFFFFFF", &[0xFF; 8]),
+            (
+                Type::I64,
+                "-9223372036854775808",
+                &[0, 0, 0, 0, 0, 0, 0, 0x80],
+            ),
+            (Type::Bool, "1", &[1]),
+            (Type::F32, "1.5", &[0x00, 0x00, 0xC0, 0x3F]),
+            (Type::F64, "-2", &[0, 0, 0, 0, 0, 0, 0x00, 0xC0]),
+            (Type::String, "save", b"save"),
+            (Type::String, "", b""),
+            (Type::Hex, "7f00Ab", &[0x7F, 0x00, 0xAB]),
+            (Type::Hex, "7f 00", &[0x7F, 0x00]),
+        ];
+        for (ty, text, bytes) in table {
+            assert_eq!(ty.encode(text).as_deref(), Ok(bytes), "{ty:?} {text}");
+        }
+    }
+
+    #[test]
+    fn what_a_type_does_not_hold_is_refused() {
+        let table = [
+            (Type::U8, "256"),
+            (Type::U8, "-1"),
+            (Type::U8, "0x100"),
+            (Type::I8, "128"),
+            (Type::I8, "0x100"),
+            (Type::I16, "-32769"),
+            (Type::U16, ""),
+            (Type::U16, "--1"),
+            (Type::U16, "+1"),
+            (Type::U16, "017"),
+            (Type::I16, "-017"),
+            (Type::U16, "00"),
+            (Type::U16, "0x-1"),
+            (Type::U16, "0x+1"),
+            (Type::U16, "1.0"),
+            (Type::U64, "0x10000000000000000"),
+            (Type::Bool, "2"),
+            (Type::F32, "nan"),
+            (Type::F32, "1e39"),
+            (Type::F64, "inf"),
+            (Type::F64, ""),
+            (Type::String, "zażółć"),
+            (Type::Hex, "7f0"),
+            (Type::Hex, "7g"),
+            (Type::Hex, "+f"),
+        ];
+        for (ty, text) in table {
+            assert!(ty.encode(text).is_err(), "{ty:?} {text}");
+        }
+        let error = Type::I8.encode("200").unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "\"200\" is no i8: -128 to 127, decimal or 0x…"
+        );
+    }
+
+    #[test]
+    fn bytes_are_shown_in_every_way_that_makes_sense() {
+        let table: [(&[u8], Option<Type>, bool, &str); 12] = [
+            (&[0x37, 0x02], None, false, "0x0237, 567"),
+            (&[0xFE, 0xFF], None, false, "0xfffe, 65534 or -2"),
+            (&[0xFE, 0xFF], None, true, "0xfffe, -2"),
+            (&[0xFE, 0xFF], Some(Type::U16), false, "0xfffe, 65534"),
+            (&[0xFE, 0xFF], Some(Type::I16), false, "0xfffe, -2"),
+            (b"save", None, false, "0x65766173, 1702257011, \"save\""),
+            (
+                b"EPOS4\0\0",
+                None,
+                false,
+                "7 bytes 45504f53340000, \"EPOS4\"",
+            ),
+            (b"EPOS4", Some(Type::String), false, "\"EPOS4\""),
+            (&[1, 2, 3], None, false, "3 bytes 010203"),
+            (&[1, 2, 3], Some(Type::U16), false, "3 bytes 010203"),
+            (&[0x00, 0x00, 0xC0, 0x3F], Some(Type::F32), false, "1.5"),
+            (&[], None, false, "no bytes"),
+        ];
+        for (data, ty, is_signed, text) in table {
+            assert_eq!(Shown::of(data, ty, is_signed).to_string(), text);
+        }
+    }
+}
