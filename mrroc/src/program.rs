@@ -69,7 +69,7 @@ pub fn run_program(
     signals::on_ending_of_motion(motion.clone(), move |_| asked.stop())?;
     let mut bar = Bar::new(file, tasks(file)?.instructions() as u64, !options.json)?;
     let report = run(file, &options.run, &requests, tasks, &mut |news| {
-        bar.show(news)
+        bar.show(news);
     });
     motion.is_over();
     bar.finish();
