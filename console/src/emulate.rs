@@ -1,6 +1,8 @@
 //! `mrroc emulate`: the axis controllers of a cell on CAN interfaces or behind emulated slcan adapters, and on
 //! pseudo-terminals in place of serial lines.
 
+#![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
+
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -1,5 +1,7 @@
 //! Common parts of the test machines: the command, its directories, its exit status, and the end of the machine.
 
+#![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
+
 mod supervisor;
 mod trust;
 

@@ -4,6 +4,7 @@
 //! up, and stays open when the host closes its end. It has no bit rate: bytes pass as fast as they
 //! are read. This is the rim: it makes system calls, and [`wait`] waits.
 
+#![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 #![expect(
     unsafe_code,
     reason = "pseudo-terminals and waiting for several of them are system calls"

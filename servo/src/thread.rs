@@ -33,6 +33,8 @@
 //! whenever the thread wakes, and only bounds its processor time. Requests that the host denies are returned as
 //! [`Denial`]s, which name the setting that grants the request. With [`Realtime::Require`] a denial refuses the start.
 
+#![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
+
 mod account;
 mod cause;
 mod explain;

@@ -1,5 +1,10 @@
 //! Ten thousand cycles with a moving effector, and its stop, allocate nothing.
 
+#![allow(
+    clippy::disallowed_methods,
+    reason = "tests keep pace with other processes"
+)]
+
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::sync::Arc;

@@ -3,6 +3,11 @@
 //! Only planted cycles are judged, and by their share: the host of a test delays others as it likes. Needs SCHED_FIFO
 //! up to priority 90; `MRROC_LEAVE_OUT=realtime` leaves the cases out that do.
 
+#![allow(
+    clippy::disallowed_methods,
+    reason = "tests keep pace with other processes"
+)]
+
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Mutex, PoisonError};

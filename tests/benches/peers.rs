@@ -10,6 +10,10 @@
 //! - *virtual*: client and server of each project on that project's virtual bus. Ours has true bit times and
 //!   arbitration, and the server is an emulated drive, in virtual time; python-can's hands messages to a queue.
 
+#![allow(
+    clippy::disallowed_methods,
+    reason = "tests keep pace with other processes"
+)]
 #![expect(clippy::unwrap_used, reason = "in a benchmark it is a verdict")]
 
 use std::os::fd::AsFd;

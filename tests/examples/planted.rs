@@ -2,6 +2,11 @@
 //! see. The argument says what: `nothing`, `allocation`, `lock` or `write`. It prints how often the kernel's account of the
 //! thread was read.
 
+#![allow(
+    clippy::disallowed_methods,
+    reason = "tests keep pace with other processes"
+)]
+
 use std::fs::File;
 use std::hint::black_box;
 use std::io::Write;

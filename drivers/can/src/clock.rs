@@ -3,6 +3,8 @@
 //! Only loops that wait, and ports that turn the kernel's time stamps into instants, call it; logic
 //! takes `now` as an argument.
 
+#![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
+
 use std::io;
 use std::os::fd::{AsRawFd, BorrowedFd};
 
@@ -14,11 +16,7 @@ pub fn now() -> Instant {
 }
 
 /// Sleeps until `deadline`; returns at once if it has passed. Signals do not shorten it.
-#[expect(
-    clippy::disallowed_methods,
-    unsafe_code,
-    reason = "the rim's one place to wait for a time"
-)]
+#[expect(unsafe_code, reason = "libc has no safe interface to this call")]
 pub fn sleep_until(deadline: Instant) {
     let nanos = deadline.as_nanos();
     let time = libc::timespec {
@@ -91,11 +89,7 @@ pub(crate) fn realtime_offset(known: u64) -> u64 {
     known.clamp(least, most)
 }
 
-#[expect(
-    clippy::disallowed_methods,
-    unsafe_code,
-    reason = "the rim's one place to read clocks"
-)]
+#[expect(unsafe_code, reason = "libc has no safe interface to this call")]
 fn nanos(clock: libc::clockid_t) -> u64 {
     let mut time = libc::timespec {
         tv_sec: 0,

@@ -7,6 +7,8 @@
 //! Bit rates are set by [`card`](crate::card), and restarts after bus-off are left to `ip link`. This is the rim: it makes system calls
 //! and reads the clock. Read [`SocketCanPort::open`] first.
 
+#![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
+
 mod batch;
 
 use std::io;

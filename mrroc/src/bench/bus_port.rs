@@ -1,5 +1,7 @@
 //! A bus of the real world: a SocketCAN interface or an slcan adapter.
 
+#![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
+
 use std::os::fd::AsFd;
 use std::task::Poll;
 

@@ -1,6 +1,8 @@
 //! Emulated devices on pseudo-terminals, in step with the wall clock: the buses of a cell behind slcan adapters, its
 //! serial axis controllers, and service ports. Waits for bytes and for the devices' time.
 
+#![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
+
 use std::io;
 use std::os::fd::AsFd;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -1,5 +1,7 @@
 //! The files of a run: written in the loop in lockstep, by a thread of their own by the clock.
 
+#![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
+
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, sync_channel};

@@ -6,6 +6,8 @@
 //! on a signal, when a file cannot be written, and by a panic of the caller's thread or the controller's. A file
 //! that takes nothing is not waited for. Whatever may still have power afterwards is a fault of the run.
 
+#![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
+
 mod files;
 mod requests;
 mod turning;

@@ -1,5 +1,7 @@
 //! The thread that listens while a cell runs by the wall clock. It waits, but holds up nobody.
 
+#![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
+
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, sync_channel};

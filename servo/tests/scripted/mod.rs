@@ -1,5 +1,9 @@
 //! A drive group without a bus: ideal drives that latch at SYNC, and a script to spoil them.
 
+#![allow(
+    clippy::disallowed_methods,
+    reason = "tests keep pace with other processes"
+)]
 #![allow(dead_code, reason = "each test binary uses its part of it")]
 #![allow(unreachable_pub, reason = "unit tests and test binaries share it")]
 

@@ -11,6 +11,8 @@
 //!
 //! **Files** of `--out` are in [`files`], what the verdict is made of is in [`verdict`].
 
+#![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
+
 mod bench;
 mod cell;
 mod chart;

@@ -1,5 +1,7 @@
 //! The service port of an EPOS2 or EPOS4 on a tty: objects and NMT commands without a bus, by the clock.
 
+#![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
+
 use std::os::fd::AsFd;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;

@@ -6,6 +6,8 @@
 //! Exit status: 0 done; 1 told, and the node did not do it, or broken off by Ctrl-C; 2 refused, aborted by the node, no
 //! answer, or the bus went away.
 
+#![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
+
 pub mod data_sheet;
 pub mod decode;
 pub mod epos;

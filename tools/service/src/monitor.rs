@@ -1,5 +1,7 @@
 //! `mrroc monitor`: the frames of a bus in words, as they come.
 
+#![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
+
 use std::io::{BufWriter, ErrorKind, Write};
 use std::process::ExitCode;
 use std::sync::atomic::Ordering;

@@ -1,5 +1,7 @@
 //! Holding a conversation on a bus by the clock.
 
+#![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
+
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 

@@ -4,6 +4,8 @@
 //! and a few system calls returned. All judgements are [`finding::Finding`]s, and the worst is the exit status. What
 //! mends one without a person is in it as [`fix::Fix`]es.
 
+#![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
+
 mod can_interfaces;
 mod cpu;
 mod finding;

@@ -4,6 +4,8 @@
 //! moves. Every cycle from bring-up to switch-off is measured, by the servo thread itself, so an interval is a turn.
 //! Between its turns there is no servo, and the peer has the host for itself.
 
+#![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
+
 use std::sync::Arc;
 
 use anyhow::{anyhow, bail};

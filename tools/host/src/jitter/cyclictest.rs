@@ -1,5 +1,7 @@
 //! cyclictest of Debian's package rt-tests as the peer: run for a while, its histogram read.
 
+#![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
+
 use std::io::{ErrorKind, Read};
 use std::process::{Command, Stdio};
 use std::time::Duration;

@@ -3,6 +3,8 @@
 //! A program is started in a process group of its own that is killed whole when the load is dropped; if this process is
 //! killed first, the kernel ends the program.
 
+#![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
+
 use std::fs::OpenOptions;
 use std::hint::black_box;
 use std::io::{ErrorKind, Seek, SeekFrom, Write};

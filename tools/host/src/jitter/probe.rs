@@ -1,5 +1,7 @@
 //! The measuring threads: the servo's wait without a servo, and cyclictest's algorithm.
 
+#![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
+
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::Builder;
