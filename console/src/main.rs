@@ -98,8 +98,12 @@ enum Command {
         #[command(subcommand)]
         machine: vm::Machine,
     },
-    /// Print the JSON schema of cell files.
-    Schema,
+    /// Print the JSON schema of cell files, or their reference.
+    Schema {
+        /// Print the reference in Markdown.
+        #[arg(long)]
+        reference: bool,
+    },
     /// Write the manual pages and the completions of bash, zsh and fish into a directory.
     #[command(hide = true)]
     Manual {
@@ -133,7 +137,7 @@ fn main() -> ExitCode {
         Command::Datasheet(options) => descriptions::datasheet::datasheet(&options),
         Command::Urdf(options) => descriptions::urdf::urdf(&options),
         Command::Vm { machine } => vm::vm(&machine),
-        Command::Schema => schema(),
+        Command::Schema { reference } => schema(reference),
         Command::Manual {
             directory,
             replacement,
@@ -156,7 +160,10 @@ fn check(cell: &Path, json: bool) -> anyhow::Result<ExitCode> {
     streams::answer(&checked, json)
 }
 
-/// Prints the JSON schema of cell files.
-fn schema() -> anyhow::Result<ExitCode> {
-    streams::print(serde_json::to_string_pretty(&Cell::schema())? + "\n")
+/// Prints the JSON schema of cell files, or their reference.
+fn schema(reference: bool) -> anyhow::Result<ExitCode> {
+    streams::print(match reference {
+        true => descriptions::cell_reference::reference(),
+        false => serde_json::to_string_pretty(&Cell::schema())? + "\n",
+    })
 }

@@ -189,6 +189,17 @@ fn the_published_schema_is_the_one_the_command_prints() {
     );
 }
 
+#[test]
+fn the_published_reference_is_the_one_the_command_prints() {
+    let printed = mrroc(["schema", "--reference"]);
+    assert_eq!(printed.status.code(), Some(0));
+    let published = fs::read_to_string(root().join("book/src/cell-file.md")).unwrap();
+    assert!(
+        printed.stdout == published,
+        "book/src/cell-file.md is not what the command prints: `mrroc schema --reference > book/src/cell-file.md`"
+    );
+}
+
 /// Keys of `value` that `schema` knows not, and keys it requires that are missing.
 fn strangers(root: &Value, schema: &Value, value: &Value, place: &str) -> Vec<String> {
     let schema = match schema["$ref"].as_str() {
