@@ -24,6 +24,12 @@ const REST: Duration = Duration::from_millis(500);
 /// Samples in a row that have to agree on a switch.
 const AGREEING: u32 = 3;
 
+/// A loop that runs away, unless the cell says when: in shares of the axis's greatest velocity.
+const RUNAWAY: f64 = 1.2;
+
+/// Velocity that no motor on a CAN bus reaches, in shares of that of a loop that runs away.
+const PLAUSIBLE: f64 = 2.0;
+
 /// Longest time from switching an effector's drives on to the last of them following.
 pub const ENABLING: Duration = Duration::from_secs(5);
 
@@ -159,11 +165,20 @@ impl Axis {
                 zero_speed: self.homing.zero_velocity,
                 acceleration: self.homing.acceleration,
             },
+            plausible_velocity: PLAUSIBLE * self.runaway_velocity(),
             following_error: self.following_error,
             quick_stop_deceleration: self.max_acceleration,
             configuration: Vec::new(),
             parameters: drive.parameter.iter().map(parameter).collect(),
         }
+    }
+
+    /// Motor velocity, rad/s, beyond which a loop of its drive that the host closes is taken for one that runs away; the
+    /// same for a drive that closes its loop itself.
+    fn runaway_velocity(&self) -> f64 {
+        let given = self.drive.as_ref().and_then(|drive| drive.r#loop.as_ref());
+        let given = given.and_then(|given| given.runaway_velocity);
+        given.unwrap_or(RUNAWAY * self.max_velocity)
     }
 
     /// Its axis controller on a serial line. Not for an axis on a CAN bus.
@@ -293,7 +308,7 @@ impl Loop {
                 },
                 constant: feed_forward.constant,
             },
-            runaway_velocity: runaway_velocity.unwrap_or(1.2 * max_velocity),
+            runaway_velocity: runaway_velocity.unwrap_or(RUNAWAY * max_velocity),
         }
     }
 }

@@ -9,7 +9,7 @@ use canopen::{NodeId, Object, nmt};
 
 use super::config::{AxisConfig, CyclicMode, GroupConfig};
 use super::homing::Search;
-use super::measurement::Measurement;
+use super::measurement::{Jump, Measurement};
 use super::mode::{ModeRequest, ModeSwitch};
 use super::process_data::{self, Answer};
 use super::service::Service;
@@ -102,7 +102,7 @@ impl Axis {
                 ..AxisState::default()
             },
             statusword: learnt.statusword,
-            measurement: Measurement::new(setup.scale, learnt.position),
+            measurement: Measurement::new(setup.scale, setup.plausible_velocity, learnt.position),
             answered: false,
             not_sent: 0,
             error_code: learnt.error_code,
@@ -155,8 +155,18 @@ impl Axis {
             .answered(self.setup.homing_word(answer.statusword));
         let search = self.search.needs_homing_mode();
         let search_speed = search.then_some(self.setup.search_speed);
-        self.measurement
-            .take(answer.position, sampled, search_speed);
+        let position = answer.position;
+        if let Err(Jump { moved, within }) =
+            self.measurement.take(position, sampled, at, search_speed)
+        {
+            self.search.doubt();
+            let node = self.setup.node.raw();
+            self.latch(Fault::Implausible {
+                node,
+                moved,
+                within,
+            });
+        }
         self.measurement.tell(&mut self.state);
         self.state.at = at;
         self.state.torque = self

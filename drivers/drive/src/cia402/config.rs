@@ -52,6 +52,9 @@ pub struct AxisConfig {
     pub rated_torque: f64,
     /// How it finds its reference.
     pub homing: HomingConfig,
+    /// Beyond this velocity, rad/s, a change of position is taken for a counter that jumped. The motor cannot turn so fast,
+    /// not even as its loop runs away.
+    pub plausible_velocity: f64,
     /// Following error at which the drive faults by itself, rad of motor rotation (object 0x6065).
     pub following_error: f64,
     /// Deceleration of a quick stop, rad/s² (object 0x6085).
@@ -275,11 +278,14 @@ impl AxisConfig {
                 what,
             }),
         };
-        if !(self.rated_torque > 0.0 && self.rated_torque.is_finite()) {
-            return Err(ConfigError::OutOfRange {
-                node: self.node.raw(),
-                what: "rated torque",
-            });
+        for (what, value) in [
+            ("rated torque", self.rated_torque),
+            ("plausible velocity", self.plausible_velocity),
+        ] {
+            if !(value > 0.0 && value.is_finite()) {
+                let node = self.node.raw();
+                return Err(ConfigError::OutOfRange { node, what });
+            }
         }
         if self
             .parameters

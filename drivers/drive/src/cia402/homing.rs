@@ -1,3 +1,5 @@
+//! The search of one axis for its reference, by its drive.
+
 use canopen::cia402::{Controlword, HomingStatus, Statusword};
 
 use super::axis::ANSWERS_TO_EFFECT;
@@ -22,6 +24,8 @@ pub(super) struct Search {
     attained: bool,
     /// Bit 15 of the last statusword: EPOS keep their reference while they are powered.
     kept: bool,
+    /// The counter jumped: whatever the drive says, it has no reference before the next search.
+    doubted: bool,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -85,7 +89,7 @@ impl Search {
                     HomingStatus::InProgress => *begun = true,
                     HomingStatus::Attained => {}
                     HomingStatus::Done if timely => {
-                        self.attained = true;
+                        (self.attained, self.doubted) = (true, false);
                         self.step = Step::Ended { attained: true };
                     }
                     HomingStatus::Interrupted if *begun && had_time => {
@@ -112,6 +116,11 @@ impl Search {
                 }
             }
         }
+    }
+
+    /// The counter jumped.
+    pub(super) fn doubt(&mut self) {
+        self.doubted = true;
     }
 
     /// The node booted: its counter means nothing any more.
@@ -141,7 +150,7 @@ impl Search {
             Step::Preparing | Step::Searching { .. } => Homing::InProgress,
             Step::Ended { attained: true } => Homing::Attained,
             Step::Ended { attained: false } => Homing::Failed,
-            Step::Idle if self.attained || self.kept => Homing::Attained,
+            Step::Idle if (self.attained || self.kept) && !self.doubted => Homing::Attained,
             Step::Idle | Step::Halting { .. } => Homing::NotHomed,
         }
     }
