@@ -12,7 +12,7 @@ use serial::{Line, Tty, VirtualLine};
 use crate::bus_port::BusPort;
 use crate::card;
 use crate::cell_file::CellFile;
-use crate::emulation::Emulation;
+use crate::emulation::{self, Emulation};
 use crate::interfaces::{self, Interface};
 use crate::wire::{Listener, Wire};
 
@@ -129,6 +129,7 @@ impl Bench {
                 if !can.is_empty() || serial.is_some() {
                     bail!("--can and --serial need --bench vcan or --bench card");
                 }
+                emulation::problems(file).next().map_or(Ok(()), Err)?;
                 let (mut emulation, ends) = Emulation::of(file);
                 let lines = emulated_lines(file, kind, &mut emulation, ends.lines)?;
                 let ports = ends.ports.into_iter().map(|port| Box::new(port) as _);

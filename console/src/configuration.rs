@@ -12,6 +12,10 @@ use controller::cell::Path;
 use drive::cia402::{Setting, reserved};
 
 use crate::cell_file::CellFile;
+use crate::input;
+
+/// Most values that are written to a drive before operation: each takes two exchanges of some milliseconds.
+const MOST_WRITES: usize = 4096;
 
 /// What a device configuration file asks for, and of which drive.
 pub(crate) struct Configuration {
@@ -35,7 +39,7 @@ impl Configuration {
         };
         let path = file.path.parent().unwrap_or(&file.path).join(name);
         let shown = path.display();
-        let bytes = std::fs::read(&path);
+        let bytes = input::read(&path, input::SHEET);
         let bytes = bytes.map_err(|error| file.refuse(&key, format_args!("{shown}: {error}")))?;
         let dcf = Eds::read(&bytes).map_err(|error| anyhow!("{shown}:{error}"))?;
 
@@ -78,6 +82,13 @@ impl Configuration {
         }
         check_reserved(&download, drive.vendor)
             .map_err(|(line, problem)| anyhow!("{shown}:{line}: {problem}"))?;
+        if download.writes.len() > MOST_WRITES {
+            let writes = download.writes.len();
+            let problem = format_args!(
+                "{shown} asks for {writes} writes, more than the {MOST_WRITES} that a drive may be given"
+            );
+            return Err(file.refuse(&key, problem));
+        }
         for write in &download.writes {
             let (line, object, size) = (write.line, write.object, write.data.len());
             if size > CAPACITY {

@@ -4,7 +4,7 @@ use std::fmt;
 
 use anyhow::{Context, bail};
 use can::{Claim, ClaimError};
-use controller::cell::Cell;
+use controller::cell::{Cell, quoted};
 use serial::service::Dialect;
 
 /// What begins the name of an slcan adapter.
@@ -86,6 +86,22 @@ impl Interface {
         }
     }
 
+    /// Refuses what no interface can be called.
+    pub(crate) fn check(&self) -> anyhow::Result<()> {
+        match self {
+            Self::SocketCan(name) if can::InterfaceName::new(name).is_none() => bail!(
+                "{} is no interface: 1 to 15 bytes without white space, slash or colon, or slcan:PATH",
+                quoted(name)
+            ),
+            Self::Slcan { path, .. } | Self::Epos { path, .. }
+                if path.is_empty() || path.contains(char::is_control) =>
+            {
+                bail!("{} names no tty", quoted(&self.to_string()))
+            }
+            Self::SocketCan(_) | Self::Slcan { .. } | Self::Epos { .. } => Ok(()),
+        }
+    }
+
     /// What a candump log calls the interface, as bus `bus` of the cell: paths are too long for it.
     pub(crate) fn log_name(&self, bus: usize) -> String {
         match self {
@@ -138,7 +154,11 @@ pub(crate) fn resolve(cell: &Cell, overrides: &[String]) -> anyhow::Result<Vec<I
         if let Some(first) = by[index].replace(given) {
             bail!("--can {given}: the bus is already given another by --can {first}");
         }
-        interfaces[index] = Interface::parse(interface);
+        let interface = Interface::parse(interface);
+        interface
+            .check()
+            .with_context(|| format!("--can {given}"))?;
+        interfaces[index] = interface;
     }
     Ok(interfaces)
 }
@@ -200,6 +220,40 @@ fn names(cell: &Cell) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_the_kernel_takes_for_no_name_is_no_interface() {
+        let good = [
+            "can0",
+            "vcan-7",
+            "a.b",
+            "slcan:/dev/ttyACM0",
+            "epos4:/dev/a@9600",
+        ];
+        for name in good {
+            assert!(Interface::parse(name).check().is_ok(), "{name}");
+        }
+        let bad = [
+            "",
+            ".",
+            "..",
+            "a b",
+            "a/b",
+            "a\0b",
+            "a\nb",
+            "can0:1",
+            "sixteen-bytes-16",
+            "\u{1b}[2J",
+            "slcan:",
+            "slcan:@9600",
+            "slcan:/dev/a\nb",
+            "epos2:",
+        ];
+        for name in bad {
+            let refused = Interface::parse(name).check().unwrap_err().to_string();
+            assert!(!refused.contains(char::is_control), "{refused:?}");
+        }
+    }
 
     #[test]
     fn adapters_and_service_ports_are_named_by_their_tty_and_its_speed() {

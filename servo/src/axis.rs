@@ -143,9 +143,10 @@ impl Axis {
         result
     }
 
-    /// Brakes a search that was stopped in the middle.
+    /// Brakes a search that was stopped in the middle. A lost axis keeps its last set-point.
     pub(crate) fn brake_search(&mut self, dt: f64) {
-        if let Some(search) = &mut self.search {
+        let lost = self.is_lost();
+        if let Some(search) = self.search.as_mut().filter(|_| !lost) {
             search.brake(&mut self.knot, dt);
         }
     }
@@ -172,11 +173,17 @@ impl Axis {
         }
     }
 
+    /// Whether its drive has a fault and is not heard any more.
+    pub(crate) fn is_lost(&self) -> bool {
+        self.state.fault.is_some() && self.state.age > 0
+    }
+
     /// Takes the motor for standing at the last set-point; or, if its loop is closed here, for what it
     /// was last seen to do, since torque does not stop at a set-point, nor in
-    /// deadlines `missed`.
+    /// deadlines `missed`. Where a lost axis is, its last velocity does not tell: it keeps its last set-point.
     pub(crate) fn rest(&mut self, missed: u32, dt: f64) {
-        let Some(host) = &mut self.host else {
+        let lost = self.is_lost();
+        let Some(host) = self.host.as_mut().filter(|_| !lost) else {
             self.knot.velocity = 0.0;
             self.commanded[1] = self.commanded[0];
             return;

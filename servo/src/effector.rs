@@ -42,7 +42,7 @@ pub(crate) struct Tick {
     pub(crate) overrun: Option<u32>,
     /// Periods since the last cycle: 1 and the deadlines missed.
     pub(crate) periods: u32,
-    /// Cycles in a row, up to the last, whose batch a bus did not take: its set-points are due again.
+    /// Cycles in a row, up to the last, whose batch a bus of this effector did not take: the set-points are due again.
     pub(crate) refused: u32,
 }
 
@@ -62,6 +62,8 @@ pub(crate) struct Effector {
     fault: Option<ServoFault>,
     segment: Option<Segment>,
     stop: StraightStop,
+    /// The present stop was restarted, because a bus took no set-point of the first one.
+    stop_restarted: bool,
     /// While [`State::Halting`]: the drives have come to rest.
     halted: bool,
     /// Number of the last macrostep begun.
@@ -100,6 +102,7 @@ impl Effector {
             fault: None,
             segment: None,
             stop: StraightStop::new(&[], &[], 1.0),
+            stop_restarted: false,
             halted: false,
             macrostep: 0,
             news: false,
@@ -168,6 +171,11 @@ impl Effector {
         }
     }
 
+    /// The drive group of each axis.
+    pub(crate) fn groups(&self) -> impl Iterator<Item = usize> {
+        self.axes.iter().map(|axis| axis.config.group)
+    }
+
     /// The command of each axis, with its group and the index in it.
     pub(crate) fn commands(&self) -> impl Iterator<Item = (usize, usize, AxisCommand)> {
         let command = |axis: &Axis| (axis.config.group, axis.config.index_in_group, axis.command);
@@ -195,9 +203,13 @@ impl Effector {
     /// Whether the set-points of the last cycle are due again, because a bus did not take them.
     fn is_held(&mut self, tick: &Tick) -> bool {
         if matches!(self.state, State::Braking(_)) && tick.refused > REFUSED_IN_STOP {
-            // Nobody hears where to brake, and the drives stand by now.
-            self.axes.iter_mut().for_each(|axis| axis.rest(0, tick.dt));
-            self.begin_stop(tick);
+            // The drives hear no set-point, and stand by now. The stop is restarted once: a restart in every cycle would
+            // never end while a motor is measured to move.
+            if !self.stop_restarted {
+                self.axes.iter_mut().for_each(|axis| axis.rest(0, tick.dt));
+                self.begin_stop(tick);
+                self.stop_restarted = true;
+            }
             return false;
         }
         let follows = matches!(
@@ -371,6 +383,7 @@ impl Effector {
             }
             (_, State::Braking(_)) => {
                 self.begin_stop(tick);
+                self.stop_restarted = false;
                 self.segment = None;
             }
             (_, State::Halting(_)) => self.halted = false,
@@ -482,9 +495,10 @@ impl Effector {
         }
     }
 
-    /// Takes the set-points of the straight stop.
+    /// Takes the set-points of the straight stop. A lost axis keeps its last one, since its drive hears no other.
     fn place_stop(&mut self) {
-        for (index, axis) in self.axes.iter_mut().enumerate() {
+        let axes = self.axes.iter_mut().enumerate();
+        for (index, axis) in axes.filter(|(_, axis)| !axis.is_lost()) {
             axis.knot = self.stop.at(index);
         }
     }

@@ -1,3 +1,5 @@
+//! The cycle of the servo.
+
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::task::Poll;
@@ -41,8 +43,6 @@ pub struct Servo {
     cycles: u64,
     /// When SYNC was sent last.
     sent: Option<Instant>,
-    /// Cycles in a row, up to the last, whose batch a bus did not take whole.
-    refused_in_row: u32,
     /// Missed since the last cycle, in a row up to it, and ever.
     missed: u32,
     missed_in_row: u32,
@@ -54,6 +54,20 @@ struct Group {
     states: Vec<AxisState>,
     commands: Vec<AxisCommand>,
     is_up: bool,
+    /// Cycles in a row, up to the last, whose batch the bus did not take whole.
+    refused_in_row: u32,
+}
+
+impl Group {
+    /// Cycles in a row, up to the last, whose set-points are due again. A group whose axes all have a fault has no
+    /// set-points: a bus that is gone holds up no stop.
+    fn refused(&self) -> u32 {
+        if self.states.iter().all(|state| state.fault.is_some()) {
+            0
+        } else {
+            self.refused_in_row
+        }
+    }
 }
 
 /// Asks a servo to brake every effector and switch it off; for Ctrl-C and the like.
@@ -136,6 +150,7 @@ impl Servo {
             states: vec![AxisState::default(); drives.axes()],
             commands: vec![AxisCommand::Off; drives.axes()],
             is_up: false,
+            refused_in_row: 0,
             drives,
         };
         let servo = Self {
@@ -148,7 +163,6 @@ impl Servo {
             recorder: None,
             cycles: 0,
             sent: None,
-            refused_in_row: 0,
             missed: 0,
             missed_in_row: 0,
             missed_ever: 0,
@@ -204,6 +218,11 @@ impl Servo {
         let tick = self.tick(now);
         for effector in &mut self.effectors {
             effector.set_states(|group, index| self.groups[group].states[index], &tick);
+            let refused = effector.groups().map(|group| self.groups[group].refused());
+            let tick = Tick {
+                refused: refused.max().unwrap_or(0),
+                ..tick
+            };
             effector.step(&tick);
             for (group, index, command) in effector.commands() {
                 self.groups[group].commands[index] = command;
@@ -226,20 +245,20 @@ impl Servo {
 
     /// Sends SYNC and what was prepared, on every bus.
     ///
-    /// If a bus does not take all of it, the next cycle repeats its set-points: motion is then late by a
-    /// period, and no drive is ever handed two steps at once.
+    /// After a refused batch the next cycle repeats the set-points of every effector with an axis on that bus. The motion
+    /// of these effectors is then late by a period, and no drive is ever handed two steps at once. Other effectors go on.
+    /// A bus whose axes all have a fault holds up nothing.
     #[cfg_attr(mrroc_rtsan, sanitize(realtime = "nonblocking"))]
     pub fn send(&mut self, now: Instant) {
         self.sent = Some(now);
-        let mut taken = true;
         for group in &mut self.groups {
-            taken &= group.drives.send(now);
+            let taken = group.drives.send(now);
+            group.refused_in_row = if taken {
+                0
+            } else {
+                group.refused_in_row.saturating_add(1)
+            };
         }
-        self.refused_in_row = if taken {
-            0
-        } else {
-            self.refused_in_row.saturating_add(1)
-        };
     }
 
     /// Says that `count` deadlines passed without a cycle since the last one.
@@ -276,7 +295,7 @@ impl Servo {
             stop: self.stop.is_requested(),
             open: self.gates.open_ones(),
             overrun: (row > self.max_missed_in_row).then_some(row),
-            refused: self.refused_in_row,
+            refused: 0,
         }
     }
 

@@ -439,6 +439,14 @@ impl Rig {
         }
     }
 
+    /// Disconnects the line of an axis for good, as an adapter that is unplugged does.
+    pub(crate) fn hang_up(&mut self, axis: usize) {
+        match self.drives[axis] {
+            DriveId::Node(_) => panic!("axis {axis} is on no serial line"),
+            DriveId::Line(line) => self.world.hang_up(line),
+        }
+    }
+
     /// The true angles of all motors, rad.
     pub(crate) fn angles(&self) -> Vec<f64> {
         (0..self.drives.len())
@@ -541,6 +549,14 @@ impl Rig {
 
     /// The same, looked at by `each` after each cycle.
     pub(crate) fn run_program_with(&mut self, mut each: impl FnMut(&Self)) -> Result<(), String> {
+        self.run_program_until(|rig| each(rig))
+    }
+
+    /// The same, disturbed by `each` after each cycle.
+    pub(crate) fn run_program_until(
+        &mut self,
+        mut each: impl FnMut(&mut Self),
+    ) -> Result<(), String> {
         let task = self.cell.task(0, &self.arm).expect("the program is sound");
         let link = self.link.take().expect("no program runs yet");
         let config = EcpConfig {

@@ -15,7 +15,7 @@ fn sheet() -> String {
 }
 
 /// The emulated drive's data sheet with lines put in below these headings, and the line, from 1, of the first of them.
-fn dcf(lines: &[(&str, &str)]) -> (String, usize) {
+pub(crate) fn dcf(lines: &[(&str, &str)]) -> (String, usize) {
     let mut text = sheet();
     for (section, line) in lines {
         let heading = format!("[{section}]\n");
@@ -29,7 +29,7 @@ fn dcf(lines: &[(&str, &str)]) -> (String, usize) {
 }
 
 /// A cell whose first axis has the DCF `motor.dcf`, with that axis changed.
-fn cell(directory: &Directory, dcf: &str, change: Change) -> PathBuf {
+pub(crate) fn cell(directory: &Directory, dcf: &str, change: Change) -> PathBuf {
     directory.write("motor.dcf", dcf);
     directory.cell("irb6", |cell| {
         shorten(cell);

@@ -1,5 +1,5 @@
 //! `mrroc run` on serial lines as a user sees it: in lockstep, on pseudo-terminals, and against an emulator in
-//! another process, which dies, or lives on while runs come and go.
+//! another process, which lives on while runs come and go.
 
 use std::fs;
 use std::path::Path;
@@ -45,6 +45,7 @@ fn serial_cells_run_in_lockstep_the_same_bit_for_bit() {
                 example(name).as_os_str(),
                 "--bench=lockstep".as_ref(),
                 "--json".as_ref(),
+                "--force".as_ref(),
                 "--record".as_ref(),
                 record.as_os_str(),
             ]);
@@ -77,6 +78,14 @@ fn serial_cells_run_by_the_wall_clock_on_pseudo_terminals() {
     }
 }
 
+/// A shorter program, and patience: the answers of another process come later on a loaded machine.
+pub(crate) fn patient(cell: &mut Cell) {
+    shorten(cell);
+    cell.serial[0].tolerated_missing = 10;
+    cell.serial[0].answer_timeout_ms = 500;
+    cell.max_missed_in_row = 100;
+}
+
 /// `mrroc emulate --serial` once all its ttys are there.
 pub(crate) fn emulate(cell: &Path, ttys: &Path) -> Running {
     let emulator = Running::start([
@@ -94,7 +103,7 @@ pub(crate) fn emulate(cell: &Path, ttys: &Path) -> Running {
     panic!("the emulator never came up");
 }
 
-fn run_on(cell: &Path, ttys: &Path, record: &Path) -> Running {
+pub(crate) fn run_on(cell: &Path, ttys: &Path, record: &Path) -> Running {
     Running::start([
         "run".as_ref(),
         cell.as_os_str(),
@@ -118,21 +127,15 @@ fn rows(record: &Path) -> Vec<(String, f64)> {
     rows.map(row).collect()
 }
 
-/// Ctrl-C, then runs again, and then kills the emulator.
+/// Ctrl-C, and then runs again.
 #[test]
-fn an_emulator_in_another_process_outlives_runs_and_a_run_does_not_outlive_it() {
+fn an_emulator_in_another_process_outlives_runs() {
     // Without a checksum, answers that a loaded machine hands over together count as damaged.
     let name = "irb6-serial";
     let directory = Directory::new();
-    let cell = directory.cell(name, |cell| {
-        shorten(cell);
-        // The answers of another process come later on a loaded machine.
-        cell.serial[0].tolerated_missing = 10;
-        cell.serial[0].answer_timeout_ms = 500;
-        cell.max_missed_in_row = 100;
-    });
+    let cell = directory.cell(name, patient);
     let ttys = directory.path("ttys");
-    let emulator = emulate(&cell, &ttys);
+    let _emulator = emulate(&cell, &ttys);
 
     let record = directory.path("first.csv");
     let run = run_on(&cell, &ttys, &record);
@@ -169,16 +172,4 @@ fn an_emulator_in_another_process_outlives_runs_and_a_run_does_not_outlive_it() 
         way < STILL,
         "{name}: found {way:.3} rad from where it was left"
     );
-
-    let record = directory.path("third.csv");
-    let run = run_on(&cell, &ttys, &record);
-    run.wait_for(&record, moving);
-    emulator.signal("KILL");
-    let run = run.output();
-    assert_eq!(run.status.code(), Some(1), "{run:?}");
-    let report = run.json();
-    assert_eq!(report["outcome"], "faulted", "{report}");
-    let faults = report["faults"].to_string();
-    let named = ["line is gone", "no answer to be believed"];
-    assert!(named.iter().any(|name| faults.contains(name)), "{faults}");
 }

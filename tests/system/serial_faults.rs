@@ -3,12 +3,14 @@
 
 use std::time::Duration;
 
-use drive::Fault;
 use drive::axis_controller::AxisControllerFault;
+use drive::{AxisCommand, Fault};
 use hil::{LineFaults, PlantConfig, Stuck, WireFaults};
+use serial::LineError;
 use servo::{Order, Phase, ServoFault, StopCause};
 
 use crate::cell::Setup;
+use crate::motion::Motion;
 use crate::mrroc::SERIAL_CELLS;
 
 /// How far a motor without power runs on from [`Motion::VELOCITY`], with friction alone to stop it, rad.
@@ -66,6 +68,73 @@ fn a_line_that_hangs_in_motion_stops_the_arm_by_the_name_of_its_axis() {
                     "{cell}, {how:?}, {direction}"
                 );
             }
+        }
+    }
+}
+
+/// Longest time from a lost line to drives that are told to be off: the stop from full speed, and the standstill wait of
+/// drives that may brake by themselves.
+const STOPPED: Duration = Duration::from_millis(350);
+
+#[test]
+fn a_line_that_hangs_up_in_motion_stops_the_arm_in_time_and_is_the_cause() {
+    for cell in SERIAL_CELLS {
+        for lost in [vec![0], vec![2], vec![4], vec![1, 3], vec![0, 1, 2, 3, 4]] {
+            let mut rig = Setup::of(cell).bring_up();
+            rig.home();
+            let mut motion = rig.in_motion();
+            let start = rig.angles();
+            lost.iter().for_each(|axis| rig.hang_up(*axis));
+            let hung_up = rig.now;
+            while rig.servo.fault(0).is_none() {
+                rig.feed(&mut motion);
+                rig.cycle();
+            }
+            let ServoFault { axis, cause } = rig.servo.fault(0).unwrap();
+            let gone = AxisControllerFault::Line(LineError::Gone);
+            let line = lost[0] as u8;
+            assert_eq!(axis, Some(line), "{cell}, lines {lost:?}");
+            assert_eq!(of_line(cause), Some((line, gone)), "{cell}");
+            let believed = rig.last.axis[lost[0]].commanded;
+            while rig.phase() != Phase::Faulted {
+                rig.cycle();
+                let waited = rig.now.since(hung_up);
+                assert!(waited < STOPPED, "{cell}, lines {lost:?}: {waited:?}");
+                let commanded = rig.last.axis[lost[0]].commanded;
+                assert_eq!(commanded, believed, "{cell}, lines {lost:?}");
+            }
+            rig.cycle();
+            let axes = &rig.last.axis[..start.len()];
+            let off = axes.iter().all(|axis| axis.command == AxisCommand::Off);
+            assert!(off, "{cell}, lines {lost:?}: every axis is told to be off");
+            // Where no line is left, nobody can open the circuit of the cabinet.
+            if lost.len() < start.len() {
+                rig.at_rest(&start, RUN_OUT + STOPPED.as_secs_f64() * Motion::VELOCITY);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_program_whose_line_hangs_up_ends_with_that_cause() {
+    for cell in SERIAL_CELLS {
+        for lost in [2..3, 0..5] {
+            let mut rig = Setup::of(cell).bring_up();
+            let mut moving = 0;
+            let mut hung_up = None;
+            let first = lost.start;
+            let why = rig.run_program_until(|rig| {
+                moving += u32::from(rig.phase() == Phase::Moving);
+                if moving == 100 && hung_up.is_none() {
+                    hung_up = Some(rig.now);
+                    lost.clone().for_each(|axis| rig.hang_up(axis));
+                }
+            });
+            let why = why.unwrap_err();
+            let cause = format!("axis {first}: line {first}: line is gone: open it anew");
+            assert_eq!(why, cause, "{cell}");
+            let took = rig.now.since(hung_up.expect("the program moved"));
+            assert!(took < STOPPED, "{cell}: {took:?}");
         }
     }
 }

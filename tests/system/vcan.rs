@@ -123,6 +123,7 @@ impl Stage<'_> {
             "--can".into(),
             self.interface.into(),
             "--json".into(),
+            "--force".into(),
             "--record".into(),
             path("states.csv"),
             "--trace".into(),

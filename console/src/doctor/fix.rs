@@ -174,7 +174,7 @@ fn timing(value: &str) -> Option<(u32, Option<f64>)> {
     Some((bitrate, point))
 }
 
-/// Refuses an interface that somebody receives on, such as an arm's controller.
+/// Refuses an interface on which another process receives, such as the controller of an arm.
 fn unheard(tree: &Tree, interface: &str) -> anyhow::Result<()> {
     ensure!(
         !is_heard(tree, interface),

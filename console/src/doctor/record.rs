@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::fix::Knob;
 use super::tree;
+use crate::input::{self, InputError};
 
 /// What was set, and what it was before; none for a file that was not there.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -36,11 +37,11 @@ impl Record {
         if lock.try_lock().is_err() {
             bail!("{}: another doctor is at work with it", shown());
         }
-        let changes = match fs::read_to_string(&path) {
-            Err(error) if error.kind() == ErrorKind::NotFound => Vec::new(),
-            text => {
-                let text = text.with_context(shown)?;
-                serde_json::from_str(&text)
+        let changes = match input::read(&path, input::RECORD) {
+            Err(InputError::Os(error)) if error.kind() == ErrorKind::NotFound => Vec::new(),
+            bytes => {
+                let bytes = bytes.with_context(shown)?;
+                serde_json::from_slice(&bytes)
                     .with_context(|| format!("{}: no record of changes", shown()))?
             }
         };

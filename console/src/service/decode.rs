@@ -1,13 +1,17 @@
 //! Frames in words.
 //!
-//! [`Decoder::describe`] is a function of the frame and of what is known of the bus beforehand: what its PDOs carry
-//! and whose error codes its nodes send. It keeps nothing between frames: the segments of an SDO transfer are shown
-//! without their object, and those of a block, which begin with their number, as what that number would otherwise mean.
+//! [`Decoder::describe`] is a function of the frame, of the frames before, and of what is known of the bus beforehand:
+//! what its PDOs carry and whose error codes its nodes send. Of the frames before, the decoder keeps the SDO transfer
+//! that is under way with each node, since a segment of a block looks like any command. Where the beginning of a
+//! transfer was not seen, the text says "unknown" instead of a guess.
 
 mod block;
 mod lss;
+mod transfer;
 
-use can::Frame;
+use std::collections::BTreeMap;
+
+use can::{Frame, Instant};
 use canopen::cia402::FaultTable;
 use canopen::emcy::Emergency;
 use canopen::guarding;
@@ -23,6 +27,7 @@ use serde::Serialize;
 use super::pdo_map::{Pdo, PdoMap};
 use super::value::Shown;
 use super::words;
+use transfer::{Channel, Reading};
 
 /// What a frame is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
@@ -73,11 +78,15 @@ pub(crate) struct Described {
     pub(crate) text: String,
 }
 
-/// What is known of a bus before its frames.
+/// What is known of a bus. By default no SDO transfer is under way.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Decoder {
     pdos: PdoMap,
-    vendors: std::collections::BTreeMap<NodeId, u32>,
+    vendors: BTreeMap<NodeId, u32>,
+    /// SDO channels that were heard.
+    channels: BTreeMap<NodeId, Channel>,
+    /// Since when every frame was seen; always if `None`.
+    complete_since: Option<Instant>,
 }
 
 impl Decoder {
@@ -91,12 +100,26 @@ impl Decoder {
         self.vendors.insert(node, vendor);
     }
 
+    /// Says that frames before `at` were not seen: the beginning of the listening, or a loss of frames.
+    pub(super) fn begin(&mut self, at: Instant) {
+        self.channels.clear();
+        self.complete_since = Some(at);
+    }
+
+    fn channel(&mut self, node: NodeId) -> &mut Channel {
+        let channel = || match self.complete_since {
+            None => Channel::idle(node),
+            Some(began) => Channel::listened_to_since(node, began),
+        };
+        self.channels.entry(node).or_insert_with(channel)
+    }
+
     fn faults(&self, node: NodeId) -> FaultTable {
         words::fault_table(self.vendors.get(&node).copied())
     }
 
-    /// The frame in words.
-    pub(crate) fn describe(&self, frame: &Frame) -> Described {
+    /// The frame in words; it came at `at`.
+    pub(crate) fn describe(&mut self, frame: &Frame, at: Instant) -> Described {
         let other = |what: &str| Described {
             kind: Kind::Other,
             node: None,
@@ -129,8 +152,12 @@ impl Decoder {
             cob::Function::Time => (Kind::Time, None, time(frame)),
             cob::Function::Emcy(node) => (Kind::Emcy, Some(node), self.emcy(frame)),
             cob::Function::Heartbeat(node) => (Kind::Heartbeat, Some(node), heartbeat(frame)),
-            cob::Function::SdoRequest(node) => (Kind::Sdo, Some(node), self.request(frame, node)),
-            cob::Function::SdoResponse(node) => (Kind::Sdo, Some(node), self.response(frame, node)),
+            cob::Function::SdoRequest(node) => {
+                (Kind::Sdo, Some(node), self.request(frame, node, at))
+            }
+            cob::Function::SdoResponse(node) => {
+                (Kind::Sdo, Some(node), self.response(frame, node, at))
+            }
             cob::Function::Tpdo(number, node) => {
                 let text = unmapped("TPDO", number.offset(), frame.data());
                 (Kind::Pdo, Some(node), Some(text))
@@ -214,8 +241,14 @@ impl Decoder {
         })
     }
 
-    fn request(&self, frame: &Frame, node: NodeId) -> Option<String> {
-        Some(match Request::decode(frame, node)? {
+    fn request(&mut self, frame: &Frame, node: NodeId, at: Instant) -> Option<String> {
+        let request = Request::decode(frame, node)?;
+        let transferred = match self.channel(node).request(frame, at) {
+            Reading::Command(object) => object,
+            Reading::BlockSegment(object) => return Some(block::segment(frame, object)),
+            Reading::Unknown => return Some(block::unknown(frame, "a command")),
+        };
+        Some(match request {
             Request::InitiateUpload { object } => format!("read {}", named(object)),
             Request::InitiateDownload { object, initiate } => match initiate {
                 Initiate::Expedited(data) => {
@@ -232,17 +265,21 @@ impl Decoder {
                     format!("write {} in segments", named(object))
                 }
             },
-            Request::DownloadSegment(segment) => segment_text(&segment),
+            Request::DownloadSegment(segment) => segment_text(&segment, transferred),
             Request::UploadSegment { .. } => "next segment, please".to_owned(),
             Request::Abort { object, code } => format!("client aborts {}: {code}", named(object)),
-            Request::Unsupported(_) => {
-                block::request(frame, node).unwrap_or_else(|| block::segment(frame))
-            }
+            Request::Unsupported(_) => block::request(frame, node).unwrap_or_else(|| odd(frame)),
         })
     }
 
-    fn response(&self, frame: &Frame, node: NodeId) -> Option<String> {
-        Some(match Response::decode(frame, node)? {
+    fn response(&mut self, frame: &Frame, node: NodeId, at: Instant) -> Option<String> {
+        let response = Response::decode(frame, node)?;
+        let transferred = match self.channel(node).response(frame, at) {
+            Reading::Command(object) => object,
+            Reading::BlockSegment(object) => return Some(block::segment(frame, object)),
+            Reading::Unknown => return Some(block::unknown(frame, "an answer")),
+        };
+        Some(match response {
             Response::InitiateUpload { object, initiate } => match initiate {
                 Initiate::Expedited(data) => {
                     format!(
@@ -257,12 +294,10 @@ impl Decoder {
                 Initiate::Segmented { size: None } => format!("{} in segments", named(object)),
             },
             Response::InitiateDownload { object } => format!("{} taken", named(object)),
-            Response::UploadSegment(segment) => segment_text(&segment),
+            Response::UploadSegment(segment) => segment_text(&segment, transferred),
             Response::DownloadSegment { .. } => "segment taken".to_owned(),
             Response::Abort { object, code } => format!("aborts {}: {code}", named(object)),
-            Response::Unsupported(_) => {
-                block::response(frame, node).unwrap_or_else(|| block::segment(frame))
-            }
+            Response::Unsupported(_) => block::response(frame, node).unwrap_or_else(|| odd(frame)),
         })
     }
 
@@ -303,12 +338,18 @@ fn bytes(data: &[u8]) -> String {
     bytes.join(" ")
 }
 
-fn segment_text(segment: &Segment) -> String {
+/// An SDO frame that CiA 301 does not know.
+fn odd(frame: &Frame) -> String {
+    format!("unknown command specifier: {}", bytes(frame.data()))
+}
+
+fn segment_text(segment: &Segment, object: Option<Object>) -> String {
     let last = if segment.last {
         "last segment"
     } else {
         "segment"
     };
+    let of = object.map_or(String::new(), |object| format!(" of {}:", named(object)));
     let printable = segment
         .data()
         .iter()
@@ -318,7 +359,7 @@ fn segment_text(segment: &Segment) -> String {
     } else {
         String::new()
     };
-    format!("{last} {}{text}", bytes(segment.data()))
+    format!("{last}{of} {}{text}", bytes(segment.data()))
 }
 
 fn nmt(frame: &Frame) -> Option<String> {

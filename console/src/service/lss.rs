@@ -35,8 +35,9 @@ pub(crate) enum Action {
     Scan {
         #[command(flatten)]
         bus: BusArgs,
-        /// How long each of the 133 questions for a node waits, ms: longer than the slowest node's answer and the
-        /// latency of the interface. [default: 20, or 50 on slcan]
+        /// How long each of the 134 questions for a node waits, ms: longer than the slowest node's answer and the
+        /// latency of the interface. Twice as many questions are asked where a node answers the scan although it was
+        /// found, as CANopenNode's do. [default: 20, or 50 on slcan]
         #[arg(long, value_name = "MS")]
         timeout: Option<u64>,
         /// Print one JSON object.
@@ -180,14 +181,17 @@ fn scan(bus: &BusArgs, timeout: Option<Duration>, json: bool) -> anyhow::Result<
     if bus.hold(&mut dialogue)? == Ended::Interrupted {
         return Ok(interrupted());
     }
-    let answers = dialogue.result()?;
-    let found: Vec<_> = answers.iter().filter_map(found).collect();
+    let (found, failed) = dialogue.found();
     if json {
+        // An incomplete list has no form of its own.
+        if let Some(error) = failed {
+            return Err(error.into());
+        }
         let unconfigured = found.iter().map(Found::of).collect();
         say(serde_json::to_string(&Unconfigured { unconfigured })?)?;
         return Ok(ExitCode::SUCCESS);
     }
-    if found.is_empty() {
+    if found.is_empty() && failed.is_none() {
         say("every node that knows LSS has a node-ID")?;
     }
     for identity in found {
@@ -195,14 +199,7 @@ fn scan(bus: &BusArgs, timeout: Option<Duration>, json: bool) -> anyhow::Result<
             words::vendor(identity.vendor).map_or(String::new(), |name| format!(" ({name})"));
         say(format_args!("no node-ID: {}{vendor}", written(&identity)))?;
     }
-    Ok(ExitCode::SUCCESS)
-}
-
-fn found(answer: &Answer) -> Option<Identity> {
-    match answer {
-        Answer::Found(found) => *found,
-        _ => None,
-    }
+    failed.map_or(Ok(ExitCode::SUCCESS), |error| Err(error.into()))
 }
 
 fn inquire(slave: &Slave, json: bool) -> anyhow::Result<ExitCode> {
@@ -285,14 +282,24 @@ pub(super) struct Dialogue {
     services: VecDeque<(Service, Duration)>,
     answers: Vec<Answer>,
     failed: Option<LssError>,
-    /// Whether a fastscan that found somebody is followed by the next.
-    scanning: Option<Duration>,
+    scanning: Option<Scanning>,
     /// Whose boot ends it.
     expected: Option<NodeId>,
     pub(super) booted: bool,
     /// Whether a service is under way.
     busy: bool,
     ending: Ending,
+}
+
+/// How a scan goes on behind a node that it found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Scanning {
+    /// For each question.
+    timeout: Duration,
+    /// The node found last.
+    last: Option<Identity>,
+    /// All nodes are in waiting mode during a scan, and those found before are passed over.
+    above: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -332,7 +339,8 @@ impl Dialogue {
         .not_scanning()
     }
 
-    /// With every slave without a node-ID: one that was found leaves the scan, for it is in configuration mode.
+    /// With every slave without a node-ID. A slave that was found is in configuration mode and should be silent from then
+    /// on. If one is not, the scan goes on with all slaves in waiting mode, each time above the identity found last.
     pub(super) fn scan(timeout: Duration) -> Self {
         let services = [
             (Service::SwitchGlobal(Mode::Waiting), SWITCHING),
@@ -343,7 +351,11 @@ impl Dialogue {
             services: services.into(),
             answers: Vec::new(),
             failed: None,
-            scanning: Some(timeout),
+            scanning: Some(Scanning {
+                timeout,
+                last: None,
+                above: false,
+            }),
             expected: None,
             booted: false,
             busy: false,
@@ -368,6 +380,15 @@ impl Dialogue {
     /// The answers, in the order of the services.
     pub(super) fn result(self) -> Result<Vec<Answer>, LssError> {
         self.failed.map_or(Ok(self.answers), Err)
+    }
+
+    /// The nodes that a scan found, in the order of their identities, and why it ended early, if it did.
+    pub(super) fn found(self) -> (Vec<Identity>, Option<LssError>) {
+        let found = self.answers.iter().filter_map(|answer| match answer {
+            Answer::Found(found) => *found,
+            _ => None,
+        });
+        (found.collect(), self.failed)
     }
 
     /// Takes what the service has come to and starts the next.
@@ -401,21 +422,51 @@ impl Dialogue {
     }
 
     fn take(&mut self, result: Result<Answer, LssError>) {
-        match result {
-            Err(error) => {
+        let scanning = self.scanning.as_mut();
+        match (result, scanning) {
+            // A slave in configuration mode that is not silent, or one that was found and stayed in waiting mode.
+            (Err(LssError::Untrue), Some(scanning))
+                if scanning.last.is_some() && !scanning.above =>
+            {
+                scanning.above = true;
+                self.scan_on();
+            }
+            (Ok(Answer::Found(Some(found))), Some(scanning)) if scanning.last == Some(found) => {
+                scanning.above = true;
+                self.scan_on();
+            }
+            (Err(error), _) => {
                 self.failed.get_or_insert(error);
                 self.services.clear();
             }
-            Ok(answer) => {
-                // Somebody found twice would be found for ever.
-                let fresh = !self.answers.contains(&answer) && self.answers.len() < MOST_FOUND;
-                if let (Some(timeout), Answer::Found(Some(_)), true) =
-                    (self.scanning, answer, fresh)
-                {
-                    self.services.push_back((Service::Fastscan, timeout));
-                }
+            (Ok(answer @ Answer::Found(Some(found))), Some(scanning)) => {
+                scanning.last = Some(found);
                 self.answers.push(answer);
+                let is_find = |answer: &&Answer| matches!(answer, Answer::Found(Some(_)));
+                if self.answers.iter().filter(is_find).count() < MOST_FOUND {
+                    self.scan_on();
+                }
             }
+            (Ok(answer), _) => self.answers.push(answer),
+        }
+    }
+
+    /// The scan for the next slave.
+    fn scan_on(&mut self) {
+        let Some(Scanning {
+            timeout,
+            last,
+            above,
+        }) = self.scanning
+        else {
+            return;
+        };
+        match last.filter(|_| above) {
+            Some(last) => self.services.extend([
+                (Service::SwitchGlobal(Mode::Waiting), SWITCHING),
+                (Service::FastscanAbove(last), timeout),
+            ]),
+            None => self.services.push_back((Service::Fastscan, timeout)),
         }
     }
 }

@@ -82,7 +82,7 @@ pub(crate) fn monitor(options: &Options) -> anyhow::Result<ExitCode> {
             decoder.add_pdos(questions.into_map());
         }
     }
-    match watch(&mut bus, &decoder, options) {
+    match watch(&mut bus, &mut decoder, options) {
         Err(error) if is_broken_pipe(&error) => Ok(ExitCode::SUCCESS),
         watched => watched.map(|()| ExitCode::SUCCESS),
     }
@@ -117,13 +117,14 @@ fn of_cell(bus: &Bus) -> Decoder {
     decoder
 }
 
-fn watch(bus: &mut Bus, decoder: &Decoder, options: &Options) -> anyhow::Result<()> {
+fn watch(bus: &mut Bus, decoder: &mut Decoder, options: &Options) -> anyhow::Result<()> {
     let mut received = [Received {
         frame: Sync::default().encode(),
         at: Instant::ZERO,
     }; 256];
     let mut out = BufWriter::new(std::io::stdout());
     let began = now();
+    decoder.begin(began);
     let mut left = options.count.unwrap_or(u64::MAX);
     let mut health = Health::default();
     while left > 0 && !bus.interrupted.load(Ordering::Relaxed) {
@@ -136,8 +137,12 @@ fn watch(bus: &mut Bus, decoder: &Decoder, options: &Options) -> anyhow::Result<
             .port
             .receive(clock::now(), &mut received)
             .with_context(on)?;
+        if health.has_lost(bus) {
+            // Which of the frames came before the loss is not known.
+            decoder.begin(clock::now());
+        }
         for Received { frame, at } in &received[..count] {
-            let described = decoder.describe(frame);
+            let described = decoder.describe(frame, *at);
             if left == 0 || !options.wants(described.kind) {
                 continue;
             }
@@ -170,6 +175,11 @@ struct Health {
 }
 
 impl Health {
+    /// Whether frames were lost since the last news.
+    fn has_lost(&self, bus: &Bus) -> bool {
+        bus.port.counters().dropped > self.dropped
+    }
+
     fn news(&mut self, bus: &Bus) -> Option<String> {
         let (state, dropped) = (bus.port.state(), bus.port.counters().dropped);
         let lost = dropped - self.dropped;

@@ -28,7 +28,7 @@ use can::Instant;
 use servo::{EffectorLink, Macrostep, Order, Phase, Report};
 
 use crate::generator::{
-    Arm, AxesState, EffectorImage, Execution, GeneratorError, ImageSource, Setpoint, Step,
+    Arm, Axes, AxesState, EffectorImage, Execution, GeneratorError, ImageSource, Setpoint, Step,
 };
 
 pub use error::EcpError;
@@ -238,6 +238,11 @@ impl Ecp {
         self.effector.effector()
     }
 
+    /// Motor positions that the effector was commanded to take when it last reported, rad; `None` before any report.
+    pub fn commanded(&self) -> Option<Axes> {
+        self.report.map(|report| report.commanded)
+    }
+
     /// Takes in what the servo reported, does what is due at `now` and tells if an instruction ended.
     ///
     /// Call it again while it returns an event, and often enough: generators that read the effector need it
@@ -271,9 +276,14 @@ impl Ecp {
     }
 
     fn fault(&self) -> EcpError {
+        self.cause_of(EcpError::Faulted)
+    }
+
+    /// The fault that began a stop, where the stop ends in `consequence`: the cause is reported, not what followed from it.
+    fn cause_of(&self, consequence: EcpError) -> EcpError {
         self.report
             .and_then(|report| report.fault)
-            .map_or(EcpError::Faulted, EcpError::Servo)
+            .map_or(consequence, EcpError::Servo)
     }
 
     fn end(&mut self, outcome: Result<(), EcpError>) -> Event {
@@ -427,7 +437,8 @@ impl Ecp {
             Activity::Running { .. } | Activity::Arriving => self.advance_motion(now),
             Activity::Stopping { since: None, .. } => {
                 let waited = now.since(self.heard);
-                (waited > self.config.switching).then_some(Err(EcpError::Silent { waited }))
+                (waited > self.config.switching)
+                    .then(|| Err(self.cause_of(EcpError::Silent { waited })))
             }
             Activity::Stopping {
                 since: Some(since),
@@ -441,7 +452,7 @@ impl Ecp {
                     Some(outcome)
                 } else {
                     (waited > self.config.switching)
-                        .then_some(Err(EcpError::TimedOut { phase, waited }))
+                        .then(|| Err(self.cause_of(EcpError::TimedOut { phase, waited })))
                 }
             }
         }

@@ -20,9 +20,31 @@ struct Slave {
     position: u8,
     /// Parts that a selective switch has named rightly so far.
     selected: u8,
+    oddity: Oddity,
+}
+
+/// How a slave deviates from CiA 305.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+enum Oddity {
+    #[default]
+    None,
+    /// Once in configuration mode, it answers every question of a fastscan, as CANopenNode's slave does.
+    AnswersConfigured,
+    /// It answers every question of a fastscan in either mode.
+    AnswersAlways,
+    /// The end of a fastscan does not put it into configuration mode.
+    StaysWaiting,
 }
 
 impl Slave {
+    fn answers_anything(&self) -> bool {
+        match self.oddity {
+            Oddity::None | Oddity::StaysWaiting => false,
+            Oddity::AnswersConfigured => self.configuring,
+            Oddity::AnswersAlways => true,
+        }
+    }
+
     fn take(&mut self, request: [u8; 8]) -> Option<[u8; 8]> {
         let [specifier, first, ..] = request;
         let value = u32::from_le_bytes([request[1], request[2], request[3], request[4]]);
@@ -40,6 +62,7 @@ impl Slave {
                 }
             }
             0x4C if self.node_id == 0xFF => return reply(0x50),
+            0x51 if self.node_id == 0xFF && self.answers_anything() => return reply(0x4F),
             0x51 if self.node_id == 0xFF && !self.configuring => {
                 let [bit, sub, next] = [request[5], request[6], request[7]];
                 if bit == 0x80 {
@@ -49,7 +72,7 @@ impl Slave {
                 let differ = self.identity[usize::from(self.position)] ^ value;
                 if sub == self.position && differ >> bit == 0 {
                     if bit == 0 {
-                        self.configuring = next < sub;
+                        self.configuring = next < sub && self.oddity != Oddity::StaysWaiting;
                         self.position = next;
                     }
                     return reply(0x4F);
@@ -145,6 +168,7 @@ fn slaves() -> impl Strategy<Value = Vec<Slave>> {
                     configuring: false,
                     position: 0,
                     selected: 0,
+                    oddity: Oddity::None,
                 },
             )
             .collect();
@@ -200,8 +224,46 @@ proptest! {
     }
 }
 
+proptest! {
+    #[test]
+    fn every_slave_is_found_above_the_one_before(mut slaves in slaves(), odd in any::<bool>()) {
+        for slave in &mut slaves {
+            slave.oddity = if odd { Oddity::AnswersConfigured } else { Oddity::StaysWaiting };
+        }
+        let mut master = Master::new();
+        let mut now = Instant::ZERO;
+        let mut service = Service::Fastscan;
+        let unconfigured: Vec<_> =
+            slaves.iter().filter(|slave| slave.node_id == 0xFF).map(|slave| slave.identity).collect();
+        for expected in unconfigured {
+            let expected = identity(expected);
+            let mut ask = |service| run(&mut master, &mut slaves, service, &mut now);
+            prop_assert_eq!(ask(service), Ok(Answer::Found(Some(expected))));
+            prop_assert_eq!(ask(Service::SwitchGlobal(Mode::Waiting)), Ok(Answer::Done));
+            service = Service::FastscanAbove(expected);
+        }
+        prop_assert_eq!(run(&mut master, &mut slaves, service, &mut now), Ok(Answer::Found(None)));
+    }
+
+    #[test]
+    fn a_slave_that_answers_everything_is_never_found_and_hides_the_others(
+        mut slaves in slaves(), above in any::<[u32; 4]>(), always in any::<bool>(),
+    ) {
+        let Some(first) = slaves.first_mut() else { return Ok(()) };
+        first.node_id = 0xFF;
+        first.configuring = true;
+        first.oddity = if always { Oddity::AnswersAlways } else { Oddity::AnswersConfigured };
+        for service in [Service::Fastscan, Service::FastscanAbove(identity(above))] {
+            let mut now = Instant::ZERO;
+            let scanned = run(&mut Master::new(), &mut slaves, service, &mut now);
+            prop_assert_eq!(scanned, Err(LssError::Untrue));
+            prop_assert_eq!(now.since(Instant::ZERO), 3 * TIME_OUT);
+        }
+    }
+}
+
 #[test]
-fn a_fastscan_takes_133_time_outs() {
+fn a_fastscan_takes_134_time_outs() {
     let slave = Slave {
         identity: [0xFB, 0x6552_0000, 0x0170_0000, 0x1234_5678],
         node_id: 0xFF,
@@ -209,6 +271,7 @@ fn a_fastscan_takes_133_time_outs() {
         configuring: false,
         position: 0,
         selected: 0,
+        oddity: Oddity::None,
     };
     let mut now = Instant::ZERO;
     let found = run(
@@ -218,5 +281,5 @@ fn a_fastscan_takes_133_time_outs() {
         &mut now,
     );
     assert_eq!(found, Ok(Answer::Found(Some(identity(slave.identity)))));
-    assert_eq!(now.since(Instant::ZERO), 133 * TIME_OUT);
+    assert_eq!(now.since(Instant::ZERO), 134 * TIME_OUT);
 }

@@ -1,3 +1,5 @@
+//! Faults of an axis, and errors of bring-up.
+
 use std::fmt;
 use std::time::Duration;
 

@@ -1,3 +1,5 @@
+//! The contract of a drive group.
+
 use std::task::Poll;
 
 use can::{Counters, Instant};
@@ -37,8 +39,9 @@ pub trait DriveGroup: Send {
     /// [`send`](Self::send) will hand over. A batch that was not sent is replaced, never queued.
     fn write(&mut self, now: Instant, commands: &[AxisCommand]);
 
-    /// Sends SYNC and the batch; whether the port took all of it. What it refuses is dropped and
-    /// counted, and the servo repeats its set-points instead of going on to the next ones.
+    /// Sends SYNC and the batch; whether the port took every set-point. What it refuses is dropped and
+    /// counted, and the servo repeats its set-points instead of going on to the next ones. An axis with a latched
+    /// fault follows no set-point: a group that knows what was for which axis leaves such axes out of the answer.
     fn send(&mut self, now: Instant) -> bool;
 
     /// What the group has counted.

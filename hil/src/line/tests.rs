@@ -1,3 +1,5 @@
+//! Byte times, latency and faults of the emulated line.
+
 use super::*;
 use serial::{Line, VirtualLine, virtual_line};
 use std::collections::VecDeque;
@@ -276,4 +278,17 @@ fn a_device_that_is_never_content_does_not_stop_time() {
     let mut line = SerialLine::new(SETTINGS, None, Box::new(Restless));
     line.advance(at(1000));
     assert!(line.next_event().unwrap() > at(1000));
+}
+
+#[test]
+fn a_line_that_hung_up_carries_nothing_either_way() {
+    let mut rig = rig(None, Duration::from_micros(300));
+    rig.host.write(at(0), b"ab").unwrap();
+    rig.reads(at(5));
+    rig.line.hang_up();
+    let gone = Err(serial::LineError::Gone);
+    assert_eq!(rig.host.write(at(10), b"c"), gone);
+    rig.line.advance(at(10_000));
+    assert_eq!(rig.heard().len(), 1, "the byte that was on the wire");
+    assert_eq!(rig.host.read(at(10_000), &mut [0; 8]), gone);
 }

@@ -92,6 +92,8 @@ pub struct World {
     pub panic: bool,
     /// Batches that the bus does not take.
     pub refuses: u32,
+    /// The bus is gone: every read says [`FAULT`] of every drive, and no batch is taken.
+    pub gone: bool,
     /// What each call of `write` takes, by the wall clock.
     pub work: Duration,
 }
@@ -345,7 +347,13 @@ impl DriveGroup for Scripted {
     }
 
     fn read(&mut self, _: Instant, states: &mut [AxisState]) {
-        for (state, drive) in states.iter_mut().zip(&self.world().axes) {
+        let mut world = self.world();
+        let gone = world.gone;
+        for (state, drive) in states.iter_mut().zip(&mut world.axes) {
+            if gone {
+                drive.seen.age += 1;
+                drive.seen.fault = Some(FAULT);
+            }
             *state = drive.seen;
         }
     }
@@ -365,8 +373,13 @@ impl DriveGroup for Scripted {
 
     fn send(&mut self, _: Instant) -> bool {
         let mut world = self.world();
+        if world.gone {
+            return false;
+        }
         if world.refuses > 0 {
             world.refuses -= 1;
+            // Without a SYNC there is no answer.
+            world.axes.iter_mut().for_each(|drive| drive.seen.age += 1);
             return false;
         }
         for (drive, command) in world.axes.iter_mut().zip(&self.written) {

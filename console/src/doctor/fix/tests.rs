@@ -1,3 +1,5 @@
+//! Fixes, and their record.
+
 use std::fs;
 
 use super::super::mend::undo;

@@ -1,10 +1,10 @@
 //! SDO block transfer in words.
 
 use can::Frame;
-use canopen::NodeId;
 use canopen::sdo::block;
+use canopen::{NodeId, Object};
 
-use super::{bytes, named};
+use super::{bytes, named, transfer};
 
 pub(super) fn request(frame: &Frame, node: NodeId) -> Option<String> {
     use block::Request::{
@@ -39,8 +39,29 @@ pub(super) fn response(frame: &Frame, node: NodeId) -> Option<String> {
     })
 }
 
-pub(super) fn segment(frame: &Frame) -> String {
-    format!("segment of a block: {}", bytes(frame.data()))
+/// A segment of a block of `object`, where that is known.
+pub(super) fn segment(frame: &Frame, object: Option<Object>) -> String {
+    let last = if transfer::is_last(frame) {
+        "last segment"
+    } else {
+        "segment"
+    };
+    let of = object.map_or("a block".to_owned(), named);
+    let data = frame.data().get(1..).unwrap_or_default();
+    format!(
+        "{last} {} of {of}: {}",
+        transfer::number(frame),
+        bytes(data)
+    )
+}
+
+/// A frame that may be a segment of a block, or else `other`.
+pub(super) fn unknown(frame: &Frame, other: &str) -> String {
+    format!(
+        "unknown, {other} or segment {} of a block: {}",
+        transfer::number(frame),
+        bytes(frame.data())
+    )
 }
 
 fn of_size(size: Option<u32>) -> String {

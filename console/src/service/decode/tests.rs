@@ -1,8 +1,12 @@
+//! Frames in words.
+
 use can::{ExtendedId, StandardId};
 use canopen::objects::{POSITION_ACTUAL, STATUSWORD, TORQUE_ACTUAL};
 use canopen::pdo::PdoNumber;
 
 use super::*;
+
+mod transfers;
 
 /// The frame that candump prints as `text`.
 fn parse(text: &str) -> Frame {
@@ -25,7 +29,9 @@ fn check(decoder: &Decoder, table: &[(&str, Kind, Option<u8>, &str)]) {
             node: node.and_then(NodeId::new),
             text: (*text).to_owned(),
         };
-        assert_eq!(decoder.describe(&parse(frame)), expected, "{frame}");
+        // Each by itself.
+        let described = decoder.clone().describe(&parse(frame), Instant::ZERO);
+        assert_eq!(described, expected, "{frame}");
     }
 }
 
@@ -92,9 +98,10 @@ fn emergencies_are_told_by_the_vendors_own_texts() {
             ("082#1023", Kind::Emcy, Some(2), "malformed EMCY: 10 23"),
         ],
     );
-    let generic = decoder.describe(&parse("082#8152010000000000")).text;
+    let frame = parse("082#8152010000000000");
+    let generic = decoder.describe(&frame, Instant::ZERO).text;
     decoder.set_vendor(NodeId::new(2).unwrap(), 0xFB);
-    let maxon = decoder.describe(&parse("082#8152010000000000")).text;
+    let maxon = decoder.describe(&frame, Instant::ZERO).text;
     assert_ne!(generic, maxon);
 }
 
@@ -162,47 +169,6 @@ fn sdo_transfers_are_told_by_object_and_value() {
             ("602#40", Sdo, Some(2), "malformed SDO: 40"),
         ],
     );
-}
-
-#[test]
-fn block_transfers_are_told_step_by_step() {
-    let name = "0x1008:00 manufacturer device name";
-    let cases = [
-        (
-            "602#C60810000A000000",
-            format!("write {name} in blocks, 10 bytes"),
-        ),
-        ("582#A408100007000000", format!("{name}, in blocks of 7")),
-        (
-            "582#A2037F0000000000",
-            "block taken up to segment 3, next of 127".to_owned(),
-        ),
-        (
-            "602#C931C30000000000",
-            "end of blocks, checksum 0xc331".to_owned(),
-        ),
-        ("582#A100000000000000", "end of blocks taken".to_owned()),
-        (
-            "602#A40810007F000000",
-            format!("read {name} in blocks of 127"),
-        ),
-        (
-            "582#C60810000A000000",
-            format!("{name} in blocks, 10 bytes"),
-        ),
-        ("602#A300000000000000", "first block, please".to_owned()),
-        (
-            "582#0145504F53340000",
-            "last segment 45 50 4f 53 34 00 00".to_owned(),
-        ),
-        (
-            "582#E445504F53340000",
-            "segment of a block: e4 45 50 4f 53 34 00 00".to_owned(),
-        ),
-    ];
-    for (frame, text) in &cases {
-        check(&Decoder::default(), &[(frame, Kind::Sdo, Some(2), text)]);
-    }
 }
 
 #[test]
@@ -318,7 +284,8 @@ fn layer_setting_services_are_told_in_words() {
 #[test]
 fn what_is_not_known_is_shown_in_hexadecimal() {
     let remote = Frame::remote(StandardId::new(0x701).unwrap(), 1).unwrap();
-    assert_eq!(Decoder::default().describe(&remote).text, "remote frame");
+    let described = Decoder::default().describe(&remote, Instant::ZERO);
+    assert_eq!(described.text, "remote frame");
     check(
         &Decoder::default(),
         &[
@@ -331,6 +298,7 @@ fn what_is_not_known_is_shown_in_hexadecimal() {
 #[test]
 fn no_frame_is_too_odd_to_be_told() {
     let mut decoder = Decoder::default();
+    decoder.begin(Instant::ZERO);
     let pdo = Pdo {
         node: NodeId::MAX,
         kind: PdoKind::Rpdo,
@@ -349,7 +317,8 @@ fn no_frame_is_too_odd_to_be_told() {
             random ^= random << 17;
             let data = random.to_le_bytes();
             let frame = Frame::new(StandardId::new(id).unwrap(), &data[..length]).unwrap();
-            assert!(!decoder.describe(&frame).text.is_empty());
+            let at = Instant::from_nanos(random % 3_000_000_000);
+            assert!(!decoder.describe(&frame, at).text.is_empty());
         }
     }
 }

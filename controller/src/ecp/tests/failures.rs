@@ -99,6 +99,31 @@ fn a_servo_fault_ends_the_task_and_is_passed_on() {
 }
 
 #[test]
+fn a_stop_that_does_not_end_is_reported_by_the_fault_that_began_it() {
+    let fault = ServoFault {
+        axis: Some(1),
+        cause: StopCause::Runaway {
+            velocity: 300.0,
+            limit: 250.0,
+        },
+    };
+    let mut bench = Bench::ready();
+    let task = Task::new().run(to(1.0, 0.0, 0.0));
+    bench.ecp.execute(task).unwrap();
+    let mut told = false;
+    let events = bench.go_on(|bench| {
+        if bench.ecp.status().executed == 10 && !told {
+            told = true;
+            bench.servo.queue.clear();
+            (bench.servo.moving, bench.servo.done) = ([0.0; MAX_AXES], 0);
+            bench.servo.report.fault = Some(fault);
+            bench.servo.phase(Phase::Stopping);
+        }
+    });
+    assert_eq!(events, failed(EcpError::Servo(fault)));
+}
+
+#[test]
 fn stop_brakes_and_drops_the_rest() {
     let mut bench = Bench::ready();
     bench

@@ -47,8 +47,7 @@ pub(super) struct Ancillary {
     pub(super) overflow: Option<u32>,
 }
 
-// SAFETY: the pointers in headers and slices are written anew before each system call and not followed
-// after it.
+// SAFETY: the pointers in headers and slices are set before each system call and not used after it.
 unsafe impl Send for Batch {}
 
 impl Batch {

@@ -1,3 +1,5 @@
+//! LSS master (CiA 305).
+
 use std::fmt;
 use std::time::Duration;
 
@@ -28,14 +30,16 @@ pub struct Master {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
     Idle,
-    /// Of `Fastscan`, `scan` is the question asked; of `InquireIdentity`, `identity` is what was
-    /// answered before `part`; of `SwitchSelective`, `part` is the one sent last.
+    /// Of fastscans, `scan` is the question asked; of `InquireIdentity`, `identity` is what was
+    /// answered before `part`; of `SwitchSelective`, `part` is the one sent last; of `IdentifyUnconfigured`,
+    /// `scan` has been asked for once `scanning`.
     Busy {
         service: Service,
         part: Part,
         identity: Identity,
         scan: Scan,
-        /// Whether somebody answered a question that all may answer.
+        scanning: bool,
+        /// Whether any slave answered a question to all slaves.
         heard: bool,
     },
     Finished(Result<Answer, LssError>),
@@ -52,9 +56,8 @@ pub enum Service {
     ConfigureNodeId(Option<NodeId>),
     /// Give it a bit rate, for when it is activated.
     ConfigureBitTiming(BitRate),
-    /// Have all slaves in configuration mode change to their new bit rate. Not answered: done after twice
-    /// the delay, ms. Nobody may send in the meantime, and this host has to change its own bit
-    /// rate when the delay is over once.
+    /// Have all slaves in configuration mode change to their new bit rate. Not answered: done after twice the delay,
+    /// ms. No node may send during the switch. The host changes its own bit rate after the first delay.
     ActivateBitTiming {
         /// ms.
         delay_ms: u16,
@@ -65,12 +68,19 @@ pub enum Service {
     InquireIdentity,
     /// Ask it for its node-ID.
     InquireNodeId,
-    /// Ask whether any slave has no node-ID. Takes `timeout`.
+    /// Ask whether any slave has no node-ID. Takes `timeout`, and as long again if none answers: slaves that know only
+    /// fastscan answer its first question.
     IdentifyUnconfigured,
     /// Find the identity of a slave without a node-ID, the smallest if there are several, and put that
-    /// slave into configuration mode. Takes 133 times `timeout`, for slaves that agree answer at different
+    /// slave into configuration mode. Takes 134 times `timeout`, for slaves that agree answer at different
     /// times, and silence means no; it may be as short as the slowest slave's answer, some 10 ms.
+    ///
+    /// Slaves in configuration mode should be silent. One that answers every question, as CANopenNode's does, fails the
+    /// scan with [`LssError::Untrue`]; [`Service::FastscanAbove`] goes round it.
     Fastscan,
+    /// Find the smallest identity above this one in the same way. With all slaves in [`Mode::Waiting`] the ones found
+    /// before are passed over. Takes up to 270 times `timeout`.
+    FastscanAbove(Identity),
 }
 
 /// What came of a service.
@@ -84,7 +94,7 @@ pub enum Answer {
     NodeId(Option<NodeId>),
     /// To [`Service::IdentifyUnconfigured`]: whether there is any.
     Unconfigured(bool),
-    /// To [`Service::Fastscan`]; `None` if there is no slave without a node-ID.
+    /// To [`Service::Fastscan`] and [`Service::FastscanAbove`]; `None` if there is no such slave without a node-ID.
     Found(Option<Identity>),
 }
 
@@ -135,6 +145,11 @@ pub enum LssError {
         /// The number.
         number: u32,
     },
+    /// A slave answers questions that exclude each other.
+    #[error(
+        "a slave answers every question of a fastscan, so that no other slave can be found: take it off the bus, or give it a node-ID"
+    )]
+    Untrue,
 }
 
 impl fmt::Display for Service {
@@ -149,7 +164,7 @@ impl fmt::Display for Service {
             Self::InquireIdentity => "inquire identity",
             Self::InquireNodeId => "inquire node-ID",
             Self::IdentifyUnconfigured => "identify non-configured",
-            Self::Fastscan => "fastscan",
+            Self::Fastscan | Self::FastscanAbove(_) => "fastscan",
         })
     }
 }
@@ -179,12 +194,16 @@ impl Master {
             State::Busy { service, .. } => return Err(Busy { service }),
             State::Finished(_) => return Err(Busy { service }),
         }
-        let scan = Scan::new();
+        let scan = match service {
+            Service::FastscanAbove(identity) => Scan::above(identity),
+            _ => Scan::new(),
+        };
         self.state = State::Busy {
             service,
             part: Part::Vendor,
             identity: Identity::default(),
             scan,
+            scanning: service == Service::Fastscan,
             heard: false,
         };
         self.timeout = timeout;
@@ -204,7 +223,7 @@ impl Master {
             Service::InquireIdentity => Request::Inquire(Part::Vendor),
             Service::InquireNodeId => Request::InquireNodeId,
             Service::IdentifyUnconfigured => Request::IdentifyUnconfigured,
-            Service::Fastscan => Request::Fastscan(scan.question()),
+            Service::Fastscan | Service::FastscanAbove(_) => Request::Fastscan(scan.question()),
         };
         self.ask(request, now);
         Ok(())
@@ -255,7 +274,10 @@ impl Master {
                 }
             }
             (Service::IdentifyUnconfigured, Response::Unconfigured)
-            | (Service::Fastscan, Response::Identified) => {
+            | (
+                Service::IdentifyUnconfigured | Service::Fastscan | Service::FastscanAbove(_),
+                Response::Identified,
+            ) => {
                 *heard = true;
                 return;
             }
@@ -296,6 +318,7 @@ impl Master {
         let State::Busy {
             service,
             scan,
+            scanning,
             heard,
             ..
         } = &mut self.state
@@ -308,12 +331,20 @@ impl Master {
         let (service, sent) = (*service, self.request.is_none());
         let result = match service {
             Service::ActivateBitTiming { .. } if sent => Ok(Answer::Done),
+            Service::IdentifyUnconfigured if sent && !*heard && !*scanning => {
+                *scanning = true;
+                let question = scan.question();
+                return self.ask(Request::Fastscan(question), now);
+            }
             Service::IdentifyUnconfigured if sent => Ok(Answer::Unconfigured(*heard)),
-            Service::Fastscan if sent => match scan.answered(std::mem::take(heard)) {
-                Next::Ask(question) => return self.ask(Request::Fastscan(question), now),
-                Next::Found(identity) => Ok(Answer::Found(identity)),
-                Next::Vanished { part, number } => Err(LssError::Vanished { part, number }),
-            },
+            Service::Fastscan | Service::FastscanAbove(_) if sent => {
+                match scan.answered(std::mem::take(heard)) {
+                    Next::Ask(question) => return self.ask(Request::Fastscan(question), now),
+                    Next::Found(identity) => Ok(Answer::Found(identity)),
+                    Next::Vanished { part, number } => Err(LssError::Vanished { part, number }),
+                    Next::Untrue => Err(LssError::Untrue),
+                }
+            }
             _ => Err(LssError::TimedOut {
                 service,
                 waited: now.since(self.started),

@@ -1,3 +1,5 @@
+//! One axis controller on a serial line during operation.
+
 use can::Instant;
 use serial::LineError;
 use serial::nfv2::Status;
@@ -536,6 +538,11 @@ impl Axis {
     /// Whether the line took the last telegram.
     pub(super) fn was_sent(&self) -> bool {
         self.not_sent == 0
+    }
+
+    /// Whether a fault is latched: no set-point of this axis is followed.
+    pub(super) fn is_faulted(&self) -> bool {
+        self.state.fault.is_some()
     }
 
     /// What is said last to a drive whose group ends.

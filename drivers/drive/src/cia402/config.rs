@@ -1,5 +1,6 @@
 //! What a drive group and its axes are configured to, and what is refused before a frame is sent.
 
+use std::fmt;
 use std::time::Duration;
 
 use canopen::cia402::ModeOfOperation;
@@ -175,13 +176,49 @@ pub enum ConfigError {
         why: &'static str,
     },
     /// A quantity of an axis that is zero, negative, not finite, or beyond what the drive can hold.
-    #[error("node {node}: {what} is out of range")]
+    #[error("node {node}: {quantity} is out of range")]
     OutOfRange {
         /// Node-ID.
         node: u8,
         /// Which quantity.
-        what: &'static str,
+        quantity: Quantity,
     },
+}
+
+/// A quantity of an axis that its drive has in a unit and a number of bits of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Quantity {
+    /// [`AxisConfig::rated_torque`].
+    RatedTorque,
+    /// [`AxisConfig::plausible_velocity`].
+    PlausibleVelocity,
+    /// [`Parameter::size`].
+    ParameterSize,
+    /// [`AxisConfig::following_error`].
+    FollowingError,
+    /// [`AxisConfig::quick_stop_deceleration`].
+    QuickStopDeceleration,
+    /// [`HomingConfig::search_speed`].
+    SearchSpeed,
+    /// [`HomingConfig::zero_speed`].
+    ZeroSpeed,
+    /// [`HomingConfig::acceleration`].
+    HomingAcceleration,
+}
+
+impl fmt::Display for Quantity {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::RatedTorque => "rated torque",
+            Self::PlausibleVelocity => "plausible velocity",
+            Self::ParameterSize => "parameter size",
+            Self::FollowingError => "following error",
+            Self::QuickStopDeceleration => "quick stop deceleration",
+            Self::SearchSpeed => "homing search speed",
+            Self::ZeroSpeed => "homing zero speed",
+            Self::HomingAcceleration => "homing acceleration",
+        })
+    }
 }
 
 impl CyclicMode {
@@ -271,69 +308,65 @@ impl AxisConfig {
     }
 
     pub(super) fn drive_units(&self) -> Result<DriveUnits, ConfigError> {
-        let positive = |what, value: Option<u32>| match value {
-            Some(value @ 1..) => Ok(value),
-            _ => Err(ConfigError::OutOfRange {
-                node: self.node.raw(),
-                what,
-            }),
+        let out_of_range = |quantity| ConfigError::OutOfRange {
+            node: self.node.raw(),
+            quantity,
         };
-        for (what, value) in [
-            ("rated torque", self.rated_torque),
-            ("plausible velocity", self.plausible_velocity),
+        let positive = |quantity, value: Option<u32>| {
+            let value = value.filter(|value| *value > 0);
+            value.ok_or(out_of_range(quantity))
+        };
+        for (quantity, value) in [
+            (Quantity::RatedTorque, self.rated_torque),
+            (Quantity::PlausibleVelocity, self.plausible_velocity),
         ] {
             if !(value > 0.0 && value.is_finite()) {
-                let node = self.node.raw();
-                return Err(ConfigError::OutOfRange { node, what });
+                return Err(out_of_range(quantity));
             }
         }
-        if self
-            .parameters
-            .iter()
-            .any(|parameter| !matches!(parameter.size, 1 | 2 | 4))
-        {
-            return Err(ConfigError::OutOfRange {
-                node: self.node.raw(),
-                what: "parameter size",
-            });
+        let possible = |parameter: &Parameter| matches!(parameter.size, 1 | 2 | 4);
+        if !self.parameters.iter().all(possible) {
+            return Err(out_of_range(Quantity::ParameterSize));
         }
         let homing = &self.homing;
         Ok(DriveUnits {
             following_error: positive(
-                "following error",
+                Quantity::FollowingError,
                 self.scale.distance(self.following_error),
             )?,
             quick_stop_deceleration: positive(
-                "quick stop deceleration",
+                Quantity::QuickStopDeceleration,
                 rpm_magnitude(self.quick_stop_deceleration),
             )?,
-            search_speed: positive("homing search speed", rpm_magnitude(homing.search_speed))?,
-            zero_speed: positive("homing zero speed", rpm_magnitude(homing.zero_speed))?,
+            search_speed: positive(Quantity::SearchSpeed, rpm_magnitude(homing.search_speed))?,
+            zero_speed: positive(Quantity::ZeroSpeed, rpm_magnitude(homing.zero_speed))?,
             homing_acceleration: positive(
-                "homing acceleration",
+                Quantity::HomingAcceleration,
                 rpm_magnitude(homing.acceleration),
             )?,
         })
     }
 }
 
-/// Refuses what cannot work before a frame is sent.
-pub(super) fn check(config: &GroupConfig, axes: &[AxisConfig]) -> Result<(), ConfigError> {
-    if !(1..=126).contains(&axes.len()) {
-        return Err(ConfigError::Axes(axes.len()));
-    }
-    for (i, axis) in axes.iter().enumerate() {
-        let earlier = axes[..i].iter().map(|axis| axis.node);
-        if earlier
-            .chain([config.host_node])
-            .any(|node| node == axis.node)
-        {
-            return Err(ConfigError::DuplicateNode(axis.node.raw()));
+impl GroupConfig {
+    /// Refuses what cannot work before a frame is sent: all that [`Cia402Group::new`](super::Cia402Group::new) refuses.
+    pub fn check(&self, axes: &[AxisConfig]) -> Result<(), ConfigError> {
+        if !(1..=126).contains(&axes.len()) {
+            return Err(ConfigError::Axes(axes.len()));
         }
-        axis.drive_units()?;
-        axis.check_writes()?;
+        for (i, axis) in axes.iter().enumerate() {
+            let earlier = axes[..i].iter().map(|axis| axis.node);
+            if earlier
+                .chain([self.host_node])
+                .any(|node| node == axis.node)
+            {
+                return Err(ConfigError::DuplicateNode(axis.node.raw()));
+            }
+            axis.drive_units()?;
+            axis.check_writes()?;
+        }
+        self.interpolation_period()?;
+        self.heartbeat_times()?;
+        Ok(())
     }
-    config.interpolation_period()?;
-    config.heartbeat_times()?;
-    Ok(())
 }

@@ -1,4 +1,4 @@
-//! The search of one axis for its reference, by its drive.
+//! Homing of one CiA 402 drive.
 
 use canopen::cia402::{Controlword, HomingStatus, Statusword};
 

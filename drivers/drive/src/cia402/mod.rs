@@ -73,7 +73,8 @@ use canopen::{cob, nmt};
 
 pub use canopen::NodeId;
 pub use config::{
-    AxisConfig, ConfigError, CyclicMode, GroupConfig, HomingConfig, Identity, Parameter, Setting,
+    AxisConfig, ConfigError, CyclicMode, GroupConfig, HomingConfig, Identity, Parameter, Quantity,
+    Setting,
 };
 pub use other_controller::Sign;
 pub use process_data::pdo_setups;
@@ -178,7 +179,7 @@ impl Syncs {
 impl<P: Port> Cia402Group<P> {
     /// A group that has sent nothing yet; states and commands come in the order of `axes`.
     pub fn new(port: P, config: GroupConfig, axes: &[AxisConfig]) -> Result<Self, ConfigError> {
-        config::check(&config, axes)?;
+        config.check(axes)?;
         let mut index = [None; 128];
         let mut nodes = Vec::with_capacity(axes.len());
         for (i, axis) in axes.iter().enumerate() {

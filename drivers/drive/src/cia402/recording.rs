@@ -1,3 +1,5 @@
+//! Replay of a recorded bus through a drive group.
+
 use std::task::Poll;
 use std::time::Duration;
 

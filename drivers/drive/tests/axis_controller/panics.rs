@@ -234,3 +234,29 @@ fn a_counter_that_is_set_anew_without_being_asked_to_is_a_panic() {
         }
     }
 }
+
+#[test]
+fn the_line_of_an_axis_with_a_fault_refuses_no_set_point_of_the_others() {
+    type Break = fn(&mut Drive);
+    let breaks: [(&str, Break, u32); 2] = [
+        ("gone", |drive| drive.gone = true, 0),
+        // Until it counts as a fault its set-points are due again.
+        ("full", |drive| drive.full = true, 3),
+    ];
+    for (protocol, (name, fail, refused)) in BOTH.into_iter().flat_map(|p| breaks.map(|b| (p, b))) {
+        let drives = (0..3).map(|_| Drive::new(protocol, 8)).collect();
+        let mut rig = Rig::with(GroupConfig::new(protocol), &[axis(protocol); 3], drives);
+        rig.bring_up().unwrap();
+        rig.run(6, AxisCommand::Stand);
+        fail(&mut rig.lines[1].drive());
+        let mut due_again = 0;
+        for _ in 0..20 {
+            rig.now += PERIOD;
+            rig.group.read(rig.now, &mut rig.states);
+            rig.group.write(rig.now, &[AxisCommand::Stand; 3]);
+            due_again += u32::from(!rig.group.send(rig.now));
+        }
+        assert_eq!(due_again, refused, "{protocol:?} {name}");
+        assert_eq!(rig.group.counters().dropped_setpoints, 20);
+    }
+}

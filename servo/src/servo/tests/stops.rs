@@ -295,3 +295,118 @@ fn a_bus_that_takes_nothing_does_not_hold_up_a_stop() {
     rig.run(200);
     assert_eq!(rig.phase(), Phase::Off);
 }
+
+/// Two effectors of one axis each, every one on a group of its own, at 10 rad/s.
+fn two_in_motion(config: &ServoConfig) -> (Servo, Vec<EffectorLink>, Vec<Arc<Mutex<World>>>) {
+    let mut config = config.clone();
+    let mut other = config.effectors[0].clone();
+    other.axes[0].group = 1;
+    config.effectors.push(other);
+    let (groups, worlds): (Vec<_>, Vec<_>) = (0..2).map(|_| scripted::group(1)).unzip();
+    for world in &worlds {
+        world.lock().unwrap().axes[0].state.homing = Homing::Attained;
+    }
+    let (mut servo, mut links) = Servo::new(&config, groups).unwrap();
+    for link in &mut links {
+        link.orders.push(Order::Enable).unwrap();
+    }
+    for cycle in 0..60 {
+        if cycle == 20 {
+            for link in &mut links {
+                for number in 1..=50 {
+                    // Up to 10 rad/s in 20 ms, then on at that speed.
+                    let time = 0.01 * number as f64;
+                    let velocity = (500.0 * time).min(10.0);
+                    let position = if number <= 2 {
+                        250.0 * time * time
+                    } else {
+                        0.1 + 10.0 * (time - 0.02)
+                    };
+                    let next = macrostep(number, 10, position, velocity);
+                    link.orders.push(Order::Move(next)).unwrap();
+                }
+            }
+        }
+        servo.step(Instant::ZERO + PERIOD * cycle);
+    }
+    for (index, world) in worlds.iter().enumerate() {
+        let phase = servo.state(index).unwrap().phase();
+        assert_eq!(phase, Phase::Moving, "{:?}", servo.fault(index));
+        world.lock().unwrap().sent.clear();
+    }
+    (servo, links, worlds)
+}
+
+#[test]
+fn a_bus_that_is_gone_or_full_holds_up_no_effector_of_another() {
+    for gone in [true, false] {
+        let (mut servo, _links, worlds) = two_in_motion(&scripted::config(1));
+        {
+            let mut lost = worlds[0].lock().unwrap();
+            lost.gone = gone;
+            lost.refuses = u32::MAX;
+        }
+        for cycle in 60..360 {
+            servo.step(Instant::ZERO + PERIOD * cycle);
+        }
+        let stopped = if gone { Phase::Faulted } else { Phase::Moving };
+        let phases = [0, 1].map(|index| servo.state(index).unwrap().phase());
+        assert_eq!(phases, [stopped, Phase::Moving], "gone: {gone}");
+        let other = worlds[1].lock().unwrap();
+        let positions: Vec<f64> = other.sent.iter().map(|batch| set_point(batch)).collect();
+        assert_eq!(positions.len(), 300);
+        let way = positions[299] - positions[0];
+        assert!(
+            (way - 2.99).abs() < 1e-9,
+            "gone: {gone}: {way} rad in 299 periods"
+        );
+        keeps_limits(&positions).unwrap();
+    }
+}
+
+fn set_point(batch: &[AxisCommand]) -> f64 {
+    match batch[0] {
+        AxisCommand::Follow(Setpoint::Position(position)) => position.get(),
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn a_stop_ends_in_time_though_its_bus_is_gone_or_takes_nothing() {
+    for config in [scripted::config(2), scripted::host_config(2)] {
+        for gone in [true, false] {
+            let mut rig = Rig::with(&config).stand();
+            let mut records = rig.servo.record(2000);
+            rig.accelerate(500.0, 4, 50);
+            rig.run(100);
+            assert_eq!(rig.phase(), Phase::Moving, "{:?}", rig.cause());
+            {
+                let mut world = rig.world();
+                world.gone = gone;
+                world.refuses = u32::MAX;
+            }
+            rig.order(Order::Disable);
+            let before = rig.now;
+            rig.run_until(if gone { Phase::Faulted } else { Phase::Off });
+            // From 20 rad/s at 1000 rad/s², and the standstill wait.
+            let took = rig.now.since(before);
+            let wait = if gone { 100 + 100 } else { 100 };
+            let longest = Duration::from_millis(20 + wait + 10);
+            assert!(took <= longest, "gone: {gone}: {took:?}");
+            if gone {
+                assert_eq!(rig.cause(), Some(StopCause::Drive(FAULT)));
+            }
+            let records: Vec<_> = std::iter::from_fn(|| records.pop().ok()).collect();
+            let lost = &records[101..];
+            for record in lost {
+                for axis in 0..2 {
+                    let way =
+                        (record.axis[axis].commanded - records[100].axis[axis].commanded).abs();
+                    // Full speed for the cycles until the stop begins, and the stop itself.
+                    let most = if gone { 0.0 } else { 20.0 * 0.03 };
+                    assert!(way <= most, "gone: {gone}: commanded {way} rad on");
+                }
+            }
+        }
+    }
+}

@@ -1,3 +1,5 @@
+//! A group on a scripted bus.
+
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex};
 use std::task::Poll;

@@ -1,3 +1,5 @@
+//! Bring-up, frame by frame.
+
 use std::task::Poll;
 use std::time::Duration;
 
@@ -437,7 +439,7 @@ fn configurations_that_cannot_work_are_refused() {
         change(&mut config, &mut axes);
         Cia402Group::new(BusEnd::default(), config, &axes).err()
     };
-    let out_of_range = |what| Some(ConfigError::OutOfRange { node: 2, what });
+    let out_of_range = |quantity| Some(ConfigError::OutOfRange { node: 2, quantity });
     assert_eq!(with(|_, _| {}), None);
     assert_eq!(
         with(|config, _| config.period = Duration::from_micros(2_500)),
@@ -471,23 +473,23 @@ fn configurations_that_cannot_work_are_refused() {
         ),
         (
             with(|_, axes| axes[1].rated_torque = 0.0),
-            out_of_range("rated torque"),
+            out_of_range(Quantity::RatedTorque),
         ),
         (
             with(|_, axes| axes[1].following_error = f64::NAN),
-            out_of_range("following error"),
+            out_of_range(Quantity::FollowingError),
         ),
         (
             with(|_, axes| axes[1].quick_stop_deceleration = -1.0),
-            out_of_range("quick stop deceleration"),
+            out_of_range(Quantity::QuickStopDeceleration),
         ),
         (
             with(|_, axes| axes[1].homing.zero_speed = 0.01),
-            out_of_range("homing zero speed"),
+            out_of_range(Quantity::ZeroSpeed),
         ),
         (
             with(|_, axes| axes[1].parameters[0].size = 3),
-            out_of_range("parameter size"),
+            out_of_range(Quantity::ParameterSize),
         ),
     ];
     for (found, expected) in table {

@@ -1,3 +1,5 @@
+//! Download of device configuration files.
+
 use can::Frame;
 
 use super::bench::*;

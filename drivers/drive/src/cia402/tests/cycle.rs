@@ -1,3 +1,5 @@
+//! The cycle, frame by frame.
+
 use std::f64::consts::TAU;
 use std::time::Duration;
 

@@ -157,7 +157,10 @@ fn an_axis_without_a_plausible_velocity_is_refused() {
             ..axis_config(2)
         };
         let group = Cia402Group::new(BusEnd::default(), group_config(), &[axis]);
-        let what = "plausible velocity";
-        assert_eq!(group.err(), Some(ConfigError::OutOfRange { node: 2, what }));
+        let (node, quantity) = (2, Quantity::PlausibleVelocity);
+        assert_eq!(
+            group.err(),
+            Some(ConfigError::OutOfRange { node, quantity })
+        );
     }
 }

@@ -1,0 +1,464 @@
+//! The SDO channel of one node as a listener sees it: which frames are commands, and which are segments of data.
+//!
+//! The first byte of a block's segment takes every value but 0x00 and 0x80, so a segment looks like any command. Only
+//! the frames before it tell: [`Channel`] follows both directions of the channel through segmented and block
+//! transfers. Where the frames before were not seen, [`Reading::Unknown`] says so until an exchange fits one kind of
+//! transfer alone.
+//!
+//! ```text
+//! Idle ──command──▶ Asked ──answer──▶ Segments, Block(Start ▶ Segments ⇄ Acknowledge ▶ End ▶ Ended) ──▶ Idle
+//! any state ──abort──▶ Idle
+//! any state ──a segment out of turn, or frames were lost──▶ Unknown ──a fitting exchange, or QUIET──▶ …
+//! ```
+//!
+//! A client that falls silent in a sub-block may go on or may begin anew. After [`QUIET`] a frame with the number that
+//! is due is [`Reading::Unknown`], and any other command begins a new transfer.
+
+mod asked;
+
+use std::time::Duration;
+
+use asked::Asked;
+use can::{Frame, Instant};
+use canopen::sdo::block::MAX_BLOCK_SIZE;
+use canopen::{NodeId, Object};
+
+/// Silence of a channel after which neither side waits any longer: longer than the time-outs of SDO clients in use.
+pub(super) const QUIET: Duration = Duration::from_secs(1);
+
+/// What a frame of 8 bytes on the channel is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Reading {
+    /// What its command specifier says, in a transfer of this object where that is known.
+    Command(Option<Object>),
+    /// A segment of a block of this object where that is known.
+    BlockSegment(Option<Object>),
+    /// A command or a segment of a block: the beginning of the transfer was not seen.
+    Unknown,
+}
+
+/// One direction of a transfer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Way {
+    /// The client has the data.
+    Download,
+    /// The server has the data.
+    Upload,
+}
+
+/// Who sent a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Side {
+    Client,
+    Server,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum State {
+    /// A transfer may be under way whose beginning was not seen; with the last frame.
+    Unknown(Option<(Side, Frame)>),
+    Idle,
+    /// The answer of the server decides.
+    Asked(Asked),
+    Segments {
+        way: Way,
+        object: Option<Object>,
+        /// The last segment was seen.
+        last: bool,
+    },
+    Block(Block),
+}
+
+/// A block transfer.
+#[derive(Clone, Copy, Debug)]
+struct Block {
+    way: Way,
+    object: Option<Object>,
+    stage: Stage,
+    /// Segments of the present sub-block at most.
+    size: u8,
+    /// Segments of the present sub-block that were seen, all in order.
+    sent: u8,
+    /// The last of them is the last of the transfer.
+    last: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stage {
+    /// The client of an upload has still to ask for the first sub-block.
+    Start,
+    /// Segments come.
+    Segments,
+    /// The sub-block is complete and has to be acknowledged.
+    Acknowledge,
+    /// The checksum is due.
+    End,
+    /// The checksum came and has to be acknowledged.
+    Ended,
+}
+
+/// The SDO channel of one node.
+#[derive(Clone, Debug)]
+pub(super) struct Channel {
+    node: NodeId,
+    state: State,
+    /// When the last frame came, or the listener began.
+    last: Instant,
+}
+
+impl Channel {
+    /// A channel on which no transfer is under way.
+    pub(super) fn idle(node: NodeId) -> Self {
+        Self {
+            node,
+            state: State::Idle,
+            last: Instant::ZERO,
+        }
+    }
+
+    /// A channel that is listened to since `began`, in the middle of a transfer perhaps.
+    pub(super) fn listened_to_since(node: NodeId, began: Instant) -> Self {
+        Self {
+            node,
+            state: State::Unknown(None),
+            last: began,
+        }
+    }
+
+    /// Takes a frame of the client.
+    pub(super) fn request(&mut self, frame: &Frame, at: Instant) -> Reading {
+        let quiet = self.passed(at);
+        if first(frame) == ABORT {
+            self.state = State::Idle;
+            return Reading::Command(None);
+        }
+        self.resolve(Side::Client, frame, quiet);
+        match self.state {
+            State::Unknown(_) => self.unknown(Side::Client, frame),
+            State::Block(block) if block.expects(Way::Download) => {
+                let other = Asked::of(frame, self.node).filter(|_| quiet);
+                match other {
+                    Some(asked) if !block.is_next(frame) => self.ask(asked),
+                    _ => self.segment(block, Side::Client, frame, quiet),
+                }
+            }
+            state => self.command(state, frame),
+        }
+    }
+
+    /// Takes a frame of the server.
+    pub(super) fn response(&mut self, frame: &Frame, at: Instant) -> Reading {
+        let quiet = self.passed(at);
+        if first(frame) == ABORT {
+            self.state = State::Idle;
+            return Reading::Command(None);
+        }
+        self.resolve(Side::Server, frame, quiet);
+        match self.state {
+            State::Unknown(_) => self.unknown(Side::Server, frame),
+            State::Block(block) if block.expects(Way::Upload) => {
+                self.segment(block, Side::Server, frame, quiet)
+            }
+            state => self.answer(state, frame),
+        }
+    }
+
+    /// Whether the channel was quiet before `at`.
+    fn passed(&mut self, at: Instant) -> bool {
+        let since = at.since(self.last);
+        self.last = self.last.max(at);
+        since >= QUIET
+    }
+
+    /// Ends an unknown state where the present one is certain: after silence, and after two frames that fit one kind of
+    /// transfer alone.
+    fn resolve(&mut self, side: Side, frame: &Frame, quiet: bool) {
+        let State::Unknown(before) = self.state else {
+            return;
+        };
+        let resolved = if quiet {
+            Some(State::Idle)
+        } else {
+            before.and_then(|before| match (before, side) {
+                ((Side::Client, request), Side::Server) => self.answered(&request, frame),
+                ((Side::Server, response), Side::Client) => acknowledged(&response, frame),
+                _ => None,
+            })
+        };
+        if let Some(state) = resolved {
+            self.state = state;
+        }
+    }
+
+    /// The state in which `response` answers `request`, if there is one alone.
+    fn answered(&self, request: &Frame, response: &Frame) -> Option<State> {
+        let asked = Asked::of(request, self.node);
+        if let Some(asked) = asked.filter(|asked| asked.is_answered(response, self.node)) {
+            return Some(State::Asked(asked));
+        }
+        let segments = |way, last| State::Segments {
+            way,
+            object: None,
+            last,
+        };
+        match (first(request), first(response)) {
+            (0x00..=0x1F, 0x20 | 0x30) => {
+                Some(segments(Way::Download, is_last_of_segments(request)))
+            }
+            (0x60 | 0x70, 0x00..=0x1F) => Some(segments(Way::Upload, false)),
+            (_, ACKNOWLEDGE) => Block::complete(Way::Download, request, response),
+            (0xA3, 0x01 | 0x81) => Some(State::Block(Block {
+                stage: Stage::Segments,
+                size: MAX_BLOCK_SIZE,
+                ..Block::new(Way::Upload, None)
+            })),
+            (end, 0xA1) if is_end(end) => Some(State::Block(Block {
+                stage: Stage::Ended,
+                ..Block::new(Way::Download, None)
+            })),
+            _ => None,
+        }
+    }
+
+    fn unknown(&mut self, side: Side, frame: &Frame) -> Reading {
+        self.state = State::Unknown(Some((side, *frame)));
+        // No segment of a block has the number 0.
+        if first(frame) == 0 {
+            Reading::Command(None)
+        } else {
+            Reading::Unknown
+        }
+    }
+
+    /// A frame in the middle of a sub-block, from the side that has the data.
+    fn segment(&mut self, mut block: Block, side: Side, frame: &Frame, quiet: bool) -> Reading {
+        if !block.is_next(frame) || quiet {
+            return self.unknown(side, frame);
+        }
+        block.sent += 1;
+        block.last = first(frame) & LAST != 0;
+        if block.last || block.sent == block.size {
+            block.stage = Stage::Acknowledge;
+        }
+        self.state = State::Block(block);
+        Reading::BlockSegment(block.object)
+    }
+
+    fn ask(&mut self, asked: Asked) -> Reading {
+        self.state = State::Asked(asked);
+        Reading::Command(None)
+    }
+
+    /// A frame of the client that is no segment of a block.
+    fn command(&mut self, state: State, frame: &Frame) -> Reading {
+        if let Some(asked) = Asked::of(frame, self.node) {
+            return match state {
+                // The server may still be sending the sub-block of the transfer before.
+                State::Block(block) if block.expects(Way::Upload) => {
+                    self.state = State::Unknown(Some((Side::Client, *frame)));
+                    Reading::Command(None)
+                }
+                _ => self.ask(asked),
+            };
+        }
+        match (state, first(frame)) {
+            (
+                State::Segments {
+                    way: Way::Download,
+                    object,
+                    ..
+                },
+                0x00..=0x1F,
+            ) => {
+                self.state = State::Segments {
+                    way: Way::Download,
+                    object,
+                    last: is_last_of_segments(frame),
+                };
+                Reading::Command(object)
+            }
+            (State::Segments { object, .. }, _) => Reading::Command(object),
+            (State::Block(block), specifier) => {
+                let Some(state) = block.commanded(specifier, frame) else {
+                    return self.unknown(Side::Client, frame);
+                };
+                self.state = state;
+                Reading::Command(block.object)
+            }
+            (State::Unknown(_) | State::Idle | State::Asked(_), _) => Reading::Command(None),
+        }
+    }
+
+    /// A frame of the server that is no segment of a block.
+    fn answer(&mut self, state: State, frame: &Frame) -> Reading {
+        match (state, first(frame)) {
+            (State::Asked(asked), _) if asked.is_answered(frame, self.node) => {
+                self.state = asked.begun(frame, self.node);
+                Reading::Command(None)
+            }
+            (
+                State::Segments {
+                    way: Way::Download,
+                    object,
+                    last: true,
+                },
+                0x20 | 0x30,
+            ) => {
+                self.state = State::Idle;
+                Reading::Command(object)
+            }
+            (
+                State::Segments {
+                    way: Way::Upload,
+                    object,
+                    ..
+                },
+                0x00..=0x1F,
+            ) => {
+                if is_last_of_segments(frame) {
+                    self.state = State::Idle;
+                }
+                Reading::Command(object)
+            }
+            (State::Segments { object, .. }, _) => Reading::Command(object),
+            (State::Block(block), specifier) => {
+                self.state = block.answered(specifier, frame).unwrap_or(state);
+                Reading::Command(block.object)
+            }
+            // An answer to a client that has given up already.
+            (State::Unknown(_) | State::Idle | State::Asked(_), _) => Reading::Command(None),
+        }
+    }
+}
+
+impl Block {
+    const fn new(way: Way, object: Option<Object>) -> Self {
+        Self {
+            way,
+            object,
+            stage: Stage::Start,
+            size: 0,
+            sent: 0,
+            last: false,
+        }
+    }
+
+    /// Whether segments come that way now.
+    fn expects(self, way: Way) -> bool {
+        self.way == way && self.stage == Stage::Segments
+    }
+
+    /// Whether a frame has the number that is due.
+    fn is_next(self, frame: &Frame) -> bool {
+        number(frame) == self.sent + 1
+    }
+
+    /// The state after `segment` and `answer`, if the one acknowledges the other.
+    fn complete(way: Way, segment: &Frame, answer: &Frame) -> Option<State> {
+        let [_, sequence, size, rest @ ..] = answer.data() else {
+            return None;
+        };
+        let fits = *sequence == number(segment) && rest.iter().all(|byte| *byte == 0);
+        let block = Self {
+            stage: Stage::Acknowledge,
+            size: (*size).min(MAX_BLOCK_SIZE),
+            sent: *sequence,
+            last: first(segment) & LAST != 0,
+            ..Self::new(way, None)
+        };
+        fits.then_some(State::Block(block))
+    }
+
+    /// The state after a command of the client; `None` if none is due.
+    fn commanded(self, specifier: u8, frame: &Frame) -> Option<State> {
+        let to = |stage| State::Block(Self { stage, ..self });
+        match (self.way, self.stage, specifier) {
+            (Way::Upload, Stage::Start, 0xA3) => Some(to(Stage::Segments)),
+            (Way::Upload, Stage::Segments | Stage::Acknowledge, ACKNOWLEDGE) => {
+                Some(self.acknowledged(frame))
+            }
+            (Way::Upload, Stage::End | Stage::Ended, 0xA1) => Some(State::Idle),
+            (Way::Download, Stage::End, specifier) if is_end(specifier) => Some(to(Stage::Ended)),
+            _ => None,
+        }
+    }
+
+    /// The state after an answer of the server; `None` if none is due.
+    fn answered(self, specifier: u8, frame: &Frame) -> Option<State> {
+        match (self.way, self.stage, specifier) {
+            (Way::Download, Stage::Segments | Stage::Acknowledge, ACKNOWLEDGE) => {
+                Some(self.acknowledged(frame))
+            }
+            (Way::Download, Stage::Ended, 0xA1) => Some(State::Idle),
+            (Way::Upload, Stage::End, specifier) if is_end(specifier) => Some(State::Block(Self {
+                stage: Stage::Ended,
+                ..self
+            })),
+            _ => None,
+        }
+    }
+
+    /// The state after the receiver of a sub-block has acknowledged it.
+    fn acknowledged(self, frame: &Frame) -> State {
+        let [_, sequence, size, ..] = *frame.data() else {
+            return State::Unknown(None);
+        };
+        if sequence == self.sent && self.last {
+            return State::Block(Self {
+                stage: Stage::End,
+                ..self
+            });
+        }
+        if sequence > self.sent || !(1..=MAX_BLOCK_SIZE).contains(&size) {
+            return State::Unknown(None);
+        }
+        State::Block(Self {
+            stage: Stage::Segments,
+            size,
+            sent: 0,
+            last: false,
+            ..self
+        })
+    }
+}
+
+/// The state in which `request` acknowledges what the server sent, if there is one alone.
+fn acknowledged(response: &Frame, request: &Frame) -> Option<State> {
+    match (first(response), first(request)) {
+        (_, ACKNOWLEDGE) => Block::complete(Way::Upload, response, request),
+        (end, 0xA1) if is_end(end) => Some(State::Block(Block {
+            stage: Stage::Ended,
+            ..Block::new(Way::Upload, None)
+        })),
+        _ => None,
+    }
+}
+
+const ABORT: u8 = 0x80;
+const ACKNOWLEDGE: u8 = 0xA2;
+/// Of the first byte of a block's segment.
+const LAST: u8 = 0x80;
+
+fn first(frame: &Frame) -> u8 {
+    frame.data().first().copied().unwrap_or(0)
+}
+
+/// The number that a frame has as a segment of a block.
+pub(super) fn number(frame: &Frame) -> u8 {
+    first(frame) & !LAST
+}
+
+/// Whether a frame is the last one as a segment of a block.
+pub(super) fn is_last(frame: &Frame) -> bool {
+    first(frame) & LAST != 0
+}
+
+/// Whether an ordinary segment is the last.
+fn is_last_of_segments(frame: &Frame) -> bool {
+    first(frame) & 1 != 0
+}
+
+/// Whether a first byte is that of a checksum, `110n nn01`.
+fn is_end(first: u8) -> bool {
+    first & 0b1110_0011 == 0xC1
+}

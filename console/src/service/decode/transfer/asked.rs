@@ -1,0 +1,142 @@
+//! The first frame of a transfer, its answer, and the state to which both lead.
+
+use can::Frame;
+use canopen::sdo::block::{self, MAX_BLOCK_SIZE};
+use canopen::sdo::{Initiate, Request, Response};
+use canopen::{NodeId, Object};
+
+use super::{Block, Stage, State, Way};
+
+/// What a client begins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Asked {
+    Expedited(Object),
+    Segments(Way, Object),
+    BlockDownload(Object),
+    BlockUpload {
+        object: Object,
+        /// Segments of the first sub-block.
+        size: u8,
+    },
+}
+
+impl Asked {
+    /// What a frame of a client begins, if anything.
+    pub(super) fn of(frame: &Frame, node: NodeId) -> Option<Self> {
+        if let Some(request) = block::Request::decode(frame, node) {
+            return match request {
+                block::Request::InitiateDownload { object, .. } => {
+                    Some(Self::BlockDownload(object))
+                }
+                block::Request::InitiateUpload {
+                    object, block_size, ..
+                } => Some(Self::BlockUpload {
+                    object,
+                    size: block_size.min(MAX_BLOCK_SIZE),
+                }),
+                block::Request::EndDownload(_)
+                | block::Request::StartUpload
+                | block::Request::Acknowledge(_)
+                | block::Request::EndUpload => None,
+            };
+        }
+        match Request::decode(frame, node)? {
+            Request::InitiateDownload { object, initiate } => Some(match initiate {
+                Initiate::Expedited(_) => Self::Expedited(object),
+                Initiate::Segmented { .. } => Self::Segments(Way::Download, object),
+            }),
+            Request::InitiateUpload { object } => Some(Self::Segments(Way::Upload, object)),
+            Request::DownloadSegment(_)
+            | Request::UploadSegment { .. }
+            | Request::Abort { .. }
+            | Request::Unsupported(_) => None,
+        }
+    }
+
+    const fn object(self) -> Object {
+        match self {
+            Self::Expedited(object)
+            | Self::Segments(_, object)
+            | Self::BlockDownload(object)
+            | Self::BlockUpload { object, .. } => object,
+        }
+    }
+
+    /// Whether a frame of the server answers it.
+    pub(super) fn is_answered(self, frame: &Frame, node: NodeId) -> bool {
+        let answered = match block::Response::decode(frame, node) {
+            Some(block::Response::InitiateDownload { object, .. }) => {
+                matches!(self, Self::BlockDownload(_)).then_some(object)
+            }
+            Some(block::Response::InitiateUpload { object, .. }) => {
+                matches!(self, Self::BlockUpload { .. }).then_some(object)
+            }
+            Some(_) => None,
+            None => match (self, Response::decode(frame, node)) {
+                // A server may answer a block upload with an ordinary one.
+                (
+                    Self::Segments(Way::Upload, _) | Self::BlockUpload { .. },
+                    Some(Response::InitiateUpload { object, .. }),
+                )
+                | (
+                    Self::Expedited(_) | Self::Segments(Way::Download, _),
+                    Some(Response::InitiateDownload { object }),
+                ) => Some(object),
+                _ => None,
+            },
+        };
+        answered == Some(self.object())
+    }
+
+    /// What is under way once the server has answered it by `answer`.
+    pub(super) fn begun(self, answer: &Frame, node: NodeId) -> State {
+        let object = Some(self.object());
+        match (self, block::Response::decode(answer, node)) {
+            (Self::Segments(Way::Download, _), _) => State::Segments {
+                way: Way::Download,
+                object,
+                last: false,
+            },
+            (
+                Self::BlockDownload(_),
+                Some(block::Response::InitiateDownload { block_size, .. }),
+            ) if (1..=MAX_BLOCK_SIZE).contains(&block_size) => State::Block(Block {
+                stage: Stage::Segments,
+                size: block_size,
+                ..Block::new(Way::Download, object)
+            }),
+            (Self::BlockUpload { size, .. }, Some(_)) => State::Block(Block {
+                size,
+                ..Block::new(Way::Upload, object)
+            }),
+            (Self::Segments(Way::Upload, _) | Self::BlockUpload { .. }, None)
+                if is_segmented(answer, node) =>
+            {
+                State::Segments {
+                    way: Way::Upload,
+                    object,
+                    last: false,
+                }
+            }
+            // The whole transfer, or a block size that no client accepts.
+            (
+                Self::Expedited(_)
+                | Self::Segments(Way::Upload, _)
+                | Self::BlockDownload(_)
+                | Self::BlockUpload { .. },
+                _,
+            ) => State::Idle,
+        }
+    }
+}
+
+/// Whether the answer to a read announces segments.
+fn is_segmented(answer: &Frame, node: NodeId) -> bool {
+    matches!(
+        Response::decode(answer, node),
+        Some(Response::InitiateUpload {
+            initiate: Initiate::Segmented { .. },
+            ..
+        })
+    )
+}
