@@ -70,14 +70,17 @@ pub enum Fault {
     },
     /// The drive's position counter jumped. The position is not believed.
     #[error(
-        "node {node}: position jumped by {moved} increments within {within:.1?}, further than the motor can have turned"
+        "node {node}: position jumped by {moved} increments within {within:.1?}; the motor cannot have turned by more than \
+         {most}"
     )]
     Implausible {
         /// Node-ID.
         node: u8,
         /// Increments from the last position believed.
         moved: i32,
-        /// Time since that position, at the most.
+        /// Most increments that the motor can have turned by.
+        most: u32,
+        /// Longest time that the motor can have had since that position.
         within: Duration,
     },
     /// The drive is in another mode of operation than it was told, by a command of somebody else.

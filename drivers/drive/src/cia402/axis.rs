@@ -91,7 +91,9 @@ impl Axis {
     /// Starts operation after bring-up: un-enabled, and with the position known before any word
     /// that could enable.
     pub(super) fn begin(&mut self, now: Instant, learnt: Learnt) {
+        let search = self.search;
         *self = Self::started(self.setup, now, learnt);
+        self.search.doubt_as(&search);
     }
 
     fn started(setup: Setup, now: Instant, learnt: Learnt) -> Self {
@@ -102,7 +104,7 @@ impl Axis {
                 ..AxisState::default()
             },
             statusword: learnt.statusword,
-            measurement: Measurement::new(setup.scale, setup.plausible_velocity, learnt.position),
+            measurement: Measurement::new(&setup, learnt.position),
             answered: false,
             not_sent: 0,
             error_code: learnt.error_code,
@@ -153,17 +155,22 @@ impl Axis {
         self.statusword = answer.statusword;
         self.search
             .answered(self.setup.homing_word(answer.statusword));
-        let search = self.search.needs_homing_mode();
+        let search = self.search.may_set_counter();
         let search_speed = search.then_some(self.setup.search_speed);
         let position = answer.position;
-        if let Err(Jump { moved, within }) =
-            self.measurement.take(position, sampled, at, search_speed)
+        let taken = self.measurement.take(position, sampled, at, search_speed);
+        if let Err(Jump {
+            moved,
+            most,
+            within,
+        }) = taken
         {
             self.search.doubt();
             let node = self.setup.node.raw();
             self.latch(Fault::Implausible {
                 node,
                 moved,
+                most,
                 within,
             });
         }
@@ -463,7 +470,7 @@ impl Axis {
         if self.rests_at_zero() {
             0
         } else {
-            self.state.increments.0
+            self.measurement.reported().0
         }
     }
 
