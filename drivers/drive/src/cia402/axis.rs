@@ -39,6 +39,8 @@ pub(super) struct Axis {
     /// Cycles in a row whose set-point the port did not take.
     not_sent: u32,
     error_code: u16,
+    /// Cycles since the error code came.
+    error_age: u32,
     heartbeat: Option<Instant>,
     operational: bool,
     booted: bool,
@@ -80,6 +82,8 @@ pub(super) struct Learnt {
     pub(super) position: Increments,
     /// Object 0x603F.
     pub(super) error_code: u16,
+    /// Mode of operation that the drive showed by itself since its start.
+    pub(super) mode_shown: Option<ModeOfOperation>,
 }
 
 impl Axis {
@@ -94,6 +98,9 @@ impl Axis {
         let search = self.search;
         *self = Self::started(self.setup, now, learnt);
         self.search.doubt_as(&search);
+        if let Some(mode) = learnt.mode_shown {
+            self.shows(mode);
+        }
     }
 
     fn started(setup: Setup, now: Instant, learnt: Learnt) -> Self {
@@ -108,6 +115,7 @@ impl Axis {
             answered: false,
             not_sent: 0,
             error_code: learnt.error_code,
+            error_age: 0,
             heartbeat: None,
             operational: true,
             booted: false,
@@ -246,7 +254,7 @@ impl Axis {
 
     /// The code of a drive fault, which may come before or after the statusword that shows it.
     fn name_fault(&mut self, found: u16) {
-        self.error_code = found;
+        (self.error_code, self.error_age) = (found, 0);
         if let Some(Fault::Drive { code: code @ 0, .. }) = &mut self.state.fault {
             *code = found;
         }
@@ -263,6 +271,11 @@ impl Axis {
             self.state.age = self.state.age.saturating_add(1);
         }
         self.answered = false;
+        // The code of a warning does not name a later fault.
+        self.error_age = self.error_age.saturating_add(1);
+        if self.error_age > ANSWERS_TO_EFFECT {
+            self.error_code = 0;
+        }
         let waited = now.since(*self.heartbeat.get_or_insert(now));
         if !self.operational || self.booted {
             self.latch(Fault::LeftOperational { node });
