@@ -24,10 +24,10 @@ const REST: Duration = Duration::from_millis(500);
 /// Samples in a row that have to agree on a switch.
 const AGREEING: u32 = 3;
 
-/// A loop that runs away, unless the cell says when: in shares of the axis's greatest velocity.
+/// Velocity of a runaway loop where the cell gives none, as a multiple of the greatest velocity of the axis.
 const RUNAWAY: f64 = 1.2;
 
-/// Velocity that no motor on a CAN bus reaches, in shares of that of a loop that runs away.
+/// Plausibility bound of the velocity of a motor on a CAN bus, as a multiple of the velocity of a runaway loop.
 const PLAUSIBLE: f64 = 2.0;
 
 /// Longest time from switching an effector's drives on to the last of them following.
@@ -173,8 +173,8 @@ impl Axis {
         }
     }
 
-    /// Motor velocity, rad/s, beyond which a loop of its drive that the host closes is taken for one that runs away; the
-    /// same for a drive that closes its loop itself.
+    /// Motor velocity, rad/s, beyond which a position loop that the host closes counts as a runaway loop. A drive that
+    /// closes its loop itself has the same bound.
     fn runaway_velocity(&self) -> f64 {
         let given = self.drive.as_ref().and_then(|drive| drive.r#loop.as_ref());
         let given = given.and_then(|given| given.runaway_velocity);

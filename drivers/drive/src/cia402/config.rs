@@ -53,8 +53,8 @@ pub struct AxisConfig {
     pub rated_torque: f64,
     /// How it finds its reference.
     pub homing: HomingConfig,
-    /// Beyond this velocity, rad/s, a change of position is taken for a counter that jumped. The motor cannot turn so fast,
-    /// not even as its loop runs away.
+    /// Plausibility bound, rad/s: a faster change of position is a counter that jumped. No motor turns so fast, not even
+    /// in a runaway loop.
     pub plausible_velocity: f64,
     /// Following error at which the drive faults by itself, rad of motor rotation (object 0x6065).
     pub following_error: f64,

@@ -24,7 +24,7 @@ pub(super) struct Search {
     attained: bool,
     /// Bit 15 of the last statusword: EPOS keep their reference while they are powered.
     kept: bool,
-    /// The counter jumped: whatever the drive says, it has no reference before the next search.
+    /// The counter jumped: the axis has no reference before the next search, even if the drive reports one.
     doubted: bool,
     /// Answers to come in which the end of a search may still show by a counter set anew.
     may_set_counter: u32,
