@@ -9,10 +9,10 @@
     reason = "pseudo-terminals and waiting for several of them are system calls"
 )]
 
-use std::fs::{self, File, OpenOptions};
+use std::fs::{self, File, Metadata, OpenOptions};
 use std::io::{self, Read, Write};
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd, FromRawFd};
-use std::os::unix::fs::{OpenOptionsExt, symlink};
+use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt, symlink};
 use std::path::{Path, PathBuf};
 
 use can::{Instant, clock};
@@ -40,7 +40,7 @@ pub enum PtyError {
     /// Something that is no symbolic link has the name wanted; it was left alone.
     #[error("the name is taken by something that is no symbolic link")]
     NameTaken,
-    /// The name links to a terminal that is there, another emulator's as a rule.
+    /// The name links to another emulator's terminal, or to something that is no pseudo-terminal.
     #[error(
         "the name links to a terminal that is in use; end the emulator it belongs to, or remove the link"
     )]
@@ -72,15 +72,17 @@ impl Pty {
     }
 
     /// Opens a pair of ends and makes `link` a symbolic link to the host's, for as long as this lives.
-    /// A symbolic link of that name that leads nowhere is replaced.
+    ///
+    /// An emulator that was killed leaves its link behind. Such a link leads nowhere, or to a terminal that got the same
+    /// number since, and is replaced. The terminal of an emulator that lives is known by a lock on it.
     pub fn linked(link: &Path) -> Result<Self, PtyError> {
         match fs::symlink_metadata(link) {
             Ok(found) if !found.is_symlink() => return Err(PtyError::NameTaken),
-            // One whose terminal is gone was left behind by an emulator that was killed.
-            Ok(_) if link.exists() => return Err(PtyError::InUse),
+            Ok(found) if is_in_use(link, &found) => return Err(PtyError::InUse),
             _ => {}
         }
         let mut pty = Self::open()?;
+        hold(&pty.slave).map_err(|error| PtyError::Open(errno(&error)))?;
         let replace = || -> io::Result<()> {
             match fs::remove_file(link) {
                 Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
@@ -190,6 +192,55 @@ fn make_raw(slave: &File) -> io::Result<()> {
     // SAFETY: a valid termios to be read.
     checked(unsafe { libc::tcsetattr(fd, libc::TCSANOW, &raw const settings) })?;
     Ok(())
+}
+
+/// Marks the terminal as an emulator's for as long as `slave` is open. Hosts lock theirs by `flock`, which is another lock.
+fn hold(slave: &File) -> io::Result<()> {
+    let lock = write_lock();
+    // SAFETY: a valid lock to be read.
+    checked(unsafe { libc::fcntl(slave.as_raw_fd(), libc::F_OFD_SETLK, &raw const lock) })?;
+    Ok(())
+}
+
+/// Whether the terminal that `link` leads to is that of an emulator that lives; `found` describes the link itself.
+fn is_in_use(link: &Path, found: &Metadata) -> bool {
+    let Ok(target) = fs::metadata(link) else {
+        return false;
+    };
+    // Major numbers of pseudo-terminals (Linux, `devices.txt`).
+    let pseudo_terminal =
+        target.file_type().is_char_device() && (136..=143).contains(&libc::major(target.rdev()));
+    if !pseudo_terminal {
+        return true;
+    }
+    let terminal = OpenOptions::new()
+        .read(true)
+        .custom_flags(libc::O_NOCTTY | libc::O_NONBLOCK)
+        .open(link);
+    match terminal {
+        Ok(terminal) => is_held(&terminal),
+        // A terminal of somebody else than the emulator that made the link.
+        Err(error) if error.kind() == io::ErrorKind::PermissionDenied => {
+            target.uid() == found.uid()
+        }
+        Err(_) => true,
+    }
+}
+
+/// Whether an emulator has marked a terminal as its own.
+fn is_held(terminal: &File) -> bool {
+    let mut lock = write_lock();
+    // SAFETY: a valid lock to be changed.
+    let asked = unsafe { libc::fcntl(terminal.as_raw_fd(), libc::F_OFD_GETLK, &raw mut lock) };
+    asked < 0 || libc::c_int::from(lock.l_type) != libc::F_UNLCK
+}
+
+/// Of the whole file.
+fn write_lock() -> libc::flock {
+    // SAFETY: plain integers, for all of which zero is a value.
+    let mut lock: libc::flock = unsafe { std::mem::zeroed() };
+    lock.l_type = libc::F_WRLCK as libc::c_short;
+    lock
 }
 
 fn checked(result: libc::c_int) -> io::Result<libc::c_int> {
@@ -363,6 +414,38 @@ mod tests {
         let second = Pty::linked(&link).unwrap();
         drop(first);
         assert_eq!(fs::read_link(&link).unwrap(), second.path());
+    }
+
+    /// An emulator that was killed leaves its link, and the kernel gives its terminal's number to another terminal.
+    #[test]
+    fn a_link_to_a_terminal_that_no_emulator_holds_is_replaced() {
+        let directory = Directory::new("reused");
+        let link = directory.0.join("can0");
+        let terminal = Pty::open().unwrap();
+        symlink(terminal.path(), &link).unwrap();
+        let pty = Pty::linked(&link).unwrap();
+        assert_eq!(fs::read_link(&link).unwrap(), pty.path());
+        // A host that has it open does not count, nor does the lock that hosts take.
+        let host = host(pty.path());
+        // SAFETY: the descriptor is open, and the call takes plain integers.
+        assert_eq!(unsafe { libc::flock(host.as_raw_fd(), libc::LOCK_EX) }, 0);
+        let copy = directory.0.join("copy");
+        symlink(pty.path(), &copy).unwrap();
+        assert_eq!(Pty::linked(&copy).unwrap_err(), PtyError::InUse);
+        drop(pty);
+        assert!(Pty::linked(&copy).is_ok());
+    }
+
+    #[test]
+    fn a_link_to_anything_but_a_pseudo_terminal_is_left_alone() {
+        let directory = Directory::new("elsewhere");
+        let link = directory.0.join("can0");
+        for target in ["/dev/null", "/tmp"] {
+            symlink(target, &link).unwrap();
+            assert_eq!(Pty::linked(&link).unwrap_err(), PtyError::InUse);
+            assert_eq!(fs::read_link(&link).unwrap(), Path::new(target));
+            fs::remove_file(&link).unwrap();
+        }
     }
 
     #[test]

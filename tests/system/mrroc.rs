@@ -1,8 +1,9 @@
 //! The `mrroc` command as a child process: built once, run with a deadline, its words captured.
 
 use std::ffi::OsStr;
-use std::fs;
+use std::fs::{self, Permissions};
 use std::io::{BufReader, Read};
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::OnceLock;
@@ -113,6 +114,27 @@ impl Running {
         Self::of(strace.arg(log).arg(program).args(arguments))
     }
 
+    /// A copy of `mrroc` in `directory`, by a user without privileges: nobody, where this test is root's.
+    pub(crate) fn unprivileged(
+        directory: &Directory,
+        arguments: impl IntoIterator<Item: AsRef<OsStr>>,
+    ) -> Self {
+        let copy = directory.path("mrroc");
+        if !copy.exists() {
+            // Nobody may not go where this one is.
+            fs::copy(binary(), &copy).expect("the directory is writable");
+            let all = Permissions::from_mode(0o777);
+            fs::set_permissions(&directory.0, all).expect("it is ours");
+        }
+        let root = fs::metadata("/proc/self").expect("Linux").uid() == 0;
+        let mut command = Command::new(if root { "setpriv".as_ref() } else { &*copy });
+        if root {
+            command.args(["--reuid=65534", "--regid=65534", "--clear-groups"]);
+            command.arg(&copy);
+        }
+        Self::of(command.args(arguments))
+    }
+
     fn of(command: &mut Command) -> Self {
         let mut child = command
             .stdin(Stdio::null())
@@ -134,6 +156,16 @@ impl Running {
         let kill = format!("kill -{name} {}", self.child.id());
         let sent = Command::new("sh").args(["-c", &kill]).status();
         assert!(sent.expect("sh runs").success(), "{kill}");
+    }
+
+    /// Whether the command has a file open, by the link `path` for example.
+    pub(crate) fn has_open(&self, path: &Path) -> bool {
+        let Ok(path) = path.canonicalize() else {
+            return false;
+        };
+        let opened = fs::read_dir(format!("/proc/{}/fd", self.child.id()));
+        let mut opened = opened.into_iter().flatten().flatten();
+        opened.any(|fd| fs::read_link(fd.path()).is_ok_and(|open| open == path))
     }
 
     /// Waits until `file` satisfies `wanted`; panics if the command ends before, or at the deadline.

@@ -212,8 +212,17 @@ pub(crate) fn shown(value: Option<&str>) -> String {
 
 /// Applies `fix` and reads it back; returns what was there before, none where nothing had to be done.
 ///
-/// The change is in the record, on the disk, before it is made.
+/// The change is in the record, on the disk, before it is made, and is one that can be put back.
 pub(crate) fn apply(tree: &Tree, fix: &Fix, record: &mut Record) -> anyhow::Result<Option<Change>> {
+    turn(tree, fix, record, Change::is_admissible)
+}
+
+fn turn(
+    tree: &Tree,
+    fix: &Fix,
+    record: &mut Record,
+    admits: impl Fn(&Change) -> bool,
+) -> anyhow::Result<Option<Change>> {
     let Fix { knob, after } = fix;
     let before = knob.read(tree)?;
     if knob.stands_at(Some(after), before.as_deref()) {
@@ -224,6 +233,7 @@ pub(crate) fn apply(tree: &Tree, fix: &Fix, record: &mut Record) -> anyhow::Resu
         before,
         after: after.clone(),
     };
+    ensure!(admits(&change), "this could not be put back");
     record.push(change.clone())?;
     let written = knob.write(tree, Some(after));
     let found = knob.read(tree)?;
