@@ -12,7 +12,7 @@ use serial::{Line, Tty, VirtualLine};
 use crate::bus_port::BusPort;
 use crate::card;
 use crate::cell_file::CellFile;
-use crate::emulation::Emulation;
+use crate::emulation::{self, Emulation};
 use crate::interfaces::{self, Interface};
 use crate::wire::{Listener, Wire};
 
@@ -129,6 +129,7 @@ impl Bench {
                 if !can.is_empty() || serial.is_some() {
                     bail!("--can and --serial need --bench vcan or --bench card");
                 }
+                emulation::problems(file).next().map_or(Ok(()), Err)?;
                 let (mut emulation, ends) = Emulation::of(file);
                 let lines = emulated_lines(file, kind, &mut emulation, ends.lines)?;
                 let ports = ends.ports.into_iter().map(|port| Box::new(port) as _);
@@ -139,6 +140,8 @@ impl Bench {
                 let open = |(index, interface): (usize, &Interface)| {
                     let bus = &file.cell.bus[index];
                     let on_bus = || format!("bus {}", bus.name);
+                    // Before the card is touched, which another controller may have in use.
+                    let claim = interface.claim_as_controller().with_context(on_bus)?;
                     if kind == BenchKind::Card {
                         card::prepare(interface, bus, set_bitrate).with_context(on_bus)?;
                     }
@@ -148,7 +151,7 @@ impl Bench {
                         ..SocketCanOptions::default()
                     };
                     let port = BusPort::with_options(interface, bus.bitrate_kbps, &options);
-                    Ok(Box::new(port.with_context(on_bus)?) as _)
+                    Ok(Box::new(port.with_context(on_bus)?.holding(claim)) as _)
                 };
                 let ports = interfaces.iter().enumerate().map(open);
                 let ports = ports.collect::<anyhow::Result<_>>()?;

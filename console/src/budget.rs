@@ -171,7 +171,7 @@ fn messages(traffic: &[Traffic], period: Duration, host: u8) -> Vec<Message> {
         let id = traffic.cob_id.raw();
         let node = (id & 0x7F) as u8;
         // TPDOs, heartbeats and SDO answers come from the node their identifier names.
-        let from_node = matches!(id & 0x780, 0x180 | 0x580 | 0x700) && node != host;
+        let from_node = matches!(id & 0x780, 0x180 | 0x280 | 0x580 | 0x700) && node != host;
         let service = is_service(traffic.cob_id);
         Message {
             id: traffic.cob_id,
@@ -203,7 +203,8 @@ fn what_fits(bitrate: Bitrate, period: Duration, messages: &[Message], axes: usi
     let nodes: Vec<u8> = messages
         .iter()
         .filter_map(|message| match message.sender {
-            Sender::Node(node) if message.every == Every::Cycle => Some(node),
+            // Each has one answer, and at a long period more that come once a cycle.
+            Sender::Node(node) if message.id.raw() & 0x780 == 0x180 => Some(node),
             _ => None,
         })
         .collect();

@@ -6,7 +6,7 @@ use std::task::Poll;
 use anyhow::{Context, bail};
 use can::timing::Bitrate;
 use can::{
-    ControllerState, Counters, Frame, Instant, Port, PortError, Received, SocketCanOptions,
+    Claim, ControllerState, Counters, Frame, Instant, Port, PortError, Received, SocketCanOptions,
     SocketCanPort, clock,
 };
 use serial::{Settings, SlcanError, SlcanPort, StopBits, Tty};
@@ -15,7 +15,9 @@ use crate::interfaces::Interface;
 
 /// A port that can be waited for.
 pub(crate) enum BusPort {
-    SocketCan(SocketCanPort),
+    /// A SocketCAN interface, and what this process has claimed of it.
+    SocketCan(SocketCanPort, Vec<Claim>),
+    /// An slcan adapter, whose tty no other process can open.
     Slcan(SlcanPort<Tty>),
 }
 
@@ -40,13 +42,24 @@ impl BusPort {
         options: &SocketCanOptions,
     ) -> anyhow::Result<Self> {
         match interface {
-            Interface::SocketCan(name) => Ok(Self::SocketCan(SocketCanPort::open(name, options)?)),
+            Interface::SocketCan(name) => Ok(Self::SocketCan(
+                SocketCanPort::open(name, options)?,
+                Vec::new(),
+            )),
             Interface::Slcan { path, baud } => Self::slcan(path, *baud, kbps, SlcanPort::new),
             Interface::Epos { .. } => bail!(
                 "{interface}: the service port of a drive is no CAN bus; `mrroc sdo`, `mrroc nmt` and `mrroc scan` \
                  speak to it"
             ),
         }
+    }
+
+    /// The same port, which gives `claims` up when it is closed.
+    pub(crate) fn holding(mut self, claims: impl IntoIterator<Item = Claim>) -> Self {
+        if let Self::SocketCan(_, held) = &mut self {
+            held.extend(claims);
+        }
+        self
     }
 
     fn slcan(path: &str, baud: u32, kbps: u32, begin: Begin) -> anyhow::Result<Self> {
@@ -59,7 +72,7 @@ impl BusPort {
     /// Waits until there is something to receive or the clock shows `until`, and says which.
     pub(crate) fn wait_readable(&self, until: Instant) -> Result<bool, PortError> {
         match self {
-            Self::SocketCan(port) => port.wait_readable(until),
+            Self::SocketCan(port, _) => port.wait_readable(until),
             Self::Slcan(port) => {
                 clock::wait_readable(port.line().as_fd(), until).map_err(PortError::Os)
             }
@@ -68,14 +81,14 @@ impl BusPort {
 
     fn port(&self) -> &dyn Port {
         match self {
-            Self::SocketCan(port) => port,
+            Self::SocketCan(port, _) => port,
             Self::Slcan(port) => port,
         }
     }
 
     fn port_mut(&mut self) -> &mut dyn Port {
         match self {
-            Self::SocketCan(port) => port,
+            Self::SocketCan(port, _) => port,
             Self::Slcan(port) => port,
         }
     }

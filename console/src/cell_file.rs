@@ -4,11 +4,13 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
-use controller::cell::{Cell, CellError};
+use controller::cell::{self, Cell, CellError};
 use controller::generator::Arm;
 use drive::cia402::Identity;
 
 use crate::configuration::Configuration;
+use crate::input;
+use crate::interfaces::Interface;
 
 /// A cell with the arms of its robots, and the text it came from.
 pub(crate) struct CellFile {
@@ -24,13 +26,15 @@ pub(crate) struct CellFile {
 impl CellFile {
     /// Reads and checks a cell file. What its programs ask for is not looked at: that is a rehearsal's work.
     pub(crate) fn read(path: &Path) -> anyhow::Result<Self> {
-        let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+        let bytes = input::read(path, cell::LARGEST);
+        let bytes = bytes.with_context(|| path.display().to_string())?;
+        let text = Cell::text(&bytes).map_err(|error| refusal(path, &error))?;
+        let text = text.to_owned();
         let cell = Cell::parse(&text).map_err(|error| refusal(path, &error))?;
-        let arms = cell
-            .robot
-            .iter()
-            .map(|robot| robot.arm().expect("a parsed cell has sound parameters"))
-            .collect();
+        let arm = |robot| cell.arm(robot);
+        let arms = (0..cell.robot.len()).map(arm);
+        let arms = arms.collect::<Result<_, _>>();
+        let arms = arms.expect("a parsed cell has sound parameters");
         let mut file = Self {
             path: path.to_owned(),
             text,
@@ -38,6 +42,7 @@ impl CellFile {
             arms,
             configurations: Vec::new(),
         };
+        file.check_interfaces()?;
         for robot in 0..file.cell.robot.len() {
             let axes = 0..file.cell.robot[robot].axis.len();
             let read = axes.map(|axis| Configuration::read(&file, robot, axis));
@@ -47,9 +52,37 @@ impl CellFile {
         Ok(file)
     }
 
+    /// Each bus is on an interface of its own, and one that can be.
+    fn check_interfaces(&self) -> anyhow::Result<()> {
+        let mut taken = Vec::new();
+        for (index, bus) in self.cell.bus.iter().enumerate() {
+            let interface = Interface::parse(&bus.interface);
+            let problem = match interface.check() {
+                Err(problem) => Some(problem.to_string()),
+                Ok(()) if matches!(interface, Interface::Epos { .. }) => Some(format!(
+                    "{interface} is the service port of a drive, which is no CAN bus"
+                )),
+                Ok(()) => (taken.iter().position(|other| *other == interface))
+                    .map(|first| format!("{interface} is that of bus[{first}]: give each its own")),
+            };
+            if let Some(problem) = problem {
+                let key = cell::Path::default().then("bus").then(index);
+                return Err(self.refuse(&key.then("interface"), problem));
+            }
+            taken.push(interface);
+        }
+        Ok(())
+    }
+
     /// The device configuration of axis `axis` of robot `robot`, if it has one.
     pub(crate) fn configuration(&self, robot: usize, axis: usize) -> Option<&Configuration> {
         self.configurations[robot][axis].as_ref()
+    }
+
+    /// The device configuration files of all axes that have one.
+    pub(crate) fn configuration_files(&self) -> impl Iterator<Item = &Path> {
+        let configurations = self.configurations.iter().flatten().flatten();
+        configurations.map(|configuration| configuration.path.as_path())
     }
 
     /// Who the drive of an axis must be: by the cell, and by its device configuration file where the cell does not say.
@@ -64,12 +97,17 @@ impl CellFile {
         }
     }
 
-    /// The error of the value at `key`, with its line.
+    /// The error of the value at `key`, with its line. An axis that it numbers is called by its name.
     pub(crate) fn refuse(
         &self,
-        key: &controller::cell::Path,
+        key: &cell::Path,
         problem: impl std::fmt::Display,
     ) -> anyhow::Error {
+        let robot = key.robot().and_then(|robot| self.cell.robot.get(robot));
+        let problem = match robot {
+            Some(robot) => robot.naming_axes(problem),
+            None => problem.to_string(),
+        };
         refusal(&self.path, &CellError::at(&self.text, key, problem))
     }
 

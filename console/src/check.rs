@@ -4,12 +4,17 @@ use std::fmt;
 use std::path::Path;
 use std::process::ExitCode;
 
-use controller::cell::Cell;
+use can::Port;
+use controller::cell::{Cell, printable};
 use serde::Serialize;
+use serial::{Line, VirtualLine};
+use servo::Servo;
 
-use crate::budget::{self, Bundle, BusBudget, Line};
+use crate::budget::{self, Bundle, BusBudget};
 use crate::cell_file::CellFile;
-use crate::{rehearsal, streams};
+use crate::emulation::{self, Emulation, HostEnds};
+use crate::programs::Programs;
+use crate::{rehearsal, setup, streams};
 
 /// What a check found, where nothing is wrong.
 #[derive(Serialize)]
@@ -45,6 +50,12 @@ pub(crate) fn check(path: &Path, json: bool) -> anyhow::Result<ExitCode> {
     let file = CellFile::read(path)?;
     let buses = budget::check(&file)?;
     let program = rehearsal::rehearse(&file)?;
+    assemble(&file)?;
+    for problem in emulation::problems(&file) {
+        streams::warn(format_args!(
+            "mrroc: {problem}; only for robots that are wired otherwise than the emulated ones"
+        ));
+    }
     let robots = file.cell.robot.iter().enumerate();
     let robots = robots.map(|(number, robot)| CheckedRobot {
         name: robot.name.clone(),
@@ -62,13 +73,31 @@ pub(crate) fn check(path: &Path, json: bool) -> anyhow::Result<ExitCode> {
     streams::answer(&checked, json)
 }
 
+/// Makes everything that a run on emulated drives consists of, with the functions of the run.
+fn assemble(file: &CellFile) -> anyhow::Result<()> {
+    let (_, HostEnds { ports, lines, .. }) = Emulation::of(file);
+    let ports = ports
+        .into_iter()
+        .map(|port| Box::new(port) as Box<dyn Port>);
+    let boxed = |lines: Vec<VirtualLine>| {
+        let lines = lines
+            .into_iter()
+            .map(|line| Box::new(line) as Box<dyn Line>);
+        lines.collect()
+    };
+    let lines = lines.into_iter().map(boxed).collect();
+    let groups = setup::drive_groups(file, ports.collect(), lines, None)?;
+    let (servo, links) = Servo::new(&setup::servo_config(file), groups)?;
+    Programs::of(file, links, &servo).map(|_| ())
+}
+
 fn configurations(file: &CellFile, robot: usize) -> Vec<CheckedConfiguration> {
     let axes = file.cell.robot[robot].axis.iter().enumerate();
     let configured = axes.filter_map(|(number, axis)| {
         let configuration = file.configuration(robot, number)?;
         Some(CheckedConfiguration {
             axis: axis.name.clone(),
-            file: configuration.path.display().to_string(),
+            file: printable(&configuration.path.display().to_string()),
             writes: configuration.download.writes.len(),
             left_out: configuration.download.left_out,
         })
@@ -122,7 +151,7 @@ impl Checked {
                     protocol.name(),
                     self.period_us
                 )?;
-                for Line {
+                for budget::Line {
                     axis,
                     line,
                     address,

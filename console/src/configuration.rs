@@ -3,19 +3,19 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, anyhow};
-use canopen::NodeId;
 use canopen::dcf::{self, Download};
 use canopen::eds::Eds;
-use canopen::objects::{CONTROLWORD, PRODUCT_CODE, RESTORE_ALL, REVISION, STORE_ALL, VENDOR_ID};
+use canopen::objects::{PRODUCT_CODE, REVISION, VENDOR_ID};
 use canopen::sdo::CAPACITY;
+use canopen::{NodeId, Object};
 use controller::cell::Path;
-use drive::cia402::Setting;
+use drive::cia402::{Setting, reserved};
 
 use crate::cell_file::CellFile;
+use crate::input;
 
-/// Objects whose writes wear the drive's memory, or forget what is in it.
-const STORE: u16 = STORE_ALL.index;
-const RESTORE: u16 = RESTORE_ALL.index;
+/// Most values that are written to a drive before operation: each takes two exchanges of some milliseconds.
+const MOST_WRITES: usize = 4096;
 
 /// What a device configuration file asks for, and of which drive.
 pub(crate) struct Configuration {
@@ -39,7 +39,7 @@ impl Configuration {
         };
         let path = file.path.parent().unwrap_or(&file.path).join(name);
         let shown = path.display();
-        let bytes = std::fs::read(&path);
+        let bytes = input::read(&path, input::SHEET);
         let bytes = bytes.map_err(|error| file.refuse(&key, format_args!("{shown}: {error}")))?;
         let dcf = Eds::read(&bytes).map_err(|error| anyhow!("{shown}:{error}"))?;
 
@@ -80,18 +80,17 @@ impl Configuration {
             let problem = format_args!("{shown} asks for no write: it has no ParameterValue");
             return Err(file.refuse(&key, problem));
         }
+        check_reserved(&download, drive.vendor)
+            .map_err(|(line, problem)| anyhow!("{shown}:{line}: {problem}"))?;
+        if download.writes.len() > MOST_WRITES {
+            let writes = download.writes.len();
+            let problem = format_args!(
+                "{shown} asks for {writes} writes, more than the {MOST_WRITES} that a drive may be given"
+            );
+            return Err(file.refuse(&key, problem));
+        }
         for write in &download.writes {
             let (line, object, size) = (write.line, write.object, write.data.len());
-            if object == CONTROLWORD {
-                return Err(anyhow!(
-                    "{shown}:{line}: {object} is the controlword, which commands the drive; remove its ParameterValue"
-                ));
-            }
-            if matches!(object.index, STORE | RESTORE) {
-                return Err(anyhow!(
-                    "{shown}:{line}: {object} would store or restore the drive's parameters at every start; remove its ParameterValue"
-                ));
-            }
             if size > CAPACITY {
                 return Err(anyhow!(
                     "{shown}:{line}: {object} takes {size} bytes, at most {CAPACITY} are transferred"
@@ -118,6 +117,36 @@ impl Configuration {
         };
         self.download.writes.iter().map(setting).collect()
     }
+}
+
+/// Refuses values for objects that belong to the driver: the line of the first, what it is, and the lines of the others.
+fn check_reserved(download: &Download, vendor: u32) -> Result<(), (u32, String)> {
+    let mut found: Vec<_> = download
+        .writes
+        .iter()
+        .filter_map(|write| {
+            let Object { index, subindex } = write.object;
+            Some((write.line, reserved(vendor, index, subindex)?))
+        })
+        .collect();
+    found.sort_by_key(|(line, _)| *line);
+    // One line of a PDO leads to several writes.
+    found.dedup_by_key(|(line, _)| *line);
+    let Some(((line, first), others)) = found.split_first() else {
+        return Ok(());
+    };
+    let mut problem = format!(
+        "{first}; remove its ParameterValue, or set bit 0 of its ObjFlags to keep it as a note"
+    );
+    if !others.is_empty() {
+        let lines: Vec<_> = others.iter().map(|(line, _)| line.to_string()).collect();
+        let lines = lines.join(", ");
+        problem += &format!(
+            "; the same holds for {} further lines: {lines}",
+            others.len()
+        );
+    }
+    Err((*line, problem))
 }
 
 /// The cell counts at the motor shaft, and so must a drive whose scale is written: by its feed constant (0x6092), or by

@@ -3,7 +3,6 @@
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
@@ -18,7 +17,7 @@ use crate::cell_file::CellFile;
 use crate::emulated_lines::EmulatedLines;
 use crate::emulated_time::EmulatedTime;
 use crate::plants::{Mechanisms, Payloads};
-use crate::{emulation, interfaces};
+use crate::{emulation, interfaces, signals};
 
 /// Longest time between two looks at whether somebody pressed Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);
@@ -66,6 +65,7 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
     let on_interfaces = interfaces.iter().zip(&links);
     let on_interfaces = on_interfaces.map(|(interface, link)| link.is_none().then_some(interface));
     interfaces::all_differ(&file.cell, on_interfaces)?;
+    emulation::problems(&file).next().map_or(Ok(()), Err)?;
     let mechanisms = Mechanisms::of(&file);
     let mut payloads = Payloads::of(&file, &mechanisms, clock::now());
     let mut buses = Vec::new();
@@ -78,8 +78,16 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
             lines.add_bus(&file, &mechanisms, index, pty);
         } else {
             let interface = &interfaces[index];
-            let port = BusPort::open(interface, bus.bitrate_kbps);
-            let port = port.with_context(|| format!("bus {}", bus.name))?;
+            let on_bus = || format!("bus {}", bus.name);
+            let claim = |(robot, axis): (usize, usize)| {
+                interface.claim_as_node(file.cell.robot[robot].axis[axis].node)
+            };
+            let claims = emulation::axes_present(&file, index).map(claim);
+            let claims = claims
+                .collect::<anyhow::Result<Vec<_>>>()
+                .with_context(on_bus)?;
+            let port = BusPort::open(interface, bus.bitrate_kbps).with_context(on_bus)?;
+            let port = port.holding(claims.into_iter().flatten());
             names.push(format!("{} on {interface}", bus.name));
             let now = clock::now();
             buses.push(EmulatedBus {
@@ -117,10 +125,7 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
         }
         names.push(format!("of service ports in {}", directory.display()));
     }
-    let stop = Arc::new(AtomicBool::new(false));
-    let flag = stop.clone();
-    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed))
-        .context("Ctrl-C cannot be caught")?;
+    let stop = signals::ending_flag()?;
     crate::streams::say(format_args!(
         "{} emulated: bus {}; Ctrl-C ends it",
         file.cell.name,

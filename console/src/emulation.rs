@@ -14,7 +14,7 @@ use serial::{Settings, VirtualLine};
 
 use crate::bridge::{Bridge, BridgedTty};
 use crate::cell_file::CellFile;
-use crate::plants::{Mechanisms, Payloads, plant};
+use crate::plants::{self, Mechanisms, Payloads, plant};
 
 /// Frames that the host's end of a virtual bus holds each way.
 const QUEUE: usize = 256;
@@ -145,6 +145,13 @@ impl Device for Chatter {
             self.next = now + CHATTER;
         }
     }
+}
+
+/// What an emulated cell cannot do of what the cell asks for; real robots may.
+pub(crate) fn problems(file: &CellFile) -> impl Iterator<Item = anyhow::Error> {
+    let axes = (0..file.cell.bus.len()).flat_map(|bus| file.cell.axes_on(bus));
+    let problems = axes.filter_map(|axis| plants::homing_problem(file, axis));
+    problems.map(|(key, problem)| file.refuse(&key, problem))
 }
 
 /// Adds bus `bus` of a cell with its devices, switched on at [`Instant::ZERO`].

@@ -1,14 +1,16 @@
 //! `mrroc identify`: excites one axis while it moves, and reports the frequency response of its loop.
 //!
-//! Only the robot of that axis gets power, and of it only that axis moves: one way, at constant velocity, as far as
-//! is said before it begins. Every guard of a run stays in force.
+//! Only the robot of that axis gets power, and only that axis moves: in one direction, at constant velocity, over a
+//! distance that is printed before. Every guard of a run stays in force.
 
 mod bode;
 mod report;
 mod session;
 
 use std::cell::RefCell;
-use std::path::PathBuf;
+use std::fs::{File, create_dir_all};
+use std::io::Write;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -24,7 +26,9 @@ use servo::{
 
 use crate::bench::{Bench, BenchKind, Places};
 use crate::cell_file::CellFile;
-use crate::{clockwork, setup};
+use crate::outputs::{Outputs, Replacement};
+use crate::signals::Motion;
+use crate::{clockwork, setup, signals};
 use report::Report;
 use session::Session;
 
@@ -103,6 +107,8 @@ pub(crate) struct Options {
     /// Write bode.svg and bode.csv into this directory.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    #[command(flatten)]
+    replacement: Replacement,
     /// Print one JSON object.
     #[arg(long)]
     json: bool,
@@ -128,6 +134,7 @@ enum At {
 
 /// Measures one axis.
 pub(crate) fn identify(options: &Options) -> anyhow::Result<ExitCode> {
+    signals::block_suspension()?;
     let file = CellFile::read(&options.cell)?;
     let place = find(&file, &options.axis)?;
     let mut config = setup::servo_config(&file);
@@ -157,9 +164,11 @@ pub(crate) fn identify(options: &Options) -> anyhow::Result<ExitCode> {
             plan.travel().abs()
         );
     }
-    if let Some(directory) = &options.out {
-        std::fs::create_dir_all(directory).with_context(|| directory.display().to_string())?;
-    }
+    let mut outputs = Outputs::new(options.replacement);
+    outputs.reads(&file);
+    let files = options.out.as_deref();
+    let files = files.map(|directory| BodeFiles::open(&mut outputs, directory));
+    let files = files.transpose()?;
     let Bench {
         ports,
         lines: ttys,
@@ -179,33 +188,72 @@ pub(crate) fn identify(options: &Options) -> anyhow::Result<ExitCode> {
         records,
         !hardware,
     );
+    outputs.begin()?;
+    let motion = Motion::on(options.bench);
+    let stop = servo.stop_request();
+    signals::on_ending_of_motion(motion.clone(), move |_| stop.request())?;
     let ended = match options.bench {
-        BenchKind::Lockstep => in_lockstep(servo, session, emulation)?,
-        _ => by_the_clock(&file, servo, session, emulation)?,
+        BenchKind::Lockstep => in_lockstep(servo, session, emulation),
+        _ => by_the_clock(&file, servo, session, emulation),
     };
+    motion.is_over();
     let robot = &file.cell.robot[place.0];
     let name = format!("{}/{}", robot.name, robot.axis[place.1].name);
-    let (run, trace) = match ended.finish().with_context(|| name.clone())? {
-        Ok(measured) => measured,
-        Err(why) => {
-            crate::streams::warn(format_args!("mrroc: {name}: {why}"));
-            return Ok(ExitCode::from(1));
+    let report = ended.and_then(Session::finish).and_then(|(run, trace)| {
+        let (kind, points) = trace
+            .response(&run, &axis, delay, &lines)
+            .ok_or_else(|| Unmeasured::Stopped("the measurement was broken off".into()))?;
+        let bench = options.bench.name();
+        Ok(Report::of(name.clone(), bench, &axis, &run, kind, &points))
+    });
+    // From here on it is too late to refuse: the axis has moved.
+    let told = match report {
+        Err(Unmeasured::Refused(why)) => return Err(why.context(name)),
+        Err(Unmeasured::Stopped(why)) => Err(anyhow!("{name}: {why}")),
+        Ok(report) => {
+            let written = files.map_or(Ok(()), |files| files.write(&report));
+            written.and(crate::streams::answer(&report, options.json).map(|_| ()))
         }
     };
-    let (kind, points) = trace
-        .response(&run, &axis, delay, &lines)
-        .ok_or_else(|| anyhow!("{name}: the measurement was broken off"))?;
-    let report = Report::of(name, options.bench.name(), &axis, &run, kind, &points);
-    if let Some(directory) = &options.out {
-        let write = |name: &str, text: String| {
-            let path = directory.join(name);
-            std::fs::write(&path, text).with_context(|| path.display().to_string())
-        };
-        write("bode.svg", bode::chart(&report))?;
-        write("bode.csv", report.csv())?;
+    Ok(match told {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            crate::streams::warn(format_args!("mrroc: {error:#}"));
+            ExitCode::from(1)
+        }
+    })
+}
+
+/// Why nothing was measured.
+enum Unmeasured {
+    /// Nothing has moved.
+    Refused(anyhow::Error),
+    /// Something may have moved.
+    Stopped(String),
+}
+
+/// The files of `--out`, open from before anything moves on.
+struct BodeFiles {
+    chart: File,
+    table: File,
+}
+
+impl BodeFiles {
+    fn open(outputs: &mut Outputs, directory: &Path) -> anyhow::Result<Self> {
+        create_dir_all(directory)
+            .with_context(|| format!("--out: {} cannot be made", directory.display()))?;
+        Ok(Self {
+            chart: outputs.open("--out", &directory.join("bode.svg"))?,
+            table: outputs.open("--out", &directory.join("bode.csv"))?,
+        })
     }
-    crate::streams::answer(&report, options.json)?;
-    Ok(ExitCode::SUCCESS)
+
+    fn write(mut self, report: &Report) -> anyhow::Result<()> {
+        let chart = self.chart.write_all(bode::chart(report).as_bytes());
+        chart.context("bode.svg cannot be written")?;
+        let table = self.table.write_all(report.csv().as_bytes());
+        table.context("bode.csv cannot be written")
+    }
 }
 
 /// The axis that is called so: ROBOT/AXIS, or one name that only one axis has.
@@ -323,9 +371,9 @@ fn plan(
     Ok(run)
 }
 
-/// The velocity near `velocity` at which a drive that closes the position loop is commanded a whole number of counts
-/// further in every cycle: what positions are rounded by would be noise, of up to a count a cycle, which is `count`, rad/s.
-/// Excited positions need that noise: smaller than a count, they would be rounded away without it.
+/// The velocity near `velocity` at which a drive that closes the position loop advances by a whole number of counts
+/// per cycle. Rounding of positions would otherwise be noise of up to one count per cycle, `count`, rad/s. Excited
+/// positions need that noise: smaller than a count, they would be rounded away without it.
 fn in_counts(velocity: f64, count: f64, axis: &ServoAxisConfig) -> f64 {
     let whole = (velocity / count).round().max(1.0) * count;
     if axis.torque_offset.is_some() && velocity > 0.0 && whole <= axis.max_velocity {
@@ -369,10 +417,10 @@ fn excite(
     Ok(run)
 }
 
-fn not_up(error: NotUp) -> anyhow::Error {
+fn not_up(error: NotUp) -> Unmeasured {
     match error {
-        NotUp::Group(group, error) => anyhow!("drive group {group}: {error}"),
-        NotUp::Stopped => anyhow!("stopped before the drives were up"),
+        NotUp::Group(group, error) => Unmeasured::Refused(anyhow!("drive group {group}: {error}")),
+        NotUp::Stopped => Unmeasured::Stopped("stopped before the drives were up".into()),
     }
 }
 
@@ -380,7 +428,7 @@ fn in_lockstep(
     mut servo: Servo,
     session: Session,
     emulation: Option<crate::emulation::Emulation>,
-) -> anyhow::Result<Session> {
+) -> Result<Session, Unmeasured> {
     let emulation = RefCell::new(emulation.expect("lockstep has emulated drives"));
     let between = |next| emulation.borrow_mut().advance(next);
     let start = lockstep::bring_up(&mut servo, Instant::ZERO, between).map_err(not_up)?;
@@ -410,16 +458,14 @@ fn by_the_clock(
     mut servo: Servo,
     mut session: Session,
     mut emulation: Option<crate::emulation::Emulation>,
-) -> anyhow::Result<Session> {
-    let stop = servo.stop_request();
-    ctrlc::set_handler(move || stop.request())
-        .context("Ctrl-C cannot be caught, so the arm could not be stopped by it")?;
+) -> Result<Session, Unmeasured> {
     let done = Arc::new(AtomicBool::new(false));
     let finished = done.clone();
     let since = clockwork::bring_up(&mut servo, &mut emulation).map_err(not_up)?;
     let policy = |time| setup::realtime_policy(&file.cell, time);
     let until = move |_: &Servo| finished.load(Ordering::Relaxed);
-    let running = clockwork::start(servo, emulation, since, policy, Arc::default(), until)?;
+    let running = clockwork::start(servo, emulation, since, policy, Arc::default(), until);
+    let running = running.map_err(|error| Unmeasured::Refused(error.into()))?;
     let turning = crate::run::Turning::of(running, done);
     while !session.is_over() && !turning.is_finished() {
         session.poll();
@@ -427,7 +473,9 @@ fn by_the_clock(
     }
     let ended = turning.end();
     match ended.panicked {
-        Some(panicked) => Err(anyhow!("the servo thread panicked: {panicked:?}")),
+        Some(panicked) => Err(Unmeasured::Stopped(format!(
+            "the servo thread panicked: {panicked:?}"
+        ))),
         None => Ok(session),
     }
 }

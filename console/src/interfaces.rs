@@ -3,7 +3,8 @@
 use std::fmt;
 
 use anyhow::{Context, bail};
-use controller::cell::Cell;
+use can::{Claim, ClaimError};
+use controller::cell::{Cell, quoted};
 use serial::service::Dialect;
 
 /// What begins the name of an slcan adapter.
@@ -59,6 +60,48 @@ impl Interface {
         Self::SocketCan(name.to_owned())
     }
 
+    /// Claims the interface for the one controller that its bus may have; `None` for a tty, which one process opens at
+    /// a time. A controller in another computer on the same bus does not show here, but by its frames.
+    pub(crate) fn claim_as_controller(&self) -> anyhow::Result<Option<Claim>> {
+        self.claim("controller", "another controller is at work")
+    }
+
+    /// Claims the node `node` of the interface for the one emulator that it may have; `None` for a tty.
+    pub(crate) fn claim_as_node(&self, node: u8) -> anyhow::Result<Option<Claim>> {
+        let taken = format!("node {node} is emulated already");
+        self.claim(&format!("node {node}"), &taken)
+    }
+
+    fn claim(&self, part: &str, taken: &str) -> anyhow::Result<Option<Claim>> {
+        let Self::SocketCan(name) = self else {
+            return Ok(None);
+        };
+        match Claim::take(name, part) {
+            Ok(claim) => Ok(Some(claim)),
+            Err(ClaimError::Taken { holder, .. }) => {
+                let holder = holder.map(|process| format!(": process {process}"));
+                bail!("{name}: {taken}{}", holder.unwrap_or_default())
+            }
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// Refuses what no interface can be called.
+    pub(crate) fn check(&self) -> anyhow::Result<()> {
+        match self {
+            Self::SocketCan(name) if can::InterfaceName::new(name).is_none() => bail!(
+                "{} is no interface: 1 to 15 bytes without white space, slash or colon, or slcan:PATH",
+                quoted(name)
+            ),
+            Self::Slcan { path, .. } | Self::Epos { path, .. }
+                if path.is_empty() || path.contains(char::is_control) =>
+            {
+                bail!("{} names no tty", quoted(&self.to_string()))
+            }
+            Self::SocketCan(_) | Self::Slcan { .. } | Self::Epos { .. } => Ok(()),
+        }
+    }
+
     /// What a candump log calls the interface, as bus `bus` of the cell: paths are too long for it.
     pub(crate) fn log_name(&self, bus: usize) -> String {
         match self {
@@ -111,7 +154,11 @@ pub(crate) fn resolve(cell: &Cell, overrides: &[String]) -> anyhow::Result<Vec<I
         if let Some(first) = by[index].replace(given) {
             bail!("--can {given}: the bus is already given another by --can {first}");
         }
-        interfaces[index] = Interface::parse(interface);
+        let interface = Interface::parse(interface);
+        interface
+            .check()
+            .with_context(|| format!("--can {given}"))?;
+        interfaces[index] = interface;
     }
     Ok(interfaces)
 }
@@ -173,6 +220,40 @@ fn names(cell: &Cell) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_the_kernel_takes_for_no_name_is_no_interface() {
+        let good = [
+            "can0",
+            "vcan-7",
+            "a.b",
+            "slcan:/dev/ttyACM0",
+            "epos4:/dev/a@9600",
+        ];
+        for name in good {
+            assert!(Interface::parse(name).check().is_ok(), "{name}");
+        }
+        let bad = [
+            "",
+            ".",
+            "..",
+            "a b",
+            "a/b",
+            "a\0b",
+            "a\nb",
+            "can0:1",
+            "sixteen-bytes-16",
+            "\u{1b}[2J",
+            "slcan:",
+            "slcan:@9600",
+            "slcan:/dev/a\nb",
+            "epos2:",
+        ];
+        for name in bad {
+            let refused = Interface::parse(name).check().unwrap_err().to_string();
+            assert!(!refused.contains(char::is_control), "{refused:?}");
+        }
+    }
 
     #[test]
     fn adapters_and_service_ports_are_named_by_their_tty_and_its_speed() {

@@ -1,8 +1,8 @@
 //! `mrroc jitter`: how punctual a thread is on this host that waits for deadlines as the servo's does.
 //!
-//! It measures the error of the wake-up, from a deadline to when the thread was there, with the servo's own wait and
-//! without a servo; or, of a cell, from a deadline to its SYNC. The peer, cyclictest or a probe with its algorithm, takes
-//! turns with it within the run, so that both see the same host.
+//! The measured time is the error of the wake-up: from a deadline to the time at which the thread runs, with the
+//! servo's own wait and without a servo. With a cell, the time runs from a deadline to its SYNC. The peer, cyclictest
+//! or a probe with its algorithm, takes turns within the run, so that both sides see the same host.
 //!
 //! **Both sides alike**: what keeps CPUs from deep idle states is held for both, or for neither where it is denied, and
 //! cyclictest is told to leave it alone; the same priority under SCHED_FIFO (but for cyclictest, which knows no other,
@@ -48,6 +48,8 @@ use report::{Report, Setting, Side};
 
 use crate::cell_file::CellFile;
 use crate::doctor::stolen_ticks;
+use crate::outputs::{Outputs, Replacement};
+use crate::signals;
 use crate::spikes::SpikeFile;
 
 /// Options of `mrroc jitter`.
@@ -100,6 +102,8 @@ pub(crate) struct Options {
     /// Write the cycles of ours around the latest ones to this file, phase by phase, for ui.perfetto.dev.
     #[arg(long, value_name = "FILE")]
     spikes: Option<PathBuf>,
+    #[command(flatten)]
+    replacement: Replacement,
     /// Print one JSON object.
     #[arg(long)]
     json: bool,
@@ -230,20 +234,21 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
     if let Some(cpu) = denied.iter().find(|one| matches!(one, Denial::Cpu { .. })) {
         bail!("{cpu}");
     }
+    let mut outputs = Outputs::new(options.replacement);
+    file.iter().for_each(|cell| outputs.reads(cell));
     let files = options.out.as_deref();
-    let files = files.map(|directory| Files::create(directory, options.against.is_some()));
+    let files =
+        files.map(|directory| Files::open(&mut outputs, directory, options.against.is_some()));
     let (files, mut log) = files.transpose()?.unzip();
-    let spikes = options.spikes.as_deref().map(SpikeFile::create);
-    let spikes = spikes.transpose()?;
+    let spikes = outputs.open_if("--spikes", options.spikes.as_deref())?;
+    let spikes = spikes.map(SpikeFile::new);
+    outputs.begin()?;
     let mut serializer = V2DeflateSerializer::new();
     let log = (log.as_mut()).map(|log| IntervalLog::begin(log, &mut serializer));
     let log = log
         .transpose()
         .context("--out: ours.hlog cannot be written")?;
-    let over = Arc::new(AtomicBool::new(false));
-    let interrupted = over.clone();
-    ctrlc::set_handler(move || interrupted.store(true, Ordering::Relaxed))
-        .context("Ctrl-C cannot be caught, so what was measured until then would be lost")?;
+    let over = signals::ending_flag()?;
     let _load = Load::start(&options.load)?;
     let latency = CpuLatency::hold();
 
@@ -351,7 +356,7 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
         cell.as_ref().map_or(&ours.causes, |cell| &cell.late),
         cell.as_ref().map(MeasuredCell::report),
     );
-    crate::streams::answer(&report, options.json)?;
+    let answered = crate::streams::answer(&report, options.json);
     let written = match (files, failed) {
         (_, Some(error)) => Err(error).context("ours.hlog cannot be written"),
         (None, None) => Ok(()),
@@ -366,11 +371,13 @@ pub(crate) fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
         None => file.write("jitter", ours.spikes.finish()),
         Some(cell) => file.write("servo", cell.spikes),
     }));
-    if let Err(error) = &written {
+    let failures = [answered.map(|_| ()), written];
+    for error in failures.iter().filter_map(|it| it.as_ref().err()) {
         // Too late to refuse: it has been measured.
         crate::streams::warn(format_args!("mrroc: {error:#}"));
     }
-    Ok(ExitCode::from(u8::from(ended_early || written.is_err())))
+    let failed = failures.iter().any(Result::is_err);
+    Ok(ExitCode::from(u8::from(ended_early || failed)))
 }
 
 /// What a hypervisor took from all processors since the boot, ms.

@@ -23,10 +23,12 @@ mod emulated_lines;
 mod emulated_time;
 mod emulation;
 mod identify;
+mod input;
 mod interfaces;
 mod jitter;
 mod kinematics;
 mod manual;
+mod outputs;
 mod plants;
 mod programs;
 mod rehearsal;
@@ -34,6 +36,7 @@ mod report;
 mod run;
 mod service;
 mod setup;
+mod signals;
 mod spikes;
 mod streams;
 mod svg;
@@ -41,6 +44,7 @@ mod trace;
 mod urdf;
 mod usage;
 mod vm;
+mod warning_report;
 mod wire;
 
 use std::path::PathBuf;
@@ -49,7 +53,7 @@ use std::process::ExitCode;
 use clap::{CommandFactory, Parser, Subcommand};
 
 /// What scripts may build upon.
-const EXIT_STATUS: &str = "Exit status: 0 done; 1 stopped by a fault or by Ctrl-C, or a node was told and did not do \
+const EXIT_STATUS: &str = "Exit status: 0 done; 1 stopped by a fault or by a signal such as Ctrl-C, or a node was told and did not do \
 it; 2 refused before anything moved, aborted by the node, no answer, or no bus.";
 
 /// A multi-robot research-oriented controller with its hardware in the loop.
@@ -129,6 +133,8 @@ enum Command {
     Manual {
         /// The directory.
         directory: PathBuf,
+        #[command(flatten)]
+        replacement: outputs::Replacement,
     },
 }
 
@@ -155,10 +161,15 @@ fn main() -> ExitCode {
         Command::Urdf(options) => urdf::urdf(&options),
         Command::Vm { machine } => vm::vm(&machine),
         Command::Schema => check::schema(),
-        Command::Manual { directory } => manual::write(Arguments::command(), &directory),
+        Command::Manual {
+            directory,
+            replacement,
+        } => manual::write(Arguments::command(), &directory, replacement),
     };
     result.unwrap_or_else(|refusal| {
-        streams::warn(format_args!("mrroc: {refusal:#}"));
+        // A refusal may quote a file: nothing of it acts on a terminal, and it stays one line.
+        let said = controller::cell::printable(&format!("{refusal:#}"));
+        streams::warn(format_args!("mrroc: {said}"));
         ExitCode::from(2)
     })
 }

@@ -10,21 +10,39 @@ use std::process::ExitCode;
 
 use anyhow::Context;
 use clap::Command;
-use clap_complete::Shell;
+use clap_complete::{Generator, Shell};
 use clap_mangen::Man;
+
+use crate::outputs::{Outputs, Replacement};
 
 /// What shells are told of the command.
 const SHELLS: [Shell; 3] = [Shell::Bash, Shell::Zsh, Shell::Fish];
 
 /// Writes a page for every command that is not hidden, `mrroc-sdo-read.1` for `mrroc sdo read`, and the completions.
-pub(crate) fn write(mut command: Command, directory: &Path) -> anyhow::Result<ExitCode> {
-    let told = || format!("{}: cannot be written", directory.display());
-    fs::create_dir_all(directory).with_context(told)?;
-    for shell in SHELLS {
-        clap_complete::generate_to(shell, &mut command, "mrroc", directory).with_context(told)?;
+pub(crate) fn write(
+    mut command: Command,
+    directory: &Path,
+    replacement: Replacement,
+) -> anyhow::Result<ExitCode> {
+    fs::create_dir_all(directory).with_context(|| directory.display().to_string())?;
+    let mut outputs = Outputs::new(replacement);
+    let mut files = Vec::new();
+    let completions = SHELLS.map(|shell| {
+        // Into memory first: what this writes to a file directly panics where the file takes nothing.
+        let mut text = Vec::new();
+        clap_complete::generate(shell, &mut command, "mrroc", &mut text);
+        (shell.file_name("mrroc"), text)
+    });
+    let pages = pages(command).into_iter();
+    let pages = pages.map(|(name, page)| (format!("{name}.1"), page));
+    for (name, text) in completions.into_iter().chain(pages) {
+        let path = directory.join(name);
+        files.push((outputs.open("manual", &path)?, path, text));
     }
-    for (name, page) in pages(command) {
-        fs::write(directory.join(format!("{name}.1")), page).with_context(told)?;
+    outputs.begin()?;
+    for (mut file, path, text) in files {
+        let written = file.write_all(&text);
+        written.with_context(|| format!("{} cannot be written", path.display()))?;
     }
     Ok(ExitCode::SUCCESS)
 }

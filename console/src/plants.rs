@@ -4,8 +4,10 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use can::Instant;
-use controller::cell::{Model, Parameters, Plant};
-use hil::plant::Switch;
+use canopen::cia402::HomingMethod;
+use controller::cell::{Model, Parameters, Path, Plant};
+use controller::robot::Limits;
+use hil::plant::{PlantConfig, Switch};
 use hil::{AxisConfig, Irp6Axis, Irp6TrackAxis, Mechanism, MechanismConfig, Mount};
 
 use crate::cell_file::CellFile;
@@ -86,6 +88,37 @@ impl Payloads {
     }
 }
 
+/// The reason for which the emulated drive of an axis cannot home by its method, and the method's key; `None` if it can.
+/// A real robot may be wired otherwise.
+pub(crate) fn homing_problem(
+    file: &CellFile,
+    (robot, number): (usize, usize),
+) -> Option<(Path, String)> {
+    let axis = &file.cell.robot[robot].axis[number];
+    let method = axis.homing.method.filter(|_| !axis.emulator.absent)?;
+    let needed = HomingMethod(method).references()?;
+    if !needed.home_switch {
+        return None;
+    }
+    let plant = plant(file, robot, number);
+    let limit = plant.negative_limit;
+    let lowest = limit.map_or(f64::NEG_INFINITY, |limit| limit.to);
+    let why = match plant.home_switch {
+        None => "needs a home switch, which the emulated axis does not have: use 33, 34 or 37",
+        Some(_) if needed.positive_limit && plant.positive_limit.is_none() => {
+            "turns round at a positive limit switch, which the emulated axis does not have: use 11 or 27"
+        }
+        // It leaves the switch against the direction of its search, which is upwards.
+        Some(switch) if needed.positive_limit && switch.from <= lowest => {
+            "leaves the home switch downwards, where that of the emulated axis never opens: use 11 or 27"
+        }
+        Some(_) => return None,
+    };
+    let key = Path::default().then("robot").then(robot);
+    let key = key.then("axis").then(number).then("homing");
+    Some((key.then("method"), format!("is {method}, which {why}")))
+}
+
 /// Motor, load, sensors and switches of an axis.
 pub(crate) fn plant(file: &CellFile, robot: usize, number: usize) -> AxisConfig {
     let axis = &file.cell.robot[robot].axis[number];
@@ -103,12 +136,37 @@ pub(crate) fn plant(file: &CellFile, robot: usize, number: usize) -> AxisConfig 
         Model::Conveyor => AxisConfig::conveyor(),
     };
     let preset = preset.with_home(home);
-    AxisConfig {
+    let plant = AxisConfig {
         counts_per_revolution: axis.counts_per_revolution(),
         start_angle: axis.emulator.start.unwrap_or(preset.start_angle),
         ..preset
-    }
+    };
+    bounded(plant, file.arms[robot].robot().motor_limits()[number])
 }
+
+/// The same axis with its limit switches and buffers, if it has any, no nearer than beyond the range of the motor, rad.
+fn bounded(mut plant: AxisConfig, range: Limits) -> AxisConfig {
+    if let Some(switch) = &mut plant.negative_limit {
+        switch.to = switch.to.min(range.low - SWITCHES);
+    }
+    if let Some(switch) = &mut plant.positive_limit {
+        switch.from = switch.from.max(range.high + SWITCHES);
+    }
+    if let PlantConfig::Physical(motor) = &mut plant.plant
+        && let Some(stops) = &mut motor.end_stops
+    {
+        stops.negative = stops.negative.min(range.low - BUFFERS);
+        stops.positive = stops.positive.max(range.high + BUFFERS);
+    }
+    plant
+}
+
+/// Distance of the limit switches from the range of the motor, rad. A motor that stops at the end of its range
+/// overshoots by some counts, and that must not close a switch.
+const SWITCHES: f64 = 1.0;
+
+/// Distance of the buffers from the range of the motor, rad.
+const BUFFERS: f64 = 3.0;
 
 const AS_MANY: &str = "a parsed robot has as many axes as its model";
 
@@ -122,20 +180,16 @@ fn arm_plant(file: &CellFile, robot: usize, number: usize) -> AxisConfig {
         Plant::Physical => AxisConfig::irp6(kind),
         Plant::Wut => AxisConfig::wut(kind),
     };
-    let switch = |from, to| {
-        Some(Switch {
-            from,
-            to,
-            bounce: 0,
-        })
-    };
-    AxisConfig {
+    let plant = AxisConfig {
         counts_per_revolution: axis.counts_per_revolution(),
         index_angle: home,
         start_angle: axis.emulator.start.unwrap_or(home + 20.0),
-        home_switch: switch(home - 20.0, home - 2.0),
-        negative_limit: switch(f64::NEG_INFINITY, limits.low),
-        positive_limit: switch(limits.high, f64::INFINITY),
+        home_switch: Some(Switch {
+            from: home - 20.0,
+            to: home - 2.0,
+            bounce: 0,
+        }),
         ..preset
-    }
+    };
+    bounded(plant, limits)
 }

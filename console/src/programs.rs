@@ -9,7 +9,7 @@ use servo::{EffectorLink, Phase, Servo, ServoFault, StopCause, StopRequest};
 
 use crate::cell_file::CellFile;
 use crate::report::FaultReport;
-use crate::setup;
+use crate::{rehearsal, setup};
 
 /// One effector control process per robot, each with its program.
 pub(crate) struct Programs {
@@ -66,9 +66,19 @@ impl Programs {
             let mut done = 0;
             while let Some(event) = ecp.poll(now) {
                 done += 1;
-                if let Err(error) = event.outcome {
+                let fault = match event.outcome {
+                    // What it was stopped for has been told.
+                    Err(EcpError::Stopped) => None,
+                    Err(error) => Some(describe(file, robot, &error)),
+                    Ok(()) if file.cell.robot[robot].begins_behind(event.instruction) => {
+                        refused_from_here(file, robot, ecp)
+                    }
+                    Ok(()) => None,
+                };
+                if let Some(fault) = fault {
                     self.stop.request();
-                    self.faults.push(describe(file, robot, &error));
+                    self.faults.push(fault);
+                    ecp.stop();
                 }
             }
             let phase = ecp.status().phase;
@@ -82,6 +92,24 @@ impl Programs {
             .iter()
             .any(|ecp| ecp.status().instruction.is_some())
     }
+}
+
+/// Why a robot that is about to begin its program must not, if it stands anywhere but where homing leaves it: its drives
+/// kept their reference, and no rehearsal began there.
+fn refused_from_here(file: &CellFile, robot: usize, ecp: &Ecp) -> Option<FaultReport> {
+    let motors = ecp.commanded()?;
+    let home = file.cell.home(robot, &file.arms[robot]);
+    if home.admits(&motors) {
+        return None;
+    }
+    let error = rehearsal::rehearse_from(file, robot, motors).err()?;
+    Some(FaultReport {
+        robot: Some(file.cell.robot[robot].name.clone()),
+        axis: None,
+        what: format!(
+            "was referenced and stands away from its home position, from where {error:#}"
+        ),
+    })
 }
 
 /// The progress bar of a run.
@@ -137,7 +165,7 @@ fn describe(file: &CellFile, robot: usize, error: &EcpError) -> FaultReport {
         error => FaultReport {
             robot: Some(file.cell.robot[robot].name.clone()),
             axis: None,
-            what: error.to_string(),
+            what: file.cell.robot[robot].naming_axes(error),
         },
     }
 }
@@ -145,13 +173,20 @@ fn describe(file: &CellFile, robot: usize, error: &EcpError) -> FaultReport {
 fn describe_fault(file: &CellFile, robot: usize, fault: &ServoFault) -> FaultReport {
     let name = Some(file.cell.robot[robot].name.clone());
     let axis = fault.axis.map(usize::from);
-    if let (StopCause::Drive(Fault::Port(error)), Some(axis)) = (fault.cause, axis) {
-        // It is the bus's, and of every axis on it.
+    // Those of the bus are faults of every axis on it.
+    let of_bus = match fault.cause {
+        StopCause::Drive(Fault::Port(error)) => Some(error.to_string()),
+        StopCause::Drive(Fault::OtherController { sign }) => {
+            Some(format!("another controller is at work: it sent {sign}"))
+        }
+        _ => None,
+    };
+    if let Some((what, axis)) = of_bus.zip(axis) {
         let bus = &file.cell.robot[robot].axis[axis].bus;
         return FaultReport {
             robot: name,
             axis: None,
-            what: format!("bus {bus}: {error}"),
+            what: format!("bus {bus}: {what}"),
         };
     }
     FaultReport {

@@ -4,12 +4,14 @@ use std::collections::BTreeMap;
 use std::fmt::{self, Write as _};
 use std::time::Duration;
 
+use drive::Warnings;
 use serde::Serialize;
 use servo::thread::{AccountReads, LateCycle, Spike, WaitReport};
 use servo::{Histogram, Servo, Timing};
 
 use crate::budget::BusBudget;
 use crate::cell_file::CellFile;
+use crate::warning_report::WarningReport;
 use crate::wire::WireReport;
 
 /// What a run leaves behind.
@@ -42,6 +44,10 @@ pub(crate) struct Report {
     pub wire: Vec<WireReport>,
     /// What went wrong.
     pub faults: Vec<FaultReport>,
+    /// Errors that drives reported without a fault.
+    pub warnings: Vec<WarningReport>,
+    /// Reports of further errors, which are counted alone.
+    pub more_warnings: u64,
     /// What the host denied of the real-time requests.
     pub denied: Vec<String>,
     /// Time of the cell over time of the host: above 1 is faster than real time.
@@ -96,9 +102,17 @@ impl Report {
                     dropped_setpoints: group.dropped_setpoints,
                     missed_answers: group.missed_answers,
                 });
+        let groups = ran.servo.warnings().enumerate();
+        let warnings = groups.flat_map(|(group, warnings)| {
+            warnings
+                .iter()
+                .map(move |warning| WarningReport::of(file, group, warning))
+        });
         Self {
             cell: file.cell.name.clone(),
             bench,
+            warnings: warnings.collect(),
+            more_warnings: ran.servo.warnings().map(Warnings::omitted).sum(),
             axes: axes.collect(),
             cycle: CycleReport {
                 period_us: file.cell.period().as_micros() as u32,
@@ -451,6 +465,16 @@ impl fmt::Display for Report {
         }
         for denied in &self.denied {
             writeln!(f, "denied: {denied}")?;
+        }
+        for warning in &self.warnings {
+            writeln!(f, "warning: {warning}")?;
+        }
+        if self.more_warnings > 0 {
+            writeln!(
+                f,
+                "warning: {} further reports of drives",
+                self.more_warnings
+            )?;
         }
         for fault in &self.faults {
             writeln!(f, "fault: {fault}")?;

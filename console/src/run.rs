@@ -27,12 +27,14 @@ use signal_hook::flag;
 use crate::bench::{Bench, BenchKind, Places};
 use crate::cell_file::CellFile;
 use crate::emulation::Emulation;
+use crate::outputs::{Outputs, Replacement};
 use crate::programs::{Programs, Progress, servo_faults};
 use crate::report::{FaultReport, Outcome, Ran, Report};
+use crate::signals::Motion;
 use crate::spikes::SpikeFile;
 use crate::trace::{AxisLog, FrameLog};
 use crate::wire::Wire;
-use crate::{clockwork, rehearsal, setup, streams};
+use crate::{clockwork, rehearsal, setup, signals, streams};
 
 /// Records that an axis log may lag behind the servo, per effector: some seconds.
 const RECORDS: usize = 1 << 13;
@@ -81,6 +83,8 @@ pub(crate) struct Options {
     /// those around a moment of yours.
     #[arg(long, value_name = "FILE")]
     spikes: Option<PathBuf>,
+    #[command(flatten)]
+    replacement: Replacement,
 }
 
 /// Runs a cell.
@@ -88,6 +92,7 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
     if options.spikes.is_some() && options.bench == BenchKind::Lockstep {
         bail!("--spikes needs cycles by the clock, which --bench lockstep has none of");
     }
+    signals::block_suspension()?;
     let asked = Asked::default();
     flag::register(SIGUSR1, asked.trace.clone()).context("SIGUSR1 cannot be caught")?;
     let file = CellFile::read(&options.cell)?;
@@ -96,6 +101,11 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
         streams::warn("--trace stays empty: it has the frames of CAN buses, and the cell has none");
     }
     let budget = crate::budget::check(&file)?;
+    let mut outputs = Outputs::new(options.replacement);
+    outputs.reads(&file);
+    let trace = outputs.open_if("--trace", options.trace.as_deref())?;
+    let record = outputs.open_if("--record", options.record.as_deref())?;
+    let spikes = outputs.open_if("--spikes", options.spikes.as_deref())?;
     let Bench {
         ports,
         lines,
@@ -113,36 +123,26 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
         &setup::servo_config(&file),
         setup::drive_groups(&file, ports, lines, None)?,
     )?;
-    let logs = Logs {
-        frames: options
-            .trace
-            .as_ref()
-            .map(|path| FrameLog::create(path, &interfaces, traces))
-            .transpose()?,
-        axes: match &options.record {
-            Some(path) => Some(AxisLog::create(
-                path,
-                &file,
-                servo.record(RECORDS * file.cell.robot.len()),
-            )?),
-            None => None,
-        },
+    outputs.begin()?;
+    let mut axes = |sink| {
+        let records = servo.record(RECORDS * file.cell.robot.len());
+        AxisLog::new(sink, &file, records)
     };
-    let spikes = options.spikes.as_deref().map(SpikeFile::create);
-    let spikes = spikes.transpose()?;
+    let logs = Logs {
+        axes: record.map(&mut axes).transpose().context("--record")?,
+        frames: trace
+            .map(|sink| FrameLog::new(sink, &interfaces, traces))
+            .transpose()?,
+    };
+    let spikes = spikes.map(SpikeFile::new);
     let programs = Programs::of(&file, links, &servo)?;
     let progress = Progress::new(&file, !options.json)?;
     let (stop, flag) = (servo.stop_request(), asked.stop.clone());
-    let nothing_moves = options.bench == BenchKind::Lockstep;
-    ctrlc::set_handler(move || {
-        let again = flag.swap(true, Ordering::Relaxed);
+    let motion = Motion::on(options.bench);
+    signals::on_ending_of_motion(motion.clone(), move |_| {
+        flag.store(true, Ordering::Relaxed);
         stop.request();
-        if again && nothing_moves {
-            // A file may hold up the only thread that there is.
-            std::process::exit(1);
-        }
-    })
-    .context("Ctrl-C cannot be caught, so the arm could not be stopped by it")?;
+    })?;
 
     let began = clock::now();
     let mut ran = match options.bench {
@@ -165,6 +165,7 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<ExitCode> {
             progress,
         )?,
     };
+    motion.is_over();
     let interrupted = asked.stop.load(Ordering::Relaxed);
     if interrupted {
         // What the programs say of it is that they were broken off; what the servo latched meanwhile is a fault.

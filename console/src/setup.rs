@@ -3,9 +3,8 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use anyhow::Context;
 use can::Port;
-use controller::cell::{self, Bus, Cell, ENABLING, Homing, Policy, Serial};
+use controller::cell::{self, Bus, Cell, ENABLING, Homing, Path, Policy, Serial};
 use controller::ecp::{EcpConfig, Meetings};
 use controller::robot::Limits;
 use drive::DriveGroup;
@@ -51,7 +50,7 @@ pub(crate) fn drive_groups(
     lines: Vec<Vec<Box<dyn Line>>>,
     with_torque: Option<(usize, usize)>,
 ) -> anyhow::Result<Vec<Box<dyn DriveGroup>>> {
-    let group = |((index, bus), port): ((usize, &Bus), _)| {
+    let group = |((index, _), port): ((usize, &Bus), _)| {
         let mut axes = axis_configs(file, index);
         let places = file.cell.axes_on(index);
         for (axis, place) in axes.iter_mut().zip(places) {
@@ -60,7 +59,8 @@ pub(crate) fn drive_groups(
             }
         }
         let group = Cia402Group::new(port, file.cell.group_config(index), &axes);
-        Ok(Box::new(group.with_context(|| format!("bus {}", bus.name))?) as Box<dyn DriveGroup>)
+        let refused = |error| file.refuse(&Path::default().then("bus").then(index), error);
+        Ok(Box::new(group.map_err(refused)?) as Box<dyn DriveGroup>)
     };
     let bundle = |((index, bundle), lines): ((usize, &Serial), _)| {
         let config = |(robot, number): (usize, usize)| {
@@ -73,7 +73,8 @@ pub(crate) fn drive_groups(
             .map(config)
             .collect();
         let group = AxisControllerGroup::new(lines, bundle.group_config(file.cell.period()), &axes);
-        Ok(Box::new(group.with_context(|| format!("bus {}", bundle.name))?) as Box<dyn DriveGroup>)
+        let refused = |error| file.refuse(&Path::default().then("serial").then(index), error);
+        Ok(Box::new(group.map_err(refused)?) as Box<dyn DriveGroup>)
     };
     let buses = file.cell.bus.iter().enumerate().zip(ports).map(group);
     let bundles = file.cell.serial.iter().enumerate().zip(lines).map(bundle);
@@ -207,7 +208,7 @@ pub(crate) fn realtime_policy(cell: &Cell, time: CellTime) -> RealtimePolicy {
                 margin: realtime
                     .margin_us
                     .map(|margin| Duration::from_micros(margin.into())),
-                spin_share: realtime.spin_share,
+                spin_share: realtime.spin_share(),
             },
         },
         time,

@@ -6,7 +6,6 @@
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
-use std::path::Path;
 use std::sync::mpsc::sync_channel;
 use std::time::Duration;
 
@@ -29,11 +28,9 @@ const DEADLINES: u32 = 2;
 pub(crate) struct SpikeFile(File);
 
 impl SpikeFile {
-    /// Creates it.
-    pub(crate) fn create(path: &Path) -> anyhow::Result<Self> {
-        let file = File::create(path);
-        let file = file.with_context(|| format!("--spikes: {}", path.display()))?;
-        Ok(Self(file))
+    /// A file that is empty yet.
+    pub(crate) fn new(file: File) -> Self {
+        Self(file)
     }
 
     /// Writes the `spikes` of a thread of that name; a file that takes nothing is not waited for.

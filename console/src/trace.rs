@@ -2,7 +2,6 @@
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
-use std::path::Path;
 
 use anyhow::Context;
 use can::{TraceReader, candump};
@@ -21,13 +20,12 @@ pub(crate) struct FrameLog {
 }
 
 impl FrameLog {
-    /// Creates the file. `interfaces` are what the buses run on.
-    pub(crate) fn create(
-        path: &Path,
+    /// Begins the log. `interfaces` are what the buses run on.
+    pub(crate) fn new(
+        file: File,
         interfaces: &[Interface],
         readers: Vec<TraceReader>,
     ) -> anyhow::Result<Self> {
-        let sink = File::create(path).with_context(|| path.display().to_string())?;
         let name = |(bus, interface): (usize, &Interface)| {
             let name = interface.log_name(bus);
             can::InterfaceName::new(&name).with_context(|| format!("{name:?} is no interface name"))
@@ -37,7 +35,7 @@ impl FrameLog {
         Ok(Self {
             readers,
             names,
-            writer: candump::Writer::new(BufWriter::new(sink)),
+            writer: candump::Writer::new(BufWriter::new(file)),
         })
     }
 
@@ -73,13 +71,12 @@ pub(crate) struct AxisLog {
 }
 
 impl AxisLog {
-    /// Creates the file and writes its head.
-    pub(crate) fn create(
-        path: &Path,
+    /// Writes the head of the file.
+    pub(crate) fn new(
+        sink: File,
         file: &CellFile,
         records: rtrb::Consumer<Record>,
-    ) -> anyhow::Result<Self> {
-        let sink = File::create(path).with_context(|| path.display().to_string())?;
+    ) -> io::Result<Self> {
         let mut writer = BufWriter::new(sink);
         writeln!(
             writer,

@@ -1,16 +1,15 @@
 //! The serial axis controllers of the IRb-6 and IRp-6, one drive per line, with either of their telegrams.
 //!
-//! [`Nfv2AxisController`] speaks [`serial::nfv2`], [`HiMoxaAxisController`] the older
-//! [`serial::hi_moxa`]; the drive behind both is one. It is a power stage on 48 V that follows pulse
-//! widths or, by its own loop, currents; a position counter that it can have zeroed by an index pulse;
-//! and protections that act without the host: over-current and limit switches. The host closes all
-//! other loops. A set-point stays until the next one, however long that takes, and the drive knows
-//! counter and reference as long as it has power, whoever restarts at the other end.
+//! [`Nfv2AxisController`] speaks [`serial::nfv2`], [`HiMoxaAxisController`] the older [`serial::hi_moxa`]; the drive
+//! behind both is one. It is a power stage on 48 V that follows pulse widths or, by its own loop, currents; a
+//! position counter that it can have zeroed by an index pulse; and protections that act without the host:
+//! over-current and limit switches. The host closes all other loops. A set-point stays until the next one, for any
+//! time. The drive keeps counter and reference while it has power, even when its host restarts.
 //!
-//! When the last byte of a request arrives, the drive reads its sensors, does what it was told, and
-//! answers after [`AxisControllerConfig::answer_delay`]. The plant moves in sub-steps of 100 µs from
-//! power-on on, so what is read is up to a sub-step old and what is set acts up to one earlier; with a
-//! steady period both are constant.
+//! When the last byte of a request arrives, the drive reads its sensors, does what it was told, and answers after
+//! [`AxisControllerConfig::answer_delay`]. The plant moves in sub-steps of 100 µs from power-on. A value that is read
+//! is up to one sub-step old, and a value that is set acts up to one sub-step early. Both are constant at a steady
+//! period.
 //!
 //! The telegrams are documented, the drive is not. These are choices: the current loop turns each
 //! sub-step and its gains are pulse width per mA; over-current trips at the first sub-step beyond the
@@ -20,10 +19,10 @@
 //! of [`GAP`] is a new one. Left out: speed and position modes, which no host used, and the limit flags 10 to 12
 //! of NFv2.
 //!
-//! A drive that its host sets to error mode opens the emergency stop of its [`Cabinet`]: no drive in it has
-//! power until none is in error, and whoever had a power stage in use meanwhile needs manual mode to have it
-//! back. In manual mode the fault is shown while the stop is open and not latched, so that drives can leave
-//! error one after the other. A drive that trips stops itself alone.
+//! A drive in error mode opens the emergency stop of its [`Cabinet`]: no drive of the cabinet has power while any
+//! drive is in error. A drive whose power stage was in use meanwhile needs manual mode to regain power. In manual
+//! mode the fault is shown while the stop is open and not latched, so that drives can leave error one after the
+//! other. A drive that trips stops itself alone.
 
 mod cabinet;
 mod drive;

@@ -1,10 +1,10 @@
 //! A CAN bus that takes its time: arbitration by identifier, exact frame lengths, one frame at a time.
 //!
-//! Whenever the bus falls free, the frame with the strongest identifier among all that are pending
-//! goes next; it lasts as many bits as its content needs, stuff bits included; every other end has
-//! it at the end of its last bit, three bits before the bus is free again. Events are processed in
-//! the order of their times and, at one instant, of their kind: devices' time-outs, the end of a
-//! frame, the start of the next. The same input gives the same frames at the same instants.
+//! When the bus becomes free, the pending frame with the strongest identifier goes next. The frame lasts as many bits
+//! as its content needs, stuff bits included. Every other end receives it at the end of its last bit, three bits
+//! before the bus is free again. Events are processed in the order of their times and, at one instant, of their kind:
+//! devices' time-outs, the end of a frame, the start of the next. The same input gives the same frames at the same
+//! instants.
 //!
 //! Left out: errors on the wire, acknowledgement (a lone end sends as if it were heard), and the
 //! bit errors of two ends that send one identifier at once (the end attached first wins).
@@ -140,8 +140,8 @@ impl VirtualBus {
 
     /// Processes everything up to and including `until`; a frame that lasts longer stays on the wire.
     ///
-    /// May be called ahead of time if the host hands over nothing before `until`; what it hands over
-    /// for an instant that is past becomes pending at once.
+    /// May be called ahead of time if the host sends nothing before `until`. A frame sent for a past instant becomes
+    /// pending at once.
     pub fn advance(&mut self, until: Instant) {
         while let Some((at, event)) = self.next().filter(|&(at, _)| at <= until) {
             self.now = self.now.max(at);

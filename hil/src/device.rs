@@ -1,3 +1,5 @@
+//! The contract of an emulated device on a bus.
+
 use std::any::Any;
 
 use can::{Frame, Instant};

@@ -31,7 +31,7 @@ use crate::{Device, Epos4, Epos4Config};
 pub struct EposSerialConfig {
     /// The device.
     pub epos: Epos4Config,
-    /// From the last byte of what it answers or acknowledges to the first of its own.
+    /// Time from the last received byte to the first byte of the answer or acknowledgement.
     pub turn_around: Duration,
     /// After such a pause in the middle of a frame or an exchange it is over (objects 0x2005, 0x2006).
     pub time_out: Duration,
@@ -75,7 +75,7 @@ impl Service {
         self.heard.overrun += self.outbox.put(at, bytes) as u64;
     }
 
-    /// Whether it heeds what comes in: not while it boots, nor while it has something to send.
+    /// Whether received bytes are accepted: not during boot, and not while an answer is being sent.
     fn listens(&self) -> bool {
         self.epos.has_booted() && self.outbox.is_empty()
     }
@@ -85,7 +85,7 @@ impl Service {
         answers.chain(self.epos.poll_timeout()).min()
     }
 
-    /// Runs the device to `now`; what it says on CAN nobody hears.
+    /// Runs the device to `now`. Its CAN frames are dropped.
     fn run(&mut self, now: Instant) {
         self.outbox.run(now);
         if self.epos.poll_timeout().is_some_and(|at| at <= now) {
@@ -99,7 +99,7 @@ impl Service {
         let mut bytes = [0; MAX_SIZE];
         match self.read_whole(node, object, &mut bytes, now)? {
             0..=4 => Ok(u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]])),
-            _ => Err(AbortCode::TOO_LONG),
+            _ => Err(AbortCode::LENGTH_MISMATCH),
         }
     }
 

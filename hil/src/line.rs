@@ -5,10 +5,10 @@
 //! the device's time-out, the end of a byte to the device, the end of a byte to the host. The same
 //! input gives the same bytes at the same instants.
 //!
-//! A USB adapter between line and host, if there is one, collects what arrives and hands it over in
-//! packets of up to [`USB_PACKET`] bytes: when one is full, or when its latency timer runs out, which
-//! it does at fixed intervals from the last packet on, as FTDI's does. Towards the device it adds
-//! nothing here. Left out: the transfer on the USB itself, framing and parity errors, breaks.
+//! A USB adapter between line and host collects bytes and delivers packets of up to [`USB_PACKET`] bytes: when a
+//! packet is full, and when the latency timer expires. The timer restarts with each packet, as in FTDI adapters.
+//! Towards the device it adds nothing here. Left out: the transfer on the USB itself, framing and parity errors,
+//! breaks.
 //!
 //! What can go wrong on the wire is [`LineFaults`]'s. Read [`SerialLine::advance`] first.
 
@@ -75,7 +75,7 @@ struct Direction {
 }
 
 impl Direction {
-    /// A burst is counted anew after so many bytes, each time with less than 1 ns of rounding.
+    /// The count of a burst restarts after this many bytes, each time with less than 1 ns of rounding.
     const BURST: usize = 1000;
 
     fn new(settings: Settings) -> Self {
@@ -112,7 +112,7 @@ impl Direction {
         self.carried += 1;
     }
 
-    /// What arrives of the byte that ends now: nothing, one byte, or two.
+    /// Bytes that arrive for the byte that ends now: none, one or two.
     fn finish(&mut self) -> [Option<TimedByte>; 2] {
         let Some(ended) = self.on_wire.take() else {
             return [None, None];
@@ -240,8 +240,8 @@ impl SerialLine {
 
     /// Processes everything up to and including `until`; a byte that lasts longer stays on the wire.
     ///
-    /// May be called ahead of time if the host hands over nothing before `until`; what it hands over
-    /// for an instant that is past goes on the line at once.
+    /// May be called ahead of time if the host writes nothing before `until`. Bytes written for a past instant go on
+    /// the line at once.
     pub fn advance(&mut self, until: Instant) {
         self.take_from_host();
         while let Some((at, event)) = self.next().filter(|&(at, _)| at <= until) {

@@ -1,3 +1,5 @@
+//! The contract of an emulated device on a serial line.
+
 use std::any::Any;
 
 use can::Instant;

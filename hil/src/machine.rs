@@ -1,16 +1,26 @@
-//! What the test machines have in common: what to run in them, and where its exit status comes out.
+//! What the test machines have in common: what to run in them, where its exit status comes out, and how they end.
+
+mod supervisor;
+mod trust;
 
 use std::ffi::{OsStr, OsString};
-use std::fs;
+use std::fmt;
+use std::fs::{self, Permissions};
 use std::io;
+use std::os::fd::OwnedFd;
 use std::os::unix::ffi::OsStrExt;
+use std::os::unix::fs::{MetadataExt, PermissionsExt, symlink};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
 
 use can::clock;
+use tempfile::TempDir;
 use thiserror::Error;
+
+pub use supervisor::Cancellation;
+use supervisor::Supervisor;
+use trust::Distrust;
 
 /// Where a machine has file systems of its own.
 const HIDDEN: [&str; 4] = ["/tmp", "/var/tmp", "/run", "/dev"];
@@ -30,6 +40,28 @@ pub enum MachineError {
     /// It was killed at the end of its time.
     #[error("the test machine was killed after {0:?}")]
     TimedOut(Duration),
+    /// It was killed because its [`Cancellation`] was requested.
+    #[error("the test machine was stopped on request")]
+    Cancelled,
+    /// Another user can put other files in the place of the machine's.
+    #[error(
+        "{directory}, or one above it, belongs to user {user}, who can change what lies there: name another"
+    )]
+    Foreign {
+        /// Which it is.
+        directory: Directory,
+        /// The other user.
+        user: u32,
+    },
+    /// Any user can put other files in the place of the machine's.
+    #[error("{directory} is one that any user can change, or lies in one: name another")]
+    Shared {
+        /// Which it is.
+        directory: Directory,
+    },
+    /// A kernel's command line cannot carry the name.
+    #[error("{0} has a name of other signs than letters, digits and ./_-: name another")]
+    Name(Directory),
     /// The host refused something.
     #[error("cannot {doing}: {kind}")]
     Host {
@@ -38,6 +70,43 @@ pub enum MachineError {
         /// How it failed.
         kind: io::ErrorKind,
     },
+}
+
+/// A directory that a machine works with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Directory {
+    /// That of [`Options::output`].
+    Output,
+    /// That of temporary files, where the machine's own directory is made.
+    Temporary,
+}
+
+impl fmt::Display for Directory {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Output => "the output directory",
+            Self::Temporary => "the directory for temporary files (TMPDIR)",
+        })
+    }
+}
+
+impl Directory {
+    fn distrusted(self, why: Distrust) -> MachineError {
+        match why {
+            Distrust::Foreign(user) => MachineError::Foreign {
+                directory: self,
+                user,
+            },
+            Distrust::Shared => MachineError::Shared { directory: self },
+            Distrust::Unknown(kind) => MachineError::Host {
+                doing: match self {
+                    Self::Output => "make the output directory",
+                    Self::Temporary => "look at the directory for temporary files",
+                },
+                kind,
+            },
+        }
+    }
 }
 
 /// What to run in the test machine.
@@ -52,12 +121,15 @@ pub struct Options {
     pub directory: PathBuf,
     /// Further directories of the host to be seen inside, read-only, wherever they lie.
     pub visible: Vec<PathBuf>,
-    /// The one directory of the host that the program can write to; `None` makes one and removes it.
+    /// The one directory of the host that the program can write to, made if it is not there; no other user may be able to
+    /// change it or where its path leads. `None` makes one and removes it.
     pub output: Option<PathBuf>,
     /// Memory of the machine, MiB.
     pub memory_mib: u32,
     /// How long it may take from start to power-off.
     pub timeout: Duration,
+    /// Ends the machine before its time.
+    pub cancellation: Cancellation,
 }
 
 impl Options {
@@ -71,6 +143,7 @@ impl Options {
             output: None,
             memory_mib: 256,
             timeout: Duration::from_secs(60),
+            cancellation: Cancellation::default(),
         }
     }
 
@@ -87,38 +160,58 @@ impl Options {
     }
 }
 
-/// The machine's own directory inside the output directory, removed with everything in it. The exit status
-/// of the command goes to its file `status`.
+/// The machine's own directory, removed with everything in it, which no other user can look into. The exit status of the
+/// command goes to its file `status`.
 pub(crate) struct Control {
-    pub(crate) path: PathBuf,
-    /// What to remove: the directory itself, or the whole output directory if it was made for this run.
-    remove: PathBuf,
+    path: PathBuf,
+    output: PathBuf,
+    _directory: TempDir,
 }
 
 impl Control {
-    pub(crate) fn new(machine: &str, output: Option<&Path>) -> io::Result<Self> {
-        static RUNS: AtomicU32 = AtomicU32::new(0);
-        let run = RUNS.fetch_add(1, Ordering::Relaxed);
-        let name = format!("mrroc-{machine}-{}-{run}", std::process::id());
-        let (output, made) = match output {
-            Some(output) => (output.to_path_buf(), false),
-            None => (std::env::temp_dir().join(&name), true),
+    pub(crate) fn new(machine: &str, output: Option<&Path>) -> Result<Self, MachineError> {
+        let make = || {
+            let directory = tempfile::Builder::new()
+                .prefix(&format!("mrroc-{machine}-"))
+                .permissions(Permissions::from_mode(0o700))
+                .tempdir()?;
+            let user = fs::symlink_metadata(directory.path())?.uid();
+            let path = std::path::absolute(directory.path())?;
+            Ok((directory, path, user))
         };
-        fs::create_dir_all(&output)?;
-        let output = output.canonicalize()?;
-        let path = output.join(format!(".{name}"));
-        let remove = if made { output } else { path.clone() };
-        fs::create_dir(&path)?;
-        Ok(Self { path, remove })
+        let (directory, path, user) = make().map_err(host("make a temporary directory"))?;
+        let here = Directory::Temporary;
+        let path = trust::resolve(&path, user).map_err(|why| here.distrusted(why))?;
+        let plain = |byte: &u8| byte.is_ascii_alphanumeric() || b"./_-".contains(byte);
+        if !path.as_os_str().as_bytes().iter().all(plain) {
+            return Err(MachineError::Name(here));
+        }
+        let output = output.map_or_else(|| path.join("output"), Path::to_owned);
+        let output = trust::own(&output, user).map_err(|why| Directory::Output.distrusted(why))?;
+        Ok(Self {
+            path,
+            output,
+            _directory: directory,
+        })
+    }
+
+    /// The directory itself. Its path has no sign that a command line or a mount option takes for another.
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
     }
 
     /// The output directory.
     pub(crate) fn output(&self) -> &Path {
-        self.path.parent().expect("made in the output directory")
+        &self.output
+    }
+
+    /// A symbolic link of such a path to `directory`.
+    pub(crate) fn link(&self, name: &str, directory: &Path) -> io::Result<()> {
+        symlink(directory, self.path.join(name))
     }
 
     /// What the command ended with, of a machine that has ended; without that it matters whether the command `began`.
-    pub(crate) fn result(&self, began: bool) -> Result<u8, MachineError> {
+    fn result(&self, began: bool) -> Result<u8, MachineError> {
         let status = fs::read_to_string(self.path.join("status")).ok();
         let status = status.and_then(|status| status.trim().parse().ok());
         status.ok_or(if began {
@@ -129,34 +222,66 @@ impl Control {
     }
 }
 
-impl Drop for Control {
-    fn drop(&mut self) {
-        // Nothing can be done about a directory that somebody else holds.
-        let _ = fs::remove_dir_all(&self.remove);
-    }
+/// A machine and its directory: neither is left when this has been dropped.
+pub(crate) struct Machine {
+    // Dropped first, since the machine writes to the directory.
+    supervisor: Supervisor,
+    pub(crate) control: Control,
+    cancellation: Cancellation,
 }
 
-/// Shows the `output` of a `machine`, which is killed when dropped, until it ends; after `timeout` it is made to.
-pub(crate) fn pump<Machine>(
-    machine: Machine,
-    output: &Receiver<Vec<u8>>,
-    timeout: Duration,
-    mut show: impl FnMut(&[u8]),
-) -> Result<(), MachineError> {
-    let deadline = clock::now() + timeout;
-    loop {
-        match output.recv_timeout(deadline.since(clock::now())) {
-            Ok(piece) => show(&piece),
-            Err(RecvTimeoutError::Disconnected) => return Ok(()),
-            Err(RecvTimeoutError::Timeout) => break,
+impl Machine {
+    /// A machine that is to be started by `command`, and writes to `stdout` and `stderr`. From now on its directory is
+    /// removed even if this program is killed.
+    pub(crate) fn new(
+        control: Control,
+        command: impl IntoIterator<Item = OsString>,
+        stdout: impl Into<OwnedFd>,
+        stderr: impl Into<OwnedFd>,
+        cancellation: &Cancellation,
+    ) -> io::Result<Self> {
+        let supervisor = Supervisor::new(&control.path, command, stdout, stderr, cancellation)?;
+        Ok(Self {
+            supervisor,
+            control,
+            cancellation: cancellation.clone(),
+        })
+    }
+
+    /// Starts it, and shows its `output` until it ends; after `timeout` it is made to.
+    pub(crate) fn run(
+        &self,
+        output: &Receiver<Vec<u8>>,
+        timeout: Duration,
+        mut show: impl FnMut(&[u8]),
+    ) -> Result<(), MachineError> {
+        let deadline = clock::now() + timeout;
+        self.supervisor
+            .start()
+            .map_err(host("start the test machine"))?;
+        loop {
+            match output.recv_timeout(deadline.since(clock::now())) {
+                Ok(piece) => show(&piece),
+                Err(RecvTimeoutError::Disconnected) => return Ok(()),
+                Err(RecvTimeoutError::Timeout) => break,
+            }
         }
+        self.supervisor.kill();
+        // What was printed just before the end says most of why it hangs. The output ends with the last of the processes.
+        while let Ok(piece) = output.recv_timeout(GRACE) {
+            show(&piece);
+        }
+        Err(MachineError::TimedOut(timeout))
     }
-    drop(machine);
-    // What was printed just before the end says most of why it hangs. The output ends with the last of the processes.
-    while let Ok(piece) = output.recv_timeout(GRACE) {
-        show(&piece);
+
+    /// What the command ended with, of a machine that has ended; without that it matters whether the command `began`.
+    pub(crate) fn result(&self, began: bool) -> Result<u8, MachineError> {
+        let result = self.control.result(began);
+        result.map_err(|error| match self.cancellation.is_requested() {
+            true => MachineError::Cancelled,
+            false => error,
+        })
     }
-    Err(MachineError::TimedOut(timeout))
 }
 
 /// Says what the host refused.
@@ -167,14 +292,15 @@ pub(crate) fn host(doing: &'static str) -> impl Fn(io::Error) -> MachineError {
     }
 }
 
-/// The command as a shell reads it.
-pub(crate) fn command_script(options: &Options) -> Vec<u8> {
+/// The command as a shell reads it, told of the `output` directory.
+pub(crate) fn command_script(options: &Options, output: &Path) -> Vec<u8> {
     let mut script = b"cd ".to_vec();
     script.extend(quoted(options.directory.as_os_str()));
-    // Should we be killed before the machine, this still ends it.
+    // Should supervisor and program both be killed, this still ends the machine.
     let limit = options.timeout.as_secs() + 1;
     script.extend(format!(" || exit 126\nexec timeout --signal=KILL {limit} env").bytes());
-    for (name, value) in &options.env {
+    let output = ("MRROC_OUT".into(), output.as_os_str().to_owned());
+    for (name, value) in [&output].into_iter().chain(&options.env) {
         script.push(b' ');
         let mut setting = name.clone();
         setting.push("=");
@@ -215,11 +341,11 @@ mod tests {
         };
         let expected = concat!(
             "cd '/a b' || exit 126\n",
-            r"exec timeout --signal=KILL 61 env 'A=it'\''s $HOME' 'echo' '' '`x`' 2>&1",
+            r"exec timeout --signal=KILL 61 env 'MRROC_OUT=/o' 'A=it'\''s $HOME' 'echo' '' '`x`' 2>&1",
             "\n"
         );
         assert_eq!(
-            String::from_utf8(command_script(&options)).unwrap(),
+            String::from_utf8(command_script(&options, Path::new("/o"))).unwrap(),
             expected
         );
     }

@@ -1,3 +1,5 @@
+//! Bytes that an emulated device receives and sends.
+
 use std::collections::VecDeque;
 
 use can::Instant;

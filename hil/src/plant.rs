@@ -1,12 +1,11 @@
 //! Plants: the physics behind an emulated axis controller, from motor windings to limit switches.
 //!
-//! Read [`Axis`] first: one motor with its load, its sensors and the inner loops of its drive, moved
-//! on in sub-steps of 100 µs. Below it stand two plants: [`Wut`], the toy that the robots' own
-//! software emulated its hardware with, kept as the regression model, and [`MotorConfig`], a motor
-//! with windings, friction, gravity, end stops and temperature. [`AxisConfig::irp6`] and its neighbours
-//! fill in the numbers of the lab's robots. A motor on its own carries a constant inertia and a weight
-//! that follows its own angle; the axes of one robot are to be mounted on a [`Mechanism`], which is
-//! where they weigh on each other and where payloads come and go.
+//! Read [`Axis`] first: one motor with its load, its sensors and the inner loops of its drive, moved on in sub-steps
+//! of 100 µs. Below it stand two plants: [`Wut`], the toy that the robots' own software emulated its hardware with,
+//! kept as the regression model, and [`MotorConfig`], a motor with windings, friction, gravity, end stops and
+//! temperature. [`AxisConfig::irp6`] and its neighbours fill in the numbers of the lab's robots. A motor on its own
+//! carries a constant inertia and a weight that depends on its own angle. The axes of one robot are mounted on a
+//! [`Mechanism`], which couples their weights and carries payloads.
 //!
 //! Everything is SI and at the motor shaft. A run is a function of configuration, seed and demands,
 //! the same bit for bit each time on one build. Left out: elastic gears, backlash, forces between axes

@@ -20,8 +20,7 @@ use thiserror::Error;
 
 /// The device's end of a pseudo-terminal. Neither reading nor writing waits.
 ///
-/// What is written while nobody has the host's end open waits for whoever opens it next, unless
-/// they discard it, as most do.
+/// Bytes written while the host's end is closed wait for the next host that opens it. Most hosts discard them.
 #[derive(Debug)]
 pub struct Pty {
     master: File,
@@ -126,11 +125,11 @@ impl AsFd for Pty {
 
 impl Drop for Pty {
     fn drop(&mut self) {
-        // A link that somebody has put elsewhere is theirs.
+        // A link that another process redirected is left alone.
         if let Some(link) = &self.link
             && fs::read_link(link).is_ok_and(|to| to == self.path)
         {
-            // Nobody is left to be told if it fails.
+            // An error here has no receiver.
             let _ = fs::remove_file(link);
         }
     }
@@ -145,8 +144,8 @@ pub struct Interest {
     pub write: bool,
 }
 
-/// Waits until one of `ends` is ready for what is of interest, or until `until`, and says of each whether it may be read:
-/// also where an error is to be read, or that nobody is there. Signals do not shorten the wait.
+/// Waits until one of `ends` is ready for its interest, or until `until`. Returns for each end whether a read would
+/// return, also with an error or without a host. Signals do not shorten the wait.
 pub fn wait<'a>(
     ends: impl IntoIterator<Item = (BorrowedFd<'a>, Interest)>,
     until: Instant,
@@ -377,7 +376,7 @@ mod tests {
         let readable = wait(ends(), start + Duration::from_secs(60)).unwrap();
         assert_eq!(readable, [false, true]);
         assert!(clock::now() < start + Duration::from_secs(30));
-        // Who does not want to read is not woken by what there is to read.
+        // An end without interest in reading is not woken by readable bytes.
         let nothing = Interest {
             read: false,
             ..READ

@@ -1,7 +1,7 @@
 #!/busybox sh
 # First process of the test machine, in a file system of its own that holds this script, BusyBox, modules in
-# the order in which they load, and three more scripts: `settings` names the output directory and the machine's
-# own directory inside it, `mounts` brings back what our mounts hide, `command` is what to run.
+# the order in which they load, and three more scripts: `settings` names the machine's own directory, `mounts` brings
+# back what our mounts hide and mounts the output directory, `command` is what to run.
 #
 # What the command prints goes to hvc0, what we and the kernel say to the console. The file `began` says
 # that the boot is over; the command's exit status goes to `status`.
@@ -38,14 +38,14 @@ for directory in /dev/shm /run /tmp /var/tmp; do
     step mount -t tmpfs tmpfs "/root$directory"
 done
 step sh -e /mounts
-mkdir -p "/root$output"
-step mount -t 9p -o trans=virtio,version=9p2000.L,rw,msize=262144 output "/root$output"
+mkdir -p "/root$control"
+step mount -t 9p -o trans=virtio,version=9p2000.L,rw,msize=262144 control "/root$control"
 
 # Held open, for its settings end with the last who has it open.
 exec 3<>/dev/hvc0
 step stty -F /dev/hvc0 -opost -echo
 step touch "/root$control/began"
-MRROC_OUT=$output setsid chroot /root /bin/sh -c "$(cat /command)" </dev/null >/dev/hvc0 2>&1 3>&-
+setsid chroot /root /bin/sh -c "$(cat /command)" </dev/null >/dev/hvc0 2>&1 3>&-
 status=$?
 # Waits until all is written.
 stty -F /dev/hvc0 -opost

@@ -9,17 +9,18 @@
 //!
 //! Read [`Kernel`], then [`run`]; the machine's first process is `qemu-init.sh`.
 
+use std::ffi::OsString;
 use std::fs::{self, File};
 use std::io::{self, Read, Write};
+use std::os::unix::ffi::{OsStrExt, OsStringExt};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread;
 
 use thiserror::Error;
 
-use crate::machine::{Control, command_script, host, pump, quoted};
-pub use crate::machine::{MachineError, Options};
+pub use crate::machine::{Cancellation, MachineError, Options};
+use crate::machine::{Control, Machine, command_script, host, quoted};
 
 const QEMU: &str = "qemu-system-x86_64";
 const BUSYBOX: &str = "/bin/busybox";
@@ -124,21 +125,21 @@ impl Kernel {
 /// What the command prints, on either stream, goes to `stdout` as it comes; so do the boot's messages if the
 /// boot fails.
 pub fn run(kernel: &Kernel, options: &Options, stdout: &mut dyn Write) -> Result<u8, QemuError> {
-    let control = Control::new("qemu", options.output.as_deref())
-        .map_err(host("make the output directory"))?;
-    let initramfs = initramfs(kernel, options, &control).map_err(host("read the kernel"))?;
-    fs::write(control.path.join("initramfs"), initramfs)
-        .map_err(host("write the output directory"))?;
+    let control = Control::new("qemu", options.output.as_deref())?;
     let (machine, output) =
-        Machine::start(kernel, options, &control).map_err(host("start the test machine"))?;
-    pump(machine, &output, options.timeout, |piece| {
+        machine(control, kernel, options).map_err(host("start the test machine"))?;
+    let control = &machine.control;
+    let initramfs = initramfs(kernel, options, control).map_err(host("read the kernel"))?;
+    fs::write(control.path().join("initramfs"), initramfs)
+        .map_err(host("write the machine's directory"))?;
+    machine.run(&output, options.timeout, |piece| {
         // The command runs on when nobody reads what it prints.
         let _ = stdout.write_all(piece).and_then(|()| stdout.flush());
     })?;
-    let result = control.result(control.path.join("began").exists());
+    let result = machine.result(control.path().join("began").exists());
     if result == Err(MachineError::BootFailed) {
         // The error is what matters; a reader who left does not.
-        if let Ok(log) = fs::read(boot_log(&control)) {
+        if let Ok(log) = fs::read(boot_log(control)) {
             let _ = stdout.write_all(&log);
         }
     }
@@ -147,69 +148,58 @@ pub fn run(kernel: &Kernel, options: &Options, stdout: &mut dyn Write) -> Result
 
 /// What the kernel, `qemu-init.sh` and QEMU itself have to say.
 fn boot_log(control: &Control) -> PathBuf {
-    control.path.join("boot.log")
+    control.path().join("boot.log")
 }
 
-/// The machine's process, killed and awaited on drop.
-struct Machine(Child);
-
-impl Machine {
-    fn start(
-        kernel: &Kernel,
-        options: &Options,
-        control: &Control,
-    ) -> io::Result<(Self, Receiver<Vec<u8>>)> {
-        let log = boot_log(control);
-        // A comma separates settings; a double one is a comma.
-        let escaped = |path: &Path| path.display().to_string().replace(',', ",,");
-        let mut child = Command::new(QEMU)
-            .args(["-accel", "tcg", "-smp", "1", "-nodefaults", "-no-reboot"])
-            .args(["-display", "none", "-monitor", "none"])
-            .args(["-m", &options.memory_mib.to_string()])
-            .arg("-kernel")
-            .arg(&kernel.image)
-            .arg("-initrd")
-            .arg(control.path.join("initramfs"))
-            .args(["-append", "console=ttyS0 quiet panic=-1 mitigations=off"])
-            .args(["-object", "can-bus,id=bus"])
-            .args(["-device", "kvaser_pci,canbus=bus"])
-            .args(["-device", "kvaser_pci,canbus=bus"])
-            .args([
-                "-chardev",
-                &format!("file,id=log,append=on,path={}", escaped(&log)),
-            ])
-            .args(["-serial", "chardev:log"])
-            .args(["-chardev", "stdio,id=output,signal=off"])
-            .args(["-device", "virtio-serial-pci"])
-            .args(["-device", "virtconsole,chardev=output"])
-            .arg("-virtfs")
-            .arg("local,path=/,mount_tag=host,security_model=none,readonly=on,multidevs=remap")
-            .arg("-virtfs")
-            .arg(format!(
-                "local,path={},mount_tag=output,security_model=none,multidevs=remap",
-                escaped(control.output())
-            ))
-            .stdin(Stdio::null())
-            .stdout(Stdio::piped())
-            .stderr(File::options().create(true).append(true).open(&log)?)
-            .spawn()?;
-        let output = child.stdout.take().expect("stdout is piped");
-        let machine = Self(child);
-        let (pieces, received) = sync_channel(OUTPUT_PIECES);
-        let read = move || read_pieces(output, |piece| pieces.send(piece).is_ok());
-        thread::Builder::new()
-            .name("qemu output".into())
-            .spawn(read)?;
-        Ok((machine, received))
-    }
+/// A setting of QEMU that ends with a path. A comma separates settings; a double one is a comma.
+fn setting(before: &str, path: &Path, behind: &str) -> OsString {
+    let path = path.as_os_str().as_bytes();
+    let path: Vec<&[u8]> = path.split(|byte| *byte == b',').collect();
+    let words = [before.as_bytes(), &path.join(&b",,"[..]), behind.as_bytes()];
+    OsString::from_vec(words.concat())
 }
 
-impl Drop for Machine {
-    fn drop(&mut self) {
-        // Both fail if it has ended, which is as well.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
+/// The machine, not started yet, and pieces of its output.
+fn machine(
+    control: Control,
+    kernel: &Kernel,
+    options: &Options,
+) -> io::Result<(Machine, Receiver<Vec<u8>>)> {
+    let shared = |path, tag, access| {
+        let behind = format!(",mount_tag={tag},security_model=none,{access}multidevs=remap");
+        setting("local,path=", path, &behind)
+    };
+    let log = boot_log(&control);
+    let words = |words: &str| words.split(' ').map(OsString::from).collect::<Vec<_>>();
+    let option = |name: &str, value: OsString| vec![name.into(), value];
+    let image = kernel.image.clone().into_os_string();
+    let initramfs = control.path().join("initramfs").into_os_string();
+    let kernel_command = "console=ttyS0 quiet panic=-1 mitigations=off";
+    let command = [
+        vec![QEMU.into()],
+        words("-accel tcg -smp 1 -nodefaults -no-reboot -display none -monitor none"),
+        option("-m", options.memory_mib.to_string().into()),
+        option("-kernel", image),
+        option("-initrd", initramfs),
+        option("-append", kernel_command.into()),
+        words("-object can-bus,id=bus -device kvaser_pci,canbus=bus -device kvaser_pci,canbus=bus"),
+        option("-chardev", setting("file,id=log,append=on,path=", &log, "")),
+        words("-serial chardev:log -chardev stdio,id=output,signal=off"),
+        words("-device virtio-serial-pci -device virtconsole,chardev=output"),
+        option("-virtfs", shared(Path::new("/"), "host", "readonly=on,")),
+        option("-virtfs", shared(control.output(), "output", "")),
+        option("-virtfs", shared(control.path(), "control", "")),
+    ]
+    .concat();
+    let (console, output) = io::pipe()?;
+    let log = File::options().create(true).append(true).open(&log)?;
+    let machine = Machine::new(control, command, output, log, &options.cancellation)?;
+    let (pieces, received) = sync_channel(OUTPUT_PIECES);
+    let read = move || read_pieces(console, |piece| pieces.send(piece).is_ok());
+    thread::Builder::new()
+        .name("qemu output".into())
+        .spawn(read)?;
+    Ok((machine, received))
 }
 
 fn read_pieces(mut output: impl Read, mut take: impl FnMut(Vec<u8>) -> bool) {
@@ -227,8 +217,8 @@ fn initramfs(kernel: &Kernel, options: &Options, control: &Control) -> io::Resul
     archive.add("init", 0o755, INIT.as_bytes());
     archive.add("busybox", 0o755, &fs::read(BUSYBOX)?);
     archive.add("settings", 0o644, &settings(control));
-    archive.add("mounts", 0o644, &mount_script(options));
-    archive.add("command", 0o644, &command_script(options));
+    archive.add("mounts", 0o644, &mount_script(options, control.output()));
+    archive.add("command", 0o644, &command_script(options, control.output()));
     for (number, module) in MODULES.iter().enumerate() {
         let name = format!("{number:02}.ko");
         archive.add(&name, 0o644, &fs::read(kernel.module(module))?);
@@ -237,28 +227,31 @@ fn initramfs(kernel: &Kernel, options: &Options, control: &Control) -> io::Resul
 }
 
 fn settings(control: &Control) -> Vec<u8> {
-    let output = quoted(control.output().as_os_str());
-    let control = quoted(control.path.as_os_str());
-    let words: [&[u8]; 5] = [b"output=", &output, b"\ncontrol=", &control, b"\n"];
-    words.concat()
+    let control = quoted(control.path().as_os_str());
+    [b"control=", &*control, b"\n"].concat()
 }
 
-/// Mounts what is to be seen inside and would be hidden.
-fn mount_script(options: &Options) -> Vec<u8> {
-    let mount = |place: &PathBuf| {
+/// Mounts what is to be seen inside and would be hidden, and the output directory, which may lie inside one of these.
+fn mount_script(options: &Options, output: &Path) -> Vec<u8> {
+    let mount = |place: &Path, how: &[u8]| {
         let place = quoted(place.as_os_str());
-        let words: [&[u8]; 7] = [
+        let words = [
             b"mkdir -p /root",
-            &place,
-            b"; mount -o bind /host",
-            &place,
+            &*place,
+            b"; mount ",
+            how,
             b" /root",
             &place,
             b"\n",
         ];
         words.concat()
     };
-    options.hidden().iter().flat_map(mount).collect()
+    let hidden = options.hidden().into_iter().flat_map(|place| {
+        let from = quoted(place.as_os_str());
+        mount(&place, &[b"-o bind /host", &*from].concat())
+    });
+    let writable = b"-t 9p -o trans=virtio,version=9p2000.L,rw,msize=262144 output";
+    hidden.chain(mount(output, writable)).collect()
 }
 
 /// A cpio archive of the format `newc`: after `070701` thirteen numbers of eight hexadecimal digits, the name
@@ -330,8 +323,9 @@ mod tests {
             ..Options::new(["sh"])
         };
         assert_eq!(
-            String::from_utf8(mount_script(&options)).unwrap(),
-            "mkdir -p /root'/tmp/a b'; mount -o bind /host'/tmp/a b' /root'/tmp/a b'\n"
+            String::from_utf8(mount_script(&options, Path::new("/o"))).unwrap(),
+            "mkdir -p /root'/tmp/a b'; mount -o bind /host'/tmp/a b' /root'/tmp/a b'\n\
+             mkdir -p /root'/o'; mount -t 9p -o trans=virtio,version=9p2000.L,rw,msize=262144 output /root'/o'\n"
         );
     }
 

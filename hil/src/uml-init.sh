@@ -1,13 +1,12 @@
 #!/bin/sh
 # First process of the test machine. Its root is the host's file system, read-only.
 #
-# This script lies in a directory of its own inside the output directory, which is the only place on
-# the host that the machine can write to. Beside it lie two more: `mounts` brings back what our own
-# mounts hide, and the exit status of `command` goes to `status`. A step of the boot that fails goes
-# to `failed` instead. On the console, a mark stands before and behind what the command prints.
+# This script lies in a directory of its own, the machine's, which is the only place on the host that the machine can
+# write to beside the output directory. Beside it lie two more: `mounts` brings back what our own mounts hide, and mounts
+# the output directory; the exit status of `command` goes to `status`. A step of the boot that fails goes to `failed`
+# instead. On the console, a mark stands before and behind what the command prints.
 export PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin
 control=${0%/*}
-output=${control%/*}
 mark=${control##*/}
 
 power_off() {
@@ -36,14 +35,14 @@ mount -t sysfs sysfs /sys
 stty -opost -echo </dev/console
 mkdir /dev/pts /dev/shm
 mount -t devpts devpts /dev/pts
-# Read before the mounts hide it. The output directory comes last: it may lie inside one of these.
+# Read before the mounts hide it. The machine's directory comes last: it may lie inside one of these.
 mounts=$(cat "$control/mounts")
 for directory in /dev/shm /run /tmp /var/tmp; do
     mount -t tmpfs tmpfs "$directory"
 done
 unseen=$(sh -ec "$mounts" 2>&1)
-mkdir -p "$output"
-mount -t hostfs -o "$output" none "$output" || power_off
+mkdir -p "$control"
+mount -t hostfs -o "rw,$control" none "$control" || power_off
 [ -z "$unseen" ] || step false "$unseen"
 
 step load net/can/can
@@ -58,7 +57,7 @@ step ip link add dev vcan0 type vcan
 step ip link set vcan0 mtu 16 up
 
 echo "$mark"
-MRROC_OUT=$output setsid --wait /bin/sh "$control/command" </dev/null
+setsid --wait /bin/sh "$control/command" </dev/null
 echo $? >"$control/status"
 echo "$mark"
 power_off

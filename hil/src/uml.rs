@@ -2,26 +2,28 @@
 //! process, booted in about three seconds on the host's own file system.
 //!
 //! It promises that the command inside can write to one directory of the host and nowhere else, that
-//! it ends within its time, and that no process and no file is left behind. Interface `vcan0` is up;
+//! it ends within its time, and that no process and no file is left behind, however the program that asked for it
+//! ends: `supervise.sh` is a process of its own that outlives it. Other users of the host can neither read nor change the
+//! machine's files. Interface `vcan0` is up;
 //! `can-utils`, `ip` and `tc` work as on any host. There is one processor, and its timing proves
 //! nothing. `/tmp`, `/var/tmp`, `/run` and `/dev` are the machine's own: what lies there on the host is not
 //! seen inside, but for the working directory, the program's directory and those of [`Options::visible`].
 //!
 //! Read [`Options`], then [`run`]; the machine's first process is `uml-init.sh`.
 
+use std::ffi::OsString;
 use std::fs;
 use std::io::{self, BufRead, BufReader, PipeReader, Write};
 use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::PermissionsExt;
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::path::Path;
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread;
 
 use thiserror::Error;
 
-use crate::machine::{Control, command_script, host, pump, quoted};
-pub use crate::machine::{MachineError, Options};
+pub use crate::machine::{Cancellation, MachineError, Options};
+use crate::machine::{Control, Machine, command_script, host, quoted};
 
 /// The kernel, as Debian's package `user-mode-linux` installs it.
 const KERNEL: &str = "/usr/bin/linux.uml";
@@ -70,96 +72,88 @@ fn installed_in(kernel: &Path, modules: &Path) -> Result<(), UmlError> {
 /// if the boot fails.
 pub fn run(options: &Options, stdout: &mut dyn Write) -> Result<u8, UmlError> {
     installed()?;
-    let control = Control::new("uml", options.output.as_deref())
-        .and_then(|control| write(&control, options).map(|()| control))
-        .map_err(host("write the output directory"))?;
-    let (machine, console) =
-        Machine::start(options, &control).map_err(host("start the test machine"))?;
-    let mut screen = Screen::new(mark(&control));
-    pump(machine, &console, options.timeout, |line| {
-        screen.show(line, stdout);
-    })?;
-    let result = control.result(screen.part != Part::Boot);
+    let control = Control::new("uml", options.output.as_deref())?;
+    let (machine, console) = machine(control, options).map_err(host("start the test machine"))?;
+    write(&machine.control, options).map_err(host("write the machine's directory"))?;
+    let mut screen = Screen::new(mark(&machine.control));
+    machine.run(&console, options.timeout, |line| screen.show(line, stdout))?;
+    let result = machine.result(screen.part != Part::Boot);
     if result == Err(MachineError::BootFailed) {
         // The error is what matters; a reader who left does not.
         let _ = stdout.write_all(&screen.boot_log);
-        if let Ok(step) = fs::read_to_string(control.path.join("failed")) {
+        if let Ok(step) = fs::read_to_string(machine.control.path().join("failed")) {
             let _ = writeln!(stdout, "the boot failed at: {}", step.trim_end());
         }
     }
     Ok(result?)
 }
 
+/// What the machine's first process reads.
 fn write(control: &Control, options: &Options) -> io::Result<()> {
-    let init = control.path.join("init");
-    fs::write(&init, INIT)?;
-    fs::set_permissions(&init, fs::Permissions::from_mode(0o755))?;
-    fs::write(control.path.join("mounts"), mount_script(options))?;
-    fs::write(control.path.join("command"), command_script(options))
+    let file = |name| control.path().join(name);
+    fs::write(file("init"), INIT)?;
+    fs::set_permissions(file("init"), fs::Permissions::from_mode(0o755))?;
+    fs::write(file("mounts"), mount_script(control, options)?)?;
+    fs::write(file("command"), command_script(options, control.output()))
 }
 
 /// The line before and behind the command's output: no other run has the same.
 fn mark(control: &Control) -> Vec<u8> {
-    let name = control.path.file_name().expect("made with a name");
+    let name = control.path().file_name().expect("made with a name");
     [name.as_bytes(), b"\n"].concat()
 }
 
-/// Mounts what is to be seen inside and would be hidden.
-fn mount_script(options: &Options) -> Vec<u8> {
-    let mount = |place: &PathBuf| {
+/// Mounts what is to be seen inside and would be hidden, and the output directory, which may lie inside one of these.
+/// hostfs is told of a link to each: its option would take a sign of a name for one of its own.
+fn mount_script(control: &Control, options: &Options) -> io::Result<Vec<u8>> {
+    let mut script = Vec::new();
+    let mut mount = |name: &str, place: &Path, access: &str| {
+        control.link(name, place)?;
+        let link = control.path().join(name);
         let place = quoted(place.as_os_str());
-        let words: [&[u8]; 7] = [
-            b"mkdir -p ",
-            &place,
-            b"; mount -t hostfs -r -o ",
-            &place,
-            b" none ",
-            &place,
-            b"\n",
-        ];
-        words.concat()
+        write!(script, "mkdir -p ")?;
+        script.write_all(&place)?;
+        write!(
+            script,
+            "; mount -t hostfs -o {access},{} none ",
+            link.display()
+        )?;
+        script.write_all(&place)?;
+        writeln!(script)
     };
-    options.hidden().iter().flat_map(mount).collect()
+    for (number, place) in options.hidden().iter().enumerate() {
+        mount(&format!("visible-{number}"), place, "ro")?;
+    }
+    mount("writable", control.output(), "rw")?;
+    Ok(script)
 }
 
-/// The machine's processes, all in one group, killed and awaited on drop.
-struct Machine(Child);
-
-impl Machine {
-    fn start(options: &Options, control: &Control) -> io::Result<(Self, Receiver<Vec<u8>>)> {
-        let (console, output) = io::pipe()?;
-        let directory = control.path.display();
-        let child = Command::new("setsid")
-            .arg(KERNEL)
-            .args(["root=/dev/root", "rootfstype=hostfs", "rootflags=/", "ro"])
-            .args(["con=null", "con0=null,fd:1", "quiet"])
-            .arg(format!("mem={}M", options.memory_mib))
-            .arg(format!("uml_dir={directory}/"))
-            .arg(format!("init=\"{directory}/init\""))
-            .stdin(Stdio::null())
-            .stdout(output.try_clone()?)
-            .stderr(output)
-            .spawn()?;
-        let machine = Self(child);
-        let (lines, received) = sync_channel(CONSOLE_LINES);
-        let read = move || read_lines(console, |line| lines.send(line).is_ok());
-        thread::Builder::new()
-            .name("uml console".into())
-            .spawn(read)?;
-        Ok((machine, received))
-    }
-}
-
-impl Drop for Machine {
-    fn drop(&mut self) {
-        // The leader was not awaited yet, so its number cannot have gone to another process.
-        let kill = format!("kill -s KILL -- -{}", self.0.id());
-        let _ = Command::new("sh")
-            .args(["-c", &kill])
-            .stderr(Stdio::null())
-            .status();
-        let _ = self.0.wait();
-    }
+/// The machine, not started yet, and the lines of its console.
+fn machine(control: Control, options: &Options) -> io::Result<(Machine, Receiver<Vec<u8>>)> {
+    let (console, output) = io::pipe()?;
+    let directory = control.path().display();
+    let command = [
+        KERNEL,
+        "root=/dev/root",
+        "rootfstype=hostfs",
+        "rootflags=/",
+        "ro",
+        "con=null",
+        "con0=null,fd:1",
+        "quiet",
+        &format!("mem={}M", options.memory_mib),
+        &format!("uml_dir={directory}/"),
+        &format!("init={directory}/init"),
+    ]
+    .map(OsString::from);
+    let both = output.try_clone()?;
+    let machine = Machine::new(control, command, output, both, &options.cancellation)?;
+    let (lines, received) = sync_channel(CONSOLE_LINES);
+    let read = move || read_lines(console, |line| lines.send(line).is_ok());
+    thread::Builder::new()
+        .name("uml console".into())
+        .spawn(read)?;
+    Ok((machine, received))
 }
 
 fn read_lines(console: PipeReader, mut take: impl FnMut(Vec<u8>) -> bool) {
@@ -222,24 +216,37 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_would_be_hidden_is_mounted() {
-        let mounts = |directory: &str, visible: &str, program: &str| {
+    fn what_would_be_hidden_is_mounted_and_the_output_directory_last() {
+        let check = |directory: &str, visible: &str, program: &str, hidden: &[&str]| {
             let options = Options {
                 directory: directory.into(),
                 visible: vec![visible.into()],
                 ..Options::new([program])
             };
-            String::from_utf8(mount_script(&options)).unwrap()
+            let control = Control::new("test", None).unwrap();
+            let script = String::from_utf8(mount_script(&control, &options).unwrap()).unwrap();
+            let mut lines = script.lines();
+            let mut mounted = |name: &str, place: &Path, access: &str| {
+                let link = control.path().join(name);
+                assert_eq!(fs::read_link(&link).unwrap(), place);
+                let (link, place) = (link.display(), place.display());
+                let expected = format!(
+                    "mkdir -p '{place}'; mount -t hostfs -o {access},{link} none '{place}'"
+                );
+                assert_eq!(lines.next(), Some(&*expected));
+            };
+            for (number, place) in hidden.iter().enumerate() {
+                mounted(&format!("visible-{number}"), Path::new(place), "ro");
+            }
+            mounted("writable", control.output(), "rw");
+            assert_eq!(lines.next(), None);
         };
-        let mount = |place: &str| {
-            format!("mkdir -p '{place}'; mount -t hostfs -r -o '{place}' none '{place}'\n")
-        };
-        assert_eq!(mounts("/", "/tmpfs", "sh"), "");
-        assert_eq!(mounts("/home/x", "/usr", "target/mrroc"), "");
-        assert_eq!(mounts("/tmp/a b", "/usr", "sh"), mount("/tmp/a b"));
-        let all = [mount("/run/it"), mount("/tmp/x"), mount("/tmp/x/target")].concat();
-        assert_eq!(mounts("/tmp/x", "/run/it", "target/mrroc"), all);
-        assert_eq!(mounts("/usr", "/", "/dev/shm/mrroc"), mount("/dev/shm"));
+        check("/", "/tmpfs", "sh", &[]);
+        check("/home/x", "/usr", "target/mrroc", &[]);
+        check("/tmp/a b", "/usr", "sh", &["/tmp/a b"]);
+        let all = ["/run/it", "/tmp/x", "/tmp/x/target"];
+        check("/tmp/x", "/run/it", "target/mrroc", &all);
+        check("/usr", "/", "/dev/shm/mrroc", &["/dev/shm"]);
     }
 
     #[test]

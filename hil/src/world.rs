@@ -20,9 +20,8 @@
 //! assert_eq!(world.bus(bus).frames, 10);
 //! ```
 //!
-//! On a wall-clock bench the world is advanced to the host's next deadline right after the host's
-//! turn, ahead of time: nothing comes in before that deadline, and frames are held back until their
-//! own times by the port.
+//! On a wall-clock bench the world is advanced to the host's next deadline right after the host's turn, ahead of
+//! time. Nothing arrives before that deadline, and the port holds frames back until their own times.
 
 use std::any::Any;
 use std::time::Duration;
@@ -112,8 +111,8 @@ impl World {
         }
     }
 
-    /// When next something happens, as far as is known now; `None` if nothing will unless a host
-    /// sends. A bench that waits advances to this instant, or to that of what a host sent before.
+    /// When next something happens, as far as is known now; `None` if nothing will unless a host sends. A waiting
+    /// bench advances to this instant, or to the instant of an earlier frame of a host.
     pub fn next_event(&self) -> Option<Instant> {
         let buses = self.buses.iter().filter_map(VirtualBus::next_event);
         let lines = self.lines.iter().filter_map(SerialLine::next_event);

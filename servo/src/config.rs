@@ -1,3 +1,5 @@
+//! Configuration of a servo.
+
 mod host_homing;
 mod position_loop;
 
@@ -227,8 +229,8 @@ impl ServoAxisConfig {
         homing.max(self.max_velocity / self.max_acceleration)
     }
 
-    /// The first field that makes no sense.
-    fn nonsense(&self) -> Option<&'static str> {
+    /// The first field that makes no sense, as [`ServoError::BadLimit`] names it.
+    pub fn nonsense(&self) -> Option<&'static str> {
         let positive = |value: f64| value.is_finite() && value > 0.0;
         if !self.min_position.is_finite() {
             Some("min_position")

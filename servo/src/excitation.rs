@@ -1,4 +1,4 @@
-//! What is added inside a loop to measure it.
+//! Excitation of a loop for its measurement.
 
 use std::ops::RangeInclusive;
 
@@ -6,14 +6,14 @@ use thiserror::Error;
 
 use crate::{PositionLoop, ServoAxisConfig};
 
-/// Share of what a loop can put out, of a rated torque, or of a following error, that an excitation may take.
+/// Greatest excitation as a share of the loop's output limit, of the rated torque, or of the following error.
 const SHARE: f64 = 0.25;
 
 /// A sequence added at an axis while it moves; see [`Servo::excite`](crate::Servo::excite).
 ///
-/// Where the servo closes the position loop, it is added to what the law puts out, before that goes to the
-/// drive, in its unit (rad/s, N·m or a duty). Where the drive does, it goes with the position as a torque, N·m, if the
-/// drive takes one ([`ServoAxisConfig::torque_offset`]), and is added to the commanded position, rad, if not.
+/// Where the servo closes the position loop, the sequence is added to the output of the law, in the unit of the output
+/// (rad/s, N·m or a duty). Where the drive closes the loop, the sequence is a torque, N·m, sent beside the position, if the
+/// drive takes one ([`ServoAxisConfig::torque_offset`]). Otherwise the sequence is added to the commanded position, rad.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Excitation {
     /// One value per cycle; it repeats.

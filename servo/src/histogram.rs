@@ -1,3 +1,5 @@
+//! Histogram of durations.
+
 use std::fmt;
 use std::time::Duration;
 

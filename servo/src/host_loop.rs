@@ -6,16 +6,17 @@ use crate::axis::REMEMBERED;
 use crate::regulator::{Cascade, Incremental, Proportional};
 use crate::{FeedForward, HostLoop, Knot, Law, Output};
 
-/// Samples in a row that a runaway takes. A cycle may be half a period late uncounted, and the way of one and
-/// a half periods then looks like that of one; the next sample comes in time, and shows the rest.
+/// Successive samples above the limit that make a runaway. A cycle may be half a period late without being counted, and
+/// then the displacement of one and a half periods looks like that of one. The next sample is punctual and shows the
+/// difference.
 const RUNAWAY_SAMPLES: u32 = 2;
 
 /// The loop of one axis.
 ///
 /// Each cycle first [`observe`](Self::observe)s a sample, then [`regulate`](Self::regulate)s. Errors are
 /// those of a sample against the command of [`DriveGroup::delay`](drive::DriveGroup::delay) cycles before.
-/// While answers are missing errors stay as they were, which takes the axis to move as it was told to,
-/// and nothing is integrated; the next sample tells the whole difference.
+/// While answers are missing the error stays, as if the axis moved as commanded, and nothing is integrated. The next
+/// sample shows the whole error.
 #[derive(Clone, Debug)]
 pub(crate) struct Loop {
     config: HostLoop,
@@ -86,7 +87,7 @@ impl Loop {
         if state.age > 0 {
             return;
         }
-        // The set-point that this sample shows, and the one that the sample before showed.
+        // Set-points whose effect this sample and the sample before show.
         let (now, before) = (
             self.reference(self.delay - 1),
             self.reference(self.delay - 1 + self.cycles),
@@ -105,8 +106,8 @@ impl Loop {
         (self.cycles, self.periods) = (0, 0);
     }
 
-    /// One cycle: the set-point of this cycle and the torque that holds the weight there, N·m, give what the drive is
-    /// sent, with `excitation` added to it, of which what the limit leaves is said there.
+    /// One cycle: returns the set-point for the drive from the set-point `knot` and the torque, N·m, that holds the weight
+    /// there. `excitation` is added to the output; afterwards `excitation` holds the part that the output limit let pass.
     pub(crate) fn regulate(
         &mut self,
         knot: Knot,
@@ -152,12 +153,12 @@ impl Loop {
         }
     }
 
-    /// Gives away as much of a torque, N·m, as the law has come to put out by itself at rest, and says how much that is.
+    /// Bumpless transfer: moves the integral part of the law at rest, N·m, into the feed-forward torque, at most `torque`, and
+    /// returns the amount moved.
     ///
-    /// Where weight is fed forward, what the law puts out besides is for the dry friction in which the axis stuck: as
-    /// much of it as that can be is forgotten, since the motion that begins meets it from another side, perhaps, and
-    /// has it fed forward. The axis sticks on meanwhile, unless it carries what nobody was told of: then its torque steps,
-    /// by that friction at most.
+    /// Where weight is fed forward, the rest of the output at standstill opposes dry friction. The transfer drops that part, up
+    /// to the friction of the axis, since the next motion may start in the other direction and has its friction fed forward.
+    /// The axis keeps sticking meanwhile, unless it carries an unknown load: then the torque steps by the friction at most.
     pub(crate) fn hand_over(&mut self, torque: f64) -> f64 {
         let FeedForward {
             weight,

@@ -1,29 +1,28 @@
 //! The frequency response of an axis from what a servo recorded of it, and the numbers that tell a good loop.
 //!
-//! An axis whose position loop the servo closes is excited at its plant: of what the law puts out and what the
-//! drive then gets, the open loop is the ratio, with its sign turned. This holds whatever else acts on the axis
-//! that does not repeat with the excitation, and does not disturb the law.
+//! An axis whose position loop the servo closes is excited at the input of its plant. The open loop is the ratio of the
+//! law's output to the drive's input, with its sign reversed. Disturbances that do not repeat with the excitation, and do
+//! not saturate the law, leave the ratio unchanged.
 //!
-//! Where the drive closes the loop, it is excited through the drive, if that takes a torque beside the position (object
-//! 0x60B2, added to what its velocity loop asks for). Of the torque added and the whole one that it then shows (0x6077),
-//! the loop as cut at the torque follows: all of the drive's loops at once, and with it the crossover of the fastest and
-//! the margin of all. What the drive holds and when it samples is taken out, for which its own period has to be known; half
-//! of that period, if it is not, is taken for delay of the loop. If the drive takes no torque, the command is excited,
-//! and what is seen is the closed loop: how the sample follows the command that it shows the effect of,
-//! [`DriveGroup::delay`](drive::DriveGroup::delay) cycles before.
+//! A loop that the drive closes is excited by a torque added to the torque of the drive's velocity loop (object 0x60B2),
+//! where the drive has that object. The added torque and the whole torque of the drive (0x6077) give the loop as cut at
+//! the torque. This open loop contains all loops of the drive: the crossover of the fastest loop and the margin of all.
+//! Hold and sampling of the drive are compensated, which requires the drive's own period; an unknown period counts as half
+//! a period of dead time. Without 0x60B2 the command is excited, and the closed loop is measured: how the sample follows
+//! the command whose effect it shows, [`DriveGroup::delay`](drive::DriveGroup::delay) cycles before.
 //!
-//! A motor that turns round meanwhile is damped by dry friction, and has more margin than its loop: 12° more at a light
-//! axis by a chirp of the greatest torque. A lower amplitude or a higher velocity shows it.
+//! Dry friction damps a motor that reverses during the excitation, and shows more margin than the loop has: 12° more at a
+//! light axis with a chirp of the greatest torque. A lower amplitude or a higher velocity shows the true margin.
 //!
-//! An axis is measured while it moves one way at constant velocity ([`Run`]), since dry friction holds one
-//! that stands. Sequences are periodic, and every two periods in a row are transformed under a Hann window: it parts
-//! neighbouring lines, weighs every part of a sequence alike, and keeps out what drifts (Pintelon and Schoukens, System
-//! Identification, 2012, chapter 2). How far these blocks agree is the coherence; since they overlap it flatters a little.
+//! An axis is measured while it moves at constant velocity ([`Run`]), since dry friction holds an axis at rest. Sequences
+//! are periodic. Every two successive periods are transformed under a Hann window, which separates neighbouring lines,
+//! weighs every part of a sequence alike, and suppresses drift (Pintelon and Schoukens, System Identification, 2012,
+//! chapter 2). The coherence is the agreement of these blocks; since the blocks overlap, the coherence is slightly high.
 //!
 //! # The loops of the families
 //!
-//! On the emulated benches with nominal motors, measured by `mrroc identify` at 10 rad/s of the motor and a period of
-//! 2 ms; the first rows are of the column, and `tests/system/identify.rs` and `tests/system/loops` hold them.
+//! Measured by `mrroc identify` on the emulated benches with nominal motors, at 10 rad/s of the motor and a period of
+//! 2 ms. The first rows are of the column. `tests/system/identify.rs` and `tests/system/loops` hold the figures.
 //!
 //! | family | loop | gains | crossover, Hz | margin |
 //! |---|---|---|---|---|
@@ -38,8 +37,7 @@
 //! half of the velocity's difference that is 6 ms and 4 ms at 2 ms. Hence the two thirds: delay times bandwidth, and
 //! with it the margin, stay the same.
 //!
-//! Nothing here moves anything: [`Servo::excite`](crate::Servo::excite) does, by the [`Excitation`](crate::Excitation)
-//! it is given.
+//! This module moves nothing: [`Servo::excite`](crate::Servo::excite) does, by an [`Excitation`](crate::Excitation).
 
 mod response;
 mod run;

@@ -1,3 +1,5 @@
+//! Limits of the set-points that are sent.
+
 use crate::StopCause;
 
 /// Share by which a finite difference of sent positions may exceed a limit.
@@ -6,6 +8,12 @@ use crate::StopCause;
 /// of 1 ms is 10⁻⁵ rad/s²: a thousandth of any real limit is far above that and far below what a
 /// drive would notice.
 pub(crate) const RELATIVE_TOLERANCE: f64 = 1e-3;
+
+/// Distance beyond a position limit, rad, that counts as rounding.
+///
+/// Positions up to 10⁷ rad are rounded to 10⁻⁹ rad, and a position at its limit has been through a drive train and an
+/// interpolation. The shortest count of a drive is above 10⁻⁷ rad.
+const POSITION_TOLERANCE: f64 = 1e-8;
 
 /// What the commanded sequence of one motor must keep.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,7 +31,7 @@ pub struct AxisLimits {
 /// Whether `next` may follow `last` and, before it, `before_last` in periods of `dt` seconds.
 ///
 /// Speed and acceleration are the first and second difference of the positions sent, with a
-/// tolerance of a thousandth. An axis that stands beyond a position limit may move back towards
+/// tolerance of a thousandth; positions have a tolerance of 10⁻⁸ rad. An axis that stands beyond a position limit may move back towards
 /// it. A stop begun near a position limit passes it by at most v² / 2a, so the limit belongs that far
 /// before anything solid.
 pub fn check(
@@ -36,13 +44,13 @@ pub fn check(
     if !next.is_finite() {
         return Err(StopCause::NotFinite);
     }
-    if next > limits.max_position && next > last {
+    if next > limits.max_position + POSITION_TOLERANCE && next > last {
         return Err(StopCause::PositionLimit {
             position: next,
             limit: limits.max_position,
         });
     }
-    if next < limits.min_position && next < last {
+    if next < limits.min_position - POSITION_TOLERANCE && next < last {
         return Err(StopCause::PositionLimit {
             position: next,
             limit: limits.min_position,
@@ -77,6 +85,26 @@ mod tests {
         max_acceleration: 100.0,
     };
     const DT: f64 = 0.01;
+
+    #[test]
+    fn a_position_that_rounding_takes_beyond_its_limit_is_within() {
+        // The limits of a motor behind a gear of 50 that turns without end, and of a short ball screw.
+        for limit in [3.35e6, 100.0] {
+            let limits = AxisLimits {
+                min_position: -limit,
+                max_position: limit,
+                ..LIMITS
+            };
+            let beyond: f64 = limit + 4.0 * (limit * f64::EPSILON);
+            assert!(beyond > limit);
+            for (last, next) in [(limit - 1e-3, beyond), (1e-3 - limit, -beyond)] {
+                let found = check(&limits, last, last, next, DT);
+                assert_eq!(found, Ok(()), "{next}");
+            }
+            let found = check(&limits, limit - 1e-3, limit - 1e-3, limit + 1e-6, DT);
+            assert!(found.is_err(), "{limit}");
+        }
+    }
 
     #[test]
     fn each_limit_is_named_with_both_sides() {

@@ -1,3 +1,5 @@
+//! Orders to an effector and reports from it.
+
 use std::fmt;
 
 use std::time::Duration;
@@ -16,7 +18,7 @@ pub const MAX_AXES: usize = 8;
 /// that meets position and velocity at both ends.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Macrostep {
-    /// Its number; each is one more than the one before, so that replies can be told apart.
+    /// Number of the macrostep, one more than the number before: replies are told apart by it.
     pub number: u64,
     /// Servo periods it lasts, at least 1.
     pub steps: u16,
@@ -28,9 +30,9 @@ pub struct Macrostep {
     pub velocity: [f64; MAX_AXES],
     /// Motor torques that hold the weight of links and load at its end, N·m; zero where none is known.
     ///
-    /// The loops that the servo closes add them to their output, [`FeedForward::weight`](crate::FeedForward::weight)
-    /// of each, and drives that close the position loop themselves are told nothing of them. They change linearly
-    /// from the end of the last macrostep to that of this one, and stay where a motion ends or is stopped.
+    /// Loops that the servo closes add the torques to their output by [`FeedForward::weight`](crate::FeedForward::weight).
+    /// Drives that close the position loop do not receive them. The torques change linearly over the macrostep, and stay
+    /// where a motion ends or is stopped.
     pub torque: [f64; MAX_AXES],
 }
 

@@ -1,10 +1,12 @@
+//! The cycle of the servo.
+
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::task::Poll;
 use std::time::Duration;
 
 use can::Instant;
-use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters};
+use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Warnings};
 
 use crate::effector::{Effector, Tick};
 use crate::recorder::Recorder;
@@ -407,6 +409,11 @@ impl Servo {
             sum.dropped_reports += counters.dropped_reports;
         }
         sum
+    }
+
+    /// What the drives of each group have reported while they went on.
+    pub fn warnings(&self) -> impl Iterator<Item = &Warnings> {
+        self.groups.iter().map(|group| group.drives.warnings())
     }
 
     /// What each group counted so far.

@@ -1,14 +1,15 @@
+//! State machine of an effector.
+
 use crate::Phase;
 
 /// What an effector does: [`Phase`] with what only its servo needs to know.
 ///
-/// An effector is off, on and still, or on its way between. It moves only from standing and comes
-/// back to standing when its macrosteps end at rest. Whoever asks for less than motion (an order, a
-/// fault, a stop request) brakes it first: motion that the servo commands is braked by the servo
-/// ([`State::Braking`]), motion that a drive commands, homing, by the drive
-/// ([`State::Halting`]). Where braking leads is decided when it begins and can only get
-/// stricter: stand, then off, then faulted. A fault of an effector at rest takes its power at once,
-/// and so does, wherever it happens, the loss of a loop that the servo closes (category 0).
+/// An effector is off, on and still, or between the two. Motion begins from standing and returns to standing when the
+/// macrosteps end at rest. An order, a fault or a stop request that ends motion brakes first. The servo brakes motion that
+/// the servo commands ([`State::Braking`]); the drive brakes motion that the drive commands, homing ([`State::Halting`]).
+/// The state after braking is decided when braking begins and can only become stricter: stand, then off, then faulted.
+/// A fault of an effector at rest takes its power at once. The loss of a loop that the servo closes takes the power at
+/// once in every state (category 0).
 ///
 /// ```text
 /// Off ──Enable──▶ Enabling ──Done──▶ Standing ──Move──▶ Moving ──Done──▶ Standing
@@ -82,14 +83,14 @@ pub enum Event {
     ControlLost,
 }
 
-/// What becomes of an event.
+/// Effect of an event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Answer {
-    /// It leads to this state, which may be the one that is.
+    /// The event moves the machine to this state, which may be the current one.
     To(State),
-    /// It waits in the queue until the state is another.
+    /// The event waits in the queue until the state changes.
     Wait,
-    /// It means nothing here and is dropped.
+    /// The event has no meaning in this state and is dropped.
     Refuse,
 }
 

@@ -1,3 +1,5 @@
+//! Tracking errors and counters.
+
 /// How far one axis was from its command while its effector moved.
 ///
 /// The command is the one whose effect the drive sampled, [`DriveGroup::delay`](drive::DriveGroup::delay)

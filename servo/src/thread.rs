@@ -11,11 +11,11 @@
 //! period. What follows from too many is in [`Servo::missed`]. An emulated cell need not suffer from it:
 //! see [`CellTime`].
 //!
-//! **A late cycle** is explained: [`Timing::late`] counts who took the time, and keeps the worst. The clock is read
-//! between the phases of a cycle; the kernel's account of the thread (`getrusage`, `/proc/thread-self/schedstat`) only
-//! in the slack after SYNC, of a cycle that was late or otherwise disturbed and of one quiet cycle in 16, so that what
-//! adds up in quiet ones is not taken for the delay of one. The cycles around the worst are kept phase by phase, and
-//! those around a moment on request: see [`Finished::spikes`] and [`start`].
+//! **A late cycle** is explained: [`Timing::late`] counts the causes and keeps the worst cycles. The clock is read between
+//! the phases of a cycle. The kernel's account of the thread (`getrusage`, `/proc/thread-self/schedstat`) is read in the
+//! slack after SYNC: after each late or disturbed cycle, and after one quiet cycle in 16. The reading in quiet cycles
+//! separates their accumulated delays from the delay of one cycle. The cycles around the worst are kept phase by phase,
+//! and so are the cycles around a requested moment: see [`Finished::spikes`] and [`start`].
 //!
 //! **Time** that control laws see is the nominal period, however late a cycle is; [`Record::dt`](crate::Record) has the
 //! real one.
@@ -29,9 +29,9 @@
 //!
 //! **Real-time needs** are asked for one by one: SCHED_FIFO or SCHED_DEADLINE, a CPU, locked memory, timer slack of
 //! 1 ns, and no deep idle states while the thread runs (`/dev/cpu_dma_latency`). Threads and processes that it starts do
-//! not inherit the scheduling. Either way it is the wait that says when the thread runs: the kernel's period under
-//! SCHED_DEADLINE begins whenever the thread wakes, and only bounds what it takes. What the host denies is returned as
-//! [`Denial`]s, which name the line that grants it; with [`Realtime::Require`] the thread does not start without them.
+//! not inherit the scheduling. The wait decides when the thread runs: the kernel's period under SCHED_DEADLINE begins
+//! whenever the thread wakes, and only bounds its processor time. Requests that the host denies are returned as
+//! [`Denial`]s, which name the setting that grants the request. With [`Realtime::Require`] a denial refuses the start.
 
 mod account;
 mod cause;
@@ -73,8 +73,8 @@ const STACK: usize = 512 * 1024;
 /// Cycles that take the power after a panic of the cycle.
 const CUTS: u32 = 10;
 
-/// Cycles that follow the end of a run at least: a drive obeys the command of one only at the SYNC
-/// of the next, and the answer to that is read one later.
+/// Least number of cycles after the end of a run. A drive obeys the command of a cycle at the SYNC of the next, and the
+/// answer is read one cycle later.
 const OFF_CYCLES: u32 = 4;
 
 /// Share of the period, as a divisor, that the learnt lead may take: the bus delivers the answers of the cycle before
@@ -104,8 +104,8 @@ pub struct RealtimePolicy {
     pub priority: u8,
     /// The CPU to stay on, none under SCHED_DEADLINE. Only this thread is moved.
     pub cpu: Option<usize>,
-    /// Whether to lock all memory of the process, present and future; a thread that is started later
-    /// has its whole stack locked, so give it a small one.
+    /// Whether to lock all memory of the process, present and future. The stack of each later thread is locked as a
+    /// whole, so such threads need small stacks.
     pub lock_memory: bool,
     /// How long before the deadline to prepare at the least, spinning from then until it. The answers to the
     /// SYNC before must have come by then. At most half a period is used; a hybrid wait takes what preparing
@@ -120,11 +120,11 @@ pub struct RealtimePolicy {
 /// The time that cycles are given.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CellTime {
-    /// `CLOCK_MONOTONIC`: for drives that live by the wall clock.
+    /// `CLOCK_MONOTONIC`: for drives that follow the wall clock.
     Wall,
-    /// The nominal time of each cycle, of which this is the first one's: for an emulated cell. The host
-    /// that takes the processor from the servo takes it from the emulators too, so their time stands
-    /// still while deadlines are missed. They are counted and have no other effect.
+    /// The nominal time of each cycle, for an emulated cell; the value is the time of the first cycle. A host that
+    /// delays the servo delays the emulators by the same time, so the emulated time stands still while deadlines are
+    /// missed. Missed deadlines are counted and have no other effect.
     Nominal(Instant),
 }
 
@@ -242,10 +242,10 @@ pub fn bring_up(servo: &mut Servo, mut between: impl FnMut(Instant)) -> Result<(
 
 /// Starts a thread that steps `servo` until `until` says so after a cycle.
 ///
-/// `between` is called after each cycle with the next deadline, in the time that is left of the
-/// period and not counted as the cycle's: an emulated bench advances its world in it. What it and `until` take beyond
-/// that is named [`Cause::BetweenCycles`]. Raising `trace_request`, now or later, keeps the cycles around that moment
-/// among [`Finished::spikes`]; the thread lowers it.
+/// `between` is called with the next deadline, in the slack after each cycle: an emulated bench advances its world
+/// there. Time that `between` and `until` take beyond the slack is named [`Cause::BetweenCycles`]. Raising
+/// `trace_request`, now or later, keeps the cycles around that moment among [`Finished::spikes`]; the thread lowers the
+/// flag.
 pub fn start(
     servo: Servo,
     policy: RealtimePolicy,
@@ -260,7 +260,7 @@ pub fn start(
         let latency = CpuLatency::demand();
         denied.extend(latency.as_ref().err());
         let refused = policy.realtime == Realtime::Require && !denied.is_empty();
-        // The starter waits for this; if it were gone, nobody could stop the thread.
+        // The starter waits for this message. Without a starter, no caller could stop the thread.
         let heard = tell.send(denied.clone()).is_ok();
         if !refused && heard {
             run.go(between, until);

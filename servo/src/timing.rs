@@ -1,3 +1,5 @@
+//! Times of the cycles of a servo thread.
+
 use crate::thread::{AccountReads, LateCycles, WaitReport};
 use crate::{Histogram, Servo};
 

@@ -209,7 +209,7 @@ def a_number_is_downloaded_in_segments(m):
     with m.sdo.open(0x6081, 0, "wb", buffering=7, size=None) as stream:
         stream.write(word(1234, 4))
     same(m.read(0x6081), 1234)
-    aborts(0x06070012, lambda: m.sdo.download(0x6081, 0, bytes(14)))
+    aborts(0x06070010, lambda: m.sdo.download(0x6081, 0, bytes(14)))
     aborts(0x06070013, lambda: m.sdo.download(0x6081, 0, bytes(3), force_segment=True))
     same(m.read(0x6081), 1234)
 
@@ -233,7 +233,7 @@ def blocks_carry_long_objects_both_ways(m):
 
 
 @check
-def refusals_have_the_codes_of_cia_301(m):
+def refusals_have_the_codes_of_an_epos4(m):
     write = lambda index, sub, value, size: lambda: m.write(index, sub, value, size)
     read = lambda index, sub: lambda: m.sdo.upload(index, sub)
     for code, call in [
@@ -242,10 +242,10 @@ def refusals_have_the_codes_of_cia_301(m):
         (0x06090011, read(0x1018, 9)),
         (0x06010002, write(0x1000, 0, 0, 4)),
         (0x06010002, write(0x6041, 0, 0, 2)),
-        (0x06070012, write(0x6040, 0, 0, 4)),
+        (0x06070010, write(0x6040, 0, 0, 4)),
         (0x06070013, write(0x6081, 0, 0, 2)),
-        (0x06090031, write(0x60C2, 1, 200, 1)),
-        (0x06090032, write(0x6007, 0, -1, 2)),
+        (0x06090030, write(0x60C2, 1, 200, 1)),
+        (0x06090030, write(0x6007, 0, -1, 2)),
         (0x06090030, write(0x1003, 0, 1, 1)),
         (0x08000024, read(0x1003, 1)),
     ]:

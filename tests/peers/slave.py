@@ -10,32 +10,11 @@ import threading
 
 import canopen
 
+from power import CSP, DISABLED, ENABLED, HOMING, next_power, status
 from wire import Wire, add_arguments
 
 PRE_OPERATIONAL, OPERATIONAL = 127, 5
 RPDOS, TPDOS = range(1, 5), range(1, 5)
-HOMING, CSP = 6, 8
-
-# Low byte of the statusword.
-DISABLED, READY, SWITCHED_ON, ENABLED, QUICK_STOP, FAULT = 0x50, 0x31, 0x33, 0x37, 0x17, 0x18
-REMOTE, REACHED, SPECIAL = 0x0200, 0x0400, 0x1000
-
-
-def next_power(power, word, before):
-    """The power state that a controlword leads to."""
-    if power == FAULT:
-        return DISABLED if word & 0x80 and not before & 0x80 else FAULT
-    if not word & 0x02:
-        return DISABLED
-    if not word & 0x04:
-        return QUICK_STOP if power in (ENABLED, QUICK_STOP) else DISABLED
-    if not word & 0x01:
-        return power if power == QUICK_STOP else READY
-    if power == DISABLED:
-        return DISABLED
-    if not word & 0x08:
-        return SWITCHED_ON if power in (READY, SWITCHED_ON, ENABLED) else power
-    return {READY: SWITCHED_ON, SWITCHED_ON: ENABLED, QUICK_STOP: ENABLED}.get(power, power)
 
 
 def dictionary(eds, node):
@@ -153,13 +132,8 @@ class Drive:
         self.show()
 
     def show(self):
-        status = self.power
-        if self.node.nmt.state == "OPERATIONAL":
-            status |= REMOTE
-        mode = self.get(0x6061)
-        if self.power == ENABLED and (mode == CSP or mode == HOMING and self.word & 0x10):
-            status |= SPECIAL | (REACHED if mode == HOMING else 0)
-        self.set(0x6041, status)
+        operational = self.node.nmt.state == "OPERATIONAL"
+        self.set(0x6041, status(self.power, self.get(0x6061), self.word, operational))
 
 
 def main():

@@ -281,6 +281,7 @@ fn every_command_explains_itself() {
         "--json",
         "--trace",
         "--record",
+        "--force",
         "lockstep",
         "emulated",
         "vcan",

@@ -27,6 +27,7 @@ pub(crate) fn run_in_lockstep(cell: &Path, log: &Path) -> Output {
         "run".as_ref(),
         cell.as_os_str(),
         "--bench=lockstep".as_ref(),
+        "--force".as_ref(),
         "--trace".as_ref(),
         log.as_os_str(),
     ])
@@ -65,13 +66,13 @@ const FILES: &[Case] = &[
         "unknown key",
         "macrostep = 10",
         "macrosteps = 10",
-        &["unknown field `macrosteps`", "`macrostep`"],
+        &["macrosteps: is an unknown key", "\"macrostep\""],
     ),
     (
         "wrong type",
         "period_us = 2000",
         "period_us = \"2 ms\"",
-        &["invalid type"],
+        &["period_us: is \"2 ms\", must be a whole number"],
     ),
     (
         "NaN",
@@ -115,7 +116,7 @@ const FILES: &[Case] = &[
         "period",
         "period_us = 2000",
         "period_us = 0",
-        &["period_us: ", "between 1000 and 1000000"],
+        &["period_us: ", "between 1000 and 100000"],
     ),
     (
         "unreachable pose",
@@ -349,6 +350,7 @@ fn a_drive_whose_own_ratios_are_not_the_cells_is_refused_on_a_bus_and_not_switch
                 "--bench=card".as_ref(),
                 "--can".as_ref(),
                 interface.as_ref(),
+                "--force".as_ref(),
                 "--trace".as_ref(),
                 log.as_os_str(),
             ])

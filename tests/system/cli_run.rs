@@ -1,6 +1,5 @@
 //! `mrroc run` as a user sees it: what it prints, what it writes, how it ends.
 
-use std::cell::Cell as Shared;
 use std::collections::HashMap;
 use std::fs;
 use std::process::Command;
@@ -22,7 +21,7 @@ const START: f64 = 20.0;
 fn lockstep_runs_are_the_same_bit_for_bit() {
     let directory = Directory::new();
     for cell in CELLS {
-        let logs = ["a.log", "b.log"].map(|name| directory.path(name));
+        let logs = ["a", "b"].map(|run| directory.path(&format!("{cell}-{run}.log")));
         for log in &logs {
             let run = mrroc([
                 "run".as_ref(),
@@ -215,16 +214,7 @@ fn a_stalled_trace_does_not_hold_up_a_stop() {
         record.as_os_str(),
     ]);
     // One thread writes both files: once the pipe is full, the record grows no more.
-    let (length, looks) = (Shared::new(0), Shared::new(0));
-    run.wait_for(&record, |text| {
-        let before = length.replace(text.len());
-        looks.set(if before < text.len() {
-            0
-        } else {
-            looks.get() + 1
-        });
-        text.contains(",Homing,") && looks.get() > 20
-    });
+    run.wait_until_stalled(&record, |text| text.contains(",Homing,"));
     run.signal("INT");
     let output = run.output();
     assert_eq!(output.status.code(), Some(1), "{output:?}");
@@ -239,7 +229,7 @@ fn a_stalled_trace_does_not_hold_up_a_stop() {
     drop(pipe);
 }
 
-fn stopped(run: &Output) {
+pub(crate) fn stopped(run: &Output) {
     assert_eq!(run.status.code(), Some(1), "{run:?}");
     let report = run.json();
     assert_eq!(report["outcome"], "stopped", "{report}");
@@ -268,7 +258,7 @@ fn stopped(run: &Output) {
 
 /// Runs the IRb-6 by the wall clock, sends `signal` once axes were in `phase` for some cycles, and
 /// returns what it said and its record.
-fn interrupted(
+pub(crate) fn interrupted(
     signal: &str,
     change: impl FnOnce(&mut Cell),
     phase: &str,
@@ -291,7 +281,7 @@ fn interrupted(
     (output, fs::read_to_string(&record).unwrap())
 }
 
-fn stops_in_motion(signal: &str) {
+pub(crate) fn stops_in_motion(signal: &str) {
     let change = |cell: &mut Cell| {
         shorten(cell);
         // Without gravity and friction the motor ends where the set-points end.

@@ -15,7 +15,7 @@ fn sheet() -> String {
 }
 
 /// The emulated drive's data sheet with lines put in below these headings, and the line, from 1, of the first of them.
-fn dcf(lines: &[(&str, &str)]) -> (String, usize) {
+pub(crate) fn dcf(lines: &[(&str, &str)]) -> (String, usize) {
     let mut text = sheet();
     for (section, line) in lines {
         let heading = format!("[{section}]\n");
@@ -29,7 +29,7 @@ fn dcf(lines: &[(&str, &str)]) -> (String, usize) {
 }
 
 /// A cell whose first axis has the DCF `motor.dcf`, with that axis changed.
-fn cell(directory: &Directory, dcf: &str, change: Change) -> PathBuf {
+pub(crate) fn cell(directory: &Directory, dcf: &str, change: Change) -> PathBuf {
     directory.write("motor.dcf", dcf);
     directory.cell("irb6", |cell| {
         shorten(cell);
@@ -73,15 +73,6 @@ fn a_dcf_is_in_the_drive_before_it_is_switched_on() {
         ("6068", "ParameterValue=0x7B"),
         ("607Dsub1", "ParameterValue=-2000000000"),
         ("607Dsub2", "ParameterValue=0x77359400"),
-        // What the drive group sets itself: 2 ms at 10^-3 s, and CSP.
-        ("60C2sub1", "ParameterValue=9"),
-        ("6060", "ParameterValue=3"),
-        // TPDO 3 with another content, in the order that the drive takes.
-        ("1802sub1", "ParameterValue=$NODEID+0x40000380"),
-        ("1802sub2", "ParameterValue=1"),
-        ("1802sub3", "ParameterValue=0"),
-        ("1A02sub0", "ParameterValue=1"),
-        ("1A02sub1", "ParameterValue=0x60640020"),
         ("1018sub2", "ParameterValue=0x61500000"),
     ]);
     let directory = Directory::new();
@@ -110,24 +101,15 @@ fn a_dcf_is_in_the_drive_before_it_is_switched_on() {
         "581#43676000D2040000",
         "581#4B6860007B000000",
         "581#437D6001006CCA88",
+        // What the drive group sets itself: 2 ms at 10^-3 s, and CSP.
         "581#4FC2600102000000",
         "581#4F60600008000000",
-        // Off again, with the content of the file.
-        "581#43021801810300C0",
-        "581#43021A0120006460",
-        "581#4F021A0001000000",
-        "581#4B02180300000000",
     ] {
         assert_eq!(holds(answer).map(String::as_str), Some(answer));
     }
-    // In between it was on.
-    let position = |frame: &str| sdo.iter().position(|sent| sent == frame);
-    let on = position("601#2302180181030040").expect("TPDO 3 is switched on");
-    let off = position("601#23021801810300C0").expect("and off before it is mapped");
-    assert!(off < on);
 
     let check = mrroc(["check".as_ref(), cell.as_os_str()]);
-    let line = "motor.dcf asks for 13 writes and notes 1 values more";
+    let line = "motor.dcf asks for 4 writes and notes 1 values more";
     assert!(check.stdout.contains(line), "{check:?}");
 }
 
@@ -253,21 +235,95 @@ fn a_dcf_that_cannot_be_meant_is_refused_before_a_bus_is_opened() {
 }
 
 #[test]
-fn a_dcf_never_commands_the_drive() {
+fn what_belongs_to_the_driver_is_refused_in_a_dcf_by_line_and_name() {
     let cases = [
-        ("6040", "0x000F", "0x6040:00 is the controlword"),
-        ("1010sub1", "0x65766173", "0x1010:01 would store or restore"),
-        ("1011sub1", "0x64616F6C", "0x1011:01 would store or restore"),
+        (
+            "6040",
+            "0x000F",
+            "0x6040:00 (controlword) belongs to the driver: it commands the drive",
+        ),
+        (
+            "1010sub1",
+            "0x65766173",
+            "0x1010:01 (store all parameters) belongs to the driver",
+        ),
+        (
+            "1011sub1",
+            "0x64616F6C",
+            "0x1011:01 (restore all default parameters) belongs to the driver",
+        ),
+        (
+            "1016sub1",
+            "0",
+            "0x1016:01 (heartbeat consumer 1) belongs to the driver",
+        ),
+        ("1016sub2", "0x007F0064", "0x1016:02 belongs to the driver"),
+        (
+            "6007",
+            "0",
+            "0x6007:00 (abort connection option code) belongs to the driver",
+        ),
+        (
+            "6085",
+            "1",
+            "0x6085:00 (quick stop deceleration) belongs to the driver",
+        ),
+        (
+            "6065",
+            "0xFFFFFFFF",
+            "0x6065:00 (following error window) belongs to the driver",
+        ),
+        (
+            "6060",
+            "3",
+            "0x6060:00 (modes of operation) belongs to the driver",
+        ),
+        (
+            "60C2sub1",
+            "9",
+            "0x60c2:01 (interpolation time period value) belongs to the driver",
+        ),
+        (
+            "1802sub2",
+            "1",
+            "belongs to the driver: the driver maps the process data",
+        ),
+        (
+            "1A02sub1",
+            "0x60640020",
+            "belongs to the driver: the driver maps the process data",
+        ),
     ];
+    let directory = Directory::new();
     for (section, value, refusal) in cases {
         let (text, line) = dcf(&[(section, &format!("ParameterValue={value}"))]);
         let command = text.find(&format!("[{section}]\n")).unwrap();
         let text = text[..command].to_owned() + &text[command..].replacen("ObjFlags=1\n", "", 1);
-        let directory = Directory::new();
         let cell = cell(&directory, &text, |_| {});
-        let place = format!("motor.dcf:{line}: {refusal}");
-        refused(&mrroc(["check".as_ref(), cell.as_os_str()]), &[&place]);
+        let place = format!("motor.dcf:{line}: ");
+        let check = mrroc(["check".as_ref(), cell.as_os_str()]);
+        refused(&check, &[&place, refusal, "remove its ParameterValue"]);
+        assert!(!check.stderr.contains("further"), "{check:?}");
     }
+    // All lines at once; an object that a download leaves out is a note.
+    let (text, line) = dcf(&[
+        ("6007", "ParameterValue=0"),
+        ("6065", "ParameterValue=1"),
+        ("6085", "ParameterValue=1\nObjFlags=1"),
+        ("60C2sub1", "ParameterValue=9"),
+    ]);
+    let cell = cell(&directory, &text, |_| {});
+    let line_of = |section: &str| {
+        let at = text.find(&format!("[{section}]\n")).unwrap();
+        text[..at].matches('\n').count() + 2
+    };
+    let others = format!(
+        "the same holds for 2 further lines: {}, {}",
+        line_of("6065"),
+        line_of("60C2sub1")
+    );
+    let check = mrroc(["check".as_ref(), cell.as_os_str()]);
+    refused(&check, &[&format!("motor.dcf:{line}: 0x6007:00"), &others]);
 }
 
 #[test]

@@ -195,6 +195,7 @@ fn run(directory: &Directory, cell: &Path, more: &[&str]) -> (std::path::PathBuf
         "run".as_ref(),
         cell.as_os_str(),
         "--json".as_ref(),
+        "--force".as_ref(),
         "--record".as_ref(),
         record.as_os_str(),
         "--trace".as_ref(),
@@ -286,14 +287,14 @@ fn a_cycle_on_a_can_bus_sends_once_receives_once_and_waits_once() {
 #[test]
 fn a_call_that_is_planted_in_the_cycle_is_found_by_its_name() {
     let directory = Directory::new();
+    let planting = mrroc::planted();
     for (planted, expected) in [
         ("nothing", None),
         ("lock", Some("futex")),
         ("write", Some("write")),
     ] {
         let log = directory.path("calls");
-        let planting = Path::new(env!("CARGO_BIN_EXE_planted"));
-        let output = Running::under_strace(&log, planting, [planted]).output();
+        let output = Running::under_strace(&log, &planting, [planted]).output();
         assert_eq!(output.status.code(), Some(0), "{output:?}");
         let reads = output.stdout.trim().parse().expect("it says how often");
         let calls = counted(&of_the_cycles(&log));

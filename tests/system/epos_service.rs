@@ -149,7 +149,7 @@ fn both_drives_are_asked_and_told_over_their_service_port() {
 #[test]
 fn a_name_comes_in_segments() {
     let mut stage = Stage::new(Dialect::Epos4);
-    assert_eq!(stage.read(0x1008), Err(ServiceError::Refused(0x0607_0012)));
+    assert_eq!(stage.read(0x1008), Err(ServiceError::Refused(0x0607_0010)));
     let read = stage.ask(|client, now| client.read_segmented(object(0x1008), now));
     let Ok(Got::Object(name)) = read else {
         panic!("{read:?}");

@@ -7,6 +7,8 @@ use std::rc::Rc;
 use std::time::Duration;
 
 use can::candump::Direction;
+use can::{Frame, StandardId};
+use canopen::cia402::ModeOfOperation;
 use canopen::emcy::Emergency;
 use drive::Fault;
 use hil::PlantConfig;
@@ -116,18 +118,17 @@ fn a_blocked_motor_trips_its_drive() {
 #[test]
 fn the_servo_sees_a_blocked_motor_that_its_drive_overlooks() {
     let mut setup = blocked();
-    let following_error_window = controller::cell::Parameter {
-        index: 0x6065,
-        subindex: 0,
-        value: 1_000_000,
-        bytes: 4,
-    };
-    let axis = &mut setup.cell.robot[0].axis[0];
-    let drive = axis.drive.as_mut().unwrap();
-    drive.parameter.push(following_error_window);
-    let allowed = axis.following_error;
+    let allowed = setup.cell.robot[0].axis[0].following_error;
+    let watcher = Watcher::new();
+    let watch = watcher.clone();
+    setup.port = Box::new(move |port| watch.wrap(port));
     let mut rig = setup.bring_up();
     rig.home();
+    // A service command widens the drive's window: 0x6065 of node 1 is 1 000 000 increments.
+    let request = StandardId::new(0x601).unwrap();
+    let widen = Frame::new(request, &[0x23, 0x65, 0x60, 0, 0x40, 0x42, 0x0F, 0]);
+    watcher.lock().foreign.push(widen.unwrap());
+    rig.cycle();
     let mut motion = rig.in_motion();
     let (axis, cause) = fault_of(&mut rig, &mut motion);
     let StopCause::FollowingError { error, limit } = cause else {
@@ -136,6 +137,36 @@ fn the_servo_sees_a_blocked_motor_that_its_drive_overlooks() {
     assert_eq!((axis, limit), (0, allowed));
     let more = Motion::VELOCITY * rig.period.as_secs_f64();
     assert!(error > limit && error < limit + 2.0 * more, "{error}");
+    resume(&mut rig);
+}
+
+#[test]
+fn a_mode_of_operation_that_a_service_command_changes_stops_the_arm() {
+    let watcher = Watcher::new();
+    let watch = watcher.clone();
+    let mut setup = Setup::of("irb6");
+    setup.port = Box::new(move |port| watch.wrap(port));
+    let mut rig = setup.bring_up();
+    rig.home();
+    let mut motion = rig.in_motion();
+    // 0x6060 of node 2 is 3: profile velocity.
+    let request = StandardId::new(0x602).unwrap();
+    let change = Frame::new(request, &[0x2F, 0x60, 0x60, 0, 3, 0, 0, 0]);
+    watcher.lock().foreign.push(change.unwrap());
+    let changed_at = rig.now;
+    let expected = StopCause::Drive(Fault::ModeChanged {
+        node: 2,
+        expected: ModeOfOperation::CyclicSynchronousPosition,
+        found: ModeOfOperation::ProfileVelocity,
+    });
+    for _ in 0..5 {
+        rig.feed(&mut motion);
+        rig.cycle();
+    }
+    let fault = rig.servo.fault(0).expect("it shows at once");
+    assert_eq!((fault.axis, fault.cause), (Some(1), expected));
+    assert!(rig.now.since(changed_at) <= 5 * rig.period);
+    assert_eq!(fault_of(&mut rig, &mut motion), (1, expected));
     resume(&mut rig);
 }
 

@@ -1,5 +1,6 @@
 //! The `mrroc` command as a child process: built once, run with a deadline, its words captured.
 
+use std::cell::Cell as Shared;
 use std::ffi::OsStr;
 use std::fs::{self, Permissions};
 use std::io::{BufReader, Read};
@@ -36,34 +37,47 @@ pub(crate) fn example(name: &str) -> PathBuf {
     root().join(format!("cells/{name}.toml"))
 }
 
-/// The binary, built in the profile and the target directory of this test. The test machine, where nothing
-/// can be built, has the one that the host built before.
+/// The command, built in the profile and the target directory of this test. The test machine, where nothing can be
+/// built, has the one that the host built before.
 pub(crate) fn binary() -> &'static Path {
     static BINARY: OnceLock<PathBuf> = OnceLock::new();
-    BINARY.get_or_init(|| {
-        let test = std::env::current_exe().expect("a test binary knows its own path");
-        let profile = test
-            .ancestors()
-            .nth(2)
-            .expect("cargo puts tests into target/<profile>/deps");
-        let binary = profile.join("mrroc");
-        if std::env::var_os("MRROC_OUT").is_some() {
-            return binary;
-        }
-        let name = match profile.file_name().and_then(OsStr::to_str) {
-            None | Some("debug") => "dev",
-            Some(name) => name,
-        };
-        let target = profile.parent().expect("a profile is in a directory");
-        let built = Command::new(env!("CARGO"))
-            .args(["build", "--quiet", "--locked", "--package", "mrroc-console"])
-            .args(["--profile", name, "--target-dir"])
-            .arg(target)
-            .current_dir(root())
-            .status();
-        assert!(built.expect("cargo runs").success(), "mrroc does not build");
-        binary
-    })
+    BINARY.get_or_init(|| built("mrroc", &["--package", "mrroc-console"]))
+}
+
+/// The example `planted` of this package, which only the host runs.
+pub(crate) fn planted() -> PathBuf {
+    let of_package = ["--package", "mrroc-tests", "--example", "planted"];
+    built("examples/planted", &of_package)
+}
+
+/// A program of the workspace, by its place in the directory of the profile and what cargo is to build.
+fn built(place: &str, of_package: &[&str]) -> PathBuf {
+    let test = std::env::current_exe().expect("a test binary knows its own path");
+    let profile = test
+        .ancestors()
+        .nth(2)
+        .expect("cargo puts tests into target/<profile>/deps");
+    let program = profile.join(place);
+    if std::env::var_os("MRROC_OUT").is_some() {
+        return program;
+    }
+    let name = match profile.file_name().and_then(OsStr::to_str) {
+        None | Some("debug") => "dev",
+        Some(name) => name,
+    };
+    let target = profile.parent().expect("a profile is in a directory");
+    let built = Command::new(env!("CARGO"))
+        .args(["build", "--quiet", "--locked", "--profile", name])
+        .args(of_package)
+        .arg("--target-dir")
+        .arg(target)
+        .current_dir(root())
+        .status();
+    assert!(
+        built.expect("cargo runs").success(),
+        "{place} does not build"
+    );
+    program
 }
 
 /// What the command said.
@@ -92,7 +106,8 @@ pub(crate) fn mrroc(arguments: impl IntoIterator<Item: AsRef<OsStr>>) -> Output 
 /// A running `mrroc`, killed if it is dropped before its end.
 pub(crate) struct Running {
     child: Child,
-    stdout: Receiver<String>,
+    /// `None` if it is not captured.
+    stdout: Option<Receiver<String>>,
     stderr: Receiver<String>,
 }
 
@@ -135,20 +150,44 @@ impl Running {
         Self::of(command.args(arguments))
     }
 
+    /// The same with `memory` KiB of address space at most; an allocation beyond aborts it.
+    pub(crate) fn within(memory: u32, arguments: impl IntoIterator<Item: AsRef<OsStr>>) -> Self {
+        let script = format!("ulimit -v {memory}; exec \"$@\"");
+        let mut shell = Command::new("sh");
+        shell.args(["-c", &script, "sh"]).arg(binary());
+        Self::of(shell.args(arguments))
+    }
+
+    /// `mrroc` whose standard output is `stdout`, of which nothing is captured.
+    pub(crate) fn with_stdout(
+        stdout: impl Into<Stdio>,
+        arguments: impl IntoIterator<Item: AsRef<OsStr>>,
+    ) -> Self {
+        Self::spawn(Command::new(binary()).args(arguments).stdout(stdout))
+    }
+
     fn of(command: &mut Command) -> Self {
+        Self::spawn(command.stdout(Stdio::piped()))
+    }
+
+    fn spawn(command: &mut Command) -> Self {
         let mut child = command
             .stdin(Stdio::null())
-            .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             .spawn()
             .unwrap_or_else(|error| panic!("{command:?} does not start: {error}"));
-        let stdout = read(child.stdout.take().expect("stdout is piped"));
+        let stdout = child.stdout.take().map(read);
         let stderr = read(child.stderr.take().expect("stderr is piped"));
         Self {
             child,
             stdout,
             stderr,
         }
+    }
+
+    /// Its process ID.
+    pub(crate) fn id(&self) -> u32 {
+        self.child.id()
     }
 
     /// Sends a signal by its name, such as `INT`.
@@ -176,17 +215,36 @@ impl Running {
                 return;
             }
             // What it prints comes at its end.
-            if let Ok(stdout) = self.stdout.recv_timeout(LOOK) {
-                panic!("mrroc ended early: {stdout} {:?}", self.stderr.recv());
+            let said = self.stdout.as_ref().unwrap_or(&self.stderr);
+            if let Ok(said) = said.recv_timeout(LOOK) {
+                panic!("mrroc ended early: {said} {:?}", self.stderr.try_recv());
             }
         }
         panic!("{} never became what it should", file.display());
     }
 
+    /// Waits until `file` satisfies `wanted` and grows no more.
+    pub(crate) fn wait_until_stalled(&self, file: &Path, wanted: impl Fn(&str) -> bool) {
+        let (length, looks) = (Shared::new(0), Shared::new(0));
+        self.wait_for(file, |text| {
+            let grown = length.replace(text.len()) < text.len();
+            looks.set(if grown { 0 } else { looks.get() + 1 });
+            wanted(text) && looks.get() > 20
+        });
+    }
+
+    /// Waits for the end of a command whose output is not captured.
+    pub(crate) fn status(mut self) -> ExitStatus {
+        let closed = "mrroc closes its outputs in time";
+        self.stderr.recv_timeout(DEADLINE).expect(closed);
+        self.child.wait().expect("mrroc can be waited for")
+    }
+
     /// Waits for the end.
     pub(crate) fn output(mut self) -> Output {
         let closed = "mrroc closes its outputs in time";
-        let stdout = self.stdout.recv_timeout(DEADLINE).expect(closed);
+        let stdout = self.stdout.take().expect("stdout is captured");
+        let stdout = stdout.recv_timeout(DEADLINE).expect(closed);
         let stderr = self.stderr.recv_timeout(DEADLINE).expect(closed);
         let status = self.child.wait().expect("mrroc can be waited for");
         Output {

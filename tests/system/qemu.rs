@@ -9,6 +9,9 @@ use hil::qemu::{Kernel, MachineError, Options, QemuError, run};
 use crate::bench::kernel;
 use crate::uml::{Scratch, processes_of};
 
+/// Signs that shells and QEMU's options take for their own.
+const OUT: &str = "o\"u,t's $x";
+
 /// Runs a script of the shell; returns what came of it, and what it printed.
 fn shell(
     kernel: &Kernel,
@@ -19,14 +22,14 @@ fn shell(
     let options = Options {
         env: vec![("WORD".into(), "it's $HOME".into())],
         directory: scratch.0.clone(),
-        output: Some(scratch.0.join("out")),
+        output: Some(scratch.0.join(OUT)),
         memory_mib: 512,
         timeout,
         ..Options::new(["sh", "-c", script])
     };
     let mut output = Vec::new();
     let outcome = run(kernel, &options, &mut output);
-    assert_eq!(processes_of(&scratch.0), 0);
+    assert_eq!(processes_of(scratch.path()), 0);
     (outcome, String::from_utf8_lossy(&output).into_owned())
 }
 
@@ -42,9 +45,9 @@ fn the_machine_has_cards_and_the_files_of_the_host_read_only() {
     let (outcome, output) = shell(&kernel, &scratch, Duration::from_secs(120), script);
     assert_eq!(outcome, Ok(7), "{output}");
     assert_eq!(output, "seen\nit's $HOME\n1\n2\nend");
-    let left: Vec<_> = fs::read_dir(scratch.0.join("out")).unwrap().collect();
+    let left: Vec<_> = fs::read_dir(scratch.0.join(OUT)).unwrap().collect();
     assert!(
-        left.len() == 1 && scratch.0.join("out/kept").exists(),
+        left.len() == 1 && scratch.0.join(OUT).join("kept").exists(),
         "{left:?}"
     );
     for place in ["/", "/usr", "/tmp", "/run", "/dev"] {
@@ -69,6 +72,6 @@ fn a_machine_that_does_not_end_by_itself_is_told_from_one_that_dies() {
         (outcome, &*output),
         (Err(MachineError::Died.into()), "begun\n")
     );
-    assert_eq!(fs::read_dir(scratch.0.join("out")).unwrap().count(), 0);
-    assert_eq!(scratch.names(), ["out"]);
+    assert_eq!(fs::read_dir(scratch.0.join(OUT)).unwrap().count(), 0);
+    assert_eq!(scratch.names(), [OUT]);
 }

@@ -46,6 +46,7 @@ fn serial_cells_run_in_lockstep_the_same_bit_for_bit() {
                 example(name).as_os_str(),
                 "--bench=lockstep".as_ref(),
                 "--json".as_ref(),
+                "--force".as_ref(),
                 "--record".as_ref(),
                 record.as_os_str(),
             ]);

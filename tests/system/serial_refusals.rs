@@ -29,13 +29,16 @@ const CELLS: &[Case] = &[
         "a negative limit of the loop",
         "limit = 2.1",
         "limit = -2.1",
-        &["loop.law.cascade.limit: is -2.1, must be above 0"],
+        &["loop.law.cascade.limit: is -2.1, must be between 0.002626 and 2.625"],
     ),
     (
         "a limit that no current reaches",
         "limit = 2.1",
         "limit = 2.7",
-        &["loop.law.cascade.limit: is 2.7", "at most max_current"],
+        &[
+            "loop.law.cascade.limit: is 2.7",
+            "max_current * torque_constant at the most",
+        ],
     ),
     (
         "more than the full pulse width",
@@ -111,6 +114,7 @@ fn a_wrong_serial_cell_or_drive_is_refused_and_nothing_is_enabled() {
             "run".as_ref(),
             cell.as_os_str(),
             "--bench=lockstep".as_ref(),
+            "--force".as_ref(),
             "--record".as_ref(),
             record.as_os_str(),
         ]);

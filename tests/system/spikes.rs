@@ -135,6 +135,7 @@ fn a_measurement_shows_its_late_wake_ups() {
             "--duration=1s",
             "--wait=plain",
             "--json",
+            "--force",
             "--spikes",
         ];
         let words = words.iter().map(AsRef::as_ref);

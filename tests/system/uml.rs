@@ -24,6 +24,10 @@ impl Scratch {
         Self(path)
     }
 
+    pub(crate) fn path(&self) -> &str {
+        self.0.to_str().unwrap()
+    }
+
     pub(crate) fn names(&self) -> Vec<String> {
         let entries = fs::read_dir(&self.0).unwrap();
         entries
@@ -38,14 +42,13 @@ impl Drop for Scratch {
     }
 }
 
-/// Processes that were started with `path` on their command line.
-pub(crate) fn processes_of(path: &Path) -> usize {
-    let path = path.to_str().unwrap();
+/// Processes that were started with `word` on their command line.
+pub(crate) fn processes_of(word: &str) -> usize {
     let processes = fs::read_dir("/proc").unwrap().flatten();
     let command_lines =
         processes.filter_map(|process| fs::read(process.path().join("cmdline")).ok());
     command_lines
-        .filter(|line| String::from_utf8_lossy(line).contains(path))
+        .filter(|line| String::from_utf8_lossy(line).contains(word))
         .count()
 }
 
@@ -105,6 +108,8 @@ fn a_machine_out_of_time_is_killed_with_all_its_processes() {
     let timeout = Duration::from_secs(8);
     let options = Options {
         output: Some(scratch.0.clone()),
+        // By which its processes are found: no other machine of these tests has as much.
+        memory_mib: 259,
         timeout,
         ..shell("echo begun; sleep 1000 & sleep 1000")
     };
@@ -114,7 +119,7 @@ fn a_machine_out_of_time_is_killed_with_all_its_processes() {
         Err(MachineError::TimedOut(timeout).into())
     );
     assert_eq!(String::from_utf8(output).unwrap(), "begun\n");
-    assert_eq!(processes_of(&scratch.0), 0);
+    assert_eq!(processes_of("mem=259M"), 0);
     assert!(scratch.names().is_empty());
 }
 

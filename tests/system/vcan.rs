@@ -17,7 +17,7 @@ use std::time::Duration;
 use can::candump::Reader;
 use can::{Frame, Instant, Port, Received, SocketCanOptions, SocketCanPort, Tracer, clock};
 use canopen::cia402::{PowerState, Statusword};
-use canopen::emcy::Emergency;
+use canopen::emcy::{Emergency, ErrorRegister};
 use canopen::objects::{POSITION_ACTUAL, STATUSWORD};
 use canopen::sdo::{Initiate, Request, Response};
 use canopen::{NodeId, Object, cob};
@@ -113,7 +113,7 @@ impl Stage<'_> {
     }
 
     /// Starts the controller, writing states, a trace and its report.
-    fn start_controller(&self) -> Running {
+    pub(crate) fn start_controller(&self) -> Running {
         let path = |name| self.directory.path(name).into_os_string();
         Running::start([
             "run".into(),
@@ -123,6 +123,7 @@ impl Stage<'_> {
             "--can".into(),
             self.interface.into(),
             "--json".into(),
+            "--force".into(),
             "--record".into(),
             path("states.csv"),
             "--trace".into(),
@@ -131,7 +132,7 @@ impl Stage<'_> {
     }
 
     /// Starts both, and returns once the arm is some cycles into its motion.
-    fn start_moving(&self) -> (Running, Running) {
+    pub(crate) fn start_moving(&self) -> (Running, Running) {
         let emulators = self.start_emulators();
         let controller = self.start_controller();
         let moving = 20 * self.cell.robot[0].axis.len();
@@ -490,6 +491,39 @@ pub(crate) fn stand_without_power(interface: &str, directory: &Directory, cell: 
     for axis in &cell.robot[0].axis {
         stands(&frames, axis, Instant::ZERO);
     }
+}
+
+#[test]
+fn an_error_that_is_no_fault_is_in_the_report() {
+    on_stage(
+        "vcan::an_error_that_is_no_fault_is_in_the_report",
+        |stage| {
+            stage.change(|cell| cell.robot[0].program.truncate(1));
+            let (_emulators, controller) = stage.start_moving();
+            let port = SocketCanPort::open(stage.interface, &SocketCanOptions::default());
+            let temperature = Emergency {
+                node: NodeId::new(1).unwrap(),
+                code: 0x4210,
+                error_register: ErrorRegister::TEMPERATURE,
+                vendor: [0; 5],
+            };
+            let frames = [temperature.encode(); 2];
+            assert_eq!(port.unwrap().send(clock::now(), &frames), Ok(2));
+            let output = controller.output();
+            assert_eq!(output.status.code(), Some(0), "{output:?}");
+            let report = output.json();
+            let warnings = report["warnings"].as_array().unwrap();
+            let [warning] = warnings.as_slice() else {
+                panic!("{report}");
+            };
+            assert_eq!(warning["axis"], "column", "{report}");
+            for (key, value) in [("node", 1), ("code", 0x4210), ("register", 8), ("count", 2)] {
+                assert_eq!(warning[key], value, "{report}");
+            }
+            assert!(warning["time_s"].as_f64().unwrap() > 0.0, "{report}");
+            assert_eq!(report["more_warnings"], 0, "{report}");
+        },
+    );
 }
 
 #[test]

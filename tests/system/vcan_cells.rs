@@ -140,7 +140,7 @@ fn run(directory: &Directory, cell: &Cell, interfaces: &Interfaces) -> Output {
         there == lines
     });
     let mut arguments = ends("run");
-    arguments.extend(["--bench=vcan", "--json", "--record"].map(Into::into));
+    arguments.extend(["--bench=vcan", "--json", "--force", "--record"].map(Into::into));
     arguments.push(directory.path(RECORD).into());
     mrroc::mrroc(arguments)
 }

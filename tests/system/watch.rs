@@ -13,6 +13,8 @@ pub(crate) struct Watch {
     pub(crate) offered: Vec<Frame>,
     /// Frames that the port takes at a time; the rest it refuses.
     pub(crate) room: usize,
+    /// Frames of somebody else on the bus, sent with the next [`Port::send`].
+    pub(crate) foreign: Vec<Frame>,
     /// What the port says of its controller, if not what the port below does.
     pub(crate) state: Option<ControllerState>,
 }
@@ -37,6 +39,7 @@ impl Watcher {
             taken: Vec::with_capacity(64),
             offered: Vec::with_capacity(64),
             room: usize::MAX,
+            foreign: Vec::new(),
             state: None,
         })))
     }
@@ -63,6 +66,9 @@ struct Watched<P> {
 impl<P: Port> Port for Watched<P> {
     fn send(&mut self, now: Instant, frames: &[Frame]) -> Result<usize, PortError> {
         let mut watch = self.watch.lock();
+        for frame in watch.foreign.drain(..) {
+            self.port.send(now, &[frame])?;
+        }
         let taken = self
             .port
             .send(now, &frames[..frames.len().min(watch.room)])?;

@@ -1,17 +1,18 @@
-//! What `--fix` can set, as a table: a change that is not in it is neither made nor put back.
+//! Table of the paths and values that `--fix` can set. A change outside the table is neither made nor put back.
 //!
-//! The record of changes is a file, and whoever can write it could otherwise name any path of the host and any text.
+//! The record of changes is a file. Without the table, a forged record could name any path of the host and any text.
 
 use servo::thread::{LIMITS, Limit};
+use thiserror::Error;
 
-use super::fix::Knob;
+use super::fix::{Knob, shown};
 use super::record::Change;
 use super::tree::cpu_list;
 
 /// Longest name of an interface or a tty, bytes (`IFNAMSIZ` less its end).
 const LONGEST_NAME: usize = 15;
 
-/// What a file of the kernel takes.
+/// The values that a knob takes.
 #[derive(Clone, Copy)]
 enum Takes {
     /// An integer of this range.
@@ -20,6 +21,12 @@ enum Takes {
     Governor,
     /// A set of processors.
     Cpus,
+    /// The file of limits, whatever its owner wrote into it, and lines behind that.
+    Limits,
+    /// A bit rate, and a sample point that may be left out.
+    BitTiming,
+    /// The state of an interface.
+    UpOrDown,
 }
 
 /// The files of the kernel that are set. A `%` stands for a number, a `*` for a name of an interface or tty.
@@ -47,32 +54,82 @@ const FILES: [(&str, Takes); 6] = [
     ),
 ];
 
+/// Why `--fix` cannot have made a change.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub(crate) enum Inadmissible {
+    /// A path or interface that is not in the table.
+    #[error("--fix does not set {0}")]
+    Knob(Knob),
+    /// A value in a form that it never has.
+    #[error("--fix cannot have found {} in {knob}", shown(before.as_deref()))]
+    Before {
+        /// What was set.
+        knob: Knob,
+        /// Its value before.
+        before: Option<String>,
+    },
+    /// A value that `--fix` does not set.
+    #[error("--fix does not set {knob} to {}", shown(Some(after)))]
+    After {
+        /// What was set.
+        knob: Knob,
+        /// Its value since.
+        after: String,
+    },
+}
+
 impl Change {
-    /// Whether `--fix` can have made this change.
-    pub(crate) fn is_admissible(&self) -> bool {
-        let (before, after) = (self.before.as_deref(), self.after.as_str());
-        let both = |admits: &dyn Fn(&str) -> bool| before.is_some_and(admits) && admits(after);
-        match &self.knob {
-            Knob::Kernel(path) => {
+    /// Refuses a change that `--fix` cannot have made.
+    pub(crate) fn check(&self) -> Result<(), Inadmissible> {
+        let knob = || self.knob.clone();
+        let takes = self
+            .knob
+            .takes()
+            .ok_or_else(|| Inadmissible::Knob(knob()))?;
+        let before = self.before.as_deref();
+        if !before.map_or(takes.may_be_absent(), |value| takes.admits(value)) {
+            let before = self.before.clone();
+            return Err(Inadmissible::Before {
+                knob: knob(),
+                before,
+            });
+        }
+        let after = self.after.as_str();
+        let admitted = match takes {
+            Takes::Limits => is_granted(before.unwrap_or_default(), after),
+            _ => takes.admits(after),
+        };
+        let after = || after.to_owned();
+        admitted.then_some(()).ok_or_else(|| Inadmissible::After {
+            knob: knob(),
+            after: after(),
+        })
+    }
+}
+
+impl Knob {
+    /// The values of a knob that `--fix` sets; none for another.
+    fn takes(&self) -> Option<Takes> {
+        let card = |interface: &str, takes| is_name(interface).then_some(takes);
+        match self {
+            Self::Kernel(path) => {
                 let file = FILES.iter().find(|(pattern, _)| matches(pattern, path));
-                file.is_some_and(|(_, takes)| both(&|value| takes.admits(value)))
+                file.map(|(_, takes)| *takes)
             }
-            Knob::File(path) => path == LIMITS && is_granted(before.unwrap_or_default(), after),
-            Knob::BitTiming(interface) => {
-                let admits = |value: &str| is_timing(value);
-                is_name(interface) && before.is_none_or(admits) && admits(after)
-            }
-            Knob::RestartMs(interface) => {
-                is_name(interface) && both(&|value| value.parse::<u32>().is_ok())
-            }
-            Knob::State(interface) => {
-                is_name(interface) && both(&|value| matches!(value, "up" | "down"))
-            }
+            Self::File(path) => (path == LIMITS).then_some(Takes::Limits),
+            Self::BitTiming(interface) => card(interface, Takes::BitTiming),
+            Self::RestartMs(interface) => card(interface, Takes::Integer(0, u32::MAX as i64)),
+            Self::State(interface) => card(interface, Takes::UpOrDown),
         }
     }
 }
 
 impl Takes {
+    /// Whether there may have been no value before.
+    fn may_be_absent(self) -> bool {
+        matches!(self, Self::Limits | Self::BitTiming)
+    }
+
     fn admits(self, value: &str) -> bool {
         match self {
             Self::Integer(least, most) => {
@@ -87,6 +144,9 @@ impl Takes {
                 let list = |byte: u8| byte.is_ascii_digit() || matches!(byte, b',' | b'-');
                 value.bytes().all(list) && !cpu_list(value).is_empty()
             }
+            Self::Limits => true,
+            Self::BitTiming => is_timing(value),
+            Self::UpOrDown => matches!(value, "up" | "down"),
         }
     }
 }
@@ -168,7 +228,7 @@ mod tests {
                 before: before.map(str::to_owned),
                 after: after.to_owned(),
             };
-            assert_eq!(change.is_admissible(), admissible, "{change:?}");
+            assert_eq!(change.check().is_ok(), admissible, "{change:?}");
         }
     }
 

@@ -16,7 +16,7 @@ pub(crate) enum Verdict {
     NotUsable,
 }
 
-/// One thing that was read, and what follows from it.
+/// One reading of the host and its consequence.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(crate) struct Finding {
     /// What was examined: a room of the host, an interface or a line.

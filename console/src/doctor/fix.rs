@@ -6,6 +6,7 @@ use anyhow::{Context, bail, ensure};
 use can::card;
 use serde::{Deserialize, Serialize};
 
+use super::admissible::Inadmissible;
 use super::record::{Change, Record};
 use super::tree::Tree;
 
@@ -174,7 +175,7 @@ fn timing(value: &str) -> Option<(u32, Option<f64>)> {
     Some((bitrate, point))
 }
 
-/// Refuses an interface that somebody receives on, such as an arm's controller.
+/// Refuses an interface on which another process receives, such as the controller of an arm.
 fn unheard(tree: &Tree, interface: &str) -> anyhow::Result<()> {
     ensure!(
         !is_heard(tree, interface),
@@ -214,14 +215,14 @@ pub(crate) fn shown(value: Option<&str>) -> String {
 ///
 /// The change is in the record, on the disk, before it is made, and is one that can be put back.
 pub(crate) fn apply(tree: &Tree, fix: &Fix, record: &mut Record) -> anyhow::Result<Option<Change>> {
-    turn(tree, fix, record, Change::is_admissible)
+    turn(tree, fix, record, Change::check)
 }
 
 fn turn(
     tree: &Tree,
     fix: &Fix,
     record: &mut Record,
-    admits: impl Fn(&Change) -> bool,
+    check: impl Fn(&Change) -> Result<(), Inadmissible>,
 ) -> anyhow::Result<Option<Change>> {
     let Fix { knob, after } = fix;
     let before = knob.read(tree)?;
@@ -233,7 +234,7 @@ fn turn(
         before,
         after: after.clone(),
     };
-    ensure!(admits(&change), "this could not be put back");
+    check(&change).context("--undo could not put back the value found")?;
     record.push(change.clone())?;
     let written = knob.write(tree, Some(after));
     let found = knob.read(tree)?;

@@ -1,8 +1,8 @@
 //! `mrroc doctor`: whether this host can run a cell, and what to change where it cannot.
 //!
-//! It changes nothing unless `--fix` asks for it. Each concept has a module of pure judgements on what [`tree::Tree`] and the few questions
-//! asked here returned; all of it is [`finding::Finding`]s, and the worst of them is the exit status. What mends one without a
-//! person is in it as [`fix::Fix`]es.
+//! It changes nothing unless `--fix` asks for it. Each subject has a module of pure judgements on what [`tree::Tree`]
+//! and a few system calls returned. All judgements are [`finding::Finding`]s, and the worst is the exit status. What
+//! mends one without a person is in it as [`fix::Fix`]es.
 
 mod admissible;
 mod can_interfaces;

@@ -1,27 +1,27 @@
 //! The undo record: every change that `--fix` makes, on the disk before it is made, the oldest first.
 //!
-//! Undoing means to write and delete files by the words of another file, as root as a rule. A record counts only if this
-//! user alone can have written it, and only with changes that `--fix` makes ([`Change::is_admissible`]).
+//! `--undo` writes and deletes files by the contents of a record, as root as a rule. A record is accepted only if this user
+//! alone can have written it, and only with changes that `--fix` can make ([`Change::check`]).
 
-use std::fs::{self, File, Metadata};
-use std::io::{ErrorKind, Read};
-use std::os::unix::fs::MetadataExt;
+use std::fmt;
+use std::fs::{self, File};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail, ensure};
-use serde::{Deserialize, Serialize};
+use anyhow::{Context, bail};
+use serde::de::value::MapAccessDeserializer;
+use serde::de::{Error as _, MapAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::fix::Knob;
 use super::tree;
-
-/// The longest record that is read, bytes: thousands of changes.
-const LONGEST: u64 = 1 << 20;
+use crate::input::{self, InputError};
 
 /// Who may read a record and who may write it.
 const MODE: u32 = 0o600;
 
 /// What was set, and what it was before; none for a file that was not there.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(crate) struct Change {
     pub(crate) knob: Knob,
     pub(crate) before: Option<String>,
@@ -54,10 +54,7 @@ impl Record {
         if lock.try_lock().is_err() {
             bail!("{}: another doctor is at work with it", shown());
         }
-        let changes = match read(&path).with_context(shown)? {
-            None => Vec::new(),
-            Some(text) => changes(&text).with_context(shown)?,
-        };
+        let changes = read(&path).with_context(shown)?;
         Ok(Self {
             path,
             changes,
@@ -79,10 +76,14 @@ impl Record {
         self.store()
     }
 
-    /// The last change came out otherwise.
+    /// The last change came out otherwise. A value that no record may have is left out: undoing then finds a value that
+    /// is not the one set.
     pub(crate) fn amend(&mut self, after: String) -> anyhow::Result<()> {
         if let Some(last) = self.changes.last_mut() {
-            last.after = after;
+            let set = std::mem::replace(&mut last.after, after);
+            if last.check().is_err() {
+                last.after = set;
+            }
         }
         self.store()
     }
@@ -106,70 +107,54 @@ impl Record {
     }
 }
 
-/// The text of a record; none where there is none. Neither a link nor a device is opened.
-fn read(path: &Path) -> anyhow::Result<Option<String>> {
-    match fs::symlink_metadata(path) {
-        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
-        found => ensure!(
-            found?.is_file(),
-            "no plain file, and so no record of changes"
-        ),
+/// The changes of the record at `path`, none where there is no file. The error names the line of a change that `--fix`
+/// cannot have made.
+fn read(path: &Path) -> anyhow::Result<Vec<Change>> {
+    match input::read_own(path, input::RECORD) {
+        Err(InputError::Os(error)) if error.kind() == ErrorKind::NotFound => Ok(Vec::new()),
+        bytes => serde_json::from_slice(&bytes?).context("no record of changes by `doctor --fix`"),
     }
-    let file = File::open(path)?;
-    let status = fs::read_to_string("/proc/self/status")?;
-    let user = effective_user(&status).context("/proc/self/status does not tell who we are")?;
-    // Of the file that was opened, whatever has its name by now.
-    check(&file.metadata()?, user)?;
-    let mut text = String::new();
-    file.take(LONGEST + 1).read_to_string(&mut text)?;
-    ensure!(text.len() as u64 <= LONGEST, TOO_LONG);
-    Ok(Some(text))
 }
 
-const TOO_LONG: &str = "too long for a record of changes";
-
-/// The effective user-ID in a `/proc/PID/status`.
-fn effective_user(status: &str) -> Option<u32> {
-    tree::field(status, "Uid")?
-        .split_whitespace()
-        .nth(1)?
-        .parse()
-        .ok()
-}
-
-/// Refuses a file that somebody else than `user` may have written, and what is no plain file.
-fn check(file: &Metadata, user: u32) -> anyhow::Result<()> {
-    ensure!(file.is_file(), "no plain file, and so no record of changes");
-    ensure!(
-        file.uid() == user,
-        "belongs to user {}, and this is user {user}: nobody is to change the host by a record of somebody else",
-        file.uid()
-    );
-    ensure!(
-        file.mode() & 0o022 == 0,
-        "others than its owner can write it: `chmod go-w` it if its changes are right"
-    );
-    ensure!(file.len() <= LONGEST, TOO_LONG);
-    Ok(())
-}
-
-/// The changes of a record.
-fn changes(text: &str) -> anyhow::Result<Vec<Change>> {
-    let changes: Vec<Change> = serde_json::from_str(text).context("no record of changes")?;
-    for (number, change) in (1..).zip(&changes) {
-        ensure!(
-            change.is_admissible(),
-            "no record of changes that --fix makes: {} in change {number}",
-            change.knob
-        );
+impl<'de> Deserialize<'de> for Change {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        const FIELDS: &[&str] = &["knob", "before", "after"];
+        deserializer.deserialize_struct("Change", FIELDS, AdmissibleChange)
     }
-    Ok(changes)
+}
+
+/// Checks a change while its object is read, so that an error has the line of that object.
+struct AdmissibleChange;
+
+impl<'de> Visitor<'de> for AdmissibleChange {
+    type Value = Change;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a change with knob, before and after")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Change, A::Error> {
+        #[derive(Deserialize)]
+        #[serde(deny_unknown_fields)]
+        struct Raw {
+            knob: Knob,
+            before: Option<String>,
+            after: String,
+        }
+        let raw = Raw::deserialize(MapAccessDeserializer::new(map))?;
+        let change = Change {
+            knob: raw.knob,
+            before: raw.before,
+            after: raw.after,
+        };
+        change.check().map_err(A::Error::custom)?;
+        Ok(change)
+    }
 }
 
 #[cfg(test)]
 mod tests {
-    use std::os::unix::fs::{PermissionsExt, symlink};
-    use std::process::Command;
+    use std::os::unix::fs::{MetadataExt, PermissionsExt, symlink};
 
     use super::super::tests::Fake;
     use super::*;
@@ -180,44 +165,50 @@ mod tests {
     }
 
     #[test]
-    fn only_a_plain_file_of_bounded_length_is_read() {
-        let fake = Fake::new(&[("record.json", "[]"), ("directory/file", "")]);
+    fn a_record_that_others_can_have_written_is_refused() {
+        let fake = Fake::new(&[("record.json", "[]"), ("open.json", "[]")]);
         assert!(Record::existing(&fake.path("record.json")).is_ok());
         symlink("record.json", fake.path("link")).unwrap();
-        let fifo = Command::new("mkfifo").arg(fake.path("fifo")).status();
-        assert!(fifo.unwrap().success());
-        fake.write("long", &" ".repeat(LONGEST as usize + 1));
+        let all = fs::Permissions::from_mode(0o666);
+        fs::set_permissions(fake.path("open.json"), all).unwrap();
         for (name, why) in [
-            ("link", "no plain file"),
-            ("fifo", "no plain file"),
-            ("directory", "no plain file"),
-            ("long", "too long"),
+            ("link", "symbolic link"),
+            ("open.json", "can be written by others"),
         ] {
             let refusal = refusal(&fake.path(name));
-            assert!(refusal.contains(why), "{refusal}");
-        }
-        for device in ["/dev/zero", "/dev/tty"] {
-            assert!(Record::existing(Path::new(device)).is_err(), "{device}");
+            assert!(refusal.contains(why) && refusal.contains(name), "{refusal}");
         }
     }
 
+    /// In the form that a record has on the disk.
     #[test]
-    fn only_what_this_user_alone_can_have_written_is_read() {
-        let fake = Fake::new(&[("record.json", "[]")]);
-        let path = fake.path("record.json");
-        let metadata = fs::metadata(&path).unwrap();
-        let me = metadata.uid();
-        assert!(check(&metadata, me).is_ok());
-        let refused = check(&metadata, me + 1).unwrap_err().to_string();
-        assert!(
-            refused.contains(&format!("belongs to user {me}")),
-            "{refused}"
-        );
-        for mode in [0o620, 0o602, 0o666] {
-            fs::set_permissions(&path, fs::Permissions::from_mode(mode)).unwrap();
-            assert!(refusal(&path).contains("can write it"), "{mode:o}");
+    fn the_line_of_a_change_that_no_fix_makes_is_named() {
+        let kernel = |path: &str, before: &str| {
+            format!(
+                "  {{\n    \"knob\": {{\n      \"kernel\": \"{path}\"\n    }},\n    \"before\": \"{before}\",\n    \
+                 \"after\": \"950000\"\n  }}"
+            )
+        };
+        let runtime = "/proc/sys/kernel/sched_rt_runtime_us";
+        for (path, before, why) in [
+            ("/etc/passwd", "0", "--fix does not set /etc/passwd"),
+            (runtime, "all", "--fix cannot have found all"),
+        ] {
+            let text = format!(
+                "[\n{},\n{},\n{}\n]\n",
+                kernel(runtime, "0"),
+                kernel(path, before),
+                kernel(runtime, "0")
+            );
+            let fake = Fake::new(&[("record.json", &text)]);
+            let refusal = refusal(&fake.path("record.json"));
+            // The line on which the object of the change ends.
+            assert!(
+                refusal.contains("record.json") && refusal.contains("at line 15 "),
+                "{refusal}"
+            );
+            assert!(refusal.contains(why), "{refusal}");
         }
-        assert_eq!(effective_user("Name:\tx\nUid:\t1000\t0\t0\t0\n"), Some(0));
     }
 
     #[test]

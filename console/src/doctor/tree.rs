@@ -13,7 +13,7 @@ pub(crate) struct Tree {
     root: PathBuf,
 }
 
-/// Who owns a file, and who may do what with it.
+/// Owner and permissions of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Access {
     pub(crate) mode: u32,

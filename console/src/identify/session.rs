@@ -5,7 +5,7 @@ use rtrb::Consumer;
 use servo::identify::{Run, Trace};
 use servo::{EffectorLink, Order, Phase, Record, ServoAxisConfig, ServoFault};
 
-use super::direct;
+use super::{Unmeasured, direct};
 
 /// The orders of one measurement: enable, home where that may be, move, and what was recorded meanwhile.
 pub(super) struct Session {
@@ -16,6 +16,8 @@ pub(super) struct Session {
     records: Consumer<Record>,
     /// Whether it may home the robot.
     homes: bool,
+    /// Whether it did.
+    homed: bool,
     trace: Trace,
     stage: Stage,
     /// The next macrostep.
@@ -52,6 +54,7 @@ impl Session {
             link,
             records,
             homes,
+            homed: false,
             trace: Trace::default(),
             stage: Stage::Begin,
             next: 1,
@@ -86,6 +89,7 @@ impl Session {
             match (&self.stage, report.phase) {
                 (Stage::Enabling, Phase::Standing) if !report.homed && self.homes => {
                     self.order(Order::Home);
+                    self.homed = true;
                     self.stage = Stage::Homing;
                 }
                 (Stage::Enabling, Phase::Standing) if !report.homed => {
@@ -133,14 +137,15 @@ impl Session {
         self.link.orders.push(order).expect("there is room");
     }
 
-    /// The run and what was recorded of it; a refusal, before the axis moved, is an error.
-    pub(super) fn finish(mut self) -> anyhow::Result<Result<(Run, Trace), String>> {
+    /// The run and what was recorded of it.
+    pub(super) fn finish(mut self) -> Result<(Run, Trace), Unmeasured> {
         self.poll();
-        match self.stage {
-            Stage::Done => Ok(Ok((self.run, self.trace))),
-            Stage::Refused(why) => Err(anyhow!(why)),
-            Stage::Faulted(fault) => Ok(Err(fault.cause.to_string())),
-            _ => Ok(Err("stopped before it was measured".into())),
-        }
+        Err(match self.stage {
+            Stage::Done => return Ok((self.run, self.trace)),
+            Stage::Refused(why) if !self.homed => Unmeasured::Refused(anyhow!(why)),
+            Stage::Refused(why) => Unmeasured::Stopped(why),
+            Stage::Faulted(fault) => Unmeasured::Stopped(fault.cause.to_string()),
+            _ => Unmeasured::Stopped("stopped before it was measured".into()),
+        })
     }
 }

@@ -16,6 +16,7 @@ use hdrhistogram::serialization::interval_log::{
 };
 
 use super::interval::{Counts, Interval};
+use crate::outputs::Outputs;
 
 /// What is counted, ns, per printed µs.
 const NANOS_PER_MICRO: f64 = 1e3;
@@ -32,13 +33,13 @@ pub(crate) struct Files {
 }
 
 impl Files {
-    /// Creates the files in `directory`, and that where it is not there yet; returns the interval log's too.
-    pub(crate) fn create(directory: &Path, peer: bool) -> anyhow::Result<(Self, LineWriter<File>)> {
-        let create = |name| {
-            let path = directory.join(name);
-            let file = File::create(&path);
-            file.with_context(|| format!("--out: {} cannot be written", path.display()))
-        };
+    /// Opens the files in `directory`, which is made where it is not there yet; returns the interval log's too.
+    pub(crate) fn open(
+        outputs: &mut Outputs,
+        directory: &Path,
+        peer: bool,
+    ) -> anyhow::Result<(Self, LineWriter<File>)> {
+        let mut create = |name| outputs.open("--out", &directory.join(name));
         fs::create_dir_all(directory)
             .with_context(|| format!("--out: {} cannot be made", directory.display()))?;
         let files = Self {

@@ -1,8 +1,8 @@
 //! From a measuring thread to an ordinary one: histograms of about a second, exchanged whole.
 //!
 //! All of them are made before anything is measured, and each is with one of the two threads at a time: the measuring
-//! thread neither allocates nor waits. If the ordinary one lags, an interval grows longer and nothing is lost, so what
-//! a measurement keeps does not depend on how long it lasts.
+//! thread neither allocates nor waits. If the ordinary thread lags, an interval grows longer and nothing is lost: the
+//! memory of a measurement does not depend on its duration.
 
 use std::io;
 use std::mem;

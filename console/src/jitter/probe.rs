@@ -125,8 +125,8 @@ pub(crate) fn probe(wakeups: &mut Wakeups, turn: Turn) {
     }
 }
 
-/// Runs `body` on a thread of its own with what `policy` asks for, and `meanwhile` on this one now and then; returns
-/// what the host denied as well.
+/// Runs `body` on a new thread under `policy`, and `meanwhile` on this thread from time to time. Returns the denials
+/// of the host as well.
 pub(crate) fn on_thread<T: Send>(
     policy: &RealtimePolicy,
     body: impl FnOnce() -> T + Send,

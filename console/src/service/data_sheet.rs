@@ -5,8 +5,10 @@ use std::path::Path;
 use anyhow::{Context, anyhow, bail};
 use canopen::eds::{Access, DataType, Eds, Value};
 use canopen::{NodeId, Object};
+use controller::cell::printable;
 
 use super::value::{self, Type};
+use crate::input;
 
 /// One object by its data sheet.
 pub(super) struct DataSheet {
@@ -24,8 +26,8 @@ pub(super) struct DataSheet {
 impl DataSheet {
     /// Reads the file, which has to know the object.
     pub(super) fn read(path: &Path, object: Object) -> anyhow::Result<Self> {
-        let shown = || path.display().to_string();
-        let bytes = std::fs::read(path).with_context(shown)?;
+        let shown = || printable(&path.display().to_string());
+        let bytes = input::read(path, input::SHEET).with_context(shown)?;
         let eds = Eds::read(&bytes).map_err(|error| anyhow!("{}:{error}", shown()))?;
         Self::of(&eds, object, shown())
     }
@@ -43,7 +45,7 @@ impl DataSheet {
         Ok(Self {
             path,
             object,
-            name,
+            name: printable(&name),
             data_type: variable.data_type,
             access: variable.access,
             low: variable.low.clone(),
@@ -145,6 +147,14 @@ mod tests {
         result
             .err()
             .map_or(String::new(), |error| error.to_string())
+    }
+
+    #[test]
+    fn a_name_of_a_data_sheet_does_nothing_to_a_terminal() {
+        let red = FILE.replace("Heartbeat", "Heart\u{1b}[31mbeat");
+        let eds = Eds::read(red.as_bytes()).unwrap();
+        let sheet = DataSheet::of(&eds, Object::new(0x1017, 0), "drive.eds".to_owned());
+        assert_eq!(sheet.unwrap().name, "Heart\\u{1b}[31mbeat");
     }
 
     #[test]

@@ -25,7 +25,7 @@ mod words;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use anyhow::{Context, bail};
@@ -37,6 +37,7 @@ use clap::Args;
 use crate::bus_port::BusPort;
 use crate::cell_file::CellFile;
 use crate::interfaces::Interface;
+use crate::signals;
 use crate::streams::say;
 use epos::ServicePort;
 use talk::{Conversation, Ended};
@@ -108,7 +109,7 @@ impl BusArgs {
     fn open_by(&self, open: fn(&Interface, u32) -> anyhow::Result<BusPort>) -> anyhow::Result<Bus> {
         let (interface, kbps, cell) = self.resolve()?;
         Ok(Bus {
-            interrupted: until_interrupted()?,
+            interrupted: signals::ending_flag()?,
             port: open(&interface, kbps)?,
             interface,
             cell,
@@ -127,7 +128,7 @@ impl BusArgs {
             return self.open().map(Channel::Bus);
         };
         Ok(Channel::Drive(Drive {
-            interrupted: until_interrupted()?,
+            interrupted: signals::ending_flag()?,
             port: ServicePort::open(*dialect, path, *baud, timeout)?,
             interface,
             cell,
@@ -265,15 +266,6 @@ fn name_of(node: NodeId, cell: Option<&(CellFile, usize)>) -> String {
         Some(axis) => format!("node {node} ({axis})"),
         None => format!("node {node}"),
     }
-}
-
-/// What Ctrl-C sets from now on.
-fn until_interrupted() -> anyhow::Result<Arc<AtomicBool>> {
-    let interrupted = Arc::new(AtomicBool::new(false));
-    let flag = interrupted.clone();
-    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed))
-        .context("Ctrl-C cannot be caught")?;
-    Ok(interrupted)
 }
 
 /// Broken off by Ctrl-C.

@@ -16,7 +16,7 @@ use crate::robot::Limits;
 
 /// Longest way back from the home switch to the index pulse beside it, rad: five turns of the motor, most of
 /// which a switch may be wide.
-const FARTHEST_INDEX: f64 = 5.0 * std::f64::consts::TAU;
+pub(super) const FARTHEST_INDEX: f64 = 5.0 * std::f64::consts::TAU;
 
 /// Rest between the legs of a search by the host.
 const REST: Duration = Duration::from_millis(500);
@@ -305,19 +305,20 @@ impl Homing {
             velocity,
             distance,
             // Its ramps, and as much again for a loop that lags.
-            timeout: Duration::from_secs_f64(2.0 * distance / velocity + 2.0),
+            timeout: Duration::try_from_secs_f64(2.0 * distance / velocity + 2.0)
+                .unwrap_or(Duration::MAX),
         };
         HostHoming {
             direction: match self.direction {
-                Direction::Negative => servo::Direction::Negative,
-                Direction::Positive => servo::Direction::Positive,
+                None | Some(Direction::Negative) => servo::Direction::Negative,
+                Some(Direction::Positive) => servo::Direction::Positive,
             },
             search: leg(self.search_velocity, limits.high - limits.low),
             zero: leg(self.zero_velocity, FARTHEST_INDEX),
             acceleration: self.acceleration,
             pause: REST,
             debounce: AGREEING,
-            reverse_at_limit: self.reverse_at_limit,
+            reverse_at_limit: self.reverse_at_limit.unwrap_or(true),
         }
     }
 }

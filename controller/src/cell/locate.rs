@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use toml::de::{DeTable, DeValue};
+use toml::de::DeTable;
 
 /// One step from a table into what it holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,6 +35,14 @@ impl Path {
         let mut steps = self.0.clone();
         steps.push(step.into());
         Self(steps)
+    }
+
+    /// The number of the robot that it leads to or into.
+    pub fn robot(&self) -> Option<usize> {
+        match *self.0 {
+            [Step::Key("robot"), Step::At(robot), ..] => Some(robot),
+            _ => None,
+        }
     }
 }
 
@@ -93,35 +101,4 @@ pub(super) fn line_of(text: &str, path: &Path) -> usize {
             None => return line_at(text, offset),
         }
     }
-}
-
-/// The first float in the document that is NaN or infinite: its dotted key and its line.
-pub(super) fn first_not_finite(text: &str) -> Option<(String, usize)> {
-    fn search(text: &str, key: &str, value: &DeValue<'_>, start: usize) -> Option<(String, usize)> {
-        match value {
-            DeValue::Float(float) => {
-                let number: f64 = float.as_str().parse().unwrap_or(f64::NAN);
-                (!number.is_finite()).then(|| (key.to_owned(), line_at(text, start)))
-            }
-            DeValue::Array(array) => array.iter().enumerate().find_map(|(index, inner)| {
-                search(
-                    text,
-                    &format!("{key}[{index}]"),
-                    inner.get_ref(),
-                    inner.span().start,
-                )
-            }),
-            DeValue::Table(table) => table.iter().find_map(|(name, inner)| {
-                let key = if key.is_empty() {
-                    name.get_ref().to_string()
-                } else {
-                    format!("{key}.{}", name.get_ref())
-                };
-                search(text, &key, inner.get_ref(), inner.span().start)
-            }),
-            _ => None,
-        }
-    }
-    let document = DeTable::parse(text).ok()?;
-    search(text, "", &DeValue::Table(document.into_inner()), 0)
 }

@@ -8,13 +8,18 @@
 
 mod axis_controller;
 mod check;
+mod document;
 mod drives;
+mod error;
+mod home;
 mod locate;
 mod meetings;
 mod model;
 mod program;
+mod read;
 #[cfg(test)]
 mod tests;
+mod text;
 mod weight;
 
 use std::sync::Arc;
@@ -29,12 +34,14 @@ pub use axis_controller::{
     AxisController, Cascade, Control, FeedForward, Incremental, Law, Loop, Proportional, Protocol,
     Serial,
 };
-pub use check::{CellError, Problem};
+pub use document::LARGEST;
 pub use drives::ENABLING;
+pub use error::{CellError, Problem};
 pub use locate::{Path, Step};
 pub use meetings::Meeting;
 pub use model::{Model, Parameters};
 pub use program::{ProgramError, instruction_path};
+pub use text::{Figure, Range, printable, quoted};
 pub use weight::Weights;
 
 /// One controller: everything that is stepped on one tick grid.
@@ -42,8 +49,9 @@ pub use weight::Weights;
 #[serde(deny_unknown_fields)]
 pub struct Cell {
     /// What the reports call it.
+    #[schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"))]
     pub name: String,
-    /// Period of the servo cycle and of SYNC, µs: a whole number of milliseconds.
+    /// Period of the servo cycle and of SYNC, µs: 1 to 100 whole milliseconds.
     pub period_us: u32,
     /// Servo periods in one macrostep, the step of the generators.
     #[serde(default = "defaults::macrostep")]
@@ -91,7 +99,15 @@ pub struct Realtime {
     /// How long before it needs to run a hybrid wait asks to be woken, µs; none learns it from how late the host is.
     pub margin_us: Option<u32>,
     /// Largest share of a core that a hybrid wait spins in, 0 to 0.5: of each period with `margin_us`, of any second but for a twentieth without.
-    pub spin_share: f64,
+    /// 0.2 where absent.
+    pub spin_share: Option<f64>,
+}
+
+impl Realtime {
+    /// Largest share of a core that a hybrid wait spins in.
+    pub fn spin_share(&self) -> f64 {
+        self.spin_share.unwrap_or(0.2)
+    }
 }
 
 /// What schedules the servo thread.
@@ -125,7 +141,7 @@ impl Default for Realtime {
             lock_memory: true,
             wait: Wait::Hybrid,
             margin_us: None,
-            spin_share: 0.2,
+            spin_share: None,
         }
     }
 }
@@ -145,6 +161,7 @@ pub enum Policy {
 #[serde(deny_unknown_fields)]
 pub struct Bus {
     /// What axes and reports call it.
+    #[schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"))]
     pub name: String,
     /// Bit rate, kbit/s.
     #[serde(default = "defaults::bitrate_kbps")]
@@ -173,6 +190,7 @@ pub struct Bus {
 #[serde(deny_unknown_fields)]
 pub struct Robot {
     /// What reports call it.
+    #[schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"))]
     pub name: String,
     /// Which robot it is.
     pub model: Model,
@@ -211,6 +229,29 @@ impl Robot {
         })
     }
 
+    /// What an error says, with the names of axes in place of their numbers.
+    pub fn naming_axes(&self, error: impl std::fmt::Display) -> String {
+        let said = error.to_string();
+        for (number, axis) in self.axis.iter().enumerate() {
+            let numbered = format!("axis {number}");
+            let Some((before, behind)) = said.split_once(&numbered) else {
+                continue;
+            };
+            if behind.starts_with(|c: char| c.is_ascii_digit()) {
+                continue;
+            }
+            // Where the name stands in front, once is enough.
+            let name = &axis.name;
+            let in_front = before
+                .strip_suffix(", ")
+                .is_some_and(|it| it.ends_with(name));
+            let before = if in_front { "" } else { before };
+            // An error is of one axis.
+            return format!("{before}axis {name}{behind}");
+        }
+        said
+    }
+
     /// Its kinematics and drive train, or what is wrong with its parameters.
     pub fn kinematics(&self) -> Result<Arc<dyn crate::robot::Robot>, ParameterError> {
         let usual = || self.model.parameters();
@@ -223,6 +264,7 @@ impl Robot {
 #[serde(deny_unknown_fields)]
 pub struct Axis {
     /// What reports call it.
+    #[schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"))]
     pub name: String,
     /// The CAN bus its drive hangs on, or the bundle of lines its axis controller is of.
     pub bus: String,
@@ -328,16 +370,16 @@ pub struct Homing {
     /// switch, and back for the index pulse beside it.
     #[serde(default)]
     pub method: Option<i8>,
-    /// Where an axis on a serial line searches for its home switch.
+    /// Where an axis on a serial line searches for its home switch; towards lower positions where absent.
     #[serde(default)]
-    pub direction: Direction,
+    pub direction: Option<Direction>,
     /// Axes home in ascending order of this; equal ones together.
     #[serde(default)]
     pub order: u8,
     /// Whether a search by the host that meets a limit switch goes back across the home switch and begins
-    /// again, once.
-    #[serde(default = "defaults::yes")]
-    pub reverse_at_limit: bool,
+    /// again, once; it does where absent.
+    #[serde(default)]
+    pub reverse_at_limit: Option<bool>,
     /// Motor velocity while searching for the switch, rad/s.
     pub search_velocity: f64,
     /// Motor velocity while searching for the index pulse, rad/s.
@@ -347,11 +389,10 @@ pub struct Homing {
 }
 
 /// A direction of the motor.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Direction {
     /// Towards lower positions.
-    #[default]
     Negative,
     /// Towards higher positions.
     Positive,
@@ -416,7 +457,12 @@ pub enum Instruction {
     Line(Line),
     /// Stand until every robot whose program names this meeting has come to it, then go on with them in the same servo
     /// cycle. A name that comes again is another meeting of the same robots.
-    Meet(String),
+    Meet(#[schemars(schema_with = "name_schema")] String),
+}
+
+/// A name, where an attribute of the field does not reach the schema.
+fn name_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
+    schemars::json_schema!({ "type": "string", "pattern": "^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$" })
 }
 
 /// A motion through joint poses.
@@ -474,9 +520,21 @@ impl Cell {
         schemars::schema_for!(Self)
     }
 
+    /// The text of a cell file of these bytes: refused if it is not UTF-8, or longer than [`LARGEST`].
+    pub fn text(bytes: &[u8]) -> Result<&str, CellError> {
+        document::text(bytes)
+    }
+
     /// Reads and checks the text of a cell file.
     pub fn parse(text: &str) -> Result<Self, CellError> {
-        check::parse(text)
+        let document = document::parse(text)?;
+        let cell: Self = read::read(text, &document)?;
+        check::check(&cell).map_err(|(path, problem)| CellError {
+            line: locate::line_of(text, &path),
+            key: path.to_string(),
+            problem,
+        })?;
+        Ok(cell)
     }
 }
 

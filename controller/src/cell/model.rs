@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::robot::{
     Conveyor, ConveyorParameters, Gripper, GripperParameters, Irb6, Irb6Parameters, Irp6,
     Irp6Parameters, Irp6Track, Irp6TrackParameters, ParameterError, Polycrank, PolycrankParameters,
-    Rnt, RntParameters,
+    Rnt, RntParameters, Room,
 };
 
 /// The robots whose numbers are known.
@@ -56,6 +56,19 @@ pub enum Parameters {
 }
 
 impl Parameters {
+    /// The key that cell files give them by.
+    pub const fn name(&self) -> &'static str {
+        match self {
+            Self::Irb6(_) => "irb6",
+            Self::Irp6(_) => "irp6",
+            Self::Irp6Track(_) => "irp6-track",
+            Self::Rnt(_) => "rnt",
+            Self::Polycrank(_) => "polycrank",
+            Self::Gripper(_) => "gripper",
+            Self::Conveyor(_) => "conveyor",
+        }
+    }
+
     /// The robot of these numbers, or what is wrong with them.
     pub fn kinematics(&self) -> Result<Arc<dyn crate::robot::Robot>, ParameterError> {
         Ok(match self {
@@ -67,6 +80,20 @@ impl Parameters {
             Self::Gripper(parameters) => Arc::new(Gripper::new(parameters)?),
             Self::Conveyor(parameters) => Arc::new(Conveyor::new(parameters)?),
         })
+    }
+}
+
+impl Room for Parameters {
+    fn with_room_at_home(self, motors: &[f64]) -> Self {
+        match self {
+            Self::Irb6(it) => Self::Irb6(it.with_room_at_home(motors)),
+            Self::Irp6(it) => Self::Irp6(it.with_room_at_home(motors)),
+            Self::Irp6Track(it) => Self::Irp6Track(it.with_room_at_home(motors)),
+            Self::Rnt(it) => Self::Rnt(it.with_room_at_home(motors)),
+            Self::Polycrank(it) => Self::Polycrank(it.with_room_at_home(motors)),
+            Self::Gripper(it) => Self::Gripper(it.with_room_at_home(motors)),
+            Self::Conveyor(it) => Self::Conveyor(it.with_room_at_home(motors)),
+        }
     }
 }
 

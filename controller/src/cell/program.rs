@@ -10,8 +10,8 @@ use thiserror::Error;
 use super::{Cell, Instruction, JointGenerator, Joints, Line, Meeting, Path, Robot};
 use crate::ecp::Task;
 use crate::generator::{
-    self, Arm, Axes, GeneratorError, JerkLimited, LineLimits, MotionLimits, Newsmooth, Pose,
-    SmoothPose,
+    self, Arm, Axes, GeneratorError, JerkLimited, LineLimits, MotionLimits, Newsmooth,
+    PlannedStart, Pose, SmoothPose,
 };
 use crate::robot::{KinematicsError, Limits, Space};
 
@@ -73,7 +73,8 @@ impl Cell {
     /// Every pose is looked at here, from where the instruction before it will have ended; the error comes with the
     /// key of the instruction or the pose.
     pub fn task(&self, robot: usize, arm: &Arm) -> Result<Task, (Path, ProgramError)> {
-        self.robot[robot].task(robot, arm, &self.meetings())
+        let home = self.home(robot, arm);
+        self.robot[robot].task(robot, arm, home, &self.meetings())
     }
 }
 
@@ -97,16 +98,23 @@ impl Robot {
         })
     }
 
+    /// Whether the program begins behind instruction `index` of its [`task`](Cell::task).
+    pub fn begins_behind(&self, index: usize) -> bool {
+        index + 1 == PREAMBLE
+    }
+
     fn task(
         &self,
         robot: usize,
         arm: &Arm,
+        home: PlannedStart,
         meetings: &[Meeting],
     ) -> Result<Task, (Path, ProgramError)> {
         let mut task = Task::new().enable().home();
         let mut joints = arm
-            .joints(&arm.robot().home().padded())
+            .joints(&home.motors)
             .map_err(|error| (instruction_path(robot, 0), error.into()))?;
+        let mut start = Some(home);
         for (index, instruction) in self.program.iter().enumerate() {
             let key = instruction_path(robot, index);
             let (next, end) = match instruction {
@@ -116,7 +124,7 @@ impl Robot {
                         .map_err(|(pose, error)| (key.then(pose), error))
                 }
                 Instruction::Line(line) => self
-                    .line(arm, line, &joints, task)
+                    .line(arm, line, &joints, start, task)
                     .map_err(|error| (key.then("line"), error)),
                 Instruction::Meet(_) => {
                     let meeting = self.meeting_at(index, meetings);
@@ -125,6 +133,8 @@ impl Robot {
                 }
             }?;
             (task, joints) = (next, end);
+            // From the end of the first motion on, the arm is where it was sent.
+            start = start.filter(|_| matches!(instruction, Instruction::Meet(_)));
         }
         Ok(task.disable())
     }
@@ -183,6 +193,7 @@ impl Robot {
         arm: &Arm,
         line: &Line,
         from: &Axes,
+        start: Option<PlannedStart>,
         task: Task,
     ) -> Result<(Task, Axes), ProgramError> {
         let rotation = match line.quaternion {
@@ -200,6 +211,10 @@ impl Robot {
             max_angular_jerk: line.acceleration * TURN_PER_METRE / LINE_RISE,
         };
         let generator = generator::Line::new(arm.clone(), target, limits, self.motion_limits(arm))?;
+        let generator = match start {
+            Some(start) => generator.beginning_at(start),
+            None => generator,
+        };
         Ok((task.run(generator), end))
     }
 

@@ -1,3 +1,10 @@
+//! Whole cells: parsing, refusals, and the configurations made of them.
+
+mod bounds;
+mod families;
+mod names;
+mod shape;
+
 use super::*;
 use crate::robot::Limits;
 
@@ -42,7 +49,7 @@ fn a_refusal_names_line_key_and_reason() {
             "node = 1",
             "emulator = { rated_torque = 0.0 }\nnode = 1",
             "robot[0].axis[0].emulator.rated_torque",
-            "between 0.000001 and 4294",
+            "between 1e-6 and 4294",
         ),
         (
             "method = 11",
@@ -54,13 +61,13 @@ fn a_refusal_names_line_key_and_reason() {
             "search_velocity = 15.0",
             "search_velocity = 1500.0",
             "robot[0].axis[0].homing.search_velocity",
-            "at most the axis's max_velocity",
+            "is 1500, must be between 0.7667 and 250 (rad/s of the motor",
         ),
         (
             "period_us = 2000",
             "period_us = 0",
             "period_us",
-            "must be between 1000 and 1000000",
+            "must be between 1000 and 100000 (µs)",
         ),
         (
             "period_us = 2000",
@@ -71,15 +78,15 @@ fn a_refusal_names_line_key_and_reason() {
         (
             "period_us = 2000",
             "period_us = \"fast\"",
-            "",
-            "invalid type",
+            "period_us",
+            "is \"fast\", must be a whole number from 0 to 4294967295",
         ),
         ("period_us = 2000", "period_us = = 1", "", "extra `=`"),
         (
             "period_us = 2000",
             "priod_us = 2000",
-            "",
-            "unknown field `priod_us`",
+            "priod_us",
+            "is an unknown key, must be \"name\", \"period_us\", \"macrostep\"",
         ),
         (
             "macrostep = 10",
@@ -103,7 +110,7 @@ fn a_refusal_names_line_key_and_reason() {
             "priority = 80",
             "margin_us = 401\npriority = 80",
             "realtime.margin_us",
-            "at most spin_share of the period",
+            "is 401, must be between 0 and 400 (µs, spin_share of the period)",
         ),
         (
             "priority = 80",
@@ -114,8 +121,8 @@ fn a_refusal_names_line_key_and_reason() {
         (
             "priority = 80",
             "wait = \"spin\"\npriority = 80",
-            "",
-            "unknown variant `spin`",
+            "realtime.wait",
+            "is \"spin\", must be \"plain\" or \"hybrid\"",
         ),
         (
             "bitrate_kbps = 1000",
@@ -163,7 +170,7 @@ fn a_refusal_names_line_key_and_reason() {
             "max_velocity = 250.0",
             "max_velocity = -1.0",
             "robot[0].axis[0].max_velocity",
-            "must be above 0",
+            "is -1, must be between 0.7667 and 100000 (rad/s of the motor",
         ),
         (
             "max_velocity = 250.0",
@@ -229,7 +236,7 @@ fn a_refusal_names_line_key_and_reason() {
             "velocity = 0.2",
             "velocity = 0.0",
             "robot[0].program[1].line.velocity",
-            "must be above 0",
+            "is 0, must be between 0.0001 and 100 (m/s)",
         ),
     ];
     for (good, bad, key, reason) in cases {
@@ -285,8 +292,8 @@ fn a_drive_by_velocity_or_torque_has_a_loop_that_suits_it_and_no_other_has_one()
             Some(velocity),
             "loop.law.proportional: is for control = \"velocity\"",
         ),
-        ("velocity", Some(over), "at most runaway_velocity"),
-        ("torque", Some(strong), "at most 32 * rated_torque"),
+        ("velocity", Some(over), "runaway_velocity at the most"),
+        ("torque", Some(strong), "32 * rated_torque at the most"),
     ];
     for (control, law, refusal) in cases {
         let law = law.map_or(String::new(), |law| format!(", loop = {{ law = {law} }}"));
@@ -491,7 +498,7 @@ fn meetings_that_cannot_be_held_are_refused_at_their_line() {
                 "meet = \"many\"\n\n",
                 &"meet = \"many\"\n\n[[robot.program]]\n".repeat(62),
             ),
-            "robot[0].program[0].meet: is one of 65 meetings of the cell, which may have 64",
+            "robot[0].program[66].meet: is one of 65 meetings of the robot, which may have 64",
         ),
         (
             third("duration = 6.0", "duration = 0.0", 0),

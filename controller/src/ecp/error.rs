@@ -1,3 +1,5 @@
+//! Errors of instructions.
+
 use std::time::Duration;
 
 use servo::{Phase, ServoFault};

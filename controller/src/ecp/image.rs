@@ -1,3 +1,5 @@
+//! The effector as its control process knows it, in motors, joints and pose.
+
 use can::Instant;
 use servo::Report;
 

@@ -1,3 +1,5 @@
+//! Meetings: robots that wait for one another and go on in the same servo cycle.
+
 use servo::Gates;
 
 use super::Ecp;

@@ -28,7 +28,7 @@ use can::Instant;
 use servo::{EffectorLink, Macrostep, Order, Phase, Report};
 
 use crate::generator::{
-    Arm, AxesState, EffectorImage, Execution, GeneratorError, ImageSource, Setpoint, Step,
+    Arm, Axes, AxesState, EffectorImage, Execution, GeneratorError, ImageSource, Setpoint, Step,
 };
 
 pub use error::EcpError;
@@ -236,6 +236,11 @@ impl Ecp {
     /// The effector's image, as generators see it.
     pub fn image(&self) -> Result<EffectorImage, GeneratorError> {
         self.effector.effector()
+    }
+
+    /// Motor positions that the effector was commanded to take when it last reported, rad; `None` before any report.
+    pub fn commanded(&self) -> Option<Axes> {
+        self.report.map(|report| report.commanded)
     }
 
     /// Takes in what the servo reported, does what is due at `now` and tells if an instruction ended.

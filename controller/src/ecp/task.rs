@@ -1,3 +1,5 @@
+//! Tasks: the instructions of one effector control process.
+
 use std::collections::VecDeque;
 use std::fmt;
 

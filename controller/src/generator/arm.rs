@@ -1,3 +1,5 @@
+//! A robot with its tool, on numbers padded to the axes of the servo.
+
 use std::sync::Arc;
 
 use super::{Axes, Pose};

@@ -1,3 +1,5 @@
+//! Errors of generators.
+
 use thiserror::Error;
 
 use crate::robot::KinematicsError;

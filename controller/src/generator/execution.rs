@@ -1,3 +1,5 @@
+//! The flow chart of the paper's figure 3 for one generator.
+
 use std::time::Duration;
 
 use super::{Generator, GeneratorError, ImageSource, Images, Setpoint};

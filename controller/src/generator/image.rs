@@ -1,3 +1,5 @@
+//! Images that generators read, and set-points that they give.
+
 use can::Instant;
 use servo::MAX_AXES;
 

@@ -1,3 +1,5 @@
+//! Jerk-limited motion of joints or motors, time-synchronised.
+
 use std::time::Duration;
 
 use rsruckig::prelude::{

@@ -99,7 +99,7 @@ pub use image::{
     Axes, AxesState, EffectorImage, EffectorState, ImageSource, Images, Pose, Setpoint,
 };
 pub use jerk_limited::JerkLimited;
-pub use line::{Line, LineLimits, LineMemory};
+pub use line::{Line, LineLimits, LineMemory, PlannedStart};
 pub use newsmooth::{Newsmooth, Progress, SmoothPose};
 pub use wait::Wait;
 

@@ -1,3 +1,5 @@
+//! Synchronised trapezoid through a list of poses.
+
 use std::time::Duration;
 
 use servo::MAX_AXES;

@@ -1,3 +1,5 @@
+//! Trapezoidal velocity profile of one axis over one segment.
+
 /// One axis over one segment: from `start_velocity` to `cruise`, along, and on to `end_velocity`, with
 /// one acceleration. Position counts from the segment's start in the direction of travel.
 ///

@@ -1,3 +1,5 @@
+//! Standstill for a given time.
+
 use std::time::Duration;
 
 use super::{Generator, GeneratorError, Next};

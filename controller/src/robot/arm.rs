@@ -1,3 +1,5 @@
+//! Kinematics of the arm that IRb-6 and IRp-6 share.
+
 use std::f64::consts::FRAC_PI_2;
 
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};

@@ -1,3 +1,5 @@
+//! Devices of one axis: gripper and conveyor.
+
 use nalgebra::Isometry3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -120,8 +122,8 @@ impl ConveyorParameters {
 /// The two-finger gripper as a robot of one axis: its joint is the opening of the jaws, m, and its flange moves by
 /// it along x.
 ///
-/// An opening belongs to two motor positions, on either side of the polynomial's vertex. A robot's motors are a
-/// function of its joints, so this one works on the side of its home, and its joint has the range of that side.
+/// An opening belongs to two motor positions, on either side of the polynomial's vertex. Motors are a function of the
+/// joints, so the gripper works on the side of its home, and its joint has the range of that side.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Gripper {
     parameters: GripperParameters,

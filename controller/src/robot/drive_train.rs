@@ -1,3 +1,5 @@
+//! Drive trains: gears and ball-screw triangles.
+
 use std::f64::consts::{PI, TAU};
 
 use schemars::JsonSchema;
@@ -63,7 +65,7 @@ impl ScrewAxis {
     }
 
     /// The joint angle at a screw length, or the nearest length that a triangle can have.
-    fn joint(&self, length: f64) -> Result<f64, f64> {
+    pub(super) fn joint(&self, length: f64) -> Result<f64, f64> {
         let swing = self.cosine.hypot(self.sine);
         let excess = length * length - self.squared;
         let shortest = (self.squared - swing).sqrt();
@@ -105,8 +107,8 @@ pub(super) enum Transmission {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Axis {
     pub(super) transmission: Transmission,
-    /// The axis, of a lower index, whose motor turns this one's with it, one to one: a motor that sits
-    /// before that joint and reaches past it through a differential.
+    /// The axis of a lower index whose motor turns this axis one to one: the motor of this axis sits before that
+    /// joint and reaches past it through a differential.
     pub(super) carried_by: Option<usize>,
 }
 
@@ -269,7 +271,7 @@ impl<const N: usize> DriveTrain<N> {
         }
     }
 
-    /// How far an axis and those that carry it turn the motors they carry, rad.
+    /// Sum of the turns of an axis and of the axes that carry it, rad.
     fn carried(&self, axis: usize, joints: &[f64; N]) -> f64 {
         let carriers = std::iter::successors(Some(axis), |&by| self.axes[by].carried_by);
         carriers.map(|by| self.axes[by].travel(joints[by])).sum()

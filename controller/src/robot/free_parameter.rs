@@ -1,7 +1,7 @@
 //! How a robot of seven axes chooses the parameter that a pose leaves open.
 //!
-//! The choice is a function of where the robot is and of how far the pose is from there, so that a robot
-//! told to stand where it stands does not move, and a path sampled densely gives joints without jumps.
+//! The choice depends on the present posture and on the distance of the pose from there. A robot that is told to
+//! stand does not move, and a densely sampled path gives joints without jumps.
 
 /// A range of the free parameter from which an inner one is cut out: `outer` about `centre` and between
 /// `low` and `high`, without what is closer than `inner` to `centre`.

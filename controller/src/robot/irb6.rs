@@ -1,3 +1,5 @@
+//! Kinematics of the IRb-6.
+
 use nalgebra::{Isometry3, Matrix3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -1,3 +1,5 @@
+//! Kinematics of the IRp-6.
+
 use nalgebra::{Isometry3, Matrix3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

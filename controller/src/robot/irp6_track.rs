@@ -1,3 +1,5 @@
+//! Kinematics of the IRp-6 on its track.
+
 use nalgebra::{Isometry3, Translation3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

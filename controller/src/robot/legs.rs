@@ -1,3 +1,5 @@
+//! Kinematics of the three parallel legs of the RNT.
+
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
 /// Most steps of the forward solution.
@@ -83,8 +85,8 @@ impl Legs {
         (jacobian, lengths)
     }
 
-    /// The posture in which the legs have these lengths, by Newton's method from `near`; the leg that
-    /// misses its length most, and by how much, where they cannot close.
+    /// The posture with these leg lengths, by Newton's method from `near`. Where the legs cannot close: the leg with
+    /// the greatest error, and that error.
     pub(super) fn close(&self, lengths: &[f64; 3], near: &Posture) -> Result<Closure, Gap> {
         let wanted = Vector3::from(*lengths);
         let mut posture = *near;

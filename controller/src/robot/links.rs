@@ -1,3 +1,5 @@
+//! Serial links of a robot, for its description.
+
 use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
 use servo::MAX_AXES;
 

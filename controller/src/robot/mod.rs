@@ -25,7 +25,7 @@
 //! any; `drive_train.rs` is gears, screws and couplings between motors and joints; `solutions.rs` collects
 //! branches within the limits, nearest first; `free_parameter.rs` is how a redundant robot chooses;
 //! `links.rs` is a robot link by link, for description files and figures; `singularity.rs` is how near the arm is to
-//! losing a direction; `weight.rs` is what links weigh on motors; `vector.rs` is positions, one per axis. Figures and every parameter with its source are in
+//! losing a direction; `weight.rs` is what links weigh on motors; `room.rs` is room in a range that ends at home; `vector.rs` is positions, one per axis. Figures and every parameter with its source are in
 //! `docs/robots` of the repository. Read [`Robot`] first, then `irp6.rs` for a robot from end to end.
 //!
 //! Numbers carry the place they come from: *public code* is the published source of the WUT robots'
@@ -44,6 +44,7 @@ mod links;
 mod parameters;
 mod polycrank;
 mod rnt;
+mod room;
 mod singularity;
 mod solutions;
 mod vector;
@@ -69,6 +70,7 @@ pub use links::{Link, LinkKind, Links};
 pub use parameters::{ArmParameters, ParameterError};
 pub use polycrank::{Polycrank, PolycrankParameters};
 pub use rnt::{LegAxis, Rnt, RntParameters};
+pub use room::Room;
 pub use singularity::Singularity;
 pub use solutions::Solutions;
 pub use vector::{Joint, Joints, Motor, Motors, Vector};
@@ -87,9 +89,9 @@ pub trait Robot: fmt::Debug + Send + Sync {
     /// Axes, at most [`MAX_AXES`]; the length of every vector it takes and gives.
     fn axes(&self) -> usize;
 
-    /// Range of each joint, rad (m for a linear joint); [`Limits::CONTINUOUS`] for one that turns without end.
-    /// The position of such a joint counts its turns: 0 and 2π are two positions of it, and whoever
-    /// interpolates passes all that is between.
+    /// Range of each joint, rad (m for a linear joint); [`Limits::CONTINUOUS`] for one that turns without end. The
+    /// position of such a joint counts its turns: 0 and 2π are two positions, and an interpolation passes all
+    /// positions between them.
     fn joint_limits(&self) -> &[Limits];
 
     /// Range of each motor, rad.
@@ -104,11 +106,11 @@ pub trait Robot: fmt::Debug + Send + Sync {
 
     /// The joints that put the flange there, within every joint and motor limit.
     ///
-    /// `near` is where the robot is: solutions come nearest first, joints of more than one turn in
-    /// the turn nearest to it, and a redundant robot takes its free parameter from it. Where the pose
-    /// leaves an axis open (a wrist singularity), the value of `near` is kept if the robot says so,
-    /// otherwise the answer is [`KinematicsError::Singular`]. Where branches exist but none within
-    /// limits, [`KinematicsError::BeyondLimit`] tells of the one nearest to `near`.
+    /// `near` is the present posture. Solutions come nearest first. A joint of more than one turn is returned in the
+    /// turn nearest to `near`, and a redundant robot takes its free parameter from `near`. Where the pose leaves an
+    /// axis open (a wrist singularity), the value of `near` is kept if the robot says so, otherwise the answer is
+    /// [`KinematicsError::Singular`]. Where branches exist but none within limits, [`KinematicsError::BeyondLimit`]
+    /// tells of the one nearest to `near`.
     fn inverse(
         &self,
         base_from_flange: &Isometry3<f64>,
@@ -216,8 +218,8 @@ pub enum KinematicsError {
     Singular {
         /// The axis.
         axis: u8,
-        /// How far from the singular pose this one is: the distance of the flange from the axis, m, or the
-        /// sine of the angle between the axes that should not be parallel.
+        /// Distance from the singular pose: of the flange from the axis, m, or the sine of the angle between the two
+        /// axes.
         margin: f64,
     },
     /// Legs that cannot have these lengths together. Legs are counted from 0.

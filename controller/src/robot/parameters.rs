@@ -1,3 +1,5 @@
+//! Parameters of the arm that IRb-6 and IRp-6 share, and errors of parameters.
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -13,9 +15,8 @@ use super::{
 /// Joints are absolute angles, as the drives set them: th1 turns the column about the vertical; th2,
 /// th3 and th4 are the inclinations of lower arm, upper arm and wrist to the horizontal, positive
 /// **down**, so that th2 = -90° is an upright lower arm and th3 = th4 = 0 a level upper arm and wrist;
-/// th5 rolls the wrist. The upper arm keeps its inclination when the lower arm moves, and the wrist
-/// keeps its own when either does, because parallelograms hold them; the roll motor sits before the
-/// pitch and is carried by it.
+/// th5 rolls the wrist. Parallelograms keep the inclination of the upper arm when the lower arm moves, and the
+/// inclination of the wrist when either moves. The roll motor sits before the pitch joint, which carries it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ArmParameters {
@@ -212,7 +213,7 @@ pub enum ParameterError {
         /// What it misses, m.
         residual: f64,
     },
-    /// Masses that are not those of its links.
+    /// The masses do not match the links.
     #[error("{0}")]
     Weight(super::WeightError),
     /// A workspace that the legs do not hold everywhere.

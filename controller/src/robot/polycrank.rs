@@ -1,3 +1,5 @@
+//! Kinematics of the Polycrank.
+
 mod cranks;
 
 use std::f64::consts::FRAC_PI_2;
@@ -66,8 +68,8 @@ pub struct PolycrankParameters {
     /// Flange along axis 7, m.
     #[doc(alias = "d7")]
     pub flange_offset: f64,
-    /// Whether cranks carry the drives of axes 2, 3 and of 5, 6 with them from a fixed motor: then each of
-    /// these motors turns with the sum of its joint and those before it in its group.
+    /// Whether cranks carry the drives of axes 2, 3 and of 5, 6 from a fixed motor. Each of these motors then turns
+    /// with the sum of its joint and the joints before it in its group.
     pub coupled: bool,
     /// The drives.
     pub axes: [GearAxis; AXES],

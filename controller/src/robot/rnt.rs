@@ -1,3 +1,5 @@
+//! Kinematics of the RNT, serial-parallel.
+
 use std::f64::consts::TAU;
 
 use nalgebra::{Isometry3, Rotation3, Vector2, Vector3};
@@ -125,8 +127,8 @@ const fn wrist(range: f64) -> GearAxis {
     }
 }
 
-/// The RNT, serial-parallel: three driven legs around a passive central one hold a platform (the joints
-/// alpha, beta and rho), and a wrist of three axes that meet on the central leg's line stands on it.
+/// The RNT, a serial-parallel robot. Three driven legs around a passive central leg carry a platform (joints alpha,
+/// beta and rho). A wrist of three axes stands on the platform; the axes meet on the line of the central leg.
 ///
 /// The geometry is a stand-in of this project, see [`RntParameters::nominal`]. Joints: alpha, beta, rho,
 /// roll, pitch, spin; motors: the three legs, then the three of the wrist. The base frame stands in the
@@ -194,8 +196,8 @@ impl Rnt {
         Ok(robot)
     }
 
-    /// Refuses legs that cannot stand in the middle of the workspace or at home, and a workspace in which
-    /// they lose their hold on the platform: somewhere in it their Jacobian changes its sign.
+    /// Refuses legs that do not close in the middle of the workspace or at home. Refuses a workspace in which the
+    /// legs become singular: their Jacobian changes its sign there.
     fn closes(&self) -> Result<(), ParameterError> {
         let middle = self.middle();
         let lengths = self.legs.lengths(&middle);

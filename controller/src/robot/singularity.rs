@@ -1,3 +1,5 @@
+//! Distance of a posture from a singularity.
+
 use super::{Jacobian, KinematicsError};
 
 /// How near joints are to a posture that loses a direction of motion.

@@ -1,3 +1,5 @@
+//! Solutions of inverse kinematics, the preferred first.
+
 use std::ops::Deref;
 
 use super::{Joints, KinematicsError, drive_train::DriveTrain};

@@ -1,3 +1,5 @@
+//! Positions of joints and of motors, as different types.
+
 use std::{
     fmt,
     marker::PhantomData,

@@ -1,3 +1,5 @@
+//! Torques that hold the weight of links and load.
+
 use nalgebra::{UnitVector3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -85,7 +87,7 @@ impl Mass {
     ];
 }
 
-/// The links of a robot with their masses: what torque its motors need to hold them.
+/// Links of a robot with their masses, for the torques that hold them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Weight {
     /// From base to flange, the load with the last.
@@ -144,8 +146,8 @@ impl WeightError {
 }
 
 impl Weight {
-    /// Of `robot`, one mass per link of [`Robot::links`], what its flange carries, in the flange's frame, and the
-    /// direction against gravity in its base frame, of any length.
+    /// The weights of `robot`: one mass per link of [`Robot::links`], the load in the frame of the flange, and the
+    /// upward direction in the base frame, of any length.
     pub fn new(
         robot: &dyn Robot,
         masses: &[Mass],
@@ -176,7 +178,8 @@ impl Weight {
         })
     }
 
-    /// Torques of the motors, N·m, that hold `robot`, the one it was made for, where its motors are; all finite.
+    /// Torques of the motors, N·m, that hold `robot` at these motor positions; all finite. `robot` must be the robot
+    /// that the weight was made for.
     ///
     /// A motor's is the change of potential energy per turn of it while the others stand: virtual work, whatever
     /// gears, screws, couplings and parallel legs lie between. Gears are without losses here. The links' potential

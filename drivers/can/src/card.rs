@@ -14,7 +14,8 @@ use crate::{InterfaceName, OpenError, socketcan::find};
 /// What a card says of itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Card {
-    /// Whether it is up: its bit rate is that of its bus, and it takes part in the traffic as `state` says.
+    /// Whether the interface is up: the interface has the bit rate of its bus and takes part in the traffic as
+    /// `state` says.
     pub up: bool,
     /// Bit rate, bit/s; `None` if it was never set.
     pub bitrate: Option<u32>,
@@ -103,8 +104,9 @@ pub fn read(interface: &str) -> Result<Card, CardError> {
 
 /// Sets the card `interface` to `bitrate`, brings it up, and returns what it then says of itself.
 ///
-/// One that is up at this rate and takes part in the traffic is left as it is. Any other is taken down
-/// before, which ends the traffic of whoever else uses it, and up again, at the rate that it had, if it cannot be set.
+/// An interface that is up at this rate and takes part in the traffic is left unchanged. An interface at another rate
+/// is taken down first, which ends the traffic of its other users. If the new rate cannot be set, the interface is
+/// brought up again at the rate that it had.
 pub fn set_bitrate(interface: &str, bitrate: Bitrate) -> Result<Card, CardError> {
     let name = find(interface)?;
     let wanted = bitrate.kbps() * 1000;
@@ -118,8 +120,8 @@ pub fn set_bitrate(interface: &str, bitrate: Bitrate) -> Result<Card, CardError>
         up: Some(true),
         ..Change::default()
     };
-    // The kernel's reason does not come through `socketcan`, so the step that it refuses has to tell: who may
-    // take an interface down may do the rest.
+    // `socketcan` does not pass on the kernel's reason. The refused step tells the reason: a process that may take an
+    // interface down may do the other steps as well.
     make(&link, &to, before.up).map_err(|(step, error)| match (errno(&error), step) {
         (Some(errno), _) => os(name, errno),
         (None, Step::Down) => CardError::Denied {
@@ -163,7 +165,7 @@ pub struct Change {
 
 /// Changes `interface`, a card or, for `up` alone, a virtual one.
 ///
-/// Whoever uses it loses the bus for the time of a change of timing or restart, for which it must be down.
+/// The interface is down while its timing or restart time changes, and its users lose the bus for that time.
 pub fn change(interface: &str, change: &Change) -> Result<(), CardError> {
     let name = find(interface)?;
     let link = open(name)?;

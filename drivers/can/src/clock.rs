@@ -51,10 +51,10 @@ pub fn wait_readable(end: BorrowedFd<'_>, until: Instant) -> Result<bool, i32> {
     wait(&mut [end], until)
 }
 
-/// Waits until one of `ends` has what it asks for or `CLOCK_MONOTONIC` shows `until`, and says which; an error is what
-/// the operating system said. The rest is as in [`wait_readable`].
+/// Waits until one of `ends` is ready or `CLOCK_MONOTONIC` shows `until`, and returns which. Errors are those of the
+/// operating system. The rest is as in [`wait_readable`].
 ///
-/// A descriptor that is closed meanwhile is no danger: the kernel says so in its `revents`.
+/// A descriptor that is closed during the wait is reported by the kernel in `revents`.
 #[expect(unsafe_code, reason = "the rim's one place to wait for descriptors")]
 pub fn wait(ends: &mut [libc::pollfd], until: Instant) -> Result<bool, i32> {
     let count = ends.len() as libc::nfds_t;
@@ -78,8 +78,8 @@ pub fn wait(ends: &mut [libc::pollfd], until: Instant) -> Result<bool, i32> {
 
 /// By how many nanoseconds `CLOCK_REALTIME` is ahead of `CLOCK_MONOTONIC`, if it was `known` before.
 ///
-/// Changes whenever somebody sets the clock; ask anew for each batch of time stamps. What lies between two readings of
-/// clocks, however long, changes nothing: `known` is kept unless the readings refute it.
+/// The offset changes whenever the clock is set: read it for each batch of time stamps. What lies between two
+/// readings of clocks, however long, changes nothing: `known` is kept unless the readings refute it.
 pub(crate) fn realtime_offset(known: u64) -> u64 {
     let before = nanos(libc::CLOCK_MONOTONIC);
     let realtime = nanos(libc::CLOCK_REALTIME);

@@ -109,8 +109,8 @@ impl ErrorFrame {
 
     /// The controller's state once this frame was seen.
     ///
-    /// A frame that speaks of the state states it whole, so the state before matters only when it
-    /// does not. Of several statements in one frame the worst holds.
+    /// An error frame with a state has the whole state. The state before matters only for a frame without a state. Of
+    /// several statements in one frame the worst holds.
     pub fn state_after(&self, before: ControllerState) -> ControllerState {
         let controller = self.controller().unwrap_or_default();
         if self.bus_off() {

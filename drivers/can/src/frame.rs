@@ -1,3 +1,5 @@
+//! CAN frames.
+
 use std::fmt;
 
 use crate::{ExtendedId, Id, StandardId};
@@ -6,8 +8,8 @@ const EXTENDED: u32 = 0x8000_0000;
 const REMOTE: u32 = 0x4000_0000;
 const ERROR: u32 = 0x2000_0000;
 
-/// A classic CAN frame, laid out as Linux's `struct can_frame` (16 bytes), so that a slice of them
-/// goes to the kernel as it is.
+/// A classic CAN frame with the layout of Linux's `struct can_frame` (16 bytes): the kernel reads a slice of frames
+/// without conversion.
 ///
 /// Whatever can be built can be sent. Bytes past [`Frame::data`]'s length are always zero, so equal
 /// frames are equal byte for byte.

@@ -1,3 +1,5 @@
+//! CAN identifiers of 11 and 29 bits.
+
 /// An 11-bit identifier. A smaller one wins arbitration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct StandardId(u16);

@@ -1,3 +1,5 @@
+//! Points in time of one run.
+
 use std::fmt;
 use std::ops::{Add, AddAssign, Sub};
 use std::time::Duration;

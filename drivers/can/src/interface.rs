@@ -1,3 +1,5 @@
+//! Names of network interfaces.
+
 use std::fmt;
 
 /// The name of a network interface, as Linux limits it: 1 to 15 bytes.
@@ -8,10 +10,11 @@ pub struct InterfaceName {
 }
 
 impl InterfaceName {
-    /// `None` if `name` is empty, longer than 15 bytes, or has a NUL, a slash or white space in it.
+    /// `None` for what the kernel takes for no name: an empty one, one longer than 15 bytes, `.` and `..`, and one with a
+    /// slash, a colon or white space in it. Nor may it have control characters, which logs and terminals act on.
     pub fn new(name: &str) -> Option<Self> {
-        let forbidden = |c: char| c == '\0' || c == '/' || c.is_whitespace();
-        if name.is_empty() || name.contains(forbidden) {
+        let forbidden = |c: char| matches!(c, '/' | ':') || c.is_control() || c.is_whitespace();
+        if matches!(name, "" | "." | "..") || name.contains(forbidden) {
             return None;
         }
         let mut bytes = [0; 15];
@@ -39,5 +42,34 @@ impl fmt::Display for InterfaceName {
 impl fmt::Debug for InterfaceName {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.as_str())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_is_what_the_kernel_takes_for_one_and_a_log_can_show() {
+        for name in ["can0", "vcan-1", "a.b", "a=b", "fifteen-bytes-1"] {
+            assert_eq!(InterfaceName::new(name).unwrap().as_str(), name);
+        }
+        let bad = [
+            "",
+            ".",
+            "..",
+            "a b",
+            "a/b",
+            "can0:1",
+            "a\tb",
+            "a\0b",
+            "a\nb",
+            "\u{1b}[m",
+            "\u{9b}m",
+            "sixteen-bytes-16",
+        ];
+        for name in bad {
+            assert_eq!(InterfaceName::new(name), None, "{name:?}");
+        }
     }
 }

@@ -1,10 +1,11 @@
 //! CAN as the rest of the stack sees it: frames, identifiers, ports, recordings and bus time.
 //!
 //! Read [`Frame`] and [`Port`] first. Nothing here interprets a payload; that is `canopen`'s work.
-//! Only [`SocketCanPort`], [`card`] and [`clock`] touch the operating system.
+//! Only [`SocketCanPort`], [`Claim`], [`card`] and [`clock`] touch the operating system.
 
 pub mod candump;
 pub mod card;
+mod claim;
 pub mod clock;
 mod error_frame;
 mod frame;
@@ -20,6 +21,7 @@ mod tracer;
 mod virtual_port;
 
 pub use self::socketcan::{BATCH, OpenError, SocketCanOptions, SocketCanPort};
+pub use claim::{Claim, ClaimError};
 pub use error_frame::{ControllerFlags, ErrorCounts, ErrorFrame, ProtocolViolation};
 pub use frame::Frame;
 pub use id::{ExtendedId, Id, StandardId};

@@ -1,3 +1,5 @@
+//! The contract of a port: one end of a bus.
+
 use thiserror::Error;
 
 use crate::timing::bits_on_wire;

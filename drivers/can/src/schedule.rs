@@ -1,11 +1,10 @@
 //! Worst-case bus load and response times of a cyclic traffic pattern.
 //!
-//! The pattern is that of a SYNC-driven bus: at the start of a cycle the host queues a batch, the
-//! nodes answer, and everything of a cycle must have left the bus before the next one begins. A
-//! message waits for one frame that is already on the wire, for what stands before it in its
-//! sender's queue, and for what wins arbitration against it. Every frame is counted with as many
-//! stuff bits as any content can need. Error frames, retransmissions and frames that only faults
-//! cause are left out: the drivers ride through those.
+//! The bus is driven by SYNC: at the start of a cycle the host queues a batch, and the nodes answer. All frames of a
+//! cycle must have left the bus before the next cycle begins. The delay of a message has three parts: one frame that
+//! is already on the wire, the frames before the message in the queue of its sender, and the frames that win
+//! arbitration against it. Every frame is counted with as many stuff bits as any content can need. Error frames,
+//! retransmissions and frames that only faults cause are left out: the drivers ride through those.
 
 use std::time::Duration;
 
@@ -85,12 +84,12 @@ pub fn analyse(bitrate: Bitrate, cycle: Duration, messages: &[Message]) -> Analy
     }
 }
 
-/// The messages that can leave before the one at `index`, and that one.
+/// The message at `index` and the messages that can leave before it.
 fn before(messages: &[Message], index: usize) -> impl Iterator<Item = &Message> {
     let own = messages[index];
     let queued =
         move |position: usize, message: &Message| message.sender == own.sender && position <= index;
-    // What is queued before it must win arbitration first, and so may be overtaken in its stead.
+    // A message queued before must win arbitration first, so messages that can overtake the queued one count too.
     let weakest = messages
         .iter()
         .enumerate()

@@ -1,8 +1,8 @@
 //! A port on a SocketCAN interface: real cards, `vcan` and `slcan` alike.
 //!
-//! It promises one system call for each send or receive, no allocation after opening, time stamps
-//! taken by the kernel, and honest back-pressure: the socket's send buffer is kept so small that it
-//! fills before the interface's queue does, where the kernel would throw frames away.
+//! Each send or receive is one system call. Nothing allocates after opening. The kernel stamps the times. A full
+//! queue is reported to the caller: the send buffer of the socket is so small that it fills before the queue of the
+//! interface, where the kernel would drop frames silently.
 //!
 //! Bit rates are set by [`card`](crate::card), and restarts after bus-off are left to `ip link`. This is the rim: it makes system calls
 //! and reads the clock. Read [`SocketCanPort::open`] first.
@@ -335,8 +335,8 @@ fn set_up(socket: &CanSocket, options: &SocketCanOptions) -> io::Result<()> {
 }
 
 fn why_not_opened(interface: InterfaceName, error: &io::Error) -> OpenError {
-    // The kernel says ENODEV for an absent interface and for one of another kind; and the interface is
-    // looked up first, so an absent one hides that there is no CAN at all.
+    // The kernel answers ENODEV for an absent interface and for an interface of another kind. The interface is looked
+    // up before the protocol, so an absent interface hides a kernel without CAN.
     let kernel_lacks_can = || {
         let any = CanSocket::open_iface(0);
         any.is_err_and(|error| error.raw_os_error() == Some(libc::EAFNOSUPPORT))

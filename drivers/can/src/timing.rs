@@ -99,8 +99,8 @@ pub const fn unstuffed_bits(format: Format, len: u8) -> u32 {
     format.stuffable() + 8 * len as u32 + TAIL
 }
 
-/// Bits of a data frame of `len` bytes when its content needs as many stuff bits as any can: one
-/// after the first five bits and one after each four more.
+/// Bits of a data frame of `len` bytes with the greatest possible number of stuff bits: one after the first five bits
+/// and one after every four more.
 pub const fn worst_case_bits(format: Format, len: u8) -> u32 {
     let stuffed = format.stuffable() + 8 * len as u32;
     unstuffed_bits(format, len) + (stuffed - 1) / 4
@@ -145,8 +145,8 @@ fn crc15(content: u128, bits: u32) -> u16 {
 
 /// How many stuff bits the last `bits` of `content` need, the rest being zero.
 fn stuff_bits(content: u128, bits: u32) -> u32 {
-    // Alternating bits in front fill up the first byte: they need no stuffing, and since they end in
-    // a one, the start bit begins a run of its own.
+    // Alternating bits fill up the first byte. They need no stuff bits, and the last of them is a one, so the start
+    // bit begins a new run.
     let padded = content | 0x5555_5555_5555_5555_5555_5555_5555_5555 << bits;
     let mut run = Run { ones: true, len: 1 }.index();
     let mut count = 0;
@@ -329,7 +329,7 @@ mod tests {
         }
     }
 
-    /// The frame as a string of bits, its CRC by long division, its stuff bits one by one.
+    /// The frame as a string of bits, with the CRC by long division and the stuff bits inserted one by one.
     fn reference_bits(frame: &Frame) -> u32 {
         let field = |value: u32, width: usize| format!("{value:0width$b}");
         let remote = u32::from(frame.is_remote());

@@ -113,7 +113,7 @@ impl Port for VirtualPort {
 
 /// The bus's end.
 ///
-/// It takes frames in the order they were sent and delivers them in the order of their times.
+/// Frames are taken in the order of sending and delivered in the order of their times.
 pub struct VirtualPeer {
     sent: Consumer<Received>,
     to_host: Producer<Delivered>,
@@ -121,8 +121,8 @@ pub struct VirtualPeer {
 }
 
 impl VirtualPeer {
-    /// The oldest frame the host sent and when it handed it over, left in the queue: the one in the
-    /// card's mailbox, which takes part in arbitration until it is taken.
+    /// The oldest frame of the host and the time of its transmission request. The frame stays in the queue, as in a
+    /// card's mailbox, and takes part in arbitration until it is taken.
     pub fn peek_sent(&self) -> Option<&Received> {
         self.sent.peek().ok()
     }

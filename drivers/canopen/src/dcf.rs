@@ -17,8 +17,8 @@ use crate::{NodeId, Object};
 pub struct Download {
     /// In the order in which to do them.
     pub writes: Vec<ObjectWrite>,
-    /// Values that are stated and not written: those of objects of which the file says so (`ObjFlags`, bit 0), where a tool
-    /// has put down all that it found in a device, and of object 0x1018, which say what device it is.
+    /// Values that are stated and not written: objects with bit 0 of `ObjFlags`, where a tool stored everything that
+    /// it read from a device, and object 0x1018, the identity of the device.
     pub left_out: usize,
 }
 
@@ -80,9 +80,9 @@ impl DownloadError {
 /// What `dcf` states, for a device with this node-ID: every stated value, one equal to the default as well, since a device may
 /// have stored another.
 ///
-/// Objects are written in ascending order, PDOs last. A PDO of which anything is stated is switched off (COB-ID with bit 31),
-/// its mapping emptied, filled and counted, its other parameters written and its COB-ID last (CiA 301); entries
-/// beyond the count have no effect and are not written.
+/// Objects are written in ascending order, PDOs last. A PDO with any stated value is switched off (COB-ID with bit
+/// 31), and its mapping is cleared, filled and counted. Its other parameters follow, and its COB-ID last (CiA 301
+/// §7.5.2). Entries beyond the count have no effect and are not written.
 pub fn download(dcf: &Eds, node: NodeId) -> Result<Download, DownloadError> {
     let mut download = Download::default();
     let mut pdos: BTreeMap<u16, BTreeMap<Object, ObjectWrite>> = BTreeMap::new();
@@ -184,7 +184,7 @@ fn remap(
     Ok(())
 }
 
-/// The write of `object` as stated, else of its default: what a device has that was told nothing else.
+/// The write of `object`: the stated value, else the default, which an unconfigured device has.
 fn take(
     dcf: &Eds,
     node: NodeId,

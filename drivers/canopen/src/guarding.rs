@@ -330,7 +330,7 @@ mod tests {
                     state: State::Operational,
                 }),
             ),
-            // It boots, and its toggle bit begins anew.
+            // The node boots, and its toggle bit restarts.
             (950, Some("702#00"), changed(State::Initialising)),
             (1010, Some("702#7F"), changed(State::PreOperational)),
             (1110, Some("702#7F"), Some(Event::Toggle)),

@@ -38,9 +38,9 @@ impl Heartbeat {
 
 /// Watches the heartbeat of one node.
 ///
-/// The watch begins with the first heartbeat, or with [`Consumer::start`]. A boot-up frame is a sign
-/// of life but does not begin it: a node that has just booted may not produce heartbeats yet. One that
-/// stops producing them because it booted is lost, once its time is over.
+/// The watch begins with the first heartbeat, or with [`Consumer::start`]. A boot-up frame is a sign of life but does
+/// not begin it: a node that has just booted may not produce heartbeats yet. A node that stops producing heartbeats
+/// because it booted is lost when its time is over.
 #[derive(Clone, Debug)]
 pub struct Consumer {
     node: NodeId,
@@ -87,7 +87,7 @@ impl Consumer {
         }
     }
 
-    /// Begins the watch, or begins it anew, without waiting for a heartbeat.
+    /// Starts or restarts the watch without waiting for a heartbeat.
     pub fn start(&mut self, now: Instant) {
         self.last = now;
         self.watch = Watch::Alive;

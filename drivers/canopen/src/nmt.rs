@@ -245,8 +245,8 @@ impl Master {
         self.states[usize::from(node.raw())]
     }
 
-    /// The frame of a command; what a reset makes untrue is forgotten, so that the boot-up frame after
-    /// it is told from an older one.
+    /// The frame of a command. A reset clears the recorded state of the node, so that the next boot-up message is
+    /// recognised as new.
     pub fn command(&mut self, request: Request) -> Frame {
         match request.command {
             Command::Start | Command::Stop | Command::EnterPreOperational => {}

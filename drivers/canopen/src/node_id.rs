@@ -1,3 +1,5 @@
+//! Node-IDs.
+
 use std::fmt;
 
 /// The address of a node on its bus, 1 ..= 127 (CiA 301).

@@ -101,6 +101,11 @@ impl PdoCobId {
         self.0 & Self::NO_RTR == 0
     }
 
+    /// Whether the frame has an 11-bit identifier and bits 11 to 28 are zero (CiA 301).
+    pub const fn is_standard(self) -> bool {
+        self.0 & (Self::EXTENDED | 0x1FFF_F800) == 0
+    }
+
     /// The identifier; `None` for a 29-bit one.
     pub const fn id(self) -> Option<StandardId> {
         if self.0 & Self::EXTENDED != 0 {
@@ -328,8 +333,8 @@ pub struct PdoSetup {
     pub event_timer: Option<u16>,
 }
 
-/// What to write, in the only order that CiA 301 allows: switch the PDO off, empty the mapping, fill
-/// it, set its count, then the communication parameters, and last switch the PDO on.
+/// Writes in the order of CiA 301 §7.5.2.36: switch the PDO off, clear the mapping, fill it, set its count, write the
+/// communication parameters, switch the PDO on.
 ///
 /// Devices abort writes in another order.
 pub fn remap(setup: &PdoSetup) -> impl Iterator<Item = Write> + use<> {
@@ -395,6 +400,14 @@ mod tests {
         assert!(!word.invalid().is_valid() && !word.without_rtr().rtr_allowed());
         assert_eq!(word.invalid().without_rtr().id(), Some(id));
         assert_eq!(PdoCobId(0x2000_0182).id(), None);
+    }
+
+    #[test]
+    fn an_identifier_of_11_bits_leaves_bits_11_to_29_at_zero() {
+        for bit in 0..32 {
+            let word = PdoCobId(0x182 | 1 << bit);
+            assert_eq!(word.is_standard(), !(11..=29).contains(&bit), "bit {bit}");
+        }
     }
 
     #[test]

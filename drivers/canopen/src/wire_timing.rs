@@ -42,9 +42,9 @@ pub struct AnswerCounts {
 
 /// One bus. See the [module](self).
 ///
-/// Frames do not say which SYNC they answer. One that comes too late is told from the next answer only where both come
-/// between the same two SYNCs: then the first is the late one, and its time is that from the SYNC that it owed. An
-/// answer that is always late by a whole cycle looks like a quick one.
+/// Frames do not say which SYNC they answer. A late answer is recognised only if the next answer comes between the
+/// same two SYNCs. The first answer is then the late one, and its time counts from the SYNC before. An answer that is
+/// always late by a whole cycle looks like a quick one.
 #[derive(Clone, Debug)]
 pub struct WireTiming {
     last_sync: Option<Instant>,
@@ -80,9 +80,9 @@ impl WireTiming {
         }
     }
 
-    /// Takes a frame of the bus and when it was on it, in the order of the bus, and hands `sample` what it completes: at
-    /// each SYNC the distance to the one before and the answers to that. Other frames, and answers before the first SYNC,
-    /// are passed over.
+    /// Takes a frame of the bus with its time, in the order of the bus. At each SYNC `sample` receives the distance
+    /// to the SYNC before and the answers to that SYNC. Other frames, and answers before the first SYNC, are passed
+    /// over.
     pub fn observe(&mut self, at: Instant, frame: &Frame, mut sample: impl FnMut(Sample)) {
         if Sync::decode(frame).is_some() {
             if let Some(last) = self.last_sync.replace(at) {

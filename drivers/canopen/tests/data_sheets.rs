@@ -1,7 +1,9 @@
 //! Data sheets as they are found: every trait of the format, every refusal at its line, and bytes that are none.
 
 use mrroc_canopen::dcf;
-use mrroc_canopen::eds::{Access, DataType, Eds, EdsError, ObjectType, ParameterValue, Value};
+use mrroc_canopen::eds::{
+    Access, DataType, Eds, EdsError, MAX_SECTIONS, ObjectType, ParameterValue, Value,
+};
 use mrroc_canopen::{NodeId, Object};
 use proptest::prelude::*;
 
@@ -436,7 +438,7 @@ fn a_file_that_unfolds_without_end_is_refused() {
 fn large_files_are_read_in_time() {
     const COUNT: usize = 200_000;
     let keys: String = (0..COUNT).map(|key| format!("{key}=0x1000\n")).collect();
-    let sections: String = (0..COUNT)
+    let sections: String = (0..MAX_SECTIONS)
         .map(|section| format!("[M{section}]\n"))
         .collect();
     let dollars = format!(
@@ -563,4 +565,17 @@ fn sections_of_a_vendor_may_begin_with_hex_letters() {
     for refused in ["[1000back]\n", "[FeedsubX]\n"] {
         assert!(Eds::read(refused.as_bytes()).is_err(), "{refused}");
     }
+}
+
+#[test]
+fn a_file_of_more_sections_than_any_device_has_is_refused() {
+    let sections: String = (0..MAX_SECTIONS + 1)
+        .map(|at| format!("[s{at}]\n"))
+        .collect();
+    let error = Eds::read(sections.as_bytes()).unwrap_err();
+    assert_eq!(error.line() as usize, MAX_SECTIONS + 1);
+    assert!(
+        error.to_string().contains("more than 110000 sections"),
+        "{error}"
+    );
 }

@@ -1,3 +1,5 @@
+//! Commands to an axis.
+
 /// A number that is neither NaN nor infinite; nothing else reaches a drive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, PartialOrd)]
 pub struct Finite(f64);

@@ -1,11 +1,14 @@
+//! Faults of an axis, and errors of bring-up.
+
 use std::fmt;
 use std::time::Duration;
 
-use canopen::cia402::FaultTable;
+use canopen::cia402::{FaultTable, ModeOfOperation};
 use canopen::sdo::AbortCode;
 use thiserror::Error;
 
 use crate::axis_controller::{AxisControllerError, AxisControllerFault};
+use crate::cia402::Sign;
 
 /// A latched condition of one axis, cleared by [`AxisCommand::ResetFault`](crate::AxisCommand::ResetFault).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
@@ -65,6 +68,16 @@ pub enum Fault {
         /// Object 0x6041.
         statusword: u16,
     },
+    /// The drive is in another mode of operation than it was told, by a command of somebody else.
+    #[error("node {node}: mode of operation is {found}, commanded was {expected}")]
+    ModeChanged {
+        /// Node-ID.
+        node: u8,
+        /// The mode that the drive was told (object 0x6060).
+        expected: ModeOfOperation,
+        /// The mode that the drive shows (object 0x6061).
+        found: ModeOfOperation,
+    },
     /// The drive did not reach the asked state in time.
     #[error(
         "node {node}: did not reach the asked state within {waited:.1?} (statusword {statusword:#06x})"
@@ -104,6 +117,12 @@ pub enum Fault {
         line: u8,
         /// Which.
         fault: AxisControllerFault,
+    },
+    /// A second controller commands the drives of the bus.
+    #[error("bus: another controller is at work: it sent {sign}")]
+    OtherController {
+        /// The frame that gave it away.
+        sign: Sign,
     },
     /// The port cannot send or receive.
     #[error("bus: {0}")]
@@ -265,6 +284,12 @@ pub enum BringUpError {
         /// Why.
         error: AxisControllerError,
     },
+    /// A second controller commands the drives of the bus.
+    #[error("another controller is at work: it sent {sign}; end it before this one is started")]
+    OtherController {
+        /// The frame that gave it away.
+        sign: Sign,
+    },
     /// The port cannot send or receive.
     #[error("bus: {0}")]
     Port(#[from] can::PortError),
@@ -284,7 +309,7 @@ impl BringUpError {
             | Self::ReadBackBytes { node, .. }
             | Self::TimedOut { node, .. }
             | Self::ModeUnsupported { node, .. } => Some(node),
-            Self::AxisController { .. } | Self::Port(_) => None,
+            Self::AxisController { .. } | Self::OtherController { .. } | Self::Port(_) => None,
         }
     }
 

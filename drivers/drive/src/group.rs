@@ -1,8 +1,10 @@
+//! The contract of a drive group.
+
 use std::task::Poll;
 
 use can::{Counters, Instant};
 
-use crate::{AxisCommand, AxisState, BringUpError};
+use crate::{AxisCommand, AxisState, BringUpError, Warnings};
 
 /// All the drives behind one port, whichever robot their axes belong to, exchanged together.
 ///
@@ -44,6 +46,12 @@ pub trait DriveGroup: Send {
 
     /// What the group has counted.
     fn counters(&self) -> GroupCounters;
+
+    /// What its drives have reported while they went on, since operation began.
+    fn warnings(&self) -> &Warnings {
+        static NONE: Warnings = Warnings::NONE;
+        &NONE
+    }
 }
 
 /// What a group counts. Counters only grow.

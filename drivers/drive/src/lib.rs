@@ -11,9 +11,11 @@ mod fault;
 mod group;
 mod scale;
 mod state;
+mod warning;
 
 pub use command::{AxisCommand, Finite, Setpoint};
 pub use fault::{BringUpError, Fault, Refusal};
 pub use group::{DriveGroup, GroupCounters};
 pub use scale::{Increments, Milliamperes, Permille, PulseWidth, Rpm, Scale};
 pub use state::{AxisState, Homing, Power, Switches};
+pub use warning::{Warning, Warnings};

@@ -1,3 +1,5 @@
+//! Scale between increments of a drive and radians of the motor.
+
 use std::f64::consts::TAU;
 
 /// Revolutions per minute of a radian per second: 60 s over 2π rad.

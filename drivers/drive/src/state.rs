@@ -1,3 +1,5 @@
+//! State of an axis as measured.
+
 use can::Instant;
 
 use crate::{Fault, Increments};

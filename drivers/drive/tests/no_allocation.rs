@@ -63,6 +63,7 @@ struct Drives {
     /// By request identifier, index and sub-index; under identifier 0, what each drive has at first.
     objects: BTreeMap<(u16, u16, u8), [u8; 4]>,
     statusword: u16,
+    emergencies: u16,
     inbox: VecDeque<Received>,
 }
 
@@ -84,6 +85,10 @@ impl Drives {
                 let [low, high] = self.statusword.to_le_bytes();
                 for node in 1..=AXES as u16 {
                     self.reply(0x180 + node, &[low, high, 0xE8, 3, 0, 0, 0, 0], at);
+                    // Each another error that is no fault, more of them than are kept.
+                    self.emergencies = self.emergencies.wrapping_add(1);
+                    let [code, vendor] = self.emergencies.to_le_bytes();
+                    self.reply(0x080 + node, &[code, 0xFF, 1, vendor, 0, 0, 0, 0], at);
                 }
             }
             (0x600.., &[specifier, low, high, subindex, a, b, c, d]) => {
@@ -206,6 +211,7 @@ fn no_cycle_allocates() {
     let drives = Drives {
         objects,
         statusword: 0x0740,
+        emergencies: 0,
         inbox,
     };
     let drives = std::sync::Arc::new(std::sync::Mutex::new(drives));

@@ -5,11 +5,11 @@
 //! drive           O (ready)                        O  0x00     len-1  words…  crc
 //! ```
 //!
-//! The side that has something to send sends an opcode and waits for the other's ready byte; then come
-//! the number of data words less one, the words, low byte first, and a CRC, low byte first, and the other
-//! side says whether it was right. `F` in place of `O` ends it. An answer's opcode is 0x00 and its first
-//! two words are an error code as of an SDO abort, zero for none. Nothing is sent before the exchange is
-//! over or the frame time-out has passed: after anything went wrong, both sides wait it out.
+//! The sender sends an opcode and waits for the ready byte of the receiver. The number of data words less one
+//! follows, then the words and a CRC, each low byte first. The receiver acknowledges the CRC. `F` in place of `O`
+//! ends it. An answer's opcode is 0x00 and its first two words are an error code as of an SDO abort, zero for none.
+//! Nothing is sent before the exchange is over or the frame time-out has passed: after anything went wrong, both
+//! sides wait it out.
 //!
 //! Layouts only. Left out, for want of a source: segmented transfer (0x12 to 0x15), LSS (0x30, 0x31) and
 //! frames through the gateway to CAN (0x20, 0x21). On USB an EPOS2 has other frames.

@@ -1,9 +1,9 @@
 //! The older telegrams of the IRb-6 axis controllers, one drive per line, without a checksum.
 //!
-//! The host writes [`Request`]s of 10 bytes, two more spaces after each cyclic one; the drive answers
-//! every one with an [`Answer`] of 8 bytes. The names are those of the MRROC++ interface `hi_moxa`, whose
-//! bytes these are. What the start byte of an answer is, no source says: the original host never looked at it.
-//! Layouts only; what to believe of a stream without a checksum is the driver's to decide.
+//! The host writes [`Request`]s of 10 bytes, two more spaces after each cyclic one; the drive answers every one with
+//! an [`Answer`] of 8 bytes. Names follow the MRROC++ interface `hi_moxa`, which defines the bytes. What the start
+//! byte of an answer is, no source says: the original host never looked at it. Layouts only; what to believe of a
+//! stream without a checksum is the driver's to decide.
 
 /// Bytes of a request to set a parameter.
 pub const REQUEST: usize = 10;

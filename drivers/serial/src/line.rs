@@ -1,3 +1,5 @@
+//! The contract of a serial line.
+
 use std::time::Duration;
 
 use can::Instant;
@@ -18,8 +20,8 @@ pub trait Line: Send {
     /// At most one system call.
     fn read(&mut self, now: Instant, into: &mut [u8]) -> Result<usize, LineError>;
 
-    /// Drops what was taken for sending and has not left yet, so that the next bytes wait behind nothing old; what is
-    /// leaving may be torn. A line that holds nothing back has nothing to drop.
+    /// Drops the bytes that wait for sending, so that the next bytes wait behind nothing old. A telegram on the wire
+    /// may be cut. A line that holds nothing back has nothing to drop.
     ///
     /// At most one system call.
     fn discard_unsent(&mut self) {}

@@ -4,11 +4,10 @@
 //! 23  N  !N  address  (code length data…)…  crc      N: index of the crc byte
 //! ```
 //!
-//! Host and drive use the same frame; a read is asked for by its code with no data and answered by
-//! the same code with data. The polynomial of the CRC ends in three zero bits, so that it has only
-//! five effective ones: one damaged frame in 32 passes, and who reads one must look at what it says.
-//! Layouts only, for the codes that an axis needs. Left out: RC servos, digital and analogue inputs,
-//! displays, and other boards of the family.
+//! Host and drive use the same frame; a read is asked for by its code with no data and answered by the same code with
+//! data. The CRC polynomial ends in three zero bits, so only five bits are effective. One damaged frame in 32 passes
+//! the CRC; the reader must check the plausibility of the contents. Layouts only, for the codes that an axis needs.
+//! Left out: RC servos, digital and analogue inputs, displays, and other boards of the family.
 
 /// First byte of a frame.
 pub const START: u8 = 0x23;

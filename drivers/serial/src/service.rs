@@ -1,15 +1,15 @@
 //! The host's end of maxon's service ports: objects read and written, and NMT commands sent, one at a time.
 //!
-//! [`Client`] speaks to an EPOS2 on RS-232 or an EPOS4 on USB or RS-232, bytes in and bytes out. Both channels
-//! are half-duplex: nothing is sent before the answer has come or the time-out has passed. After any error the
-//! frame time-out is waited out, what comes meanwhile is thrown away, and the request is sent anew, a given
-//! number of times; a transfer in segments starts anew from its beginning. Every request ends, whatever comes
-//! and even if nothing is ever sent.
+//! [`Client`] speaks to an EPOS2 on RS-232 or an EPOS4 on USB or RS-232, bytes in and bytes out. Both channels are
+//! half-duplex: nothing is sent before the answer has come or the time-out has passed. After an error the port waits
+//! for the frame time-out and drops the bytes that arrive. The request is then repeated, a given number of times. A
+//! segmented transfer is repeated from its beginning. Every request ends, whatever comes and even if nothing is ever
+//! sent.
 //!
-//! An answer does not say what it answers. One that comes late is thrown away if it does so before the next
-//! request: whoever needed a second attempt is given as long again to say what it still has to say. Values are
-//! four bytes however long the object is; only transfer in segments tells its length, and it exists for EPOS4
-//! alone, since for EPOS2's no layout is known. Codes of refusals are those of SDO aborts and maxon's own.
+//! An answer does not say what it answers. A late answer is dropped if it arrives before the next request. After a
+//! request that was repeated, the port waits as long again for late answers. Values are four bytes however long the
+//! object is; only transfer in segments tells its length, and it exists for EPOS4 alone, since for EPOS2's no layout
+//! is known. Codes of refusals are those of SDO aborts and maxon's own.
 
 mod config;
 mod error;
@@ -473,7 +473,7 @@ impl Client {
     }
 
     fn finish(&mut self, result: Result<Brought, ServiceError>, now: Instant) {
-        // What was not answered may be yet; if it was now, that took no longer than its other attempts' answers will.
+        // The answer to an earlier attempt may still arrive, within the time that the successful attempt took.
         let resent = self.retries_left < self.config.retries;
         if resent || matches!(result, Err(ServiceError::TimedOut { .. })) {
             let longest = self.config.time_out * 2 * (u32::from(self.config.retries) + 1);

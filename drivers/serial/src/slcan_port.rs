@@ -1,3 +1,5 @@
+//! A CAN port on an slcan adapter.
+
 use std::task::Poll;
 use std::time::Duration;
 
@@ -30,22 +32,23 @@ const ANSWER: Duration = Duration::from_millis(200);
 /// ```
 ///
 /// [`SlcanPort::new`] begins it, [`SlcanPort::poll_open`] ends it: within 0.9 s the port is open or refused. Until
-/// then it takes no frame and has none. A bell refuses, but not to `M` and `m`; an adapter that says nothing to `Sn` and
-/// `O`, as some do, is open if it tells its version.
+/// then it takes no frame and has none. A bell is a refusal, except after `M` and `m`. An adapter that does not
+/// answer `Sn` and `O` counts as open if it answers with its version.
 ///
-/// `M00000000` and `mFFFFFFFF` take away the acceptance filter that another tool may have left (Lawicel: a set bit of the
-/// mask is not looked at). They come before the channel is opened, because firmware in which the mask has the other sense,
-/// CANtact's, accepts everything again when it opens; to CANable's they mean that it is not silent. `X1`, which would have
-/// the adapter report unasked, is never said: WeAct's firmware takes `X` for the order to be replaced. An adapter that
-/// waits to be polled, as a CAN232 may, has to be told `X1` by hand.
+/// `M00000000` and `mFFFFFFFF` take away the acceptance filter that another tool may have left (Lawicel: a set bit of
+/// the mask is not looked at). The commands precede the opening of the channel. Firmware in which the mask has the
+/// opposite sense (CANtact) accepts everything again when it opens. CANable firmware takes the commands for normal
+/// mode. `X1`, which would have the adapter report unasked, is never said: WeAct's firmware takes `X` for the order
+/// to be replaced. An adapter that waits to be polled, as a CAN232 may, has to be told `X1` by hand.
 ///
-/// Frames go out as far as the line takes their bytes: a frame of which it took a part is taken, and its rest goes
-/// first in the next call of either direction. A frame that is offered again and again counts as refused once. The adapter has a queue of its own that this cannot see; a frame that it
-/// refuses with a bell, or says it lost, is counted as refused although it was taken. A line that cannot be read may
-/// have been a frame, and is counted as dropped. Frames are stamped with the time they are read at:
-/// a serial line adds its own latency, and an adapter's stamps only count the milliseconds of a minute.
+/// Frames are sent as far as the line takes their bytes. A frame of which the line took a part counts as taken; the
+/// rest of its bytes go first in the next call of either direction. A frame that is offered again and again counts as
+/// refused once. The port does not see the queue of the adapter. A frame that the adapter refuses with a bell, or
+/// reports as lost, is counted as refused although `send` took it. A line that cannot be read may have been a frame,
+/// and is counted as dropped. Frames are stamped with the time they are read at: a serial line adds its own latency,
+/// and an adapter's stamps only count the milliseconds of a minute.
 ///
-/// Its state is that of the last state line; an adapter that sends none is active for ever. Dropping it closes the
+/// The state is that of the last state line. An adapter without state lines stays active. Dropping it closes the
 /// channel.
 pub struct SlcanPort<L: Line> {
     line: L,
@@ -145,7 +148,7 @@ impl<L: Line> SlcanPort<L> {
             state: ControllerState::Active,
             last: now,
         };
-        // The empty line ends what somebody before may have left half said.
+        // The empty line ends an incomplete line of an earlier host.
         port.say(Command::Empty);
         port.say(Command::Close);
         port.flush(now)?;
@@ -225,7 +228,7 @@ impl<L: Line> SlcanPort<L> {
                     self.open_channel(now)?;
                 }
             }
-            // Whatever an open channel says, it is open; and whatever is said of its version.
+            // Any frame or state line shows an open channel, and so does a version line.
             (
                 Stage::Opening { .. },
                 Some(Report::Done | Report::Received { .. } | Report::State { .. }),
@@ -316,7 +319,7 @@ impl<L: Line> SlcanPort<L> {
         Some(byte)
     }
 
-    /// Takes the next frame out of what was read; counts the rest of what it says on the way.
+    /// Returns the next frame of the bytes read. Other lines are counted.
     fn next_frame(&mut self) -> Option<Frame> {
         while let Some(byte) = self.next_byte() {
             let spoilt = self.splitter.dropped().lines;
@@ -351,8 +354,8 @@ impl<L: Line> SlcanPort<L> {
 }
 
 impl<L: Line> Port for SlcanPort<L> {
-    /// Takes at most 256 frames at once, behind the rest of one that was taken before, and stops before one that slcan
-    /// cannot say, an error frame.
+    /// Takes at most 256 frames, behind the rest of a frame that was taken before. Stops before a frame that slcan
+    /// cannot carry: an error frame.
     fn send(&mut self, now: Instant, frames: &[Frame]) -> Result<usize, PortError> {
         let rest = self.output.len();
         let mut ends = 0;
@@ -433,7 +436,7 @@ impl<L: Line> Drop for SlcanPort<L> {
         self.output.clear();
         self.say(Command::Empty);
         self.say(Command::Close);
-        // Nobody is left to be told if it fails.
+        // An error here has no receiver.
         let _ = self.line.write(self.last, &self.output);
     }
 }

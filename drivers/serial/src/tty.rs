@@ -104,7 +104,7 @@ impl Tty {
                 nearest,
             });
         }
-        // SAFETY: the port has given the descriptor away, and nobody else has it.
+        // SAFETY: the port released the descriptor, which has no other owner.
         let device = unsafe { OwnedFd::from_raw_fd(port.into_raw_fd()) };
         let fd = device.as_raw_fd();
         if is_pseudo_terminal(fd) {
@@ -128,9 +128,9 @@ impl Tty {
         })
     }
 
-    /// Whether the driver hands bytes over as they come. One that cannot be told to, as an FTDI adapter whose
-    /// latency timer stands at 16 ms, is too late for a cycle; a driver without such a timer has nothing to
-    /// be told.
+    /// Whether the driver hands bytes over as they come. An adapter that cannot be set, such as an FTDI adapter whose
+    /// latency timer stands at 16 ms, delivers too late for a cycle. A driver without a latency timer needs no
+    /// setting.
     pub fn low_latency(&self) -> bool {
         self.low_latency
     }
@@ -366,7 +366,7 @@ mod tests {
         let mut seen = [0; 256];
         master.read_exact(&mut seen).unwrap();
         assert_eq!(seen[..], all);
-        // Written last, so that an echo of it would be read with it.
+        // The byte is written last, so that an echo of earlier bytes would be read before it.
         master.write_all(&all).unwrap();
         assert_eq!(read(&mut tty, 256), all);
         assert_eq!(tty.read(NOW, &mut into), Ok(0));

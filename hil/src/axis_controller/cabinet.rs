@@ -38,8 +38,8 @@ impl Cabinet {
         self.0.changed.store(now.as_nanos(), Ordering::Relaxed);
     }
 
-    /// Whether the stop is open at `at`. A drive that lags behind the others asks for what is past: that is known
-    /// back to the last change but one.
+    /// Whether the stop is open at `at`. A lagging drive asks for the past: the cabinet knows it back to the last
+    /// change but one.
     pub(super) fn is_open(&self, at: Instant) -> bool {
         let open = self.0.in_error.load(Ordering::Relaxed) > 0;
         let changed = self.0.changed.load(Ordering::Relaxed);

@@ -1,3 +1,5 @@
+//! Emulated axis controller with hi_moxa telegrams.
+
 use can::Instant;
 use serial::hi_moxa::{
     Answer, DriverMode, Flags, Mode as Follows, PREAMBLE, Parameter, REQUEST, Request,

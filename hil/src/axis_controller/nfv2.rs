@@ -1,3 +1,5 @@
+//! Emulated axis controller with NFv2 telegrams.
+
 use can::Instant;
 use serial::nfv2::{
     Answer, BROADCAST, Command, Frame, FrameBuilder, LONGEST, Malformed, START, Status,
@@ -11,9 +13,9 @@ use crate::{Axis, LineDevice};
 
 /// A serial axis controller with NFv2 telegrams.
 ///
-/// A frame is obeyed whole or not at all, in the order of its commands, and answered if it reads
-/// something. One to everybody is obeyed and not answered. After what is no frame, or not one to the end,
-/// the next `#` that begins one counts.
+/// A frame is obeyed whole or not at all, in the order of its commands, and answered if it reads something. One to
+/// everybody is obeyed and not answered. After bytes that are no whole frame, the next `#` that begins a frame
+/// counts.
 pub struct Nfv2AxisController {
     address: u8,
     unit: Unit,

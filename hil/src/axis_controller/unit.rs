@@ -1,3 +1,5 @@
+//! The part of an emulated axis controller that both protocols share.
+
 use can::Instant;
 
 use super::AxisControllerConfig;

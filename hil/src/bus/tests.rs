@@ -1,3 +1,5 @@
+//! Arbitration, times and faults of the virtual bus.
+
 use super::*;
 use can::{ExtendedId, Port, StandardId, VirtualPort, virtual_port};
 

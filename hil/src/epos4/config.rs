@@ -1,3 +1,5 @@
+//! Configuration of one emulated EPOS4.
+
 use std::time::Duration;
 
 use can::Instant;

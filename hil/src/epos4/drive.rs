@@ -12,9 +12,11 @@
 
 mod modes;
 mod slots;
+mod standstill;
 mod status;
 
 pub(super) use modes::interpolation_period;
+pub(super) use slots::ABORT_CONNECTION_OPTION;
 
 use canopen::cia402::{Controlword, ModeOfOperation, PowerCommand, PowerState};
 
@@ -27,6 +29,7 @@ use super::profile::Motion;
 use crate::plant::SUB_STEP;
 use crate::{Axis, AxisConfig, Demand, Feedback, Mount, Trip};
 use slots::*;
+use standstill::Standstill;
 
 /// Sub-steps of a whole chunk: 1 ms.
 pub(super) const CHUNK: u32 = 10;
@@ -55,8 +58,9 @@ pub(super) struct Drive {
     segment: (f64, f64),
     homing: Homing,
     following_error: bool,
-    /// How long the position has been within its window, s.
-    in_window: f64,
+    standstill: Standstill,
+    /// How long the position has been within the window around its target, s; `None` outside.
+    in_window: Option<f64>,
     average_current: f64,
 }
 
@@ -107,7 +111,8 @@ impl Drive {
             segment: (0.0, 0.0),
             homing: Homing::Idle,
             following_error: false,
-            in_window: 0.0,
+            standstill: Standstill::REACHED,
+            in_window: None,
             average_current: 0.0,
         }
     }
@@ -123,6 +128,7 @@ impl Drive {
         self.power = PowerState::NotReadyToSwitchOn;
         self.mode = ModeOfOperation::None;
         self.controlword = Controlword(0);
+        self.following_error = false;
         self.stand();
     }
 
@@ -218,6 +224,7 @@ impl Drive {
     /// Does what an error asks for; a drive without power only shows it.
     pub(super) fn react(&mut self, error: Error, objects: &Objects) {
         let at_once = match error.reaction {
+            Reaction::None => return,
             Reaction::Disable => true,
             Reaction::Fault => false,
             Reaction::AbortConnection => return self.abort_connection(objects),
@@ -274,7 +281,7 @@ impl Drive {
         self.segment = (self.motion.position, 0.0);
         self.profile = Setpoints::default();
         self.homing = Homing::Idle;
-        self.in_window = 0.0;
+        self.in_window = None;
         self.braking = None;
     }
 

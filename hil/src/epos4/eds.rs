@@ -7,6 +7,7 @@ use canopen::eds::{
 };
 use canopen::objects as named;
 
+use super::conformity::STATEMENTS;
 use super::objects::DUMMIES;
 use super::table::{self, Kind, TABLE};
 use super::{Epos4Config, identity};
@@ -105,6 +106,16 @@ const NAMES: &[(u16, ObjectType, &str, &[&str])] = &[
         &["Current actual value averaged", "Current actual value"],
     ),
     (
+        0x30E0,
+        ObjectType::Record,
+        "Standstill window configuration",
+        &[
+            "Standstill window",
+            "Standstill window time",
+            "Standstill window timeout",
+        ],
+    ),
+    (
         0x3141,
         ObjectType::Record,
         "Digital input properties",
@@ -185,6 +196,7 @@ pub(super) fn eds(config: &Epos4Config) -> Eds {
             lss: true,
             ..DeviceInfo::default()
         },
+        comments: STATEMENTS.iter().map(|&line| line.to_owned()).collect(),
         dummies: DUMMIES.map(|bits| bits > 0),
         ..Eds::default()
     };
@@ -281,24 +293,6 @@ fn variable_name(entry: &table::Entry) -> String {
     }
 }
 
-/// What a download must not touch: commands, and set-points, which are the servo's.
-fn refuses_download(entry: &table::Entry) -> bool {
-    matches!(
-        entry.object,
-        named::ERROR_HISTORY_COUNT
-            | named::STORE_ALL
-            | named::RESTORE_ALL
-            | named::CONTROLWORD
-            | named::TARGET_TORQUE
-            | named::TARGET_POSITION
-            | named::POSITION_OFFSET
-            | named::VELOCITY_OFFSET
-            | named::TORQUE_OFFSET
-            | named::DIGITAL_OUTPUTS
-            | named::TARGET_VELOCITY
-    )
-}
-
 /// `stated` is what the unit has in place of the table's default.
 fn variable(entry: &table::Entry, stated: Option<u32>) -> Variable {
     let writable = entry.access == table::Access::Write;
@@ -339,7 +333,7 @@ fn variable(entry: &table::Entry, stated: Option<u32>) -> Variable {
         low: (entry.min != i64::MIN).then(|| number(entry.min)),
         high: (entry.max != i64::MAX).then(|| number(entry.max)),
         pdo_mapping: entry.mappable.receive || entry.mappable.transmit,
-        refuses_download: refuses_download(entry),
+        refuses_download: entry.volatile,
         refuses_scan: false,
         parameter: None,
     }

@@ -1,4 +1,7 @@
 //! Errors: their table, the error register (0x1001), the history (0x1003) and EMCY.
+//!
+//! An error is announced by EMCY once, when it is raised or when the node may speak, and the end of the last one by
+//! EMCY 0x0000 (CiA 301, error states of the emergency service).
 
 use can::Frame;
 use canopen::emcy::{Emergency, ErrorRegister};
@@ -10,6 +13,8 @@ use super::table::Slot;
 /// What a drive does about an error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Reaction {
+    /// Nothing but the announcement.
+    None,
     /// As the abort connection option (0x6007) says.
     AbortConnection,
     /// Power stage off at once.
@@ -24,6 +29,18 @@ pub(super) struct Error {
     pub(super) code: u16,
     register: ErrorRegister,
     pub(super) reaction: Reaction,
+    /// Number of the cause where one code has several: entry of object 0x1016, or RPDO.
+    source: u8,
+}
+
+impl Error {
+    /// The same error of another cause. Each begins and ends alone.
+    pub(super) const fn of(self, source: usize) -> Self {
+        Self {
+            source: source as u8,
+            ..self
+        }
+    }
 }
 
 const fn error(code: u16, register: ErrorRegister, reaction: Reaction) -> Error {
@@ -31,12 +48,19 @@ const fn error(code: u16, register: ErrorRegister, reaction: Reaction) -> Error 
         code,
         register,
         reaction,
+        source: 0,
     }
 }
 
 pub(super) const OVER_CURRENT: Error = error(0x2310, ErrorRegister::CURRENT, Reaction::Disable);
 pub(super) const MOTOR_TEMPERATURE: Error =
     error(0x4380, ErrorRegister::TEMPERATURE, Reaction::Disable);
+/// NMT stop or a reset of the communication where object 0x6007 makes a fault of either.
+pub(super) const CONNECTION_ENDED: Error = error(
+    0x8100,
+    ErrorRegister::COMMUNICATION,
+    Reaction::AbortConnection,
+);
 pub(super) const HEARTBEAT: Error = error(
     0x8130,
     ErrorRegister::COMMUNICATION,
@@ -47,23 +71,36 @@ pub(super) const PDO_LENGTH: Error = error(
     ErrorRegister::COMMUNICATION,
     Reaction::AbortConnection,
 );
+pub(super) const SYNC_LENGTH: Error = error(0x8240, ErrorRegister::COMMUNICATION, Reaction::None);
 pub(super) const RPDO_TIME_OUT: Error = error(
     0x8250,
     ErrorRegister::COMMUNICATION,
     Reaction::AbortConnection,
 );
+/// No SYNC for the configured number of periods. Causes 0 to 3 are the RPDOs.
+pub(super) const SYNC_TIME_OUT: Error = RPDO_TIME_OUT.of(4);
 pub(super) const FOLLOWING: Error = error(0x8611, ErrorRegister::VENDOR, Reaction::Fault);
 pub(super) const NEGATIVE_LIMIT: Error = error(0x8A80, ErrorRegister::VENDOR, Reaction::Fault);
 pub(super) const POSITIVE_LIMIT: Error = error(0x8A81, ErrorRegister::VENDOR, Reaction::Fault);
 pub(super) const SOFTWARE_LIMIT: Error = error(0x8A82, ErrorRegister::VENDOR, Reaction::Fault);
 
-/// Errors present at once that are told apart; more are said by EMCY and forgotten.
-const PRESENT: usize = 8;
+/// Every error at once: nine of one cause, two heartbeats, two kinds for each of four RPDOs.
+const PRESENT: usize = 9 + 2 + 2 * 4;
 
-/// The errors that are present.
+/// An error that is present.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Present {
+    error: Error,
+    /// Whether an EMCY has announced it.
+    announced: bool,
+}
+
+/// The errors that are present, and which of them EMCY has announced.
 #[derive(Clone, Debug)]
 pub(super) struct Errors {
-    present: [Option<Error>; PRESENT],
+    present: [Option<Present>; PRESENT],
+    /// Whether an error was announced since the last EMCY 0x0000.
+    announced: bool,
 }
 
 const REGISTER: Slot = Slot::of(named::ERROR_REGISTER);
@@ -73,35 +110,35 @@ impl Errors {
     pub(super) fn new() -> Self {
         Self {
             present: [None; PRESENT],
+            announced: false,
         }
     }
 
-    /// Notes an error; `false` if it is present already.
-    pub(super) fn raise(&mut self, error: Error, objects: &mut Objects) -> bool {
-        if self.present.contains(&Some(error)) {
-            return false;
+    /// Notes an error, unless it is present already.
+    pub(super) fn raise(&mut self, error: Error, objects: &mut Objects) {
+        if self.errors().any(|present| present == error) {
+            return;
         }
         if let Some(place) = self.present.iter_mut().find(|place| place.is_none()) {
-            *place = Some(error);
+            *place = Some(Present {
+                error,
+                announced: false,
+            });
         }
         objects.push_history(error.code);
         objects.set(LAST_CODE, u32::from(error.code));
         self.write_register(objects);
-        true
     }
 
-    /// Removes what `gone` says is gone; `true` once nothing is left.
-    pub(super) fn clear(&mut self, objects: &mut Objects, gone: impl Fn(Error) -> bool) -> bool {
-        let before = self.present;
+    /// Removes what `gone` says is gone.
+    pub(super) fn clear(&mut self, objects: &mut Objects, gone: impl Fn(Error) -> bool) {
         for place in &mut self.present {
-            *place = place.filter(|error| !gone(*error));
+            *place = place.filter(|present| !gone(present.error));
         }
         self.write_register(objects);
-        let none_left = !self.any() && self.present != before;
-        if none_left {
+        if !self.any() {
             objects.set(LAST_CODE, 0);
         }
-        none_left
     }
 
     /// Whether any error is present.
@@ -109,16 +146,37 @@ impl Errors {
         self.present.iter().any(Option::is_some)
     }
 
-    /// Forgets everything without a word, as a reset does.
-    pub(super) fn reset(&mut self) {
-        self.present = [None; PRESENT];
+    /// The communication is reset: errors that are present enter the emptied history again and are announced again.
+    pub(super) fn restart(&mut self, objects: &mut Objects) {
+        self.announced = false;
+        for present in self.present.iter_mut().flatten() {
+            present.announced = false;
+            objects.push_history(present.error.code);
+            objects.set(LAST_CODE, u32::from(present.error.code));
+        }
+        self.write_register(objects);
+    }
+
+    /// Error code of the next EMCY, which the caller sends; `None` once every change has been announced.
+    pub(super) fn announce(&mut self) -> Option<u16> {
+        let mut unannounced = self.present.iter_mut().flatten();
+        if let Some(present) = unannounced.find(|present| !present.announced) {
+            present.announced = true;
+            self.announced = true;
+            return Some(present.error.code);
+        }
+        let ended = self.announced && !self.any();
+        self.announced &= !ended;
+        ended.then_some(0)
+    }
+
+    fn errors(&self) -> impl Iterator<Item = Error> + '_ {
+        self.present.iter().flatten().map(|present| present.error)
     }
 
     fn write_register(&self, objects: &mut Objects) {
         let register = self
-            .present
-            .iter()
-            .flatten()
+            .errors()
             .fold(ErrorRegister::default(), |register, error| {
                 register.with(ErrorRegister::GENERIC).with(error.register)
             });

@@ -4,21 +4,22 @@
 //! way with strict re-mapping, power states with their option codes, modes PP, PV, HM, CSP, CSV and
 //! CST, and an [`Axis`] with its physics behind it. The object dictionary is one table.
 //!
-//! Facts come from EPOS4's electronic data sheet and communication guide. Where those are silent
-//! this is a choice, and it is said where it is made: bits 10 and 12 in the cyclic modes
-//! ([`CyclicStatus`]), a missing SYNC ([`SyncLoss`]), what leaving operational does (reset and stop
-//! act as the abort connection option 0x6007 says), errors of communication (they end when what was
-//! missed is heard again), and the order within a SYNC (TPDOs are sampled before RPDOs take
-//! effect). A bit rate configured by LSS is taken and changes nothing; the record 0x2FF0 is the
-//! emulator's own. Left out: store to a file, the torque offset in CSP and CSV.
+//! Facts come from EPOS4's electronic data sheet and communication guide. Where those are silent, CiA 301 and CiA 402
+//! decide, and where they are silent as well the emulator chooses. The comments of its data sheet ([`Epos4::eds`], `mrroc
+//! eds`) list the choices. Further choices: bits 10 and 12 in the cyclic modes ([`CyclicStatus`]), a missing SYNC
+//! ([`SyncLoss`]), errors of communication (each ends when what was missed is heard again), and the order within a SYNC
+//! (TPDOs are sampled before RPDOs take effect). A bit rate configured by LSS is taken and changes nothing. Left out:
+//! store to a file.
 //!
 //! The drive runs at 1 kHz and is caught up lazily, when a frame or a time-out needs to know, so a
 //! device whose host sends SYNC costs nothing between SYNCs.
 
 mod config;
+mod conformity;
 mod drive;
 mod eds;
 mod errors;
+mod heartbeats;
 mod homing;
 mod lss;
 mod objects;
@@ -26,6 +27,7 @@ mod pdo;
 mod power;
 mod profile;
 mod service;
+mod supervision;
 mod table;
 #[cfg(test)]
 mod tests;
@@ -35,15 +37,17 @@ use std::time::Duration;
 
 use can::{Frame, Instant};
 use canopen::heartbeat::Heartbeat;
+use canopen::pdo::{PdoKind, PdoNumber};
 use canopen::{NodeId, cob, nmt, objects as named, sdo};
 
 use crate::{Axis, Device, PlantConfig};
 pub use config::{CyclicStatus, Epos4Config, SyncLoss};
 use drive::{CHUNK, Drive, interpolation_period};
-use errors::{Error, Errors};
+use errors::Errors;
+use heartbeats::Consumers;
 use lss::Lss;
 use objects::Objects;
-use pdo::{Pdos, Reception};
+use pdo::Pdos;
 use table::Slot;
 
 const SUB_STEP: Duration = Duration::from_micros(100);
@@ -61,8 +65,11 @@ fn identity(config: &Epos4Config) -> [(Slot, u32); 8] {
         PlantConfig::Wut(wut) => wut.torque_constant,
         PlantConfig::Physical(motor) => motor.torque_constant,
     };
-    let nominal = config.rated_torque.map(|torque| torque / torque_constant);
     let milliamps = |amps: f64| (amps * 1e3).round() as u32;
+    let rated = config.rated_torque.unwrap_or(amps * torque_constant);
+    // In whole milliamperes: the torque constant makes up for what that rounds away of a small motor's.
+    let nominal = milliamps(rated / torque_constant).max(1);
+    let torque_constant = (rated / f64::from(nominal) * 1e9).round() as u32;
     let counts = config.axis.counts_per_revolution;
     [
         (Slot::of(named::VENDOR_ID), config.vendor),
@@ -73,18 +80,12 @@ fn identity(config: &Epos4Config) -> [(Slot, u32); 8] {
             Slot::of(named::EPOS4_MAIN_SENSOR_RESOLUTION),
             config.main_sensor_resolution.unwrap_or(counts),
         ),
-        (
-            Slot::of(named::EPOS4_NOMINAL_CURRENT),
-            milliamps(nominal.unwrap_or(amps)),
-        ),
+        (Slot::of(named::EPOS4_NOMINAL_CURRENT), nominal),
         (
             Slot::of(named::EPOS4_NOMINAL_CURRENT).plus(1),
             milliamps(amps),
         ),
-        (
-            Slot::of(named::EPOS4_TORQUE_CONSTANT),
-            (torque_constant * 1e6).round() as u32,
-        ),
+        (Slot::of(named::EPOS4_TORQUE_CONSTANT), torque_constant),
     ]
 }
 
@@ -107,25 +108,12 @@ pub struct Epos4 {
     /// End of the restart in progress.
     boots_at: Option<Instant>,
     heartbeat_at: Option<Instant>,
-    consumers: [Consumer; 2],
+    consumers: Consumers,
     /// The time up to which the axis has moved.
     inner: Instant,
     last_sync: Option<Instant>,
     wake_at: Option<Instant>,
 }
-
-/// One entry of object 0x1016.
-#[derive(Clone, Copy, Debug, Default)]
-struct Consumer {
-    node: Option<NodeId>,
-    within: Duration,
-    /// Runs from the first heartbeat on.
-    deadline: Option<Instant>,
-    lost: bool,
-}
-
-const CONSUMERS: Slot = Slot::of(named::CONSUMER_HEARTBEAT_1);
-const PRODUCER: Slot = Slot::of(named::PRODUCER_HEARTBEAT);
 
 impl Epos4 {
     /// Switched on at [`Epos4Config::power_on`].
@@ -157,7 +145,7 @@ impl Epos4 {
             queue: VecDeque::with_capacity(QUEUE),
             boots_at: Some(boots_at),
             heartbeat_at: None,
-            consumers: [Consumer::default(); 2],
+            consumers: Consumers::default(),
             inner: config.power_on,
             last_sync: None,
             wake_at: Some(boots_at),
@@ -196,45 +184,6 @@ impl Epos4 {
         }
     }
 
-    fn fail(&mut self, error: Error) {
-        if self.errors.raise(error, &mut self.objects) {
-            self.report(error.code);
-            self.drive.react(error, &self.objects);
-            self.drive.publish(&mut self.objects, 0.0);
-        }
-    }
-
-    /// An error of communication, with what object 0x1029 says of the NMT state.
-    fn lose_contact(&mut self, error: Error, now: Instant) {
-        self.fail(error);
-        let to = match self.objects.u(Slot::of(named::ERROR_BEHAVIOUR)) {
-            0 if self.objects.nmt == nmt::State::Operational => nmt::State::PreOperational,
-            2 => nmt::State::Stopped,
-            _ => return,
-        };
-        self.enter(to, now);
-    }
-
-    /// What was missed is heard again; a drive in fault keeps its error until it is reset.
-    fn regain(&mut self, error: Error) {
-        if !self.drive.faulted() {
-            self.clear(|present| present == error);
-        }
-    }
-
-    fn clear(&mut self, gone: impl Fn(Error) -> bool) {
-        if self.errors.clear(&mut self.objects, gone) {
-            self.report(0);
-        }
-    }
-
-    /// Sends an EMCY.
-    fn report(&mut self, code: u16) {
-        if let Some(node) = self.node.filter(|_| self.serving()) {
-            self.send(errors::emergency(node, code, &self.objects));
-        }
-    }
-
     fn send(&mut self, frame: Frame) {
         if self.queue.len() < QUEUE {
             self.queue.push_back(frame);
@@ -261,9 +210,10 @@ impl Epos4 {
         if state == nmt::State::Stopped {
             self.server.reset();
             self.answer = None;
-            self.drive.abort_connection(&self.objects);
+            self.end_connection();
         }
         self.drive.publish(&mut self.objects, 0.0);
+        self.announce();
         self.send_events(now);
     }
 
@@ -278,7 +228,7 @@ impl Epos4 {
                 self.reset(true, now);
             }
             nmt::Command::ResetCommunication => {
-                self.drive.abort_connection(&self.objects);
+                self.end_connection();
                 self.reset(false, now);
             }
         }
@@ -292,14 +242,18 @@ impl Epos4 {
         }
         self.objects.reset(all);
         self.objects.nmt = nmt::State::Initialising;
-        self.errors.reset();
+        // A fault keeps its errors until it is reset.
+        if !self.drive.faulted() {
+            self.errors.clear(&mut self.objects, |_| true);
+        }
+        self.errors.restart(&mut self.objects);
         self.pdos = Pdos::NONE;
         self.server.reset();
         self.answer = None;
         self.block_at = None;
         self.queue.clear();
         self.heartbeat_at = None;
-        self.consumers = [Consumer::default(); 2];
+        self.consumers = Consumers::default();
         self.last_sync = None;
         self.boots_at = Some(now + self.config.boot_delay);
     }
@@ -313,43 +267,15 @@ impl Epos4 {
         self.objects.nmt = nmt::State::PreOperational;
         self.drive.started(&mut self.objects);
         self.send_heartbeat(nmt::State::Initialising);
-        self.read_heartbeat_times(now);
+        // The boot-up message counts as the first heartbeat (CiA 301).
+        self.heartbeat_at = self.heartbeat_period().map(|period| now + period);
+        self.consumers.read(&self.objects);
+        self.announce();
     }
 
     fn send_heartbeat(&mut self, state: nmt::State) {
         if let Some(node) = self.node {
             self.send(Heartbeat { node, state }.encode());
-        }
-    }
-
-    fn read_heartbeat_times(&mut self, now: Instant) {
-        let period = Duration::from_millis(u64::from(self.objects.u(PRODUCER)));
-        self.heartbeat_at = (!period.is_zero()).then(|| now + period);
-        for (number, consumer) in self.consumers.iter_mut().enumerate() {
-            let entry = self.objects.u(CONSUMERS.plus(number as u16));
-            let within = Duration::from_millis(u64::from(entry & 0xFFFF));
-            let node = NodeId::new((entry >> 16) as u8).filter(|_| !within.is_zero());
-            if (consumer.node, consumer.within) != (node, within) {
-                *consumer = Consumer {
-                    node,
-                    within,
-                    ..Consumer::default()
-                };
-            }
-        }
-    }
-
-    fn hear(&mut self, heartbeat: Heartbeat, now: Instant) {
-        let mut found = false;
-        for consumer in &mut self.consumers {
-            if consumer.node == Some(heartbeat.node) {
-                consumer.deadline = Some(now + consumer.within);
-                found |= consumer.lost;
-                consumer.lost = false;
-            }
-        }
-        if found && self.consumers.iter().all(|consumer| !consumer.lost) {
-            self.regain(errors::HEARTBEAT);
         }
     }
 
@@ -385,18 +311,26 @@ impl Epos4 {
     /// Does what the last writes to the dictionary ask for.
     fn settle(&mut self, now: Instant) {
         let changes = std::mem::take(&mut self.objects.changes);
-        if changes.heartbeat {
-            self.read_heartbeat_times(now);
+        if changes.producer {
+            self.start_heartbeat(now);
         }
-        if changes.pdo && self.objects.nmt == nmt::State::Operational {
-            self.pdos = Pdos::read(&self.objects);
+        if changes.consumers {
+            self.read_consumers();
+        }
+        for number in PdoNumber::ALL {
+            let at = usize::from(number.offset());
+            if changes.received[at] {
+                self.update_pdo(PdoKind::Rpdo, number);
+            }
+            if changes.transmitted[at] {
+                self.update_pdo(PdoKind::Tpdo, number);
+            }
         }
         if changes.mode {
             self.drive.change_mode(&mut self.objects);
         }
         if changes.controlword && self.drive.command(&mut self.objects) {
-            let lost = self.consumers.iter().any(|consumer| consumer.lost);
-            self.clear(|error| !(lost && error == errors::HEARTBEAT));
+            self.reset_fault();
         }
         if changes.setpoint
             && let Some(error) = self.drive.latch(&self.objects)
@@ -434,33 +368,6 @@ impl Epos4 {
         }
     }
 
-    fn receive_pdo(&mut self, frame: &Frame, now: Instant) -> bool {
-        let Some(id) = frame.standard_data_id() else {
-            return false;
-        };
-        match self.pdos.receive(id, frame.data(), &mut self.objects, now) {
-            Reception::Foreign => return false,
-            Reception::Waiting => self.regain_pdo(),
-            Reception::Effective => {
-                self.catch_up(now, false);
-                self.regain_pdo();
-                self.settle(now);
-            }
-            Reception::TooShort => {
-                self.catch_up(now, false);
-                self.fail(errors::PDO_LENGTH);
-            }
-        }
-        true
-    }
-
-    fn regain_pdo(&mut self) {
-        if self.errors.any() {
-            self.regain(errors::RPDO_TIME_OUT);
-            self.regain(errors::PDO_LENGTH);
-        }
-    }
-
     /// When the axis has to be caught up at the latest.
     fn next_control(&self) -> Instant {
         let synchronised = self
@@ -481,11 +388,9 @@ impl Epos4 {
     }
 
     fn schedule(&mut self) {
-        let consumers = self
-            .consumers
-            .iter()
-            .filter_map(|consumer| consumer.deadline);
+        let consumers = self.consumers.poll_timeout();
         self.wake_at = consumers
+            .into_iter()
             .chain(self.boots_at)
             .chain(self.heartbeat_at)
             .chain(self.answer.map(|(at, _)| at))
@@ -516,7 +421,7 @@ impl Device for Epos4 {
         };
         if id == cob::SYNC {
             if self.serving() {
-                self.synchronise(now);
+                self.hear_sync(frame, now);
             }
         } else if id == cob::NMT {
             let Some(request) = nmt::Request::decode(frame) else {
@@ -572,27 +477,16 @@ impl Device for Epos4 {
         {
             self.send(abort.encode(node));
         }
-        if let Some(at) = self.heartbeat_at.filter(|at| *at <= now) {
-            self.send_heartbeat(self.objects.nmt);
-            let period = Duration::from_millis(u64::from(self.objects.u(PRODUCER)));
-            self.heartbeat_at = Some(at + period);
+        self.produce_heartbeat(now);
+        while let Some(number) = self.consumers.expire(now) {
+            self.lose_contact(errors::HEARTBEAT.of(number), now);
         }
-        let mut lost = false;
-        for consumer in &mut self.consumers {
-            if consumer.deadline.take_if(|at| *at <= now).is_some() {
-                consumer.lost = true;
-                lost = true;
-            }
-        }
-        if lost {
-            self.lose_contact(errors::HEARTBEAT, now);
-        }
-        if self.pdos.overdue(now) {
-            self.fail(errors::RPDO_TIME_OUT);
+        while let Some(number) = self.pdos.overdue(now) {
+            self.fail(errors::RPDO_TIME_OUT.of(number));
         }
         if self.sync_deadline().is_some_and(|at| at <= now) {
             self.last_sync = None;
-            self.fail(errors::RPDO_TIME_OUT);
+            self.fail(errors::SYNC_TIME_OUT);
         }
         self.send_events(now);
         self.schedule();

@@ -10,6 +10,7 @@ use canopen::pdo::{Entry as MapEntry, PdoCobId, PdoKind, PdoNumber};
 use canopen::sdo::{AbortCode, Dictionary, MAX_SIZE};
 use canopen::{NodeId, Object, cob, nmt};
 
+use super::heartbeats::{ENTRIES, watched};
 use super::table::{Access, Kind, MAPPED, ROWS, Slot, TABLE};
 
 /// "save", as object 0x1010 wants it.
@@ -26,8 +27,13 @@ pub(super) struct Changes {
     pub(super) mode: bool,
     /// A set-point of a cyclic mode.
     pub(super) setpoint: bool,
-    pub(super) pdo: bool,
-    pub(super) heartbeat: bool,
+    /// Parameters of RPDOs and of TPDOs, by number.
+    pub(super) received: [bool; 4],
+    pub(super) transmitted: [bool; 4],
+    /// The time of the node's own heartbeat.
+    pub(super) producer: bool,
+    /// The nodes whose heartbeats are watched.
+    pub(super) consumers: bool,
 }
 
 /// The values of all objects.
@@ -152,8 +158,10 @@ impl Objects {
             named::HOME_OFFSET => self.set(Slot::of(named::EPOS4_HOME_OFFSET_MOVE), value),
             named::EPOS4_HOME_OFFSET_MOVE => self.set(Slot::of(named::HOME_OFFSET), value),
             _ => match object.index {
-                0x1400..=0x1BFF => changes.pdo = true,
-                0x1016 | 0x1017 => changes.heartbeat = true,
+                0x1400..=0x17FF => changes.received[usize::from(object.index & 3)] = true,
+                0x1800..=0x1BFF => changes.transmitted[usize::from(object.index & 3)] = true,
+                0x1016 => changes.consumers = true,
+                0x1017 => changes.producer = true,
                 _ => {}
             },
         }
@@ -165,6 +173,7 @@ impl Objects {
         match object {
             named::ERROR_HISTORY_COUNT if value != 0 => Err(AbortCode::VALUE_RANGE),
             named::STORE_ALL | named::RESTORE_ALL => self.store_or_restore(object, value),
+            Object { index: 0x1016, .. } => self.refuse_consumer(slot, value),
             named::MODE_OF_OPERATION if !supported(value) => Err(AbortCode::VALUE_RANGE),
             named::HOMING_METHOD
                 if !HomingMethod::EPOS4.contains(&HomingMethod(value as i32 as i8)) =>
@@ -185,11 +194,27 @@ impl Objects {
         }
     }
 
+    /// No two entries may watch one node (CiA 301, object 0x1016).
+    fn refuse_consumer(&self, slot: Slot, value: u32) -> Result<(), AbortCode> {
+        let Some((node, _)) = watched(value) else {
+            return Ok(());
+        };
+        let others =
+            (0..ENTRIES).map(|number| Slot::of(named::CONSUMER_HEARTBEAT_1).plus(number as u16));
+        let mut others = others
+            .filter(|other| *other != slot)
+            .map(|other| watched(self.u(other)));
+        if others.any(|other| other.is_some_and(|(other, _)| other == node)) {
+            return Err(AbortCode::PARAMETER_INCOMPATIBLE);
+        }
+        Ok(())
+    }
+
     fn store_or_restore(&mut self, object: Object, value: u32) -> Result<(), AbortCode> {
         match (object, value) {
             (named::STORE_ALL, SAVE) => {
                 for (row, entry) in TABLE.iter().enumerate() {
-                    if entry.access == Access::Write && entry.object != named::CONTROLWORD {
+                    if entry.access == Access::Write && !entry.volatile {
                         self.stored[row] = self.values[row];
                     }
                 }
@@ -212,6 +237,9 @@ impl Objects {
         match place {
             Place::Communication(1) => {
                 let wanted = PdoCobId(value);
+                if !wanted.is_standard() {
+                    return Err(AbortCode::VALUE_RANGE);
+                }
                 let changed = (value ^ existing.0) & 0x3FFF_FFFF != 0;
                 let free = wanted.id().is_some_and(|id| !cob::reserved(id));
                 if existing.is_valid() && wanted.is_valid() && changed || wanted.is_valid() && !free
@@ -229,6 +257,8 @@ impl Objects {
             Place::Mapping(_) if existing.is_valid() || self.nmt == nmt::State::Operational => {
                 return Err(AbortCode::DEVICE_STATE);
             }
+            // Every object takes a byte at least.
+            Place::Mapping(0) if value > 8 => return Err(AbortCode::PDO_LENGTH),
             Place::Mapping(0) => {
                 let mut bits = 0;
                 for sub in 1..=value as u16 {
@@ -397,7 +427,7 @@ impl Dictionary for Objects {
         let size = entry.kind.size();
         if data.len() != size {
             return Err(if data.len() > size {
-                AbortCode::TOO_LONG
+                AbortCode::LENGTH_MISMATCH
             } else {
                 AbortCode::TOO_SHORT
             });
@@ -406,11 +436,8 @@ impl Dictionary for Objects {
         bytes[..size].copy_from_slice(data);
         let value = entry.kind.decode(bytes);
         let number = entry.kind.number(value);
-        if number > entry.max {
-            return Err(AbortCode::VALUE_TOO_HIGH);
-        }
-        if number < entry.min {
-            return Err(AbortCode::VALUE_TOO_LOW);
+        if !(entry.min..=entry.max).contains(&number) {
+            return Err(AbortCode::VALUE_RANGE);
         }
         self.refuse(slot, value)?;
         if !matches!(object, named::STORE_ALL | named::RESTORE_ALL) {

@@ -1,6 +1,6 @@
 //! Process data at work: what each PDO carries, when it takes effect and when it is sent.
 //!
-//! Parameters are read from the dictionary when the node becomes operational or a parameter is
+//! Parameters are read from the dictionary when the node becomes operational, and those of one PDO when one of them is
 //! written; between that nothing is looked up. A synchronous RPDO waits for the next SYNC, and a
 //! second one replaces it; a synchronous TPDO is sampled at SYNC.
 
@@ -76,16 +76,26 @@ fn identifier(kind: PdoKind, number: PdoNumber, objects: &Objects) -> Option<Sta
     cob.id().filter(|_| cob.is_valid())
 }
 
+/// Whether an RPDO exists, and whether its event timer is on.
+pub(super) fn watched(number: PdoNumber, objects: &Objects) -> (bool, bool) {
+    let rpdo = Rpdo::read(number, objects);
+    (
+        rpdo.id.is_some(),
+        rpdo.id.is_some() && !rpdo.within.is_zero(),
+    )
+}
+
 #[derive(Clone, Copy, Debug)]
 struct Rpdo {
     id: Option<StandardId>,
     synchronous: bool,
     mapping: Mapping,
-    /// Waits for SYNC.
-    waiting: Option<[u8; 8]>,
     /// Event timer; zero is off.
     within: Duration,
-    deadline: Option<Instant>,
+    /// Waits for SYNC.
+    waiting: Option<[u8; 8]>,
+    /// The last reception, until the event timer has expired.
+    received: Option<Instant>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -93,12 +103,14 @@ struct Tpdo {
     id: Option<StandardId>,
     transmission: TransmissionType,
     mapping: Mapping,
-    /// SYNCs since it was last sent.
-    syncs: u8,
     inhibit: Duration,
     /// Event timer; zero is off.
     period: Duration,
+    /// SYNCs since it was last sent.
+    syncs: u8,
     sent: Option<([u8; 8], Instant)>,
+    /// Whether a change waits for the end of the inhibit time.
+    inhibited: bool,
 }
 
 /// What came of a frame.
@@ -106,12 +118,12 @@ struct Tpdo {
 pub(super) enum Reception {
     /// No RPDO of this node.
     Foreign,
-    /// Waits for SYNC.
-    Waiting,
-    /// Took effect.
-    Effective,
-    /// Fewer bytes than are mapped; nothing was taken.
-    TooShort,
+    /// The RPDO of this number, from 0, waits for SYNC.
+    Waiting(usize),
+    /// The RPDO of this number, from 0, took effect.
+    Effective(usize),
+    /// The RPDO of this number, from 0, has fewer bytes than are mapped; nothing was taken.
+    TooShort(usize),
 }
 
 /// The eight PDOs.
@@ -128,40 +140,54 @@ impl Pdos {
             id: None,
             synchronous: false,
             mapping: Mapping::EMPTY,
-            waiting: None,
             within: Duration::ZERO,
-            deadline: None,
+            waiting: None,
+            received: None,
         }; 4],
         transmitted: [Tpdo {
             id: None,
             transmission: TransmissionType::EVENT_PROFILE,
             mapping: Mapping::EMPTY,
-            syncs: 0,
             inhibit: Duration::ZERO,
             period: Duration::ZERO,
+            syncs: 0,
             sent: None,
+            inhibited: false,
         }; 4],
     };
 
     /// As the dictionary says; nothing waits and nothing was sent.
     pub(super) fn read(objects: &Objects) -> Self {
-        let mut pdos = Self::NONE;
-        for (number, rpdo) in PdoNumber::ALL.into_iter().zip(&mut pdos.received) {
-            let cob = cob_id(PdoKind::Rpdo, number);
-            rpdo.id = identifier(PdoKind::Rpdo, number, objects);
-            rpdo.synchronous = TransmissionType(objects.u(cob.plus(1)) as u8).is_synchronous();
-            rpdo.mapping = Mapping::read(PdoKind::Rpdo, number, objects);
-            rpdo.within = Duration::from_millis(u64::from(objects.u(cob.plus(2))));
+        Self {
+            received: PdoNumber::ALL.map(|number| Rpdo::read(number, objects)),
+            transmitted: PdoNumber::ALL.map(|number| Tpdo::read(number, objects)),
         }
-        for (number, tpdo) in PdoNumber::ALL.into_iter().zip(&mut pdos.transmitted) {
-            let cob = cob_id(PdoKind::Tpdo, number);
-            tpdo.id = identifier(PdoKind::Tpdo, number, objects);
-            tpdo.transmission = TransmissionType(objects.u(cob.plus(1)) as u8);
-            tpdo.mapping = Mapping::read(PdoKind::Tpdo, number, objects);
-            tpdo.inhibit = Duration::from_micros(100 * u64::from(objects.u(cob.plus(2))));
-            tpdo.period = Duration::from_millis(u64::from(objects.u(cob.plus(3))));
+    }
+
+    /// Takes over the communication parameters of one PDO. Its counts, times and data stay unless its identifier changes.
+    pub(super) fn update(&mut self, kind: PdoKind, number: PdoNumber, objects: &Objects) {
+        let at = usize::from(number.offset());
+        match kind {
+            PdoKind::Rpdo => {
+                let (before, now) = (self.received[at], Rpdo::read(number, objects));
+                let kept = Rpdo {
+                    waiting: before.waiting,
+                    received: before.received,
+                    ..now
+                };
+                self.received[at] = if before.id == now.id { kept } else { now };
+            }
+            PdoKind::Tpdo => {
+                let (before, now) = (self.transmitted[at], Tpdo::read(number, objects));
+                let kept = Tpdo {
+                    syncs: before.syncs,
+                    sent: before.sent,
+                    inhibited: before.inhibited,
+                    ..now
+                };
+                self.transmitted[at] = if before.id == now.id { kept } else { now };
+            }
         }
-        pdos
     }
 
     /// Takes a frame if it is one of the RPDOs.
@@ -172,21 +198,22 @@ impl Pdos {
         objects: &mut Objects,
         now: Instant,
     ) -> Reception {
-        let Some(rpdo) = self.received.iter_mut().find(|rpdo| rpdo.id == Some(id)) else {
+        let mut received = self.received.iter_mut().enumerate();
+        let Some((number, rpdo)) = received.find(|(_, rpdo)| rpdo.id == Some(id)) else {
             return Reception::Foreign;
         };
         if data.len() < rpdo.mapping.bytes {
-            return Reception::TooShort;
+            return Reception::TooShort(number);
         }
-        rpdo.deadline = (!rpdo.within.is_zero()).then(|| now + rpdo.within);
+        rpdo.received = Some(now);
         let mut bytes = [0; 8];
         bytes[..data.len()].copy_from_slice(data);
         if rpdo.synchronous {
             rpdo.waiting = Some(bytes);
-            return Reception::Waiting;
+            return Reception::Waiting(number);
         }
         rpdo.mapping.spread(&bytes, objects);
-        Reception::Effective
+        Reception::Effective(number)
     }
 
     /// SYNC, first half: hands out the synchronous TPDOs that are due.
@@ -228,8 +255,8 @@ impl Pdos {
             let due = match tpdo.sent {
                 None => true,
                 Some((sent, at)) => {
-                    sent != data && at + tpdo.inhibit <= now
-                        || !tpdo.period.is_zero() && at + tpdo.period <= now
+                    tpdo.inhibited = sent != data;
+                    tpdo.due(at).is_some_and(|due| due <= now)
                 }
             };
             if due {
@@ -245,31 +272,74 @@ impl Pdos {
             .any(|tpdo| tpdo.id.is_some() && !tpdo.transmission.is_synchronous())
     }
 
-    /// When an event timer of either direction expires.
+    /// When an event timer of either direction expires, or an inhibit time that delays a change.
     pub(super) fn poll_timeout(&self) -> Option<Instant> {
-        let deadlines = self.received.iter().filter_map(|rpdo| rpdo.deadline);
-        let periods = self.transmitted.iter().filter_map(|tpdo| {
-            let timed =
-                tpdo.id.is_some() && !tpdo.transmission.is_synchronous() && !tpdo.period.is_zero();
-            let (_, at) = tpdo.sent.filter(|_| timed)?;
-            Some(at + tpdo.period)
+        let deadlines = self.received.iter().filter_map(Rpdo::deadline);
+        let events = self.transmitted.iter().filter_map(|tpdo| {
+            let alone = tpdo.id.is_some() && !tpdo.transmission.is_synchronous();
+            let (_, at) = tpdo.sent.filter(|_| alone)?;
+            tpdo.due(at)
         });
-        deadlines.chain(periods).min()
+        deadlines.chain(events).min()
     }
 
-    /// Whether an RPDO is overdue; it is watched again from its next reception.
-    pub(super) fn overdue(&mut self, now: Instant) -> bool {
-        let mut overdue = false;
-        for rpdo in &mut self.received {
-            overdue |= rpdo.deadline.take_if(|deadline| *deadline <= now).is_some();
+    /// Number of an RPDO that is overdue, from 0; to be called until there is none. Its next reception restarts its timer.
+    pub(super) fn overdue(&mut self, now: Instant) -> Option<usize> {
+        let overdue = |rpdo: &Rpdo| rpdo.deadline().is_some_and(|at| at <= now);
+        let number = self.received.iter().position(overdue)?;
+        self.received[number].received = None;
+        Some(number)
+    }
+}
+
+impl Rpdo {
+    fn read(number: PdoNumber, objects: &Objects) -> Self {
+        let cob = cob_id(PdoKind::Rpdo, number);
+        Self {
+            id: identifier(PdoKind::Rpdo, number, objects),
+            synchronous: TransmissionType(objects.u(cob.plus(1)) as u8).is_synchronous(),
+            mapping: Mapping::read(PdoKind::Rpdo, number, objects),
+            within: Duration::from_millis(u64::from(objects.u(cob.plus(2)))),
+            waiting: None,
+            received: None,
         }
-        overdue
+    }
+
+    fn deadline(&self) -> Option<Instant> {
+        let at = self.received.filter(|_| !self.within.is_zero())?;
+        Some(at + self.within)
     }
 }
 
 impl Tpdo {
+    fn read(number: PdoNumber, objects: &Objects) -> Self {
+        let cob = cob_id(PdoKind::Tpdo, number);
+        Self {
+            id: identifier(PdoKind::Tpdo, number, objects),
+            transmission: TransmissionType(objects.u(cob.plus(1)) as u8),
+            mapping: Mapping::read(PdoKind::Tpdo, number, objects),
+            inhibit: Duration::from_micros(100 * u64::from(objects.u(cob.plus(2)))),
+            period: Duration::from_millis(u64::from(objects.u(cob.plus(3)))),
+            syncs: 0,
+            sent: None,
+            inhibited: false,
+        }
+    }
+
+    /// When the PDO last sent `at` is due: by a change or the event timer, and never within the inhibit time.
+    fn due(&self, at: Instant) -> Option<Instant> {
+        let timer = (!self.period.is_zero()).then_some(self.period);
+        let event = if self.inhibited {
+            Some(Duration::ZERO)
+        } else {
+            timer
+        };
+        Some(at + event?.max(self.inhibit))
+    }
+
     fn send(&mut self, id: StandardId, data: [u8; 8], now: Instant, send: &mut impl FnMut(Frame)) {
         self.sent = Some((data, now));
+        self.inhibited = false;
         let frame = Frame::new(id, &data[..self.mapping.bytes.min(8)]);
         send(frame.expect("a mapping has at most 8 bytes"));
     }

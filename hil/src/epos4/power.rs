@@ -23,6 +23,8 @@ pub(super) enum Brake {
     SlowDown,
     /// On the quick stop deceleration, 0x6085.
     QuickStop,
+    /// As hard as the limits of current and voltage allow.
+    AtLimits,
 }
 
 /// Option codes 0x605A to 0x605E, read when needed.
@@ -94,7 +96,8 @@ pub(super) fn on_command(
                 now: QuickStopActive,
                 brake: Some(match options.quick_stop {
                     1 | 5 => Brake::SlowDown,
-                    _ => Brake::QuickStop,
+                    2 | 6 => Brake::QuickStop,
+                    _ => Brake::AtLimits,
                 }),
                 then: if options.quick_stop >= 5 {
                     QuickStopActive
@@ -219,8 +222,12 @@ mod tests {
             (0, None, SwitchOnDisabled),
             (1, Some(Brake::SlowDown), SwitchOnDisabled),
             (2, Some(Brake::QuickStop), SwitchOnDisabled),
+            (3, Some(Brake::AtLimits), SwitchOnDisabled),
+            (4, Some(Brake::AtLimits), SwitchOnDisabled),
             (5, Some(Brake::SlowDown), QuickStopActive),
             (6, Some(Brake::QuickStop), QuickStopActive),
+            (7, Some(Brake::AtLimits), QuickStopActive),
+            (8, Some(Brake::AtLimits), QuickStopActive),
         ];
         for (option, brake, then) in quick_stop {
             let options = Options {

@@ -7,8 +7,8 @@ use canopen::Object;
 
 use Kind::{Domain, I8, I16, I32, Text, U8, U16, U32};
 
-/// How many mapping entries a PDO has here; an EPOS4 has twelve.
-pub(super) const MAPPED: u8 = 8;
+/// How many mapping entries a PDO has, as an EPOS4's.
+pub(super) const MAPPED: u8 = 12;
 
 /// The type of an object.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -81,6 +81,8 @@ pub(super) struct Entry {
     /// Whether the node-ID is added to the default.
     pub(super) plus_node: bool,
     pub(super) mappable: Mappable,
+    /// A command, a set-point or the error history: not stored by "save", excluded from downloads by the data sheet.
+    pub(super) volatile: bool,
     pub(super) min: i64,
     pub(super) max: i64,
 }
@@ -97,6 +99,7 @@ impl Entry {
                 receive: false,
                 transmit: false,
             },
+            volatile: false,
             min: i64::MIN,
             max: i64::MAX,
         }
@@ -105,6 +108,11 @@ impl Entry {
     const fn range(mut self, min: i64, max: i64) -> Self {
         self.min = min;
         self.max = max;
+        self
+    }
+
+    const fn volatile(mut self) -> Self {
+        self.volatile = true;
         self
     }
 
@@ -136,7 +144,7 @@ const fn rw(index: u16, subindex: u8, kind: Kind, default: i64) -> Entry {
 const COMMUNICATION: &[Entry] = &[
     ro(0x1000, 0, U32, 0x0002_0192),
     ro(0x1001, 0, U8, 0).tx(),
-    rw(0x1003, 0, U8, 0),
+    rw(0x1003, 0, U8, 0).volatile(),
     ro(0x1003, 1, U32, 0),
     ro(0x1003, 2, U32, 0),
     ro(0x1003, 3, U32, 0),
@@ -145,13 +153,13 @@ const COMMUNICATION: &[Entry] = &[
     ro(0x1005, 0, U32, 0x80),
     ro(0x1008, 0, Text("EPOS4"), 0),
     ro(0x1010, 0, U8, 1),
-    rw(0x1010, 1, U32, 1),
+    rw(0x1010, 1, U32, 1).volatile(),
     ro(0x1011, 0, U8, 1),
-    rw(0x1011, 1, U32, 1),
+    rw(0x1011, 1, U32, 1).volatile(),
     ro(0x1014, 0, U32, 0x80).plus_node(),
     ro(0x1016, 0, U8, 2),
-    rw(0x1016, 1, U32, 0).range(0, 0x7F_FFFF),
-    rw(0x1016, 2, U32, 0).range(0, 0x7F_FFFF),
+    rw(0x1016, 1, U32, 0).range(0, 0xFF_FFFF),
+    rw(0x1016, 2, U32, 0).range(0, 0xFF_FFFF),
     rw(0x1017, 0, U16, 0),
     ro(0x1018, 0, U8, 4),
     ro(0x1018, 1, U32, 0),
@@ -190,11 +198,15 @@ const APPLICATION: &[Entry] = &[
     ro(0x30D1, 0, U8, 2),
     ro(0x30D1, 1, I32, 0).tx(),
     ro(0x30D1, 2, I32, 0).tx(),
+    ro(0x30E0, 0, U8, 3),
+    rw(0x30E0, 1, U32, 30),
+    rw(0x30E0, 2, U16, 2),
+    rw(0x30E0, 3, U16, 1_000),
     ro(0x3141, 0, U8, 1),
     ro(0x3141, 1, U16, 0).tx(),
     rw(0x6007, 0, I16, 3).range(0, 3),
     ro(0x603F, 0, U16, 0).tx(),
-    rw(0x6040, 0, U16, 0).rx().tx(),
+    rw(0x6040, 0, U16, 0).rx().tx().volatile(),
     ro(0x6041, 0, U16, 0).tx(),
     rw(0x605A, 0, I16, 6).range(0, 8),
     rw(0x605B, 0, I16, 0).range(0, 1),
@@ -211,10 +223,10 @@ const APPLICATION: &[Entry] = &[
     rw(0x6068, 0, U16, 0),
     ro(0x606B, 0, I32, 0).tx(),
     ro(0x606C, 0, I32, 0).tx(),
-    rw(0x6071, 0, I16, 0).rx().tx(),
+    rw(0x6071, 0, I16, 0).rx().tx().volatile(),
     ro(0x6076, 0, U32, 0),
     ro(0x6077, 0, I16, 0).tx(),
-    rw(0x607A, 0, I32, 0).rx().tx(),
+    rw(0x607A, 0, I32, 0).rx().tx().volatile(),
     rw(0x607C, 0, I32, 0),
     ro(0x607D, 0, U8, 2),
     rw(0x607D, 1, I32, 0),
@@ -234,9 +246,9 @@ const APPLICATION: &[Entry] = &[
     ro(0x60A8, 0, U32, 0x00B5_0000),
     rw(0x60A9, 0, U32, 0x00B4_4700),
     ro(0x60AA, 0, U32, 0x00C0_0300),
-    rw(0x60B0, 0, I32, 0).rx().tx(),
-    rw(0x60B1, 0, I32, 0).rx().tx(),
-    rw(0x60B2, 0, I16, 0).rx().tx(),
+    rw(0x60B0, 0, I32, 0).rx().tx().volatile(),
+    rw(0x60B1, 0, I32, 0).rx().tx().volatile(),
+    rw(0x60B2, 0, I16, 0).rx().tx().volatile(),
     ro(0x60C2, 0, U8, 2),
     rw(0x60C2, 1, U8, 0).range(0, 100),
     rw(0x60C2, 2, I8, -3).range(-4, 0),
@@ -244,9 +256,9 @@ const APPLICATION: &[Entry] = &[
     ro(0x60F4, 0, I32, 0).tx(),
     ro(0x60FD, 0, U32, 0).tx(),
     ro(0x60FE, 0, U8, 2),
-    rw(0x60FE, 1, U32, 0).rx(),
+    rw(0x60FE, 1, U32, 0).rx().volatile(),
     rw(0x60FE, 2, U32, 0),
-    rw(0x60FF, 0, I32, 0).rx().tx(),
+    rw(0x60FF, 0, I32, 0).rx().tx().volatile(),
     ro(0x6502, 0, U32, 0x0000_03A5),
 ];
 
@@ -267,8 +279,8 @@ const TRANSMITTED: [&[u32]; 4] = [
 const RECEIVED_COB: [u32; 4] = [0x0000_0200, 0x8000_0300, 0x8000_0400, 0x8000_0500];
 const TRANSMITTED_COB: [u32; 4] = [0x4000_0180, 0xC000_0280, 0xC000_0380, 0xC000_0480];
 
-/// Rows of four PDOs: communication parameters of `communication` each, mappings of 9 each.
-const PDO_ROWS: usize = 4 * (4 + 9) + 4 * (5 + 9);
+/// Rows of four PDOs each way: communication parameters, then a count and the entries of a mapping.
+const PDO_ROWS: usize = 4 * (4 + 1 + MAPPED as usize) + 4 * (5 + 1 + MAPPED as usize);
 /// Rows of the whole table.
 pub(super) const ROWS: usize = COMMUNICATION.len() + PDO_ROWS + APPLICATION.len();
 

@@ -3,7 +3,12 @@
 mod communication;
 mod configuration;
 mod data_sheet;
+mod emergencies;
+mod heartbeats;
 mod motion;
+mod process_data;
+mod standstill;
+mod storage;
 
 use super::*;
 use crate::{AxisConfig, DeviceId, Irp6Axis, World};
@@ -118,6 +123,21 @@ impl Bench {
         self.write("111001", 0x6461_6F6C, 4);
         self.say("000#8102");
         self.run(60);
+    }
+
+    /// The code of an abort, or zero for a write that is taken.
+    fn refusal(&mut self, object: &str, value: u32, bytes: usize) -> u32 {
+        let specifier = 0x23 | (4 - bytes as u8) << 2;
+        let data: String = value
+            .to_le_bytes()
+            .map(|byte| format!("{byte:02X}"))
+            .concat();
+        let answer = self.ask(&format!("{specifier:02X}{object}{data}"));
+        if answer == format!("60{object}00000000") {
+            return 0;
+        }
+        assert_eq!(answer[..8], format!("80{object}"), "{answer}");
+        u32::from_str_radix(&answer[8..], 16).unwrap().swap_bytes()
     }
 
     fn statusword(&mut self) -> u16 {

@@ -1,3 +1,5 @@
+//! Emulated RS-232 port of an EPOS2.
+
 use can::Instant;
 use canopen::Object;
 use canopen::sdo::AbortCode;

@@ -1,3 +1,5 @@
+//! Emulated USB or RS-232 port of an EPOS4.
+
 use can::Instant;
 use canopen::Object;
 use canopen::sdo::{AbortCode, MAX_SIZE};

@@ -279,7 +279,7 @@ fn refusals_carry_the_code_of_an_abort() {
     let cases = [
         (Request::Read(object(0x5FFF, 0)), 0x0602_0000),
         (Request::Read(object(0x607D, 9)), 0x0609_0011),
-        (Request::Read(object(0x1008, 0)), 0x0607_0012),
+        (Request::Read(object(0x1008, 0)), 0x0607_0010),
         (Request::Read(other_node(0x6041)), 0x0F00_FFB9),
         (Request::Write(object(0x6041, 0), 1), 0x0601_0002),
         (Request::Write(object(0x6060, 0), 99), 0x0609_0030),

@@ -1,3 +1,5 @@
+//! Fault injection on a serial line.
+
 use crate::plant::Noise;
 
 /// What goes wrong on a line, each way; nothing by default.

@@ -1,3 +1,5 @@
+//! Byte times, latency and faults of the emulated line.
+
 use super::*;
 use serial::{Line, VirtualLine, virtual_line};
 use std::collections::VecDeque;

@@ -1,3 +1,5 @@
+//! An emulated axis: motor, encoder, switches.
+
 use thiserror::Error;
 
 use super::SUB_STEP;
@@ -18,7 +20,7 @@ pub struct AxisConfig {
     pub amplifier: AmplifierConfig,
     /// Quadrature counts of one motor turn.
     pub counts_per_revolution: u32,
-    /// Half the band by which the encoder's edges tremble, counts.
+    /// Half the band of the encoder's edge jitter, counts. The hysteresis of its comparators is as wide as the band.
     pub edge_jitter: f64,
     /// Motor angle of an index pulse, rad; one more each whole turn away.
     pub index_angle: f64,

@@ -1,3 +1,5 @@
+//! Quadrature encoder with an index pulse.
+
 use std::f64::consts::TAU;
 
 use super::noise::Noise;
@@ -6,6 +8,10 @@ use super::noise::Noise;
 ///
 /// Its counter is the floor of angle · counts / 2π, less what that was at power-on. The index pulse
 /// is as wide as one count and so marks the same count from either side.
+///
+/// Edge jitter comes with a hysteresis of the same width, as of the comparators behind the disc: the counter leaves a
+/// count only beyond the band of the edge. The counter of a turning shaft changes somewhere within the band. The counter
+/// of a standing shaft does not change.
 #[derive(Clone, Debug)]
 pub(crate) struct Encoder {
     counts_per_radian: f64,
@@ -48,7 +54,11 @@ impl Encoder {
             at += self.jitter * noise.symmetric();
         }
         let before = self.counts;
-        self.counts = floor(at);
+        if at >= (before + 1) as f64 + self.jitter {
+            self.counts = floor(at - self.jitter);
+        } else if at < before as f64 - self.jitter {
+            self.counts = floor(at + self.jitter);
+        }
         while self.counts >= self.index_below + self.counts_per_revolution {
             self.index_below += self.counts_per_revolution;
             self.latch(self.index_below);
@@ -118,6 +128,51 @@ mod tests {
             encoder.read(start - TAU, &mut Noise::new(0));
             assert_eq!(encoder.counts(), -4000);
         }
+    }
+
+    #[test]
+    fn shaft_that_stands_is_counted_as_standing() {
+        let count = TAU / 4000.0;
+        for off in [-0.05, -0.02, -0.01, 0.0, 0.01, 0.02, 0.05] {
+            // Come from below, from above and switched on there, on the edge of a count.
+            for from in [-3.0, 0.0, 3.0] {
+                let mut noise = Noise::new(1);
+                let mut encoder = Encoder::new(4000, 0.0, 0.02, (100.0 + off + from) * count);
+                let angle = (100.0 + off) * count;
+                for _ in 0..1000 {
+                    encoder.read(angle, &mut noise);
+                }
+                let stood = encoder.counts();
+                for _ in 0..10_000 {
+                    encoder.read(angle, &mut noise);
+                    assert_eq!(encoder.counts(), stood, "{off} of an edge from {from}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn edges_tremble_under_a_shaft_that_turns() {
+        let mut noise = Noise::new(1);
+        let mut encoder = Encoder::new(4000, 0.0, 0.02, 0.5 * TAU / 4000.0);
+        let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+        let mut before = 0;
+        for k in 0..100_000 {
+            let at = 0.5 + f64::from(k) * 1e-3;
+            encoder.read(at * TAU / 4000.0, &mut noise);
+            if encoder.counts() != before {
+                before = encoder.counts();
+                let off = at - f64::from(before);
+                low = low.min(off);
+                high = high.max(off);
+            }
+        }
+        assert_eq!(before, 100, "no count is lost");
+        assert!(
+            (-1e-9..0.02).contains(&low) && (low..=0.041).contains(&high),
+            "{low} to {high}"
+        );
+        assert!(high - low > 0.01, "{low} to {high}");
     }
 
     #[test]

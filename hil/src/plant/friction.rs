@@ -1,3 +1,5 @@
+//! Dry friction with break-away.
+
 /// Dry friction of a motor and its gear, at the motor shaft.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrictionConfig {
@@ -60,8 +62,8 @@ impl Friction {
     /// The velocity at the end of a step, given the velocity at its beginning and the one that all
     /// other torques would lead to. `gain` is step over inertia; `extra` adds to the level, N·m.
     ///
-    /// Friction takes velocity away and never turns it round: what it could more than stop, it
-    /// stops, and what stands stays until more than the level at standstill pulls.
+    /// Friction reduces velocity and never reverses it. A motor that friction could more than stop is stopped, and
+    /// stays at rest until the torque exceeds the break-away level.
     pub(crate) fn apply(&self, before: f64, free: f64, gain: f64, extra: f64) -> f64 {
         let most = (self.level(before.abs()) + extra) * gain;
         if free.abs() <= most {

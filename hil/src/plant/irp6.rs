@@ -1,3 +1,5 @@
+//! Plants of the IRp-6 on a pedestal.
+
 use super::axis::{AxisConfig, PlantConfig};
 use super::friction::FrictionConfig;
 use super::motor::{EndStops, Gravity, MotorConfig};
@@ -157,11 +159,10 @@ pub(super) const THERMAL: ThermalConfig = ThermalConfig {
 impl AxisConfig {
     /// An axis of the IRp-6 as a motor with load, with friction, gravity and switches.
     ///
-    /// Motor angles are those of the robot's own software, so that each index pulse lies where the
-    /// axis is synchronised. Nominal, to be replaced by measurement: windings, friction, masses,
-    /// temperatures, ripple, and where the switches are. The home switch is closed from 20 rad to
-    /// 2 rad below the home position and the motor starts 20 rad above it; limit switches close at
-    /// the motor limits, buffers are touched 3 rad beyond them.
+    /// Motor angles follow the robot's own software: each index pulse lies where homing of the axis ends. Nominal, to
+    /// be replaced by measurement: windings, friction, masses, temperatures, ripple, and where the switches are. The
+    /// home switch is closed from 20 rad to 2 rad below the home position and the motor starts 20 rad above it; limit
+    /// switches close at the motor limits, buffers are touched 3 rad beyond them.
     ///
     /// Over a trapezoid at 50 rad/s and 150 rad/s² the axes, in order, stay within 5, 6, 14, 12, 10
     /// and 7 counts of a set-point that comes each 1 or 2 ms.

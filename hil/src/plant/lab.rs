@@ -1,3 +1,5 @@
+//! Plants of the IRp-6 on its track, RNT, Polycrank, gripper and conveyor.
+
 use super::axis::{AxisConfig, PlantConfig};
 use super::friction::FrictionConfig;
 use super::irp6::{Irp6Axis, THERMAL};
@@ -207,11 +209,11 @@ impl AxisConfig {
 
     /// Axis 0 to 6 of Polycrank, to be mounted on [`MechanismConfig::Polycrank`]; `None` beyond. Every number is nominal.
     ///
-    /// Motors read zero at home and turn fifty times for a turn of the joint, which has no end. So that homing knows
-    /// which way to go and which of fifty indices it has found, the home switch is a cam on a shaft geared down twenty
-    /// times from the joint: closed over the ten turns below home, open over the ten above, its edge half a motor turn
-    /// below the index that is home. Beyond ten turns from home it repeats on the real thing and is open here.
-    /// Windings are sized for 6 rad/s (axes 0 to 2) and 10 rad/s with 40 rad/s² in the worst pose.
+    /// Motors read zero at home and turn fifty times for a turn of the joint, which has no end. The home switch is a
+    /// cam on a shaft geared down twenty times from the joint, so that homing knows its direction and the right one
+    /// of fifty indices. The cam is closed over the ten turns below home and open over the ten turns above. Its edge
+    /// lies half a motor turn below the index of home. Beyond ten turns from home it repeats on the real thing and is
+    /// open here. Windings are sized for 6 rad/s (axes 0 to 2) and 10 rad/s with 40 rad/s² in the worst pose.
     pub fn polycrank(number: usize) -> Option<Self> {
         let mechanism = MechanismConfig::Polycrank {
             coupled: false,

@@ -42,14 +42,14 @@ pub enum MechanismConfig {
 
 /// The links of one robot, on which its axes are mounted. Clones are the same robot.
 ///
-/// Each motor feels the weight that its own turn lifts and the inertia that its own turn moves, in the pose that all
-/// motors are in, with screws, parallelograms, rods and platforms between them as the robot has them, once per
-/// millisecond. Left out: forces that arise from the other axes' accelerations and speeds, except that inertia
-/// which they fold together keeps its momentum; bending; friction that depends on load.
+/// Each motor carries the weight and the inertia that its own turn moves, in the present pose of all motors. Screws,
+/// parallelograms, rods and platforms act between the motors as in the robot. The load is computed once per
+/// millisecond. Left out: forces that arise from the other axes' accelerations and speeds, except that inertia which
+/// they fold together keeps its momentum; bending; friction that depends on load.
 ///
-/// An axis finds the others where they last were moved on to. So what happens is a function of configurations, seeds
-/// and the order of all calls, and a [`World`](crate::World) keeps that order; drives that several threads move on do
-/// no harm to each other and are not the same bit for bit twice. A drive that nobody asks lags up to 20 ms behind.
+/// An axis finds the others where they last were moved on to. The result is a function of configurations, seeds and
+/// the order of all calls, and a [`World`](crate::World) keeps that order. Drives that several threads advance stay
+/// correct, but two runs differ in their last bits. A drive without calls lags up to 20 ms behind.
 #[derive(Clone, Debug)]
 pub struct Mechanism(Arc<Mutex<Robot>>);
 
@@ -98,7 +98,7 @@ impl Loaded {
         self.turning + self.reflected
     }
 
-    /// By what the speed of a motor changes as it passes from this load to the next without a torque.
+    /// Speed change of a motor when its reflected load changes and no torque acts.
     ///
     /// A gear that changes as the motor turns keeps the energy; an inertia that the other axes change keeps the
     /// momentum, and the energy is theirs.
@@ -161,7 +161,7 @@ impl Mechanism {
         }
     }
 
-    /// What hangs on the motor of axis `number` as all of them stand now; nothing if there is no such axis.
+    /// Load on the motor of axis `number` in the present pose; zero for an absent axis.
     pub fn load(&self, number: usize) -> Load {
         let mut robot = self.lock();
         if number >= robot.count {
@@ -175,7 +175,7 @@ impl Mechanism {
     }
 
     fn lock(&self) -> MutexGuard<'_, Robot> {
-        // Whoever panicked left numbers behind that are as good as any.
+        // A panic of another thread leaves valid numbers behind.
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

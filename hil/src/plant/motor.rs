@@ -1,3 +1,5 @@
+//! Motor with load.
+
 use super::SUB_STEP;
 use super::friction::{Friction, FrictionConfig};
 use super::mechanism::{Loaded, Mount};
@@ -25,7 +27,7 @@ pub struct MotorConfig {
     pub end_stops: Option<EndStops>,
     /// How it warms.
     pub thermal: ThermalConfig,
-    /// Share of the motor's torque that varies at random, drawn anew each millisecond.
+    /// Random share of the motor's torque, drawn each millisecond.
     pub torque_ripple: f64,
 }
 
@@ -95,7 +97,7 @@ const FERRITE: f64 = 0.002;
 #[derive(Clone, Debug)]
 pub(crate) struct Motor {
     config: MotorConfig,
-    /// Where it is mounted, if it is, and what it last had to carry there.
+    /// Mount of the motor, if it has one, and the last load there.
     mounted: Option<(Mount, Loaded)>,
     friction: Friction,
     thermal: Thermal,

@@ -1,3 +1,5 @@
+//! Seeded random numbers.
+
 /// A small seeded generator of random numbers: SplitMix64 (Steele, Lea, Flood, OOPSLA 2014).
 ///
 /// A Weyl sequence, the seed stepped by the odd 64-bit golden ratio, hashed by two rounds of

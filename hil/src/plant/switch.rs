@@ -1,3 +1,5 @@
+//! Home and limit switches.
+
 use super::noise::Noise;
 
 /// A switch that an interval of motor angles closes: home, or a limit.

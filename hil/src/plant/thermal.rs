@@ -1,3 +1,5 @@
+//! Thermal model of a motor.
+
 /// Two bodies that a motor's losses heat: the winding, and the housing with its magnets.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ThermalConfig {

@@ -1,3 +1,5 @@
+//! Motor model of the original IRp-6 software.
+
 use super::friction::{Friction, FrictionConfig};
 
 /// The motor that the IRp-6 software of the Warsaw University of Technology emulates its hardware

@@ -1,3 +1,5 @@
+//! Dialogues of the emulated slcan adapter.
+
 use super::*;
 use crate::World;
 use can::{ExtendedId, Port, Received, StandardId};
@@ -279,7 +281,7 @@ fn bus_off_ends_when_the_channel_is_opened_anew() {
 
 #[test]
 fn a_wrong_bit_rate_is_bus_off_for_who_speaks_and_errors_for_who_listens() {
-    // The bit rate, and whether it is that of the bus.
+    // A bit rate, and whether the bus has it.
     for (set, right) in [
         ("S8.", true),
         ("s0014.", true),

@@ -1,3 +1,5 @@
+//! Configuration of homing by the servo.
+
 use std::time::Duration;
 
 /// How the servo homes an axis whose drive has an index latch but no homing of its own.

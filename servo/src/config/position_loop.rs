@@ -1,3 +1,5 @@
+//! Configuration of position loops.
+
 use crate::regulator::{CascadeConfig, IncrementalConfig, ProportionalConfig};
 
 /// Who closes the position loop of an axis.

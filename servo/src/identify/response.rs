@@ -78,14 +78,15 @@ pub fn respond(
     lines.iter().map(point).collect()
 }
 
-/// The open loop of a drive, cut at its torque, from how its loops answer a torque that is added to theirs: `answered` is
-/// what they take back of it, and `left` what they leave of it, as the drive samples both at the end of each period of
-/// `dt` seconds that it is held for. The drive's own loops turn every `drive_period` seconds.
+/// Open loop of a drive, cut at its torque, from the response of its loops to an added torque.
 ///
-/// What they take back is T = L / (1 + L) of what is added, so L = T / (1 - T). What is held for a period acts as if it
-/// came half of one later, and less of it at high frequencies; what is sampled has been held for a period of the drive,
-/// and is half of that older than it acts. Both are taken out, since they are not of the loop. Where the loop has much gain
-/// nothing is left, and where it has little nothing is taken back: a point is as sure as the less sure of the two.
+/// `answered` is the torque by which the loops oppose the added torque, and `left` is the sum of both. The drive samples
+/// both at the end of each hold period of `dt` seconds. The loops of the drive turn every `drive_period` seconds.
+///
+/// The opposing share is T = L / (1 + L), so L = T / (1 - T). A value held for a period acts half a period late, and its
+/// amplitude falls at high frequencies. A sample shows the value held for one drive period, and is half a drive period
+/// older than the value's effect. Both effects are compensated, since they are not part of the loop. At high loop gain
+/// `left` is small, and at low loop gain `answered` is small: the coherence of a point is the lower of the two.
 pub(super) fn opened(answered: &[Point], left: &[Point], dt: f64, drive_period: f64) -> Vec<Point> {
     const HALF_TURN: f64 = TAU / 2.0;
     let open = |(point, left): (&Point, &Point)| {
@@ -94,7 +95,7 @@ pub(super) fn opened(answered: &[Point], left: &[Point], dt: f64, drive_period: 
         let ahead = HALF_TURN * point.frequency * (dt - drive_period);
         let taken = Complex::polar(point.magnitude / share, point.phase - ahead);
         let open = taken.over(Complex(1.0, 0.0).plus(taken.times(-1.0)));
-        // At low frequencies hardly anything is left of what is added, and noise would turn a phase that is followed from there.
+        // At low frequencies `left` vanishes, and its noise would spoil a phase that is unwrapped from there.
         let mut near = -HALF_TURN;
         Point {
             magnitude: open.power().sqrt(),

@@ -116,9 +116,10 @@ impl Trace {
         }
     }
 
-    /// The open loop of an axis whose position loop the servo closes, or whose drive takes a torque; the closed one of
-    /// another; of a drive group whose [`DriveGroup::delay`](drive::DriveGroup::delay) is `delay`, at `lines`. `None` if
-    /// the run was broken off before its end.
+    /// The frequency response of an axis at `lines`; `None` if the run was broken off before its end.
+    ///
+    /// The response is the open loop where the servo closes the position loop or the drive takes a torque, and the closed
+    /// loop otherwise. `delay` is the [`DriveGroup::delay`](drive::DriveGroup::delay) of the drive group.
     pub fn response(
         &self,
         run: &Run,

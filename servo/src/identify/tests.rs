@@ -1,3 +1,5 @@
+//! Identification of calculated loops.
+
 use std::f64::consts::TAU;
 
 use super::*;

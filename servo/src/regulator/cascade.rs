@@ -1,3 +1,5 @@
+//! Cascade: proportional position loop over proportional-integral velocity loop.
+
 use super::proportional::{Proportional, ProportionalConfig};
 use super::{is_not_negative, is_positive};
 
@@ -61,14 +63,14 @@ impl Cascade {
     /// One period of `dt` seconds: position error, rad, and velocity error, rad/s, give the output for
     /// the next, to which `feed_forward` is added before it is limited. A `dt` of zero integrates nothing.
     ///
-    /// What is not a finite number resets it, and it puts out nothing.
+    /// An input that is not finite resets the law, and the output is zero.
     pub fn step(&mut self, error: f64, velocity_error: f64, feed_forward: f64, dt: f64) -> f64 {
         let error = velocity_error + self.position_gain * error;
         self.velocity_loop.step(error, feed_forward, dt)
     }
 
-    /// Forgets as much of `output` as it puts out at rest by its integral, and says how much that is: what it puts
-    /// out next is less by so much.
+    /// Bumpless transfer: removes at most `output` from the integral part at rest and returns the amount removed. The next
+    /// output is lower by that amount.
     pub fn give(&mut self, output: f64) -> f64 {
         self.velocity_loop.give(output)
     }

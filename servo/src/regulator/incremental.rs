@@ -1,3 +1,5 @@
+//! Incremental law of the original IRp-6 controller.
+
 use super::{is_not_negative, is_positive, share};
 
 /// The coefficients of one axis.
@@ -121,7 +123,7 @@ impl Incremental {
     /// One period: by how much the position error grew in it gives the output for the next, to which
     /// `feed_forward` is added before it is limited.
     ///
-    /// What is not a finite number resets it, and it puts out nothing.
+    /// An input that is not finite resets the law, and the output is zero.
     pub fn step(&mut self, error: f64, feed_forward: f64) -> f64 {
         let IncrementalConfig {
             a,
@@ -151,8 +153,8 @@ impl Incremental {
         limited
     }
 
-    /// Forgets as much of `output` as it puts out at rest by its integral, and says how much that is: what it puts
-    /// out next is less by so much.
+    /// Bumpless transfer: removes at most `output` from the integral part at rest and returns the amount removed. The next
+    /// output is lower by that amount.
     pub fn give(&mut self, output: f64) -> f64 {
         let IncrementalConfig { integral, gain, .. } = self.config;
         let held = if integral { gain * self.output[0] } else { 0.0 };

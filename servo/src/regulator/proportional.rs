@@ -1,3 +1,5 @@
+//! Proportional position loop.
+
 use super::{is_not_negative, is_positive, share};
 
 /// The gains of one axis.
@@ -52,7 +54,7 @@ impl Proportional {
     /// One period of `dt` seconds: the position error, rad, gives the velocity for the next, rad/s, to which
     /// `feed_forward` is added before it is limited. A `dt` of zero integrates nothing.
     ///
-    /// What is not a finite number resets it, and it puts out nothing.
+    /// An input that is not finite resets the law, and the output is zero.
     pub fn step(&mut self, error: f64, feed_forward: f64, dt: f64) -> f64 {
         let ProportionalConfig {
             position_gain,
@@ -72,8 +74,8 @@ impl Proportional {
         output.clamp(-limit, limit)
     }
 
-    /// Forgets as much of `output` as it puts out at rest by its integral, and says how much that is: what it puts
-    /// out next is less by so much.
+    /// Bumpless transfer: removes at most `output` from the integral part at rest and returns the amount removed. The next
+    /// output is lower by that amount.
     pub fn give(&mut self, output: f64) -> f64 {
         let given = share(self.integral, output);
         self.integral -= given;

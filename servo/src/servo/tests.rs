@@ -1,3 +1,5 @@
+//! Tests of the cycle on scripted drives.
+
 mod host_homing;
 mod host_loops;
 mod limit_switches;

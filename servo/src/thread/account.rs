@@ -6,12 +6,12 @@ use std::time::Duration;
 
 use super::Usage;
 
-/// Quiet cycles after which the account is read all the same: being woken costs a little delay each time, and what
-/// has added up must not be taken for that of one cycle.
+/// Quiet cycles after which the account is read. Each wake-up costs a small delay, and the sum over many quiet cycles
+/// must not be taken for the delay of one cycle.
 const STALE: u32 = 16;
 
-/// What the fault of a page in memory takes at most, unless others hold it up. One that reads from a disk, or takes
-/// long otherwise, disturbs its own cycle, after which the account is read.
+/// Greatest duration of a minor page fault without contention. A longer fault, for instance with a read from a disk,
+/// disturbs its own cycle, after which the account is read.
 const FAULT: Duration = Duration::from_micros(2);
 
 /// How often the kernel's account of the thread was read, each time with two system calls, and why.
@@ -56,7 +56,7 @@ impl Account {
         self.reads
     }
 
-    /// What was counted until now is nobody's.
+    /// Drops the counts up to now.
     pub(super) fn skip(&mut self) {
         self.begin();
         self.reads.slack += 1;
@@ -71,7 +71,7 @@ impl Account {
         (self.quiet, self.cycles) = (Duration::ZERO, 0);
     }
 
-    /// What was counted for a disturbed cycle that was `late`, and not for the quiet ones before it; counts anew.
+    /// Counts of the disturbed cycle that was `late`, without the share of the quiet cycles before. Restarts the counts.
     pub fn settle(&mut self, late: Duration) -> Usage {
         let (before, quiet, cycles) = (self.last, self.quiet, self.cycles);
         self.begin();
@@ -97,16 +97,16 @@ impl Account {
     }
 }
 
-/// Of what was `counted`, what delayed the last cycle, `late` by that, after some quiet `cycles` that were woken
-/// `quiet` late in all.
+/// The part of `counted` that delayed the last cycle, which was `late`. The quiet `cycles` before were woken `quiet`
+/// late in total.
 fn of_last(counted: Usage, late: Duration, quiet: Duration, cycles: u32) -> Usage {
     let mut counted = counted;
     if counted.switches == 0 {
-        // Nobody took the CPU while it ran, so its delays were at wake-ups, of which the quiet ones did no harm.
+        // Without a context switch all delays happened at wake-ups, and the delays of quiet wake-ups did no harm.
         counted.delay = counted.delay.map(|delay| delay.saturating_sub(quiet));
     }
     if cycles > 0 {
-        // When they were is not known: few faults may be of any cycle, and so may a switch.
+        // Which cycle they belong to is unknown: few page faults, or a switch, may belong to any of the cycles.
         let took = FAULT.saturating_mul(u32::try_from(counted.faults).unwrap_or(u32::MAX));
         if took < late / 2 {
             counted.faults = 0;

@@ -1,3 +1,5 @@
+//! Causes of late cycles.
+
 use std::time::Duration;
 
 use super::Awake;

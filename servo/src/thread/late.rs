@@ -1,3 +1,5 @@
+//! Late cycles: counts by cause, and the worst.
+
 use std::time::Duration;
 
 use super::Cause;

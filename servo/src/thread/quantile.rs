@@ -1,3 +1,5 @@
+//! A learnt quantile of durations.
+
 use std::time::Duration;
 
 /// One in this many observations is longer than what is learnt.
@@ -8,9 +10,10 @@ const RISES: u32 = 32;
 
 /// A bound, learnt from durations as they are observed, that all but about one in 1000 keep within.
 ///
-/// Each that exceeds it raises it by a fixed step, and each other one lowers it by a thousandth of that: it
-/// follows a host that slows down within some tens of observations, and one that recovers within some ten
-/// thousand. A single one moves it by one step, however long it was.
+/// An observation above the bound raises the bound by a fixed step. Every other observation lowers the bound by a
+/// thousandth of the step. The bound follows a host that slows down within some tens of observations, and a host that
+/// recovers within some ten thousand. One observation moves the bound by one step at most, however long the observation
+/// was.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LearntQuantile {
     value: Duration,

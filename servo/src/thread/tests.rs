@@ -1,3 +1,5 @@
+//! Tests of the servo thread by the clock.
+
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 

@@ -1,8 +1,8 @@
 //! The wait for a deadline: sleep to a margin before it, then spin to it.
 //!
-//! Late wake-ups come in clusters. A margin that covered them always would take half a core, so the learnt one covers
-//! them after the first: what spins have left of their share is kept, up to [`CREDIT`], and spent on wake-ups up to
-//! half a period early in the [`ALERT`] cycles after one that came too late.
+//! Late wake-ups come in clusters. A margin that always covers them would take half a core. The learnt margin therefore
+//! covers the cluster only after its first late wake-up. Spin time that was not used is kept as credit, up to
+//! [`CREDIT`]. After a late wake-up the credit buys wake-ups up to half a period early for [`ALERT`] cycles.
 
 use std::hint;
 use std::time::Duration;
@@ -16,7 +16,7 @@ use super::quantile::LearntQuantile;
 /// 95 % of a second (`sched_rt_runtime_us`) is frozen for the rest of it.
 pub(super) const BUSY_SHARE: f64 = 0.9;
 
-/// Time of which the share of spins may be saved up: in any second they take at most a twentieth more than their share.
+/// Greatest credit of unused spin time. Within any second, spins exceed their share by at most a twentieth.
 const CREDIT: Duration = Duration::from_millis(50);
 
 /// Cycles after a wake-up later than its margin in which to expect another: on a virtual machine of a busy host every
@@ -30,8 +30,8 @@ pub enum Wait {
     Plain,
     /// It sleeps to a margin before the deadline, then spins.
     Hybrid {
-        /// The margin; `None` learns it: all but about one in 1000 wake-ups come within it, and after one that does
-        /// not, it is up to half a period for some cycles, within the share.
+        /// The margin. `None` learns a margin that covers all but about one in 1000 wake-ups. After a late wake-up the
+        /// margin grows to at most half a period for some cycles, within the share.
         margin: Option<Duration>,
         /// Largest share of a core, 0 ..= 1, to spin in: of each period with a fixed margin, of any second but for a
         /// twentieth with a learnt one.
@@ -50,7 +50,7 @@ impl Wait {
 /// What waiting cost.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct WaitReport {
-    /// How long before the time it waits for the thread asks to be woken, as of last; zero with [`Wait::Plain`].
+    /// Time by which the last wake-up was requested early; zero with [`Wait::Plain`].
     pub margin: Duration,
     /// How long before the deadline the thread prepares the cycle, as of last.
     pub lead: Duration,
@@ -69,7 +69,7 @@ pub struct Awake {
     pub woken: Instant,
     /// When the wait was over.
     pub at: Instant,
-    /// Longest time between two reads of the clock in the spin: what somebody else took.
+    /// Longest time between two reads of the clock in the spin: time taken by an interrupt or another thread.
     pub gap: Duration,
 }
 

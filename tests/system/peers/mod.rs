@@ -1,15 +1,19 @@
-//! Independent peers: python-canopen, can-utils and the kernel's own drivers on the wires, HdrHistogram on files,
-//! pinocchio over robots.
+//! Independent peers: python-canopen, zencan, canopen-rs, durand, can-utils and the kernel's own drivers on the wires,
+//! HdrHistogram on files, pinocchio over robots.
 //!
-//! What other hands have written from the same standards makes no mistake of ours. The scripts in `tests/peers` need
-//! the Python packages that `tests/run` puts into `target/peers`; without them these tests fail, unless
-//! `MRROC_LEAVE_OUT=peers` says that they may be left out.
+//! What other hands have written from the same standards makes no mistake of ours. `tests/run` puts what these tests
+//! need into `target/peers`: the Python packages of the scripts in `tests/peers`, and the programs of `tests/peers/rust`.
+//! Without them these tests fail, unless `MRROC_LEAVE_OUT=peers` says that they may be left out.
 
 mod blocks;
 mod bodies;
+mod clients;
+mod group;
+mod host;
 mod latency;
 mod linux;
 mod master;
+mod nodes;
 mod serial;
 mod slave;
 
@@ -31,6 +35,18 @@ fn python(test: &str) -> Option<PathBuf> {
     let wanting = format_args!("no {}: `tests/run` makes it", python.display());
     may_leave_out("peers", test, &wanting);
     None
+}
+
+/// The programs of `tests/peers/rust` of these names; `None` if `test` is to be left out for want of one.
+fn rust<const N: usize>(test: &str, names: [&str; N]) -> Option<[PathBuf; N]> {
+    let programs = mrroc::root().join("target/peers/rust/debug");
+    let programs = names.map(|name| programs.join(name));
+    if let Some(missing) = programs.iter().find(|program| !program.exists()) {
+        let wanting = format_args!("no {}: `tests/run` makes it", missing.display());
+        may_leave_out("peers", test, &wanting);
+        return None;
+    }
+    Some(programs)
 }
 
 /// A bus as python-can knows it.

@@ -1,3 +1,5 @@
+//! Findings about CAN interfaces.
+
 use can::InterfaceName;
 
 use super::super::finding::Verdict::{self, NotUsable, Ok as Fine, Warning};

@@ -1,3 +1,5 @@
+//! Frames in words.
+
 use can::{ExtendedId, StandardId};
 use canopen::objects::{POSITION_ACTUAL, STATUSWORD, TORQUE_ACTUAL};
 use canopen::pdo::PdoNumber;

@@ -8,8 +8,16 @@ use crate::cell::{Cell, Meeting, Path, instruction_path};
 /// Robots that meet come to the meetings of a name equally often, and to different ones in an order in which none waits
 /// for ever for one that waits for it.
 pub(super) fn check(cell: &Cell) -> Checked {
-    let meetings = cell.meetings();
     let refused = |(path, why): (Path, String)| Err((path, Problem::Refused(why)));
+    for (number, robot) in cell.robot.iter().enumerate() {
+        // Each is a meeting of its own.
+        let (own, most) = (robot.meetings().count(), usize::from(Gates::COUNT));
+        if let Some((index, _)) = robot.meetings().nth(most) {
+            let why = format!("is one of {own} meetings of the robot, which may have {most}");
+            return refused((instruction_path(number, index).then("meet"), why));
+        }
+    }
+    let meetings = cell.meetings();
     if meetings.len() > usize::from(Gates::COUNT) {
         let (robot, name) = (meetings[usize::from(Gates::COUNT)].robots[0], &meetings);
         let why = format!(

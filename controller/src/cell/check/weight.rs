@@ -35,8 +35,10 @@ pub(super) fn check(robot: &Path, given: &Robot, kinematics: &dyn crate::robot::
     };
     let weight = weights.of(given.model, kinematics).map_err(at)?;
     let torques = weight.torque(kinematics, &kinematics.home());
-    let torques =
-        torques.map_err(|error| (path.clone(), Problem::Refused(format!("at home: {error}"))))?;
+    let torques = torques.map_err(|error| {
+        let why = format!("at home: {}", given.naming_axes(error));
+        (path.clone(), Problem::Refused(why))
+    })?;
     axes.try_for_each(|(number, axis)| {
         let path = robot.then("axis").then(number);
         check_axis(&path, axis)?;
@@ -200,7 +202,12 @@ mod tests {
                 roll,
                 "robot[0].weight.up: up has no direction",
             ),
-            (SERIAL, "{ mass = [] }", roll, "unknown field"),
+            (
+                SERIAL,
+                "{ mass = [] }",
+                roll,
+                "robot[0].weight.mass: is an unknown key",
+            ),
             (
                 SERIAL,
                 "{}",
@@ -290,7 +297,7 @@ mod tests {
             ),
             (
                 "coulomb = 0.08, stiction = 0.07, stribeck_velocity = 5.0",
-                "feed_forward.stiction: is 0.07, must be at least coulomb",
+                "feed_forward.stiction: is 0.07, must be between 0.08 and 2.1 (coulomb at the least",
             ),
             (
                 "coulomb = 0.08, stiction = 0.12",
@@ -302,7 +309,7 @@ mod tests {
             ),
             (
                 "coulomb = 0.08, stiction = 0.12, stribeck_velocity = 0.0",
-                "feed_forward.stribeck_velocity: is 0, must be above 0",
+                "feed_forward.stribeck_velocity: is 0, must be between 0.001 and",
             ),
         ];
         for (bad, refusal) in cases {

@@ -1,3 +1,5 @@
+//! Feed-forward of weight by macrosteps.
+
 use nalgebra::Isometry3;
 
 use super::*;

@@ -1,6 +1,7 @@
 //! Properties of the generators over seeded random motions, without an ECP.
 
 mod line;
+mod planned_start;
 
 use std::time::Duration;
 

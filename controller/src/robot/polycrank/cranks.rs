@@ -1,3 +1,5 @@
+//! The two upper cranks of the Polycrank.
+
 use std::f64::consts::PI;
 
 use nalgebra::{Isometry3, Matrix3, Vector3};

@@ -1,3 +1,5 @@
+//! Commands of a host to an slcan adapter.
+
 use crate::Frame;
 use crate::timing::Bitrate;
 

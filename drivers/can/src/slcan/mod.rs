@@ -12,9 +12,9 @@
 //! sw096000 e2ac           error warning at 96 receive and 0 transmit errors; acknowledge and CRC errors
 //! ```
 //!
-//! Left out: CAN FD (`d`, `D`, `b`, `B`: [`LineError::Fd`]) and raw length codes above 8. Linux's own
-//! slcan driver drops lines of up to four characters before it looks at them, so to it `z`, and an
-//! error line of one or two letters, are never said.
+//! Left out: CAN FD (`d`, `D`, `b`, `B`: [`LineError::Fd`]) and raw length codes above 8. Linux's own slcan driver
+//! drops lines of up to four characters unread. The answer `z` and error lines of one or two letters are therefore
+//! not sent.
 
 mod command;
 mod report;

@@ -1,3 +1,5 @@
+//! Reports of an slcan adapter to its host.
+
 use crate::timing::Format;
 use crate::{ControllerState, Frame};
 

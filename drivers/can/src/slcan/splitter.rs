@@ -1,3 +1,5 @@
+//! Splits the byte stream of an slcan adapter into lines.
+
 use super::text::LONGEST;
 
 const BELL: u8 = 0x07;

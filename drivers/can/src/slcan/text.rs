@@ -1,3 +1,5 @@
+//! One line of the slcan protocol.
+
 use std::fmt;
 use std::ops::Deref;
 

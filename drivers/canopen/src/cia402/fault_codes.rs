@@ -1,3 +1,5 @@
+//! Error codes of EMCY and object 0x603F in words.
+
 /// Whose meaning an error code has (EMCY and object 0x603F): vendors use the range 0xFFxx, and
 /// others, each for their own ends.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -1,3 +1,5 @@
+//! Homing methods of CiA 402.
+
 use std::fmt;
 
 use super::Statusword;

@@ -1,3 +1,5 @@
+//! Modes of operation of CiA 402.
+
 use std::fmt;
 
 /// Object 0x6060 and 0x6061: what a drive makes of its set-points.

@@ -24,13 +24,13 @@
 //!                └────────────────────┘              └─────────────────┘
 //! ```
 //!
-//! The drive decides where it is; [`next_controlword`] alone decides what it is told. To switch on, the host
-//! climbs 2, 3, 4, one step for each statusword it sees. To switch off it removes power at once, from
-//! wherever it is; an axis that moves is braked by the servo before that. A quick stop is never commanded
-//! here: the drive takes it for its own reasons (object 0x6007, an input), and is left to brake.
+//! The drive decides where it is; [`next_controlword`] alone decides what it is told. To switch on, the host climbs
+//! 2, 3, 4, one step for each statusword it sees. Switching off removes power at once from every state. The servo
+//! brakes a moving axis before. A quick stop is never commanded here: the drive takes it for its own reasons (object
+//! 0x6007, an input), and is left to brake.
 //!
-//! EPOS2 shows 0x4123 and 0x4133 while it refreshes its power stage between switched on and
-//! operation enabled; they decode as switched on, so the word to enable is just repeated.
+//! EPOS2 shows 0x4123 and 0x4133 while its power stage is refreshed between switched on and operation enabled. Both
+//! decode as switched on, so the enabling controlword is repeated.
 
 use super::{Controlword, PowerState, Statusword};
 

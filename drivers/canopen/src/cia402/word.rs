@@ -1,3 +1,5 @@
+//! Controlword and statusword of CiA 402.
+
 use std::fmt;
 
 use super::HomingStatus;

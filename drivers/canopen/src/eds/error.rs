@@ -1,6 +1,8 @@
+//! Errors of electronic data sheets.
+
 use thiserror::Error;
 
-use super::MAX_VARIABLES;
+use super::{MAX_SECTIONS, MAX_VARIABLES};
 
 /// Why a file is no electronic data sheet: the line, what is wrong there, what to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
@@ -34,7 +36,7 @@ pub enum EdsError {
         "{line}: object {index:#06x} is listed and not described; add its section or take it from the list"
     )]
     Undescribed { line: u32, index: u16 },
-    /// A count that is not that of what it counts.
+    /// The declared count differs from the number of entries.
     #[error("{line}: {key} says {said} and {found} are there; correct it")]
     Count {
         line: u32,
@@ -70,6 +72,9 @@ pub enum EdsError {
     /// More than any device has.
     #[error("{line}: more than {MAX_VARIABLES} variables; split the file")]
     TooMany { line: u32 },
+    /// More than the most variables take.
+    #[error("{line}: more than {MAX_SECTIONS} sections; split the file")]
+    TooManySections { line: u32 },
 }
 
 impl EdsError {
@@ -92,7 +97,8 @@ impl EdsError {
             | Self::Limits { line, .. }
             | Self::Access { line }
             | Self::ObjectType { line, .. }
-            | Self::TooMany { line } => line,
+            | Self::TooMany { line }
+            | Self::TooManySections { line } => line,
         }
     }
 }

@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-use super::EdsError;
+use super::{EdsError, MAX_SECTIONS};
 
 /// A section with its keys, lower-cased.
 pub(super) struct Section<'a> {
@@ -77,6 +77,9 @@ pub(super) fn sections(text: &str) -> Result<Vec<Section<'_>>, EdsError> {
                     line: number,
                     first,
                 });
+            }
+            if sections.len() == MAX_SECTIONS {
+                return Err(EdsError::TooManySections { line: number });
             }
             sections.push(Section {
                 name,

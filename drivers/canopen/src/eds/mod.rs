@@ -1,9 +1,9 @@
 //! Electronic data sheets: EDS and DCF files (CiA 306).
 //!
-//! An EDS says what objects a kind of device has; a DCF is the EDS of one device with the values it is to be given
-//! (`ParameterValue`) and where on the network it is (`[DeviceComissioning]`, the standard's spelling). [`Eds::read`]
-//! takes the bytes of either and checks them whole; [`Eds`]'s `Display` writes them so that this reader and
-//! others read the same. What a DCF asks to be written to its device is in [`crate::dcf`].
+//! An EDS lists the objects of a kind of device. A DCF is the EDS of one device with the values for that device
+//! (`ParameterValue`) and its place on the network (`DeviceComissioning`, the standard's spelling). [`Eds::read`]
+//! takes the bytes of either and checks them whole; [`Eds`]'s `Display` writes them so that this reader and others
+//! read the same. What a DCF asks to be written to its device is in [`crate::dcf`].
 //!
 //! It reads: any case of names and keys, `\n` and `\r\n`, UTF-8 and ISO 8859-1, comments behind `;`, empty values (as if the
 //! key were not there), `$NODEID`, `CompactSubObj` with its `[1003Name]` and `[1003Value]`. Passed over, since no
@@ -25,6 +25,9 @@ pub use value::Value;
 
 /// The most variables that a file may describe; a device has some thousands.
 pub const MAX_VARIABLES: usize = 100_000;
+
+/// Most sections of a file: one for each of so many variables, and more for what is no variable.
+pub const MAX_SECTIONS: usize = 110_000;
 
 /// One EDS or DCF.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -375,9 +378,9 @@ impl Eds {
         })
     }
 
-    /// What object 0x1018 of the device says, by sub-index (1 vendor, 2 product, 3 revision), as far as the file states
-    /// it: its parameter value there, else its default, else `[DeviceInfo]`. 0 states nothing, as in object 0x1F85 of a master
-    /// (CiA 302).
+    /// Identity of the device (object 0x1018) by sub-index: 1 vendor, 2 product, 3 revision. The parameter value of
+    /// the file comes first, then its default, then `DeviceInfo`. The value 0 states nothing, as in object 0x1F85 of
+    /// a master (CiA 302).
     pub fn identity(&self, subindex: u8) -> Option<u32> {
         let variable = self.variable(Object::new(0x1018, subindex));
         let stated = variable.and_then(|variable| match &variable.parameter {

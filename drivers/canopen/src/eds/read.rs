@@ -1,3 +1,5 @@
+//! Reads an electronic data sheet.
+
 use std::collections::BTreeMap;
 
 use super::ini::{self, Section, Text};
@@ -156,7 +158,7 @@ impl Section<'_> {
         Ok(self.number::<u32>(key, u32::MAX.into())?.unwrap_or(0) != 0)
     }
 
-    /// Whether a count at `key` is that of what it counts.
+    /// Checks that the count at `key` equals the number of entries.
     fn count(&self, key: &'static str, found: usize) -> Result<(), EdsError> {
         let Some(value) = self.get(key) else {
             return Ok(());
@@ -391,8 +393,8 @@ fn compact_variable(eds: &mut Eds, index: u16, subindex: u8) -> &mut Variable {
     variable.expect("every sub-index of a compact array was made with it")
 }
 
-/// The indices of a list of objects, each with its line. `SupportedObjects` counts them, and is off by one in vendors' files that
-/// every tool reads; nothing depends on it.
+/// The indices of a list of objects, each with its line. `SupportedObjects` is their count. Files of vendors that
+/// every tool reads are off by one, and nothing depends on the count.
 fn listed(section: &Section<'_>) -> Result<Vec<(u32, u16)>, EdsError> {
     let index = |text: Text<'_>| Ok((text.line, unsigned(text, u16::MAX.into())?));
     section.numbered().map(|(_, text)| index(text)).collect()

@@ -1,3 +1,5 @@
+//! Values of objects in electronic data sheets.
+
 use std::fmt;
 
 use super::ini::Text;

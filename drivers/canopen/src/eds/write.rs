@@ -1,3 +1,5 @@
+//! Writes an electronic data sheet.
+
 use std::fmt::{self, Display, Formatter};
 
 use super::ini::uncommented;
@@ -6,8 +8,8 @@ use super::{
     ParameterValue, Variable,
 };
 
-/// The file, without empty values, which some readers refuse. Of texts that a line cannot hold only what it can is written:
-/// control characters become blanks, and what would read as a comment ends the text.
+/// The file, without empty values, which some readers refuse. Texts are reduced to what a line can hold: control
+/// characters become blanks, and a comment character ends the text.
 impl Display for Eds {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         self.file.write(f)?;

@@ -1,3 +1,5 @@
+//! Frames of the layer setting services (CiA 305).
+
 use std::fmt;
 
 use can::Frame;

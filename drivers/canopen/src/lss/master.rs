@@ -1,3 +1,5 @@
+//! LSS master (CiA 305).
+
 use std::fmt;
 use std::time::Duration;
 
@@ -29,13 +31,15 @@ pub struct Master {
 enum State {
     Idle,
     /// Of fastscans, `scan` is the question asked; of `InquireIdentity`, `identity` is what was
-    /// answered before `part`; of `SwitchSelective`, `part` is the one sent last.
+    /// answered before `part`; of `SwitchSelective`, `part` is the one sent last; of `IdentifyUnconfigured`,
+    /// `scan` has been asked for once `scanning`.
     Busy {
         service: Service,
         part: Part,
         identity: Identity,
         scan: Scan,
-        /// Whether somebody answered a question that all may answer.
+        scanning: bool,
+        /// Whether any slave answered a question to all slaves.
         heard: bool,
     },
     Finished(Result<Answer, LssError>),
@@ -52,9 +56,8 @@ pub enum Service {
     ConfigureNodeId(Option<NodeId>),
     /// Give it a bit rate, for when it is activated.
     ConfigureBitTiming(BitRate),
-    /// Have all slaves in configuration mode change to their new bit rate. Not answered: done after twice
-    /// the delay, ms. Nobody may send in the meantime, and this host has to change its own bit
-    /// rate when the delay is over once.
+    /// Have all slaves in configuration mode change to their new bit rate. Not answered: done after twice the delay,
+    /// ms. No node may send during the switch. The host changes its own bit rate after the first delay.
     ActivateBitTiming {
         /// ms.
         delay_ms: u16,
@@ -65,7 +68,8 @@ pub enum Service {
     InquireIdentity,
     /// Ask it for its node-ID.
     InquireNodeId,
-    /// Ask whether any slave has no node-ID. Takes `timeout`.
+    /// Ask whether any slave has no node-ID. Takes `timeout`, and as long again if none answers: slaves that know only
+    /// fastscan answer its first question.
     IdentifyUnconfigured,
     /// Find the identity of a slave without a node-ID, the smallest if there are several, and put that
     /// slave into configuration mode. Takes 134 times `timeout`, for slaves that agree answer at different
@@ -199,6 +203,7 @@ impl Master {
             part: Part::Vendor,
             identity: Identity::default(),
             scan,
+            scanning: service == Service::Fastscan,
             heard: false,
         };
         self.timeout = timeout;
@@ -269,7 +274,10 @@ impl Master {
                 }
             }
             (Service::IdentifyUnconfigured, Response::Unconfigured)
-            | (Service::Fastscan | Service::FastscanAbove(_), Response::Identified) => {
+            | (
+                Service::IdentifyUnconfigured | Service::Fastscan | Service::FastscanAbove(_),
+                Response::Identified,
+            ) => {
                 *heard = true;
                 return;
             }
@@ -310,6 +318,7 @@ impl Master {
         let State::Busy {
             service,
             scan,
+            scanning,
             heard,
             ..
         } = &mut self.state
@@ -322,6 +331,11 @@ impl Master {
         let (service, sent) = (*service, self.request.is_none());
         let result = match service {
             Service::ActivateBitTiming { .. } if sent => Ok(Answer::Done),
+            Service::IdentifyUnconfigured if sent && !*heard && !*scanning => {
+                *scanning = true;
+                let question = scan.question();
+                return self.ask(Request::Fastscan(question), now);
+            }
             Service::IdentifyUnconfigured if sent => Ok(Answer::Unconfigured(*heard)),
             Service::Fastscan | Service::FastscanAbove(_) if sent => {
                 match scan.answered(std::mem::take(heard)) {

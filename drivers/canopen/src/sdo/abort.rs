@@ -1,3 +1,5 @@
+//! SDO abort codes (CiA 301).
+
 use std::fmt;
 
 /// Why one side ended an SDO transfer. Any value can arrive; the constants are those with a meaning

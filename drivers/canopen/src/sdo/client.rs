@@ -1,3 +1,5 @@
+//! SDO client: expedited, segmented and block transfer.
+
 use std::time::Duration;
 
 use can::{Frame, Instant};
@@ -34,18 +36,18 @@ pub const CAPACITY: usize = 256;
 /// A missing answer is met by an abort (0x0504_0000) and a fresh start, `retries` times; then
 /// the transfer fails. An abort by the server or a broken protocol fails it at once.
 ///
-/// Answers of another object, of the other direction or of another step are late ones of an
-/// earlier request and are passed over. SDO numbers no request: an answer that comes after
-/// its time-out is taken for that of the retry, or of the next equal request. Read back what matters.
+/// Answers of another object, of the other direction or of another step are late ones of an earlier request and are
+/// passed over. SDO requests carry no number: an answer after its time-out is taken for the answer to the retry, or
+/// to the next equal request. Read back what matters.
 ///
 /// [Block transfer](super::block) sends up to 127 frames for one answer. [`Client::poll_transmit`] gives them one
 /// at a time: who has a short transmit queue asks for as many as it takes, and again when it has sent them.
 /// * A server that refuses block transfer (0x0504_0001) is asked for an ordinary transfer, and so is any
 ///   server for up to 28 bytes, which that moves in no more frames.
 /// * The receiver of the data recovers what is lost: it acknowledges what came in order, after `timeout`
-///   if the end of a sub-block is missing, and the rest is sent again. As receiver, the client
-///   halves the size of its sub-blocks at each loss, for a queue on the way may be too short.
-///   `retries` sub-blocks in a row of which nothing came are borne, then the transfer starts anew as above.
+///   if the end of a sub-block is missing, and the rest is sent again. As receiver, the client halves the size of its
+///   sub-blocks at each loss, for a queue on the way may be too short. After `retries` successive sub-blocks without
+///   any segment the transfer restarts as above.
 /// * Data whose checksum is wrong fail the transfer (0x0504_0004). A server that knows no checksum is
 ///   taken at its word, but a sub-block whose end is missing then starts the transfer anew.
 #[derive(Clone, Debug)]

@@ -1,3 +1,5 @@
+//! Frames of expedited and segmented SDO transfer.
+
 use can::Frame;
 
 use super::AbortCode;

@@ -23,7 +23,7 @@ pub trait Dictionary {
     /// The size of an object in bytes; `None` where it varies or there is no such object.
     fn size(&self, object: Object) -> Option<usize>;
 
-    /// Refuses to write an object whatever its data, so that a client need not send them for nothing.
+    /// Refuses a write before its data is sent, so that the client saves the data.
     fn check_write(&self, _object: Object) -> Result<(), AbortCode> {
         Ok(())
     }
@@ -82,8 +82,8 @@ impl Server {
         self
     }
 
-    /// Takes a frame to the server of `node` and returns the answer to it, if it has one; what else there
-    /// is to send, [`Server::poll_transmit`] tells. Other frames are ignored.
+    /// Takes a frame to the server of `node` and returns the answer, if there is one. [`Server::poll_transmit`]
+    /// returns further frames. Other frames are ignored.
     pub fn handle_frame<D: Dictionary>(
         &mut self,
         frame: &Frame,

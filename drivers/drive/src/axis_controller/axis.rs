@@ -1,3 +1,5 @@
+//! One axis controller on a serial line during operation.
+
 use can::Instant;
 use serial::LineError;
 use serial::nfv2::Status;

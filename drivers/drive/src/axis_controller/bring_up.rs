@@ -1,3 +1,5 @@
+//! Bring-up of one axis controller.
+
 use std::time::Duration;
 
 use can::Instant;

@@ -1,3 +1,6 @@
+//! Configuration of a bundle of axis controllers.
+
+use std::fmt;
 use std::time::Duration;
 
 use serial::{Settings, hi_moxa, nfv2};
@@ -126,12 +129,12 @@ pub enum ConfigError {
         least: u32,
     },
     /// A quantity of an axis that is zero, negative, not finite, or beyond what the drive can hold.
-    #[error("line {line}: {what} is out of range")]
+    #[error("line {line}: {quantity} is out of range")]
     OutOfRange {
         /// Index of the axis in its group.
         line: u8,
         /// Which quantity.
-        what: &'static str,
+        quantity: Quantity,
     },
     /// A thing that only the later protocol has.
     #[error("line {line}: {what} takes protocol nfv2; hi_moxa has pulse widths only")]
@@ -141,6 +144,36 @@ pub enum ConfigError {
         /// Which thing.
         what: &'static str,
     },
+}
+
+/// A quantity of an axis that its drive or its gate has bounds for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Quantity {
+    /// [`AxisConfig::address`].
+    Address,
+    /// [`AxisConfig::torque_constant`].
+    TorqueConstant,
+    /// [`AxisConfig::max_current`].
+    MaxCurrent,
+    /// [`AxisConfig::max_velocity`]: a count to half of the counter per period.
+    MaxVelocity,
+    /// [`AxisConfig::max_acceleration`].
+    MaxAcceleration,
+    /// [`AxisConfig::current_gains`].
+    CurrentGains,
+}
+
+impl fmt::Display for Quantity {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Address => "address",
+            Self::TorqueConstant => "torque constant",
+            Self::MaxCurrent => "greatest current",
+            Self::MaxVelocity => "greatest velocity",
+            Self::MaxAcceleration => "greatest acceleration",
+            Self::CurrentGains => "current gain",
+        })
+    }
 }
 
 impl Protocol {
@@ -192,39 +225,38 @@ impl CurrentGains {
     }
 }
 
-/// Refuses what cannot work before a byte is sent.
-pub(super) fn check(
-    config: &GroupConfig,
-    axes: &[AxisConfig],
-    lines: usize,
-) -> Result<(), ConfigError> {
-    if !(1..=usize::from(u8::MAX)).contains(&axes.len()) {
-        return Err(ConfigError::Axes(axes.len()));
-    }
-    if axes.len() != lines {
-        let axes = axes.len();
-        return Err(ConfigError::Lines { axes, lines });
-    }
-    let exchange = config.settings.line_time(config.protocol.exchange());
-    if exchange >= config.period {
-        let period = config.period;
-        return Err(ConfigError::Period { period, exchange });
-    }
-    for (what, value) in [
-        (
-            "the number of tolerated missing answers",
-            config.tolerated_missing,
-        ),
-        ("the number of attempts", u32::from(config.attempts)),
-    ] {
-        if value == 0 {
-            return Err(ConfigError::TooSmall { what, least: 1 });
+impl GroupConfig {
+    /// Refuses what cannot work before a byte is sent: all that
+    /// [`AxisControllerGroup::new`](super::AxisControllerGroup::new) refuses.
+    pub fn check(&self, axes: &[AxisConfig], lines: usize) -> Result<(), ConfigError> {
+        if !(1..=usize::from(u8::MAX)).contains(&axes.len()) {
+            return Err(ConfigError::Axes(axes.len()));
         }
+        if axes.len() != lines {
+            let axes = axes.len();
+            return Err(ConfigError::Lines { axes, lines });
+        }
+        let exchange = self.settings.line_time(self.protocol.exchange());
+        if exchange >= self.period {
+            let period = self.period;
+            return Err(ConfigError::Period { period, exchange });
+        }
+        for (what, value) in [
+            (
+                "the number of tolerated missing answers",
+                self.tolerated_missing,
+            ),
+            ("the number of attempts", u32::from(self.attempts)),
+        ] {
+            if value == 0 {
+                return Err(ConfigError::TooSmall { what, least: 1 });
+            }
+        }
+        for (line, axis) in (0..).zip(axes) {
+            check_axis(self, axis, line)?;
+        }
+        Ok(())
     }
-    for (line, axis) in (0..).zip(axes) {
-        check_axis(config, axis, line)?;
-    }
-    Ok(())
 }
 
 fn check_axis(config: &GroupConfig, axis: &AxisConfig, line: u8) -> Result<(), ConfigError> {
@@ -240,25 +272,25 @@ fn check_axis(config: &GroupConfig, axis: &AxisConfig, line: u8) -> Result<(), C
     let reach = axis.max_velocity * config.period.as_secs_f64();
     let counts = |distance: f64| distance * axis.scale.increments_per_radian().abs();
     let gains = axis.current_gains.map(CurrentGains::raw);
-    for (what, right) in [
+    for (quantity, right) in [
         (
-            "address",
+            Quantity::Address,
             config.protocol == Protocol::HiMoxa || axis.address < nfv2::MASTER,
         ),
-        ("torque constant", positive(axis.torque_constant)),
+        (Quantity::TorqueConstant, positive(axis.torque_constant)),
         (
-            "greatest current",
+            Quantity::MaxCurrent,
             axis.max_current > 0.0 && axis.limit().is_some(),
         ),
         (
-            "greatest velocity",
+            Quantity::MaxVelocity,
             positive(axis.max_velocity) && (1.0..FARTHEST).contains(&counts(reach)),
         ),
-        ("greatest acceleration", positive(axis.max_acceleration)),
-        ("current gain", gains != Some(None)),
+        (Quantity::MaxAcceleration, positive(axis.max_acceleration)),
+        (Quantity::CurrentGains, gains != Some(None)),
     ] {
         if !right {
-            return Err(ConfigError::OutOfRange { line, what });
+            return Err(ConfigError::OutOfRange { line, quantity });
         }
     }
     Ok(())

@@ -1,3 +1,5 @@
+//! Faults and errors of axis controllers.
+
 use std::time::Duration;
 
 use serial::LineError;

@@ -1,3 +1,5 @@
+//! Plausibility check of measured positions.
+
 use can::Instant;
 use serial::nfv2::Status;
 

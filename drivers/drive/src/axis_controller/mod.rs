@@ -67,7 +67,7 @@ use serial::{Line, LineCounters, LineError};
 
 pub use serial::{Settings, StopBits};
 
-pub use config::{AxisConfig, ConfigError, Control, CurrentGains, GroupConfig, Protocol};
+pub use config::{AxisConfig, ConfigError, Control, CurrentGains, GroupConfig, Protocol, Quantity};
 pub use fault::{AxisControllerError, AxisControllerFault};
 
 #[cfg(doc)]
@@ -135,7 +135,7 @@ impl<L: Line> AxisControllerGroup<L> {
         config: GroupConfig,
         axes: &[AxisConfig],
     ) -> Result<Self, ConfigError> {
-        config::check(&config, axes, lines.len())?;
+        config.check(axes, lines.len())?;
         let controllers = lines.into_iter().zip(axes).zip(0..);
         let controllers = controllers.map(|((line, config_of_axis), index)| {
             let axis = Axis::new(&config, config_of_axis, index);

@@ -1,3 +1,5 @@
+//! Requests and answers of both protocols as one stream.
+
 use serial::hi_moxa::{self, Flags};
 use serial::nfv2::{self, Answer as Item, Frame, Status};
 

@@ -1,3 +1,5 @@
+//! Telegrams of both protocols, by what they ask for.
+
 use serial::hi_moxa;
 use serial::hi_moxa::{DriverMode, Parameter, Request};
 use serial::nfv2::{Command, FrameBuilder, Gains, Mode};

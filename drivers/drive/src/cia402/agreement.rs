@@ -1,3 +1,5 @@
+//! Agreement of a drive's own scale and rated torque with the cell.
+
 use std::f64::consts::TAU;
 
 use canopen::Object;

@@ -1,3 +1,5 @@
+//! One drive during operation.
+
 use std::time::Duration;
 
 use can::{Frame, Instant};
@@ -7,12 +9,13 @@ use canopen::{NodeId, Object, nmt};
 
 use super::config::{AxisConfig, CyclicMode, GroupConfig};
 use super::homing::Search;
+use super::measurement::Measurement;
 use super::mode::{ModeRequest, ModeSwitch};
 use super::process_data::{self, Answer};
-use super::program::MAXON;
 use super::service::Service;
+use super::setup::Setup;
 use super::target::Target;
-use crate::{AxisCommand, AxisState, Fault, Increments, Permille, Power, Refusal, Scale};
+use crate::{AxisCommand, AxisState, Fault, Increments, Permille, Power, Refusal};
 
 /// Answers until a word handed over in some cycle surely shows: it is latched at the next SYNC, acts
 /// after that, is sampled at the one after and read in the cycle that follows.
@@ -30,8 +33,7 @@ pub(super) struct Axis {
 
     state: AxisState,
     statusword: Statusword,
-    /// When the SYNC was sent that sampled `state`.
-    sampled: Option<Instant>,
+    measurement: Measurement,
     /// The last SYNC was answered.
     answered: bool,
     /// Cycles in a row whose set-point the port did not take.
@@ -55,29 +57,6 @@ pub(super) struct Axis {
     /// Whether the last cycle's target was one to hold on to.
     held: bool,
     target: Target,
-}
-
-/// What does not change while the group lives.
-#[derive(Clone, Copy, Debug)]
-struct Setup {
-    node: NodeId,
-    mode: CyclicMode,
-    scale: Scale,
-    rated_torque: f64,
-    search_speed: f64,
-    /// Bit 15 of the statusword says that the drive has its reference; it is the vendor's to use.
-    tells_reference: bool,
-    tolerated_missing: u32,
-    heartbeat_lost_after: Duration,
-    transition_timeout: Duration,
-}
-
-impl Setup {
-    /// A statusword without what only maxon means by it.
-    fn homing_word(&self, word: Statusword) -> Statusword {
-        let told = self.tells_reference && word.epos_referenced();
-        word.with(Statusword::EPOS_REFERENCED, told)
-    }
 }
 
 /// What the drive is led to.
@@ -105,17 +84,7 @@ pub(super) struct Learnt {
 
 impl Axis {
     pub(super) fn new(group: &GroupConfig, axis: &AxisConfig) -> Self {
-        let setup = Setup {
-            node: axis.node,
-            mode: axis.mode,
-            scale: axis.scale,
-            rated_torque: axis.rated_torque,
-            search_speed: axis.homing.search_speed,
-            tells_reference: axis.identity.vendor == MAXON,
-            tolerated_missing: group.tolerated_missing,
-            heartbeat_lost_after: group.heartbeat_lost_after(),
-            transition_timeout: group.transition_timeout,
-        };
+        let setup = Setup::of(group, axis);
         Self::started(setup, Instant::ZERO, Learnt::default())
     }
 
@@ -130,12 +99,10 @@ impl Axis {
             setup,
             state: AxisState {
                 at: now,
-                increments: learnt.position,
-                position: setup.scale.position(learnt.position),
                 ..AxisState::default()
             },
             statusword: learnt.statusword,
-            sampled: None,
+            measurement: Measurement::new(setup.scale, learnt.position),
             answered: false,
             not_sent: 0,
             error_code: learnt.error_code,
@@ -153,6 +120,7 @@ impl Axis {
             held: false,
             target: Target::default(),
         };
+        axis.measurement.tell(&mut axis.state);
         axis.search.answered(setup.homing_word(learnt.statusword));
         axis.judge_power(PowerState::NotReadyToSwitchOn);
         axis
@@ -160,6 +128,16 @@ impl Axis {
 
     pub(super) fn node(&self) -> NodeId {
         self.setup.node
+    }
+
+    pub(super) fn fault(&self) -> Option<Fault> {
+        self.state.fault
+    }
+
+    /// A fault of the drive itself.
+    pub(super) fn drive_fault(&self, code: u16) -> Fault {
+        let node = self.setup.node.raw();
+        Fault::Drive { node, code }
     }
 
     /// The answer to the last SYNC is here. Without it a cycle misses one, whatever older answers it reads:
@@ -175,40 +153,17 @@ impl Axis {
         self.statusword = answer.statusword;
         self.search
             .answered(self.setup.homing_word(answer.statusword));
-        self.measure(answer.position, sampled);
+        let search = self.search.needs_homing_mode();
+        let search_speed = search.then_some(self.setup.search_speed);
+        self.measurement
+            .take(answer.position, sampled, search_speed);
+        self.measurement.tell(&mut self.state);
         self.state.at = at;
         self.state.torque = self
             .setup
             .scale
             .torque(answer.torque, self.setup.rated_torque);
         self.judge_power(before);
-    }
-
-    /// Velocity is the difference of two sampled positions over the time between the SYNCs that sampled
-    /// them as they were sent, which is longer than a period where an answer or a cycle was missed.
-    /// Its resolution is one increment a period.
-    fn measure(&mut self, position: Increments, sampled: Instant) {
-        let dt = self
-            .sampled
-            .map_or(0.0, |before| sampled.since(before).as_secs_f64());
-        if dt > 0.0 {
-            let moved = f64::from(position.0.wrapping_sub(self.state.increments.0))
-                / self.setup.scale.increments_per_radian();
-            // A search sets the counter anew; a step that no search could move is that, and no motion.
-            let recounted = self.search.needs_homing_mode()
-                && moved.abs()
-                    > 4.0 * self.setup.search_speed * dt + 2.0 / self.counts_per_radian();
-            if !recounted {
-                self.state.velocity = moved / dt;
-            }
-        }
-        self.sampled = Some(sampled);
-        self.state.increments = position;
-        self.state.position = self.setup.scale.position(position);
-    }
-
-    fn counts_per_radian(&self) -> f64 {
-        self.setup.scale.increments_per_radian().abs()
     }
 
     fn judge_power(&mut self, before: PowerState) {
@@ -218,10 +173,7 @@ impl Axis {
             && self.answers > ANSWERS_TO_EFFECT;
         match self.statusword.power_state() {
             PowerState::FaultReactionActive | PowerState::Fault => {
-                self.latch(Fault::Drive {
-                    node,
-                    code: self.error_code,
-                });
+                self.latch(self.drive_fault(self.error_code));
             }
             PowerState::OperationEnabled => {}
             PowerState::NotReadyToSwitchOn
@@ -232,10 +184,7 @@ impl Axis {
             | PowerState::Unknown => {
                 // A reaction to lost communication ends without the fault state, and yet has a code.
                 if dropped && self.error_code != 0 {
-                    self.latch(Fault::Drive {
-                        node,
-                        code: self.error_code,
-                    });
+                    self.latch(self.drive_fault(self.error_code));
                 } else if dropped {
                     self.latch(Fault::PowerLost {
                         node,
@@ -253,6 +202,20 @@ impl Axis {
         if state == nmt::State::Initialising {
             self.booted = true;
             self.search.forget();
+        }
+    }
+
+    /// Takes the mode of operation that the drive shows by itself. Frames come in the order in which they were sent, so
+    /// that one behind the answer that showed a mode is no older than that.
+    pub(super) fn shows(&mut self, found: ModeOfOperation) {
+        let settled = self.modes.settled_in().filter(|_| !self.telling);
+        if let Some(expected) = settled.filter(|expected| *expected != found) {
+            self.modes.overruled(found);
+            self.latch(Fault::ModeChanged {
+                node: self.setup.node.raw(),
+                expected,
+                found,
+            });
         }
     }
 
@@ -548,13 +511,12 @@ impl Axis {
         if !self.operational || self.booted || self.unserved {
             return None;
         }
-        if self.state.fault
-            == Some(Fault::Drive {
-                node: self.setup.node.raw(),
-                code: 0,
-            })
-        {
+        if self.state.fault == Some(self.drive_fault(0)) {
             return Some(Service::ErrorCode);
+        }
+        // While its quick stop brakes it, a drive in a foreign mode stays there.
+        if matches!(self.state.fault, Some(Fault::ModeChanged { .. })) {
+            return None;
         }
         let request = self.modes.next(self.wanted_mode())?;
         self.telling = matches!(request, ModeRequest::Tell(_));

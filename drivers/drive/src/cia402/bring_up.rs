@@ -1,3 +1,5 @@
+//! Bring-up of one CiA 402 drive.
+
 use can::Instant;
 use canopen::cia402::{PowerState, Statusword, SupportedModes};
 use canopen::objects::{DEVICE_TYPE, MODE_OF_OPERATION_DISPLAY};

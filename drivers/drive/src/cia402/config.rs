@@ -1,11 +1,14 @@
+//! What a drive group and its axes are configured to, and what is refused before a frame is sent.
+
+use std::fmt;
 use std::time::Duration;
 
 use canopen::cia402::ModeOfOperation;
-use canopen::objects::CONTROLWORD;
 use canopen::sdo::CAPACITY;
 use canopen::{NodeId, Object};
 use thiserror::Error;
 
+use super::reserved::reserved;
 use crate::Scale;
 use crate::scale::rpm_magnitude;
 
@@ -54,11 +57,11 @@ pub struct AxisConfig {
     pub following_error: f64,
     /// Deceleration of a quick stop, rad/s² (object 0x6085).
     pub quick_stop_deceleration: f64,
-    /// What its device configuration file states, in order, before all that this driver sets itself and before
-    /// `parameters`: those win.
+    /// The objects of its device configuration file, in order, downloaded before `parameters`. None of them may be
+    /// [`reserved`](super::reserved).
     pub configuration: Vec<Setting>,
-    /// Further objects to download, in order, after all that this driver sets itself but the PDOs and the mode of
-    /// operation.
+    /// Further objects to download, in order, before all that this driver sets itself. None of them may be
+    /// [`reserved`](super::reserved).
     pub parameters: Vec<Parameter>,
 }
 
@@ -134,21 +137,11 @@ impl Setting {
     pub(super) fn object(&self) -> Object {
         Object::new(self.index, self.subindex)
     }
+}
 
-    fn check(&self, node: NodeId) -> Result<(), ConfigError> {
-        let why = if self.object() == CONTROLWORD {
-            "the controlword commands the drive"
-        } else if self.data.len() > CAPACITY {
-            "256 bytes at most are transferred"
-        } else {
-            return Ok(());
-        };
-        Err(ConfigError::Setting {
-            node: node.raw(),
-            index: self.index,
-            subindex: self.subindex,
-            why,
-        })
+impl Parameter {
+    pub(super) fn object(&self) -> Object {
+        Object::new(self.index, self.subindex)
     }
 }
 
@@ -180,13 +173,46 @@ pub enum ConfigError {
         why: &'static str,
     },
     /// A quantity of an axis that is zero, negative, not finite, or beyond what the drive can hold.
-    #[error("node {node}: {what} is out of range")]
+    #[error("node {node}: {quantity} is out of range")]
     OutOfRange {
         /// Node-ID.
         node: u8,
         /// Which quantity.
-        what: &'static str,
+        quantity: Quantity,
     },
+}
+
+/// A quantity of an axis that its drive has in a unit and a number of bits of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Quantity {
+    /// [`AxisConfig::rated_torque`].
+    RatedTorque,
+    /// [`Parameter::size`].
+    ParameterSize,
+    /// [`AxisConfig::following_error`].
+    FollowingError,
+    /// [`AxisConfig::quick_stop_deceleration`].
+    QuickStopDeceleration,
+    /// [`HomingConfig::search_speed`].
+    SearchSpeed,
+    /// [`HomingConfig::zero_speed`].
+    ZeroSpeed,
+    /// [`HomingConfig::acceleration`].
+    HomingAcceleration,
+}
+
+impl fmt::Display for Quantity {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::RatedTorque => "rated torque",
+            Self::ParameterSize => "parameter size",
+            Self::FollowingError => "following error",
+            Self::QuickStopDeceleration => "quick stop deceleration",
+            Self::SearchSpeed => "homing search speed",
+            Self::ZeroSpeed => "homing zero speed",
+            Self::HomingAcceleration => "homing acceleration",
+        })
+    }
 }
 
 impl CyclicMode {
@@ -224,6 +250,12 @@ impl GroupConfig {
         }
     }
 
+    /// How long the bus is listened to before the first frame is sent: three periods of the heartbeat and of SYNC. A
+    /// controller that is silent for that long has lost its drives, which have stopped by themselves.
+    pub fn listening(&self) -> Duration {
+        self.heartbeat_period.max(self.period) * HEARTBEATS_TO_LOSE
+    }
+
     /// How long a heartbeat may stay away.
     pub(super) fn heartbeat_lost_after(&self) -> Duration {
         self.heartbeat_period * HEARTBEATS_TO_LOSE
@@ -246,69 +278,84 @@ pub(super) struct DriveUnits {
 }
 
 impl AxisConfig {
+    /// Refuses what cannot or must not be written by a setting or a parameter.
+    fn check_writes(&self) -> Result<(), ConfigError> {
+        let refusal = |object: Object, why| ConfigError::Setting {
+            node: self.node.raw(),
+            index: object.index,
+            subindex: object.subindex,
+            why,
+        };
+        let settings = self.configuration.iter().map(Setting::object);
+        let mut objects = settings.chain(self.parameters.iter().map(Parameter::object));
+        if let Some(error) = objects.find_map(|object| {
+            let found = reserved(self.identity.vendor, object.index, object.subindex)?;
+            Some(refusal(object, found.why()))
+        }) {
+            return Err(error);
+        }
+        let mut settings = self.configuration.iter();
+        match settings.find(|setting| setting.data.len() > CAPACITY) {
+            Some(long) => Err(refusal(long.object(), "256 bytes at most are transferred")),
+            None => Ok(()),
+        }
+    }
+
     pub(super) fn drive_units(&self) -> Result<DriveUnits, ConfigError> {
-        let positive = |what, value: Option<u32>| match value {
-            Some(value @ 1..) => Ok(value),
-            _ => Err(ConfigError::OutOfRange {
-                node: self.node.raw(),
-                what,
-            }),
+        let out_of_range = |quantity| ConfigError::OutOfRange {
+            node: self.node.raw(),
+            quantity,
+        };
+        let positive = |quantity, value: Option<u32>| {
+            let value = value.filter(|value| *value > 0);
+            value.ok_or(out_of_range(quantity))
         };
         if !(self.rated_torque > 0.0 && self.rated_torque.is_finite()) {
-            return Err(ConfigError::OutOfRange {
-                node: self.node.raw(),
-                what: "rated torque",
-            });
+            return Err(out_of_range(Quantity::RatedTorque));
         }
-        if self
-            .parameters
-            .iter()
-            .any(|parameter| !matches!(parameter.size, 1 | 2 | 4))
-        {
-            return Err(ConfigError::OutOfRange {
-                node: self.node.raw(),
-                what: "parameter size",
-            });
+        let possible = |parameter: &Parameter| matches!(parameter.size, 1 | 2 | 4);
+        if !self.parameters.iter().all(possible) {
+            return Err(out_of_range(Quantity::ParameterSize));
         }
         let homing = &self.homing;
         Ok(DriveUnits {
             following_error: positive(
-                "following error",
+                Quantity::FollowingError,
                 self.scale.distance(self.following_error),
             )?,
             quick_stop_deceleration: positive(
-                "quick stop deceleration",
+                Quantity::QuickStopDeceleration,
                 rpm_magnitude(self.quick_stop_deceleration),
             )?,
-            search_speed: positive("homing search speed", rpm_magnitude(homing.search_speed))?,
-            zero_speed: positive("homing zero speed", rpm_magnitude(homing.zero_speed))?,
+            search_speed: positive(Quantity::SearchSpeed, rpm_magnitude(homing.search_speed))?,
+            zero_speed: positive(Quantity::ZeroSpeed, rpm_magnitude(homing.zero_speed))?,
             homing_acceleration: positive(
-                "homing acceleration",
+                Quantity::HomingAcceleration,
                 rpm_magnitude(homing.acceleration),
             )?,
         })
     }
 }
 
-/// Refuses what cannot work before a frame is sent.
-pub(super) fn check(config: &GroupConfig, axes: &[AxisConfig]) -> Result<(), ConfigError> {
-    if !(1..=126).contains(&axes.len()) {
-        return Err(ConfigError::Axes(axes.len()));
-    }
-    for (i, axis) in axes.iter().enumerate() {
-        let earlier = axes[..i].iter().map(|axis| axis.node);
-        if earlier
-            .chain([config.host_node])
-            .any(|node| node == axis.node)
-        {
-            return Err(ConfigError::DuplicateNode(axis.node.raw()));
+impl GroupConfig {
+    /// Refuses what cannot work before a frame is sent: all that [`Cia402Group::new`](super::Cia402Group::new) refuses.
+    pub fn check(&self, axes: &[AxisConfig]) -> Result<(), ConfigError> {
+        if !(1..=126).contains(&axes.len()) {
+            return Err(ConfigError::Axes(axes.len()));
         }
-        axis.drive_units()?;
-        axis.configuration
-            .iter()
-            .try_for_each(|setting| setting.check(axis.node))?;
+        for (i, axis) in axes.iter().enumerate() {
+            let earlier = axes[..i].iter().map(|axis| axis.node);
+            if earlier
+                .chain([self.host_node])
+                .any(|node| node == axis.node)
+            {
+                return Err(ConfigError::DuplicateNode(axis.node.raw()));
+            }
+            axis.drive_units()?;
+            axis.check_writes()?;
+        }
+        self.interpolation_period()?;
+        self.heartbeat_times()?;
+        Ok(())
     }
-    config.interpolation_period()?;
-    config.heartbeat_times()?;
-    Ok(())
 }

@@ -1,3 +1,5 @@
+//! Homing of one CiA 402 drive.
+
 use canopen::cia402::{Controlword, HomingStatus, Statusword};
 
 use super::axis::ANSWERS_TO_EFFECT;

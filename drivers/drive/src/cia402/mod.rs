@@ -5,6 +5,12 @@
 //! statuswords. What a drive does when it loses *us* is set and read back at bring-up: three host
 //! heartbeats missing, and it brakes by its quick stop and holds.
 //!
+//! TPDO 2 brings the mode of operation when it changes: a change that the group did not command is a fault. A drive
+//! sends nothing on TPDO 2 as a rule, so that the watch costs no bus load.
+//!
+//! Before its first frame the group listens ([`GroupConfig::listening`]). A frame that only a controller sends, from
+//! another, refuses the start; in operation such a frame is a fault of every axis ([`Sign`]).
+//!
 //! # What each command means
 //! - [`Off`](AxisCommand::Off) takes the voltage away, also from a moving axis; who wants it
 //!   braked brakes it before.
@@ -23,12 +29,13 @@
 //!
 //! No set-point is clamped, queued or sent twice.
 //!
-//! # Who has the last word on an object
-//! [`AxisConfig::configuration`] is written first. Then this driver sets heartbeats (0x1016:01, 0x1017), reactions (0x1029:01,
-//! 0x6007, 0x605A, 0x6085), the interpolation period (0x60C2), the following error window (0x6065), homing (0x6098, 0x6099,
-//! 0x609A, 0x607C and maxon's 0x30B0, 0x30B1); then [`AxisConfig::parameters`] are written; and last this driver maps
-//! RPDO 1 and TPDO 1, switches the others off, and sets the mode of operation (0x6060). The controlword (0x6040) cannot be
-//! configured.
+//! # Who writes an object
+//! [`AxisConfig::configuration`] is written first, then [`AxisConfig::parameters`]. Neither may hold an object that is
+//! [`reserved`]: those belong to this driver, which writes and reads back its own part of them last, before operation:
+//! heartbeats (0x1016:01, 0x1017), reactions (0x1029:01, 0x6007, 0x605A, 0x6085), the interpolation period (0x60C2), the
+//! following error window (0x6065), homing (0x6098, 0x6099, 0x609A, 0x607C and maxon's 0x30B0, 0x30B1), offsets (0x60B0 to
+//! 0x60B2), process data and the mode of operation (0x6060). Of the PDOs, RPDO 1, TPDO 1 and TPDO 2 are mapped and the
+//! others switched off.
 //!
 //! Left out: profile modes, interpolated position (EPOS2), several axes behind one node-ID. Read
 //! [`DriveGroup`] first, then `axis`, `bring_up` and `program`.
@@ -38,11 +45,15 @@ mod axis;
 mod bring_up;
 mod config;
 mod homing;
+mod measurement;
 mod mode;
+mod other_controller;
 mod process_data;
 mod program;
 mod recording;
+mod reserved;
 mod service;
+mod setup;
 mod target;
 mod traffic;
 
@@ -62,15 +73,20 @@ use canopen::{cob, nmt};
 
 pub use canopen::NodeId;
 pub use config::{
-    AxisConfig, ConfigError, CyclicMode, GroupConfig, HomingConfig, Identity, Parameter, Setting,
+    AxisConfig, ConfigError, CyclicMode, GroupConfig, HomingConfig, Identity, Parameter, Quantity,
+    Setting,
 };
+pub use other_controller::Sign;
 pub use process_data::pdo_setups;
 pub use recording::Recording;
+pub use reserved::{Reserved, reserved};
 pub use traffic::Traffic;
 
 #[cfg(doc)]
 use crate::Power;
-use crate::{AxisCommand, AxisState, BringUpError, DriveGroup, Fault, GroupCounters};
+use crate::{
+    AxisCommand, AxisState, BringUpError, DriveGroup, Fault, GroupCounters, Warning, Warnings,
+};
 use axis::Axis;
 use bring_up::NodeBringUp;
 use process_data::Answer;
@@ -102,6 +118,9 @@ pub struct Cia402Group<P: Port> {
     syncs: Syncs,
     heartbeat_due: Instant,
     counters: GroupCounters,
+    warnings: Warnings,
+    /// When bring-up was ready.
+    up_since: Instant,
 }
 
 /// One drive: how it is brought up, how it runs, and the client both use.
@@ -111,11 +130,17 @@ struct Node {
     sdo: Client,
     service: Option<Service>,
     setpoint: Option<Target>,
+    /// That of the last cycle.
+    fault: Option<Fault>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stage {
     Down,
+    /// Nothing is sent; another controller would be heard.
+    Listening {
+        until: Instant,
+    },
     Configuring,
     Starting,
     Up,
@@ -154,7 +179,7 @@ impl Syncs {
 impl<P: Port> Cia402Group<P> {
     /// A group that has sent nothing yet; states and commands come in the order of `axes`.
     pub fn new(port: P, config: GroupConfig, axes: &[AxisConfig]) -> Result<Self, ConfigError> {
-        config::check(&config, axes)?;
+        config.check(axes)?;
         let mut index = [None; 128];
         let mut nodes = Vec::with_capacity(axes.len());
         for (i, axis) in axes.iter().enumerate() {
@@ -168,6 +193,7 @@ impl<P: Port> Cia402Group<P> {
                 sdo,
                 service: None,
                 setpoint: None,
+                fault: None,
             });
         }
         let nothing = Received {
@@ -188,6 +214,8 @@ impl<P: Port> Cia402Group<P> {
             syncs: Syncs::default(),
             heartbeat_due: Instant::ZERO,
             counters: GroupCounters::default(),
+            warnings: Warnings::with_room(),
+            up_since: Instant::ZERO,
         })
     }
 
@@ -201,8 +229,18 @@ impl<P: Port> Cia402Group<P> {
         self.nodes.get_mut(usize::from(index))
     }
 
+    /// What `frame` says of another controller.
+    fn sign(&self, frame: &Frame) -> Option<Sign> {
+        let is_ours = |node: NodeId| self.index[usize::from(node.raw())].is_some();
+        Sign::of(frame, self.config.host_node, is_ours)
+    }
+
     /// Takes one frame during operation; `None` if it was not understood or not expected.
     fn take(&mut self, Received { frame, at }: Received, now: Instant) -> Option<()> {
+        if let Some(sign) = self.sign(&frame) {
+            self.latch_all(Fault::OtherController { sign });
+            return Some(());
+        }
         match cob::Function::of(frame.standard_data_id()?)? {
             cob::Function::Tpdo(PdoNumber::One, node) => {
                 let answer = Answer::decode(frame.data())?;
@@ -223,9 +261,30 @@ impl<P: Port> Cia402Group<P> {
                 self.node(node)?.axis.heard(state, at);
             }
             cob::Function::Emcy(node) => {
-                self.node(node)?.axis.emergency(&Emergency::decode(&frame)?);
+                let emergency = Emergency::decode(&frame)?;
+                let axis = &mut self.node(node)?.axis;
+                axis.emergency(&emergency);
+                // The one that explains a fault may come before the statusword that shows the fault.
+                if !emergency.is_reset() && axis.fault() != Some(axis.drive_fault(emergency.code)) {
+                    self.warnings.add(Warning {
+                        after: at.since(self.up_since),
+                        node: node.raw(),
+                        code: emergency.code,
+                        register: emergency.error_register.0,
+                        count: 1,
+                    });
+                }
             }
-            cob::Function::SdoResponse(node) => self.node(node)?.sdo.handle(&frame, now),
+            cob::Function::Tpdo(PdoNumber::Two, node) => {
+                let mode = process_data::mode_shown(frame.data())?;
+                self.node(node)?.axis.shows(mode);
+            }
+            cob::Function::SdoResponse(node) => {
+                let node = self.node(node)?;
+                node.sdo.handle(&frame, now);
+                // Before the frames behind it.
+                node.finish_service(now);
+            }
             cob::Function::Nmt
             | cob::Function::Sync
             | cob::Function::Time
@@ -261,19 +320,35 @@ impl<P: Port> Cia402Group<P> {
         self.batch.extend(nodes);
     }
 
+    /// Ends the listening: whatever the nodes were told before is to be forgotten.
+    fn begin(&mut self, now: Instant) {
+        self.stage = Stage::Configuring;
+        self.batch.clear();
+        self.service = None;
+        for node in &mut self.nodes {
+            node.bring_up.reset(now);
+            node.sdo = node.bring_up.client();
+            node.service = None;
+        }
+        self.order(nmt::Command::ResetCommunication);
+    }
+
     fn advance_bring_up(&mut self, now: Instant) -> Result<bool, BringUpError> {
         if matches!(self.stage, Stage::Down | Stage::Up) {
-            self.stage = Stage::Configuring;
-            self.batch.clear();
-            self.service = None;
-            for node in &mut self.nodes {
-                node.bring_up.reset(now);
-                node.sdo = node.bring_up.client();
-                node.service = None;
-            }
-            self.order(nmt::Command::ResetCommunication);
+            let until = now + self.config.listening();
+            self.stage = Stage::Listening { until };
         }
         let count = self.port.receive(now, &mut self.received)?;
+        let mut heard = self.received[..count].iter();
+        if let Some(sign) = heard.find_map(|received| self.sign(&received.frame)) {
+            return Err(BringUpError::OtherController { sign });
+        }
+        if let Stage::Listening { until } = self.stage {
+            if now < until {
+                return Ok(false);
+            }
+            self.begin(now);
+        }
         for i in 0..count {
             let frame = self.received[i].frame;
             if let Some(heartbeat) = Heartbeat::decode(&frame)
@@ -327,7 +402,8 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
         3
     }
 
-    /// Called after it was ready, or after an error, it begins anew with a reset of communication.
+    /// A call after readiness or an error begins bring-up again, with [`GroupConfig::listening`] and a reset of the
+    /// drives' communication.
     /// The error of the first failing axis decides.
     fn bring_up(&mut self, now: Instant) -> Poll<Result<(), BringUpError>> {
         match self.advance_bring_up(now) {
@@ -339,8 +415,11 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
                 self.turn = 0;
                 self.syncs = Syncs::default();
                 self.heartbeat_due = now;
+                self.up_since = now;
+                self.warnings.clear();
                 for node in &mut self.nodes {
                     node.axis.begin(now, node.bring_up.learnt());
+                    node.fault = None;
                 }
                 Poll::Ready(Ok(()))
             }
@@ -378,8 +457,13 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
                 node.axis.left_alone(waited);
             }
             node.finish_service(now);
+            let before = node.fault;
             let (read, missing) = node.axis.end_of_read(now, attempted);
             *state = read;
+            node.fault = read.fault;
+            if let Some(Fault::Drive { node, code }) = read.fault.filter(|_| read.fault != before) {
+                self.warnings.explain(node, code);
+            }
             self.counters.missed_answers += u64::from(missing && sent);
         }
         self.syncs.attempted = false;
@@ -451,6 +535,10 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
             port: self.port.counters(),
             ..self.counters
         }
+    }
+
+    fn warnings(&self) -> &Warnings {
+        &self.warnings
     }
 }
 

@@ -1,3 +1,5 @@
+//! The mode of operation of one drive: told, shown, and changed by somebody else.
+
 use canopen::cia402::ModeOfOperation;
 
 /// Which mode of operation the drive was told, and which it shows.
@@ -50,6 +52,16 @@ impl ModeSwitch {
             told: mode,
             shown: None,
         };
+    }
+
+    /// The mode that the drive is known to be in; `None` on the way to another.
+    pub(super) fn settled_in(&self) -> Option<ModeOfOperation> {
+        self.shown.filter(|shown| *shown == self.told)
+    }
+
+    /// Somebody else has told the drive another mode.
+    pub(super) fn overruled(&mut self, mode: ModeOfOperation) {
+        *self = Self::settled(mode);
     }
 
     /// Object 0x6061 was read.

@@ -1,8 +1,12 @@
+//! The process data of a drive: what its PDOs carry, and how they are set up.
+
+use std::time::Duration;
+
 use can::Frame;
-use canopen::cia402::{Controlword, Statusword};
+use canopen::cia402::{Controlword, ModeOfOperation, Statusword};
 use canopen::objects::{
-    CONTROLWORD, POSITION_ACTUAL, STATUSWORD, TARGET_POSITION, TARGET_TORQUE, TARGET_VELOCITY,
-    TORQUE_ACTUAL, TORQUE_OFFSET,
+    CONTROLWORD, MODE_OF_OPERATION_DISPLAY, POSITION_ACTUAL, STATUSWORD, TARGET_POSITION,
+    TARGET_TORQUE, TARGET_VELOCITY, TORQUE_ACTUAL, TORQUE_OFFSET,
 };
 use canopen::pdo::{
     Entry, PdoCobId, PdoKind, PdoMapping, PdoNumber, PdoSetup, TransmissionType, remap,
@@ -20,6 +24,13 @@ pub(super) const ANSWER: [Entry; 3] = [
     Entry::new(POSITION_ACTUAL, 32),
     Entry::new(TORQUE_ACTUAL, 16),
 ];
+
+/// What TPDO 2 carries: the mode of operation that the drive is in.
+const SHOWN: [Entry; 1] = [Entry::new(MODE_OF_OPERATION_DISPLAY, 8)];
+
+/// The least time between two frames of TPDO 2, which a drive sends when its mode changes: its bus load is bounded, and zero
+/// as a rule.
+pub(super) const SHOWN_APART: Duration = Duration::from_millis(100);
 
 /// What RPDO 1 carries: controlword and the target of the mode.
 pub(super) const fn request(mode: CyclicMode) -> &'static [Entry] {
@@ -42,10 +53,11 @@ pub(super) fn request_len(mode: CyclicMode) -> usize {
     bits.sum::<usize>() / 8
 }
 
-/// The PDOs that a drive exchanges at every SYNC in a mode: the request it receives and the answer it transmits.
+/// The PDOs of a drive in a mode: the request it receives and the answer it transmits at every SYNC, and its mode of
+/// operation, which it transmits when that changes.
 ///
 /// EPOS4 comes with event-driven PDOs and an inhibit time of 1 ms, longer than some periods.
-pub fn pdo_setups(node: NodeId, mode: CyclicMode) -> [PdoSetup; 2] {
+pub fn pdo_setups(node: NodeId, mode: CyclicMode) -> [PdoSetup; 3] {
     let request = PdoSetup {
         kind: PdoKind::Rpdo,
         number: PdoNumber::One,
@@ -64,24 +76,37 @@ pub fn pdo_setups(node: NodeId, mode: CyclicMode) -> [PdoSetup; 2] {
         inhibit_time: Some(0),
         event_timer: None,
     };
-    [request, answer]
+    let shown = PdoSetup {
+        number: PdoNumber::Two,
+        cob_id: PdoCobId::new(cob::tpdo(PdoNumber::Two, node)).without_rtr(),
+        mapping: PdoMapping::new(&SHOWN).expect("one byte fits"),
+        transmission: TransmissionType::EVENT_PROFILE,
+        inhibit_time: Some((SHOWN_APART.as_micros() / 100) as u16),
+        ..answer
+    };
+    [request, answer, shown]
 }
 
-/// What to write so that a drive exchanges these two PDOs and no others.
+/// What to write so that a drive exchanges these PDOs and no others.
 pub(super) fn mapping_writes(node: NodeId, mode: CyclicMode) -> impl Iterator<Item = Write> {
-    const OTHERS: [PdoNumber; 3] = [PdoNumber::Two, PdoNumber::Three, PdoNumber::Four];
+    use PdoNumber::{Four, Three, Two};
     let rpdo = |number| PdoCobId::new(cob::rpdo(number, node));
     let tpdo = |number| PdoCobId::new(cob::tpdo(number, node)).without_rtr();
     let off = |kind: PdoKind, number, cob_id: PdoCobId| {
         Write::new(kind.communication(number, 1), cob_id.invalid().0)
     };
-    let [request, answer] = pdo_setups(node, mode);
-    OTHERS
+    let setups = pdo_setups(node, mode);
+    [Two, Three, Four]
         .map(|number| off(PdoKind::Rpdo, number, rpdo(number)))
         .into_iter()
-        .chain(OTHERS.map(|number| off(PdoKind::Tpdo, number, tpdo(number))))
-        .chain(remap(&request))
-        .chain(remap(&answer))
+        .chain([Three, Four].map(|number| off(PdoKind::Tpdo, number, tpdo(number))))
+        .chain(setups.into_iter().flat_map(|setup| remap(&setup)))
+}
+
+/// TPDO 2; `None` for a payload of another length.
+pub(super) fn mode_shown(data: &[u8]) -> Option<ModeOfOperation> {
+    let &[mode] = data else { return None };
+    Some(ModeOfOperation::from_raw(mode as i8))
 }
 
 /// The frame of RPDO 1.

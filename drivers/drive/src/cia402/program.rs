@@ -1,3 +1,5 @@
+//! The steps of bring-up: what a drive is asked and told before it is started, in order.
+
 use canopen::Object;
 use canopen::cia402::{HomingMethod, ModeOfOperation};
 use canopen::objects::*;
@@ -85,7 +87,7 @@ impl Parameter {
     fn write(&self) -> Option<Write> {
         let data = Expedited::new(self.value.to_le_bytes().get(..usize::from(self.size))?)?;
         Some(Write {
-            object: Object::new(self.index, self.subindex),
+            object: self.object(),
             data,
         })
     }
@@ -113,6 +115,13 @@ pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
     steps.push(Step::Set(Write::new(CONTROLWORD, 0_u16)));
     let settings = axis.configuration.iter().enumerate();
     steps.extend(settings.map(|(number, setting)| Step::Configure(setting.object(), number)));
+    steps.extend(
+        axis.parameters
+            .iter()
+            .filter_map(Parameter::write)
+            .map(Step::Set),
+    );
+    // Behind the cell's own objects, whose writing may change others in the drive.
     steps.extend(
         [
             Write::new(PRODUCER_HEARTBEAT, heartbeat),
@@ -149,12 +158,6 @@ pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
                 .map(|object| Step::SetIfPresent(Write::new(object, 0_i32))),
         );
     }
-    steps.extend(
-        axis.parameters
-            .iter()
-            .filter_map(Parameter::write)
-            .map(Step::Set),
-    );
     // Behind all that may set them.
     for agreement in agreement::of(axis) {
         steps.extend(agreement.divisor.map(|_| Step::Value(agreement)));

@@ -1,3 +1,5 @@
+//! Replay of a recorded bus through a drive group.
+
 use std::task::Poll;
 use std::time::Duration;
 
@@ -72,6 +74,10 @@ impl Recording {
             .frames
             .iter()
             .take_while(|received| !is_sync(&received.frame));
+        // The run listened before its first frame, long enough.
+        if let Poll::Ready(ended) = group.bring_up(Instant::ZERO) {
+            return Poll::Ready(ended);
+        }
         before
             .map(|received| group.bring_up(received.at))
             .find(Poll::is_ready)

@@ -1,3 +1,5 @@
+//! Targets in the units of a drive.
+
 use super::config::CyclicMode;
 use crate::{Finite, Permille, Refusal, Scale, Setpoint};
 

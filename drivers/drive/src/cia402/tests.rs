@@ -7,3 +7,7 @@ mod configuration;
 mod cycle;
 mod faults;
 mod homing;
+mod mode_watch;
+mod other_controller;
+mod reserved;
+mod warnings;

@@ -1,3 +1,5 @@
+//! The frames of a group, for the sum of the bus load.
+
 use std::time::Duration;
 
 use can::StandardId;
@@ -44,6 +46,12 @@ pub(super) fn of(config: &GroupConfig, axes: &[AxisConfig]) -> Vec<Traffic> {
         traffic.extend([
             cycle(cob::rpdo(PdoNumber::One, axis.node), request, "set-point"),
             cycle(cob::tpdo(PdoNumber::One, axis.node), 8, "answer"),
+            Traffic {
+                cob_id: cob::tpdo(PdoNumber::Two, axis.node),
+                bytes: 1,
+                period: process_data::SHOWN_APART,
+                what: "mode of operation",
+            },
             heartbeat(axis.node, "heartbeat"),
         ]);
     }

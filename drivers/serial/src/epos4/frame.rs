@@ -1,3 +1,5 @@
+//! Frames of an EPOS4 service port.
+
 use super::{DLE, LONGEST, MAX_WORDS, STX};
 use crate::epos2::crc16;
 

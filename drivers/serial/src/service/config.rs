@@ -1,3 +1,5 @@
+//! Configuration of a service port.
+
 use std::time::Duration;
 
 use super::TIME_OUT;
@@ -23,7 +25,7 @@ pub struct Config {
     pub settings: Settings,
     /// How long an answer may take; no shorter than the device's frame time-out, [`TIME_OUT`] as delivered.
     pub time_out: Duration,
-    /// How often a request that failed on the line is sent anew.
+    /// Number of repetitions of a request that failed on the line.
     pub retries: u8,
     /// The longest object that is transferred in segments, bytes.
     pub capacity: usize,

@@ -1,3 +1,5 @@
+//! Errors of service ports.
+
 use std::time::Duration;
 
 use thiserror::Error;

@@ -1,3 +1,5 @@
+//! Dialogues of the service port's host.
+
 use super::*;
 use crate::Settings;
 use crate::epos4::tests::{CONTROLWORD, HOME_POSITION, NAME, STATUSWORD, encoded};
@@ -399,7 +401,7 @@ fn nothing_that_comes_panics_and_every_request_ends() {
             _ => host.client.read(STATUSWORD, now),
         };
         while host.client.poll_timeout().is_some() {
-            // Some of what it says the line takes, or nothing.
+            // The line takes a part of the bytes, or nothing.
             let count = random() as usize % (host.client.bytes().len() + 1);
             host.client.consume(count, host.now);
             let whole = random() as usize % (2 * right.len());

@@ -1,3 +1,5 @@
+//! Bytes of both service protocols.
+
 use super::{Dialect, ServiceError};
 use crate::epos2::{ANSWER, Acknowledge, Answer, Malformed, Request, Telegram, body_length};
 use crate::epos4::Deframer;
@@ -28,7 +30,7 @@ impl Wire {
     }
 }
 
-/// One request to an EPOS2 whose opcode is on its way, and its answer.
+/// One request to an EPOS2, from the opcode on the wire to the answer.
 #[derive(Clone, Debug)]
 pub(super) struct Exchange {
     request: Request,

@@ -1,3 +1,5 @@
+//! Dialogues with an slcan adapter.
+
 use can::StandardId;
 
 use super::*;
@@ -36,7 +38,7 @@ impl Stage {
         stage
     }
 
-    /// Answers each thing that the port says, if it is what it should be, and says what became of opening.
+    /// Checks and answers each line of the port, and returns the result of opening.
     fn open_with(&mut self, script: &[(&str, &str)]) -> Result<(), SlcanError> {
         for (said, answer) in script {
             let mut told = self.said();
@@ -98,8 +100,8 @@ fn frame(id: u16, data: &[u8]) -> Frame {
 
 #[test]
 fn it_opens_by_close_bit_rate_and_open_whatever_the_answers_look_like() {
-    // An adapter that was left open by somebody, one that was not and rings for it, one that acknowledges nothing
-    // but knows its version, and one that is heard by its frames alone.
+    // Four adapters: left open by an earlier host; closed, and ringing a bell for `C`; without acknowledgement but
+    // with a version; recognised by its frames alone.
     let scripts: [&[(&str, &str)]; 4] = [
         &[
             ("\rC\r", "t0800\rz\r\r\r"),

@@ -10,6 +10,9 @@ use crate::epos4::objects::Objects;
 use crate::epos4::power::Brake;
 use crate::epos4::profile::{Limits, Motion};
 
+/// Below this speed an axis that brakes at its limits stands, revolutions/s.
+const STANDING: f64 = 0.1;
+
 impl Drive {
     pub(super) fn new_setpoint(&mut self, started: bool, objects: &Objects) {
         let word = self.controlword;
@@ -29,7 +32,7 @@ impl Drive {
                 profile.active = Some(target);
             }
             profile.acknowledged = true;
-            self.in_window = 0.0;
+            self.in_window = None;
         } else if !word.has(Controlword::START) {
             profile.acknowledged = false;
         }
@@ -48,6 +51,13 @@ impl Drive {
         {
             self.homing = Homing::Idle;
         }
+    }
+
+    /// Whether the position has been in its window for the window time; a window of 0xFFFF_FFFF is none (CiA 402-2).
+    pub(super) fn settled(&self, objects: &Objects) -> bool {
+        let time = objects.f(POSITION_WINDOW_TIME);
+        objects.u(POSITION_WINDOW) == u32::MAX
+            || self.in_window.is_some_and(|passed| passed * 1e3 >= time)
     }
 
     /// The straight way from `start` to where the motion is now.
@@ -86,10 +96,15 @@ impl Drive {
         dt: f64,
     ) -> Demand {
         let start = self.motion;
-        let standing = self
-            .motion
-            .ramp(0.0, &self.braking_limits(brake, limits, objects), dt);
-        let demand = if self.demands_velocity() {
+        let standing = if brake == Brake::AtLimits {
+            self.brake_at_limits()
+        } else {
+            self.motion
+                .ramp(0.0, &self.braking_limits(brake, limits, objects), dt)
+        };
+        let demand = if brake == Brake::AtLimits {
+            Demand::Velocity(0.0)
+        } else if self.demands_velocity() {
             Demand::Velocity(self.motion.velocity)
         } else {
             self.ramp_demand(start, dt)
@@ -105,6 +120,17 @@ impl Drive {
         demand
     }
 
+    /// The velocity loop is asked for 0 and its output saturates; whether the axis stands.
+    fn brake_at_limits(&mut self) -> bool {
+        let before = self.motion.velocity;
+        self.motion = Motion {
+            position: self.position(),
+            velocity: self.feedback.velocity,
+        };
+        let slow = self.feedback.velocity.abs() < self.counts_per_turn * STANDING;
+        slow || before * self.feedback.velocity < 0.0
+    }
+
     pub(super) fn braking_limits(
         &self,
         brake: Brake,
@@ -116,6 +142,7 @@ impl Drive {
             Brake::QuickStop => {
                 objects.f(QUICK_STOP_DECELERATION).max(1.0) * self.counts_per_turn / 60.0
             }
+            Brake::AtLimits => f64::INFINITY,
         };
         Limits {
             deceleration,
@@ -146,8 +173,12 @@ impl Drive {
                 match self.profile.active {
                     Some(target) => {
                         if self.motion.approach(target, &limits, dt) {
-                            self.profile.active = self.profile.next.take();
+                            self.profile.active = None;
                         }
+                    }
+                    None if self.profile.next.is_some() && self.settled(objects) => {
+                        self.profile.active = self.profile.next.take();
+                        self.in_window = None;
                     }
                     None => {
                         self.motion.ramp(0.0, &limits, dt);
@@ -266,21 +297,22 @@ impl Drive {
         start
     }
 
-    /// The raw counter's `counts` is the home position.
+    /// The switch, stop or index is at the raw counter's `counts`. The zero position lies the home offset (0x607C) from
+    /// there (CiA 402-2); the axis goes there, and the counter reads the home position (0x30B0) then.
     pub(super) fn reference(&mut self, counts: i32, objects: &Objects) {
         if matches!(self.homing, Homing::Searching(search) if search.feels_for_stop()) {
             // The stop held the axis back; what it was told meanwhile is void.
             self.motion.position = self.position();
         }
         let home = objects.i(EPOS4_HOME_POSITION);
-        let offset = home.wrapping_sub(counts);
+        let zero = counts.wrapping_add(objects.i(EPOS4_HOME_OFFSET_MOVE));
+        let offset = home.wrapping_sub(zero);
         let shift = f64::from(offset.wrapping_sub(self.offset));
         self.offset = offset;
         self.motion.position += shift;
         self.segment.0 += shift;
         self.referenced = true;
-        let rest = home.wrapping_add(objects.i(EPOS4_HOME_OFFSET_MOVE));
-        self.homing = Homing::Resting(f64::from(rest));
+        self.homing = Homing::Resting(f64::from(home));
     }
 }
 

@@ -1,12 +1,15 @@
 //! What the drive says of itself: the objects that can be read or mapped to transmit.
 
 use canopen::cia402::{Controlword, HomingStatus, ModeOfOperation, Statusword};
+use canopen::objects::VENDOR_ID;
 
 use super::modes::rated_torque;
 use super::slots::*;
+use super::standstill::Window;
 use super::{Drive, Homing};
 use crate::epos4::CyclicStatus;
 use crate::epos4::objects::Objects;
+use crate::epos4::table::Slot;
 
 impl Drive {
     /// Writes what can be read to the dictionary.
@@ -19,8 +22,17 @@ impl Drive {
         let rated = rated_torque(objects);
         self.average_current += (current - self.average_current) * (dt / 0.01).min(1.0);
         let late = demand.wrapping_sub(position);
-        let settled = f64::from(late.unsigned_abs()) <= objects.f(POSITION_WINDOW);
-        self.in_window = if settled { self.in_window + dt } else { 0.0 };
+        let target = self.profile.active.unwrap_or(self.motion.position);
+        let near = (target - f64::from(position)).abs() <= objects.f(POSITION_WINDOW);
+        self.in_window = near.then(|| self.in_window.map_or(0.0, |passed| passed + dt));
+        let told = self.powered() && self.motion.velocity == 0.0;
+        let window = Window {
+            velocity: objects.f(STANDSTILL_WINDOW) * unit,
+            time: objects.f(STANDSTILL_WINDOW_TIME) * 1e-3,
+            time_out: objects.f(STANDSTILL_WINDOW_TIME_OUT) * 1e-3,
+        };
+        self.standstill
+            .advance(self.feedback.velocity, told, &window, dt);
         let signed = |value: f64| value.round() as i32 as u32;
         objects.set(POSITION_ACTUAL, position as u32);
         objects.set(POSITION_DEMAND, demand as u32);
@@ -31,7 +43,10 @@ impl Drive {
         objects.set(TORQUE_ACTUAL, signed(share));
         objects.set(EPOS4_CURRENT_ACTUAL, signed(current));
         objects.set(CURRENT_AVERAGE, signed(self.average_current));
-        objects.set(MOTOR_RATED_TORQUE, (rated * 1e6).round() as u32);
+        // maxon counts µN·m; a drive that says it is of another maker counts the mN·m of CiA 402.
+        let of_maxon = objects.u(Slot::of(VENDOR_ID)) == 0x0000_00FB;
+        let unit = if of_maxon { 1e6 } else { 1e3 };
+        objects.set(MOTOR_RATED_TORQUE, (rated * unit).round() as u32);
         objects.set(MODE_OF_OPERATION_DISPLAY, i32::from(self.mode.raw()) as u32);
         let inputs = u32::from(self.feedback.negative_limit)
             | u32::from(self.feedback.positive_limit) << 1
@@ -61,23 +76,24 @@ impl Drive {
         let word = match self.mode {
             M::ProfilePosition => {
                 let profile = &self.profile;
-                let settled = objects.u(POSITION_WINDOW) == u32::MAX
-                    || self.in_window * 1e3 >= objects.f(POSITION_WINDOW_TIME);
-                let arrived = profile.active.is_none() && settled;
+                let ended = profile.active.is_none() && profile.next.is_none();
+                let arrived = ended && self.settled(objects);
                 word.with(REACHED, if halted { standing } else { arrived })
                     .with(BIT_12, profile.acknowledged || profile.next.is_some())
             }
             M::ProfileVelocity => {
                 let target = objects.f(TARGET_VELOCITY) * self.counts_per_velocity(objects);
                 let arrived = (self.motion.velocity - target).abs() < 0.5;
-                // Standing is less than one revolution per minute.
-                let slow = self.feedback.velocity.abs() < self.counts_per_turn / 60.0;
                 word.with(REACHED, if halted { standing } else { arrived })
-                    .with(BIT_12, slow)
+                    .with(BIT_12, self.standstill.reached())
             }
             M::Homing => {
+                let halted = self.controlword.has(Controlword::HALT);
                 let status = match self.homing {
                     Homing::Idle if standing => HomingStatus::Interrupted,
+                    Homing::Searching(_) | Homing::Resting(_) if halted && standing => {
+                        HomingStatus::Interrupted
+                    }
                     Homing::Idle | Homing::Searching(_) => HomingStatus::InProgress,
                     Homing::Resting(_) => HomingStatus::Attained,
                     Homing::Done => HomingStatus::Done,

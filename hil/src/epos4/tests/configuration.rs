@@ -282,3 +282,29 @@ fn a_long_object_goes_by_blocks_as_fast_as_the_bus_takes_it() {
     assert_eq!(bench.ask("40F02F0200000000"), "41F02F0209000000");
     assert_eq!(bench.ask("6000000000000000"), "0041424344454647");
 }
+
+#[test]
+fn the_rated_torque_is_the_one_that_the_motor_was_given_in_the_unit_of_the_maker() {
+    for (vendor, rated, expected) in [
+        (0xFB, 0.001, 1000),
+        (0xFB, 0.0063, 6300),
+        (0xFB, 0.42, 420_000),
+        (0xFB, 100.0, 100_000_000),
+        (1, 0.42, 420),
+        (1, 0.001, 1),
+    ] {
+        let mut bench = Bench::booted(Epos4Config {
+            vendor,
+            rated_torque: Some(rated),
+            ..config()
+        });
+        let answers = bench.say("602#4076600000000000");
+        let value = answers[0].strip_prefix("582#43766000").unwrap();
+        let value = u32::from_str_radix(value, 16).unwrap().swap_bytes();
+        // The nominal current and the torque constant are whole numbers.
+        assert!(
+            value.abs_diff(expected) <= 1 + expected / 10_000,
+            "{rated} N·m: {value}"
+        );
+    }
+}

@@ -1,3 +1,5 @@
+//! The emulated drive against its data sheet.
+
 use canopen::eds::{Access, DataType, Eds};
 
 use super::*;

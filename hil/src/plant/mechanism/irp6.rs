@@ -47,7 +47,7 @@ pub(super) fn screws() -> (Screw, Screw) {
 }
 
 impl Irp6 {
-    /// Lengths are those of the public code, all masses and their places nominal.
+    /// Lengths follow the public code. All masses and their places are nominal.
     pub(super) fn new(on_track: bool) -> Self {
         let slender = |mass: f64, centre: f64, length: f64| Body {
             spread: [length / 12_f64.sqrt(), 0.0, 0.0],

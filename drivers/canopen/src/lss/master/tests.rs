@@ -1,3 +1,5 @@
+//! Dialogues of the LSS master.
+
 use super::*;
 use crate::parse;
 
@@ -208,15 +210,32 @@ fn a_new_bit_rate_is_active_after_twice_the_delay() {
 
 #[test]
 fn all_slaves_have_the_whole_time_to_say_that_they_have_no_node_id() {
+    let mut master = started(Service::IdentifyUnconfigured);
+    play(&mut master, at(0), "7E5#4C00000000000000");
+    play(
+        &mut master,
+        at(5),
+        "7E4#5000000000000000 7E4#5000000000000000",
+    );
+    assert_eq!(master.poll(), None);
+    master.handle_timeout(at(100));
+    assert_eq!(master.poll(), Some(Ok(Answer::Unconfigured(true))));
+}
+
+#[test]
+fn slaves_that_know_only_fastscan_are_asked_for_by_its_first_question() {
     for (answers, any) in [
         ("", false),
-        ("7E4#5000000000000000 7E4#5000000000000000", true),
+        ("7E4#4F00000000000000 7E4#4F00000000000000", true),
     ] {
         let mut master = started(Service::IdentifyUnconfigured);
         play(&mut master, at(0), "7E5#4C00000000000000");
-        play(&mut master, at(5), answers);
-        assert_eq!(master.poll(), None);
         master.handle_timeout(at(100));
+        play(&mut master, at(100), "7E5#5100000000800000");
+        play(&mut master, at(105), answers);
+        master.handle_timeout(at(199));
+        assert_eq!(master.poll(), None);
+        master.handle_timeout(at(200));
         assert_eq!(master.poll(), Some(Ok(Answer::Unconfigured(any))));
     }
 }

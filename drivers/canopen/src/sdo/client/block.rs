@@ -1,3 +1,5 @@
+//! Block transfer of the SDO client.
+
 use can::{Frame, Instant};
 
 use super::{Client, SdoError, Start};
@@ -91,8 +93,8 @@ impl Client {
 
     /// Takes a frame in the course of a block transfer.
     ///
-    /// What does not belong here is passed over, unknown specifiers too: after a fresh start the
-    /// segments of the sub-block that was given up may still be on their way.
+    /// Frames of other transfers and unknown specifiers are ignored: after a restart, segments of the abandoned
+    /// sub-block may still arrive.
     pub(super) fn handle_block(&mut self, state: State, frame: &Frame, now: Instant) {
         if let State::Upload(receiving) = state
             && let Some(segment) = Segment::decode(frame, cob::sdo_response(self.node))
@@ -116,8 +118,8 @@ impl Client {
         }
     }
 
-    /// Falls back to an ordinary transfer if it is block transfer that the server refuses, and asks again if the
-    /// server that missed an abort took the request for a segment of the sub-block that was given up.
+    /// Falls back to segmented transfer if the server refuses block transfer. Repeats the request if the server
+    /// missed an abort and took the request for a segment of the abandoned sub-block.
     fn aborted(&mut self, state: State, code: AbortCode, now: Instant) {
         let object = self.object;
         match (state, code) {
@@ -223,7 +225,7 @@ impl Client {
         }
     }
 
-    /// The end of a sub-block came, and with it perhaps that of all the data.
+    /// The end of a sub-block arrived, and perhaps the end of the data.
     fn sub_block_received(&mut self, mut receiving: Receiving, complete: bool, now: Instant) {
         if receiving.in_order > 0 {
             receiving.stalls = 0;
@@ -240,9 +242,9 @@ impl Client {
         }
     }
 
-    /// Acknowledges what came of a sub-block whose end is missing, if the server is sure to be still in that
-    /// sub-block, and if the checksum would tell that it was not. Since the size halves each time, and
-    /// a sub-block of one segment that came is complete, this happens no more than seven times.
+    /// Acknowledges the received segments of a sub-block whose end is missing. The server must still be in that
+    /// sub-block for certain, and the checksum must reveal the contrary. Since the size halves each time, and a
+    /// sub-block of one segment that came is complete, this happens no more than seven times.
     pub(super) fn acknowledge_overdue(&mut self, receiving: Receiving, now: Instant) -> bool {
         let recovers = receiving.crc && receiving.in_order > 0;
         if recovers {

@@ -1,3 +1,5 @@
+//! Errors of the SDO client.
+
 use std::time::Duration;
 
 use thiserror::Error;

@@ -1,3 +1,5 @@
+//! Dialogues of the SDO client.
+
 use super::*;
 use crate::objects::{CONTROLWORD, DEVICE_NAME, HOME_OFFSET, MODE_OF_OPERATION, STATUSWORD};
 use crate::parse;

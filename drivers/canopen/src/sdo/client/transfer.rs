@@ -1,3 +1,5 @@
+//! Results of SDO transfers.
+
 use super::SdoError;
 use crate::Object;
 

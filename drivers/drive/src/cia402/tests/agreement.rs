@@ -1,3 +1,5 @@
+//! Scale and rated torque that agree or disagree.
+
 use super::bench::*;
 use crate::cia402::*;
 

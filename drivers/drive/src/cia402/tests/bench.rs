@@ -1,3 +1,5 @@
+//! A group on a scripted bus.
+
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex};
 use std::task::Poll;
@@ -130,6 +132,8 @@ pub(super) struct Store {
     pub(super) aborts: BTreeMap<(u16, u8), u32>,
     /// Objects it takes and does not keep.
     pub(super) forgetful: Option<(u16, u8)>,
+    /// An object whose writing sets another to zero.
+    pub(super) clears: Option<((u16, u8), (u16, u8))>,
     /// Objects it does not answer for.
     pub(super) mute: Option<(u16, u8)>,
     pub(super) boots: bool,
@@ -158,7 +162,7 @@ impl Store {
             put(0x1800 + i, 2, &[255]);
             put(0x1800 + i, 3, &[10, 0]);
         }
-        for index in [0x1600, 0x1A00] {
+        for index in [0x1600, 0x1A00, 0x1A01] {
             put(index, 0, &[1]);
             (1..=3).for_each(|subindex| _ = put(index, subindex, &[0; 4]));
         }
@@ -187,6 +191,7 @@ impl Store {
             objects,
             aborts: BTreeMap::new(),
             forgetful: None,
+            clears: None,
             mute: None,
             boots: true,
             starts: true,
@@ -278,6 +283,9 @@ impl Store {
             let length = stored.len();
             stored.copy_from_slice(&data[..length]);
         }
+        if let Some((_, cleared)) = self.clears.filter(|(trigger, _)| *trigger == object) {
+            self.objects.get_mut(&cleared).unwrap().fill(0);
+        }
         if object == (0x6060, 0) && self.shows_modes {
             let mode = data[0];
             self.objects.insert((0x6061, 0), vec![mode]);
@@ -327,7 +335,7 @@ impl Bench {
 
     /// Runs bring-up to its end, a call every period.
     pub(super) fn bring_up(&mut self) -> Result<(), BringUpError> {
-        for _ in 0..5_000 {
+        for _ in 0..10_000 {
             if let Poll::Ready(result) = self.group.bring_up(self.now) {
                 return result;
             }

@@ -1,3 +1,5 @@
+//! The cycle, frame by frame.
+
 use std::f64::consts::TAU;
 use std::time::Duration;
 
@@ -263,8 +265,8 @@ fn frames_of_nobody_here_are_counted() {
     let strange = [
         "183#4007E80300000000",
         "182#4007",
-        "282#00",
-        "080#",
+        "282#0000",
+        "382#00",
         "000#0102",
         "7E5#04",
     ];
@@ -298,9 +300,11 @@ fn traffic_lists_every_frame_of_a_cycle() {
         (0x77F, 1, 2_000),
         (0x201, 6, 2),
         (0x181, 8, 2),
+        (0x281, 1, 100),
         (0x701, 1, 2_000),
         (0x202, 4, 2),
         (0x182, 8, 2),
+        (0x282, 1, 100),
         (0x702, 1, 2_000),
         (0x601, 8, 2),
         (0x581, 8, 2),

@@ -1,3 +1,5 @@
+//! Faults in operation.
+
 use std::time::Duration;
 
 use can::{ControllerState, PortError};

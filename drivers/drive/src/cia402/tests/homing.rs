@@ -1,3 +1,5 @@
+//! Homing, frame by frame.
+
 use super::bench::*;
 use crate::cia402::*;
 use crate::{Finite, Homing, Power, Setpoint};

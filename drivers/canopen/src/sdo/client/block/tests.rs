@@ -1,3 +1,5 @@
+//! Dialogues of the SDO client's block transfer.
+
 use std::time::Duration;
 
 use super::super::tests::{NODE, TIME_OUT, at, client, play};

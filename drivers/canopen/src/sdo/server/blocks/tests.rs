@@ -1,3 +1,5 @@
+//! Dialogues of the SDO server's block transfer.
+
 use std::time::Duration;
 
 use super::*;

@@ -1,0 +1,294 @@
+//! Files that a command writes: none replaces what is there unless `--force` says so, none is a file that the command
+//! reads, and no two are one.
+
+use std::fmt::Display;
+use std::fs::{self, File, Metadata};
+use std::io::{self, ErrorKind, IsTerminal};
+use std::os::fd::{AsFd, BorrowedFd};
+use std::os::unix::fs::{FileTypeExt, MetadataExt};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use clap::Args;
+
+use crate::cell_file::CellFile;
+
+/// The option of a command that writes files.
+#[derive(Args, Clone, Copy, Debug, Default)]
+pub(crate) struct Replacement {
+    /// Replace the files that are there already; without it a file that is there is a refusal.
+    #[arg(long)]
+    pub(crate) force: bool,
+}
+
+/// The files of a command. Until [`Self::begin`] nothing that was there has changed, and what was made is removed on drop.
+pub(crate) struct Outputs {
+    replacement: Replacement,
+    inputs: Vec<Known>,
+    standard: Vec<Known>,
+    opened: Vec<Opened>,
+}
+
+/// A file that is none of the outputs.
+struct Known {
+    what: String,
+    identity: Identity,
+}
+
+/// Device and inode: one file, whatever paths lead to it.
+type Identity = (u64, u64);
+
+/// An output.
+struct Opened {
+    what: String,
+    path: PathBuf,
+    identity: Identity,
+    file: File,
+    made: bool,
+}
+
+impl Outputs {
+    /// Knows standard output and standard error.
+    pub(crate) fn new(replacement: Replacement) -> Self {
+        let known = |what: &str, end: BorrowedFd| {
+            let found = end.try_clone_to_owned().map(File::from);
+            let found = found.and_then(|file| file.metadata()).ok()?;
+            // Of a pipe, a terminal or a device all writers have the one end.
+            found.is_file().then(|| Known {
+                what: what.to_owned(),
+                identity: identity(&found),
+            })
+        };
+        let (stdout, stderr) = (io::stdout(), io::stderr());
+        let standard = [
+            known("standard output", stdout.as_fd()),
+            known("standard error", stderr.as_fd()),
+        ];
+        Self {
+            replacement,
+            inputs: Vec::new(),
+            standard: standard.into_iter().flatten().collect(),
+            opened: Vec::new(),
+        }
+    }
+
+    /// The files that `cell` was read from are no outputs.
+    pub(crate) fn reads(&mut self, cell: &CellFile) {
+        self.reads_file("the cell file", &cell.path);
+        for path in cell.configuration_files() {
+            self.reads_file("a device configuration file of the cell", path);
+        }
+    }
+
+    fn reads_file(&mut self, what: &str, path: &Path) {
+        // A file that is gone cannot be overwritten.
+        if let Ok(found) = fs::metadata(path) {
+            self.inputs.push(Known {
+                what: what.to_owned(),
+                identity: identity(&found),
+            });
+        }
+    }
+
+    /// Opens an output, by what the user calls it.
+    pub(crate) fn open(&mut self, what: impl Display, path: &Path) -> anyhow::Result<File> {
+        let shown = path.display();
+        let opened = self.open_as(what.to_string(), path);
+        opened.with_context(|| format!("{what}: {shown}"))
+    }
+
+    /// Opens an output that may not be wanted.
+    pub(crate) fn open_if(
+        &mut self,
+        what: &str,
+        path: Option<&Path>,
+    ) -> anyhow::Result<Option<File>> {
+        path.map(|path| self.open(what, path)).transpose()
+    }
+
+    fn open_as(&mut self, what: String, path: &Path) -> anyhow::Result<File> {
+        let (file, made) = self.file(path)?;
+        let found = file.metadata()?;
+        let opened = Opened {
+            what,
+            // Where a link led to a new file, that one was made. What stands for an open descriptor leads to no path.
+            path: path.canonicalize().unwrap_or_else(|_| path.to_owned()),
+            identity: identity(&found),
+            file: file.try_clone()?,
+            made,
+        };
+        let same = |known: &&Known| known.identity == opened.identity;
+        if let Some(known) = self.inputs.iter().chain(&self.standard).find(same) {
+            bail!("{} is the same file: name another", known.what);
+        }
+        // What goes to a device such as /dev/null is not mixed up in it; what goes to a pipe or a terminal is.
+        let mixes = !found.file_type().is_char_device() || file.is_terminal();
+        let mut before = self.opened.iter();
+        if let Some(other) = before.find(|other| mixes && other.identity == opened.identity) {
+            // It was not there, so that the other has made it.
+            bail!("{} has the same file: name two", other.what);
+        }
+        if found.is_file() && !made && !self.replacement.force {
+            bail!("the file is there already: name another, or let --force replace it");
+        }
+        self.opened.push(opened);
+        Ok(file)
+    }
+
+    /// The file, and whether it was made. A link that leads nowhere is there already, and leads to a new file.
+    fn file(&self, path: &Path) -> anyhow::Result<(File, bool)> {
+        let mut options = File::options();
+        options.write(true);
+        match options.clone().create_new(true).open(path) {
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
+            made => return Ok((made?, true)),
+        }
+        let mut made = false;
+        match fs::metadata(path) {
+            Ok(found) if found.file_type().is_block_device() => bail!("a disk is no file to write"),
+            Err(error) if error.kind() == ErrorKind::NotFound && !self.replacement.force => {
+                bail!(
+                    "the name is that of a link which leads nowhere: name another, or let --force follow it"
+                )
+            }
+            Err(error) if error.kind() == ErrorKind::NotFound => made = true,
+            _ => {}
+        }
+        Ok((options.create(made).open(path)?, made))
+    }
+
+    /// The command goes ahead: the files stay from now on, and those that --force replaces are emptied.
+    pub(crate) fn begin(mut self) -> anyhow::Result<()> {
+        for opened in &self.opened {
+            let is_file = opened.file.metadata().is_ok_and(|found| found.is_file());
+            let emptied = if is_file {
+                opened.file.set_len(0)
+            } else {
+                Ok(())
+            };
+            emptied.with_context(|| format!("{}: {}", opened.what, opened.path.display()))?;
+        }
+        self.opened.clear();
+        Ok(())
+    }
+}
+
+impl Drop for Outputs {
+    fn drop(&mut self) {
+        for opened in self.opened.iter().filter(|opened| opened.made) {
+            let there = fs::symlink_metadata(&opened.path);
+            if there.is_ok_and(|there| identity(&there) == opened.identity) {
+                // The refusal is what matters.
+                let _ = fs::remove_file(&opened.path);
+            }
+        }
+    }
+}
+
+fn identity(found: &Metadata) -> Identity {
+    (found.dev(), found.ino())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::{Read, Write};
+    use std::os::unix::fs::symlink;
+
+    use super::*;
+
+    const KEEP: Replacement = Replacement { force: false };
+    const FORCE: Replacement = Replacement { force: true };
+
+    fn refusal(outputs: &mut Outputs, path: &Path) -> String {
+        format!("{:#}", outputs.open("--it", path).unwrap_err())
+    }
+
+    #[test]
+    fn a_file_that_is_there_is_replaced_when_the_command_begins_and_not_before() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("there");
+        fs::write(&path, "precious").unwrap();
+        assert!(refusal(&mut Outputs::new(KEEP), &path).contains("there already"));
+        let mut refused = Outputs::new(FORCE);
+        refused.open("--it", &path).unwrap();
+        drop(refused);
+        assert_eq!(fs::read_to_string(&path).unwrap(), "precious");
+        let mut outputs = Outputs::new(FORCE);
+        let mut file = outputs.open("--it", &path).unwrap();
+        outputs.begin().unwrap();
+        file.write_all(b"new").unwrap();
+        assert_eq!(fs::read_to_string(&path).unwrap(), "new");
+    }
+
+    #[test]
+    fn what_a_refused_command_made_is_removed_and_what_was_there_stays() {
+        let directory = tempfile::tempdir().unwrap();
+        let [made, there] = ["made", "there"].map(|name| directory.path().join(name));
+        fs::write(&there, "precious").unwrap();
+        let mut outputs = Outputs::new(KEEP);
+        outputs.open("--one", &made).unwrap();
+        assert!(made.exists());
+        refusal(&mut outputs, &there);
+        drop(outputs);
+        assert!(!made.exists() && there.exists());
+    }
+
+    #[test]
+    fn one_file_has_one_writer_whatever_paths_lead_to_it() {
+        let directory = tempfile::tempdir().unwrap();
+        let place = |name: &str| directory.path().join(name);
+        symlink(directory.path(), place("here")).unwrap();
+        symlink("new", place("link")).unwrap();
+        for (first, second) in [
+            ("new", "new"),
+            ("new", "here/new"),
+            ("link", "new"),
+            ("here/link", "link"),
+        ] {
+            let mut outputs = Outputs::new(FORCE);
+            outputs.open("--one", &place(first)).unwrap();
+            let said = refusal(&mut outputs, &place(second));
+            assert!(said.contains("--one has the same file"), "{said}");
+            drop(outputs);
+            let _ = fs::remove_file(place("new"));
+        }
+        assert!(refusal(&mut Outputs::new(KEEP), &place("link")).contains("leads nowhere"));
+    }
+
+    #[test]
+    fn an_input_is_no_output_even_by_force() {
+        let directory = tempfile::tempdir().unwrap();
+        let place = |name: &str| directory.path().join(name);
+        fs::write(place("cell"), "precious").unwrap();
+        symlink("cell", place("link")).unwrap();
+        fs::hard_link(place("cell"), place("other")).unwrap();
+        for name in ["cell", "link", "other"] {
+            let mut outputs = Outputs::new(FORCE);
+            outputs.reads_file("the cell file", &place("cell"));
+            let said = refusal(&mut outputs, &place(name));
+            assert!(said.contains("the cell file is the same file"), "{said}");
+        }
+        assert_eq!(fs::read_to_string(place("cell")).unwrap(), "precious");
+    }
+
+    #[test]
+    fn devices_may_be_named_twice_and_pipes_may_not() {
+        let mut outputs = Outputs::new(KEEP);
+        for device in ["/dev/null", "/dev/null", "/dev/full"] {
+            outputs.open("--it", Path::new(device)).unwrap();
+        }
+        let (mut pipe, end) = io::pipe().unwrap();
+        let path = PathBuf::from(format!(
+            "/proc/self/fd/{}",
+            std::os::fd::AsRawFd::as_raw_fd(&end)
+        ));
+        let mut file = outputs.open("--it", &path).unwrap();
+        assert!(refusal(&mut outputs, &path).contains("--it has the same file"));
+        outputs.begin().unwrap();
+        file.write_all(b"through").unwrap();
+        drop((file, end));
+        let mut read = String::new();
+        pipe.read_to_string(&mut read).unwrap();
+        assert_eq!(read, "through");
+    }
+}

@@ -1,0 +1,156 @@
+//! Whether the drive groups and the servo can be made of a cell: what they refuse, by the keys of the cell.
+//!
+//! The bounds of the other modules are narrower, in the units of the file. The checks here are the drivers' and the
+//! servo's own.
+
+use drive::{axis_controller, cia402};
+
+use super::Checked;
+use crate::cell::error::Problem;
+use crate::cell::{Cell, Path};
+
+pub(super) fn check(cell: &Cell) -> Checked {
+    let homes: Vec<_> = cell
+        .robot
+        .iter()
+        .map(|robot| {
+            robot
+                .kinematics()
+                .map(|it| (it.home(), it.motor_limits().to_vec()))
+        })
+        .collect::<Result<_, _>>()
+        .map_err(|error| (Path::default().then("robot"), refusal(error)))?;
+    for index in 0..cell.bus.len() {
+        let axes: Vec<_> = cell.axes_on(index).collect();
+        let config = |&(robot, axis): &(usize, usize)| {
+            cell.robot[robot].axis[axis].drive_config(homes[robot].0[axis])
+        };
+        let configs: Vec<_> = axes.iter().map(config).collect();
+        let checked = cell.group_config(index).check(&configs);
+        checked.map_err(|error| {
+            let bus = Path::default().then("bus").then(index);
+            (place_of_drive(cell, &bus, &axes, error), refusal(error))
+        })?;
+    }
+    for (index, bundle) in cell.serial.iter().enumerate() {
+        let axes: Vec<_> = cell.axes_on(cell.bus.len() + index).collect();
+        let config = |&(robot, axis): &(usize, usize)| {
+            cell.robot[robot].axis[axis].controller_config(homes[robot].0[axis])
+        };
+        let configs: Vec<_> = axes.iter().map(config).collect();
+        let checked = bundle
+            .group_config(cell.period())
+            .check(&configs, axes.len());
+        match checked {
+            // The budget of the line refuses it with what would fit.
+            Ok(()) | Err(axis_controller::ConfigError::Period { .. }) => {}
+            Err(error) => {
+                let bundle = Path::default().then("serial").then(index);
+                let place = place_of_controller(cell, &bundle, &axes, error);
+                return Err((place, refusal(error)));
+            }
+        }
+    }
+    for (number, robot) in cell.robot.iter().enumerate() {
+        for axis in 0..robot.axis.len() {
+            let limits = homes[number].1[axis];
+            let config = robot.servo_config(axis, 0, 0, limits);
+            if let Some(field) = config.nonsense() {
+                return Err((
+                    axis_path((number, axis)),
+                    refusal(format!("{field} makes no sense")),
+                ));
+            }
+        }
+    }
+    Ok(())
+}
+
+fn refusal(error: impl std::fmt::Display) -> Problem {
+    Problem::Refused(error.to_string())
+}
+
+fn axis_path((robot, axis): (usize, usize)) -> Path {
+    let path = Path::default().then("robot").then(robot);
+    path.then("axis").then(axis)
+}
+
+/// The key of what a group of drives on `bus` refuses.
+fn place_of_drive(
+    cell: &Cell,
+    bus: &Path,
+    axes: &[(usize, usize)],
+    error: cia402::ConfigError,
+) -> Path {
+    use cia402::{ConfigError, Quantity};
+    let of_node = |node: u8| {
+        let axis = |&&(robot, axis): &&(usize, usize)| cell.robot[robot].axis[axis].node == node;
+        axes.iter()
+            .find(axis)
+            .map_or(bus.clone(), |place| axis_path(*place))
+    };
+    match error {
+        ConfigError::Axes(_) => bus.clone(),
+        ConfigError::Period(_) => Path::default().then("period_us"),
+        ConfigError::HeartbeatPeriod(_) => bus.then("heartbeat_ms"),
+        ConfigError::DuplicateNode(node) => of_node(node).then("node"),
+        ConfigError::Setting { node, .. } => of_node(node).then("drive").then("dcf"),
+        ConfigError::OutOfRange { node, quantity } => {
+            let axis = of_node(node);
+            match quantity {
+                Quantity::RatedTorque => axis.then("drive").then("rated_torque"),
+                Quantity::ParameterSize => axis.then("drive").then("parameter"),
+                Quantity::FollowingError => axis.then("following_error"),
+                Quantity::QuickStopDeceleration => axis.then("max_acceleration"),
+                Quantity::SearchSpeed => axis.then("homing").then("search_velocity"),
+                Quantity::ZeroSpeed => axis.then("homing").then("zero_velocity"),
+                Quantity::HomingAcceleration => axis.then("homing").then("acceleration"),
+            }
+        }
+    }
+}
+
+/// The key of what a group of axis controllers on `bundle` refuses.
+fn place_of_controller(
+    cell: &Cell,
+    bundle: &Path,
+    axes: &[(usize, usize)],
+    error: axis_controller::ConfigError,
+) -> Path {
+    use axis_controller::{ConfigError, Quantity};
+    let of_line = |line: u8| axes.get(usize::from(line)).copied();
+    match error {
+        ConfigError::Axes(_) | ConfigError::Lines { .. } => bundle.clone(),
+        ConfigError::Period { .. } => bundle.then("baud"),
+        ConfigError::TooSmall { .. } => bundle.then("tolerated_missing"),
+        ConfigError::NeedsNfv2 { line, .. } => of_line(line).map_or(bundle.clone(), |place| {
+            axis_path(place).then("controller").then("control")
+        }),
+        ConfigError::OutOfRange { line, quantity } => {
+            let Some((robot, number)) = of_line(line) else {
+                return bundle.clone();
+            };
+            let (axis, path) = (&cell.robot[robot].axis[number], axis_path((robot, number)));
+            let controller = path.then("controller");
+            let given = axis.controller.as_ref();
+            match quantity {
+                Quantity::Address => path.then("node"),
+                Quantity::TorqueConstant => controller.then("torque_constant"),
+                Quantity::MaxCurrent => controller.then("max_current"),
+                Quantity::MaxVelocity
+                    if given.is_some_and(|it| it.plausible_velocity.is_some()) =>
+                {
+                    controller.then("plausible_velocity")
+                }
+                Quantity::MaxVelocity => path.then("max_velocity"),
+                Quantity::MaxAcceleration
+                    if given.is_some_and(|it| it.plausible_acceleration.is_some()) =>
+                {
+                    controller.then("plausible_acceleration")
+                }
+                Quantity::MaxAcceleration => path.then("max_acceleration"),
+                Quantity::CurrentGains => controller,
+            }
+        }
+    }
+}

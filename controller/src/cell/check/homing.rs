@@ -1,0 +1,150 @@
+//! What the homing of an axis must satisfy: methods that find home, and searches that end.
+
+use super::axis::Place;
+use super::{Checked, no_effect, refused, within};
+use crate::cell::drives::FARTHEST_INDEX;
+use crate::cell::error::Problem;
+use crate::cell::text::Range;
+use crate::cell::{Axis, Path};
+use crate::robot::Limits;
+
+/// The homing methods of an EPOS4.
+const METHODS: [i8; 15] = [37, 34, 33, 27, 23, 18, 17, 11, 7, 2, 1, -1, -2, -3, -4];
+
+/// Methods whose reference is the negative end of the travel, a limit switch or a mechanical stop, and methods of the
+/// positive end. The ends are in the sense of the drive's counter.
+const NEGATIVE_END: [i8; 4] = [1, 17, -2, -4];
+const POSITIVE_END: [i8; 4] = [2, 18, -1, -3];
+
+/// Greatest distance of home from such an end, rad: a switch, an index pulse and a buffer lie between them.
+const NEAR_END: f64 = FARTHEST_INDEX;
+
+/// Greatest travel of an axis with ends, rad. The limits of an axis that turns without end are those of its counter.
+const ENDLESS: f64 = 1e5;
+
+/// Longest time in which a search crosses the travel once, s. The way there, the way back and the way off a switch of
+/// the same width take an hour.
+const CROSSING: f64 = 1200.0;
+
+/// Least distance that the search of an axis without ends covers, rad, and the time that its drive has for it, s.
+const ENDLESS_SEARCH: (f64, f64) = (100.0, 120.0);
+
+/// Longest time from the home switch to the index beside it, s, of a search by the host.
+const ZEROING: f64 = 300.0;
+
+/// Longest time in which a search reaches its velocity, s.
+const RAMP: f64 = 10.0;
+
+/// Whether an axis of these limits turns without end.
+pub(super) fn is_endless(limits: Limits) -> bool {
+    limits.high - limits.low > ENDLESS
+}
+
+/// The least velocity by which an axis of these limits can be homed, rad/s.
+pub(super) fn slowest(limits: Limits) -> f64 {
+    if is_endless(limits) {
+        ENDLESS_SEARCH.0 / ENDLESS_SEARCH.1
+    } else {
+        (limits.high - limits.low) / CROSSING
+    }
+}
+
+/// `model` is what the model says of the motor; `home` is its position at home, rad.
+pub(super) fn check(
+    path: &Path,
+    axis: &Axis,
+    place: Place<'_>,
+    model: Limits,
+    home: f64,
+) -> Checked {
+    let homing = axis.homing;
+    match place {
+        Place::Bus(_) => {
+            let because = "on a CAN bus: the drive's homing method decides";
+            no_effect(&path.then("direction"), homing.direction.is_some(), because)?;
+            let given = homing.reverse_at_limit.is_some();
+            no_effect(&path.then("reverse_at_limit"), given, because)?;
+            check_method(&path.then("method"), axis, model, home)?;
+        }
+        Place::Serial(_) if homing.method.is_some() => {
+            let why = "is a drive's: an axis on a serial line is homed by the host";
+            return refused(path.then("method"), why);
+        }
+        Place::Serial(_) => {}
+    }
+    let most = axis.max_velocity;
+    let of = "rad/s of the motor: from crossing the travel in 20 min to max_velocity";
+    let search = Range::new(slowest(model), most, of);
+    within(
+        &path.then("search_velocity"),
+        homing.search_velocity,
+        search,
+    )?;
+    let zero = match place {
+        Place::Bus(_) => search,
+        Place::Serial(_) => {
+            let of = "rad/s of the motor: from five turns in 5 min to max_velocity";
+            Range::new((FARTHEST_INDEX / ZEROING).min(most), most, of)
+        }
+    };
+    within(&path.then("zero_velocity"), homing.zero_velocity, zero)?;
+    let fastest = homing.search_velocity.max(homing.zero_velocity);
+    let most = axis.max_acceleration;
+    let of = "rad/s² of the motor: from reaching the search velocity in 10 s to max_acceleration";
+    let acceleration = Range::new((fastest / RAMP).min(most), most, of);
+    within(
+        &path.then("acceleration"),
+        homing.acceleration,
+        acceleration,
+    )?;
+    let Place::Serial(_) = place else {
+        return Ok(());
+    };
+    let most = (2.0 * homing.acceleration * FARTHEST_INDEX).sqrt();
+    let of = "rad/s of the motor: a search by the host brakes within five turns behind the switch";
+    let search = Range::new(0.0, most, of);
+    within(
+        &path.then("search_velocity"),
+        homing.search_velocity,
+        search,
+    )
+}
+
+/// A homed counter reads zero at the robot's home: the reference of the method has to be there.
+fn check_method(path: &Path, axis: &Axis, model: Limits, home: f64) -> Checked {
+    let Some(method) = axis.homing.method else {
+        let why = "is missing: a drive homes by one of its methods";
+        return refused(path.clone(), why);
+    };
+    if !METHODS.contains(&method) {
+        let value = f64::from(method);
+        let expected = "37, 34, 33, 27, 23, 18, 17, 11, 7, 2, 1 or -1 to -4";
+        return Err((path.clone(), Problem::NoneOf { value, expected }));
+    }
+    let reversed = axis.drive.as_ref().is_some_and(|drive| drive.reversed);
+    let (negative, positive) = (
+        NEGATIVE_END.contains(&method),
+        POSITIVE_END.contains(&method),
+    );
+    if !negative && !positive {
+        return Ok(());
+    }
+    let (end, distance) = if negative == reversed {
+        ("upper", model.high - home)
+    } else {
+        ("lower", home - model.low)
+    };
+    if distance <= NEAR_END {
+        return Ok(());
+    }
+    let by = if method > 0 {
+        "limit switch"
+    } else {
+        "mechanical stop"
+    };
+    let why = format!(
+        "is {method}, which takes the {by} at the {end} end of the travel for home, and the home of this axis is \
+         {distance:.0} rad from there: use a method with a home switch (7, 11, 23, 27)"
+    );
+    refused(path.clone(), why)
+}

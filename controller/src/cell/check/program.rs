@@ -1,0 +1,86 @@
+//! What the instructions of a program must satisfy, whatever arm they are for.
+
+use super::{Checked, name, refused, some, within};
+use crate::cell::error::Problem;
+use crate::cell::text::Range;
+use crate::cell::{Instruction, JointGenerator, Joints, Line, Path, Robot};
+
+/// Most instructions of a program, and most poses of one.
+const MOST: usize = 10_000;
+
+/// Of the greatest velocity and acceleration.
+const SHARE: Range = Range::new(1e-3, 1.0, "of the greatest");
+
+/// The farthest that a joint or a tool may be told to go, rad or m.
+const FARTHEST: Range = Range::new(-1e6, 1e6, "rad or m");
+
+pub(super) fn check(path: &Path, robot: &Robot) -> Checked {
+    let found = robot.program.len();
+    if found > 0 {
+        some(path, found, MOST, "instructions")?;
+    }
+    for (number, instruction) in robot.program.iter().enumerate() {
+        let path = path.then(number);
+        match instruction {
+            Instruction::Joints(joints) => check_joints(&path.then("joints"), joints, robot)?,
+            Instruction::Line(line) => check_line(&path.then("line"), line)?,
+            Instruction::Meet(meeting) => name(&path.then("meet"), meeting)?,
+        }
+    }
+    Ok(())
+}
+
+fn check_joints(path: &Path, joints: &Joints, robot: &Robot) -> Checked {
+    let poses = path.then("poses");
+    some(&poses, joints.poses.len(), MOST, "poses")?;
+    for (index, pose) in joints.poses.iter().enumerate() {
+        let (found, expected) = (pose.len(), robot.axis.len());
+        if found != expected {
+            let what = "joint values";
+            let problem = Problem::Count {
+                found,
+                expected,
+                what,
+            };
+            return Err((poses.then(index), problem));
+        }
+        for (joint, value) in pose.iter().enumerate() {
+            within(&poses.then(index).then(joint), *value, FARTHEST)?;
+        }
+    }
+    within(&path.then("velocity"), joints.velocity, SHARE)?;
+    within(&path.then("acceleration"), joints.acceleration, SHARE)?;
+    let Some(duration) = joints.duration else {
+        return Ok(());
+    };
+    let path = path.then("duration");
+    if joints.generator != JointGenerator::JerkLimited {
+        let why = "is for jerk-limited motions: use generator = \"jerk-limited\"";
+        return refused(path, why);
+    }
+    within(&path, duration, Range::new(1e-3, 86_400.0, "s"))
+}
+
+fn check_line(path: &Path, line: &Line) -> Checked {
+    for (number, part) in line.position.into_iter().enumerate() {
+        within(&path.then("position").then(number), part, FARTHEST)?;
+    }
+    let velocity = Range::new(1e-4, 100.0, "m/s");
+    within(&path.then("velocity"), line.velocity, velocity)?;
+    let acceleration = Range::new(1e-4, 1000.0, "m/s²");
+    within(&path.then("acceleration"), line.acceleration, acceleration)?;
+    let Some(quaternion) = line.quaternion else {
+        return Ok(());
+    };
+    let norm = quaternion
+        .iter()
+        .map(|part| part * part)
+        .sum::<f64>()
+        .sqrt();
+    if (norm - 1.0).abs() > 1e-3 {
+        let (value, expected) = (norm, "of length 1, as every orientation");
+        let path = path.then("quaternion");
+        return Err((path, Problem::NoneOf { value, expected }));
+    }
+    Ok(())
+}

@@ -1,0 +1,68 @@
+//! The text of a cell file as a TOML document: bounded before it is parsed, with the line of whatever is no TOML.
+
+use toml::de::DeTable;
+
+use super::error::{CellError, Problem};
+use super::locate::line_at;
+use super::text::excerpt;
+
+/// Most bytes of a cell file. The largest example has 26 kB.
+pub const LARGEST: usize = 1 << 20;
+
+/// Most characters of a cell file that make elements: `.`, `,`, `=`, `[` and `{`. Each may stand for a table, which takes
+/// a kilobyte of memory; a taught pose of six joints has thirteen.
+const MOST_ELEMENTS: usize = 1 << 16;
+
+/// The text of a cell file.
+pub(super) fn text(bytes: &[u8]) -> Result<&str, CellError> {
+    let shape = |line, problem: String| CellError {
+        line,
+        key: String::new(),
+        problem: Problem::Shape(problem),
+    };
+    if bytes.len() > LARGEST {
+        let length = bytes.len();
+        let problem = format!("the file has {length} bytes, a cell file may have {LARGEST}");
+        return Err(shape(1, problem));
+    }
+    str::from_utf8(bytes).map_err(|error| {
+        let before = &bytes[..error.valid_up_to()];
+        let line = before.iter().filter(|&&byte| byte == b'\n').count() + 1;
+        let byte = bytes[error.valid_up_to()];
+        shape(
+            line,
+            format!("the byte {byte:#04x} is no UTF-8 text: save the file as UTF-8"),
+        )
+    })
+}
+
+/// The document of a text.
+pub(super) fn parse(text: &str) -> Result<DeTable<'_>, CellError> {
+    self::text(text.as_bytes())?;
+    let elements = |byte: &u8| matches!(byte, b'.' | b',' | b'=' | b'[' | b'{');
+    let mut excess = text.bytes().enumerate().filter(|(_, byte)| elements(byte));
+    if let Some((offset, _)) = excess.nth(MOST_ELEMENTS) {
+        return Err(CellError {
+            line: line_at(text, offset),
+            key: String::new(),
+            problem: Problem::Shape(format!(
+                "the file has too many elements: it may have {MOST_ELEMENTS} of the characters . , = [ and {{"
+            )),
+        });
+    }
+    let document = DeTable::parse(text).map_err(|error| {
+        let span = error.span().unwrap_or_default();
+        let message = error.message().lines().collect::<Vec<_>>().join(", ");
+        let found = text.get(span.clone()).unwrap_or_default();
+        let (key, problem) = match message.as_str() {
+            "duplicate key" => (excerpt(found), "is given twice".to_owned()),
+            _ => (String::new(), excerpt(&message)),
+        };
+        CellError {
+            line: line_at(text, span.start),
+            key,
+            problem: Problem::Shape(problem),
+        }
+    })?;
+    Ok(document.into_inner())
+}

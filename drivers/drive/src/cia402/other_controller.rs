@@ -1,0 +1,63 @@
+//! The frames by which a second controller on the bus gives itself away.
+//!
+//! Drives follow SYNC and set-points from any sender, and accept any heartbeat under the host's node-ID. NMT commands and
+//! service requests are no sign, since service commands may be used beside a controller.
+
+use std::fmt;
+
+use can::Frame;
+use canopen::{NodeId, cob};
+
+/// A frame that only the controller of a bus sends, and that came from elsewhere.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sign {
+    /// SYNC.
+    Sync,
+    /// The heartbeat of the host's own node-ID.
+    Heartbeat {
+        /// Node-ID of the host.
+        node: u8,
+    },
+    /// An RPDO of one of our drives.
+    Setpoint {
+        /// Node-ID of the drive.
+        node: u8,
+    },
+}
+
+impl fmt::Display for Sign {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Sync => f.write_str("SYNC"),
+            Self::Heartbeat { node } => write!(f, "the heartbeat of node {node}"),
+            Self::Setpoint { node } => write!(f, "a set-point of node {node}"),
+        }
+    }
+}
+
+impl Sign {
+    /// What a received frame is a sign of, on the bus of `host` and the drives that `is_ours` knows.
+    pub(super) fn of(
+        frame: &Frame,
+        host: NodeId,
+        is_ours: impl FnOnce(NodeId) -> bool,
+    ) -> Option<Self> {
+        match cob::Function::of(frame.standard_data_id()?)? {
+            cob::Function::Sync => Some(Self::Sync),
+            cob::Function::Heartbeat(node) if node == host => {
+                Some(Self::Heartbeat { node: node.raw() })
+            }
+            cob::Function::Rpdo(_, node) if is_ours(node) => {
+                Some(Self::Setpoint { node: node.raw() })
+            }
+            cob::Function::Heartbeat(_)
+            | cob::Function::Rpdo(..)
+            | cob::Function::Nmt
+            | cob::Function::Emcy(_)
+            | cob::Function::Time
+            | cob::Function::Tpdo(..)
+            | cob::Function::SdoResponse(_)
+            | cob::Function::SdoRequest(_) => None,
+        }
+    }
+}

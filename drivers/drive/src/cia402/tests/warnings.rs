@@ -1,0 +1,110 @@
+//! EMCY without a fault.
+
+use std::time::Duration;
+
+use super::bench::*;
+use crate::cia402::*;
+use crate::{Warning, Warnings};
+
+const STAND: &[AxisCommand] = &[AxisCommand::Stand];
+
+fn enabled() -> Bench {
+    let mut bench = Bench::up(&[2]);
+    bench.enable();
+    bench
+}
+
+/// A cycle in which the drive stands enabled and sends these EMCY too.
+fn reports(bench: &mut Bench, emergencies: &[&str]) {
+    let mut answers = bench.answers(0x0737, 1_000);
+    answers.extend(emergencies.iter().map(|text| (*text).to_owned()));
+    bench.cycle(&answers, STAND);
+}
+
+fn warnings(bench: &Bench) -> Vec<Warning> {
+    bench.group.warnings().iter().copied().collect()
+}
+
+#[test]
+fn an_emcy_without_a_fault_is_a_warning_with_its_time_and_count() {
+    let mut bench = enabled();
+    let up = bench.now;
+    reports(&mut bench, &["082#1042080000000000"]);
+    reports(
+        &mut bench,
+        &["082#1042080000000000", "082#1042090000000000"],
+    );
+    // The end of an error, and an EMCY of another node.
+    reports(
+        &mut bench,
+        &["082#0000000000000000", "083#1042080000000000"],
+    );
+    // Seven cycles of enabling before, and the EMCY comes half a period before its cycle.
+    let first = bench.now.since(up) + 7 * PERIOD - 3 * PERIOD + PERIOD / 2;
+    let warning = |register, count, after| Warning {
+        after,
+        node: 2,
+        code: 0x4210,
+        register,
+        count,
+    };
+    let expected = [warning(8, 2, first), warning(9, 1, first + PERIOD)];
+    assert_eq!(warnings(&bench), expected);
+    assert_eq!(bench.states[0].fault, None);
+    let text = "node 2: EMCY 0x4210 (thermal overload of the device), error register 0x08";
+    assert_eq!(expected[0].to_string(), text);
+}
+
+#[test]
+fn the_emcy_of_a_fault_is_no_warning_whichever_comes_first() {
+    let (emcy, other) = ("082#1186800000000000", "082#1042080000000000");
+    let statusword = answer(2, 0x020F, 1_000);
+    let orders: [&[&[&str]]; 5] = [
+        &[&[emcy, &statusword]],
+        &[&[&statusword, emcy]],
+        &[&[&statusword], &[&statusword, emcy]],
+        &[&[emcy], &[&statusword]],
+        &[&[emcy], &[&statusword], &[emcy, &statusword]],
+    ];
+    for cycles in orders {
+        let mut bench = enabled();
+        for answers in cycles {
+            bench.cycle(answers, STAND);
+        }
+        let code = 0x8611;
+        assert_eq!(bench.states[0].fault, Some(Fault::Drive { node: 2, code }));
+        assert_eq!(warnings(&bench), [], "{cycles:?}");
+        // Another error beside the fault is one.
+        bench.cycle(&[other, &statusword], STAND);
+        assert_eq!(warnings(&bench).len(), 1);
+    }
+}
+
+#[test]
+fn warnings_are_bounded_and_the_rest_is_counted() {
+    let mut bench = enabled();
+    for code in 1..=40 {
+        let emcy = format!("082#{code:02X}FF010000000000");
+        reports(&mut bench, &[&emcy]);
+    }
+    let found = warnings(&bench);
+    assert_eq!(found.len(), Warnings::KEPT);
+    assert_eq!((found[0].code, found[31].code), (0xFF01, 0xFF20));
+    assert_eq!(bench.group.warnings().omitted(), 8);
+    // Those that are known count on.
+    reports(&mut bench, &["082#01FF010000000000"]);
+    assert_eq!(warnings(&bench)[0].count, 2);
+}
+
+#[test]
+fn warnings_are_those_of_the_operation_since_bring_up() {
+    let mut bench = enabled();
+    reports(&mut bench, &["082#1042080000000000"]);
+    assert_eq!(bench.bring_up(), Ok(()));
+    assert_eq!(warnings(&bench), []);
+    let up = bench.now;
+    reports(&mut bench, &["082#1042080000000000"]);
+    let after = bench.now.since(up) - PERIOD / 2;
+    assert_eq!(warnings(&bench)[0].after, after);
+    assert!(after < Duration::from_secs(1));
+}

@@ -1,0 +1,88 @@
+//! What drives report while they go on: warnings, counted and bounded.
+
+use std::time::Duration;
+
+use canopen::cia402::FaultTable;
+use thiserror::Error;
+
+/// An error that a drive reported (EMCY) without a fault, since operation began.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[error(
+    "node {node}: EMCY {code:#06x} ({text}), error register {register:#04x}",
+    text = FaultTable::Epos4.text(*.code)
+)]
+pub struct Warning {
+    /// Time from the beginning of operation to the first such report.
+    pub after: Duration,
+    /// Node-ID.
+    pub node: u8,
+    /// Error code of CiA 402 or of the vendor.
+    pub code: u16,
+    /// Object 0x1001.
+    pub register: u8,
+    /// How often the drive reported it.
+    pub count: u64,
+}
+
+/// The warnings of a group: the first [`KEPT`](Self::KEPT) different ones, and how many reports had no room.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Warnings {
+    kept: Vec<Warning>,
+    omitted: u64,
+}
+
+impl Warnings {
+    /// Different warnings that are kept.
+    pub const KEPT: usize = 32;
+
+    /// No warning.
+    pub(crate) const NONE: Self = Self {
+        kept: Vec::new(),
+        omitted: 0,
+    };
+
+    /// No warning, with room for those to come.
+    pub(crate) fn with_room() -> Self {
+        Self {
+            kept: Vec::with_capacity(Self::KEPT),
+            omitted: 0,
+        }
+    }
+
+    pub(crate) fn clear(&mut self) {
+        self.kept.clear();
+        self.omitted = 0;
+    }
+
+    /// Adds a report; one of the same node, code and register counts as a repetition.
+    pub(crate) fn add(&mut self, warning: Warning) {
+        let kind = |it: &Warning| (it.node, it.code, it.register);
+        let mut kept = self.kept.iter();
+        match kept.position(|kept| kind(kept) == kind(&warning)) {
+            Some(same) => self.kept[same].count += warning.count,
+            None if self.kept.len() < Self::KEPT => self.kept.push(warning),
+            None => self.omitted += warning.count,
+        }
+    }
+
+    /// Takes the last report of `code` by `node` away: the drive has a fault of this code.
+    pub(crate) fn explain(&mut self, node: u8, code: u16) {
+        let mut kept = self.kept.iter();
+        let last = kept.rposition(|kept| (kept.node, kept.code) == (node, code));
+        let Some(last) = last else { return };
+        self.kept[last].count -= 1;
+        if self.kept[last].count == 0 {
+            self.kept.remove(last);
+        }
+    }
+
+    /// Those that are kept, in the order in which they came first.
+    pub fn iter(&self) -> impl Iterator<Item = &Warning> {
+        self.kept.iter()
+    }
+
+    /// Reports for which there was no room.
+    pub fn omitted(&self) -> u64 {
+        self.omitted
+    }
+}

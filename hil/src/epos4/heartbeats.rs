@@ -1,0 +1,92 @@
+//! The watch over the heartbeats of other nodes, object 0x1016.
+//!
+//! The watch of an entry begins with the first heartbeat of its node (CiA 301). CiA 301 does not say what a new time for
+//! the same node does. Here the watch goes on: the time counts from the last heartbeat, and a lost node stays lost until
+//! it is heard.
+
+use std::time::Duration;
+
+use can::Instant;
+use canopen::{NodeId, objects as named};
+
+use super::objects::Objects;
+use super::table::Slot;
+
+/// Entries of the object.
+pub(super) const ENTRIES: usize = 2;
+
+const FIRST: Slot = Slot::of(named::CONSUMER_HEARTBEAT_1);
+
+/// The node-ID and the time that an entry says; `None` for one that is not used.
+pub(super) fn watched(entry: u32) -> Option<(NodeId, Duration)> {
+    let within = Duration::from_millis(u64::from(entry & 0xFFFF));
+    let node = NodeId::new((entry >> 16) as u8)?;
+    (!within.is_zero()).then_some((node, within))
+}
+
+/// The watch over every entry.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Consumers([Consumer; ENTRIES]);
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Consumer {
+    watched: Option<(NodeId, Duration)>,
+    /// When its node was last heard.
+    heard: Option<Instant>,
+    lost: bool,
+}
+
+impl Consumers {
+    /// Takes over the object. Returns the entries whose node was lost and is not watched any more.
+    pub(super) fn read(&mut self, objects: &Objects) -> [bool; ENTRIES] {
+        std::array::from_fn(|number| {
+            let consumer = &mut self.0[number];
+            let watched = watched(objects.u(FIRST.plus(number as u16)));
+            let same = |node: Option<(NodeId, Duration)>| node.map(|(node, _)| node);
+            if same(consumer.watched) == same(watched) {
+                consumer.watched = watched;
+                return false;
+            }
+            let ended = consumer.lost;
+            *consumer = Consumer {
+                watched,
+                ..Consumer::default()
+            };
+            ended
+        })
+    }
+
+    /// Takes a heartbeat. Returns the entry whose node was lost until now.
+    pub(super) fn hear(&mut self, node: NodeId, now: Instant) -> Option<usize> {
+        let watches = |consumer: &Consumer| consumer.watched.is_some_and(|(of, _)| of == node);
+        let number = self.0.iter().position(watches)?;
+        let consumer = &mut self.0[number];
+        consumer.heard = Some(now);
+        std::mem::take(&mut consumer.lost).then_some(number)
+    }
+
+    /// An entry whose node is lost from now on; to be called until there is none.
+    pub(super) fn expire(&mut self, now: Instant) -> Option<usize> {
+        let overdue = |consumer: &Consumer| consumer.deadline().is_some_and(|at| at <= now);
+        let number = self.0.iter().position(overdue)?;
+        self.0[number].lost = true;
+        Some(number)
+    }
+
+    /// Whether the node of an entry is lost.
+    pub(super) fn lost(&self, number: usize) -> bool {
+        self.0[number].lost
+    }
+
+    /// When the next node is lost.
+    pub(super) fn poll_timeout(&self) -> Option<Instant> {
+        self.0.iter().filter_map(Consumer::deadline).min()
+    }
+}
+
+impl Consumer {
+    fn deadline(&self) -> Option<Instant> {
+        let (_, within) = self.watched.filter(|_| !self.lost)?;
+        Some(self.heard? + within)
+    }
+}

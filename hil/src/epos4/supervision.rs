@@ -1,0 +1,161 @@
+//! Supervision of the communication: begin and end of its errors, and the reaction of the node.
+
+use std::time::Duration;
+
+use can::{Frame, Instant};
+use canopen::heartbeat::Heartbeat;
+use canopen::nmt;
+use canopen::objects as named;
+use canopen::pdo::{PdoKind, PdoNumber};
+
+use super::drive::ABORT_CONNECTION_OPTION;
+use super::errors::{self, Error};
+use super::pdo::{self, Reception};
+use super::table::Slot;
+use super::{Epos4, heartbeats};
+
+const PRODUCER: Slot = Slot::of(named::PRODUCER_HEARTBEAT);
+
+impl Epos4 {
+    /// An error occurs. The drive reacts each time, and EMCY announces an error once while it is present.
+    pub(super) fn fail(&mut self, error: Error) {
+        self.errors.raise(error, &mut self.objects);
+        self.announce();
+        self.drive.react(error, &self.objects);
+        self.drive.publish(&mut self.objects, 0.0);
+    }
+
+    /// The master ends the connection: an error where object 0x6007 makes a fault of that.
+    pub(super) fn end_connection(&mut self) {
+        if self.objects.i(ABORT_CONNECTION_OPTION) == 1 && !self.drive.faulted() {
+            self.fail(errors::CONNECTION_ENDED);
+        } else {
+            self.drive.abort_connection(&self.objects);
+        }
+    }
+
+    /// An error of communication, with what object 0x1029 says of the NMT state.
+    pub(super) fn lose_contact(&mut self, error: Error, now: Instant) {
+        self.fail(error);
+        let to = match self.objects.u(Slot::of(named::ERROR_BEHAVIOUR)) {
+            0 if self.objects.nmt == nmt::State::Operational => nmt::State::PreOperational,
+            2 => nmt::State::Stopped,
+            _ => return,
+        };
+        self.enter(to, now);
+    }
+
+    /// What was missed is heard again; a drive in fault keeps its error until it is reset.
+    pub(super) fn regain(&mut self, error: Error) {
+        if self.errors.any() && !self.drive.faulted() {
+            self.clear(|present| present == error);
+        }
+    }
+
+    pub(super) fn clear(&mut self, gone: impl Fn(Error) -> bool) {
+        self.errors.clear(&mut self.objects, gone);
+        self.announce();
+    }
+
+    /// Fault reset: ends every error but the loss of a node that is still silent.
+    pub(super) fn reset_fault(&mut self) {
+        let consumers = self.consumers;
+        let silent =
+            |error, number| consumers.lost(number) && error == errors::HEARTBEAT.of(number);
+        self.clear(|error| !(0..heartbeats::ENTRIES).any(|number| silent(error, number)));
+    }
+
+    /// Sends the EMCY that are due, unless the NMT state forbids them: later then.
+    pub(super) fn announce(&mut self) {
+        let Some(node) = self.node.filter(|_| self.serving()) else {
+            return;
+        };
+        while let Some(code) = self.errors.announce() {
+            self.send(errors::emergency(node, code, &self.objects));
+        }
+    }
+
+    pub(super) fn heartbeat_period(&self) -> Option<Duration> {
+        let period = Duration::from_millis(u64::from(self.objects.u(PRODUCER)));
+        (!period.is_zero()).then_some(period)
+    }
+
+    /// Object 0x1017 was written: heartbeats begin at once (CiA 301), or end.
+    pub(super) fn start_heartbeat(&mut self, now: Instant) {
+        self.heartbeat_at = self.heartbeat_period().map(|_| now);
+        self.produce_heartbeat(now);
+    }
+
+    pub(super) fn produce_heartbeat(&mut self, now: Instant) {
+        if let Some(at) = self.heartbeat_at.filter(|at| *at <= now) {
+            self.send_heartbeat(self.objects.nmt);
+            self.heartbeat_at = self.heartbeat_period().map(|period| at + period);
+        }
+    }
+
+    /// Object 0x1016 was written. The loss of a node that is not watched any more is over.
+    pub(super) fn read_consumers(&mut self) {
+        let ended = self.consumers.read(&self.objects);
+        for (number, _) in ended.into_iter().enumerate().filter(|(_, ended)| *ended) {
+            self.regain(errors::HEARTBEAT.of(number));
+        }
+    }
+
+    pub(super) fn hear(&mut self, heartbeat: Heartbeat, now: Instant) {
+        if let Some(number) = self.consumers.hear(heartbeat.node, now) {
+            self.regain(errors::HEARTBEAT.of(number));
+        }
+    }
+
+    /// A SYNC has no data, since there is no object 0x1019 (CiA 301).
+    pub(super) fn hear_sync(&mut self, frame: &Frame, now: Instant) {
+        if frame.data().is_empty() {
+            self.regain(errors::SYNC_LENGTH);
+            self.regain(errors::SYNC_TIME_OUT);
+            self.synchronise(now);
+        } else {
+            self.catch_up(now, false);
+            self.fail(errors::SYNC_LENGTH);
+        }
+    }
+
+    pub(super) fn receive_pdo(&mut self, frame: &Frame, now: Instant) -> bool {
+        let Some(id) = frame.standard_data_id() else {
+            return false;
+        };
+        match self.pdos.receive(id, frame.data(), &mut self.objects, now) {
+            Reception::Foreign => return false,
+            Reception::Waiting(number) => self.regain_pdo(number),
+            Reception::Effective(number) => {
+                self.catch_up(now, false);
+                self.regain_pdo(number);
+                self.settle(now);
+            }
+            Reception::TooShort(number) => {
+                self.catch_up(now, false);
+                self.fail(errors::PDO_LENGTH.of(number));
+            }
+        }
+        true
+    }
+
+    pub(super) fn regain_pdo(&mut self, number: usize) {
+        self.regain(errors::RPDO_TIME_OUT.of(number));
+        self.regain(errors::PDO_LENGTH.of(number));
+    }
+
+    /// A parameter of a PDO was written. The errors of an RPDO end with the RPDO or its event timer.
+    pub(super) fn update_pdo(&mut self, kind: PdoKind, number: PdoNumber) {
+        if self.objects.nmt == nmt::State::Operational {
+            self.pdos.update(kind, number, &self.objects);
+        }
+        if kind == PdoKind::Rpdo {
+            let at = usize::from(number.offset());
+            match pdo::watched(number, &self.objects) {
+                (false, _) => self.regain_pdo(at),
+                (true, false) => self.regain(errors::RPDO_TIME_OUT.of(at)),
+                (true, true) => {}
+            }
+        }
+    }
+}

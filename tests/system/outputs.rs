@@ -1,0 +1,189 @@
+//! Files that commands write: what they never replace, and what they replace when they are told to.
+
+use std::ffi::OsStr;
+use std::fs::{self, File};
+use std::os::unix::fs::symlink;
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use crate::cli_refusals::refused;
+use crate::configuration::{cell, dcf};
+use crate::mrroc::{Directory, Output, binary, example, mrroc, shorten};
+
+/// `mrroc` with `words`, then an option and its file.
+fn with(words: &[&OsStr], option: &str, file: &Path) -> Output {
+    let option = format!("--{option}={}", file.display());
+    mrroc(words.iter().copied().chain([option.as_ref()]))
+}
+
+#[test]
+fn no_output_replaces_the_cell_file_or_what_it_names() {
+    let directory = Directory::new();
+    let place = |name: &str| directory.path(name);
+    let (dcf, _) = dcf(&[("6067", "ParameterValue=1234")]);
+    let cell = cell(&directory, &dcf, |_| {});
+    let words = fs::read_to_string(&cell).unwrap();
+    fs::create_dir(place("sub")).unwrap();
+    symlink(&cell, place("link")).unwrap();
+    fs::hard_link(&cell, place("hard")).unwrap();
+    let run = ["run".as_ref(), cell.as_os_str()];
+    let others = [
+        place("link"),
+        place("hard"),
+        place("sub/../cell.toml"),
+        place("motor.dcf"),
+        cell.clone(),
+    ];
+    for file in &others {
+        for option in ["trace", "record", "spikes"] {
+            refused(&with(&run, option, file), &[option]);
+            let forced = [&run[..], &["--force".as_ref()]].concat();
+            let needles = [option, "is the same file: name another"];
+            refused(&with(&forced, option, file), &needles);
+        }
+    }
+    let jitter = ["jitter", "--force", "--cell"].map(AsRef::as_ref);
+    let jitter = [&jitter[..], &[cell.as_os_str()]].concat();
+    refused(&with(&jitter, "spikes", &cell), &["the cell file is"]);
+    // A measurement writes to names of its own.
+    fs::create_dir(place("out")).unwrap();
+    symlink(&cell, place("out/bode.csv")).unwrap();
+    let identify = ["identify", "--axis=column", "--force"].map(AsRef::as_ref);
+    let identify = [&identify[..], &[cell.as_os_str()]].concat();
+    refused(
+        &with(&identify, "out", &place("out")),
+        &["the cell file is"],
+    );
+    assert_eq!(fs::read_to_string(&cell).unwrap(), words);
+    assert_eq!(fs::read_to_string(place("motor.dcf")).unwrap(), dcf);
+    assert!(!place("out/bode.svg").exists());
+}
+
+#[test]
+fn two_outputs_are_never_one_file() {
+    let directory = Directory::new();
+    let place = |name: &str| directory.path(name);
+    symlink(".", place("here")).unwrap();
+    symlink("a", place("link")).unwrap();
+    let cell = example("irb6");
+    let pairs = [("a", "a"), ("a", "here/a"), ("link", "a"), ("a", "link")];
+    for (one, other) in pairs {
+        let trace = format!("--trace={}", place(one).display());
+        let words = ["run", "--bench=lockstep", "--force", &trace].map(AsRef::as_ref);
+        let words = [&words[..], &[cell.as_os_str()]].concat();
+        let run = with(&words, "record", &place(other));
+        refused(&run, &["--record", "--trace has the same file"]);
+        assert!(!place("a").exists(), "{one} {other}");
+    }
+    // Nothing is mixed up in a device, and everything in what standard output is redirected to.
+    let both = ["run", "--bench=lockstep", "--trace=/dev/null"].map(AsRef::as_ref);
+    let both = [&both[..], &[cell.as_os_str()]].concat();
+    let run = with(&both, "record", Path::new("/dev/null"));
+    assert_eq!(run.status.code(), Some(0), "{run:?}");
+    let run = Command::new(binary())
+        .args(&both)
+        .arg("--record=/dev/stdout")
+        .stdout(File::create(place("report")).unwrap())
+        .stderr(Stdio::piped())
+        .output()
+        .unwrap();
+    assert_eq!(run.status.code(), Some(2), "{run:?}");
+    let said = String::from_utf8(run.stderr).unwrap();
+    assert!(said.contains("standard output is the same file"), "{said}");
+    let piped = with(&both, "record", Path::new("/dev/stdout"));
+    assert_eq!(piped.status.code(), Some(0), "{piped:?}");
+    assert!(
+        piped.stdout.starts_with("cycle,time_s,axis,"),
+        "{}",
+        &piped.stdout[..100]
+    );
+    assert!(piped.stdout.contains("completed"));
+}
+
+#[test]
+fn what_is_there_is_replaced_by_force_alone() {
+    let directory = Directory::new();
+    let place = |name: &str| directory.path(name);
+    let cell = directory.cell("irb6", shorten);
+    let old = "old\n".repeat(1 << 20);
+    let run = ["run", "--bench=lockstep"].map(AsRef::as_ref);
+    let run = [&run[..], &[cell.as_os_str()]].concat();
+    let measure = ["identify", "--axis=column"].map(AsRef::as_ref);
+    let measure = [&measure[..], &[cell.as_os_str()]].concat();
+    let jitter: Vec<&OsStr> = ["jitter", "--duration=1s"].map(AsRef::as_ref).to_vec();
+    for (words, option, file, begins) in [
+        (&run, "trace", "trace.log", "(0"),
+        (&run, "record", "states.csv", "cycle,"),
+        (&jitter, "spikes", "spikes.json", "{"),
+        (&jitter, "out", "ours.hgrm", "    "),
+        (&jitter, "out", "jitter.svg", "<svg"),
+        (&measure, "out", "bode.csv", "frequency_hz,"),
+        (&measure, "out", "bode.svg", "<svg"),
+    ] {
+        fs::write(place(file), &old).unwrap();
+        let given = if option == "out" {
+            place(".")
+        } else {
+            place(file)
+        };
+        let again = with(words, option, &given);
+        refused(&again, &[option, file, "--force"]);
+        assert_eq!(fs::read_to_string(place(file)).unwrap(), old, "{file}");
+        let forced = [&words[..], &["--force".as_ref()]].concat();
+        let forced = with(&forced, option, &given);
+        assert_eq!(forced.status.code(), Some(0), "{forced:?}");
+        let written = fs::read_to_string(place(file)).unwrap();
+        assert!(written.starts_with(begins), "{file}: {}", &written[..100]);
+        assert!(!written.contains("old\n"), "{file}");
+        for name in fs::read_dir(place(".")).unwrap() {
+            let path = name.unwrap().path();
+            if path != cell {
+                fs::remove_file(path).unwrap();
+            }
+        }
+    }
+}
+
+#[test]
+fn a_refused_run_leaves_no_file_behind_and_empties_none() {
+    let directory = Directory::new();
+    let [new, old] = ["new.log", "old.csv"].map(|name| directory.path(name));
+    fs::write(&old, "precious").unwrap();
+    let cell = example("irb6");
+    let trace = format!("--trace={}", new.display());
+    let words = ["run", "--bench=vcan", "--can=nosuch0", "--force", &trace].map(AsRef::as_ref);
+    let words = [&words[..], &[cell.as_os_str()]].concat();
+    refused(&with(&words, "record", &old), &["nosuch0"]);
+    assert!(!new.exists());
+    assert_eq!(fs::read_to_string(&old).unwrap(), "precious");
+}
+
+#[test]
+fn manual_pages_that_do_not_fit_are_refused_by_name() {
+    let directory = Directory::new();
+    let pages = directory.path("pages");
+    let limited = |limit: &str| {
+        // The signal of the limit would end the command.
+        let script = format!("trap '' XFSZ; ulimit -f {limit}; exec \"$@\"");
+        let command = Command::new("sh")
+            .args(["-c", &script, "sh"])
+            .arg(binary())
+            .args(["manual", "--force"])
+            .arg(&pages)
+            .output();
+        command.unwrap()
+    };
+    let run = limited("0");
+    assert_eq!(run.status.code(), Some(2), "{run:?}");
+    let said = String::from_utf8(run.stderr).unwrap();
+    assert_eq!(said.lines().count(), 1, "{said}");
+    let name = pages.join("mrroc.bash");
+    assert!(
+        said.contains(name.to_str().unwrap()) && said.contains("File too large"),
+        "{said}"
+    );
+    assert_eq!(limited("unlimited").status.code(), Some(0));
+    assert!(fs::metadata(pages.join("mrroc-run.1")).unwrap().len() > 1000);
+    let again = mrroc(["manual".as_ref(), pages.as_os_str()]);
+    refused(&again, &["mrroc.bash", "--force"]);
+}

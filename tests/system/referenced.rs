@@ -1,0 +1,116 @@
+//! Runs of an arm whose drives kept their reference: the arm is not homed and stands wherever the run before left it.
+
+use std::f64::consts::FRAC_PI_2;
+use std::fs;
+use std::path::Path;
+
+use controller::cell::{Cell, Instruction, JointGenerator, Joints, Line};
+
+use crate::mrroc::{Directory, Output, mrroc, shorten};
+use crate::serial_cli::emulate;
+
+/// A cell with this instruction alone, and with patience: the answers of another process come late on a loaded machine.
+fn cell(directory: &Directory, instruction: Instruction) -> std::path::PathBuf {
+    directory.cell("irb6-serial", |cell: &mut Cell| {
+        shorten(cell);
+        cell.serial[0].tolerated_missing = 10;
+        cell.serial[0].answer_timeout_ms = 500;
+        cell.max_missed_in_row = 100;
+        cell.robot[0].program = vec![instruction];
+    })
+}
+
+fn joints(pose: [f64; 5]) -> Instruction {
+    Instruction::Joints(Joints {
+        poses: vec![pose.to_vec()],
+        generator: JointGenerator::Newsmooth,
+        velocity: 0.5,
+        acceleration: 0.3,
+        duration: None,
+    })
+}
+
+/// Level, and in the plane that the arm faces at home.
+fn line() -> Instruction {
+    Instruction::Line(Line {
+        position: [0.7, 0.0, 1.05],
+        quaternion: None,
+        velocity: 0.2,
+        acceleration: 0.5,
+    })
+}
+
+fn run_on(cell: &Path, ttys: &Path, record: &Path) -> Output {
+    mrroc([
+        "run".as_ref(),
+        cell.as_os_str(),
+        "--bench=card".as_ref(),
+        "--serial".as_ref(),
+        ttys.as_os_str(),
+        "--json".as_ref(),
+        "--force".as_ref(),
+        "--record".as_ref(),
+        record.as_os_str(),
+    ])
+}
+
+/// The phases that the arm went through.
+fn has_been(record: &Path, phase: &str) -> bool {
+    let record = fs::read_to_string(record).expect("the record is there");
+    record.contains(&format!(",wrist-roll,{phase},"))
+}
+
+/// Whether a run came to its end. Where the host kept answers or cycles back, the loops suffer, and the run may say so.
+fn completed(run: &Output) -> bool {
+    let report = run.json();
+    let count = |value: &serde_json::Value| value.as_u64().expect("a count");
+    let kept_back =
+        count(&report["buses"][0]["missed_answers"]) + count(&report["cycle"]["missed"]) > 0;
+    let completed = run.status.code() == Some(0);
+    assert!(completed || kept_back, "{run:?}");
+    if !completed {
+        eprintln!("the host kept answers or cycles back, and the rest of the test has no arm");
+    }
+    completed
+}
+
+#[test]
+fn a_program_is_rehearsed_again_from_where_a_referenced_arm_stands() {
+    let directory = Directory::new();
+    let (ttys, record) = (directory.path("ttys"), directory.path("record.csv"));
+    let away = cell(&directory, joints([0.5, -1.7, 0.1, 0.4, 0.3]));
+    let _emulator = emulate(&away, &ttys);
+    let run = run_on(&away, &ttys, &record);
+    if !completed(&run) {
+        return;
+    }
+    assert!(has_been(&record, "Homing"));
+
+    // What the line asks for can be done from home, and not from here.
+    let path = cell(&directory, line());
+    let checked = mrroc(["check".as_ref(), path.as_os_str()]);
+    assert_eq!(checked.status.code(), Some(0), "{checked:?}");
+    let run = run_on(&path, &ttys, &record);
+    assert_eq!(run.status.code(), Some(1), "{run:?}");
+    let faults = run.json()["faults"].clone();
+    let text = fs::read_to_string(&path).expect("the cell is there");
+    let number = text.lines().position(|line| line == "[[robot.program]]");
+    let number = number.expect("it has a program") + 1;
+    let place = format!("cell.toml:{number}: robot[0].program[0]: ");
+    let said = faults[0]["what"].as_str().expect("a text");
+    assert_eq!(faults.as_array().map(Vec::len), Some(1), "{faults}");
+    assert!(
+        said.contains(&place) && said.contains("out of the arm's plane"),
+        "{faults}"
+    );
+    assert!(!has_been(&record, "Homing") && !has_been(&record, "Moving"));
+
+    // A motion of the joints can be done from everywhere, and the line after it from home.
+    for instruction in [joints([0.0, -FRAC_PI_2, 0.0, 0.0, 0.0]), line()] {
+        let run = run_on(&cell(&directory, instruction), &ttys, &record);
+        assert!(!has_been(&record, "Homing") && has_been(&record, "Moving"));
+        if !completed(&run) {
+            return;
+        }
+    }
+}

@@ -1,0 +1,112 @@
+//! Signals that would end or suspend a run, in motion and where something does not end.
+
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::process::Command;
+
+use crate::cli_run::{interrupted, stopped, stops_in_motion};
+use crate::mrroc::{Directory, Running, example, shorten};
+
+/// All but 9 and 19, which cannot be caught; 4, 7, 8 and 11, after which no code is to be trusted; 13, which does not
+/// end the process; 10, which asks for the cycles of this moment; and those that suspend only readers and writers of the
+/// terminal.
+const ENDING: [&str; 19] = [
+    "HUP", "QUIT", "TRAP", "ABRT", "USR2", "ALRM", "16", "XCPU", "XFSZ", "VTALRM", "PROF", "29",
+    "PWR", "SYS", "TSTP", "34", "35", "63", "64",
+];
+
+#[test]
+fn every_signal_that_would_end_or_suspend_a_run_brakes_the_arm() {
+    for signal in ENDING {
+        println!("SIG{signal}");
+        stops_in_motion(signal);
+    }
+}
+
+/// A run in the background whose terminal is set to stop those that write to it (`stty tostop`) is sent SIGTTOU.
+#[test]
+fn a_run_in_the_background_is_not_suspended_by_its_terminal() {
+    let directory = Directory::new();
+    let cell = directory.cell("irb6", shorten);
+    let record = directory.path("axes.csv");
+    let run = Running::start([
+        "run".as_ref(),
+        cell.as_os_str(),
+        "--json".as_ref(),
+        "--record".as_ref(),
+        record.as_os_str(),
+    ]);
+    let lines = |text: &str| text.lines().count();
+    run.wait_for(&record, |text| lines(text) > 200);
+    run.signal("TTOU");
+    run.signal("TTIN");
+    let before = lines(&fs::read_to_string(&record).unwrap());
+    run.wait_for(&record, |text| lines(text) > before + 2000);
+    run.signal("INT");
+    stopped(&run.output());
+}
+
+#[test]
+fn ctrl_z_while_homing_ends_the_run() {
+    let (run, record) = interrupted("TSTP", |_| {}, "Homing", 200);
+    stopped(&run);
+    assert!(record.lines().last().unwrap().contains(",Off,"));
+}
+
+/// Three requests to end; two of one signal could become one.
+const THREE: [&str; 3] = ["INT", "TERM", "HUP"];
+
+#[test]
+fn the_third_request_ends_a_run_in_lockstep_whose_trace_takes_nothing() {
+    let directory = Directory::new();
+    let [trace, record] = ["trace", "axes.csv"].map(|name| directory.path(name));
+    let made = Command::new("mkfifo").arg(&trace).status();
+    assert!(made.unwrap().success());
+    // Open, so that it can be written to, and never read.
+    let pipe = File::options().read(true).write(true).open(&trace);
+    let run = Running::start([
+        "run".as_ref(),
+        example("irb6").as_os_str(),
+        "--bench=lockstep".as_ref(),
+        "--trace".as_ref(),
+        trace.as_os_str(),
+        "--record".as_ref(),
+        record.as_os_str(),
+    ]);
+    run.wait_until_stalled(&record, |text| text.contains(",Homing,"));
+    THREE.into_iter().for_each(|signal| run.signal(signal));
+    let run = run.output();
+    assert_eq!(run.status.code(), Some(1), "{run:?}");
+    assert_eq!(run.stdout, "");
+    drop(pipe);
+}
+
+#[test]
+fn the_third_request_ends_an_emulated_run_whose_report_nobody_reads() {
+    let directory = Directory::new();
+    let cell = directory.cell("irb6", |cell| {
+        shorten(cell);
+        cell.robot[0].program.truncate(1);
+    });
+    let record = directory.path("axes.csv");
+    let (pipe, mut full) = io::pipe().unwrap();
+    // All that a pipe takes (pipe(7)).
+    full.write_all(&[b'x'; 65536]).unwrap();
+    let run = Running::with_stdout(
+        full,
+        [
+            "run".as_ref(),
+            cell.as_os_str(),
+            "--json".as_ref(),
+            "--record".as_ref(),
+            record.as_os_str(),
+        ],
+    );
+    run.wait_until_stalled(&record, |text| {
+        let last = text.lines().last();
+        text.contains(",Moving,") && last.is_some_and(|last| last.contains(",Off,"))
+    });
+    THREE.into_iter().for_each(|signal| run.signal(signal));
+    assert_eq!(run.status().code(), Some(1));
+    drop(pipe);
+}
