@@ -209,15 +209,26 @@ impl Running {
 
     /// Waits until `file` satisfies `wanted`; panics if the command ends before, or at the deadline.
     pub(crate) fn wait_for(&self, file: &Path, wanted: impl Fn(&str) -> bool) {
+        if let Err(said) = self.ended_before(file, wanted) {
+            panic!("mrroc ended early: {said}");
+        }
+    }
+
+    /// Waits until `file` satisfies `wanted`; the outputs of the command if it ends before. Panics at the deadline.
+    pub(crate) fn ended_before(
+        &self,
+        file: &Path,
+        wanted: impl Fn(&str) -> bool,
+    ) -> Result<(), String> {
         const LOOK: Duration = Duration::from_millis(20);
         for _ in 0..DEADLINE.as_millis() / LOOK.as_millis() {
             if fs::read_to_string(file).is_ok_and(|text| wanted(&text)) {
-                return;
+                return Ok(());
             }
             // What it prints comes at its end.
             let said = self.stdout.as_ref().unwrap_or(&self.stderr);
             if let Ok(said) = said.recv_timeout(LOOK) {
-                panic!("mrroc ended early: {said} {:?}", self.stderr.try_recv());
+                return Err(format!("{said} {:?}", self.stderr.recv_timeout(DEADLINE)));
             }
         }
         panic!("{} never became what it should", file.display());

@@ -206,9 +206,14 @@ fn an_unprivileged_user_goes_on_after_a_run_and_an_emulator_were_killed() {
     };
     // Until the drives are up, so that all lines are open.
     let run = |record: &Path| {
-        let run = Running::unprivileged(&directory, run_arguments(&cell, &ttys, record));
-        run.wait_for(record, |text| text.contains(",wrist-roll,"));
-        run
+        let run = (0..ATTEMPTS).find_map(|_| {
+            let run = Running::unprivileged(&directory, run_arguments(&cell, &ttys, record));
+            let ended = run.ended_before(record, |text| text.contains(",wrist-roll,"));
+            // An ordinary thread on a loaded host.
+            let late = |said| assert!(str::contains(said, "took more than a period"), "{said}");
+            ended.map(|()| run).map_err(|said| late(&said)).ok()
+        });
+        run.expect("a host that can run the cell for a moment")
     };
     let emulator = emulate();
     let killed = run(&directory.path("killed.csv"));

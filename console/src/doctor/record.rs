@@ -112,7 +112,7 @@ impl Record {
 fn read(path: &Path) -> anyhow::Result<Vec<Change>> {
     match input::read_own(path, input::RECORD) {
         Err(InputError::Os(error)) if error.kind() == ErrorKind::NotFound => Ok(Vec::new()),
-        bytes => serde_json::from_slice(&bytes?).context("no record of changes by `doctor --fix`"),
+        bytes => serde_json::from_slice(&bytes?).context("no record of changes"),
     }
 }
 
