@@ -153,6 +153,8 @@ fn undo_neither_deletes_nor_writes_what_no_fix_sets_and_shows_no_escape_codes() 
             let said = undone.stdout + &undone.stderr;
             let shown = said.chars().filter(|c| *c != '\n').all(|c| !c.is_control());
             assert!(shown, "{said:?}");
+            assert!(said.contains("state.json: no record of changes"), "{said}");
+            assert!(said.contains(" at line 1 "), "{said}");
         }
     }
     // Nothing is made where there is nothing to put back.
