@@ -25,7 +25,7 @@ pub(crate) enum InputError {
     /// Something that has no end, or none yet.
     #[error("is {0}, must be a regular file")]
     NotRegular(&'static str),
-    /// The words of whoever made the link, and of whoever owns the file.
+    /// The owner of the link decides which file it names.
     #[error("is a symbolic link, must be a regular file")]
     Link,
     /// Somebody else may have written the file.

@@ -21,7 +21,7 @@ enum Takes {
     Governor,
     /// A set of processors.
     Cpus,
-    /// The file of limits, whatever its owner wrote into it, and lines behind that.
+    /// The file of limits: any text before, and lines added behind it.
     Limits,
     /// A bit rate, and a sample point that may be left out.
     BitTiming,
@@ -192,7 +192,7 @@ fn is_timing(value: &str) -> bool {
         && words.next().is_none()
 }
 
-/// Whether the file of limits `after` is the one `before` and lines behind it that grant what a cell needs.
+/// Whether the file of limits `after` is `before` and added lines, each of which grants a limit.
 fn is_granted(before: &str, after: &str) -> bool {
     let Some(added) = after.strip_prefix(before) else {
         return false;

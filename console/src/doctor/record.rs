@@ -123,7 +123,7 @@ impl<'de> Deserialize<'de> for Change {
     }
 }
 
-/// Checks a change while its object is read, so that an error has the line of that object.
+/// Reads and checks one change. An error has the line on which the JSON object of the change ends.
 struct AdmissibleChange;
 
 impl<'de> Visitor<'de> for AdmissibleChange {
