@@ -176,9 +176,10 @@ fn run(directory: &Directory, cell: &Cell, interfaces: &Interfaces) -> Output {
     mrroc::mrroc(arguments)
 }
 
-/// Whether a run stopped for want of processor time, which is the legitimate outcome on an overloaded machine: the fault
-/// names answers that are missing or late, and one cycle in a hundred ended more than a period after its deadline by the
-/// run's own account. Such a run waits for nothing, so that the emulators had no processor either.
+/// Whether a run stopped for want of processor time, which is the legitimate outcome on an overloaded machine.
+///
+/// The fault names answers that are missing or late. By the run's own account, one cycle in a hundred ended more than a
+/// period after its deadline. A cycle waits for nothing, so that the emulators lacked the processor too.
 ///
 /// Any other fault, and the same fault on a punctual machine, is a defect.
 fn overloaded(output: &Output) -> bool {

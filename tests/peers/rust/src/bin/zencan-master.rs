@@ -28,8 +28,10 @@ const DOMAIN: (u16, u8) = (0x2FF0, 2);
 /// Lengths at the edges of frames (4, 7), of the blocks of 127 segments (889), and the longest that the drive keeps.
 const SEGMENTED: [usize; 10] = [1, 4, 5, 6, 7, 8, 13, 14, 200, 1022];
 const BLOCKS: [usize; 13] = [1, 4, 5, 7, 8, 14, 28, 29, 888, 889, 890, 896, 1022];
-/// A drive answers a fastscan at once; silence means no.
+/// A drive answers a fastscan at once; silence means no. A busy machine may be late with one of the hundred answers, so that
+/// each attempt waits twice as long, up to `LONGEST`.
 const SILENCE: Duration = Duration::from_millis(15);
+const LONGEST: Duration = Duration::from_millis(120);
 const ATTEMPTS: usize = 20;
 
 struct Master<S: AsyncCanSender + Send + Sync> {
@@ -174,9 +176,10 @@ impl<S: AsyncCanSender + Clone + Send + Sync> Master<S> {
 
     /// Waits until no answer to an earlier request is on its way to the bus manager.
     ///
-    /// The client of a transfer takes every answer of its node for its own, whatever the object: also one that the manager reads
-    /// late, and one that comes after the client gave up. Each drive answers in order, so that its answer here is its
-    /// last. The manager has read all frames before the heartbeats of a node that does not exist, and shows its state.
+    /// The client of a transfer takes every answer of its node for its own, whatever the object. Such an answer may be one that
+    /// the manager reads late, or one that comes after the client gave up. Each drive answers in order, so that the answer
+    /// to the request made here comes last. The manager shows the state of a node that does not exist once it has read all
+    /// frames before.
     fn settles(&mut self) -> Outcome {
         for node in DRIVES {
             let mut client = self.client_of(node);
@@ -386,8 +389,10 @@ impl<S: AsyncCanSender + Clone + Send + Sync> Master<S> {
         let identity = self.identity()?;
         self.set(identity, NodeId::Unconfigured)?;
         self.runtime.block_on(self.bus.nmt_reset_comms(self.node));
+        let mut silence = SILENCE;
         let found = (0..ATTEMPTS).find_map(|_| {
-            let found = self.runtime.block_on(self.bus.lss_fastscan(SILENCE));
+            let found = self.runtime.block_on(self.bus.lss_fastscan(silence));
+            silence = LONGEST.min(2 * silence);
             (!found.is_empty()).then_some(found)
         });
         same("found", found, Some(vec![identity]))?;
