@@ -445,7 +445,7 @@ fn lost(frames: &[Received], host: NodeId, axis: &Axis) -> Option<Lost> {
         let beats = frames.filter(move |received| received.frame.standard_data_id() == id);
         beats.map(|received| received.at)
     };
-    let last = beats(host).last().unwrap();
+    let last = beats(host).next_back().unwrap();
     let waited = beats(node).filter(|beat| (last..at).contains(beat));
     Some(Lost {
         waited: waited.count(),
