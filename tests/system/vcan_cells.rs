@@ -16,8 +16,8 @@ use crate::mrroc::{self, Directory, Output, Running, text};
 use crate::vcan::{shorten, started, turn, wait_until};
 
 /// How often a cell is run where the machine is overloaded, and what all that may take.
-const ATTEMPTS: usize = 3;
-const LONGEST: Duration = Duration::from_secs(280);
+const ATTEMPTS: usize = 6;
+const LONGEST: Duration = Duration::from_secs(560);
 
 /// Every axis in every cycle of the last run.
 const RECORD: &str = "states.csv";
@@ -114,8 +114,8 @@ fn slower_laboratory(cell: &mut Cell) {
 }
 
 /// Runs example cell `name`, changed by `change`, as two processes; it completes without faults, all axes homed. The record
-/// is in `directory`. `None` on a machine that is overloaded in every attempt.
-fn completes(name: &str, directory: &Directory, change: impl FnOnce(&mut Cell)) -> Option<Value> {
+/// is in `directory`.
+fn completes(name: &str, directory: &Directory, change: impl FnOnce(&mut Cell)) {
     let cell = slower(name, change);
     directory.write("cell.toml", &toml::to_string(&cell).unwrap());
     let interfaces = Interfaces::of(&cell);
@@ -126,10 +126,6 @@ fn completes(name: &str, directory: &Directory, change: impl FnOnce(&mut Cell)) 
         }
         println!("{name}: again, the machine was overloaded");
         output = run(directory, &cell, &interfaces);
-    }
-    if overloaded(&output) {
-        println!("{name}: overloaded {ATTEMPTS} times, and stopped by a fault each time");
-        return None;
     }
     assert_eq!(output.status.code(), Some(0), "{name}: {output:?}");
     let report = output.json();
@@ -149,7 +145,6 @@ fn completes(name: &str, directory: &Directory, change: impl FnOnce(&mut Cell)) 
         assert!(peak > 0.0, "{name}: {axis}");
     }
     println!("{name}: {}", report["cycle"]);
-    Some(report)
 }
 
 /// Runs the cell in `directory` once.
@@ -202,9 +197,8 @@ fn the_whole_laboratory_completes_on_five_buses_and_five_lines() {
     mrroc::binary();
     on_vcan_within(LONGEST, TEST, |_| {
         let directory = Directory::new();
-        if completes("lab", &directory, slower_laboratory).is_some() {
-            met(&directory.path(RECORD));
-        }
+        completes("lab", &directory, slower_laboratory);
+        met(&directory.path(RECORD));
     });
 }
 
