@@ -10,10 +10,10 @@
     reason = "pseudo-terminals and waiting for several of them are system calls"
 )]
 
-use std::fs::{self, File, OpenOptions};
+use std::fs::{self, File, Metadata, OpenOptions};
 use std::io::{self, Read, Write};
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd, FromRawFd};
-use std::os::unix::fs::{OpenOptionsExt, symlink};
+use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt, symlink};
 use std::path::{Path, PathBuf};
 
 use can::{Instant, clock};
@@ -40,15 +40,21 @@ pub enum PtyError {
     /// Something that is no symbolic link has the name wanted; it was left alone.
     #[error("the name is taken by something that is no symbolic link")]
     NameTaken,
-    /// The name links to a terminal that is there, another emulator's as a rule.
+    /// The name links to the terminal of another emulator.
     #[error(
         "the name links to a terminal that is in use; end the emulator it belongs to, or remove the link"
     )]
     InUse,
+    /// The name links to something else than a pseudo-terminal; the link was left alone.
+    #[error("the name is a link that no emulator made; remove the link, or choose another name")]
+    ForeignLink,
     /// The symbolic link could not be made.
     #[error("the symbolic link cannot be made (errno {0})")]
     Link(i32),
 }
+
+/// Where the kernel puts the host's ends.
+const TERMINALS: &str = "/dev/pts/";
 
 impl Pty {
     /// Opens a pair of ends.
@@ -64,7 +70,7 @@ impl Pty {
             Ok(Self {
                 master,
                 slave,
-                path: PathBuf::from(format!("/dev/pts/{number}")),
+                path: PathBuf::from(format!("{TERMINALS}{number}")),
                 link: None,
             })
         };
@@ -72,22 +78,27 @@ impl Pty {
     }
 
     /// Opens a pair of ends and makes `link` a symbolic link to the host's, for as long as this lives.
-    /// A symbolic link of that name that leads nowhere is replaced.
+    ///
+    /// An emulator that was killed leaves its link behind. Such a link leads nowhere, or to another terminal that got the
+    /// same number, and is replaced. A lock marks the terminal of an emulator that lives. Links to anything but
+    /// `/dev/pts/N` are neither followed nor replaced.
     pub fn linked(link: &Path) -> Result<Self, PtyError> {
-        match fs::symlink_metadata(link) {
+        let left = match fs::symlink_metadata(link) {
             Ok(found) if !found.is_symlink() => return Err(PtyError::NameTaken),
-            // One whose terminal is gone was left behind by an emulator that was killed.
-            Ok(_) if link.exists() => return Err(PtyError::InUse),
-            _ => {}
-        }
-        let mut pty = Self::open()?;
-        let replace = || -> io::Result<()> {
-            match fs::remove_file(link) {
-                Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
-                _ => symlink(&pty.path, link),
-            }
+            Ok(found) => Some(terminal_left(link, &found)?),
+            Err(_) => None,
         };
-        replace().map_err(|error| PtyError::Link(errno(&error)))?;
+        let mut pty = Self::open()?;
+        // Before the link shows the terminal to other emulators.
+        hold(&pty.slave).map_err(|error| PtyError::Open(errno(&error)))?;
+        if let Some(terminal) = left {
+            remove_left(link, &terminal)?;
+        }
+        symlink(&pty.path, link).map_err(|error| match error.kind() {
+            // Another emulator was faster.
+            io::ErrorKind::AlreadyExists => PtyError::InUse,
+            _ => PtyError::Link(errno(&error)),
+        })?;
         pty.link = Some(link.to_owned());
         Ok(pty)
     }
@@ -190,6 +201,97 @@ fn make_raw(slave: &File) -> io::Result<()> {
     // SAFETY: a valid termios to be read.
     checked(unsafe { libc::tcsetattr(fd, libc::TCSANOW, &raw const settings) })?;
     Ok(())
+}
+
+/// Marks the terminal as an emulator's for as long as `slave` is open. Hosts lock theirs by `flock`, which is another lock.
+fn hold(slave: &File) -> io::Result<()> {
+    let lock = write_lock();
+    // SAFETY: a valid lock to be read.
+    checked(unsafe { libc::fcntl(slave.as_raw_fd(), libc::F_OFD_SETLK, &raw const lock) })?;
+    Ok(())
+}
+
+/// The terminal that `link` names and that no living emulator has; `found` describes the link itself.
+fn terminal_left(link: &Path, found: &Metadata) -> Result<PathBuf, PtyError> {
+    let terminal = fs::read_link(link).map_err(|error| PtyError::Link(errno(&error)))?;
+    let number = terminal
+        .to_str()
+        .and_then(|path| path.strip_prefix(TERMINALS));
+    if number
+        .and_then(|number| number.parse::<u32>().ok())
+        .is_none()
+    {
+        return Err(PtyError::ForeignLink);
+    }
+    if is_in_use(&terminal, found.uid()) {
+        return Err(PtyError::InUse);
+    }
+    Ok(terminal)
+}
+
+/// Whether a terminal is that of an emulator that lives; `owner` made the link to it.
+fn is_in_use(terminal: &Path, owner: u32) -> bool {
+    let opened = OpenOptions::new()
+        .read(true)
+        .custom_flags(libc::O_NOCTTY | libc::O_NONBLOCK | libc::O_NOFOLLOW)
+        .open(terminal);
+    match opened {
+        Ok(opened) => !is_pseudo_terminal(&opened) || is_held(&opened),
+        // The other end is closed.
+        Err(error) if [Some(libc::ENOENT), Some(libc::EIO)].contains(&error.raw_os_error()) => {
+            false
+        }
+        // A terminal of another user than the one who made the link is not that of the emulator.
+        Err(error) if error.kind() == io::ErrorKind::PermissionDenied => {
+            fs::symlink_metadata(terminal).is_ok_and(|found| found.uid() == owner)
+        }
+        Err(_) => true,
+    }
+}
+
+/// Major numbers 136 to 143 (Linux, `devices.txt`).
+fn is_pseudo_terminal(file: &File) -> bool {
+    file.metadata().is_ok_and(|found| {
+        found.file_type().is_char_device() && (136..=143).contains(&libc::major(found.rdev()))
+    })
+}
+
+/// Removes a link that a killed emulator left, unless another emulator has replaced it since.
+///
+/// The link is moved aside first: only one of two emulators can move it, and what it has moved is examined again.
+fn remove_left(link: &Path, terminal: &Path) -> Result<(), PtyError> {
+    let mut aside = link.as_os_str().to_owned();
+    aside.push(format!(".left-{}", std::process::id()));
+    let aside = PathBuf::from(aside);
+    let failed = |error: io::Error| PtyError::Link(errno(&error));
+    match fs::rename(link, &aside) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+        moved => moved.map_err(failed)?,
+    }
+    let owner = fs::symlink_metadata(&aside).map_err(failed)?.uid();
+    let moved = fs::read_link(&aside).map_err(failed)?;
+    let in_use = moved != terminal || is_in_use(terminal, owner);
+    if in_use {
+        symlink(moved, link).map_err(failed)?;
+    }
+    fs::remove_file(&aside).map_err(failed)?;
+    if in_use { Err(PtyError::InUse) } else { Ok(()) }
+}
+
+/// Whether an emulator has marked a terminal as its own.
+fn is_held(terminal: &File) -> bool {
+    let mut lock = write_lock();
+    // SAFETY: a valid lock to be changed.
+    let asked = unsafe { libc::fcntl(terminal.as_raw_fd(), libc::F_OFD_GETLK, &raw mut lock) };
+    asked < 0 || libc::c_int::from(lock.l_type) != libc::F_UNLCK
+}
+
+/// Of the whole file.
+fn write_lock() -> libc::flock {
+    // SAFETY: plain integers, for all of which zero is a value.
+    let mut lock: libc::flock = unsafe { std::mem::zeroed() };
+    lock.l_type = libc::F_WRLCK as libc::c_short;
+    lock
 }
 
 fn checked(result: libc::c_int) -> io::Result<libc::c_int> {
@@ -345,7 +447,7 @@ mod tests {
     fn a_link_lives_as_long_as_its_line() {
         let directory = Directory::new("lives");
         let link = directory.0.join("can0");
-        symlink("/nowhere", &link).unwrap();
+        symlink("/dev/pts/4294967295", &link).unwrap();
         let pty = Pty::linked(&link).unwrap();
         assert_eq!(fs::read_link(&link).unwrap(), pty.path());
         drop(pty);
@@ -363,6 +465,66 @@ mod tests {
         let second = Pty::linked(&link).unwrap();
         drop(first);
         assert_eq!(fs::read_link(&link).unwrap(), second.path());
+    }
+
+    /// An emulator that was killed leaves its link, and the kernel gives its terminal's number to another terminal.
+    #[test]
+    fn a_link_to_a_terminal_that_no_emulator_holds_is_replaced() {
+        let directory = Directory::new("reused");
+        let link = directory.0.join("can0");
+        let terminal = Pty::open().unwrap();
+        symlink(terminal.path(), &link).unwrap();
+        let pty = Pty::linked(&link).unwrap();
+        assert_eq!(fs::read_link(&link).unwrap(), pty.path());
+        // A host that has it open does not count, nor does the lock that hosts take.
+        let host = host(pty.path());
+        // SAFETY: the descriptor is open, and the call takes plain integers.
+        assert_eq!(unsafe { libc::flock(host.as_raw_fd(), libc::LOCK_EX) }, 0);
+        let copy = directory.0.join("copy");
+        symlink(pty.path(), &copy).unwrap();
+        assert_eq!(Pty::linked(&copy).unwrap_err(), PtyError::InUse);
+        drop(pty);
+        assert!(Pty::linked(&copy).is_ok());
+    }
+
+    #[test]
+    fn a_link_to_anything_but_a_pseudo_terminal_is_left_alone() {
+        let directory = Directory::new("elsewhere");
+        let link = directory.0.join("can0");
+        let fifo = directory.0.join("fifo");
+        let made = std::process::Command::new("mkfifo").arg(&fifo).status();
+        assert!(made.unwrap().success());
+        let planted = directory.0.join("planted");
+        let terminal = Pty::open().unwrap();
+        symlink(terminal.path(), &planted).unwrap();
+        let targets = [
+            "/dev/null",
+            "/tmp",
+            "/dev/ttyUSB99",
+            "/dev/pts/ptmx",
+            "/dev/pts/../null",
+        ];
+        let targets = targets.map(Path::new);
+        for target in targets.into_iter().chain([&*fifo, &*planted]) {
+            symlink(target, &link).unwrap();
+            assert_eq!(Pty::linked(&link).unwrap_err(), PtyError::ForeignLink);
+            assert_eq!(fs::read_link(&link).unwrap(), target);
+            fs::remove_file(&link).unwrap();
+        }
+    }
+
+    /// Another emulator may replace the link between the examination and the removal, even by a terminal of the number
+    /// that was left.
+    #[test]
+    fn a_link_that_another_emulator_replaces_meanwhile_is_left_to_it() {
+        let directory = Directory::new("faster");
+        let link = directory.0.join("can0");
+        let faster = Pty::linked(&link).unwrap();
+        for left in [Path::new("/dev/pts/4294967295"), faster.path()] {
+            assert_eq!(remove_left(&link, left), Err(PtyError::InUse));
+            assert_eq!(fs::read_link(&link).unwrap(), faster.path());
+            assert_eq!(fs::read_dir(&directory.0).unwrap().count(), 1);
+        }
     }
 
     #[test]

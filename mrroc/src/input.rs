@@ -3,9 +3,9 @@
 //! Only a regular file is opened: a FIFO has no end until its writer closes it, a device may have none. What is longer
 //! than its limit is refused after so many bytes.
 
-use std::fs::{File, Metadata};
+use std::fs::{File, Metadata, OpenOptions};
 use std::io::{self, Read};
-use std::os::unix::fs::FileTypeExt;
+use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt};
 use std::path::Path;
 
 use thiserror::Error;
@@ -25,6 +25,23 @@ pub enum InputError {
     /// Something that has no end, or none yet.
     #[error("is {0}, must be a regular file")]
     NotRegular(&'static str),
+    /// The owner of the link decides which file it names.
+    #[error("is a symbolic link, must be a regular file")]
+    Link,
+    /// Somebody else may have written the file.
+    #[error("belongs to user {owner}, must belong to user {user}, who runs this command")]
+    Foreign {
+        /// User-ID of the file's owner.
+        owner: u32,
+        /// Effective user-ID of this process.
+        user: u32,
+    },
+    /// Somebody else may have written the file.
+    #[error("can be written by others than its owner; check its contents, then `chmod go-w` it")]
+    Writable,
+    /// The status of this process is not as proc_pid_status(5) describes it.
+    #[error("the user of this process is unknown: /proc/self/status has no line `Uid`")]
+    User,
     /// More than any such file has.
     #[error("has more than {limit} bytes, the most that such a file may have")]
     TooLong {
@@ -38,8 +55,51 @@ pub fn read(path: &Path, limit: usize) -> Result<Vec<u8>, InputError> {
     if let Some(kind) = irregular(&std::fs::metadata(path)?) {
         return Err(InputError::NotRegular(kind));
     }
+    contents(File::open(path)?, limit)
+}
+
+/// The bytes of the regular file at `path`, at most `limit`, which nobody but the user of this process can have written.
+pub fn read_own(path: &Path, limit: usize) -> Result<Vec<u8>, InputError> {
+    let mut options = OpenOptions::new();
+    options.read(true);
+    // The file that is examined is the one that is read, whatever the path leads to by then.
+    options.custom_flags(libc::O_NOFOLLOW | libc::O_NONBLOCK | libc::O_NOCTTY);
+    let file = options
+        .open(path)
+        .map_err(|error| match error.raw_os_error() {
+            Some(libc::ELOOP) => InputError::Link,
+            _ => error.into(),
+        })?;
+    let status = std::fs::read_to_string("/proc/self/status")?;
+    check_owner(
+        &file.metadata()?,
+        effective_user(&status).ok_or(InputError::User)?,
+    )?;
+    contents(file, limit)
+}
+
+/// Refuses what is no regular file, and a file that others than `user` can have written.
+fn check_owner(metadata: &Metadata, user: u32) -> Result<(), InputError> {
+    let owner = metadata.uid();
+    if let Some(kind) = irregular(metadata) {
+        Err(InputError::NotRegular(kind))
+    } else if owner != user {
+        Err(InputError::Foreign { owner, user })
+    } else if metadata.mode() & 0o022 != 0 {
+        Err(InputError::Writable)
+    } else {
+        Ok(())
+    }
+}
+
+/// The effective user-ID in a `/proc/PID/status`: the second of four.
+fn effective_user(status: &str) -> Option<u32> {
+    let users = status.lines().find_map(|line| line.strip_prefix("Uid:"))?;
+    users.split_whitespace().nth(1)?.parse().ok()
+}
+
+fn contents(file: File, limit: usize) -> Result<Vec<u8>, InputError> {
     let mut bytes = Vec::new();
-    let file = File::open(path)?;
     file.take(limit as u64 + 1).read_to_end(&mut bytes)?;
     if bytes.len() > limit {
         return Err(InputError::TooLong { limit });
@@ -60,5 +120,62 @@ fn irregular(metadata: &Metadata) -> Option<&'static str> {
         Some("a device")
     } else {
         Some("a socket")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs::{self, Permissions};
+    use std::os::unix::fs::{PermissionsExt, symlink};
+    use std::process::Command;
+
+    use super::*;
+
+    #[test]
+    fn only_a_regular_file_of_bounded_length_is_read() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = |name: &str| directory.path().join(name);
+        fs::write(path("file"), "text").unwrap();
+        assert_eq!(read_own(&path("file"), 4).unwrap(), b"text");
+        fs::create_dir(path("directory")).unwrap();
+        symlink("file", path("link")).unwrap();
+        symlink("nothing", path("dangling")).unwrap();
+        let fifo = Command::new("mkfifo").arg(path("fifo")).status();
+        assert!(fifo.unwrap().success());
+        for (name, why) in [
+            ("link", "is a symbolic link"),
+            ("dangling", "is a symbolic link"),
+            ("fifo", "is a FIFO or a pipe, must be a regular file"),
+            ("directory", "is a directory, must be a regular file"),
+            ("file", "has more than 3 bytes"),
+        ] {
+            let refused = read_own(&path(name), 3).unwrap_err().to_string();
+            assert!(refused.starts_with(why), "{name}: {refused}");
+        }
+        for device in ["/dev/zero", "/dev/tty"] {
+            assert!(read_own(Path::new(device), 3).is_err(), "{device}");
+        }
+    }
+
+    #[test]
+    fn only_a_file_that_this_user_alone_can_have_written_is_read() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("file");
+        fs::write(&path, "text").unwrap();
+        let metadata = fs::metadata(&path).unwrap();
+        let owner = metadata.uid();
+        let foreign = check_owner(&metadata, owner + 1).unwrap_err().to_string();
+        assert!(
+            foreign.contains(&format!("belongs to user {owner}")),
+            "{foreign}"
+        );
+        for mode in [0o600, 0o644, 0o620, 0o602, 0o666] {
+            fs::set_permissions(&path, Permissions::from_mode(mode)).unwrap();
+            let read = read_own(&path, 4);
+            assert_eq!(read.is_ok(), mode & 0o022 == 0, "{mode:o}: {read:?}");
+        }
+        let status = "Name:\tx\nUid:\t1000\t0\t0\t0\nGid:\t7\t7\t7\t7\n";
+        assert_eq!(effective_user(status), Some(0));
+        assert_eq!(effective_user("Name:\tx\n"), None);
     }
 }

@@ -1,7 +1,10 @@
 //! Standard output and standard error. All that is printed goes through here: a reader that has gone, such as `head`,
 //! has had what it wanted, and is no failure, where `println!` would panic.
+//!
+//! Lines may have names and texts in them that others chose: of interfaces, of nodes, of files. A control character of
+//! theirs is no command to the terminal, but is shown as `\u001b`, which JSON understands as well.
 
-use std::fmt::Display;
+use std::fmt::{self, Display, Write};
 use std::io::{ErrorKind, Write as _, stderr, stdout};
 use std::process::ExitCode;
 
@@ -15,7 +18,7 @@ pub fn print(text: impl Display) -> anyhow::Result<ExitCode> {
 
 /// Prints a line; whether anybody still reads.
 pub fn say(line: impl Display) -> anyhow::Result<bool> {
-    write(format_args!("{line}\n"))
+    write(format_args!("{}\n", plain(line)))
 }
 
 /// Prints an answer for a person, or as one JSON object in one line.
@@ -30,7 +33,39 @@ pub fn answer(answer: &(impl Serialize + Display), json: bool) -> anyhow::Result
 
 /// Says what is no answer on standard error; without that there is nobody to be told.
 pub fn warn(line: impl Display) {
-    let _ = writeln!(stderr(), "{line}");
+    let _ = writeln!(stderr(), "{}", plain(line));
+}
+
+/// A text whose control characters are shown, but for the ends of lines and tabulators.
+pub fn plain(text: impl Display) -> impl Display {
+    Plain(text)
+}
+
+struct Plain<T>(T);
+
+impl<T: Display> Display for Plain<T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(Escaping(f), "{}", self.0)
+    }
+}
+
+struct Escaping<'a, 'b>(&'a mut fmt::Formatter<'b>);
+
+impl Write for Escaping<'_, '_> {
+    fn write_str(&mut self, text: &str) -> fmt::Result {
+        let is_command = |c: char| c.is_control() && !matches!(c, '\n' | '\t');
+        let mut rest = text;
+        while let Some(at) = rest.find(is_command) {
+            let (before, from) = rest.split_at(at);
+            let mut characters = from.chars();
+            self.0.write_str(before)?;
+            if let Some(command) = characters.next() {
+                write!(self.0, "\\u{:04x}", u32::from(command))?;
+            }
+            rest = characters.as_str();
+        }
+        self.0.write_str(rest)
+    }
 }
 
 /// Says why a command was refused, in one line. The reason may quote a file: nothing of it acts on a terminal.
@@ -44,5 +79,28 @@ fn write(text: impl Display) -> anyhow::Result<bool> {
         Ok(()) => Ok(true),
         Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(false),
         Err(error) => Err(error).context("standard output"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_text_of_others_is_a_command_to_the_terminal() {
+        let table = [
+            ("two\nlines\tand a µ", "two\nlines\tand a µ"),
+            ("can\u{1b}[2J", "can\\u001b[2J"),
+            ("\u{9b}2J\r\u{7f}\0", "\\u009b2J\\u000d\\u007f\\u0000"),
+        ];
+        for (text, shown) in table {
+            assert_eq!(plain(text).to_string(), shown);
+            // In two parts, as a formatter hands it over.
+            let both = format_args!("{text}{text}").to_string();
+            assert_eq!(plain(both).to_string(), format!("{shown}{shown}"));
+        }
+        let json = serde_json::to_string("\u{1b}\u{9b}").unwrap();
+        let read: String = serde_json::from_str(&plain(json).to_string()).unwrap();
+        assert_eq!(read, "\u{1b}\u{9b}");
     }
 }

@@ -132,6 +132,44 @@ fn the_tty_of_an_slcan_adapter_is_examined_as_a_line() {
 }
 
 #[test]
+fn undo_neither_deletes_nor_writes_what_no_fix_sets_and_shows_no_escape_codes() {
+    let directory = Directory::new();
+    let victim = directory.write("victim\u{1b}[2J", "precious\n");
+    let path = serde_json::to_string(&victim).unwrap();
+    for before in ["null", "\"evil\"", "\"\u{9b}2J\""] {
+        let change = format!(
+            r#"[{{"knob": {{"file": {path}}}, "before": {before}, "after": "precious\n"}}]"#
+        );
+        for record in [change.clone(), change.replace("file", "\u{9b}2J")] {
+            let state = directory.write("state.json", &record);
+            let undone = mrroc([
+                "doctor".as_ref(),
+                "--undo".as_ref(),
+                "--state".as_ref(),
+                state.as_os_str(),
+            ]);
+            assert_eq!(undone.status.code(), Some(2), "{undone:?}");
+            assert_eq!(fs::read_to_string(&victim).unwrap(), "precious\n");
+            let said = undone.stdout + &undone.stderr;
+            let shown = said.chars().filter(|c| *c != '\n').all(|c| !c.is_control());
+            assert!(shown, "{said:?}");
+            assert!(said.contains("state.json: no record of changes"), "{said}");
+            assert!(said.contains(" at line 1 "), "{said}");
+        }
+    }
+    // Nothing is made where there is nothing to put back.
+    let none = directory.path("none/state.json");
+    let undone = mrroc([
+        "doctor".as_ref(),
+        "--undo".as_ref(),
+        "--state".as_ref(),
+        none.as_os_str(),
+    ]);
+    assert_eq!(undone.status.code(), Some(0), "{undone:?}");
+    assert!(!directory.path("none").exists());
+}
+
+#[test]
 fn a_host_is_examined_without_a_cell_and_a_cell_that_is_not_there_is_refused() {
     let (words, json) = (mrroc(["doctor"]), mrroc(["doctor", "--json"]));
     check(&words, &json.json());

@@ -2,8 +2,9 @@
 
 use std::cell::Cell as Shared;
 use std::ffi::OsStr;
-use std::fs;
+use std::fs::{self, Permissions};
 use std::io::{BufReader, Read};
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::OnceLock;
@@ -128,6 +129,27 @@ impl Running {
         Self::of(strace.arg(log).arg(program).args(arguments))
     }
 
+    /// A copy of `mrroc` in `directory`, by a user without privileges: nobody, where this test is root's.
+    pub(crate) fn unprivileged(
+        directory: &Directory,
+        arguments: impl IntoIterator<Item: AsRef<OsStr>>,
+    ) -> Self {
+        let copy = directory.path("mrroc");
+        if !copy.exists() {
+            // Nobody may not go where this one is.
+            fs::copy(binary(), &copy).expect("the directory is writable");
+            let all = Permissions::from_mode(0o777);
+            fs::set_permissions(&directory.0, all).expect("it is ours");
+        }
+        let root = fs::metadata("/proc/self").expect("Linux").uid() == 0;
+        let mut command = Command::new(if root { "setpriv".as_ref() } else { &*copy });
+        if root {
+            command.args(["--reuid=65534", "--regid=65534", "--clear-groups"]);
+            command.arg(&copy);
+        }
+        Self::of(command.args(arguments))
+    }
+
     /// The same with `memory` KiB of address space at most; an allocation beyond aborts it.
     pub(crate) fn within(memory: u32, arguments: impl IntoIterator<Item: AsRef<OsStr>>) -> Self {
         let script = format!("ulimit -v {memory}; exec \"$@\"");
@@ -175,17 +197,38 @@ impl Running {
         assert!(sent.expect("sh runs").success(), "{kill}");
     }
 
+    /// Whether the command has a file open, by the link `path` for example.
+    pub(crate) fn has_open(&self, path: &Path) -> bool {
+        let Ok(path) = path.canonicalize() else {
+            return false;
+        };
+        let opened = fs::read_dir(format!("/proc/{}/fd", self.child.id()));
+        let mut opened = opened.into_iter().flatten().flatten();
+        opened.any(|fd| fs::read_link(fd.path()).is_ok_and(|open| open == path))
+    }
+
     /// Waits until `file` satisfies `wanted`; panics if the command ends before, or at the deadline.
     pub(crate) fn wait_for(&self, file: &Path, wanted: impl Fn(&str) -> bool) {
+        if let Err(said) = self.ended_before(file, wanted) {
+            panic!("mrroc ended early: {said}");
+        }
+    }
+
+    /// Waits until `file` satisfies `wanted`; the outputs of the command if it ends before. Panics at the deadline.
+    pub(crate) fn ended_before(
+        &self,
+        file: &Path,
+        wanted: impl Fn(&str) -> bool,
+    ) -> Result<(), String> {
         const LOOK: Duration = Duration::from_millis(20);
         for _ in 0..DEADLINE.as_millis() / LOOK.as_millis() {
             if fs::read_to_string(file).is_ok_and(|text| wanted(&text)) {
-                return;
+                return Ok(());
             }
             // What it prints comes at its end.
             let said = self.stdout.as_ref().unwrap_or(&self.stderr);
             if let Ok(said) = said.recv_timeout(LOOK) {
-                panic!("mrroc ended early: {said} {:?}", self.stderr.try_recv());
+                return Err(format!("{said} {:?}", self.stderr.recv_timeout(DEADLINE)));
             }
         }
         panic!("{} never became what it should", file.display());

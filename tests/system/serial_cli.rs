@@ -1,6 +1,7 @@
 //! `mrroc run` on serial lines as a user sees it: in lockstep, on pseudo-terminals, and against an emulator in
 //! another process, which lives on while runs come and go.
 
+use std::ffi::OsStr;
 use std::fs;
 use std::path::Path;
 use std::time::Duration;
@@ -94,8 +95,14 @@ pub(crate) fn emulate(cell: &Path, ttys: &Path) -> Running {
         "--serial".as_ref(),
         ttys.as_os_str(),
     ]);
+    emulated(emulator, ttys)
+}
+
+/// An emulator once all its ttys are there: the last one is of its process, and not of one before.
+pub(crate) fn emulated(emulator: Running, ttys: &Path) -> Running {
+    let last = ttys.join("wrist-roll");
     for _ in 0..500 {
-        if ttys.join("wrist-roll").exists() {
+        if emulator.has_open(&last) {
             return emulator;
         }
         can::clock::sleep_until(can::clock::now() + Duration::from_millis(10));
@@ -104,7 +111,15 @@ pub(crate) fn emulate(cell: &Path, ttys: &Path) -> Running {
 }
 
 pub(crate) fn run_on(cell: &Path, ttys: &Path, record: &Path) -> Running {
-    Running::start([
+    Running::start(run_arguments(cell, ttys, record))
+}
+
+pub(crate) fn run_arguments<'a>(
+    cell: &'a Path,
+    ttys: &'a Path,
+    record: &'a Path,
+) -> [&'a OsStr; 8] {
+    [
         "run".as_ref(),
         cell.as_os_str(),
         "--bench=card".as_ref(),
@@ -113,7 +128,7 @@ pub(crate) fn run_on(cell: &Path, ttys: &Path, record: &Path) -> Running {
         "--json".as_ref(),
         "--record".as_ref(),
         record.as_os_str(),
-    ])
+    ]
 }
 
 /// What a record says of the wrist's roll: phase and measured position, rad.

@@ -16,8 +16,8 @@ use hil::pty::{self, Interest};
 use serde_json::Value;
 use serial::{Line, Settings, Tty};
 
-use crate::mrroc::{Directory, SERIAL_CELLS};
-use crate::serial_cli::{emulate, patient, run_on};
+use crate::mrroc::{Directory, Running, SERIAL_CELLS};
+use crate::serial_cli::{emulate, emulated, patient, run_arguments, run_on};
 
 /// The axis whose line is lost.
 const LOST: &str = "upper-arm";
@@ -187,4 +187,53 @@ fn an_emulator_that_is_killed_in_motion_is_the_cause_and_the_stop_ends_in_time()
     });
     let report = report.expect("a host that can run the cell for a moment");
     ended_by_the_cause(&report, &record);
+}
+
+/// A killed run leaves its ttys with the emulator, and a killed emulator its links, whose terminals get new owners.
+#[test]
+fn an_unprivileged_user_goes_on_after_a_run_and_an_emulator_were_killed() {
+    let directory = Directory::new();
+    let cell = directory.cell("irb6-serial", cell_of);
+    let ttys = directory.path("ttys");
+    let emulate = || {
+        let arguments = [
+            "emulate".as_ref(),
+            cell.as_os_str(),
+            "--serial".as_ref(),
+            ttys.as_os_str(),
+        ];
+        emulated(Running::unprivileged(&directory, arguments), &ttys)
+    };
+    // Until the drives are up, so that all lines are open.
+    let run = |record: &Path| {
+        let run = (0..ATTEMPTS).find_map(|_| {
+            let run = Running::unprivileged(&directory, run_arguments(&cell, &ttys, record));
+            let ended = run.ended_before(record, |text| text.contains(",wrist-roll,"));
+            // An ordinary thread on a loaded host.
+            if let Err(said) = &ended {
+                assert!(said.contains("took more than a period"), "{said}");
+            }
+            ended.is_ok().then_some(run)
+        });
+        run.expect("a host that can run the cell for a moment")
+    };
+    let emulator = emulate();
+    let killed = run(&directory.path("killed.csv"));
+    killed.signal("KILL");
+    killed.output();
+    let next = run(&directory.path("next.csv"));
+    next.signal("INT");
+    next.output();
+
+    emulator.signal("KILL");
+    emulator.output();
+    let links = || fs::read_dir(&ttys).expect("the emulator's directory");
+    let links = || links().map(|link| link.expect("an entry").path());
+    // These take the numbers that the emulator had.
+    let others: Vec<_> = (0..8).map(|_| Pty::open().expect("a terminal")).collect();
+    assert!(links().any(|link| link.exists()), "{others:?}");
+    let _emulator = emulate();
+    let last = run(&directory.path("last.csv"));
+    last.signal("INT");
+    last.output();
 }

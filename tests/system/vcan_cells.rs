@@ -8,16 +8,16 @@ use std::process::Command;
 use std::time::Duration;
 
 use ::mrroc::cell::{Cell, Control, Law};
-use serde_json::{Value, json};
+use serde_json::json;
 
 use crate::bench::on_vcan_within;
 use crate::lab::met;
 use crate::mrroc::{self, Directory, Output, Running, text};
 use crate::vcan::{shorten, started, turn, wait_until};
 
-/// How often a cell is run where the machine is too slow, and what all that may take.
-const ATTEMPTS: usize = 3;
-const LONGEST: Duration = Duration::from_secs(280);
+/// How often a cell is run where the machine is overloaded, and what all that may take.
+const ATTEMPTS: usize = 6;
+const LONGEST: Duration = Duration::from_secs(560);
 
 /// Every axis in every cycle of the last run.
 const RECORD: &str = "states.csv";
@@ -82,22 +82,49 @@ fn slow_down(cell: &mut Cell, times: f64) {
     }
 }
 
-/// Runs example cell `name`, changed by `change`, as two processes; it completes without faults, all axes homed. The record
-/// is in `directory`.
-fn completes(name: &str, directory: &Directory, change: impl FnOnce(&mut Cell)) -> Value {
+/// Example cell `name` for the test machine, changed by `change`.
+fn slower(name: &str, change: impl FnOnce(&mut Cell)) -> Cell {
     let mut cell = Cell::parse(&text(name)).unwrap();
     shorten(&mut cell);
     change(&mut cell);
     let times = f64::from(cell.period_us) / 2000.0;
     slow_down(&mut cell, times);
+    cell
+}
+
+/// Mean weight of the IRb-6's arm at its motors, N·m.
+const WEIGHTS: [(&str, f64); 2] = [("upper-arm", -0.395), ("wrist-pitch", 0.037)];
+
+/// The laboratory at a period that the test machine can keep: both processes together take some 5 ms of its processor in
+/// each cycle.
+///
+/// At a tenth of the gains, a loop of the IRb-6 is a hundredth as stiff. The weight alone would turn the motor of the upper
+/// arm by 26 rad before the integral holds it, which is most of the way that a search may go. So the weight is fed forward.
+fn slower_laboratory(cell: &mut Cell) {
+    cell.period_us = 20_000;
+    cell.macrostep = 2;
+    cell.serial[0].tolerated_missing = 10;
+    cell.serial[0].answer_timeout_ms = 1000;
+    for axis in &mut cell.robot[0].axis {
+        let weight = WEIGHTS.iter().find(|(name, _)| *name == axis.name);
+        if let (Some((_, weight)), Some(controller)) = (weight, &mut axis.controller) {
+            controller.r#loop.feed_forward.constant = *weight;
+        }
+    }
+}
+
+/// Runs example cell `name`, changed by `change`, as two processes; it completes without faults, all axes homed. The record
+/// is in `directory`.
+fn completes(name: &str, directory: &Directory, change: impl FnOnce(&mut Cell)) {
+    let cell = slower(name, change);
     directory.write("cell.toml", &toml::to_string(&cell).unwrap());
     let interfaces = Interfaces::of(&cell);
     let mut output = run(directory, &cell, &interfaces);
     for _ in 1..ATTEMPTS {
-        if !too_slow(&output) {
+        if !overloaded(&output) {
             break;
         }
-        println!("{name}: again, the machine was too slow");
+        println!("{name}: again, the machine was overloaded");
         output = run(directory, &cell, &interfaces);
     }
     assert_eq!(output.status.code(), Some(0), "{name}: {output:?}");
@@ -118,7 +145,6 @@ fn completes(name: &str, directory: &Directory, change: impl FnOnce(&mut Cell)) 
         assert!(peak > 0.0, "{name}: {axis}");
     }
     println!("{name}: {}", report["cycle"]);
-    report
 }
 
 /// Runs the cell in `directory` once.
@@ -145,15 +171,23 @@ fn run(directory: &Directory, cell: &Cell, interfaces: &Interfaces) -> Output {
     mrroc::mrroc(arguments)
 }
 
-/// Whether a run broke off in which one cycle in a hundred took longer than a period: it waits for nothing, so that the
-/// machine had no processor for it, nor for the emulators.
-fn too_slow(output: &Output) -> bool {
+/// Whether a run stopped for want of processor time, which is the legitimate outcome on an overloaded machine.
+///
+/// The fault names answers that are missing or late. By the run's own account, one cycle in a hundred ended more than a
+/// period after its deadline. A cycle waits for nothing, so that the emulators lacked the processor too.
+///
+/// Any other fault, and the same fault on a punctual machine, is a defect.
+fn overloaded(output: &Output) -> bool {
     if output.status.code() != Some(1) {
         return false;
     }
-    let cycle = &output.json()["cycle"];
-    let step = cycle["step_us"]["p99"].as_f64();
-    step > cycle["period_us"].as_f64()
+    let report = output.json();
+    let faults = report["faults"].to_string();
+    let silent = ["answers missing or late", "no answer"];
+    let cycle = &report["cycle"];
+    let [wake, step] = ["wake_us", "step_us"].map(|of| cycle[of]["p99"].as_f64().unwrap_or(0.0));
+    let late = wake + step > cycle["period_us"].as_f64().unwrap();
+    late && silent.iter().any(|words| faults.contains(words))
 }
 
 #[test]
@@ -163,16 +197,24 @@ fn the_whole_laboratory_completes_on_five_buses_and_five_lines() {
     mrroc::binary();
     on_vcan_within(LONGEST, TEST, |_| {
         let directory = Directory::new();
-        completes("lab", &directory, |cell| {
-            // Two processes take some 5 ms of the machine's processor in each cycle, and a fault is when a quarter of the
-            // answers on a line are late.
-            cell.period_us = 20_000;
-            cell.macrostep = 2;
-            cell.serial[0].tolerated_missing = 10;
-            cell.serial[0].answer_timeout_ms = 1000;
-        });
+        completes("lab", &directory, slower_laboratory);
         met(&directory.path(RECORD));
     });
+}
+
+/// What the run on vcan cannot tell from the lateness of the test machine.
+#[test]
+fn the_slower_laboratory_follows_its_set_points_in_virtual_time() {
+    let directory = Directory::new();
+    let mut cell = slower("lab", slower_laboratory);
+    for axis in &mut cell.robot[0].axis {
+        axis.following_error = 10.0;
+    }
+    let file = directory.write("cell.toml", &toml::to_string(&cell).unwrap());
+    let arguments = ["--bench=lockstep", "--json"].map(OsString::from);
+    let run = mrroc::mrroc(["run".into(), file.into()].into_iter().chain(arguments));
+    assert_eq!(run.status.code(), Some(0), "{run:?}");
+    assert_eq!(run.json()["faults"], json!([]), "{run:?}");
 }
 
 #[test]

@@ -68,6 +68,21 @@ pub enum Fault {
         /// Object 0x6041.
         statusword: u16,
     },
+    /// The drive's position counter jumped. The position is not believed.
+    #[error(
+        "node {node}: position jumped by {moved} increments within {within:.1?}; the motor cannot have turned by more than \
+         {most}"
+    )]
+    Implausible {
+        /// Node-ID.
+        node: u8,
+        /// Increments from the last position believed.
+        moved: i32,
+        /// Most increments that the motor can have turned by.
+        most: u32,
+        /// Longest time that the motor can have had since that position.
+        within: Duration,
+    },
     /// The drive is in another mode of operation than it was told, by a command of somebody else.
     #[error("node {node}: mode of operation is {found}, commanded was {expected}")]
     ModeChanged {

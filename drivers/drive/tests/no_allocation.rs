@@ -172,6 +172,7 @@ fn axis(raw: u8) -> AxisConfig {
             zero_speed: TAU,
             acceleration: TAU,
         },
+        plausible_velocity: 100.0 * TAU,
         following_error: TAU,
         quick_stop_deceleration: TAU,
         configuration: Vec::new(),

@@ -62,6 +62,11 @@ pub enum OpenError {
 }
 
 /// A tty, raw and ours alone.
+///
+/// Two things keep others out: a lock (`flock`) that the opener takes before it changes the settings, and the kernel's
+/// exclusive flag, which refuses programs without locks too, unless they run as root. A pseudo-terminal has the lock
+/// alone. The flag lasts until the last process that has the terminal open closes it, an emulator for example, and would
+/// outlive a host that is killed; the lock ends with the host.
 pub struct Tty {
     device: OwnedFd,
     low_latency: bool,
@@ -102,6 +107,10 @@ impl Tty {
         // SAFETY: the port released the descriptor, which has no other owner.
         let device = unsafe { OwnedFd::from_raw_fd(port.into_raw_fd()) };
         let fd = device.as_raw_fd();
+        if is_pseudo_terminal(fd) {
+            // SAFETY: the descriptor is open, and the call takes nothing.
+            unsafe { libc::ioctl(fd, libc::TIOCNXCL) };
+        }
         let low_latency = set_low_latency(fd);
         // SAFETY: the descriptor is open, and both calls take plain integers.
         let set = unsafe {
@@ -206,7 +215,7 @@ impl AsFd for Tty {
     }
 }
 
-/// A tty stays exclusive for as long as anybody has it open, the other end of a pty for one.
+/// A tty stays exclusive for as long as anybody has it open.
 impl Drop for Tty {
     fn drop(&mut self) {
         // SAFETY: the descriptor is open, and the call takes nothing.
@@ -243,6 +252,15 @@ fn why_not_opened(path: &Path, error: &tokio_serial::Error) -> OpenError {
         libc::ENOTTY | libc::EISDIR => OpenError::NotATty(path),
         errno => OpenError::Os { path, errno },
     }
+}
+
+/// Whether a descriptor is the host's end of a pseudo-terminal: major numbers 136 to 143 (Linux, `devices.txt`).
+fn is_pseudo_terminal(fd: libc::c_int) -> bool {
+    // SAFETY: plain integers, for all of which zero is a value.
+    let mut stat: libc::stat = unsafe { mem::zeroed() };
+    // SAFETY: the call fills a structure that is as large as it expects.
+    let known = unsafe { libc::fstat(fd, &raw mut stat) } == 0;
+    known && (136..=143).contains(&libc::major(stat.st_rdev))
 }
 
 /// `struct serial_struct` of `linux/serial.h`.
@@ -449,6 +467,46 @@ mod tests {
         }
         let denied = OpenError::Denied(Path::new("/dev/ttyUSB0").into()).to_string();
         assert!(denied.contains("dialout"), "{denied}");
+    }
+
+    /// Whether a terminal refuses to be opened by anybody but root, as someone sees who has it open.
+    fn is_exclusive(terminal: &File) -> bool {
+        let mut exclusive: libc::c_int = 0;
+        // SAFETY: the request stores one int.
+        let asked =
+            unsafe { libc::ioctl(terminal.as_raw_fd(), libc::TIOCGEXCL, &raw mut exclusive) };
+        assert_eq!(asked, 0);
+        exclusive != 0
+    }
+
+    /// An emulator has the host's end of its pseudo-terminal open too, and the flag would outlive a host that is killed.
+    #[test]
+    fn a_host_that_is_killed_leaves_a_pseudo_terminal_to_the_next() {
+        let (_master, path) = pty();
+        let emulators = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .custom_flags(libc::O_NOCTTY)
+            .open(&path)
+            .unwrap();
+        let held = mem::ManuallyDrop::new(open(&path).unwrap());
+        assert!(!is_exclusive(&emulators));
+        // The kernel closes what a killed process had open, and does nothing else.
+        // SAFETY: the owner of the descriptor is never dropped.
+        assert_eq!(unsafe { libc::close(held.device.as_raw_fd()) }, 0);
+        assert!(open(&path).is_ok());
+    }
+
+    #[test]
+    fn nobody_opens_a_line_that_is_in_use_not_even_root() {
+        let (_master, path) = pty();
+        let held = open(&path).unwrap();
+        for _ in 0..2 {
+            let refused = open(&path).map(|_| ()).unwrap_err();
+            assert_eq!(refused, OpenError::Busy(path.as_path().into()));
+        }
+        drop(held);
+        assert!(open(&path).is_ok());
     }
 
     #[test]

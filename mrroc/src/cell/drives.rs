@@ -24,6 +24,12 @@ const REST: Duration = Duration::from_millis(500);
 /// Samples in a row that have to agree on a switch.
 const AGREEING: u32 = 3;
 
+/// Velocity of a runaway loop where the cell gives none, as a multiple of the greatest velocity of the axis.
+const RUNAWAY: f64 = 1.2;
+
+/// Plausibility bound of the velocity of a motor on a CAN bus, as a multiple of the velocity of a runaway loop.
+const PLAUSIBLE: f64 = 2.0;
+
 /// Longest time from switching an effector's drives on to the last of them following.
 pub const ENABLING: Duration = Duration::from_secs(5);
 
@@ -159,11 +165,20 @@ impl Axis {
                 zero_speed: self.homing.zero_velocity,
                 acceleration: self.homing.acceleration,
             },
+            plausible_velocity: PLAUSIBLE * self.runaway_velocity(),
             following_error: self.following_error,
             quick_stop_deceleration: self.max_acceleration,
             configuration: Vec::new(),
             parameters: drive.parameter.iter().map(parameter).collect(),
         }
+    }
+
+    /// Motor velocity, rad/s, beyond which a position loop that the host closes counts as a runaway loop. A drive that
+    /// closes its loop itself has the same bound.
+    fn runaway_velocity(&self) -> f64 {
+        let given = self.drive.as_ref().and_then(|drive| drive.r#loop.as_ref());
+        let given = given.and_then(|given| given.runaway_velocity);
+        given.unwrap_or(RUNAWAY * self.max_velocity)
     }
 
     /// Its axis controller on a serial line. Not for an axis on a CAN bus.
@@ -293,7 +308,7 @@ impl Loop {
                 },
                 constant: feed_forward.constant,
             },
-            runaway_velocity: runaway_velocity.unwrap_or(1.2 * max_velocity),
+            runaway_velocity: runaway_velocity.unwrap_or(RUNAWAY * max_velocity),
         }
     }
 }

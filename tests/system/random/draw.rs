@@ -30,6 +30,11 @@ impl Draw {
         (self.next() % bound as u64) as usize
     }
 
+    /// One element of a slice that is not empty.
+    pub(super) fn among<T: Copy>(&mut self, several: &[T]) -> T {
+        several[self.below(several.len())]
+    }
+
     /// True once in `count` draws.
     pub(super) fn one_in(&mut self, count: usize) -> bool {
         self.below(count) == 0

@@ -9,7 +9,7 @@ use canopen::{NodeId, Object, nmt};
 
 use super::config::{AxisConfig, CyclicMode, GroupConfig};
 use super::homing::Search;
-use super::measurement::Measurement;
+use super::measurement::{Jump, Measurement};
 use super::mode::{ModeRequest, ModeSwitch};
 use super::process_data::{self, Answer};
 use super::service::Service;
@@ -39,6 +39,8 @@ pub(super) struct Axis {
     /// Cycles in a row whose set-point the port did not take.
     not_sent: u32,
     error_code: u16,
+    /// Cycles since the error code came.
+    error_age: u32,
     heartbeat: Option<Instant>,
     operational: bool,
     booted: bool,
@@ -80,6 +82,8 @@ pub(super) struct Learnt {
     pub(super) position: Increments,
     /// Object 0x603F.
     pub(super) error_code: u16,
+    /// Mode of operation that the drive showed by itself since its start.
+    pub(super) mode_shown: Option<ModeOfOperation>,
 }
 
 impl Axis {
@@ -91,7 +95,12 @@ impl Axis {
     /// Starts operation after bring-up: un-enabled, and with the position known before any word
     /// that could enable.
     pub(super) fn begin(&mut self, now: Instant, learnt: Learnt) {
+        let search = self.search;
         *self = Self::started(self.setup, now, learnt);
+        self.search.doubt_as(&search);
+        if let Some(mode) = learnt.mode_shown {
+            self.shows(mode);
+        }
     }
 
     fn started(setup: Setup, now: Instant, learnt: Learnt) -> Self {
@@ -102,10 +111,11 @@ impl Axis {
                 ..AxisState::default()
             },
             statusword: learnt.statusword,
-            measurement: Measurement::new(setup.scale, learnt.position),
+            measurement: Measurement::new(&setup, learnt.position),
             answered: false,
             not_sent: 0,
             error_code: learnt.error_code,
+            error_age: 0,
             heartbeat: None,
             operational: true,
             booted: false,
@@ -153,10 +163,25 @@ impl Axis {
         self.statusword = answer.statusword;
         self.search
             .answered(self.setup.homing_word(answer.statusword));
-        let search = self.search.needs_homing_mode();
+        let search = self.search.may_set_counter();
         let search_speed = search.then_some(self.setup.search_speed);
-        self.measurement
-            .take(answer.position, sampled, search_speed);
+        let position = answer.position;
+        let taken = self.measurement.take(position, sampled, at, search_speed);
+        if let Err(Jump {
+            moved,
+            most,
+            within,
+        }) = taken
+        {
+            self.search.doubt();
+            let node = self.setup.node.raw();
+            self.latch(Fault::Implausible {
+                node,
+                moved,
+                most,
+                within,
+            });
+        }
         self.measurement.tell(&mut self.state);
         self.state.at = at;
         self.state.torque = self
@@ -229,7 +254,7 @@ impl Axis {
 
     /// The code of a drive fault, which may come before or after the statusword that shows it.
     fn name_fault(&mut self, found: u16) {
-        self.error_code = found;
+        (self.error_code, self.error_age) = (found, 0);
         if let Some(Fault::Drive { code: code @ 0, .. }) = &mut self.state.fault {
             *code = found;
         }
@@ -246,6 +271,11 @@ impl Axis {
             self.state.age = self.state.age.saturating_add(1);
         }
         self.answered = false;
+        // The code of a warning does not name a later fault.
+        self.error_age = self.error_age.saturating_add(1);
+        if self.error_age > ANSWERS_TO_EFFECT {
+            self.error_code = 0;
+        }
         let waited = now.since(*self.heartbeat.get_or_insert(now));
         if !self.operational || self.booted {
             self.latch(Fault::LeftOperational { node });
@@ -453,7 +483,7 @@ impl Axis {
         if self.rests_at_zero() {
             0
         } else {
-            self.state.increments.0
+            self.measurement.reported().0
         }
     }
 

@@ -1,7 +1,7 @@
 //! Bring-up of one CiA 402 drive.
 
 use can::Instant;
-use canopen::cia402::{PowerState, Statusword, SupportedModes};
+use canopen::cia402::{ModeOfOperation, PowerState, Statusword, SupportedModes};
 use canopen::objects::{DEVICE_TYPE, MODE_OF_OPERATION_DISPLAY};
 use canopen::sdo::{AbortCode, Client, SdoError, Transfer, Write};
 use canopen::{NodeId, Object, nmt};
@@ -103,6 +103,13 @@ impl NodeBringUp {
 
     pub(super) fn learnt(&self) -> Learnt {
         self.learnt
+    }
+
+    /// Takes the mode of operation that the drive shows by itself; a drive shows none before its start.
+    pub(super) fn shows(&mut self, mode: ModeOfOperation) {
+        if matches!(self.phase, Phase::Starting { .. } | Phase::Operational) {
+            self.learnt.mode_shown = Some(mode);
+        }
     }
 
     /// Takes a heartbeat or boot-up; `sdo` starts anew with a node that booted.

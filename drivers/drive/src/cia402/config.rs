@@ -53,6 +53,9 @@ pub struct AxisConfig {
     pub rated_torque: f64,
     /// How it finds its reference.
     pub homing: HomingConfig,
+    /// Plausibility bound, rad/s: a faster change of position is a counter that jumped. No motor turns so fast, not even
+    /// in a runaway loop.
+    pub plausible_velocity: f64,
     /// Following error at which the drive faults by itself, rad of motor rotation (object 0x6065).
     pub following_error: f64,
     /// Deceleration of a quick stop, rad/s² (object 0x6085).
@@ -187,6 +190,8 @@ pub enum ConfigError {
 pub enum Quantity {
     /// [`AxisConfig::rated_torque`].
     RatedTorque,
+    /// [`AxisConfig::plausible_velocity`].
+    PlausibleVelocity,
     /// [`Parameter::size`].
     ParameterSize,
     /// [`AxisConfig::following_error`].
@@ -205,6 +210,7 @@ impl fmt::Display for Quantity {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::RatedTorque => "rated torque",
+            Self::PlausibleVelocity => "plausible velocity",
             Self::ParameterSize => "parameter size",
             Self::FollowingError => "following error",
             Self::QuickStopDeceleration => "quick stop deceleration",
@@ -310,8 +316,13 @@ impl AxisConfig {
             let value = value.filter(|value| *value > 0);
             value.ok_or(out_of_range(quantity))
         };
-        if !(self.rated_torque > 0.0 && self.rated_torque.is_finite()) {
-            return Err(out_of_range(Quantity::RatedTorque));
+        for (quantity, value) in [
+            (Quantity::RatedTorque, self.rated_torque),
+            (Quantity::PlausibleVelocity, self.plausible_velocity),
+        ] {
+            if !(value > 0.0 && value.is_finite()) {
+                return Err(out_of_range(quantity));
+            }
         }
         let possible = |parameter: &Parameter| matches!(parameter.size, 1 | 2 | 4);
         if !self.parameters.iter().all(possible) {

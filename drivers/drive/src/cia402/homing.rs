@@ -24,6 +24,10 @@ pub(super) struct Search {
     attained: bool,
     /// Bit 15 of the last statusword: EPOS keep their reference while they are powered.
     kept: bool,
+    /// The counter jumped: the axis has no reference before the next search, even if the drive reports one.
+    doubted: bool,
+    /// Answers to come in which the end of a search may still show by a counter set anew.
+    may_set_counter: u32,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -77,6 +81,11 @@ impl Search {
             self.attained = false;
         }
         self.kept = word.epos_referenced();
+        self.may_set_counter = if self.needs_homing_mode() {
+            ANSWERS_TO_EFFECT + 1
+        } else {
+            self.may_set_counter.saturating_sub(1)
+        };
         match &mut self.step {
             Step::Idle | Step::Preparing | Step::Ended { .. } => {}
             Step::Searching { answers, begun } => {
@@ -87,7 +96,7 @@ impl Search {
                     HomingStatus::InProgress => *begun = true,
                     HomingStatus::Attained => {}
                     HomingStatus::Done if timely => {
-                        self.attained = true;
+                        (self.attained, self.doubted) = (true, false);
                         self.step = Step::Ended { attained: true };
                     }
                     HomingStatus::Interrupted if *begun && had_time => {
@@ -114,6 +123,22 @@ impl Search {
                 }
             }
         }
+    }
+
+    /// The counter jumped.
+    pub(super) fn doubt(&mut self) {
+        self.doubted = true;
+    }
+
+    /// Keeps the doubt of operation before a bring-up, which neither resets nor examines the counter.
+    pub(super) fn doubt_as(&mut self, before: &Self) {
+        self.doubted = before.doubted;
+    }
+
+    /// Whether the drive may set its counter anew. A drive searches on until the word that ends the search has effect, and
+    /// the statusword may show the end of the search before the counter does.
+    pub(super) fn may_set_counter(&self) -> bool {
+        self.may_set_counter > 0
     }
 
     /// The node booted: its counter means nothing any more.
@@ -143,7 +168,7 @@ impl Search {
             Step::Preparing | Step::Searching { .. } => Homing::InProgress,
             Step::Ended { attained: true } => Homing::Attained,
             Step::Ended { attained: false } => Homing::Failed,
-            Step::Idle if self.attained || self.kept => Homing::Attained,
+            Step::Idle if (self.attained || self.kept) && !self.doubted => Homing::Attained,
             Step::Idle | Step::Halting { .. } => Homing::NotHomed,
         }
     }

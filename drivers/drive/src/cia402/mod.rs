@@ -356,11 +356,17 @@ impl<P: Port> Cia402Group<P> {
             {
                 bring_up.heard(heartbeat.state, sdo, now);
             }
-            if let Some(cob::Function::SdoResponse(node)) =
-                frame.standard_data_id().and_then(cob::Function::of)
+            let function = frame.standard_data_id().and_then(cob::Function::of);
+            if let Some(cob::Function::SdoResponse(node)) = function
                 && let Some(node) = self.node(node)
             {
                 node.sdo.handle(&frame, now);
+            }
+            if let Some(cob::Function::Tpdo(PdoNumber::Two, node)) = function
+                && let Some(mode) = process_data::mode_shown(frame.data())
+                && let Some(node) = self.node(node)
+            {
+                node.bring_up.shows(mode);
             }
         }
         for node in &mut self.nodes {

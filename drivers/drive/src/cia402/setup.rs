@@ -16,6 +16,8 @@ pub(super) struct Setup {
     pub(super) mode: CyclicMode,
     pub(super) scale: Scale,
     pub(super) rated_torque: f64,
+    pub(super) plausible_velocity: f64,
+    pub(super) period: Duration,
     pub(super) search_speed: f64,
     /// Bit 15 of the statusword says that the drive has its reference; it is the vendor's to use.
     tells_reference: bool,
@@ -31,6 +33,8 @@ impl Setup {
             mode: axis.mode,
             scale: axis.scale,
             rated_torque: axis.rated_torque,
+            plausible_velocity: axis.plausible_velocity,
+            period: group.period,
             search_speed: axis.homing.search_speed,
             tells_reference: axis.identity.vendor == MAXON,
             tolerated_missing: group.tolerated_missing,

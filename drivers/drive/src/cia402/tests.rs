@@ -9,5 +9,6 @@ mod faults;
 mod homing;
 mod mode_watch;
 mod other_controller;
+mod plausibility;
 mod reserved;
 mod warnings;

@@ -99,6 +99,7 @@ fn place_of_drive(
             let axis = of_node(node);
             match quantity {
                 Quantity::RatedTorque => axis.then("drive").then("rated_torque"),
+                Quantity::PlausibleVelocity => axis.then("max_velocity"),
                 Quantity::ParameterSize => axis.then("drive").then("parameter"),
                 Quantity::FollowingError => axis.then("following_error"),
                 Quantity::QuickStopDeceleration => axis.then("max_acceleration"),

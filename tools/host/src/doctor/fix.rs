@@ -6,6 +6,7 @@ use anyhow::{Context, bail, ensure};
 use can::card;
 use serde::{Deserialize, Serialize};
 
+use super::admissible::Inadmissible;
 use super::record::{Change, Record};
 use super::tree::Tree;
 
@@ -212,8 +213,17 @@ pub(super) fn shown(value: Option<&str>) -> String {
 
 /// Applies `fix` and reads it back; returns what was there before, none where nothing had to be done.
 ///
-/// The change is in the record, on the disk, before it is made.
+/// The change is in the record, on the disk, before it is made, and is one that can be put back.
 pub(super) fn apply(tree: &Tree, fix: &Fix, record: &mut Record) -> anyhow::Result<Option<Change>> {
+    turn(tree, fix, record, Change::check)
+}
+
+fn turn(
+    tree: &Tree,
+    fix: &Fix,
+    record: &mut Record,
+    check: impl Fn(&Change) -> Result<(), Inadmissible>,
+) -> anyhow::Result<Option<Change>> {
     let Fix { knob, after } = fix;
     let before = knob.read(tree)?;
     if knob.stands_at(Some(after), before.as_deref()) {
@@ -224,6 +234,7 @@ pub(super) fn apply(tree: &Tree, fix: &Fix, record: &mut Record) -> anyhow::Resu
         before,
         after: after.clone(),
     };
+    check(&change).context("--undo could not put back the value found")?;
     record.push(change.clone())?;
     let written = knob.write(tree, Some(after));
     let found = knob.read(tree)?;

@@ -46,7 +46,7 @@ pub(super) fn fix(
 
 /// Asks on the terminal.
 pub(super) fn asked(finding: &Finding) -> io::Result<bool> {
-    write!(io::stderr(), "{}", question(finding))?;
+    write!(io::stderr(), "{}", streams::plain(question(finding)))?;
     io::stderr().flush()?;
     let mut answer = String::new();
     io::stdin().lock().read_line(&mut answer)?;

@@ -6,6 +6,7 @@
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
+mod admissible;
 mod can_interfaces;
 mod cpu;
 mod finding;
@@ -126,12 +127,15 @@ pub fn doctor(options: &Options) -> anyhow::Result<ExitCode> {
 }
 
 fn undo(tree: &Tree, options: &Options) -> anyhow::Result<ExitCode> {
-    let mut record = Record::open(&state(tree, options)?)?;
+    let path = state(tree, options)?;
+    let nothing = || streams::say(format_args!("{}: nothing to put back", path.display()));
+    if !path.try_exists().unwrap_or(true) {
+        nothing()?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    let mut record = Record::existing(&path)?;
     if record.changes().is_empty() {
-        streams::say(format_args!(
-            "{}: nothing to put back",
-            record.path().display()
-        ))?;
+        nothing()?;
     }
     let left = mend::undo(tree, &mut record)?;
     Ok(ExitCode::from(u8::from(left > 0)))

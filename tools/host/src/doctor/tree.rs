@@ -4,7 +4,7 @@
 use std::collections::BTreeSet;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, ErrorKind, Write};
-use std::os::unix::fs::MetadataExt;
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -105,7 +105,7 @@ impl Tree {
     /// Puts `text` in the place of a whole file, or removes it for none. It is as it was or as it shall be, whenever the
     /// power fails.
     pub(super) fn replace(&self, path: &str, text: Option<&str>) -> io::Result<()> {
-        replace(&self.at(path), text)
+        replace(&self.at(path), text, 0o644)
     }
 
     /// What the running kernel was built with, where it tells.
@@ -118,15 +118,22 @@ impl Tree {
     }
 }
 
-/// What [`Tree::replace`] does, for a path outside the tree.
-pub(super) fn replace(path: &Path, text: Option<&str>) -> io::Result<()> {
+/// What [`Tree::replace`] does, for a path outside the tree. A file that was not there gets `mode`.
+pub(super) fn replace(path: &Path, text: Option<&str>, mode: u32) -> io::Result<()> {
     let directory = path.parent().ok_or(ErrorKind::InvalidInput)?;
     if let Some(text) = text {
         fs::create_dir_all(directory)?;
         let mut name = path.file_name().ok_or(ErrorKind::InvalidInput)?.to_owned();
         name.push(".new");
         let new = directory.join(name);
-        let mut file = File::create(&new)?;
+        // What a crash left. A link that somebody has put there leads to a file of somebody else's.
+        match fs::remove_file(&new) {
+            Err(error) if error.kind() != ErrorKind::NotFound => return Err(error),
+            _ => {}
+        }
+        let mut options = OpenOptions::new();
+        options.write(true).create_new(true).mode(mode);
+        let mut file = options.open(&new)?;
         if let Ok(old) = fs::metadata(path) {
             file.set_permissions(old.permissions())?;
         }

@@ -49,6 +49,7 @@ pub(super) fn axis_config(raw: u8) -> AxisConfig {
             zero_speed: tau / 6.0,
             acceleration: tau * 10.0,
         },
+        plausible_velocity: tau * 1_000.0,
         following_error: tau / 2.0,
         quick_stop_deceleration: tau * 100.0,
         configuration: Vec::new(),

@@ -1,5 +1,6 @@
 //! Whose mode of operation it is: a change that the group did not ask for.
 
+use can::Received;
 use canopen::cia402::ModeOfOperation;
 
 use super::bench::*;
@@ -131,4 +132,38 @@ fn modes_of_another_length_are_counted_and_not_believed() {
     cycle(&mut bench, &["282#", "282#0300"], STAND);
     assert_eq!(bench.states[0].fault, None);
     assert_eq!(bench.group.counters().unexpected, unexpected + 2);
+}
+
+/// What a drive shows as it becomes operational comes before the first cycle.
+#[test]
+fn a_change_between_bring_up_and_operation_is_a_fault_of_the_first_cycle() {
+    for (text, fault) in [
+        ("282#08", None),
+        ("282#03", changed(ModeOfOperation::ProfileVelocity, CSP)),
+    ] {
+        let mut bench = Bench::new(group_config(), &[axis_config(2), axis_config(3)]);
+        bench.stores[1].starts = false;
+        let mut started = false;
+        while !started {
+            assert!(bench.group.bring_up(bench.now).is_pending());
+            bench.serve();
+            bench.now += PERIOD;
+            started = sent(&bench).iter().any(|frame| frame == "000#0102");
+        }
+        let at = bench.now;
+        for text in [text, "703#05"] {
+            let frame = frame(text);
+            let received = Received { frame, at };
+            bench.bus.0.lock().unwrap().inbox.push_back(received);
+        }
+        assert_eq!(bench.bring_up(), Ok(()));
+        bench.cycle(NONE, &[AxisCommand::Off; 2]);
+        assert_eq!(bench.states[0].fault, fault);
+        assert_eq!(bench.states[1].fault, None);
+        // Bring-up forgets it.
+        bench.stores[1].starts = true;
+        assert_eq!(bench.bring_up(), Ok(()));
+        bench.cycle(NONE, &[AxisCommand::Off; 2]);
+        assert_eq!(bench.states[0].fault, None);
+    }
 }

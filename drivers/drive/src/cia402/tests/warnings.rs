@@ -108,3 +108,30 @@ fn warnings_are_those_of_the_operation_since_bring_up() {
     assert_eq!(warnings(&bench)[0].after, after);
     assert!(after < Duration::from_secs(1));
 }
+
+#[test]
+fn an_old_warning_does_not_name_a_later_fault() {
+    let warning = "082#1042080000000000";
+    for (age, is_named) in [(0, true), (1, true), (10, false)] {
+        // A fault whose EMCY was lost, and power that was lost.
+        let mut bench = enabled();
+        reports(&mut bench, &[warning]);
+        (0..age).for_each(|_| reports(&mut bench, &[]));
+        let frames = bench.cycle(&[answer(2, 0x0208, 1_000)], STAND);
+        let asked = frames.get(2).map(String::as_str);
+        let question = (!is_named).then_some("602#403F600000000000");
+        assert_eq!(asked, question, "{age}");
+
+        let mut bench = enabled();
+        reports(&mut bench, &[warning]);
+        (0..age).for_each(|_| reports(&mut bench, &[]));
+        bench.cycle(&[answer(2, 0x0740, 1_000)], STAND);
+        let (node, code, statusword) = (2, 0x4210, 0x0740);
+        let fault = if is_named {
+            Fault::Drive { node, code }
+        } else {
+            Fault::PowerLost { node, statusword }
+        };
+        assert_eq!(bench.states[0].fault, Some(fault), "{age}");
+    }
+}

@@ -29,8 +29,10 @@ const BLOCKS: [usize; 13] = [1, 4, 5, 7, 8, 14, 28, 29, 888, 889, 890, 896, 1022
 const PASSED: usize = 146 * 7;
 /// What begins a fastscan (CiA 305); the library's `FASTSCAN_INIT` is 32.
 const FASTSCAN_RESET: u8 = 0x80;
-/// A drive answers a fastscan at once; silence means no.
+/// A drive answers a fastscan at once; silence means no. A busy machine may be late with one of the hundred answers, so that
+/// each attempt waits twice as long, up to `LONGEST`.
 const SILENCE: Duration = Duration::from_millis(15);
+const LONGEST: Duration = Duration::from_millis(120);
 const ATTEMPTS: usize = 20;
 
 struct Master {
@@ -446,12 +448,12 @@ impl Master {
     }
 
     /// Whether any drive answers within the time that the scan gives it.
-    fn answered(&self, request: &LssFrame) -> Result<bool, String> {
+    fn answered(&self, request: &LssFrame, silence: Duration) -> Result<bool, String> {
         let mark = self.wire.mark();
         self.bus
             .send(lss::LSS_MASTER_COB_ID, request)
             .map_err(said)?;
-        std::thread::sleep(SILENCE);
+        std::thread::sleep(silence);
         Ok(self.wire.any(mark, |seen| {
             let frame: Option<LssFrame> = seen.data.clone().try_into().ok();
             seen.id == lss::LSS_SLAVE_COB_ID
@@ -470,23 +472,25 @@ impl Master {
             .ok_or("no first frame")?;
         same("bit number of the first frame", first[5], FASTSCAN_INIT)?;
         let mut found = None;
+        let mut silence = SILENCE;
         for _ in 0..ATTEMPTS {
             holds(
                 "the library's first frame was answered",
-                !self.answered(&first)?,
+                !self.answered(&first, silence)?,
             )?;
             let mut master = FastscanMaster::new();
             while let Some(mut request) = master.next_request() {
                 if request == first {
                     request[5] = FASTSCAN_RESET;
                 }
-                let answered = self.answered(&request)?;
+                let answered = self.answered(&request, silence)?;
                 master.on_response(answered);
             }
             found = master.found().then(|| master.address());
             if found == Some(address) {
                 break;
             }
+            silence = LONGEST.min(2 * silence);
         }
         same("found", found, Some(address))?;
         // The scan left the drive in configuration mode.

@@ -8,6 +8,8 @@ use super::*;
 
 const RUNTIME: &str = "proc/sys/kernel/sched_rt_runtime_us";
 const LIMITS: &str = "etc/security/limits.d/mrroc.conf";
+const FIRST: &str = "sys/class/net/can0/tx_queue_len";
+const LAST: &str = "sys/class/net/can1/tx_queue_len";
 const RECORD: &str = "var/undo.json";
 
 fn runtime(after: &str) -> Fix {
@@ -48,8 +50,13 @@ fn what_was_set_is_put_back_byte_for_byte() {
         let mut files = vec![(RUNTIME, "400000\n")];
         files.extend(before.map(|text| (LIMITS, text)));
         let fake = Fake::new(&files);
-        applied(&fake, &[runtime("950000"), limits("a\n"), limits("b\n")]);
-        assert_eq!(fake.text(LIMITS).as_deref(), Some("b\n"));
+        let granted = |priority| {
+            let text = before.unwrap_or_default();
+            limits(&format!("{text}@realtime - rtprio {priority}\n"))
+        };
+        let again = format!("{}@realtime - memlock unlimited\n", granted(80).after);
+        applied(&fake, &[runtime("950000"), granted(80), limits(&again)]);
+        assert_eq!(fake.text(LIMITS), Some(again));
         assert_eq!(fake.text(RUNTIME).unwrap().trim(), "950000");
         assert_eq!(undone(&fake), 0);
         assert_eq!(fake.text(LIMITS).as_deref(), before);
@@ -98,12 +105,12 @@ fn a_crash_before_or_behind_a_change_leaves_what_undo_needs() {
 
 #[test]
 fn what_is_put_back_is_forgotten_at_once_and_what_is_not_stays() {
-    let fake = Fake::new(&[(RUNTIME, "1"), ("sys/first", "1"), ("sys/last", "1")]);
-    let knob = |name: &str| Knob::Kernel(format!("/sys/{name}")).to("2");
-    applied(&fake, &[knob("first"), runtime("2"), knob("last")]);
+    let fake = Fake::new(&[(RUNTIME, "1"), (FIRST, "1"), (LAST, "1")]);
+    let knob = |path: &str| Knob::Kernel(format!("/{path}")).to("2");
+    applied(&fake, &[knob(FIRST), runtime("2"), knob(LAST)]);
     fake.write(RUNTIME, "3");
     assert_eq!(undone(&fake), 1);
-    let read = ["sys/first", RUNTIME, "sys/last"].map(|path| fake.text(path).unwrap());
+    let read = [FIRST, RUNTIME, LAST].map(|path| fake.text(path).unwrap());
     assert_eq!(read, ["1", "3", "1"]);
     assert_eq!(record(&fake).changes().len(), 1);
     fake.write(RUNTIME, "2");
@@ -124,7 +131,8 @@ fn a_knob_that_cannot_be_turned_says_why_and_leaves_no_record() {
         (Knob::State("can0".into()), "no interfaces"),
     ];
     for (knob, why) in table {
-        let refused = apply(&fake.tree(), &knob.to("2"), &mut record(&fake)).unwrap_err();
+        let any = |_: &Change| Ok(());
+        let refused = turn(&fake.tree(), &knob.to("2"), &mut record(&fake), any).unwrap_err();
         assert!(format!("{refused:#}").contains(why), "{refused:#}");
         assert_eq!(fake.text(RECORD), None);
     }
@@ -134,7 +142,8 @@ fn a_knob_that_cannot_be_turned_says_why_and_leaves_no_record() {
 fn what_the_kernel_makes_another_value_of_is_told_and_put_back() {
     let fake = Fake::new(&[(RUNTIME, "400000\n")]);
     // It is read without the space.
-    let refused = apply(&fake.tree(), &runtime(" 950000"), &mut record(&fake));
+    let any = |_: &Change| Ok(());
+    let refused = turn(&fake.tree(), &runtime(" 950000"), &mut record(&fake), any);
     assert_eq!(refused.unwrap_err().to_string(), "it reads 950000");
     assert_eq!(undone(&fake), 0);
     assert_eq!(fake.text(RUNTIME).as_deref(), Some("400000"));
@@ -150,8 +159,47 @@ fn a_record_that_is_none_or_in_use_is_refused() {
     for text in ["", "{}", "[{\"knob\":{\"reactor\":\"1\"}}]", "\u{0}"] {
         fake.write(RECORD, text);
         let refused = Record::open(&fake.path(RECORD)).err().unwrap();
-        assert!(refused.to_string().contains("no record"), "{refused}");
+        assert!(format!("{refused:#}").contains("no record"), "{refused:#}");
     }
+}
+
+#[test]
+fn a_record_that_names_anything_a_fix_does_not_set_changes_nothing() {
+    let victim = "etc/passwd";
+    let kernel = |path: &str| format!("{{\"kernel\":\"{path}\"}}");
+    let file = |path: &str| format!("{{\"file\":\"{path}\"}}");
+    for knob in [
+        kernel("/etc/passwd"),
+        kernel("/sys/class/net/../../../etc/passwd"),
+        file("/etc/passwd"),
+        file("/etc/security/limits.d/../../passwd"),
+    ] {
+        for before in ["null", "\"evil\""] {
+            let fake = Fake::new(&[(victim, "root\n"), (RUNTIME, "950000\n")]);
+            let harmless = format!(
+                "{{\"knob\":{},\"before\":\"400000\",\"after\":\"950000\"}}",
+                kernel(&format!("/{RUNTIME}"))
+            );
+            let evil = format!("{{\"knob\":{knob},\"before\":{before},\"after\":\"root\\n\"}}");
+            fake.write(RECORD, &format!("[{harmless},{evil}]"));
+            let refused = Record::existing(&fake.path(RECORD)).err();
+            let refused = format!("{:#}", refused.expect("it is refused"));
+            assert!(refused.contains("does not set"), "{refused}");
+            assert_eq!(fake.text(victim).as_deref(), Some("root\n"));
+            assert_eq!(fake.text(RUNTIME).as_deref(), Some("950000\n"));
+        }
+    }
+}
+
+#[test]
+fn a_fix_that_could_not_be_put_back_is_not_made() {
+    let queue = "sys/class/net/can\u{1b}[2J/tx_queue_len";
+    let fake = Fake::new(&[(queue, "10\n")]);
+    let fix = Knob::Kernel(format!("/{queue}")).to("128");
+    let refused = apply(&fake.tree(), &fix, &mut record(&fake)).unwrap_err();
+    assert!(refused.to_string().contains("put back"), "{refused}");
+    assert_eq!(fake.text(queue).as_deref(), Some("10\n"));
+    assert_eq!(fake.text(RECORD), None);
 }
 
 #[test]

@@ -1,0 +1,233 @@
+//! Positions that a motor cannot have reached.
+
+use std::f64::consts::TAU;
+use std::time::Duration;
+
+use super::bench::*;
+use crate::Homing;
+use crate::cia402::*;
+
+const STAND: &[AxisCommand] = &[AxisCommand::Stand];
+const RESET: &[AxisCommand] = &[AxisCommand::ResetFault];
+
+/// 10 turns a second: 20 000 increments/s, 40 in a period.
+const FASTEST: f64 = 10.0 * TAU;
+
+/// The drive stands enabled at 1000 increments.
+fn enabled() -> Bench {
+    let axis = AxisConfig {
+        plausible_velocity: FASTEST,
+        ..axis_config(2)
+    };
+    let mut bench = Bench::up_with(group_config(), &[axis]);
+    bench.enable();
+    bench
+}
+
+fn at(bench: &mut Bench, position: i32) {
+    bench.cycle(&[answer(2, 0x0737, position)], STAND);
+}
+
+/// The check allows two periods at least: 80 increments, and two of rounding.
+#[test]
+fn a_jump_that_the_motor_cannot_have_made_is_a_fault_and_not_believed() {
+    for (moved, believed) in [(82, true), (-82, true), (83, false), (-83, false)] {
+        let mut bench = enabled();
+        let before = bench.states[0];
+        at(&mut bench, 1_000 + moved);
+        let state = bench.states[0];
+        if believed {
+            assert_eq!((state.increments.0, state.fault), (1_000 + moved, None));
+            continue;
+        }
+        let fault = Fault::Implausible {
+            node: 2,
+            moved,
+            most: 82,
+            within: 2 * PERIOD,
+        };
+        assert_eq!(state.fault, Some(fault));
+        assert_eq!(state.increments, before.increments);
+        assert_eq!(state.position, before.position);
+        assert_eq!(state.velocity, before.velocity);
+        assert!(!state.following);
+    }
+    let fault = Fault::Implausible {
+        node: 2,
+        moved: -83,
+        most: 82,
+        within: Duration::from_millis(4),
+    };
+    let text = "node 2: position jumped by -83 increments within 4.0ms; the motor cannot have turned by more than 82";
+    assert_eq!(fault.to_string(), text);
+}
+
+#[test]
+fn a_counter_that_wraps_does_not_jump() {
+    let mut bench = enabled();
+    let mut position = i32::MAX - 100;
+    // From where it stands, by a way that takes long enough.
+    bench.now += Duration::from_secs(200_000);
+    bench.cycle(&[answer(2, 0x0740, position)], &[AxisCommand::ResetFault]);
+    bench.cycle(&[answer(2, 0x0740, position), "702#05".into()], RESET);
+    bench.cycle(&[answer(2, 0x0740, position)], RESET);
+    assert_eq!(bench.states[0].increments.0, position);
+    for _ in 0..5 {
+        position = position.wrapping_add(40);
+        bench.cycle(&[answer(2, 0x0740, position)], &[AxisCommand::Off]);
+        assert_eq!(bench.states[0].increments.0, position);
+        assert!(!matches!(
+            bench.states[0].fault,
+            Some(Fault::Implausible { .. })
+        ));
+    }
+    assert!(position < 0);
+}
+
+#[test]
+fn a_way_that_missed_answers_leave_time_for_is_believed() {
+    let mut bench = enabled();
+    bench.cycle(NONE, STAND);
+    bench.cycle(NONE, STAND);
+    at(&mut bench, 1_000 + 140);
+    assert_eq!(bench.states[0].fault, None);
+    bench.cycle(NONE, STAND);
+    bench.cycle(NONE, STAND);
+    at(&mut bench, 1_140 + 143);
+    assert!(matches!(
+        bench.states[0].fault,
+        Some(Fault::Implausible { .. })
+    ));
+}
+
+/// A bus or an adapter that held answers back delivers all of them behind the last SYNC.
+#[test]
+fn answers_that_come_in_a_burst_are_no_jump() {
+    let mut bench = enabled();
+    bench.cycle(NONE, STAND);
+    bench.cycle(NONE, STAND);
+    let burst = [1_040, 1_080, 1_120].map(|position| answer(2, 0x0737, position));
+    bench.cycle(&burst, STAND);
+    let state = bench.states[0];
+    assert_eq!((state.increments.0, state.fault), (1_120, None));
+}
+
+/// The counter at the end of a search and of one that is given up, in answers behind the last of the search.
+#[test]
+fn a_counter_that_a_search_sets_anew_late_does_not_jump() {
+    for (command, late) in [
+        (AxisCommand::Stand, true),
+        (AxisCommand::Off, true),
+        (AxisCommand::Stand, false),
+    ] {
+        let mut bench = enabled();
+        for statusword in [0x0737, 0x0737, 0x0737, 0x0237, 0x0237, 0x0237, 0x0237] {
+            bench.cycle(&[answer(2, statusword, 1_000)], &[AxisCommand::Home]);
+        }
+        let end = if command == AxisCommand::Off {
+            0x0237
+        } else {
+            0x9637
+        };
+        bench.cycle(&[answer(2, end, 1_000)], &[command]);
+        for _ in 0..if late { 3 } else { 10 } {
+            bench.cycle(&[answer(2, 0x9637, 1_000)], &[command]);
+        }
+        bench.cycle(&[answer(2, 0x9637, 0)], &[command]);
+        let state = bench.states[0];
+        let jumped = matches!(state.fault, Some(Fault::Implausible { moved: -1_000, .. }));
+        assert_eq!(jumped, !late, "{:?}", state.fault);
+        let homing = if late {
+            Homing::Attained
+        } else {
+            Homing::NotHomed
+        };
+        assert_eq!(state.homing, homing);
+    }
+}
+
+/// Bring-up resets the communication of a drive, not its counter.
+#[test]
+fn a_bring_up_does_not_make_a_counter_that_jumped_a_reference() {
+    let mut bench = enabled();
+    at(&mut bench, 2_000);
+    assert_eq!(bench.bring_up(), Ok(()));
+    for _ in 0..3 {
+        bench.cycle(&[answer(2, 0x8740, 2_000)], &[AxisCommand::Off]);
+        let state = bench.states[0];
+        assert_eq!((state.fault, state.homing), (None, Homing::NotHomed));
+    }
+}
+
+/// A target where the axis was believed to be would move the motor by the jump.
+#[test]
+fn a_drive_whose_counter_jumped_is_stopped_where_it_counts() {
+    let mut bench = enabled();
+    let frames = bench.cycle(&[answer(2, 0x0737, 2_000)], STAND);
+    // A quick stop, 2000 increments.
+    assert_eq!(frames[1], "202#0200D0070000");
+}
+
+#[test]
+fn an_axis_whose_counter_jumped_stays_in_fault_until_the_jump_has_had_time() {
+    let mut bench = enabled();
+    let sampled = bench.now - PERIOD;
+    at(&mut bench, 3_000);
+    // What shows the jump still is latched again after a reset.
+    while bench.now.since(sampled) < Duration::from_millis(100) - 2 * PERIOD {
+        bench.cycle(&[answer(2, 0x0740, 3_000)], RESET);
+        assert_eq!(bench.states[0].increments.0, 1_000);
+    }
+    for _ in 0..4 {
+        bench.cycle(&[answer(2, 0x0740, 3_000)], RESET);
+    }
+    let state = bench.states[0];
+    assert_eq!((state.increments.0, state.fault), (3_000, None));
+    assert!(state.velocity.abs() <= FASTEST * 1.1);
+}
+
+#[test]
+fn a_counter_that_jumped_is_no_reference_until_the_axis_is_homed_again() {
+    let mut bench = enabled();
+    // Bit 15: the drive says that it has its reference.
+    bench.cycle(&[answer(2, 0x8737, 1_000)], STAND);
+    assert_eq!(bench.states[0].homing, Homing::Attained);
+    bench.cycle(&[answer(2, 0x8737, 2_000)], STAND);
+    assert_eq!(bench.states[0].homing, Homing::NotHomed);
+    for _ in 0..60 {
+        bench.cycle(&[answer(2, 0x8740, 2_000)], RESET);
+    }
+    let state = bench.states[0];
+    assert_eq!((state.fault, state.homing), (None, Homing::NotHomed));
+    for statusword in [
+        0x8740, 0x8721, 0x8723, 0x8737, 0x8737, 0x8737, 0x8737, 0x8737,
+    ] {
+        bench.cycle(&[answer(2, statusword, 2_000)], STAND);
+    }
+    // In mode HM after two cycles, and the search shows after some more; the counter is set anew.
+    for _ in 0..10 {
+        bench.cycle(&[answer(2, 0x0237, 2_000)], &[AxisCommand::Home]);
+    }
+    for _ in 0..2 {
+        bench.cycle(&[answer(2, 0x9637, 0)], &[AxisCommand::Home]);
+    }
+    let state = bench.states[0];
+    assert_eq!((state.fault, state.homing), (None, Homing::Attained));
+    assert_eq!(state.increments.0, 0);
+}
+
+#[test]
+fn an_axis_without_a_plausible_velocity_is_refused() {
+    for plausible_velocity in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+        let axis = AxisConfig {
+            plausible_velocity,
+            ..axis_config(2)
+        };
+        let group = Cia402Group::new(BusEnd::default(), group_config(), &[axis]);
+        let (node, quantity) = (2, Quantity::PlausibleVelocity);
+        assert_eq!(
+            group.err(),
+            Some(ConfigError::OutOfRange { node, quantity })
+        );
+    }
+}

@@ -1,0 +1,173 @@
+//! Altered keys on which `mrroc check` is content with a cell that a run then refuses or faults on.
+//!
+//! A check reads files alone and rehearses programs on ideal drives. What a drive answers, how a loop behaves with its
+//! motor, and how late a bus is, the run finds out. An exception covers no panic, no hang, no growth and no refusal by the
+//! check alone.
+
+use super::mutations::Mutations;
+use super::verdict::{Disagreement, Kind};
+
+/// A disagreement that is none.
+struct Exception {
+    /// A key; every key of the table where a dot stands last.
+    key: &'static str,
+    kind: Kind,
+    /// One of these stands in the refusal or in the fault of the run.
+    words: &'static [&'static str],
+    /// Why a check does not know.
+    why: &'static str,
+}
+
+const fn refused(
+    key: &'static str,
+    words: &'static [&'static str],
+    why: &'static str,
+) -> Exception {
+    let kind = Kind::RefusedByRun;
+    Exception {
+        key,
+        kind,
+        words,
+        why,
+    }
+}
+
+const fn faulted(
+    key: &'static str,
+    words: &'static [&'static str],
+    why: &'static str,
+) -> Exception {
+    let kind = Kind::Faulted;
+    Exception {
+        key,
+        kind,
+        words,
+        why,
+    }
+}
+
+const OTHER_DRIVE: &str =
+    "the emulated drive is another one than the cell expects, as the run finds out";
+const NO_LOOP: &str = "the rehearsal closes no loop";
+const LATE: &str = "the run finds out how late a device answers";
+
+/// What a badly tuned loop ends in.
+const OF_A_LOOP: &[&str] = &["following error", "overcurrent protection acted"];
+
+const EXCEPTIONS: &[Exception] = &[
+    refused(
+        "robot.axis.emulator.vendor",
+        &["identity 0x1018:01"],
+        OTHER_DRIVE,
+    ),
+    refused(
+        "robot.axis.emulator.revision",
+        &["identity 0x1018:03"],
+        OTHER_DRIVE,
+    ),
+    refused(
+        "robot.axis.emulator.rated_torque",
+        &["of rated torque, the cell says"],
+        OTHER_DRIVE,
+    ),
+    refused(
+        "robot.axis.emulator.counts_per_revolution",
+        &["quadrature counts per revolution, the cell says"],
+        OTHER_DRIVE,
+    ),
+    refused(
+        "robot.axis.emulator.address",
+        &["answers as address"],
+        OTHER_DRIVE,
+    ),
+    refused(
+        "robot.axis.emulator.absent",
+        &["never booted", "no answer"],
+        OTHER_DRIVE,
+    ),
+    refused(
+        "robot.axis.drive.vendor",
+        &["identity 0x1018:01"],
+        OTHER_DRIVE,
+    ),
+    refused(
+        "robot.axis.drive.product",
+        &["identity 0x1018:02"],
+        OTHER_DRIVE,
+    ),
+    refused(
+        "robot.axis.drive.revision",
+        &["identity 0x1018:03"],
+        OTHER_DRIVE,
+    ),
+    refused("robot.axis.node", &["answers as address"], OTHER_DRIVE),
+    refused(
+        "robot.axis.drive.rated_torque",
+        &["of rated torque, the cell says"],
+        OTHER_DRIVE,
+    ),
+    refused(
+        "robot.axis.drive.counts_per_revolution",
+        &["quadrature counts per revolution, the cell says"],
+        OTHER_DRIVE,
+    ),
+    refused(
+        "robot.axis.drive.parameter.",
+        &["object does not exist", "sub-index does not exist"],
+        "the object dictionary of a drive is in the drive",
+    ),
+    faulted("robot.axis.drive.loop.", OF_A_LOOP, NO_LOOP),
+    faulted(
+        "robot.axis.controller.torque_constant",
+        OF_A_LOOP,
+        "the emulated motor keeps a torque constant of its own",
+    ),
+    faulted("period_us", OF_A_LOOP, NO_LOOP),
+    faulted(
+        "robot.parameters.",
+        &["following error"],
+        "the weight that is fed forward has the geometry of the cell, and the emulated mechanism that of the model",
+    ),
+    faulted("robot.axis.controller.loop.", OF_A_LOOP, NO_LOOP),
+    faulted("bus.sdo_timeout_ms", &["SDO protocol timed out"], LATE),
+    refused("bus.sdo_timeout_ms", &["timed out"], LATE),
+    refused("bus.boot_timeout_ms", &["never booted"], LATE),
+    refused(
+        "serial.emulated_latency_ms",
+        &["answers took more than a period"],
+        LATE,
+    ),
+];
+
+impl Exception {
+    fn names(&self, key: &str) -> bool {
+        match self.key.strip_suffix('.') {
+            Some(table) => key
+                .trim_matches(['[', ']'])
+                .strip_prefix(table)
+                .is_some_and(|rest| rest.is_empty() || rest.starts_with('.')),
+            None => key == self.key,
+        }
+    }
+
+    fn covers(&self, key: &str, disagreement: &Disagreement) -> bool {
+        let said = |word: &&str| disagreement.said.contains(*word);
+        self.names(key) && self.kind == disagreement.kind && self.words.iter().any(said)
+    }
+}
+
+/// Why a disagreement about a cell whose `key` was altered is none; `None` if it is one.
+pub(super) fn reason(key: &str, disagreement: &Disagreement) -> Option<&'static str> {
+    let covers = |it: &&Exception| it.covers(key, disagreement);
+    EXCEPTIONS.iter().find(covers).map(|it| it.why)
+}
+
+#[test]
+fn every_exception_names_a_key_that_is_altered() {
+    let mutations = Mutations::of(1);
+    let keys: Vec<_> = (0..mutations.keys() as u64).collect();
+    for exception in EXCEPTIONS {
+        let named = |&case: &u64| exception.names(mutations.key(case));
+        assert!(keys.iter().any(named), "{}", exception.key);
+    }
+}

@@ -1,0 +1,198 @@
+//! The example cells with short programs and with every key that a cell file can have.
+
+use ::mrroc::cell::{
+    Cell, Direction, DriveControl, EmulatedPayload, Incremental, Instruction, JointGenerator,
+    Joints, Law, Line, Parameter, Parameters, Protocol, Weights,
+};
+use controller::robot::Mass;
+use hil::plant::Irp6Axis;
+use servo::regulator::{IRP6, IRP6_DUTY, IncrementalConfig};
+
+use super::verdict::DCF;
+use crate::host_closed::closed_by_host;
+use crate::mrroc::{shorten, text};
+
+/// The cells that are altered.
+pub(super) fn all() -> Vec<String> {
+    vec![
+        written("irb6", on_can),
+        written("irb6", by_torque),
+        written("irp6", |_| {}),
+        written("irp6-track", |_| {}),
+        written("irb6-serial", on_lines),
+        written("irb6-hi-moxa", other_law),
+        written("rnt", |_| {}),
+        written("polycrank", |_| {}),
+        written("lab", two_that_meet),
+        written("lab", |_| {}),
+    ]
+}
+
+/// An example cell with a short program, changed by `change`, as text.
+fn written(example: &str, change: impl FnOnce(&mut Cell)) -> String {
+    let mut cell = Cell::parse(&text(example)).expect("the example cells are sound");
+    shorten(&mut cell);
+    for robot in &mut cell.robot {
+        let arm = robot.arm().expect("the example cells are sound");
+        let mut pose = arm
+            .joints(&arm.robot().home().padded())
+            .expect("home is a posture");
+        pose[0] += if arm.axes() > 1 { 0.002 } else { 0.0001 };
+        robot.parameters = Some(finite(robot.model.parameters()));
+        robot.program = vec![Instruction::Joints(Joints {
+            poses: vec![pose[..arm.axes()].to_vec()],
+            generator: JointGenerator::JerkLimited,
+            velocity: 1.0,
+            acceleration: 1.0,
+            duration: Some(0.5),
+        })];
+    }
+    change(&mut cell);
+    toml::to_string(&cell).expect("a cell is TOML")
+}
+
+/// With every key that an arm on CAN may have.
+fn on_can(cell: &mut Cell) {
+    cell.realtime.margin_us = Some(100);
+    cell.realtime.cpu = Some(0);
+    cell.realtime.spin_share = Some(0.2);
+    let robot = &mut cell.robot[0];
+    robot.tool = [0.0, 0.0, 0.1];
+    let axis = &mut robot.axis[2];
+    (axis.min_position, axis.max_position) = (Some(-70.0), Some(90.0));
+    axis.emulator.vendor = Some(0xFB);
+    axis.emulator.counts_per_revolution = Some(4000);
+    axis.emulator.rated_torque = Some(0.42);
+    let drive = axis.drive.as_mut().expect("a drive on CAN");
+    (drive.product, drive.revision) = (Some(0x6150_0000), Some(0x0170_0000));
+    drive.dcf = Some(DCF.into());
+    drive.parameter = vec![Parameter {
+        index: 0x6081,
+        subindex: 0,
+        value: 1_000,
+        bytes: 4,
+    }];
+    axis.emulator.revision = Some(0x0170_0000);
+    robot.program.push(Instruction::Joints(Joints {
+        poses: vec![
+            vec![0.01, -1.57, 0.01, 0.0, 0.0],
+            vec![0.0, -1.58, 0.0, 0.01, 0.01],
+        ],
+        generator: JointGenerator::Newsmooth,
+        velocity: 1.0,
+        acceleration: 1.0,
+        duration: None,
+    }));
+    let arm = robot.arm().expect("the example cells are sound");
+    let there = [0.0, -1.6, 0.01, 0.01, 0.01, 0.0, 0.0, 0.0];
+    let pose = arm.forward(&there).expect("a posture has a pose");
+    let rotation = pose.rotation.quaternion();
+    robot.program.push(Instruction::Line(Line {
+        position: pose.translation.vector.into(),
+        quaternion: Some([rotation.w, rotation.i, rotation.j, rotation.k]),
+        velocity: 0.2,
+        acceleration: 1.0,
+    }));
+    let payload = EmulatedPayload {
+        at_s: 0.5,
+        mass: 1.0,
+        centre: [0.0, 0.0, 0.1],
+    };
+    robot.emulated_payload = vec![
+        payload,
+        EmulatedPayload {
+            mass: 0.0,
+            ..payload
+        },
+    ];
+}
+
+/// The parameters with finite joint limits: a cell file cannot give others.
+fn finite(mut parameters: Parameters) -> Parameters {
+    if let Parameters::Polycrank(polycrank) = &mut parameters {
+        for axis in &mut polycrank.axes {
+            (axis.joint_limits.low, axis.joint_limits.high) = (-10.0, 10.0);
+            (axis.motor_limits.low, axis.motor_limits.high) = (-2_000.0, 2_000.0);
+        }
+    }
+    parameters
+}
+
+/// With loops over CAN that the host closes by torque.
+fn by_torque(cell: &mut Cell) {
+    cell.robot[0].weight = Some(Weights::default());
+    for (number, kind) in Irp6Axis::ALL.into_iter().take(5).enumerate() {
+        let axis = &mut cell.robot[0].axis[number];
+        closed_by_host(axis, kind, DriveControl::Torque);
+        let drive = axis.drive.as_mut().expect("a drive on CAN");
+        let closed = drive.r#loop.as_mut().expect("a loop of the host");
+        if number == 1 {
+            closed.feed_forward.weight = Some(1.0);
+            closed.feed_forward.stiction = Some(closed.feed_forward.coulomb);
+            closed.feed_forward.stribeck_velocity = Some(1.0);
+        }
+        if number == 4 {
+            let limit = drive.rated_torque;
+            closed.law = incremental(&IRP6[4], limit);
+        }
+    }
+}
+
+/// With another law for an axis controller than the example has.
+fn other_law(cell: &mut Cell) {
+    let controller = cell.robot[0].axis[4].controller.as_mut();
+    let controller = controller.expect("an axis controller");
+    controller.r#loop.law = incremental(&IRP6_DUTY[4], 1.0);
+}
+
+/// The law of an IRp-6, with a smaller limit if need be.
+fn incremental(law: &IncrementalConfig, limit: f64) -> Law {
+    Law::Incremental(Incremental {
+        a: law.a,
+        b0: law.b0,
+        b1: law.b1,
+        eps: law.eps,
+        integral: law.integral,
+        gain: law.gain,
+        limit: law.limit.min(limit),
+    })
+}
+
+/// With every key that an arm on serial lines may have.
+fn on_lines(cell: &mut Cell) {
+    cell.serial[0].emulated_latency_ms = Some(1);
+    let robot = &mut cell.robot[0];
+    let load = Mass {
+        mass: 1.0,
+        centre: [0.0, 0.0, 0.1],
+    };
+    robot.weight = Some(Weights {
+        masses: Some(robot.model.masses().to_vec()),
+        load,
+        up: Some(robot.model.up()),
+    });
+    robot.axis[0].homing.direction = Some(Direction::Negative);
+    robot.axis[0].homing.reverse_at_limit = Some(true);
+    robot.axis[1].emulator.address = Some(robot.axis[1].node);
+    robot.axis[1].emulator.protocol = Some(Protocol::Nfv2);
+    let controller = robot.axis[4].controller.as_mut();
+    let controller = controller.expect("an axis controller");
+    controller.plausible_velocity = Some(1000.0);
+    controller.plausible_acceleration = Some(1e6);
+    controller.r#loop.runaway_velocity = Some(1000.0);
+    let feed_forward = &mut controller.r#loop.feed_forward;
+    feed_forward.weight = Some(1.0);
+    feed_forward.stiction = Some(feed_forward.coulomb);
+    feed_forward.stribeck_velocity = Some(1.0);
+}
+
+/// The gripper and the conveyor alone, which meet.
+fn two_that_meet(cell: &mut Cell) {
+    cell.robot.retain(|robot| robot.axis.len() == 1);
+    let used = |bus: &str| cell.robot.iter().any(|robot| robot.axis[0].bus == bus);
+    cell.bus.retain(|bus| used(&bus.name));
+    cell.serial.clear();
+    for robot in &mut cell.robot {
+        robot.program.insert(0, Instruction::Meet("start".into()));
+    }
+}
