@@ -8,7 +8,7 @@ use std::process::Command;
 use std::time::Duration;
 
 use controller::cell::{Cell, Control, Law};
-use serde_json::{Value, json};
+use serde_json::json;
 
 use crate::bench::on_vcan_within;
 use crate::lab::met;
