@@ -28,7 +28,8 @@ pub struct CellFile {
 
 impl CellFile {
     /// Reads and checks a cell file. What its programs ask for is not looked at: that is a rehearsal's work.
-    pub fn read(path: &Path) -> anyhow::Result<Self> {
+    pub fn read(path: impl AsRef<Path>) -> anyhow::Result<Self> {
+        let path = path.as_ref();
         let bytes = input::read(path, cell::LARGEST);
         let bytes = bytes.with_context(|| path.display().to_string())?;
         let text = Cell::text(&bytes).map_err(|error| refusal(path, &error))?;
