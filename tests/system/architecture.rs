@@ -30,7 +30,7 @@ const ARROWS: [(&str, &[&str]); 15] = [
     ("tools/identify", &["can", "servo", "mrroc", "figures"]),
     (
         "tools/service",
-        &["can", "canopen", "serial", "drive", "mrroc"],
+        &["can", "canopen", "serial", "drive", "hil", "mrroc"],
     ),
     (
         "console",
