@@ -41,6 +41,7 @@ mod lss;
 mod motion;
 mod mrroc;
 mod outputs;
+mod outside;
 mod peers;
 mod qemu;
 mod random;
