@@ -154,7 +154,7 @@ fn joint(text: &mut String, link: &Link, parent: &str) -> fmt::Result {
     writeln!(text, "  </joint>")
 }
 
-/// A cylinder along the z axis of the frame `stands`.
+/// A cylinder along the z axis of its own frame, which is given in the frame of the link.
 struct Cylinder {
     link_from_cylinder: Isometry3<f64>,
     radius: f64,
