@@ -19,13 +19,13 @@ use draw::Draw;
 use mutations::Mutations;
 use verdict::{Disagreement, Verdict, judge_but};
 
-/// Random programs of a default run.
+/// Number of random programs in a default run.
 const PROGRAMS: u64 = 200;
 
-/// How often a default run alters each key, each time in another way or in another cell.
+/// Number of alterations of each key in a default run, each with another operator or in another cell.
 const ROUNDS: u64 = 3;
 
-/// A number in an environment variable, or the usual one without.
+/// Number in an environment variable, or `usual` if the variable is not set.
 fn variable(name: &str, usual: u64) -> u64 {
     let Ok(given) = std::env::var(name) else {
         return usual;
@@ -35,7 +35,7 @@ fn variable(name: &str, usual: u64) -> u64 {
         .unwrap_or_else(|error| panic!("{name}={given}: {error}"))
 }
 
-/// Seed of the cases, and how many times the usual number of them are tried.
+/// Seed of the cases, and the multiple of their default number.
 fn extent() -> (u64, u64) {
     let extent = (
         variable("MRROC_RANDOM_SEED", 1),
