@@ -54,7 +54,7 @@ fn completed(run: Running) -> String {
     assert_eq!(output.status.code(), Some(0), "{output:?}");
     let report = output.json();
     assert_eq!(report["outcome"], "completed", "{report}");
-    // The time stamp of SYNC is that of its transmission by the card, whose driver has no clock of its own.
+    // SYNC is stamped when the card has sent it. The driver of the card has no clock of its own.
     let wire = &report["wire"][0];
     assert_eq!(
         (&wire["source"], &wire["sync_stamp"]),

@@ -1,5 +1,5 @@
-//! The whole servo cycle over the real drive group and emulated drives: its number of frames and calls, the order of
-//! its frames on the bus, and its stated delay.
+//! The whole servo cycle over the real drive group and emulated drives: number of frames and calls, order of frames on
+//! the bus, and stated delay.
 
 use can::Frame;
 use can::candump::Direction;

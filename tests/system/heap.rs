@@ -17,7 +17,8 @@ use crate::cell::{Rig, Setup};
 use crate::motion::Motion;
 use crate::watch::Watcher;
 
-/// What it is, on which cell, what happens in motion, and what the servo is to say of it; nothing if it brakes in order.
+/// Name, cell, event during the motion, and check of the cause that the servo reports; `None` if the arm brakes without
+/// a fault.
 type Case = (
     &'static str,
     &'static str,

@@ -16,8 +16,9 @@ const BY_HOST: [DriveControl; 2] = [DriveControl::Velocity, DriveControl::Torque
 /// Position gain for the velocity loop of the drive, rad/s: [`hil::AmplifierConfig::VELOCITY_BANDWIDTH`] is 283.
 const POSITION_GAIN: f64 = 50.0;
 
-/// Ratio of the bandwidths to those of `loops/cascades.rs`, whose rule gives the gains. Over CAN, the delay from sample
-/// to effect is a period longer. Including the delay of the velocity estimate, it is six milliseconds instead of four.
+/// Ratio of the bandwidths to those of `loops/cascades.rs`, where the rule for the gains is defined. Over CAN, the
+/// delay from sample to effect is a period longer. Including the delay of the velocity estimate, it is six milliseconds
+/// instead of four.
 const SHARE: f64 = 2.0 / 3.0;
 
 /// Makes the host close the loop of `axis`, tuned for the nominal motor.

@@ -130,7 +130,8 @@ impl Running {
         Self::of(strace.arg(log).arg(program).args(arguments))
     }
 
-    /// A copy of `mrroc` in `directory` that runs as a user without privileges: as "nobody" if this test runs as root.
+    /// A copy of `mrroc` in `directory`, run by a user without privileges. If this test runs as root, the user is
+    /// "nobody".
     pub(crate) fn unprivileged(
         directory: &Directory,
         arguments: impl IntoIterator<Item: AsRef<OsStr>>,

@@ -8,7 +8,7 @@ use crate::cli_run::{interrupted, stopped, stops_in_motion};
 use crate::mrroc::{Directory, Running, example, shorten};
 
 /// Signals that end or suspend a process by default. Not included: INT and TERM, which `cli_run` sends, and the signals
-/// that `console/src/signals.rs` ignores.
+/// that `mrroc/src/signals.rs` ignores.
 const ENDING: [&str; 19] = [
     "HUP", "QUIT", "TRAP", "ABRT", "USR2", "ALRM", "16", "XCPU", "XFSZ", "VTALRM", "PROF", "29",
     "PWR", "SYS", "TSTP", "34", "35", "63", "64",

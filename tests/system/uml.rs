@@ -108,7 +108,8 @@ fn a_machine_out_of_time_is_killed_with_all_its_processes() {
     let timeout = Duration::from_secs(8);
     let options = Options {
         output: Some(scratch.0.clone()),
-        // Size that identifies the processes of this machine: no other machine of these tests has it.
+        // Memory size of this machine. Its processes are found by this size, because no other machine of these tests
+        // has it.
         memory_mib: 259,
         timeout,
         ..shell("echo begun; sleep 1000 & sleep 1000")

@@ -1,7 +1,7 @@
 //! Emulators and controller as two processes, for each example cell. A cell has one virtual interface for each of its
 //! buses. The whole laboratory has five interfaces and five pseudo-terminals.
 //!
-//! Required hardware, with `HIL_CAN` set: none; root adds the virtual interfaces.
+//! Required with `HIL_CAN` set: root privileges, to add virtual interfaces.
 
 use std::ffi::OsString;
 use std::process::Command;

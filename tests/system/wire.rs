@@ -45,7 +45,7 @@ fn times(cell: &Cell, frames: &[Received]) -> (Vec<f64>, Vec<Vec<f64>>) {
     (apart, answers.collect())
 }
 
-/// Asserts that the figures of a report equal those of the times, within `tolerance`, µs.
+/// Asserts that the figures of a report match `times` within `tolerance`, µs.
 fn check(what: &str, report: &Value, times: &[f64], tolerance: f64) {
     assert!(times.len() > 100, "{what}: {} times", times.len());
     for (key, share) in [("p50", 0.5), ("p99", 0.99), ("p999", 0.999), ("max", 1.0)] {

@@ -1,4 +1,5 @@
-//! Claims about error control: the heartbeat producer, the heartbeat consumers, and what a lost heartbeat does to the NMT state.
+//! Claims about error control: the heartbeat producer, the heartbeat consumers, and the effect of a lost heartbeat on
+//! the NMT state.
 
 use super::rig::{EMCY, HEARTBEAT, Heard, NODE, Rig, Verdict, ensure, hex, unit};
 use super::{CIA_301, Row};

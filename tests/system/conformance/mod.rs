@@ -1,4 +1,4 @@
-//! Conformance of the emulated drive: every object and service of CiA 301, CiA 305 and CiA 402 that it claims, each with a check.
+//! Conformance of the emulated drive. Each claimed object and service of CiA 301, CiA 305 and CiA 402 has a check.
 //!
 //! [`TABLE`] lists the claims. Each check uses a drive of its own, byte by byte, in virtual time. The table is written
 //! as JSON to `target/conformance.json` and as Markdown to `docs/conformance.md`.

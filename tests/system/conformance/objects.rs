@@ -496,7 +496,8 @@ fn supported_modes(rig: &mut Rig) -> Verdict {
 }
 
 fn units(rig: &mut Rig) -> Verdict {
-    // Prefix, numerator, denominator, reserved: 0xB5 increments, 0xB4 revolutions, 0x47 minutes, 0xC0 rpm, 0x03 seconds.
+    // Prefix, numerator, denominator, reserved: 0xB5 increments, 0xB4 revolutions, 0x47 minutes, 0xC0 rpm, 0x03
+    // seconds.
     rig.expect(0x60A8, 0, 0x00B5_0000)?;
     rig.expect(0x60A9, 0, 0x00B4_4700)?;
     rig.expect(0x60AA, 0, 0x00C0_0300)

@@ -1,4 +1,5 @@
-//! A raw client on a virtual bus: frames are built byte by byte from the standards, and no master of `drivers/canopen` takes part.
+//! A raw client on a virtual bus. Its frames are built byte by byte from the standards, without a master of
+//! `drivers/canopen`.
 
 use std::fmt::Write as _;
 use std::time::Duration;

@@ -1,10 +1,11 @@
-//! Random programs and altered cells. A cell that `mrroc check` calls ready runs to its end in lockstep, and a cell that
-//! `mrroc check` refuses is refused by `mrroc run` in the same words. Neither command panics, hangs or takes more than
+//! Random programs and altered cells. A cell that `mrroc check` calls ready runs to its end in lockstep. A cell that
+//! `mrroc check` refuses is refused by `mrroc run` with the same text. Neither command panics, hangs or takes more than
 //! 200 MB.
 //!
-//! The cases of a seed are always the same. `MRROC_RANDOM_SEED` sets another seed than 1. `MRROC_RANDOM_TIMES` multiplies
-//! the number of cases; the default 1 takes about a minute on two processors, and 16 applies every operator to every key
-//! of every cell. Each disagreement is printed at once with its case; the test fails at the end and prints one cell.
+//! The cases of a seed are always the same. `MRROC_RANDOM_SEED` sets the seed; the default is 1. `MRROC_RANDOM_TIMES`
+//! multiplies the number of cases. Its default 1 takes about a minute on two processors. A value of 16 applies every
+//! operator to every key of every cell. Each disagreement is printed at once with its case. At the end, the test fails
+//! and prints one cell.
 
 mod draw;
 mod exceptions;

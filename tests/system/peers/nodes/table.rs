@@ -18,8 +18,8 @@ pub(super) struct Peer {
     pub(super) identity: [u32; 3],
     pub(super) device_type: u32,
     pub(super) serial: u32,
-    /// State in the first message after a boot; CiA 301: initialising. zencan sends that message only if a heartbeat is due
-    /// at that moment.
+    /// State in the first message after a boot; CiA 301: initialising. zencan sends that message only if a heartbeat is
+    /// due at that moment.
     pub(super) boots_as: State,
     /// Heartbeat time of a peer whose object 0x1017 is a constant, ms; CiA 301: rw.
     pub(super) constant_heartbeat: Option<u16>,

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use mrroc::cell::Parameters;
 
-/// A loop: its axes, its structure, its crossover frequency in Hz, its phase margin in degrees.
+/// A loop: axes, structure, crossover frequency in Hz, phase margin in degrees.
 type Loop = [&'static str; 4];
 
 /// The loop that a CiA 402 drive closes.
