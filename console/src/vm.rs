@@ -35,7 +35,7 @@ pub(crate) enum Machine {
     /// not representative.
     Qemu {
         /// Directory of the unpacked package behind linux-image-rt-amd64. [default: target/qemu if it exists, otherwise
-        /// / with the installed package]
+        /// the installed package in /]
         #[arg(long, value_name = "DIRECTORY")]
         kernel: Option<PathBuf>,
         #[command(flatten)]

@@ -140,7 +140,7 @@ fn ten_axes_at_1_khz_on_one_bus_are_refused_with_what_would_fit() {
     assert!(number_before(line, " %, at most") > 100, "{line}");
     let axes = number_before(line, " axes would fit");
     assert!((1..7).contains(&axes), "{line}");
-    // The period that the command proposes is accepted, and a shorter period is refused.
+    // The period that the command proposes is accepted. A period that is 1 ms shorter is refused.
     let period: String = line
         .split("a period of ")
         .nth(1)

@@ -286,7 +286,8 @@ fn a_slow_bus_refuses_and_loses_nothing_it_took() {
                 while taken < all.len() && clock::now() < deadline {
                     let some = here.send(clock::now(), &all[taken..]).unwrap();
                     if taken == 0 {
-                        // Twelve frames are the burst that the bus accepts at once, because its clock continues to run.
+                        // The bus accepts a burst of twelve frames at once. Its clock continues to run, so it may
+                        // accept a few more.
                         let waiting = send_queue.clamp(6, 100);
                         let expected = waiting + 12..waiting + 20;
                         assert!(

@@ -296,8 +296,7 @@ pub struct Frame<'a> {
 }
 
 impl<'a> Frame<'a> {
-    /// Length of the frame that starts with these bytes; `None` if no frame starts here. The header is complete from
-    /// the third byte on.
+    /// Length of the frame that starts with these bytes; `None` if no frame starts here, or for fewer than three bytes.
     pub fn length(bytes: &[u8]) -> Option<usize> {
         match *bytes {
             [START, index, inverted, ..] if index == !inverted && usize::from(index) > HEADER => {

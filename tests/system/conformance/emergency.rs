@@ -106,7 +106,7 @@ fn beat(rig: &mut Rig) {
     rig.pass(5);
 }
 
-/// Loses a heartbeat: code 8130.
+/// Causes the loss of a heartbeat: code 8130.
 fn lose(rig: &mut Rig) {
     beat(rig);
     rig.pass(40);

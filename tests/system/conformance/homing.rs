@@ -279,7 +279,7 @@ fn methods_1_and_2(rig: &mut Rig) -> Verdict {
     home(rig, axis, 2, index_after(START + 10.0, false), 2.0 * COUNT)
 }
 
-/// A drive with a home switch from 4 rad above the start to the upper end of travel, or from there to the lower end.
+/// A drive whose home switch is closed from 4 rad above the start upwards, or from 4 rad below the start downwards.
 fn home_switch(above: bool) -> AxisConfig {
     let axis = switched_axis();
     let mut switch = axis.home_switch.expect("the axis has a home switch");

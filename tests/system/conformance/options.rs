@@ -283,7 +283,7 @@ fn halt_ends(rig: &mut Rig) -> Verdict {
     rig.expect_velocity(SPEED, 30)
 }
 
-/// Loses a heartbeat 20 ms from now.
+/// Causes the loss of a heartbeat 20 ms from now.
 fn lose_host(rig: &mut Rig, abort: i64) -> Verdict {
     rig.write(0x6007, 0, abort, 2)?;
     rig.write(0x1029, 1, 1, 1)?;

@@ -10,7 +10,7 @@ use super::motors::{ByCurrent, ByPulseWidth, SUPPLY, physical};
 use super::{MakeMotor, Rig};
 use crate::regression::Trapezoid;
 
-/// Bandwidth of the position loop over the velocity loop for the physical plant, rad/s: the approximate crossover
+/// Bandwidth of the velocity loop in the cascade for the physical plant, rad/s. The open loop crosses over near this
 /// frequency.
 const BANDWIDTH: f64 = 100.0;
 const POSITION_GAIN: f64 = 25.0;

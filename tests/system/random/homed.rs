@@ -159,7 +159,8 @@ fn homing_leaves_every_axis_of_the_example_cells_within_its_tolerance() {
 
 #[test]
 fn an_arm_goes_to_the_end_of_each_motor_range_and_touches_no_limit_switch() {
-    // The axes of each cell, in both directions. No leg of the RNT reaches an end of its own range alone.
+    // The axes of each cell, in both directions. The legs of the RNT are left out, because no leg reaches an end of its
+    // range alone.
     for (name, axes) in [
         ("irb6", 0..5),
         ("rnt", 3..6),
