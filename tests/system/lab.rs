@@ -132,7 +132,8 @@ fn robots_that_meet_go_on_and_arrive_in_the_same_cycle() {
 
 #[test]
 fn a_gripper_homes_from_the_far_end_of_its_travel() {
-    // Beyond the vertex of its motion, the gripper is no longer on this side.
+    // The polynomial of the opening has its vertex at 2564 rad. Positions below the vertex belong to the other branch,
+    // so the farthest start position lies just above it.
     let start = 2570.0;
     let directory = Directory::new();
     let path = directory.cell("lab", |cell| {

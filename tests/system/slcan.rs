@@ -288,7 +288,7 @@ fn an_arm_runs_over_one_adapter_with_its_drives_emulated_behind_another() {
     let [here, there] = counts[..] else {
         panic!("two adapters");
     };
-    // Frames that are on the bus when an adapter is closed are lost: at most those of one cycle.
+    // Closing an adapter loses the frames that are on the bus: at most the frames of one cycle.
     for (sent, received) in [(here.sent, there.received), (there.sent, here.received)] {
         assert!(
             (received..received + 8).contains(&sent),

@@ -193,7 +193,7 @@ pub(crate) fn frames_of(path: &Path) -> Vec<Received> {
     received.collect()
 }
 
-/// Asserts that the run ended with a fault of one of these kinds, and that the report names the fault.
+/// Asserts that the run ended with one of these faults, and that the report names the fault.
 pub(crate) fn faulted(output: &Output, named: &[&str]) {
     let report = output.json();
     assert_eq!(output.status.code(), Some(1), "{output:?}");

@@ -62,8 +62,8 @@ fn check(what: &str, report: &Value, times: &[f64], tolerance: f64) {
     }
 }
 
-/// Asserts that the figures of the run equal those of `frames`, which another listener recorded with a resolution of a
-/// microsecond.
+/// Asserts that the figures of the run equal the figures of `frames`, which another listener recorded with a resolution
+/// of a microsecond.
 pub(crate) fn agrees(wire: &Value, cell: &Cell, frames: &[Received]) {
     let bus = &wire[0];
     assert_eq!(bus["source"], "kernel", "{wire}");

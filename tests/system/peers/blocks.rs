@@ -1,4 +1,5 @@
-//! Block transfers of python-canopen with this project's server, whose objects are longer than those of a drive.
+//! Block transfers of python-canopen with this project's server. The objects of the server are longer than the objects
+//! of a drive.
 
 use std::collections::VecDeque;
 use std::time::Duration;

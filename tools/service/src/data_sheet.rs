@@ -86,8 +86,8 @@ impl DataSheet {
         Ok(())
     }
 
-    /// Refuses to write a read-only object, a value whose length differs from the object's, and a value outside the
-    /// limits that the data sheet states for `node`.
+    /// Refuses to write a read-only object. Also refuses a value of a wrong length, and a value outside the limits that
+    /// the data sheet states for `node`.
     pub(super) fn check_write(&self, node: NodeId, data: &[u8]) -> anyhow::Result<()> {
         let Self {
             object, name, path, ..

@@ -1,9 +1,9 @@
 //! Text of CAN frames.
 //!
 //! [`Decoder::describe`] depends on the frame, on earlier frames and on prior knowledge of the bus. Prior knowledge is
-//! the mapping of the PDOs and the vendor of each node, which decides its error codes. Of the earlier frames, the
-//! decoder keeps the SDO transfer under way with each node, because a segment of a block transfer looks like any
-//! command. If the start of a transfer was not seen, the text says "unknown".
+//! the mapping of the PDOs and the vendor of each node, which decides its error codes. A segment of a block transfer
+//! looks like any command. The decoder therefore keeps the SDO transfer under way with each node. If the start of a
+//! transfer was not seen, the text says "unknown".
 
 mod block;
 mod lss;

@@ -48,9 +48,9 @@ use value::Type;
 /// Options that select the bus of a command.
 #[derive(Args)]
 pub struct BusArgs {
-    /// The interface: can0, or slcan:PATH for an slcan adapter, such as slcan:/dev/serial/by-id/… The commands `sdo`,
-    /// `nmt` and `scan` also accept the service port of one drive: epos2:PATH (RS-232) or epos4:PATH (USB, RS-232).
-    /// @BAUD after a PATH sets another baud rate than the usual one.
+    /// The interface. A CAN interface such as can0. An slcan adapter: slcan:PATH, such as slcan:/dev/serial/by-id/NAME.
+    /// For `sdo`, `nmt` and `scan` also the service port of one drive: epos2:PATH (RS-232) or epos4:PATH (USB, RS-232).
+    /// An appended @BAUD replaces the usual baud rate.
     #[arg(long, value_name = "IFACE", required_unless_present = "cell")]
     can: Option<String>,
     /// Bit rate of an slcan adapter, kbit/s. The bit rate of a SocketCAN interface is set with `ip link`. [default: the

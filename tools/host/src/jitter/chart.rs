@@ -155,7 +155,8 @@ fn distribution(late: &Counts, nines: &Logarithmic, latency: &Logarithmic) -> St
     let (total, mut reached, mut points) = (late.len() as f64, 0, String::new());
     let mut last = [f64::NEG_INFINITY; 2];
     for bin in late.iter_recorded() {
-        // The latency of this bin applies from the share of cycles before this bin to the share that includes it.
+        // A bin is drawn as a horizontal line, from the share of cycles before this bin to the share including this
+        // bin.
         for count in [reached, reached + bin.count_at_value()] {
             let beyond = (total - count as f64).max(1.0);
             let x = nines.at(total / beyond, [LEFT, RIGHT]);

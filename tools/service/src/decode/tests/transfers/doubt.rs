@@ -131,7 +131,7 @@ fn a_monitor_that_begins_in_the_middle_of_a_transfer_does_not_guess() {
             ),
         ],
     );
-    // An upload that was seen from its acknowledgement on, and one that was seen from its start on.
+    // An upload seen from its acknowledgement on, and an upload seen from its start on.
     tell(
         &mut listening(),
         &[
