@@ -1,5 +1,5 @@
-//! `mrroc emulate`: the axis controllers of a cell on CAN interfaces or behind emulated slcan adapters, and on
-//! pseudo-terminals in place of serial lines.
+//! `mrroc emulate`: emulates the axis controllers of a cell. The controllers are on CAN interfaces, behind emulated
+//! slcan adapters, or on pseudo-terminals in place of serial lines.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
@@ -22,10 +22,10 @@ use mrroc::bench::{emulation, interfaces};
 use mrroc::cell_file::CellFile;
 use mrroc::signals;
 
-/// Longest time between two looks at whether somebody pressed Ctrl-C.
+/// Longest time between two checks for Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// Longest time that frames wait for the interface to take them.
+/// Longest time that frames wait until the interface accepts them.
 const SEND: Duration = Duration::from_millis(100);
 
 /// Options of `mrroc emulate`.
@@ -33,19 +33,19 @@ const SEND: Duration = Duration::from_millis(100);
 pub(crate) struct Options {
     /// The cell file.
     cell: PathBuf,
-    /// The interface of a bus in place of the cell's: IFACE, or once for each bus BUS=IFACE where there are several.
+    /// The interface of a bus in place of the cell's: IFACE, or BUS=IFACE once per bus if the cell has several.
     #[arg(long, value_name = "IFACE")]
     can: Vec<String>,
-    /// An emulated slcan adapter for a bus in place of an interface, LINK, or once for each bus BUS=LINK where there are
-    /// several: LINK will be a symbolic link to its tty.
+    /// An emulated slcan adapter for a bus in place of an interface: LINK, or BUS=LINK once per bus if the cell has
+    /// several. LINK becomes a symbolic link to the tty of the adapter.
     #[arg(long, value_name = "LINK")]
     slcan: Vec<String>,
-    /// Where the ttys of the cell's serial lines are put: one symbolic link per axis, by its name.
+    /// Directory for the ttys of the cell's serial lines: one symbolic link per axis, with the name of the axis.
     #[arg(long, value_name = "DIR")]
     serial: Option<PathBuf>,
-    /// Where the service ports of EPOS4 are put: one symbolic link to a tty per CAN axis, by its name, for `mrroc sdo
-    /// --can epos4:DIR/AXIS`. The drive behind it has the identity and the plant of the axis, and is another one than
-    /// that on the bus: what is written to one the other does not know.
+    /// Directory for the service ports of EPOS4: one symbolic link to a tty per CAN axis, with the name of the axis.
+    /// The ports are for `mrroc sdo --can epos4:DIR/AXIS`. The drive behind a port has the identity and the plant of
+    /// the axis, but is not the drive on the bus. A value written to either of the two does not reach the other.
     #[arg(long, value_name = "DIR")]
     service: Option<PathBuf>,
 }
@@ -146,7 +146,7 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
             let stop = &stop;
             scope.spawn(move || {
                 let served = bus.serve(stop);
-                // If it failed, the others end with it.
+                // If this thread failed, the other threads end as well.
                 stop.store(true, Ordering::Relaxed);
                 served
             })
@@ -167,7 +167,8 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// A pseudo-terminal that a link in `directory` leads to, by the name of `axis`, robot and number.
+/// A pseudo-terminal and a symbolic link to it in `directory`. The link has the name of `axis`, which gives robot and
+/// number.
 fn link_of(
     file: &CellFile,
     (robot, number): (usize, usize),
@@ -183,14 +184,14 @@ struct EmulatedBus {
     port: BusPort,
     devices: Vec<Box<dyn Device>>,
     time: EmulatedTime,
-    /// How far time has passed for the devices.
+    /// Time up to which the devices have been simulated.
     passed: Instant,
-    /// What they have to say; as many as their queues hold.
+    /// Frames that the devices send. The capacity is the sum of their queues.
     outgoing: Vec<Frame>,
 }
 
 impl EmulatedBus {
-    /// Answers frames and lets time pass until `stop`.
+    /// Processes frames and advances the devices until `stop` is set.
     fn serve(mut self, stop: &AtomicBool) -> anyhow::Result<()> {
         let mut received = [Received {
             frame: Sync::default().encode(),
@@ -205,7 +206,7 @@ impl EmulatedBus {
             let wake = timeouts.fold(clock::now() + LOOK, Instant::min);
             self.port.wait_readable(wake)?;
             let count = self.port.receive(clock::now(), &mut received)?;
-            // Read after the frames came, so that none is ahead of it.
+            // The clock is read after the frames arrived, so that no frame has a later time.
             let now = clock::now();
             let came = received[..count].first().map_or(now, |first| first.at);
             self.time.waited(wake, came);
@@ -221,15 +222,15 @@ impl EmulatedBus {
         Ok(())
     }
 
-    /// Lets the devices' time pass to `to`. A frame is handled at the time it came, however late that is noticed: what
-    /// a drive watches is the bus and not this program.
+    /// Advances the devices to `to`. A frame is processed at its time of arrival, even if this program reads it late.
+    /// The watchdogs of the devices therefore monitor the bus and not this program.
     fn let_pass(&mut self, to: Instant) {
         self.passed = self.passed.max(to);
         let timeouts = self
             .devices
             .iter()
             .filter_map(|device| device.poll_timeout());
-        // All at once: else each moves its plant on in a wake-up of its own.
+        // All devices are handled at once. Otherwise each device would advance its plant in a wake-up of its own.
         if timeouts.min().is_some_and(|due| due <= self.passed) {
             for device in &mut self.devices {
                 device.handle_timeout(self.passed);
@@ -237,8 +238,8 @@ impl EmulatedBus {
         }
     }
 
-    /// Sends what the devices have to say, to the interface and each to the other devices. What the interface does not
-    /// take in time is lost, as behind a bus that nobody acknowledges.
+    /// Sends the frames of the devices to the interface, and the frames of each device to all other devices. Frames
+    /// that the interface does not accept in time are lost, as on a bus without acknowledgement.
     fn transmit(&mut self, now: Instant) -> anyhow::Result<()> {
         for sender in 0..self.devices.len() {
             while let Some(frame) = self.devices[sender].poll_transmit(self.passed) {
@@ -251,7 +252,8 @@ impl EmulatedBus {
                 self.outgoing.push(frame);
             }
         }
-        // At once where there is room: a call for each frame costs more than all that the devices compute.
+        // Frames are sent in one call if possible. One call per frame would cost more than all computation of the
+        // devices.
         let mut rest = self.outgoing.as_slice();
         let give_up = now + SEND;
         while !rest.is_empty() {

@@ -1,7 +1,7 @@
-//! The `mrroc` command: the only room that opens ports, spawns threads and prints.
+//! The `mrroc` command: the only part of the project that opens ports, spawns threads and prints.
 //!
-//! Exit status: 0 done; 1 stopped by a fault or on request, or a node was told and did not do it; 2 refused before
-//! anything moved, or no answer.
+//! Exit status: 0 done; 1 stopped by a fault or on request, or a node did not obey a command; 2 refused before any
+//! motion, or no answer.
 
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
@@ -19,7 +19,7 @@ use mrroc::cell::Cell;
 use mrroc::cell_file::CellFile;
 use mrroc::streams;
 
-/// What scripts may build upon.
+/// Exit status in the help text: scripts may rely on it.
 const EXIT_STATUS: &str = "Exit status: 0 done; 1 stopped by a fault or by a signal such as Ctrl-C, or a node was told and did not do \
 it; 2 refused before anything moved, aborted by the node, no answer, or no bus.";
 
@@ -41,7 +41,7 @@ enum Command {
         #[arg(long)]
         json: bool,
     },
-    /// Examine this host: can it run the cell, and what has to change where it cannot? Changes nothing.
+    /// Check whether this host can run the cell, and propose corrections. Changes nothing without --fix.
     Doctor(host::doctor::Options),
     /// Bring a cell up, home it, run its programs and report. Moves hardware on the card bench.
     Run {
@@ -50,28 +50,29 @@ enum Command {
         #[command(flatten)]
         options: mrroc::ProgramOptions,
     },
-    /// Stand in for the axis controllers of a cell on a CAN interface, behind an slcan adapter, on serial lines.
+    /// Emulate the axis controllers of a cell: on a CAN interface, behind an slcan adapter, or on serial lines.
     Emulate(emulate::Options),
-    /// Who is on a bus: asks every node-ID by SDO, whoever has none by LSS, and listens to heartbeats. Not while another
-    /// master is at work.
+    /// List the nodes of a bus: by SDO requests to every node-ID, by LSS requests, and by heartbeats. Do not use while
+    /// another master is active.
     Scan(service::scan::Options),
-    /// Read or write one object of a node. Not while another master uses the node's SDO server, which serves one at a
-    /// time: a running cell does at its start and at a fault.
+    /// Read or write one object of a node. Do not use while another master uses the SDO server of the node, which
+    /// serves one client at a time. A running cell uses the server at its start and at a fault.
     Sdo {
         #[command(subcommand)]
         action: service::sdo::Action,
     },
-    /// Tell a node, or all, to change its NMT state. Resets and stops take the power from drives; a brakeless arm falls.
-    /// Every command but start ends a running cell in a fault.
+    /// Send an NMT command to one node or to all. Resets and stops switch the power of drives off, and an arm without
+    /// brakes falls. Every command except start ends a running cell in a fault.
     Nmt(service::nmt::Options),
-    /// Give node-IDs to nodes that have none, by layer setting services. A running cell is disturbed by it.
+    /// Assign node-IDs to nodes by layer setting services (LSS). This disturbs a running cell.
     Lss {
         #[command(subcommand)]
         action: service::lss::Action,
     },
-    /// Show the frames of a bus in words until Ctrl-C. Sends nothing, unless --map asks; an slcan adapter only listens.
+    /// Show the frames of a bus as text until Ctrl-C. Sends nothing without --map. An slcan adapter is opened in
+    /// listen-only mode.
     Monitor(service::monitor::Options),
-    /// Print the electronic data sheet (EDS of CiA 306) of the drive emulated for an axis.
+    /// Print the electronic data sheet (EDS, CiA 306) of the emulated drive of an axis.
     Eds {
         /// The cell file.
         cell: PathBuf,
@@ -79,21 +80,22 @@ enum Command {
         axis: String,
     },
     /// Measure the loop of one axis: frequency response, crossover and phase margin. Homes the robot on the emulated
-    /// benches; moves hardware on the card bench, where it has to be told so.
+    /// benches. Moves hardware on the card bench, where motion must be allowed explicitly.
     Identify(identify::Options),
-    /// Measure how punctual a thread that waits as the servo's does is on this host, beside cyclictest in the same run.
+    /// Measure the punctuality of a thread that waits as the servo thread does, compared with cyclictest in the same
+    /// run.
     Jitter(host::jitter::Options),
-    /// Where a robot's flange is for given joints, which joints put it there, and how they move it.
+    /// Compute forward kinematics, inverse kinematics, Jacobian and limits of a robot.
     Kinematics {
         #[command(subcommand)]
         question: descriptions::kinematics::Question,
     },
-    /// Print the data sheet of a robot, of the gripper or of the conveyor in Markdown, or its figure in SVG: geometry,
-    /// drives, limits, and where the numbers come from.
+    /// Print the data sheet of a robot, of the gripper or of the conveyor: geometry, drives, limits, and the source of
+    /// each number. The format is Markdown; the figure is SVG.
     Datasheet(descriptions::datasheet::Options),
-    /// Print a robot's description (URDF) for viewers and libraries of rigid bodies.
+    /// Print the description of a robot (URDF) for viewers and libraries of rigid bodies.
     Urdf(descriptions::urdf::Options),
-    /// Run a command in a virtual machine that has CAN.
+    /// Run a command in a virtual machine with CAN.
     Vm {
         #[command(subcommand)]
         machine: vm::Machine,
@@ -104,7 +106,7 @@ enum Command {
         #[arg(long)]
         reference: bool,
     },
-    /// Write the manual pages and the completions of bash, zsh and fish into a directory.
+    /// Write the manual pages and the completions for bash, zsh and fish into a directory.
     #[command(hide = true)]
     Manual {
         /// The directory.

@@ -1,7 +1,7 @@
-//! `mrroc manual`: the manual pages and the completions of shells, from the definition of the command line itself.
+//! `mrroc manual`: manual pages and shell completions, generated from the definition of the command line.
 //!
-//! The package is made from what this writes, so neither can fall behind. `mrroc.1` goes on with the sections of
-//! `manual.roff`, which no definition has.
+//! The package is built from the output of this command, so pages and completions always match the program. `mrroc.1`
+//! also contains the sections of `manual.roff`, which have no counterpart in the definition.
 
 use std::fs;
 use std::io::{self, Write};
@@ -15,10 +15,11 @@ use clap_mangen::Man;
 
 use mrroc::outputs::{Outputs, Replacement};
 
-/// What shells are told of the command.
+/// Shells with completions.
 const SHELLS: [Shell; 3] = [Shell::Bash, Shell::Zsh, Shell::Fish];
 
-/// Writes a page for every command that is not hidden, `mrroc-sdo-read.1` for `mrroc sdo read`, and the completions.
+/// Writes the completions, and a page for every command that is not hidden, such as `mrroc-sdo-read.1` for `mrroc sdo
+/// read`.
 pub(crate) fn write(
     mut command: Command,
     directory: &Path,
@@ -28,7 +29,7 @@ pub(crate) fn write(
     let mut outputs = Outputs::new(replacement);
     let mut files = Vec::new();
     let completions = SHELLS.map(|shell| {
-        // Into memory first: what this writes to a file directly panics where the file takes nothing.
+        // The text is generated in memory, because the generator panics if a write to a file fails.
         let mut text = Vec::new();
         clap_complete::generate(shell, &mut command, "mrroc", &mut text);
         (shell.file_name("mrroc"), text)
@@ -47,10 +48,10 @@ pub(crate) fn write(
     Ok(ExitCode::SUCCESS)
 }
 
-/// The pages by name.
+/// Pages by name.
 fn pages(command: Command) -> Vec<(String, Vec<u8>)> {
     let mut command = without_help(command);
-    // Makes the full names of commands, which their usage begins with.
+    // Builds the full names of the commands, with which their usage texts begin.
     command.build();
     let mut pages = Vec::new();
     let mut below = vec![command];
@@ -72,7 +73,7 @@ fn pages(command: Command) -> Vec<(String, Vec<u8>)> {
     pages
 }
 
-/// `mrroc help run` is `man mrroc-run` in other words.
+/// Removes the `help` commands: `mrroc help run` shows the same text as `man mrroc-run`.
 fn without_help(command: Command) -> Command {
     command
         .disable_help_subcommand(true)

@@ -1,15 +1,15 @@
-//! What to say to arguments that are none: one line, as every other refusal.
+//! Error messages for invalid arguments, in one line as every other error message.
 
 use std::process::ExitCode;
 
 use clap::Error;
 use clap::error::ErrorKind;
 
-/// Prints what was asked for, help or version, or what is wrong with the arguments; the exit status.
+/// Prints help or version if requested, otherwise the error in the arguments. Returns the exit status.
 pub(crate) fn answer(error: &Error) -> ExitCode {
     match error.kind() {
         ErrorKind::DisplayHelp | ErrorKind::DisplayVersion => {
-            // A reader that has gone, such as `head`, has had what it wanted.
+            // A reader such as `head` that has closed the output has read enough.
             let _ = error.print();
             ExitCode::SUCCESS
         }
@@ -24,7 +24,7 @@ pub(crate) fn answer(error: &Error) -> ExitCode {
     }
 }
 
-/// The message in one line: what is wrong, what may have been meant, and how it is called.
+/// Text of an error in one line: the error, a suggestion and the usage.
 fn line(message: &str) -> String {
     let mut said = String::new();
     for part in message.lines().map(str::trim) {

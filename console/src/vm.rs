@@ -1,4 +1,4 @@
-//! `mrroc vm`: virtual machines that have what the host lacks.
+//! `mrroc vm`: virtual machines with capabilities that the host lacks.
 
 use std::env;
 use std::ffi::OsString;
@@ -16,24 +16,26 @@ use hil::{qemu, uml};
 
 use mrroc::signals::{self, Motion};
 
-/// Where the machine looks for programs after the directory of this one.
+/// Search path of the machine after the directory of this program.
 const PATH: &str = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin";
 
-/// Where the kernel package is unpacked, if `--kernel` does not say.
+/// Directory of the unpacked kernel package without `--kernel`.
 const UNPACKED: &str = "target/qemu";
 
-/// The machines.
+/// Kinds of machine.
 #[derive(Subcommand)]
 pub(crate) enum Machine {
-    /// User-mode Linux with vcan0. The host's files are there, read-only, and so is the working directory; what the
-    /// command writes into the directory that MRROC_OUT names comes out. This program is on its PATH. The exit status is
-    /// the command's; a signal that ends this program ends the machine too, with status 128 and the signal's number.
+    /// Run the command in user-mode Linux with vcan0. The host's files and the working directory are visible and
+    /// read-only. Files that the command writes into the directory MRROC_OUT are copied to --out. This program is on
+    /// the PATH of the command. The exit status is that of the command. A signal that ends this program ends the
+    /// machine too, with status 128 plus the number of the signal.
     Uml(Options),
-    /// A PC with Debian's PREEMPT_RT kernel and two Kvaser CAN cards on one bus, can0 and can1, down at first. Files are
-    /// as in user-mode Linux. It shows that something works, and nothing of how fast.
+    /// Run the command in a PC with Debian's PREEMPT_RT kernel and two Kvaser CAN cards on one bus. The interfaces can0
+    /// and can1 are down at first. Files are as in user-mode Linux. The machine is for functional tests; its timing is
+    /// not representative.
     Qemu {
-        /// Where the package behind linux-image-rt-amd64 is unpacked: target/qemu if that is there, or else installed
-        /// in /.
+        /// Directory of the unpacked package behind linux-image-rt-amd64. [default: target/qemu if it exists, otherwise
+        /// the installed package in /]
         #[arg(long, value_name = "DIRECTORY")]
         kernel: Option<PathBuf>,
         #[command(flatten)]
@@ -41,20 +43,20 @@ pub(crate) enum Machine {
     },
 }
 
-/// What to run in a machine.
+/// Options of a machine.
 #[derive(Args)]
 pub(crate) struct Options {
-    /// The directory that MRROC_OUT names inside; nothing comes out without it. The directory is made if it does not
-    /// exist, and refused if other users can change its content or its path.
+    /// Directory on the host that receives the content of MRROC_OUT. Without it, no file is copied out of the machine.
+    /// The directory is created if it does not exist. It is refused if other users can change its content or its path.
     #[arg(long)]
     out: Option<PathBuf>,
-    /// A directory under /tmp, /var/tmp, /run or /dev that is to be seen inside.
+    /// A directory under /tmp, /var/tmp, /run or /dev that is to be visible inside.
     #[arg(long, value_name = "DIRECTORY")]
     see: Vec<PathBuf>,
     /// Memory, MiB.
     #[arg(long, default_value_t = 512)]
     memory: u32,
-    /// When to give up, s.
+    /// Time-out, s.
     #[arg(long, default_value_t = 600)]
     timeout: u64,
     /// The command and its arguments.
@@ -63,7 +65,7 @@ pub(crate) struct Options {
 }
 
 impl Options {
-    /// As the machines take them.
+    /// Options in the form that the machines expect.
     fn resolve(&self, cancellation: &Cancellation) -> anyhow::Result<uml::Options> {
         let program = env::current_exe().context("this program's own path")?;
         let home = program.parent().expect("a program lies in a directory");
@@ -84,7 +86,7 @@ impl Options {
     }
 }
 
-/// Runs a command in a machine; its exit status becomes ours. The status is 128 plus the number of the signal if a signal
+/// Runs a command in a machine and returns its exit status. The status is 128 plus the number of the signal if a signal
 /// ended the machine.
 pub(crate) fn vm(machine: &Machine) -> anyhow::Result<ExitCode> {
     let mut stdout = io::stdout();

@@ -1,8 +1,8 @@
-//! What a cycle costs over the real drive group, with the emulated robot and without it.
+//! Computing time of a cycle over the real drive group, with and without the emulated robot.
 //!
-//! `lockstep` counts cycles of servo, bus and emulated drives together; divided by the 500 cycles that a
-//! second has, that is how many times faster than real time a lockstep run is. `servo cycle` is the servo and the
-//! group alone, on a port that answers every SYNC from a table and makes no system call.
+//! `lockstep` counts cycles of servo, bus and emulated drives together. The result divided by the 500 cycles per second
+//! is the speed of a lockstep run in multiples of real time. `servo cycle` is the servo and the group alone. Its port
+//! answers every SYNC from a table and makes no system call.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -25,10 +25,10 @@ mod motion;
 use cell::{Rig, Setup};
 use motion::Motion;
 
-/// Cycles in one iteration of the lockstep benchmark: a second.
+/// Number of cycles in one iteration of the lockstep benchmark: one second.
 const SECOND: u64 = 500;
 
-/// Moves to and fro without end.
+/// A motion to and fro without end.
 struct ToAndFro {
     motion: Motion,
     distance: f64,
@@ -71,8 +71,8 @@ fn lockstep(criterion: &mut Criterion) {
     }
 }
 
-/// The port of a robot that is at rest: a real one until it is cut off, then each SYNC brings the answers
-/// that came last.
+/// The port of a robot at rest. It is a real port at first; after it is cut off, each SYNC is answered with the last
+/// answers.
 struct Echo {
     port: VirtualPort,
     cut: Arc<AtomicBool>,
@@ -117,7 +117,7 @@ impl Port for Echo {
                 ..*answer
             };
         }
-        // All heartbeats in each cycle, which is more than drives send.
+        // All heartbeats in each cycle, which is more than real drives send.
         let mut count = self.answers.len();
         for (place, node) in into[count..].iter_mut().zip(1..=self.answers.len() as u16) {
             let id = StandardId::new(0x700 + node).expect("a heartbeat's identifier");
@@ -140,7 +140,7 @@ impl Port for Echo {
 fn servo_cycle(criterion: &mut Criterion) {
     let cut = Arc::default();
     let mut setup = Setup::of("irp6");
-    // The drives stay where they are while the commands go to and fro.
+    // The drives keep their position while the commands go to and fro.
     for axis in &mut setup.cell.robot[0].axis {
         axis.following_error = 100.0;
     }
@@ -149,7 +149,7 @@ fn servo_cycle(criterion: &mut Criterion) {
         Box::new(Echo {
             port,
             cut: switch,
-            // Of six axes; growing in the cycle would count as the servo's use of the heap.
+            // Capacity for six axes. Growth in the cycle would count as heap use of the servo.
             answers: Vec::with_capacity(6),
             synchronised: None,
         })

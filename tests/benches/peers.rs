@@ -1,14 +1,15 @@
-//! Expedited SDO uploads per second, beside an implementation by other hands: python-canopen.
+//! Rate of expedited SDO uploads, compared with an independent implementation: python-canopen.
 //!
-//! `cargo bench -p mrroc-tests --bench peers` prints a line per comparison and then one JSON object, and fails
-//! where this project is not as many times as fast as it is to be. The Python packages are those that
-//! `tests/run` puts into `target/peers`.
+//! `cargo bench -p mrroc-tests --bench peers` prints one line per comparison and then one JSON object. The benchmark
+//! fails if this project does not reach the required multiple of the peer's rate. The Python packages are those that
+//! `tests/run` installs in `target/peers`.
 //!
-//! - *slcan*: one emulated adapter on a pseudo-terminal and one emulated drive behind it, which answers at once on a
-//!   bus that takes no time, so that what is measured is the client; first python-canopen's on python-can's
-//!   port, then ours on ours.
-//! - *virtual*: client and server of each project on that project's virtual bus. Ours has true bit times and
-//!   arbitration, and the server is an emulated drive, in virtual time; python-can's hands messages to a queue.
+//! - *slcan*: one emulated adapter on a pseudo-terminal with one emulated drive. The drive answers at once, and the bus
+//!   takes no time, so the benchmark measures the client. The first side is python-canopen on python-can's port, the
+//!   second this project's client on this project's port.
+//! - *virtual*: client and server of each project on the virtual bus of that project. This project's bus has true bit
+//!   times and arbitration, and the server is an emulated drive in virtual time. The bus of python-can passes messages
+//!   through a queue.
 
 #![allow(
     clippy::disallowed_methods,
@@ -44,10 +45,10 @@ const READ: pty::Interest = pty::Interest {
     write: false,
 };
 
-/// How long a side is measured in a round.
+/// Duration of the measurement of each side in a round.
 const MEASURED: Duration = Duration::from_secs(1);
 
-/// How often each side is measured; its best round counts, as the one least disturbed.
+/// Number of rounds. The best round counts, because it was disturbed least.
 const ROUNDS: usize = 4;
 
 fn main() -> ExitCode {
@@ -72,7 +73,7 @@ struct Comparison {
     name: &'static str,
     ours: f64,
     theirs: f64,
-    /// How many times as many ours are to be.
+    /// Required ratio of this project's rate to the peer's.
     at_least: f64,
 }
 
@@ -117,7 +118,7 @@ impl Comparison {
     }
 }
 
-/// What python-canopen does and what we do on one adapter.
+/// Rates of python-canopen and of this project on one adapter.
 fn over_slcan() -> (f64, f64) {
     let drive = Epos4::new(Epos4Config {
         answer_delay: Duration::ZERO,
@@ -131,7 +132,7 @@ fn over_slcan() -> (f64, f64) {
     })
 }
 
-/// Both in turns, so that whatever else the machine does disturbs both; the best round of each.
+/// Measures both sides in turns, so that other load of the machine disturbs both. Returns the best round of each.
 fn in_turns(mut theirs: impl FnMut() -> f64, mut ours: impl FnMut() -> f64) -> (f64, f64) {
     (0..ROUNDS).fold((0.0_f64, 0.0_f64), |best, _| {
         (best.0.max(theirs()), best.1.max(ours()))
@@ -161,7 +162,7 @@ fn on_the_adapter(tty: &Path) -> f64 {
     })
 }
 
-/// In virtual time, counted by the wall clock.
+/// Rate in virtual time, measured on the wall clock.
 fn on_the_virtual_bus() -> f64 {
     const STEP: Duration = Duration::from_micros(100);
     let mut world = World::new();
@@ -187,7 +188,7 @@ fn client() -> Client {
     Client::new(NODE, Duration::from_secs(2), 0)
 }
 
-/// One upload, begun at `now`; when it was done. `wait` waits for what comes.
+/// Makes one upload that starts at `now`, and returns the time of its end. `wait` waits for frames.
 fn upload<P: Port>(
     client: &mut Client,
     port: &mut P,
@@ -216,7 +217,7 @@ fn upload<P: Port>(
     }
 }
 
-/// How often a second `once` can be done.
+/// Number of calls of `once` per second.
 fn rate(mut once: impl FnMut()) -> f64 {
     const AT_A_TIME: u32 = 100;
     (0..AT_A_TIME).for_each(|_| once());
@@ -230,7 +231,7 @@ fn rate(mut once: impl FnMut()) -> f64 {
     f64::from(count) / measured.as_secs_f64()
 }
 
-/// What python-canopen does, with these arguments of `speed.py`.
+/// Rate of python-canopen, measured by `speed.py` with these arguments.
 fn python_canopen(arguments: &[&str]) -> f64 {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"))
         .parent()

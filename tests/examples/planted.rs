@@ -1,6 +1,6 @@
-//! A servo thread in whose cycle something is planted that no cycle may do: what the proofs that no cycle does it must
-//! see. The argument says what: `nothing`, `allocation`, `lock` or `write`. It prints how often the kernel's account of the
-//! thread was read.
+//! A servo thread with a forbidden operation planted in its cycle. The proofs that a cycle does not allocate, lock or
+//! write must detect the operation. The argument selects it: `nothing`, `allocation`, `lock` or `write`. The program
+//! prints how often it read the kernel's account of the thread.
 
 #![allow(
     clippy::disallowed_methods,

@@ -1,6 +1,6 @@
 """python-canopen's block transfer with a server that has one long object, 0x2F00.
 
-Prints what failed with the last frames, and nothing else; exit status 1 if anything did.
+Prints each failure with the last frames, and nothing else. The exit status is 1 after a failure.
 """
 
 import argparse
@@ -12,7 +12,7 @@ import canopen
 
 from wire import Wire, add_arguments
 
-# Segments hold 7 bytes, sub-blocks 127 segments; 1022 is the most that the server keeps.
+# Segments hold 7 bytes, sub-blocks 127 segments; 1022 bytes are the capacity of the server.
 SIZES = [1, 4, 5, 6, 7, 8, 13, 14, 15, 28, 29, 35, 36, 70, 888, 889, 890, 1021, 1022]
 LONGEST = 1022
 
@@ -24,7 +24,7 @@ def transfer(sdo, data, checksum):
         read = stream.read()
     if read != data:
         raise RuntimeError(f"{len(data)} bytes, checksum {checksum}: {read.hex()} instead of {data.hex()}")
-    # And as the server gives it without blocks.
+    # The same value by ordinary transfer.
     if sdo.upload(0x2F00, 0) != data:
         raise RuntimeError(f"{len(data)} bytes by segments differ")
 
@@ -49,7 +49,7 @@ def judge(wire, node):
     opened = lambda index, mode, **more: lambda: sdo.open(index, 0, mode, block_transfer=True, **more)
     refused(0x06020000, opened(0x2F01, "rb"))
     refused(0x05040005, opened(0x2F00, "wb", size=LONGEST + 1))
-    # A checksum that is wrong.
+    # A wrong checksum.
     keep = bytes_of(7)
     transfer(sdo, keep, True)
     stream = sdo.open(0x2F00, 0, "wb", buffering=0, size=7, block_transfer=True)

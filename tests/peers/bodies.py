@@ -1,4 +1,4 @@
-"""pinocchio reads the URDF of a robot, and is asked the same as `mrroc kinematics`."""
+"""pinocchio reads the URDF of a robot. Its results are compared with those of `mrroc kinematics`."""
 
 import argparse
 import json
@@ -38,7 +38,7 @@ def main():
         assert len(links) == model.njoints - 1, (links, list(model.names))
         for name, position in links.items():
             joint = model.joints[model.getJointId(name)]
-            # A joint without end is a point on the unit circle.
+            # The position of a continuous joint is a point on the unit circle.
             q[joint.idx_q : joint.idx_q + joint.nq] = (
                 [position] if joint.nq == 1 else [math.cos(position), math.sin(position)]
             )
@@ -51,7 +51,7 @@ def main():
     axes = len(limits)
     assert model.nv == axes, (model.nv, axes)
 
-    # The description's joints are sums of the robot's: what each adds.
+    # Joint positions of the description are sums of the robot's joint positions: the share of each.
     coupling = numpy.zeros((axes, axes))
     for axis in range(axes):
         unit = [float(axis == other) for other in range(axes)]
@@ -69,7 +69,7 @@ def main():
         pinocchio.updateFramePlacements(model, data)
         placed = data.oMf[base].actInv(data.oMf[flange])
         jacobian = pinocchio.computeFrameJacobian(model, data, q, flange, pinocchio.LOCAL_WORLD_ALIGNED) @ coupling
-        # The description's root may be the floor; ours is the base.
+        # The root of the description may be the floor; the root of `mrroc kinematics` is the base.
         base_from_root = data.oMf[base].rotation.T
         jacobian = numpy.vstack([base_from_root @ jacobian[:3], base_from_root @ jacobian[3:]])
         ours = {

@@ -1,8 +1,8 @@
-"""How long pinocchio takes for what the closed forms do: reads the links of robots, prints times as JSON.
+"""Computing time of pinocchio for the kinematics in closed form: reads the links of robots, prints times as JSON.
 
-Every time is the least of several rounds of a Python loop, a call's share of it; nothing is taken off. `call` is the share of
-a call that does next to nothing, `pinocchio.neutral` of a model of one joint: what the way through Python costs. The inverse
-is the Newton method with damped least squares that pinocchio's own examples have, as nobody has a closed form there.
+Every time is the time per call in the fastest of several rounds of a Python loop, without corrections. `call` is the overhead
+of Python: the time of `pinocchio.neutral` for a model with one joint, which computes almost nothing. The inverse kinematics is
+the Newton method with damped least squares of pinocchio's own examples, because pinocchio has no closed form.
 """
 
 import json
@@ -36,7 +36,7 @@ def model_of(links):
 
 
 def share(call, times):
-    """Nanoseconds of one call, in the round least disturbed."""
+    """Time of one call in the fastest round, ns."""
     rounds = []
     for _ in range(ROUNDS):
         begin = time.perf_counter_ns()
@@ -47,7 +47,7 @@ def share(call, times):
 
 
 def solve(model, data, joint, target, seed):
-    """The configuration in which the flange is at the target, and the steps taken; none where it does not converge."""
+    """Joint positions with the flange at the target, and number of steps; None without convergence."""
     q = seed.copy()
     for steps in range(MOST_STEPS):
         pinocchio.forwardKinematics(model, data, q)

@@ -1,7 +1,7 @@
-"""A drive made of durand 0.5.0's node: its SDO server, PDOs, NMT, heartbeats, EMCY and LSS, and here a CiA 402 drive.
+"""A CiA 402 drive on durand 0.5.0's node, which provides the SDO server, PDOs, NMT, heartbeats, EMCY and LSS.
 
-It boots, and serves until its standard input ends. durand's own: what a reset does not restore stays as it was, TPDOs of every
-nth SYNC come at every SYNC once n have passed, and a node without a node-ID boots on 0x7FF.
+The drive boots, and serves until its standard input is closed. Behaviour of durand: objects that a reset does not restore keep
+their values. A TPDO of every nth SYNC is sent at every SYNC after the first n. A node without a node-ID boots on 0x7FF.
 """
 
 import argparse
@@ -16,7 +16,7 @@ from durand.services.nmt import StateEnum
 from power import CSP, DISABLED, ENABLED, HOMING, next_power, status
 
 IDENTITY = {1: 0x0000_0D0D, 2: 0x0050_0000, 3: 0x0000_0005}
-# What is written here goes out as an emergency; 0 clears it.
+# A value written here is sent as an emergency; 0 clears the error.
 EMERGENCY = 0x2F01
 DEVICE_TYPE = 0x0002_0192
 
@@ -40,7 +40,7 @@ VARIABLES = [
     (0x6085, Type.UNSIGNED32, "rw", 0),
     (0x6098, Type.INTEGER8, "rw", 0),
     (0x609A, Type.UNSIGNED32, "rw", 0),
-    # Homing and the cyclic synchronous position.
+    # Homing and cyclic synchronous position mode.
     (0x6502, Type.UNSIGNED32, "ro", 0x0000_00A0),
 ]
 RECORDS = {
@@ -65,7 +65,7 @@ class Drive:
         self.objects.write(0x1000, 0, DEVICE_TYPE)
         self.objects.write(0x1008, 0, b"durand")
         self.power, self.word = DISABLED, 0
-        # Before the TPDOs sample.
+        # Runs before the TPDOs sample.
         self.node.sync.callbacks.add(self.synchronised)
         self.node.nmt.state_callbacks.add(self.entered)
         for index in (0x6040, 0x6060):

@@ -1,6 +1,6 @@
-"""Reads what `mrroc jitter --out` wrote with the HdrHistogram of other hands, and judges it by its report.
+"""Reads the files of `mrroc jitter --out` with an independent HdrHistogram, and compares them with the report.
 
-The report is one JSON object on standard input, the directory the argument.
+The report is a JSON object on standard input; the argument is the directory of the files.
 """
 
 import json
@@ -16,7 +16,7 @@ QUANTILES = {"p50": 0.5, "p99": 0.99, "p999": 0.999, "max": 1.0}
 
 
 def quantiles(bins, count):
-    """The report's quantiles, µs, of ascending (value in µs, count so far)."""
+    """Quantiles of the report, µs, from ascending pairs (value in µs, cumulative count)."""
 
     def at(quantile):
         wanted = max(1, math.ceil(quantile * count - 1e-9))
@@ -26,12 +26,12 @@ def quantiles(bins, count):
 
 
 def close(found, expected, what):
-    """Both are the upper end of the same bin, but for what three decimals of a µs cut off."""
+    """Both values are the upper end of the same bin, rounded to three decimals of a µs."""
     assert abs(found - expected) <= 0.0006, f"{what}: {found} µs, and {expected} µs in the report"
 
 
 def log(path, side):
-    """Every interval decodes, they follow each other, and their sum is the report's distribution."""
+    """Every interval can be decoded, the intervals are consecutive, and their sum is the report's distribution."""
     total = HdrHistogram(1, LONGEST, 3)
     reader = HistogramLogReader(str(path), total)
     intervals, last = 0, 0.0
@@ -54,7 +54,7 @@ def log(path, side):
 
 
 def distribution(path, side):
-    """Returns (value in µs, count so far) of each line, which ascend to the report's maximum and count."""
+    """Returns (value in µs, cumulative count) of each line, ascending to the report's maximum and count."""
     lines = path.read_text().splitlines()
     assert lines[0].split() == ["Value", "Percentile", "TotalCount", "1/(1-Percentile)"], lines[0]
     rows = [line.split() for line in lines[2:] if not line.startswith("#")]

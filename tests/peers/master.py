@@ -1,7 +1,7 @@
 """python-canopen as the master of one emulated axis controller.
 
-Each check is a claim, printed with `ok` or with `FAILED`, the reason and the last frames. Exit status 1 if any failed.
-The cell must leave the axis room for a turn each way.
+Each check is a claim, printed with `ok` or with `FAILED`, the reason and the last frames. The exit status is 1 after a failure.
+The cell must leave the axis room for one turn in each direction.
 """
 
 import argparse
@@ -15,9 +15,9 @@ from canopen.profiles.p402 import BaseNode402
 from wire import Wire, add_arguments, until, word
 
 CHECKS = []
-# One node's answer may take this long where the test machine is busy, seconds.
+# Longest time for an answer of a node on a busy test machine, s.
 PATIENCE = 3.0
-# Of the axis: counts per revolution.
+# Counts per revolution of the axis.
 TURN = 4000
 
 
@@ -51,7 +51,7 @@ def aborts(code, call):
 
 
 class Master:
-    """The node under test, seen by its master."""
+    """Master of the node under test."""
 
     def __init__(self, arguments):
         self.wire = Wire(arguments)
@@ -59,7 +59,7 @@ class Master:
         self.node = BaseNode402(arguments.node, canopen.import_od(arguments.eds, arguments.node))
         self.network.add_node(self.node)
         self.node.sdo.RESPONSE_TIMEOUT = PATIENCE
-        # The defaults are those of a network of its own; here a whole machine may pause.
+        # The default time limits are too short here, because the whole machine may pause.
         for name in ("RESET_FAULT", "SWITCH_OP_MODE", "SWITCH_STATE_FINAL", "SWITCH_STATE_SINGLE", "CHECK_TPDO"):
             setattr(self.node, f"TIMEOUT_{name}", PATIENCE)
         self.id = arguments.node
@@ -73,7 +73,7 @@ class Master:
         true(until(lambda: (0,) in [it[1:] for it in self.heartbeats[seen:]], PATIENCE), "no boot-up")
 
     def fresh(self):
-        """Brings the node back to power-on values, pre-operational."""
+        """Resets the node to its power-on values and to pre-operational."""
         self.synchronise(None)
         self.boots_by(0x81)
         self.node.emcy.reset()
@@ -82,7 +82,7 @@ class Master:
         self.node.rpdo_pointers.clear()
 
     def synchronise(self, period):
-        """Sends SYNC with this period, seconds; None ends it."""
+        """Sends SYNC with this period, s; None stops SYNC."""
         if self.network.sync.period:
             self.network.sync.stop()
             self.network.sync.period = None
@@ -90,7 +90,7 @@ class Master:
             self.network.sync.start(period)
 
     def emergency(self, code):
-        """The emergency of this code, which may be there already."""
+        """Waits for the emergency with this code, unless it was received already."""
         found = lambda: [it for it in self.node.emcy.log if it.code == code]
         true(until(found, PATIENCE), f"no EMCY {code:#06x}")
         return found()[-1]
@@ -107,7 +107,7 @@ class Master:
         self.sdo.download(index, subindex, word(value, size))
 
     def map(self, pdo, transmission, *objects):
-        """Maps a PDO in the order that CiA 301 asks for, with canopen's own code."""
+        """Maps a PDO in the sequence that CiA 301 requires, with the code of canopen."""
         pdo.read()
         pdo.clear()
         for entry in objects:
@@ -133,7 +133,7 @@ def a_search_finds_the_node(m):
 
 @check
 def every_object_of_the_eds_has_its_size_and_its_default(m):
-    # What the EDS cannot know of a unit: identity, its motor, its switches, its supply, where it stands.
+    # Values that differ between units and are not in the EDS: identity, motor, switches, supply, position.
     of_the_unit = {0x1018, 0x2200, 0x3001, 0x3141, 0x6041, 0x6062, 0x6064, 0x6076, 0x60F4, 0x60FD}
     changing = of_the_unit | {0x30D1, 0x606B, 0x606C, 0x6061, 0x6077}
     errors, seen = [], 0
@@ -185,7 +185,7 @@ def expedited_answers_are_those_of_cia_301(m):
         ("4017100000000000", "4B17100000000000"),
         ("2381600078563412", "6081600000000000"),
         ("4081600000000000", "4381600078563412"),
-        # Size not given: the server knows the object's.
+        # The size is not given, because the server knows the size of the object.
         ("2298600025000000", "6098600000000000"),
         ("4098600000000000", "4F98600025000000"),
     ]:
@@ -219,7 +219,7 @@ def blocks_carry_long_objects_both_ways(m):
     with m.sdo.open(0x2FF0, 1, "rb", block_transfer=True) as stream:
         text = stream.read()
     same(text, m.sdo.upload(0x2FF0, 1), "object 2FF0:1")
-    # No more segments in a row than the 32 that an adapter's queue holds: python-canopen does not recover lost ones.
+    # At most 32 consecutive segments, the queue of an adapter, because python-canopen does not recover lost segments.
     data = bytes(range(200))
     def download(subindex, data):
         with m.sdo.open(0x2FF0, subindex, "wb", size=len(data), block_transfer=True) as stream:
@@ -250,7 +250,7 @@ def refusals_have_the_codes_of_an_epos4(m):
         (0x08000024, read(0x1003, 1)),
     ]:
         aborts(code, call)
-    # A mapping that does not exist, one of the wrong length, and one under a count that is not 0.
+    # A mapping of a missing object, a mapping of a wrong length, and a mapping under a count other than 0.
     m.write(0x1800, 1, 0xC000_0180 + m.id, 4)
     m.write(0x1A00, 0, 0, 1)
     aborts(0x06020000, write(0x1A00, 1, 0x5FFF0010, 4))
@@ -268,7 +268,7 @@ def broken_transfers_are_aborted_and_the_next_one_works(m):
     node = m.id
     for requests, answer in [
         (["E000000000000000"], "8000000001000405"),
-        # No transfer is open.
+        # No transfer is under way.
         (["6000000000000000"], "8000000001000405"),
         # The toggle bit must begin at 0.
         (["4008100000000000", "7000000000000000"], "8008100000000305"),
@@ -289,7 +289,7 @@ def states_follow_nmt_commands_and_show_in_heartbeats(m):
     for command, state in [(1, 5), (128, 127), (1, 5), (2, 4), (128, 127)]:
         m.node.nmt.send_command(command)
         true(m.hears(state), f"no heartbeat of state {state}")
-    # To all.
+    # Addressed to all nodes.
     m.network.nmt.send_command(1)
     true(m.hears(5), "the command to all nodes was not obeyed")
     m.network.nmt.send_command(128)
@@ -310,7 +310,7 @@ def heartbeats_come_at_their_period(m):
     seen = len(m.heartbeats)
     true(until(lambda: len(m.heartbeats) > seen + 50, PATIENCE), "too few heartbeats")
     times = [at for at, _ in m.heartbeats[seen:]]
-    # A machine that is held up says several at once, in their number.
+    # A machine delivers several heartbeats at once after a pause, so the mean period is measured.
     period = (times[50] - times[0]) / 50
     true(0.015 < period < 0.026, f"a period of {period * 1e3:.1f} ms")
     m.write(0x1017, 0, 0, 2)
@@ -373,7 +373,7 @@ def a_lost_heartbeat_is_an_emergency_that_ends(m):
     beat()
     true(until(lambda: not m.node.emcy.active, PATIENCE), "no EMCY 0x0000")
     same(m.node.emcy.log[-1].code, 0, "last EMCY")
-    # Before it is lost again.
+    # The watch ends before the heartbeat is lost again.
     m.write(0x1016, 1, 0, 4)
     m.write(0x1003, 0, 0, 1)
     aborts(0x08000024, lambda: m.read(0x1003, 1))

@@ -1,15 +1,15 @@
-"""The power states of CiA 402, for the drives that are made of other hands' nodes here."""
+"""Power states of CiA 402 for drives on independent nodes."""
 
 # Low byte of the statusword.
 DISABLED, READY, SWITCHED_ON, ENABLED, QUICK_STOP, FAULT = 0x50, 0x31, 0x33, 0x37, 0x17, 0x18
-# Of its high byte: under command of the bus, target reached, and what the mode says.
+# Bits of its high byte: remote, target reached, and the bit specific to the mode.
 REMOTE, REACHED, SPECIAL = 0x0200, 0x0400, 0x1000
 
 HOMING, CSP = 6, 8
 
 
 def next_power(power, word, before):
-    """The power state that a controlword leads to."""
+    """Power state after a controlword."""
     if power == FAULT:
         return DISABLED if word & 0x80 and not before & 0x80 else FAULT
     if not word & 0x02:
@@ -26,7 +26,7 @@ def next_power(power, word, before):
 
 
 def status(power, mode, word, operational):
-    """The statusword of a drive that reaches every set-point at once."""
+    """Statusword of a drive that reaches every set-point at once."""
     shown = power | (REMOTE if operational else 0)
     if power == ENABLED and (mode == CSP or mode == HOMING and word & 0x10):
         shown |= SPECIAL | (REACHED if mode == HOMING else 0)

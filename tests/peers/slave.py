@@ -1,7 +1,7 @@
-"""A drive made of python-canopen's LocalNode: its SDO server, its heartbeats and its PDO maps, and here the rest.
+"""A drive on python-canopen's LocalNode, which provides the SDO server, heartbeats and PDO maps.
 
-The rest is little: what NMT resets do, SYNC, the power states of CiA 402, and modes of operation that reach every
-set-point at once. It boots, and serves until its standard input ends.
+This script adds NMT resets, SYNC, the power states of CiA 402, and modes of operation that reach every set-point at
+once. The drive boots, and serves until its standard input is closed.
 """
 
 import argparse
@@ -18,7 +18,7 @@ RPDOS, TPDOS = range(1, 5), range(1, 5)
 
 
 def dictionary(eds, node):
-    """The drive's, and one object of any length, 0x2F00."""
+    """Object dictionary of the drive, and an object of any length, 0x2F00."""
     objects = canopen.import_od(eds, node)
     domain = canopen.objectdictionary.ODVariable("domain", 0x2F00)
     domain.data_type = canopen.objectdictionary.DOMAIN
@@ -42,7 +42,7 @@ class Drive:
 
     def boot(self):
         self.power, self.word = DISABLED, 0
-        # What the data sheet gives no value is measured, and zero here.
+        # Objects without a value in the data sheet are measurements, and zero here.
         for entry in self.node.object_dictionary.values():
             single = isinstance(entry, canopen.objectdictionary.ODVariable)
             for variable in [entry] if single else entry.values():
@@ -50,11 +50,11 @@ class Drive:
                     values = self.node.data_store.setdefault(variable.index, {})
                     values.setdefault(variable.subindex, variable.encode_raw(0))
         self.set(0x6064, 1000)
-        # µN·m, as the cell says.
+        # Unit µN·m; value from the cell.
         self.set(0x6076, 420_000)
         self.set(0x6061, self.get(0x6060))
         self.show()
-        # The boot-up frame comes last: the host may act on it before the next line is reached.
+        # The boot-up frame is sent last, because the host may react to it before the next line runs.
         self.node.nmt.state = "PRE-OPERATIONAL"
         self.network.send_message(0x700 + self.node.id, [0])
 
@@ -67,7 +67,7 @@ class Drive:
         self.node.data_store.setdefault(index, {})[0] = variable.encode_raw(value)
 
     def commanded(self, _, data, __):
-        """After LocalNode has taken an NMT command, which is all that it does with one."""
+        """Performs an NMT command that LocalNode has received; LocalNode itself only changes its state."""
         command, node = data
         if node not in (0, self.node.id):
             return
@@ -87,7 +87,7 @@ class Drive:
                         self.network.subscribe(self.node.rpdo[number].cob_id, self.received)
 
     def received(self, identifier, data, _):
-        """An RPDO: synchronous ones wait for SYNC."""
+        """Processes an RPDO. A synchronous RPDO waits for SYNC."""
         for number in RPDOS:
             pdo = self.node.rpdo[number]
             if pdo.enabled and pdo.cob_id == identifier and pdo.trans_type > 240:
@@ -97,7 +97,7 @@ class Drive:
     def take(self, pdo, data):
         pdo.data = bytearray(data)
         for variable in pdo:
-            # As by SDO, so that `written` is called.
+            # Written as by SDO, so that `written` is called.
             self.node.set_data(variable.index, variable.subindex, bytes(variable.data))
 
     def synchronised(self, *_):

@@ -1,4 +1,4 @@
-"""How many expedited SDO uploads python-canopen makes in a second: as a client of a node on a bus, or of its own server.
+"""Rate of expedited SDO uploads of python-canopen: as a client of a node on a bus, or of its own server.
 
 Prints one JSON object. Without --interface, client and server are two networks on python-can's virtual bus.
 """
@@ -22,7 +22,7 @@ def network(bus):
 
 
 def rate(sdo, seconds):
-    """Uploads of object 0x1000 in a second, each one checked."""
+    """Number of uploads of object 0x1000 per second; each value is checked."""
     def upload(until):
         count = 0
         while time.perf_counter() < until:

@@ -1,4 +1,4 @@
-"""What the scripts here share: a bus by its description, and the last frames on it."""
+"""Common parts of the scripts: opening a bus, and a record of its last frames."""
 
 import collections
 import struct
@@ -18,13 +18,13 @@ def add_arguments(parser):
 def open_bus(arguments):
     options = {"interface": arguments.interface, "channel": arguments.channel}
     if arguments.interface == "slcan":
-        # What is at the other end has no bootloader to wait for.
+        # The device at the other end has no bootloader, so no wait is necessary.
         options.update(bitrate=1_000_000, sleep_after_open=0)
     return can.Bus(**options)
 
 
 class Wire:
-    """A network, with a memory of its last frames as candump would print them."""
+    """A network with a record of its last frames in the notation of candump."""
 
     def __init__(self, arguments):
         self.last = collections.deque(maxlen=24)
@@ -49,11 +49,11 @@ class Wire:
         self._note("<-", message)
 
     def send(self, identifier, text):
-        """Sends a data frame, its bytes in hexadecimal."""
+        """Sends a data frame, given in hexadecimal."""
         self.network.send_message(identifier, bytes.fromhex(text))
 
     def ask(self, node, text, timeout=1.0):
-        """Sends an SDO request as bytes in hexadecimal; the answer likewise, None without one."""
+        """Sends an SDO request, given in hexadecimal. Returns the answer in hexadecimal, or None."""
         answers = []
         listen = lambda _, data, __: answers.append(data.hex().upper())
         self.network.subscribe(0x580 + node, listen)
@@ -66,7 +66,7 @@ class Wire:
 
 
 def until(condition, timeout):
-    """Whether the condition came true within so many seconds."""
+    """Whether the condition becomes true within the time limit, s."""
     end = time.monotonic() + timeout
     while not condition():
         if time.monotonic() > end:
@@ -76,5 +76,5 @@ def until(condition, timeout):
 
 
 def word(value, size):
-    """A number as an object of so many bytes."""
+    """Bytes of a number for an object of this length."""
     return struct.pack("<q", value)[:size]

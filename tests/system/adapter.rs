@@ -1,7 +1,7 @@
 //! An slcan adapter on a pseudo-terminal with at most one device behind it, on a bus that takes no time.
 //!
-//! `mrroc emulate --slcan` has the true bit times of a bus; here the adapter is in the test's hands, and nothing but the
-//! host's end takes any time.
+//! `mrroc emulate --slcan` has the true bit times of a bus. Here the test controls the adapter, and only the host's end
+//! takes time.
 
 use std::io;
 use std::os::fd::AsFd;
@@ -30,9 +30,9 @@ impl Adapter {
         }
     }
 
-    /// Serves the host while `body` runs, which is given the host's end.
+    /// Serves the host while `body` runs. `body` receives the path of the host's end.
     pub(crate) fn served<T>(mut self, body: impl FnOnce(&Path) -> T) -> T {
-        /// Ends the serving however `body` ends.
+        /// Stops the service, also if `body` panics.
         struct Done<'a>(&'a AtomicBool);
         impl Drop for Done<'_> {
             fn drop(&mut self) {
@@ -48,7 +48,7 @@ impl Adapter {
         })
     }
 
-    /// Serves the host for `time`, or until `done`; whether it was.
+    /// Serves the host for `time`, or until `done` returns true. Returns whether it did.
     pub(crate) fn serve(&mut self, time: Duration, mut done: impl FnMut(&Self) -> bool) -> bool {
         let end = clock::now() + time;
         while !done(self) {
@@ -60,7 +60,7 @@ impl Adapter {
         true
     }
 
-    /// Waits for the host or for the device's time, and passes on what there is.
+    /// Waits for bytes of the host or for a deadline of the device, then transfers all available frames.
     fn turn(&mut self) -> io::Result<()> {
         const LOOK: Duration = Duration::from_millis(20);
         let due = self.behind.as_ref().and_then(|it| it.poll_timeout());
@@ -89,7 +89,7 @@ impl Adapter {
 
     fn exchange(&mut self, now: Instant) {
         let Some(behind) = &mut self.behind else {
-            // Frames for a bus on which nobody is.
+            // Frames for a bus without other nodes.
             while self.device.poll_transmit(now).is_some() {}
             return;
         };
@@ -104,7 +104,7 @@ impl Adapter {
         }
     }
 
-    /// A frame from the bus.
+    /// Delivers a frame from the bus.
     pub(crate) fn deliver(&mut self, frame: &Frame) {
         self.device.handle(frame, clock::now());
     }

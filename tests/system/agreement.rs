@@ -1,5 +1,5 @@
-//! `check` and `run` agree: a cell that is ready runs, and one that cannot run is refused by both, with file, line and
-//! key, in the same words.
+//! Agreement of `check` and `run`. A cell that is ready runs. A cell that cannot run is refused by both commands with
+//! the same text, which names file, line and key.
 
 use std::fs;
 use std::path::Path;
@@ -20,7 +20,7 @@ fn run(cell: &Path) -> Output {
     mrroc(run)
 }
 
-/// An example, what stands in it, what stands there instead, and the key that is refused.
+/// An example cell, a text in it, the replacement of the text, and the refused key.
 type Case = (&'static str, &'static str, &'static str, &'static str);
 
 const REFUSED: &[Case] = &[
@@ -244,7 +244,7 @@ fn what_a_run_would_refuse_a_check_refuses_with_file_line_and_key() {
     for &(example, good, bad, key) in REFUSED {
         let text = text(example);
         let at = text.find(good).unwrap_or_else(|| panic!("no {good:?}"));
-        // Tables that are put in front begin where the old one did.
+        // A table inserted before another table begins on the line of the old table.
         let line = text[..at].matches('\n').count() + 1;
         let line = line
             + bad
@@ -277,12 +277,12 @@ fn a_search_of_any_speed_ends_a_check_without_a_panic() {
     }
 }
 
-/// A number as a message shows it.
+/// A number in the notation of messages.
 fn shown(value: &str) -> String {
     ::mrroc::cell::Figure(value.parse().unwrap()).to_string()
 }
 
-/// Cells at the ends of what is accepted.
+/// Cells with values at the limits of the accepted ranges.
 const ACCEPTED: &[Case] = &[
     (
         "irb6",

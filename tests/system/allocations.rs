@@ -1,4 +1,4 @@
-//! Counts what each thread of this binary allocates.
+//! Counter of the heap operations of each thread of this binary.
 #![allow(
     unsafe_code,
     reason = "a counting allocator implements an unsafe trait"
@@ -11,7 +11,7 @@ thread_local! {
     static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
 }
 
-/// Allocations, deallocations and reallocations of the calling thread so far.
+/// Number of allocations, deallocations and reallocations of the calling thread so far.
 pub(crate) fn count() -> u64 {
     ALLOCATIONS.with(Cell::get)
 }
@@ -22,21 +22,21 @@ fn add() {
 
 struct Counting;
 
-// SAFETY: every call goes unchanged to the system's allocator.
+// SAFETY: every call is passed unchanged to the system's allocator.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         add();
-        // SAFETY: the caller's promise is passed on.
+        // SAFETY: the guarantee of the caller is passed on.
         unsafe { System.alloc(layout) }
     }
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
         add();
-        // SAFETY: the caller's promise is passed on.
+        // SAFETY: the guarantee of the caller is passed on.
         unsafe { System.dealloc(pointer, layout) }
     }
     unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         add();
-        // SAFETY: the caller's promise is passed on.
+        // SAFETY: the guarantee of the caller is passed on.
         unsafe { System.realloc(pointer, layout, size) }
     }
 }

@@ -1,4 +1,5 @@
-//! The rooms import one way, and only the rim reads clocks or waits.
+//! Rules of the architecture: crates depend on each other in one direction only, and only listed files read clocks or
+//! wait.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -11,7 +12,7 @@ fn root() -> PathBuf {
         .to_owned()
 }
 
-/// Each room and the rooms it may import, by their names in the workspace.
+/// Each crate and the crates that it may depend on, by their names in the workspace.
 const ARROWS: [(&str, &[&str]); 15] = [
     ("drivers/can", &[]),
     ("drivers/canopen", &["can"]),
@@ -60,7 +61,7 @@ const ARROWS: [(&str, &[&str]); 15] = [
     ),
 ];
 
-/// The rooms below the library of robot programs.
+/// The crates below the library for robot programs.
 const BELOW_LIBRARY: &[&str] = &[
     "can",
     "canopen",
@@ -71,7 +72,7 @@ const BELOW_LIBRARY: &[&str] = &[
     "hil",
 ];
 
-/// The rim: the files that may read clocks and wait. Clippy refuses both everywhere else (`clippy.toml`).
+/// Files that may read clocks and wait. Clippy refuses both in all other files (`clippy.toml`).
 const RIM: [&str; 24] = [
     "console/src/emulate.rs",
     "drivers/can/src/clock.rs",
@@ -170,7 +171,7 @@ fn a_forbidden_import_is_found() {
     );
 }
 
-/// Every Rust file below a folder of the workspace.
+/// All Rust files below a directory of the workspace.
 fn sources(folder: &str) -> Vec<PathBuf> {
     let mut folders = vec![root().join(folder)];
     let mut found = Vec::new();
@@ -187,7 +188,7 @@ fn sources(folder: &str) -> Vec<PathBuf> {
     found
 }
 
-/// Clippy's refusal of clock reads and waits, as an exception names it.
+/// Clippy's lint against clock reads and waits, as named in an exception.
 const REFUSAL: &str = "clippy::disallowed_methods";
 
 #[test]
@@ -200,7 +201,7 @@ fn only_the_rim_is_excepted_from_the_refusal_of_clock_reads() {
     let root = root();
     let name = |path: PathBuf| path.strip_prefix(&root).unwrap().display().to_string();
     let mut excepted: Vec<_> = excepted.map(name).collect();
-    // Tests of a room pace its threads.
+    // The tests of a crate control the timing of its threads.
     excepted.retain(|name| !name.ends_with("tests.rs"));
     excepted.sort();
     assert_eq!(excepted, RIM);
@@ -220,8 +221,8 @@ fn every_function_of_the_clock_module_is_refused_outside_the_rim() {
     }
 }
 
-/// What the host's side of a protocol is made of: an emulator that used one would agree with the driver by sharing its
-/// mistakes.
+/// Types for the host's side of a protocol. If an emulator used one of them, both ends would share its errors, and the
+/// error would stay undetected.
 const HOST_SIDE: [&str; 8] = [
     "sdo::Client",
     "PowerStateMachine",

@@ -1,11 +1,11 @@
-//! Where a test's bus is.
+//! Selection of the bus for a test.
 //!
-//! `HIL_CAN=can0` runs the tests on that interface of this host. Without it, each boots a user-mode
-//! Linux and runs there on `vcan0`; a host without that kernel fails the test, unless
-//! `MRROC_LEAVE_OUT=vcan` says that it may be left out.
+//! `HIL_CAN=can0` runs the tests on that interface of this host. Without the variable, each test boots a user-mode
+//! Linux and runs there on `vcan0`. A host without that kernel fails the test, unless `MRROC_LEAVE_OUT=vcan` permits
+//! leaving it out.
 //!
-//! Tests of cards are the same with `HIL_CARDS=can0,can1`, two cards on one bus, in a PC that QEMU emulates, and
-//! with `MRROC_LEAVE_OUT=qemu`.
+//! The variable for tests of cards is `HIL_CARDS=can0,can1`, which names two cards on one bus. Without it, these tests
+//! run in a PC that QEMU emulates; `MRROC_LEAVE_OUT=qemu` permits leaving them out.
 
 use std::env;
 use std::fmt::{Debug, Display};
@@ -15,15 +15,15 @@ use hil::{qemu, uml};
 
 use crate::mrroc;
 
-/// Runs `body` on a SocketCAN interface, whose name it is given.
+/// Runs `body` on a SocketCAN interface. `body` receives the name of the interface.
 ///
-/// `test` is the calling test's own path, such as `socketcan::frames_come_back`: inside the test
-/// machine this binary runs it again, and the machine is given two minutes for it.
+/// `test` is the path of the calling test, such as `socketcan::frames_come_back`. Inside the test machine, this binary
+/// runs that test again. The time limit of the test machine is two minutes.
 pub(crate) fn on_vcan(test: &str, body: impl FnOnce(&str)) {
     on_vcan_within(Duration::from_secs(120), test, body);
 }
 
-/// The same, with another time for the test machine.
+/// As [`on_vcan`], with another time limit for the test machine.
 pub(crate) fn on_vcan_within(timeout: Duration, test: &str, body: impl FnOnce(&str)) {
     if let Some(interface) = env::var("HIL_CAN").ok().filter(|name| !name.is_empty()) {
         return body(&interface);
@@ -37,7 +37,7 @@ pub(crate) fn on_vcan_within(timeout: Duration, test: &str, body: impl FnOnce(&s
     judge(test, &outcome, &output);
 }
 
-/// Runs `body` on two cards of one bus, whose names it is given; like [`on_vcan`], in less than three minutes.
+/// Runs `body` on two cards of one bus, whose names it receives. The time limit of the test machine is three minutes.
 pub(crate) fn on_cards(test: &str, body: impl FnOnce(&str, &str)) {
     mrroc::binary();
     if let Some(cards) = env::var("HIL_CARDS").ok().filter(|cards| !cards.is_empty()) {
@@ -53,20 +53,20 @@ pub(crate) fn on_cards(test: &str, body: impl FnOnce(&str, &str)) {
     }
 }
 
-/// The kernel that QEMU boots; `None` if `test` is to be left out for want of that, panics as [`left_out`] does.
+/// The kernel that QEMU boots. `None` if the kernel is missing and `test` may be left out; panics if it may not.
 pub(crate) fn kernel(test: &str) -> Option<qemu::Kernel> {
     qemu::Kernel::below(&mrroc::root().join("target/qemu"))
         .inspect_err(|error| may_leave_out("qemu", test, error))
         .ok()
 }
 
-/// This binary, to run `test` again in a test machine.
+/// Options that run `test` of this binary again in a test machine.
 fn again(test: &str, (variable, value): (&str, &str), timeout: Duration) -> uml::Options {
     let binary = env::current_exe().expect("a test binary knows its own path");
     uml::Options {
         env: vec![(variable.into(), value.into())],
         directory: env::current_dir().expect("cargo runs tests in the package's directory"),
-        // The example cells are there.
+        // Directory of the example cells.
         visible: vec![mrroc::root().to_owned()],
         timeout,
         ..uml::Options::new([
@@ -81,7 +81,7 @@ fn again(test: &str, (variable, value): (&str, &str), timeout: Duration) -> uml:
 /// Panics unless the test passed in its machine.
 fn judge<E: Debug + PartialEq>(test: &str, outcome: &Result<u8, E>, output: &[u8]) {
     let output = String::from_utf8_lossy(output);
-    // A path that names no test passes in silence.
+    // The test runner does not report a path that names no test.
     let ran = output.contains("1 passed");
     assert!(
         *outcome == Ok(0) && ran,
@@ -90,8 +90,8 @@ fn judge<E: Debug + PartialEq>(test: &str, outcome: &Result<u8, E>, output: &[u8
     print!("{output}");
 }
 
-/// Whether `test` is to be left out for want of user-mode Linux; panics if it is wanting and
-/// `MRROC_LEAVE_OUT` does not say so.
+/// Whether `test` is left out because user-mode Linux is missing. Panics if it is missing and `MRROC_LEAVE_OUT` does
+/// not permit this.
 pub(crate) fn left_out(test: &str) -> bool {
     let wanting = uml::installed().err();
     wanting
@@ -99,7 +99,7 @@ pub(crate) fn left_out(test: &str) -> bool {
         .is_some()
 }
 
-/// Says that `test` is left out for want of `what`; panics if `MRROC_LEAVE_OUT` does not ask for that.
+/// Reports that `test` is left out because `what` is missing. Panics if `MRROC_LEAVE_OUT` does not permit this.
 pub(crate) fn may_leave_out(what: &str, test: &str, wanting: &dyn Display) {
     let allowed = env::var("MRROC_LEAVE_OUT").unwrap_or_default();
     assert!(

@@ -1,8 +1,8 @@
 //! Emulators and controller as two processes on two CAN cards of one bus, under a PREEMPT_RT kernel.
 //!
-//! The test machine emulates every instruction, and a busy host takes its only processor away besides. So the
-//! cell's period is long, 20 ms, and it is patient: a second without answers, three without cycles. Required
-//! hardware, with `HIL_CARDS` set: two cards on one bus with nothing else on it, and root.
+//! The test machine emulates every instruction, and a busy host may take its only processor away. The period of the
+//! cell is therefore long, 20 ms. Its time limits are a second without answers and three seconds without cycles.
+//! Required hardware, with `HIL_CARDS` set: two cards on one bus with nothing else on it, and root.
 
 use std::fs;
 use std::process::Command;
@@ -17,7 +17,7 @@ use crate::mrroc::{self, Directory, Running};
 use crate::slcan::Adapters;
 use crate::vcan::{faulted, stand_without_power, started};
 
-/// Slow, and patient.
+/// Directory with a cell that has a long period and long time limits.
 fn directory_with_cell() -> Directory {
     let directory = Directory::new();
     directory.cell("irb6", |cell| {
@@ -29,7 +29,7 @@ fn directory_with_cell() -> Directory {
         cell.bus[0].tolerated_missing = 50;
         cell.bus[0].heartbeat_ms = 1000;
         cell.bus[0].boot_timeout_ms = 20_000;
-        // What the machine's own time is worth must not be taken for the arm's.
+        // Delays of the test machine must not be taken for motion of the arm.
         for axis in &mut cell.robot[0].axis {
             axis.following_error = 100.0;
         }
@@ -37,11 +37,11 @@ fn directory_with_cell() -> Directory {
     directory
 }
 
-/// Starts the controller on `card`, writing states and its report.
+/// Starts the controller on `card` with output files for states and report.
 fn start_controller(directory: &Directory, card: &str, further: &[&str]) -> Running {
     let cell = directory.path("cell.toml").display().to_string();
     let states = directory.path("states.csv").display().to_string();
-    // That of the run before is no news.
+    // Deletes the states of the previous run.
     let _ = fs::remove_file(&states);
     let run = [
         "run", &cell, "--bench", "card", "--can", card, "--json", "--record", &states,
@@ -54,7 +54,7 @@ fn completed(run: Running) -> String {
     assert_eq!(output.status.code(), Some(0), "{output:?}");
     let report = output.json();
     assert_eq!(report["outcome"], "completed", "{report}");
-    // SYNC is stamped when it has left the card, whose driver has no clock of its own.
+    // SYNC is stamped when the card has sent it. The driver of the card has no clock of its own.
     let wire = &report["wire"][0];
     assert_eq!(
         (&wire["source"], &wire["sync_stamp"]),
@@ -66,7 +66,7 @@ fn completed(run: Running) -> String {
     output.stderr
 }
 
-/// The run ended before anything moved, with this refusal.
+/// Asserts that the run ended with this refusal before any motion.
 fn refused(run: Running, line: &str) {
     let output = run.output();
     assert_eq!(output.status.code(), Some(2), "{output:?}");
@@ -179,7 +179,7 @@ fn a_bit_rate_that_cannot_be_set_is_refused_and_doctor_puts_back_what_it_sets() 
     );
 }
 
-/// Whatever the bench is called.
+/// Independent of the name of the bench.
 #[test]
 fn an_arm_behind_a_card_is_not_moved_unasked() {
     on_cards(
@@ -209,7 +209,7 @@ fn a_card_that_was_up_comes_up_again_if_its_bit_rate_cannot_be_set() {
         |_| {
             let adapters = Adapters::with(1, &[]);
             let _attached = Attached::card(&adapters, "rate0");
-            // The driver has a table of bit rates, in which this one is not.
+            // The driver has a table of bit rates, which does not contain this bit rate.
             let none = Bitrate::from_kbps(400).unwrap();
             let refused = |error| {
                 matches!(

@@ -1,8 +1,8 @@
-//! A robot of an example cell: its servo, its drive group and its emulated drives on a virtual bus or
-//! on virtual serial lines, in virtual time.
+//! A robot of an example cell in virtual time: its servo, its drive group, and its emulated drives on a virtual bus or
+//! on virtual serial lines.
 //!
-//! What a command line makes of a cell file is made here once more, shorter: one robot on one bus or bundle of lines, any
-//! of its axes, and ports, plants and drives that a test may alter.
+//! A shorter counterpart of the assembly in the library `mrroc`: one robot on one bus or on one bundle of serial lines.
+//! A test selects the axes, and may alter ports, plants and drives.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
@@ -28,7 +28,7 @@ use servo::{EffectorConfig, EffectorLink, Order, Phase, Record, Servo, ServoConf
 use crate::allocations;
 use crate::motion::Motion;
 
-/// From the farthest end of the longest travel; in virtual time.
+/// Longest time for homing, from the farthest end of the longest travel, in virtual time.
 const HOMING: Duration = Duration::from_secs(900);
 const LONGEST_PROGRAM: Duration = Duration::from_secs(600);
 const LEAD: u16 = 8;
@@ -36,14 +36,14 @@ const LEAD: u16 = 8;
 type Alteration = Box<dyn Fn(usize, &mut hil::AxisConfig)>;
 type Wrapping = Box<dyn FnOnce(VirtualPort) -> Box<dyn Port>>;
 
-/// What a robot is made of before it is brought up.
+/// Parts of a robot before bring-up.
 pub(crate) struct Setup {
     pub(crate) cell: Cell,
-    /// Which of the robot's axes there are; the others are left out of the servo and off the bus.
+    /// The axes of the robot that exist. The others are neither in the servo nor on the bus.
     pub(crate) axes: Vec<usize>,
-    /// Alters the plant of an axis.
+    /// Alteration of the plant of an axis.
     pub(crate) plant: Alteration,
-    /// Stands between the drive group and the bus.
+    /// Port between the drive group and the bus.
     pub(crate) port: Wrapping,
 }
 
@@ -61,7 +61,7 @@ impl Setup {
         }
     }
 
-    /// One axis of a robot of `cells/{name}.toml`, on the bus or the lines that it has there.
+    /// One axis of a robot of `cells/{name}.toml`, on its bus or its serial lines.
     pub(crate) fn axis_of(name: &str, robot: &str, axis: usize) -> Self {
         let mut setup = Self::of(name);
         let cell = &mut setup.cell;
@@ -81,7 +81,7 @@ impl Setup {
         }
     }
 
-    /// With the plants of its axes altered.
+    /// Alters the plants of the axes.
     pub(crate) fn with_plant(self, plant: impl Fn(usize, &mut hil::AxisConfig) + 'static) -> Self {
         Self {
             plant: Box::new(plant),
@@ -141,7 +141,7 @@ impl Setup {
         plant
     }
 
-    /// What is behind the axes of the robot; of gripper and conveyor nothing.
+    /// Mechanism behind the axes of the robot; `None` for gripper and conveyor.
     fn mechanism(&self) -> Option<Mechanism> {
         let robot = &self.cell.robot[0];
         Some(Mechanism::new(
@@ -178,7 +178,7 @@ impl Setup {
         }
     }
 
-    /// The drive of an axis on a serial line.
+    /// Drive of an axis on a serial line.
     fn line_device(
         &self,
         arm: &Arm,
@@ -199,7 +199,7 @@ impl Setup {
         }
     }
 
-    /// Switches the drives on and brings the group up; nothing is enabled yet.
+    /// Switches the drives on and brings the group up. No axis is enabled yet.
     pub(crate) fn bring_up(self) -> Rig {
         let arm = self.cell.robot[0].arm().expect("parameters are sound");
         let servo_config = self.servo_config(&arm);
@@ -236,7 +236,7 @@ impl Setup {
         }
     }
 
-    /// The drives on a CAN bus, and their group.
+    /// The drives on a CAN bus, and their drive group.
     fn bus(self, arm: &Arm, world: &mut World) -> Made {
         let bus = &self.cell.bus[0];
         let id = world.add_bus(Bitrate::from_kbps(bus.bitrate_kbps).expect("a possible bit rate"));
@@ -256,7 +256,7 @@ impl Setup {
         (group, drives, plugs, self.cell)
     }
 
-    /// The drives on serial lines, and their group.
+    /// The drives on serial lines, and their drive group.
     fn lines(self, arm: &Arm, world: &mut World) -> Made {
         let bundle = &self.cell.serial[0];
         let latency = bundle.emulated_latency_ms;
@@ -286,14 +286,14 @@ type Made = (
     Cell,
 );
 
-/// Where a drive is.
+/// Address of a drive.
 #[derive(Clone, Copy)]
 enum DriveId {
     Node(DeviceId),
     Line(LineId),
 }
 
-/// A drive on a cable that can be pulled.
+/// A drive on a cable that can be unplugged.
 struct Socket {
     drive: Epos4,
     unplugged: Arc<AtomicBool>,
@@ -319,39 +319,39 @@ impl Device for Socket {
     }
 }
 
-/// A robot that was brought up. Axes are counted among those that it has.
+/// A robot after bring-up. Axes are numbered among the existing ones.
 pub(crate) struct Rig {
     pub(crate) servo: Servo,
-    /// Gone once a program runs.
+    /// `None` while a program runs.
     pub(crate) link: Option<EffectorLink>,
-    /// When the next cycle is due.
+    /// Time of the next cycle.
     pub(crate) now: Instant,
     pub(crate) period: Duration,
     pub(crate) scales: Vec<Scale>,
-    /// The group's own word.
+    /// Delay stated by the drive group, in cycles.
     pub(crate) delay: usize,
-    /// The last cycle.
+    /// Record of the last cycle.
     pub(crate) last: Record,
     pub(crate) cell: Cell,
-    /// Called after each cycle, before the world moves on.
+    /// Called after each cycle, before the world advances.
     pub(crate) after_cycle: Box<dyn FnMut(&Record)>,
     pub(crate) world: World,
     records: rtrb::Consumer<Record>,
     drives: Vec<DriveId>,
-    /// Of drives on a CAN bus.
+    /// Cables of drives on a CAN bus.
     plugs: Vec<Arc<AtomicBool>>,
     arm: Arm,
 }
 
 impl Rig {
-    /// One cycle of the servo, and the world until the next.
+    /// Runs one cycle of the servo, and advances the world until the next cycle.
     #[track_caller]
     pub(crate) fn cycle(&mut self) {
         self.servo_cycle();
         self.pass();
     }
 
-    /// One cycle of the servo alone, which does not use the heap, whatever the test has done to it.
+    /// Runs one cycle of the servo alone. Asserts that the cycle does not use the heap.
     #[track_caller]
     pub(crate) fn servo_cycle(&mut self) {
         let before = allocations::count();
@@ -365,13 +365,13 @@ impl Rig {
         (self.after_cycle)(&self.last);
     }
 
-    /// A period in which the servo does nothing.
+    /// Lets one period pass without a servo cycle.
     pub(crate) fn pass(&mut self) {
         self.now += self.period;
         self.world.advance(self.now);
     }
 
-    /// Cycles until something holds, which is to be within `limit`.
+    /// Runs cycles until `done` returns true. Panics after `limit`.
     #[track_caller]
     pub(crate) fn until(&mut self, limit: Duration, what: &str, done: impl Fn(&Self) -> bool) {
         let end = self.now + limit;
@@ -386,13 +386,13 @@ impl Rig {
         }
     }
 
-    /// Offers an order that there is room for.
+    /// Queues an order. Panics if the queue is full.
     pub(crate) fn order(&mut self, order: Order) {
         let link = self.link.as_mut().expect("no program runs");
         link.orders.push(order).expect("there is room");
     }
 
-    /// Gives an order that leads to standing, and waits for that.
+    /// Gives an order that ends in standstill, and waits for the standstill.
     #[track_caller]
     pub(crate) fn stand_by(&mut self, order: Order) {
         self.order(order);
@@ -409,7 +409,7 @@ impl Rig {
         self.stand_by(Order::Home);
     }
 
-    /// What the servo says it does.
+    /// Phase that the servo reports.
     pub(crate) fn phase(&self) -> Phase {
         self.servo.state(0).expect("there is one effector").phase()
     }
@@ -431,7 +431,7 @@ impl Rig {
         .angle()
     }
 
-    /// What goes wrong on the line of an axis from now on.
+    /// Sets the faults of an axis's line from now on.
     pub(crate) fn set_line_faults(&mut self, axis: usize, faults: &LineFaults) {
         match self.drives[axis] {
             DriveId::Node(_) => panic!("axis {axis} is on no serial line"),
@@ -439,7 +439,7 @@ impl Rig {
         }
     }
 
-    /// Disconnects the line of an axis for good, as an adapter that is unplugged does.
+    /// Disconnects the line of an axis permanently, as an unplugged adapter does.
     pub(crate) fn hang_up(&mut self, axis: usize) {
         match self.drives[axis] {
             DriveId::Node(_) => panic!("axis {axis} is on no serial line"),
@@ -454,8 +454,8 @@ impl Rig {
             .collect()
     }
 
-    /// Cycles on, fed with `motion`, until a fault is latched, which is to be within `limit`, and everything stands, no
-    /// further than `bound` from where it was then, rad.
+    /// Runs cycles with `motion` until a fault is latched within `limit` and all axes are at rest. Asserts that no
+    /// motor moved farther than `bound`, rad, after the fault.
     pub(crate) fn fault_within(
         &mut self,
         limit: Duration,
@@ -476,7 +476,8 @@ impl Rig {
         self.servo.fault(0).expect("it is latched")
     }
 
-    /// After a while for the last drive to brake, nothing moves, and nothing went further than `bound` from `start`, rad.
+    /// Waits until the last drive has braked. Asserts that nothing moves, and that no motor is farther than `bound`
+    /// from `start`, rad.
     pub(crate) fn at_rest(&mut self, start: &[f64], bound: f64) {
         for _ in 0..250 {
             self.cycle();
@@ -494,23 +495,23 @@ impl Rig {
         }
     }
 
-    /// Answers that the drive group has missed.
+    /// Number of answers that the drive group has missed.
     pub(crate) fn missed_answers(&self) -> u64 {
         let groups = self.servo.group_counters();
         groups.map(|group| group.missed_answers).sum()
     }
 
-    /// The period of every heartbeat on the bus.
+    /// Period of the heartbeats of all nodes on the bus.
     pub(crate) fn heartbeat(&self) -> Duration {
         Duration::from_millis(u64::from(self.cell.bus[0].heartbeat_ms))
     }
 
-    /// Pulls the cable of a drive, or plugs it in again.
+    /// Unplugs the cable of a drive, or plugs it in again.
     pub(crate) fn unplug(&self, axis: usize, unplugged: bool) {
         self.plugs[axis].store(unplugged, Ordering::Relaxed);
     }
 
-    /// Feeds a motion to the servo as far as its queue has room.
+    /// Queues macrosteps of a motion until the queue of the servo is full.
     pub(crate) fn feed(&mut self, motion: &mut Motion) {
         let link = self.link.as_mut().expect("no program runs");
         while !motion.is_sent() && link.orders.slots() > 2 {
@@ -520,7 +521,7 @@ impl Rig {
         while link.reports.pop().is_ok() {}
     }
 
-    /// Runs a motion until `done`, which is to come before its end.
+    /// Runs a motion until `done` returns true. Panics at the end of the motion.
     #[track_caller]
     pub(crate) fn follow(&mut self, motion: &mut Motion, done: impl Fn(&Self) -> bool) {
         let end = self.now + Motion::LONGEST;
@@ -532,7 +533,7 @@ impl Rig {
         }
     }
 
-    /// Begins to move every axis by 60 rad at 50 rad/s, and is at full speed.
+    /// Starts to move every axis by 60 rad at 50 rad/s, and runs until full speed.
     pub(crate) fn in_motion(&mut self) -> Motion {
         let mut motion = Motion::new(self, 60.0);
         let half_a_second = self.now + Duration::from_millis(500);
@@ -542,17 +543,17 @@ impl Rig {
         motion
     }
 
-    /// The robot's program, begun by enabling and homing, to its end; how the run ended.
+    /// Enables, homes, and runs the program of the robot to its end. Returns the result of the run.
     pub(crate) fn run_program(&mut self) -> Result<(), String> {
         self.run_program_with(|_| {})
     }
 
-    /// The same, looked at by `each` after each cycle.
+    /// As [`Rig::run_program`]; `each` is called after each cycle.
     pub(crate) fn run_program_with(&mut self, mut each: impl FnMut(&Self)) -> Result<(), String> {
         self.run_program_until(|rig| each(rig))
     }
 
-    /// The same, disturbed by `each` after each cycle.
+    /// As [`Rig::run_program`]; `each` is called after each cycle and may intervene.
     pub(crate) fn run_program_until(
         &mut self,
         mut each: impl FnMut(&mut Self),
@@ -584,7 +585,7 @@ impl Rig {
     }
 }
 
-/// The drive group of a robot on CAN, its world and its period: without a servo.
+/// The drive group of a robot on CAN, its world and its period, without a servo.
 pub(crate) fn ends(setup: Setup) -> (Box<dyn DriveGroup>, World, Duration) {
     let arm = setup.cell.robot[0].arm().expect("parameters are sound");
     let period = setup.period();

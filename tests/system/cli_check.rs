@@ -1,4 +1,4 @@
-//! `mrroc check`, `mrroc schema` and the help of every command, as a user sees them.
+//! `mrroc check`, `mrroc schema` and the help of every command, as seen by a user.
 
 use std::fs;
 
@@ -71,7 +71,7 @@ fn check_says_what_a_bundle_speaks_and_which_line_each_axis_has() {
     }
 }
 
-/// The check of a cell of two IRb-6 on one bus, or each on its own.
+/// Check of a cell with two IRb-6, on one bus or on a bus each.
 fn two_arms(period_us: u32, buses: usize) -> Output {
     let directory = Directory::new();
     let cell = directory.cell("irb6", |cell| {
@@ -103,7 +103,7 @@ fn two_arms(period_us: u32, buses: usize) -> Output {
     mrroc(["check".as_ref(), cell.as_os_str()])
 }
 
-/// The whole number in front of `words`.
+/// The integer before `words`.
 fn number_before(line: &str, words: &str) -> u32 {
     let before = line
         .split(words)
@@ -140,7 +140,7 @@ fn ten_axes_at_1_khz_on_one_bus_are_refused_with_what_would_fit() {
     assert!(number_before(line, " %, at most") > 100, "{line}");
     let axes = number_before(line, " axes would fit");
     assert!((1..7).contains(&axes), "{line}");
-    // What it says would fit does, and no less.
+    // The period that the command proposes is accepted. A period that is 1 ms shorter is refused.
     let period: String = line
         .split("a period of ")
         .nth(1)
@@ -200,7 +200,7 @@ fn the_published_reference_is_the_one_the_command_prints() {
     );
 }
 
-/// Keys of `value` that `schema` knows not, and keys it requires that are missing.
+/// Keys of `value` that are not in `schema`, and required keys that are missing.
 fn strangers(root: &Value, schema: &Value, value: &Value, place: &str) -> Vec<String> {
     let schema = match schema["$ref"].as_str() {
         Some(reference) => root

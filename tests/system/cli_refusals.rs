@@ -1,4 +1,4 @@
-//! What `mrroc` refuses: one line that says what, where and why, exit status 2, and nothing moves.
+//! Refusals of `mrroc`: one line that names the problem, its place and its cause; exit status 2; no motion.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use hil::{AxisConfig, Device};
 use crate::adapter::Adapter;
 use crate::mrroc::{Directory, Output, enables, example, mrroc, text, trace};
 
-/// Asserts one line on stderr with each of `needles`, silence on stdout, and exit status 2.
+/// Asserts one line on stderr that contains each of `needles`, nothing on stdout, and exit status 2.
 pub(crate) fn refused(run: &Output, needles: &[&str]) {
     assert_eq!(run.status.code(), Some(2), "{run:?}");
     assert_eq!(run.stdout, "", "{run:?}");
@@ -33,7 +33,7 @@ pub(crate) fn run_in_lockstep(cell: &Path, log: &Path) -> Output {
     ])
 }
 
-/// The example cell with the first `good` replaced, and the line, from 1, where that begins.
+/// The example cell with the first `good` replaced by `bad`, and the line number, from 1, of the replacement.
 fn spoilt(good: &str, bad: &str) -> (String, usize) {
     let text = text("irb6");
     let at = text
@@ -45,7 +45,7 @@ fn spoilt(good: &str, bad: &str) -> (String, usize) {
     )
 }
 
-/// A name, what stands in the cell, what stands there instead, and what the refusal must say.
+/// A name, a text in the cell, the replacement of the text, and the required parts of the refusal.
 type Case = (
     &'static str,
     &'static str,
@@ -53,7 +53,7 @@ type Case = (
     &'static [&'static str],
 );
 
-/// Cells that are wrong in themselves. The refusal names the line of what is wrong.
+/// Cells with internal errors. The refusal names the line of the error.
 const FILES: &[Case] = &[
     (
         "broken TOML",
@@ -160,7 +160,7 @@ fn a_pose_is_refused_at_its_own_line() {
     let (text, line) = spoilt(" [0.0, -1.5,", "\n [0.0, -0.5,");
     let directory = Directory::new();
     let cell = directory.write("late.toml", &text);
-    // The line behind the one where the motion begins.
+    // The line after the first line of the motion.
     let place = format!(
         "late.toml:{}: robot[0].program[0].joints.poses[1]: ",
         line + 1
@@ -171,7 +171,7 @@ fn a_pose_is_refused_at_its_own_line() {
     );
 }
 
-/// Cells whose drives are not what they say. Lines are unknown then: the refusal names bus, axis and node.
+/// Cells that do not match their drives. No line is known for these errors; the refusal names bus, axis and node.
 const DRIVES: &[Case] = &[
     (
         "a node that never boots",
@@ -248,8 +248,7 @@ fn by_the_wall_clock_as_well_no_drive_is_switched_on_that_is_another() {
     assert_eq!(enables(&frames), 0);
 }
 
-/// An emulated EPOS4 that has numbers besides, or in place of, its own objects: those of CiA 402-2's ratios, which no
-/// EPOS4 has.
+/// An emulated EPOS4 with additional or replaced objects. They are the ratio objects of CiA 402-2, which no EPOS4 has.
 struct Scaled {
     drive: Epos4,
     node: u8,
@@ -284,10 +283,10 @@ impl Device for Scaled {
     }
 }
 
-/// What a drive says of its scale, and what the refusal must say.
+/// Objects of a drive that define its scale, and the required parts of the refusal.
 type Scale = (&'static [(u16, u8, u32)], &'static str);
 
-/// The belt's cell has 4000 counts per motor revolution and counts at the motor's shaft.
+/// The cell of the belt has 4000 counts per motor revolution, measured at the motor shaft.
 const SCALES: &[Scale] = &[
     (
         &[(0x6091, 1, 158), (0x6091, 2, 1)],
@@ -384,7 +383,7 @@ fn an_absent_interface_is_refused_by_name() {
             bench.as_ref(),
             "--can=nosuch0".as_ref(),
         ]);
-        // Where the kernel has no CAN at all, the line says that and what helps.
+        // If the kernel has no CAN, the line says so and names the remedy.
         refused(&run, &["bus arm: nosuch0: "]);
     }
     let run = mrroc([
@@ -435,7 +434,7 @@ fn each_bus_has_one_interface_and_each_interface_one_bus() {
             &["--can=upper=vcan0", "--can=forearm=vcan0"],
             &["bus forearm: vcan0 is that of bus upper", "BUS=IFACE"],
         ),
-        // The other bus is on its own, which the cell names.
+        // The other bus keeps the interface of the cell file.
         (
             &["--can=upper=can1"],
             &["bus forearm: can1 is that of bus upper"],
@@ -452,7 +451,7 @@ fn each_bus_has_one_interface_and_each_interface_one_bus() {
             refused(&mrroc(arguments.chain([cell.as_os_str()])), needles);
         }
     }
-    // Behind an adapter's tty it needs none, and the other may have that.
+    // A bus behind an adapter's tty needs no interface, so the other bus may use the interface.
     let directory = Directory::new();
     let link = format!("--slcan=forearm={}", directory.path("tty").display());
     let emulate = ["emulate", "--can=upper=can1", &link].map(AsRef::as_ref);

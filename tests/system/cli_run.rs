@@ -1,4 +1,4 @@
-//! `mrroc run` as a user sees it: what it prints, what it writes, how it ends.
+//! `mrroc run` as seen by a user: its output, its files and its exit status.
 
 use std::collections::HashMap;
 use std::fs;
@@ -11,10 +11,10 @@ use crate::mrroc::{
     CELLS, Directory, Output, Running, enables, example, mrroc, shorten, text, trace,
 };
 
-/// No motor is further than this from its set-point in a lockstep run of an example cell, rad.
+/// Largest following error in a lockstep run of an example cell, rad.
 const TRACKING: f64 = 0.05;
 
-/// Where emulated axes stand when they are switched on, above their home positions, rad.
+/// Positions of emulated axes at power-on, above their home positions, rad.
 const START: f64 = 20.0;
 
 #[test]
@@ -202,7 +202,7 @@ fn a_stalled_trace_does_not_hold_up_a_stop() {
     let [trace, record] = ["trace", "axes.csv"].map(|name| directory.path(name));
     let made = Command::new("mkfifo").arg(&trace).status();
     assert!(made.unwrap().success());
-    // Open, so that it can be written to, and never read.
+    // The pipe is open for writing and is never read.
     let pipe = fs::File::options().read(true).write(true).open(&trace);
     let run = Running::start([
         "run".as_ref(),
@@ -213,7 +213,7 @@ fn a_stalled_trace_does_not_hold_up_a_stop() {
         "--record".as_ref(),
         record.as_os_str(),
     ]);
-    // One thread writes both files: once the pipe is full, the record grows no more.
+    // One thread writes both files. Once the pipe is full, the record stops growing.
     run.wait_until_stalled(&record, |text| text.contains(",Homing,"));
     run.signal("INT");
     let output = run.output();
@@ -256,8 +256,8 @@ pub(crate) fn stopped(run: &Output) {
     }
 }
 
-/// Runs the IRb-6 by the wall clock, sends `signal` once axes were in `phase` for some cycles, and
-/// returns what it said and its record.
+/// Runs the IRb-6 on the wall clock. Sends `signal` after axes were in `phase` for some cycles. Returns output and
+/// record.
 pub(crate) fn interrupted(
     signal: &str,
     change: impl FnOnce(&mut Cell),
@@ -284,7 +284,7 @@ pub(crate) fn interrupted(
 pub(crate) fn stops_in_motion(signal: &str) {
     let change = |cell: &mut Cell| {
         shorten(cell);
-        // Without gravity and friction the motor ends where the set-points end.
+        // Without gravity and friction, the motor ends at the last set-point.
         let axes = cell.robot[0].axis.iter_mut();
         axes.for_each(|axis| axis.emulator.plant = Plant::Wut);
     };
@@ -296,7 +296,7 @@ pub(crate) fn stops_in_motion(signal: &str) {
     let mut axes: HashMap<&str, Vec<Row>> = HashMap::new();
     assert!(record.lines().next().unwrap().ends_with(",dt_s"));
     for line in record.lines().skip(1) {
-        // An emulated cell's time is nominal.
+        // The time of an emulated cell is nominal.
         let dt = if line.starts_with("0,") { 0.0 } else { period };
         let (_, real) = line.rsplit_once(',').unwrap();
         assert_eq!(real.parse::<f64>().unwrap(), dt, "{line}");

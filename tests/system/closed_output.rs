@@ -1,4 +1,4 @@
-//! A reader that leaves early, as `head` does, is no failure of any command.
+//! A reader that closes the output early, such as `head`, does not make a command fail.
 
 use std::ffi::{OsStr, OsString};
 use std::io;
@@ -36,7 +36,7 @@ fn a_command_ends_as_ever_where_nobody_reads_what_it_prints() {
         let arguments: Vec<_> = words.chain(file.map(OsStr::to_owned)).collect();
         let heard = mrroc(&arguments);
         for both in [false, true] {
-            // Nobody has the other end from before the first byte on.
+            // The other end of the pipe is closed before the first byte.
             let unread = || Stdio::from(io::pipe().expect("a pipe can be made").1);
             let unheard = Command::new(binary())
                 .args(&arguments)

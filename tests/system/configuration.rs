@@ -1,4 +1,4 @@
-//! Data sheets and device configuration files: what `mrroc eds` prints, and what a DCF does to a drive.
+//! Data sheets and device configuration files: the output of `mrroc eds`, and the effect of a DCF on a drive.
 
 use std::fs;
 use std::path::PathBuf;
@@ -14,7 +14,8 @@ fn sheet() -> String {
     sheet.expect("the data sheet is beside the cells")
 }
 
-/// The emulated drive's data sheet with lines put in below these headings, and the line, from 1, of the first of them.
+/// The emulated drive's data sheet with lines inserted below these headings, and the line number, from 1, of the first
+/// insertion.
 pub(crate) fn dcf(lines: &[(&str, &str)]) -> (String, usize) {
     let mut text = sheet();
     for (section, line) in lines {
@@ -39,7 +40,7 @@ pub(crate) fn cell(directory: &Directory, dcf: &str, change: Change) -> PathBuf 
     })
 }
 
-/// The frames of node 1's SDO, as candump prints them.
+/// The frames of node 1's SDO in the notation of candump.
 fn sdo(trace: &[candump::Entry]) -> Vec<String> {
     let frames = trace.iter().map(|entry| entry.frame.to_string());
     let of_node_1 = |frame: &String| frame.starts_with("601#") || frame.starts_with("581#");
@@ -68,7 +69,7 @@ fn the_published_data_sheet_is_the_one_the_command_prints() {
 #[test]
 fn a_dcf_is_in_the_drive_before_it_is_switched_on() {
     let (text, _) = dcf(&[
-        // Windows of the position, which nobody else sets.
+        // Windows of the position, which no other part of the system sets.
         ("6067", "ParameterValue=1234"),
         ("6068", "ParameterValue=0x7B"),
         ("607Dsub1", "ParameterValue=-2000000000"),
@@ -83,14 +84,14 @@ fn a_dcf_is_in_the_drive_before_it_is_switched_on() {
     let frames = trace(&log);
     assert!(enables(&frames) > 0);
     let sdo = sdo(&frames);
-    // No EPOS4 has the ratios of CiA 402-2: encoder, gear, feed.
+    // Ratios of CiA 402-2 for encoder, gear and feed, which no EPOS4 has.
     let absent = [
         "291001", "8F6001", "8F6002", "916001", "916002", "926001", "926002",
     ]
     .map(|object| format!("581#80{object}00000206"));
     let refused = |frame: &&String| frame.starts_with("581#80") && !absent.contains(frame);
     assert_eq!(sdo.iter().find(refused), None);
-    // What the drive answers when it is read: the last of each is what it keeps.
+    // The last answer of the drive to an upload of each object is the value that it keeps.
     let holds = |answer: &str| {
         let mut answers = sdo.iter().rev();
         answers.find(|frame| {
@@ -101,7 +102,7 @@ fn a_dcf_is_in_the_drive_before_it_is_switched_on() {
         "581#43676000D2040000",
         "581#4B6860007B000000",
         "581#437D6001006CCA88",
-        // What the drive group sets itself: 2 ms at 10^-3 s, and CSP.
+        // Values that the drive group sets: 2 ms in units of 10^-3 s, and CSP.
         "581#4FC2600102000000",
         "581#4F60600008000000",
     ] {
@@ -113,11 +114,11 @@ fn a_dcf_is_in_the_drive_before_it_is_switched_on() {
     assert!(check.stdout.contains(line), "{check:?}");
 }
 
-/// What is done to the axis of the cell.
+/// Change of the axis of the cell.
 type Change = fn(&mut ::mrroc::cell::Axis);
 
-/// A name, what is put into the sheet, what is done to the axis, and what the refusal must say; `@` stands for file and line of
-/// the first value.
+/// A name, the lines inserted into the sheet, the change of the axis, and the required parts of the refusal. `@` stands
+/// for file and line of the first value.
 type Case = (
     &'static str,
     &'static [(&'static str, &'static str)],
@@ -305,7 +306,7 @@ fn what_belongs_to_the_driver_is_refused_in_a_dcf_by_line_and_name() {
         refused(&check, &[&place, refusal, "remove its ParameterValue"]);
         assert!(!check.stderr.contains("further"), "{check:?}");
     }
-    // All lines at once; an object that a download leaves out is a note.
+    // All lines at once. An object that a download leaves out is reported as a note.
     let (text, line) = dcf(&[
         ("6007", "ParameterValue=0"),
         ("6065", "ParameterValue=1"),
@@ -417,7 +418,7 @@ fn a_dcf_that_scales_otherwise_than_the_cell_is_refused() {
         let head = format!("\n[{index}]\nParameterName=scale\nObjectType=9\nSubNumber=2\n");
         head + &sub(1, above) + &sub(2, below)
     };
-    // The cell has 4000 counts per turn of the motor, at whose shaft it counts.
+    // The cell has 4000 counts per motor revolution, measured at the motor shaft.
     let cases = [
         (scale("608F", 4000, 1), None),
         (scale("608F", 8000, 2), None),

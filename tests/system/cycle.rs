@@ -1,5 +1,5 @@
-//! The whole servo cycle over the real drive group and emulated drives: its economy, its order on the
-//! bus, and the delay that it states.
+//! The whole servo cycle over the real drive group and emulated drives: number of frames and calls, order of frames on
+//! the bus, and stated delay.
 
 use can::Frame;
 use can::candump::Direction;
@@ -26,7 +26,7 @@ fn a_cycle_sends_once_and_receives_once() {
         assert_eq!(ids[0], 0x080, "SYNC comes first");
         let set_points: Vec<u16> = (0x201..).take(axes).collect();
         assert_eq!(ids[1..=axes], set_points, "one set-point per axis");
-        // Behind them a heartbeat and a service request at most.
+        // The rest is at most a heartbeat and an SDO request.
         let rest = &ids[axes + 1..];
         assert!(
             rest.len() <= 2 && rest.iter().all(|&id| id > 0x600),
@@ -49,8 +49,8 @@ fn id(frame: &Frame) -> u16 {
     frame.standard_data_id().map_or(0, |id| id.raw())
 }
 
-/// The low bytes of statuswords and controlwords in the order in which they come first; those of the drive
-/// are as a real one was recorded.
+/// The low bytes of statuswords and controlwords in the order of their first occurrence. Those of the drive equal a
+/// recording of a real drive.
 #[test]
 fn a_drive_is_enabled_step_by_step_as_an_epos_was_seen_to() {
     let (mut rig, mut trace) = traced(Setup::one_axis(1));
@@ -78,7 +78,7 @@ fn a_drive_is_enabled_step_by_step_as_an_epos_was_seen_to() {
     assert_eq!(words, expected);
 }
 
-/// Where the motor was sampled, in each of the cycles from the one that commanded a step on, and the step.
+/// Sampled motor positions in each cycle from the command of a step on, and the size of the step.
 fn step(distance: f64) -> (Vec<i32>, usize) {
     let mut setup = Setup::one_axis(0);
     let axis = &mut setup.cell.robot[0].axis[0];

@@ -1,19 +1,21 @@
-//! What the servo thread asks of the kernel in its cycles, counted by strace in real runs of `mrroc run`.
+//! System calls of the servo thread in its cycles, counted by strace in real runs of `mrroc run`.
 //!
-//! Three methods share the proof that a cycle neither allocates nor locks nor waits nor makes a system call other than
-//! the exchange with its bus, the wait for the next, and after the exchange the account that explains late cycles:
+//! Three methods together prove that a cycle neither allocates nor locks nor waits. A cycle also makes no system calls
+//! except three: the exchange with its bus, the wait for the next cycle, and the read of the kernel's account that
+//! explains late cycles. The account is read after the exchange.
 //!
-//! - Here **every system call** of the thread is seen, by whoever made it, from its first wait to its last: bring-up and
-//!   the way to the thread's end are left out, homing, motion, files under way and winding down are not. A lock that is
-//!   contended shows as `futex`, and memory that the process lacks as `brk` or `mmap`. A lock that is free and an
-//!   allocation from what the allocator has make no call and are not seen.
-//! - [`crate::heap`] counts **every use of the heap** in every cycle of every robot of these tests that is stepped
-//!   in lockstep, and of a servo thread. It sees what the tests reach, and locks not at all.
-//! - `tests/realtime-sanitizer` runs the program with every function that a cycle calls watched for **library calls that
-//!   may wait**: the heap, the locks of the C library, the futexes of Rust's, files, sockets, sleeping. It names the
-//!   place, and needs a nightly compiler. A lock of Rust's that is free, which is an atomic operation, it does not see.
+//! - This file observes **every system call** of the thread, from its first wait to its last. Bring-up and the end of
+//!   the thread are left out. Homing, motion, file output and winding down are included. A contended lock appears as
+//!   `futex`, and a request for more memory as `brk` or `mmap`. A free lock makes no system call. An allocation from
+//!   memory that the allocator already holds makes none either.
+//! - [`crate::heap`] counts **every use of the heap**: in every cycle of every robot that these tests step in lockstep,
+//!   and in a servo thread. This method covers only the paths that the tests take, and does not detect locks.
+//! - `tests/realtime-sanitizer` runs the program and observes all functions of a cycle for **library calls that may
+//!   wait**: the heap, the locks of the C library, the futexes of Rust's standard library, files, sockets and sleeps.
+//!   It names the place of a call, and needs a nightly compiler. It does not detect a free lock of Rust's standard
+//!   library, which is an atomic operation.
 //!
-//! No run can prove what no run does: that every branch of a cycle is taken is the other tests' affair.
+//! No run proves the branches that it does not take. Other tests cover all branches of a cycle.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -24,14 +26,15 @@ use serde_json::Value;
 use crate::mrroc::{self, Directory, Output, Running, shorten, text};
 use crate::vcan::on_stage;
 
-/// The wait.
+/// The call that waits for the next cycle.
 const WAIT: &str = "clock_nanosleep";
 
-/// The kernel's account of the thread, read in the slack alone: one call of each at a time, and the report counts them.
+/// The calls that read the kernel's account of the thread, only in the slack of a cycle. Each read makes one call of
+/// each, and the report counts the reads.
 const OF_THE_ACCOUNT: [&str; 2] = ["getrusage", "pread64"];
 
-/// Sources of time that the kernel's vDSO reads without a call. With any other, such as that of user-mode Linux,
-/// `clock_gettime` is one.
+/// Clock sources that the vDSO of the kernel reads without a system call. With any other source, such as that of
+/// user-mode Linux, `clock_gettime` is a system call.
 const WITHOUT_A_CALL: [&str; 4] = [
     "tsc",
     "kvm-clock",
@@ -39,14 +42,14 @@ const WITHOUT_A_CALL: [&str; 4] = [
     "arch_sys_counter",
 ];
 
-/// Of how a line is told that it is over: what waits in it is thrown away once for each of five drives that loses its
-/// power, which each may do again.
+/// Additional calls when a serial line is ended: each of five drives that loses its power discards the bytes that wait
+/// in its line. Each drive may do so repeatedly.
 const OF_LINES_WITHOUT_POWER: (&str, u64) = ("ioctl", 20);
 
-/// System calls by name.
+/// Number of system calls by name.
 type Calls = BTreeMap<String, u64>;
 
-/// What the thread called `servo` asked of the kernel, from its first wait to its last, by a log of `strace -f`.
+/// System calls of the thread `servo`, from its first wait to its last, in a log of `strace -f`.
 fn of_the_cycles(log: &Path) -> Vec<String> {
     let log = fs::read_to_string(log).expect("strace wrote its log");
     let name = log
@@ -54,7 +57,7 @@ fn of_the_cycles(log: &Path) -> Vec<String> {
         .find(|line| line.contains("prctl(PR_SET_NAME, \"servo\""));
     let thread = name.expect("a thread is called servo").split(' ').next();
     let of_thread = |line: &&str| line.split(' ').next() == thread;
-    // The end of a call that was under way while others made theirs begins with `<...`, an exit with `+++`.
+    // The second part of an interrupted call begins with `<...`, an exit with `+++`.
     let call = |line: &'_ str| {
         let (_, call) = line.split_once(' ')?;
         let (name, _) = call.trim_start().split_once('(')?;
@@ -82,7 +85,7 @@ fn counted(calls: &[String]) -> Calls {
     found
 }
 
-/// How often the account was read between a wait and the exchange that follows it.
+/// Number of reads of the account between a wait and the exchange that follows it.
 fn reads_before_sync(calls: &[String], exchange: &[(&str, u64)]) -> usize {
     let cycles = calls.split(|name| name == WAIT);
     let before = cycles.map(|cycle| {
@@ -94,8 +97,8 @@ fn reads_before_sync(calls: &[String], exchange: &[(&str, u64)]) -> usize {
     before.sum()
 }
 
-/// Calls that are not the wait, not among the `exchange`, which names how many of each a cycle makes at most, or too
-/// many; `reads` is how often the account was read.
+/// Calls beyond the permitted ones. Permitted are the wait, the calls of `exchange` up to their number per cycle, and
+/// `reads` reads of the account.
 fn surplus(
     calls: &Calls,
     exchange: &[(&str, u64)],
@@ -110,7 +113,7 @@ fn surplus(
         let per_cycle = exchange.iter().find(|(call, _)| *call == name);
         match per_cycle {
             Some((_, count)) => count * cycles,
-            // Each run of missed deadlines is followed by another wait.
+            // Each sequence of missed deadlines is followed by another wait.
             None if name == WAIT => cycles + missed + 1,
             None if name == "clock_gettime" && clock_is_called => u64::MAX,
             None if name == OF_LINES_WITHOUT_POWER.0
@@ -128,10 +131,10 @@ fn surplus(
         .collect()
 }
 
-/// Cycles from which on a run says something.
+/// Minimum number of cycles for a meaningful run.
 const LEAST: u64 = 100;
 
-/// Asserts that a run made no other calls, and says how many each cycle made.
+/// Asserts that a run made no other calls, and prints the number of calls per cycle.
 #[track_caller]
 fn check(bench: &str, log: &Path, run: &Output, exchange: &[(&str, u64)]) {
     let report = run.json();
@@ -148,7 +151,8 @@ fn check(bench: &str, log: &Path, run: &Output, exchange: &[(&str, u64)]) {
         .iter()
         .map(|(name, count)| format!("{:.3} {name}", *count as f64 / cycles as f64))
         .collect();
-    // Drives in another process may be late for an arm on a busy host: then this is of how a fault is ended.
+    // On a busy host, drives in another process may answer too late for the arm. The run then covers the reaction to a
+    // fault.
     let (outcome, each) = (&report["outcome"], each.join(", "));
     println!(
         "{bench}: {outcome}, {cycles} cycles, {missed} missed, account {account}, per cycle {each}"
@@ -165,20 +169,20 @@ fn check(bench: &str, log: &Path, run: &Output, exchange: &[(&str, u64)]) {
         .values()
         .map(number)
         .sum();
-    // Slots that were let go before a late cycle are late by themselves.
+    // Skipped cycles before a late cycle count as late too.
     assert!(disturbed <= cycles && late <= 2 * disturbed, "{report}");
     assert!(16 * quiet <= cycles - disturbed, "{report}");
     assert!(slack <= cycles, "{report}");
     for call in OF_THE_ACCOUNT {
         let count = calls.get(call).copied().unwrap_or(0);
-        // There may be one before the first wait and one after the last.
+        // One read before the first wait and one after the last wait may be missing in the log.
         assert!(
             count + 2 >= reads,
             "{bench}: {count} × {call}, {reads} reads"
         );
     }
     assert_eq!(reads_before_sync(&in_order, exchange), 0, "{bench}");
-    // It was the right thread, and strace did not lose it.
+    // The log is of the right thread, and strace lost no calls.
     for call in exchange.iter().map(|(call, _)| *call).chain([WAIT]) {
         assert!(
             calls.get(call).copied().unwrap_or(0) >= cycles - 1,
@@ -187,7 +191,7 @@ fn check(bench: &str, log: &Path, run: &Output, exchange: &[(&str, u64)]) {
     }
 }
 
-/// A run of `cell` with its files being written, under strace.
+/// Runs `cell` with output files under strace.
 fn run(directory: &Directory, cell: &Path, more: &[&str]) -> (std::path::PathBuf, Output) {
     let log = directory.path("calls");
     let [record, trace] = ["states.csv", "trace.log"].map(|name| directory.path(name));
@@ -206,7 +210,7 @@ fn run(directory: &Directory, cell: &Path, more: &[&str]) -> (std::path::PathBuf
     (log, output)
 }
 
-/// The emulated drives live in the servo thread, between cycles, and ask nothing of the kernel either.
+/// The emulated drives are simulated in the servo thread, between cycles, and make no system calls either.
 #[test]
 fn a_cycle_on_an_emulated_bus_makes_no_call_but_the_wait() {
     let directory = Directory::new();
@@ -226,7 +230,7 @@ fn a_cycle_on_serial_lines_makes_one_call_each_way_per_line_and_the_wait() {
     let directory = Directory::new();
     let cell = directory.cell("irb6-serial", |cell| {
         shorten(cell);
-        // Under strace the answers of another process come late.
+        // Under strace, the answers of another process are late.
         cell.serial[0].tolerated_missing = 10;
         cell.serial[0].answer_timeout_ms = 500;
         cell.max_missed_in_row = 500;
@@ -241,7 +245,7 @@ fn a_cycle_on_serial_lines_makes_one_call_each_way_per_line_and_the_wait() {
     check("ttys", &log, &output, &[("read", 5), ("write", 5)]);
 }
 
-/// `mrroc emulate --serial` once all its ttys are there.
+/// Starts `mrroc emulate --serial` and waits until all its ttys exist.
 pub(crate) fn emulate(cell: &Path, ttys: &Path) -> Running {
     let arguments = [
         "emulate".as_ref(),
@@ -265,7 +269,7 @@ fn a_cycle_on_a_can_bus_sends_once_receives_once_and_waits_once() {
                 let options = ["--bench=vcan", "--can", stage.interface];
                 run(&stage.directory, &cell, &options)
             };
-            // Under strace on its one slow processor the drives may be late before the run says anything.
+            // Under strace on a slow processor, the drives may be late before the run prints anything.
             let says_nothing = |output: &Output| {
                 output.json()["cycle"]["cycles"]
                     .as_u64()
@@ -283,7 +287,7 @@ fn a_cycle_on_a_can_bus_sends_once_receives_once_and_waits_once() {
     );
 }
 
-/// A free lock and small pieces of the heap make no call: the other two methods see them.
+/// A free lock and a small allocation make no system call. The other two methods detect them.
 #[test]
 fn a_call_that_is_planted_in_the_cycle_is_found_by_its_name() {
     let directory = Directory::new();

@@ -1,4 +1,4 @@
-//! `mrroc datasheet`: the pages and figures of `docs/robots` are what it prints.
+//! `mrroc datasheet`: the pages and figures of `docs/robots` equal its output.
 
 use ::mrroc::cell::Model;
 

@@ -1,4 +1,4 @@
-//! `mrroc doctor`: on this host, and on a kernel that has CAN. What it sets it sets in test machines only.
+//! `mrroc doctor` on this host, and on a kernel with CAN. The command changes settings in test machines only.
 
 use std::fs;
 use std::process::{Child, Command, Stdio};
@@ -14,7 +14,8 @@ use crate::slcan::Adapters;
 use crate::socketcan::sh;
 use crate::vcan::{Recorder, started};
 
-/// What it says of an example cell that `change` has changed, in words and as JSON; both with the same exit status.
+/// Examines an example cell that `change` has modified. Returns the output as text and as JSON, which have the same
+/// exit status.
 fn examined(example: &str, change: impl FnOnce(&mut Cell)) -> (Output, Value) {
     let directory = Directory::new();
     let cell = directory.cell(example, change);
@@ -27,7 +28,7 @@ fn examined(example: &str, change: impl FnOnce(&mut Cell)) -> (Output, Value) {
     (words, json)
 }
 
-/// What holds for every examination.
+/// Checks that apply to every examination.
 fn check(words: &Output, json: &Value) {
     let findings = json["findings"].as_array().unwrap();
     let is = |verdict| move |finding: &&Value| finding["verdict"] == verdict;
@@ -65,7 +66,7 @@ fn check(words: &Output, json: &Value) {
     }
 }
 
-/// The one finding about `what` of `of`.
+/// The finding about property `what` of subject `of`.
 fn finding<'a>(json: &'a Value, of: &str, what: &str) -> &'a Value {
     let findings = json["findings"].as_array().unwrap().iter();
     let mut found = findings.filter(|found| found["of"] == of && found["what"] == what);
@@ -157,7 +158,7 @@ fn undo_neither_deletes_nor_writes_what_no_fix_sets_and_shows_no_escape_codes() 
             assert!(said.contains(" at line 1 "), "{said}");
         }
     }
-    // Nothing is made where there is nothing to put back.
+    // No directory is created if there is nothing to undo.
     let none = directory.path("none/state.json");
     let undone = mrroc([
         "doctor".as_ref(),
@@ -225,7 +226,7 @@ fn nothing_is_set_without_an_answer_and_nothing_put_back_without_a_record() {
         assert!(output.stdout.is_empty(), "{output:?}");
         assert!(output.stderr.contains(line), "{output:?}");
     };
-    // Its input is no terminal.
+    // The input is not a terminal.
     refused(&["--fix"], "mrroc: --fix asks on a terminal");
     refused(&["--fix", cell.to_str().unwrap()], "--yes answers for it");
     refused(&["--yes"], "--fix");
@@ -253,7 +254,7 @@ fn a_broken_cell_is_refused_in_one_line() {
     }
 }
 
-/// The kernel is found to be PREEMPT_RT, and good.
+/// Asserts that the kernel is reported as PREEMPT_RT with verdict ok.
 pub(crate) fn preempts(interface: &str) {
     let (_, json) = examined("irb6", |cell| cell.bus[0].interface = interface.into());
     let found = finding(&json, "kernel", "preemption");
@@ -264,8 +265,8 @@ pub(crate) fn preempts(interface: &str) {
     );
 }
 
-/// Lets `--fix` mend an interface that lacks `knobs`, as `(of, what)`, and `--undo` put back what they were; `standing`
-/// shows how they stand.
+/// Runs `--fix` for an interface on which `knobs`, given as `(of, what)`, are not set, and then `--undo`. Asserts that
+/// all settings are restored. `standing` reads the present settings.
 pub(crate) fn mended_and_put_back(
     interface: &str,
     knobs: &[(&str, &str)],
@@ -289,7 +290,7 @@ pub(crate) fn mended_and_put_back(
     assert_eq!(mendable(&doctor(&[cell, "--json"])), knobs, "{before}");
     assert_eq!(standing(), before, "looking changes nothing");
 
-    // A link is left alone while somebody receives on it, be it down or up.
+    // An interface is not changed while another process receives on it, whether the interface is down or up.
     let mut candump = Command::new("candump");
     candump.args(["-D", interface]);
     candump.stdout(Stdio::null()).stderr(Stdio::null());
@@ -312,7 +313,7 @@ pub(crate) fn mended_and_put_back(
     let mended = standing();
     assert_ne!(mended, before);
 
-    // Another's value stays.
+    // A value that another process set is kept.
     let queue = format!("/sys/class/net/{interface}/tx_queue_len");
     let set = fs::read_to_string(&queue).unwrap();
     fs::write(&queue, "77").unwrap();
@@ -331,7 +332,7 @@ pub(crate) fn mended_and_put_back(
     assert!(!state.exists());
 }
 
-/// What is set on the test machine, link by netlink.
+/// Present settings of the test machine. The settings of the interface come from netlink.
 pub(crate) fn standing(interface: &str) -> String {
     let said = |command: &mut Command| {
         let output = command.output().unwrap();
@@ -358,18 +359,18 @@ fn what_a_virtual_bus_lacks_is_set_and_put_back() {
                 "tc qdisc add dev {interface} root pfifo; ip link set {interface} txqueuelen 3 down"
             ));
             let of = format!("bus arm, {interface}");
-            // This kernel schedules real-time groups, which keep their share from being made small.
+            // This kernel schedules groups of real-time threads. Their share of the run time prevents a smaller value.
             let knobs = [(&*of, "up"), (&of, "txqueuelen")];
             mended_and_put_back(interface, &knobs, || standing(interface));
         },
     );
 }
 
-/// `slcand` in the foreground, which keeps an interface on a tty.
+/// `slcand` in the foreground, which provides an interface on a tty.
 pub(crate) struct Attached(Child);
 
 impl Attached {
-    /// Makes the first of `adapters` a card of the kernel's, which is down and has no bit rate.
+    /// Makes the first of `adapters` a card of the kernel, which is down and has no bit rate.
     pub(crate) fn card(adapters: &Adapters, name: &str) -> Self {
         let tty = adapters.interfaces[0].strip_prefix("slcan:").unwrap();
         let slcand = Command::new("slcand")
@@ -386,7 +387,7 @@ impl Attached {
 
 impl Drop for Attached {
     fn drop(&mut self) {
-        // Both fail if it has ended, which is as well.
+        // Both calls fail if the process has ended, which does no harm.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
@@ -459,7 +460,7 @@ fn a_card_that_had_no_bit_rate_is_put_back_down() {
                 (true, Some(1_000_000)),
                 "{fixed:?}"
             );
-            // Also where it was brought up by hand, so that no change of its state is in the record.
+            // The second case brings the interface up by hand, so that the record contains no change of its state.
             for by_hand in [false, true] {
                 if by_hand {
                     let text = r#"[{"knob":{"bit-timing":"fresh0"},"before":null,"after":"1000000 0.000"}]"#;

@@ -1,4 +1,5 @@
-//! What a cell may write to a drive, and what a drive does all the same when its host falls silent.
+//! Parameters that a cell may write to a drive. With every accepted parameter, the drive must stop when its host falls
+//! silent.
 
 use std::fs;
 use std::time::Duration;
@@ -17,7 +18,7 @@ use hil::{AxisConfig, DeviceId, Epos4, Epos4Config, World};
 use crate::host_closed::closed_by_host;
 use crate::mrroc::{root, text};
 
-/// rad/s of the motor.
+/// Motor velocity, rad/s.
 const VELOCITY: f64 = 50.0;
 
 /// The first axis of the IRb-6 in velocity mode, with `parameter` for its drive, as `mrroc check` reads it.
@@ -29,7 +30,7 @@ fn cell_with(parameter: Parameter) -> Result<Cell, CellError> {
     Cell::parse(&toml::to_string(&cell).unwrap())
 }
 
-/// That axis, its drive and its host, in virtual time.
+/// The axis, its drive and its host, in virtual time.
 struct Stage {
     world: World,
     drive: DeviceId,
@@ -78,7 +79,7 @@ impl Stage {
         drive.axis().angle()
     }
 
-    /// Brings the drive up and moves it for a while; `false` where the drive refuses to be brought up or switched on.
+    /// Brings the drive up and moves it. Returns `false` if the drive refuses bring-up or does not switch on.
     fn moves(&mut self) -> bool {
         loop {
             match self.group.bring_up(self.now) {
@@ -101,7 +102,7 @@ impl Stage {
     }
 }
 
-/// Every object of the emulated drive that can be written with up to four bytes, and its size.
+/// Every object of the emulated drive that is writable with up to four bytes, and its size.
 fn writable() -> Vec<(u16, u8, u8)> {
     let sheet = fs::read(root().join("cells/epos4-emulated.eds")).unwrap();
     let sheet = Eds::read(&sheet).unwrap();
@@ -137,7 +138,7 @@ fn an_arm_in_velocity_mode_stops_when_its_host_dies_whatever_parameters_a_cell_h
             moved += 1;
             let died_at = stage.angle();
             let watched = 3 * cell.group_config(0).heartbeat_period;
-            // The drive brakes at 1500 rad/s², and has some tenths of a second to come to rest.
+            // The drive brakes at 1500 rad/s², and comes to rest within some tenths of a second.
             let end = stage.now + watched + Duration::from_millis(300);
             while stage.now < end {
                 stage.pass();
@@ -153,7 +154,7 @@ fn an_arm_in_velocity_mode_stops_when_its_host_dies_whatever_parameters_a_cell_h
             assert!(late < 0.01, "{parameter:?}: {late:.3} rad after the stop");
         }
     }
-    // Neither of the two by the other's absence.
+    // Both outcomes must occur.
     println!("{refused} refused, {moved} moved");
     assert!(
         refused > 100 && moved > 50,

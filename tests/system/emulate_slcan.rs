@@ -1,4 +1,4 @@
-//! `mrroc emulate --slcan`: an arm behind an emulated adapter, reached as any slcan adapter is.
+//! `mrroc emulate --slcan`: an arm behind an emulated adapter, accessed as behind any slcan adapter.
 
 use std::fs::{self, File};
 use std::io::{Read, Write};
@@ -15,9 +15,9 @@ use hil::pty::{self, Interest};
 
 use crate::mrroc::{Directory, Running, example, mrroc, text};
 
-/// Nothing here takes longer.
+/// Upper bound for the duration of every step.
 const DEADLINE: Duration = Duration::from_secs(30);
-/// After which a request is made again: a drive that still boots does not answer.
+/// Time after which a request is repeated, because a booting drive does not answer.
 const AGAIN: Duration = Duration::from_millis(200);
 
 /// The host's end of an adapter.
@@ -28,7 +28,7 @@ struct Host {
 }
 
 impl Host {
-    /// Opens the tty as soon as it is there.
+    /// Opens the tty as soon as it exists.
     fn open(link: &Path) -> Self {
         let end = clock::now() + DEADLINE;
         while fs::symlink_metadata(link).is_err() {
@@ -47,7 +47,7 @@ impl Host {
         self.tty.write_all(&command.encode().unwrap()).unwrap();
     }
 
-    /// Hears reports until one is `wanted`, or until `until`.
+    /// Reads reports until `wanted` accepts one, or until `until`.
     fn hear(&mut self, until: Instant, wanted: impl Fn(&Report) -> bool) -> bool {
         loop {
             if let Some(at) = self.reports.iter().position(&wanted) {
@@ -75,7 +75,7 @@ impl Host {
         }
     }
 
-    /// Sends a frame again and again until it is answered by `answer`.
+    /// Sends a frame repeatedly until `answer` is received.
     fn ask(&mut self, frame: Frame, answer: Frame) {
         let answered =
             |report: &Report| matches!(report, Report::Received { frame, .. } if *frame == answer);
@@ -120,7 +120,7 @@ fn drives_behind_an_adapter_answer_and_the_adapter_goes_with_its_emulator() {
             Response::InitiateUpload { object, initiate }.encode(node),
         );
     }
-    // All nodes hear it, and boot.
+    // All nodes receive the command and boot.
     let reset = nmt::Command::ResetNode.to_all();
     host.say(Command::Transmit(reset.encode()));
     let booted = |report: &Report| matches!(report, Report::Received { frame, .. } if frame.to_string() == "705#00");

@@ -1,4 +1,4 @@
-//! The service ports of EPOS2 and EPOS4: the host's end with emulated drives, on a line in virtual time and on
+//! Service ports of EPOS2 and EPOS4: the client with emulated drives, on a line in virtual time and on
 //! pseudo-terminals.
 
 use std::time::Duration;
@@ -16,10 +16,10 @@ use serial::{Line, Settings, VirtualLine};
 
 use crate::mrroc::{Directory, Output, Running, example, mrroc};
 
-/// Time between two looks at the line.
+/// Step of the virtual time.
 const TICK: Duration = Duration::from_micros(100);
 
-/// No request takes longer.
+/// Upper bound for the duration of every request.
 const LONGEST: Duration = Duration::from_secs(8);
 
 const DIALECTS: [Dialect; 2] = [Dialect::Epos2, Dialect::Epos4];
@@ -31,11 +31,11 @@ struct Stage {
     host: VirtualLine,
     client: Client,
     now: Instant,
-    /// Throws away what the drive says until then.
+    /// Time until which all bytes of the drive are discarded.
     deaf_until: Instant,
 }
 
-/// A reply without its borrow.
+/// A reply as an owned value.
 #[derive(Debug, PartialEq, Eq)]
 enum Got {
     Value(u32),
@@ -56,7 +56,7 @@ impl Stage {
         let mut world = World::new();
         let line = world.add_line(Settings::EPOS, None, device);
         let host = world.host_line(line, 4096);
-        // It boots.
+        // The drive boots.
         let now = Instant::from_nanos(100_000_000);
         world.advance(now);
         Self {
@@ -69,7 +69,7 @@ impl Stage {
         }
     }
 
-    /// What became of the request that `start` makes.
+    /// Result of the request that `start` makes.
     fn ask(
         &mut self,
         start: impl FnOnce(&mut Client, Instant) -> Result<(), StartError>,
@@ -130,7 +130,7 @@ fn both_drives_are_asked_and_told_over_their_service_port() {
         assert_eq!(stage.write(0x6041, 0), read_only);
         let missing = Err(ServiceError::Refused(0x0602_0000));
         assert_eq!(stage.read(0x5FFF), missing);
-        // Stopped, it refuses; the other command brings it back.
+        // In the state stopped, the drive refuses the request. The start command restores access.
         let told = stage.ask(|client, now| client.nmt(1, 0x02, now));
         assert_eq!(told, Ok(Got::Done));
         let refused = stage.read(0x6083);
@@ -213,7 +213,7 @@ fn a_bad_line_costs_time_and_gives_no_wrong_value() {
             };
             stage.world.set_line_faults(stage.line, &line);
             let mut right = 0;
-            // A write whose confirmation was lost may be done all the same.
+            // A write whose confirmation was lost may have been performed.
             let mut possible = vec![10_000];
             for value in 1000..1100 {
                 if stage.write(0x6083, value) == Ok(Got::Done) {
@@ -285,7 +285,7 @@ impl Ports {
         output.stdout
     }
 
-    /// The one line of a refusal.
+    /// Checks the one-line refusal of a command.
     fn refused(&self, words: &str, interface: &str, needles: &[&str]) {
         let output = self.run(words, interface);
         assert_eq!(output.status.code(), Some(2), "{words}: {output:?}");
@@ -308,7 +308,7 @@ fn service_commands_reach_an_emulated_drive_over_its_service_port() {
     assert_eq!(wrote, "0x1017:00 heartbeat producer time = 0x0096, 150\n");
     let wrote = ports.says("sdo write 1 0x607a --type i32 -5");
     assert!(wrote.contains("-5"), "{wrote}");
-    // With a type, without one, and by whole segments.
+    // With a type, without a type, and by segmented transfer.
     for words in ["sdo read 1 0x1008", "sdo read 1 0x1008 --type string"] {
         assert!(ports.says(words).contains("\"EPOS4"), "{words}");
     }
@@ -320,7 +320,7 @@ fn service_commands_reach_an_emulated_drive_over_its_service_port() {
     assert!(who.contains(", maxon, product 0x"), "{who}");
     let told = ports.says("nmt start 1");
     assert!(told.starts_with("node 1: told"), "{told}");
-    // The next drive knows nothing of it, and stands at its own node-ID.
+    // The other drive keeps its own value, and answers under its own node-ID.
     let second = ports.run("sdo read 2 0x1017 --type u16", &ports.port("lower-arm"));
     assert!(second.stdout.ends_with("= 0x0000, 0\n"), "{second:?}");
 

@@ -1,5 +1,5 @@
-//! What goes wrong while the arm moves: each case ends with the arm at rest, the fault by its name, and
-//! no motion beyond what braking takes.
+//! Faults during motion. Each case ends with the arm at rest and the fault named. The motion after the fault stays
+//! within the braking distance.
 
 use std::cell::RefCell;
 use std::f64::consts::TAU;
@@ -18,17 +18,17 @@ use crate::cell::{Rig, Setup, traced};
 use crate::motion::Motion;
 use crate::watch::Watcher;
 
-/// Motion left when a fault is latched: braking from full speed at the IRb-6's 1500 rad/s², what the
-/// drives are behind, and the give of a joint that was pushed.
+/// Longest motion after a fault is latched, rad: braking from full speed at the IRb-6's 1500 rad/s², plus the following
+/// error and the elastic deflection of a joint.
 const BRAKING: f64 = Motion::VELOCITY * Motion::VELOCITY / (2.0 * 1500.0) + 1.0;
 
-/// The axis that an arm fed with `motion` is stopped for, and why.
+/// The axis and the cause for which an arm that runs `motion` is stopped.
 fn fault_of(rig: &mut Rig, motion: &mut Motion) -> (u8, StopCause) {
     let fault = rig.fault_within(Motion::LONGEST, motion, BRAKING);
     (fault.axis.expect("the fault is of an axis"), fault.cause)
 }
 
-/// Resets the fault and enables again: no motor moves by more than what taking up its load needs.
+/// Resets the fault and enables again. Asserts that no motor moves farther than taking up its load requires.
 fn resume(rig: &mut Rig) {
     let before = rig.angles();
     rig.order(Order::ResetFault);
@@ -46,7 +46,7 @@ fn resume(rig: &mut Rig) {
     }
 }
 
-/// The IRb-6, whose column meets something hard 35 rad above its home position.
+/// The IRb-6 with an obstacle 35 rad above the home position of its column.
 fn blocked() -> Setup {
     Setup::of("irb6").with_plant(|axis, plant| {
         if let (0, PlantConfig::Physical(motor)) = (axis, &mut plant.plant) {
@@ -86,7 +86,7 @@ fn a_silent_drive_is_ridden_through_for_as_long_as_the_cell_allows() {
     let expected = StopCause::Drive(Fault::Silent { node: 3, cycles });
     let fault = rig.servo.fault(0).expect("one cycle more is a fault");
     assert_eq!((fault.axis, fault.cause), (Some(2), expected));
-    // Back before it missed our heartbeat, it stays where it is and can be enabled again.
+    // A drive that is plugged in before it misses the host's heartbeat keeps its position and can be enabled again.
     rig.unplug(2, false);
     assert_eq!(fault_of(&mut rig, &mut motion), (2, expected));
     resume(&mut rig);
@@ -124,7 +124,7 @@ fn the_servo_sees_a_blocked_motor_that_its_drive_overlooks() {
     setup.port = Box::new(move |port| watch.wrap(port));
     let mut rig = setup.bring_up();
     rig.home();
-    // A service command widens the drive's window: 0x6065 of node 1 is 1 000 000 increments.
+    // An SDO request widens the window of the drive: 0x6065 of node 1 is 1 000 000 increments.
     let request = StandardId::new(0x601).unwrap();
     let widen = Frame::new(request, &[0x23, 0x65, 0x60, 0, 0x40, 0x42, 0x0F, 0]);
     watcher.lock().foreign.push(widen.unwrap());
@@ -149,7 +149,7 @@ fn a_mode_of_operation_that_a_service_command_changes_stops_the_arm() {
     let mut rig = setup.bring_up();
     rig.home();
     let mut motion = rig.in_motion();
-    // 0x6060 of node 2 is 3: profile velocity.
+    // An SDO request sets 0x6060 of node 2 to 3: profile velocity.
     let request = StandardId::new(0x602).unwrap();
     let change = Frame::new(request, &[0x2F, 0x60, 0x60, 0, 3, 0, 0, 0]);
     watcher.lock().foreign.push(change.unwrap());
@@ -195,7 +195,7 @@ fn refused_set_points_are_dropped_and_never_sent_later() {
             assert_eq!(Some(target), commanded.map(|increments| increments.0));
         }
     });
-    // Frames taken, and set-points and SYNCs dropped by that.
+    // Number of accepted frames, and the numbers of set-points and SYNCs that are lost as a consequence.
     for (room, set_points, syncs) in [(0, 5, 1), (1, 5, 0), (3, 3, 0), (6, 0, 0)] {
         let before = rig.servo.group_counters().next().unwrap();
         watcher.lock().room = room;
@@ -252,10 +252,10 @@ fn drives_whose_host_dies_stop_by_themselves() {
     }
     let (_, cause) = fault_of(&mut rig, &mut motion);
     assert!(matches!(cause, StopCause::Drive(_)), "{cause}");
-    // Each drive noticed by itself, and says so: heartbeat error.
+    // Each drive detects the loss by itself and reports it: heartbeat error.
     let expected: Vec<_> = (1..=nodes as u8).map(|node| (node, 0x8130)).collect();
     assert_eq!(emergencies.borrow()[..nodes], expected);
-    // They stayed operational, so a reset is enough, and power is back without a jump.
+    // The drives stayed operational. A reset is therefore sufficient, and the power returns without a jump.
     rig.order(Order::ResetFault);
     rig.until(Duration::from_secs(1), "reset", |rig| {
         rig.servo.fault(0).is_none()
@@ -274,7 +274,7 @@ fn drives_whose_host_dies_stop_by_themselves() {
     }
 }
 
-/// What it is, how a macrostep becomes it, and what it has to be refused for.
+/// Name of the case, change of the macrostep, and check of the cause of the refusal.
 type BadStep = (&'static str, fn(&mut Macrostep), fn(&StopCause) -> bool);
 
 #[test]
@@ -320,7 +320,7 @@ fn what_may_not_be_commanded_never_reaches_the_bus() {
     let home = setup.cell.robot[0].arm().unwrap().robot().home()[0];
     setup.cell.robot[0].axis[0].max_position = Some(home + 7.0);
     let (mut rig, mut trace) = traced(setup);
-    // A stop begun at the limit passes it by v² / 2a; here v is 12 rad/s.
+    // A stop that begins at the limit passes it by v² / 2a; here v is 12 rad/s.
     let highest = rig.scales[0].increments(home + 7.0 + 0.06).unwrap().0;
     rig.after_cycle = Box::new(move |record| {
         for axis in record.axis {

@@ -1,4 +1,4 @@
-//! What a cell gains that says what its robot weighs and how its motors break away.
+//! Effect of feed-forward of the robot's weight and of its motors' break-away friction.
 
 use ::mrroc::cell::{Cell, EmulatedPayload, Weights};
 use controller::robot::Mass;
@@ -6,10 +6,10 @@ use serde_json::Value;
 
 use crate::mrroc::{Directory, mrroc};
 
-/// What the flange carries, which is told to the controller and given to the emulator.
+/// Payload at the flange, known to the controller and to the emulator.
 const LOAD: (f64, [f64; 3]) = (4.0, [0.0, 0.0, 0.1]);
 
-/// Everything is known: masses, the load, and dry friction at break-away.
+/// Makes all parameters known to the controller: masses, payload, and dry friction with break-away.
 fn know(cell: &mut Cell) {
     let robot = &mut cell.robot[0];
     robot.weight = Some(Weights {
@@ -22,16 +22,16 @@ fn know(cell: &mut Cell) {
     for axis in &mut robot.axis {
         let controller = axis.controller.as_mut().unwrap();
         let feed = &mut controller.r#loop.feed_forward;
-        // As the emulated motors have it: half as much again, gone at a few rad/s.
+        // As in the emulated motors: break-away friction is 1.5 times the dry friction, and decays within a few rad/s.
         feed.stiction = Some(1.5 * feed.coulomb);
         feed.stribeck_velocity = Some(5.0);
-        // The last is commanded by pulse width: 1.2 ohm, 0.105 N·m/A, 48 V.
+        // The last axis is commanded by pulse width: 1.2 ohm, 0.105 N·m/A, 48 V.
         let by_pulse_width = controller.control == ::mrroc::cell::Control::Pwm;
         feed.weight = by_pulse_width.then_some(1.2 / (0.105 * 48.0));
     }
 }
 
-/// Root mean squares of the following errors of all axes, rad, over the example's own program under a load.
+/// Root mean square of the following error of each axis, rad, in the program of the example with a payload.
 fn errors(change: impl FnOnce(&mut Cell)) -> Vec<f64> {
     let directory = Directory::new();
     let cell = directory.cell("irb6-serial", |cell| {

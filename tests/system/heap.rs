@@ -1,5 +1,6 @@
-//! No servo cycle uses the heap: [`Rig::servo_cycle`] asserts it in every cycle of every test that steps a robot, and the
-//! tests here bring about what the others do not. What this proves and what not is in `cycle_calls.rs`.
+//! No servo cycle uses the heap. [`Rig::servo_cycle`] asserts it in every cycle of every test that steps a robot. The
+//! tests here cause the situations that no other test causes. The coverage of this proof is described in
+//! `cycle_calls.rs`.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -16,7 +17,8 @@ use crate::cell::{Rig, Setup};
 use crate::motion::Motion;
 use crate::watch::Watcher;
 
-/// What it is, on which cell, what happens in motion, and what the servo is to say of it; nothing if it brakes in order.
+/// Name, cell, event during the motion, and check of the cause that the servo reports; `None` if the arm brakes without
+/// a fault.
 type Case = (
     &'static str,
     &'static str,
@@ -24,7 +26,7 @@ type Case = (
     fn(Option<StopCause>) -> bool,
 );
 
-/// A macrostep that may not be commanded.
+/// Queues a macrostep that violates the limits.
 fn beyond_every_limit(rig: &mut Rig, _: &Watcher) {
     rig.order(Order::Stop);
     rig.until(Motion::LONGEST, "standing", |rig| {
@@ -117,7 +119,7 @@ fn nothing_that_ends_a_motion_uses_the_heap() {
         let watcher = Watcher::new();
         let watch = watcher.clone();
         let mut setup = Setup::of(cell);
-        // What it does not hold it counts.
+        // The trace counts frames beyond its capacity.
         setup.port = Box::new(move |port| watch.wrap(Tracer::new(port, 1 << 12).0));
         let mut rig = setup.bring_up();
         rig.home();
@@ -155,13 +157,13 @@ fn a_servo_thread_does_not_use_the_heap_however_it_waits() {
         let policy = RealtimePolicy {
             wait,
             time: CellTime::Nominal(now),
-            // Of all the other tests too.
+            // Locking would affect all other tests of this process.
             lock_memory: false,
             ..RealtimePolicy::BEST_EFFORT
         };
         let used = Arc::new(AtomicU64::new(0));
         let uses = used.clone();
-        // Of the world that follows a cycle nothing is counted, of the rest everything.
+        // Heap use is counted everywhere except in the world that advances after a cycle.
         let mut counted = None;
         let between = move |next| {
             uses.fetch_add(count() - counted.unwrap_or(count()), Ordering::Relaxed);

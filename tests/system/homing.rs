@@ -1,4 +1,4 @@
-//! Homing by the drive finds the same reference wherever the axis starts.
+//! Homing by the drive finds the same reference from every start position.
 
 use std::f64::consts::TAU;
 
@@ -10,8 +10,8 @@ use crate::cell::Setup;
 /// Upper edge of the home switch, rad below the home position.
 const EDGE: f64 = 2.0;
 
-/// Homes the first axis of the IRb-6 from `start`, with the index of the motor's turn at `index`, both in
-/// rad above the home position. Where it ends by the driver and in truth, in rad above the home position.
+/// Homes the first axis of the IRb-6 from `start`, with the index pulse at `index`, both in rad above the home
+/// position. Returns the final position according to the driver and the true one, both in rad above the home position.
 fn home(start: f64, index: f64) -> (f64, f64) {
     let mut setup = Setup::one_axis(0);
     let robot = &mut setup.cell.robot[0];
@@ -48,7 +48,7 @@ fn the_reference_is_found_from_any_start() {
         let error = (reported - angle) / count;
         assert!(error.abs() <= 1.0, "from {start}: off by {error:.2} counts");
     }
-    // Wherever the index is: the first one above the switch is the reference.
+    // The first index pulse above the switch is the reference, at every angle of the pulse.
     for index in [-EDGE + 0.05, -1.0, 0.5, 3.0, TAU - EDGE - 0.05] {
         for start in [-30.0, -10.0, 20.0] {
             let (reported, angle) = home(start, index);
@@ -61,7 +61,8 @@ fn the_reference_is_found_from_any_start() {
     }
 }
 
-/// An index on the very edge may be passed before the drive looks for it; then it is the next one.
+/// An index pulse exactly at the edge of the switch may pass before the drive waits for it. The next pulse is then the
+/// reference.
 #[test]
 fn an_index_at_the_edge_of_the_switch_leads_to_one_of_two_references() {
     let count = TAU / 4000.0;
@@ -77,10 +78,10 @@ fn an_index_at_the_edge_of_the_switch_leads_to_one_of_two_references() {
     }
 }
 
-/// Motor, load, sensors and switches of an axis; `None` where those of the IRb-6 on its pedestal stay.
+/// Motor, load, sensors and switches of an axis. `None` keeps the plant of the IRb-6 on its pedestal.
 type Preset = fn(usize) -> Option<AxisConfig>;
 
-/// The robots of the laboratory whose axes are homed against a switch, how many those are, and their plants.
+/// The robots of the laboratory with axes that are homed by a switch, the number of these axes, and their plants.
 const ROBOTS: [(&str, usize, Preset); 5] = [
     ("irb6", 5, |_| None),
     ("irp6-track", 7, |axis| {
@@ -91,7 +92,7 @@ const ROBOTS: [(&str, usize, Preset); 5] = [
     ("gripper", 1, |_| Some(AxisConfig::gripper())),
 ];
 
-/// An axis of the laboratory, alone, with chattering contacts; its plant and its home position, rad.
+/// A single axis of the laboratory with bouncing contacts, its plant and its home position, rad.
 fn of_laboratory(robot: &str, axis: usize, preset: Preset) -> (Setup, AxisConfig, f64) {
     let setup = Setup::axis_of("lab", robot, axis);
     let arm = setup.cell.robot[0].arm().expect("parameters are sound");
@@ -107,7 +108,7 @@ fn of_laboratory(robot: &str, axis: usize, preset: Preset) -> (Setup, AxisConfig
     (setup, plant, home)
 }
 
-/// Motor positions at the start of a search, each at a place where the sensors differ, rad.
+/// Motor positions at the start of a search, rad, one for each combination of sensor states.
 fn starts(plant: &AxisConfig) -> Vec<(&'static str, f64)> {
     let switch = plant.home_switch.expect("it is homed against a switch");
     let mut starts = vec![
@@ -118,7 +119,7 @@ fn starts(plant: &AxisConfig) -> Vec<(&'static str, f64)> {
         ("just on the switch", switch.to - 0.02),
         ("well on the switch", switch.to - 15.0),
     ];
-    // The Polycrank turns for ever, its switch opens again below only after ten turns of the joint.
+    // The Polycrank turns without limits. Its switch opens again only after ten downward turns of the joint.
     if let (Some(lower), Some(upper)) = (plant.negative_limit, plant.positive_limit) {
         starts.extend([
             ("at the lower end", lower.to - 2.0),
@@ -131,12 +132,13 @@ fn starts(plant: &AxisConfig) -> Vec<(&'static str, f64)> {
     starts
 }
 
-/// Where the index pulse is in the motor's turn, rad; and whether the first one above the switch is surely the
-/// reference. One that comes before the search has seen the switch open is passed, and it is the next.
+/// Angles of the index pulse within the motor's turn, rad, and whether the first pulse above the switch must be the
+/// reference. A pulse that occurs before the search has detected the open switch is ignored, and the next pulse is the
+/// reference.
 fn indices(plant: &AxisConfig, zero_velocity: f64) -> [(&'static str, f64, bool); 5] {
     let edge = plant.home_switch.expect("it is homed against a switch").to;
     let count = TAU / f64::from(plant.counts_per_revolution);
-    // The contact chatters for 2 ms, and a host wants it open in three samples of 2 ms each.
+    // The contact bounces for 2 ms. A host requires three open samples at intervals of 2 ms.
     let seen = edge + 2.0 * count + 20e-3 * zero_velocity;
     [
         ("index after the edge", seen, true),
@@ -151,7 +153,7 @@ fn indices(plant: &AxisConfig, zero_velocity: f64) -> [(&'static str, f64, bool)
     ]
 }
 
-/// By how many counts the axis, homed, is off its true distance from the position `reference`, rad.
+/// Error of the axis after homing, in counts, relative to the true position of `reference`, rad.
 fn off(setup: Setup, plant: AxisConfig, reference: f64, home: f64) -> f64 {
     let counts = f64::from(plant.counts_per_revolution) / TAU;
     let mut rig = setup.with_plant(move |_, given| *given = plant).bring_up();

@@ -1,4 +1,4 @@
-//! CiA 402 drives by velocity (CSV) and by torque (CST): the servo closes the position loop over CAN.
+//! CiA 402 drives in velocity mode (CSV) and torque mode (CST): the servo closes the position loop over CAN.
 
 use std::time::Duration;
 
@@ -13,14 +13,15 @@ use crate::motion::Motion;
 
 const BY_HOST: [DriveControl; 2] = [DriveControl::Velocity, DriveControl::Torque];
 
-/// Of the drive's velocity loop, rad/s: [`hil::AmplifierConfig::VELOCITY_BANDWIDTH`] is 283.
+/// Position gain for the velocity loop of the drive, rad/s: [`hil::AmplifierConfig::VELOCITY_BANDWIDTH`] is 283.
 const POSITION_GAIN: f64 = 50.0;
 
-/// Gains by the rule of `loops/cascades.rs`, at two thirds of its bandwidths: over CAN a period more passes
-/// from sample to effect, six milliseconds for four with the velocity's own.
+/// Ratio of the bandwidths to those of `loops/cascades.rs`, where the rule for the gains is defined. Over CAN, the
+/// delay from sample to effect is a period longer. Including the delay of the velocity estimate, it is six milliseconds
+/// instead of four.
 const SHARE: f64 = 2.0 / 3.0;
 
-/// Lets the host close the loop of `axis`, by the nominal motor.
+/// Makes the host close the loop of `axis`, tuned for the nominal motor.
 pub(crate) fn closed_by_host(axis: &mut Axis, kind: Irp6Axis, control: DriveControl) {
     let config = AxisConfig::irp6(kind);
     let PlantConfig::Physical(motor) = config.plant else {
@@ -55,7 +56,7 @@ pub(crate) fn closed_by_host(axis: &mut Axis, kind: Irp6Axis, control: DriveCont
         ),
     };
     let drive = axis.drive.as_mut().expect("the cell is on CAN");
-    // As the emulated drive has it: nominal current times torque constant.
+    // As in the emulated drive: rated torque is nominal current times torque constant.
     drive.rated_torque = config.amplifier.max_current * motor.torque_constant;
     drive.control = control;
     drive.r#loop = Some(Loop {
@@ -65,7 +66,7 @@ pub(crate) fn closed_by_host(axis: &mut Axis, kind: Irp6Axis, control: DriveCont
     });
 }
 
-/// The IRb-6 on CAN, its loops closed by the host.
+/// The IRb-6 on CAN with loops closed by the host.
 fn irb6(control: DriveControl) -> Setup {
     let mut setup = Setup::of("irb6");
     let axes = setup.cell.robot[0].axis.iter_mut();
@@ -121,7 +122,7 @@ fn a_loop_that_does_not_work_loses_its_power_at_once() {
     for control in BY_HOST {
         let mut setup = irb6(control);
         setup.axes = vec![0];
-        // Hardly any gain, and a feed-forward that asks for too much.
+        // A very small gain, and a feed-forward that is too large.
         let drive = setup.cell.robot[0].axis[0].drive.as_mut().unwrap();
         let given = drive.r#loop.as_mut().unwrap();
         match &mut given.law {
@@ -146,7 +147,7 @@ fn a_loop_that_does_not_work_loses_its_power_at_once() {
             ),
             "{control:?}: {cause:?}"
         );
-        // Category 0: not one set-point more.
+        // Stop category 0: no further set-point is sent.
         assert_eq!(rig.last.axis[0].command, AxisCommand::Off);
         assert_eq!(rig.phase(), Phase::Faulted);
     }

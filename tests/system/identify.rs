@@ -1,4 +1,4 @@
-//! `mrroc identify`: the shapes of the loops of every family, and what it refuses.
+//! `mrroc identify`: frequency responses of the loops of every drive family, and refusals.
 
 use std::f64::consts::TAU;
 use std::os::unix::fs::symlink;
@@ -37,7 +37,7 @@ fn the_loops_of_every_family_are_shaped_as_documented() {
         by_host(0, DriveControl::Velocity),
         by_host(1, DriveControl::Torque),
     );
-    // Crossover, Hz, and phase margin, degrees: the table of `servo::identify`.
+    // Crossover, Hz, and phase margin, degrees: values of the table in `servo::identify`.
     let cases = [
         (example("irb6-serial"), "irb6/column", 16.4, 48.0),
         (example("irb6-serial"), "irb6/wrist-roll", 15.8, 48.5),
@@ -51,7 +51,7 @@ fn the_loops_of_every_family_are_shaped_as_documented() {
     }
 }
 
-/// Within a share of the crossover, Hz, and degrees of the margin.
+/// Asserts crossover, Hz, within a relative tolerance, and phase margin within a tolerance in degrees.
 fn shaped(cell: &Path, axis: &[&str], (crossover, margin): (f64, f64), within: (f64, f64)) {
     for excitation in ["multisine", "chirp"] {
         let arguments = [axis, &["--excitation", excitation, "--json"]].concat();
@@ -78,13 +78,14 @@ fn shaped(cell: &Path, axis: &[&str], (crossover, margin): (f64, f64), within: (
 fn a_loop_of_the_drive_is_seen_from_outside_as_it_is_inside() {
     let inside = seen_inside(Irp6Axis::Flange);
     println!("inside: {inside:?}");
-    // Fast and little enough that dry friction, which damps where a motor turns round, has no say.
+    // A high velocity and a small excitation make the influence of dry friction negligible. Dry friction adds damping
+    // when a motor reverses.
     let axis = ["--axis=irp6/flange", "--velocity=20", "--amplitude=0.05"];
     shaped(&example("irp6"), &axis, inside, (0.04, 3.0));
 }
 
-/// Crossover, Hz, and phase margin, degrees, of the loops of a drive that holds 20 rad/s, from torques of every
-/// sub-step, which no bus carries: sine by sine, so many times 5 Hz.
+/// Crossover, Hz, and phase margin, degrees, of the loops of a drive that runs at 20 rad/s. They are computed from the
+/// torques of every sub-step, which no bus carries, with one sine at a time at multiples of 5 Hz.
 fn seen_inside(kind: Irp6Axis) -> (f64, f64) {
     const STEPS: u32 = 30_000;
     let config = AxisConfig::irp6(kind);
@@ -94,7 +95,7 @@ fn seen_inside(kind: Irp6Axis) -> (f64, f64) {
         let (mut added, mut sums) = (0.0, [Complex::new(0.0, 0.0); 2]);
         for step in 0..STEPS {
             let time = f64::from(step) * SUB_STEP;
-            // The drive takes it over whenever its outer loops turn.
+            // The drive adopts the value in every cycle of its outer loops.
             if step % 10 == 0 {
                 added = 0.05 * (TAU * frequency * time).sin();
                 axis.set_torque_offset(added);
@@ -126,7 +127,7 @@ fn seen_inside(kind: Irp6Axis) -> (f64, f64) {
         .expect("it crosses over there");
     let share = below.1.norm().ln() / (below.1.norm() / above.1.norm()).ln();
     let between = |low: f64, high: f64| low + share * (high - low);
-    // Minus the open loop is its margin ahead of the positive axis.
+    // The phase margin is the angle of minus the open loop relative to the positive real axis.
     let margin = |point: &Complex<f64>| (-point).arg().to_degrees();
     (
         between(below.0, above.0),
@@ -141,7 +142,7 @@ fn a_command_is_followed_from_command_to_sample() {
     let report = run.json();
     assert_eq!(report["open_loop"], false);
     assert_eq!(report["crossover_hz"], Value::Null);
-    // Positions are rounded to counts, so that a single point of this small an excitation is off by up to 15 %.
+    // Positions are rounded to counts. With this small excitation, a single point has an error of up to 15 %.
     let points = report["points"].as_array().unwrap();
     let low = points
         .iter()
@@ -187,8 +188,8 @@ fn the_files_hold_what_the_report_says_and_the_same_each_time() {
     assert!(!svg.contains("NaN") && svg.ends_with("</svg>\n"));
 }
 
-/// Sooner or later the report of `measure` on `bench` is as it should be: another process may keep frames and answers
-/// back, and a machine that was too slow says nothing.
+/// Repeats `measure` on `bench` until its report is correct, up to eight times. Another process may delay frames and
+/// answers, and a run on an overloaded machine is discarded.
 fn in_the_end(measure: impl Fn() -> Output, bench: &str, is_right: impl Fn(&Value) -> bool) {
     let right = |run: &Output| {
         let slow = ["took more than a period", "no answer to be believed"];
@@ -207,20 +208,21 @@ fn in_the_end(measure: impl Fn() -> Output, bench: &str, is_right: impl Fn(&Valu
     assert!(runs.any(|run| right(&run)), "never right on {bench}");
 }
 
-/// Roughly the loop of the example.
+/// Whether the report approximately describes the loop of the example.
 fn is_serial_column(report: &Value) -> bool {
     let [crossover, margin] = ["crossover_hz", "phase_margin_deg"].map(|key| report[key].as_f64());
     crossover.is_some_and(|it| (it / 16.6).ln().abs() < 0.25)
         && margin.is_some_and(|it| (it - 48.5).abs() < 15.0)
 }
 
-/// An emulator on pseudo-terminals is homed without being asked; what may be hardware is not, and is not moved.
+/// An emulator on pseudo-terminals is homed without further options. A device that may be hardware is neither homed nor
+/// moved.
 #[test]
 fn a_loop_is_measured_over_the_ttys_of_another_process() {
     let directory = Directory::new();
     let cell = directory.cell("irb6-serial", |cell| {
         shorten(cell);
-        // The answers of another process come later on a loaded machine.
+        // The answers of another process are later on a loaded machine.
         cell.serial[0].tolerated_missing = 10;
         cell.serial[0].answer_timeout_ms = 500;
         cell.max_missed_in_row = 100;
@@ -251,7 +253,7 @@ fn an_axis_is_measured_over_vcan() {
         let _emulators = stage.start_emulators();
         let cell = stage.directory.path("cell.toml");
         let on = ["--bench=vcan", "--can", stage.interface];
-        // The period of the stage is too long for the loops of its drives, which follow a slow command.
+        // The period of the stage is too long for the loops of its drives. The drives follow a slow command.
         let what = ["--axis=column", "--at=command", "--to=16", "--json"];
         let arguments = [&on[..], &what].concat();
         let follows = |report: &Value| {
@@ -313,7 +315,7 @@ fn what_cannot_be_measured_is_refused_before_anything_moves() {
     }
 }
 
-/// The disk may be full when the axis has moved.
+/// The disk may be full after the axis has moved.
 #[test]
 fn a_measurement_that_cannot_be_written_or_printed_is_no_refusal() {
     let directory = Directory::new();
@@ -354,7 +356,7 @@ fn a_place_that_cannot_be_written_to_is_refused_before_anything_moves() {
             &example("irb6"),
             &["--axis=column", "--out", out, "--bench=vcan"],
         );
-        // The bench of virtual interfaces has none here, and is not even opened.
+        // The interface for the vcan bench is missing here. The command is refused before the bench is opened.
         refused(&run, &["--out", out]);
     }
     assert!(!taken.join("bode.svg").exists());

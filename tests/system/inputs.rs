@@ -1,4 +1,4 @@
-//! Input files that are none: FIFOs, devices, files without end or beyond all measure.
+//! Invalid input files: FIFOs, devices, endless files and very large files.
 
 use std::fs::{self, File};
 use std::path::Path;
@@ -7,7 +7,7 @@ use std::process::Command;
 use crate::cli_refusals::refused;
 use crate::mrroc::{Directory, binary, example, mrroc, text};
 
-/// Makes a FIFO to which nobody writes.
+/// Creates a FIFO that has no writer.
 fn fifo(path: &Path) {
     let made = Command::new("mkfifo").arg(path).status();
     assert!(made.expect("mkfifo runs").success());
@@ -86,7 +86,7 @@ fn data_sheets_and_records_that_are_no_regular_files_are_refused_at_once() {
 #[test]
 fn a_file_beyond_its_limit_is_refused_without_being_read_whole() {
     let directory = Directory::new();
-    // It takes no room on the disk.
+    // The file occupies no space on the disk.
     let endless = directory.path("endless");
     File::create(&endless).unwrap().set_len(1 << 40).unwrap();
     let check = mrroc(["check".as_ref(), endless.as_os_str()]);
@@ -103,7 +103,7 @@ fn a_file_beyond_its_limit_is_refused_without_being_read_whole() {
     refused(&mrroc(doctor), &["endless: has more than 1048576 bytes"]);
 }
 
-/// Checks a cell in an address space of 200 MB; what was said.
+/// Checks a cell in an address space of 200 MB, and returns the message.
 fn check_in_little_memory(cell: &Path) -> String {
     let script = "ulimit -v 204800 && exec \"$0\" check \"$1\"";
     let output = Command::new("sh")

@@ -1,4 +1,4 @@
-//! `mrroc jitter`: what it tells scripts, and what it refuses. How good the host is, is not judged.
+//! `mrroc jitter`: its output for scripts, and its refusals. The tests do not judge the quality of the host.
 
 use std::process::{Command, Stdio};
 
@@ -242,7 +242,7 @@ fn an_interrupt_ends_it_early_with_what_was_measured() {
     );
 }
 
-/// A million cycles, as fast as they are allowed to be: what is kept does not grow with them.
+/// A million cycles at the highest allowed rate: the memory does not grow with the number of cycles.
 #[test]
 fn a_long_measurement_keeps_no_more_than_a_short_one() {
     let resident = |duration: &str| {
@@ -274,7 +274,7 @@ fn a_long_measurement_keeps_no_more_than_a_short_one() {
         most
     };
     let (short, long) = (resident("1s"), resident("12s"));
-    // 480 000 numbers of 8 bytes would be 3.8 MB.
+    // 480 000 numbers of 8 bytes would need 3.8 MB.
     assert!(long < short + 1500, "{short} kB, then {long} kB");
 }
 
@@ -352,7 +352,7 @@ fn programs_that_are_not_installed_are_refused_with_their_package() {
     }
 }
 
-/// A program in place of hackbench that never ends by itself; its process is looked for by its number.
+/// A substitute for hackbench that never ends by itself. The test finds its process by the process ID.
 #[test]
 fn programs_of_a_load_end_with_the_command_however_that_ends() {
     for killed in [false, true] {
@@ -382,7 +382,7 @@ fn programs_of_a_load_end_with_the_command_however_that_ends() {
         command.wait().unwrap();
         patiently(|| {
             let stat = std::fs::read_to_string(format!("/proc/{pid}/stat"));
-            // Whoever inherits it may not have waited for it yet.
+            // The process that inherits the child may not have waited for it yet.
             stat.is_ok_and(|stat| !stat.contains(") Z "))
                 .then_some(())
                 .xor(Some(()))
@@ -390,7 +390,7 @@ fn programs_of_a_load_end_with_the_command_however_that_ends() {
     }
 }
 
-/// What `found` finds within some seconds.
+/// Calls `found` for some seconds until it returns a value.
 fn patiently<T>(found: impl Fn() -> Option<T>) -> T {
     for _ in 0..1000 {
         if let Some(found) = found() {

@@ -1,4 +1,4 @@
-//! `mrroc kinematics` and `mrroc urdf`, as a user asks and a program reads them.
+//! `mrroc kinematics` and `mrroc urdf`, as seen by a user and by a program.
 
 use ::mrroc::cell::{Model, Parameters};
 use controller::robot::RntParameters;
@@ -10,7 +10,7 @@ use crate::mrroc::{Directory, Output, mrroc};
 /// The robots known by name.
 pub(crate) const ROBOTS: [&str; 5] = ["irb6", "irp6", "irp6-track", "rnt", "polycrank"];
 
-/// `mrroc kinematics` with these words.
+/// Runs `mrroc kinematics` with these arguments.
 fn ask(words: &str) -> Output {
     mrroc(["kinematics"].into_iter().chain(words.split(' ')))
 }

@@ -1,4 +1,4 @@
-//! The robots of the laboratory together: they meet in the same cycle, and each is refused what it cannot do.
+//! All robots of the laboratory together: they meet in the same cycle, and each robot refuses an impossible program.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::TAU;
@@ -22,7 +22,7 @@ const AXES: [&str; 6] = [
     "conveyor.belt",
 ];
 
-/// What a record has of one axis: cycle, phase, motor position commanded, counts.
+/// Entry of one axis in a record: cycle, phase, commanded motor position, counts.
 pub(crate) type Row = (u64, String, f64, i64);
 
 /// The rows of the first axis of each robot, or of `axis` of the only robot.
@@ -48,7 +48,7 @@ fn record(path: &Path, wanted: &[&str]) -> BTreeMap<String, Vec<Row>> {
     rows
 }
 
-/// The cycles in which an axis comes into the phase `into`.
+/// Cycles in which an axis enters the phase `into`.
 fn beginnings(rows: &[Row], into: &str) -> Vec<u64> {
     let pairs = rows.windows(2);
     let begins = pairs.filter(|pair| pair[0].1 != into && pair[1].1 == into);
@@ -68,12 +68,14 @@ fn run(cell: &Path, record: &Path) -> Value {
     run.json()
 }
 
-/// Every axis starts 20 rad above its home, but for the belt, which takes for home where it is.
+/// Checks the reported homing offsets. Every axis starts 20 rad above its home position. The belt takes its present
+/// position for home.
 ///
-/// That each finds its reference to a count is tested at the plants, in `homing.rs`. The report is of what the host sees:
-/// the step of the counter between two samples less the way of the motor in that cycle, which it takes from the cycle
-/// before. Of a drive on CAN that is a second difference of three counts, each rounded by up to a half: up to two
-/// counts. A serial axis whose weight changes its velocity meanwhile is known to one cycle's motion.
+/// Tests in `homing.rs` check at the plants that each axis finds its reference to a count. The report shows the view of
+/// the host: the change of the counter between two samples minus the motion of the motor in that cycle. The host takes
+/// that motion from the previous cycle. For a drive on CAN the result is a second difference of three counts. Each
+/// count is rounded by up to a half, so the tolerance is two counts. For a serial axis, the weight changes the velocity
+/// within the cycle, so the tolerance is the motion of one cycle.
 fn check_homing(reports: &[Value]) {
     let cell = Cell::parse(&text("lab")).unwrap();
     let robots = cell.robot.iter();
@@ -95,8 +97,8 @@ fn check_homing(reports: &[Value]) {
     }
 }
 
-/// By a record, every robot of the laboratory went on from the three meetings, and arrived at its end, in the same cycle
-/// as all others. Returns the rows of an axis of each.
+/// Asserts by a record that every robot left the three meetings, and reached its end, in the same cycle as all other
+/// robots. Returns the rows of one axis of each robot.
 pub(crate) fn met(log: &Path) -> BTreeMap<String, Vec<Row>> {
     let rows = record(log, &AXES);
     assert_eq!(rows.len(), AXES.len());
@@ -120,7 +122,7 @@ fn robots_that_meet_go_on_and_arrive_in_the_same_cycle() {
     let report = run(&example("lab"), &log);
     check_homing(report["axes"].as_array().unwrap());
     let rows = met(&log);
-    // They do not come to the first meeting together.
+    // The robots do not arrive at the first meeting at the same time.
     let homed: BTreeSet<_> = rows
         .values()
         .map(|rows| rows.iter().rfind(|row| row.1 == "Homing").map(|row| row.0))
@@ -130,7 +132,8 @@ fn robots_that_meet_go_on_and_arrive_in_the_same_cycle() {
 
 #[test]
 fn a_gripper_homes_from_the_far_end_of_its_travel() {
-    // Past its vertex it is no gripper of this side.
+    // The polynomial of the opening has its vertex at 2564 rad. Positions below the vertex belong to the other branch,
+    // so the farthest start position lies just above it.
     let start = 2570.0;
     let directory = Directory::new();
     let path = directory.cell("lab", |cell| {
@@ -141,7 +144,7 @@ fn a_gripper_homes_from_the_far_end_of_its_travel() {
         cell.bus.retain(|it| it.name == bus);
         cell.serial.clear();
     });
-    // On its switch all the way, which it leaves slowly: 2260 rad at 10 rad/s.
+    // The gripper starts on its switch and leaves it slowly: 2260 rad at 10 rad/s.
     let report = run(&path, &directory.path("gripper.csv"));
     let found = report["axes"][0]["homing_offset_counts"].as_f64().unwrap();
     let expected = (4830.0 - start) / TAU * 128.0;
@@ -170,7 +173,7 @@ fn a_joint_without_end_comes_back_to_its_count_from_twenty_turns() {
     (motion.velocity, motion.acceleration) = (1.0, 1.0);
     let mut there = motion.clone();
     there.poses = vec![turned(6)];
-    // Friction holds the motor some counts off for a while.
+    // Friction keeps the motor some counts away from its set-point for a while.
     let mut rest = motion.clone();
     (rest.generator, rest.duration) = (JointGenerator::JerkLimited, Some(3.0));
     let program = [motion.clone(), rest.clone(), there, motion, rest];
@@ -191,7 +194,7 @@ fn a_joint_without_end_comes_back_to_its_count_from_twenty_turns() {
     assert!((there - counts).abs() <= 20, "{there} counts away");
 }
 
-/// A cell, what stands in it, what stands there instead, and what the refusal must say.
+/// A cell, a text in it, the replacement of the text, and the required parts of the refusal.
 type Case = (
     &'static str,
     &'static str,
@@ -200,7 +203,7 @@ type Case = (
 );
 
 const REFUSED: &[Case] = &[
-    // The tool axis would have to pass beside the direction of axis 1, which asks axis 3 for half a turn at once.
+    // The tool axis would have to pass close to the direction of axis 1, which requires an instant half turn of axis 3.
     (
         "polycrank",
         "line = { position = [0.2, 0.2, 0.8]",
@@ -269,7 +272,7 @@ const REFUSED: &[Case] = &[
 #[test]
 fn what_a_robot_of_the_laboratory_cannot_do_is_refused_before_anything_moves() {
     let directory = Directory::new();
-    // Legs that would have to be longer than they are.
+    // Legs that are too short for the pose.
     let mut rnt = controller::robot::RntParameters::nominal();
     rnt.base_radius = 2.0;
     let rnt = toml::Value::try_from(rnt).unwrap().to_string();
@@ -289,12 +292,12 @@ fn what_a_robot_of_the_laboratory_cannot_do_is_refused_before_anything_moves() {
     }
 }
 
-/// An arm's program, instruction by instruction, and what the refusal of the last one must say: which axis, and by how
-/// much it misses.
+/// The program of an arm, instruction by instruction, and the required parts of the refusal of the last instruction:
+/// the axis and the amount of the violation.
 type Arm = (&'static str, &'static [&'static str], &'static str);
 
 const ARMS: &[Arm] = &[
-    // Over the column nothing says where the column's axis is to stand.
+    // Above the column, the pose does not determine the position of the column axis.
     (
         "irb6",
         &[
@@ -399,7 +402,7 @@ fn every_robot_refuses_poses_of_another_length_and_poses_that_are_no_numbers() {
             instruction.unwrap()
         );
         let mut wrong = vec![vec![0.0; axes + 1], vec![f64::NAN; axes]];
-        // An empty pose is as wrong.
+        // An empty pose is refused as well.
         wrong.push(vec![0.0; axes - 1]);
         for pose in wrong {
             let needles = [

@@ -1,7 +1,7 @@
-//! The position loops that the servo closes, whole: a servo with one axis over a motor, every sample
-//! in its place, and what control engineers ask of a loop measured from outside.
+//! Complete position loops that the servo closes: a servo with one axis on a motor, with every sample at its exact
+//! time. The tests measure the properties of each loop from outside.
 //!
-//! A sequence is added to what the servo puts out, and the open loop is what [`servo::identify`] makes of it.
+//! A test sequence is added to the output of the servo. [`servo::identify`] computes the open loop.
 
 mod cascades;
 mod homing;
@@ -33,14 +33,14 @@ use motors::{Motor, Regression};
 const PERIOD: Duration = Duration::from_millis(2);
 const DT: f64 = 0.002;
 
-/// Cycles of the sequence that measures a loop.
+/// Length of the test sequence, cycles.
 const LENGTH: usize = 500;
 
-/// Cycles that are kept of a run.
+/// Capacity for recorded cycles of a run.
 const RECORDS: usize = 8000;
 
-/// A drive group of one motor. Its samples are taken when they are read (delay 1), or, as over a serial
-/// line, when the telegram before was sent (delay 2).
+/// A drive group of one motor. Its samples are taken when they are read (delay 1). Over a serial line, they are taken
+/// when the previous telegram is sent (delay 2).
 struct Group {
     motor: Box<dyn Motor>,
     counts: f64,
@@ -107,7 +107,7 @@ impl Group {
     }
 }
 
-/// An axis to be measured.
+/// An axis under test.
 #[derive(Clone, Copy)]
 struct Rig {
     host: HostLoop,
@@ -119,17 +119,17 @@ struct Rig {
 
 type MakeMotor = fn(Irp6Axis) -> Box<dyn Motor>;
 
-/// The servo in the middle of it.
+/// The servo while it runs.
 struct Running {
     servo: Servo,
     link: servo::EffectorLink,
     records: rtrb::Consumer<Record>,
     now: Instant,
-    /// Where it was when it was switched on, rad.
+    /// Motor position at power-on, rad.
     start: f64,
 }
 
-/// A servo with one effector of `axes`.
+/// A servo with one effector that has `axes`.
 fn servo(
     axes: Vec<ServoAxisConfig>,
     groups: Vec<Box<dyn DriveGroup>>,
@@ -261,7 +261,7 @@ impl Running {
     }
 }
 
-/// The regression motor under the robot's own law, in the exact order of the original's emulator.
+/// The regression motor under the robot's own control law, in the exact order of the original emulator.
 fn original(axis: Irp6Axis, motor: MakeMotor) -> Rig {
     Rig {
         host: HostLoop {
@@ -277,12 +277,12 @@ fn original(axis: Irp6Axis, motor: MakeMotor) -> Rig {
     }
 }
 
-/// As the original's emulator integrates it.
+/// The motor as integrated by the original emulator.
 fn coarse(axis: Irp6Axis) -> Box<dyn Motor> {
     Box::new(Regression::new(regression_motor(axis), 1, 0.0))
 }
 
-/// As the motor itself would move.
+/// The motor as a continuous system.
 fn fine(axis: Irp6Axis) -> Box<dyn Motor> {
     Box::new(Regression::new(regression_motor(axis), 200, 0.0))
 }
@@ -338,7 +338,7 @@ fn one_more_sample_of_delay_leaves_the_column_nine_degrees() {
 
 #[test]
 fn every_axis_follows_by_the_servo_as_it_does_by_the_bare_law() {
-    // Largest errors in counts, as in the table of the bare regulator.
+    // Largest errors in counts, as in the table of the regulator alone.
     let table = [147.0, 287.0, 224.0, 172.0, 3.0, 81.0];
     for (axis, expected) in Irp6Axis::ALL.into_iter().zip(table) {
         let rig = original(axis, coarse);

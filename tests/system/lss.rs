@@ -1,4 +1,4 @@
-//! LSS, both its ends: a bus of drives without node-IDs is given some, in virtual time.
+//! LSS master and slaves: drives without node-IDs on a bus receive node-IDs, in virtual time.
 
 use std::time::Duration;
 
@@ -16,7 +16,7 @@ struct Bench {
     port: VirtualPort,
     master: Master,
     now: Instant,
-    /// What was heard beside LSS, as candump prints it.
+    /// Frames other than LSS, in the notation of candump.
     heard: Vec<String>,
 }
 

@@ -6,7 +6,7 @@ use servo::{MAX_AXES, Macrostep};
 
 use crate::cell::Rig;
 
-/// All axes moved by the same distance, rest to rest, at [`Motion::VELOCITY`].
+/// A motion of all axes by the same distance, rest to rest, at [`Motion::VELOCITY`].
 pub(crate) struct Motion {
     from: [f64; MAX_AXES],
     distance: f64,
@@ -16,15 +16,15 @@ pub(crate) struct Motion {
 }
 
 impl Motion {
-    /// rad/s.
+    /// Motor velocity, rad/s.
     pub(crate) const VELOCITY: f64 = 50.0;
-    /// rad/s².
+    /// Motor acceleration, rad/s².
     pub(crate) const ACCELERATION: f64 = 200.0;
-    /// No motion and no stop takes longer.
+    /// Longest duration of a motion or a stop.
     pub(crate) const LONGEST: Duration = Duration::from_secs(5);
     const STEPS: u16 = 10;
 
-    /// By `distance` rad from where the robot was commanded last.
+    /// A motion by `distance`, rad, from the last commanded position of the robot.
     pub(crate) fn new(rig: &Rig, distance: f64) -> Self {
         let duration = distance.abs() / Self::VELOCITY + Self::VELOCITY / Self::ACCELERATION;
         let macrostep = rig.period.as_secs_f64() * f64::from(Self::STEPS);
@@ -37,7 +37,7 @@ impl Motion {
         }
     }
 
-    /// Whether all of it was given to the servo.
+    /// Whether all macrosteps were given to the servo.
     pub(crate) fn is_sent(&self) -> bool {
         self.sent == self.macrosteps
     }

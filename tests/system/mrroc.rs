@@ -1,4 +1,4 @@
-//! The `mrroc` command as a child process: built once, run with a deadline, its words captured.
+//! The `mrroc` command as a child process: built once, run with a deadline, its output captured.
 
 use std::cell::Cell as Shared;
 use std::ffi::OsStr;
@@ -16,7 +16,7 @@ use std::time::Duration;
 use ::mrroc::cell::Cell;
 use can::candump;
 
-/// Nothing these tests run takes longer.
+/// Upper bound for the duration of a command.
 const DEADLINE: Duration = Duration::from_secs(90);
 
 /// The example cells by name.
@@ -37,8 +37,8 @@ pub(crate) fn example(name: &str) -> PathBuf {
     root().join(format!("cells/{name}.toml"))
 }
 
-/// The command, built in the profile and the target directory of this test. The test machine, where nothing can be
-/// built, has the one that the host built before.
+/// Path of the command, built in the profile and the target directory of this test. In the test machine, where nothing
+/// can be built, it is the command that the host built before.
 pub(crate) fn binary() -> &'static Path {
     static BINARY: OnceLock<PathBuf> = OnceLock::new();
     BINARY.get_or_init(|| built("mrroc", &["--package", "mrroc-console"]))
@@ -50,7 +50,8 @@ pub(crate) fn planted() -> PathBuf {
     built("examples/planted", &of_package)
 }
 
-/// A program of the workspace, by its place in the directory of the profile and what cargo is to build.
+/// Builds a program of the workspace. `place` is its path in the directory of the profile, `of_package` selects it for
+/// cargo.
 fn built(place: &str, of_package: &[&str]) -> PathBuf {
     let test = std::env::current_exe().expect("a test binary knows its own path");
     let profile = test
@@ -80,7 +81,7 @@ fn built(place: &str, of_package: &[&str]) -> PathBuf {
     program
 }
 
-/// What the command said.
+/// Output and exit status of a command.
 #[derive(Debug)]
 pub(crate) struct Output {
     pub(crate) status: ExitStatus,
@@ -106,7 +107,7 @@ pub(crate) fn mrroc(arguments: impl IntoIterator<Item: AsRef<OsStr>>) -> Output 
 /// A running `mrroc`, killed if it is dropped before its end.
 pub(crate) struct Running {
     child: Child,
-    /// `None` if it is not captured.
+    /// `None` if the output is not captured.
     stdout: Option<Receiver<String>>,
     stderr: Receiver<String>,
 }
@@ -116,8 +117,8 @@ impl Running {
         Self::of(Command::new(binary()).args(arguments))
     }
 
-    /// `program` under `strace`, which writes every system call of every thread to `log`. Where the host grants it,
-    /// `strace` itself goes before ordinary threads, and `program` is one: each of its calls waits for `strace`.
+    /// `program` under `strace`, which writes every system call of every thread to `log`. If the host permits it,
+    /// `strace` runs at real-time priority and `program` does not, because each of its calls waits for `strace`.
     pub(crate) fn under_strace(
         log: &Path,
         program: &Path,
@@ -129,14 +130,15 @@ impl Running {
         Self::of(strace.arg(log).arg(program).args(arguments))
     }
 
-    /// A copy of `mrroc` in `directory`, by a user without privileges: nobody, where this test is root's.
+    /// A copy of `mrroc` in `directory`, run by a user without privileges. If this test runs as root, the user is
+    /// "nobody".
     pub(crate) fn unprivileged(
         directory: &Directory,
         arguments: impl IntoIterator<Item: AsRef<OsStr>>,
     ) -> Self {
         let copy = directory.path("mrroc");
         if !copy.exists() {
-            // Nobody may not go where this one is.
+            // The user "nobody" may have no access to the directory of the original.
             fs::copy(binary(), &copy).expect("the directory is writable");
             let all = Permissions::from_mode(0o777);
             fs::set_permissions(&directory.0, all).expect("it is ours");
@@ -150,7 +152,7 @@ impl Running {
         Self::of(command.args(arguments))
     }
 
-    /// The same with `memory` KiB of address space at most; an allocation beyond aborts it.
+    /// As [`Running::start`], with an address space of at most `memory` KiB. A larger allocation aborts the command.
     pub(crate) fn within(memory: u32, arguments: impl IntoIterator<Item: AsRef<OsStr>>) -> Self {
         let script = format!("ulimit -v {memory}; exec \"$@\"");
         let mut shell = Command::new("sh");
@@ -158,7 +160,7 @@ impl Running {
         Self::of(shell.args(arguments))
     }
 
-    /// `mrroc` whose standard output is `stdout`, of which nothing is captured.
+    /// Starts `mrroc` with the standard output `stdout`. No output is captured.
     pub(crate) fn with_stdout(
         stdout: impl Into<Stdio>,
         arguments: impl IntoIterator<Item: AsRef<OsStr>>,
@@ -185,7 +187,7 @@ impl Running {
         }
     }
 
-    /// Its process ID.
+    /// Process ID of the command.
     pub(crate) fn id(&self) -> u32 {
         self.child.id()
     }
@@ -197,7 +199,7 @@ impl Running {
         assert!(sent.expect("sh runs").success(), "{kill}");
     }
 
-    /// Whether the command has a file open, by the link `path` for example.
+    /// Whether the command has a file open. `path` may be a symbolic link.
     pub(crate) fn has_open(&self, path: &Path) -> bool {
         let Ok(path) = path.canonicalize() else {
             return false;
@@ -207,14 +209,15 @@ impl Running {
         opened.any(|fd| fs::read_link(fd.path()).is_ok_and(|open| open == path))
     }
 
-    /// Waits until `file` satisfies `wanted`; panics if the command ends before, or at the deadline.
+    /// Waits until `file` satisfies `wanted`. Panics if the command ends before, or at the deadline.
     pub(crate) fn wait_for(&self, file: &Path, wanted: impl Fn(&str) -> bool) {
         if let Err(said) = self.ended_before(file, wanted) {
             panic!("mrroc ended early: {said}");
         }
     }
 
-    /// Waits until `file` satisfies `wanted`; the outputs of the command if it ends before. Panics at the deadline.
+    /// Waits until `file` satisfies `wanted`. Returns the outputs of the command if it ends before. Panics at the
+    /// deadline.
     pub(crate) fn ended_before(
         &self,
         file: &Path,
@@ -225,7 +228,7 @@ impl Running {
             if fs::read_to_string(file).is_ok_and(|text| wanted(&text)) {
                 return Ok(());
             }
-            // What it prints comes at its end.
+            // The outputs are available after the end of the command.
             let said = self.stdout.as_ref().unwrap_or(&self.stderr);
             if let Ok(said) = said.recv_timeout(LOOK) {
                 return Err(format!("{said} {:?}", self.stderr.recv_timeout(DEADLINE)));
@@ -234,7 +237,7 @@ impl Running {
         panic!("{} never became what it should", file.display());
     }
 
-    /// Waits until `file` satisfies `wanted` and grows no more.
+    /// Waits until `file` satisfies `wanted` and stops growing.
     pub(crate) fn wait_until_stalled(&self, file: &Path, wanted: impl Fn(&str) -> bool) {
         let (length, looks) = (Shared::new(0), Shared::new(0));
         self.wait_for(file, |text| {
@@ -268,24 +271,24 @@ impl Running {
 
 impl Drop for Running {
     fn drop(&mut self) {
-        // Both fail if it has ended, which is as well.
+        // Both calls fail if the process has ended, which does no harm.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
 
-/// The whole of `source`, when it ends.
+/// Reads `source` to its end.
 fn read(source: impl Read + Send + 'static) -> Receiver<String> {
     let (tell, told) = mpsc::sync_channel(1);
     thread::spawn(move || {
         let text = std::io::read_to_string(source).expect("mrroc speaks UTF-8");
-        // Nobody listens any more if the test has failed.
+        // A failed test no longer receives the text.
         let _ = tell.send(text);
     });
     told
 }
 
-/// A directory that goes with the test.
+/// A directory that is deleted when the test ends.
 pub(crate) struct Directory(PathBuf);
 
 impl Directory {
@@ -309,7 +312,7 @@ impl Directory {
         path
     }
 
-    /// Writes a cell, changed by `change`.
+    /// Writes an example cell that `change` has modified.
     pub(crate) fn cell(&self, example: &str, change: impl FnOnce(&mut Cell)) -> PathBuf {
         let mut cell = Cell::parse(&text(example)).expect("example cells are right");
         change(&mut cell);
@@ -329,7 +332,7 @@ pub(crate) fn text(example_cell: &str) -> String {
     fs::read_to_string(example(example_cell)).expect("example cells are there")
 }
 
-/// Puts every axis just off its index pulse and lets all home together: a second instead of ten.
+/// Starts every axis close to its index pulse and homes all axes together. Homing then takes one second instead of ten.
 pub(crate) fn shorten(cell: &mut Cell) {
     for robot in &mut cell.robot {
         let home = robot
@@ -344,7 +347,7 @@ pub(crate) fn shorten(cell: &mut Cell) {
     }
 }
 
-/// A trace that `--trace` wrote.
+/// Reads a trace written by `--trace`.
 pub(crate) fn trace(path: &Path) -> Vec<candump::Entry> {
     let file = fs::File::open(path).expect("the trace is there");
     candump::Reader::new(BufReader::new(file))
@@ -352,7 +355,7 @@ pub(crate) fn trace(path: &Path) -> Vec<candump::Entry> {
         .collect()
 }
 
-/// How many RPDOs of a trace carry a controlword that enables operation.
+/// Number of RPDOs in a trace with a controlword that enables operation.
 pub(crate) fn enables(trace: &[candump::Entry]) -> usize {
     let enables = |entry: &&candump::Entry| {
         let Some(can::Id::Standard(id)) = entry.frame.id() else {

@@ -1,4 +1,4 @@
-//! Output files of commands: the files they never replace, and the files they replace with `--force`.
+//! Output files of commands: files that are never replaced, and files that `--force` replaces.
 
 use std::ffi::OsStr;
 use std::fs::{self, File};
@@ -10,7 +10,7 @@ use crate::cli_refusals::refused;
 use crate::configuration::{cell, dcf};
 use crate::mrroc::{Directory, Output, binary, example, mrroc, shorten};
 
-/// `mrroc` with `words`, then an option and its file.
+/// `mrroc` with `words`, followed by an option and its file.
 fn with(words: &[&OsStr], option: &str, file: &Path) -> Output {
     let option = format!("--{option}={}", file.display());
     mrroc(words.iter().copied().chain([option.as_ref()]))
@@ -45,7 +45,7 @@ fn no_output_replaces_the_cell_file_or_what_it_names() {
     let jitter = ["jitter", "--force", "--cell"].map(AsRef::as_ref);
     let jitter = [&jitter[..], &[cell.as_os_str()]].concat();
     refused(&with(&jitter, "spikes", &cell), &["the cell file is"]);
-    // A measurement writes to names of its own.
+    // A measurement writes files with fixed names.
     fs::create_dir(place("out")).unwrap();
     symlink(&cell, place("out/bode.csv")).unwrap();
     let identify = ["identify", "--axis=column", "--force"].map(AsRef::as_ref);
@@ -75,7 +75,7 @@ fn two_outputs_are_never_one_file() {
         refused(&run, &["--record", "--trace has the same file"]);
         assert!(!place("a").exists(), "{one} {other}");
     }
-    // Nothing is mixed up in a device, and everything in what standard output is redirected to.
+    // Outputs to a device do not collide. Outputs to the file that standard output is redirected to do.
     let both = ["run", "--bench=lockstep", "--trace=/dev/null"].map(AsRef::as_ref);
     let both = [&both[..], &[cell.as_os_str()]].concat();
     let run = with(&both, "record", Path::new("/dev/null"));

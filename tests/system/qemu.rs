@@ -1,4 +1,4 @@
-//! The test machine with cards itself: what gets in, what comes out, what stays behind.
+//! The test machine with cards: input files, output files, and clean-up.
 
 use std::fs;
 use std::path::Path;
@@ -9,10 +9,10 @@ use hil::qemu::{Kernel, MachineError, Options, QemuError, run};
 use crate::bench::kernel;
 use crate::uml::{Scratch, processes_of};
 
-/// Signs that shells and QEMU's options take for their own.
+/// Characters with a special meaning in shells and in QEMU's options.
 const OUT: &str = "o\"u,t's $x";
 
-/// Runs a script of the shell; returns what came of it, and what it printed.
+/// Runs a shell script. Returns its result and its output.
 fn shell(
     kernel: &Kernel,
     scratch: &Scratch,
@@ -59,7 +59,7 @@ fn the_machine_has_cards_and_the_files_of_the_host_read_only() {
 fn a_machine_that_does_not_end_by_itself_is_told_from_one_that_dies() {
     let Some(kernel) = kernel("qemu") else { return };
     let scratch = Scratch::new("qemu-end");
-    // Longer than any boot, so that the command is what takes too long.
+    // Longer than any boot, so the command exceeds the time limit.
     let timeout = Duration::from_secs(40);
     let (outcome, output) = shell(&kernel, &scratch, timeout, "echo begun; sleep 1000");
     assert_eq!(

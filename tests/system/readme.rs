@@ -1,4 +1,4 @@
-//! What the README has people type.
+//! The commands that the README shows.
 
 use std::process::Command;
 
@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 
 use crate::mrroc::root;
 
-/// The programs of the workspace, by what `cargo metadata` says.
+/// The programs of the workspace according to `cargo metadata`.
 fn programs(metadata: &Value) -> Vec<&Value> {
     let packages = metadata["packages"].as_array().expect("a list of packages");
     let targets = packages.iter().flat_map(|package| {
@@ -17,7 +17,7 @@ fn programs(metadata: &Value) -> Vec<&Value> {
     targets.filter(is_program).map(|it| &it["name"]).collect()
 }
 
-/// `cargo run` without a name refuses to choose between two.
+/// `cargo run` without a name fails if there are two programs.
 #[test]
 fn cargo_run_has_one_program_to_choose_from() {
     let metadata = Command::new(env!("CARGO"))

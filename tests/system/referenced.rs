@@ -1,4 +1,5 @@
-//! Runs of an arm whose drives kept their reference: the arm is not homed and stands wherever the run before left it.
+//! Runs of an arm whose drives are already referenced. The arm is not homed and starts at the end position of the
+//! previous run.
 
 use std::f64::consts::FRAC_PI_2;
 use std::fs;
@@ -9,7 +10,8 @@ use ::mrroc::cell::{Cell, Instruction, JointGenerator, Joints, Line};
 use crate::mrroc::{Directory, Output, mrroc, shorten};
 use crate::serial_cli::emulate;
 
-/// A cell with this instruction alone, and with patience: the answers of another process come late on a loaded machine.
+/// A cell with this instruction only and long time limits, because the answers of another process are late on a loaded
+/// machine.
 fn cell(directory: &Directory, instruction: Instruction) -> std::path::PathBuf {
     directory.cell("irb6-serial", |cell: &mut Cell| {
         shorten(cell);
@@ -30,7 +32,7 @@ fn joints(pose: [f64; 5]) -> Instruction {
     })
 }
 
-/// Level, and in the plane that the arm faces at home.
+/// A line with the tool horizontal, in the plane of the arm at home.
 fn line() -> Instruction {
     Instruction::Line(Line {
         position: [0.7, 0.0, 1.05],
@@ -54,13 +56,14 @@ fn run_on(cell: &Path, ttys: &Path, record: &Path) -> Output {
     ])
 }
 
-/// The phases that the arm went through.
+/// Whether the arm was in this phase.
 fn has_been(record: &Path, phase: &str) -> bool {
     let record = fs::read_to_string(record).expect("the record is there");
     record.contains(&format!(",wrist-roll,{phase},"))
 }
 
-/// Whether a run came to its end. Where the host kept answers or cycles back, the loops suffer, and the run may say so.
+/// Whether a run reached its end. If the host delayed answers or cycles, the loops are disturbed, and a fault that
+/// reports it is permitted.
 fn completed(run: &Output) -> bool {
     let report = run.json();
     let count = |value: &serde_json::Value| value.as_u64().expect("a count");
@@ -86,7 +89,7 @@ fn a_program_is_rehearsed_again_from_where_a_referenced_arm_stands() {
     }
     assert!(has_been(&record, "Homing"));
 
-    // What the line asks for can be done from home, and not from here.
+    // The line is possible from home, but not from the present position.
     let path = cell(&directory, line());
     let checked = mrroc(["check".as_ref(), path.as_os_str()]);
     assert_eq!(checked.status.code(), Some(0), "{checked:?}");
@@ -105,7 +108,7 @@ fn a_program_is_rehearsed_again_from_where_a_referenced_arm_stands() {
     );
     assert!(!has_been(&record, "Homing") && !has_been(&record, "Moving"));
 
-    // A motion of the joints can be done from everywhere, and the line after it from home.
+    // A motion of the joints is possible from everywhere. The line after it is possible from home.
     for instruction in [joints([0.0, -FRAC_PI_2, 0.0, 0.0, 0.0]), line()] {
         let run = run_on(&cell(&directory, instruction), &ttys, &record);
         assert!(!has_been(&record, "Homing") && has_been(&record, "Moving"));

@@ -1,9 +1,9 @@
-//! The servo loop of the IRp-6 over the motors that the robot's own software emulates: the
-//! servo's regulator against the plant, sample by sample, with no drive in between.
+//! The servo loop of the IRp-6 with the motors that the robot's own software emulates. The regulator of the servo acts
+//! on the plant sample by sample, without a drive in between.
 //!
-//! The order within a period is what the figures hang on: read the encoder, compute the current
-//! from the set-point of the same instant, write it, and let the motor run under it until the next
-//! period. One more period of delay would leave the column a phase margin of 9°.
+//! The results depend on the order within a period. The loop reads the encoder, computes the current from the set-point
+//! of the same instant, and writes the current. The motor then runs with this current until the next period. A further
+//! period of delay would reduce the phase margin of the column to 9°.
 
 use std::f64::consts::TAU;
 
@@ -12,7 +12,7 @@ use servo::regulator::{IRP6, Incremental, IncrementalConfig};
 
 const PERIOD: f64 = 0.002;
 
-/// A rest-to-rest motion of the motor: rad, rad/s, rad/s².
+/// A rest-to-rest motion of the motor: distance, rad; velocity, rad/s; acceleration, rad/s².
 #[derive(Clone, Copy)]
 pub(crate) struct Trapezoid {
     pub(crate) distance: f64,
@@ -37,7 +37,7 @@ impl Trapezoid {
         }
     }
 
-    /// rad/s.
+    /// Velocity at time `t`, rad/s.
     pub(crate) fn velocity_at(self, t: f64) -> f64 {
         let to_end = self.duration() - t;
         (self.acceleration * t.min(to_end)).clamp(0.0, self.velocity)
@@ -48,7 +48,7 @@ impl Trapezoid {
     }
 }
 
-/// One sample: set-point less encoder, counts, and the current written, mA.
+/// One sample: set-point minus encoder position, counts, and the written current, mA.
 type Sample = (f64, i32);
 
 /// The motion and two seconds of rest after it.
@@ -69,7 +69,7 @@ fn run(
             let demand = motion.at(f64::from(k) * PERIOD) * per_radian;
             let moved = f64::from(count - last_count);
             let torque = regulator.step(demand - last_demand - moved, 0.0);
-            // Whole milliamperes are what a drive is sent.
+            // Drives receive whole milliamperes.
             let current = (torque / motor_config.torque_constant * 1000.0) as i32;
             motor.step(f64::from(current) / 1000.0, PERIOD);
             (last_demand, last_count) = (demand, count);
@@ -117,8 +117,8 @@ pub(crate) const MOTION: Trapezoid = Trapezoid {
 
 #[test]
 fn every_axis_follows_as_the_original_emulator_does() {
-    // Counts: largest error; mean error in cruise, from 1.1 to 1.2 s; error after the motion. Then mA:
-    // the largest current, and the current at 1.2 s with how exactly it is known.
+    // In counts: largest error, mean error at constant velocity (1.1 to 1.2 s), error after the motion. In mA: largest
+    // current, current at 1.2 s and its tolerance.
     let table = [
         (LARGE, 4000.0, 147.0, -0.04, 0.0, 9978, (9488, 1)),
         (LARGE, 4000.0, 287.0, -0.16, 0.0, 9922, (9535, 20)),

@@ -1,10 +1,10 @@
-//! Whole programs of the example cells, again and again.
+//! Complete programs of the example cells, run repeatedly.
 
 use std::hash::{DefaultHasher, Hash, Hasher};
 
 use crate::cell::{Setup, traced};
 
-/// A hash over every frame of a whole run with its time and direction, and how many there were.
+/// Hash of every frame of a whole run with time and direction, and the number of frames.
 fn run(seed: u64) -> (u64, u64) {
     let mut setup = Setup::of("irb6");
     setup.cell.seed = seed;

@@ -17,7 +17,7 @@ use crate::cli_refusals::refused;
 use crate::mrroc::{Running, mrroc, trace};
 use crate::vcan::{Stage, faulted, on_stage};
 
-/// A controller in another computer: sends `frame` every `period` while `body` runs.
+/// Emulates a controller in another computer: sends `frame` every `period` while `body` runs.
 fn beside_a_master(stage: &Stage, frame: Frame, period: Duration, body: impl FnOnce()) {
     let mut port = SocketCanPort::open(stage.interface, &SocketCanOptions::default()).unwrap();
     let over = AtomicBool::new(false);
@@ -60,7 +60,7 @@ fn a_second_controller_on_an_interface_is_refused_and_told_of_the_first() {
         ] {
             refused(&mrroc(command.iter().chain(&on)), &[&holder]);
         }
-        // Service commands are allowed beside a run.
+        // Service commands are permitted during a run.
         let read = ["sdo", "read", "1", "0x1008", "--can", stage.interface];
         let read = mrroc(read);
         assert_eq!(read.status.code(), Some(0), "{read:?}");
@@ -81,7 +81,7 @@ fn a_controller_that_was_killed_leaves_the_interface_free() {
         let (_emulators, first) = stage.start_moving();
         first.signal("KILL");
         drop(first);
-        // The drives brake for want of a heartbeat while the next controller listens.
+        // The drives brake because the heartbeat is missing, while the next controller listens.
         let next = stage.start_controller().output();
         assert_eq!(next.status.code(), Some(0), "{next:?}");
     });
@@ -145,7 +145,7 @@ fn a_node_is_emulated_once_on_an_interface() {
             first.id()
         );
         refused(&again, &[&holder]);
-        // Other nodes are no concern of the first.
+        // The first emulator does not serve the other nodes.
         stage.change(|cell| {
             for axis in &mut cell.robot[0].axis {
                 axis.node += 20;

@@ -1,5 +1,5 @@
-//! `mrroc run` on serial lines as a user sees it: in lockstep, on pseudo-terminals, and against an emulator in
-//! another process, which lives on while runs come and go.
+//! `mrroc run` on serial lines as seen by a user: in lockstep, on pseudo-terminals, and with an emulator in another
+//! process. The emulator keeps running between runs.
 
 use std::ffi::OsStr;
 use std::fs;
@@ -11,13 +11,13 @@ use serde_json::Value;
 
 use crate::mrroc::{Directory, Output, Running, SERIAL_CELLS, example, mrroc, shorten, text};
 
-/// No motor is further than this from its set-point in a run of an example cell, rad.
+/// Largest following error in a run of an example cell, rad.
 const TRACKING: f64 = 0.25;
 
-/// What the counter shows at the reference is known to a cycle's motion at 3.5 rad/s, counts.
+/// Tolerance of the counter at the reference: the motion of one cycle at 3.5 rad/s, counts.
 const CYCLE: f64 = 5.0;
 
-/// A motor without power stands to six counts: its friction holds it, rad.
+/// Tolerance of the position of a motor without power, which its friction holds: six counts, rad.
 const STILL: f64 = 0.01;
 
 fn completed(run: &Output, name: &str, tracking: f64) -> Value {
@@ -79,7 +79,7 @@ fn serial_cells_run_by_the_wall_clock_on_pseudo_terminals() {
     }
 }
 
-/// A shorter program, and patience: the answers of another process come later on a loaded machine.
+/// A shorter program and long time limits, because the answers of another process are later on a loaded machine.
 pub(crate) fn patient(cell: &mut Cell) {
     shorten(cell);
     cell.serial[0].tolerated_missing = 10;
@@ -87,7 +87,7 @@ pub(crate) fn patient(cell: &mut Cell) {
     cell.max_missed_in_row = 100;
 }
 
-/// `mrroc emulate --serial` once all its ttys are there.
+/// Starts `mrroc emulate --serial` and waits until all its ttys exist.
 pub(crate) fn emulate(cell: &Path, ttys: &Path) -> Running {
     let emulator = Running::start([
         "emulate".as_ref(),
@@ -98,7 +98,7 @@ pub(crate) fn emulate(cell: &Path, ttys: &Path) -> Running {
     emulated(emulator, ttys)
 }
 
-/// An emulator once all its ttys are there: the last one is of its process, and not of one before.
+/// Waits until all ttys of an emulator exist. The last tty must belong to this process, not to an earlier one.
 pub(crate) fn emulated(emulator: Running, ttys: &Path) -> Running {
     let last = ttys.join("wrist-roll");
     for _ in 0..500 {
@@ -131,7 +131,7 @@ pub(crate) fn run_arguments<'a>(
     ]
 }
 
-/// What a record says of the wrist's roll: phase and measured position, rad.
+/// Rows of the wrist roll in a record: phase and measured position, rad.
 fn rows(record: &Path) -> Vec<(String, f64)> {
     let text = fs::read_to_string(record).unwrap();
     let rows = text.lines().filter(|line| line.contains(",wrist-roll,"));
@@ -142,10 +142,10 @@ fn rows(record: &Path) -> Vec<(String, f64)> {
     rows.map(row).collect()
 }
 
-/// Ctrl-C, and then runs again.
+/// A run is ended by Ctrl-C, and further runs follow.
 #[test]
 fn an_emulator_in_another_process_outlives_runs() {
-    // Without a checksum, answers that a loaded machine hands over together count as damaged.
+    // Without a checksum, answers that a loaded machine delivers together count as damaged.
     let name = "irb6-serial";
     let directory = Directory::new();
     let cell = directory.cell(name, patient);
@@ -170,7 +170,7 @@ fn an_emulator_in_another_process_outlives_runs() {
     // The drives kept their counters and references.
     let record = directory.path("second.csv");
     let report = run_on(&cell, &ttys, &record).output().json();
-    // Where another process keeps the answers back, or the host the cycles, the loops suffer, and the run says so.
+    // If another process delays answers, or the host delays cycles, the loops are disturbed, and the run reports it.
     let count = |value: &Value| value.as_u64().expect("a count");
     let kept_back =
         count(&report["buses"][0]["missed_answers"]) + count(&report["cycle"]["missed"]) > 0;

@@ -1,5 +1,5 @@
-//! What goes wrong on serial lines while the arm moves: each case ends without power, the fault by its name, and
-//! no motor far from where it was told to be.
+//! Faults of serial lines during motion. Each case ends without power and with the fault named. No motor ends far from
+//! its set-point.
 
 use std::time::Duration;
 
@@ -13,10 +13,10 @@ use crate::cell::Setup;
 use crate::motion::Motion;
 use crate::mrroc::SERIAL_CELLS;
 
-/// How far a motor without power runs on from [`Motion::VELOCITY`], with friction alone to stop it, rad.
+/// Distance that a motor without power runs on from [`Motion::VELOCITY`] until friction stops it, rad.
 const RUN_OUT: f64 = 12.0;
 
-/// Faults of both directions of a line.
+/// Line faults in both directions.
 fn both(wire: WireFaults) -> LineFaults {
     LineFaults {
         seed: 1,
@@ -55,8 +55,8 @@ fn a_line_that_hangs_in_motion_stops_the_arm_by_the_name_of_its_axis() {
                 }
                 rig.set_line_faults(2, &faults);
                 let tolerated = rig.cell.serial[0].tolerated_missing;
-                // A drive that hears nothing has no watchdog: the others' opening the cabinet's emergency stop is
-                // what stops it.
+                // A drive that receives nothing has no watchdog. The other drives stop it: they open the emergency stop
+                // of the cabinet.
                 let limit = rig.period * (tolerated + 3);
                 let ServoFault { axis, cause } = rig.fault_within(limit, &mut motion, RUN_OUT);
                 assert_eq!(axis, Some(2), "{cell}, {how:?}, {direction}");
@@ -72,8 +72,8 @@ fn a_line_that_hangs_in_motion_stops_the_arm_by_the_name_of_its_axis() {
     }
 }
 
-/// Longest time from a lost line to drives that are told to be off: the stop from full speed, and the standstill wait of
-/// drives that may brake by themselves.
+/// Longest time from a lost line to the order to switch off: the stop from full speed, and the wait for drives that may
+/// brake by themselves.
 const STOPPED: Duration = Duration::from_millis(350);
 
 #[test]
@@ -107,7 +107,7 @@ fn a_line_that_hangs_up_in_motion_stops_the_arm_in_time_and_is_the_cause() {
             let axes = &rig.last.axis[..start.len()];
             let off = axes.iter().all(|axis| axis.command == AxisCommand::Off);
             assert!(off, "{cell}, lines {lost:?}: every axis is told to be off");
-            // Where no line is left, nobody can open the circuit of the cabinet.
+            // If no line is left, no drive can be told to open the circuit of the cabinet.
             if lost.len() < start.len() {
                 rig.at_rest(&start, RUN_OUT + STOPPED.as_secs_f64() * Motion::VELOCITY);
             }
@@ -157,8 +157,8 @@ fn a_line_that_is_whole_again_in_time_is_ridden_through() {
     }
 }
 
-/// Each motor is where its loop was told to have it, within the following error and what a cycle's motion hides,
-/// or is braking after a fault.
+/// Each motor is within the following error of its set-point plus the undetectable motion of one cycle, or is braking
+/// after a fault.
 #[test]
 fn bit_errors_on_every_line_never_move_a_motor_elsewhere() {
     for cell in SERIAL_CELLS {
@@ -200,7 +200,7 @@ fn bit_errors_on_every_line_never_move_a_motor_elsewhere() {
                     }
                 }
             });
-            // A run that stops says why.
+            // A run that stops reports the cause.
             if let Err(why) = result {
                 faulted += 1;
                 println!("{cell}, seed {seed}: {why}");
@@ -211,7 +211,7 @@ fn bit_errors_on_every_line_never_move_a_motor_elsewhere() {
     }
 }
 
-/// The leads of a motor are swapped: what its loop puts out drives it away.
+/// The leads of a motor are swapped, so the output of its loop drives the motor away from the set-point.
 #[test]
 fn a_loop_of_the_wrong_sign_loses_its_power_within_a_turn() {
     for cell in SERIAL_CELLS {

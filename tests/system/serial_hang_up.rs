@@ -1,4 +1,4 @@
-//! `mrroc run` on pseudo-terminals whose other end goes away in motion: one line alone, or all of them at once.
+//! `mrroc run` on pseudo-terminals whose other end is closed during motion: one line, or all lines at once.
 
 use std::fs;
 use std::os::fd::AsFd;
@@ -22,13 +22,13 @@ use crate::serial_cli::{emulate, emulated, patient, run_arguments, run_on};
 /// The axis whose line is lost.
 const LOST: &str = "upper-arm";
 
-/// Cycles of 2 ms that a stop may take: braking, and the standstill wait of drives that may brake by themselves.
+/// Longest stop, in cycles of 2 ms: braking, and the wait for drives that may brake by themselves.
 const LONGEST_STOP: usize = 175;
 
-/// Runs that the host may spoil before the line hangs up.
+/// Number of attempts, because the host may disturb a run before the line hangs up.
 const ATTEMPTS: usize = 4;
 
-/// Patient, and with loops that nothing on a loaded host stops.
+/// A cell with long time limits, and with loops that delays of a loaded host do not stop.
 fn cell_of(cell: &mut Cell) {
     patient(cell);
     for axis in &mut cell.robot[0].axis {
@@ -36,7 +36,7 @@ fn cell_of(cell: &mut Cell) {
     }
 }
 
-/// Bytes between a pseudo-terminal and the tty of an emulated axis controller, until it hangs up.
+/// Relays bytes between a pseudo-terminal and the tty of an emulated axis controller, until it hangs up.
 struct Relay {
     over: Arc<AtomicBool>,
     thread: JoinHandle<()>,
@@ -63,7 +63,7 @@ impl Relay {
                 let count = device.read(Instant::ZERO, &mut bytes).unwrap_or(0);
                 let _ = host.write(&bytes[..count]);
             }
-            // The host's line is gone with `host`; the drive keeps its own.
+            // The host's line closes with `host`; the line of the drive stays open.
             drop(host);
             while Arc::strong_count(&ended) > 1 {
                 clock::sleep_until(clock::now() + LOOK);
@@ -95,8 +95,8 @@ fn rows(record: &Path, axis: &str) -> Vec<(String, String, f64)> {
     rows.map(row).collect()
 }
 
-/// Runs a cell until it moves, and then lets `hang_up` happen: what the run says, and its record. `None` if the host had
-/// stopped the run before.
+/// Runs a cell until it moves, then calls `hang_up`. Returns the report and the record; `None` if delays of the host
+/// had stopped the run before.
 fn run_until_hung_up(
     cell: &Path,
     ttys: &Path,
@@ -119,8 +119,8 @@ fn run_until_hung_up(
     Some(run.json())
 }
 
-/// Checks a run that ended by a lost line. The cause is the first fault, the stop ended in time, and the drive was told to
-/// be off in the end. Returns the axis that the fault names.
+/// Checks a run that ended by a lost line. The cause is the first fault, the stop ended in time, and the drive was
+/// finally ordered to switch off. Returns the axis that the fault names.
 fn ended_by_the_cause(report: &Value, record: &Path) -> String {
     assert_eq!(report["outcome"], "faulted", "{report}");
     let first = &report["faults"][0];
@@ -189,7 +189,7 @@ fn an_emulator_that_is_killed_in_motion_is_the_cause_and_the_stop_ends_in_time()
     ended_by_the_cause(&report, &record);
 }
 
-/// A killed run leaves its ttys with the emulator, and a killed emulator its links, whose terminals get new owners.
+/// A killed run leaves its ttys to the emulator. A killed emulator leaves its links, whose terminals get new owners.
 #[test]
 fn an_unprivileged_user_goes_on_after_a_run_and_an_emulator_were_killed() {
     let directory = Directory::new();
@@ -204,12 +204,12 @@ fn an_unprivileged_user_goes_on_after_a_run_and_an_emulator_were_killed() {
         ];
         emulated(Running::unprivileged(&directory, arguments), &ttys)
     };
-    // Until the drives are up, so that all lines are open.
+    // Runs until the drives are up, so that all lines are open.
     let run = |record: &Path| {
         let run = (0..ATTEMPTS).find_map(|_| {
             let run = Running::unprivileged(&directory, run_arguments(&cell, &ttys, record));
             let ended = run.ended_before(record, |text| text.contains(",wrist-roll,"));
-            // An ordinary thread on a loaded host.
+            // The run uses an ordinary thread on a loaded host and may end early.
             if let Err(said) = &ended {
                 assert!(said.contains("took more than a period"), "{said}");
             }
@@ -229,7 +229,7 @@ fn an_unprivileged_user_goes_on_after_a_run_and_an_emulator_were_killed() {
     emulator.output();
     let links = || fs::read_dir(&ttys).expect("the emulator's directory");
     let links = || links().map(|link| link.expect("an entry").path());
-    // These take the numbers that the emulator had.
+    // These terminals reuse the numbers of the killed emulator.
     let others: Vec<_> = (0..8).map(|_| Pty::open().expect("a terminal")).collect();
     assert!(links().any(|link| link.exists()), "{others:?}");
     let _emulator = emulate();

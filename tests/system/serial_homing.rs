@@ -1,4 +1,4 @@
-//! Homing by the host on serial lines finds the same reference wherever the axes start.
+//! Homing by the host on serial lines finds the same reference from every start position.
 
 use std::f64::consts::TAU;
 use std::time::Duration;
@@ -13,13 +13,13 @@ use crate::mrroc::SERIAL_CELLS;
 /// One increment of every encoder, rad of the motor.
 const COUNT: f64 = TAU / 4000.0;
 
-/// The cell, whose axes start `start` rad above their home positions and whose switches bounce.
+/// The cell with axes that start `start` rad above their home positions, and with bouncing switches.
 fn rig(cell: &str, start: f64) -> Rig {
     let mut setup = Setup::of(cell);
     let homes = homes(&setup.cell);
     for (axis, home) in setup.cell.robot[0].axis.iter_mut().zip(&homes) {
         axis.emulator.start = Some(home + start);
-        // All at once is the same for each of them, and faster.
+        // Homing all axes at once gives the same result, and is faster.
         axis.homing.order = 0;
     }
     setup
@@ -41,7 +41,7 @@ fn homes(cell: &Cell) -> Vec<f64> {
 #[test]
 fn every_axis_finds_its_reference_from_any_start() {
     for cell in SERIAL_CELLS {
-        // Above, at and below the switch, which is closed from 20 to 2 rad below the home position.
+        // Start positions above, at and below the switch, which is closed from 20 to 2 rad below the home position.
         for start in [20.0, 3.0, 0.0, -1.99, -2.01, -10.0, -19.9] {
             let mut rig = rig(cell, start);
             rig.home();
@@ -59,8 +59,8 @@ fn every_axis_finds_its_reference_from_any_start() {
     }
 }
 
-/// An axis that starts below its switch meets the lower limit switch, at which its drive shorts the motor. It turns
-/// back for its reference or gives up by name, and never goes on into the limit.
+/// An axis that starts below its switch meets the lower limit switch, at which its drive short-circuits the motor. The
+/// axis reverses to find its reference, or reports a fault. It never continues into the limit.
 #[test]
 fn an_axis_that_runs_onto_its_limit_switch_goes_no_further() {
     for cell in SERIAL_CELLS {

@@ -1,4 +1,5 @@
-//! What is refused of serial lines: one line that says what, where and why, exit status 2, and nothing is enabled.
+//! Refusals for serial lines: one line that names the problem, its place and its cause; exit status 2; nothing is
+//! enabled.
 
 use std::fs;
 use std::os::unix::fs::symlink;
@@ -9,7 +10,7 @@ use serial::{Settings, Tty};
 use crate::cli_refusals::refused;
 use crate::mrroc::{Directory, mrroc, text};
 
-/// A name, what stands in the cell, what stands there instead, and what the refusal must say.
+/// A name, a text in the cell, the replacement of the text, and the required parts of the refusal.
 type Case = (
     &'static str,
     &'static str,
@@ -17,7 +18,7 @@ type Case = (
     &'static [&'static str],
 );
 
-/// Cells that are wrong in themselves, and drives that are not what the cell says.
+/// Cells with internal errors, and cells that do not match their drives.
 const CELLS: &[Case] = &[
     (
         "current by the older protocol",
@@ -119,7 +120,7 @@ fn a_wrong_serial_cell_or_drive_is_refused_and_nothing_is_enabled() {
             record.as_os_str(),
         ]);
         refused(&run, needles);
-        // No cycle ran: there is at most the record's head.
+        // No cycle ran, so the record contains at most its heading.
         let record = fs::read_to_string(&record).unwrap_or_default();
         assert!(record.lines().count() <= 1, "{name}: {record}");
     }
@@ -167,12 +168,12 @@ fn a_line_that_cannot_be_used_is_refused_by_its_axis() {
             ttys.as_os_str(),
         ])
     };
-    // Nobody is at their other ends.
+    // No emulator serves the other ends.
     refused(
         &run("--bench=card"),
         &["bus arm, axis column: ", "no answer", "baud rate"],
     );
-    // Root may open what another process has for itself alone.
+    // Root may open a tty that another process uses exclusively.
     let held = Tty::open(ttys.join("column"), Settings::AXIS_CONTROLLER).unwrap();
     let busy = run("--bench=card");
     if !busy.stderr.contains("no answer") {
@@ -186,7 +187,7 @@ fn a_line_that_cannot_be_used_is_refused_by_its_axis() {
     );
     fs::write(ttys.join("lower-arm"), "no tty").unwrap();
     refused(&run("--bench=card"), &["axis lower-arm: ", "not a tty"]);
-    // Where only pseudo-terminals are expected, it is not even opened.
+    // On a bench of pseudo-terminals, a real tty is refused before it is opened.
     refused(
         &run("--bench=vcan"),
         &["lower-arm may be hardware", "--bench card"],

@@ -1,4 +1,4 @@
-//! The service commands on SocketCAN, with emulated drives as another process at the other end.
+//! The service commands on SocketCAN, with emulated drives in another process.
 
 use std::process::{Command, Stdio};
 use std::time::Duration;
@@ -8,10 +8,10 @@ use can::clock;
 use crate::bench::on_vcan;
 use crate::mrroc::{self, Directory, Output, Running, mrroc};
 
-/// Longest time that the emulators may take to listen.
+/// Longest time until the emulators listen.
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// The drives of a cell of one IRb-6, as another process.
+/// The drives of a cell with one IRb-6, emulated in another process.
 struct Stage<'a> {
     interface: &'a str,
     cell: String,
@@ -40,13 +40,13 @@ fn on_stage(test: &str, body: impl FnOnce(&Stage)) {
 }
 
 impl Stage<'_> {
-    /// Runs `mrroc` with `words` on the interface.
+    /// Runs `mrroc` with the arguments `words` on the interface.
     fn run(&self, words: &str) -> Output {
         let words = words.split(' ');
         mrroc(words.chain(["--can", self.interface]))
     }
 
-    /// What it prints, where it does as it was told.
+    /// Runs a command that must succeed, and returns its output.
     fn says(&self, words: &str) -> String {
         let output = self.run(words);
         assert_eq!(output.status.code(), Some(0), "{words}: {output:?}");
@@ -54,7 +54,7 @@ impl Stage<'_> {
         output.stdout
     }
 
-    /// The one line on stderr of a refusal.
+    /// Asserts a refusal with one line on stderr.
     fn refused(&self, words: &str, needles: &[&str]) {
         let output = self.run(words);
         assert_eq!(output.status.code(), Some(2), "{words}: {output:?}");
@@ -108,7 +108,7 @@ fn a_bus_is_looked_at_asked_and_told() {
             "sdo write 1 0x1017 --type u16 65536",
             &["u16", "0 to 65535"],
         );
-        // Other frames come: the heartbeat of node 1.
+        // Other frames arrive: the heartbeat of node 1.
         let silence = "sdo read 99 0x1000 --timeout 200";
         stage.refused(silence, &["node 99", "timed out", "its bit rate is right"]);
 
@@ -149,7 +149,7 @@ fn a_monitor_shows_what_passes_and_ends_when_it_is_told_or_nobody_reads() {
         assert_eq!(line["kind"], "heartbeat", "{shown}");
 
         let monitor = Running::start(["monitor", "--can", stage.interface]);
-        // It has to be listening when it is told to end.
+        // The monitor must be listening before it receives the signal to end.
         clock::sleep_until(clock::now() + Duration::from_secs(2));
         monitor.signal("INT");
         let ended = monitor.output();

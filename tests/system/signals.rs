@@ -1,4 +1,4 @@
-//! Signals that would end or suspend a run, in motion and where something does not end.
+//! Signals that end or suspend a run, during motion and while an operation blocks.
 
 use std::fs::{self, File};
 use std::io::{self, Write};
@@ -7,8 +7,8 @@ use std::process::Command;
 use crate::cli_run::{interrupted, stopped, stops_in_motion};
 use crate::mrroc::{Directory, Running, example, shorten};
 
-/// Signals that end or suspend a process by default, but for INT and TERM, which `cli_run` sends, and for those that
-/// `console/src/signals.rs` leaves alone.
+/// Signals that end or suspend a process by default. Not included: INT and TERM, which `cli_run` sends, and the signals
+/// that `mrroc/src/signals.rs` ignores.
 const ENDING: [&str; 19] = [
     "HUP", "QUIT", "TRAP", "ABRT", "USR2", "ALRM", "16", "XCPU", "XFSZ", "VTALRM", "PROF", "29",
     "PWR", "SYS", "TSTP", "34", "35", "63", "64",
@@ -22,8 +22,8 @@ fn every_signal_that_would_end_or_suspend_a_run_brakes_the_arm() {
     }
 }
 
-/// The kernel sends SIGTTOU to a background process that writes to a terminal under `stty tostop`, and SIGTTIN to one
-/// that reads.
+/// The kernel sends SIGTTOU to a background process that writes to a terminal under `stty tostop`, and SIGTTIN to a
+/// background process that reads.
 #[test]
 fn a_run_in_the_background_is_not_suspended_by_its_terminal() {
     let directory = Directory::new();
@@ -54,7 +54,7 @@ fn ctrl_z_while_homing_ends_the_run() {
     assert!(record.lines().last().unwrap().contains(",Off,"));
 }
 
-/// Three requests to end; two of one signal could become one.
+/// Three requests to end, all different, because two equal signals could merge.
 const THREE: [&str; 3] = ["INT", "TERM", "HUP"];
 
 #[test]
@@ -63,7 +63,7 @@ fn the_third_request_ends_a_run_in_lockstep_whose_trace_takes_nothing() {
     let [trace, record] = ["trace", "axes.csv"].map(|name| directory.path(name));
     let made = Command::new("mkfifo").arg(&trace).status();
     assert!(made.unwrap().success());
-    // Open, so that it can be written to, and never read.
+    // The pipe is open for writing and is never read.
     let pipe = File::options().read(true).write(true).open(&trace);
     let run = Running::start([
         "run".as_ref(),
@@ -91,7 +91,7 @@ fn the_third_request_ends_an_emulated_run_whose_report_nobody_reads() {
     });
     let record = directory.path("axes.csv");
     let (pipe, mut full) = io::pipe().unwrap();
-    // All that a pipe takes (pipe(7)).
+    // Capacity of a pipe (pipe(7)).
     full.write_all(&[b'x'; 65536]).unwrap();
     let run = Running::with_stdout(
         full,

@@ -1,4 +1,4 @@
-//! The host's end of slcan with an emulated adapter on a pseudo-terminal, behind which emulated drives hang.
+//! The host's end of slcan with an emulated adapter on a pseudo-terminal and emulated drives behind it.
 
 use std::os::fd::AsFd;
 use std::sync::Arc;
@@ -15,10 +15,10 @@ use hil::{AxisConfig, DeviceId, Irp6Axis, SlcanConfig, SlcanCounts, SlcanDevice,
 
 use crate::mrroc::{self, Directory, Output, Running, mrroc};
 
-/// How often the adapter looks whether it is to be unplugged.
+/// Time between two checks whether the adapter is to be unplugged.
 const LOOK: Duration = Duration::from_millis(20);
 
-/// Emulated adapters on one bus, at work in a thread of their own and unplugged on drop.
+/// Emulated adapters on one bus, served by a thread of their own and unplugged on drop.
 pub(crate) struct Adapters {
     pub(crate) interfaces: Vec<String>,
     unplugged: Arc<AtomicBool>,
@@ -26,7 +26,7 @@ pub(crate) struct Adapters {
 }
 
 impl Adapters {
-    /// `count` of them on a bus of 1 Mbit/s with a drive for each of `nodes`.
+    /// `count` adapters on a bus of 1 Mbit/s with a drive for each of `nodes`.
     pub(crate) fn with(count: usize, nodes: &[u8]) -> Self {
         let ptys: Vec<_> = (0..count).map(|_| Pty::open().unwrap()).collect();
         let interface = |pty: &Pty| format!("slcan:{}", pty.path().display());
@@ -45,7 +45,7 @@ impl Adapters {
         mrroc(words.split(' ').chain(["--can", &self.interfaces[0]]))
     }
 
-    /// What it prints, where it does as it was told.
+    /// Runs a command that must succeed, and returns its output.
     fn says(&self, words: &str) -> String {
         let output = self.run(words);
         assert_eq!(output.status.code(), Some(0), "{words}: {output:?}");
@@ -116,7 +116,7 @@ fn service_commands_reach_drives_behind_an_adapter() {
 
     let wrote = adapter.says("sdo write 7 0x1017 --type u16 50");
     assert_eq!(wrote, "0x1017:00 heartbeat producer time = 0x0032, 50\n");
-    // Segmented.
+    // Segmented transfer.
     assert!(
         adapter
             .says("sdo read 3 0x1008 --type string")
@@ -151,7 +151,7 @@ fn a_data_sheet_names_types_and_refuses_before_anything_is_sent() {
         .to_string();
     let with_sheet = |words: &str| adapter.run(&format!("{words} --eds {sheet}"));
 
-    // Its type is not said.
+    // The type is not given.
     let wrote = with_sheet("sdo write 3 0x1017 70");
     assert_eq!(wrote.status.code(), Some(0), "{wrote:?}");
     assert!(wrote.stdout.ends_with(" = 0x0046, 70\n"), "{wrote:?}");
@@ -183,7 +183,7 @@ fn a_bit_rate_that_is_not_the_buss_is_silence_and_one_that_slcan_lacks_is_refuse
         lacking.stderr.contains("slcan has no 40 kbit/s"),
         "{lacking:?}"
     );
-    // It works again at the right one.
+    // The adapter works again at the correct bit rate.
     assert!(adapter.says("scan").starts_with("node 3: "));
 }
 
@@ -212,7 +212,7 @@ fn a_broken_off_layer_setting_service_sends_all_slaves_back_to_waiting_mode() {
     };
     let monitor = Running::start(["monitor", "--only", "lss", "--can", there]);
     clock::sleep_until(clock::now() + Duration::from_secs(1));
-    // Nobody has this identity.
+    // No node has this identity.
     let inquire = "lss inquire --identity 1:2:3:4 --timeout 60000 --can";
     let inquire = Running::start(inquire.split(' ').chain([here.as_str()]));
     clock::sleep_until(clock::now() + Duration::from_secs(1));
@@ -249,7 +249,7 @@ fn an_adapter_that_is_unplugged_ends_a_monitor() {
 fn an_arm_runs_over_one_adapter_with_its_drives_emulated_behind_another() {
     let mut adapters = Adapters::with(2, &[]);
     let directory = Directory::new();
-    // As patient as on the other benches that real time passes on.
+    // Time limits as on the other benches on the wall clock.
     let cell = directory.cell("irb6", |cell| {
         mrroc::shorten(cell);
         cell.robot[0].program.truncate(1);
@@ -288,7 +288,7 @@ fn an_arm_runs_over_one_adapter_with_its_drives_emulated_behind_another() {
     let [here, there] = counts[..] else {
         panic!("two adapters");
     };
-    // What is on the bus when an adapter is closed does not cross any more: a cycle's frames at most.
+    // Closing an adapter loses the frames that are on the bus: at most the frames of one cycle.
     for (sent, received) in [(here.sent, there.received), (there.sent, here.received)] {
         assert!(
             (received..received + 8).contains(&sent),

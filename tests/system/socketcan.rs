@@ -1,4 +1,4 @@
-//! The SocketCAN port against the real kernel and the real `can-utils`.
+//! The SocketCAN port with the real kernel and the real `can-utils`.
 //!
 //! Required hardware, with `HIL_CAN` set: any interface that is up, and root, since most tests make a
 //! virtual interface of their own beside it.
@@ -14,7 +14,7 @@ use can::{
 
 use crate::bench::on_vcan;
 
-/// Long enough for anything that happens at all.
+/// Upper bound for the duration of every step.
 const PATIENCE: Duration = Duration::from_secs(5);
 
 pub(crate) fn sh(command: &str) {
@@ -22,7 +22,7 @@ pub(crate) fn sh(command: &str) {
     assert!(status.success(), "{command}: {status}");
 }
 
-/// A virtual interface of the test's own, removed on drop.
+/// A virtual interface of one test, removed on drop.
 pub(crate) struct Vcan(pub(crate) &'static str);
 
 impl Vcan {
@@ -55,7 +55,7 @@ fn numbered(number: u32) -> Frame {
     Frame::new(standard(0x123), &number.to_le_bytes()).unwrap()
 }
 
-/// What arrives until there are `count` frames or patience ends.
+/// Receives until there are `count` frames or the time limit ends.
 fn receive(port: &mut SocketCanPort, count: usize) -> Vec<Received> {
     let deadline = clock::now() + PATIENCE;
     let mut into = [Received {
@@ -74,7 +74,7 @@ fn frames(received: &[Received]) -> Vec<Frame> {
     received.iter().map(|received| received.frame).collect()
 }
 
-/// Waits without a clock of its own until `done`, asking every few milliseconds.
+/// Waits until `done` returns true, and checks every few milliseconds. The wait itself reads no clock.
 fn wait_until(port: &mut SocketCanPort, mut done: impl FnMut(&mut SocketCanPort) -> bool) -> bool {
     let deadline = clock::now() + PATIENCE;
     while clock::now() < deadline {
@@ -109,7 +109,7 @@ fn every_kind_of_frame_comes_back_in_order_and_stamped() {
             let before = clock::now();
             assert_eq!(here.send(before, &sent), Ok(sent.len()));
             let after = clock::now();
-            // Nothing comes to the sender: read late, the frames still bear the time they came.
+            // The sender receives nothing. Frames that are read late still carry their time of arrival.
             assert_eq!(
                 here.wait_readable(after + Duration::from_millis(50)),
                 Ok(false)
@@ -120,7 +120,7 @@ fn every_kind_of_frame_comes_back_in_order_and_stamped() {
                 received.is_sorted_by_key(|received| received.at),
                 "{received:?}"
             );
-            // The stamp passes through CLOCK_REALTIME, which may be slewed meanwhile.
+            // The time stamp is converted from CLOCK_REALTIME, which may be slewed in the meantime.
             let (slewed, delivered) = (Duration::from_millis(1), Duration::from_millis(25));
             for Received { at, .. } in received {
                 let there = at + slewed >= before && at <= after + delivered;
@@ -271,7 +271,8 @@ fn a_slow_bus_refuses_and_loses_nothing_it_took() {
                 "tc qdisc add dev {} root tbf rate 1mbit burst 200 limit 1600",
                 bus.0
             ));
-            // The short queue fills first: EAGAIN. The long one overruns the interface's 100: ENOBUFS.
+            // The short queue is filled first: EAGAIN. The long queue overruns the 100 frames of the interface:
+            // ENOBUFS.
             for send_queue in [0, 9, 1000] {
                 let options = SocketCanOptions {
                     send_queue,
@@ -285,7 +286,8 @@ fn a_slow_bus_refuses_and_loses_nothing_it_took() {
                 while taken < all.len() && clock::now() < deadline {
                     let some = here.send(clock::now(), &all[taken..]).unwrap();
                     if taken == 0 {
-                        // Twelve frames are the burst that the bus takes at once; its clock runs on.
+                        // The bus accepts a burst of twelve frames at once. Its clock continues to run, so it may
+                        // accept a few more.
                         let waiting = send_queue.clamp(6, 100);
                         let expected = waiting + 12..waiting + 20;
                         assert!(
@@ -392,7 +394,7 @@ fn frames_the_kernel_dropped_are_counted() {
             kept += there.receive(clock::now(), &mut into).unwrap();
         }
         assert!(kept < 200, "{kept}");
-        // The kernel tells with the next frame it keeps.
+        // The kernel reports the loss with the next frame that it keeps.
         assert_eq!(here.send(clock::now(), &[numbered(200)]), Ok(1));
         assert_eq!(frames(&receive(&mut there, 1)), [numbered(200)]);
         assert_eq!(there.counters().dropped, 200 - kept as u64);

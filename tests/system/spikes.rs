@@ -1,4 +1,4 @@
-//! `--spikes`: the cycles around the latest ones as a file for Perfetto.
+//! `--spikes`: file with the cycles around the latest ones, for Perfetto.
 
 use std::fs;
 use std::path::Path;
@@ -9,12 +9,12 @@ use crate::cli_refusals::refused;
 use crate::cycle_calls::emulate;
 use crate::mrroc::{Directory, Running, example, mrroc, shorten};
 
-/// A number of the file in ns, as Perfetto reads it.
+/// A number of the file in ns, with the interpretation of Perfetto.
 fn nanos(event: &Value, key: &str) -> u64 {
     (event[key].as_f64().expect("a number") * 1e3) as u64
 }
 
-/// The names of the processes of a file, whose phases fill their cycles, one after the other.
+/// Names of the processes in a file. Asserts that the phases fill each cycle without gaps.
 fn processes(file: &Path) -> Vec<String> {
     let text = fs::read_to_string(file).expect("it was written");
     let document: Value = serde_json::from_str(&text).expect("it is JSON");
@@ -30,7 +30,7 @@ fn processes(file: &Path) -> Vec<String> {
         let (mut number, mut end) = (None, None);
         for cycle in of("cycle") {
             let from = nanos(cycle, "ts");
-            // They follow each other without a gap.
+            // The phases follow each other without a gap.
             assert!(end.is_none_or(|end| end == from), "{cycle}");
             let this = cycle["args"]["cycle"].as_u64().expect("a number");
             assert!(number.is_none_or(|before| before + 1 == this), "{cycle}");
@@ -51,7 +51,7 @@ fn processes(file: &Path) -> Vec<String> {
         .collect()
 }
 
-/// SIGSTOP makes a cycle late by far.
+/// SIGSTOP delays a cycle by a large amount.
 #[test]
 fn a_late_cycle_of_a_run_and_one_that_is_asked_for_are_in_the_file() {
     let directory = Directory::new();
@@ -90,7 +90,7 @@ fn a_late_cycle_of_a_run_and_one_that_is_asked_for_are_in_the_file() {
     assert!(text.contains(&format!("µs: {cause}")), "{report}");
 }
 
-/// The lines' other end is stopped, so that the drives cannot come up before.
+/// The process at the other end of the lines is stopped, so that the drives cannot come up before the request.
 #[test]
 fn cycles_that_are_asked_for_before_the_drives_are_up_are_the_first() {
     let directory = Directory::new();
@@ -115,7 +115,8 @@ fn cycles_that_are_asked_for_before_the_drives_are_up_are_the_first() {
     run.wait_for(&file, |_| true);
     run.signal("USR1");
     emulator.signal("CONT");
-    // A busy host may lose answers of the lines; the signal must not end the run.
+    // A busy host may lose answers on the lines, and the run may end with a fault. The signal itself must not end the
+    // run.
     let output = run.output();
     assert!(output.status.code().is_some(), "{output:?}");
     let processes = processes(&file);
@@ -145,7 +146,7 @@ fn a_measurement_shows_its_late_wake_ups() {
         let report = output.json();
         let worst = report["worst"].as_array().expect("a list");
         let processes = processes(&file);
-        // A spike may have several late cycles.
+        // One spike may contain several late cycles.
         assert_eq!(processes.is_empty(), worst.is_empty(), "{report}");
         if let Some(worst) = worst.first() {
             let late = worst["late_us"].as_f64().expect("a number");

@@ -1,12 +1,13 @@
-//! What links weigh on their motors, by the controller's own kinematics and by the mechanics that emulated drives
-//! stand under: written apart, with nothing in common but the figures they are for.
+//! Gravity torques of the links at their motors. The test compares the controller's kinematics with the mechanics of
+//! the emulated drives. The two are independent and have only their parameters in common.
 
 use ::mrroc::cell::{Model, Parameters};
 use controller::robot::{Joints, Mass, Motors, PolycrankParameters, Robot, Weight};
 use hil::AxisConfig;
 use hil::plant::{Axis, Irp6Axis, Mechanism, MechanismConfig};
 
-/// Joint positions amid the limits, another set for each `number`, all of them within the reach of every mechanism.
+/// Joint positions in the middle of their ranges, different for each `number`. All are within the range of every
+/// mechanism.
 fn joints(robot: &dyn Robot, number: u32) -> Joints {
     let shares = robot
         .joint_limits()
@@ -24,8 +25,8 @@ fn joints(robot: &dyn Robot, number: u32) -> Joints {
     Joints::new(&shares.collect::<Vec<_>>()).unwrap()
 }
 
-/// A mechanism with its motors there, taken there by and by as legs have to be; `zero` is where they are with the
-/// mechanism at its own home.
+/// A mechanism with its motors at `motors`. The motors are moved there in small steps, as the legs require. `zero` is
+/// their position with the mechanism at its own home.
 fn posed(config: MechanismConfig, motors: &[f64], zero: &Motors) -> Mechanism {
     const STEPS: u32 = 20;
     let mechanism = Mechanism::new(config);
@@ -84,7 +85,8 @@ fn links_weigh_on_motors_what_they_weigh_in_the_emulators() {
             mass: 3.0,
             centre: [0.02, -0.03, 0.1],
         };
-        // RNT's emulated flange is 100 mm beyond the wrist's centre, where the robot's own is.
+        // The emulated flange of the RNT is 100 mm beyond the centre of the wrist. The robot's own flange is at the
+        // centre.
         let mut carried = load.centre;
         if model == Model::Rnt {
             carried[2] -= 0.1;

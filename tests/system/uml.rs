@@ -1,4 +1,4 @@
-//! The test machine itself: what gets in, what comes out, what stays behind.
+//! The test machine: input files, output files, and clean-up.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -42,7 +42,7 @@ impl Drop for Scratch {
     }
 }
 
-/// Processes that were started with `word` on their command line.
+/// Number of processes with `word` on their command line.
 pub(crate) fn processes_of(word: &str) -> usize {
     let processes = fs::read_dir("/proc").unwrap().flatten();
     let command_lines =
@@ -108,7 +108,8 @@ fn a_machine_out_of_time_is_killed_with_all_its_processes() {
     let timeout = Duration::from_secs(8);
     let options = Options {
         output: Some(scratch.0.clone()),
-        // By which its processes are found: no other machine of these tests has as much.
+        // Memory size of this machine. Its processes are found by this size, because no other machine of these tests
+        // has it.
         memory_mib: 259,
         timeout,
         ..shell("echo begun; sleep 1000 & sleep 1000")

@@ -1,9 +1,9 @@
-//! Emulators and controller as two processes on SocketCAN: what they do together, and what each does
-//! when the other one is gone.
+//! Emulators and controller as two processes on SocketCAN: normal operation, and the reaction of each when the other
+//! ends.
 //!
-//! The test machine has one processor, which a busy host takes away for up to a second. So the cell's
-//! period is long, 10 ms, and it is patient: half a second without answers while cycles turn, three
-//! seconds without cycles. Required hardware, with `HIL_CAN` set: a virtual interface, and root.
+//! The test machine has one processor, which a busy host takes away for up to a second. The period of the cell is
+//! therefore long, 10 ms. Its time limits are half a second without answers and three seconds without cycles. Required
+//! hardware, with `HIL_CAN` set: a virtual interface, and root.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -29,20 +29,20 @@ use crate::bench::on_vcan;
 use crate::mrroc::{self, Directory, Output, Running};
 use crate::wire;
 
-/// Longest time that anything here may take to begin.
+/// Longest time until a process is ready.
 const PATIENCE: Duration = Duration::from_secs(30);
 
-/// Heartbeats lost that make a drive stop.
+/// Number of lost heartbeats after which a drive stops.
 const LOST: u32 = 3;
 
-/// One test's interface, its cell, and where its processes write.
+/// Interface of a test, its cell, and the directory for output files.
 pub(crate) struct Stage<'a> {
     pub(crate) interface: &'a str,
     pub(crate) directory: Directory,
     pub(crate) cell: Cell,
 }
 
-/// Runs `body` where `test` has an interface, with the program built before.
+/// Runs `body` if `test` has an interface, with the program built before.
 pub(crate) fn on_stage(test: &str, body: impl FnOnce(&mut Stage)) {
     let _turn = turn();
     mrroc::binary();
@@ -58,26 +58,26 @@ pub(crate) fn on_stage(test: &str, body: impl FnOnce(&mut Stage)) {
     });
 }
 
-/// One at a time: a machine that waits for its processor misses deadlines.
+/// Tests run one at a time, because a machine that waits for its processor misses deadlines.
 pub(crate) fn turn() -> MutexGuard<'static, ()> {
     static TURN: Mutex<()> = Mutex::new(());
     TURN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Slower, and more patient.
+/// A longer period and longer time limits.
 pub(crate) fn shorten(cell: &mut Cell) {
     mrroc::shorten(cell);
     cell.period_us = 10_000;
     cell.macrostep = 4;
     cell.max_missed_in_row = 300;
-    // The only processor is the emulators' too.
+    // The emulators use the same, only processor.
     cell.realtime.wait = Wait::Plain;
     for bus in &mut cell.bus {
         bus.tolerated_missing = 50;
         bus.heartbeat_ms = 1000;
         bus.boot_timeout_ms = 10_000;
     }
-    // What the machine's own time is worth must not be taken for the arm's.
+    // Delays of the test machine must not be taken for motion of the arm.
     for axis in cell.robot.iter_mut().flat_map(|robot| &mut robot.axis) {
         axis.following_error = 100.0;
     }
@@ -94,7 +94,7 @@ impl Stage<'_> {
         Duration::from_millis(self.cell.bus[0].heartbeat_ms.into())
     }
 
-    /// Starts `candump`, and returns once it listens.
+    /// Starts `candump` and waits until it listens.
     pub(crate) fn start_candump(&self) -> Recorder {
         let log = File::create(self.directory.path("bus.log")).unwrap();
         let mut candump = Command::new("candump");
@@ -102,7 +102,7 @@ impl Stage<'_> {
         started(|| Recorder(candump.stdout(log).stdin(Stdio::null()).spawn().unwrap()))
     }
 
-    /// Starts the emulators, and returns once they listen.
+    /// Starts the emulators and waits until they listen.
     pub(crate) fn start_emulators(&self) -> Running {
         let cell = self.directory.path("cell.toml");
         started(|| {
@@ -112,7 +112,7 @@ impl Stage<'_> {
         })
     }
 
-    /// Starts the controller, writing states, a trace and its report.
+    /// Starts the controller with output files for states, trace and report.
     pub(crate) fn start_controller(&self) -> Running {
         let path = |name| self.directory.path(name).into_os_string();
         Running::start([
@@ -131,7 +131,7 @@ impl Stage<'_> {
         ])
     }
 
-    /// Starts both, and returns once the arm is some cycles into its motion.
+    /// Starts both, and returns after the arm has been in motion for some cycles.
     pub(crate) fn start_moving(&self) -> (Running, Running) {
         let emulators = self.start_emulators();
         let controller = self.start_controller();
@@ -148,7 +148,7 @@ impl Stage<'_> {
     }
 }
 
-/// A `candump` at work, killed on drop.
+/// A running `candump`, killed on drop.
 pub(crate) struct Recorder(pub(crate) Child);
 
 impl Drop for Recorder {
@@ -158,7 +158,7 @@ impl Drop for Recorder {
     }
 }
 
-/// Starts what listens to frames, and waits until it does.
+/// Starts a listener to frames and waits until it listens.
 pub(crate) fn started<T>(start: impl FnOnce() -> T) -> T {
     let lines = |kind| {
         let list = fs::read_to_string(format!("/proc/net/can/rcvlist_{kind}"));
@@ -179,7 +179,7 @@ pub(crate) fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
     }
 }
 
-/// What a recording holds; its last line may still be on its way.
+/// Frames of a recording. The last line may be incomplete.
 pub(crate) fn frames_of(path: &Path) -> Vec<Received> {
     let mut whole = String::new();
     let mut file = BufReader::new(File::open(path).unwrap());
@@ -193,7 +193,7 @@ pub(crate) fn frames_of(path: &Path) -> Vec<Received> {
     received.collect()
 }
 
-/// The run ended by a fault of one of these kinds, having said so.
+/// Asserts that the run ended with one of these faults, and that the report names the fault.
 pub(crate) fn faulted(output: &Output, named: &[&str]) {
     let report = output.json();
     assert_eq!(output.status.code(), Some(1), "{output:?}");
@@ -207,7 +207,7 @@ pub(crate) fn faulted(output: &Output, named: &[&str]) {
     assert!(!output.stderr.contains("panicked"), "{output:?}");
 }
 
-/// What the run had its drives configured to, as its own start made it from the cell.
+/// Configuration of the drives, computed from the cell as at the start of the run.
 fn drives_of(cell: &Cell) -> (GroupConfig, Vec<AxisConfig>) {
     let arm = cell.robot[0].arm().unwrap();
     let home = arm.robot().home();
@@ -255,12 +255,12 @@ impl Row {
     }
 }
 
-/// Plays `recording` back through the driver, under the commands of the run, and compares every axis in every
-/// cycle with what the run saw there. Velocities are quotients by the times of SYNCs and may differ by
-/// the share `tolerance`.
+/// Replays `recording` through the driver with the commands of the run. Asserts that every axis in every cycle has the
+/// values that the run recorded. Velocities are quotients with the times of SYNCs and may differ by the relative
+/// `tolerance`.
 ///
-/// Cycle *k* of the run is that of SYNC *k* of the recording. What the driver sends must be what the
-/// run sent, identifier by identifier.
+/// Cycle *k* of the run corresponds to SYNC *k* of the recording. The frames sent by the driver must equal the frames
+/// of the run for each identifier.
 fn replays(recording: &Recording, cell: &Cell, states: &str, tolerance: f64) {
     let (config, axes) = drives_of(cell);
     let (port, mut sent) = Tracer::new(recording.port(), 1 << 20);
@@ -311,7 +311,7 @@ fn replays(recording: &Recording, cell: &Cell, states: &str, tolerance: f64) {
     }
 }
 
-/// The frames of each identifier in order, but heartbeats, whose number is one of time.
+/// The frames of each identifier in order, except heartbeats, whose number depends on time.
 fn by_identifier(frames: impl Iterator<Item = Frame>) -> BTreeMap<u16, Vec<String>> {
     let mut all = BTreeMap::<_, Vec<_>>::new();
     for frame in frames {
@@ -342,11 +342,11 @@ fn a_recorded_run_replays_into_the_same_axis_states() {
             wait_until("candump has written all", || {
                 sent("bus.log") == sent("trace.log")
             });
-            // candump has the kernel's times of the SYNCs, late by whatever held the kernel up; the trace
-            // has the run's own, to the microsecond.
+            // candump records the kernel's times of the SYNCs, which include delays of the kernel. The trace records
+            // the times of the run with a resolution of a microsecond.
             replays(&stage.recording("bus.log"), &stage.cell, &states, f64::MAX);
             replays(&stage.recording("trace.log"), &stage.cell, &states, 1e-3);
-            // candump, a process of its own, was told the same stamps.
+            // candump, as a separate process, received the same time stamps.
             let bus = frames_of(&stage.directory.path("bus.log"));
             wire::agrees(&report["wire"], &stage.cell, &bus);
         },
@@ -405,7 +405,7 @@ fn drives_brake_by_themselves_when_the_controller_vanishes() {
     );
 }
 
-/// What `node` said of `object` after `after`, as numbers.
+/// Values of `object` that `node` reported after `after`.
 fn uploaded(frames: &[Received], node: NodeId, object: Object, after: Instant) -> Vec<i32> {
     let later = frames.iter().filter(|received| received.at > after);
     let value = |received: &Received| match Response::decode(&received.frame, node)? {
@@ -422,16 +422,17 @@ fn uploaded(frames: &[Received], node: NodeId, object: Object, after: Instant) -
     later.filter_map(value).collect()
 }
 
-/// What a drive did after the host's last heartbeat, in its own time: the number of its own heartbeats, which have the
-/// host's period. The time of emulated drives stands still while their machine does, and the wall clock goes on.
+/// Reaction of a drive after the host's last heartbeat, in the time of the drive. The drive's own heartbeats have the
+/// host's period and count this time. The time of emulated drives stands still while their machine is paused, and the
+/// wall clock does not.
 struct Lost {
-    /// Periods from the host's last heartbeat to the emergency.
+    /// Number of periods from the host's last heartbeat to the emergency.
     waited: usize,
-    /// The second heartbeat of the drive after the emergency: at least a period later.
+    /// The second heartbeat of the drive after the emergency, at least a period after it.
     standing: Option<Instant>,
 }
 
-/// `None` if the drive of `axis` has not said yet that it lost the host.
+/// Reaction of the drive of `axis`; `None` if the drive has not yet reported the loss of the host.
 fn lost(frames: &[Received], host: NodeId, axis: &Axis) -> Option<Lost> {
     let node = NodeId::new(axis.node).unwrap();
     let is_lost = |received: &&Received| {
@@ -454,7 +455,7 @@ fn lost(frames: &[Received], host: NodeId, axis: &Axis) -> Option<Lost> {
 }
 
 impl Lost {
-    /// Whether the drive has answered often enough since it must stand.
+    /// Whether the drive has sent enough answers after the time at which it must stand.
     fn told(&self, frames: &[Received], axis: &Axis) -> bool {
         let node = NodeId::new(axis.node).unwrap();
         let answers = |object, at| uploaded(frames, node, object, at).len();
@@ -463,14 +464,14 @@ impl Lost {
     }
 }
 
-/// Every drive said that it lost the host's heartbeat three periods after the last one, was in motion
-/// until then, and stands from a period later on.
+/// Asserts that every drive reported the loss three periods after the host's last heartbeat. Each drive was in motion
+/// until then, and stands from one period later on.
 fn stopped(frames: &[Received], cell: &Cell) {
     let host = NodeId::new(cell.bus[0].host_node).unwrap();
     for axis in &cell.robot[0].axis {
         let lost = lost(frames, host, axis).expect("every drive lost the host");
         let periods = LOST as usize;
-        // The heartbeats of drive and host have no common phase.
+        // The heartbeats of drive and host are not synchronised.
         assert!(
             (periods - 1..=periods + 1).contains(&lost.waited),
             "{}: {} periods",
@@ -481,7 +482,7 @@ fn stopped(frames: &[Received], cell: &Cell) {
     }
 }
 
-/// Its drive said more than once after `after` that it has no power and stands where it stood.
+/// Asserts that the drive reported more than once after `after` that it has no power and has not moved.
 fn stands(frames: &[Received], axis: &Axis, after: Instant) {
     let node = NodeId::new(axis.node).unwrap();
     let words = uploaded(frames, node, STATUSWORD, after);
@@ -497,7 +498,7 @@ fn stands(frames: &[Received], axis: &Axis, after: Instant) {
     }
 }
 
-/// Asks every drive for its state and position, again and again; one that lost the host answers service requests only.
+/// Requests state and position of every drive repeatedly. A drive that has lost the host answers SDO requests only.
 fn ask_how_it_stands(interface: &str, cell: &Cell, duration: Duration) {
     let port = SocketCanPort::open(interface, &SocketCanOptions::default());
     let mut port = port.unwrap();
@@ -515,8 +516,8 @@ fn ask_how_it_stands(interface: &str, cell: &Cell, duration: Duration) {
     }
 }
 
-/// The drives of `cell`, which have lost the host by now, have no power and stand a period after they must have noticed,
-/// as they themselves say on `interface`.
+/// Asserts that the drives of `cell` have no power and stand one period after the detection of the loss. The drives
+/// report this on `interface`; they have already lost the host.
 pub(crate) fn stand_without_power(interface: &str, directory: &Directory, cell: &Cell) {
     let heartbeat = Duration::from_millis(cell.bus[0].heartbeat_ms.into());
     clock::sleep_until(clock::now() + heartbeat * (LOST + 1));
@@ -526,7 +527,7 @@ pub(crate) fn stand_without_power(interface: &str, directory: &Directory, cell: 
     candump.stdout(File::create(&log).unwrap());
     let candump = started(|| Recorder(candump.spawn().unwrap()));
     ask_how_it_stands(interface, cell, Duration::from_secs(4));
-    // What it has read it has written, line by line, within this.
+    // candump writes every line within this time after it has read the frame.
     clock::sleep_until(clock::now() + Duration::from_secs(1));
     drop(candump);
     let frames = frames_of(&log);

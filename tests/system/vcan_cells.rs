@@ -1,7 +1,7 @@
-//! Emulators and controller as two processes, cell by cell: each example cell on one virtual interface for each of its
-//! buses, and the whole laboratory on five of them and five pseudo-terminals.
+//! Emulators and controller as two processes, for each example cell. A cell has one virtual interface for each of its
+//! buses. The whole laboratory has five interfaces and five pseudo-terminals.
 //!
-//! Required hardware, with `HIL_CAN` set: root, who may add virtual interfaces.
+//! Required with `HIL_CAN` set: root privileges, to add virtual interfaces.
 
 use std::ffi::OsString;
 use std::process::Command;
@@ -15,14 +15,14 @@ use crate::lab::met;
 use crate::mrroc::{self, Directory, Output, Running, text};
 use crate::vcan::{shorten, started, turn, wait_until};
 
-/// How often a cell is run where the machine is overloaded, and what all that may take.
+/// Number of runs of a cell on an overloaded machine, and the time limit of all runs.
 const ATTEMPTS: usize = 6;
 const LONGEST: Duration = Duration::from_secs(560);
 
-/// Every axis in every cycle of the last run.
+/// File with every axis in every cycle of the last run.
 const RECORD: &str = "states.csv";
 
-/// One interface for each bus of a cell, gone when this is dropped.
+/// One interface for each bus of a cell, removed on drop.
 struct Interfaces(Vec<(String, String)>);
 
 impl Interfaces {
@@ -37,7 +37,7 @@ impl Interfaces {
         interfaces
     }
 
-    /// As `--can` takes them.
+    /// Values of `--can`.
     fn options(&self) -> impl Iterator<Item = String> {
         let options = self.0.iter();
         options.map(|(bus, interface)| format!("--can={bus}={interface}"))
@@ -48,7 +48,7 @@ impl Drop for Interfaces {
     fn drop(&mut self) {
         for (_, interface) in &self.0 {
             let delete = ["link", "delete", interface];
-            // One that could not be added is not there.
+            // An interface that could not be added does not exist.
             let _ = Command::new("ip").args(delete).status();
         }
     }
@@ -59,7 +59,8 @@ fn ip(arguments: &[&str]) {
     assert!(done.expect("ip runs").success(), "ip {arguments:?}");
 }
 
-/// Gains for loops of the host that turn `times` slower than at 2 ms, by the rule of the shipped ones: `loops/cascades.rs`.
+/// Gains for loops of the host with a period `times` longer than 2 ms, by the rule of the shipped gains:
+/// `loops/cascades.rs`.
 fn slow_down(cell: &mut Cell, times: f64) {
     for axis in cell.robot.iter_mut().flat_map(|robot| &mut robot.axis) {
         let by_duty = axis
@@ -73,7 +74,7 @@ fn slow_down(cell: &mut Cell, times: f64) {
             Some(Law::Cascade(law)) => {
                 law.position_gain /= times;
                 law.velocity_gain /= times;
-                // Under pulse width it cancels the motor's own pole, which stays.
+                // With pulse-width output, this parameter cancels the motor's pole and does not change.
                 law.integral_rate /= if by_duty { 1.0 } else { times };
             }
             Some(Law::Proportional(law)) => law.position_gain /= times,
@@ -82,7 +83,7 @@ fn slow_down(cell: &mut Cell, times: f64) {
     }
 }
 
-/// Example cell `name` for the test machine, changed by `change`.
+/// Example cell `name` with a longer period for the test machine, modified by `change`.
 fn slower(name: &str, change: impl FnOnce(&mut Cell)) -> Cell {
     let mut cell = Cell::parse(&text(name)).unwrap();
     shorten(&mut cell);
@@ -92,14 +93,15 @@ fn slower(name: &str, change: impl FnOnce(&mut Cell)) -> Cell {
     cell
 }
 
-/// Mean weight of the IRb-6's arm at its motors, N·m.
+/// Mean gravity torque of the IRb-6's arm at its motors, N·m.
 const WEIGHTS: [(&str, f64); 2] = [("upper-arm", -0.395), ("wrist-pitch", 0.037)];
 
-/// The laboratory at a period that the test machine can keep: both processes together take some 5 ms of its processor in
-/// each cycle.
+/// The laboratory with a period that the test machine can keep. Both processes together use some 5 ms of its processor
+/// in each cycle.
 ///
-/// At a tenth of the gains, a loop of the IRb-6 is a hundredth as stiff. The weight alone would turn the motor of the upper
-/// arm by 26 rad before the integral holds it, which is most of the way that a search may go. So the weight is fed forward.
+/// With a tenth of the gains, a loop of the IRb-6 has a hundredth of its stiffness. The weight alone would turn the
+/// motor of the upper arm by 26 rad before the integral part holds it. This is most of the distance that a search may
+/// take. The weight is therefore fed forward.
 fn slower_laboratory(cell: &mut Cell) {
     cell.period_us = 20_000;
     cell.macrostep = 2;
@@ -113,8 +115,8 @@ fn slower_laboratory(cell: &mut Cell) {
     }
 }
 
-/// Runs example cell `name`, changed by `change`, as two processes; it completes without faults, all axes homed. The record
-/// is in `directory`.
+/// Runs example cell `name`, modified by `change`, as two processes. Asserts that the run completes without faults and
+/// with all axes homed. The record is in `directory`.
 fn completes(name: &str, directory: &Directory, change: impl FnOnce(&mut Cell)) {
     let cell = slower(name, change);
     directory.write("cell.toml", &toml::to_string(&cell).unwrap());
@@ -171,10 +173,10 @@ fn run(directory: &Directory, cell: &Cell, interfaces: &Interfaces) -> Output {
     mrroc::mrroc(arguments)
 }
 
-/// Whether a run stopped for want of processor time, which is the legitimate outcome on an overloaded machine.
+/// Whether a run stopped because processor time was missing, which is permitted on an overloaded machine.
 ///
-/// The fault names answers that are missing or late. By the run's own account, one cycle in a hundred ended more than a
-/// period after its deadline. A cycle waits for nothing, so that the emulators lacked the processor too.
+/// The fault must name missing or late answers. According to the report of the run, at least one cycle in a hundred
+/// ended more than a period after its deadline. A cycle does not wait, so the emulators lacked processor time too.
 ///
 /// Any other fault, and the same fault on a punctual machine, is a defect.
 fn overloaded(output: &Output) -> bool {
@@ -202,7 +204,7 @@ fn the_whole_laboratory_completes_on_five_buses_and_five_lines() {
     });
 }
 
-/// What the run on vcan cannot tell from the lateness of the test machine.
+/// Checks the properties that a run on vcan cannot separate from delays of the test machine.
 #[test]
 fn the_slower_laboratory_follows_its_set_points_in_virtual_time() {
     let directory = Directory::new();

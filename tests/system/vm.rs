@@ -1,4 +1,4 @@
-//! `mrroc vm`: nothing of a machine stays behind, and no other user of the host gets into it.
+//! `mrroc vm`: clean-up after a machine, and protection against other users of the host.
 
 use std::fs::{self, Permissions};
 use std::io::{BufRead, BufReader, Read};
@@ -12,7 +12,7 @@ use crate::mrroc;
 use crate::uml::{Scratch, processes_of};
 use crate::vcan::wait_until;
 
-/// `mrroc vm uml` whose directory for temporary files is `scratch`.
+/// `mrroc vm uml` with `scratch` as its directory for temporary files.
 fn vm(scratch: &Scratch) -> Command {
     let mut vm = Command::new(mrroc::binary());
     vm.args(["vm", "uml"]).env("TMPDIR", &scratch.0);
@@ -20,7 +20,7 @@ fn vm(scratch: &Scratch) -> Command {
     vm
 }
 
-/// A machine whose command is under way.
+/// A machine with a running command.
 struct Begun {
     scratch: Scratch,
     mrroc: Child,
@@ -47,7 +47,7 @@ impl Begun {
         assert_eq!(line, "begun\n");
     }
 
-    /// As a terminal sends them: to the whole process group.
+    /// Sends a signal to the whole process group, as a terminal does.
     fn signal(&self, name: &str) {
         let kill = format!("kill -s {name} -- -{}", self.mrroc.id());
         assert!(
@@ -62,7 +62,7 @@ impl Begun {
 
 impl Drop for Begun {
     fn drop(&mut self) {
-        // Both fail if it has ended, which is as well.
+        // Both calls fail if the process has ended, which does no harm.
         let _ = self.mrroc.kill();
         let _ = self.mrroc.wait();
     }
@@ -121,7 +121,7 @@ fn the_directory_of_a_machine_is_its_users_alone_and_has_no_name_to_be_guessed()
     begun.mrroc.wait().unwrap();
 }
 
-/// The name that the directory had: of the machine, the process and the number of the run.
+/// The planted link has the former name of the directory: kind of machine, process ID and number of the run.
 #[test]
 fn a_planted_link_is_not_followed() {
     if left_out("vm") {
@@ -176,7 +176,7 @@ fn a_directory_that_other_users_can_change_is_refused() {
     refused_out(&scratch, &place("shared/link/out"));
     assert!(!place("shared/new").exists() && !place("own/out").exists());
 
-    // The directory for temporary files as well.
+    // Also for the directory for temporary files.
     let shared = Scratch(place("shared"));
     let said = String::from_utf8(refused_out(&shared, &place("own")).stderr).unwrap();
     assert!(said.contains("TMPDIR"), "{said}");

@@ -1,26 +1,26 @@
-//! A port that counts how it is used, keeps what it was offered, and can be told to refuse.
+//! A port that counts calls, keeps the offered frames, and can be told to refuse frames.
 
 use std::sync::{Arc, Mutex, MutexGuard};
 
 use can::{ControllerState, Counters, Frame, Instant, Port, PortError, Received};
 
-/// What was seen since the test last looked, and what the port is to do.
+/// Observations since the last look of the test, and the behaviour of the port.
 pub(crate) struct Watch {
     pub(crate) sends: u32,
     pub(crate) receives: u32,
-    /// Frames of the last [`Port::send`] that the port below took, and those that it was offered.
+    /// Frames of the last [`Port::send`] that the port below accepted. The next field holds the offered frames.
     pub(crate) taken: Vec<Frame>,
     pub(crate) offered: Vec<Frame>,
-    /// Frames that the port takes at a time; the rest it refuses.
+    /// Number of frames that the port accepts at a time. The port refuses the rest.
     pub(crate) room: usize,
-    /// Frames of somebody else on the bus, sent with the next [`Port::send`].
+    /// Frames of another node, delivered with the next [`Port::send`].
     pub(crate) foreign: Vec<Frame>,
-    /// What the port says of its controller, if not what the port below does.
+    /// State of the controller that the port reports in place of the state of the port below.
     pub(crate) state: Option<ControllerState>,
 }
 
 impl Watch {
-    /// Begins to count anew.
+    /// Clears all counters.
     pub(crate) fn forget(&mut self) {
         (self.sends, self.receives) = (0, 0);
     }
@@ -31,7 +31,7 @@ impl Watch {
 pub(crate) struct Watcher(Arc<Mutex<Watch>>);
 
 impl Watcher {
-    /// A port that takes everything, and the handle to it. Its lists hold a batch without allocating.
+    /// A port that accepts every frame, and the handle to it. Its lists hold a batch without allocating.
     pub(crate) fn new() -> Self {
         Self(Arc::new(Mutex::new(Watch {
             sends: 0,
@@ -44,7 +44,7 @@ impl Watcher {
         })))
     }
 
-    /// Puts the port before another.
+    /// Wraps another port.
     pub(crate) fn wrap(&self, port: impl Port + 'static) -> Box<dyn Port> {
         Box::new(Watched {
             port,
@@ -52,7 +52,7 @@ impl Watcher {
         })
     }
 
-    /// Looks.
+    /// Locks the observations.
     pub(crate) fn lock(&self) -> MutexGuard<'_, Watch> {
         self.0.lock().expect("no test panics while it looks")
     }

@@ -1,7 +1,7 @@
-//! What the emulated robots and their payloads weigh, as the torques in the record of a run say.
+//! Weight of the emulated robots and their payloads, computed from the torques in the record of a run.
 //!
-//! An axis goes to and fro over the same way with the same velocities: in the mean of its torques, dry and viscous
-//! friction and acceleration cancel, and what is left is what it takes to hold the weight.
+//! An axis moves to and fro over the same distance with the same velocities. In the mean of its torques, dry friction,
+//! viscous friction and acceleration cancel. The remaining torque is the torque that holds the weight.
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 use std::fs;
@@ -14,13 +14,13 @@ use crate::mrroc::{Directory, mrroc, shorten};
 
 const G: f64 = 9.81;
 
-/// What a record has of one axis: time, s, whether it moves, and torque, N·m.
+/// Entries of one axis in a record: time, s, whether the axis moves, and torque, N·m.
 type Row = (f64, bool, f64);
 
 type Alteration = fn(&mut Cell);
 const AS_IT_IS: Alteration = |_| {};
 
-/// Goes to one pose after the other. Every motion lasts 4 s.
+/// Moves through the poses in order. Every motion lasts 4 s.
 fn run(
     example: &str,
     alter: Alteration,
@@ -72,7 +72,7 @@ fn run(
         .collect()
 }
 
-/// The torque that holds the weight, N·m: the mean of the middle halves of two motions, there and back.
+/// Torque that holds the weight, N·m: the mean over the middle halves of two motions, forward and back.
 fn held(there_and_back: &[&[Row]]) -> f64 {
     let [there, back] = there_and_back else {
         panic!("{} motions", there_and_back.len())
@@ -100,7 +100,7 @@ fn check(found: f64, expected: f64, what: &str) {
     );
 }
 
-/// Motor per joint angle of a screw by the constants of its length, mm: L² = s + c cos + n sin.
+/// Ratio of motor angle to joint angle for a ball screw, from the constants of its length, mm: L² = s + c cos + n sin.
 fn screw(squared: f64, cosine: f64, sine: f64, angle: f64) -> f64 {
     let (sin, cos) = angle.sin_cos();
     let length = (squared + cosine * cos + sine * sin).sqrt();
@@ -117,16 +117,17 @@ fn upper_gear(angle: f64) -> f64 {
 
 #[test]
 fn axes_of_every_robot_hold_what_its_masses_weigh() {
-    // Of the IRp-6: lower arm 12 kg, 0.20 m from the shoulder; upper arm 14 kg, 0.25 m from the elbow; wrist 4 kg and
-    // gripper 1.35 kg at its end. The lower arm leans out to 30° from upright.
+    // IRp-6: lower arm 12 kg, 0.20 m from the shoulder; upper arm 14 kg, 0.25 m from the elbow; at its end wrist 4 kg
+    // and gripper 1.35 kg. The lower arm tilts up to 30° from the vertical.
     let angle = -60_f64.to_radians();
     let lower = -G * angle.cos() * (12.0 * 0.20 + 19.35 * 0.455) / lower_gear(angle);
     let upper = -G * (14.0 * 0.25 + 5.35 * 0.67) / upper_gear(0.0);
-    // Of RNT: 42 kg on three legs that lean by as much as the platform is smaller than the base.
+    // RNT: 42 kg on three legs. The tilt of the legs follows from the difference between the radii of base and
+    // platform.
     let rho = 0.85_f64;
     let leg = -G * 42.0 / 3.0 * rho.hypot(0.19) / rho * 5e-3 / TAU;
     let bent = G * (4.0 * 0.05 + 3.0 * 0.175) * 0.5_f64.sin() / 100.0;
-    // Of Polycrank, its first crank turned level: the rods behind the third axis, seen from it.
+    // Polycrank with its first crank horizontal: the rods beyond the third axis, with distances from this axis.
     let crank = -G * (4.0 * 0.0755 + 3.5 * 0.2265 + 2.1 * 0.302) / 50.0;
     let leaning = |by: f64| vec![0.0, angle + by, 0.0, 0.0, 0.0];
     let level = |by: f64| vec![0.0, -FRAC_PI_2, by, 0.0, 0.0];
@@ -139,7 +140,7 @@ fn axes_of_every_robot_hold_what_its_masses_weigh() {
     let aside = |by: f64| vec![0.0, 0.0, rho, 0.0, 0.5 + by, 0.0];
     let turned = |by: f64| vec![FRAC_PI_2, 0.0, by, 0.0, 0.0, 0.0, 0.0];
     let by = 0.03;
-    // Whatever each leg's length at home is.
+    // The result does not depend on the lengths of the legs at home.
     let unequal: Alteration = |cell| {
         let mut rnt = RntParameters::nominal();
         for (leg, length) in rnt.legs.iter_mut().zip([0.72, 0.75, 0.79]) {
@@ -202,7 +203,8 @@ fn axes_of_every_robot_hold_what_its_masses_weigh() {
 
 #[test]
 fn an_arm_holds_a_payload_from_when_it_takes_it_up_until_it_puts_it_down() {
-    // The upper arm goes to and fro with the wrist level, and rests for one motion of the flange between two rounds.
+    // The upper arm moves to and fro with the wrist horizontal. It rests for one motion of the flange between two
+    // rounds.
     let pose = |by: f64, flange: f64| vec![0.2, 0.0, -FRAC_PI_2, by, 0.0, FRAC_PI_2, flange];
     let by = 0.03;
     let mut poses = vec![pose(-by, 0.0)];
@@ -221,7 +223,7 @@ fn an_arm_holds_a_payload_from_when_it_takes_it_up_until_it_puts_it_down() {
         mass,
         centre: [0.0, 0.0, 0.1],
     };
-    // In whatever order they stand.
+    // The payloads may be listed in any order.
     let payloads = [payload(down, 0.0), payload(up, 6.0)];
     let carried = run("irp6-track", AS_IT_IS, "upper-arm", &poses, &payloads);
     let earlier = |rows: &[Row]| {
@@ -231,7 +233,8 @@ fn an_arm_holds_a_payload_from_when_it_takes_it_up_until_it_puts_it_down() {
             .collect::<Vec<_>>()
     };
     assert_eq!(earlier(&carried), earlier(&empty));
-    // The parallelogram's rods keep the wrist level: only the way to the pitch axis counts, not that beyond it.
+    // The rods of the parallelogram keep the wrist horizontal. Only the distance to the pitch axis has an effect, not
+    // the distance beyond it.
     let weight = -G * 6.0 * 0.67 / upper_gear(0.0);
     for (round, mass) in [(0, 0.0), (1, 1.0), (2, 0.0)] {
         let held = |rows: &[Row]| held(&motions(rows)[3 * round + 1..][..2]);

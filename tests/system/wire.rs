@@ -1,4 +1,4 @@
-//! What a run says of the wire: against the lengths of frames on a virtual bus, and against another listener.
+//! Bus times in the report of a run, compared with the lengths of frames on a virtual bus and with another listener.
 
 use ::mrroc::cell::Cell;
 use can::timing::bits_on_wire;
@@ -9,8 +9,8 @@ use serde_json::Value;
 
 use crate::mrroc::{Directory, example, mrroc, text, trace};
 
-/// The times between SYNCs and, axis by axis, from SYNC to the answer, µs ascending: by the times of `frames`, which is
-/// a whole recording. The answers to the last SYNC are left out.
+/// Times between SYNCs and, for each axis, from SYNC to the answer, in ascending order, µs. They are computed from
+/// `frames`, a complete recording. The answers to the last SYNC are left out.
 fn times(cell: &Cell, frames: &[Received]) -> (Vec<f64>, Vec<Vec<f64>>) {
     let is = |received: &Received, id| received.frame.standard_data_id() == Some(id);
     let cycles: Vec<&[Received]> = frames
@@ -26,7 +26,7 @@ fn times(cell: &Cell, frames: &[Received]) -> (Vec<f64>, Vec<Vec<f64>>) {
         let id = cob::tpdo(PdoNumber::One, NodeId::new(axis.node).unwrap());
         let judged = syncs.iter().zip(&cycles).take(syncs.len() - 1);
         let mut after = Vec::new();
-        // The SYNC before, if nothing came until the next one.
+        // The previous SYNC, if no answer came before the next SYNC.
         let mut owed = None;
         for (&sync, cycle) in judged {
             let came = cycle.iter().filter(|received| is(received, id));
@@ -45,15 +45,15 @@ fn times(cell: &Cell, frames: &[Received]) -> (Vec<f64>, Vec<Vec<f64>>) {
     (apart, answers.collect())
 }
 
-/// The figures of a report are those of the times it is about, within `tolerance`, µs.
+/// Asserts that the figures of a report match `times` within `tolerance`, µs.
 fn check(what: &str, report: &Value, times: &[f64], tolerance: f64) {
     assert!(times.len() > 100, "{what}: {} times", times.len());
     for (key, share) in [("p50", 0.5), ("p99", 0.99), ("p999", 0.999), ("max", 1.0)] {
-        // The least time that the share of them does not exceed.
+        // The smallest time that the given share of the times does not exceed.
         let rank = (share * times.len() as f64).ceil() as usize;
         let expected = times[rank.clamp(1, times.len()) - 1];
         let said = report[key].as_f64().unwrap();
-        // Four digits are kept of all but the greatest.
+        // All values except the maximum are rounded to four digits.
         let digits = if key == "max" { 0.0 } else { expected * 1.3e-4 };
         assert!(
             (said - expected).abs() <= tolerance + digits,
@@ -62,7 +62,8 @@ fn check(what: &str, report: &Value, times: &[f64], tolerance: f64) {
     }
 }
 
-/// The run's figures are those of `frames`, which another listener recorded with stamps of a microsecond.
+/// Asserts that the figures of the run equal the figures of `frames`, which another listener recorded with a resolution
+/// of a microsecond.
 pub(crate) fn agrees(wire: &Value, cell: &Cell, frames: &[Received]) {
     let bus = &wire[0];
     assert_eq!(bus["source"], "kernel", "{wire}");
@@ -100,8 +101,8 @@ fn answers_on_the_virtual_bus_take_what_their_bits_take() {
         assert_eq!(wire["sync_off_period_us"][key], 0.0, "{wire}");
     }
 
-    // Every drive answers at the last bit of SYNC, so the answers follow each other at once, the strongest identifier
-    // first: a microsecond per bit.
+    // Every drive answers at the last bit of SYNC. The answers therefore follow each other at once, in ascending order
+    // of their identifiers, with one microsecond per bit.
     let cell = Cell::parse(&text("irb6")).unwrap();
     let trace = trace(&log);
     let is = |frame: &can::Frame, id| frame.standard_data_id() == Some(id);

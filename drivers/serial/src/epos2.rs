@@ -1,22 +1,23 @@
-//! What maxon's EPOS2 speaks on RS-232: telegrams of words, each half of them acknowledged by a byte.
+//! Telegrams of maxon's EPOS2 on RS-232: sequences of words, in which the receiver acknowledges opcode and CRC by a
+//! byte each.
 //!
 //! ```text
 //! host    opcode              len-1  words…  crc            O              O
 //! drive           O (ready)                        O  0x00     len-1  words…  crc
 //! ```
 //!
-//! The sender sends an opcode and waits for the ready byte of the receiver. The number of data words less one
-//! follows, then the words and a CRC, each low byte first. The receiver acknowledges the CRC. `F` in place of `O`
-//! ends it. An answer's opcode is 0x00 and its first two words are an error code as of an SDO abort, zero for none.
-//! Nothing is sent before the exchange is over or the frame time-out has passed: after anything went wrong, both
-//! sides wait it out.
+//! The sender sends an opcode and waits for the ready byte of the receiver. The number of data words less one follows,
+//! then the words and a CRC, each low byte first. The receiver acknowledges the CRC. `F` in place of `O` ends the
+//! exchange. An answer has opcode 0x00. Its first two words are an error code as of an SDO abort, zero for none.
+//! Nothing is sent before the exchange is over or the frame time-out has passed. After an error, both sides wait for
+//! the time-out.
 //!
-//! Layouts only. Left out, for want of a source: segmented transfer (0x12 to 0x15), LSS (0x30, 0x31) and
-//! frames through the gateway to CAN (0x20, 0x21). On USB an EPOS2 has other frames.
+//! Layouts only. Not implemented, because no source describes them: segmented transfer (0x12 to 0x15), LSS (0x30, 0x31)
+//! and frames through the gateway to CAN (0x20, 0x21). On USB, EPOS2 uses other frames.
 
 use std::time::Duration;
 
-/// What ready and end acknowledgements say.
+/// Ready acknowledgement and end acknowledgement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Acknowledge {
     /// `O`.
@@ -26,7 +27,7 @@ pub enum Acknowledge {
 }
 
 impl Acknowledge {
-    /// As on the line.
+    /// The byte on the line.
     pub const fn byte(self) -> u8 {
         match self {
             Self::Okay => b'O',
@@ -34,7 +35,7 @@ impl Acknowledge {
         }
     }
 
-    /// `None` for what is neither.
+    /// Decodes a byte; `None` for any other byte.
     pub const fn from_byte(byte: u8) -> Option<Self> {
         match byte {
             b'O' => Some(Self::Okay),
@@ -44,22 +45,22 @@ impl Acknowledge {
     }
 }
 
-/// The frame time-out as delivered (object 0x2005).
+/// Factory setting of the frame time-out (object 0x2005).
 pub const TIME_OUT: Duration = Duration::from_millis(500);
 
 /// Opcode of every answer.
 pub const ANSWER: u8 = 0x00;
 
-/// The most data words that a telegram says it has.
+/// Maximum number of data words that the length byte can declare.
 pub const MAX_WORDS: usize = 256;
 
-/// Bytes between the ready and the end acknowledgement of a telegram of so many words: their number, the
-/// words, the CRC.
+/// Bytes between ready acknowledgement and end acknowledgement for a telegram of `words` words: the length byte, the
+/// words and the CRC.
 pub const fn body_length(words: usize) -> usize {
     1 + 2 * words + 2
 }
 
-/// CRC-16, polynomial 0x1021, initial 0, most significant bit first, of the bytes in this order.
+/// Adds a byte to a CRC-16 with polynomial 0x1021 and initial value 0, most significant bit first.
 pub(crate) fn crc16(crc: u16, byte: u8) -> u16 {
     (0..8).fold(crc ^ u16::from(byte) << 8, |crc, _| {
         if crc & 0x8000 != 0 {
@@ -70,7 +71,7 @@ pub(crate) fn crc16(crc: u16, byte: u8) -> u16 {
     })
 }
 
-/// Over opcode, number and words, of each word the high byte first.
+/// CRC over opcode, length byte and words; the high byte of each word comes first.
 fn crc(opcode: u8, body: &[u8]) -> u16 {
     let [count, words @ ..] = body else {
         return 0;
@@ -82,7 +83,7 @@ fn crc(opcode: u8, body: &[u8]) -> u16 {
         .fold(head, |crc, &[low, high]| crc16(crc16(crc, high), low))
 }
 
-/// A telegram as on the line, without acknowledgements.
+/// A telegram in wire format, without acknowledgements.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Telegram {
     opcode: u8,
@@ -91,7 +92,7 @@ pub struct Telegram {
 }
 
 impl Telegram {
-    /// Six data words: the longest that is laid out here has four.
+    /// Six data words; the longest layout in this file has four.
     const LONGEST: usize = body_length(6);
 
     fn new(opcode: u8, data: &[u8]) -> Self {
@@ -108,34 +109,34 @@ impl Telegram {
         }
     }
 
-    /// What is sent before the ready acknowledgement.
+    /// The opcode, sent before the ready acknowledgement.
     pub fn opcode(&self) -> u8 {
         self.opcode
     }
 
-    /// What is sent after it.
+    /// The bytes sent after the ready acknowledgement.
     pub fn body(&self) -> &[u8] {
         &self.body[..self.length]
     }
 }
 
-/// Why a telegram means nothing.
+/// Reason why a telegram cannot be decoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Malformed {
-    /// It is to be answered with [`Acknowledge::Failed`].
+    /// The telegram was damaged. [`Acknowledge::Failed`] is the answer to it.
     #[error("crc or length is wrong")]
     Damaged,
-    /// It arrived whole and means nothing here.
+    /// The telegram is intact but has no meaning here.
     #[error("opcode {opcode:#04x} with {words} words is not understood")]
     Unknown {
-        /// What it began with.
+        /// Opcode of the telegram.
         opcode: u8,
-        /// How many words it has.
+        /// Number of data words.
         words: usize,
     },
 }
 
-/// The data words of a telegram that arrived whole: number, words, CRC.
+/// Data words of an intact telegram. `body` holds the length byte, the words and the CRC.
 fn data(opcode: u8, body: &[u8]) -> Result<&[u8], Malformed> {
     match body {
         [count, .., low, high]
@@ -148,32 +149,32 @@ fn data(opcode: u8, body: &[u8]) -> Result<&[u8], Malformed> {
     }
 }
 
-/// What the host asks for. Node 0 is the device on the line; it stands in for others on its CAN bus.
+/// Request of the host. Node 0 is the device on the line. The device forwards requests for other nodes to its CAN bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Request {
     /// Reads an object of up to four bytes.
     Read {
         /// Node-ID.
         node: u8,
-        /// Of the object.
+        /// Index of the object.
         index: u16,
-        /// Of the object.
+        /// Sub-index of the object.
         subindex: u8,
     },
     /// Writes an object of up to four bytes.
     Write {
         /// Node-ID.
         node: u8,
-        /// Of the object.
+        /// Index of the object.
         index: u16,
-        /// Of the object.
+        /// Sub-index of the object.
         subindex: u8,
-        /// In the low bytes what the object is long.
+        /// The value, in as many low bytes as the object has.
         value: u32,
     },
-    /// Sends an NMT command; it has no answer.
+    /// Sends an NMT command, which is not answered.
     Nmt {
-        /// Node-ID, 0 for all.
+        /// Node-ID, 0 for all nodes.
         node: u16,
         /// Command specifier (CiA 301 §7.2.8.2.1).
         command: u16,
@@ -181,7 +182,7 @@ pub enum Request {
 }
 
 impl Request {
-    /// The request as on the line.
+    /// The request in wire format.
     pub fn encode(self) -> Telegram {
         match self {
             Self::Read {
@@ -209,7 +210,7 @@ impl Request {
         }
     }
 
-    /// What a device takes from an opcode and the bytes behind its ready acknowledgement.
+    /// Decodes a request from an opcode and the bytes after the ready acknowledgement of the device.
     pub fn decode(opcode: u8, body: &[u8]) -> Result<Self, Malformed> {
         match (opcode, data(opcode, body)?) {
             (0x10, &[low, high, subindex, node]) => Ok(Self::Read {
@@ -234,25 +235,25 @@ impl Request {
         }
     }
 
-    /// Whether the device answers it with a telegram of its own.
+    /// Whether the device answers the request with a telegram.
     pub const fn is_answered(self) -> bool {
         !matches!(self, Self::Nmt { .. })
     }
 }
 
-/// What a device answers.
+/// Answer of a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Answer {
-    /// The value read; what is longer than the object is zero.
+    /// The value read. Bytes beyond the length of the object are zero.
     Value(u32),
-    /// Written.
+    /// The value was written.
     Done,
-    /// Refused, with the code of an SDO abort or one of maxon's own 0x0F00_FFxx; not 0.
+    /// The request was refused with the code of an SDO abort or a code of maxon, 0x0F00_FFxx. The code is not 0.
     Refused(u32),
 }
 
 impl Answer {
-    /// The answer as on the line. A refusal has a value of zero behind it if it is one to read.
+    /// The answer in wire format. The refusal of a read is followed by a value of zero.
     pub fn encode(self, to: &Request) -> Telegram {
         let (code, value) = match self {
             Self::Value(value) => (0_u32, Some(value)),
@@ -266,7 +267,7 @@ impl Answer {
         }
     }
 
-    /// What a host takes from the bytes behind its ready acknowledgement of [`ANSWER`].
+    /// Decodes an answer from the bytes after the host's ready acknowledgement of [`ANSWER`].
     pub fn decode(body: &[u8]) -> Result<Self, Malformed> {
         match *data(ANSWER, body)? {
             [0, 0, 0, 0] => Ok(Self::Done),

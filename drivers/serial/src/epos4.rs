@@ -1,17 +1,17 @@
-//! What maxon's EPOS4 speaks on USB and RS-232: stuffed frames, one answer for each request.
+//! Frames of maxon's EPOS4 on USB and RS-232: byte-stuffed frames, and one answer for each request.
 //!
 //! ```text
-//! 90 02 | opcode  len  words…  crc      every 0x90 behind 02 doubled; len: data words
+//! 90 02 | opcode  len  words…  crc      every 0x90 after 02 is doubled; len: number of data words
 //! ```
 //!
-//! Words go low byte first. The CRC covers len, opcode, and of each data word the high byte first, before
-//! stuffing. An answer has opcode 0x00, and its first two words are an error code as of an SDO abort,
-//! zero for none (EPOS4 Communication Guide 2019-11, §2). The host sends nothing before the answer has come
-//! or the frame time-out has passed (objects 0x2005 RS-232, 0x2006 USB).
+//! Words are sent low byte first. The CRC is computed before byte stuffing, over len and opcode and then over each data
+//! word with its high byte first. An answer has opcode 0x00. Its first two words are an error code as of an SDO abort,
+//! zero for none (EPOS4 Communication Guide 2019-11, §2). The host sends nothing before the answer has arrived or the
+//! frame time-out has passed (objects 0x2005 RS-232, 0x2006 USB).
 //!
-//! A request whose payload names an object begins with the node, then index and sub-index: another order
-//! than EPOS2's. Layouts only: [`Frame`] and [`Deframer`] for any service, [`Request`] and [`Answer`] for
-//! those on the object dictionary and NMT. Left out: LSS and CAN frames through the gateway.
+//! The payload of a request that names an object begins with the node, followed by index and sub-index. EPOS2 uses
+//! another order. Layouts only: [`Frame`] and [`Deframer`] for any service, [`Request`] and [`Answer`] for the services
+//! of the object dictionary and NMT. Not implemented: LSS, and CAN frames through the gateway.
 
 mod frame;
 
@@ -19,7 +19,7 @@ pub use frame::{Deframer, Frame, FrameError};
 
 use std::time::Duration;
 
-/// First byte of a frame, doubled where it is data.
+/// First byte of a frame. Within the data, this byte is doubled.
 pub const DLE: u8 = 0x90;
 
 /// Second byte of a frame.
@@ -28,16 +28,16 @@ pub const STX: u8 = 0x02;
 /// Opcode of every answer.
 pub const ANSWER: u8 = 0x00;
 
-/// The most data words of a frame.
+/// Maximum number of data words of a frame.
 pub const MAX_WORDS: usize = 143;
 
-/// The most bytes a frame has on the line.
+/// Maximum length of a frame on the line, bytes.
 pub const LONGEST: usize = 2 + 2 * (2 + 2 * MAX_WORDS + 2);
 
-/// The most bytes of an object in one segment.
+/// Maximum number of bytes of an object in one segment.
 pub const MAX_SEGMENT: usize = 254;
 
-/// The frame time-out as delivered (objects 0x2005, 0x2006).
+/// Factory setting of the frame time-out (objects 0x2005, 0x2006).
 pub const TIME_OUT: Duration = Duration::from_millis(500);
 
 /// An object of a node; node 0 is the device on the line.
@@ -45,9 +45,9 @@ pub const TIME_OUT: Duration = Duration::from_millis(500);
 pub struct Address {
     /// Node-ID.
     pub node: u8,
-    /// Of the object.
+    /// Index of the object.
     pub index: u16,
-    /// Of the object.
+    /// Sub-index of the object.
     pub subindex: u8,
 }
 
@@ -66,34 +66,34 @@ impl Address {
     }
 }
 
-/// What the host asks for.
+/// Request of the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Request<'a> {
     /// Reads an object of up to four bytes: [`Answer::Value`].
     Read(Address),
-    /// Writes an object of up to four bytes, which are the low ones: [`Answer::Done`].
+    /// Writes an object of up to four bytes, given by the low bytes of the value: [`Answer::Done`].
     Write(Address, u32),
-    /// Begins to read an object in segments: [`Answer::Started`].
+    /// Starts to read an object in segments: [`Answer::Started`].
     InitiateSegmentedRead(Address),
     /// Reads the next segment: [`Answer::Segment`].
     SegmentRead {
-        /// Alternates, `false` in the first after the initiation.
+        /// Alternates from segment to segment; `false` in the first.
         toggle: bool,
     },
-    /// Begins to write an object of so many bytes in segments: [`Answer::Done`].
+    /// Starts to write an object of this length, bytes, in segments: [`Answer::Done`].
     InitiateSegmentedWrite(Address, u32),
     /// Writes the next segment of up to [`MAX_SEGMENT`] bytes: [`Answer::Taken`].
     SegmentWrite {
-        /// Alternates, `false` in the first after the initiation.
+        /// Alternates from segment to segment; `false` in the first.
         toggle: bool,
-        /// Whether the object is complete with it.
+        /// Whether this segment completes the object.
         last: bool,
         /// The segment.
         data: &'a [u8],
     },
     /// Sends an NMT command: [`Answer::Done`].
     Nmt {
-        /// Node-ID, 0 for all.
+        /// Node-ID, 0 for all nodes.
         node: u16,
         /// Command specifier (CiA 301 §7.2.8.2.1).
         command: u16,
@@ -108,7 +108,7 @@ const fn control(toggle: bool, last: bool) -> u8 {
 }
 
 impl<'a> Request<'a> {
-    /// The request as a frame; of a segment that is too long the first [`MAX_SEGMENT`] bytes.
+    /// The request as a frame. A segment is cut after [`MAX_SEGMENT`] bytes.
     pub fn encode(self) -> Frame {
         match self {
             Self::Read(address) => Frame::of(0x60, &[&address.encode()]),
@@ -130,7 +130,7 @@ impl<'a> Request<'a> {
         }
     }
 
-    /// What a device understands; `None` for an opcode it does not know or another length.
+    /// Decodes a request; `None` for an unknown opcode or a wrong length.
     pub fn decode(frame: &'a Frame) -> Option<Self> {
         Some(match (frame.opcode(), frame.data()) {
             (0x60, &[a, b, c, d]) => Self::Read(Address::decode([a, b, c, d])),
@@ -160,43 +160,43 @@ impl<'a> Request<'a> {
     }
 }
 
-/// The bytes that `length` claims, if they and at most a byte of padding are there.
+/// The first `length` bytes of `data`; `None` if `data` is shorter, or longer by more than one byte of padding.
 fn unpadded(length: u8, data: &[u8]) -> Option<&[u8]> {
     let length = usize::from(length);
     (data.len() == length || data.len() == length + 1).then(|| &data[..length])
 }
 
-/// What a device answers.
+/// Answer of a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Answer<'a> {
-    /// The value read; what is longer than the object is zero.
+    /// The value read. Bytes beyond the length of the object are zero.
     Value(u32),
-    /// It is done.
+    /// The request was performed.
     Done,
-    /// An object of so many bytes begins with these.
+    /// Length of the object, bytes, and its first segment.
     Started(u32, &'a [u8]),
-    /// More of it.
+    /// A further segment.
     Segment {
-        /// As in the request.
+        /// Toggle bit of the request.
         toggle: bool,
-        /// Whether the object is complete with it.
+        /// Whether this segment completes the object.
         last: bool,
         /// The segment.
         data: &'a [u8],
     },
-    /// So many bytes of a segment were taken.
+    /// A segment was accepted.
     Taken {
-        /// As in the request.
+        /// Toggle bit of the request.
         toggle: bool,
-        /// Bytes.
+        /// Number of accepted bytes.
         length: u8,
     },
-    /// Refused, with the code of an SDO abort or one of maxon's own 0x0F00_FFxx; not 0.
+    /// The request was refused with the code of an SDO abort or a code of maxon, 0x0F00_FFxx. The code is not 0.
     Refused(u32),
 }
 
 impl<'a> Answer<'a> {
-    /// The answer as a frame; of data that are too long the first [`MAX_SEGMENT`] bytes.
+    /// The answer as a frame. Data are cut after [`MAX_SEGMENT`] bytes.
     pub fn encode(self) -> Frame {
         let cut = |data: &'a [u8]| &data[..data.len().min(MAX_SEGMENT)];
         let okay = &[0; 4];
@@ -220,9 +220,9 @@ impl<'a> Answer<'a> {
         }
     }
 
-    /// What a host takes from the answer to its request; `None` if it is no answer to that.
+    /// Decodes the answer to request `to`; `None` if the frame does not fit the request.
     ///
-    /// A refusal may have anything behind its code.
+    /// A refusal may contain further data after its code.
     pub fn decode(frame: &'a Frame, to: &Request) -> Option<Self> {
         let [a, b, c, d, ref rest @ ..] = *frame.data() else {
             return None;

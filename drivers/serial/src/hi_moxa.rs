@@ -1,20 +1,20 @@
 //! The older telegrams of the IRb-6 axis controllers, one drive per line, without a checksum.
 //!
-//! The host writes [`Request`]s of 10 bytes, two more spaces after each cyclic one; the drive answers every one with
-//! an [`Answer`] of 8 bytes. Names follow the MRROC++ interface `hi_moxa`, which defines the bytes. What the start
-//! byte of an answer is, no source says: the original host never looked at it. Layouts only; what to believe of a
-//! stream without a checksum is the driver's to decide.
+//! The host writes [`Request`]s of 10 bytes, and two additional spaces after each cyclic request. The drive answers
+//! each request with an [`Answer`] of 8 bytes. Names follow the MRROC++ interface `hi_moxa`, which defines the bytes.
+//! No source gives the value of the start byte of an answer; the original host ignored it. Layouts only. Without a
+//! checksum, the driver must check the plausibility of the contents.
 
-/// Bytes of a request to set a parameter.
+/// Length of a request that sets a parameter, bytes.
 pub const REQUEST: usize = 10;
 
-/// Bytes of a cyclic request, with the two spaces after it.
+/// Length of a cyclic request with the two following spaces, bytes.
 pub const CYCLIC_REQUEST: usize = 12;
 
-/// Bytes of an answer.
+/// Length of an answer, bytes.
 pub const ANSWER: usize = 8;
 
-/// What the drive re-synchronises on: four zeros and `#`.
+/// Sequence to which the drive synchronises: four zeros and `#`.
 pub const PREAMBLE: [u8; 5] = [0, 0, 0, 0, 0x23];
 
 /// Pulse width of a fully driven power stage.
@@ -23,23 +23,23 @@ pub const FULL_PWM: i16 = 1000;
 const LATCH_INDEX: u8 = 0x10;
 const SET_PARAMETER: u8 = 0x0F;
 
-/// What the host asks for.
+/// Request of the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Request {
-    /// A set-point, each cycle.
+    /// The set-point of a cycle.
     Drive {
-        /// What `value` is.
+        /// Quantity of `value`.
         mode: Mode,
         /// Pulse width, -1000 to 1000; current, mA; or position.
         value: i16,
-        /// Whether the next index pulse is to zero the position counter.
+        /// Whether the next index pulse zeroes the position counter.
         latch_index: bool,
     },
-    /// A parameter.
+    /// Sets a parameter.
     Set(Parameter),
 }
 
-/// What a set-point is of. The original host used pulse widths only.
+/// Quantity of a set-point. The original host used pulse widths only.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mode {
     /// Pulse width.
@@ -50,22 +50,22 @@ pub enum Mode {
     Position,
 }
 
-/// A parameter of a drive. Gains are the drive's own numbers.
+/// A parameter of a drive. Gains are in internal units of the drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Parameter {
-    /// Whether its position counter is referenced.
+    /// Whether the position counter is referenced.
     Synchronized(bool),
-    /// Current at which its protection acts, mA.
+    /// Current at which the overcurrent protection acts, mA.
     MaxCurrent(i16),
-    /// One gain of its position loop.
+    /// A gain of the position loop.
     PositionGain(Gain, i16),
-    /// One gain of its current loop.
+    /// A gain of the current loop.
     CurrentGain(Gain, i16),
-    /// State of its power stage.
+    /// State of the power stage.
     DriverMode(DriverMode),
 }
 
-/// Which gain.
+/// Selection of a gain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Gain {
     /// Proportional.
@@ -76,14 +76,14 @@ pub enum Gain {
     D,
 }
 
-/// The state that a drive is put in.
+/// Requested state of a drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DriverMode {
-    /// By hand: power off, latched errors cleared.
+    /// Manual: power off, latched errors cleared.
     Manual,
     /// Follows pulse widths.
     Pwm,
-    /// Opens its power stage; here the emergency stop of the cabinet.
+    /// Opens the power stage and with it the emergency stop of the cabinet.
     Error,
 }
 
@@ -111,7 +111,7 @@ impl Gain {
 }
 
 impl Request {
-    /// The request as on the line, without the spaces of a cyclic one.
+    /// The request in wire format, without the spaces after a cyclic request.
     pub fn encode(self) -> [u8; REQUEST] {
         let (code, [low, high]) = match self {
             Self::Drive {
@@ -140,16 +140,16 @@ impl Request {
         [0, 0, 0, 0, 0x23, code, low, high, 0, 0]
     }
 
-    /// The request with the two spaces that follow it in a cycle.
+    /// The request with the two spaces of a cyclic request.
     pub fn encode_cyclic(self) -> [u8; CYCLIC_REQUEST] {
         let mut bytes = [0x20; CYCLIC_REQUEST];
         bytes[..REQUEST].copy_from_slice(&self.encode());
         bytes
     }
 
-    /// What a drive understands: `None` without the preamble, or for a code that means nothing.
+    /// Decodes a request; `None` without the preamble or for an unknown code.
     ///
-    /// The last two bytes are not looked at; the original host left them as its stack had them.
+    /// The last two bytes are ignored, because the original host left them uninitialised.
     pub fn decode(bytes: &[u8; REQUEST]) -> Option<Self> {
         let [p0, p1, p2, p3, p4, code, low, high, ..] = *bytes;
         if [p0, p1, p2, p3, p4] != PREAMBLE {
@@ -181,10 +181,10 @@ impl Request {
     }
 }
 
-/// What a drive answers.
+/// Answer of a drive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Answer {
-    /// The first byte; no source says which.
+    /// The first byte; no source gives its value.
     pub start: u8,
     /// Switches, state and faults.
     pub flags: Flags,
@@ -195,14 +195,14 @@ pub struct Answer {
 }
 
 impl Answer {
-    /// The answer as on the line.
+    /// The answer in wire format.
     pub fn encode(self) -> [u8; ANSWER] {
         let [c0, c1] = self.current.to_le_bytes();
         let [p0, p1, p2, p3] = self.position.to_le_bytes();
         [self.start, self.flags.0, c0, c1, p0, p1, p2, p3]
     }
 
-    /// What eight bytes say: any eight are an answer.
+    /// Decodes eight bytes. Any eight bytes are a valid answer.
     pub fn decode(bytes: [u8; ANSWER]) -> Self {
         let [start, flags, c0, c1, p0, p1, p2, p3] = bytes;
         Self {
@@ -229,7 +229,7 @@ impl Flags {
     pub const INDEX: u8 = 0x08;
     /// The power stage has failed or is off.
     pub const POWER_STAGE_FAULT: u8 = 0x10;
-    /// The current was beyond its limit.
+    /// The current exceeded its limit.
     pub const OVERCURRENT: u8 = 0x20;
     /// The drive is in its error state.
     pub const ERROR: u8 = 0x40;

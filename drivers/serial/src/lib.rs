@@ -1,9 +1,9 @@
 //! Serial lines and the telegrams of axis controllers on them.
 //!
-//! A [`Line`] carries bytes and never waits. [`hi_moxa`] and [`nfv2`] are the telegrams of the axis controllers of
-//! the IRb-6 and IRp-6 at Warsaw University of Technology. [`epos2`] and [`epos4`] are the frames of maxon's service
-//! ports. Both are layouts only, in both directions, which drivers and emulators share. [`service`] is the host's end
-//! of the service ports. Read [`Line`] first.
+//! A [`Line`] carries bytes and never waits. [`hi_moxa`] and [`nfv2`] are the telegrams of the axis controllers of the
+//! IRb-6 and IRp-6 at Warsaw University of Technology. [`epos2`] and [`epos4`] are the frames of maxon's service ports.
+//! Telegrams and frames are layouts only, in both directions, shared by drivers and emulators. [`service`] is the
+//! client of the service ports. Read [`Line`] first.
 
 pub mod epos2;
 pub mod epos4;

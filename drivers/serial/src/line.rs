@@ -1,4 +1,4 @@
-//! The contract of a serial line.
+//! Interface of a serial line.
 
 use std::time::Duration;
 
@@ -7,26 +7,26 @@ use thiserror::Error;
 
 /// One end of a serial line: a tty, or an end of a virtual line.
 ///
-/// Neither call waits. A driver cannot tell which of the implementors it has.
+/// Neither call waits. Drivers do not depend on the implementation.
 pub trait Line: Send {
-    /// Hands `bytes` over in order and returns how many were taken: fewer than all of them means
-    /// back-pressure, and the rest is the caller's to drop or to offer again.
+    /// Writes `bytes` in order and returns the number of accepted bytes. A smaller number than the length means
+    /// back-pressure. The caller drops the other bytes or offers them again.
     ///
     /// At most one system call.
     fn write(&mut self, now: Instant, bytes: &[u8]) -> Result<usize, LineError>;
 
-    /// Fills `into` from the front with what has arrived by `now` and returns how many bytes there are.
+    /// Fills `into` from the front with the bytes that have arrived by `now`. Returns their number.
     ///
     /// At most one system call.
     fn read(&mut self, now: Instant, into: &mut [u8]) -> Result<usize, LineError>;
 
-    /// Drops the bytes that wait for sending, so that the next bytes wait behind nothing old. A telegram on the wire
-    /// may be cut. A line that holds nothing back has nothing to drop.
+    /// Discards the bytes that wait for transmission, so that they do not delay later bytes. A telegram on the wire may
+    /// be cut. A line without a buffer has nothing to discard.
     ///
     /// At most one system call.
     fn discard_unsent(&mut self) {}
 
-    /// What this line has counted since it was opened.
+    /// Counters of this line since it was opened.
     fn counters(&self) -> LineCounters;
 }
 
@@ -45,31 +45,31 @@ impl<L: Line + ?Sized> Line for Box<L> {
     }
 }
 
-/// Why a line could not be written or read.
+/// Reason why a line could not be written or read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum LineError {
-    /// The device is gone: unplugged, or its other end was closed. It must be opened anew.
+    /// The device was unplugged, or its other end was closed. The line must be opened again.
     #[error("line is gone")]
     Gone,
-    /// Anything else the operating system said.
+    /// Any other error of the operating system.
     #[error("errno {0}")]
     Os(i32),
 }
 
-/// What a line counts. Counters only grow.
+/// Counters of a line, which only grow.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LineCounters {
-    /// Bytes taken for sending.
+    /// Bytes accepted for transmission.
     pub sent: u64,
     /// Bytes received.
     pub received: u64,
-    /// Bytes offered to [`Line::write`] and not taken.
+    /// Bytes offered to [`Line::write`] and not accepted.
     pub refused: u64,
-    /// Bytes lost before we read them, as far as the line knows.
+    /// Bytes lost before they were read, as far as the line knows.
     pub dropped: u64,
 }
 
-/// How a line is set: always 8 data bits, no parity, no flow control.
+/// Settings of a line. All lines have 8 data bits, no parity and no flow control.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Settings {
     /// Bits per second.
@@ -88,19 +88,19 @@ pub enum StopBits {
 }
 
 impl Settings {
-    /// The axis controllers of the IRb-6 and IRp-6: 921600 8N2.
+    /// Axis controllers of the IRb-6 and IRp-6: 921600 8N2.
     pub const AXIS_CONTROLLER: Self = Self {
         baud: 921_600,
         stop_bits: StopBits::Two,
     };
 
-    /// maxon EPOS2 and EPOS4 by default: 115200 8N1.
+    /// Factory setting of maxon EPOS2 and EPOS4: 115200 8N1.
     pub const EPOS: Self = Self {
         baud: 115_200,
         stop_bits: StopBits::One,
     };
 
-    /// The time that `count` bytes take on the line, start and stop bits included, rounded up.
+    /// Duration of `count` bytes on the line including start and stop bits, rounded up.
     pub const fn line_time(self, count: usize) -> Duration {
         let bits = match self.stop_bits {
             StopBits::One => 10,

@@ -4,10 +4,10 @@
 //! 23  N  !N  address  (code length data…)…  crc      N: index of the crc byte
 //! ```
 //!
-//! Host and drive use the same frame; a read is asked for by its code with no data and answered by the same code with
-//! data. The CRC polynomial ends in three zero bits, so only five bits are effective. One damaged frame in 32 passes
-//! the CRC; the reader must check the plausibility of the contents. Layouts only, for the codes that an axis needs.
-//! Left out: RC servos, digital and analogue inputs, displays, and other boards of the family.
+//! Host and drive use the same frame. A read request is a code without data, and its answer is the same code with data.
+//! The CRC polynomial ends in three zero bits, so only five bits are effective. One damaged frame in 32 passes the CRC;
+//! the reader must check the plausibility of the contents. Layouts only, for the codes that an axis needs. Not
+//! implemented: RC servos, digital and analogue inputs, displays, and other boards of the family.
 
 /// First byte of a frame.
 pub const START: u8 = 0x23;
@@ -15,13 +15,13 @@ pub const START: u8 = 0x23;
 /// Bytes before the first command.
 pub const HEADER: usize = 4;
 
-/// The longest frame: commands up to index 254, and the CRC.
+/// Length of the longest frame: commands up to index 254, and the CRC.
 pub const LONGEST: usize = 256;
 
 /// Address of the host.
 pub const MASTER: u8 = 0xFE;
 
-/// Address of everybody.
+/// Address of all devices.
 pub const BROADCAST: u8 = 0xFF;
 
 /// Pulse width of a fully driven power stage.
@@ -58,27 +58,26 @@ const CRC_TABLE: [u8; 256] = {
     table
 };
 
-/// What a drive does, and the state of its power stage.
+/// Operating mode of a drive, and state of its power stage.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mode {
-    /// Error: power stage open, emergency stop of the cabinet.
+    /// Error: power stage and emergency stop of the cabinet are open.
     Error,
-    /// By hand: power off, latched errors cleared.
+    /// Manual: power off, latched errors cleared.
     Manual,
-    /// Follows speeds.
+    /// Speed control.
     Speed,
-    /// Follows currents.
+    /// Current control.
     Current,
-    /// Follows positions.
+    /// Position control.
     Position,
-    /// Follows pulse widths.
+    /// Pulse-width control.
     Pwm,
-    /// As [`Mode::Pwm`], and the next index pulse zeroes the position counter and sets
-    /// [`Status::SYNCHRONIZED`].
+    /// As [`Mode::Pwm`]. The next index pulse also zeroes the position counter and sets [`Status::SYNCHRONIZED`].
     SyncPwm,
-    /// As [`Mode::Current`] with the same.
+    /// As [`Mode::Current`], with the same effect of the next index pulse.
     SyncCurrent,
-    /// As [`Mode::Position`] with the same.
+    /// As [`Mode::Position`], with the same effect of the next index pulse.
     SyncPosition,
 }
 
@@ -95,20 +94,20 @@ impl Mode {
         (Self::SyncPosition, 0x12),
     ];
 
-    /// As on the line.
+    /// Code on the line.
     pub fn raw(self) -> u8 {
         let (_, raw) = Self::ALL[self as usize];
         raw
     }
 
-    /// `None` for what is no mode.
+    /// Decodes a code; `None` for an unknown code.
     pub fn from_raw(raw: u8) -> Option<Self> {
         let found = Self::ALL.into_iter().find(|(_, code)| *code == raw);
         found.map(|(mode, _)| mode)
     }
 }
 
-/// Gains of one of a drive's own regulators, in fractions of 2⁻¹⁵.
+/// Gains of a regulator in the drive, in units of 2⁻¹⁵.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Gains {
     /// Proportional.
@@ -122,7 +121,7 @@ pub struct Gains {
 }
 
 impl Gains {
-    /// The current regulator's after power-on: p 0.06, i 0.05.
+    /// Gains of the current regulator after power-on: p 0.06, i 0.05.
     pub const POWER_ON: Self = Self {
         p: 1966,
         i: 1638,
@@ -144,24 +143,24 @@ pub enum Command {
     SetPosition(i32),
     /// Set-point of the pulse-width modes, -1000 to 1000.
     SetPwm(i16),
-    /// Current at which the protection acts, mA.
+    /// Current at which the overcurrent protection acts, mA.
     SetMaxCurrent(i16),
     /// [`Command::SET_SYNCHRONIZED`], [`Command::RESET_SYNCHRONIZED`].
     SetMisc(u32),
     /// Gains of the current regulator.
     SetCurrentRegulator(Gains),
-    /// Asks for the position.
+    /// Requests the position.
     ReadPosition,
-    /// Asks for the current.
+    /// Requests the current.
     ReadCurrent,
-    /// Asks for the status.
+    /// Requests the status.
     ReadStatus,
 }
 
 impl Command {
-    /// Says that the position counter is referenced.
+    /// Declares the position counter referenced.
     pub const SET_SYNCHRONIZED: u32 = 1;
-    /// Says that it is not.
+    /// Declares the position counter unreferenced.
     pub const RESET_SYNCHRONIZED: u32 = 2;
 }
 
@@ -176,7 +175,7 @@ pub enum Answer {
     Status(Status),
 }
 
-/// What a drive says of itself.
+/// Status of a drive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Status(pub u16);
 
@@ -191,19 +190,19 @@ impl Status {
     pub const INDEX: u16 = 1 << 3;
     /// The position counter is referenced.
     pub const SYNCHRONIZED: u16 = 1 << 4;
-    /// A position limit of the drive's own was reached.
+    /// A position limit of the drive was reached.
     pub const POSITION_LIMITED: u16 = 1 << 10;
-    /// A speed limit.
+    /// A speed limit of the drive was reached.
     pub const SPEED_LIMITED: u16 = 1 << 11;
-    /// A current limit.
+    /// A current limit of the drive was reached.
     pub const CURRENT_LIMITED: u16 = 1 << 12;
-    /// The current was beyond what the protection allows.
+    /// The current exceeded the limit of the overcurrent protection.
     pub const OVERCURRENT: u16 = 1 << 13;
     /// The power stage has failed or is off.
     pub const POWER_STAGE_FAULT: u16 = 1 << 14;
     /// The drive is in its error state.
     pub const ERROR: u16 = 1 << 15;
-    /// Bits that no source gives a meaning to.
+    /// Bits of unknown meaning.
     pub const UNKNOWN: u16 = 0b11_1110_0000;
 
     /// Whether any of `bits` is set.
@@ -212,7 +211,7 @@ impl Status {
     }
 }
 
-/// A frame being put together. What does not fit is not taken, and `finish` is then `None`.
+/// A frame under construction. An item that does not fit is left out, and `finish` then returns `None`.
 #[derive(Clone, Debug)]
 pub struct FrameBuilder {
     bytes: [u8; LONGEST],
@@ -264,7 +263,7 @@ impl FrameBuilder {
 
     fn item(mut self, code: u8, data: &[u8]) -> Self {
         let end = self.length + 2 + data.len();
-        // The last byte is the CRC's.
+        // The last byte is reserved for the CRC.
         self.fits &= end < LONGEST;
         if self.fits {
             self.bytes[self.length] = code;
@@ -275,7 +274,7 @@ impl FrameBuilder {
         self
     }
 
-    /// The frame as on the line; `None` if it has no command or one did not fit.
+    /// The frame in wire format; `None` if the frame has no command or an item did not fit.
     pub fn finish(&mut self) -> Option<&[u8]> {
         if !self.fits || self.length == HEADER {
             return None;
@@ -288,17 +287,16 @@ impl FrameBuilder {
     }
 }
 
-/// A frame whose header and CRC are right.
+/// A frame with correct header and CRC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Frame<'a> {
-    /// The drive it is for, or from.
+    /// Address of the drive that receives or sends the frame.
     pub address: u8,
     items: &'a [u8],
 }
 
 impl<'a> Frame<'a> {
-    /// How long the frame is that begins with these bytes: `None` if none does, which may be known only
-    /// from the third byte on.
+    /// Length of the frame that starts with these bytes; `None` if no frame starts here, or for fewer than three bytes.
     pub fn length(bytes: &[u8]) -> Option<usize> {
         match *bytes {
             [START, index, inverted, ..] if index == !inverted && usize::from(index) > HEADER => {
@@ -308,7 +306,7 @@ impl<'a> Frame<'a> {
         }
     }
 
-    /// The frame that these bytes are, all of them; `None` if header, length or CRC are wrong.
+    /// Decodes a frame from exactly these bytes; `None` if header, length or CRC are wrong.
     pub fn parse(bytes: &'a [u8]) -> Option<Self> {
         let last = Self::length(bytes)?.checked_sub(1)?;
         if bytes.len() != last + 1 || crc8(&bytes[3..last]) != bytes[last] {
@@ -320,8 +318,7 @@ impl<'a> Frame<'a> {
         })
     }
 
-    /// Its items: code and data. Ends early at an item that claims more data than there is, and
-    /// says so with an `Err`.
+    /// Items of the frame: code and data. An item that claims more data than available ends the sequence with an `Err`.
     fn items(self) -> impl Iterator<Item = Result<(u8, &'a [u8]), Malformed>> {
         let mut rest = self.items;
         std::iter::from_fn(move || match *rest {
@@ -338,7 +335,7 @@ impl<'a> Frame<'a> {
         })
     }
 
-    /// What the host commands.
+    /// Commands of the host.
     pub fn commands(self) -> impl Iterator<Item = Result<Command, Malformed>> {
         self.items().map(|item| {
             let (code, data) = item?;
@@ -363,7 +360,7 @@ impl<'a> Frame<'a> {
         })
     }
 
-    /// What a drive answers.
+    /// Answers of a drive.
     pub fn answers(self) -> impl Iterator<Item = Result<Answer, Malformed>> {
         self.items().map(|item| {
             Ok(match item? {
@@ -376,7 +373,7 @@ impl<'a> Frame<'a> {
     }
 }
 
-/// An item of a frame that is not understood: an unknown code, or data of another length.
+/// An item that cannot be decoded: an unknown code, or data of a wrong length.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("item not understood")]
 pub struct Malformed;
@@ -484,7 +481,7 @@ mod tests {
             let mut bytes = CYCLIC;
             bytes[index] ^= 1 << bit;
             let seen = Frame::parse(&bytes);
-            // One flipped bit never passes: the polynomial, short as it is, has more than one term.
+            // The CRC detects every single-bit error, because its polynomial has more than one term.
             assert_eq!(seen, None, "bit {bit} of byte {index}");
         }
         assert_eq!(Frame::length(&[START, 3, !3]), None);

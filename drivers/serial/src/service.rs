@@ -1,15 +1,16 @@
-//! The host's end of maxon's service ports: objects read and written, and NMT commands sent, one at a time.
+//! Client of maxon's service ports: reads and writes objects, and sends NMT commands, one request at a time.
 //!
-//! [`Client`] speaks to an EPOS2 on RS-232 or an EPOS4 on USB or RS-232, bytes in and bytes out. Both channels are
-//! half-duplex: nothing is sent before the answer has come or the time-out has passed. After an error the port waits
-//! for the frame time-out and drops the bytes that arrive. The request is then repeated, a given number of times. A
-//! segmented transfer is repeated from its beginning. Every request ends, whatever comes and even if nothing is ever
-//! sent.
+//! [`Client`] communicates with an EPOS2 on RS-232 or an EPOS4 on USB or RS-232, with bytes as input and output. Both
+//! channels are half-duplex: nothing is sent before the answer has arrived or the time-out has passed. After an error,
+//! the port waits for the frame time-out and drops the bytes that arrive. The request is then repeated, a given number
+//! of times. A segmented transfer is repeated from its beginning. Every request ends, independent of the received
+//! bytes, and even if no byte can be sent.
 //!
-//! An answer does not say what it answers. A late answer is dropped if it arrives before the next request. After a
-//! request that was repeated, the port waits as long again for late answers. Values are four bytes however long the
-//! object is; only transfer in segments tells its length, and it exists for EPOS4 alone, since for EPOS2's no layout
-//! is known. Codes of refusals are those of SDO aborts and maxon's own.
+//! An answer does not identify its request. A late answer is dropped if it arrives before the next request. After a
+//! request that was repeated, the port waits for late answers as long as the successful attempt took. Values have four
+//! bytes, independent of the length of the object. Only a segmented transfer reports the length. Segmented transfer
+//! exists for EPOS4 only, because no layout of it is known for EPOS2. The codes of refusals are SDO abort codes and
+//! codes of maxon.
 
 mod config;
 mod error;
@@ -28,24 +29,24 @@ use wire::{Seen, Wire};
 pub use config::{Config, Dialect};
 pub use error::{ServiceError, StartError};
 
-/// The frame time-out of both devices as delivered.
+/// Factory setting of the frame time-out of both devices.
 pub const TIME_OUT: Duration = epos4::TIME_OUT;
 
-/// With this an EPOS4 refuses a frame that reached it damaged.
+/// Code with which an EPOS4 refuses a damaged frame.
 const CRC: u32 = 0x0504_0004;
 
-/// What a request brought.
+/// Result of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reply<'a> {
-    /// The value read; what is longer than the object is zero.
+    /// The value read. Bytes beyond the length of the object are zero.
     Value(u32),
     /// The whole object.
     Object(&'a [u8]),
-    /// Written, or told.
+    /// The value was written, or the NMT command was accepted.
     Done,
 }
 
-/// One end of a service channel.
+/// Client of a service channel.
 ///
 /// ```text
 /// Idle --request--> Waiting --line quiet--> Exchanging --answer--> Finished --poll--> Idle
@@ -59,21 +60,21 @@ pub struct Client {
     state: State,
     operation: Operation,
     step: Step,
-    /// What is written in segments, or was read so far; never more than the capacity.
+    /// Data to write in segments, or data read so far; never longer than the capacity.
     object: Vec<u8>,
     output: [u8; LONGEST],
-    /// Of the output: what the line has taken, and what there is.
+    /// Number of output bytes that the line has accepted; the next field is the number of output bytes.
     taken: usize,
     filled: usize,
-    /// When the request was made.
+    /// Time of the request.
     started: Instant,
-    /// When its first attempt began.
+    /// Start of the first attempt.
     begun: Instant,
-    /// Of the telegram that is awaited.
+    /// Deadline of the awaited telegram.
     deadline: Instant,
-    /// When last a byte was on the line, as far as is known.
+    /// Time of the last known byte on the line.
     traffic: Instant,
-    /// Before this, nothing is sent.
+    /// Time before which nothing is sent.
     quiet_until: Instant,
     retries_left: u8,
 }
@@ -102,11 +103,11 @@ enum Operation {
     Nmt { node: u8, command: u8 },
 }
 
-/// Where a transfer in segments is.
+/// Progress of a segmented transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Step {
     Start,
-    /// Of `total` bytes, those up to `done` are across.
+    /// The first `done` of `total` bytes were transferred.
     Segment {
         toggle: bool,
         done: usize,
@@ -115,7 +116,7 @@ enum Step {
 }
 
 impl Client {
-    /// A client with nothing to do. Allocates here and nowhere else.
+    /// An idle client. All memory is allocated here.
     pub fn new(config: Config) -> Self {
         Self {
             config,
@@ -144,18 +145,18 @@ impl Client {
         self.start(Operation::Read(address), now)
     }
 
-    /// Writes an object of up to four bytes, the low ones of `value`: [`Reply::Done`].
+    /// Writes an object of up to four bytes, given by the low bytes of `value`: [`Reply::Done`].
     pub fn write(&mut self, address: Address, value: u32, now: Instant) -> Result<(), StartError> {
         self.start(Operation::Write(address, value), now)
     }
 
-    /// Reads a whole object in segments: [`Reply::Object`]. It reaches the device on the line and none behind it.
+    /// Reads a whole object in segments: [`Reply::Object`]. Only the device on the line can be addressed.
     pub fn read_segmented(&mut self, address: Address, now: Instant) -> Result<(), StartError> {
         self.check_segments(0)?;
         self.start(Operation::ReadSegmented(address), now)
     }
 
-    /// Writes a whole object in segments: [`Reply::Done`]. It reaches the device on the line and none behind it.
+    /// Writes a whole object in segments: [`Reply::Done`]. Only the device on the line can be addressed.
     pub fn write_segmented(
         &mut self,
         address: Address,
@@ -169,8 +170,8 @@ impl Client {
         self.start(Operation::WriteSegmented(address), now)
     }
 
-    /// Sends an NMT command specifier (CiA 301 §7.2.8.2.1) to a node, 0 for all: [`Reply::Done`] once the device
-    /// on the line has accepted it, which is not to say that anybody obeyed.
+    /// Sends an NMT command specifier (CiA 301 §7.2.8.2.1) to a node, 0 for all nodes. [`Reply::Done`] means that the
+    /// device on the line has accepted the command. The reply does not confirm that the nodes obey.
     pub fn nmt(&mut self, node: u8, command: u8, now: Instant) -> Result<(), StartError> {
         self.start(Operation::Nmt { node, command }, now)
     }
@@ -184,7 +185,7 @@ impl Client {
         }
     }
 
-    /// The last acknowledgement must be out as well.
+    /// The last acknowledgement must also have been sent.
     fn check_idle(&self) -> Result<(), StartError> {
         let idle = self.state == State::Idle && self.bytes().is_empty();
         if idle { Ok(()) } else { Err(StartError::Busy) }
@@ -200,12 +201,12 @@ impl Client {
         Ok(())
     }
 
-    /// What is to be sent now.
+    /// Bytes to send now.
     pub fn bytes(&self) -> &[u8] {
         &self.output[self.taken..self.filled]
     }
 
-    /// The line has taken so many of [`bytes`](Client::bytes).
+    /// Reports that the line has accepted `count` of [`bytes`](Client::bytes).
     pub fn consume(&mut self, count: usize, now: Instant) {
         let count = count.min(self.filled - self.taken);
         if count == 0 {
@@ -218,7 +219,7 @@ impl Client {
         }
     }
 
-    /// When what is awaited is overdue.
+    /// Time at which the awaited telegram is overdue.
     fn awaited(&self) -> Instant {
         let longest = match (self.config.dialect, self.operation) {
             (Dialect::Epos4, Operation::ReadSegmented(_)) => LONGEST,
@@ -227,11 +228,12 @@ impl Client {
         self.traffic + self.config.time_out + self.config.settings.line_time(longest)
     }
 
-    /// Takes bytes that came by `now`. What comes when nothing is awaited is thrown away.
+    /// Processes bytes that arrived by `now`. Bytes that are not awaited are discarded.
     pub fn handle(&mut self, bytes: &[u8], now: Instant) {
         for &byte in bytes {
             self.traffic = self.traffic.max(now);
-            // The other side may not speak while it is spoken to: what comes then is of an earlier exchange.
+            // The other side must not send while the client sends. Bytes that arrive then belong to an earlier
+            // exchange.
             if self.state != State::Exchanging || !self.bytes().is_empty() {
                 continue;
             }
@@ -281,7 +283,7 @@ impl Client {
         }
     }
 
-    /// What is asked for now.
+    /// Request of the present step.
     fn request(&self) -> Request<'_> {
         match (self.operation, self.step) {
             (Operation::Read(address), _) => Request::Read(address),
@@ -308,10 +310,10 @@ impl Client {
         }
     }
 
-    /// Takes the answer to what was asked for.
+    /// Processes the answer to the present step.
     fn advance(&mut self, answer: Answer<'_>, now: Instant) {
         match (self.operation, self.step, answer) {
-            // The device says so of a frame that reached it damaged.
+            // The device reports a frame that it received damaged.
             (_, _, Answer::Refused(CRC)) => self.fail(ServiceError::NotAcknowledged, now),
             (_, _, Answer::Refused(code)) => self.finish(Err(ServiceError::Refused(code)), now),
             (Operation::Read(_), _, Answer::Value(value)) => {
@@ -374,7 +376,7 @@ impl Client {
         }
     }
 
-    /// Takes a piece of an object of `total` bytes; `toggle` is the next one's.
+    /// Appends a segment of an object of `total` bytes. `toggle` is the toggle bit of the next segment.
     fn append(&mut self, data: &[u8], total: usize, toggle: bool, last: bool, now: Instant) {
         let done = self.object.len() + data.len();
         if done > total || last && done < total {
@@ -392,7 +394,7 @@ impl Client {
         self.ask(now);
     }
 
-    /// Begins, or begins anew, on a quiet line.
+    /// Starts the request, or repeats it, on a quiet line.
     fn begin(&mut self, now: Instant) {
         self.state = State::Exchanging;
         self.step = Step::Start;
@@ -405,7 +407,7 @@ impl Client {
         self.ask(now);
     }
 
-    /// Sends what is asked for now.
+    /// Sends the request of the present step.
     fn ask(&mut self, now: Instant) {
         let request = self.request();
         match self.config.dialect {
@@ -461,7 +463,7 @@ impl Client {
         self.deadline = now + self.config.time_out;
     }
 
-    /// Something went wrong on the line: wait for its end, and once more, unless that was the last time.
+    /// Handles an error on the line: waits until the line is quiet and repeats the request, unless no retries are left.
     fn fail(&mut self, error: ServiceError, now: Instant) {
         self.quiet_until = self.traffic + self.config.time_out;
         if self.retries_left > 0 {
@@ -483,7 +485,7 @@ impl Client {
         self.state = State::Finished(result);
     }
 
-    /// When [`handle_timeout`](Client::handle_timeout) is wanted; `None` with nothing to do.
+    /// Time at which [`handle_timeout`](Client::handle_timeout) is due; `None` if the client is idle.
     pub fn poll_timeout(&self) -> Option<Instant> {
         match self.state {
             State::Idle | State::Finished(_) => None,
@@ -492,12 +494,12 @@ impl Client {
         }
     }
 
-    /// Notices what is overdue at `now`.
+    /// Processes deadlines that have passed at `now`.
     pub fn handle_timeout(&mut self, now: Instant) {
         match self.state {
             State::Waiting if now >= self.quiet_until => self.begin(now),
             State::Exchanging if now >= self.deadline => {
-                // What the line did not take in all that time is not said any more.
+                // Bytes that the line did not accept by the deadline are discarded.
                 self.taken = self.filled;
                 let waited = now.since(self.started);
                 self.fail(ServiceError::TimedOut { waited }, now);
@@ -506,7 +508,7 @@ impl Client {
         }
     }
 
-    /// What became of the request, once.
+    /// Result of the request, returned once.
     pub fn poll(&mut self) -> Option<Result<Reply<'_>, ServiceError>> {
         let State::Finished(result) = self.state else {
             return None;

@@ -10,19 +10,19 @@ use thiserror::Error;
 
 use crate::{Line, LineError};
 
-/// Frames that one call of [`SlcanPort`]'s `send` takes at most.
+/// Maximum number of frames that one call of `send` accepts.
 const BATCH: usize = 256;
 
-/// Bytes that one read takes at most: what a tty holds.
+/// Maximum number of bytes per read: the size of a tty's buffer.
 const READ: usize = 4096;
 
-/// How long the adapter is given to fall silent once it is told to close: what it sent before is not ours.
+/// Time for which the port ignores input after the command to close. Earlier frames of the adapter may still arrive.
 const SETTLING: Duration = Duration::from_millis(50);
 
-/// How long it may take to answer one command.
+/// Time that the adapter has to answer one command.
 const ANSWER: Duration = Duration::from_millis(200);
 
-/// The host's end of a CAN adapter on a serial line that speaks slcan (Lawicel's text, see [`can::slcan`]).
+/// Host's end of a CAN adapter on a serial line with the slcan protocol (Lawicel's text protocol, see [`can::slcan`]).
 ///
 /// ```text
 ///             50 ms          done, silence        2 answers, silence       done             version
@@ -31,46 +31,47 @@ const ANSWER: Duration = Duration::from_millis(200);
 ///                                                                └──────────── silence ──────────┘
 /// ```
 ///
-/// [`SlcanPort::new`] begins it, [`SlcanPort::poll_open`] ends it: within 0.9 s the port is open or refused. Until
-/// then it takes no frame and has none. A bell is a refusal, except after `M` and `m`. An adapter that does not
-/// answer `Sn` and `O` counts as open if it answers with its version.
+/// [`SlcanPort::new`] starts the opening and [`SlcanPort::poll_open`] completes it. Within 0.9 s the port is open or
+/// refused. Until then the port neither accepts nor delivers frames. A bell is a refusal, except after `M` and `m`. An
+/// adapter that does not answer `Sn` and `O` counts as open if it answers with its version.
 ///
-/// `M00000000` and `mFFFFFFFF` take away the acceptance filter that another tool may have left (Lawicel: a set bit of
-/// the mask is not looked at). The commands precede the opening of the channel. Firmware in which the mask has the
-/// opposite sense (CANtact) accepts everything again when it opens. CANable firmware takes the commands for normal
-/// mode. `X1`, which would have the adapter report unasked, is never said: WeAct's firmware takes `X` for the order
-/// to be replaced. An adapter that waits to be polled, as a CAN232 may, has to be told `X1` by hand.
+/// `M00000000` and `mFFFFFFFF` remove the acceptance filter that another tool may have left. In Lawicel's protocol, a
+/// set bit of the mask means that the bit of the identifier is ignored. The commands precede the opening of the
+/// channel. Firmware with the opposite meaning of the mask (CANtact) accepts all frames again when it opens. CANable
+/// firmware takes the commands for normal mode. `X1`, which enables unsolicited reports, is never sent: WeAct's
+/// firmware takes `X` for the command to replace the firmware. An adapter in polled mode, such as a CAN232, must be set
+/// to `X1` by hand.
 ///
-/// Frames are sent as far as the line takes their bytes. A frame of which the line took a part counts as taken; the
-/// rest of its bytes go first in the next call of either direction. A frame that is offered again and again counts as
-/// refused once. The port does not see the queue of the adapter. A frame that the adapter refuses with a bell, or
-/// reports as lost, is counted as refused although `send` took it. A line that cannot be read may have been a frame,
-/// and is counted as dropped. Frames are stamped with the time they are read at: a serial line adds its own latency,
-/// and an adapter's stamps only count the milliseconds of a minute.
+/// Frames are sent as far as the line accepts their bytes. A frame counts as sent once the line has accepted a part of
+/// it. The rest of its bytes are sent first in the next call of either direction. A frame that is offered repeatedly
+/// counts as refused once. The port does not see the queue of the adapter. A frame that the adapter refuses with a
+/// bell, or reports as lost, is counted as refused although `send` accepted it. An unreadable line may have been a
+/// frame, and is counted as dropped. The time stamp of a frame is the time of reading, which includes the latency of
+/// the serial line. The time stamps of adapters only count the milliseconds of a minute.
 ///
-/// The state is that of the last state line. An adapter without state lines stays active. Dropping it closes the
-/// channel.
+/// The state of the controller is that of the last state line. An adapter without state lines stays active. Dropping
+/// the port closes the channel.
 pub struct SlcanPort<L: Line> {
     line: L,
     bitrate: Bitrate,
-    /// How the channel is opened.
+    /// Command that opens the channel.
     how: Command,
     stage: Stage,
     splitter: Splitter,
-    /// What was read and is not looked at yet: `input[read_from..read_to]`.
+    /// Bytes read but not yet processed: `input[read_from..read_to]`.
     input: Box<[u8; READ]>,
     read_from: usize,
     read_to: usize,
-    /// What goes to the line next: the rest of a frame, then new ones.
+    /// Bytes to send: the rest of a frame, then new frames.
     output: Vec<u8>,
-    /// The frame that the line did not take last.
+    /// The frame that the line did not accept last.
     untaken: Option<Frame>,
     counters: Counters,
     state: ControllerState,
     last: Instant,
 }
 
-/// Where opening is.
+/// Progress of the opening.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stage {
     Settling { until: Instant },
@@ -82,25 +83,25 @@ enum Stage {
     Refused(SlcanError),
 }
 
-/// Why an adapter was not opened.
+/// Reason why an adapter was not opened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum SlcanError {
-    /// slcan has nine bit rates.
+    /// The bit rate is not one of the nine bit rates of slcan.
     #[error("slcan has no {kbps} kbit/s: 10, 20, 50, 100, 125, 250, 500, 800 or 1000")]
     NoSuchBitrate {
-        /// What was asked for.
+        /// The requested bit rate, kbit/s.
         kbps: u32,
     },
     /// The adapter refused the bit rate.
     #[error("the adapter refuses {kbps} kbit/s")]
     BitrateRefused {
-        /// What was asked for.
+        /// The requested bit rate, kbit/s.
         kbps: u32,
     },
     /// The adapter refused to open the channel.
     #[error("the adapter refuses to open its channel: unplug it and plug it in again")]
     OpenRefused,
-    /// Nothing answered.
+    /// No answer arrived.
     #[error(
         "no answer: there is no slcan adapter on this tty, it needs another firmware, or it speaks at another baud rate"
     )]
@@ -111,12 +112,13 @@ pub enum SlcanError {
 }
 
 impl<L: Line> SlcanPort<L> {
-    /// Begins to open the adapter on `line` at a bit rate of CAN.
+    /// Starts to open the adapter on `line` at a CAN bit rate.
     pub fn new(line: L, bitrate: Bitrate, now: Instant) -> Result<Self, SlcanError> {
         Self::opened_by(Command::Open, line, bitrate, now)
     }
 
-    /// The same, but the adapter only listens (`L` in place of `O`): not even error frames go out, whatever the bit rate.
+    /// As [`SlcanPort::new`], in listen-only mode (`L` in place of `O`). The adapter sends no error frames either,
+    /// whatever its bit rate.
     pub fn listening(line: L, bitrate: Bitrate, now: Instant) -> Result<Self, SlcanError> {
         Self::opened_by(Command::ListenOnly, line, bitrate, now)
     }
@@ -155,7 +157,7 @@ impl<L: Line> SlcanPort<L> {
         Ok(port)
     }
 
-    /// Goes on opening; call it whenever the line can be read, and at the latest at [`SlcanPort::poll_timeout`].
+    /// Continues the opening. Call it whenever the line is readable, and at the latest at [`SlcanPort::poll_timeout`].
     pub fn poll_open(&mut self, now: Instant) -> Poll<Result<(), SlcanError>> {
         if let Err(error) = self.go_on(now) {
             self.stage = Stage::Refused(error);
@@ -171,7 +173,7 @@ impl<L: Line> SlcanPort<L> {
         }
     }
 
-    /// When opening goes on without an answer; `None` once it is over.
+    /// Time at which the opening continues without an answer; `None` after the opening.
     pub fn poll_timeout(&self) -> Option<Instant> {
         match self.stage {
             Stage::Settling { until }
@@ -183,7 +185,7 @@ impl<L: Line> SlcanPort<L> {
         }
     }
 
-    /// The line, for loops that wait for it.
+    /// The line, for loops that wait until it is readable.
     pub fn line(&self) -> &L {
         &self.line
     }
@@ -198,7 +200,7 @@ impl<L: Line> SlcanPort<L> {
             let Some(piece) = self.splitter.push(byte) else {
                 continue;
             };
-            // Firmware tells its version as it likes, but a line that echoes is no adapter.
+            // The format of the version line depends on the firmware. A line that echoes the command is not an adapter.
             let echo = matches!(piece, Piece::Line(b"V"));
             let report = Report::parse(piece).ok();
             if !echo {
@@ -211,7 +213,7 @@ impl<L: Line> SlcanPort<L> {
         Ok(())
     }
 
-    /// The adapter said something while it is being opened.
+    /// Processes a report of the adapter during the opening.
     fn answered(&mut self, report: Option<Report>, now: Instant) -> Result<(), SlcanError> {
         let kbps = self.bitrate.kbps();
         match (self.stage, report) {
@@ -220,7 +222,7 @@ impl<L: Line> SlcanPort<L> {
             }
             (Stage::Opening { .. }, Some(Report::Refused)) => return Err(SlcanError::OpenRefused),
             (Stage::SettingUp { .. }, Some(Report::Done)) => self.accept_all(now)?,
-            // Both are answered, be it by a bell.
+            // Both commands are answered, possibly by a bell.
             (Stage::AcceptingAll { until, answers }, Some(Report::Done | Report::Refused)) => {
                 let answers = answers + 1;
                 self.stage = Stage::AcceptingAll { until, answers };
@@ -228,13 +230,13 @@ impl<L: Line> SlcanPort<L> {
                     self.open_channel(now)?;
                 }
             }
-            // Any frame or state line shows an open channel, and so does a version line.
+            // A frame, a state line or a version line shows an open channel.
             (
                 Stage::Opening { .. },
                 Some(Report::Done | Report::Received { .. } | Report::State { .. }),
             )
             | (Stage::Probing { .. }, _) => self.stage = Stage::Open,
-            // Answers to what was said before, and frames from before.
+            // Answers to earlier commands, and frames from before the opening.
             (
                 Stage::Settling { .. }
                 | Stage::SettingUp { .. }
@@ -247,7 +249,7 @@ impl<L: Line> SlcanPort<L> {
         Ok(())
     }
 
-    /// The adapter said nothing in its time.
+    /// Handles the time-out of a command during the opening.
     fn silence(&mut self, now: Instant) -> Result<(), SlcanError> {
         match self.stage {
             Stage::Settling { .. } => {
@@ -293,7 +295,7 @@ impl<L: Line> SlcanPort<L> {
         self.output.extend_from_slice(&line);
     }
 
-    /// Hands the line what it takes.
+    /// Writes the bytes that the line accepts.
     fn flush(&mut self, now: Instant) -> Result<(), LineError> {
         self.last = now;
         if !self.output.is_empty() {
@@ -303,7 +305,7 @@ impl<L: Line> SlcanPort<L> {
         Ok(())
     }
 
-    /// Reads once; all that was read before has been looked at.
+    /// Reads once. All bytes read before have been processed.
     fn read_more(&mut self, now: Instant) -> Result<(), LineError> {
         self.last = now;
         debug_assert_eq!(self.read_from, self.read_to, "bytes would be lost");
@@ -354,8 +356,8 @@ impl<L: Line> SlcanPort<L> {
 }
 
 impl<L: Line> Port for SlcanPort<L> {
-    /// Takes at most 256 frames, behind the rest of a frame that was taken before. Stops before a frame that slcan
-    /// cannot carry: an error frame.
+    /// Sends at most 256 frames, after the rest of an incomplete frame. Stops before a frame that slcan cannot carry,
+    /// such as an error frame.
     fn send(&mut self, now: Instant, frames: &[Frame]) -> Result<usize, PortError> {
         let rest = self.output.len();
         let mut ends = 0;
@@ -373,7 +375,8 @@ impl<L: Line> Port for SlcanPort<L> {
         };
         self.last = now;
         let written = result.unwrap_or(0);
-        // A frame of which a byte went out is taken, and its rest is kept; the ones behind it are the caller's again.
+        // A frame of which a byte was sent counts as sent, and its remaining bytes are kept. The frames after it are
+        // left to the caller.
         let mut kept = rest;
         let mut taken = 0;
         while taken < ends && kept < written {
@@ -387,14 +390,14 @@ impl<L: Line> Port for SlcanPort<L> {
         self.output.truncate(kept);
         self.output.drain(..written);
         self.counters.count_sent(&frames[..taken]);
-        // One that was offered before is counted already.
+        // A frame that was offered before is already counted.
         let again = taken == 0 && !frames.is_empty() && self.untaken == frames.first().copied();
         self.counters.refused += (frames.len() - taken - usize::from(again)) as u64;
         self.untaken = frames.get(taken).copied();
         result.map(|_| taken).map_err(of_line)
     }
 
-    /// Reads once, and writes first if a frame is half on the line.
+    /// Reads once. Writes first if a frame is partly on the line.
     fn receive(&mut self, now: Instant, into: &mut [Received]) -> Result<usize, PortError> {
         if self.stage != Stage::Open {
             return Ok(0);
@@ -404,7 +407,7 @@ impl<L: Line> Port for SlcanPort<L> {
         for fresh in [false, true] {
             if fresh && count < into.len() {
                 match self.read_more(now) {
-                    // What came before the line went is handed over first.
+                    // Frames received before the line was lost are delivered first.
                     Err(_) if count > 0 => {}
                     read => read.map_err(of_line)?,
                 }
@@ -429,14 +432,14 @@ impl<L: Line> Port for SlcanPort<L> {
     }
 }
 
-/// Closes the channel, as far as the line takes it.
+/// Closes the channel, if the line accepts the command.
 impl<L: Line> Drop for SlcanPort<L> {
     fn drop(&mut self) {
-        // The empty line ends a frame of which the line took a part.
+        // The empty line ends a frame of which the line accepted a part.
         self.output.clear();
         self.say(Command::Empty);
         self.say(Command::Close);
-        // An error here has no receiver.
+        // An error cannot be reported here.
         let _ = self.line.write(self.last, &self.output);
     }
 }

@@ -1,8 +1,8 @@
-//! A line on a tty: a card's, a USB adapter's or a pseudo-terminal's.
+//! A line on a tty: of a serial card, of a USB adapter, or of a pseudo-terminal.
 //!
-//! It promises one `read(2)` or `write(2)` for each call, neither of which waits, and no allocation after
-//! opening. `tokio-serial` opens and sets the device, for which it takes no reactor; from then on only the
-//! descriptor is used. This is the rim: it makes system calls. Read [`Tty::open`] first.
+//! Each call makes one `read(2)` or `write(2)` and does not wait. No memory is allocated after opening. `tokio-serial`
+//! opens and configures the device, without a reactor. Afterwards only the file descriptor is used. This file makes
+//! system calls. Read [`Tty::open`] first.
 
 #![expect(
     unsafe_code,
@@ -22,51 +22,51 @@ use tokio_serial::{DataBits, FlowControl, Parity, SerialPort};
 
 use crate::{Line, LineCounters, LineError, Settings, StopBits};
 
-/// Why a tty could not be opened, and what to do about it.
+/// Reason why a tty could not be opened, and the remedy.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum OpenError {
-    /// There is no such file, or no device behind it.
+    /// The file or the device behind it does not exist.
     #[error(
         "{0}: no such device: plug the adapter in and load its driver; `ls /dev/serial/by-id` lists those there are"
     )]
     Absent(Box<Path>),
-    /// We may not open it.
+    /// This user has no permission.
     #[error(
         "{0}: permission denied: join the group that owns it, `sudo usermod -aG dialout $USER` on Debian, and log in again"
     )]
     Denied(Box<Path>),
-    /// Another process has it.
+    /// Another process uses the tty.
     #[error("{0}: in use by another process: `fuser -v {0}` says which")]
     Busy(Box<Path>),
-    /// It exists and is no serial line.
+    /// The file is not a serial line.
     #[error("{0}: not a tty")]
     NotATty(Box<Path>),
-    /// The device runs at another speed than it was set to.
+    /// The device cannot run at the requested baud rate.
     #[error("{path}: cannot do {asked} baud, the nearest is {nearest}")]
     Baud {
         /// The tty.
         path: Box<Path>,
-        /// What was asked for, bit/s.
+        /// The requested baud rate, bit/s.
         asked: u32,
-        /// What it would do, bit/s.
+        /// The nearest possible baud rate, bit/s.
         nearest: u32,
     },
-    /// Anything else the operating system said.
+    /// Any other error of the operating system.
     #[error("{path}: errno {errno}")]
     Os {
         /// The tty.
         path: Box<Path>,
-        /// Its answer.
+        /// Error number.
         errno: i32,
     },
 }
 
-/// A tty, raw and ours alone.
+/// A tty in raw mode, for exclusive use.
 ///
-/// Two things keep others out: a lock (`flock`) that the opener takes before it changes the settings, and the kernel's
-/// exclusive flag, which refuses programs without locks too, unless they run as root. A pseudo-terminal has the lock
-/// alone. The flag lasts until the last process that has the terminal open closes it, an emulator for example, and would
-/// outlive a host that is killed; the lock ends with the host.
+/// Two mechanisms exclude other processes. The first is a lock (`flock`), taken before the settings are changed. The
+/// second is the exclusive flag of the kernel. It also refuses programs that ignore locks, unless they run as root. A
+/// pseudo-terminal has the lock only. Its exclusive flag lasts until the last process closes the terminal, for example
+/// an emulator. The flag would therefore outlive a host that is killed, whereas the lock ends with the host.
 pub struct Tty {
     device: OwnedFd,
     low_latency: bool,
@@ -75,8 +75,8 @@ pub struct Tty {
 }
 
 impl Tty {
-    /// Opens the tty at `path`, a link in `/dev/serial/by-id` for instance, which keeps its name when others are
-    /// plugged in. What came before is not received.
+    /// Opens the tty at `path`. A link in `/dev/serial/by-id` keeps its name when other adapters are plugged in. Bytes
+    /// from before the opening are discarded.
     pub fn open(path: impl AsRef<Path>, settings: Settings) -> Result<Self, OpenError> {
         let path = path.as_ref();
         let stop_bits = match settings.stop_bits {
@@ -95,7 +95,7 @@ impl Tty {
             errno: error.raw_os_error().unwrap_or(libc::EIO),
         };
         let nearest = port.baud_rate().map_err(|error| os(&error.into()))?;
-        // A receiver that samples in the middle of a bit stands 4 % over ten of them.
+        // A receiver that samples in the middle of a bit tolerates a deviation of 4 % over ten bits.
         if nearest.abs_diff(settings.baud) > settings.baud / 25 {
             let (path, asked) = (path.into(), settings.baud);
             return Err(OpenError::Baud {
@@ -128,9 +128,8 @@ impl Tty {
         })
     }
 
-    /// Whether the driver hands bytes over as they come. An adapter that cannot be set, such as an FTDI adapter whose
-    /// latency timer stands at 16 ms, delivers too late for a cycle. A driver without a latency timer needs no
-    /// setting.
+    /// Whether the driver delivers received bytes without delay. An adapter that cannot be set, such as an FTDI adapter
+    /// with a latency timer of 16 ms, delivers too late for a cycle. A driver without a latency timer needs no setting.
     pub fn low_latency(&self) -> bool {
         self.low_latency
     }
@@ -147,7 +146,7 @@ impl Tty {
 }
 
 impl Line for Tty {
-    /// `now` is not looked at: the kernel sends at once.
+    /// `now` is ignored, because the kernel sends at once.
     fn write(&mut self, _now: Instant, bytes: &[u8]) -> Result<usize, LineError> {
         let written = if self.gone {
             Err(libc::EIO)
@@ -168,7 +167,7 @@ impl Line for Tty {
         result
     }
 
-    /// `now` is not looked at: what came since it was read is among the bytes.
+    /// `now` is ignored. Bytes that arrived after `now` are returned as well.
     fn read(&mut self, _now: Instant, into: &mut [u8]) -> Result<usize, LineError> {
         if self.gone {
             return Err(LineError::Gone);
@@ -185,7 +184,7 @@ impl Line for Tty {
             )
         };
         match usize::try_from(result).map_err(|_| errno()) {
-            // A raw tty with nothing to read says EAGAIN (VMIN is 1); zero bytes are a hang-up.
+            // A raw tty without received bytes returns EAGAIN (VMIN is 1). Zero bytes mean a hang-up.
             Ok(0) => Err(self.failed(libc::EIO)),
             Ok(count) => {
                 self.counters.received += count as u64;
@@ -196,26 +195,26 @@ impl Line for Tty {
         }
     }
 
-    /// What an adapter holds itself is out of reach.
+    /// Bytes in the buffer of an adapter cannot be discarded.
     fn discard_unsent(&mut self) {
         // SAFETY: the descriptor is open and ours. A device that is gone says so at the next write.
         unsafe { libc::tcflush(self.device.as_raw_fd(), libc::TCOFLUSH) };
     }
 
-    /// What a driver loses before the tty it tells nobody: [`LineCounters::dropped`] stays zero.
+    /// A driver does not report bytes that it lost. [`LineCounters::dropped`] therefore stays zero.
     fn counters(&self) -> LineCounters {
         self.counters
     }
 }
 
-/// For loops that wait on several things at once.
+/// For loops that wait for several descriptors.
 impl AsFd for Tty {
     fn as_fd(&self) -> BorrowedFd<'_> {
         self.device.as_fd()
     }
 }
 
-/// A tty stays exclusive for as long as anybody has it open.
+/// A tty stays exclusive as long as any process has it open, so the flag is cleared here.
 impl Drop for Tty {
     fn drop(&mut self) {
         // SAFETY: the descriptor is open, and the call takes nothing.
@@ -229,7 +228,7 @@ fn errno() -> i32 {
         .unwrap_or(libc::EIO)
 }
 
-/// The opener keeps no errno, so that the kernel is asked once more.
+/// The opener does not return an error number, so this function repeats the call to obtain it.
 fn why_not_opened(path: &Path, error: &tokio_serial::Error) -> OpenError {
     use tokio_serial::ErrorKind;
     let again = OpenOptions::new()
@@ -289,8 +288,8 @@ struct SerialStruct {
 /// `ASYNC_LOW_LATENCY` of `linux/tty_flags.h`.
 const LOW_LATENCY: libc::c_int = 1 << 13;
 
-/// Whether the driver was told to hand bytes over as they come. Ptys and many drivers know nothing of it, and
-/// only root may change other flags: neither is an error.
+/// Sets the low-latency flag of the driver, and returns whether it is set. Pseudo-terminals and many drivers do not
+/// support the flag, and only root may change other flags. Neither case is an error.
 fn set_low_latency(fd: libc::c_int) -> bool {
     // SAFETY: plain integers and a pointer, for all of which zero is a value.
     let mut serial: SerialStruct = unsafe { mem::zeroed() };
@@ -312,7 +311,7 @@ mod tests {
 
     use super::*;
 
-    /// The other end of a new pseudo-terminal, and the path of the end that is a tty.
+    /// Master end of a new pseudo-terminal, and the path of its tty.
     fn pty() -> (File, PathBuf) {
         // SAFETY: the descriptor returned is new and ours; the name fits its buffer.
         unsafe {
@@ -332,7 +331,7 @@ mod tests {
 
     const NOW: Instant = Instant::ZERO;
 
-    /// What is there once `count` bytes are, which a kernel thread carries across.
+    /// Reads until `count` bytes have arrived. A kernel thread transfers them from the other end.
     fn read(tty: &mut Tty, count: usize) -> Vec<u8> {
         let mut seen = Vec::new();
         while seen.len() < count {
@@ -366,7 +365,7 @@ mod tests {
         let mut seen = [0; 256];
         master.read_exact(&mut seen).unwrap();
         assert_eq!(seen[..], all);
-        // The byte is written last, so that an echo of earlier bytes would be read before it.
+        // The byte is written last. An echo of earlier bytes would be read before it.
         master.write_all(&all).unwrap();
         assert_eq!(read(&mut tty, 256), all);
         assert_eq!(tty.read(NOW, &mut into), Ok(0));
@@ -402,7 +401,7 @@ mod tests {
     #[test]
     fn what_came_before_it_was_opened_is_not_received() {
         let (mut master, path) = pty();
-        // Raw from here on, so that nothing waits for the end of a line.
+        // Raw mode from here on, in which no byte waits for the end of a line.
         drop(open(&path).unwrap());
         master.write_all(b"old").unwrap();
         wait(&File::open(&path).unwrap());
@@ -432,7 +431,7 @@ mod tests {
         let taken: usize = (0..200).map(|_| tty.write(NOW, &[0; 1_024]).unwrap()).sum();
         assert!(taken < 200 * 1_024, "nobody reads: {taken} bytes taken");
         assert_eq!(tty.write(NOW, &[0]), Ok(0));
-        // Boxed, as drivers have it.
+        // Boxed, as in the drivers.
         let mut tty: Box<dyn Line> = Box::new(tty);
         tty.discard_unsent();
         assert_eq!(
@@ -469,7 +468,7 @@ mod tests {
         assert!(denied.contains("dialout"), "{denied}");
     }
 
-    /// Whether a terminal refuses to be opened by anybody but root, as someone sees who has it open.
+    /// Whether opening a terminal is refused to users other than root, seen from a process that has it open.
     fn is_exclusive(terminal: &File) -> bool {
         let mut exclusive: libc::c_int = 0;
         // SAFETY: the request stores one int.
@@ -479,7 +478,8 @@ mod tests {
         exclusive != 0
     }
 
-    /// An emulator has the host's end of its pseudo-terminal open too, and the flag would outlive a host that is killed.
+    /// An emulator has the host's end of its pseudo-terminal open too, so the exclusive flag would outlive a host that
+    /// is killed.
     #[test]
     fn a_host_that_is_killed_leaves_a_pseudo_terminal_to_the_next() {
         let (_master, path) = pty();
@@ -491,7 +491,7 @@ mod tests {
             .unwrap();
         let held = mem::ManuallyDrop::new(open(&path).unwrap());
         assert!(!is_exclusive(&emulators));
-        // The kernel closes what a killed process had open, and does nothing else.
+        // The kernel closes the descriptors of a killed process, and does nothing else.
         // SAFETY: the owner of the descriptor is never dropped.
         assert_eq!(unsafe { libc::close(held.device.as_raw_fd()) }, 0);
         assert!(open(&path).is_ok());

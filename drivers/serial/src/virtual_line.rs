@@ -1,7 +1,7 @@
-//! A line without a tty: the host holds one end, a model of the wire and its device the other.
+//! A line without a tty: the host holds one end, a model of the wire and its device holds the other.
 //!
-//! Bytes keep their order and carry times both ways; nothing here waits, locks or allocates after
-//! [`virtual_line`] returned. Baud rate and latency are the model's work.
+//! Bytes keep their order and carry times in both directions. No call waits, locks or allocates after [`virtual_line`]
+//! has returned. The model is responsible for baud rate and latency.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -11,16 +11,16 @@ use rtrb::{Consumer, Producer, RingBuffer};
 
 use crate::{Line, LineCounters, LineError};
 
-/// A byte and when it was handed over: written by the host, or delivered to it.
+/// A byte, and the time at which the host wrote it or received it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TimedByte {
     /// The byte.
     pub byte: u8,
-    /// When.
+    /// Time of writing or of delivery.
     pub at: Instant,
 }
 
-/// Both ends of a virtual line, with room for `capacity` bytes each way, which stand for the tty's buffers.
+/// Creates both ends of a virtual line. Each direction holds `capacity` bytes, like the buffer of a tty.
 pub fn virtual_line(capacity: usize) -> (VirtualLine, VirtualLinePeer) {
     let (to_device, written) = RingBuffer::new(capacity);
     let (to_host, arrived) = RingBuffer::new(capacity);
@@ -41,9 +41,8 @@ pub fn virtual_line(capacity: usize) -> (VirtualLine, VirtualLinePeer) {
 
 /// The host's end.
 ///
-/// [`Line::write`] takes what fits and no more. [`Line::read`] holds back bytes later than `now`.
-/// Once the other end was dropped, writing is [`LineError::Gone`], and so is reading as soon as
-/// the queue is empty.
+/// [`Line::write`] accepts only the bytes that fit. [`Line::read`] holds back bytes later than `now`. After the other
+/// end was dropped, writing returns [`LineError::Gone`]. Reading returns it as soon as the queue is empty.
 pub struct VirtualLine {
     to_device: Producer<TimedByte>,
     arrived: Consumer<TimedByte>,
@@ -70,7 +69,7 @@ impl Line for VirtualLine {
     }
 
     fn read(&mut self, now: Instant, into: &mut [u8]) -> Result<usize, LineError> {
-        // Asked before the queue is read: what was delivered before the end was dropped still counts.
+        // Checked before the queue is read, so that bytes delivered before the end was dropped still count.
         let gone = self.arrived.is_abandoned();
         let mut count = 0;
         while count < into.len() {
@@ -97,7 +96,7 @@ impl Line for VirtualLine {
     }
 }
 
-/// The end of the wire and of the device on it.
+/// The end of the wire and of its device.
 pub struct VirtualLinePeer {
     written: Consumer<TimedByte>,
     to_host: Producer<TimedByte>,
@@ -105,17 +104,17 @@ pub struct VirtualLinePeer {
 }
 
 impl VirtualLinePeer {
-    /// The next byte the host wrote, without taking it.
+    /// The next byte that the host wrote, without removing it.
     pub fn peek(&self) -> Option<TimedByte> {
         self.written.peek().ok().copied()
     }
 
-    /// Takes the next byte the host wrote.
+    /// Removes and returns the next byte that the host wrote.
     pub fn take(&mut self) -> Option<TimedByte> {
         self.written.pop().ok()
     }
 
-    /// Delivers a byte to the host; what finds no room is lost and counted, as in a full tty.
+    /// Delivers a byte to the host. A byte that finds no room is lost and counted, as in a full tty.
     ///
     /// Times must not decrease.
     pub fn deliver(&mut self, byte: TimedByte) {

@@ -1,4 +1,4 @@
-//! Homes an IRb-6, turns its column by a generator of its own, and reads how well the motor followed.
+//! Homes an IRb-6, rotates its column with a generator of its own, and reads the following error of the motor.
 use mrroc::prelude::*;
 
 /// Turns joint 0 by 0.3 rad within 100 macrosteps.

@@ -159,7 +159,7 @@ struct Upload {
     server_crc: bool,
 }
 
-/// Begins a block upload: the answer to the initiate request.
+/// Starts a block upload. Returns the answer to the initiate request.
 fn initiate_upload(
     rig: &mut Rig,
     (index, subindex): (u16, u8),
@@ -212,7 +212,7 @@ fn acknowledge(sequence: u8, size: u8) -> [u8; 8] {
     [0xA2, sequence, size, 0, 0, 0, 0, 0]
 }
 
-/// Sub-blocks to the end, each acknowledged whole; the end frame without its answer.
+/// Uploads all sub-blocks, each acknowledged completely. Returns the end frame, which is not answered yet.
 fn collect(
     rig: &mut Rig,
     upload: &mut Upload,
@@ -323,7 +323,7 @@ fn upload_repeated(rig: &mut Rig) -> Verdict {
     let mut upload = begin_upload(rig, TEXT, true, 4)?;
     let first = sub_block(rig, GO);
     ensure!(first.len() == 4, "{} segments of 4", first.len());
-    // Only the first two arrived.
+    // Acknowledges only the first two segments.
     let second = sub_block(rig, acknowledge(2, 4));
     ensure!(
         second.len() == 4
@@ -332,7 +332,7 @@ fn upload_repeated(rig: &mut Rig) -> Verdict {
             && second[1][1..] == first[3][1..],
         "segments 3 and 4 were not sent again: {second:?}"
     );
-    // Nothing of the next sub-block arrived.
+    // Acknowledges no segment of the next sub-block.
     let third = sub_block(rig, acknowledge(0, 4));
     ensure!(
         third == second,
@@ -399,7 +399,7 @@ fn upload_no_switch(rig: &mut Rig) -> Verdict {
         "{}",
         hex(&upload.bytes)
     );
-    // Above the size of the object the server may answer a normal upload.
+    // The protocol switch threshold exceeds the size of the object, so the server may answer with an ordinary upload.
     let answer = initiate_upload(rig, (0x1000, 0), true, 10, 100)?;
     let normal = answer == request(0x43, 0x1000, 0, [0x92, 0x01, 0x02, 0x00]);
     ensure!(normal || answer[0] & 0xF9 == 0xC0, "{}", hex(&answer));
@@ -420,10 +420,10 @@ fn upload_abort(rig: &mut Rig) -> Verdict {
     expect_text(rig, &upload)
 }
 
-/// How a block download deviates from a good one.
+/// Deviations of a block download from a correct one.
 #[derive(Clone, Copy, Default)]
 struct Download {
-    /// Announced instead of the true size.
+    /// Announced size in place of the true one.
     size: Option<u32>,
     without_crc: bool,
     wrong_crc: bool,
@@ -431,7 +431,7 @@ struct Download {
     lost: Option<usize>,
 }
 
-/// A block download; the answer to its end.
+/// Runs a block download and returns the answer to its end.
 fn block_download(
     rig: &mut Rig,
     (index, subindex): (u16, u8),
@@ -522,7 +522,7 @@ fn download_short(rig: &mut Rig) -> Verdict {
 }
 
 fn download_lost_segment(rig: &mut Rig) -> Verdict {
-    // Of 20 segments the first, a middle one and the last but one are lost.
+    // The first, a middle and the last but one of 20 segments are lost.
     for lost in [0, 7, 18] {
         let how = Download {
             lost: Some(lost),

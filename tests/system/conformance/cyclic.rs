@@ -147,7 +147,7 @@ fn exchange(rig: &mut Rig, target: u32, actual: u32) -> Verdict {
     Ok(())
 }
 
-/// One cycle: SYNC, then the set-point for the next; the actual value of this SYNC.
+/// One cycle: SYNC, then the set-point for the next cycle. Returns the actual value of this SYNC.
 fn cycle(rig: &mut Rig, target: i32) -> Result<i32, Deviation> {
     let mark = rig.mark();
     rig.send(0x080, &[]);
@@ -160,7 +160,7 @@ fn cycle(rig: &mut Rig, target: i32) -> Result<i32, Deviation> {
     Ok(i32::from_le_bytes([data[2], data[3], data[4], data[5]]))
 }
 
-/// Enabled in CSP where the axis stands, with cyclic exchange.
+/// Enables CSP at the present position, with cyclic exchange.
 fn cyclic_position(rig: &mut Rig) -> Result<i32, Deviation> {
     exchange(rig, 0x607A_0020, 0x6064_0020)?;
     let position = rig.position()?;
@@ -288,7 +288,7 @@ fn csp_limits(rig: &mut Rig) -> Verdict {
                 "position {actual} beyond the limit {limit}"
             );
         }
-        // A drive may also answer such a target by a fault.
+        // A drive may also react to such a target with a fault.
         if rig.power()? == Fault {
             return Ok(());
         }
@@ -384,7 +384,7 @@ fn measured_acceleration(rig: &mut Rig) -> Result<f64, Deviation> {
     Ok(f64::from(second.0 - first.0) / 60.0 * std::f64::consts::TAU / span)
 }
 
-/// Expects the acceleration by a torque in thousandths of 0x6076.
+/// Expects the acceleration that a torque in thousandths of 0x6076 produces.
 fn expect_torque(rig: &mut Rig, thousandths: i32) -> Verdict {
     let rated = f64::from(rig.read(0x6076, 0)?) * 1e-6;
     rig.pass(10);

@@ -1,4 +1,4 @@
-//! What a client of CiA 402 does: power states, modes of operation, and measurements of the motion.
+//! A client of CiA 402: power states, modes of operation, and measurements of the motion.
 
 use super::rig::{Deviation, Rig, TURN, Verdict, ensure};
 
@@ -40,7 +40,7 @@ pub(super) const CSP: i64 = 8;
 pub(super) const CSV: i64 = 9;
 pub(super) const CST: i64 = 10;
 
-/// A producer of heartbeats that the check plays.
+/// Node-ID of a heartbeat producer that the check emulates.
 const PRODUCER: u16 = 0x7E;
 
 impl Power {
@@ -72,14 +72,14 @@ impl Rig {
         Ok(())
     }
 
-    /// Writes the controlword, and gives the drive 5 ms.
+    /// Writes the controlword and waits 5 ms.
     pub(super) fn control(&mut self, word: u16) -> Verdict {
         self.write(0x6040, 0, i64::from(word), 2)?;
         self.pass(5);
         Ok(())
     }
 
-    /// Bits of the statusword stand as expected: (mask, value).
+    /// Expects bits of the statusword: (mask, value).
     pub(super) fn expect_bits(&mut self, (mask, value): (u32, u32), when: &str) -> Verdict {
         let word = self.statusword()?;
         ensure!(
@@ -89,7 +89,7 @@ impl Rig {
         Ok(())
     }
 
-    /// Waits until bits of the statusword stand as expected, at most so many milliseconds.
+    /// Waits until bits of the statusword have the expected values, for at most `millis` milliseconds.
     pub(super) fn wait_bits(
         &mut self,
         (mask, value): (u32, u32),
@@ -122,7 +122,7 @@ impl Rig {
         Ok(())
     }
 
-    /// Leads the drive from switch on disabled, or from operation enabled, to a state.
+    /// Changes the power state from switch on disabled or operation enabled to `power`.
     pub(super) fn bring(&mut self, power: Power) -> Verdict {
         let commands: &[u16] = match power {
             SwitchOnDisabled => &[0x00],
@@ -141,7 +141,7 @@ impl Rig {
         self.expect_power(power, "the commands that lead there")
     }
 
-    /// Fault, by a lost heartbeat whose cause is gone afterwards.
+    /// Causes a fault by a lost heartbeat. The cause is removed afterwards.
     fn bring_fault(&mut self) -> Verdict {
         self.write(0x6007, 0, 1, 2)?;
         self.write(0x1029, 1, 1, 1)?;
@@ -150,7 +150,7 @@ impl Rig {
         self.expect_power(Fault, "a lost heartbeat with 0x6007 = 1")
     }
 
-    /// A producer that falls silent after one heartbeat, and is lost after 20 ms; then so many milliseconds.
+    /// Emulates a producer that sends one heartbeat only and is lost after 20 ms. Then waits `millis` milliseconds.
     pub(super) fn lose_host(&mut self, millis: u64) -> Verdict {
         self.write(0x1016, 1, i64::from(PRODUCER) << 16 | 20, 4)?;
         self.send(0x700 + PRODUCER, &[0x05]);
@@ -158,7 +158,7 @@ impl Rig {
         Ok(())
     }
 
-    /// Operation enabled in a mode.
+    /// Enables operation in a mode.
     pub(super) fn enable(&mut self, mode: i64) -> Verdict {
         self.set_mode(mode)?;
         self.bring(OperationEnabled)
@@ -191,7 +191,7 @@ impl Rig {
         Ok(())
     }
 
-    /// Operation enabled in profile velocity mode at a speed, rpm.
+    /// Enables operation in profile velocity mode at a speed, rpm.
     pub(super) fn spin(&mut self, speed: i32) -> Verdict {
         self.write(0x6083, 0, 100_000, 4)?;
         self.write(0x60FF, 0, i64::from(speed), 4)?;
@@ -200,7 +200,7 @@ impl Rig {
         self.expect_velocity(speed, 30)
     }
 
-    /// Milliseconds until the axis stands; `None` if it still turns after `limit`.
+    /// Time until the axis stands, ms; `None` if it still turns after `limit`.
     pub(super) fn stop_time(&mut self, limit: u64) -> Result<Option<f64>, Deviation> {
         let begin = self.now();
         loop {
@@ -215,7 +215,7 @@ impl Rig {
         }
     }
 
-    /// Expects a stop after so many milliseconds, within a tenth and 15 ms.
+    /// Expects a stop after `millis` milliseconds, with a tolerance of a tenth and 15 ms.
     pub(super) fn expect_stop(&mut self, millis: f64, why: &str) -> Verdict {
         let found = self.stop_time(2_000)?;
         let near = |found: f64| (found - millis).abs() <= millis / 10.0 + 15.0;
@@ -226,7 +226,7 @@ impl Rig {
         Ok(())
     }
 
-    /// Expects that the axis coasts: it keeps its speed, rpm.
+    /// Expects that the axis coasts, i.e. keeps its speed, rpm.
     pub(super) fn expect_coasting(&mut self, speed: i32, why: &str) -> Verdict {
         self.pass(100);
         let found = self.velocity()?;
@@ -237,7 +237,8 @@ impl Rig {
         Ok(())
     }
 
-    /// A new set-point in profile position mode, with these bits beside bit 4, and its acknowledgement.
+    /// Gives a new set-point in profile position mode, with these bits in addition to bit 4, and waits for its
+    /// acknowledgement.
     pub(super) fn set_point(&mut self, target: i32, bits: u16) -> Verdict {
         self.write(0x607A, 0, i64::from(target), 4)?;
         self.write(0x6040, 0, i64::from(0x1F | bits), 2)?;
@@ -252,7 +253,7 @@ impl Rig {
     }
 }
 
-/// Counts/s of a speed in rpm.
+/// Converts a speed in rpm to counts/s.
 pub(super) fn counts_per_second(speed: f64) -> f64 {
     speed * f64::from(TURN) / 60.0
 }

@@ -92,7 +92,7 @@ pub(super) const ROWS: &[Row] = &[
 
 const PRODUCER: u8 = 0x7E;
 
-/// A drive that reports losses of node 0x7E after 20 ms and takes no other action.
+/// Configures a drive that reports the loss of node 0x7E after 20 ms and takes no other action.
 fn indifferent(rig: &mut Rig) -> Verdict {
     rig.write(0x6007, 0, 0, 2)?;
     rig.write(0x1029, 1, 1, 1)?;
@@ -106,7 +106,7 @@ fn beat(rig: &mut Rig) {
     rig.pass(5);
 }
 
-/// A lost heartbeat: code 8130.
+/// Causes the loss of a heartbeat: code 8130.
 fn lose(rig: &mut Rig) {
     beat(rig);
     rig.pass(40);
@@ -168,7 +168,7 @@ fn remaining(rig: &mut Rig) -> Verdict {
     indifferent(rig)?;
     rig.write(0x1402, 5, 20, 2)?;
     rig.write(0x1402, 1, i64::from(RPDO[2]), 4)?;
-    // RPDO3 comes once, then never again: code 8250 beside 8130.
+    // RPDO3 is sent only once: code 8250 in addition to 8130.
     rig.send(RPDO[2], &[0; 6]);
     lose(rig);
     let mark = rig.mark();
@@ -216,7 +216,7 @@ fn history(rig: &mut Rig) -> Verdict {
     expect_history(rig, &[0x8130])
 }
 
-/// A short RPDO1: code 8210.
+/// Sends a short RPDO1: code 8210.
 fn short_pdo(rig: &mut Rig) {
     rig.send(RPDO[0], &[0x00]);
     rig.pass(5);

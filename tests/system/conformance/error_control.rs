@@ -1,4 +1,5 @@
-//! Claims about error control: the heartbeat producer, the heartbeat consumers, and what a lost heartbeat does to the NMT state.
+//! Claims about error control: the heartbeat producer, the heartbeat consumers, and the effect of a lost heartbeat on
+//! the NMT state.
 
 use super::rig::{EMCY, HEARTBEAT, Heard, NODE, Rig, Verdict, ensure, hex, unit};
 use super::{CIA_301, Row};
@@ -160,7 +161,7 @@ pub(super) const ROWS: &[Row] = &[
     ),
 ];
 
-/// A producer that the check plays.
+/// Node-ID of a producer that the check emulates.
 const PRODUCER: u8 = 0x7E;
 const LOST: [u8; 2] = [0x30, 0x81];
 
@@ -168,7 +169,7 @@ fn beat(rig: &mut Rig, node: u8) {
     rig.send(0x700 + u16::from(node), &[0x05]);
 }
 
-/// A drive whose power stage does not react to a loss.
+/// Configures a drive whose power stage does not react to a loss.
 fn indifferent(rig: &mut Rig) -> Verdict {
     rig.write(0x6007, 0, 0, 2)?;
     rig.write(0x1029, 1, 1, 1)
@@ -368,7 +369,7 @@ fn two_producers(rig: &mut Rig) -> Verdict {
         losses(rig, mark).is_empty(),
         "a loss while both producers send"
     );
-    // The first falls silent, then the second.
+    // The first producer falls silent, then the second.
     for _ in 0..10 {
         beat(rig, PRODUCER - 1);
         rig.pass(20);
@@ -419,7 +420,7 @@ fn same_producer(rig: &mut Rig) -> Verdict {
     let value = i64::from(PRODUCER) << 16 | 50;
     rig.refuse((0x1016, 2), value, 4, &[0x0604_0043])?;
     rig.expect(0x1016, 2, 0)?;
-    // The same entry may change its own time, and a released producer may move.
+    // The same entry may change its own time, and a producer that was released may be assigned to another entry.
     watch(rig, 1, PRODUCER, 30)?;
     watch(rig, 1, 0, 0)?;
     watch(rig, 2, PRODUCER, 50)
@@ -523,7 +524,7 @@ fn ends_at_reset(rig: &mut Rig) -> Verdict {
     Ok(())
 }
 
-/// The NMT state after a loss, in the state that `command` leads to.
+/// NMT state after a loss that occurs in the state reached by `command`.
 fn state_after_loss(
     rig: &mut Rig,
     behaviour: i64,

@@ -136,9 +136,9 @@ const SEARCH: i64 = 240;
 const ZERO: i64 = 30;
 /// Angle of one count, rad.
 const COUNT: f64 = TAU / TURN as f64;
-/// How far the axis runs in 2 ms at [`ZERO`], rad: the drive samples its switches every millisecond.
+/// Distance in 2 ms at the speed [`ZERO`], rad. The drive samples its switches every millisecond.
 const REACTION: f64 = ZERO as f64 / 60.0 * TAU * 2e-3;
-/// The index pulse of the rig's axis lies 1 rad above the start, and once each turn.
+/// Angle of an index pulse of the rig's axis: 1 rad above the start; one pulse per revolution.
 const INDEX: f64 = START + 1.0;
 
 fn begin(rig: &mut Rig, axis: AxisConfig, method: i64) -> Verdict {
@@ -175,7 +175,7 @@ fn expect_zero(rig: &mut Rig, angle: f64, tolerance: f64, what: &str) -> Verdict
     Ok(())
 }
 
-/// A whole run of a method from the start angle.
+/// Runs a homing method from the start angle to its end.
 fn home(rig: &mut Rig, axis: AxisConfig, method: i64, zero: f64, tolerance: f64) -> Verdict {
     begin(rig, axis, method)?;
     start(rig)?;
@@ -184,7 +184,7 @@ fn home(rig: &mut Rig, axis: AxisConfig, method: i64, zero: f64, tolerance: f64)
     rig.expect_power(OperationEnabled, "homing")
 }
 
-/// The first index above or below an angle.
+/// The next index pulse above or below an angle.
 fn index_after(angle: f64, upwards: bool) -> f64 {
     let turns = (angle - INDEX) / TAU;
     INDEX + TAU * if upwards { turns.ceil() } else { turns.floor() }
@@ -279,7 +279,7 @@ fn methods_1_and_2(rig: &mut Rig) -> Verdict {
     home(rig, axis, 2, index_after(START + 10.0, false), 2.0 * COUNT)
 }
 
-/// A drive whose home switch reaches from 4 rad above the start to the end of travel, or to the other end.
+/// A drive whose home switch is closed from 4 rad above the start upwards, or from 4 rad below the start downwards.
 fn home_switch(above: bool) -> AxisConfig {
     let axis = switched_axis();
     let mut switch = axis.home_switch.expect("the axis has a home switch");
@@ -346,7 +346,7 @@ fn unknown_method(rig: &mut Rig) -> Verdict {
     Ok(())
 }
 
-/// Mean speed over so many milliseconds, rpm.
+/// Mean speed over `millis` milliseconds, rpm.
 fn mean_speed(rig: &mut Rig, millis: u64) -> f64 {
     let (angle, begin) = (rig.angle(), rig.now());
     rig.pass(millis);
@@ -355,7 +355,7 @@ fn mean_speed(rig: &mut Rig, millis: u64) -> f64 {
 }
 
 fn speeds(rig: &mut Rig) -> Verdict {
-    // Slow enough that the axis is off the switch for 100 ms at least.
+    // The speed is so low that the axis is off the switch for at least 100 ms.
     begin(rig, switched_axis(), 1)?;
     start(rig)?;
     rig.pass(100);

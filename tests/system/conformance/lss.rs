@@ -123,7 +123,7 @@ const REQUEST: u16 = 0x7E5;
 
 const ANSWER: u16 = 0x7E4;
 
-/// Sends a request of 8 bytes; the answers.
+/// Sends a request of 8 bytes and returns the answers.
 pub(super) fn ask(rig: &mut Rig, bytes: &[u8]) -> Vec<Vec<u8>> {
     let mark = rig.mark();
     let mut frame = [0; 8];
@@ -140,7 +140,7 @@ fn answers(rig: &Rig, mark: Mark) -> Vec<Vec<u8>> {
         .collect()
 }
 
-/// Expects one answer that begins so and is filled up with zeros.
+/// Expects one answer that begins with these bytes and is filled with zeros.
 pub(super) fn expect(rig: &mut Rig, bytes: &[u8], answer: &[u8]) -> Verdict {
     let answers = ask(rig, bytes);
     let mut expected = [0; 8];
@@ -203,14 +203,14 @@ fn in_configuration(rig: &mut Rig) -> bool {
     !ask(rig, &[0x5E]).is_empty()
 }
 
-/// Whether the boot-up message of a node came after `mark`.
+/// Whether the boot-up message of a node was received after `mark`.
 fn booted(rig: &Rig, mark: Mark, node: u8) -> bool {
     rig.heard(mark, 0x700 + u16::from(node))
         .iter()
         .any(|heard| heard.data == [0])
 }
 
-/// An upload of the device type from a node.
+/// Uploads the device type from a node, and returns whether the node answers.
 fn answers_as(rig: &mut Rig, node: u8) -> bool {
     let mark = rig.mark();
     rig.send(0x600 + u16::from(node), &request(0x40, 0x1000, 0, [0; 4]));
@@ -326,7 +326,7 @@ fn node_id(rig: &mut Rig) -> Verdict {
     Ok(())
 }
 
-/// The drive has this pending node-ID, in waiting.
+/// Gives a pending node-ID to the drive, which stays in waiting mode.
 fn configure(rig: &mut Rig, id: u8) -> Verdict {
     to_configuration(rig)?;
     expect(rig, &[0x11, id], &[0x11, 0])?;
@@ -440,7 +440,8 @@ fn store(rig: &mut Rig) -> Verdict {
 
 fn bit_timing(rig: &mut Rig) -> Verdict {
     to_configuration(rig)?;
-    // Table 0: 1000, 800, 500, 250, 125, reserved, 50, 20, 10 kbit/s, automatic. The data sheet has all but 10.
+    // Table 0: 1000, 800, 500, 250, 125, reserved, 50, 20, 10 kbit/s, automatic. The data sheet has all bit rates
+    // except 10 kbit/s.
     for (index, supported) in [
         (0, true),
         (1, true),

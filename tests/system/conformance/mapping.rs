@@ -230,7 +230,7 @@ fn count_first(rig: &mut Rig) -> Verdict {
     Ok(())
 }
 
-/// Entries that are refused with one of these codes, at the latest with the count.
+/// Expects that entries are refused with one of these codes, at the latest when the count is written.
 fn refuse_entries(
     rig: &mut Rig,
     kinds: &[fn(u16) -> Pdo],
@@ -327,7 +327,7 @@ fn too_long(rig: &mut Rig) -> Verdict {
             rig.refuse((pdo.mapping, 0), 3, 1, &[0x0604_0042])?;
         }
         rig.expect(pdo.mapping, 0, 0)?;
-        // The first two fit.
+        // The first two entries fit.
         rig.write(pdo.mapping, 0, 2, 1)?;
     }
     Ok(())

@@ -1,7 +1,7 @@
-//! Conformance of the emulated drive: every object and service of CiA 301, CiA 305 and CiA 402 that it claims, each with a check.
+//! Conformance of the emulated drive. Each claimed object and service of CiA 301, CiA 305 and CiA 402 has a check.
 //!
-//! [`TABLE`] lists the claims. Each check speaks to a drive of its own, byte by byte, in virtual time. The table is written as JSON to
-//! `target/conformance.json` and as Markdown to `docs/conformance.md`.
+//! [`TABLE`] lists the claims. Each check uses a drive of its own, byte by byte, in virtual time. The table is written
+//! as JSON to `target/conformance.json` and as Markdown to `docs/conformance.md`.
 
 mod block;
 mod cyclic;
@@ -119,7 +119,7 @@ const TABLE: &[(&str, &[Row])] = &[
 /// One row after its run.
 struct Outcome {
     row: &'static Row,
-    /// What deviates, with the frames before it; `None` if the claim holds.
+    /// The deviation, with the frames before it; `None` if the claim holds.
     deviation: Option<String>,
 }
 

@@ -1,4 +1,4 @@
-//! Claims about NMT: boot-up, states, commands, and which services work in which state.
+//! Claims about NMT: boot-up, states, commands, and the services available in each state.
 
 use super::rig::{
     Deviation, EMCY, HEARTBEAT, NODE, RPDO, Rig, SDO_ANSWER, TPDO, Verdict, ensure, hex, request,
@@ -153,14 +153,14 @@ const PRE_OPERATIONAL: u8 = 0x7F;
 const OPERATIONAL: u8 = 0x05;
 const STOPPED: u8 = 0x04;
 
-/// Commands and the state of each.
+/// NMT commands and the states that they lead to.
 const STATES: [(u8, u8); 3] = [
     (0x80, PRE_OPERATIONAL),
     (0x01, OPERATIONAL),
     (0x02, STOPPED),
 ];
 
-/// A heartbeat of 10 ms shows the state.
+/// Enables a heartbeat of 10 ms, which shows the state.
 fn show_state(rig: &mut Rig) -> Verdict {
     rig.write(0x1017, 0, 10, 2)
 }
@@ -319,7 +319,7 @@ fn sdo_states(rig: &mut Rig) -> Verdict {
             "answered in state {state:#04x}: {answered}"
         );
     }
-    // A request of the time in stopped is not answered later.
+    // A request that arrives in the state stopped is not answered later.
     let mark = rig.mark();
     rig.nmt(0x80);
     rig.pass(20);
@@ -377,7 +377,7 @@ fn sync_states(rig: &mut Rig) -> Verdict {
     Ok(())
 }
 
-/// Node 0x7E is watched from now on, and falls silent after one heartbeat.
+/// Monitors node 0x7E from now on. The node falls silent after one heartbeat.
 fn lose_a_producer(rig: &mut Rig) {
     rig.send(0x77E, &[0x05]);
     rig.pass(60);

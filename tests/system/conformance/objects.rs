@@ -150,14 +150,14 @@ pub(super) const ROWS: &[Row] = &[
     ),
 ];
 
-/// The data sheet whose claims these are.
+/// The data sheet with the claims.
 pub(super) fn sheet() -> Eds {
     let sheet =
         std::fs::read(root().join("cells/epos4-emulated.eds")).expect("the data sheet is there");
     Eds::read(&sheet).expect("the data sheet is readable")
 }
 
-/// Entries of a fixed length in bytes.
+/// Entries with a fixed length, and the length in bytes.
 fn sized(sheet: &Eds) -> impl Iterator<Item = (Object, &Variable, usize)> {
     sheet
         .variables()
@@ -214,7 +214,7 @@ fn defaults(rig: &mut Rig) -> Verdict {
         let Some(default) = &variable.default else {
             continue;
         };
-        // Data of the motor and the encoder, which differ between the sheet's axis and the rig's.
+        // Data of motor and encoder differ between the axis of the sheet and the axis of the rig.
         if is_empty_history(object) || (0x3000..0x3002).contains(&object.index) {
             continue;
         }
@@ -258,7 +258,7 @@ fn writable(rig: &mut Rig) -> Verdict {
     Ok(())
 }
 
-/// Writable entries but those whose values are commands.
+/// Writes values of a wrong length to all writable entries except those whose values are commands.
 fn wrong_length(rig: &mut Rig, length: impl Fn(usize) -> usize, codes: &[u32]) -> Verdict {
     for (object, variable, size) in sized(&sheet()) {
         if matches!(variable.access, Access::ReadOnly | Access::Const) {
@@ -276,7 +276,7 @@ fn wrong_length(rig: &mut Rig, length: impl Fn(usize) -> usize, codes: &[u32]) -
                 object.subindex,
                 [wrong as u8, 0, 0, 0],
             ))?;
-            // A server may also see the excess only in the segments.
+            // A server may also detect the excess length in the segments.
             let answer = if answer[0] == 0x60 {
                 rig.transfer([0x05, 0, 0, 0, 0, 0, 0, 0])?
             } else {
@@ -307,7 +307,7 @@ fn limits(rig: &mut Rig) -> Verdict {
     let node = NodeId::new(NODE).expect("a node-ID");
     let mut tried = 0;
     for (object, variable, size) in sized(&sheet()) {
-        // Mapping counts are refused while their PDO is valid; `pdo-count-too-high` has their limit.
+        // Mapping counts are refused while their PDO is valid; the claim `pdo-count-too-high` checks their limit.
         if is_pdo_parameter(object.index) {
             continue;
         }
@@ -417,7 +417,7 @@ fn highest_subindex(rig: &mut Rig) -> Verdict {
     Ok(())
 }
 
-/// A constant: this value, and no download changes it.
+/// Expects a constant: the value is `value`, and no download changes it.
 fn constant(rig: &mut Rig, index: u16, subindex: u8, value: u32) -> Verdict {
     rig.expect(index, subindex, value)?;
     rig.refuse((index, subindex), i64::from(value) + 1, 4, &[0x0601_0002])?;
@@ -496,7 +496,8 @@ fn supported_modes(rig: &mut Rig) -> Verdict {
 }
 
 fn units(rig: &mut Rig) -> Verdict {
-    // Prefix, numerator, denominator, reserved: 0xB5 increments, 0xB4 revolutions, 0x47 minutes, 0xC0 rpm, 0x03 seconds.
+    // Prefix, numerator, denominator, reserved: 0xB5 increments, 0xB4 revolutions, 0x47 minutes, 0xC0 rpm, 0x03
+    // seconds.
     rig.expect(0x60A8, 0, 0x00B5_0000)?;
     rig.expect(0x60A9, 0, 0x00B4_4700)?;
     rig.expect(0x60AA, 0, 0x00C0_0300)

@@ -1,4 +1,4 @@
-//! Claims about option codes: how the axis stops, and in which state the drive ends.
+//! Claims about option codes: the kind of stop, and the state in which the drive ends.
 
 use super::drive::Power::{
     self, Fault, OperationEnabled, QuickStopActive, ReadyToSwitchOn, SwitchOnDisabled, SwitchedOn,
@@ -150,10 +150,10 @@ const QUICK: i32 = 30_000;
 /// Times of the two ramps, ms.
 const PROFILE_TIME: f64 = 300.0;
 const QUICK_TIME: f64 = 100.0;
-/// Of a stop at the current limit of 20 A, ms: torque 2.1 N·m on an inertia of 1.5e-4 kg·m².
+/// Duration of a stop at the current limit of 20 A, ms: torque 2.1 N·m on an inertia of 1.5e-4 kg·m².
 const LIMIT_TIME: f64 = 60.0;
 
-/// How the axis stops.
+/// Kind of stop.
 #[derive(Clone, Copy, PartialEq)]
 enum Stop {
     Coasting,
@@ -162,7 +162,7 @@ enum Stop {
     AtLimits,
 }
 
-/// A fresh drive that turns at [`SPEED`] with both ramps set.
+/// Boots a fresh drive that turns at [`SPEED`] with both ramps set.
 fn turning(rig: &mut Rig) -> Verdict {
     rig.boot(unit());
     rig.write(0x6084, 0, i64::from(PROFILE), 4)?;
@@ -186,7 +186,7 @@ fn expect_stop(rig: &mut Rig, stop: Stop, why: &str) -> Verdict {
     }
 }
 
-/// A command to the turning axis with an option set.
+/// Gives a command to the turning axis with an option set, and checks the stop.
 fn stops(
     rig: &mut Rig,
     (option, value): (u16, i64),
@@ -283,7 +283,7 @@ fn halt_ends(rig: &mut Rig) -> Verdict {
     rig.expect_velocity(SPEED, 30)
 }
 
-/// A heartbeat that is lost 20 ms from now.
+/// Causes the loss of a heartbeat 20 ms from now.
 fn lose_host(rig: &mut Rig, abort: i64) -> Verdict {
     rig.write(0x6007, 0, abort, 2)?;
     rig.write(0x1029, 1, 1, 1)?;
@@ -361,7 +361,7 @@ fn abort_by_nmt_stop(rig: &mut Rig) -> Verdict {
         match abort {
             0 => rig.expect_velocity(SPEED, 30)?,
             2 => rig.expect_coasting(SPEED, &why)?,
-            // Power ends with the ramp, and this axis has no friction.
+            // The power is switched off at the end of the ramp, and this axis has no friction.
             _ => rig.expect_velocity(0, SPEED / 20)?,
         }
     }

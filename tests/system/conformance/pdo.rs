@@ -81,7 +81,7 @@ pub(super) const ROWS: &[Row] = &[
     ),
 ];
 
-/// A PDO of either kind.
+/// A PDO of either direction.
 #[derive(Clone, Copy)]
 pub(super) struct Pdo {
     pub(super) communication: u16,
@@ -106,7 +106,7 @@ pub(super) fn rpdo(number: u16) -> Pdo {
 }
 
 impl Pdo {
-    /// COB-ID with bit 30 of TPDOs, for which the drive answers no remote frames.
+    /// COB-ID, with bit 30 set for TPDOs, because the drive answers no remote frames.
     pub(super) fn word(self) -> i64 {
         let rtr = if self.communication >= 0x1800 {
             0x4000_0000
@@ -139,7 +139,7 @@ impl Pdo {
         self.create(rig)
     }
 
-    /// Destroyed, and ready for new entries.
+    /// Destroys the PDO, so that entries can be written.
     pub(super) fn open(self, rig: &mut Rig) -> Verdict {
         self.destroy(rig)?;
         rig.write(self.mapping, 0, 0, 1)
@@ -183,7 +183,7 @@ pub(super) fn reacts(rig: &mut Rig, id: u16) -> Result<bool, Deviation> {
     Ok(rig.read(0x6041, 0)? & 0x6F == 0x21)
 }
 
-/// Whether the statusword's change is sent under `id`.
+/// Whether a change of the statusword is sent under `id`.
 fn reports(rig: &mut Rig, id: u16) -> Result<bool, Deviation> {
     rig.write(0x6040, 0, 0, 2)?;
     rig.pass(20);
@@ -231,7 +231,7 @@ fn live_cob_id(rig: &mut Rig) -> Verdict {
     for pdo in [rpdo(1), tpdo(1)] {
         rig.refuse((pdo.communication, 1), pdo.word() + 0x20, 4, &[])?;
         rig.expect(pdo.communication, 1, pdo.word() as u32)?;
-        // The same word is no change.
+        // Writing the same word is not a change.
         pdo.create(rig)?;
     }
     Ok(())

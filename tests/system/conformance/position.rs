@@ -91,11 +91,11 @@ pub(super) const ROWS: &[Row] = &[
     ),
 ];
 
-/// A target that is not far off: 2.5 turns.
+/// A target at a short distance: 2.5 revolutions.
 pub(super) const TARGET: i32 = 10_000;
 
 pub(super) fn begin(rig: &mut Rig) -> Verdict {
-    // Target reached means in the window, not only the end of the profile.
+    // "Target reached" means that the position is in the window, not only that the profile has ended.
     rig.write(0x6067, 0, 10, 4)?;
     rig.write(0x6081, 0, 3_000, 4)?;
     rig.write(0x6083, 0, 30_000, 4)?;
@@ -257,7 +257,8 @@ fn halt(rig: &mut Rig) -> Verdict {
 fn following_error(rig: &mut Rig) -> Verdict {
     begin(rig)?;
     rig.write(0x6065, 0, 0xFFFF_FFFF, 4)?;
-    // The three values in one TPDO do not fit, so at constant speed: twice the same error within the resolution of one answer.
+    // The three values do not fit in one TPDO. The check therefore runs at constant speed and expects the same error
+    // twice within the resolution of one answer.
     rig.write(0x1801, 1, 0xC000_0282, 4)?;
     rig.write(0x1A01, 0, 0, 1)?;
     rig.write(0x1A01, 1, 0x6062_0020, 4)?;
@@ -314,7 +315,7 @@ fn following_window(rig: &mut Rig) -> Verdict {
 fn position_window(rig: &mut Rig) -> Verdict {
     begin(rig)?;
     rig.write(0x6067, 0, 20, 4)?;
-    // So slow that the following error alone is always within the window.
+    // The speed is so low that the following error is always within the window.
     rig.write(0x6081, 0, 300, 4)?;
     for window_time in [20, 100] {
         rig.write(0x6068, 0, window_time, 2)?;

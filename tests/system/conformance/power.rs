@@ -241,7 +241,7 @@ fn to_switch_on_disabled(rig: &mut Rig) -> Verdict {
     rig.expect_power(SwitchOnDisabled, "power-on")
 }
 
-/// One transition by each of these commands.
+/// Checks one transition, caused by each of these commands.
 fn transition(rig: &mut Rig, from: Power, commands: &[u16], to: Power) -> Verdict {
     for &command in commands {
         rig.bring(from)?;
@@ -301,7 +301,7 @@ fn transition_12(rig: &mut Rig) -> Verdict {
     transition(rig, QuickStopActive, &[0x00, 0x0D], SwitchOnDisabled)
 }
 
-/// Clears a fault whose cause is gone.
+/// Clears a fault whose cause was removed.
 fn clear(rig: &mut Rig) -> Verdict {
     rig.control(0x00)?;
     rig.control(0x80)?;
@@ -449,7 +449,7 @@ fn no_warning(rig: &mut Rig) -> Verdict {
     Ok(())
 }
 
-/// A following error: a position that jumps beyond the window.
+/// Causes a following error: the position demand jumps beyond the window.
 pub(super) fn following_error(rig: &mut Rig) -> Verdict {
     rig.write(0x6065, 0, 50, 4)?;
     let position = rig.position()?;
@@ -494,7 +494,7 @@ fn reset_emcy(rig: &mut Rig) -> Verdict {
 
 fn cause_stands(rig: &mut Rig) -> Verdict {
     rig.bring(Fault)?;
-    // The producer is watched again, speaks once and is lost again.
+    // The producer is monitored again, sends one heartbeat and is lost again.
     rig.lose_host(5)?;
     rig.control(0x00)?;
     rig.control(0x80)?;

@@ -204,7 +204,7 @@ fn demand(rig: &mut Rig) -> Verdict {
 }
 
 fn software_limits(rig: &mut Rig) -> Verdict {
-    // Homed where the axis stands.
+    // Homes the axis at its present position.
     rig.write(0x6098, 0, 37, 1)?;
     rig.enable(HM)?;
     rig.control(0x1F)?;
@@ -226,7 +226,7 @@ fn software_limits(rig: &mut Rig) -> Verdict {
                 "position {position} beyond the limit {limit}"
             );
         }
-        // A drive may also refuse such a target by a fault.
+        // A drive may also refuse such a target with a fault.
         let fault = rig.statusword()? & 0x08 != 0;
         if fault {
             rig.control(0x00)?;

@@ -1,4 +1,5 @@
-//! A raw client on a virtual bus: frames are built byte by byte from the standards, and no master of `drivers/canopen` takes part.
+//! A raw client on a virtual bus. Its frames are built byte by byte from the standards, without a master of
+//! `drivers/canopen`.
 
 use std::fmt::Write as _;
 use std::time::Duration;
@@ -24,12 +25,12 @@ pub(super) const TPDO: [u16; 4] = [0x182, 0x282, 0x382, 0x482];
 pub(super) const TURN: i32 = 4000;
 /// Motor angle at power-on, rad.
 pub(super) const START: f64 = 4.0;
-/// How long a client waits for the answer of an SDO server.
+/// Time that a client waits for the answer of an SDO server.
 const ANSWER: Duration = Duration::from_millis(100);
 /// Lines of the trace that a deviation shows.
 const SHOWN: usize = 24;
 
-/// A claim that does not hold: what was expected, what came instead.
+/// A claim that does not hold: the expected and the actual behaviour.
 #[derive(Debug)]
 pub(super) struct Deviation(pub(super) String);
 
@@ -120,11 +121,11 @@ pub(super) fn unit() -> Epos4Config {
     Epos4Config::new(node, free_axis())
 }
 
-/// What hangs on the bus beside the client.
+/// Devices on the bus beside the client.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum Bench {
     Drive,
-    /// Nothing, so that every claim must fail.
+    /// No device, so every claim must fail.
     Empty,
 }
 
@@ -136,7 +137,7 @@ impl Rig {
         rig
     }
 
-    /// A drive that is switched on now.
+    /// A drive that has just been switched on.
     fn powered(bench: Bench, config: Epos4Config) -> Self {
         let mut world = World::new();
         let bus = world.add_bus(Bitrate::KBPS_1000);
@@ -154,7 +155,7 @@ impl Rig {
         }
     }
 
-    /// Another drive in place of this one, switched on now; time and trace begin anew.
+    /// Replaces the drive by another one that is switched on now. Time and trace start again.
     pub(super) fn power_on(&mut self, config: Epos4Config) {
         let bench = match self.device {
             Some(_) => Bench::Drive,
@@ -163,18 +164,18 @@ impl Rig {
         *self = Self::powered(bench, config);
     }
 
-    /// Another drive in place of this one, past its boot-up.
+    /// Replaces the drive by another one after its boot-up.
     pub(super) fn boot(&mut self, config: Epos4Config) {
         self.power_on(config);
         self.pass(60);
     }
 
-    /// Another drive on `axis` in place of this one, past its boot-up.
+    /// Replaces the drive by a drive on `axis` after its boot-up.
     pub(super) fn boot_on(&mut self, axis: AxisConfig) {
         self.boot(Epos4Config { axis, ..unit() });
     }
 
-    /// Motor angle, rad, which no frame carries.
+    /// Motor angle of the plant, rad, which no frame carries.
     pub(super) fn angle(&self) -> f64 {
         let device = self.device.and_then(|device| self.world.device(device));
         device.map_or(START, |device: &Epos4| device.axis().angle())
@@ -246,12 +247,12 @@ impl Rig {
         });
     }
 
-    /// The present end of the trace.
+    /// Present end of the trace.
     pub(super) fn mark(&self) -> Mark {
         Mark(self.trace.len())
     }
 
-    /// What the drive sent under an identifier after `mark`.
+    /// Frames that the drive sent under an identifier after `mark`.
     pub(super) fn heard(&self, mark: Mark, id: u16) -> Vec<Heard> {
         self.lines_after(mark)
             .filter(|line| line.frame.standard_data_id().map(StandardId::raw) == Some(id))
@@ -262,7 +263,7 @@ impl Rig {
             .collect()
     }
 
-    /// All frames that the drive sent after `mark`, as candump writes them.
+    /// All frames that the drive sent after `mark`, in the notation of candump.
     pub(super) fn all_heard(&self, mark: Mark) -> Vec<String> {
         self.lines_after(mark)
             .map(|line| line.frame.to_string())
@@ -285,19 +286,19 @@ impl Rig {
             })
     }
 
-    /// NMT command to the drive, and 5 ms to obey.
+    /// Sends an NMT command to the drive and waits 5 ms.
     pub(super) fn nmt(&mut self, command: u8) {
         self.send(0x000, &[command, NODE]);
         self.pass(5);
     }
 
-    /// NMT reset with the time of the restart.
+    /// Sends an NMT reset and waits for the restart.
     pub(super) fn reset(&mut self, command: u8) {
         self.send(0x000, &[command, NODE]);
         self.pass(80);
     }
 
-    /// The NMT state by heartbeats of 10 ms, which the check switched on before.
+    /// NMT state according to heartbeats of 10 ms, which the check has enabled before.
     pub(super) fn nmt_state(&mut self) -> Result<u8, Deviation> {
         let mark = self.mark();
         self.pass(25);
@@ -310,14 +311,14 @@ impl Rig {
         })
     }
 
-    /// One SDO request and the answer, if there is one.
+    /// Sends one SDO request. Returns the answer, if any.
     pub(super) fn ask(&mut self, request: [u8; 8]) -> Option<[u8; 8]> {
         let mark = self.mark();
         self.send(SDO_REQUEST, &request);
         self.answer_after(mark)
     }
 
-    /// The next SDO answer after `mark`.
+    /// Waits for the next SDO answer after `mark`.
     pub(super) fn answer_after(&mut self, mark: Mark) -> Option<[u8; 8]> {
         let deadline = self.now + ANSWER;
         while self.now < deadline {
@@ -329,13 +330,13 @@ impl Rig {
         None
     }
 
-    /// One SDO request and its answer of eight bytes.
+    /// Sends one SDO request and returns its answer of eight bytes.
     pub(super) fn transfer(&mut self, request: [u8; 8]) -> Result<[u8; 8], Deviation> {
         self.ask(request)
             .ok_or_else(|| Deviation(format!("no SDO answer to {}", hex(&request))))
     }
 
-    /// An expedited upload: the bytes of the value.
+    /// Makes an expedited upload and returns the bytes of the value.
     pub(super) fn upload(&mut self, index: u16, subindex: u8) -> Result<Vec<u8>, Deviation> {
         let answer = self.transfer(request(0x40, index, subindex, [0; 4]))?;
         ensure!(
@@ -347,7 +348,7 @@ impl Rig {
         Ok(answer[4..8 - unused].to_vec())
     }
 
-    /// An unsigned value by expedited upload.
+    /// Reads an unsigned value by expedited upload.
     pub(super) fn read(&mut self, index: u16, subindex: u8) -> Result<u32, Deviation> {
         let mut bytes = [0; 4];
         let value = self.upload(index, subindex)?;
@@ -355,7 +356,7 @@ impl Rig {
         Ok(u32::from_le_bytes(bytes))
     }
 
-    /// A signed value by expedited upload.
+    /// Reads a signed value by expedited upload.
     pub(super) fn read_signed(&mut self, index: u16, subindex: u8) -> Result<i32, Deviation> {
         let value = self.upload(index, subindex)?;
         let negative = value.last().is_some_and(|byte| byte & 0x80 != 0);
@@ -364,7 +365,7 @@ impl Rig {
         Ok(i32::from_le_bytes(bytes))
     }
 
-    /// Expects a value.
+    /// Expects the value of an object.
     pub(super) fn expect(&mut self, index: u16, subindex: u8, value: u32) -> Verdict {
         let found = self.read(index, subindex)?;
         ensure!(
@@ -374,7 +375,7 @@ impl Rig {
         Ok(())
     }
 
-    /// The answer to an expedited download of 1 to 4 bytes.
+    /// Makes an expedited download of 1 to 4 bytes and returns the answer.
     pub(super) fn download(
         &mut self,
         index: u16,
@@ -385,7 +386,7 @@ impl Rig {
         self.transfer(download_request(index, subindex, value, bytes))
     }
 
-    /// An expedited download that must be taken.
+    /// Makes an expedited download that must be accepted.
     pub(super) fn write(&mut self, index: u16, subindex: u8, value: i64, bytes: usize) -> Verdict {
         let answer = self.download(index, subindex, value, bytes)?;
         ensure!(
@@ -396,7 +397,7 @@ impl Rig {
         Ok(())
     }
 
-    /// An expedited download that must be refused with one of these abort codes.
+    /// Makes an expedited download that must be refused with one of these abort codes.
     pub(super) fn refuse(
         &mut self,
         (index, subindex): (u16, u8),
@@ -410,7 +411,7 @@ impl Rig {
     }
 }
 
-/// Expects an SDO abort of this object with one of these codes; any code where there is none.
+/// Expects an SDO abort for this object with one of these codes. An empty list accepts any code.
 pub(super) fn aborted(
     answer: &[u8; 8],
     (index, subindex): (u16, u8),
@@ -435,7 +436,7 @@ pub(super) fn aborted(
     Ok(())
 }
 
-/// Index and sub-index as in a frame.
+/// Index and sub-index in the byte order of a frame.
 pub(super) fn multiplexer(index: u16, subindex: u8) -> [u8; 3] {
     let [low, high] = index.to_le_bytes();
     [low, high, subindex]

@@ -1,4 +1,4 @@
-//! Claims about the SDO server: expedited and segmented transfers, aborts, and frames that are no requests.
+//! Claims about the SDO server: expedited and segmented transfers, aborts, and frames that are not requests.
 
 use super::rig::{
     Deviation, NODE, Rig, SDO_ANSWER, SDO_REQUEST, Verdict, aborted, download_request, ensure, hex,
@@ -172,10 +172,10 @@ pub(super) const ROWS: &[Row] = &[
 
 /// A visible string of the emulator that is longer than one segment.
 const TEXT: (u16, u8) = (0x2FF0, 1);
-/// A domain of the emulator, which takes any bytes.
+/// A domain of the emulator, which accepts any bytes.
 const DOMAIN: (u16, u8) = (0x2FF0, 2);
 
-/// A segmented upload as a client does it: the bytes.
+/// Makes a segmented upload and returns the bytes.
 pub(super) fn upload_segments(
     rig: &mut Rig,
     (index, subindex): (u16, u8),
@@ -388,7 +388,7 @@ fn toggle_upload(rig: &mut Rig) -> Verdict {
             answer = rig.transfer([command, 0, 0, 0, 0, 0, 0, 0])?;
         }
         aborted(&answer, TEXT, &[0x0503_0000], "repeated toggle")?;
-        // The transfer is over.
+        // The transfer has ended.
         let answer = rig.transfer([0x70, 0, 0, 0, 0, 0, 0, 0])?;
         ensure!(
             answer[0] == 0x80,
@@ -416,7 +416,7 @@ fn toggle_restart(rig: &mut Rig) -> Verdict {
     let (index, subindex) = TEXT;
     rig.transfer(request(0x40, index, subindex, [0; 4]))?;
     rig.transfer([0x60, 0, 0, 0, 0, 0, 0, 0])?;
-    // Given up in the middle, where toggle 1 would be next.
+    // The transfer was interrupted at a point at which toggle bit 1 would be next.
     upload_segments(rig, TEXT).map(drop)
 }
 

@@ -1,4 +1,4 @@
-//! Claims about SYNC: when synchronous PDOs are sent, and when received data take effect.
+//! Claims about SYNC: transmission times of synchronous PDOs, and the time at which received data take effect.
 
 use super::rig::{Deviation, Mark, RPDO, Rig, TPDO, Verdict, ensure, hex};
 use super::{CIA_301, Row};
@@ -168,7 +168,7 @@ fn every_nth(rig: &mut Rig) -> Verdict {
     Ok(())
 }
 
-/// An event for TPDOs that map the statusword.
+/// Causes an event for TPDOs that map the statusword.
 fn event(rig: &mut Rig, word: i64) -> Verdict {
     rig.write(0x6040, 0, word, 2)
 }
@@ -176,7 +176,7 @@ fn event(rig: &mut Rig, word: i64) -> Verdict {
 fn acyclic(rig: &mut Rig) -> Verdict {
     transmit(rig, 2, 0)?;
     rig.nmt(0x01);
-    // What entering operational counts as is the device's own.
+    // Whether entering operational is an event depends on the device.
     sync(rig);
     sync(rig);
     for word in [0x06, 0x07, 0x06] {
@@ -238,7 +238,7 @@ fn rpdo_waits(rig: &mut Rig) -> Verdict {
     Ok(())
 }
 
-/// RPDO3 writes the controlword and the target position.
+/// Sends controlword and target position by RPDO3.
 fn target(rig: &mut Rig, position: i32) {
     let [a, b, c, d] = position.to_le_bytes();
     rig.send(RPDO[2], &[0x00, 0x00, a, b, c, d]);

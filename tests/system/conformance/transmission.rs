@@ -137,7 +137,7 @@ fn gaps(rig: &Rig, mark: Mark, pdo: Pdo) -> Vec<f64> {
         .collect()
 }
 
-/// TPDO2, which carries statusword and mode, with its timers.
+/// Configures TPDO2, which carries statusword and mode, with its timers.
 fn timed(rig: &mut Rig, kind: i64, inhibit: i64, event_timer: i64) -> Verdict {
     rig.nmt(0x80);
     tpdo(2).destroy(rig)?;
@@ -273,7 +273,7 @@ fn too_many_bytes(rig: &mut Rig) -> Verdict {
     rig.expect(0x607A, 0, 0x4433_2211)
 }
 
-/// RPDO3 and RPDO4 with deadlines, in a drive that takes no other action.
+/// Configures RPDO3 and RPDO4 with deadlines, in a drive that takes no other action.
 fn with_deadlines(rig: &mut Rig, third: i64, fourth: i64) -> Verdict {
     rig.write(0x6007, 0, 0, 2)?;
     rig.write(0x1029, 1, 1, 1)?;
@@ -337,7 +337,7 @@ fn own_deadlines(rig: &mut Rig) -> Verdict {
         "EMCY {:04X?} after both deadlines",
         codes(rig, mark)
     );
-    // RPDO3 comes back; RPDO4 is still missing.
+    // RPDO3 is received again; RPDO4 is still missing.
     rig.send(RPDO[2], &COMMAND);
     rig.pass(5);
     ensure!(
@@ -351,7 +351,7 @@ fn own_deadlines(rig: &mut Rig) -> Verdict {
 }
 
 fn undisturbed(rig: &mut Rig) -> Verdict {
-    // RPDO3 holds data for the next SYNC, TPDO3 counts SYNCs, TPDO2 runs its timer, RPDO4 has its type written.
+    // RPDO3 holds data for the next SYNC, TPDO3 counts SYNCs, TPDO2 runs its timer, and the type of RPDO4 is written.
     rpdo(3).destroy(rig)?;
     rpdo(3).set_type(rig, 1)?;
     rpdo(3).create(rig)?;

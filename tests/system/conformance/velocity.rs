@@ -180,7 +180,7 @@ fn speed_zero(rig: &mut Rig) -> Verdict {
     Ok(())
 }
 
-/// A motor with friction, gravity and a trembling encoder at rest.
+/// Configures a motor with friction and gravity, and an encoder that jitters at rest.
 fn steady_at_rest(rig: &mut Rig) -> Verdict {
     use hil::Irp6Axis;
     for axis in [
@@ -205,7 +205,7 @@ fn steady_at_rest(rig: &mut Rig) -> Verdict {
     Ok(())
 }
 
-/// Time between two speeds, rpm, on the way from one target to another, ms.
+/// Time between two speeds, rpm, during the change from one target to another, ms.
 fn ramp(rig: &mut Rig, speed: i32, (from, to): (i32, i32)) -> Result<f64, Deviation> {
     rig.write(0x60FF, 0, i64::from(speed), 4)?;
     let passed = |velocity: i32, mark: i32| {
@@ -319,7 +319,7 @@ fn halt(rig: &mut Rig) -> Verdict {
 }
 
 fn units(rig: &mut Rig) -> Verdict {
-    // Prefix 10^-3. The limits are far off in either unit.
+    // Prefix 10^-3. The limits are far away in both units.
     rig.write(0x60A9, 0, 0xFDB4_4700, 4)?;
     rig.write(0x607F, 0, 50_000_000, 4)?;
     rig.write(0x6080, 0, 50_000_000, 4)?;

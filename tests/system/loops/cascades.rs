@@ -1,5 +1,5 @@
-//! Gains of cascades for the physical axes of the IRp-6 behind serial lines, by one rule from the motor's
-//! data, and what they are worth. Cells for such axes take theirs from here.
+//! Gains of cascades for the physical axes of the IRp-6 on serial lines. One rule derives them from motor data, and
+//! tests check the resulting loops. The example cells with such axes use these gains.
 
 use hil::AxisConfig;
 use hil::plant::Irp6Axis;
@@ -10,11 +10,12 @@ use super::motors::{ByCurrent, ByPulseWidth, SUPPLY, physical};
 use super::{MakeMotor, Rig};
 use crate::regression::Trapezoid;
 
-/// Position over velocity for the physical plant: the loop crosses over near `BANDWIDTH`.
+/// Bandwidth of the velocity loop in the cascade for the physical plant, rad/s. The open loop crosses over near this
+/// frequency.
 const BANDWIDTH: f64 = 100.0;
 const POSITION_GAIN: f64 = 25.0;
 
-/// The drive regulates the current.
+/// Gains for a drive that controls the current.
 fn by_torque(axis: Irp6Axis) -> HostLoop {
     let motor = physical(axis);
     HostLoop {
@@ -35,7 +36,7 @@ fn by_torque(axis: Irp6Axis) -> HostLoop {
     }
 }
 
-/// The drive puts out pulse widths: the integral's zero cancels the motor's own pole.
+/// Gains for a drive with pulse-width output. The zero of the integral part cancels the motor's pole.
 fn by_duty(axis: Irp6Axis) -> HostLoop {
     let motor = physical(axis);
     let duty_per_torque = motor.resistance / motor.torque_constant / SUPPLY;
@@ -59,7 +60,7 @@ fn by_duty(axis: Irp6Axis) -> HostLoop {
     }
 }
 
-/// Over a serial line: a period from sample to effect.
+/// An axis on a serial line, with a delay of one period from sample to effect.
 pub(super) fn serial(axis: Irp6Axis, output: Output) -> Rig {
     let (host, motor): (_, MakeMotor) = match output {
         Output::Torque => (by_torque(axis), |axis| Box::new(ByCurrent::new(axis))),

@@ -1,4 +1,4 @@
-//! Homing that the servo does, over the physical axes of the IRp-6 with their switches and index pulses.
+//! Homing by the servo, over the physical axes of the IRp-6 with their switches and index pulses.
 
 use std::f64::consts::TAU;
 use std::sync::{Arc, Mutex};
@@ -18,8 +18,8 @@ use super::cascades::serial;
 use super::{DT, Rig};
 use servo::Output;
 
-/// A drive group of physical axes whose drives regulate the current, latch their index pulses when told to
-/// seek, and answer a telegram later.
+/// A drive group of physical axes. The drives control the current, latch index pulses on request, and answer one
+/// telegram later.
 struct Latching {
     axes: Vec<Latch>,
     trace: Arc<Mutex<Trace>>,
@@ -28,7 +28,7 @@ struct Latching {
 struct Latch {
     axis: plant::Axis,
     counts: f64,
-    /// Motor position at the reference, rad, and the counter there once it is found.
+    /// Motor position at the reference, rad, and the counter value there after homing.
     home: f64,
     reference: Option<i32>,
     state: AxisState,
@@ -96,7 +96,7 @@ impl Latch {
         }
     }
 
-    /// Samples, then goes on for a period under the command; its torque.
+    /// Takes a sample, then runs for a period under the command. Returns the torque.
     fn exchange(&mut self) -> f64 {
         let feedback = self.axis.feedback();
         let seeks = matches!(self.command, AxisCommand::Seek(_));
@@ -145,7 +145,7 @@ impl Latch {
     }
 }
 
-/// As the robot's own software homes it, with ramps.
+/// Homing parameters of the robot's own software, with ramps.
 const HOMING: HostHoming = HostHoming {
     direction: Direction::Negative,
     search: HomingLeg {
@@ -169,7 +169,7 @@ fn six_physical_axes_find_their_references_at_once_and_without_a_kick() {
     let bouncing = |axis| {
         let mut config = AxisConfig::irp6(axis);
         let switch = config.home_switch.as_mut().unwrap();
-        // 2 ms of chatter; and two axes stand on the switch at the start.
+        // 2 ms of contact bounce. Two axes stand on the switch at the start.
         switch.bounce = 20;
         if matches!(axis, Irp6Axis::UpperArm | Irp6Axis::Flange) {
             config.start_angle = config.index_angle - 12.0;
@@ -226,7 +226,7 @@ fn six_physical_axes_find_their_references_at_once_and_without_a_kick() {
         let counts = f64::from(config.counts_per_revolution);
         // The counter was zero at power-on.
         let way = (config.index_angle - config.start_angle) / TAU * counts;
-        // A count for either floor, and a period's motion that a sample of the latch may be late.
+        // A count for each of the two roundings, and the motion in the period by which the latch sample may be late.
         assert!(
             (offsets[axis] as f64 - way).abs() < 8.0,
             "{name:?}: {} for {way}",

@@ -1,10 +1,10 @@
-//! A letter as a plotter draws it: a cubic spline through nine points, at a feed with limited acceleration.
+//! A letter drawn as by a plotter: a cubic spline through nine points, at a feed rate with limited acceleration.
 
 use nalgebra::{SMatrix, SVector, Vector2};
 
 const POINTS: usize = 9;
 
-/// m.
+/// Points of the spline, m.
 const THROUGH: [[f64; 2]; POINTS] = [
     [0.000, 0.000],
     [0.005, 0.012],
@@ -17,10 +17,11 @@ const THROUGH: [[f64; 2]; POINTS] = [
     [0.024, 0.000],
 ];
 
-/// Points of the table of arc length.
+/// Number of points in the table of arc length.
 const TABLE: usize = 20_000;
 
-/// The curve: parameter by chord length, third derivative continuous at the second and the last but one point.
+/// The curve. The parameter is the chord length; the third derivative is continuous at the second and the last but one
+/// point.
 struct Letter {
     /// Lengths of the chords, m.
     chords: [f64; POINTS - 1],
@@ -30,11 +31,11 @@ struct Letter {
 
 /// One point of the curve.
 struct Sample {
-    /// m.
+    /// Position, m.
     at: Vector2<f64>,
-    /// 1/m.
+    /// Curvature, 1/m.
     curvature: f64,
-    /// Along the curve, m.
+    /// Arc length, m.
     way: f64,
 }
 
@@ -105,8 +106,8 @@ impl Letter {
     }
 }
 
-/// Points of the letter, m, one per `dt` seconds from rest to rest: at `feed`, m/s, where an acceleration of
-/// `acceleration`, m/s², along the curve and as much across it allow.
+/// Points of the letter, m, one per `dt` seconds, from rest to rest. The speed is `feed`, m/s, reduced where necessary.
+/// Tangential and normal acceleration are each limited to `acceleration`, m/s².
 pub(super) fn points(feed: f64, acceleration: f64, dt: f64) -> Vec<Vector2<f64>> {
     let samples = Letter::new().samples();
     let mut squared: Vec<f64> = samples

@@ -1,4 +1,4 @@
-//! Motors for loops: one period under a constant output at a time.
+//! Motors for tests of loops. Each call simulates one period under a constant output.
 
 use hil::AxisConfig;
 use hil::plant::{
@@ -8,19 +8,19 @@ use hil::plant::{
 
 use super::DT;
 
-/// What a full pulse width puts out, V.
+/// Voltage of a full pulse width, V.
 pub(super) const SUPPLY: f64 = 48.0;
 
-/// A motor that the servo drives.
+/// A motor that is driven by the servo.
 pub(super) trait Motor: Send {
-    /// Of its shaft, rad.
+    /// Shaft angle, rad.
     fn angle(&self) -> f64;
-    /// One period under a torque, N·m, or a duty.
+    /// Simulates one period under a torque, N·m, or a duty.
     fn run(&mut self, input: f64);
 }
 
-/// The regression model. The original integrates it in one step a period; in many it moves as under a
-/// zero-order hold.
+/// The regression model. The original software integrates it in one step per period. With many steps, the motor moves
+/// as under a zero-order hold.
 pub(super) struct Regression {
     steps: u32,
     motor: Wut,
@@ -58,7 +58,7 @@ pub(super) fn physical(axis: Irp6Axis) -> MotorConfig {
     }
 }
 
-/// 40 rad below the home position, so that there is room to run.
+/// An axis that starts 40 rad below its home position and therefore has room to run.
 fn axis_config(axis: Irp6Axis) -> AxisConfig {
     let config = AxisConfig::irp6(axis);
     AxisConfig {
@@ -67,7 +67,7 @@ fn axis_config(axis: Irp6Axis) -> AxisConfig {
     }
 }
 
-/// The physical axis with a drive that regulates its current.
+/// The physical axis with a drive that controls its current.
 pub(super) struct ByCurrent(plant::Axis);
 
 impl ByCurrent {
@@ -75,7 +75,7 @@ impl ByCurrent {
         Self(plant::Axis::new(&axis_config(axis), 7))
     }
 
-    /// The axis at `angle`, rad, in its place under the links of the arm.
+    /// The axis at `angle`, rad, with the load of the arm's links.
     pub(super) fn mounted(axis: Irp6Axis, angle: f64, arm: &Mechanism) -> Self {
         let config = AxisConfig {
             start_angle: angle,
@@ -112,7 +112,7 @@ impl Motor for ByCurrent {
     }
 }
 
-/// The same motor behind a plain bridge: windings, back-EMF, dry friction, weight.
+/// The same motor on a bridge without current control: windings, back-EMF, dry friction, weight.
 pub(super) struct ByPulseWidth {
     config: MotorConfig,
     angle: f64,

@@ -1,6 +1,5 @@
-//! How far from its path the flange of an IRp-6 is, all six loops closed by the servo: with the robot's own
-//! regulators, and with what the motion is known to need fed forward. Measured at the motors themselves, not
-//! at their encoders.
+//! Path error of the flange of an IRp-6 with all six loops closed by the servo. The tests compare the robot's own
+//! regulators with and without feed-forward. The error is measured at the motors, not at their encoders.
 
 use std::f64::consts::FRAC_PI_2;
 use std::sync::mpsc::{self, Receiver, Sender};
@@ -18,22 +17,22 @@ use crate::regression::Trapezoid;
 
 const AXES: usize = 6;
 
-/// Cycles at rest before and after a motion.
+/// Number of cycles at rest before and after a motion.
 const REST: usize = 500;
 
 #[derive(Clone, Copy, Debug)]
 enum Plant {
-    /// The motors that the robot's own software emulates, in ten steps a period.
+    /// The motors emulated by the robot's own software, in ten steps per period.
     Regression,
-    /// The motors of the physical plant with their inertia, ripple and limits, without weight and dry friction.
+    /// The motors of the physical plant with inertia, ripple and limits, without weight and dry friction.
     Weightless,
-    /// All of the physical plant, under the links of the whole arm.
+    /// The complete physical plant under the links of the whole arm.
     Physical,
-    /// The same, with masses and dry friction that are known as four fifths of what they are.
+    /// The complete physical plant. The controller knows only four fifths of its masses and of its dry friction.
     Misjudged,
 }
 
-/// Sends the angle of the shaft on at each sample.
+/// A motor that reports its shaft angle at each sample.
 struct Watched {
     motor: Box<dyn Motor>,
     angles: Sender<f64>,
@@ -46,13 +45,14 @@ impl Motor for Watched {
 
     fn run(&mut self, input: f64) {
         self.angles.send(self.motor.angle()).expect("it is watched");
-        // Whole milliamperes are what a drive is sent.
+        // Drives receive whole milliamperes.
         let milliampere = 1e-3 * 0.105;
         self.motor.run((input / milliampere).trunc() * milliampere);
     }
 }
 
-/// How far the flange was from its path, m: from the nearest point, and from where it was to be by then.
+/// Path errors of the flange, m: distance from the nearest point of the path, and from the commanded position at that
+/// time.
 #[derive(Clone, Copy, Debug)]
 struct Errors {
     contour: Figures,
@@ -79,8 +79,8 @@ fn robot() -> Irp6 {
     Irp6::new(&Irp6Parameters::irp6p()).unwrap()
 }
 
-/// The letter, tool down, written across the front of the robot with its strokes towards the column. Nothing comes
-/// of its height: between 0.1 and 0.4 m the figures are the same within 3 %.
+/// The letter, drawn with the tool pointing down in front of the robot, its strokes towards the column. The height has
+/// little influence: between 0.1 and 0.4 m the results agree within 3 %.
 fn letter(feed: f64, acceleration: f64) -> Vec<Motors> {
     let robot = robot();
     let mut near = Joints::new(&[0.0, -FRAC_PI_2, 0.0, 0.0, 3.0 * FRAC_PI_2, 0.0]).unwrap();
@@ -96,8 +96,8 @@ fn letter(feed: f64, acceleration: f64) -> Vec<Motors> {
         .collect()
 }
 
-/// All joints from one pose to another, rest to rest, as fast as the generators' limits allow: 1.5 rad/s and
-/// 7 rad/s² of every joint, 200 rad/s and 150 rad/s² of every motor.
+/// Motion of all joints between two poses, rest to rest, as fast as the limits of the generators allow: 1.5 rad/s and 7
+/// rad/s² for every joint, 200 rad/s and 150 rad/s² for every motor.
 fn at_the_limits() -> Vec<Motors> {
     let robot = robot();
     let from = [-0.6, -1.9, -0.2, -0.4, 1.0, -0.5];
@@ -148,7 +148,7 @@ impl Plant {
         }
     }
 
-    /// What it is known to need, N·m; inertia as it is in the pose of `arm`.
+    /// Known torque demand of the motor, N·m, as feed-forward. The inertia is that of the pose of `arm`.
     fn feed_forward(self, axis: Irp6Axis, arm: &Mechanism) -> FeedForward {
         let (wut, motor) = (regression_motor(axis), physical(axis));
         match self {
@@ -177,7 +177,7 @@ impl Plant {
         }
     }
 
-    /// What holds its links all along `path`, N·m.
+    /// Torques that hold the links along `path`, N·m.
     fn torques(self, path: &[Motors]) -> Vec<[f64; MAX_AXES]> {
         let robot = robot();
         let masses = Mass::IRP6.map(|link| Mass {
@@ -192,7 +192,7 @@ impl Plant {
         path.iter().map(torque).collect()
     }
 
-    /// The share of masses and dry friction that is known.
+    /// Known share of masses and dry friction.
     fn known(self) -> f64 {
         match self {
             Self::Misjudged => 0.8,
@@ -201,8 +201,8 @@ impl Plant {
     }
 }
 
-/// Runs all of `path` with the robot's own regulators, the loops closed in the order of the original: what is
-/// sampled in a period acts in it.
+/// Runs all of `path` with the robot's own regulators. The loops are closed in the order of the original software: a
+/// sample takes effect in its own period.
 fn track(plant: Plant, fed_forward: bool, path: &[Motors]) -> Errors {
     let arm = Mechanism::new(MechanismConfig::Irp6);
     let motors = Irp6Axis::ALL.map(|axis| plant.motor(axis, path[0][axis as usize], &arm));
@@ -285,7 +285,7 @@ fn run(
         moved.push(flange(&truth));
     }
     for k in REST..length - REST {
-        // What is commanded in one cycle is seen in the next.
+        // A command of one cycle is measured in the next cycle.
         let timed = (moved[k + 1] - commanded[k]).norm();
         let contour = commanded[k - 100..k + 100]
             .windows(2)
@@ -299,14 +299,14 @@ fn run(
     }
 }
 
-/// From a point to the line between two others, m.
+/// Distance from a point to the line through two others, m.
 fn distance(point: &Point3<f64>, from: &Point3<f64>, to: &Point3<f64>) -> f64 {
     let (line, off) = (to - from, point - from);
     let part = (off.dot(&line) / line.norm_squared().max(1e-30)).clamp(0.0, 1.0);
     (off - part * line).norm()
 }
 
-/// Both ways, in µm: without feed-forward and with it.
+/// Runs without and with feed-forward. The printed errors are in µm.
 fn both(name: &str, plant: Plant, path: &[Motors]) -> [Errors; 2] {
     let errors = [false, true].map(|fed_forward| track(plant, fed_forward, path));
     let [own, fed] = errors.map(|errors| {
@@ -319,7 +319,7 @@ fn both(name: &str, plant: Plant, path: &[Motors]) -> [Errors; 2] {
 
 #[test]
 fn the_letter_is_drawn_as_by_the_original_loops_and_fed_forward_three_times_as_well() {
-    // Feed, m/s, acceleration, m/s²; contour error on the original's emulator, µm: rms and largest.
+    // Feed, m/s; acceleration, m/s²; rms and largest contour error on the emulator of the original software, µm.
     let table = [
         (0.005, 0.05, 16.0, 67.0),
         (0.01, 0.05, 43.0, 121.0),
@@ -344,7 +344,8 @@ fn the_letter_is_drawn_as_by_the_original_loops_and_fed_forward_three_times_as_w
     }
 }
 
-/// What is left, rms: 5 to 8 µm of the column, 2 to 4 µm of each arm; counts of the encoders are 4 to 9 µm.
+/// Remaining rms error: 5 to 8 µm for the column, 2 to 4 µm for each arm. A count of the encoders corresponds to 4 to 9
+/// µm.
 #[test]
 fn the_letter_is_drawn_three_times_as_well_under_weight_and_friction_that_are_fed_forward() {
     println!("µm: contour rms, largest, timed rms, largest");
@@ -355,7 +356,7 @@ fn the_letter_is_drawn_three_times_as_well_under_weight_and_friction_that_are_fe
         assert!(fed.contour.rms < own.contour.rms / 3.0, "{name}");
         assert!(fed.contour.max < own.contour.max / 3.0, "{name}");
         assert!(fed.contour.rms < 15e-6, "{name}");
-        // Neither is known so well of a robot.
+        // Masses and friction of a real robot are not known this precisely.
         let [own, fed] = both(&name, Plant::Misjudged, &path);
         assert!(fed.contour.rms < own.contour.rms / 3.0, "{name}");
     }

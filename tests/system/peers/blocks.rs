@@ -1,4 +1,5 @@
-//! python-canopen's block transfer against our server, whose objects are longer than a drive's.
+//! Block transfers of python-canopen with this project's server. The objects of the server are longer than the objects
+//! of a drive.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -13,7 +14,7 @@ use crate::adapter::Adapter;
 
 const NODE: NodeId = NodeId::new(1).unwrap();
 
-/// A node of one object, 0x2F00, which keeps whatever is written to it.
+/// A node with one object, 0x2F00, which stores every written value.
 struct Store {
     server: Server,
     data: Data,

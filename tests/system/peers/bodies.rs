@@ -1,4 +1,4 @@
-//! pinocchio, the rigid-body library, on what `mrroc urdf` prints.
+//! pinocchio, the rigid-body library, reads the output of `mrroc urdf`.
 
 use std::process::Command;
 

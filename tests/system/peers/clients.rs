@@ -5,7 +5,7 @@ use std::process::Command;
 use super::{PATIENCE, rust};
 use crate::vcan::on_stage;
 
-/// Of the drive that they command.
+/// Node-ID of the emulated drive.
 const NODE: &str = "1";
 
 #[test]

@@ -1,4 +1,4 @@
-//! Drives of other hands under our drive group: switched on, homed, moved and switched off.
+//! Independent drives in this project's drive group: switched on, homed, moved and switched off.
 
 use std::time::Duration;
 
@@ -9,10 +9,10 @@ use drive::{AxisCommand, AxisState, DriveGroup, Finite, Homing, Power, Setpoint}
 use super::host::PATIENCE;
 use crate::vcan::Stage;
 
-/// Runs drives with the configuration of the cell's first axis, each changed by its turn of `changes`. They reach
-/// set-points at once.
+/// Runs drives with the configuration of the cell's first axis. Each entry of `changes` modifies one drive. The drives
+/// reach set-points at once.
 pub(super) fn run_as_drives(stage: &Stage, changes: &[&dyn Fn(&mut AxisConfig)]) {
-    // Patient with a Python that shares one processor with us.
+    // Long time limits, because a Python process shares the processor.
     let config = GroupConfig {
         period: Duration::from_millis(20),
         tolerated_missing: 50,
@@ -56,7 +56,7 @@ pub(super) fn run_as_drives(stage: &Stage, changes: &[&dyn Fn(&mut AxisConfig)])
         state.homing == Homing::Attained
     });
     assert!(homed.iter().all(|state| state.increments.0 == 0));
-    // A turn, and half of it back: each drive is where it was told to be, to an increment.
+    // One turn up, then half a turn back. Each drive reaches its set-point to an increment.
     let way = |cycle: usize| {
         let turn = std::f64::consts::TAU;
         let after = cycle as f64 / 100.0;

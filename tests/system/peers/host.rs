@@ -1,4 +1,4 @@
-//! Our end of a bus on which a node of other hands is: SDO client and NMT master, waiting as the console's commands do.
+//! Host on a bus with an independent node: SDO client and NMT master with the waits of the console's commands.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -9,24 +9,24 @@ use canopen::sdo::{AbortCode, Client, SdoError, StartError, Write};
 use canopen::sync::Sync;
 use canopen::{NodeId, Object};
 
-/// Longest time that anything here may take.
+/// Upper bound for the duration of every step.
 pub(super) const PATIENCE: Duration = Duration::from_secs(10);
 /// The longest object that is transferred, bytes.
 const CAPACITY: usize = 1024;
-/// So many frames are remembered.
+/// Number of stored frames.
 const REMEMBERED: usize = 4096;
-/// So many of them are shown of a failure.
+/// Number of frames that a failure message shows.
 const LAST: usize = 24;
 
-/// Our end of the bus.
+/// The host's connection to the bus.
 pub(super) struct Host {
     port: SocketCanPort,
     pub(super) node: NodeId,
     nodes: Master,
     client: Client,
-    /// What came and was not looked at, the last at the end.
+    /// Received frames that were not examined yet, the latest at the end.
     frames: VecDeque<Frame>,
-    /// The last frames in words, for whoever looks into a failure.
+    /// The last frames as text, for failure messages.
     last: VecDeque<String>,
 }
 
@@ -54,7 +54,7 @@ impl Host {
         }
     }
 
-    /// Receives until `done`; panics at the deadline.
+    /// Receives frames until `done` returns a value. Panics at the deadline.
     fn until<T>(&mut self, what: &str, mut done: impl FnMut(&mut Self) -> Option<T>) -> T {
         let end = clock::now() + PATIENCE;
         loop {
@@ -101,14 +101,14 @@ impl Host {
         assert_eq!(self.port.send(clock::now(), &[*frame]), Ok(1));
     }
 
-    /// Forgets what came so far.
+    /// Discards all frames received so far.
     pub(super) fn forget(&mut self) {
         while self.receive().len() == 32 {}
         while self.nodes.poll().is_some() {}
         self.frames.clear();
     }
 
-    /// Waits for a frame of which `found` makes something, and forgets those before.
+    /// Waits for a frame for which `found` returns a value, and discards earlier frames.
     pub(super) fn frame<T>(&mut self, what: &str, found: impl Fn(&Frame) -> Option<T>) -> T {
         self.until(what, |host| {
             std::iter::from_fn(|| host.frames.pop_front()).find_map(|frame| found(&frame))

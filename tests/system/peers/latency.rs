@@ -1,4 +1,4 @@
-//! What `mrroc jitter --out` writes, read by the HdrHistogram of other hands.
+//! Output files of `mrroc jitter --out`, read by an independent implementation of HdrHistogram.
 
 use std::fs;
 use std::io::Write;

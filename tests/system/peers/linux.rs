@@ -1,4 +1,4 @@
-//! can-utils and the kernel's own drivers at the other end.
+//! can-utils and the kernel's own drivers as peers.
 
 use std::fs;
 use std::process::{Child, Command, Stdio};
@@ -13,14 +13,14 @@ use crate::bench::on_vcan;
 use crate::socketcan::{Vcan, sh};
 use crate::vcan::{frames_of, on_stage, started, wait_until};
 
-/// Longest time that anything here may take.
+/// Upper bound for the duration of every step.
 const PATIENCE: Duration = Duration::from_secs(30);
 
 pub(super) fn open(interface: &str) -> SocketCanPort {
     SocketCanPort::open(interface, &SocketCanOptions::default()).unwrap()
 }
 
-/// What comes until there are `count` frames.
+/// Receives until there are `count` frames.
 fn receive(port: &mut (impl Port + ?Sized), count: usize) -> Vec<Frame> {
     let end = clock::now() + PATIENCE;
     let mut into = [Received {
@@ -38,7 +38,7 @@ fn receive(port: &mut (impl Port + ?Sized), count: usize) -> Vec<Frame> {
     all
 }
 
-/// Frame `number` as cansequence counts them.
+/// Frame `number` of a sequence of cansequence.
 pub(super) fn sequence(number: usize) -> Frame {
     Frame::new(StandardId::new(2).unwrap(), &[number as u8]).unwrap()
 }
@@ -61,7 +61,8 @@ fn cansend_asks_a_drive_and_canplayer_plays_the_session_back() {
         let candump = stage.start_candump();
         let emulators = stage.start_emulators();
         let logged = || fs::read_to_string(&log).unwrap();
-        // Each drive boots once by itself. A reset before that, and its answer, could not be told apart from it.
+        // Each drive boots once after its start. A reset before that boot, and the answer to it, could not be
+        // distinguished from it.
         wait_until("every drive boots", || {
             (1..=5).all(|node| logged().contains(&format!(" 70{node}#00")))
         });
@@ -72,7 +73,8 @@ fn cansend_asks_a_drive_and_canplayer_plays_the_session_back() {
             ("601#40FF5F0000000000", " 581#80FF5F0000000206"),
             ("601#2F60600008000000", " 581#6060600000000000"),
         ] {
-            // A booting drive takes no request, so that only an answer behind the request is the answer to it.
+            // A booting drive does not process requests. Only an answer after the request is therefore the answer to
+            // it.
             let before = logged().len();
             sh(&format!("cansend {} {said}", stage.interface));
             wait_until(answer, || logged()[before..].contains(answer));
@@ -91,7 +93,7 @@ fn cansend_asks_a_drive_and_canplayer_plays_the_session_back() {
     });
 }
 
-/// Frames counted each way: a second of a full bus.
+/// Number of frames in each direction: one second of a fully loaded bus.
 const COUNT: usize = 8_000;
 
 #[test]
@@ -119,7 +121,7 @@ fn cansequence_counts_our_frames_and_we_count_its_own() {
         assert_eq!(port.counters().dropped, 0);
         drop(sender);
 
-        // cansequence keeps the default receive queue, some 280 frames, and shares the processor with us.
+        // cansequence uses the default receive queue of some 280 frames and shares the processor with this test.
         let queue = "/proc/sys/net/core/rmem_default";
         let default = fs::read_to_string(queue).unwrap();
         fs::write(queue, (COUNT << 10).to_string()).unwrap();
@@ -140,7 +142,7 @@ fn cansequence_counts_our_frames_and_we_count_its_own() {
             clock::sleep_until(clock::now() + Duration::from_millis(1));
         }
         assert_eq!(taken, COUNT);
-        // It goes at the first frame out of order, which this one is, and not one before it.
+        // cansequence ends at the first frame out of order, which is this one.
         clock::sleep_until(clock::now() + Duration::from_millis(100));
         assert_eq!(receiver.0.try_wait().unwrap(), None, "it missed a frame");
         assert_eq!(port.send(clock::now(), &[sequence(COUNT + 1)]), Ok(1));

@@ -9,7 +9,7 @@ use crate::bench::on_vcan;
 use crate::mrroc::{self, Directory, Running};
 use crate::vcan::{on_stage, wait_until};
 
-/// The drives of an arm behind an emulated adapter, and the link to its tty.
+/// The drives of an arm behind an emulated adapter, and the symbolic link to its tty.
 struct Emulated {
     link: PathBuf,
     _emulators: Running,
@@ -33,7 +33,7 @@ impl Emulated {
     }
 }
 
-/// Every check of the suite holds on this bus.
+/// Runs the suite and asserts that every check passes on this bus.
 fn suite(python: &Path, bus: &Bus) {
     judged(&mut bus.script(python, "master.py"));
 }

@@ -1,9 +1,9 @@
-//! Independent peers: python-canopen, zencan, canopen-rs, durand, can-utils and the kernel's own drivers on the wires,
-//! HdrHistogram on files, pinocchio over robots.
+//! Independent peers: python-canopen, zencan, canopen-rs, durand, can-utils and the kernel's own drivers on the buses,
+//! HdrHistogram for files, and pinocchio for robots.
 //!
-//! What other hands have written from the same standards makes no mistake of ours. `tests/run` puts what these tests
-//! need into `target/peers`: the Python packages of the scripts in `tests/peers`, and the programs of `tests/peers/rust`.
-//! Without them these tests fail, unless `MRROC_LEAVE_OUT=peers` says that they may be left out.
+//! Independent implementations of the same standards do not share the errors of this project. `tests/run` installs the
+//! requirements of these tests in `target/peers`: the Python packages of the scripts in `tests/peers`, and the programs
+//! of `tests/peers/rust`. Without them these tests fail, unless `MRROC_LEAVE_OUT=peers` permits leaving them out.
 
 mod blocks;
 mod bodies;
@@ -23,10 +23,10 @@ use std::process::{Child, Command, Stdio};
 use crate::bench::may_leave_out;
 use crate::mrroc;
 
-/// Seconds that a script may take.
+/// Time limit of a script, s.
 const PATIENCE: &str = "90";
 
-/// The Python that has the packages; `None` if `test` is to be left out for want of it.
+/// The Python interpreter with the packages; `None` if it is missing and `test` may be left out.
 fn python(test: &str) -> Option<PathBuf> {
     let python = mrroc::root().join("target/peers/bin/python");
     if python.exists() {
@@ -37,7 +37,7 @@ fn python(test: &str) -> Option<PathBuf> {
     None
 }
 
-/// The programs of `tests/peers/rust` of these names; `None` if `test` is to be left out for want of one.
+/// The programs of `tests/peers/rust` with these names; `None` if one is missing and `test` may be left out.
 fn rust<const N: usize>(test: &str, names: [&str; N]) -> Option<[PathBuf; N]> {
     let programs = mrroc::root().join("target/peers/rust/debug");
     let programs = names.map(|name| programs.join(name));
@@ -49,7 +49,7 @@ fn rust<const N: usize>(test: &str, names: [&str; N]) -> Option<[PathBuf; N]> {
     Some(programs)
 }
 
-/// A bus as python-can knows it.
+/// A bus in the terms of python-can.
 struct Bus<'a> {
     interface: &'a str,
     channel: &'a Path,
@@ -86,7 +86,7 @@ impl<'a> Bus<'a> {
     }
 }
 
-/// Runs a script to its end, which is to be a good one.
+/// Runs a script to its end and asserts success.
 fn judged(script: &mut Command) {
     let output = script.output().expect("timeout runs");
     let (said, complained) = (
@@ -97,7 +97,7 @@ fn judged(script: &mut Command) {
     print!("{said}");
 }
 
-/// A script at work: it ends with its standard input.
+/// A running script, which ends when its standard input is closed.
 struct Script(Child);
 
 impl Script {

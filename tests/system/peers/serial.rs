@@ -1,4 +1,4 @@
-//! The kernel's own slcan driver, attached by slcand, at our adapters.
+//! The kernel's own slcan driver, attached by slcand to emulated adapters.
 
 use std::fs;
 use std::path::Path;
@@ -14,20 +14,20 @@ use crate::bench::on_vcan;
 use crate::socketcan::sh;
 use crate::vcan::{started, wait_until};
 
-/// Longest time that anything here may take.
+/// Upper bound for the duration of every step.
 const PATIENCE: Duration = Duration::from_secs(10);
 
-/// The kernel's driver on a tty. It goes when this is dropped.
+/// The kernel's driver on a tty. Dropping the value detaches the driver.
 pub(super) struct Attached {
     pub(super) interface: &'static str,
     _slcand: Killed,
 }
 
-/// Attaches the driver, while somebody serves the tty's other end.
+/// Attaches the driver. The other end of the tty must be served in the meantime.
 pub(super) fn attach(tty: &Path, interface: &'static str) -> Attached {
     let slcand = start_slcand(tty, interface);
     wait_until("the interface is there", || is_there(interface));
-    // The ten that it has by default overflow when python-canopen searches its bus.
+    // The default of ten frames overflows when python-canopen searches the bus.
     sh(&format!("ip link set {interface} txqueuelen 100 up"));
     Attached {
         interface,
@@ -49,7 +49,7 @@ fn is_there(interface: &str) -> bool {
     Path::new("/sys/class/net").join(interface).exists()
 }
 
-/// What candump has printed so far.
+/// Output of candump so far.
 fn printed(log: &Path) -> String {
     fs::read_to_string(log).unwrap()
 }
@@ -73,7 +73,7 @@ fn the_kernels_driver_takes_frames_states_and_errors_of_an_adapter() {
         });
         let mut port = open(interface);
 
-        // Every length and both formats, each way.
+        // Every length and both frame formats, in both directions.
         let frames: Vec<_> = (0..=8)
             .map(|length| {
                 Frame::new(StandardId::new(0x123).unwrap(), &[0xA5; 8][..length]).unwrap()

@@ -1,4 +1,4 @@
-//! python-canopen as a drive: our SDO client, NMT master and drive group command it.
+//! python-canopen as a drive, commanded by this project's SDO client, NMT master and drive group.
 
 use canopen::nmt::{Command, Event, State};
 use canopen::objects::{
@@ -14,7 +14,7 @@ use crate::vcan::{Stage, on_stage};
 
 const NODE: NodeId = NodeId::new(1).unwrap();
 
-/// Runs `body` beside a LocalNode that has booted.
+/// Runs `body` with a LocalNode that has booted.
 fn beside_a_local_node(test: &str, body: impl FnOnce(&Stage, Host)) {
     let Some(python) = python(test) else { return };
     on_stage(test, |stage| {
@@ -46,13 +46,13 @@ fn the_service_client_reads_and_writes_a_local_node() {
         host.refuses(STATUSWORD, &[0, 0], AbortCode::READ_ONLY);
         host.refuses(Object::new(0x5FFF, 0), &[0], AbortCode::NO_OBJECT);
         host.refuses(Object::new(0x1018, 9), &[0], AbortCode::NO_SUBINDEX);
-        // Longer than a frame, so in segments, the last of which brings the refusal.
+        // The value is longer than a frame, so it is sent in segments. The refusal answers the last segment.
         host.refuses(PROFILE_VELOCITY, &[0; 20], AbortCode::LENGTH_MISMATCH);
         assert_eq!(
             host.upload(PROFILE_VELOCITY),
             Ok(0x1234_5678_u32.to_le_bytes().into())
         );
-        // LocalNode refuses blocks one way and answers with an ordinary transfer the other way.
+        // LocalNode refuses block download, and answers block upload with an ordinary transfer.
         let domain = Object::new(0x2F00, 0);
         let long: Vec<_> = (0..200).collect();
         let download = |client: &mut Client, now| client.block_download(domain, &long, now);

@@ -1,4 +1,4 @@
-//! Pseudo-random numbers of a seed: the same on every host.
+//! Pseudo-random numbers from a seed, equal on every host.
 
 /// The generator SplitMix64.
 #[derive(Clone, Debug)]
@@ -8,7 +8,7 @@ impl Draw {
     /// The sequence of case `case` of a test with this seed.
     pub(super) fn of(seed: u64, case: u64) -> Self {
         let mut draw = Self(seed);
-        // Neighbouring seeds and cases have nothing in common.
+        // Neighbouring seeds and cases give unrelated sequences.
         Self(draw.next() ^ case.wrapping_mul(0xd134_2543_de82_ef95))
     }
 

@@ -1,20 +1,20 @@
-//! Altered keys on which `mrroc check` is content with a cell that a run then refuses or faults on.
+//! Altered keys for which `mrroc check` accepts a cell that a run then refuses, or that ends in a fault.
 //!
-//! A check reads files alone and rehearses programs on ideal drives. What a drive answers, how a loop behaves with its
-//! motor, and how late a bus is, the run finds out. An exception covers no panic, no hang, no growth and no refusal by the
-//! check alone.
+//! A check reads files only and rehearses programs on ideal drives. The answers of a drive, the behaviour of a loop
+//! with its motor, and the delays of a bus are known in a run only. An exception covers no panic, no hang, no memory
+//! growth and no refusal by the check alone.
 
 use super::mutations::Mutations;
 use super::verdict::{Disagreement, Kind};
 
-/// A disagreement that is none.
+/// A permitted disagreement.
 struct Exception {
-    /// A key; every key of the table where a dot stands last.
+    /// A key. A trailing dot stands for every key of the table.
     key: &'static str,
     kind: Kind,
-    /// One of these stands in the refusal or in the fault of the run.
+    /// Texts of which one must occur in the refusal or in the fault of the run.
     words: &'static [&'static str],
-    /// Why a check does not know.
+    /// Reason why a check cannot know.
     why: &'static str,
 }
 
@@ -51,7 +51,7 @@ const OTHER_DRIVE: &str =
 const NO_LOOP: &str = "the rehearsal closes no loop";
 const LATE: &str = "the run finds out how late a device answers";
 
-/// What a badly tuned loop ends in.
+/// Faults of a badly tuned loop.
 const OF_A_LOOP: &[&str] = &["following error", "overcurrent protection acted"];
 
 const EXCEPTIONS: &[Exception] = &[
@@ -156,7 +156,7 @@ impl Exception {
     }
 }
 
-/// Why a disagreement about a cell whose `key` was altered is none; `None` if it is one.
+/// Reason why a disagreement about a cell with altered `key` is permitted; `None` if it is not permitted.
 pub(super) fn reason(key: &str, disagreement: &Disagreement) -> Option<&'static str> {
     let covers = |it: &&Exception| it.covers(key, disagreement);
     EXCEPTIONS.iter().find(covers).map(|it| it.why)

@@ -1,4 +1,4 @@
-//! Programs that begin where homing leaves an arm: some counts beside its home position.
+//! Programs that start at the position after homing: some counts away from the home position.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -10,10 +10,10 @@ use super::draw::Draw;
 use super::verdict::{Verdict, judge_all};
 use crate::mrroc::{Directory, mrroc, shorten, text};
 
-/// Programs of one straight line each.
+/// Number of programs of one straight line each.
 const PROGRAMS: u64 = 180;
 
-/// A cell whose only instruction is a line to `position`; the axes are switched on up to 15 rad beside their home.
+/// A cell whose only instruction is a line to `position`. The axes are switched on up to 15 rad away from home.
 fn one_line(example: &str, draw: &mut Draw, position: [f64; 3]) -> String {
     let mut cell = Cell::parse(&text(example)).expect("the example cells are sound");
     shorten(&mut cell);
@@ -32,15 +32,15 @@ fn one_line(example: &str, draw: &mut Draw, position: [f64; 3]) -> String {
     toml::to_string(&cell).expect("a cell is TOML")
 }
 
-/// Where the wrist of an IRb-6 or IRp-6 is, in the vertical plane that it faces at home: reach and height of the pitch axis
-/// over the shoulder, m.
+/// Random position of the wrist of an IRb-6 or IRp-6 in its vertical plane at home: reach and height of the pitch axis
+/// relative to the shoulder, m.
 fn in_the_plane(draw: &mut Draw) -> (f64, f64) {
     let (lower, upper) = (draw.within(-1.9, -1.3), draw.within(-0.3, 0.3));
     let reach = 0.455 * lower.cos() + 0.67 * upper.cos();
     (reach, -0.455 * lower.sin() - 0.67 * upper.sin())
 }
 
-/// How many of the cells of `0..count` run to their end; none of the others may begin.
+/// Number of cells of `0..count` that run to their end. Asserts that none of the other cells starts a motion.
 #[track_caller]
 fn completed(count: u64, of: impl Fn(u64) -> String + Sync) -> u64 {
     let verdicts = judge_all(count, of);
@@ -54,7 +54,7 @@ fn completed(count: u64, of: impl Fn(u64) -> String + Sync) -> u64 {
 fn an_irb6_leaves_its_home_by_every_line_that_is_called_ready() {
     let cell = |number| {
         let mut draw = Draw::of(1, number);
-        // The tool is level at home, and a line in the plane of the arm keeps it so.
+        // The tool is horizontal at home. A line in the plane of the arm keeps it horizontal.
         let (reach, height) = in_the_plane(&mut draw);
         one_line("irb6", &mut draw, [reach + 0.095, 0.0, 0.7 + height])
     };
@@ -70,7 +70,7 @@ fn an_irp6_leaves_its_singular_home_by_every_line_that_is_called_ready() {
     let cell = |number| {
         let mut draw = Draw::of(2, number);
         let (reach, height) = in_the_plane(&mut draw);
-        // Beside the plane of the arm the wrist would have to turn over at once: one line in four goes there.
+        // Outside the plane of the arm, the wrist would have to turn over at once. One line in four leads there.
         let beside = if draw.one_in(4) {
             draw.within(-0.2, 0.2)
         } else {
@@ -87,7 +87,7 @@ fn an_irp6_leaves_its_singular_home_by_every_line_that_is_called_ready() {
     );
 }
 
-/// The motor positions, with their axes' names, that a record has at the end of homing, rad.
+/// Motor positions at the end of homing in a record, rad, with the names of their axes.
 fn homed(record: &str) -> Vec<(String, f64)> {
     let mut homed = Vec::new();
     let mut homing = BTreeSet::new();
@@ -151,7 +151,7 @@ fn homing_leaves_every_axis_of_the_example_cells_within_its_tolerance() {
                 distance <= tolerance,
                 "{name}, {axis}: {distance} rad, not {tolerance}"
             );
-            // A tolerance that is much too wide refuses programs for nothing.
+            // An excessive tolerance would refuse programs without need.
             assert!(tolerance < 0.7, "{name}, {axis}: {tolerance} rad");
         }
     }
@@ -159,7 +159,8 @@ fn homing_leaves_every_axis_of_the_example_cells_within_its_tolerance() {
 
 #[test]
 fn an_arm_goes_to_the_end_of_each_motor_range_and_touches_no_limit_switch() {
-    // Of each cell the axes, up and down. The legs of the RNT close at no end of theirs alone.
+    // The axes of each cell, in both directions. The legs of the RNT are left out, because no leg reaches an end of its
+    // range alone.
     for (name, axes) in [
         ("irb6", 0..5),
         ("rnt", 3..6),
@@ -180,7 +181,7 @@ fn an_arm_goes_to_the_end_of_each_motor_range_and_touches_no_limit_switch() {
             } else {
                 limits.high
             };
-            // A remainder of homing could take a motor that another axis carries beyond its limit on the way.
+            // The remaining distance of homing could move another motor beyond its limit by the coupling of the axes.
             let poses = [home, motors].map(|motors| arm.joints(&motors).expect("a posture"));
             robot.program = vec![Instruction::Joints(Joints {
                 poses: poses.map(|pose| pose[..arm.axes()].to_vec()).to_vec(),
@@ -192,7 +193,7 @@ fn an_arm_goes_to_the_end_of_each_motor_range_and_touches_no_limit_switch() {
             toml::to_string(&cell).expect("a cell is TOML")
         };
         let verdicts = judge_all(2 * axes.len() as u64, cell);
-        // Ends of motors at which their joint is beyond its own limit.
+        // Ends of motor ranges at which the joint is beyond its own limit.
         let refused = verdicts
             .iter()
             .filter(|verdict| **verdict != Verdict::Ready);
@@ -206,7 +207,7 @@ fn an_arm_goes_to_the_end_of_each_motor_range_and_touches_no_limit_switch() {
     }
 }
 
-/// An IRb-6 whose column ends at its home position, to the side of `sign`, and whose program is one instruction.
+/// An IRb-6 whose column has its limit at its home position, on the side of `sign`. Its program is one instruction.
 fn at_the_end(sign: f64, first: Instruction, draw: &mut Draw) -> String {
     let mut cell = Cell::parse(&text("irb6")).expect("the example cells are sound");
     shorten(&mut cell);
@@ -231,7 +232,7 @@ fn an_arm_that_is_homed_at_the_end_of_its_range_leaves_it_by_every_motion() {
     let cell = |number: u64| {
         let mut draw = Draw::of(3, number);
         let sign = if number.is_multiple_of(2) { 1.0 } else { -1.0 };
-        // The column stays where it is, at its limit, or leaves it.
+        // The column stays at its limit, or moves away from it.
         let column = if draw.one_in(2) {
             0.0
         } else {

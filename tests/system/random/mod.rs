@@ -1,10 +1,11 @@
-//! Random programs and altered cells. A cell that `mrroc check` calls ready runs to its end in lockstep, and a cell that
-//! `mrroc check` refuses is refused by `mrroc run` in the same words. Neither command panics, hangs or takes more than
+//! Random programs and altered cells. A cell that `mrroc check` calls ready runs to its end in lockstep. A cell that
+//! `mrroc check` refuses is refused by `mrroc run` with the same text. Neither command panics, hangs or takes more than
 //! 200 MB.
 //!
-//! The cases of a seed are always the same. `MRROC_RANDOM_SEED` sets another seed than 1. `MRROC_RANDOM_TIMES` multiplies
-//! the number of cases; the default 1 takes about a minute on two processors, and 16 applies every operator to every key
-//! of every cell. Each disagreement is printed at once with its case; the test fails at the end and prints one cell.
+//! The cases of a seed are always the same. `MRROC_RANDOM_SEED` sets the seed; the default is 1. `MRROC_RANDOM_TIMES`
+//! multiplies the number of cases. Its default 1 takes about a minute on two processors. A value of 16 applies every
+//! operator to every key of every cell. Each disagreement is printed at once with its case. At the end, the test fails
+//! and prints one cell.
 
 mod draw;
 mod exceptions;
@@ -19,13 +20,13 @@ use draw::Draw;
 use mutations::Mutations;
 use verdict::{Disagreement, Verdict, judge_but};
 
-/// Random programs of a default run.
+/// Number of random programs in a default run.
 const PROGRAMS: u64 = 200;
 
-/// How often a default run alters each key, each time in another way or in another cell.
+/// Number of alterations of each key in a default run, each with another operator or in another cell.
 const ROUNDS: u64 = 3;
 
-/// A number in an environment variable, or the usual one without.
+/// Number in an environment variable, or `usual` if the variable is not set.
 fn variable(name: &str, usual: u64) -> u64 {
     let Ok(given) = std::env::var(name) else {
         return usual;
@@ -35,7 +36,7 @@ fn variable(name: &str, usual: u64) -> u64 {
         .unwrap_or_else(|error| panic!("{name}={given}: {error}"))
 }
 
-/// Seed of the cases, and how many times the usual number of them are tried.
+/// Seed of the cases, and the multiple of their default number.
 fn extent() -> (u64, u64) {
     let extent = (
         variable("MRROC_RANDOM_SEED", 1),

@@ -12,9 +12,9 @@ use super::verdict::Case;
 /// One line of a cell and its alteration.
 #[derive(Clone, Copy, Debug)]
 struct Mutation {
-    /// Number in the list of keys.
+    /// Index in the list of keys.
     key: usize,
-    /// Number in the list of cells.
+    /// Index in the list of cells.
     cell: usize,
     operator: Operator,
 }
@@ -23,19 +23,19 @@ struct Mutation {
 pub(super) struct Mutations {
     cells: Vec<String>,
     keys: Vec<Key>,
-    /// In the order of the cases: the keys take turns.
+    /// In the order of the cases, in which the keys alternate.
     mutations: Vec<Mutation>,
 }
 
 /// A key or a table, without indices: `robot.axis.node` or `[robot.axis]`.
 struct Key {
     name: String,
-    /// The numbers of its lines, by the number of the cell.
+    /// Numbers of the lines with this key, by the index of the cell.
     lines: BTreeMap<usize, Vec<usize>>,
 }
 
 impl Mutations {
-    /// Those of a seed, which decides on the order.
+    /// The alterations of a seed, which determines their order.
     pub(super) fn of(seed: u64) -> Self {
         let cells = variants::all();
         let mut names = BTreeMap::<String, BTreeMap<usize, Vec<usize>>>::new();
@@ -57,17 +57,17 @@ impl Mutations {
         }
     }
 
-    /// The cells as they are.
+    /// The unaltered cells.
     pub(super) fn cells(&self) -> &[String] {
         &self.cells
     }
 
-    /// How many keys there are: as many cases alter each of them once.
+    /// Number of keys. This number of cases alters each key once.
     pub(super) fn keys(&self) -> usize {
         self.keys.len()
     }
 
-    /// How many cases apply every operator to every key of every cell once.
+    /// Number of cases that apply every operator to every key of every cell once.
     pub(super) fn complete(&self) -> usize {
         self.mutations.len()
     }
@@ -81,7 +81,7 @@ impl Mutations {
         &self.keys[self.mutation(case).key].name
     }
 
-    /// What case `case` does to its key.
+    /// The operator that case `case` applies to its key.
     pub(super) fn operator(&self, case: u64) -> Operator {
         self.mutation(case).operator
     }
@@ -98,7 +98,7 @@ impl Mutations {
         let places: Vec<_> = lines[&cell].clone();
         let cell = &self.cells[cell];
         let mut lines: Vec<_> = cell.lines().map(str::to_owned).collect();
-        // Of the lines with this key some may be arrays and others not.
+        // Some of the lines with this key may be arrays and others not.
         let fitting = places
             .into_iter()
             .filter(|&line| Operator::all(&lines[line]).contains(&operator));
@@ -144,7 +144,7 @@ fn in_turns(seed: u64, cells: &[String], keys: &[Key]) -> Vec<Mutation> {
     (0..rounds).flat_map(in_round).copied().collect()
 }
 
-/// The number and the key of each line with a key or a table's name.
+/// Line number and key of each line with a key or the header of a table.
 fn keys(cell: &str) -> Vec<(usize, String)> {
     let mut table = String::new();
     let mut keys = Vec::new();
@@ -164,8 +164,8 @@ fn keys(cell: &str) -> Vec<(usize, String)> {
     keys
 }
 
-/// The paths of all keys with a value under a schema, behind `path`. A name that a cell gives once is enough where the
-/// schema has the same definition in several places.
+/// Paths of all keys with a value under a schema, prefixed by `path`. A name that occurs once in a cell is sufficient
+/// if the schema uses the same definition in several places.
 fn of_schema(
     schema: &serde_json::Value,
     root: &serde_json::Value,
@@ -212,7 +212,7 @@ fn every_key_that_a_cell_file_can_have_is_altered_in_every_way() {
     let mut wanted = Vec::new();
     of_schema(&schema, &schema, "", &mut wanted);
     assert!(wanted.len() > 200, "{wanted:?}");
-    // No axis controller closes the velocity loop that this law needs.
+    // No axis controller closes the velocity loop that this law requires.
     wanted.retain(|key| !key.starts_with("robot.axis.controller.loop.law.proportional."));
     let has = |wanted: &String| mutations.keys.iter().any(|key| key.name == *wanted);
     let missing: Vec<_> = wanted.iter().filter(|wanted| !has(wanted)).collect();

@@ -2,18 +2,18 @@
 
 use super::draw::Draw;
 
-/// One alteration. Each draws among the values of its kind.
+/// One alteration. Each operator draws a random value of its kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Operator {
     /// The line is missing.
     Deleted,
-    /// The line stands twice.
+    /// The line is duplicated.
     Doubled,
     /// The key or the table has another name.
     Renamed,
     /// The key becomes a table around its value. A table becomes an array of tables, and an array a table.
     Nested,
-    /// A truth value; a truth value is inverted.
+    /// A Boolean value. A Boolean value is inverted.
     TruthValue,
     /// A text of a few characters, in most cases not a valid name.
     Text,
@@ -23,7 +23,7 @@ pub(super) enum Operator {
     Borrowed,
     /// An array around the value or in place of it.
     Array,
-    /// Arrays inside each other, up to 1,280 deep.
+    /// Nested arrays, up to 1,280 deep.
     DeepArray,
     /// A table in place of the value.
     Table,
@@ -43,7 +43,7 @@ pub(super) enum Operator {
     Scaled,
     /// An element of the array is missing.
     ElementDeleted,
-    /// An element of the array stands twice.
+    /// An element of the array is duplicated.
     ElementDoubled,
     /// An element of the array is altered by another operator.
     ElementAltered,
@@ -51,16 +51,16 @@ pub(super) enum Operator {
 
 use Operator::*;
 
-/// For the header of a table.
+/// Operators for the header of a table.
 const OF_A_HEADER: [Operator; 4] = [Deleted, Doubled, Renamed, Nested];
 
-/// For a line with a key, whatever its value.
+/// Operators for a line with a key, independent of its value.
 const OF_ANY_KEY: [Operator; 17] = [
     Deleted, Doubled, Renamed, Nested, TruthValue, Text, LongText, Borrowed, Array, DeepArray,
     Table, Malformed, Zero, Negative, Small, Large, NotFinite,
 ];
 
-/// For an array beside those.
+/// Additional operators for an array.
 const OF_AN_ARRAY: [Operator; 3] = [ElementDeleted, ElementDoubled, ElementAltered];
 
 const ZEROS: [&str; 3] = ["0", "0.0", "-0.0"];
@@ -146,7 +146,7 @@ impl Operator {
             .unwrap_or_else(|| panic!("{self:?} leaves {line} as it is"))
     }
 
-    /// The same; the result may equal the line.
+    /// As [`Operator::apply`], but the result may equal the line.
     fn draw(self, draw: &mut Draw, line: &str, cell: &str) -> String {
         match self {
             Deleted => return String::new(),

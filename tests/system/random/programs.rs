@@ -1,4 +1,4 @@
-//! Random programs from random starts, on the robots of the example cells.
+//! Random programs from random start positions, on the robots of the example cells.
 
 use ::mrroc::cell::{Cell, EmulatedPayload, Instruction, JointGenerator, Joints, Line, Robot};
 use controller::generator::{Arm, Axes};
@@ -8,7 +8,7 @@ use super::draw::Draw;
 use super::verdict::judge;
 use crate::mrroc::{shorten, text};
 
-/// The example cells of one robot, and how often each is drawn.
+/// The example cells with one robot, and their relative frequency.
 const CELLS: [(&str, usize); 7] = [
     ("irb6", 4),
     ("irp6", 4),
@@ -19,7 +19,7 @@ const CELLS: [(&str, usize); 7] = [
     ("irb6-hi-moxa", 1),
 ];
 
-/// A cell whose robot, or whose first two robots in the laboratory, have random programs.
+/// A cell with random programs for its robot, or for the first two robots of the laboratory.
 pub(super) fn cell(draw: &mut Draw) -> String {
     let total = CELLS.iter().map(|(_, weight)| weight).sum();
     let mut number = draw.below(total);
@@ -56,7 +56,7 @@ pub(super) fn cell(draw: &mut Draw) -> String {
     toml::to_string(&cell).expect("a cell is TOML")
 }
 
-/// Loads that the nominal motors hold.
+/// Payloads that the nominal motors can hold.
 fn payloads(draw: &mut Draw) -> Vec<EmulatedPayload> {
     let mut payload = |_| EmulatedPayload {
         at_s: draw.within(0.0, 15.0),
@@ -80,7 +80,7 @@ fn program(draw: &mut Draw, arm: &Arm) -> Vec<Instruction> {
     (0..count).map(&mut instruction).collect()
 }
 
-/// A motion through postures near `here`, some of them at a limit of a joint, and to the last of them.
+/// A motion through postures near `here`, some of them at a limit of a joint. `here` becomes the last posture.
 fn joints(draw: &mut Draw, arm: &Arm, here: &mut Axes) -> Instruction {
     let count = 1 + draw.below(3);
     let poses = (0..count).map(|_| {
@@ -127,11 +127,11 @@ fn near(draw: &mut Draw, arm: &Arm, here: &Axes, limit: usize) -> Axes {
     there
 }
 
-/// A line to the place of a posture near `here`.
+/// A line to the position of a posture near `here`.
 fn line(draw: &mut Draw, arm: &Arm, here: &mut Axes) -> Instruction {
     let mut there = near(draw, arm, here, usize::MAX);
     if arm.axes() == 5 && !draw.one_in(4) {
-        // In the plane of the arm and with the same pitch: what five axes can do.
+        // A target in the plane of the arm with the same pitch is within the capability of five axes.
         (there[0], there[3]) = (here[0], here[3]);
     }
     let pose = arm.forward(&there).expect("a posture has a pose");
@@ -149,7 +149,7 @@ fn line(draw: &mut Draw, arm: &Arm, here: &mut Axes) -> Instruction {
     })
 }
 
-/// A cell on which the two disagree without the instructions and payloads that they do not need for that.
+/// Removes the instructions and payloads of a cell that are not necessary for the disagreement.
 pub(super) fn shrunk(mut cell: String) -> String {
     let fewer: [fn(&mut Robot, usize) -> bool; 2] = [
         |robot, index| index < robot.program.len() && drop_at(&mut robot.program, index),

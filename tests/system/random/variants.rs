@@ -1,4 +1,4 @@
-//! The example cells with short programs and with every key that a cell file can have.
+//! Example cells with short programs, and with every key that a cell file can have.
 
 use ::mrroc::cell::{
     Cell, Direction, DriveControl, EmulatedPayload, Incremental, Instruction, JointGenerator,
@@ -51,7 +51,7 @@ fn written(example: &str, change: impl FnOnce(&mut Cell)) -> String {
     toml::to_string(&cell).expect("a cell is TOML")
 }
 
-/// With every key that an arm on CAN may have.
+/// Adds every key that an arm on CAN may have.
 fn on_can(cell: &mut Cell) {
     cell.realtime.margin_us = Some(100);
     cell.realtime.cpu = Some(0);
@@ -107,7 +107,7 @@ fn on_can(cell: &mut Cell) {
     ];
 }
 
-/// The parameters with finite joint limits: a cell file cannot give others.
+/// The parameters with finite joint limits, because a cell file cannot contain infinite limits.
 fn finite(mut parameters: Parameters) -> Parameters {
     if let Parameters::Polycrank(polycrank) = &mut parameters {
         for axis in &mut polycrank.axes {
@@ -118,7 +118,7 @@ fn finite(mut parameters: Parameters) -> Parameters {
     parameters
 }
 
-/// With loops over CAN that the host closes by torque.
+/// Makes the host close the loops over CAN by torque.
 fn by_torque(cell: &mut Cell) {
     cell.robot[0].weight = Some(Weights::default());
     for (number, kind) in Irp6Axis::ALL.into_iter().take(5).enumerate() {
@@ -138,14 +138,14 @@ fn by_torque(cell: &mut Cell) {
     }
 }
 
-/// With another law for an axis controller than the example has.
+/// Replaces the law of an axis controller by another than that of the example.
 fn other_law(cell: &mut Cell) {
     let controller = cell.robot[0].axis[4].controller.as_mut();
     let controller = controller.expect("an axis controller");
     controller.r#loop.law = incremental(&IRP6_DUTY[4], 1.0);
 }
 
-/// The law of an IRp-6, with a smaller limit if need be.
+/// The law of an IRp-6, with a smaller limit if necessary.
 fn incremental(law: &IncrementalConfig, limit: f64) -> Law {
     Law::Incremental(Incremental {
         a: law.a,
@@ -158,7 +158,7 @@ fn incremental(law: &IncrementalConfig, limit: f64) -> Law {
     })
 }
 
-/// With every key that an arm on serial lines may have.
+/// Adds every key that an arm on serial lines may have.
 fn on_lines(cell: &mut Cell) {
     cell.serial[0].emulated_latency_ms = Some(1);
     let robot = &mut cell.robot[0];

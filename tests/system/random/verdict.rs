@@ -1,4 +1,4 @@
-//! What `mrroc check` and `mrroc run --bench lockstep` say of a cell, and whether the two agree.
+//! Comparison of `mrroc check` and `mrroc run --bench lockstep` for a cell.
 
 use std::fmt;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
@@ -10,41 +10,41 @@ use std::thread;
 use crate::configuration;
 use crate::mrroc::{Directory, Output, Running};
 
-/// Address space of a child process, KiB: nothing grows beyond 200 MB.
+/// Address space of a child process, KiB: no command needs more than 200 MB.
 const MEMORY: u32 = 200_000;
 
 /// The device configuration file beside each cell.
 pub(super) const DCF: &str = "motor.dcf";
 
-/// What `mrroc check` and `mrroc run` agree on.
+/// Common result of `mrroc check` and `mrroc run`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Verdict {
-    /// Ready, and run to the end.
+    /// The cell is ready, and runs to the end.
     Ready,
-    /// Refused by both, in these words behind the path of the file.
+    /// Both commands refuse the cell with this text after the path of the file.
     Refused(String),
 }
 
-/// How the two disagree on a cell, or how either ends otherwise than it should.
+/// Kind of disagreement, or of an abnormal end of either command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
-    /// Called ready by check, and ended by a fault.
+    /// Accepted by check, and ended by a fault in run.
     Faulted,
-    /// Called ready by check, and refused by run.
+    /// Accepted by check, and refused by run.
     RefusedByRun,
-    /// Refused by check alone.
+    /// Refused by check only.
     RefusedByCheck,
-    /// Refused by both in different words.
+    /// Refused by both with different texts.
     Worded,
-    /// Refused without a line of the file or in several lines.
+    /// Refused without a line number of the file, or in several lines.
     Placeless,
-    /// Ended by a panic or a signal, which an allocation beyond the bound of memory is too.
+    /// Ended by a panic or a signal. An allocation beyond the memory limit also ends in a signal.
     Broken,
-    /// Not ended by its deadline.
+    /// Not ended by the deadline.
     Hung,
 }
 
-/// A disagreement with what the two said.
+/// A disagreement with the outputs of both commands.
 #[derive(Debug)]
 pub(super) struct Disagreement {
     pub(super) kind: Kind,
@@ -57,7 +57,7 @@ impl fmt::Display for Disagreement {
     }
 }
 
-/// Asks both about a cell.
+/// Runs both commands on a cell.
 pub(super) fn judge(cell: &str) -> Result<Verdict, Disagreement> {
     let directory = Directory::new();
     // Profile velocity, 0 to 50,000 rpm.
@@ -96,13 +96,13 @@ pub(super) fn judge(cell: &str) -> Result<Verdict, Disagreement> {
     Err(Disagreement { kind, said })
 }
 
-/// The faults that the report of a run names.
+/// The faults in the report of a run.
 fn faults(run: &Output) -> String {
     let report: serde_json::Value = serde_json::from_str(&run.stdout).unwrap_or_default();
     report["faults"].to_string()
 }
 
-/// Runs `mrroc` on a cell within bounds of time and memory; what it was asked if it does not end.
+/// Runs `mrroc` on a cell within limits of time and memory. The error names the arguments if the command does not end.
 fn ask(path: &Path, arguments: &[&str]) -> Result<Output, String> {
     let _turn = Turn::take();
     let running = arguments
@@ -110,12 +110,12 @@ fn ask(path: &Path, arguments: &[&str]) -> Result<Output, String> {
         .map(AsRef::as_ref)
         .chain([path.as_os_str()]);
     let running = Running::within(MEMORY, running);
-    // Its panic at the deadline does not know the cell.
+    // The panic at the deadline does not name the cell.
     let output = catch_unwind(AssertUnwindSafe(|| running.output()));
     output.map_err(|_| format!("mrroc {} does not end", arguments.join(" ")))
 }
 
-/// The refusal behind the path, if it is one line and begins with the number of a line.
+/// The refusal after the path, if it is one line that starts with a line number.
 fn place<'a>(stderr: &'a str, path: &Path) -> Option<&'a str> {
     let place = stderr.strip_prefix(&format!("mrroc: {}:", path.display()))?;
     let place = place.strip_suffix('\n')?;
@@ -124,7 +124,7 @@ fn place<'a>(stderr: &'a str, path: &Path) -> Option<&'a str> {
     (line > 0 && !problem.is_empty() && !place.contains('\n')).then_some(place)
 }
 
-/// The turn of a child process: all tests together have as many as there are processors.
+/// Permission to run a child process. All tests together have as many permissions as there are processors.
 struct Turn;
 
 static TURNS: Mutex<usize> = Mutex::new(0);
@@ -153,7 +153,7 @@ fn processors() -> usize {
     thread::available_parallelism().map_or(1, usize::from)
 }
 
-/// A cell, and what is odd about it.
+/// A cell and its peculiarity.
 pub(super) struct Case {
     pub(super) cell: String,
     pub(super) what: String,
@@ -166,7 +166,7 @@ impl From<String> for Case {
     }
 }
 
-/// The verdicts on cells `0..count`, in their order. Panics as [`judge_but`].
+/// The verdicts on cells `0..count` in order. Panics as [`judge_but`].
 #[track_caller]
 pub(super) fn judge_all(count: u64, cell: impl Fn(u64) -> String + Sync) -> Vec<Verdict> {
     judge_but(
@@ -177,10 +177,10 @@ pub(super) fn judge_all(count: u64, cell: impl Fn(u64) -> String + Sync) -> Vec<
     )
 }
 
-/// The same without the disagreements that `allowed` knows: cases whose reason is written down.
+/// The verdicts on cells `0..count`, without the disagreements for which `allowed` gives a reason.
 ///
-/// Panics after the last case if the two disagree on any other. The message has the number and the words of each such
-/// case, and the text of the first cell, which `shrink` shortens.
+/// Panics after the last case if there is any other disagreement. The message contains the number and the outputs of
+/// each such case, and the text of the first cell, shortened by `shrink`.
 #[track_caller]
 pub(super) fn judge_but(
     count: u64,
@@ -199,7 +199,7 @@ pub(super) fn judge_but(
             let case = case(number);
             let verdict = judge(&case.cell);
             if let Err(disagreement) = &verdict {
-                // A long hunt is looked at before its end.
+                // Results of a long run are inspected before its end.
                 println!("case {number}: {} {disagreement}", case.what);
             }
             judged

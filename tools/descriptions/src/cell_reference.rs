@@ -6,7 +6,7 @@ use std::fmt::Write as _;
 use mrroc::cell::Cell;
 use serde_json::{Map, Value};
 
-/// What stands above the tables.
+/// Text above the tables.
 const HEAD: &str = "# Cell-file reference\n\n\
     `mrroc schema --reference` generates this page from the JSON schema of cell files. A key without a default is \
     required. Ranges that follow from the robot or the drive are checked by `mrroc check`, with file, line and key.\n";
@@ -31,7 +31,7 @@ pub fn reference() -> String {
     text
 }
 
-/// The types still to be written.
+/// Types still to be written.
 struct Pages<'a> {
     definitions: &'a Value,
     queue: VecDeque<&'a str>,
@@ -79,7 +79,7 @@ impl<'a> Pages<'a> {
         );
     }
 
-    /// A table with these keys, as TOML writes it inline.
+    /// A table with these keys in the inline notation of TOML.
     fn table(&mut self, keys: &'a Map<String, Value>) -> String {
         let keys = keys.iter().map(|(key, value)| {
             let kind = self.name(value);
@@ -88,7 +88,7 @@ impl<'a> Pages<'a> {
         keys.collect::<Vec<_>>().join(", ")
     }
 
-    /// The type of a value. Types with a table of their own are queued.
+    /// Name of the type of a value. A type with a table of its own is queued.
     fn name(&mut self, value: &'a Value) -> String {
         if let Some(name) = value["$ref"]
             .as_str()
@@ -125,7 +125,7 @@ fn is_required(schema: &Value, key: &str) -> bool {
     required.is_some_and(|keys| keys.iter().any(|it| it == key))
 }
 
-/// The description in one line that a table can hold.
+/// Description in one line for a table cell.
 fn described(schema: &Value) -> String {
     let text = schema["description"].as_str().unwrap_or_default();
     text.replace('\n', " ").replace('|', "\\|")

@@ -1,4 +1,4 @@
-//! `mrroc datasheet`: a robot's figure and its parameters, each with the place it comes from.
+//! `mrroc datasheet`: figure and parameters of a robot, with the source of each parameter.
 
 mod devices;
 mod drives;
@@ -23,12 +23,12 @@ use views::Drawing;
 pub struct Options {
     #[command(flatten)]
     machine: Which,
-    /// Print the figure (SVG) that the data sheet shows.
+    /// Print the figure of the data sheet (SVG).
     #[arg(long)]
     figure: bool,
 }
 
-/// Prints the data sheet of a robot or of a device beside it, the gripper or the conveyor.
+/// Prints the data sheet of a robot, of the gripper or of the conveyor.
 pub fn datasheet(options: &Options) -> anyhow::Result<ExitCode> {
     let machine = Machine::find(&options.machine)?;
     streams::print(match (options.figure, views::drawing(&machine)) {

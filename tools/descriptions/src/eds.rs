@@ -11,7 +11,7 @@ use mrroc::bench::emulation;
 use mrroc::cell_file::CellFile;
 use mrroc::streams;
 
-/// Prints the data sheet of the drive that is emulated for an axis.
+/// Prints the data sheet of the emulated drive of an axis.
 pub fn eds(cell: &Path, axis: &str) -> anyhow::Result<ExitCode> {
     let file = CellFile::read(cell)?;
     let (robot, number) = find(&file, axis)?;
@@ -19,7 +19,7 @@ pub fn eds(cell: &Path, axis: &str) -> anyhow::Result<ExitCode> {
     streams::print(Epos4::eds(&config))
 }
 
-/// The axis that is called so: ROBOT/AXIS, or one name or node-ID that only one axis has.
+/// Finds the axis with this name: ROBOT/AXIS, or an axis name or node-ID that is unique in the cell.
 fn find(file: &CellFile, wanted: &str) -> anyhow::Result<(usize, usize)> {
     let robots = file.cell.robot.iter().enumerate();
     let axes = robots.flat_map(|(number, robot)| {

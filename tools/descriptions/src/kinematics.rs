@@ -1,7 +1,7 @@
-//! `mrroc kinematics`: where the flange is for given joints, which joints put it there, and how they move it.
+//! `mrroc kinematics`: forward kinematics, inverse kinematics, Jacobian and limits of a robot.
 //!
-//! Forward answers beyond every limit, as a measured position may be; then `motors` is null and a note says what is
-//! passed. Inverse answers only what the robot can be told to do.
+//! Forward kinematics accepts positions beyond every limit, as a measured position may be. `motors` is then null, and a
+//! note names the limit. Inverse kinematics returns only positions within the limits.
 
 mod answers;
 mod machine;
@@ -17,7 +17,7 @@ pub use machine::{Machine, Which};
 use answers::{Forward, Inverse, Ranges, Sensitivity};
 use mrroc::streams;
 
-/// The robot, and the form of the answer.
+/// The robot, and the format of the answer.
 #[derive(Args)]
 pub struct Common {
     #[command(flatten)]
@@ -30,14 +30,15 @@ pub struct Common {
 /// Questions of `mrroc kinematics`.
 #[derive(Subcommand)]
 pub enum Question {
-    /// Where the flange is for given joints or motors.
+    /// Forward kinematics: the pose of the flange for given joints or motors.
     ///
-    /// Position and rotation are the flange's in the base frame, m; beyond a limit they are told all the same, and
-    /// `motors` is null. Of the RNT the first three of `motors` are the leg lengths, m, here and in the answer;
-    /// `motor_angles` has all six in rad. `links` has the positions of the joints in the description of `mrroc urdf`.
+    /// Position, m, and rotation are those of the flange in the base frame. They are also printed for positions beyond
+    /// a limit, and `motors` is then null. For the RNT, the first three values of `motors` are leg lengths, m, in
+    /// options and answer. `motor_angles` contains all six motors in rad. `links` contains the joint positions in the
+    /// description of `mrroc urdf`.
     #[command(group(ArgGroup::new("positions").required(true).args(["joints", "motors"])))]
     Fk {
-        /// The robot, and the form of the answer.
+        /// The robot, and the format of the answer.
         #[command(flatten)]
         common: Common,
         /// Joint positions, rad (m for a linear one), separated by commas.
@@ -47,39 +48,41 @@ pub enum Question {
         #[arg(long, allow_hyphen_values = true)]
         motors: Option<String>,
     },
-    /// Which joints put the flange there: every branch within the limits, the nearest to --near first.
+    /// Inverse kinematics: all joint positions within the limits for a pose of the flange, the nearest to --near first.
     Ik {
-        /// The robot, and the form of the answer.
+        /// The robot, and the format of the answer.
         #[command(flatten)]
         common: Common,
         /// Origin of the flange in the base frame, m: x,y,z.
         #[arg(long, allow_hyphen_values = true)]
         position: String,
-        /// Orientation of the flange in the base frame: w,x,y,z. Its norm may be wrong by 1 %, as by rounding.
+        /// Orientation of the flange in the base frame: w,x,y,z. The norm may deviate from 1 by 1 %, for example by
+        /// rounding.
         #[arg(long, allow_hyphen_values = true)]
         quaternion: String,
-        /// The joints where the robot is; those of its home where absent.
+        /// Present joint positions of the robot. [default: the home position]
         #[arg(long, allow_hyphen_values = true)]
         near: Option<String>,
     },
-    /// Velocity of the flange per unit of joint velocity, in the base frame: three rows in m/s, three in rad/s.
+    /// Jacobian: velocity of the flange per unit of joint velocity, in the base frame. Three rows are in m/s, three in
+    /// rad/s.
     Jacobian {
-        /// The robot, and the form of the answer.
+        /// The robot, and the format of the answer.
         #[command(flatten)]
         common: Common,
         /// Joint positions, rad (m for a linear one), separated by commas.
         #[arg(long, allow_hyphen_values = true)]
         joints: String,
     },
-    /// Ranges of joints and motors; null where there is none.
+    /// Ranges of joints and motors; null if unlimited.
     Limits {
-        /// The robot, and the form of the answer.
+        /// The robot, and the format of the answer.
         #[command(flatten)]
         common: Common,
     },
 }
 
-/// Answers one question about a robot.
+/// Answers a question about a robot.
 pub fn kinematics(question: &Question) -> anyhow::Result<ExitCode> {
     match question {
         Question::Fk {

@@ -1,7 +1,7 @@
-//! `mrroc urdf`: a robot in the Unified Robot Description Format, from the parameters that its kinematics have.
+//! `mrroc urdf`: a robot in the Unified Robot Description Format, generated from its kinematic parameters.
 //!
-//! The links are those of `base_from_flange`; a rod stands for each so that something is seen. There are no masses: a
-//! viewer needs none, and a library of rigid bodies takes them for zero.
+//! The links are those of `base_from_flange`, and each is drawn as a rod. The description contains no masses. A viewer
+//! needs none, and a library of rigid bodies assumes zero.
 
 use std::fmt::{self, Write as _};
 use std::process::ExitCode;
@@ -86,8 +86,9 @@ fn write(text: &mut String, machine: &Machine, links: &[Link]) -> fmt::Result {
     )
 }
 
-/// The floor under a base whose z axis is level: x of the base points up, z along the floor's y. The height is of public
-/// code; which way axis 1 points is this description's choice, and only moves the zero of joint 1.
+/// The floor under a base whose z axis is horizontal. The x axis of the base points up, and its z axis lies along the y
+/// axis of the floor. The height is from published code. The direction of axis 1 is a choice of this description and
+/// only shifts the zero of joint 1.
 fn mounting(text: &mut String) -> fmt::Result {
     const HEIGHT: f64 = 0.925;
     let floor_from_base = Matrix3::new(
@@ -153,7 +154,7 @@ fn joint(text: &mut String, link: &Link, parent: &str) -> fmt::Result {
     writeln!(text, "  </joint>")
 }
 
-/// A cylinder along the z axis of the frame that stands there in its link.
+/// A cylinder along the z axis of its own frame, which is given in the frame of the link.
 struct Cylinder {
     link_from_cylinder: Isometry3<f64>,
     radius: f64,
@@ -181,7 +182,7 @@ fn body(text: &mut String, name: &str, visuals: &[Option<Cylinder>]) -> fmt::Res
     writeln!(text, "  </link>")
 }
 
-/// A rod from a link's origin to `end`, unless that is the same point.
+/// A rod from the origin of a link to `end`; `None` if both coincide.
 fn rod(end: &Vector3<f64>) -> Option<Cylinder> {
     let length = end.norm();
     (length > 1e-3).then(|| Cylinder {
@@ -191,7 +192,7 @@ fn rod(end: &Vector3<f64>) -> Option<Cylinder> {
     })
 }
 
-/// A drum about a link's axis.
+/// A drum about the axis of a link.
 fn drum(link: &Link) -> Cylinder {
     let (radius, length) = DRUM;
     Cylinder {
@@ -201,13 +202,13 @@ fn drum(link: &Link) -> Cylinder {
     }
 }
 
-/// The part of a sliding link that never leaves the one before it.
+/// The part of a sliding link that stays inside the previous link at every position.
 fn slide(link: &Link) -> Option<Cylinder> {
     let sliding = link.kind == LinkKind::Prismatic;
     sliding.then(|| rod(&(link.axis.as_ref() * -link.limits.low)))?
 }
 
-/// The shortest turn of the z axis there.
+/// The smallest rotation of the z axis to `direction`.
 fn along(direction: &Vector3<f64>) -> UnitQuaternion<f64> {
     UnitQuaternion::rotation_between(&Vector3::z(), direction).unwrap_or_else(|| {
         UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)
@@ -224,13 +225,13 @@ fn origin(pose: &Isometry3<f64>) -> String {
 }
 
 fn triple(vector: &Vector3<f64>) -> String {
-    // Zero has no sign here.
+    // Adding zero removes the sign of a negative zero.
     let [x, y, z] = [vector.x, vector.y, vector.z].map(|value| value + 0.0);
     format!("{x} {y} {z}")
 }
 
-/// The angles about the fixed axes x, y, z of URDF, yaw 0 where only its sum with roll is determined. An arc sine
-/// of the pitch would lose half the digits near a right angle.
+/// Angles about the fixed axes x, y, z of URDF. Yaw is 0 if only its sum with roll is determined. An arc sine of the
+/// pitch would lose half the digits near a right angle.
 fn roll_pitch_yaw(rotation: &Rotation3<f64>) -> Vector3<f64> {
     let level = rotation[(0, 0)].hypot(rotation[(1, 0)]);
     let pitch = (-rotation[(2, 0)]).atan2(level);
@@ -245,7 +246,7 @@ fn roll_pitch_yaw(rotation: &Rotation3<f64>) -> Vector3<f64> {
     )
 }
 
-/// A name as the value of an attribute.
+/// Text of a name for an XML attribute.
 fn escaped(name: &str) -> String {
     name.replace('&', "&amp;")
         .replace('<', "&lt;")

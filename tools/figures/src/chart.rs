@@ -1,10 +1,10 @@
-//! What charts have in common: a titled sheet and the lines of its grid.
+//! Common parts of charts: a titled sheet and grid lines.
 
 use crate::svg::{self, Point};
 
 pub use crate::svg::text;
 
-/// Begins a picture of `size`, px, with its title and what is said below it, both from `left` on.
+/// Starts a chart of `size`, px, with a title and a line of text below it. Both are aligned at `left`.
 pub fn open(size: [f64; 2], left: f64, title: &str, setting: &str) -> String {
     let mut sheet = svg::open(size);
     let style = "font-size=\"19\" fill=\"#111\"";
@@ -13,7 +13,7 @@ pub fn open(size: [f64; 2], left: f64, title: &str, setting: &str) -> String {
     sheet
 }
 
-/// A line of the grid, px.
+/// Adds a grid line, px.
 pub fn line(sheet: &mut String, from: Point, to: Point) {
     svg::line(sheet, from, to, "stroke=\"#e3e6ea\" stroke-width=\"1\"");
 }

@@ -1,4 +1,4 @@
-//! Figures in SVG: shapes of a sheet, and what charts have in common.
+//! Figures in SVG: basic shapes, and common parts of charts.
 
 pub mod chart;
 pub mod svg;

@@ -1,11 +1,11 @@
-//! Pieces of a picture in SVG: the sheet, texts, lines, arrowheads. Lengths are px, y points down.
+//! Elements of a figure in SVG: sheet, texts, lines, arrowheads. Lengths are in px, and y points down.
 
 use std::fmt::Write as _;
 
 /// A point or a direction on the sheet.
 pub type Point = [f64; 2];
 
-/// A white sheet of this size; `</svg>` ends it.
+/// Starts a white sheet of this size; `</svg>` ends it.
 pub fn open([width, height]: [f64; 2]) -> String {
     format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" \
@@ -28,7 +28,7 @@ pub fn line(svg: &mut String, from: Point, to: Point, style: &str) {
     path(svg, &[from, to], style);
 }
 
-/// A line through points, or the area inside where `style` fills it.
+/// Adds a line through points, or an area if `style` fills it.
 pub fn path(svg: &mut String, points: &[Point], style: &str) {
     let mut way = String::new();
     for (number, [x, y]) in points.iter().enumerate() {
@@ -45,7 +45,7 @@ pub fn circle(svg: &mut String, [x, y]: Point, radius: f64, style: &str) {
     );
 }
 
-/// The head of an arrow that ends in `tip`, coming from where `direction`, of any length, does.
+/// Adds an arrowhead with its tip at `tip`. The arrow points along `direction`, which may have any length.
 pub fn arrowhead(svg: &mut String, tip: Point, direction: Point, size: f64, colour: &str) {
     let along = unit(direction);
     let back = |side: f64| {
@@ -61,7 +61,7 @@ pub fn arrowhead(svg: &mut String, tip: Point, direction: Point, size: f64, colo
     );
 }
 
-/// The direction at length 1; a point has none and gets the one to the right.
+/// Unit vector; a vector of length zero yields the direction to the right.
 pub fn unit([x, y]: Point) -> Point {
     let length = x.hypot(y);
     if length > 0.0 {

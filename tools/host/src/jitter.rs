@@ -1,15 +1,16 @@
-//! `mrroc jitter`: how punctual a thread is on this host that waits for deadlines as the servo's does.
+//! `mrroc jitter`: measures the punctuality of a thread on this host that waits for deadlines as the servo thread does.
 //!
-//! The measured time is the error of the wake-up: from a deadline to the time at which the thread runs, with the
-//! servo's own wait and without a servo. With a cell, the time runs from a deadline to its SYNC. The peer, cyclictest
-//! or a probe with its algorithm, takes turns within the run, so that both sides see the same host.
+//! The measured latency is the time from a deadline to the time at which the thread runs. The thread uses the wait of
+//! the servo, without a servo. With a cell, the latency is the time from a deadline to its SYNC. The peer is cyclictest
+//! or a probe with the same algorithm. Both sides take turns within the run, so that they see the same host.
 //!
-//! **Both sides alike**: what keeps CPUs from deep idle states is held for both, or for neither where it is denied, and
-//! cyclictest is told to leave it alone; the same priority under SCHED_FIFO (but for cyclictest, which knows no other,
-//! where ours is under SCHED_DEADLINE) and the same CPU, or none; all memory locked; a timer slack of 1 ns; a first turn that counts for nothing. No two turns overlap. Ours is counted in ns and
-//! cyclictest's own histogram in µs, so a ratio is no finer than that.
+//! **Same conditions for both sides**: deep idle states are disabled for both, or for neither if the host denies it;
+//! cyclictest is told not to change them. Both have the same priority under SCHED_FIFO. cyclictest also runs under
+//! SCHED_FIFO if our thread runs under SCHED_DEADLINE. Both run on the same CPU, or are not pinned. All memory is
+//! locked, the timer slack is 1 ns, and the first turn is not counted. No two turns overlap. Our latency is counted in
+//! ns and the histogram of cyclictest in µs. The resolution of a ratio is therefore 1 µs.
 //!
-//! **Files** of `--out` are in [`files`], what the verdict is made of is in [`verdict`].
+//! The output files of `--out` are described in [`files`], the evaluation in [`verdict`].
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
@@ -57,51 +58,52 @@ use mrroc::spikes::SpikeFile;
 /// Options of `mrroc jitter`.
 #[derive(Args)]
 pub struct Options {
-    /// Measure the whole cycle of this cell, its drives on and holding their position: from the deadline to SYNC.
+    /// Measure the whole cycle of this cell, from the deadline to SYNC. The drives are switched on and hold their
+    /// position.
     #[arg(long, value_name = "FILE")]
     cell: Option<PathBuf>,
-    /// What to measure the cell on: emulated, unless given.
+    /// The bench for the cell. [default: emulated]
     #[arg(long, value_enum)]
     bench: Option<CellBench>,
-    /// The virtual interface of a bus, IFACE or BUS=IFACE, with --bench vcan: never the cell's own.
+    /// The virtual interface of a bus, IFACE or BUS=IFACE, for --bench vcan. The interfaces of the cell file are never
+    /// used.
     #[arg(long, value_name = "IFACE")]
     can: Vec<String>,
-    /// Time from one deadline to the next, with its unit: 1ms, 250us; the cell's or 1ms, unless given.
+    /// Time from one deadline to the next, with its unit: 1ms, 250us. [default: the cell's, or 1ms]
     #[arg(long)]
     period: Option<String>,
-    /// How long to measure, with its unit: 60s, 10m, 1h; the peer is measured as long.
+    /// Duration of the measurement, with its unit: 60s, 10m, 1h. The peer is measured for the same time.
     #[arg(long, default_value = "60s")]
     duration: String,
-    /// What schedules the thread; the cell's or fifo, unless given.
+    /// Scheduling policy of the thread. [default: the cell's, or fifo]
     #[arg(long, value_enum)]
     scheduler: Option<Scheduler>,
-    /// Priority under SCHED_FIFO, 1 to 99; the cell's or 80, unless given.
+    /// Priority under SCHED_FIFO, 1 to 99. [default: the cell's, or 80]
     #[arg(long)]
     priority: Option<u32>,
-    /// The CPU to stay on; the cell's, unless given.
+    /// The CPU to which the thread is pinned. [default: the cell's]
     #[arg(long)]
     cpu: Option<usize>,
-    /// How to wait; the cell's or hybrid, unless given.
+    /// Kind of wait. [default: the cell's, or hybrid]
     #[arg(long, value_enum)]
     wait: Option<Wait>,
-    /// How long before a deadline a hybrid wait asks to be woken, with its unit: 100us; the cell's or learnt, unless
-    /// given.
+    /// Time before a deadline at which a hybrid wait wakes up, with its unit: 100us. [default: the cell's, or learnt]
     #[arg(long)]
     margin: Option<String>,
-    /// Largest share of a core that a hybrid wait spins in, 0 to 0.5; the cell's or 0.2, unless given.
+    /// Largest share of a core that a hybrid wait spends spinning, 0 to 0.5. [default: the cell's, or 0.2]
     #[arg(long)]
     spin_share: Option<f64>,
-    /// What loads all CPUs meanwhile; several are separated by commas.
+    /// Load of all CPUs during the measurement; several kinds are separated by commas.
     #[arg(long, value_enum, value_delimiter = ',')]
     load: Vec<load::Kind>,
-    /// Who is measured beside it, in turns.
+    /// The peer that is measured in turns with the thread.
     #[arg(long, value_enum)]
     against: Option<Peer>,
-    /// Write ours.hgrm, peer.hgrm and ours.hlog, as the HdrHistogram tools read them, and jitter.svg into this
+    /// Write ours.hgrm, peer.hgrm and ours.hlog in the format of the HdrHistogram tools, and jitter.svg, into this
     /// directory.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Write the cycles of ours around the latest ones to this file, phase by phase, for ui.perfetto.dev.
+    /// Write the cycles around the latest ones of our thread to this file, phase by phase, for ui.perfetto.dev.
     #[arg(long, value_name = "FILE")]
     spikes: Option<PathBuf>,
     #[command(flatten)]
@@ -111,17 +113,17 @@ pub struct Options {
     json: bool,
 }
 
-/// What schedules the thread.
+/// Scheduling policy of the thread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
 #[serde(rename_all = "kebab-case")]
 enum Scheduler {
     /// SCHED_FIFO.
     Fifo,
-    /// SCHED_DEADLINE, with nine tenths of each period.
+    /// SCHED_DEADLINE with a run time of nine tenths of each period.
     Deadline,
 }
 
-/// How to wait.
+/// Kind of wait.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
 #[serde(rename_all = "kebab-case")]
 enum Wait {
@@ -131,13 +133,13 @@ enum Wait {
     Hybrid,
 }
 
-/// Whom to measure beside it.
+/// The peer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
 #[serde(rename_all = "kebab-case")]
 enum Peer {
-    /// The one of Debian's package rt-tests.
+    /// cyclictest of Debian's package rt-tests.
     Cyclictest,
-    /// A thread with its algorithm: an absolute sleep, and one read of the clock.
+    /// A thread with the algorithm of cyclictest: an absolute sleep, and one reading of the clock.
     Plain,
 }
 
@@ -150,12 +152,12 @@ impl Peer {
     }
 }
 
-/// What takes part in a measurement beside the sides.
+/// Plan, progress display and state of a measurement.
 struct Course<'a> {
     plan: &'a Plan,
     over: &'a Arc<AtomicBool>,
     progress: ProgressBar,
-    /// The first failure to write the interval log; it ends the measurement.
+    /// The first failure to write the interval log. The failure ends the measurement.
     failed: Option<std::io::Error>,
 }
 
@@ -172,7 +174,7 @@ impl Course<'_> {
         }
     }
 
-    /// Takes into `ledger` what there is, and shows it.
+    /// Adds the new intervals to `ledger` and shows intermediate results.
     fn look(&mut self, ledger: &mut Ledger, who: &str) {
         if let Err(error) = ledger.drain() {
             self.over.store(true, Ordering::Relaxed);
@@ -189,7 +191,7 @@ impl Course<'_> {
         ));
     }
 
-    /// One turn of a thread of ours, whose wake-ups come into `ledger`.
+    /// One turn of a thread of this process, whose wake-ups are recorded in `ledger`.
     fn thread(
         &mut self,
         wakeups: &mut Wakeups,
@@ -200,7 +202,7 @@ impl Course<'_> {
         let policy = self.plan.policy;
         let look = || self.look(ledger, who);
         let ((), denied) = probe::on_thread(&policy, || body(wakeups), look)?;
-        // The last interval of a turn; all others are free by now.
+        // Records the last interval of a turn. All other histograms are free by now.
         self.look(ledger, who);
         wakeups.late.hand_over();
         self.look(ledger, who);
@@ -208,7 +210,7 @@ impl Course<'_> {
     }
 }
 
-/// Measures and reports.
+/// Measures and prints the report.
 pub fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
     let mut file = options.cell.as_deref().map(CellFile::read).transpose()?;
     let plan = Plan::of(options, file.as_ref().map(|file| &file.cell))?;
@@ -269,7 +271,7 @@ pub fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
         failed: None,
     };
     for round in 0..=plan.rounds {
-        // The first turn of each side is there for caches, clocks and the margin, and counts for neither.
+        // The first turn of each side warms up caches, clocks and the margin, and is not counted.
         let (recorder, mut unheard) = recording(began, None);
         let mut warming = Wakeups::new(recorder);
         let warm_up = round == 0;
@@ -375,14 +377,14 @@ pub fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
     }));
     let failures = [answered.map(|_| ()), written];
     for error in failures.iter().filter_map(|it| it.as_ref().err()) {
-        // Too late to refuse: it has been measured.
+        // The measurement has been made, so a refusal would be too late.
         mrroc::streams::warn(format_args!("mrroc: {error:#}"));
     }
     let failed = failures.iter().any(Result::is_err);
     Ok(ExitCode::from(u8::from(ended_early || failed)))
 }
 
-/// What a hypervisor took from all processors since the boot, ms.
+/// Time that a hypervisor took from all processors since the boot, ms.
 fn stolen() -> u64 {
     10 * stolen_ticks(&std::fs::read_to_string("/proc/stat").unwrap_or_default())
 }

@@ -1,24 +1,24 @@
-//! `bode.svg`: magnitude and phase over frequency, crossover and margin marked.
+//! `bode.svg`: magnitude and phase over frequency, with crossover and phase margin marked.
 
 use std::fmt::Write as _;
 
 use super::report::{PointReport, Report};
 use figures::chart::{line, open, text};
 
-/// Size of the picture, px.
+/// Size of the chart, px.
 const SIZE: [f64; 2] = [960.0, 720.0];
 
-/// The panels' left and right, px.
+/// Left and right edges of the panels, px.
 const ENDS: [f64; 2] = [86.0, 920.0];
 
-/// Top and bottom of the panels, px.
+/// Top and bottom edges of the panels, px.
 const MAGNITUDE: [f64; 2] = [92.0, 370.0];
 const PHASE: [f64; 2] = [420.0, 660.0];
 
 const CURVE: &str = "#1666c0";
 const MARK: &str = "#d9731a";
 
-/// A panel: its place, its values from bottom to top, and the step of its grid.
+/// A panel: its position, its range of values from bottom to top, and the step of its grid.
 struct Panel {
     place: [f64; 2],
     range: [f64; 2],
@@ -26,7 +26,7 @@ struct Panel {
 }
 
 impl Panel {
-    /// Holds all of `values`, and its `least` range, in whole steps.
+    /// Panel for all of `values`, in whole steps, with at least the range `least`.
     fn of(place: [f64; 2], values: impl Iterator<Item = f64>, least: [f64; 2], step: f64) -> Self {
         let [low, high] = values
             .filter(|value| value.is_finite())
@@ -113,12 +113,12 @@ pub(super) fn chart(report: &Report) -> String {
     magnitude.grid(&mut svg, "magnitude, dB");
     phase.grid(&mut svg, "phase, degrees");
 
-    // A label that would leave the picture stands on the other side.
+    // A label that would leave the chart is placed on the other side.
     let beside = |at: f64| match at > ENDS[1] - 120.0 {
         true => (at - 8.0, "end"),
         false => (at + 8.0, "start"),
     };
-    // The margin first: the curve lies on top.
+    // The margin is drawn first, so that the curve covers it.
     if let (Some(crossover), Some(margin)) = (report.crossover_hz, report.phase_margin_deg) {
         let at = x(crossover);
         let half = phase.at(-180.0);
@@ -167,7 +167,7 @@ pub(super) fn chart(report: &Report) -> String {
     svg + "</svg>\n"
 }
 
-/// A curve with its points; hollow ones whose coherence is below 0.9.
+/// A curve and its points. Points with a coherence below 0.9 are hollow.
 fn curve(svg: &mut String, points: &[PointReport], place: impl Fn(&PointReport) -> [f64; 2]) {
     let mut all = String::new();
     for [x, y] in points.iter().map(&place) {
@@ -194,7 +194,7 @@ fn dashed(svg: &mut String, [x1, y1]: [f64; 2], [x2, y2]: [f64; 2]) {
     );
 }
 
-/// 1, 2, 5 and their decades within a range.
+/// The numbers 1, 2 and 5 times powers of ten within a range.
 fn ticks([first, last]: [f64; 2]) -> impl Iterator<Item = (f64, String)> {
     let decades = first.log10().floor() as i32..=last.log10().ceil() as i32;
     let ticks = decades.flat_map(|decade| [1.0, 2.0, 5.0].map(|it| it * 10f64.powi(decade)));

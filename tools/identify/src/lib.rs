@@ -1,7 +1,7 @@
 //! `mrroc identify`: excites one axis while it moves, and reports the frequency response of its loop.
 //!
-//! Only the robot of that axis gets power, and only that axis moves: in one direction, at constant velocity, over a
-//! distance that is printed before. Every guard of a run stays in force.
+//! Only the robot of this axis is switched on, and only this axis moves. It moves in one direction at constant
+//! velocity. The distance is printed before the motion. All safety checks of a run stay active.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
@@ -35,32 +35,32 @@ use mrroc::{setup, signals};
 use report::Report;
 use session::Session;
 
-/// Records that the measurement may lag behind the servo, per effector: some seconds.
+/// Capacity of the queue of records from the servo, per effector: some seconds.
 const RECORDS: usize = 1 << 13;
 
-/// How often the orders are looked after, at the least.
+/// Longest time between two updates of the session.
 const POLL: Duration = Duration::from_millis(2);
 
-/// Length of one period of the excitation, s: its lines are multiples of 1 Hz.
+/// Length of one period of the excitation, s. The spectral lines are therefore multiples of 1 Hz.
 const PERIOD: f64 = 1.0;
 
-/// Period of the loops of a drive, s: those of the emulated one, and those of an EPOS4 (its hardware references).
+/// Cycle time of the control loops of a drive, s: of the emulated drive, and of an EPOS4 (its hardware references).
 const EMULATED_DRIVE: f64 = 1e-3;
 const EPOS4: f64 = 400e-6;
 
-/// Lines that are asked for.
+/// Number of spectral lines.
 const LINES: usize = 40;
 
-/// Usual velocity, rad/s.
+/// Default velocity, rad/s.
 const VELOCITY: f64 = 10.0;
 
-/// Acceleration to the velocity and from it, rad/s², unless the axis has less.
+/// Acceleration and deceleration, rad/s², limited by the axis.
 const ACCELERATION: f64 = 100.0;
 
-/// Room that is left to the end of the axis's range, rad of the motor.
+/// Distance kept from the end of the axis's range, rad of the motor.
 const ROOM: f64 = 5.0;
 
-/// Longest time in the cell for the power to be off once all is done.
+/// Longest wait for the drives to switch off at the end, in cell time.
 const POWER_OFF_WAIT: Duration = Duration::from_millis(500);
 
 /// Options of `mrroc identify`.
@@ -71,31 +71,32 @@ pub struct Options {
     /// The axis: ROBOT/AXIS, or the axis's name if no other has it.
     #[arg(long)]
     axis: String,
-    /// What it is excited by.
+    /// Form of the excitation.
     #[arg(long, value_enum, default_value = "multisine")]
     excitation: Excitation,
-    /// Where it is added, if the drive closes the position loop.
+    /// Point at which the excitation is added, if the drive closes the position loop.
     #[arg(long, value_enum, default_value = "torque")]
     at: At,
-    /// Period of the drive's own loops, µs, where it closes the position loop: what torque it shows is half of that old.
-    /// That of an EPOS4, unless given, or of the emulated drive.
+    /// Cycle time of the drive's control loops, µs, if the drive closes the position loop. The reported torque is half
+    /// a cycle old. [default: that of an EPOS4, or of the emulated drive]
     #[arg(long, value_name = "US")]
     drive_period: Option<f64>,
-    /// What to measure on.
+    /// The bench to measure on.
     #[arg(long, value_enum, default_value = "lockstep")]
     bench: BenchKind,
     #[command(flatten)]
     places: Places,
-    /// Let the axis move where it may be hardware. It has to be homed, clear of its surroundings, and watched.
+    /// Allow motion on a bench that may be hardware. The axis has to be homed, clear of its surroundings, and watched.
     #[arg(long)]
     moves_hardware: bool,
-    /// Greatest value of the excitation, in the unit of what is excited: rad/s, N·m or the duty that the host's loop puts
-    /// out; N·m where the drive closes the loop, or rad of the motor at its command. A small one, unless given.
+    /// Amplitude of the excitation. The unit is that of the loop's output if the host closes the loop: rad/s, N·m or
+    /// duty. If the drive closes the loop, the unit is N·m at its torque, or rad of the motor at its command. [default:
+    /// a small amplitude]
     #[arg(long)]
     amplitude: Option<f64>,
-    /// Motor velocity meanwhile, rad/s: dry friction holds an axis that stands. A drive that is excited at
-    /// its torque is given the nearest of a whole number of counts in a cycle. 10 rad/s unless given, or four counts in a
-    /// cycle there, if that is more.
+    /// Motor velocity during the measurement, rad/s. At standstill, dry friction would hold the axis. For an excitation
+    /// at the torque of a drive, the velocity is rounded to a whole number of counts per cycle. [default: 10 rad/s, or
+    /// four counts per cycle at the torque of a drive, if that is faster]
     #[arg(long)]
     velocity: Option<f64>,
     /// Lowest frequency, Hz.
@@ -104,7 +105,7 @@ pub struct Options {
     /// Highest frequency, Hz, below half the servo's rate.
     #[arg(long, default_value_t = 120.0)]
     to: f64,
-    /// Periods of the excitation, a second each, that are measured.
+    /// Number of measured periods of the excitation, one second each.
     #[arg(long, default_value_t = 4)]
     periods: u8,
     /// Write bode.svg and bode.csv into this directory.
@@ -117,21 +118,22 @@ pub struct Options {
     json: bool,
 }
 
-/// What an axis is excited by.
+/// Form of the excitation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Excitation {
-    /// A sine that rises from the lowest frequency to the highest.
+    /// A sine with rising frequency, from the lowest to the highest.
     Chirp,
-    /// Many sines at once.
+    /// A sum of sines.
     Multisine,
 }
 
-/// Where an axis is excited whose drive closes the position loop.
+/// Point of excitation for a drive that closes the position loop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum At {
-    /// At the torque that the drive's loops ask for (object 0x60B2): the open loop, its crossover and margin.
+    /// At the torque that the drive's loops demand (object 0x60B2). Measures the open loop with its crossover and phase
+    /// margin.
     Torque,
-    /// At the commanded position: how the sample follows it. For drives without that object.
+    /// At the commanded position. Measures the response of the sampled position. For drives without object 0x60B2.
     Command,
 }
 
@@ -209,7 +211,7 @@ pub fn identify(options: &Options) -> anyhow::Result<ExitCode> {
         let bench = options.bench.name();
         Ok(Report::of(name.clone(), bench, &axis, &run, kind, &points))
     });
-    // From here on it is too late to refuse: the axis has moved.
+    // The axis has moved, so a refusal would be too late.
     let told = match report {
         Err(Unmeasured::Refused(why)) => return Err(why.context(name)),
         Err(Unmeasured::Stopped(why)) => Err(anyhow!("{name}: {why}")),
@@ -227,15 +229,15 @@ pub fn identify(options: &Options) -> anyhow::Result<ExitCode> {
     })
 }
 
-/// Why nothing was measured.
+/// Reason why there is no measurement.
 enum Unmeasured {
     /// Nothing has moved.
     Refused(anyhow::Error),
-    /// Something may have moved.
+    /// An axis may have moved.
     Stopped(String),
 }
 
-/// The files of `--out`, open from before anything moves on.
+/// Files of `--out`, opened before any motion.
 struct BodeFiles {
     chart: File,
     table: File,
@@ -259,7 +261,7 @@ impl BodeFiles {
     }
 }
 
-/// The axis that is called so: ROBOT/AXIS, or one name that only one axis has.
+/// Finds the axis with this name: ROBOT/AXIS, or an axis name that is unique in the cell.
 fn find(file: &CellFile, wanted: &str) -> anyhow::Result<(usize, usize)> {
     let robots = file.cell.robot.iter().enumerate();
     let axes = robots.flat_map(|(robot, value)| {
@@ -290,7 +292,7 @@ fn find(file: &CellFile, wanted: &str) -> anyhow::Result<(usize, usize)> {
     }
 }
 
-/// Cycles of one period of the excitation: whole macrosteps.
+/// Number of cycles in one period of the excitation, in whole macrosteps.
 fn length(file: &CellFile) -> usize {
     let steps = usize::from(file.cell.macrostep);
     let cycles = PERIOD / file.cell.period().as_secs_f64();
@@ -310,7 +312,7 @@ fn lines(options: &Options, file: &CellFile) -> anyhow::Result<Vec<usize>> {
     Ok(measure::lines(length(file), dt, [from, to], LINES))
 }
 
-/// The motion and the excitation, or why there is none.
+/// Plans motion and excitation, or refuses.
 fn plan(
     options: &Options,
     file: &CellFile,
@@ -368,15 +370,16 @@ fn plan(
         dt,
         drive_period,
     };
-    // After homing it stands there; on the card bench the session looks again.
+    // Homing ends at this position. On the card bench, the session reads the position again.
     let home = file.arms[robot].robot().home()[number];
     run.velocity = direct(&run, axis, home).map_err(|why| anyhow!("{}: {why}", options.axis))?;
     Ok(run)
 }
 
-/// The velocity near `velocity` at which a drive that closes the position loop advances by a whole number of counts
-/// per cycle. Rounding of positions would otherwise be noise of up to one count per cycle, `count`, rad/s. Excited
-/// positions need that noise: smaller than a count, they would be rounded away without it.
+/// Velocity near `velocity` at which a drive that closes the position loop advances by a whole number of counts per
+/// cycle. `count` is the velocity of one count per cycle, rad/s. At any other velocity, the rounding of positions would
+/// add noise of up to this size. An excitation of the position needs that noise: an amplitude below one count would
+/// otherwise be rounded away.
 fn in_counts(velocity: f64, count: f64, axis: &ServoAxisConfig) -> f64 {
     let whole = (velocity / count).round().max(1.0) * count;
     if axis.torque_offset.is_some() && velocity > 0.0 && whole <= axis.max_velocity {
@@ -386,7 +389,7 @@ fn in_counts(velocity: f64, count: f64, axis: &ServoAxisConfig) -> f64 {
     }
 }
 
-/// The velocity of a run from `position`, towards the end that is farther; or why there is no room.
+/// Velocity of a run from `position` towards the farther end of the range; an error if the distance is too short.
 fn direct(run: &Run, axis: &ServoAxisConfig, position: f64) -> Result<f64, String> {
     let (below, above) = (position - axis.min_position, axis.max_position - position);
     let sense = if above >= below { 1.0 } else { -1.0 };
@@ -399,7 +402,7 @@ fn direct(run: &Run, axis: &ServoAxisConfig, position: f64) -> Result<f64, Strin
     Ok(sense * run.velocity.abs())
 }
 
-/// Excites the axis; an amplitude that nobody asked for gives way to the axis's acceleration.
+/// Starts the excitation. A default amplitude is reduced if it exceeds the acceleration limit of the axis.
 fn excite(
     servo: &mut Servo,
     (robot, axis): (usize, usize),

@@ -1,4 +1,4 @@
-//! What a measurement says: one JSON object, lines for a person, or CSV.
+//! Report of a measurement: one JSON object, lines for a person, or CSV.
 
 use std::fmt;
 
@@ -6,7 +6,7 @@ use serde::Serialize;
 use servo::identify::{Margin, Point, Response, Run, bandwidth, margin};
 use servo::{Law, Output, PositionLoop, ServoAxisConfig};
 
-/// Coherence of points that need no more periods.
+/// Coherence from which on a point needs no further periods.
 const SURE: f64 = 0.9;
 
 /// The report of one axis.
@@ -14,29 +14,30 @@ const SURE: f64 = 0.9;
 pub(crate) struct Report {
     /// ROBOT/AXIS.
     pub axis: String,
-    /// The bench it was measured on.
+    /// The bench of the measurement.
     pub bench: &'static str,
-    /// Who closes the position loop, and how.
+    /// Device that closes the position loop, and the kind of loop.
     pub closed_by: String,
-    /// Whether the response is of the open loop, or from command to sample.
+    /// Whether the response is of the open loop, or from command to sampled position.
     pub open_loop: bool,
-    /// Greatest value of the excitation.
+    /// Amplitude of the excitation.
     pub amplitude: f64,
     /// Its unit.
     pub unit: &'static str,
-    /// Motor velocity meanwhile, rad/s.
+    /// Motor velocity during the measurement, rad/s.
     pub velocity: f64,
-    /// Where the open loop crosses over, Hz.
+    /// Crossover frequency of the open loop, Hz.
     pub crossover_hz: Option<f64>,
-    /// Phase margin there, degrees.
+    /// Phase margin at the crossover, degrees.
     pub phase_margin_deg: Option<f64>,
-    /// Where the closed loop has 3 dB less, Hz.
+    /// Bandwidth of the closed loop at -3 dB, Hz.
     pub bandwidth_hz: Option<f64>,
-    /// The closed loop's greatest magnitude, dB.
+    /// Maximum magnitude of the closed loop, dB.
     pub peak_db: Option<f64>,
-    /// The lowest coherence in the octave around the crossover or the bandwidth, or anywhere if there is neither.
+    /// Lowest coherence in the octave around the crossover or the bandwidth. If neither exists, the lowest of all
+    /// points.
     pub coherence: f64,
-    /// The response.
+    /// Points of the frequency response.
     pub points: Vec<PointReport>,
 }
 
@@ -103,7 +104,7 @@ impl Report {
         }
     }
 
-    /// The response as a file for other programs.
+    /// The frequency response in CSV.
     pub(crate) fn csv(&self) -> String {
         let head = "frequency_hz,magnitude,phase_deg,coherence\n".to_owned();
         let row = |it: &PointReport| {
@@ -115,7 +116,7 @@ impl Report {
         head + &self.points.iter().map(row).collect::<String>()
     }
 
-    /// What was measured, in few words.
+    /// Summary of the conditions.
     pub(crate) fn setting(&self) -> String {
         format!(
             "{} bench, loop closed by {}, excited by {:.4} {} at {:.0} rad/s of the motor",
@@ -123,7 +124,7 @@ impl Report {
         )
     }
 
-    /// What it is worth.
+    /// Assessment of the quality of the measurement.
     pub(crate) fn verdict(&self) -> String {
         let peak = self.peak_db.unwrap_or_default();
         match (self.crossover_hz, self.phase_margin_deg, self.bandwidth_hz) {

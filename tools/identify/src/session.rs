@@ -1,4 +1,4 @@
-//! The orders of a measurement, as a function of what the servo reports.
+//! Orders of a measurement, as a function of the reports of the servo.
 
 use anyhow::anyhow;
 use rtrb::Consumer;
@@ -7,22 +7,22 @@ use servo::{EffectorLink, Order, Phase, Record, ServoAxisConfig, ServoFault};
 
 use super::{Unmeasured, direct};
 
-/// The orders of one measurement: enable, home where that may be, move, and what was recorded meanwhile.
+/// Orders of one measurement: enable, home if allowed, and move. Also collects the recorded samples.
 pub(super) struct Session {
     effector: usize,
     axis: usize,
     run: Run,
     link: EffectorLink,
     records: Consumer<Record>,
-    /// Whether it may home the robot.
+    /// Whether homing is allowed.
     homes: bool,
-    /// Whether it did.
+    /// Whether the robot was homed.
     homed: bool,
     trace: Trace,
     stage: Stage,
-    /// The next macrostep.
+    /// Number of the next macrostep.
     next: u64,
-    /// Where the axis may go.
+    /// Configuration of the axis with its limits.
     config: ServoAxisConfig,
 }
 
@@ -67,7 +67,7 @@ impl Session {
         matches!(self.stage, Done | Refused(_) | Faulted(_) | Stopped)
     }
 
-    /// Does what is due.
+    /// Gives the orders that are due.
     pub(super) fn poll(&mut self) {
         while let Ok(record) = self.records.pop() {
             if usize::from(record.effector) == self.effector {
@@ -121,7 +121,7 @@ impl Session {
         }
     }
 
-    /// From where it stands.
+    /// Starts the run from the present position.
     fn begin(&mut self, start: [f64; servo::MAX_AXES]) {
         self.run.start = start;
         match direct(&self.run, &self.config, start[self.axis]) {
@@ -137,7 +137,7 @@ impl Session {
         self.link.orders.push(order).expect("there is room");
     }
 
-    /// The run and what was recorded of it.
+    /// Returns the run and the recorded samples.
     pub(super) fn finish(mut self) -> Result<(Run, Trace), Unmeasured> {
         self.poll();
         Err(match self.stage {

@@ -1,4 +1,4 @@
-//! What an electronic data sheet says of one object.
+//! Entry of one object in an electronic data sheet (EDS or DCF).
 
 use std::path::Path;
 
@@ -10,12 +10,12 @@ use mrroc::cell::printable;
 use super::value::{self, Type};
 use mrroc::input;
 
-/// One object by its data sheet.
+/// One object as its data sheet describes it.
 pub(super) struct DataSheet {
-    /// The file, for refusals.
+    /// Path of the file, for error messages.
     path: String,
     object: Object,
-    /// What it is called; of an object with sub-indices both names.
+    /// Name of the object. The name of a sub-index is preceded by the name of its object.
     pub(super) name: String,
     data_type: DataType,
     access: Access,
@@ -24,7 +24,7 @@ pub(super) struct DataSheet {
 }
 
 impl DataSheet {
-    /// Reads the file, which has to know the object.
+    /// Reads the file. An object that the file does not declare is refused.
     pub(super) fn read(path: &Path, object: Object) -> anyhow::Result<Self> {
         let shown = || printable(&path.display().to_string());
         let bytes = input::read(path, input::SHEET).with_context(shown)?;
@@ -53,7 +53,7 @@ impl DataSheet {
         })
     }
 
-    /// The type of its values; `None` of a type that the command line cannot say.
+    /// Data type of the object's values; `None` for a type that has no name on the command line.
     pub(super) fn value_type(&self) -> Option<Type> {
         Some(match self.data_type {
             DataType::Boolean => Type::Bool,
@@ -73,7 +73,7 @@ impl DataSheet {
         })
     }
 
-    /// Refuses to read what can only be written.
+    /// Refuses to read a write-only object.
     pub(super) fn check_read(&self) -> anyhow::Result<()> {
         if !self.access.readable() {
             bail!(
@@ -86,8 +86,8 @@ impl DataSheet {
         Ok(())
     }
 
-    /// Refuses to write what can only be read, numbers of another length than the object's, and those out of the range
-    /// that is stated for `node`.
+    /// Refuses to write a read-only object. Also refuses a value of a wrong length, and a value outside the limits that
+    /// the data sheet states for `node`.
     pub(super) fn check_write(&self, node: NodeId, data: &[u8]) -> anyhow::Result<()> {
         let Self {
             object, name, path, ..
@@ -205,7 +205,7 @@ mod tests {
 
     #[test]
     fn a_file_that_is_no_data_sheet_is_refused_by_file_and_line() {
-        // Its first line already is none.
+        // The first line of this file is already invalid.
         let refused = text(DataSheet::read(
             Path::new("src/lib.rs"),
             Object::new(0x1000, 0),

@@ -1,9 +1,9 @@
-//! Frames in words.
+//! Text of CAN frames.
 //!
-//! [`Decoder::describe`] is a function of the frame, of the frames before, and of what is known of the bus beforehand:
-//! what its PDOs carry and whose error codes its nodes send. Of the frames before, the decoder keeps the SDO transfer
-//! that is under way with each node, since a segment of a block looks like any command. Where the beginning of a
-//! transfer was not seen, the text says "unknown" instead of a guess.
+//! [`Decoder::describe`] depends on the frame, on earlier frames and on prior knowledge of the bus. Prior knowledge is
+//! the mapping of the PDOs and the vendor of each node, which decides its error codes. A segment of a block transfer
+//! looks like any command. The decoder therefore keeps the SDO transfer under way with each node. If the start of a
+//! transfer was not seen, the text says "unknown".
 
 mod block;
 mod lss;
@@ -29,7 +29,7 @@ use super::value::Shown;
 use super::words;
 use transfer::{Channel, Reading};
 
-/// What a frame is for.
+/// Service that a frame belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Kind {
@@ -41,9 +41,9 @@ pub enum Kind {
     Emcy,
     /// Time stamps.
     Time,
-    /// PDOs, both ways.
+    /// PDOs, both directions.
     Pdo,
-    /// SDO, both ways.
+    /// SDO, both directions.
     Sdo,
     /// Heartbeats, answers to node guarding, and boot-up messages.
     Heartbeat,
@@ -69,40 +69,40 @@ impl Kind {
     }
 }
 
-/// A frame in words.
+/// Text of a frame and its service.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Described {
     /// Service of the frame.
     pub kind: Kind,
-    /// Who sends it or whom it is for, where it is one node.
+    /// The node that sends or receives the frame, if there is exactly one.
     pub node: Option<NodeId>,
-    /// The frame in words.
+    /// Text of the frame.
     pub text: String,
 }
 
-/// What is known of a bus. By default no SDO transfer is under way.
+/// Knowledge of a bus. Initially no SDO transfer is under way.
 #[derive(Clone, Debug, Default)]
 pub struct Decoder {
     pdos: PdoMap,
     vendors: BTreeMap<NodeId, u32>,
-    /// SDO channels that were heard.
+    /// SDO channels on which frames were seen.
     channels: BTreeMap<NodeId, Channel>,
-    /// Since when every frame was seen; always if `None`.
+    /// Time since which every frame was seen; `None` means since the start of the bus.
     complete_since: Option<Instant>,
 }
 
 impl Decoder {
-    /// Adds PDOs to those that are known.
+    /// Adds PDOs to the known ones.
     pub(super) fn add_pdos(&mut self, pdos: PdoMap) {
         self.pdos.extend(pdos);
     }
 
-    /// Whose error codes `node` sends.
+    /// Sets the vendor of `node`, which decides the meaning of its error codes.
     pub(super) fn set_vendor(&mut self, node: NodeId, vendor: u32) {
         self.vendors.insert(node, vendor);
     }
 
-    /// Says that frames before `at` were not seen: the beginning of the listening, or a loss of frames.
+    /// Frames before `at` were not seen, because listening started then or frames were lost.
     pub(super) fn begin(&mut self, at: Instant) {
         self.channels.clear();
         self.complete_since = Some(at);
@@ -120,7 +120,7 @@ impl Decoder {
         words::fault_table(self.vendors.get(&node).copied())
     }
 
-    /// The frame in words; it came at `at`.
+    /// Text of a frame that arrived at `at`.
     pub fn describe(&mut self, frame: &Frame, at: Instant) -> Described {
         let other = |what: &str| Described {
             kind: Kind::Other,
@@ -205,10 +205,11 @@ impl Decoder {
         }
     }
 
-    /// A mapped object and its value.
+    /// Text of a mapped object and its value.
     fn entry(&self, entry: Entry, raw: u64, node: NodeId) -> String {
         let Entry { object, bits } = entry;
-        // Indices of data types stand for room that nothing uses (CiA 301, dummy mapping).
+        // A mapped index below 0x0020 is a data type: a dummy entry, whose bits carry no value (CiA 301, dummy
+        // mapping).
         if object.index < 0x0020 {
             return "unused".to_owned();
         }
@@ -313,7 +314,7 @@ impl Decoder {
     }
 }
 
-/// `bits` bits of a PDO from bit `from` on; `None` if it is shorter.
+/// Value of `bits` bits of a PDO from bit `from` on; `None` if the PDO is shorter.
 fn bits(data: &[u8], from: usize, bits: u8) -> Option<u64> {
     if bits == 0 || bits > 64 || from + usize::from(bits) > 8 * data.len() {
         return None;
@@ -340,7 +341,7 @@ fn bytes(data: &[u8]) -> String {
     bytes.join(" ")
 }
 
-/// An SDO frame that CiA 301 does not know.
+/// Text of an SDO frame that CiA 301 does not define.
 fn odd(frame: &Frame) -> String {
     format!("unknown command specifier: {}", bytes(frame.data()))
 }
@@ -387,7 +388,7 @@ fn sync(frame: &Frame) -> Option<String> {
 }
 
 fn heartbeat(frame: &Frame) -> Option<String> {
-    // Answers to node guarding are heartbeats with a toggle bit; a heartbeat proper has it 0.
+    // An answer to node guarding is a heartbeat with a toggle bit. The bit is 0 in a heartbeat proper.
     let said = guarding::Response::decode(frame)?;
     Some(match (said.state, said.toggle) {
         (State::Initialising, false) => "booted".to_owned(),
@@ -413,7 +414,7 @@ fn time(frame: &Frame) -> Option<String> {
     ))
 }
 
-/// The date so many days after 1984-01-01.
+/// Date of the day that lies `days` days after 1984-01-01.
 fn date(days: u16) -> (u32, u32, u32) {
     let mut rest = u32::from(days);
     let mut year = 1984;

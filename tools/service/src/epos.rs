@@ -1,4 +1,4 @@
-//! The service port of an EPOS2 or EPOS4 on a tty: objects and NMT commands without a bus, by the clock.
+//! Service port of an EPOS2 or EPOS4 on a tty: objects and NMT commands without a bus, on the wall clock.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
@@ -17,27 +17,27 @@ use serial::{Line, Settings, StopBits, Tty};
 
 use super::value::Type;
 
-/// Longest time between two looks at whether somebody pressed Ctrl-C.
+/// Longest time between two checks for Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// How soon bytes that the tty did not take are offered again.
+/// Time after which bytes that the tty did not accept are offered again.
 const AGAIN: Duration = Duration::from_millis(1);
 
-/// The longest object that is transferred, bytes; the drive has none near it.
+/// Longest object that is transferred, bytes. No object of these drives comes near this length.
 const CAPACITY: usize = 1 << 16;
 
-/// An opened service port.
+/// An open service port.
 pub(super) struct ServicePort {
     tty: Tty,
     client: Client,
     dialect: Dialect,
 }
 
-/// What a request brought, or `None` if Ctrl-C came before.
+/// Result of a request; `None` if Ctrl-C came first.
 type Brought = Option<Result<Vec<u8>, SdoError>>;
 
 impl ServicePort {
-    /// Opens a tty. `timeout` is how long an answer may take, at least the drive's frame time-out.
+    /// Opens a tty. `timeout` limits the time to an answer, and is at least the frame time-out of the drive.
     pub(super) fn open(
         dialect: Dialect,
         path: &str,
@@ -58,15 +58,16 @@ impl ServicePort {
         })
     }
 
-    /// Whether anything was ever heard.
+    /// Whether any byte was received.
     pub(super) fn has_heard(&self) -> bool {
         self.tty.counters().received > 0
     }
 
     /// Reads an object, or writes `data` into it. Node 0 is the drive on the line.
     ///
-    /// Four bytes come of an object of unknown length; `ty` says how many of them it has. What has no length by
-    /// its type goes in segments where the drive knows them, and so does what it says is too long.
+    /// An ordinary read returns four bytes, and `ty` says how many of them belong to the object. Segmented transfer
+    /// reads an object whose type has no fixed length, if the drive supports segments. The same holds for an object
+    /// that the drive reports as too long.
     pub(super) fn transfer(
         &mut self,
         node: u8,
@@ -112,7 +113,7 @@ impl ServicePort {
         }
     }
 
-    /// Sends an NMT command; `None` if Ctrl-C came before it was accepted.
+    /// Sends an NMT command; `None` if Ctrl-C came before the drive accepted it.
     pub(super) fn nmt(
         &mut self,
         request: Request,
@@ -122,20 +123,20 @@ impl ServicePort {
         let &[command, node] = frame.data() else {
             unreachable!("an NMT command has two bytes")
         };
-        // It is no object's; what is refused is the command.
+        // An NMT command addresses no object. A refusal concerns the command.
         let nothing = Object::new(0, 0);
         let told = self.ask(nothing, stop, |client, now| client.nmt(node, command, now))?;
         Ok(told.map(|told| told.map(|_| ())))
     }
 
-    /// Makes a request and waits for its end, which its deadlines bound.
+    /// Makes a request and waits for its end. The deadlines of the request bound the wait.
     fn ask(
         &mut self,
         object: Object,
         stop: &AtomicBool,
         start: impl FnOnce(&mut Client, Instant) -> Result<(), StartError>,
     ) -> anyhow::Result<Brought> {
-        // What came since the last request is no answer to this one.
+        // Bytes that came since the last request are not an answer to this request.
         self.receive()?;
         start(&mut self.client, clock::now())?;
         while !stop.load(Ordering::Relaxed) {
@@ -172,7 +173,7 @@ impl ServicePort {
         Ok(None)
     }
 
-    /// Hands on what has come.
+    /// Passes on the received bytes.
     fn receive(&mut self) -> anyhow::Result<()> {
         let mut bytes = [0; 1024];
         let count = self.tty.read(clock::now(), &mut bytes)?;

@@ -1,10 +1,10 @@
-//! The service commands: who is on a bus, and one thing asked of or told to it.
+//! The service commands: search for nodes, access to objects, NMT commands, LSS and a monitor.
 //!
-//! What a command says on the bus is a [`Conversation`], a function of (state, frame, now), so that
-//! the tests hold it with emulated drives in virtual time; [`talk`] holds it by the clock.
+//! The protocol of a command is a [`Conversation`], a function of (state, frame, now). The tests run conversations with
+//! emulated drives in virtual time; [`talk`] runs them on the wall clock.
 //!
-//! Exit status: 0 done; 1 told, and the node did not do it, or broken off by Ctrl-C; 2 refused, aborted by the node, no
-//! answer, or the bus went away.
+//! Exit status: 0 done; 1 the node did not obey a command, or Ctrl-C; 2 refused, aborted by the node, no answer, or the
+//! bus was lost.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
@@ -45,53 +45,54 @@ use mrroc::streams::say;
 use talk::{Conversation, Ended};
 use value::Type;
 
-/// Which bus a command speaks on.
+/// Options that select the bus of a command.
 #[derive(Args)]
 pub struct BusArgs {
-    /// The interface: can0, or slcan:PATH for an slcan adapter, such as slcan:/dev/serial/by-id/…; for `sdo`, `nmt` and
-    /// `scan` also the service port of one drive: epos2:PATH (RS-232) or epos4:PATH (USB, RS-232),
-    /// each with @BAUD behind where it is not the usual one.
+    /// The interface. A CAN interface such as can0. An slcan adapter: slcan:PATH, such as slcan:/dev/serial/by-id/NAME.
+    /// For `sdo`, `nmt` and `scan` also the service port of one drive: epos2:PATH (RS-232) or epos4:PATH (USB, RS-232).
+    /// An appended @BAUD replaces the usual baud rate.
     #[arg(long, value_name = "IFACE", required_unless_present = "cell")]
     can: Option<String>,
-    /// Bit rate that an slcan adapter is opened at, kbit/s; that of a SocketCAN interface is set by `ip link`.
-    /// [default: the cell's, or 1000]
+    /// Bit rate of an slcan adapter, kbit/s. The bit rate of a SocketCAN interface is set with `ip link`. [default: the
+    /// cell's, or 1000]
     #[arg(long, value_name = "KBPS")]
     bitrate_kbps: Option<u32>,
-    /// A cell file: its bus is spoken on, unless --can names another interface, and its nodes are shown by the names of their axes.
+    /// A cell file. The command uses the bus of the cell, unless --can names another interface. Nodes are shown with
+    /// the names of their axes.
     #[arg(long, value_name = "FILE")]
     cell: Option<PathBuf>,
-    /// Which bus of the cell, if it has several.
+    /// The bus of the cell, if the cell has several.
     #[arg(long, value_name = "NAME", requires = "cell")]
     bus: Option<String>,
 }
 
-/// An opened bus.
+/// An open bus.
 pub struct Bus {
     port: BusPort,
-    /// What it is on.
+    /// The interface of the bus.
     interface: Interface,
-    /// The cell, and which of its buses this is.
+    /// The cell, and the index of the bus in it.
     cell: OfCell,
     /// Set by Ctrl-C.
     interrupted: Arc<AtomicBool>,
 }
 
-/// The cell, if one is given, and which of its buses is spoken of.
+/// The cell, if given, and the index of the bus in it.
 type OfCell = Option<(CellFile, usize)>;
 
-/// What one drive is reached by.
+/// Connection to the nodes of a bus, or to one drive.
 #[expect(clippy::large_enum_variant, reason = "there is one for each command")]
 enum Channel {
     Bus(Bus),
     Drive(Drive),
 }
 
-/// A drive on its opened service port.
+/// A drive on its open service port.
 struct Drive {
     port: ServicePort,
-    /// What it is on.
+    /// The interface of the service port.
     interface: Interface,
-    /// The cell, and which of its buses the drive is on as well.
+    /// The cell, and the index of the bus that the drive is also on.
     cell: OfCell,
     /// Set by Ctrl-C.
     interrupted: Arc<AtomicBool>,
@@ -103,7 +104,7 @@ impl BusArgs {
         self.open_by(BusPort::open)
     }
 
-    /// Opens the bus without ever sending.
+    /// Opens the bus for listening only. The interface never sends.
     pub fn listen(&self) -> anyhow::Result<Bus> {
         self.open_by(BusPort::listen)
     }
@@ -118,7 +119,7 @@ impl BusArgs {
         })
     }
 
-    /// Opens the bus or the service port, where an answer may take `timeout`.
+    /// Opens the bus or the service port. On a service port, `timeout` limits the time to an answer.
     fn open_channel(&self, timeout: Duration) -> anyhow::Result<Channel> {
         let (interface, _, cell) = self.resolve()?;
         let Interface::Epos {
@@ -137,7 +138,7 @@ impl BusArgs {
         }))
     }
 
-    /// What is to be opened, and at which bit rate, kbit/s.
+    /// The interface to open, its bit rate, kbit/s, and the cell.
     fn resolve(&self) -> anyhow::Result<(Interface, u32, OfCell)> {
         let cell = match &self.cell {
             Some(path) => {
@@ -176,18 +177,18 @@ impl BusArgs {
 }
 
 impl Bus {
-    /// Holds a conversation to its end, or until Ctrl-C.
+    /// Runs a conversation until its end or until Ctrl-C.
     fn hold(&mut self, conversation: &mut impl Conversation) -> anyhow::Result<Ended> {
         talk::hold(&mut self.port, conversation, &self.interrupted)
             .with_context(|| self.interface.to_string())
     }
 
-    /// What reports call `node`: the axis's name beside it, where the cell has one.
+    /// Name of `node` in reports, with the name of its axis if the cell has one.
     fn name_of(&self, node: NodeId) -> String {
         name_of(node, self.cell.as_ref())
     }
 
-    /// Why nobody may have answered.
+    /// Possible reasons why no node answered.
     fn silence(&self) -> String {
         let counters = self.port.counters();
         let interface = &self.interface;
@@ -210,7 +211,7 @@ impl Bus {
 }
 
 impl Channel {
-    /// What reports call `node`.
+    /// Name of `node` in reports.
     fn name_of(&self, node: NodeId) -> String {
         match self {
             Self::Bus(bus) => bus.name_of(node),
@@ -218,7 +219,7 @@ impl Channel {
         }
     }
 
-    /// Why nobody may have answered.
+    /// Possible reasons why no node answered.
     fn silence(&self) -> String {
         match self {
             Self::Bus(bus) => bus.silence(),
@@ -228,7 +229,8 @@ impl Channel {
 }
 
 impl Drive {
-    /// Reads an object of `node`, 0 for the drive itself, or writes `data`; `None` if Ctrl-C came before.
+    /// Reads an object of `node`, or writes `data` into it. Node 0 is the drive on a service port. `None` if Ctrl-C
+    /// came first.
     fn transfer(
         &mut self,
         node: u8,
@@ -241,7 +243,7 @@ impl Drive {
             .with_context(|| self.interface.to_string())
     }
 
-    /// Why it may not have answered.
+    /// Possible reasons why the drive did not answer.
     fn silence(&self) -> String {
         let interface = &self.interface;
         if self.port.has_heard() {
@@ -270,12 +272,12 @@ fn name_of(node: NodeId, cell: Option<&(CellFile, usize)>) -> String {
     }
 }
 
-/// Broken off by Ctrl-C.
+/// Exit status after Ctrl-C.
 fn interrupted() -> ExitCode {
     ExitCode::from(1)
 }
 
-/// Now, by the clock of the conversations.
+/// Present time on the clock of the conversations.
 fn now() -> Instant {
     clock::now()
 }

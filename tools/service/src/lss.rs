@@ -1,4 +1,4 @@
-//! `mrroc lss`: giving node-IDs to nodes that have none, and asking them who they are.
+//! `mrroc lss`: assigns node-IDs to nodes that have none, and reads the identities of nodes.
 
 use std::collections::VecDeque;
 use std::process::ExitCode;
@@ -16,19 +16,19 @@ use super::talk::{Conversation, Ended};
 use super::{BusArgs, interrupted, milliseconds, node_id, say, value, words};
 use mrroc::bench::interfaces::Interface;
 
-/// How long a slave may take to store its configuration.
+/// Time that a slave has to store its configuration.
 const STORING: Duration = Duration::from_secs(2);
 
-/// How long a node is given to boot with its new node-ID.
+/// Time that a node has to boot with its new node-ID.
 const BOOTING: Duration = Duration::from_secs(2);
 
-/// How long a command that nobody answers may wait to be sent.
+/// Longest time until a command without an answer is sent.
 const SWITCHING: Duration = Duration::from_millis(200);
 
-/// No bus has more nodes.
+/// Maximum number of nodes on a bus.
 const MOST_FOUND: usize = 127;
 
-/// What to do.
+/// Actions of `mrroc lss`.
 #[derive(Subcommand)]
 pub enum Action {
     /// Find every node without a node-ID, by fastscan.
@@ -36,16 +36,16 @@ pub enum Action {
         /// The bus.
         #[command(flatten)]
         bus: BusArgs,
-        /// How long each of the 134 questions for a node waits, ms: longer than the slowest node's answer and the
-        /// latency of the interface. Twice as many questions are asked where a node answers the scan although it was
-        /// found, as CANopenNode's do. [default: 20, or 50 on slcan]
+        /// Time to wait for an answer to each of the 134 requests per node, ms. The value must exceed the answer time
+        /// of the slowest node plus the latency of the interface. A node that keeps answering after it was found, such
+        /// as a CANopenNode slave, doubles the number of requests. [default: 20, or 50 on slcan]
         #[arg(long, value_name = "MS")]
         timeout: Option<u64>,
         /// Print one JSON object.
         #[arg(long)]
         json: bool,
     },
-    /// Ask a node for its identity and node-ID.
+    /// Read the identity and the node-ID of a node.
     Inquire {
         /// The node.
         #[command(flatten)]
@@ -54,19 +54,20 @@ pub enum Action {
         #[arg(long)]
         json: bool,
     },
-    /// Give a node a node-ID. One that had none boots with it; another takes it at its next reset of communication.
+    /// Assign a node-ID to a node. A node without a node-ID boots with the new one. Any other node uses the new node-ID
+    /// after its next reset of communication.
     SetNodeId {
         /// The node.
         #[command(flatten)]
         slave: Slave,
-        /// The node-ID, or `none` to take it away.
+        /// The node-ID, or `none` to remove the node-ID.
         #[arg(value_parser = new_node_id)]
         node: NewNodeId,
-        /// Have the node keep it over power-off.
+        /// Have the node store the node-ID in non-volatile memory.
         #[arg(long)]
         store: bool,
     },
-    /// Have a node keep its node-ID and bit rate over power-off.
+    /// Have a node store its node-ID and bit rate in non-volatile memory.
     Store {
         /// The node.
         #[command(flatten)]
@@ -74,23 +75,23 @@ pub enum Action {
     },
 }
 
-/// Which node is meant.
+/// Selection of a node.
 #[derive(Args)]
 pub struct Slave {
     #[command(flatten)]
     bus: BusArgs,
-    /// Its identity, object 0x1018, as `mrroc lss scan` prints it.
+    /// Identity of the node, object 0x1018, as `mrroc lss scan` prints it.
     #[arg(long, value_name = "VENDOR:PRODUCT:REVISION:SERIAL", value_parser = identity, required_unless_present = "alone")]
     identity: Option<Identity>,
-    /// It is the only node on the bus: every node that is there obeys.
+    /// The node is the only one on the bus. Every node on the bus obeys the command.
     #[arg(long, conflicts_with = "identity")]
     alone: bool,
-    /// How long an answer may take, ms.
+    /// Time to wait for an answer, ms.
     #[arg(long, value_name = "MS", default_value_t = 200)]
     timeout: u64,
 }
 
-/// Clap's parsers want a type of their own that can be cloned.
+/// Own type, because a parser of clap returns a type that can be cloned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NewNodeId(Option<NodeId>);
 
@@ -122,7 +123,7 @@ fn written(identity: &Identity) -> String {
     numbers.join(":")
 }
 
-/// Does it.
+/// Runs the action.
 pub fn lss(action: &Action) -> anyhow::Result<ExitCode> {
     match action {
         Action::Scan { bus, timeout, json } => scan(bus, timeout.map(milliseconds), *json),
@@ -165,8 +166,8 @@ impl Found {
     }
 }
 
-/// How long a question for a node waits on an interface. A serial adapter may keep an answer for 16 ms, as FTDI's chips
-/// do by default, before it hands it over.
+/// Default time to wait for an answer to an LSS request. A serial adapter may hold an answer back for 16 ms, the
+/// default of FTDI chips.
 fn question(interface: &Interface) -> Duration {
     match interface {
         Interface::SocketCan(_) | Interface::Epos { .. } => Duration::from_millis(20),
@@ -187,7 +188,7 @@ fn scan(bus: &BusArgs, timeout: Option<Duration>, json: bool) -> anyhow::Result<
     }
     let (found, failed) = dialogue.found();
     if json {
-        // An incomplete list has no form of its own.
+        // The JSON object has no form for an incomplete list.
         if let Some(error) = failed {
             return Err(error.into());
         }
@@ -259,7 +260,7 @@ fn set_node_id(slave: &Slave, node: Option<NodeId>, store: bool) -> anyhow::Resu
 }
 
 impl Slave {
-    /// What the slave answers, and whether `expected` boots then; `None` if Ctrl-C came before.
+    /// Answers of the slave, and whether node `expected` boots afterwards; `None` if Ctrl-C came first.
     fn ask(
         &self,
         services: &[(Service, Duration)],
@@ -280,14 +281,14 @@ impl Slave {
     }
 }
 
-/// Services one after the other; at the end, come what may, all slaves are back in waiting mode.
+/// A sequence of LSS services. All slaves are back in waiting mode at its end, also after an error.
 pub(super) struct Dialogue {
     master: Master,
     services: VecDeque<(Service, Duration)>,
     answers: Vec<Answer>,
     failed: Option<LssError>,
     scanning: Option<Scanning>,
-    /// Whose boot ends it.
+    /// Node whose boot-up message ends the dialogue.
     expected: Option<NodeId>,
     pub(super) booted: bool,
     /// Whether a service is under way.
@@ -295,22 +296,22 @@ pub(super) struct Dialogue {
     ending: Ending,
 }
 
-/// How a scan goes on behind a node that it found.
+/// State of a scan between two nodes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Scanning {
-    /// For each question.
+    /// Time to wait for an answer to each request.
     timeout: Duration,
-    /// The node found last.
+    /// Identity of the node found last.
     last: Option<Identity>,
-    /// All nodes are in waiting mode during a scan, and those found before are passed over.
+    /// Whether all nodes stay in waiting mode during the scan, which then skips the identities already found.
     above: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Ending {
-    /// Services are still to be done.
+    /// Services are still to be performed.
     NotYet,
-    /// All slaves are being sent to waiting mode.
+    /// All slaves are being switched to waiting mode.
     Waiting,
     /// The expected node boots.
     Booting {
@@ -320,7 +321,7 @@ enum Ending {
 }
 
 impl Dialogue {
-    /// With the slave of `identity`, or the only one.
+    /// Services with the slave of `identity`, or with the only slave on the bus.
     pub(super) fn with(
         identity: Option<Identity>,
         services: &[(Service, Duration)],
@@ -343,8 +344,9 @@ impl Dialogue {
         .not_scanning()
     }
 
-    /// With every slave without a node-ID. A slave that was found is in configuration mode and should be silent from then
-    /// on. If one is not, the scan goes on with all slaves in waiting mode, each time above the identity found last.
+    /// Scan for every slave without a node-ID. A slave that was found is in configuration mode and should be silent
+    /// from then on. If such a slave is not silent, the scan continues with all slaves in waiting mode. Each pass then
+    /// begins above the identity found last.
     pub(super) fn scan(timeout: Duration) -> Self {
         let services = [
             (Service::SwitchGlobal(Mode::Waiting), SWITCHING),
@@ -367,7 +369,7 @@ impl Dialogue {
         }
     }
 
-    /// Whether any slave has no node-ID.
+    /// Query whether any slave has no node-ID.
     pub(super) fn anybody(timeout: Duration) -> Self {
         Self {
             services: [(Service::IdentifyUnconfigured, timeout)].into(),
@@ -381,12 +383,13 @@ impl Dialogue {
         self
     }
 
-    /// The answers, in the order of the services.
+    /// Answers in the order of the services.
     pub(super) fn result(self) -> Result<Vec<Answer>, LssError> {
         self.failed.map_or(Ok(self.answers), Err)
     }
 
-    /// The nodes that a scan found, in the order of their identities, and why it ended early, if it did.
+    /// Nodes that a scan found, in ascending order of their identities, and the error that ended the scan early, if
+    /// any.
     pub(super) fn found(self) -> (Vec<Identity>, Option<LssError>) {
         let found = self.answers.iter().filter_map(|answer| match answer {
             Answer::Found(found) => *found,
@@ -395,7 +398,7 @@ impl Dialogue {
         (found.collect(), self.failed)
     }
 
-    /// Takes what the service has come to and starts the next.
+    /// Processes the result of the present service and starts the next.
     fn go_on(&mut self, now: Instant) {
         if self.busy {
             let Some(result) = self.master.poll() else {
@@ -428,7 +431,7 @@ impl Dialogue {
     fn take(&mut self, result: Result<Answer, LssError>) {
         let scanning = self.scanning.as_mut();
         match (result, scanning) {
-            // A slave in configuration mode that is not silent, or one that was found and stayed in waiting mode.
+            // A slave in configuration mode keeps answering, or a slave that was found stayed in waiting mode.
             (Err(LssError::Untrue), Some(scanning))
                 if scanning.last.is_some() && !scanning.above =>
             {
@@ -455,7 +458,7 @@ impl Dialogue {
         }
     }
 
-    /// The scan for the next slave.
+    /// Scans for the next slave.
     fn scan_on(&mut self) {
         let Some(Scanning {
             timeout,
@@ -490,14 +493,14 @@ impl Conversation for Dialogue {
 
     fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
         let frame = self.master.poll_transmit(now);
-        // Some services are done once they are sent.
+        // Some services have no answer and are complete once sent.
         self.go_on(now);
         frame
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
         match self.ending {
-            // Before its first service there is something to do at once.
+            // A dialogue that has not started is due at once.
             Ending::NotYet | Ending::Waiting => {
                 Some(self.master.poll_timeout().unwrap_or(Instant::ZERO))
             }
@@ -516,7 +519,7 @@ impl Conversation for Dialogue {
         self.go_on(now);
     }
 
-    /// Slaves in configuration mode would answer the next master as if it had selected them.
+    /// Slaves in configuration mode would answer the next master as if that master had selected them.
     fn break_off(&self) -> Option<Frame> {
         Some(Request::SwitchGlobal(Mode::Waiting).encode())
     }

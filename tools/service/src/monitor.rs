@@ -1,4 +1,4 @@
-//! `mrroc monitor`: the frames of a bus in words, as they come.
+//! `mrroc monitor`: prints the frames of a bus as text while they arrive.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
@@ -23,7 +23,7 @@ use super::{Bus, BusArgs, interrupted, milliseconds, now, words};
 use mrroc::bench::interfaces::Interface;
 use mrroc::setup;
 
-/// Longest time between two looks at whether somebody pressed Ctrl-C.
+/// Longest time between two checks for Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);
 
 /// Options of `mrroc monitor`.
@@ -31,19 +31,19 @@ const LOOK: Duration = Duration::from_millis(50);
 pub struct Options {
     #[command(flatten)]
     bus: BusArgs,
-    /// Ask the nodes by SDO at the start what their PDOs carry. Not while another master uses SDO.
+    /// Read the PDO mapping of the nodes by SDO at the start. Do not use while another master uses SDO.
     #[arg(long)]
     map: bool,
-    /// How long each node may take for an answer to --map, ms.
+    /// Time to wait for an answer of each node to --map, ms.
     #[arg(long, value_name = "MS", default_value_t = 200)]
     timeout: u64,
-    /// End after so many frames were shown.
+    /// Stop after this number of frames.
     #[arg(long, value_name = "N")]
     count: Option<u64>,
     /// Show frames of these kinds only.
     #[arg(long, value_name = "KIND", value_enum, value_delimiter = ',')]
     only: Vec<Kind>,
-    /// Leave frames of these kinds out.
+    /// Do not show frames of these kinds.
     #[arg(
         long,
         value_name = "KIND",
@@ -63,7 +63,8 @@ impl Options {
     }
 }
 
-/// Shows frames until Ctrl-C, `--count`, or until nobody reads any more: all of them as good an end as another.
+/// Shows frames until Ctrl-C, until `--count` frames were shown, or until the reader of the output closes it. The exit
+/// status is 0 in all three cases.
 pub fn monitor(options: &Options) -> anyhow::Result<ExitCode> {
     let mut bus = if options.map {
         options.bus.open()?
@@ -95,7 +96,7 @@ fn is_broken_pipe(error: &anyhow::Error) -> bool {
     io.is_some_and(|error| error.kind() == ErrorKind::BrokenPipe)
 }
 
-/// What a run of the cell makes its drives' PDOs carry.
+/// PDO mapping that a run of the cell configures in its drives.
 fn of_cell(bus: &Bus) -> Decoder {
     let mut decoder = Decoder::default();
     let Some((file, index)) = &bus.cell else {
@@ -140,7 +141,7 @@ fn watch(bus: &mut Bus, decoder: &mut Decoder, options: &Options) -> anyhow::Res
             .receive(clock::now(), &mut received)
             .with_context(on)?;
         if health.has_lost(bus) {
-            // Which of the frames came before the loss is not known.
+            // The position of the loss among the received frames is not known.
             decoder.begin(clock::now());
         }
         for Received { frame, at } in &received[..count] {
@@ -169,7 +170,7 @@ fn watch(bus: &mut Bus, decoder: &mut Decoder, options: &Options) -> anyhow::Res
     Ok(())
 }
 
-/// What was last said of the controller and of lost frames.
+/// Last reported state of the CAN controller, and last reported number of lost frames.
 #[derive(Default)]
 struct Health {
     state: ControllerState,
@@ -177,7 +178,7 @@ struct Health {
 }
 
 impl Health {
-    /// Whether frames were lost since the last news.
+    /// Whether frames were lost since the last report.
     fn has_lost(&self, bus: &Bus) -> bool {
         bus.port.counters().dropped > self.dropped
     }
@@ -194,7 +195,7 @@ impl Health {
     }
 }
 
-/// Of lines that an adapter spoilt nobody knows whether they were frames.
+/// Text about lost frames. An unreadable line of an slcan adapter may or may not have been a frame.
 fn loss(interface: &Interface, count: u64) -> String {
     match interface {
         Interface::SocketCan(_) | Interface::Epos { .. } => {

@@ -1,4 +1,4 @@
-//! `mrroc nmt`: telling nodes which state to enter, and hearing whether they did.
+//! `mrroc nmt`: sends NMT commands to nodes, and verifies that the nodes obey.
 
 use std::process::ExitCode;
 use std::time::Duration;
@@ -15,24 +15,24 @@ use clap::{Args, ValueEnum};
 use super::talk::{Conversation, Ended};
 use super::{Bus, BusArgs, Channel, Drive, interrupted, milliseconds, node_id, now, say};
 
-/// How long a node may take to answer what else it can be seen by.
+/// Time that a node has to answer an SDO request.
 const ANSWER: Duration = Duration::from_millis(300);
 
-/// What says whether a node sends a heartbeat.
+/// The object that says whether a node sends a heartbeat.
 const ASKED: Object = PRODUCER_HEARTBEAT;
 
-/// The commands.
+/// NMT commands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Order {
-    /// Enter operational: PDOs flow.
+    /// Enter operational: PDOs are exchanged.
     Start,
     /// Enter stopped.
     Stop,
     /// Enter pre-operational.
     PreOperational,
-    /// Reset the device: it loses what was not stored, and its power.
+    /// Reset the device. The drive loses its power and all parameters that were not stored.
     ResetNode,
-    /// Reset its communication to stored values.
+    /// Reset the communication parameters to their stored values.
     ResetCommunication,
 }
 
@@ -41,18 +41,18 @@ enum Order {
 pub struct Options {
     #[command(flatten)]
     bus: BusArgs,
-    /// What to tell.
+    /// The command.
     #[arg(value_enum)]
     order: Order,
     /// The node-ID, or `all`.
     #[arg(value_name = "NODE", value_parser = target)]
     target: Whom,
-    /// How long heartbeats and boot-up messages are waited for, ms.
+    /// Time to wait for heartbeats and boot-up messages, ms.
     #[arg(long, value_name = "MS", default_value_t = 2000)]
     timeout: u64,
 }
 
-/// Clap's parsers want a type of their own that can be cloned.
+/// Own type, because a parser of clap returns a type that can be cloned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Whom(Target);
 
@@ -75,7 +75,7 @@ impl Order {
     }
 }
 
-/// Tells nodes and reports what they say of it.
+/// Sends an NMT command and reports the states of the nodes after it.
 pub fn nmt(options: &Options) -> anyhow::Result<ExitCode> {
     let request = Request {
         command: options.order.command(),
@@ -97,7 +97,7 @@ pub fn nmt(options: &Options) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::from(u8::from(!report.confirmed())))
 }
 
-/// Tells by a service port, over which nobody is heard of what became of it.
+/// Sends an NMT command over a service port, which carries neither heartbeats nor boot-up messages.
 fn tell(drive: &mut Drive, request: Request) -> anyhow::Result<ExitCode> {
     let whom = match request.target {
         Target::All => "all nodes".to_owned(),
@@ -119,33 +119,33 @@ fn tell(drive: &mut Drive, request: Request) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// A command and what is heard after it.
+/// Conversation of one NMT command: the command, then the heartbeats after it.
 pub(super) struct Told {
     request: Request,
-    /// The state that says it was obeyed.
+    /// NMT state that the command leads to.
     wanted: State,
     frame: Option<Frame>,
     deadline: Instant,
     over: bool,
-    /// What each node said last of itself since, or whether it booted.
+    /// Last NMT state of each node since the command, or its boot-up message.
     heard: [Option<State>; 128],
-    /// Asks one node whether it sends heartbeats at all, for where it does not.
+    /// Reads the heartbeat period of a single node, because a node without a heartbeat can be seen by SDO only.
     client: Option<sdo::Client>,
     answer: Option<Result<u16, SdoError>>,
 }
 
-/// What became of a command.
+/// Result of a command.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Report {
     pub(super) wanted: State,
-    /// The nodes heard, and their states.
+    /// Nodes that sent heartbeats, and their states.
     pub(super) heard: Vec<(NodeId, State)>,
-    /// What one node says of its heartbeat by SDO, if it was not heard.
+    /// Node that sent no heartbeat, and its answer to the SDO request for its heartbeat period.
     pub(super) silent: Option<(NodeId, Option<Result<u16, SdoError>>)>,
 }
 
 impl Told {
-    /// Tells at once, and listens for `patience`.
+    /// Sends the command at once, and listens for `patience`.
     pub(super) fn new(request: Request, patience: Duration, now: Instant) -> Self {
         let wanted = match request.command {
             Command::Start => State::Operational,
@@ -154,7 +154,7 @@ impl Told {
             Command::ResetNode | Command::ResetCommunication => State::Initialising,
         };
         let client = match (request.target, wanted) {
-            // Every reset is announced.
+            // A reset ends with a boot-up message.
             (Target::All, _) | (_, State::Initialising) => None,
             (Target::Node(node), _) => {
                 let mut client = sdo::Client::new(node, ANSWER, 1);
@@ -180,11 +180,11 @@ impl Told {
             return;
         };
         self.answer = Some(match result {
-            // An answer as well: a node without the object sends no heartbeat.
+            // An abort is an answer as well: a node without the object sends no heartbeat.
             Err(SdoError::Aborted { .. }) => Ok(0),
             result => result.and_then(|transfer| transfer.number::<u16>()),
         });
-        // No heartbeat will come.
+        // The node sends no heartbeat, so the wait ends.
         if let Some(Ok(0)) = self.answer {
             self.over = true;
         }
@@ -210,14 +210,14 @@ impl Told {
 
 impl Conversation for Told {
     fn handle(&mut self, frame: &Frame, now: Instant) {
-        // What came before the command was sent says nothing.
+        // Frames from before the command say nothing about its effect.
         if self.frame.is_some() {
             return;
         }
-        // One that another master guards says its state with a toggle bit.
+        // An answer to node guarding carries the state with a toggle bit.
         if let Some(Response { node, state, .. }) = Response::decode(frame) {
             let heard = &mut self.heard[usize::from(node.raw())];
-            // A node that has booted says next which state it is in.
+            // A heartbeat after the boot-up message must not hide the boot-up message.
             if *heard != Some(self.wanted) || self.wanted != State::Initialising {
                 *heard = Some(state);
             }
@@ -253,8 +253,8 @@ impl Conversation for Told {
 }
 
 impl Report {
-    /// Whether somebody was heard and everybody heard obeyed; a node that sends no heartbeat and
-    /// answers SDO shows by that that it is not stopped, and no more can be known of it.
+    /// Whether at least one node was heard and every heard node obeyed. A node without heartbeat that answers SDO is
+    /// not stopped; its state is otherwise unknown.
     pub(super) fn confirmed(&self) -> bool {
         match self.silent {
             Some((_, Some(Ok(0)))) => self.wanted != State::Stopped,

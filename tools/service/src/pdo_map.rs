@@ -1,4 +1,4 @@
-//! What the PDOs of nodes carry, asked of the nodes themselves or known from a cell.
+//! PDO mapping of nodes, read from the nodes or taken from a cell file.
 
 use std::collections::BTreeMap;
 
@@ -9,10 +9,10 @@ use canopen::{NodeId, Object};
 use super::survey::Questions;
 use super::value;
 
-/// More entries than a PDO of CiA 301 can have are a node's mistake.
+/// Maximum number of entries of a PDO (CiA 301). A node that reports more is in error.
 const MOST_ENTRIES: u64 = 64;
 
-/// One PDO of one node.
+/// Mapping of one PDO of one node.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Pdo {
     pub(super) node: NodeId,
@@ -21,18 +21,18 @@ pub(super) struct Pdo {
     pub(super) entries: Vec<Entry>,
 }
 
-/// The PDOs of a bus by their identifiers.
+/// PDO mappings of a bus by CAN identifier.
 pub(super) type PdoMap = BTreeMap<u16, Pdo>;
 
-/// Asks one node for its eight PDOs.
+/// Reads the mapping of the eight PDOs of one node.
 #[derive(Debug)]
 pub(super) struct MappingQuestions {
     node: NodeId,
-    /// Vendor-ID, which also shows whether the node is there.
+    /// Vendor-ID. Its presence shows that the node exists.
     pub(super) vendor: Option<u32>,
     stage: Stage,
     pdos: [(PdoKind, PdoNumber); 8],
-    /// Which of them is being asked for.
+    /// Index of the PDO that is being read.
     pdo: usize,
     id: u16,
     entries: Vec<Entry>,
@@ -67,7 +67,7 @@ impl MappingQuestions {
         }
     }
 
-    /// The PDOs that exist.
+    /// PDOs that exist.
     pub(super) fn into_map(self) -> PdoMap {
         self.map
     }

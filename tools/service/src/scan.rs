@@ -1,4 +1,4 @@
-//! `mrroc scan`: who is on a bus.
+//! `mrroc scan`: lists the nodes of a bus.
 
 use std::fmt;
 use std::process::ExitCode;
@@ -22,19 +22,19 @@ use super::talk::{Conversation, Ended};
 use super::value::Type;
 use super::{BusArgs, Channel, Drive, interrupted, milliseconds, now, say, words};
 
-/// How long heartbeats are listened to at the least: nodes that are stopped show themselves by nothing else.
+/// Minimum time to listen for heartbeats. A stopped node shows itself by its heartbeat only.
 const LISTEN: Duration = Duration::from_secs(1);
 
-/// How long a heartbeat is waited for at most that a node said it sends.
+/// Maximum time to wait for a heartbeat that a node has announced in object 0x1017.
 const LONGEST_LISTEN: Duration = Duration::from_secs(3);
 
-/// How long nodes without a node-ID may take to say so.
+/// Time that nodes without a node-ID have to answer.
 const LSS_ANSWER: Duration = Duration::from_millis(100);
 
-/// What the drive on a service port is called there, whatever its node-ID is.
+/// Node-ID that addresses the drive on a service port, independent of its node-ID on the bus.
 const ON_THE_LINE: u8 = 0;
 
-/// What a node is asked, in this order.
+/// Objects that are read from a node, in this order.
 const ASKED: [Object; 7] = [
     DEVICE_TYPE,
     VENDOR_ID,
@@ -50,7 +50,7 @@ const ASKED: [Object; 7] = [
 pub struct Options {
     #[command(flatten)]
     bus: BusArgs,
-    /// How long each node may take for an answer, ms.
+    /// Time to wait for an answer of each node, ms.
     #[arg(long, value_name = "MS", default_value_t = 200)]
     timeout: u64,
     /// Print one JSON object.
@@ -58,7 +58,7 @@ pub struct Options {
     json: bool,
 }
 
-/// Asks every node-ID who it is.
+/// Requests the identity of every node-ID.
 pub fn scan(options: &Options) -> anyhow::Result<ExitCode> {
     let mut bus = match options.bus.open_channel(milliseconds(options.timeout))? {
         Channel::Bus(bus) => bus,
@@ -97,7 +97,7 @@ pub fn scan(options: &Options) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Asks the drive on a service port who it is.
+/// Requests the identity of the drive on a service port.
 fn identify(drive: &mut Drive, json: bool) -> anyhow::Result<ExitCode> {
     let mut identity = Identity::default();
     while let Some(object) = identity.next() {
@@ -123,15 +123,15 @@ fn identify(drive: &mut Drive, json: bool) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// What a scan found.
+/// Result of a scan.
 #[derive(Serialize)]
 struct Scanned {
     nodes: Vec<Node>,
-    /// Whether any node that knows LSS has no node-ID.
+    /// Whether any node that supports LSS has no node-ID.
     unconfigured: bool,
 }
 
-/// The questions to every node-ID, and the heartbeats heard meanwhile.
+/// Requests to every node-ID, and heartbeats received during the scan.
 pub(super) struct Scan {
     survey: Survey<Identity>,
     began: Instant,
@@ -148,7 +148,7 @@ impl Scan {
         }
     }
 
-    /// Who answered or was heard, in ascending order.
+    /// Nodes that answered or sent a heartbeat, in ascending order.
     pub(super) fn into_nodes(self) -> impl Iterator<Item = Node> {
         let nodes = self.survey.into_answers();
         nodes.filter_map(|(node, identity)| identity.into_node(node.raw()))
@@ -157,7 +157,7 @@ impl Scan {
 
 impl Conversation for Scan {
     fn handle(&mut self, frame: &Frame, now: Instant) {
-        // One that another master guards says its state with a toggle bit.
+        // An answer to node guarding carries the state with a toggle bit.
         if let Some(Response { node, state, .. }) = Response::decode(frame) {
             let mut all = self.survey.questions();
             if let Some((_, identity)) = all.find(|(asked, _)| *asked == node) {
@@ -175,7 +175,7 @@ impl Conversation for Scan {
         let waited_for = self.survey.nodes_seen().any(Identity::owes_a_heartbeat);
         let listen = self.began + if waited_for { LONGEST_LISTEN } else { LISTEN };
         let listening = (self.now < listen).then_some(listen);
-        // A node that keeps its promise ends the wait by its frame.
+        // The announced heartbeat ends the wait when it arrives.
         self.survey
             .poll_timeout()
             .into_iter()
@@ -189,19 +189,19 @@ impl Conversation for Scan {
     }
 }
 
-/// What one node-ID was asked and is known by.
+/// Requests to one node-ID, and the knowledge about the node.
 #[derive(Debug, Default)]
 struct Identity {
-    /// How many of [`ASKED`] were answered, or given up.
+    /// Number of objects of [`ASKED`] that were answered or given up.
     asked: usize,
-    /// Whether anything was answered, be it by an abort.
+    /// Whether any request was answered, also by an abort.
     answered: bool,
     silent: bool,
     numbers: [Option<u32>; ASKED.len()],
     name: Option<String>,
     state: Option<nmt::State>,
     heard: Option<Instant>,
-    /// Between the last two heartbeats.
+    /// Time between the last two heartbeats.
     interval: Option<Duration>,
 }
 
@@ -275,7 +275,7 @@ impl Questions for Identity {
 #[derive(Debug, Serialize, PartialEq, Eq)]
 pub(super) struct Node {
     node: u8,
-    /// Whether it answered a request, or was only heard.
+    /// Whether the node answered an SDO request. A node that did not was found by its heartbeat.
     answers_sdo: bool,
     device_type: Option<u32>,
     profile: Option<String>,
@@ -285,11 +285,11 @@ pub(super) struct Node {
     product: Option<u32>,
     revision: Option<u32>,
     serial: Option<u32>,
-    /// NMT state by its heartbeat.
+    /// NMT state according to the heartbeat.
     state: Option<String>,
-    /// What object 0x1017 says; 0 where it sends none.
+    /// Value of object 0x1017, ms; 0 if the node sends no heartbeat.
     heartbeat_ms: Option<u32>,
-    /// Between the last two heartbeats that were heard.
+    /// Time between the last two received heartbeats, ms.
     heard_every_ms: Option<u128>,
 }
 

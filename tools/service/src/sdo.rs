@@ -1,4 +1,4 @@
-//! `mrroc sdo`: reading and writing one object of one node.
+//! `mrroc sdo`: reads or writes one object of one node.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -17,13 +17,13 @@ use super::talk::{Conversation, Ended};
 use super::value::{self, Shown, Type};
 use super::{BusArgs, Channel, interrupted, milliseconds, node_id, now, say, words};
 
-/// How often a transfer is begun anew if no answer comes.
+/// Number of repetitions of a transfer that is not answered.
 const RETRIES: u8 = 2;
 
-/// The longest object that is transferred, bytes: programs and tables of drives are shorter.
+/// Longest object that is transferred, bytes. Programs and tables of drives are shorter.
 const CAPACITY: usize = 1 << 20;
 
-/// What to do with an object.
+/// Actions of `mrroc sdo`.
 #[derive(Subcommand)]
 pub enum Action {
     /// Read an object (SDO upload).
@@ -31,28 +31,29 @@ pub enum Action {
         /// The object.
         #[command(flatten)]
         target: Target,
-        /// What to show it as; without it, as the data sheet says, or in every way that makes sense.
+        /// Type of the value. [default: the type in the data sheet, or all plausible representations]
         #[arg(long = "type", value_name = "TYPE")]
         ty: Option<Type>,
     },
-    /// Write an object (SDO download) and read it back. Some objects move the drive, store or erase its parameters.
+    /// Write an object (SDO download) and read it back. Writing some objects moves the drive, or stores or erases its
+    /// parameters.
     #[command(allow_negative_numbers = true)]
     Write {
         /// The object.
         #[command(flatten)]
         target: Target,
-        /// The value, decimal or 0x…, or the text or the bytes.
+        /// The value: a decimal or hexadecimal (0x…) number, text, or bytes.
         value: String,
-        /// What it is; without it, what the data sheet says.
+        /// Type of the value. [default: the type in the data sheet]
         #[arg(long = "type", value_name = "TYPE", required_unless_present = "eds")]
         ty: Option<Type>,
-        /// Do not read it back.
+        /// Do not read the object back.
         #[arg(long)]
         no_read_back: bool,
     },
 }
 
-/// Which object of which node, and on which bus.
+/// Selection of bus, node and object.
 #[derive(Args)]
 pub struct Target {
     #[command(flatten)]
@@ -60,17 +61,19 @@ pub struct Target {
     /// The node-ID.
     #[arg(value_parser = node_id)]
     node: NodeId,
-    /// The object, such as 0x6041:0, or 6041:0: both numbers are hexadecimal, as data sheets and this program write
-    /// them, with 0x or without; without, the index has four digits. The sub-index is 0 where none is given.
+    /// The object, such as 0x6041:0 or 6041:0. Index and sub-index are hexadecimal, with or without 0x. An index
+    /// without 0x has four digits. The default sub-index is 0.
     #[arg(value_name = "INDEX:SUB", value_parser = object)]
     object: Object,
-    /// The data sheet (EDS or DCF) of the device: names and types come from it, and it refuses what it does not allow.
+    /// The data sheet (EDS or DCF) of the device. The data sheet supplies names and types. An access that the data
+    /// sheet does not allow is refused.
     #[arg(long, value_name = "FILE")]
     eds: Option<PathBuf>,
-    /// Transfer by blocks, faster for large objects; a node that knows none is asked for an ordinary transfer.
+    /// Use block transfer, which is faster for large objects. If the node does not support block transfer, ordinary
+    /// transfer is used.
     #[arg(long)]
     block: bool,
-    /// How long an answer may take, ms; storing parameters may take seconds.
+    /// Time to wait for an answer, ms. Storing parameters may take seconds.
     #[arg(long, value_name = "MS", default_value_t = 1000)]
     timeout: u64,
     /// Print one JSON object.
@@ -89,7 +92,7 @@ impl Target {
     }
 }
 
-/// An object on the command line.
+/// Parses an object on the command line.
 fn object(text: &str) -> Result<Object, String> {
     const NOTATION: &str = "an object is INDEX:SUB in hexadecimal, such as 0x6041:0, or 6041:0 with all four digits of the index";
     let (index, subindex) = text.split_once(':').unwrap_or((text, "0"));
@@ -102,7 +105,7 @@ fn object(text: &str) -> Result<Object, String> {
     }
 }
 
-/// A number of at most so many hexadecimal digits, with 0x before them or without.
+/// Parses a number of at most `most` hexadecimal digits, with or without 0x.
 fn hexadecimal(text: &str, most: usize) -> Option<u16> {
     let marked = text.strip_prefix("0x").or_else(|| text.strip_prefix("0X"));
     let digits = marked.unwrap_or(text);
@@ -110,7 +113,7 @@ fn hexadecimal(text: &str, most: usize) -> Option<u16> {
     u16::from_str_radix(digits, 16).ok().filter(|_| plain)
 }
 
-/// Reads or writes.
+/// Reads or writes an object.
 pub fn sdo(action: &Action) -> anyhow::Result<ExitCode> {
     match action {
         Action::Read { target, ty } => read(target, *ty),
@@ -141,7 +144,7 @@ fn read(target: &Target, ty: Option<Type>) -> anyhow::Result<ExitCode> {
     }
 }
 
-/// Whose error codes the node has, if it is an error code that is read.
+/// Vendor of the node, if the object to read holds an error code.
 fn vendor(channel: &mut Channel, target: &Target) -> anyhow::Result<Option<u32>> {
     if !matches!(target.object, ERROR_CODE | ERROR_HISTORY_NEWEST) {
         return Ok(None);
@@ -213,10 +216,10 @@ fn write(
     }
 }
 
-/// What was read back, and whether it is what was written.
+/// Value that was read back, and whether it equals the written value.
 type ReadBack = (Vec<u8>, bool);
 
-/// What is read back after a write, and whether it is what was written; `None` if Ctrl-C came before.
+/// Value that is read back after a write, and whether it equals the written value; `None` if Ctrl-C came first.
 fn read_back_of(
     channel: &mut Channel,
     target: &Target,
@@ -244,8 +247,8 @@ fn read_back_of(
         .map(|found| found.map(|found| (found, agrees))))
 }
 
-/// What was read, or written; `None` if Ctrl-C came before. A service port does not say how long an object is: `ty`
-/// does.
+/// Value that was read, or empty after a write; `None` if Ctrl-C came first. A service port does not report the length
+/// of an object, so `ty` gives it.
 fn transfer(
     channel: &mut Channel,
     target: &Target,
@@ -266,7 +269,7 @@ fn transfer(
     Ok(transfer.result)
 }
 
-/// An abort or silence in one line.
+/// Text of an abort or a time-out in one line.
 fn refusal(channel: &Channel, target: &Target, error: SdoError) -> anyhow::Error {
     let node = channel.name_of(target.node);
     let error = match error {
@@ -325,19 +328,19 @@ fn show(
     Ok(())
 }
 
-/// One transfer as a conversation.
+/// Conversation of one transfer.
 pub(super) struct Transfer {
     client: sdo::Client,
-    /// What was written before, where it is to be read back.
+    /// Value that was written, if it is to be read back.
     wrote: Vec<u8>,
-    /// Whether it was read back.
+    /// Whether the value read back equals the written value.
     agrees: bool,
-    /// Once it is over.
+    /// Result, once the transfer is over.
     pub(super) result: Option<Result<Vec<u8>, SdoError>>,
 }
 
 impl Transfer {
-    /// Starts to write `data`, or to read where there are none.
+    /// Starts to write `data`, or to read if `data` is `None`.
     pub(super) fn start(
         node: NodeId,
         object: Object,
@@ -407,7 +410,7 @@ mod tests {
         ] {
             assert_eq!(object(text), Ok(Object::new(index, subindex)), "{text}");
         }
-        // Others than four digits may be meant as a decimal number.
+        // An index without 0x that does not have four digits might be meant as a decimal number.
         for text in [
             "24641:0",
             "123:0",

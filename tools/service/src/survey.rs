@@ -1,4 +1,4 @@
-//! Asking many nodes at once, each one question after the other.
+//! Sequences of SDO requests to many nodes in parallel.
 
 use std::time::Duration;
 
@@ -8,22 +8,22 @@ use canopen::{NodeId, Object};
 
 use super::talk::Conversation;
 
-/// Nodes that are asked at the same time: their answers keep a bus of 1 Mbit/s busy for 9 ms.
+/// Number of nodes that are queried at the same time. Their answers occupy a bus of 1 Mbit/s for 9 ms.
 const AT_ONCE: usize = 64;
 
-/// How often a question is put again to a node that does not answer.
+/// Number of repetitions of a request to a node that does not answer.
 const RETRIES: u8 = 1;
 
-/// What one node is asked, where the next question may hang on the answers before.
+/// Requests to one node. The next request may depend on earlier answers.
 pub(super) trait Questions {
-    /// The next object to read; `None` once all is known.
+    /// The next object to read; `None` after the last.
     fn next(&self) -> Option<Object>;
 
-    /// Takes the answer to it. A node that does not answer times out.
+    /// Processes the answer to the last request. A node that does not answer yields a time-out.
     fn answer(&mut self, answer: Result<&[u8], SdoError>);
 }
 
-/// Many nodes and what each of them is asked.
+/// Many nodes and the requests to each of them.
 pub(super) struct Survey<Q> {
     nodes: Vec<Asked<Q>>,
 }
@@ -35,7 +35,7 @@ struct Asked<Q> {
 }
 
 impl<Q: Questions> Survey<Q> {
-    /// Asks `nodes`, each of which has `timeout` for every answer.
+    /// Queries `nodes`. Each node has `timeout` for every answer.
     pub(super) fn new(nodes: impl Iterator<Item = (NodeId, Q)>, timeout: Duration) -> Self {
         let asked = |(node, questions)| Asked {
             client: sdo::Client::new(node, timeout, RETRIES),
@@ -47,21 +47,21 @@ impl<Q: Questions> Survey<Q> {
         }
     }
 
-    /// What became of the questions, node by node.
+    /// Results of the requests, node by node.
     pub(super) fn into_answers(self) -> impl Iterator<Item = (NodeId, Q)> {
         self.nodes
             .into_iter()
             .map(|asked| (asked.client.node(), asked.questions))
     }
 
-    /// What is known of the nodes so far.
+    /// Present knowledge about the nodes, for modification.
     pub(super) fn questions(&mut self) -> impl Iterator<Item = (NodeId, &mut Q)> {
         self.nodes
             .iter_mut()
             .map(|asked| (asked.client.node(), &mut asked.questions))
     }
 
-    /// The same, to look at only.
+    /// Present knowledge about the nodes.
     pub(super) fn nodes_seen(&self) -> impl Iterator<Item = &Q> {
         self.nodes.iter().map(|asked| &asked.questions)
     }
@@ -87,7 +87,8 @@ impl<Q: Questions> Asked<Q> {
         }
     }
 
-    /// Takes a result, and asks on at once: one node after the other is done with, none is half asked for long.
+    /// Processes a result and makes the next request to the same node at once. Nodes are thus completed one after the
+    /// other.
     fn take_result(&mut self, now: Instant) {
         let Some(result) = self.client.poll() else {
             return;

@@ -1,4 +1,4 @@
-//! Holding a conversation on a bus by the clock.
+//! Runs a conversation on a bus on the wall clock.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
@@ -10,36 +10,37 @@ use canopen::sync::Sync;
 
 use mrroc::bench::bus_port::BusPort;
 
-/// Longest time between two looks at whether somebody pressed Ctrl-C.
+/// Longest time between two checks for Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// How soon a frame that the port did not take is offered again.
+/// Time after which a frame that the port did not accept is offered again.
 const AGAIN: Duration = Duration::from_micros(200);
 
-/// How long a frame may take from the port onto the bus: an adapter that is closed forgets what it has not sent.
+/// Time that a frame may take from the port onto the bus. An adapter that is closed discards frames that it has not
+/// sent.
 const SENDING: Duration = Duration::from_millis(20);
 
-/// How long the last frame of a conversation that is broken off is offered to the port.
+/// Longest time for which the last frame of an interrupted conversation is offered to the port.
 const LAST: Duration = Duration::from_millis(200);
 
-/// Frames taken from the port at once.
+/// Maximum number of frames that are read from the port at once.
 const BATCH: usize = 256;
 
-/// What a command says on a bus and makes of the answers.
+/// Protocol of a command: the frames that it sends, and its reaction to received frames.
 pub(super) trait Conversation {
-    /// Takes a frame that came at `now`.
+    /// Processes a frame received at `now`.
     fn handle(&mut self, frame: &Frame, now: Instant);
 
     /// The next frame to send, if any.
     fn poll_transmit(&mut self, now: Instant) -> Option<Frame>;
 
-    /// When it next wants [`handle_timeout`](Conversation::handle_timeout); `None` once it is over.
+    /// Time at which [`handle_timeout`](Conversation::handle_timeout) is due; `None` once the conversation is over.
     fn poll_timeout(&self) -> Option<Instant>;
 
-    /// Notices what is overdue at `now`.
+    /// Processes deadlines that have passed at `now`.
     fn handle_timeout(&mut self, now: Instant);
 
-    /// What has to be sent yet if it is broken off, so that no node is left in a state that it was only put into for this.
+    /// Last frame of an interrupted conversation, which returns the nodes to their normal state.
     fn break_off(&self) -> Option<Frame> {
         None
     }
@@ -48,13 +49,13 @@ pub(super) trait Conversation {
 /// How a conversation ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Ended {
-    /// By itself.
+    /// At its regular end.
     Over,
     /// By Ctrl-C.
     Interrupted,
 }
 
-/// Holds `conversation` until it is over, whose deadlines bound it, or `stop` is set.
+/// Runs `conversation` until it is over or `stop` is set. The deadlines of the conversation bound its duration.
 pub(super) fn hold(
     port: &mut BusPort,
     conversation: &mut impl Conversation,
@@ -65,7 +66,7 @@ pub(super) fn hold(
         at: Instant::ZERO,
     }; BATCH];
     let mut untaken = None;
-    // When the last frame was sent, unless one came since.
+    // Time of the last sent frame, or `None` if a frame was received since.
     let mut under_way = None;
     while !stop.load(Ordering::Relaxed) {
         let now = clock::now();

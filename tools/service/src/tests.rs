@@ -1,4 +1,4 @@
-//! The conversations, held with emulated drives on a virtual bus in virtual time.
+//! Conversations with emulated drives on a virtual bus in virtual time.
 
 use std::time::Duration;
 
@@ -23,10 +23,10 @@ use super::talk::Conversation;
 
 mod lss_slaves;
 
-/// Time between two looks at the bus.
+/// Step of the virtual time.
 const TICK: Duration = Duration::from_micros(100);
 
-/// Nothing here takes longer.
+/// Upper bound for the duration of every conversation.
 const LONGEST: Duration = Duration::from_secs(10);
 
 const TIMEOUT: Duration = Duration::from_millis(200);
@@ -60,7 +60,7 @@ impl Stage {
             now: Instant::ZERO,
             sent: Vec::new(),
         };
-        // They boot.
+        // The drives boot.
         stage.pass(Duration::from_secs(1));
         stage
     }
@@ -81,7 +81,7 @@ impl Stage {
         received[..count].to_vec()
     }
 
-    /// Holds a conversation to its end, and says how long it took.
+    /// Runs a conversation until its end, and returns its duration.
     fn hold(&mut self, conversation: &mut impl Conversation) -> Duration {
         let began = self.now;
         let mut untaken = None;
@@ -157,7 +157,7 @@ fn a_scan_of_a_whole_bus_takes_about_a_second_and_finds_everybody() {
         let (found, took) = Stage::with(nodes).scan();
         assert_eq!(found.len(), nodes.len());
         assert!(took <= Duration::from_millis(most), "{took:?}");
-        // Heartbeats that come each second are to be heard.
+        // The scan waits for heartbeats, which come once a second.
         assert!(took >= Duration::from_secs(1), "{took:?}");
     }
 }
@@ -204,7 +204,7 @@ fn an_object_is_read_written_and_read_back() {
     assert_eq!(stage.read(3, PRODUCER_HEARTBEAT).unwrap(), value);
     let segmented = stage.read(3, DEVICE_NAME).unwrap();
     assert!(segmented.len() > 4);
-    // To a drive without block transfer the client falls back.
+    // The drive does not support block transfer, so the client uses ordinary transfer.
     let by_blocks = stage.transfer_by(true, 3, DEVICE_NAME, None);
     assert_eq!(by_blocks, Ok(segmented));
 }
@@ -223,7 +223,7 @@ fn a_refusal_ends_a_transfer_and_silence_does() {
     refused(stage.read(3, Object::new(0x5FFF, 0)), AbortCode::NO_OBJECT);
     let silent = stage.read(4, STATUSWORD);
     assert!(matches!(silent, Err(SdoError::TimedOut { waited, .. }) if waited >= 3 * TIMEOUT));
-    // Three requests, each given up by an abort.
+    // Three requests, each ended by an abort after its time-out.
     let to_4 = |frame: &&Frame| frame.to_string().starts_with("604#");
     assert_eq!(stage.sent.iter().filter(to_4).count(), 6);
 }
@@ -231,7 +231,7 @@ fn a_refusal_ends_a_transfer_and_silence_does() {
 #[test]
 fn commands_are_confirmed_by_what_the_node_says_next() {
     let mut stage = Stage::with(&[3, 5]);
-    // Without a heartbeat a node shows no more than that it is not stopped.
+    // A node without a heartbeat only shows that it is not stopped.
     let told = stage.tell(Command::Start.to(node(3)));
     assert!(told.confirmed(), "{told:?}");
     assert_eq!(told.silent, Some((node(3), Some(Ok(0)))));
@@ -341,7 +341,7 @@ fn nodes_tell_what_their_pdos_carry() {
     let (_, drive) = answers.next().unwrap();
     assert_eq!(drive.vendor, Some(0xFB));
     let map = drive.into_map();
-    // EPOS4 comes with PDO 1 of each direction switched on.
+    // PDO 1 of each direction is enabled by default in an EPOS4.
     let of = |id: u16| map[&id].entries.iter().map(|entry| entry.object);
     assert_eq!(map.keys().copied().collect::<Vec<_>>(), [0x183, 0x203]);
     assert!(of(0x183).eq([STATUSWORD]));
@@ -349,7 +349,7 @@ fn nodes_tell_what_their_pdos_carry() {
     assert!(absent.vendor.is_none() && absent.into_map().is_empty());
 }
 
-/// Holds a conversation in which each frame said is answered at once, and returns what was said in the end.
+/// Runs a conversation in which each sent frame is answered at once. Returns the sent frames and the duration.
 fn answered(
     conversation: &mut impl Conversation,
     mut answer: impl FnMut(&str) -> Vec<&'static str>,
@@ -371,7 +371,7 @@ fn answered(
     panic!("it does not end: {said:?}");
 }
 
-/// The frame that candump prints as `text`.
+/// Parses a frame in the notation of candump.
 fn parse(text: &str) -> Frame {
     let (id, data) = text.split_once('#').unwrap();
     let byte = |at| u8::from_str_radix(&data[at..at + 2], 16).unwrap();

@@ -1,4 +1,4 @@
-//! Values of objects: from the command line to bytes, and from bytes to text.
+//! Values of objects: conversion from command line to bytes, and from bytes to text.
 
 use std::fmt;
 
@@ -6,7 +6,7 @@ use clap::ValueEnum;
 use serde::Serialize;
 use thiserror::Error;
 
-/// The data types of CiA 301 that a value may be given or shown as.
+/// The data types of CiA 301 in which a value is given or shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Type {
     /// BOOLEAN.
@@ -33,17 +33,17 @@ pub enum Type {
     F64,
     /// VISIBLE_STRING.
     String,
-    /// Bytes in the order of the bus, two hexadecimal digits each.
+    /// Bytes in the order of transmission, two hexadecimal digits each.
     Hex,
 }
 
-/// Why a text is no value of a type.
+/// Reason why a text is not a value of a type.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum ValueError {
-    /// Not a number at all, or one that the type does not hold.
+    /// Not a number, or a number outside the range of the type.
     #[error("{text:?} is no {ty}: {least} to {most}, decimal or 0x…")]
     Number {
-        /// What was given.
+        /// The given text.
         text: String,
         /// The type.
         ty: &'static str,
@@ -55,16 +55,16 @@ pub enum ValueError {
     /// Not a real number.
     #[error("{0:?} is no real number")]
     Real(String),
-    /// Not bytes.
+    /// Not a sequence of bytes.
     #[error("{0:?} are no bytes: two hexadecimal digits each, such as 7f00")]
     Bytes(String),
-    /// A string that VISIBLE_STRING does not hold.
+    /// A character that VISIBLE_STRING does not allow.
     #[error("{0:?} has other characters than those of ASCII")]
     Text(String),
 }
 
 impl Type {
-    /// Bytes of a number; `None` for what may have any length.
+    /// Size of a number, bytes; `None` for types of variable length.
     pub(super) const fn bytes(self) -> Option<usize> {
         match self {
             Self::Bool | Self::U8 | Self::I8 => Some(1),
@@ -97,7 +97,7 @@ impl Type {
         }
     }
 
-    /// The bytes of `text`, as they go onto the bus. A signed type takes a hexadecimal number as its bits.
+    /// Converts `text` to bytes in the order of transmission. A hexadecimal number is the bit pattern of a signed type.
     pub(super) fn encode(self, text: &str) -> Result<Vec<u8>, ValueError> {
         match self {
             Self::String if text.is_ascii() => Ok(text.as_bytes().to_owned()),
@@ -142,8 +142,8 @@ impl Type {
     }
 }
 
-/// A whole number, decimal or hexadecimal, with its sign and with groups parted by `_`, but no
-/// leading zeros where it is decimal; and whether it is hexadecimal.
+/// Parses an integer, decimal or hexadecimal, with optional sign and `_` between groups of digits. A decimal number has
+/// no leading zeros. Also returns whether the number is hexadecimal.
 fn integer(text: &str) -> Option<(i128, bool)> {
     let digits = text.replace('_', "");
     let (negative, digits) = match digits.strip_prefix('-') {
@@ -153,11 +153,11 @@ fn integer(text: &str) -> Option<(i128, bool)> {
     let hexadecimal = digits
         .strip_prefix("0x")
         .or_else(|| digits.strip_prefix("0X"));
-    // A second sign is none.
+    // A second sign is refused.
     if digits.starts_with(['+', '-']) || hexadecimal.is_some_and(|digits| digits.starts_with('+')) {
         return None;
     }
-    // 017 is 15 to those who write data sheets, and 17 to everybody else.
+    // A number such as 017 is refused: data sheets write octal 15 this way, and other readers understand 17.
     if hexadecimal.is_none() && digits.len() > 1 && digits.starts_with('0') {
         return None;
     }
@@ -168,7 +168,7 @@ fn integer(text: &str) -> Option<(i128, bool)> {
     Some((if negative { -value } else { value }, hexadecimal.is_some()))
 }
 
-/// An unsigned number on the command line, decimal or hexadecimal.
+/// Parses an unsigned number on the command line, decimal or hexadecimal.
 pub(super) fn number(text: &str) -> Option<u64> {
     integer(text).and_then(|(value, _)| u64::try_from(value).ok())
 }
@@ -184,14 +184,14 @@ fn bytes(text: &str) -> Option<Vec<u8>> {
     pairs.collect()
 }
 
-/// Little-endian bytes as a number; `None` unless there are 1 to 8.
+/// Unsigned value of little-endian bytes; `None` unless there are 1 to 8.
 pub(super) fn unsigned(data: &[u8]) -> Option<u64> {
     let mut bytes = [0; 8];
     bytes.get_mut(..data.len())?.copy_from_slice(data);
     (!data.is_empty()).then_some(u64::from_le_bytes(bytes))
 }
 
-/// The same, the highest bit being the sign.
+/// Signed value of little-endian bytes; `None` unless there are 1 to 8.
 pub(super) fn signed(data: &[u8]) -> Option<i64> {
     unsigned(data).map(|raw| {
         let unused = 64 - 8 * data.len() as u32;
@@ -199,33 +199,33 @@ pub(super) fn signed(data: &[u8]) -> Option<i64> {
     })
 }
 
-/// Bytes in every way that they make sense.
+/// A value in all plausible representations.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct Shown {
-    /// In the order of the bus, two hexadecimal digits each.
+    /// Bytes in the order of transmission, two hexadecimal digits each.
     pub(super) bytes: String,
-    /// As an integer.
+    /// Value as an integer.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) value: Option<i128>,
-    /// As a real number.
+    /// Value as a real number.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) real: Option<f64>,
-    /// As text.
+    /// Value as text.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) text: Option<String>,
     #[serde(skip)]
     text_only: bool,
     #[serde(skip)]
     hex: Option<String>,
-    /// The other reading of bits whose sign is not known.
+    /// Signed value of the same bits, if the sign of the type is not known.
     #[serde(skip)]
     or: Option<i64>,
 }
 
 impl Shown {
-    /// Without a type, numbers are those of 1, 2, 4 or 8 bytes, and text is what only has printable characters.
+    /// Without a type, a value of 1, 2, 4 or 8 bytes is a number. A value of printable characters only is text.
     ///
-    /// `signed` says whether an object without a type is known to hold a signed number.
+    /// `is_signed` says whether an object without a type is known to hold a signed number.
     pub(super) fn of(data: &[u8], ty: Option<Type>, is_signed: bool) -> Self {
         let sized = ty.map_or(matches!(data.len(), 1 | 2 | 4 | 8), |ty| {
             ty.bytes() == Some(data.len())

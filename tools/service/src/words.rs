@@ -1,4 +1,4 @@
-//! Numbers of CANopen in words.
+//! Text for numbers of CANopen.
 
 use can::ControllerState;
 use canopen::Object;
@@ -14,7 +14,7 @@ use canopen::sdo::AbortCode;
 /// Vendor-ID of maxon.
 const MAXON: u32 = 0x0000_00FB;
 
-/// Makers of what hangs on the buses of robots, by the vendor-ID that CiA gave them.
+/// Manufacturers of devices in robot cells, by the vendor-ID that CiA assigned.
 const VENDORS: &[(u32, &str)] = &[
     (0x0000_0002, "Beckhoff"),
     (0x0000_001B, "HMS"),
@@ -28,13 +28,13 @@ const VENDORS: &[(u32, &str)] = &[
     (0x0200_0089, "Parker Hannifin"),
 ];
 
-/// The maker's name, if it is known here.
+/// Name of the manufacturer, if known.
 pub(super) fn vendor(id: u32) -> Option<&'static str> {
     let (_, name) = VENDORS.iter().find(|(known, _)| *known == id)?;
     Some(name)
 }
 
-/// Object 0x1000 in words (CiA 301; the kinds of drive are CiA 402's).
+/// Text of object 0x1000 (CiA 301). The drive types are from CiA 402.
 pub(super) fn device_type(raw: u32) -> String {
     let profile = raw & 0xFFFF;
     let name = match profile {
@@ -58,7 +58,8 @@ pub(super) fn device_type(raw: u32) -> String {
     format!("CiA {profile}, {name}")
 }
 
-/// What the codes of a maker's devices mean. Its EPOS2 uses some of EPOS4's codes for other faults; this is EPOS4's table.
+/// Meaning of the error codes of a manufacturer's devices. EPOS2 uses some codes of EPOS4 for other faults; this table
+/// is the one of EPOS4.
 pub(super) fn fault_table(vendor: Option<u32>) -> FaultTable {
     match vendor {
         Some(MAXON) => FaultTable::Epos4,
@@ -66,7 +67,7 @@ pub(super) fn fault_table(vendor: Option<u32>) -> FaultTable {
     }
 }
 
-/// What an object is called: by the objects of this project, or as a PDO parameter.
+/// Name of an object: from the object tables of this project, or the name of a PDO parameter.
 pub(super) fn object(object: Object) -> Option<String> {
     if let Some(name) = object.name() {
         return Some(name.to_owned());
@@ -116,7 +117,7 @@ pub(super) fn is_signed(object: Object) -> bool {
     )
 }
 
-/// What a number in an object means, where it is more than a number.
+/// Meaning of a number in an object, if the object has coded values.
 pub(super) fn meaning(object: Object, raw: u64, faults: FaultTable) -> Option<String> {
     let low = raw as u16;
     Some(match object {
@@ -162,7 +163,7 @@ fn controlword(word: Controlword) -> &'static str {
     }
 }
 
-/// Object 0x1001 in words.
+/// Text of object 0x1001.
 pub(super) fn error_register(register: ErrorRegister) -> String {
     let bits = [
         (ErrorRegister::CURRENT, "current"),
@@ -184,7 +185,7 @@ pub(super) fn error_register(register: ErrorRegister) -> String {
     }
 }
 
-/// What an abort usually comes from, where its text does not say.
+/// Usual cause of an abort whose text does not state the cause.
 pub(super) fn hint(code: AbortCode) -> Option<&'static str> {
     Some(match code {
         AbortCode::NO_OBJECT | AbortCode::NO_SUBINDEX => {
@@ -210,7 +211,7 @@ pub(super) fn hint(code: AbortCode) -> Option<&'static str> {
     })
 }
 
-/// One number of an identity.
+/// Name of one number of an identity.
 pub(super) fn identity_part(part: Part) -> &'static str {
     match part {
         Part::Vendor => "vendor-ID",
@@ -220,7 +221,7 @@ pub(super) fn identity_part(part: Part) -> &'static str {
     }
 }
 
-/// What became of an LSS request that configures.
+/// Text for the result of an LSS configuration request.
 pub(super) fn lss_outcome(outcome: Outcome) -> String {
     match outcome.error {
         Outcome::SUCCESS => "done".to_owned(),
@@ -231,7 +232,7 @@ pub(super) fn lss_outcome(outcome: Outcome) -> String {
     }
 }
 
-/// A CAN controller's state.
+/// Text of the state of a CAN controller.
 pub(super) fn controller_state(state: ControllerState) -> &'static str {
     match state {
         ControllerState::Active => "error active",

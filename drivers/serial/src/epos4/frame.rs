@@ -11,7 +11,7 @@ fn crc(opcode: u8, data: &[u8]) -> u16 {
         .fold(head, |crc, &[low, high]| crc16(crc16(crc, high), low))
 }
 
-/// A frame without its wrapping: an opcode and up to [`MAX_WORDS`] data words.
+/// A frame without byte stuffing: an opcode and up to [`MAX_WORDS`] data words.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Frame {
     opcode: u8,
@@ -20,7 +20,7 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// `None` for more data than fit. An odd byte is followed by a zero, since words are what goes across.
+    /// A frame with these data; `None` if the data are too long. A zero byte fills the last word if necessary.
     pub fn new(opcode: u8, data: &[u8]) -> Option<Self> {
         let mut padded = [0; 2 * MAX_WORDS];
         padded.get_mut(..data.len())?.copy_from_slice(data);
@@ -45,17 +45,17 @@ impl Frame {
         }
     }
 
-    /// What is asked for, or [`ANSWER`](super::ANSWER).
+    /// Opcode of the request, or [`ANSWER`](super::ANSWER).
     pub fn opcode(&self) -> u8 {
         self.opcode
     }
 
-    /// Its data words as bytes, low byte first.
+    /// Data words as bytes, low byte first.
     pub fn data(&self) -> &[u8] {
         &self.data[..self.length]
     }
 
-    /// Writes the frame as on the line to the front of `into`, and returns how long it is.
+    /// Writes the frame in wire format to the front of `into`, and returns its length.
     pub fn encode(&self, into: &mut [u8; LONGEST]) -> usize {
         into[..2].copy_from_slice(&[DLE, STX]);
         let mut length = 2;
@@ -73,27 +73,27 @@ impl Frame {
     }
 }
 
-/// Why what arrived is no frame.
+/// Reason why received bytes are not a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FrameError {
-    /// A new frame began inside this one, or a lone 0x90 stood in it.
+    /// A new frame started inside this frame, or a single 0x90 occurred in it.
     #[error("frame was torn")]
     Torn,
-    /// More data words than a frame can have.
+    /// The length exceeds the maximum number of data words.
     #[error("{0} data words are more than a frame has")]
     TooLong(u8),
-    /// It was wrong.
+    /// The CRC was wrong.
     #[error("crc is wrong")]
     Crc,
 }
 
 /// Finds frames in a stream of bytes.
 ///
-/// Time is its user's: who sees the frame time-out pass in the middle of one calls
+/// The caller monitors the time. If the frame time-out passes inside a frame, the caller calls
 /// [`reset`](Deframer::reset).
 #[derive(Clone, Debug)]
 pub struct Deframer {
-    /// Opcode, number, data, CRC.
+    /// Opcode, length, data and CRC.
     bytes: [u8; 2 + 2 * MAX_WORDS + 2],
     count: usize,
     state: Deframing,
@@ -102,10 +102,10 @@ pub struct Deframer {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Deframing {
     Outside,
-    /// After a 0x90 outside.
+    /// A 0x90 was received outside a frame.
     Starting,
     Inside,
-    /// After a 0x90 inside, which is to be doubled.
+    /// A 0x90 was received inside a frame, and its repetition is due.
     Doubling,
 }
 
@@ -116,7 +116,7 @@ impl Default for Deframer {
 }
 
 impl Deframer {
-    /// Outside of any frame.
+    /// A deframer outside any frame.
     pub fn new() -> Self {
         Self {
             bytes: [0; _],
@@ -125,18 +125,18 @@ impl Deframer {
         }
     }
 
-    /// Whether it has the beginning of a frame.
+    /// Whether the start of a frame was received.
     pub fn is_inside(&self) -> bool {
         self.state != Deframing::Outside
     }
 
-    /// Forgets the beginning of a frame.
+    /// Discards the start of a frame.
     pub fn reset(&mut self) {
         self.count = 0;
         self.state = Deframing::Outside;
     }
 
-    /// Takes a byte, and hands out the frame that it ends.
+    /// Processes a byte. Returns the frame that the byte completes.
     pub fn take(&mut self, byte: u8) -> Option<Result<Frame, FrameError>> {
         match (self.state, byte) {
             (Deframing::Outside, DLE) => self.state = Deframing::Starting,
@@ -150,7 +150,7 @@ impl Deframer {
                 self.state = Deframing::Inside;
                 return self.add(DLE);
             }
-            // A start inside a frame: that frame was torn, and this one counts.
+            // A start inside a frame: the first frame was torn, and the new frame is received.
             (Deframing::Doubling, STX) => {
                 self.begin();
                 return Some(Err(FrameError::Torn));
@@ -232,7 +232,7 @@ pub(super) mod tests {
         for offset in 2..bytes.len() {
             let found = frames(&[&bytes[..offset], &bytes].concat());
             let whole = found.iter().filter(|frame| frame.is_ok()).count();
-            // Torn within a doubled 0x90, the next start looks like its second half.
+            // If a frame is torn within a doubled 0x90, the next start looks like the second half of the pair.
             let half = bytes[..offset]
                 .iter()
                 .rev()

@@ -7,7 +7,7 @@ use crate::Settings;
 #[cfg(doc)]
 use crate::{epos2, epos4};
 
-/// Which device is on the line.
+/// Device on the line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Dialect {
     /// An EPOS2 on RS-232: [`epos2`].
@@ -16,23 +16,23 @@ pub enum Dialect {
     Epos4,
 }
 
-/// How a client goes about it.
+/// Configuration of a client.
 #[derive(Clone, Copy, Debug)]
 pub struct Config {
-    /// Which device is on the line.
+    /// Device on the line.
     pub dialect: Dialect,
-    /// How the line is set; bytes take their time on it.
+    /// Settings of the line, which give the transmission time of bytes.
     pub settings: Settings,
-    /// How long an answer may take; no shorter than the device's frame time-out, [`TIME_OUT`] as delivered.
+    /// Time to wait for an answer; at least the frame time-out of the device. The factory setting is [`TIME_OUT`].
     pub time_out: Duration,
     /// Number of repetitions of a request that failed on the line.
     pub retries: u8,
-    /// The longest object that is transferred in segments, bytes.
+    /// Longest object of a segmented transfer, bytes.
     pub capacity: usize,
 }
 
 impl Config {
-    /// Maxon's time-out, one more attempt, and objects of up to 4096 bytes.
+    /// Time-out of the factory setting, one repetition, and objects of up to 4096 bytes.
     pub const fn new(dialect: Dialect, settings: Settings) -> Self {
         Self {
             dialect,

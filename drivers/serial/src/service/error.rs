@@ -4,52 +4,52 @@ use std::time::Duration;
 
 use thiserror::Error;
 
-/// Why a request did not start.
+/// Reason why a request did not start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum StartError {
-    /// One thing at a time.
+    /// Another request is under way.
     #[error("an earlier request is not over")]
     Busy,
-    /// No source says how an EPOS2 transfers segments.
+    /// No source describes the segmented transfer of EPOS2.
     #[error("no transfer in segments with an EPOS2: only objects of up to 4 bytes")]
     NoSegments,
-    /// Longer than the client has room for.
+    /// The object is longer than the capacity of the client.
     #[error("{size} bytes are too many, at most {capacity} are transferred")]
     TooLarge {
-        /// Bytes of the object.
+        /// Length of the object, bytes.
         size: usize,
-        /// Bytes that the client transfers.
+        /// Capacity of the client, bytes.
         capacity: usize,
     },
 }
 
-/// How a request failed.
+/// Reason why a request failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum ServiceError {
-    /// The device answered with this code of an SDO abort, or one of maxon's own 0x0F00_FFxx.
+    /// The device refused the request with the code of an SDO abort or a code of maxon, 0x0F00_FFxx.
     #[error("refused with code {0:#010x}")]
     Refused(u32),
-    /// No answer, or none to its end.
+    /// No answer, or an incomplete answer.
     #[error("timed out after {waited:?}")]
     TimedOut {
-        /// Since the request was made.
+        /// Time since the request.
         waited: Duration,
     },
-    /// An EPOS2 was not ready, or our bytes reached it damaged.
+    /// An EPOS2 was not ready, or received damaged bytes.
     #[error("the device did not accept the request: it was busy, or heard it damaged")]
     NotAcknowledged,
-    /// The answer's CRC was wrong, or it was torn.
+    /// The CRC of the answer was wrong, or the answer was incomplete.
     #[error("the answer came damaged")]
     Damaged,
-    /// What came is right, and answers something else.
+    /// A correct answer to another request.
     #[error("the answer does not belong to the request")]
     Unexpected,
-    /// The object is longer than the client has room for.
+    /// The object is longer than the capacity of the client.
     #[error("the object has {size} bytes, at most {capacity} are transferred")]
     TooLarge {
-        /// Bytes announced.
+        /// Announced length, bytes.
         size: usize,
-        /// Bytes that the client transfers.
+        /// Capacity of the client, bytes.
         capacity: usize,
     },
 }

@@ -1,13 +1,13 @@
-//! Dialogues of the service port's host.
+//! Dialogues of the client with a service port.
 
 use super::*;
 use crate::Settings;
 use crate::epos4::tests::{CONTROLWORD, HOME_POSITION, NAME, STATUSWORD, encoded};
 
-/// What of a value is owed by a reply, without its borrow.
+/// Content of a reply as an owned value.
 type Owned = Result<(Option<u32>, Vec<u8>), ServiceError>;
 
-/// A client, and everything that it has said.
+/// A client, and all bytes that it has sent.
 struct Host {
     client: Client,
     now: Instant,
@@ -27,7 +27,7 @@ impl Host {
         host
     }
 
-    /// What it says now, all of which goes onto the line.
+    /// Bytes that the client sends now. The line accepts all of them.
     fn says(&mut self) -> Vec<u8> {
         let bytes = self.client.bytes().to_vec();
         self.client.consume(bytes.len(), self.now);
@@ -43,7 +43,7 @@ impl Host {
         self.client.handle_timeout(self.now);
     }
 
-    /// Lets time pass to its next deadline, and says how long that was.
+    /// Advances the time to the next deadline of the client, and returns the elapsed time.
     fn wait(&mut self) -> Duration {
         let due = self.client.poll_timeout().expect("it waits");
         let waited = due.since(self.now);
@@ -81,7 +81,7 @@ fn exchanges_are_the_bytes_of_the_line() {
     let read: Start = |client, now| client.read(STATUSWORD, now);
     let write: Start = |client, now| client.write(CONTROLWORD, 0x000F, now);
     let reset: Start = |client, now| client.nmt(1, 0x81, now);
-    // What the host says and what it hears, by turns.
+    // Bytes that the host sends and receives, in turns.
     let cases: [(Dialect, Start, &[&str], Owned); 7] = [
         (
             Dialect::Epos4,
@@ -168,7 +168,7 @@ fn exchanges_are_the_bytes_of_the_line() {
             if turn % 2 == 0 {
                 assert_eq!(host.says(), hex(bytes), "case {number}, turn {turn}");
             } else {
-                // Byte by byte, as they come.
+                // The bytes arrive one by one.
                 hex(bytes).iter().for_each(|byte| host.hears(&[*byte]));
             }
         }
@@ -243,7 +243,7 @@ fn what_does_not_fit_or_exist_is_refused_at_once() {
     assert_eq!(host.result(), Some(Err(large)));
 }
 
-/// The time-out, and what the line takes for a request of ten bytes and the answer to it.
+/// The time-out plus the transmission time of a request of ten bytes and of the answer to it.
 fn patience() -> Duration {
     TIME_OUT + Settings::EPOS.line_time(10) + Settings::EPOS.line_time(24)
 }
@@ -292,7 +292,7 @@ fn after_an_error_the_frame_time_out_is_waited_out_and_the_request_sent_anew() {
         let request = host.says();
         host.pass(Duration::from_millis(3));
         host.hears(&wrong);
-        // It comes too late, and is of no use any more.
+        // The acknowledgement is too late and has no effect.
         host.hears(&okay);
         assert_eq!((host.says(), host.result()), (vec![], None), "{error}");
         assert_eq!(host.wait(), TIME_OUT, "{error}");
@@ -323,7 +323,7 @@ fn a_late_answer_is_not_taken_for_the_next_one() {
     host.pass(patience());
     host.wait();
     host.says();
-    // Now comes the answer to the first attempt, 600 ms after it, and is good for the second.
+    // The answer to the first attempt arrives 600 ms after that attempt, and completes the second attempt.
     host.pass(Duration::from_millis(90));
     host.hears(&epos4(Answer::Value(1)));
     assert_eq!(host.result(), Some(Ok((Some(1), vec![]))));
@@ -379,7 +379,7 @@ fn nothing_that_comes_panics_and_every_request_ends() {
         state ^= state << 17;
         state
     };
-    // Half of the bytes are such as get somewhere.
+    // Half of the bytes are valid parts of a protocol.
     let likely = [0x90, 0x02, 0x00, 0x00, 0x01, 0x03, 0x04, b'O', b'O', b'F'];
     let right = [
         epos4(Answer::Value(5)),
@@ -401,7 +401,7 @@ fn nothing_that_comes_panics_and_every_request_ends() {
             _ => host.client.read(STATUSWORD, now),
         };
         while host.client.poll_timeout().is_some() {
-            // The line takes a part of the bytes, or nothing.
+            // The line accepts a part of the bytes, possibly none.
             let count = random() as usize % (host.client.bytes().len() + 1);
             host.client.consume(count, host.now);
             let whole = random() as usize % (2 * right.len());

@@ -4,10 +4,10 @@ use super::{Dialect, ServiceError};
 use crate::epos2::{ANSWER, Acknowledge, Answer, Malformed, Request, Telegram, body_length};
 use crate::epos4::Deframer;
 
-/// The most data words of an answer that is understood.
+/// Maximum number of data words of an answer that is understood.
 const ANSWER_WORDS: usize = 4;
 
-/// How far the telegram on the line has come.
+/// State of the telegram on the line.
 #[derive(Clone, Debug)]
 #[expect(
     clippy::large_enum_variant,
@@ -43,22 +43,22 @@ enum Stage {
     Ready,
     End,
     Opcode,
-    /// So many bytes behind the answer's opcode are there.
+    /// Number of bytes received after the opcode of the answer.
     Body(usize),
 }
 
-/// What a byte from an EPOS2 brought.
+/// Meaning of a byte from an EPOS2.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Seen {
     Nothing,
-    /// It wants the rest of this.
+    /// The device is ready for the rest of this telegram.
     Ready(Telegram),
-    /// It has an answer.
+    /// The device offers an answer.
     Offered,
-    /// It has taken a request that is not answered.
+    /// The device has accepted a request that is not answered.
     Sent,
     Answer(Answer),
-    /// The answer is to be told to have come wrong.
+    /// The answer was damaged, and the device must be told.
     Damaged,
     Failed(ServiceError),
 }
@@ -96,7 +96,7 @@ impl Exchange {
                 self.body[count] = byte;
                 let words = usize::from(self.body[0]) + 1;
                 match count + 1 {
-                    // More than any answer has: the number is damaged, and where it ends is not known.
+                    // No answer is this long. The length is damaged, so the end of the answer is unknown.
                     1 if words > ANSWER_WORDS => Seen::Failed(ServiceError::Damaged),
                     count if count < body_length(words) => {
                         self.stage = Stage::Body(count);

@@ -5,7 +5,7 @@ use can::StandardId;
 use super::*;
 use crate::{TimedByte, VirtualLine, VirtualLinePeer, virtual_line};
 
-/// What takes away an acceptance filter.
+/// Commands that remove an acceptance filter.
 const FILTER: &str = "M00000000\rmFFFFFFFF\r";
 
 /// The port, the device's end of its line, and the time.
@@ -23,7 +23,7 @@ impl Stage {
         Self { port, peer, now }
     }
 
-    /// One whose adapter answered each command with an empty line.
+    /// A port whose adapter answered each command with an empty line.
     fn open(capacity: usize) -> Self {
         let mut stage = Self::new(capacity);
         assert_eq!(
@@ -42,7 +42,7 @@ impl Stage {
     fn open_with(&mut self, script: &[(&str, &str)]) -> Result<(), SlcanError> {
         for (said, answer) in script {
             let mut told = self.said();
-            // A line with little room takes it piece by piece.
+            // A line with little room accepts the bytes piece by piece.
             while told.len() < said.len() && self.port.poll_open(self.now).is_pending() {
                 let more = self.said();
                 if more.is_empty() {
@@ -55,7 +55,7 @@ impl Stage {
             if let Poll::Ready(result) = self.port.poll_open(self.now) {
                 return result;
             }
-            // Unless the answer made it say the next thing at once.
+            // An answer may make the port send the next command at once.
             if self.peer.peek().is_none() {
                 self.now = self.port.poll_timeout().unwrap();
                 if let Poll::Ready(result) = self.port.poll_open(self.now) {
@@ -100,8 +100,8 @@ fn frame(id: u16, data: &[u8]) -> Frame {
 
 #[test]
 fn it_opens_by_close_bit_rate_and_open_whatever_the_answers_look_like() {
-    // Four adapters: left open by an earlier host; closed, and ringing a bell for `C`; without acknowledgement but
-    // with a version; recognised by its frames alone.
+    // Four adapters. The first was left open by an earlier host. The second was closed, and answers `C` with a bell.
+    // The third acknowledges nothing but reports a version. The fourth is recognised by its frames only.
     let scripts: [&[(&str, &str)]; 4] = [
         &[
             ("\rC\r", "t0800\rz\r\r\r"),
@@ -135,7 +135,7 @@ fn it_opens_by_close_bit_rate_and_open_whatever_the_answers_look_like() {
         assert!(stage.now <= Instant::ZERO + Duration::from_millis(900));
         assert_eq!(stage.port.poll_open(stage.now), Poll::Ready(Ok(())));
         assert_eq!(stage.port.poll_timeout(), None);
-        // What came before is not received.
+        // Frames from before the opening are not received.
         assert_eq!(stage.receive(8), Ok(vec![]));
         assert_eq!(stage.port.counters(), Counters::default());
     }
@@ -168,7 +168,7 @@ fn an_adapter_that_refuses_or_says_nothing_is_not_opened() {
             ],
             SlcanError::Silent,
         ),
-        // A line that echoes, and a device of another baud rate.
+        // A line that echoes, and a device with another baud rate.
         (
             &[
                 ("\rC\r", "\rC\r"),
@@ -255,7 +255,7 @@ fn frames_go_out_as_text_in_one_write() {
 
 #[test]
 fn a_frame_of_which_the_line_took_a_part_is_finished_before_anything_else() {
-    // Room for "t0800\rt0811AB\r" (15 bytes) and a half.
+    // Room for "t0800\rt0811AB\r" (15 bytes) and a part of the next frame.
     let mut stage = Stage::open(18);
     let frames = [
         frame(0x080, &[]),
@@ -266,7 +266,7 @@ fn a_frame_of_which_the_line_took_a_part_is_finished_before_anything_else() {
     assert_eq!(stage.port.send(stage.now, &frames), Ok(3));
     assert_eq!(stage.port.send(stage.now, &frames[3..]), Ok(0));
     assert_eq!(stage.said(), "t0800\rt0811AB\rt082");
-    // The rest goes out even if nothing more is sent.
+    // The remaining bytes are sent even if no further frame is sent.
     assert_eq!(stage.receive(1), Ok(vec![]));
     assert_eq!(stage.said(), "1CD\r");
     assert_eq!(stage.port.send(stage.now, &frames[3..]), Ok(1));
@@ -281,13 +281,13 @@ fn a_frame_of_which_the_line_took_a_part_is_finished_before_anything_else() {
 fn a_frame_that_is_offered_again_and_again_counts_as_refused_once() {
     let mut stage = Stage::open(18);
     let frames = [frame(0x080, &[0; 8]), frame(0x081, &[]), frame(0x082, &[])];
-    // Room for a part of the first.
+    // Room for a part of the first frame.
     assert_eq!(stage.port.send(stage.now, &frames[..1]), Ok(1));
     for _ in 0..10 {
         assert_eq!(stage.port.send(stage.now, &frames[1..2]), Ok(0));
     }
     assert_eq!(stage.port.counters().refused, 1);
-    // Another was given up for this one.
+    // The caller gave up one frame and offers this one in its place.
     assert_eq!(stage.port.send(stage.now, &frames[2..]), Ok(0));
     assert_eq!(stage.port.counters().refused, 2);
 }
@@ -300,13 +300,13 @@ fn however_little_the_line_takes_the_stream_is_that_of_the_frames_taken() {
         let frames: Vec<_> = (0..40)
             .map(|id| frame(id, &[0; 8][..usize::from(id % 9)]))
             .collect();
-        // Each call takes a byte of a frame at the least, or a part of the rest of one.
+        // Each call sends at least a byte of a frame, or a part of its remaining bytes.
         for _ in 0..frames.len() * LONGEST {
             taken += stage.port.send(stage.now, &frames[taken..]).unwrap();
             said += &stage.said();
         }
         assert_eq!(taken, frames.len(), "capacity {capacity}");
-        // The longest line may take so many.
+        // Upper bound of the number of calls for the longest line.
         for _ in 0..LONGEST.div_ceil(capacity) {
             stage.receive(1).unwrap();
             said += &stage.said();
@@ -337,7 +337,7 @@ fn frames_are_found_between_garbage_which_is_counted() {
         Ok(vec!["701#7F".to_owned(), "080#".to_owned()])
     );
     let counters = stage.port.counters();
-    // What cannot be read: noise, a frame too short, a word; and the frame that a bell broke off.
+    // Unreadable lines: noise, a frame that is too short, a word, and the frame that a bell interrupted.
     assert_eq!((counters.received, counters.dropped), (2, 4));
     assert_eq!(counters.refused, 1, "the bell");
 }

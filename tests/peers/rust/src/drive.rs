@@ -1,4 +1,4 @@
-//! A CiA 402 drive on the object dictionary of a peer: power states, homing, and the cyclic synchronous position mode. The
+//! A CiA 402 drive on the object dictionary of a peer: power states, homing, and cyclic synchronous position mode. The
 //! drive reaches every set-point at once.
 
 /// An object dictionary; all objects here have sub-index 0.
@@ -39,7 +39,7 @@ impl Drive {
         self.power.unwrap_or(DISABLED)
     }
 
-    /// Takes a controlword that may be new, and shows what became of it.
+    /// Processes a controlword, which may be unchanged, and updates the statusword.
     pub fn step(&mut self, objects: &mut impl Objects, operational: bool) {
         let word = objects.get(CONTROLWORD) & 0xFFFF;
         let power = next_power(self.power(), word);
@@ -63,7 +63,7 @@ impl Drive {
         objects.set(STATUSWORD, status);
     }
 
-    /// Reaches the set-point.
+    /// Moves to the set-point.
     pub fn synchronise(&mut self, objects: &mut impl Objects) {
         if self.power() == ENABLED && objects.get(MODE_DISPLAY) == CSP {
             objects.set(POSITION, objects.get(TARGET));
@@ -71,7 +71,7 @@ impl Drive {
     }
 }
 
-/// The power state that a controlword leads to; this drive knows no faults.
+/// Power state after a controlword. This drive has no faults.
 fn next_power(power: i64, word: i64) -> i64 {
     match word & 0x0F {
         low if low & 0x02 == 0 => DISABLED,

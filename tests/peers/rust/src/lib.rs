@@ -1,4 +1,4 @@
-//! What the programs here share: named checks, and a memory of the wire.
+//! Common parts of these programs: named checks, and a record of the frames on the bus.
 
 use std::collections::VecDeque;
 use std::env;
@@ -11,13 +11,13 @@ use socketcan::{CanSocket, EmbeddedFrame, Frame as _, Socket};
 
 pub mod drive;
 
-/// Longest time that one answer may take where the test machine is busy.
+/// Longest time for one answer on a busy test machine.
 pub const PATIENCE: Duration = Duration::from_secs(3);
 
-/// Why a check failed.
+/// Result of a check, with the reason of a failure.
 pub type Outcome = Result<(), String>;
 
-/// The arguments: a network interface and a node-ID.
+/// Arguments of a master: a network interface and a node-ID.
 pub fn arguments() -> (String, u8) {
     let mut arguments = env::args().skip(1);
     let interface = arguments
@@ -38,7 +38,7 @@ pub fn node_arguments() -> (String, u8, u32) {
     )
 }
 
-/// A frame as it passed.
+/// A recorded frame.
 #[derive(Clone, Debug)]
 pub struct Seen {
     pub id: u16,
@@ -46,7 +46,7 @@ pub struct Seen {
     at: Duration,
 }
 
-/// All frames of an interface since the beginning, from all senders.
+/// Record of all frames on an interface since the start, from all senders.
 #[derive(Clone)]
 pub struct Wire {
     seen: Arc<Mutex<Vec<Seen>>>,
@@ -70,12 +70,12 @@ impl Wire {
         Self { seen }
     }
 
-    /// How many frames have passed.
+    /// Number of recorded frames.
     pub fn mark(&self) -> usize {
         self.seen.lock().expect("nobody panics with it").len()
     }
 
-    /// The first frame since `mark` of which `wanted` is true, waiting for it.
+    /// Waits for the first frame after `mark` that satisfies `wanted`.
     pub fn since(&self, mark: usize, wanted: impl Fn(&Seen) -> bool) -> Option<Seen> {
         let end = Instant::now() + PATIENCE;
         loop {
@@ -91,15 +91,15 @@ impl Wire {
         }
     }
 
-    /// Whether `wanted` is true of any frame since `mark`.
+    /// Whether any frame after `mark` satisfies `wanted`.
     pub fn any(&self, mark: usize, wanted: impl Fn(&Seen) -> bool) -> bool {
         let seen = self.seen.lock().expect("nobody panics with it");
         seen[mark..].iter().any(wanted)
     }
 
-    /// The last frames as candump prints them.
+    /// The last frames in the notation of candump.
     fn last(&self) -> Vec<String> {
-        // The thread that reads them may be behind.
+        // The thread that reads the frames may lag.
         thread::sleep(Duration::from_millis(50));
         let seen = self.seen.lock().expect("nobody panics with it");
         let last: VecDeque<_> = seen.iter().rev().take(24).collect();
@@ -151,7 +151,7 @@ impl Checks {
     }
 }
 
-/// Both are the same.
+/// Asserts that both values are equal.
 pub fn same<T: Debug + PartialEq>(what: &str, found: T, expected: T) -> Outcome {
     let wrong = || format!("{what}: {found:02x?}, expected {expected:02x?}");
     if found == expected {
@@ -161,7 +161,7 @@ pub fn same<T: Debug + PartialEq>(what: &str, found: T, expected: T) -> Outcome 
     }
 }
 
-/// It is true.
+/// Asserts that the condition is true.
 pub fn holds(what: &str, condition: bool) -> Outcome {
     if condition {
         Ok(())

@@ -14,23 +14,24 @@ use crate::mrroc::{Output, mrroc};
 use crate::vcan::Stage;
 
 const LOOK: Duration = Duration::from_millis(50);
-/// Longest time until scans have found all.
+/// Longest time until scans have found all nodes.
 const SCANS: Duration = Duration::from_secs(60);
 
-/// Runs `mrroc` with `words` on the interface.
+/// Runs `mrroc` with the arguments `words` on the interface.
 fn run(stage: &Stage, words: &str) -> Output {
     let words = words.split(' ');
     mrroc(words.chain(["--can", stage.interface]))
 }
 
-/// Output of a command that succeeds.
+/// Runs a command that must succeed, and returns its output.
 fn says(stage: &Stage, words: &str) -> String {
     let output = run(stage, words);
     assert_eq!(output.status.code(), Some(0), "{words}: {output:?}");
     output.stdout
 }
 
-/// Output of a command that ends by what `happens` causes. The command may begin to listen late, so it happens again and again.
+/// Runs a command that ends when the event `happens` occurs, and returns its output. The command may start to listen
+/// late, so the event is repeated.
 fn meanwhile(stage: &Stage, words: &str, mut happens: impl FnMut()) -> String {
     std::thread::scope(|scope| {
         let shown = scope.spawn(|| says(stage, words));
@@ -42,7 +43,7 @@ fn meanwhile(stage: &Stage, words: &str, mut happens: impl FnMut()) -> String {
     })
 }
 
-/// `mrroc scan` finds the peers under these node-IDs and no other node.
+/// Asserts that `mrroc scan` finds the peers under these node-IDs and no other node.
 fn scan(stage: &Stage, nodes: [NodeId; 3]) {
     let known = |peer: &Peer, node: NodeId| {
         let [vendor, product, revision] = peer.identity;
@@ -79,7 +80,7 @@ fn scan(stage: &Stage, nodes: [NodeId; 3]) {
         if scanned["unconfigured"] == false && found == expected {
             return;
         }
-        // The scan takes a node for absent whose answer takes 200 ms on a busy machine.
+        // On a busy machine an answer may take 200 ms. The scan then misses the node.
         assert!(clock::now() < end, "expected {expected:?}");
     }
 }
@@ -146,14 +147,14 @@ pub(super) fn service_commands(stage: &Stage, hosts: &mut [Host]) {
     }
 }
 
-/// All three peers are without a node-ID at once. Scans tell them apart, and each is given a node-ID and boots with it.
+/// No peer has a node-ID at first. Scans distinguish the peers, and each peer receives a node-ID and boots with it.
 ///
-/// durand answers a fastscan in configuration mode too (CiA 305: in waiting mode only). So a scan finds durand again and
-/// nothing behind it, and the next scan finds the rest.
+/// durand also answers a fastscan in configuration mode (CiA 305: in waiting mode only). A scan therefore finds durand
+/// again and no node after it, and the next scan finds the rest.
 pub(super) fn layer_settings(stage: &Stage, programs: &Programs) {
     let start = |peer: &Peer| programs.start(stage, peer, None);
     let [zencan, canopen_rs, durand] = &PEERS;
-    // These two do not answer "identify non-configured slaves", but fastscan.
+    // These two peers answer fastscan, but not "identify non-configured slaves".
     let _started = [zencan, canopen_rs].map(start);
     let end = clock::now() + SCANS;
     while run(stage, "scan").stdout
@@ -165,7 +166,7 @@ pub(super) fn layer_settings(stage: &Stage, programs: &Programs) {
     let nodes = [0x31, 0x32, 0x33].map(|raw| NodeId::new(raw).unwrap());
     let mut left: Vec<_> = PEERS.iter().zip(nodes).collect();
     while !left.is_empty() {
-        // A node may not serve yet, and a busy machine may take a late answer for silence.
+        // A node may not be ready yet, and a busy machine may delay an answer beyond the time-out.
         assert!(clock::now() < end, "not found: {:?}", left[0].0.name);
         let scanned = run(stage, "lss scan --json");
         println!("mrroc lss scan: {}{}", scanned.stdout, scanned.stderr);
@@ -181,7 +182,7 @@ pub(super) fn layer_settings(stage: &Stage, programs: &Programs) {
     renumber(stage, durand, nodes[2]);
 }
 
-/// A peer takes another node-ID at its next reset of communication, and not before.
+/// Asserts that a peer adopts a new node-ID at its next reset of communication, and not before.
 fn renumber(stage: &Stage, peer: &Peer, node: NodeId) {
     println!("{}: another node-ID", peer.name);
     let (identity, other) = (peer.written(), 0x41);
@@ -195,7 +196,7 @@ fn renumber(stage: &Stage, peer: &Peer, node: NodeId) {
     says(stage, &format!("sdo read {other} 0x1000"));
 }
 
-/// Gives a peer without a node-ID one.
+/// Assigns a node-ID to a peer without one.
 fn configure(stage: &Stage, peer: &Peer, node: NodeId) {
     println!("{}: mrroc lss set-node-id", peer.name);
     let identity = peer.written();

@@ -1,7 +1,6 @@
-//! Nodes of zencan, canopen-rs and durand, all on one bus: our SDO client, NMT and LSS masters, drive group and service
-//! commands have to do with them.
-//!
-//! What a peer does otherwise than CiA 301 or CiA 305 say is in its row of [`table::PEERS`], with the standard's word
+//! Nodes of zencan, canopen-rs and durand on one bus, operated by this project's SDO client, NMT and LSS masters, drive
+//! group and service commands.
+//! Deviations of a peer from CiA 301 or CiA 305 are in its row of [`table::PEERS`], with the text of the standard.
 //! for it.
 
 mod commands;
@@ -25,7 +24,7 @@ use table::{PEERS, Peer, Programs};
 
 const NUMBER: Object = Object::new(0x2000, 0);
 const SHORT: Object = Object::new(0x2001, 0);
-/// What is written here goes out as an emergency; 0 clears it.
+/// A value written here is sent as an emergency; 0 clears the error.
 const EMERGENCY: Object = Object::new(0x2F01, 0);
 
 #[test]
@@ -47,7 +46,7 @@ fn zencan_canopen_rs_and_durand_obey_our_host_side() {
         for (host, peer) in hosts.iter_mut().zip(&PEERS) {
             for (name, check) in services::CHECKS {
                 host.forget();
-                // The name of a failed check is the last line.
+                // The last printed line names the failed check.
                 println!("{}: {name}", peer.name);
                 check(host, peer);
             }
@@ -61,7 +60,7 @@ fn zencan_canopen_rs_and_durand_obey_our_host_side() {
     });
 }
 
-/// One RPDO and one TPDO with the same two objects, at every SYNC: what goes in comes out.
+/// One RPDO and one TPDO with the same two objects, at every SYNC: the TPDO returns the values of the RPDO.
 fn process_data(hosts: &mut [Host]) {
     let entries = [Entry::new(NUMBER, 32), Entry::new(SHORT, 16)];
     let mapping = PdoMapping::new(&entries).unwrap();
@@ -86,7 +85,7 @@ fn process_data(hosts: &mut [Host]) {
         }
         host.command(Command::Start);
     }
-    // Each has taken the command once it answers.
+    // A node has processed the command as soon as it answers.
     for host in &mut *hosts {
         host.upload(NUMBER).unwrap();
         let (number, node) = (PdoNumber::One, host.node);
@@ -104,7 +103,7 @@ fn process_data(hosts: &mut [Host]) {
     }
 }
 
-/// The peers of which drives can be made, in one group.
+/// Runs the peers that can act as drives in one drive group.
 fn drive_group(stage: &Stage, programs: &Programs) {
     let drives = || PEERS.iter().filter(|peer| peer.drive);
     let mut hosts: Vec<_> = drives()

@@ -1,4 +1,4 @@
-//! SDO, NMT and EMCY: our host side and one peer.
+//! SDO, NMT and EMCY between this project's host and one peer.
 
 use canopen::Object;
 use canopen::emcy::Emergency;
@@ -13,13 +13,14 @@ use super::{EMERGENCY, NUMBER, SHORT};
 const BYTE: Object = Object::new(0x2002, 0);
 const DOMAIN: Object = Object::new(0x2F00, 0);
 
-/// Lengths at the edges of frames (4, 7), of the blocks of 127 segments (889), and the longest that all keep.
+/// Lengths around the limits of frames (4, 7) and of blocks of 127 segments (889), and the longest value that all peers
+/// store.
 const SEGMENTED: &[usize] = &[0, 1, 4, 5, 6, 7, 8, 13, 14, 15, 200, 1022];
 const BLOCKS: &[usize] = &[29, 35, 888, 889, 890, 1022];
 
 type Check = fn(&mut Host, &Peer);
 
-/// All checks, and the claim of each.
+/// All checks, each with its claim.
 pub(super) const CHECKS: [(&str, Check); 7] = [
     ("its identity is read", identity),
     ("it obeys NMT commands and says so", network_management),
@@ -108,7 +109,7 @@ fn blocks(host: &mut Host, peer: &Peer) {
         if (peer.blocks)(length) {
             assert_eq!(uploaded, Ok(data), "{length} bytes");
         } else {
-            // Wrong data are refused.
+            // Damaged data must be refused.
             assert!(uploaded.is_err(), "{length} bytes: {uploaded:?}");
         }
     }

@@ -1,4 +1,4 @@
-//! The peers: identities, processes, and departures from the standards.
+//! The peers: identities, processes, and deviations from the standards.
 
 use std::path::PathBuf;
 use std::process::Command;
@@ -11,15 +11,15 @@ use super::super::{PATIENCE, Script, python, rust};
 use crate::mrroc;
 use crate::vcan::Stage;
 
-/// A node, and where it departs from the standards.
+/// A node and its deviations from the standards.
 pub(super) struct Peer {
     pub(super) name: &'static str,
     pub(super) node: NodeId,
     pub(super) identity: [u32; 3],
     pub(super) device_type: u32,
     pub(super) serial: u32,
-    /// State in the first message after a boot; CiA 301: initialising. zencan sends that message only if a heartbeat is due
-    /// at that moment.
+    /// State in the first message after a boot; CiA 301: initialising. zencan sends that message only if a heartbeat is
+    /// due at that moment.
     pub(super) boots_as: State,
     /// Heartbeat time of a peer whose object 0x1017 is a constant, ms; CiA 301: rw.
     pub(super) constant_heartbeat: Option<u16>,
@@ -31,16 +31,16 @@ pub(super) struct Peer {
     pub(super) too_short: AbortCode,
     /// Abort code for too many bytes; CiA 301: 0x06070012, or 0x06070010 in general.
     pub(super) too_long: AbortCode,
-    /// Lengths of values that its objects can have, bytes.
+    /// Possible lengths of the values of its objects, bytes.
     pub(super) lengths: fn(usize) -> bool,
     /// Upload of an empty object; CiA 301: no bytes. zencan sends an expedited frame that does not say its size.
     pub(super) empty: &'static [u8],
-    /// Lengths of correct block uploads, bytes; CiA 301: all. zencan and durand count seven unused bytes in a last segment
-    /// that is full, and zencan does not mark a last segment that ends a sub-block of 127.
+    /// Lengths of correct block uploads, bytes; CiA 301: all. zencan and durand report seven unused bytes in a full
+    /// last segment. zencan also does not mark a last segment that ends a sub-block of 127.
     pub(super) blocks: fn(usize) -> bool,
-    /// Whether it sends emergencies.
+    /// Whether the peer sends emergencies.
     pub(super) emergencies: bool,
-    /// Whether a CiA 402 drive can be made of it.
+    /// Whether the peer can act as a CiA 402 drive.
     pub(super) drive: bool,
 }
 
@@ -102,7 +102,7 @@ pub(super) static PEERS: [Peer; 3] = [
 ];
 
 impl Peer {
-    /// What is heard of it when it has booted.
+    /// Event that shows that the peer has booted.
     pub(super) fn booted(&self) -> Event {
         let node = self.node;
         match self.boots_as {
@@ -111,12 +111,12 @@ impl Peer {
         }
     }
 
-    /// Whether a boot-up message is sure to come. No host sees the reset of a peer that sends none.
+    /// Whether the peer always sends a boot-up message. Without it, no host can detect a reset of the peer.
     pub(super) fn boots(&self) -> bool {
         self.boots_as == State::Initialising
     }
 
-    /// How long its boot-up message is waited for, ms.
+    /// Time to wait for the boot-up message, ms.
     pub(super) fn boot_ms(&self) -> u32 {
         if self.boots() { 10_000 } else { 300 }
     }
@@ -127,7 +127,7 @@ impl Peer {
         &self.name[..end.unwrap_or(self.name.len())]
     }
 
-    /// Its identity as the service commands have it.
+    /// Identity in the notation of the service commands.
     pub(super) fn written(&self) -> String {
         let [vendor, product, revision] = self.identity;
         let serial = self.serial;
@@ -135,7 +135,7 @@ impl Peer {
     }
 }
 
-/// How each of [`PEERS`] is started.
+/// Commands that start each of [`PEERS`].
 pub(super) struct Programs {
     zencan: PathBuf,
     canopen_rs: PathBuf,
@@ -153,7 +153,7 @@ impl Programs {
         })
     }
 
-    /// Starts a peer; without a node-ID if there is none.
+    /// Starts a peer; without a node-ID if `node` is `None`.
     pub(super) fn start(&self, stage: &Stage, peer: &Peer, node: Option<NodeId>) -> Script {
         let mut command = Command::new("timeout");
         command.args(["--signal=KILL", PATIENCE]);

@@ -1,4 +1,4 @@
-//! The figures of what stands beside the robots: the gripper and the conveyor.
+//! Figures of the devices beside the robots: gripper and conveyor.
 
 use controller::robot::{ConveyorParameters, GripperParameters};
 
@@ -21,7 +21,7 @@ pub(super) fn conveyor(conveyor: &ConveyorParameters) -> String {
     svg + "</svg>\n"
 }
 
-/// The opening over the motor's range.
+/// Opening of the gripper over the range of the motor.
 fn opening(svg: &mut String, gripper: &GripperParameters) {
     let [left, right, top, bottom] = [90.0, 910.0, 70.0, 310.0];
     svg::text(
@@ -116,7 +116,7 @@ fn opening(svg: &mut String, gripper: &GripperParameters) {
     svg::text(svg, [34.0, 190.0], "middle", &turned, "opening, mm");
 }
 
-/// The belt on its rollers, with the motor that drives it.
+/// The belt on its rollers, with its motor.
 fn belt(svg: &mut String, conveyor: &ConveyorParameters) {
     svg::text(
         svg,

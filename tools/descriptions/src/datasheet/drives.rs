@@ -1,4 +1,4 @@
-//! The axes of a robot between joint and motor, in words.
+//! Transmissions of a robot's axes between joint and motor, as text.
 
 use controller::robot::{ArmParameters, GearAxis, LegAxis, Limits, ScrewAxis};
 use mrroc::cell::Parameters;
@@ -6,7 +6,7 @@ use mrroc::cell::Parameters;
 use super::tables::{Tag, WUT, WUT_TRACK};
 use super::views;
 
-/// One axis between joint and motor.
+/// Transmission of one axis between joint and motor.
 pub(super) struct Drive {
     pub(super) joint: &'static str,
     pub(super) name: String,
@@ -18,13 +18,13 @@ pub(super) struct Drive {
 }
 
 impl Drive {
-    /// What a cell file can set.
+    /// Parameters that a cell file can set.
     pub(super) fn numbers(&self) -> [&str; 4] {
         [&self.transmission, &self.home, &self.joints, &self.motors]
     }
 }
 
-/// The axes of a robot.
+/// Transmissions of all axes of a robot.
 pub(super) fn axes(parameters: &Parameters) -> Vec<Drive> {
     let symbols = views::symbols(parameters);
     let code = Tag::PublicCode(WUT);
@@ -32,7 +32,7 @@ pub(super) fn axes(parameters: &Parameters) -> Vec<Drive> {
         Parameters::Irb6(robot) => arm_drives(&robot.arm, symbols, "arm.", WUT),
         Parameters::Irp6(robot) => {
             let mut drives = arm_drives(&robot.arm, symbols, "arm.", WUT);
-            // Public code has 92°, where some poses have a second branch.
+            // Published code has 92°, at which some poses have a second branch.
             drives[3].tag = Tag::Derived("as th4 of irb6, to 90° so that one branch remains");
             drives.push(gear("th6", "hand", &robot.hand, code));
             drives
@@ -196,7 +196,7 @@ fn leg_drive(number: usize, leg: &LegAxis) -> Drive {
     }
 }
 
-/// A number with at most six digits behind the point, and a minus of its own width.
+/// A number with at most six decimal places and a true minus sign.
 fn signed(value: f64) -> String {
     let rounded = (value * 1e8).round() / 1e8 + 0.0;
     let text = if rounded.abs() < 1.0 {

@@ -1,4 +1,4 @@
-//! The picture of an arm: links, joints with their positive directions, dimensions, reach and frames, drawn from
+//! Figure of an arm: links, joints with their positive directions, dimensions, reach and frames, drawn from
 //! [`controller::robot::Robot::links`].
 
 use controller::robot::{Joints, LinkKind};
@@ -11,9 +11,9 @@ use crate::kinematics::Machine;
 use figures::svg::{self, Point};
 
 const WIDTH: f64 = 960.0;
-/// The area of a view's drawing.
+/// Size of the drawing area of a view, px.
 const PANEL: [f64; 2] = [400.0, 430.0];
-/// Left edge of a view, of the second one, and top of both.
+/// Left edges of the two views and common top edge, px.
 const LEFT: [f64; 2] = [60.0, 520.0];
 const TOP: f64 = 112.0;
 const HEIGHT: f64 = TOP + PANEL[1] + 96.0;
@@ -22,34 +22,34 @@ const HEIGHT: f64 = TOP + PANEL[1] + 96.0;
 pub(super) struct View {
     pub(super) title: &'static str,
     pub(super) joints: Joints,
-    /// What points right and up on the sheet, in the base frame. They span the page.
+    /// Directions to the right and upwards on the sheet, in the base frame. They span the plane of projection.
     pub(super) right: Vector3<f64>,
     pub(super) up: Vector3<f64>,
-    /// An area that a point of the robot reaches, as its outlines, and what it is called.
+    /// Outlines and name of the area that a point of the robot can reach.
     pub(super) reach: Option<(Vec<Vec<Vector3<f64>>>, &'static str)>,
-    /// A line of other parts: rails, legs, platforms.
+    /// Other parts: rails, legs, platforms.
     pub(super) others: Vec<Other>,
 }
 
-/// A part that is no link of the serial arm.
+/// A part outside the serial chain of links.
 pub(super) struct Other {
     pub(super) points: Vec<Vector3<f64>>,
     pub(super) part: Part,
     pub(super) said: Option<String>,
 }
 
-/// What a part is.
+/// Kind of a part.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum Part {
-    /// It is rigid.
+    /// A rigid part.
     Solid,
-    /// A leg, driven along its line.
+    /// A leg, whose length is driven.
     Leg,
-    /// Not there: only its length is told.
+    /// An invisible line that carries a dimension only.
     Measure,
 }
 
-/// The picture of one or two views; `symbols` are the joints' names in the formulas.
+/// Figure of one or two views. `symbols` are the names of the joints in the formulas.
 pub(super) fn figure(machine: &Machine, symbols: &[&str], views: &[View; 2]) -> String {
     let links = machine.robot.links().map_or_else(Vec::new, |links| links.0);
     let mut svg = svg::open([WIDTH, HEIGHT]);
@@ -88,7 +88,7 @@ pub(super) fn figure(machine: &Machine, symbols: &[&str], views: &[View; 2]) -> 
     svg + "</svg>\n"
 }
 
-/// The posture in words.
+/// Text of the posture.
 fn at(joints: &Joints, symbols: &[&str], machine: &Machine) -> String {
     let links = machine.robot.links().map_or_else(Vec::new, |links| links.0);
     let values = joints.iter().zip(symbols).zip(&links);
@@ -103,7 +103,7 @@ fn at(joints: &Joints, symbols: &[&str], machine: &Machine) -> String {
     values.join(", ").replace('-', "\u{2212}")
 }
 
-/// Draws a view, and adds to what was `told` the lengths that it tells: joint and part of the way to it.
+/// Draws a view. Adds the dimensioned lengths to `told`: number of the joint and number of the segment before it.
 fn panel(
     svg: &mut String,
     left: f64,
@@ -132,7 +132,7 @@ fn panel(
     for [from, to] in ways() {
         sheet.occupy(*from, *to);
     }
-    // A base frame below the first joint stands on the ground.
+    // A base frame below the first joint is drawn on the ground.
     let stands_on_it = stands.first().is_some_and(|stand| !stand.way.is_empty());
     sheet.ground(svg, if stands_on_it { 4.0 } else { 44.0 });
     for other in &view.others {
@@ -193,7 +193,8 @@ fn panel(
     sheet.scale(svg, [left, TOP + PANEL[1] + 24.0]);
 }
 
-/// Where the joints are drawn, those seen along their axes first: these cannot be moved aside.
+/// Positions of the joint symbols. Joints seen along their axes come first, because their symbols cannot be moved
+/// aside.
 fn places(sheet: &Sheet, stands: &[Stand]) -> Vec<Point> {
     let mut places = vec![[f64::INFINITY; 2]; stands.len()];
     for seen_along in [true, false] {
@@ -207,8 +208,9 @@ fn places(sheet: &Sheet, stands: &[Stand]) -> Vec<Point> {
     places
 }
 
-/// Where a joint is drawn: on the way that leads to it where it turns about that or slides along it, else in its
-/// frame, or beside it along its axis where another joint is there already. The first leaves room for the base frame.
+/// Position of a joint symbol. A joint that turns about or slides along the segment before it is drawn on that segment.
+/// Any other joint is drawn at its frame. If that position is taken, the symbol is moved along the joint axis. The
+/// symbol of the first joint leaves room for the base frame.
 fn place(sheet: &Sheet, stand: &Stand, [first, last]: [bool; 2], taken: &[Point]) -> Point {
     let own = sheet.at(stand.frame.translation.vector);
     let on_way = stand.way.last().and_then(|[from, to]| {
@@ -222,7 +224,7 @@ fn place(sheet: &Sheet, stand: &Stand, [first, last]: [bool; 2], taken: &[Point]
         let near = |other: &Point| (other[0] - place[0]).hypot(other[1] - place[1]) < 27.0;
         !taken.iter().any(near)
     };
-    // Before the others on the base's side, behind them on the flange's.
+    // Symbols are moved towards the base, and the symbol of the last joint towards the flange.
     let towards = svg::unit(sheet.direction(if last { stand.axis } else { -stand.axis }));
     let beside =
         [30.0, -30.0, 56.0, -56.0].map(|away| [0, 1].map(|side| own[side] + away * towards[side]));

@@ -1,4 +1,4 @@
-//! What a view is drawn with: the projection, the links, and places for texts.
+//! Drawing of a view: projection, links, and placement of texts.
 
 use std::fmt::Write as _;
 
@@ -11,31 +11,31 @@ use figures::svg::{self, Point, unit};
 pub(super) const SECONDARY: &str = "fill=\"#666\"";
 const LINK: &str = "fill=\"none\" stroke=\"#8a939e\" stroke-width=\"9\" stroke-linecap=\"round\"";
 const THIN: &str = "stroke=\"#98a1ab\" stroke-width=\"1\"";
-/// The axes x, y, z of a frame.
+/// Axes x, y and z of a frame, with their colours.
 const AXES: [(&str, &str); 3] = [("x", "#c62828"), ("y", "#2e7d32"), ("z", "#1546a0")];
-/// A text stays legible on lines.
+/// White outline that keeps a text legible on lines.
 const HALO: &str =
     "paint-order=\"stroke\" stroke=\"#fff\" stroke-width=\"4\" stroke-linejoin=\"round\"";
 
-/// Lengths in mm with the digits they have.
+/// Text of a length in mm, without trailing zeros.
 pub(super) fn millimetres(length: f64) -> String {
     let rounded = (length * 10.0).round() / 10.0;
     format!("{rounded}")
 }
 
-/// A view on the sheet.
+/// Projection of a view onto the sheet.
 pub(super) struct Sheet {
     right: Vector3<f64>,
     up: Vector3<f64>,
     origin: Point,
-    /// px per m.
+    /// Scale, px per m.
     scale: f64,
     /// Points that texts avoid.
     taken: Vec<Point>,
 }
 
 impl Sheet {
-    /// The view in which all of `seen` is inside the panel.
+    /// Projection that places all of `seen` inside the panel.
     pub(super) fn fit(
         [right, up]: [Vector3<f64>; 2],
         seen: &[Vector3<f64>],
@@ -71,7 +71,7 @@ impl Sheet {
         [self.origin[0] + x, self.origin[1] + y]
     }
 
-    /// A direction on the sheet; of no length where the view is along it.
+    /// Direction on the sheet; zero if the direction is parallel to the line of sight.
     pub(super) fn direction(&self, direction: Vector3<f64>) -> Point {
         [
             direction.dot(&self.right) * self.scale,
@@ -79,7 +79,7 @@ impl Sheet {
         ]
     }
 
-    /// Towards the viewer.
+    /// Direction towards the viewer.
     fn viewer(&self) -> Vector3<f64> {
         self.right.cross(&self.up)
     }
@@ -88,7 +88,7 @@ impl Sheet {
         axis.dot(&self.viewer()).abs() > 0.9
     }
 
-    /// Keeps texts off the line.
+    /// Marks a line as an obstacle for texts.
     pub(super) fn occupy(&mut self, from: Vector3<f64>, to: Vector3<f64>) {
         let [from, to] = [from, to].map(|end| self.at(end));
         self.occupy_line(from, to);
@@ -105,7 +105,7 @@ impl Sheet {
         }
     }
 
-    /// Keeps texts off a square.
+    /// Marks a square as an obstacle for texts.
     pub(super) fn block(&mut self, [x, y]: Point, half: f64) {
         for [dx, dy] in [
             [-1.0, -1.0],
@@ -120,7 +120,7 @@ impl Sheet {
         self.occupy_line([x, y - half], [x, y + half]);
     }
 
-    /// How many of the points that texts avoid a text centred there would cover.
+    /// Number of obstacle points that a text centred at this position would cover.
     fn crowd(&self, [x, y]: Point, said: &str, size: f64) -> usize {
         let half = [
             0.30 * size * said.chars().count() as f64 + 3.0,
@@ -131,7 +131,7 @@ impl Sheet {
         self.taken.iter().filter(covered).count()
     }
 
-    /// A text at the emptiest of the places, the first of equals.
+    /// Adds a text at the position with the fewest obstacles; among equals, at the first.
     fn text(
         &mut self,
         svg: &mut String,
@@ -153,7 +153,7 @@ impl Sheet {
         }
     }
 
-    /// An area inside lines that end where they begin.
+    /// Fills an area inside closed outlines.
     pub(super) fn area(&self, svg: &mut String, outlines: &[Vec<Vector3<f64>>]) {
         let mut way = String::new();
         for outline in outlines {
@@ -170,7 +170,7 @@ impl Sheet {
         );
     }
 
-    /// What an area is called, below or above it.
+    /// Name of an area, below or above it.
     pub(super) fn area_name(
         &mut self,
         svg: &mut String,
@@ -193,8 +193,8 @@ impl Sheet {
         self.text(svg, places.into_iter(), 12.0, "fill=\"#4a86c5\"", said);
     }
 
-    /// The base, hatched, where it is seen from the side, `depth` px below the base frame: it carries axis 1 along
-    /// that frame's z.
+    /// Hatched base, `depth` px below the base frame, drawn only in a side view. The base carries axis 1 along the z
+    /// axis of the base frame.
     pub(super) fn ground(&mut self, svg: &mut String, depth: f64) {
         if self.is_seen_along(&Vector3::z()) {
             return;
@@ -228,7 +228,7 @@ impl Sheet {
         }
     }
 
-    /// A rail, a leg or a platform; a box on it where it is driven along its line.
+    /// A rail, a leg or a platform. A part whose length is driven carries a box.
     pub(super) fn other(&mut self, svg: &mut String, points: &[Vector3<f64>], slides: bool) {
         let points: Vec<_> = points.iter().map(|point| self.at(*point)).collect();
         svg::path(
@@ -276,7 +276,8 @@ impl Sheet {
         }
     }
 
-    /// The angle of a joint seen along its axis: dashed where the link points at zero, and the positive direction.
+    /// Angle of a joint that is seen along its axis. A dashed line marks the zero position of the link, and an arrow
+    /// marks the positive direction.
     pub(super) fn angle(
         &mut self,
         svg: &mut String,
@@ -291,7 +292,8 @@ impl Sheet {
             let [x, y] = self.direction(direction);
             y.atan2(x)
         });
-        // On the sheet y points down, so that a turn about an axis towards the viewer lessens the angle.
+        // On the sheet y points down. A rotation about an axis towards the viewer therefore reduces the angle on the
+        // sheet.
         let sense = -axis.dot(&self.viewer()).signum();
         let end = [at[0] + 56.0 * zero.cos(), at[1] + 56.0 * zero.sin()];
         svg::line(svg, at, end, DASHED);
@@ -328,8 +330,8 @@ impl Sheet {
         self.taken.extend(points);
     }
 
-    /// What a joint is called. A dimension leaves one that is seen along its axis across its links, most of which stand
-    /// or lie: there it is told askew.
+    /// Name of a joint. The dimension line of a joint seen along its axis leaves the joint across its links. Most links
+    /// are horizontal or vertical, so the name is placed diagonally.
     pub(super) fn name(&mut self, svg: &mut String, at: Point, symbol: &str, axis: &Vector3<f64>) {
         let round = |radius: f64| {
             [3, 5, 1, 7, 4, 0, 2, 6].map(|eighth| {
@@ -352,7 +354,7 @@ impl Sheet {
         );
     }
 
-    /// A dimension beside a line, if that lies in the page; whether it does.
+    /// Adds a dimension beside a line, if the line is parallel to the sheet. Returns whether the dimension was added.
     pub(super) fn dimension(
         &mut self,
         svg: &mut String,
@@ -371,7 +373,7 @@ impl Sheet {
         let beside = |offset: f64, end: Point| [0, 1].map(|side| end[side] + offset * across[side]);
         let middle = [0, 1].map(|side| f64::midpoint(from[side], to[side]));
         let offsets = [30.0, -30.0, 48.0, -48.0, 66.0, -66.0, 84.0, -84.0];
-        // A text wider than its line stands behind it.
+        // A text wider than its line is placed farther away.
         let wide = 0.6 * size * said.chars().count() as f64 > seen - 4.0;
         let place = |offset: f64| {
             let further = if wide {
@@ -422,7 +424,7 @@ impl Sheet {
         true
     }
 
-    /// The axes of a frame.
+    /// Draws the axes of a frame.
     pub(super) fn frame(&mut self, svg: &mut String, frame: &Isometry3<f64>) {
         const LENGTH: f64 = 58.0;
         let origin = self.at(frame.translation.vector);
@@ -455,7 +457,7 @@ impl Sheet {
         }
     }
 
-    /// What a frame is called.
+    /// Name of a frame.
     pub(super) fn frame_name(&mut self, svg: &mut String, origin: &Vector3<f64>, said: &str) {
         let origin = self.at(*origin);
         let round = |radius: f64| {
@@ -477,7 +479,7 @@ impl Sheet {
         );
     }
 
-    /// A bar of 200 mm.
+    /// Scale bar of 200 mm.
     pub(super) fn scale(&self, svg: &mut String, [x, y]: Point) {
         let end = x + 0.2 * self.scale;
         svg::path(

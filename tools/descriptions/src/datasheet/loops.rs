@@ -1,16 +1,16 @@
-//! How the position loops of a robot are closed, and how well.
+//! Position loops of a robot: their structure, crossover frequency and phase margin.
 
 use std::fmt::Write as _;
 
 use mrroc::cell::Parameters;
 
-/// A loop: where it is found, how it is closed, its crossover in Hz, its phase margin in degrees.
+/// A loop: axes, structure, crossover frequency in Hz, phase margin in degrees.
 type Loop = [&'static str; 4];
 
 /// The loop that a CiA 402 drive closes.
 const BY_DRIVE: &str = "by the drive (CSP): emulated with a velocity loop at 45 Hz and a position loop at a fifth of it; cut open at the torque";
 
-/// The section of a data sheet; its figures are those that `mrroc identify` prints.
+/// Section of a data sheet. Its figures are the results of `mrroc identify`.
 pub(super) fn section(page: &mut String, parameters: &Parameters) {
     let (loops, example) = loops(parameters);
     let _ = write!(
@@ -25,7 +25,7 @@ pub(super) fn section(page: &mut String, parameters: &Parameters) {
     page.push('\n');
 }
 
-/// The loops, and the arguments that measure one of them.
+/// The loops, and the arguments of the command that measures one of them.
 fn loops(parameters: &Parameters) -> (Vec<Loop>, &'static str) {
     match parameters {
         Parameters::Irb6(_) => (

@@ -1,14 +1,14 @@
-//! The posture of a robot in a picture: where its joints, links and legs are in the base frame.
+//! Posture of a robot in a figure: positions of joints, links and legs in the base frame.
 
 use controller::robot::{Joints, Link, LinkKind};
 use nalgebra::{Isometry3, Vector3};
 
 use crate::kinematics::Machine;
 
-/// What is shorter is no link to be drawn, m.
+/// Shortest link that is drawn, m.
 pub(super) const LEAST: f64 = 1e-4;
 
-/// Steps of an outline along one joint.
+/// Number of steps of an outline along one joint.
 const STEPS: usize = 48;
 
 /// One joint and the link before it.
@@ -17,10 +17,10 @@ pub(super) struct Stand {
     /// The joint's frame.
     pub(super) frame: Isometry3<f64>,
     pub(super) axis: Vector3<f64>,
-    /// The way from the joint before: along that joint's axis, then across it.
+    /// Segments of the link from the previous joint: along the axis of that joint, then across it.
     pub(super) way: Vec<[Vector3<f64>; 2]>,
-    /// Where the link behind this joint would point with the joint at zero, and where it points; none where
-    /// that does not turn with the joint.
+    /// Direction of the link after this joint with the joint at zero, and its present direction. `None` if the
+    /// direction does not depend on the joint.
     pub(super) turned: Option<[Vector3<f64>; 2]>,
 }
 
@@ -70,8 +70,8 @@ fn frames(links: &[Link], joints: &Joints) -> Vec<Isometry3<f64>> {
     links.iter().map(&mut placed).collect()
 }
 
-/// Where `point` of the robot can be brought by two of its joints, the others as they are: the outline of the
-/// area, where the first joint does not bring the second one's ends across each other.
+/// Outline of the area that `point` of the robot reaches by motion of two joints, with all other joints fixed. The
+/// outline is correct if motion of the outer joint does not make the limit curves of the inner joint cross.
 pub(super) fn outline(
     machine: &Machine,
     joints: &Joints,
@@ -96,8 +96,7 @@ pub(super) fn outline(
     edges.concat().into_iter().map(at).collect()
 }
 
-/// How far one joint can go to either side, with the others as they are: what its limits, its motor's and the
-/// legs' leave.
+/// Range of one joint with all other joints fixed. Limits of the joint, of its motor and of the legs apply.
 pub(super) fn range(machine: &Machine, joints: &Joints, axis: usize) -> [f64; 2] {
     let limits = machine.robot.joint_limits()[axis];
     let here = joints[axis];

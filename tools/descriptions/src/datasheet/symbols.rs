@@ -1,4 +1,4 @@
-//! The symbols of joints: discs, drums, arrows, and the legend that says what they mean.
+//! Symbols of joints: discs, drums, arrows, and their legend.
 
 use std::fmt::Write as _;
 
@@ -8,7 +8,7 @@ pub(super) const DASHED: &str = "stroke=\"#1666c0\" stroke-width=\"1\" stroke-da
 pub(super) const BODY: &str = "fill=\"#fff\" stroke=\"#222\" stroke-width=\"2\"";
 pub(super) const ACCENT: &str = "#1666c0";
 
-/// What the symbols mean.
+/// Legend of the symbols.
 pub(super) fn legend(svg: &mut String, [x, y]: Point) {
     let say = |svg: &mut String, x: f64, said: &str| {
         svg::text(
@@ -49,7 +49,7 @@ pub(super) fn legend(svg: &mut String, [x, y]: Point) {
     say(svg, x + 766.0, "zero");
 }
 
-/// The point or the feathers of an arrow seen along.
+/// Arrow parallel to the line of sight: its point or its feathers.
 pub(super) fn pole(svg: &mut String, [x, y]: Point, towards: bool, colour: &str) {
     if towards {
         svg::circle(svg, [x, y], 2.8, &format!("fill=\"{colour}\""));
@@ -70,7 +70,7 @@ pub(super) fn square(svg: &mut String, at: Point, half: f64) {
     drum(svg, at, [1.0, 0.0], [half, half]);
 }
 
-/// A rectangle about a line through its middle.
+/// A rectangle centred on a line.
 pub(super) fn drum(svg: &mut String, at: Point, along: Point, [long, wide]: [f64; 2]) {
     let corner = |a: f64, b: f64| {
         [
@@ -104,9 +104,9 @@ pub(super) fn axis_line(svg: &mut String, at: Point, along: Point) {
     );
 }
 
-/// The positive direction about an axis in the page, on the side of the viewer.
+/// Positive direction of rotation about an axis in the plane of the sheet, on the side of the viewer.
 pub(super) fn turn_about(svg: &mut String, at: Point, along: Point) {
-    // The near side moves to the right of where the axis points: y points down on the sheet.
+    // The near side moves to the right of the direction of the axis, because y points down on the sheet.
     let across = [-along[1], along[0]];
     let point = |share: f64| {
         let (sin, cos) = (std::f64::consts::PI * share).sin_cos();

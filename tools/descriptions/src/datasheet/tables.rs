@@ -1,4 +1,4 @@
-//! The data sheet of a robot: its parameters with unit, tag and source.
+//! Data sheet of a robot: its parameters with unit, tag and source.
 
 use std::fmt::Write as _;
 use std::mem::discriminant;
@@ -10,16 +10,16 @@ use super::drives::{Drive, axes};
 use super::loops;
 use crate::kinematics::Machine;
 
-/// Where a number comes from.
+/// Source of a number.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum Tag {
-    /// Read in published source.
+    /// Read in published source code.
     PublicCode(&'static str),
-    /// Follows from published numbers.
+    /// Derived from published numbers.
     Derived(&'static str),
-    /// Plausible, to be replaced by measurement.
+    /// Plausible value, to be replaced by a measurement.
     Nominal,
-    /// Another number than the project's own.
+    /// A number from the cell file that differs from the default.
     CellFile,
 }
 
@@ -29,7 +29,7 @@ const GRIPPER: &str = "ptroja/mrrocpp, src/robot/irp6ot_tfg";
 const CONVEYOR: &str = "ptroja/mrrocpp, src/robot/conveyor";
 const GRASPIT: &str = "mzbikows/Graspit, Polycrank";
 
-/// One parameter, under the name it has in a cell file.
+/// One parameter, with its name in a cell file.
 struct Row {
     name: String,
     meaning: &'static str,
@@ -58,7 +58,7 @@ pub(super) fn sheet(machine: &Machine) -> String {
     page
 }
 
-/// What tags mean, and how the page is made.
+/// Meaning of the tags, and how the page is generated.
 fn footer(page: &mut String, name: &str) {
     let _ = write!(
         page,
@@ -192,7 +192,7 @@ fn about(parameters: &Parameters) -> &'static str {
     }
 }
 
-/// The project's own numbers of that kind.
+/// Default parameters of robots of the same kind.
 fn presets(parameters: &Parameters) -> impl Iterator<Item = Parameters> {
     let kind = discriminant(parameters);
     let all = Model::ALL.into_iter().map(Model::parameters);

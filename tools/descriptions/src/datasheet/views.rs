@@ -1,4 +1,4 @@
-//! From where each robot is seen, and in which posture.
+//! Viewing direction and posture for the figure of each robot.
 
 use controller::robot::{ConveyorParameters, GripperParameters, Joints, Vector};
 use mrroc::cell::Parameters;
@@ -20,14 +20,14 @@ pub(super) fn symbols(parameters: &Parameters) -> &'static [&'static str] {
     }
 }
 
-/// What the figure of a machine shows.
+/// Content of the figure of a machine.
 pub(super) enum Drawing<'a> {
     Arm(Box<[View; 2]>),
     Gripper(&'a GripperParameters),
     Conveyor(&'a ConveyorParameters),
 }
 
-/// Two views of a robot, or the device that is none.
+/// Two views of a robot, or the figure of a device.
 pub(super) fn drawing(machine: &Machine) -> Drawing<'_> {
     Drawing::Arm(Box::new(match &machine.parameters {
         Parameters::Irb6(_) => arm(machine, &[0.0, -75.0, 12.0, 60.0, 0.0]),
@@ -43,7 +43,7 @@ pub(super) fn drawing(machine: &Machine) -> Drawing<'_> {
     }))
 }
 
-/// The arm from its side, and from above with the column turned.
+/// Views of the arm: from the side, and from above with the column turned.
 fn arm(machine: &Machine, degrees: &[f64]) -> [View; 2] {
     let on_track = degrees.len() == 7;
     let column = usize::from(on_track);
@@ -156,7 +156,7 @@ fn rnt(machine: &Machine) -> [View; 2] {
     [side, above]
 }
 
-/// Along axis 1, and from the side with the forearm's plane in the page.
+/// Views along axis 1, and from the side with the plane of the forearm parallel to the sheet.
 fn polycrank(radii: [f64; 2]) -> [View; 2] {
     let joints = from_degrees(&[140.0, -90.0, -50.0, 50.0, -80.0, 130.0, 0.0]);
     let ring = sector(radii, [-std::f64::consts::PI, std::f64::consts::PI]);
@@ -184,7 +184,7 @@ fn from_degrees(degrees: &[f64]) -> Joints {
     Vector::new(&radians).expect("no robot has more axes than a vector")
 }
 
-/// A ring in the plane of x and y, or a part of it.
+/// A ring in the plane of x and y, or a sector of a ring.
 fn sector(radii: [f64; 2], [from, to]: [f64; 2]) -> Vec<Vec<Vector3<f64>>> {
     let [inner, outer] = radii.map(|radius| {
         let point = |step| {

@@ -1,4 +1,4 @@
-//! What is answered: one JSON object, or lines for a person.
+//! Answers to kinematic questions: one JSON object, or lines for a person.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -8,26 +8,27 @@ use serde::Serialize;
 
 use super::Machine;
 
-/// A joint beyond its limit and beyond this, rad, was probably meant in degrees: four turns.
+/// A joint position beyond its limit and beyond this value, rad, was probably given in degrees: four turns.
 const DEGREES: f64 = 8.0 * std::f64::consts::PI;
 
-/// Where the flange is.
+/// Position and orientation of the flange.
 #[derive(Serialize)]
 pub(super) struct Forward {
     robot: String,
     joints: Vec<f64>,
-    /// Of the flange's origin in the base frame, m.
+    /// Origin of the flange in the base frame, m.
     position: [f64; 3],
     /// `base_from_flange`, row by row.
     rotation: [[f64; 3]; 3],
-    /// The same as w, x, y, z.
+    /// The same rotation as a quaternion w, x, y, z.
     quaternion: [f64; 4],
-    /// Rad; of the RNT's legs their lengths, m. Null where a limit forbids the joints.
+    /// Motor positions, rad. The first three motors of the RNT are given by their leg lengths, m. Null if a limit
+    /// forbids the joints.
     motors: Option<Vec<f64>>,
-    /// All motors in rad, of a robot whose `motors` has leg lengths.
+    /// All motor positions, rad, for a robot whose `motors` contains leg lengths.
     #[serde(skip_serializing_if = "Option::is_none")]
     motor_angles: Option<Vec<f64>>,
-    /// Position of each joint of the robot's description file.
+    /// Position of each joint in the description file of the robot.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     links: BTreeMap<&'static str, f64>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -106,11 +107,11 @@ impl fmt::Display for Forward {
     }
 }
 
-/// The joints that put the flange there.
+/// Joint positions for a pose of the flange.
 #[derive(Serialize)]
 pub(super) struct Inverse {
     robot: String,
-    /// The preferred first.
+    /// Solutions, the preferred solution first.
     solutions: Vec<Vec<f64>>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     notes: Vec<String>,
@@ -135,13 +136,13 @@ impl fmt::Display for Inverse {
     }
 }
 
-/// How joints move the flange.
+/// Relation between velocities of joints and flange.
 #[derive(Serialize)]
 pub(super) struct Sensitivity {
     robot: String,
-    /// Six rows, a column for each joint.
+    /// Six rows, one column per joint.
     jacobian: [Vec<f64>; 6],
-    /// How near a posture is that loses a direction.
+    /// Distance to the nearest singularity.
     singularity: Singularity,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     notes: Vec<String>,
@@ -149,7 +150,7 @@ pub(super) struct Sensitivity {
 
 #[derive(Serialize)]
 struct Singularity {
-    /// The axis that moves most while the flange moves least, from 0.
+    /// Index, from 0, of the axis with the largest motion for the least motion of the flange.
     axis: u8,
     /// Smallest singular value of the Jacobian.
     margin: f64,
@@ -192,14 +193,14 @@ impl fmt::Display for Sensitivity {
     }
 }
 
-/// What a robot may be told.
+/// Permitted ranges of a robot.
 #[derive(Serialize)]
 pub(super) struct Ranges {
     robot: String,
     joints: Vec<Limits>,
-    /// Rad; of the RNT's legs their lengths, m.
+    /// Motor ranges, rad. The first three ranges of the RNT are leg lengths, m.
     motors: Vec<Limits>,
-    /// All motors in rad, of a robot whose `motors` has leg lengths.
+    /// All motor ranges, rad, for a robot whose `motors` contains leg lengths.
     #[serde(skip_serializing_if = "Option::is_none")]
     motor_angles: Option<Vec<Limits>>,
     #[serde(skip_serializing_if = "Vec::is_empty")]

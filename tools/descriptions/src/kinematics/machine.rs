@@ -1,4 +1,4 @@
-//! The robot that is asked about.
+//! Selection of a robot and its parameters.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -20,20 +20,20 @@ const RNT: &str =
 const POLYCRANK: &str =
     "drives and home of the Polycrank are nominal: none was measured or published";
 
-/// Which robot.
+/// Options that select the robot.
 #[derive(Args)]
 pub struct Which {
-    /// The robot by its model, such as irp6-track; with --cell by its name in the cell.
+    /// The model of the robot, such as irp6-track. With --cell, the name of the robot in the cell.
     #[arg(long)]
     robot: String,
-    /// A cell file, whose robot may have parameters of its own.
+    /// A cell file. Its robot may have parameters of its own.
     #[arg(long)]
     cell: Option<PathBuf>,
 }
 
 impl Which {
     #[cfg(test)]
-    /// The machine of a robot, by its name.
+    /// Machine of a robot model.
     pub fn preset(name: &str) -> Self {
         Self {
             robot: name.into(),
@@ -42,22 +42,22 @@ impl Which {
     }
 }
 
-/// A robot by name.
+/// A robot with its name and parameters.
 pub struct Machine {
-    /// Name of the robot or its model.
+    /// Name of the robot or of its model.
     pub name: String,
     /// Kinematics and drive train.
     pub robot: Arc<dyn Robot>,
     /// Parameters of the robot.
     pub parameters: Parameters,
-    /// Of a robot that has legs.
+    /// The RNT, if the robot is one: a robot with legs.
     rnt: Option<Rnt>,
-    /// What must be known of the numbers.
+    /// Warning about the numbers.
     pub caution: Option<&'static str>,
 }
 
 impl Machine {
-    /// The robot of that name: a model, or a robot of a cell.
+    /// Finds a robot by name: a model, or a robot of a cell.
     pub fn find(Which { robot, cell }: &Which) -> anyhow::Result<Self> {
         let parameters = match cell {
             None => preset(robot)?,
@@ -101,12 +101,13 @@ impl Machine {
         })
     }
 
-    /// The joints of a list.
+    /// Parses a list of joint positions.
     pub(super) fn joints(&self, option: &str, list: &str) -> anyhow::Result<Joints> {
         self.vector(option, list)
     }
 
-    /// The joints at a list of motor positions, of the RNT's legs at their lengths.
+    /// Joint positions from a list of motor positions. The first three motors of the RNT are given by their leg
+    /// lengths.
     pub(super) fn joints_from_motors(&self, list: &str) -> anyhow::Result<Joints> {
         let mut motors: Motors = self.vector("--motors", list)?;
         if let Parameters::Rnt(parameters) = &self.parameters {
@@ -118,18 +119,18 @@ impl Machine {
         joints.with_context(|| format!("{}: no joints at these motors", self.name))
     }
 
-    /// The joints at home.
+    /// Joint positions at home.
     pub(super) fn home(&self) -> anyhow::Result<Joints> {
         Ok(self.robot.joints_from_motors(&self.robot.home())?)
     }
 
-    /// Leg lengths at these joints, m, of a robot that has legs.
+    /// Leg lengths at these joint positions, m; `None` for a robot without legs.
     pub(super) fn leg_lengths(&self, joints: &Joints) -> anyhow::Result<Option<[f64; 3]>> {
         let rnt = self.rnt.as_ref();
         Ok(rnt.map(|rnt| rnt.leg_lengths(joints)).transpose()?)
     }
 
-    /// Ranges of the legs, m, of a robot that has them.
+    /// Ranges of the leg lengths, m; `None` for a robot without legs.
     pub(super) fn leg_limits(&self) -> Option<[Limits; 3]> {
         let Parameters::Rnt(parameters) = &self.parameters else {
             return None;
@@ -137,7 +138,7 @@ impl Machine {
         Some(parameters.legs.map(|leg| leg.length_limits))
     }
 
-    /// Where each leg begins on the base and ends on the platform, m, of a robot that has legs.
+    /// Ends of each leg on the base and on the platform, m; `None` for a robot without legs.
     pub fn leg_ends(&self) -> Option<[[Vector3<f64>; 2]; 3]> {
         let Parameters::Rnt(parameters) = &self.parameters else {
             return None;

@@ -3,10 +3,10 @@
 use anyhow::{anyhow, ensure};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 
-/// What a quaternion's norm may be off by.
+/// Tolerance of the norm of a quaternion.
 const NORM: f64 = 0.01;
 
-/// The finite numbers of a list separated by commas.
+/// Parses a list of finite numbers, separated by commas.
 pub(super) fn list(option: &str, text: &str) -> anyhow::Result<Vec<f64>> {
     let number = |part: &str| {
         let value: f64 = part.trim().parse().map_err(|_| {
@@ -26,7 +26,7 @@ fn exactly<const N: usize>(option: &str, text: &str, form: &str) -> anyhow::Resu
         .map_err(|_| anyhow!("{option}: {count} numbers, not the {N} of {form}"))
 }
 
-/// The pose of the options of these names.
+/// Parses a pose from its position and its quaternion.
 pub(super) fn pose(position: &str, quaternion: &str) -> anyhow::Result<Isometry3<f64>> {
     let position = exactly::<3>("--position", position, "x,y,z")?;
     let [w, x, y, z] = exactly("--quaternion", quaternion, "w,x,y,z")?;

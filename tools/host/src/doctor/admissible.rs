@@ -12,7 +12,7 @@ use super::tree::cpu_list;
 /// Longest name of an interface or a tty, bytes (`IFNAMSIZ` less its end).
 const LONGEST_NAME: usize = 15;
 
-/// The values that a knob takes.
+/// The values that a knob accepts.
 #[derive(Clone, Copy)]
 enum Takes {
     /// An integer of this range.
@@ -21,15 +21,15 @@ enum Takes {
     Governor,
     /// A set of processors.
     Cpus,
-    /// The file of limits: any text before, and lines added behind it.
+    /// The file of limits: any text, to which lines are appended.
     Limits,
-    /// A bit rate, and a sample point that may be left out.
+    /// A bit rate, and an optional sample point.
     BitTiming,
     /// The state of an interface.
     UpOrDown,
 }
 
-/// The files of the kernel that are set. A `%` stands for a number, a `*` for a name of an interface or tty.
+/// The files of the kernel that `--fix` sets. A `%` stands for a number, a `*` for the name of an interface or tty.
 const FILES: [(&str, Takes); 6] = [
     (
         "/proc/sys/kernel/sched_rt_runtime_us",
@@ -54,26 +54,26 @@ const FILES: [(&str, Takes); 6] = [
     ),
 ];
 
-/// Why `--fix` cannot have made a change.
+/// Reason why `--fix` cannot have made a change.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub(super) enum Inadmissible {
     /// A path or interface that is not in the table.
     #[error("--fix does not set {0}")]
     Knob(Knob),
-    /// A value in a form that it never has.
+    /// A value before the change that the knob never has.
     #[error("--fix cannot have found {} in {knob}", shown(before.as_deref()))]
     Before {
-        /// What was set.
+        /// The knob of the change.
         knob: Knob,
-        /// Its value before.
+        /// Value before the change.
         before: Option<String>,
     },
-    /// A value that `--fix` does not set.
+    /// A value after the change that `--fix` does not set.
     #[error("--fix does not set {knob} to {}", shown(Some(after)))]
     After {
-        /// What was set.
+        /// The knob of the change.
         knob: Knob,
-        /// Its value since.
+        /// Value after the change.
         after: String,
     },
 }
@@ -108,7 +108,7 @@ impl Change {
 }
 
 impl Knob {
-    /// The values of a knob that `--fix` sets; none for another.
+    /// The values that `--fix` sets in this knob; `None` if `--fix` does not set the knob.
     fn takes(&self) -> Option<Takes> {
         let card = |interface: &str, takes| is_name(interface).then_some(takes);
         match self {
@@ -125,7 +125,7 @@ impl Knob {
 }
 
 impl Takes {
-    /// Whether there may have been no value before.
+    /// Whether the knob may have had no value before.
     fn may_be_absent(self) -> bool {
         matches!(self, Self::Limits | Self::BitTiming)
     }
@@ -151,7 +151,7 @@ impl Takes {
     }
 }
 
-/// Whether a path is one of a pattern, part by part.
+/// Whether a path matches a pattern, component by component.
 fn matches(pattern: &str, path: &str) -> bool {
     let (mut parts, mut given) = (pattern.split('/'), path.split('/'));
     loop {
@@ -164,7 +164,7 @@ fn matches(pattern: &str, path: &str) -> bool {
     }
 }
 
-/// Whether a part of a path is `pattern`, whose `%` stands for a number.
+/// Whether a component of a path matches `pattern`, whose `%` stands for a number.
 fn is_numbered(pattern: &str, part: &str) -> bool {
     match pattern.strip_suffix('%') {
         None => pattern != "*" && pattern == part,
@@ -175,14 +175,14 @@ fn is_numbered(pattern: &str, part: &str) -> bool {
     }
 }
 
-/// Whether an interface or a tty may have this name: no path, and nothing that a terminal takes for a command.
+/// Whether an interface or a tty may have this name. Path separators and control characters of a terminal are refused.
 fn is_name(name: &str) -> bool {
     let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"._-+@".contains(&byte);
     let length = (1..=LONGEST_NAME).contains(&name.len());
     length && name.bytes().all(plain) && !matches!(name, "." | "..")
 }
 
-/// A bit rate, and a sample point that may be left out.
+/// Whether `value` is a bit rate with an optional sample point.
 fn is_timing(value: &str) -> bool {
     let mut words = value.split(' ');
     let bitrate = words.next().and_then(|word| word.parse::<u32>().ok());
@@ -192,7 +192,7 @@ fn is_timing(value: &str) -> bool {
         && words.next().is_none()
 }
 
-/// Whether the file of limits `after` is `before` and added lines, each of which grants a limit.
+/// Whether the file of limits `after` is `before` with appended lines, each of which grants a limit.
 fn is_granted(before: &str, after: &str) -> bool {
     let Some(added) = after.strip_prefix(before) else {
         return false;

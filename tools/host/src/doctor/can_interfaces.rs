@@ -1,4 +1,4 @@
-//! The CAN interfaces of a cell: whether they are there, are set as the cell says, and get along with their bus.
+//! CAN interfaces of a cell: their presence, their settings compared with the cell file, and the state of their bus.
 
 use can::OpenError;
 
@@ -12,28 +12,29 @@ const NET: &str = "/sys/class/net";
 /// `ARPHRD_CAN` of `linux/if_arp.h`, the type of CAN interfaces.
 const CAN: i64 = 280;
 
-/// What is wanted of one interface.
+/// Requirements on one interface.
 #[derive(Clone, Debug)]
 pub(super) struct Wanted {
-    /// What findings call it: the bus of the cell and the interface.
+    /// Name in findings: the bus of the cell and the interface.
     pub of: String,
     pub interface: String,
-    /// Bit rate, kbit/s; none where no cell says.
+    /// Bit rate, kbit/s; `None` without a cell file.
     pub bitrate_kbps: Option<u32>,
-    /// Frames that one cycle may leave waiting for the bus.
+    /// Maximum number of frames that one cycle queues for the bus.
     pub send_queue: usize,
-    /// The CPU of the servo thread, where the cell pins it.
+    /// CPU to which the cell pins the servo thread, if any.
     pub servo_cpu: Option<usize>,
 }
 
-/// The CAN interfaces that are there.
+/// Names of the CAN interfaces of this host.
 pub(super) fn present(tree: &Tree) -> Vec<String> {
     let mut names = tree.names(NET);
     names.retain(|name| tree.number(&format!("{NET}/{name}/type")) == Some(CAN));
     names
 }
 
-/// What is found of one interface. `opened` is the kernel's answer to a socket on it, `link` what netlink tells.
+/// Findings about one interface. `opened` is the result of opening a socket on the interface, `link` the data from
+/// netlink.
 pub(super) fn findings(
     tree: &Tree,
     wanted: &Wanted,
@@ -90,7 +91,7 @@ pub(super) fn findings(
         Some(kind) => kind != "can",
         None => driver.is_none(),
     };
-    // A change of the bit timing wants the interface down.
+    // The bit timing can be changed only while the interface is down.
     let set = |settings: &str| {
         format!(
             "ip link set {name} down; ip link set {name} type can {settings}; ip link set {name} up"
@@ -146,7 +147,7 @@ pub(super) fn findings(
     findings
 }
 
-/// Of the one driver that has mixed frames up.
+/// Finding about the order of frames: one driver is known to deliver frames out of order.
 fn frame_order(tree: &Tree, of: &str, driver: Option<&str>) -> Option<Finding> {
     let release = tree.text("/proc/sys/kernel/osrelease").unwrap_or_default();
     if driver != Some("gs_usb") {
@@ -167,7 +168,7 @@ fn frame_order(tree: &Tree, of: &str, driver: Option<&str>) -> Option<Finding> {
     })
 }
 
-/// Sets a bit rate, bit/s, and a sample point, share of the bit.
+/// Sets a bit rate, bit/s, and a sample point, as a share of the bit time.
 fn fix_timing(name: &str, bitrate: u32, point: Option<f64>) -> Fix {
     let point = point.map_or(String::new(), |point| format!(" {point:.3}"));
     Knob::BitTiming(name.to_owned()).to(format!("{bitrate}{point}"))
@@ -212,7 +213,7 @@ fn bit_timing(wanted: &Wanted, link: &Link, set: impl Fn(&str) -> String) -> Vec
             finding
         } else {
             let mend = set(&format!("bitrate {rate} sample-point 0.875"));
-            // A bit rate that is wrong is set first, and with it the kernel chooses the sample point.
+            // A wrong bit rate is set first. The kernel then chooses the sample point for the new bit rate.
             let fix = agrees.then(|| fix_timing(name, rate, Some(0.875)));
             finding.warning(mend).fixed_by(fix)
         });
@@ -291,7 +292,7 @@ fn queue(tree: &Tree, wanted: &Wanted, link: Option<&Link>, virtual_bus: bool) -
     })
 }
 
-/// Where the interrupts of the card go: its own, or those of the USB host controller it hangs on.
+/// Finding about the CPUs that serve the interrupt of the card, or of the USB host controller of the adapter.
 fn interrupt(tree: &Tree, wanted: &Wanted) -> Option<Finding> {
     let device = tree.resolved(&format!("{NET}/{}/device", wanted.interface))?;
     let numbers = device.ancestors().find_map(|above| {

@@ -1,4 +1,4 @@
-//! The processors: their clocks, how deep they sleep, who else uses them.
+//! Processors: clock frequency, idle states, and other users of the CPU of the servo thread.
 
 use std::collections::BTreeSet;
 
@@ -13,13 +13,13 @@ use super::tree::{Tree, cpu_list, field};
 const OF: &str = "cpu";
 const CPUS: &str = "/sys/devices/system/cpu";
 
-/// What the system says where a file is not to be opened (errno(3)).
+/// Error code for a file without access permission (errno(3)).
 const EACCES: i32 = 13;
 
-/// Latency of leaving an idle state that a cycle of 1 ms can bear, µs.
+/// Longest exit latency of an idle state that a cycle of 1 ms tolerates, µs.
 const BEARABLE_US: i64 = 20;
 
-/// What a servo thread of `realtime` finds.
+/// Findings for a servo thread that runs under `realtime`.
 pub(super) fn findings(tree: &Tree, realtime: &Realtime) -> Vec<Finding> {
     let online = cpu_list(&tree.text(&format!("{CPUS}/online")).unwrap_or_default());
     let isolated = cpu_list(&tree.text(&format!("{CPUS}/isolated")).unwrap_or_default());
@@ -73,7 +73,7 @@ fn governors(tree: &Tree, online: &BTreeSet<usize>) -> Finding {
 /// An idle state that is enabled.
 #[derive(Debug)]
 struct IdleState {
-    /// How long it takes to leave, µs.
+    /// Exit latency, µs.
     latency: i64,
     name: String,
     directory: String,
@@ -97,8 +97,8 @@ fn enabled(tree: &Tree, online: &BTreeSet<usize>) -> Vec<IdleState> {
         .collect()
 }
 
-/// `writable` is whether this user may hold `/dev/cpu_dma_latency`, as a servo thread does; none where there is no such
-/// file, and then no idle state to keep away from.
+/// Finding about `/dev/cpu_dma_latency`, which a servo thread holds open. `writable` says whether this user may write
+/// the file. `None` means that the file does not exist, and that there are no deep idle states to avoid.
 fn cpu_latency(writable: Option<bool>, policy: Policy) -> Finding {
     let read = match writable {
         None => "no /dev/cpu_dma_latency",
@@ -190,7 +190,7 @@ fn placement(
     }
 }
 
-/// Time that a hypervisor took from this machine's processors between two readings of `/proc/stat`.
+/// Time that a hypervisor took from the processors of this virtual machine between two readings of `/proc/stat`.
 pub(super) fn steal(cpuinfo: &str, before: &str, after: &str) -> Finding {
     let virtual_machine = field(cpuinfo, "flags").is_some_and(|flags| {
         let mut flags = flags.split_whitespace();

@@ -1,42 +1,43 @@
-//! What an examination says: one value for each thing that was read.
+//! Finding: the result of one check of the host.
 
 use serde::Serialize;
 
 use super::fix::Fix;
 
-/// Whether a cell can run on what was found. The worst of all findings is the command's exit status.
+/// Whether a cell can run under a finding. The worst verdict of all findings is the exit status of the command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub(super) enum Verdict {
-    /// As it should be.
+    /// No change needed.
     Ok,
-    /// It runs, and cycles may be late or faults heal slowly.
+    /// A cell runs, but cycles may be late, or recovery from faults may take long.
     Warning,
-    /// It does not run.
+    /// A cell does not run.
     NotUsable,
 }
 
-/// One reading of the host and its consequence.
+/// One property of the host and its consequence.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct Finding {
-    /// What was examined: a room of the host, an interface or a line.
+    /// Examined subject: a part of the host, an interface or a line.
     pub of: String,
-    /// Which property of it.
+    /// Examined property of the subject.
     pub what: &'static str,
-    /// What was read.
+    /// Value of the property.
     pub read: String,
     pub verdict: Verdict,
-    /// Why it matters.
+    /// Consequence for a cell.
     pub why: &'static str,
-    /// The command or the file that mends it; none where there is nothing to mend.
+    /// The command or the file that corrects the property; `None` if no correction is needed.
     pub mend: Option<String>,
-    /// What `--fix` sets, in this order; nothing where only a person can mend it.
+    /// Changes that `--fix` makes, in this order. Empty if a person has to make the correction.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub fixes: Vec<Fix>,
 }
 
 impl Finding {
-    /// A property that is as it should be, until [`warning`](Self::warning) or [`not_usable`](Self::not_usable).
+    /// A finding with verdict [`Verdict::Ok`]; [`warning`](Self::warning) and [`not_usable`](Self::not_usable) change
+    /// the verdict.
     pub(super) fn new(
         of: &str,
         what: &'static str,
@@ -54,7 +55,7 @@ impl Finding {
         }
     }
 
-    /// What `--fix` does about it.
+    /// Adds the changes that `--fix` makes.
     pub(super) fn fixed_by(self, fixes: impl IntoIterator<Item = Fix>) -> Self {
         Self {
             fixes: fixes.into_iter().collect(),
@@ -62,17 +63,17 @@ impl Finding {
         }
     }
 
-    /// A warning instead.
+    /// Changes the verdict to a warning.
     pub(super) fn warning(self, mend: impl Into<String>) -> Self {
         self.judged(Verdict::Warning, mend)
     }
 
-    /// Not usable instead.
+    /// Changes the verdict to not usable.
     pub(super) fn not_usable(self, mend: impl Into<String>) -> Self {
         self.judged(Verdict::NotUsable, mend)
     }
 
-    /// `verdict`, which is not [`Verdict::Ok`], instead.
+    /// Changes the verdict to `verdict`, which is not [`Verdict::Ok`].
     pub(super) fn judged(self, verdict: Verdict, mend: impl Into<String>) -> Self {
         let mend = Some(mend.into());
         Self {

@@ -1,4 +1,4 @@
-//! One change of the host as a value: which knob, and what it is set to. Here alone are knobs read and turned.
+//! One change of the host as a value: a knob and its new setting. All reading and setting of knobs is in this file.
 
 use std::fmt;
 
@@ -10,26 +10,28 @@ use super::admissible::Inadmissible;
 use super::record::{Change, Record};
 use super::tree::Tree;
 
-/// Two sample points that a card's clock may make of one, shares of the bit.
+/// Largest difference between a requested sample point and the sample point that a card's clock allows, as a share of
+/// the bit time.
 const SAMPLE_POINT_STEP: f64 = 0.02;
 
-/// Something that can be set.
+/// A setting of the host.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(super) enum Knob {
-    /// A value that the kernel keeps, by its path below `/proc` or `/sys`.
+    /// A file of the kernel, by its path below `/proc` or `/sys`.
     Kernel(String),
     /// A whole file, by its path.
     File(String),
-    /// Of a card: `500000 0.875`, its bit rate, bit/s, and its sample point, which may be left to the kernel.
+    /// Bit timing of a card, such as `500000 0.875`: bit rate, bit/s, and optional sample point. Without a sample
+    /// point, the kernel chooses it.
     BitTiming(String),
-    /// Of a card: the time from bus-off to the restart, ms; 0 for never.
+    /// Time from bus-off to the restart of a card, ms; 0 means no automatic restart.
     RestartMs(String),
-    /// Of a CAN interface: `up` or `down`.
+    /// State of a CAN interface: `up` or `down`.
     State(String),
 }
 
-/// A knob and what it is set to.
+/// A knob and its new setting.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct Fix {
     pub knob: Knob,
@@ -54,7 +56,7 @@ impl fmt::Display for Fix {
 }
 
 impl Knob {
-    /// The interface that goes down for it to be set to `value`.
+    /// Name of the interface that must go down for this knob to be set to `value`, if any.
     pub(super) fn takes_down(&self, value: &str) -> Option<&str> {
         match self {
             Self::BitTiming(interface) | Self::RestartMs(interface) => Some(interface),
@@ -70,7 +72,7 @@ impl Knob {
         }
     }
 
-    /// What it stands at; none for a file that is not there and a bit rate that was never set.
+    /// Present setting; `None` for a file that does not exist, and for a bit rate that was never set.
     pub(super) fn read(&self, tree: &Tree) -> anyhow::Result<Option<String>> {
         let card = |interface: &str| {
             of_host(tree)?;
@@ -97,7 +99,7 @@ impl Knob {
         })
     }
 
-    /// Sets it to `value`, as [`read`](Self::read) returned it.
+    /// Sets the knob to `value`, in the form that [`read`](Self::read) returns.
     fn write(&self, tree: &Tree, value: Option<&str>) -> anyhow::Result<()> {
         let change = |interface: &str, change: card::Change| {
             unheard(tree, interface)?;
@@ -112,7 +114,7 @@ impl Knob {
             }
             (Self::BitTiming(interface), Some(value)) => {
                 let (bitrate, point) = timing(value).context("no bit rate")?;
-                // Tenths of a percent, below 1000.
+                // Sample point in tenths of a percent, below 1000.
                 let point = point.map(|point| (point * 1000.0).round() as u32);
                 change(
                     interface,
@@ -136,7 +138,7 @@ impl Knob {
                     ..card::Change::default()
                 },
             ),
-            // Before it had a bit rate it was down, and that is what can be put back.
+            // An interface without a bit rate was down. The bit rate cannot be removed, so only the state is put back.
             (Self::BitTiming(interface), None) => change(
                 interface,
                 card::Change {
@@ -150,7 +152,7 @@ impl Knob {
         }
     }
 
-    /// Whether a knob at `found` stands at `wanted`.
+    /// Whether the setting `found` equals `wanted`. Sample points are compared with a tolerance.
     fn stands_at(&self, wanted: Option<&str>, found: Option<&str>) -> bool {
         let (Self::BitTiming(_), Some(wanted), Some(found)) = (self, wanted, found) else {
             return wanted == found;
@@ -175,7 +177,7 @@ fn timing(value: &str) -> Option<(u32, Option<f64>)> {
     Some((bitrate, point))
 }
 
-/// Refuses an interface on which another process receives, such as the controller of an arm.
+/// Refuses an interface on which another process receives frames, such as the controller of an arm.
 fn unheard(tree: &Tree, interface: &str) -> anyhow::Result<()> {
     ensure!(
         !is_heard(tree, interface),
@@ -184,13 +186,14 @@ fn unheard(tree: &Tree, interface: &str) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Whether a socket receives on `interface`, or on all there are.
+/// Whether a socket receives on `interface`, or on all interfaces.
 fn is_heard(tree: &Tree, interface: &str) -> bool {
     const LISTS: &str = "/proc/net/can";
     let names = tree.names(LISTS).into_iter();
     let lists = names.filter(|name| name.starts_with("rcvlist_"));
     let mut texts = lists.filter_map(|name| tree.text(&format!("{LISTS}/{name}")));
-    // A receiver's line is its device and numbers; others say that a device has none, or name the columns.
+    // The line of a receiver begins with its interface. The other lines are headings or name an interface without
+    // receivers.
     texts.any(|text| {
         let mut devices = text
             .lines()
@@ -204,16 +207,17 @@ fn of_host(tree: &Tree) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A value in one line.
+/// Text of a setting in one line.
 pub(super) fn shown(value: Option<&str>) -> String {
     value.map_or("nothing".to_owned(), |value| {
         value.trim_end().replace('\n', "; ")
     })
 }
 
-/// Applies `fix` and reads it back; returns what was there before, none where nothing had to be done.
+/// Applies `fix` and verifies the result by reading it back. Returns the change, or `None` if the knob had the setting
+/// already.
 ///
-/// The change is in the record, on the disk, before it is made, and is one that can be put back.
+/// The change is written to the record on the disk before it is made. A change that could not be undone is refused.
 pub(super) fn apply(tree: &Tree, fix: &Fix, record: &mut Record) -> anyhow::Result<Option<Change>> {
     turn(tree, fix, record, Change::check)
 }
@@ -244,14 +248,15 @@ fn turn(
     written?;
     if !knob.stands_at(Some(after), found.as_deref()) {
         let found = found.unwrap_or_default();
-        // What the kernel made of it is ours all the same, and to be put back.
+        // The kernel accepted another value than the requested one. That value is recorded, so that `--undo` can put
+        // the old value back.
         record.amend(found.clone())?;
         bail!("it reads {}", shown(Some(&found)));
     }
     Ok(Some(change))
 }
 
-/// Puts back what was there before `change`; returns a word on what cannot be.
+/// Puts back the setting from before `change`. Returns a remark if the setting cannot be restored completely.
 pub(super) fn put_back(tree: &Tree, change: &Change) -> anyhow::Result<Option<&'static str>> {
     let Change {
         knob,
@@ -259,7 +264,7 @@ pub(super) fn put_back(tree: &Tree, change: &Change) -> anyhow::Result<Option<&'
         after,
     } = change;
     let (before, found) = (before.as_deref(), knob.read(tree)?);
-    // It was never made, or the host was started since.
+    // The change was never made, or a restart of the host undid it.
     if knob.stands_at(before, found.as_deref()) {
         return Ok(None);
     }

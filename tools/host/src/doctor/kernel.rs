@@ -1,4 +1,4 @@
-//! The kernel: how soon it lets a waiting thread run, and what it takes from one that does not wait.
+//! Kernel: preemption of running threads, and limits on the run time of real-time threads.
 
 use super::finding::Finding;
 use super::fix::Knob;
@@ -8,7 +8,8 @@ const OF: &str = "kernel";
 
 const RUNTIME: &str = "/proc/sys/kernel/sched_rt_runtime_us";
 
-/// What a servo of `period_us` finds in the kernel; without a cell, no period. `fifo` is whether SCHED_FIFO was granted.
+/// Findings for a servo with period `period_us`, which is `None` without a cell file. `fifo` says whether SCHED_FIFO
+/// was granted.
 pub(super) fn findings(tree: &Tree, period_us: Option<u32>, fifo: bool) -> Vec<Finding> {
     let config = tree.kernel_config();
     let config = config.as_deref();
@@ -31,7 +32,7 @@ pub(super) fn findings(tree: &Tree, period_us: Option<u32>, fifo: bool) -> Vec<F
             ))
         })
     });
-    // The second version's one hierarchy has no number.
+    // The single hierarchy of cgroup version 2 has number 0 and no controllers.
     let unified = groups.lines().find_map(|line| line.strip_prefix("0::"));
     let unified = unified.filter(|&group| group != "/" && !fifo);
     findings.push(group_scheduling(config, group, runtime, unified));
@@ -57,7 +58,7 @@ fn preemption(version: &str, realtime: bool) -> Finding {
     finding.warning("apt-get install linux-image-rt-amd64, then boot it")
 }
 
-/// The value of an option of the kernel's configuration; none where it is not set.
+/// Value of an option in the configuration of the kernel; `None` if the option is not set.
 fn option<'a>(config: &'a str, name: &str) -> Option<&'a str> {
     config
         .lines()
@@ -117,7 +118,7 @@ fn throttling(runtime_us: Option<i64>, period_us: Option<i64>) -> Option<Finding
     })
 }
 
-/// The group of this process under the first version's CPU controller.
+/// Control group of this process under the CPU controller of cgroup version 1.
 fn cpu_group(groups: &str) -> Option<&str> {
     groups.lines().find_map(|line| {
         let mut parts = line.splitn(3, ':');
@@ -130,8 +131,8 @@ fn cpu_group(groups: &str) -> Option<&str> {
     })
 }
 
-/// `unified` is the group under the second version of control groups, which gives none but its root real-time run time, of
-/// a process that was denied SCHED_FIFO.
+/// Finding about real-time group scheduling. `unified` is the cgroup version 2 group of a process that was denied
+/// SCHED_FIFO. Version 2 grants real-time run time to its root group only.
 fn group_scheduling(
     config: Option<&str>,
     group: Option<&str>,

@@ -1,4 +1,4 @@
-//! What the user of this process may ask of the scheduler and of the memory.
+//! Limits of the user of this process: scheduling priority and locked memory.
 
 use mrroc::cell::{Policy, Realtime, Scheduler};
 
@@ -15,16 +15,16 @@ const CAP_DAC_OVERRIDE: u32 = 1;
 const CAP_IPC_LOCK: u32 = 14;
 const CAP_SYS_NICE: u32 = 23;
 
-/// Address space that a run locks at most, bytes: twice the 280 MB that one of six axes was seen to take.
+/// Upper bound for the memory that a run locks, bytes: twice the 280 MB measured with one robot of six axes.
 const LOCKED: u64 = 512 << 20;
 
-/// Who this process is.
+/// User, groups and capabilities of this process.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Identity {
     uid: u32,
-    /// The effective group first.
+    /// Groups, the effective group first.
     groups: Vec<u32>,
-    /// The effective set.
+    /// The effective capabilities.
     capabilities: u64,
 }
 
@@ -43,7 +43,7 @@ impl Identity {
         let effective = |name| words(name).nth(1);
         let capabilities = field(status, "CapEff").unwrap_or_default();
         Self {
-            // The uid of nobody, where the kernel does not say.
+            // The uid of the user "nobody", if the kernel does not report the uid.
             uid: effective("Uid").unwrap_or(65_534),
             groups: effective("Gid")
                 .into_iter()
@@ -61,7 +61,8 @@ impl Identity {
         self.capabilities >> capability & 1 == 1
     }
 
-    /// Whether all of `wanted`, such as 0o6 for reading and writing, is granted; access control lists are not looked at.
+    /// Whether all permissions in `wanted` are granted, such as 0o6 for reading and writing. Access control lists are
+    /// ignored.
     pub(super) fn may(&self, wanted: u32, access: Access) -> bool {
         let granted = if access.uid == self.uid {
             access.mode >> 6
@@ -74,7 +75,7 @@ impl Identity {
     }
 }
 
-/// What a servo thread of `realtime` is granted; `tried` is the scheduler's answer to such a thread.
+/// Findings for a servo thread that runs under `realtime`. `tried` is the result of starting such a thread.
 pub(super) fn findings(
     tree: &Tree,
     realtime: &Realtime,
@@ -107,7 +108,7 @@ pub(super) fn findings(
     findings
 }
 
-/// What is in the file of limits already, and the lines that a cell needs; none if it grants as much.
+/// Appends the lines that a cell needs to the file of limits; `None` if the file grants the limits already.
 fn granting(tree: &Tree, realtime: &Realtime) -> Option<Fix> {
     let mut text = tree.whole(LIMITS).ok().flatten().unwrap_or_default();
     let limits = [Limit::Priority(realtime.priority), Limit::LockedMemory];
@@ -125,7 +126,8 @@ fn granting(tree: &Tree, realtime: &Realtime) -> Option<Fix> {
     Some(Knob::File(LIMITS.to_owned()).to(text))
 }
 
-/// Whether the file of limits `text` grants as much as `line` would: the last line of the same domain, type and item counts.
+/// Whether the file of limits `text` grants at least as much as `line`. The last line with the same domain, type and
+/// item counts.
 fn grants(text: &str, line: &str) -> bool {
     let amount = |value: &str| match value {
         "unlimited" | "infinity" | "-1" => Some(u64::MAX),
@@ -141,7 +143,7 @@ fn grants(text: &str, line: &str) -> bool {
     present.next().flatten() >= amount(value)
 }
 
-/// The soft limit of a line of `/proc/self/limits`; `unlimited` is the greatest number.
+/// Soft limit in a line of `/proc/self/limits`. The word `unlimited` is the greatest number.
 fn soft_limit(limits: &str, name: &str) -> Option<u64> {
     let line = limits.lines().find_map(|line| line.strip_prefix(name))?;
     match line.split_whitespace().next()? {
@@ -158,7 +160,7 @@ fn told(limit: Option<u64>) -> String {
     }
 }
 
-/// What a denial means to a cell of this policy.
+/// Verdict for a cell of this policy if the host denies real-time scheduling.
 pub(super) fn denied(policy: Policy) -> Verdict {
     match policy {
         Policy::Require => Verdict::NotUsable,
@@ -251,7 +253,7 @@ Max realtime timeout      unlimited            unlimited            us        ";
             (0, access(0o20_660, 0, 5), false),
             (0, access(0o20_666, 0, 5), true),
             (0, access(0o20_640, 0, 20), false),
-            // The owner is not helped by what the others may.
+            // The permissions of others do not apply to the owner.
             (0, access(0o20_066, 1000, 5), false),
             (1 << CAP_DAC_OVERRIDE, access(0o20_600, 0, 0), true),
         ];
@@ -301,7 +303,7 @@ Max realtime timeout      unlimited            unlimited            us        ";
                 Some("# lab\n@realtime - nice -20"),
                 format!("# lab\n@realtime - nice -20\n{ours}"),
             ),
-            // A later line would lower it.
+            // A later line would lower the limit.
             (
                 Some("@realtime - rtprio 99\n"),
                 "@realtime - rtprio 99\n@realtime - memlock unlimited\n".to_owned(),

@@ -1,7 +1,7 @@
-//! What the kernel tells of an interface through netlink, as `ip -details -json` of iproute2 writes it.
+//! Data of an interface from netlink, in the format of `ip -details -json` of iproute2.
 //!
-//! Bit timing, restart time and error counters are in netlink only, not below `/sys`. `ip` is on every Debian, and with
-//! it the examination needs neither a netlink library nor privileges.
+//! Bit timing, restart time and error counters are available through netlink only, not below `/sys`. `ip` is part of
+//! every Debian. The examination therefore needs neither a netlink library nor privileges.
 
 use std::process::Command;
 
@@ -10,7 +10,7 @@ use serde_json::Value;
 
 use super::tree::output_of;
 
-/// The arguments of `ip` that write what [`Link::parse`] reads; the interface's name follows.
+/// Arguments of `ip` for the output that [`Link::parse`] reads. The name of the interface follows.
 const ARGUMENTS: [&str; 6] = ["-details", "-statistics", "-json", "link", "show", "dev"];
 
 /// One interface.
@@ -36,7 +36,7 @@ struct Data {
     state: Option<String>,
     restart_ms: u32,
     bittiming: Option<Bittiming>,
-    /// Of controllers that have a few bit rates and no bit timing.
+    /// Bit rate of a controller with a few fixed bit rates and without bit timing.
     bittiming_bitrate: Option<u32>,
     berr_counter: Option<ErrorCounters>,
 }
@@ -44,12 +44,12 @@ struct Data {
 #[derive(Clone, Debug, Deserialize)]
 struct Bittiming {
     bitrate: u32,
-    /// A number, or a string of one, as the version of iproute2 has it.
+    /// A number, or a string that contains a number, depending on the version of iproute2.
     #[serde(default)]
     sample_point: Value,
 }
 
-/// The controller's own error counters (ISO 11898-1).
+/// Error counters of the controller (ISO 11898-1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 pub struct ErrorCounters {
     /// Transmit error counter.
@@ -58,7 +58,7 @@ pub struct ErrorCounters {
     pub rx: u32,
 }
 
-/// Counts since the interface was made.
+/// Event counts since the interface was created.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(default)]
 pub struct Statistics {
@@ -71,9 +71,9 @@ pub struct Statistics {
 }
 
 impl Link {
-    /// What `ip` tells; none where it is not installed or knows no such interface.
+    /// Data from `ip`; `None` if `ip` is not installed or knows no such interface.
     pub fn of(interface: &str) -> Option<Self> {
-        // Where PATH has no directories of the administrator's.
+        // The PATH of an ordinary user may lack the directories of the administrator.
         let programs = ["ip", "/usr/sbin/ip", "/sbin/ip"];
         programs.into_iter().find_map(|program| {
             let told = output_of(Command::new(program).args(ARGUMENTS).arg(interface))?;
@@ -81,47 +81,47 @@ impl Link {
         })
     }
 
-    /// None for what is not the description of one interface.
+    /// Parses the output of `ip`; `None` if the text does not describe exactly one interface.
     pub fn parse(json: &str) -> Option<Self> {
         let links: Vec<Self> = serde_json::from_str(json).ok()?;
         links.into_iter().next()
     }
 
-    /// `can`, `vcan`, `vxcan`; empty where it is not told.
+    /// `can`, `vcan` or `vxcan`; empty if unknown.
     pub fn kind(&self) -> &str {
         &self.linkinfo.info_kind
     }
 
-    /// `ERROR-ACTIVE` and so on, `STOPPED` while the interface is down.
+    /// `ERROR-ACTIVE` and so on; `STOPPED` while the interface is down.
     pub fn state(&self) -> Option<&str> {
         self.linkinfo.info_data.state.as_deref()
     }
 
-    /// Bit rate, bit/s; none while it is not set.
+    /// Bit rate, bit/s; `None` if no bit rate is set.
     pub fn bitrate(&self) -> Option<u32> {
         let data = &self.linkinfo.info_data;
         let timing = data.bittiming.as_ref().map(|timing| timing.bitrate);
         timing.or(data.bittiming_bitrate).filter(|&rate| rate > 0)
     }
 
-    /// Share of the bit before its sample, 0 to 1.
+    /// Sample point as a share of the bit time, 0 to 1.
     pub fn sample_point(&self) -> Option<f64> {
         let point = &self.linkinfo.info_data.bittiming.as_ref()?.sample_point;
         let number = || point.as_str()?.parse().ok();
         point.as_f64().or_else(number).filter(|&point| point > 0.0)
     }
 
-    /// Time from bus-off to the restart, ms; 0 for never.
+    /// Time from bus-off to the restart, ms; 0 means no automatic restart.
     pub fn restart_ms(&self) -> u32 {
         self.linkinfo.info_data.restart_ms
     }
 
-    /// Error counters of the controller, where it has them.
+    /// Error counters of the controller, if available.
     pub fn error_counters(&self) -> Option<ErrorCounters> {
         self.linkinfo.info_data.berr_counter
     }
 
-    /// Counts since the interface was made.
+    /// Event counts since the interface was created.
     pub fn statistics(&self) -> Statistics {
         self.linkinfo.info_xstats
     }

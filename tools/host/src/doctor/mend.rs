@@ -1,4 +1,4 @@
-//! `--fix` and `--undo`: asks for each finding, applies its fixes, and puts back what they changed.
+//! `--fix` and `--undo`: asks for each finding, applies its changes, and undoes changes.
 
 use std::io::{self, BufRead, Write};
 
@@ -8,9 +8,10 @@ use super::record::Record;
 use super::tree::Tree;
 use mrroc::streams;
 
-/// Applies the fixes of all findings that `agreed` agrees to; says what was done on stderr.
+/// Applies the changes of all findings that `agreed` accepts, and reports each change on stderr.
 ///
-/// One that fails is told, and the rest follows; only a record that cannot be written ends it.
+/// A change that fails is reported, and the next change follows. Only a record that cannot be written ends the
+/// sequence.
 pub(super) fn fix(
     tree: &Tree,
     findings: &[Finding],
@@ -44,7 +45,7 @@ pub(super) fn fix(
     Ok(())
 }
 
-/// Asks on the terminal.
+/// Asks for consent on the terminal.
 pub(super) fn asked(finding: &Finding) -> io::Result<bool> {
     write!(io::stderr(), "{}", streams::plain(question(finding)))?;
     io::stderr().flush()?;
@@ -73,7 +74,8 @@ fn question(finding: &Finding) -> String {
     format!("\n{of}: {what}: {read}\n  why: {why}\n{sets}{down}Set it? [y/N] ")
 }
 
-/// Puts back all that is in the record, the youngest first; returns how many changes could not be, which stay in it.
+/// Undoes all changes in the record, the latest first. Returns the number of changes that could not be undone; these
+/// stay in the record.
 pub(super) fn undo(tree: &Tree, record: &mut Record) -> anyhow::Result<usize> {
     let mut left = 0;
     for index in (0..record.changes().len()).rev() {

@@ -1,8 +1,8 @@
-//! `mrroc doctor`: whether this host can run a cell, and what to change where it cannot.
+//! `mrroc doctor`: checks whether this host can run a cell, and proposes corrections.
 //!
-//! It changes nothing unless `--fix` asks for it. Each subject has a module of pure judgements on what [`tree::Tree`]
-//! and a few system calls returned. All judgements are [`finding::Finding`]s, and the worst is the exit status. What
-//! mends one without a person is in it as [`fix::Fix`]es.
+//! The command changes nothing without `--fix`. Each subject has a module of pure functions from the data of
+//! [`tree::Tree`] and a few system calls to verdicts. Every result is a [`finding::Finding`], and the worst verdict is
+//! the exit status. Corrections that need no person are part of the finding as [`fix::Fix`]es.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
@@ -48,39 +48,40 @@ use tree::Tree;
 
 pub use cpu::stolen_ticks;
 
-/// How long the steal time is watched.
+/// Time over which the steal time is measured.
 const WATCH: Duration = Duration::from_secs(1);
 
-/// What the command's help says of its exit status.
+/// Exit status in the help text of the command.
 const EXIT_STATUS: &str =
     "Exit status: 0 ready; 1 usable with warnings; 2 not usable, or the cell file is refused.";
 
-/// What to examine.
+/// Options of `mrroc doctor`.
 #[derive(Args)]
 #[command(after_help = EXIT_STATUS)]
 pub struct Options {
-    /// The cell file: its CAN interfaces, serial lines and real-time needs. Without one, the host alone and the CAN
-    /// interfaces it has.
+    /// The cell file, whose CAN interfaces, serial lines and real-time settings are checked. Without a cell file, only
+    /// the host and its CAN interfaces are checked.
     cell: Option<PathBuf>,
     /// Print one JSON object.
     #[arg(long)]
     json: bool,
-    /// Set what can be set, after asking for each finding; a cell must not run on this host. Then examine anew.
+    /// Correct the settings that this command can change, and ask before each correction. Then examine the host again.
+    /// No cell may run on this host during the corrections.
     #[arg(long)]
     fix: bool,
-    /// Ask nothing.
+    /// Do not ask before each correction.
     #[arg(long, requires = "fix")]
     yes: bool,
-    /// Put back what `--fix` has set, the youngest change first; a cell must not run on this host. 1 if something could
-    /// not be.
+    /// Undo the changes of `--fix`, the latest first. No cell may run on this host. Exit status 1 means that a change
+    /// could not be undone.
     #[arg(long, conflicts_with_all = ["cell", "json", "fix"])]
     undo: bool,
-    /// The record of what was set, by default below /var/lib/mrroc or, for users other than root, XDG_STATE_HOME.
+    /// The record of the changes. [default: below /var/lib/mrroc, or below XDG_STATE_HOME for users other than root]
     #[arg(long, value_name = "FILE")]
     state: Option<PathBuf>,
 }
 
-/// Everything that was found.
+/// Results of the examination.
 #[derive(Serialize)]
 struct Examined {
     cell: Option<String>,
@@ -88,7 +89,7 @@ struct Examined {
     findings: Vec<Finding>,
 }
 
-/// Examines the host and says what it found.
+/// Examines the host and prints the findings.
 pub fn doctor(options: &Options) -> anyhow::Result<ExitCode> {
     let tree = Tree::new("/");
     if options.undo {
@@ -141,7 +142,7 @@ fn undo(tree: &Tree, options: &Options) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::from(u8::from(left > 0)))
 }
 
-/// Where the record of changes is.
+/// Path of the record of changes.
 fn state(tree: &Tree, options: &Options) -> anyhow::Result<PathBuf> {
     const NAME: &str = "doctor-undo.json";
     if let Some(file) = &options.state {
@@ -188,7 +189,7 @@ fn examine(tree: &Tree, cell: Option<&Cell>) -> anyhow::Result<Vec<Finding>> {
     Ok(findings)
 }
 
-/// The interfaces and ttys that the cell names; without a cell, the CAN interfaces that are there.
+/// Interfaces and ttys of the cell; without a cell, the CAN interfaces of the host.
 fn wanted(
     tree: &Tree,
     cell: Option<&Cell>,
@@ -236,7 +237,8 @@ fn wanted(
     (interfaces, lines)
 }
 
-/// What the scheduler says to a thread that asks for what the servo's would. It ends at once.
+/// Starts a thread with the scheduling of the servo thread, and returns the answer of the host. The thread ends at
+/// once.
 fn try_scheduler(realtime: &Realtime, period: Duration) -> anyhow::Result<Result<(), Denial>> {
     let Realtime {
         scheduler,
@@ -251,7 +253,7 @@ fn try_scheduler(realtime: &Realtime, period: Duration) -> anyhow::Result<Result
     Ok(asking.join().expect("asking does not panic"))
 }
 
-/// A socket that sends nothing and is closed at once.
+/// Opens a socket, sends nothing, and closes the socket at once.
 fn try_open(interface: &str) -> Result<(), OpenError> {
     SocketCanPort::open(interface, &SocketCanOptions::default()).map(drop)
 }

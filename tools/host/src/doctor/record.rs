@@ -1,7 +1,7 @@
-//! The undo record: every change that `--fix` makes, on the disk before it is made, the oldest first.
+//! Undo record: every change that `--fix` makes, the oldest first. A change is on the disk before it is made.
 //!
-//! `--undo` writes and deletes files by the contents of a record, as root as a rule. A record is accepted only if this user
-//! alone can have written it, and only with changes that `--fix` can make ([`Change::check`]).
+//! `--undo` writes and deletes files according to a record, usually as root. A record is accepted only if no other user
+//! can have written it. Every change in the record must be one that `--fix` can make ([`Change::check`]).
 
 use std::fmt;
 use std::fs::{self, File};
@@ -17,10 +17,10 @@ use super::fix::Knob;
 use super::tree;
 use mrroc::input::{self, InputError};
 
-/// Who may read a record and who may write it.
+/// Permissions of a record: its owner reads and writes it.
 const MODE: u32 = 0o600;
 
-/// What was set, and what it was before; none for a file that was not there.
+/// A knob with its values before and after the change. The value before is `None` if a file did not exist.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct Change {
     pub(super) knob: Knob,
@@ -28,7 +28,7 @@ pub(super) struct Change {
     pub(super) after: String,
 }
 
-/// A record that nobody else writes to while it is open.
+/// An open record, locked against other processes.
 pub(super) struct Record {
     path: PathBuf,
     changes: Vec<Change>,
@@ -36,7 +36,7 @@ pub(super) struct Record {
 }
 
 impl Record {
-    /// Opens the record at `path`, empty where there is none, and makes its directory.
+    /// Opens the record at `path` and creates its directory. A record that does not exist is empty.
     pub(super) fn open(path: &Path) -> anyhow::Result<Self> {
         let shown = || path.display().to_string();
         let path = std::path::absolute(path).with_context(shown)?;
@@ -45,7 +45,7 @@ impl Record {
         Self::existing(&path)
     }
 
-    /// Opens the record at `path`, empty where there is none, in a directory that is there.
+    /// Opens the record at `path`, whose directory must exist. A record that does not exist is empty.
     pub(super) fn existing(path: &Path) -> anyhow::Result<Self> {
         let shown = || path.display().to_string();
         let path = std::path::absolute(path).with_context(shown)?;
@@ -70,14 +70,14 @@ impl Record {
         &self.changes
     }
 
-    /// Adds a change that is about to be made.
+    /// Adds a change before it is made.
     pub(super) fn push(&mut self, change: Change) -> anyhow::Result<()> {
         self.changes.push(change);
         self.store()
     }
 
-    /// The last change came out otherwise. A value that no record may have is left out: undoing then finds a value that
-    /// is not the one set.
+    /// Corrects the value after the last change to the value that the kernel accepted. A value that no record may
+    /// contain is left out. `--undo` then finds a value that differs from the recorded one.
     pub(super) fn amend(&mut self, after: String) -> anyhow::Result<()> {
         if let Some(last) = self.changes.last_mut() {
             let set = std::mem::replace(&mut last.after, after);
@@ -88,12 +88,12 @@ impl Record {
         self.store()
     }
 
-    /// Forgets the last change.
+    /// Removes the last change.
     pub(super) fn pop(&mut self) -> anyhow::Result<()> {
         self.remove(self.changes.len() - 1)
     }
 
-    /// Forgets the change at `index`.
+    /// Removes the change at `index`.
     pub(super) fn remove(&mut self, index: usize) -> anyhow::Result<()> {
         self.changes.remove(index);
         self.store()
@@ -107,8 +107,8 @@ impl Record {
     }
 }
 
-/// The changes of the record at `path`, none where there is no file. The error names the line of a change that `--fix`
-/// cannot have made.
+/// Reads the changes of the record at `path`; empty if there is no file. The error names the line of a change that
+/// `--fix` cannot have made.
 fn read(path: &Path) -> anyhow::Result<Vec<Change>> {
     match input::read_own(path, input::RECORD) {
         Err(InputError::Os(error)) if error.kind() == ErrorKind::NotFound => Ok(Vec::new()),
@@ -123,7 +123,8 @@ impl<'de> Deserialize<'de> for Change {
     }
 }
 
-/// Reads and checks one change. An error has the line on which the JSON object of the change ends.
+/// Deserializer that reads and checks one change. An error refers to the line on which the JSON object of the change
+/// ends.
 struct AdmissibleChange;
 
 impl<'de> Visitor<'de> for AdmissibleChange {
@@ -180,7 +181,7 @@ mod tests {
         }
     }
 
-    /// In the form that a record has on the disk.
+    /// The record has the form that is written to the disk.
     #[test]
     fn the_line_of_a_change_that_no_fix_makes_is_named() {
         let kernel = |path: &str, before: &str| {

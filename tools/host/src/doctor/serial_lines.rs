@@ -1,4 +1,4 @@
-//! The ttys of a cell: whether they are there, are this user's to open, keep their names, and answer at once.
+//! Ttys of a cell: presence, permissions, persistent names and latency.
 
 use super::finding::Finding;
 use super::fix::Knob;
@@ -8,12 +8,12 @@ use super::tree::Tree;
 /// One tty of a cell.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Wanted {
-    /// What findings call it: who is at its other end, and the tty.
+    /// Name in findings: the tty and the device at its other end.
     pub of: String,
     pub path: String,
 }
 
-/// What is found of one tty, which is not opened for it: that would raise its control lines.
+/// Findings about one tty. The tty is not opened, because opening a tty raises its control lines.
 pub(super) fn findings(tree: &Tree, wanted: &Wanted) -> Vec<Finding> {
     let of = wanted.of.as_str();
     let presence = |read: String| {
@@ -37,7 +37,7 @@ pub(super) fn findings(tree: &Tree, wanted: &Wanted) -> Vec<Finding> {
         Some(driver) => format!("{name}, driver {driver}"),
         None => name.clone(),
     };
-    // Drivers of serial ports keep ttys for ports that the machine does not have: PORT_UNKNOWN of linux/serial.h.
+    // Drivers of serial ports create ttys for ports that the machine does not have: PORT_UNKNOWN of linux/serial.h.
     if tree.number(&format!("{class}/type")) == Some(0) {
         return vec![
             presence(format!("{present}, no port behind it"))
@@ -52,8 +52,8 @@ pub(super) fn findings(tree: &Tree, wanted: &Wanted) -> Vec<Finding> {
     findings
 }
 
-/// What the driver of a serial port was told last (`ASYNC_LOW_LATENCY` of linux/tty_flags.h). The run needs no help with it:
-/// every opening sets it, which takes no privilege.
+/// Finding about the low-latency flag of a serial port driver (`ASYNC_LOW_LATENCY` of linux/tty_flags.h). A run sets
+/// the flag whenever it opens the tty, and needs no privilege for it.
 fn flag(tree: &Tree, of: &str, name: &str) -> Option<Finding> {
     const LOW_LATENCY: u32 = 1 << 13;
     let flags = tree.text(&format!("/sys/class/tty/{name}/flags"))?;
@@ -83,7 +83,7 @@ fn permission(tree: &Tree, wanted: &Wanted) -> Option<Finding> {
     })
 }
 
-/// The names of USB adapters that stay when the adapters change places.
+/// Persistent names of the USB adapters, which do not depend on the order of plugging.
 fn persistent(tree: &Tree) -> Vec<String> {
     let names = tree.names("/dev/serial/by-id").into_iter();
     names
@@ -91,7 +91,7 @@ fn persistent(tree: &Tree) -> Vec<String> {
         .collect()
 }
 
-/// Only ttys of USB adapters are numbered in the order of plugging.
+/// Finding about the name of a tty. Only ttys of USB adapters are numbered in the order of plugging.
 fn naming(tree: &Tree, wanted: &Wanted, name: &str) -> Option<Finding> {
     if !name.starts_with("ttyUSB") && !name.starts_with("ttyACM") {
         return None;
@@ -102,7 +102,7 @@ fn naming(tree: &Tree, wanted: &Wanted, name: &str) -> Option<Finding> {
         wanted.path.as_str(),
         "ttys of USB adapters are numbered as they are plugged in: after a restart another axis may answer under it",
     );
-    // A link to it, of udev's or the user's, follows the adapter.
+    // A symbolic link, made by udev or by the user, follows the adapter.
     if wanted.path != format!("/dev/{name}") {
         return Some(finding);
     }
@@ -114,7 +114,7 @@ fn naming(tree: &Tree, wanted: &Wanted, name: &str) -> Option<Finding> {
     }))
 }
 
-/// Of adapters that hold bytes back to send more of them at once.
+/// Finding about the latency timer of adapters that collect received bytes before they send them to the host.
 fn latency(tree: &Tree, of: &str, name: &str) -> Option<Finding> {
     let file = format!("/sys/bus/usb-serial/devices/{name}/latency_timer");
     let timer = tree.number(&file)?;
@@ -153,7 +153,7 @@ mod tests {
         findings.map(|found| (found.what, found.verdict)).collect()
     }
 
-    /// An FTDI adapter, ours to open.
+    /// An FTDI adapter that this user may open.
     fn adapter(latency: &str) -> Fake {
         let fake = Fake::new(&[
             ("dev/ttyUSB3", ""),

@@ -1,4 +1,4 @@
-//! Small trees of files in place of a host, whole ones and broken ones.
+//! Small file trees in place of a host, complete and damaged.
 
 use std::fs;
 use std::os::unix::fs::symlink;
@@ -13,11 +13,11 @@ use super::link::Link;
 use super::tree::Tree;
 use super::{can_interfaces, cpu, kernel, limits, serial_lines};
 
-/// A tree of files that goes with the test.
+/// A file tree that is deleted when the test ends.
 pub(super) struct Fake(PathBuf);
 
 impl Fake {
-    /// Files by their path and their text.
+    /// Creates files from their paths and texts.
     pub(super) fn new(files: &[(&str, &str)]) -> Self {
         static COUNT: AtomicU32 = AtomicU32::new(0);
         let number = COUNT.fetch_add(1, Ordering::Relaxed);
@@ -30,7 +30,7 @@ impl Fake {
         fake
     }
 
-    /// A symbolic link, `target` seen from where it lies.
+    /// Creates a symbolic link. `target` is relative to the directory of the link.
     pub(super) fn link(&self, path: &str, target: &str) {
         symlink(target, self.ready(path)).unwrap();
     }
@@ -47,7 +47,7 @@ impl Fake {
         fs::write(self.ready(path), text).unwrap();
     }
 
-    /// A path in it.
+    /// Path of a file in the tree.
     pub(super) fn path(&self, path: &str) -> PathBuf {
         self.0.join(path)
     }
@@ -65,7 +65,7 @@ impl Drop for Fake {
     }
 }
 
-/// Everything that is found in a tree of which a cell names can0 and ttyUSB0, and pins its servo.
+/// All findings in a tree. The cell names can0 and ttyUSB0, and pins its servo thread.
 fn all(tree: &Tree, link: Option<&Link>) -> Vec<Finding> {
     let realtime = Realtime {
         cpu: Some(1),

@@ -1,5 +1,5 @@
-//! The host's files below a root, `/` but in tests, and the notations that several of them share. This is the rim:
-//! everything else in the examination works on what it returned.
+//! Files of the host below a root directory, which is `/` except in tests, and parsers for their common notations. All
+//! file access of the examination is in this file.
 
 use std::collections::BTreeSet;
 use std::fs::{self, File, OpenOptions};
@@ -24,7 +24,7 @@ pub(super) struct Access {
 impl Tree {
     pub(super) fn new(root: impl Into<PathBuf>) -> Self {
         let root = root.into();
-        // Links are followed and must end below it.
+        // Links are followed and must end within the tree.
         let root = root.canonicalize().unwrap_or(root);
         Self { root }
     }
@@ -33,18 +33,18 @@ impl Tree {
         self.root.join(path.trim_start_matches('/'))
     }
 
-    /// The text of a file, without the white space around it; none for one that cannot be read.
+    /// Text of a file without surrounding white space; `None` if the file cannot be read.
     pub(super) fn text(&self, path: &str) -> Option<String> {
         let text = fs::read_to_string(self.at(path)).ok()?;
         Some(text.trim().to_owned())
     }
 
-    /// The number in a file.
+    /// Number in a file.
     pub(super) fn number(&self, path: &str) -> Option<i64> {
         self.text(path)?.parse().ok()
     }
 
-    /// The names in a directory, sorted; none in one that is not there.
+    /// Names in a directory, sorted; empty if there is no such directory.
     pub(super) fn names(&self, path: &str) -> Vec<String> {
         let entries = fs::read_dir(self.at(path)).into_iter().flatten().flatten();
         let mut names: Vec<_> = entries
@@ -54,7 +54,7 @@ impl Tree {
         names
     }
 
-    /// Where a path leads when every link is followed, from the root.
+    /// Destination of a path after all links, relative to the root of the tree.
     pub(super) fn resolved(&self, path: &str) -> Option<PathBuf> {
         let path = self.at(path).canonicalize().ok()?;
         let below = path.strip_prefix(&self.root).ok()?;
@@ -76,12 +76,12 @@ impl Tree {
         })
     }
 
-    /// Whether this is the running host's own tree, so that what is in no file can be asked of its kernel.
+    /// Whether this tree belongs to the running host. Only then may data that is in no file be read from the kernel.
     pub(super) fn is_host(&self) -> bool {
         self.root == Path::new("/")
     }
 
-    /// The whole of a file; none where there is none.
+    /// Full text of a file; `None` if the file does not exist.
     pub(super) fn whole(&self, path: &str) -> io::Result<Option<String>> {
         match fs::read_to_string(self.at(path)) {
             Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
@@ -89,9 +89,9 @@ impl Tree {
         }
     }
 
-    /// Writes a file that is there already, as one below `/proc` or `/sys`.
+    /// Writes an existing file, such as a file below `/proc` or `/sys`.
     pub(super) fn set(&self, path: &str, text: &str) -> io::Result<()> {
-        // A link that leads out of the tree leads to somebody else's file.
+        // A link that leads out of the tree points to a file outside the examined host.
         if self.resolved(path).is_none() {
             return Err(ErrorKind::NotFound.into());
         }
@@ -102,13 +102,13 @@ impl Tree {
         file.write_all(text.as_bytes())
     }
 
-    /// Puts `text` in the place of a whole file, or removes it for none. It is as it was or as it shall be, whenever the
-    /// power fails.
+    /// Replaces a whole file with `text`, or deletes the file if `text` is `None`. After a power failure the file has
+    /// either its old or its new content.
     pub(super) fn replace(&self, path: &str, text: Option<&str>) -> io::Result<()> {
         replace(&self.at(path), text, 0o644)
     }
 
-    /// What the running kernel was built with, where it tells.
+    /// Build configuration of the running kernel, if available.
     pub(super) fn kernel_config(&self) -> Option<String> {
         let release = self.text("/proc/sys/kernel/osrelease")?;
         self.text(&format!("/boot/config-{release}")).or_else(|| {
@@ -118,7 +118,7 @@ impl Tree {
     }
 }
 
-/// What [`Tree::replace`] does, for a path outside the tree. A file that was not there gets `mode`.
+/// [`Tree::replace`] for a path outside the tree. A new file gets the permissions `mode`.
 pub(super) fn replace(path: &Path, text: Option<&str>, mode: u32) -> io::Result<()> {
     let directory = path.parent().ok_or(ErrorKind::InvalidInput)?;
     if let Some(text) = text {
@@ -126,7 +126,8 @@ pub(super) fn replace(path: &Path, text: Option<&str>, mode: u32) -> io::Result<
         let mut name = path.file_name().ok_or(ErrorKind::InvalidInput)?.to_owned();
         name.push(".new");
         let new = directory.join(name);
-        // What a crash left. A link that somebody has put there leads to a file of somebody else's.
+        // Deletes the remainder of a crash. If another user placed a link here, writing would change the destination of
+        // the link.
         match fs::remove_file(&new) {
             Err(error) if error.kind() != ErrorKind::NotFound => return Err(error),
             _ => {}
@@ -146,7 +147,7 @@ pub(super) fn replace(path: &Path, text: Option<&str>, mode: u32) -> io::Result<
     File::open(directory)?.sync_all()
 }
 
-/// What a program prints within two seconds; none where it is not installed, fails or takes longer.
+/// Output of a program; `None` if the program is not installed, fails or takes longer than two seconds.
 pub(super) fn output_of(program: &Command) -> Option<String> {
     let mut bounded = Command::new("timeout");
     bounded.args(["--kill-after=1", "2"]);
@@ -156,10 +157,11 @@ pub(super) fn output_of(program: &Command) -> Option<String> {
     output.status.success().then_some(printed)
 }
 
-/// No kernel is built for more CPUs.
+/// Maximum number of CPUs for which a kernel is built.
 const MOST_CPUS: usize = 8192;
 
-/// The numbers of a list such as `0-3,6`, as the kernel writes sets of CPUs. What is no CPU's is left out.
+/// Numbers in a list such as `0-3,6`, the notation of the kernel for sets of CPUs. Numbers above the maximum are left
+/// out.
 pub(super) fn cpu_list(text: &str) -> BTreeSet<usize> {
     let ranges = text.trim().split(',').filter_map(|part| {
         let (first, last) = part.split_once('-').unwrap_or((part, part));
@@ -169,7 +171,7 @@ pub(super) fn cpu_list(text: &str) -> BTreeSet<usize> {
     ranges.flatten().collect()
 }
 
-/// The list that [`cpu_list`] reads, as the kernel writes it.
+/// Text of a set of CPUs in the notation that [`cpu_list`] reads.
 pub(super) fn cpu_ranges(cpus: &BTreeSet<usize>) -> String {
     let mut ranges: Vec<(usize, usize)> = Vec::new();
     for &cpu in cpus {
@@ -185,7 +187,7 @@ pub(super) fn cpu_ranges(cpus: &BTreeSet<usize>) -> String {
     shown.collect::<Vec<_>>().join(",")
 }
 
-/// The value behind `name` and a colon, as in `/proc/self/status`.
+/// Value after `name` and a colon, as in `/proc/self/status`.
 pub(super) fn field<'a>(text: &'a str, name: &str) -> Option<&'a str> {
     text.lines().find_map(|line| {
         let (key, value) = line.split_once(':')?;

@@ -1,4 +1,5 @@
-//! What a cell is measured on: nothing that may have an arm at its other end, whatever interfaces the cell names.
+//! Bench on which a cell is measured. Interfaces that may have an arm at their other end are refused, even if the cell
+//! file names them.
 
 use anyhow::{Context, bail};
 use can::card::{self, CardError};
@@ -9,17 +10,17 @@ use crate::doctor::link::Link;
 use mrroc::bench::interfaces::{Interface, bus_of};
 use mrroc::cell_file::CellFile;
 
-/// What a cell is measured on; nothing here moves hardware.
+/// Bench on which a cell is measured. No bench moves hardware.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub(super) enum CellBench {
     /// Emulated drives on a virtual bus, stepped by the servo thread between its cycles.
     Emulated,
-    /// Virtual CAN interfaces, given by --can; `mrroc emulate` at their other end.
+    /// Virtual CAN interfaces, given with --can, with `mrroc emulate` at their other end.
     Vcan,
 }
 
-/// Refuses what `bench` may not or cannot use; `can` is as `--can` gives it.
+/// Refuses a bench that is not allowed or not available. `can` holds the values of `--can`.
 pub(super) fn check(
     file: Option<&CellFile>,
     bench: CellBench,
@@ -54,7 +55,7 @@ pub(super) fn check(
     Ok(())
 }
 
-/// Refuses whatever is not known to be virtual.
+/// Refuses an interface that is not known to be virtual.
 fn virtual_alone(interface: &str) -> anyhow::Result<()> {
     if let Interface::Slcan { .. } | Interface::Epos { .. } = Interface::parse(interface) {
         bail!("an adapter on a tty may be an arm's, --bench vcan takes virtual interfaces alone");
@@ -64,7 +65,7 @@ fn virtual_alone(interface: &str) -> anyhow::Result<()> {
         Err(CardError::NotCard(_)) => {}
         Err(error) => return Err(error.into()),
     }
-    // A driver that tells netlink nothing of its card is no virtual interface either.
+    // A card whose driver reports nothing to netlink is refused as well.
     let link = Link::of(interface).context("`ip` of iproute2 has to tell its kind")?;
     if !["vcan", "vxcan"].contains(&link.kind()) {
         bail!(

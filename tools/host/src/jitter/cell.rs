@@ -1,8 +1,8 @@
-//! The whole cycle of a cell as what is measured: from the deadline to when its SYNC is handed over.
+//! Measurement of the whole cycle of a cell: the time from a deadline to the transmission of its SYNC.
 //!
-//! Each turn brings the drives up, switches them on and lets them hold their position; nothing is homed and nothing
-//! moves. Every cycle from bring-up to switch-off is measured, by the servo thread itself, so an interval is a turn.
-//! Between its turns there is no servo, and the peer has the host for itself.
+//! Each turn brings the drives up, switches them on and lets them hold their position. Nothing is homed and nothing
+//! moves. The servo thread itself measures every cycle from bring-up to switch-off, so one turn gives one interval.
+//! There is no servo between the turns, and the peer has the host for itself.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
@@ -29,22 +29,22 @@ use mrroc::wire::{Wire, WireReport};
 pub(super) struct MeasuredCell<'a> {
     file: &'a CellFile,
     bench: CellBench,
-    /// As `--can` gives it.
+    /// Values of `--can`.
     can: &'a [String],
-    /// Whether frames that nobody asked for load its buses.
+    /// Whether additional frames load the buses.
     traffic: bool,
     step: Counts,
     bus: Counts,
     wake_up: Counts,
     pub missed: u64,
     pub wait: WaitReport,
-    /// Cycles that were late, of all turns.
+    /// Late cycles of all turns.
     pub late: LateCycles,
-    /// The cycles around the latest, of all turns; each turn numbers its own.
+    /// Cycles around the latest cycles of all turns. Each turn numbers its own cycles.
     pub spikes: Vec<Spike>,
-    /// What listens to its buses, from the first turn on.
+    /// Listener on the buses, from the first turn on.
     wire: Option<Wire>,
-    /// Whether every robot stood with its power on in every turn.
+    /// Whether every robot held its position with its power on in every turn.
     stood: bool,
 }
 
@@ -72,12 +72,13 @@ impl<'a> MeasuredCell<'a> {
         }
     }
 
-    /// What was seen so far counts for nothing.
+    /// Discards everything measured so far.
     pub(super) fn forget(&mut self) {
         *self = Self::new(self.file, self.bench, self.can, self.traffic);
     }
 
-    /// One turn into `ledger`; returns what the host denied. `look` is called meanwhile.
+    /// Runs one turn and records it in `ledger`. Returns what the host denied. `look` is called repeatedly during the
+    /// turn.
     pub(super) fn turn(
         &mut self,
         policy: RealtimePolicy,
@@ -160,7 +161,7 @@ impl<'a> MeasuredCell<'a> {
         Ok(finished.denied)
     }
 
-    /// What was seen of the cycle besides its punctuality.
+    /// Measurements of the cycle other than the delay of SYNC.
     pub(super) fn report(&self) -> CellReport {
         CellReport {
             name: self.file.cell.name.clone(),
@@ -178,19 +179,19 @@ impl<'a> MeasuredCell<'a> {
     }
 }
 
-/// The cycle of a measured cell.
+/// Measurements of the cycle of a cell.
 #[derive(Debug, Serialize)]
 pub(super) struct CellReport {
     pub name: String,
     pub bench: CellBench,
-    /// What its drives did.
+    /// State of the drives during the measurement.
     pub state: &'static str,
     /// Lateness of the wake-up, µs.
     pub wake_us: Percentiles,
     /// Duration of the step, µs.
     pub step_us: Percentiles,
-    /// From SYNC to the last answer to it, µs.
+    /// Time from SYNC to the last answer, µs.
     pub bus_us: Percentiles,
-    /// Every bus on the wire.
+    /// Measurements of every bus.
     pub wire: Vec<WireReport>,
 }

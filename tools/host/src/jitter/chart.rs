@@ -1,30 +1,30 @@
-//! `jitter.svg`: latency by percentile on an axis of nines, and the worst of each interval over time.
+//! `jitter.svg`: latency over percentile on an axis of nines, and the maximum of each interval over time.
 
 use std::fmt::Write as _;
 
 use super::interval::{Counts, Ledger, Series};
 use figures::chart::{line, open, text};
 
-/// Size of the picture, px.
+/// Size of the chart, px.
 const WIDTH: f64 = 960.0;
 const HEIGHT: f64 = 720.0;
 
-/// The panels' left and right, px.
+/// Left and right edges of the panels, px.
 const LEFT: f64 = 86.0;
 const RIGHT: f64 = 920.0;
 
-/// Top and bottom of the panels, px.
+/// Top and bottom edges of the panels, px.
 const DISTRIBUTION: [f64; 2] = [92.0, 400.0];
 const TIME: [f64; 2] = [490.0, 660.0];
 
-/// Ours is drawn last.
+/// Colour of our curve, which is drawn last.
 const OURS: &str = "#1666c0";
 const PEER: &str = "#d9731a";
 
-/// What is earlier is drawn as this late, µs: the clock shows no less.
+/// Smallest latency on the chart, µs. Smaller values are drawn here, because the clock does not resolve them.
 const EARLIEST: f64 = 0.01;
 
-/// One side of the chart.
+/// Curve of one side.
 pub(super) struct Curve<'a> {
     pub name: &'a str,
     pub late: &'a Counts,
@@ -41,7 +41,7 @@ impl<'a> Curve<'a> {
     }
 }
 
-/// The chart of ours and the peer's; `setting` is said below the title.
+/// Chart of our measurement and of the peer. `setting` is the text below the title.
 pub(super) fn chart(setting: &str, ours: &Curve, peer: Option<&Curve>) -> String {
     let curves = || {
         peer.map(|peer| (peer, PEER))
@@ -142,7 +142,7 @@ impl Logarithmic {
         self.high - self.low
     }
 
-    /// Where a value is between the `ends` of the axis, px.
+    /// Position of a value between the `ends` of the axis, px.
     fn at(&self, value: f64, ends: [f64; 2]) -> f64 {
         let low = f64::from(self.low);
         let share = (value.max(10f64.powi(self.low)).log10() - low) / f64::from(self.decades());
@@ -150,12 +150,13 @@ impl Logarithmic {
     }
 }
 
-/// The points of a distribution, no two closer than half a pixel.
+/// Points of a distribution. Neighbours are at least half a pixel apart.
 fn distribution(late: &Counts, nines: &Logarithmic, latency: &Logarithmic) -> String {
     let (total, mut reached, mut points) = (late.len() as f64, 0, String::new());
     let mut last = [f64::NEG_INFINITY; 2];
     for bin in late.iter_recorded() {
-        // From the share of cycles before this bin to the share with it, all are as late as it.
+        // A bin is drawn as a horizontal line, from the share of cycles before this bin to the share including this
+        // bin.
         for count in [reached, reached + bin.count_at_value()] {
             let beyond = (total - count as f64).max(1.0);
             let x = nines.at(total / beyond, [LEFT, RIGHT]);
@@ -171,14 +172,14 @@ fn distribution(late: &Counts, nines: &Logarithmic, latency: &Logarithmic) -> St
     points
 }
 
-/// The latency axis of a panel.
+/// Latency axis of a panel.
 fn latencies(svg: &mut String, latency: &Logarithmic, [top, bottom]: [f64; 2]) {
     let decades = latency.decades();
     for decade in 0..=decades {
         let value = 10f64.powi(latency.low + decade);
         let y = latency.at(value, [bottom, top]);
         line(svg, [LEFT, y], [RIGHT, y]);
-        // The lower panel has room for every other one.
+        // The lower panel has room for every second label.
         if bottom - top > 20.0 * f64::from(decades) || decade % 2 == decades % 2 {
             text(svg, [LEFT - 10.0, y + 4.5], "end", "", &value.to_string());
         }
@@ -201,7 +202,7 @@ fn legend<'a>(svg: &mut String, curves: impl Iterator<Item = (&'a Curve<'a>, &'s
     }
 }
 
-/// 0, 90, 99, 99.9 and so on.
+/// Text of a percentile: 0, 90, 99, 99.9 and so on.
 fn percent(nines: i32) -> String {
     match nines {
         0 => "0".into(),
@@ -211,7 +212,7 @@ fn percent(nines: i32) -> String {
     }
 }
 
-/// Round times of an axis to `end`, s: at most ten.
+/// Round times on an axis that ends at `end`, s; at most ten.
 fn seconds_ticks(end: f64) -> impl Iterator<Item = (f64, String)> {
     let decade = 10f64.powf((end / 10.0).log10().floor());
     let steps = [1.0, 2.0, 5.0, 10.0].map(|step| step * decade);

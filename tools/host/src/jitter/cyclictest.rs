@@ -1,4 +1,4 @@
-//! cyclictest of Debian's package rt-tests as the peer: run for a while, its histogram read.
+//! cyclictest of Debian's package rt-tests as the peer: runs the program for a time and reads its histogram.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
@@ -12,16 +12,16 @@ use can::clock::{now, sleep_until};
 use super::interval::{Counts, Interval, counts};
 use super::probe::Turn;
 
-/// Bins of its histogram, µs; what is later is counted as its maximum.
+/// Number of bins of its histogram, 1 µs each. A larger latency is counted as the maximum.
 const BINS: u32 = 20_000;
 
-/// How long it may take to start and to print.
+/// Time that cyclictest has to start and to print its result.
 const OVERHEAD: Duration = Duration::from_secs(20);
 
-/// How often to look whether it has ended.
+/// Time between two checks whether cyclictest has ended.
 const POLL: Duration = Duration::from_millis(20);
 
-/// Refuses where it is not installed.
+/// Refuses the measurement if cyclictest is not installed.
 pub(super) fn find() -> anyhow::Result<()> {
     let found = Command::new("cyclictest")
         .arg("--help")
@@ -38,7 +38,7 @@ pub(super) fn find() -> anyhow::Result<()> {
     }
 }
 
-/// Lets it wait for the deadlines of a turn and returns what it saw. It leaves /dev/cpu_dma_latency alone.
+/// Runs cyclictest for one turn and returns its histogram. cyclictest is told not to hold /dev/cpu_dma_latency.
 pub(super) fn measure(turn: Turn, priority: u8, cpu: Option<usize>) -> anyhow::Result<Interval> {
     let mut command = Command::new("cyclictest");
     command
@@ -65,7 +65,7 @@ pub(super) fn measure(turn: Turn, priority: u8, cpu: Option<usize>) -> anyhow::R
     std::thread::scope(|scope| {
         let text = |pipe: Option<Box<dyn Read + Send>>| {
             let mut text = String::new();
-            // What is not text is refused below.
+            // Output that is not text is refused below.
             let _ = pipe.map(|mut pipe| pipe.read_to_string(&mut text));
             text
         };
@@ -80,7 +80,8 @@ pub(super) fn measure(turn: Turn, priority: u8, cpu: Option<usize>) -> anyhow::R
             }
             if turn.is_over() && !told {
                 told = true;
-                // It prints what it has. A terminal's Ctrl-C reached it already, and it may have ended since.
+                // Makes cyclictest print its result. It may have ended already, since Ctrl-C on a terminal reaches it
+                // as well.
                 let _ = Command::new("sh")
                     .args(["-c", &format!("kill -INT {}", child.id())])
                     .stderr(Stdio::null())
@@ -112,7 +113,7 @@ pub(super) fn measure(turn: Turn, priority: u8, cpu: Option<usize>) -> anyhow::R
     })
 }
 
-/// The histogram of one thread that `text` shows: lines of bin, µs, and count, then totals after `#`.
+/// Histogram of one thread in `text`: lines with bin, µs, and count, followed by totals after `#`.
 fn parse(text: &str) -> Option<Counts> {
     let mut late = counts();
     let total = |name: &str| -> Option<u64> {
@@ -129,7 +130,7 @@ fn parse(text: &str) -> Option<Counts> {
         let (bin, count) = line.split_once(char::is_whitespace)?;
         let (bin, count): (u64, u64) = (bin.parse().ok()?, count.trim().parse().ok()?);
         if count > 0 {
-            // None of a value would still count as the greatest.
+            // Recording a value zero times would still raise the maximum.
             late.saturating_record_n(1000 * bin, count);
         }
         counted += count;
@@ -144,7 +145,7 @@ fn parse(text: &str) -> Option<Counts> {
 mod tests {
     use super::*;
 
-    /// As cyclictest 2.40 printed it for `-m -q -t1 -p80 -i1000 -l 8 -h 4`, in part.
+    /// Part of the output of cyclictest 2.40 for `-m -q -t1 -p80 -i1000 -l 8 -h 4`.
     const PRINTED: &str = "# /dev/cpu_dma_latency set to 0us\n# Histogram\n000000 000000\n000001 000002\n\
         000002 000000\n000003 000003\n# Total: 000000005\n# Min Latencies: 00001\n# Avg Latencies: 00035\n\
         # Max Latencies: 01471\n# Histogram Overflows: 00003\n# Histogram Overflow at cycle number:\n\

@@ -1,4 +1,4 @@
-//! The files of a measurement, in the formats of the HdrHistogram tools.
+//! Output files of a measurement, in the formats of the HdrHistogram tools.
 //!
 //! `ours.hgrm` and `peer.hgrm` are percentile distributions, recorded in ns and printed in µs; `ours.hlog` is an
 //! interval log, format 1.3, in ns; `jitter.svg` shows both sides.
@@ -18,13 +18,13 @@ use hdrhistogram::serialization::interval_log::{
 use super::interval::{Counts, Interval};
 use mrroc::outputs::Outputs;
 
-/// What is counted, ns, per printed µs.
+/// Recorded unit, ns, per printed unit, µs.
 const NANOS_PER_MICRO: f64 = 1e3;
 
 /// Lines of a percentile distribution per halving of the distance to 100 %.
 const TICKS: u32 = 5;
 
-/// The files, open from before the measurement on.
+/// Output files, opened before the measurement.
 pub(super) struct Files {
     directory: PathBuf,
     pub ours: File,
@@ -33,7 +33,7 @@ pub(super) struct Files {
 }
 
 impl Files {
-    /// Opens the files in `directory`, which is made where it is not there yet; returns the interval log's too.
+    /// Opens the files in `directory`, and creates the directory if necessary. Returns the interval log separately.
     pub(super) fn open(
         outputs: &mut Outputs,
         directory: &Path,
@@ -51,7 +51,7 @@ impl Files {
         Ok((files, LineWriter::new(create("ours.hlog")?)))
     }
 
-    /// Writes what was measured.
+    /// Writes the results.
     pub(super) fn write(mut self, ours: &Counts, peer: &Counts, chart: &str) -> anyhow::Result<()> {
         let mut write = || {
             percentile_distribution(ours, &mut self.ours)?;
@@ -68,7 +68,7 @@ impl Files {
 pub(super) struct IntervalLog<'a>(IntervalLogWriter<'a, 'a, LineWriter<File>, V2DeflateSerializer>);
 
 impl<'a> IntervalLog<'a> {
-    /// Begins it now.
+    /// Starts the log now.
     pub(super) fn begin(
         file: &'a mut LineWriter<File>,
         serializer: &'a mut V2DeflateSerializer,
@@ -88,7 +88,7 @@ impl<'a> IntervalLog<'a> {
         Ok(Self(log))
     }
 
-    /// Writes one interval, its times from `began` on.
+    /// Writes one interval. Times are relative to `began`.
     pub(super) fn write(&mut self, interval: &Interval, began: Instant) -> io::Result<()> {
         let (begun, lasted) = (
             interval.begun.since(began),
@@ -102,7 +102,7 @@ impl<'a> IntervalLog<'a> {
     }
 }
 
-/// Writes `counts` as the HdrHistogram tools print a percentile distribution, in µs.
+/// Writes `counts` as a percentile distribution in the format of the HdrHistogram tools, in µs.
 fn percentile_distribution(counts: &Counts, to: &mut impl Write) -> io::Result<()> {
     let mut text = format!(
         "{:>12} {:>14} {:>10} {:>14}\n\n",
@@ -128,7 +128,7 @@ fn percentile_distribution(counts: &Counts, to: &mut impl Write) -> io::Result<(
         counts.max() as f64 / NANOS_PER_MICRO,
         counts.len(),
         counts.buckets(),
-        // Bins are the halves of sub-buckets, and the first bucket's both.
+        // Each bucket after the first has only the upper half of the sub-buckets; the first bucket has both halves.
         2 * counts.distinct_values() / (usize::from(counts.buckets()) + 1),
     );
     to.write_all(text.as_bytes())

@@ -1,8 +1,8 @@
-//! From a measuring thread to an ordinary one: histograms of about a second, exchanged whole.
+//! Transfer of histograms from the measuring thread to an ordinary thread, about one per second.
 //!
-//! All of them are made before anything is measured, and each is with one of the two threads at a time: the measuring
-//! thread neither allocates nor waits. If the ordinary thread lags, an interval grows longer and nothing is lost: the
-//! memory of a measurement does not depend on its duration.
+//! All histograms are allocated before the measurement. Each belongs to one of the two threads at a time, so the
+//! measuring thread neither allocates nor waits. If the ordinary thread lags, intervals grow longer and no count is
+//! lost. The memory of a measurement does not depend on its duration.
 
 use std::io;
 use std::mem;
@@ -14,28 +14,28 @@ use rtrb::{Consumer, Producer, RingBuffer};
 
 use super::files::IntervalLog;
 
-/// Nanoseconds, counted.
+/// Histogram of times, ns.
 pub(super) type Counts = Histogram<u64>;
 
-/// Least length of an interval.
+/// Minimum length of an interval.
 const INTERVAL: Duration = Duration::from_secs(1);
 
-/// Histograms under way beside the one that is being filled: some seconds.
+/// Number of histograms beside the one being filled; enough for some seconds.
 const SPARE: usize = 3;
 
-/// What is later is counted as this late.
+/// Largest recorded latency, ns. A larger latency is recorded as this value.
 const LATEST: u64 = 10_000_000_000;
 
-/// Times of a series; two are made one when there are more.
+/// Capacity of a series. A full series is halved by joining neighbours.
 const TIMES: usize = 2048;
 
-/// An empty one, from 1 ns to 10 s in three significant digits, as [`servo::Histogram`].
+/// An empty histogram from 1 ns to 10 s with three significant digits, as [`servo::Histogram`].
 pub(super) fn counts() -> Counts {
     Counts::new_with_bounds(1, LATEST, 3)
         .expect("the bounds are constants that the library accepts")
 }
 
-/// The same counts as `histogram`'s, which has the same bins.
+/// Copy of the counts of `histogram`, which has the same bins.
 pub(super) fn counts_of(histogram: &servo::Histogram) -> Counts {
     let mut counted = counts();
     for (duration, count) in histogram.bins() {
@@ -44,7 +44,7 @@ pub(super) fn counts_of(histogram: &servo::Histogram) -> Counts {
     counted
 }
 
-/// A part of a measurement.
+/// Latencies of a part of a measurement.
 pub(super) struct Interval {
     pub begun: Instant,
     pub ended: Instant,
@@ -61,7 +61,7 @@ impl Interval {
     }
 }
 
-/// The measuring thread's end.
+/// Sending end, for the measuring thread.
 pub(super) struct Recorder {
     filling: Box<Interval>,
     full: Producer<Box<Interval>>,
@@ -69,14 +69,14 @@ pub(super) struct Recorder {
 }
 
 impl Recorder {
-    /// A turn begins.
+    /// Starts a turn.
     pub(super) fn begin(&mut self, now: Instant) {
         if self.filling.late.is_empty() {
             self.filling.begun = now;
         }
     }
 
-    /// Counts one wake-up.
+    /// Records the latency of one wake-up.
     pub(super) fn record(&mut self, late: Duration, now: Instant) {
         let nanos = u64::try_from(late.as_nanos()).unwrap_or(LATEST);
         self.filling.late.saturating_record(nanos.min(LATEST));
@@ -86,7 +86,7 @@ impl Recorder {
         }
     }
 
-    /// Gives the interval away, if there is an empty one to go on with.
+    /// Hands the interval over if an empty histogram is available.
     pub(super) fn hand_over(&mut self) {
         if self.filling.late.is_empty() {
             return;
@@ -94,23 +94,23 @@ impl Recorder {
         if let Ok(mut next) = self.empty.pop() {
             next.begun = self.filling.ended;
             let full = mem::replace(&mut self.filling, next);
-            // There are as many places as histograms.
+            // The queue has as many places as there are histograms.
             let _ = self.full.push(full);
         }
     }
 }
 
-/// The ordinary thread's end: all that one side's turns came to.
+/// Receiving end, for the ordinary thread: the sum of all turns of one side.
 pub(super) struct Ledger<'a> {
     full: Consumer<Box<Interval>>,
     empty: Producer<Box<Interval>>,
-    /// Of the whole measurement.
+    /// Latencies of the whole measurement.
     pub total: Counts,
     pub series: Series,
     log: Option<IntervalLog<'a>>,
 }
 
-/// Both ends. `began` is the zero of the series and the log.
+/// Creates both ends. `began` is time zero of the series and of the log.
 pub(super) fn recording(began: Instant, log: Option<IntervalLog<'_>>) -> (Recorder, Ledger<'_>) {
     let (full, filled) = RingBuffer::new(SPARE + 1);
     let (mut emptied, empty) = RingBuffer::new(SPARE + 1);
@@ -133,7 +133,7 @@ pub(super) fn recording(began: Instant, log: Option<IntervalLog<'_>>) -> (Record
 }
 
 impl Ledger<'_> {
-    /// Takes what has been handed over.
+    /// Processes all intervals that were handed over.
     pub(super) fn drain(&mut self) -> io::Result<()> {
         while let Ok(mut interval) = self.full.pop() {
             self.add(&interval)?;
@@ -159,10 +159,10 @@ impl Ledger<'_> {
     }
 }
 
-/// The worst of each interval, in bounded room.
+/// Maximum latency of each interval, in bounded memory.
 pub(super) struct Series {
     began: Instant,
-    /// From and to, s, and the worst in between, µs.
+    /// Start and end, s, and the maximum latency between them, µs.
     pub times: Vec<[f64; 3]>,
 }
 

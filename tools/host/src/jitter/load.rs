@@ -1,7 +1,7 @@
-//! Load for the CPUs while something is measured: ordinary threads, one per CPU, or a program that loads them all.
+//! Load for the CPUs during a measurement: ordinary threads, one per CPU, or a program that loads all CPUs.
 //!
-//! A program is started in a process group of its own that is killed whole when the load is dropped; if this process is
-//! killed first, the kernel ends the program.
+//! A program runs in a process group of its own. Dropping the load kills the whole group. If this process is killed
+//! first, the kernel ends the program.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
@@ -20,37 +20,37 @@ use can::clock::{now, sleep_until};
 use clap::ValueEnum;
 use serde::Serialize;
 
-/// Bytes of stack of a thread: all memory may be locked.
+/// Stack of a thread, bytes; small, because all memory may be locked.
 const STACK: usize = 128 * 1024;
 
-/// Bytes that the memory load walks over: more than caches hold.
+/// Memory that the memory load accesses, bytes; larger than the caches.
 const MEMORY: usize = 32 << 20;
 
-/// Bytes that the disk load writes at once.
+/// Size of one write of the disk load, bytes.
 const BLOCK: usize = 1 << 20;
 
-/// Blocks in the file of the disk load.
+/// Number of blocks in the file of the disk load.
 const BLOCKS: u64 = 16;
 
-/// How often to look whether a program has ended.
+/// Time between two checks whether a program has ended.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// How long a program may take to end when it is told to.
+/// Time that a program has to end after a signal.
 const ENDING: Duration = Duration::from_secs(3);
 
-/// What loads the host.
+/// Kind of load.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub(super) enum Kind {
     /// Arithmetic.
     Cpu,
-    /// Reads and writes all over a memory larger than the caches.
+    /// Reads and writes in a memory larger than the caches.
     Memory,
-    /// New processes, one after the other.
+    /// Starts new processes, one after the other.
     Fork,
-    /// Writes to a file in the directory for temporary ones, each made durable.
+    /// Writes to a file in the directory for temporary files, each followed by a sync.
     Io,
-    /// Frames that nobody asked for on the virtual buses of the cell under measurement.
+    /// Additional frames on the virtual buses of the measured cell.
     Bus,
     /// hackbench of Debian's package rt-tests: messages between many threads.
     Hackbench,
@@ -59,13 +59,13 @@ pub(super) enum Kind {
 }
 
 impl Kind {
-    /// As on the command line.
+    /// Name on the command line.
     pub(super) fn name(self) -> String {
         let value = self.to_possible_value();
         value.map_or_else(String::new, |value| value.get_name().to_owned())
     }
 
-    /// The program that it is, and its Debian package.
+    /// The program that produces this load, and its Debian package.
     fn program(self) -> Option<(&'static str, &'static str)> {
         match self {
             Self::Hackbench => Some(("hackbench", "rt-tests")),
@@ -75,14 +75,14 @@ impl Kind {
     }
 }
 
-/// Load under way; dropping it ends it.
+/// A running load. Dropping it ends the load.
 pub(super) struct Load {
     over: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
 }
 
 impl Load {
-    /// Refuses programs among `kinds` that are not installed.
+    /// Refuses kinds of load whose program is not installed.
     pub(super) fn find(kinds: &[Kind]) -> anyhow::Result<()> {
         for (name, package) in kinds.iter().filter_map(|kind| kind.program()) {
             let found = Command::new(name)
@@ -101,7 +101,7 @@ impl Load {
         Ok(())
     }
 
-    /// Starts each of `kinds` on as many threads as there are CPUs, each program once.
+    /// Starts a thread per CPU for each of `kinds`; a kind that is a program is started once.
     pub(super) fn start(kinds: &[Kind]) -> anyhow::Result<Self> {
         let mut load = Self {
             over: Arc::default(),
@@ -133,13 +133,13 @@ impl Drop for Load {
     fn drop(&mut self) {
         self.over.store(true, Ordering::Relaxed);
         for thread in self.threads.drain(..) {
-            // A load that panicked said so itself.
+            // A load that panicked has printed the message already.
             let _ = thread.join();
         }
     }
 }
 
-/// One short turn of a load, which says whether to go on.
+/// One short turn of a load, which returns whether to continue.
 fn turn(kind: Kind, number: usize) -> anyhow::Result<Box<dyn FnMut() -> bool + Send>> {
     Ok(match kind {
         Kind::Cpu => Box::new(|| {
@@ -159,9 +159,9 @@ fn turn(kind: Kind, number: usize) -> anyhow::Result<Box<dyn FnMut() -> bool + S
             let child = Command::new("true").stdin(Stdio::null()).status();
             child.is_ok()
         }),
-        // It hangs on the buses of the cell, and needs no thread.
+        // The frames are sent by the buses of the cell, without a thread here.
         Kind::Bus => Box::new(|| false),
-        // Threads of one process end with it.
+        // The threads of a process end with the process.
         Kind::Hackbench => again(&["hackbench", "--threads", "--loops=10000"]),
         Kind::StressNg => again(&[
             "stress-ng",
@@ -181,7 +181,7 @@ fn turn(kind: Kind, number: usize) -> anyhow::Result<Box<dyn FnMut() -> bool + S
                 .create_new(true)
                 .open(&path)
                 .with_context(|| format!("{} cannot be written for the load", path.display()))?;
-            // It goes with its descriptor, however this process ends.
+            // The kernel frees the file with its descriptor, however this process ends.
             std::fs::remove_file(&path)?;
             let (block, mut written) = (vec![0x55; BLOCK], 0);
             Box::new(move || {
@@ -199,7 +199,7 @@ fn turn(kind: Kind, number: usize) -> anyhow::Result<Box<dyn FnMut() -> bool + S
     })
 }
 
-/// Keeps a program running: a look at it each turn.
+/// Keeps a program running; each turn checks whether it has ended.
 fn again(words: &'static [&'static str]) -> Box<dyn FnMut() -> bool + Send> {
     let mut running = None::<Program>;
     Box::new(move || {
@@ -215,11 +215,11 @@ fn again(words: &'static [&'static str]) -> Box<dyn FnMut() -> bool + Send> {
     })
 }
 
-/// A program under way; dropping it ends it, and kills its process group if it does not end in time.
+/// A running program. Dropping it ends the program, and kills its process group after a time-out.
 struct Program(Child);
 
 impl Program {
-    /// setpriv of util-linux has the kernel tell the program when this thread is no more.
+    /// setpriv of util-linux makes the kernel signal the program when this thread ends.
     fn start(words: &[&str]) -> std::io::Result<Self> {
         let mut command = Command::new("setpriv");
         command
@@ -242,7 +242,7 @@ impl Drop for Program {
                 .stderr(Stdio::null())
                 .status();
         };
-        // Those that have processes of their own wait for them.
+        // Programs with child processes wait for them.
         signal("-TERM ");
         let end = now() + ENDING;
         while matches!(self.0.try_wait(), Ok(None)) && now() < end {

@@ -1,4 +1,4 @@
-//! From the command line to what is measured.
+//! Plan of a measurement, from the command line and the cell file.
 
 use std::time::Duration;
 
@@ -9,40 +9,40 @@ use servo::thread::{self, CellTime, Realtime, RealtimePolicy};
 use super::{Options, Scheduler, Wait};
 use mrroc::setup;
 
-/// Shortest and longest period.
+/// Shortest and longest allowed period.
 const PERIODS: [Duration; 2] = [Duration::from_micros(50), Duration::from_secs(1)];
 
-/// Without a cell.
+/// Period without a cell file.
 const USUAL_PERIOD: Duration = Duration::from_millis(1);
 
-/// Unit of the drives' interpolation period, of which a cell's period is a multiple.
+/// Unit of the interpolation period of drives. The period of a cell is a multiple.
 const INTERPOLATION: Duration = Duration::from_millis(1);
 
-/// Longest time to measure.
+/// Longest duration of a measurement.
 const LONGEST: Duration = Duration::from_secs(7 * 24 * 3600);
 
-/// Turns of each side.
+/// Number of turns of each side.
 const ROUNDS: u32 = 10;
 
-/// A turn is no shorter, if the time to measure is not, and no longer: cyclictest takes some time to start.
+/// Shortest and longest turn, since starting cyclictest takes time. A shorter measurement has shorter turns.
 const TURN: [Duration; 2] = [Duration::from_secs(1), Duration::from_secs(30)];
 
-/// Longest warm-up of each side: several times as long as a margin takes to be learnt.
+/// Longest warm-up of each side: several times the time in which the margin is learnt.
 const WARM_UP: Duration = Duration::from_secs(1);
 
-/// What to measure.
+/// Plan of a measurement.
 pub(super) struct Plan {
     pub(super) period: Duration,
-    /// Of each side.
+    /// Duration of a turn of each side.
     pub(super) turn: Duration,
     pub(super) rounds: u32,
-    /// The turn of each side that counts for nothing.
+    /// Duration of the first turn of each side, which is not counted.
     pub(super) warm_up: Duration,
     pub(super) policy: RealtimePolicy,
 }
 
 impl Plan {
-    /// What the options say, of a cell whatever it says unless they do.
+    /// The values of the options. Defaults come from the cell file, if given.
     pub(super) fn of(options: &Options, cell: Option<&Cell>) -> anyhow::Result<Self> {
         if cell.is_none() && options.bench.is_some() {
             bail!("--bench needs --cell");
@@ -96,7 +96,7 @@ impl Plan {
                 priority,
                 cpu,
                 wait: wait(options, usual.wait, period)?,
-                // Both sides alike.
+                // Applies to both sides.
                 lock_memory: true,
                 ..usual
             },
@@ -104,7 +104,7 @@ impl Plan {
     }
 }
 
-/// How to wait: as `usual` but for what the options say, within what a cell may say.
+/// Kind of wait: `usual`, changed by the options within the limits of a cell file.
 fn wait(options: &Options, usual: thread::Wait, period: Duration) -> anyhow::Result<thread::Wait> {
     let wait = match (options.wait, usual) {
         (Some(Wait::Plain), _) | (None, thread::Wait::Plain) => thread::Wait::Plain,
@@ -148,7 +148,7 @@ fn period(text: &str, of_cell: bool) -> anyhow::Result<Duration> {
     Ok(period)
 }
 
-/// A time with its unit: us, ms, s, m or h.
+/// Parses a time with its unit: us, ms, s, m or h.
 fn duration(option: &str, text: &str) -> anyhow::Result<Duration> {
     let digits = text.find(|c: char| !c.is_ascii_digit() && c != '.');
     let (number, unit) = text.split_at(digits.unwrap_or(text.len()));

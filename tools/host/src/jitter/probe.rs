@@ -1,4 +1,4 @@
-//! The measuring threads: the servo's wait without a servo, and cyclictest's algorithm.
+//! The measuring threads: the wait of the servo thread without a servo, and the algorithm of cyclictest.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
@@ -16,18 +16,18 @@ use servo::thread::{
 
 use super::interval::Recorder;
 
-/// Bytes of the thread's stack.
+/// Stack of the thread, bytes.
 const STACK: usize = 512 * 1024;
 
-/// How often what is measured is looked at meanwhile.
+/// Time between two readings of the intermediate results.
 pub(super) const LOOK: Duration = Duration::from_millis(20);
 
-/// When a turn ends.
+/// End of a turn.
 #[derive(Clone, Copy)]
 pub(super) struct Turn<'a> {
     pub period: Duration,
     pub time: Duration,
-    /// Ends it early.
+    /// Flag that ends the turn early.
     pub over: &'a Arc<AtomicBool>,
 }
 
@@ -37,17 +37,17 @@ impl Turn<'_> {
     }
 }
 
-/// Wake-ups of one probe.
+/// Measurements of the wake-ups of one probe.
 pub(super) struct Wakeups {
-    /// How many.
+    /// Number of wake-ups.
     cycles: u64,
-    /// From the deadline to when the thread was there.
+    /// Time from the deadline to the wake-up of the thread.
     pub late: Recorder,
-    /// Deadlines that passed while the thread was late for one before.
+    /// Deadlines that passed while the thread was late for an earlier one.
     pub missed: u64,
-    /// Those that were more than a hundredth of the period late.
+    /// Wake-ups that were late by more than a hundredth of the period.
     pub causes: LateCycles,
-    /// The wake-ups around the latest.
+    /// The wake-ups around the latest ones.
     pub spikes: Tracer,
 }
 
@@ -109,8 +109,8 @@ pub(super) fn wait(waiter: &mut Waiter, wakeups: &mut Wakeups, turn: Turn) {
     }
 }
 
-/// Waits for deadlines as cyclictest does: an absolute sleep, one read of the clock, and the next deadline that has not
-/// passed.
+/// Waits for deadlines as cyclictest does: an absolute sleep, one reading of the clock, then the next deadline that has
+/// not passed.
 pub(super) fn probe(wakeups: &mut Wakeups, turn: Turn) {
     let start = now();
     let (mut next, end) = (start + turn.period, start + turn.time);
@@ -127,8 +127,8 @@ pub(super) fn probe(wakeups: &mut Wakeups, turn: Turn) {
     }
 }
 
-/// Runs `body` on a new thread under `policy`, and `meanwhile` on this thread from time to time. Returns the denials
-/// of the host as well.
+/// Runs `body` on a new thread under `policy`, and calls `meanwhile` on this thread repeatedly. Also returns what the
+/// host denied.
 pub(super) fn on_thread<T: Send>(
     policy: &RealtimePolicy,
     body: impl FnOnce() -> T + Send,
@@ -180,13 +180,13 @@ mod tests {
             wakeups.late.hand_over();
             ledger.drain().unwrap();
             let counted = ledger.total.len() + wakeups.missed;
-            // The last may be met so late that others have passed by then.
+            // The last wake-up may be so late that further deadlines have passed.
             assert!(counted >= 100, "{counted}");
             assert!(counted == 100 || ledger.total.max() >= 500_000);
         }
     }
 
-    /// Has a thread of higher priority take the CPU of a measuring one for longer than a period, every 20 ms.
+    /// A thread of higher priority takes the CPU of a measuring thread for longer than a period, every 20 ms.
     fn starved() -> Vec<LateCycle> {
         let over = Arc::default();
         let turn = Turn {
@@ -231,7 +231,7 @@ mod tests {
             println!("left out: realtime");
             return;
         }
-        // The host may delay one or two more than that.
+        // The host may cause one or two further delays.
         let attempts = [(); 2].map(|()| {
             let worst = starved();
             let named = worst.iter().filter(|one| one.cause == Cause::Preempted);

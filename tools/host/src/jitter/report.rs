@@ -1,4 +1,4 @@
-//! What `mrroc jitter` says at its end: one JSON object, or tables for a person.
+//! Report of `mrroc jitter`: one JSON object, or tables for a person.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -12,40 +12,40 @@ use super::verdict::{self, Fit, Tail};
 use super::{Peer, Scheduler, Wait, load};
 use mrroc::report::{Percentiles, WaitCost, microseconds};
 
-/// What was measured, and how.
+/// Subject and conditions of a measurement.
 #[derive(Debug, Serialize)]
 pub(super) struct Setting {
     /// Time from one deadline to the next, µs.
     pub(super) period_us: f64,
-    /// Time measured, of each side.
+    /// Duration of the measurement of each side.
     pub(super) seconds: f64,
-    /// Turns of each side.
+    /// Number of turns of each side.
     pub(super) rounds: u32,
-    /// The turn of each side that counts for nothing, s.
+    /// Duration of the first turn of each side, which is not counted, s.
     pub(super) warm_up_s: f64,
-    /// What scheduled ours.
+    /// Scheduling policy of our thread.
     pub(super) scheduler: Scheduler,
-    /// Priority under SCHED_FIFO, of whoever was under it.
+    /// Priority of the threads under SCHED_FIFO.
     pub(super) priority: u8,
-    /// The CPU both sides stayed on.
+    /// The CPU to which both sides were pinned.
     pub(super) cpu: Option<usize>,
-    /// How ours waited.
+    /// Kind of wait of our thread.
     pub(super) wait: Wait,
-    /// What loaded the host.
+    /// Load of the host.
     pub(super) load: Vec<load::Kind>,
-    /// Who the peer was.
+    /// The peer.
     pub(super) against: Option<Peer>,
-    /// Whether deep idle states were kept away, for both.
+    /// Whether deep idle states were disabled, for both sides.
     pub(super) cpu_latency_held: bool,
-    /// What a hypervisor took from all processors meanwhile, by the kernel's account, ms.
+    /// Time that a hypervisor took from all processors during the measurement, according to the kernel, ms.
     pub(super) stolen_ms: u64,
-    /// Whether Ctrl-C, or a file that could not be written, ended it.
+    /// Whether Ctrl-C or a failed write ended the measurement early.
     pub(super) ended_early: bool,
-    /// What the host denied.
+    /// Requests that the host denied.
     pub(super) denied: Vec<String>,
 }
 
-/// In one line, without what the host denied.
+/// The setting in one line, without the denied requests.
 impl fmt::Display for Setting {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let wait = match self.wait {
@@ -79,34 +79,35 @@ impl fmt::Display for Setting {
 pub(super) struct Report {
     #[serde(flatten)]
     setting: Setting,
-    /// The cycle of the cell, if one was measured; ours is then from the deadline to SYNC.
+    /// Measurements of the cycle of the cell, if a cell was measured. The latency of our side then runs from the
+    /// deadline to SYNC.
     cell: Option<CellReport>,
     /// Our thread.
     ours: Side,
     /// The peer.
     peer: Option<Side>,
-    /// Ours over the peer's; null where the peer's is zero.
+    /// Latency of our thread divided by the peer's; null if the peer's is zero.
     ratio: Option<Ratio>,
-    /// How many wake-ups of ours, or SYNCs of the cell, were more than a hundredth of the period late, by cause.
+    /// Number of our wake-ups, or SYNCs of the cell, that were late by more than a hundredth of the period, by cause.
     causes: BTreeMap<&'static str, u64>,
-    /// The latest of them.
+    /// The latest of these wake-ups.
     worst: Vec<Late>,
-    /// How well the usual periods and this one are kept.
+    /// How well this period and the usual periods are kept.
     fits: Vec<Fit>,
-    /// Whose the tail is; null without a peer.
+    /// Shares of host and thread in the latency tail; null without a peer.
     tail: Option<Tail>,
-    /// The same in words.
+    /// The verdict as text.
     verdict: String,
 }
 
-/// One side: the error of its wake-ups, µs.
+/// Latencies of one side, µs.
 #[derive(Debug, Serialize)]
 pub(super) struct Side {
     #[serde(flatten)]
     late: Percentiles,
-    /// Wake-ups.
+    /// Number of wake-ups.
     cycles: u64,
-    /// Deadlines skipped; null for cyclictest, which does not tell.
+    /// Number of skipped deadlines; null for cyclictest, which does not report it.
     #[serde(skip_serializing_if = "Option::is_none")]
     missed: Option<u64>,
     #[serde(flatten)]
@@ -134,7 +135,7 @@ pub(super) fn percentiles(late: &Counts) -> Percentiles {
     }
 }
 
-/// Ours over the peer's.
+/// Latency of our thread divided by the peer's.
 #[derive(Debug, Serialize)]
 pub(super) struct Ratio {
     p50: Option<f64>,
@@ -151,7 +152,7 @@ pub(super) struct Late {
 }
 
 impl Report {
-    /// What follows from what was measured.
+    /// Evaluates the measurements.
     pub(super) fn of(
         setting: Setting,
         ours: Side,
@@ -166,7 +167,7 @@ impl Report {
             p999: over(ours.late.p999, peer.late.p999),
             max: over(ours.late.max, peer.late.max),
         });
-        // A thread alone is late for what it skips, and that is in its percentiles.
+        // The percentiles of a thread without a cell already contain the delay of skipped deadlines.
         let skipped = (cell.as_ref()).and(ours.missed).unwrap_or(0);
         let fits = verdict::fits(&ours.late, setting.period_us, ours.cycles, skipped);
         let tail = (peer.as_ref()).map(|peer| verdict::tail(&ours.late, &peer.late));
@@ -234,7 +235,7 @@ impl fmt::Display for Report {
                 ("step", cell.step_us),
                 ("bus", cell.bus_us),
             ];
-            // A tty does not tell when an answer came.
+            // The time of an answer is unknown for a tty.
             for (name, times) in times.into_iter().filter(|(_, times)| times.max > 0.0) {
                 writeln!(
                     f,

@@ -1,11 +1,13 @@
-//! What a measurement means: is this host good for a period, and whose is the tail?
+//! Evaluation of a measurement: the periods that this host can keep, and the cause of the latency tail.
 //!
-//! A period is *kept well* if every wake-up was within a twentieth of it: the answers of the drives have come by then
-//! and no drive sees a set-point late. It is *kept* if 999 of 1000 were and all within half of it, from where on the
-//! servo lets a cycle go. Beyond that it is *kept with skipped cycles*, if 999 of 1000 are within half, and else
-//! *not kept*. Fewer than [`ENOUGH`] cycles, or a host that was not loaded, make it provisional.
+//! A period is *kept well* if every wake-up was within a twentieth of it. The answers of the drives have then arrived,
+//! and no drive receives a set-point late. A period is *kept* if 999 of 1000 wake-ups were within a twentieth and all
+//! within half of it. Beyond half of its period, the servo skips a cycle. A period is *kept with skipped cycles* if 999
+//! of 1000 are within half of it, and otherwise *not kept*. A verdict is provisional with fewer than [`ENOUGH`] cycles,
+//! or without load on the host.
 //!
-//! What the peer suffered in the same run is the host's. Only what ours exceeds it by may be the thread's own.
+//! Latency that the peer suffered in the same run is attributed to the host. Only the excess of our thread over the
+//! peer may be caused by the thread.
 
 use std::fmt::Write as _;
 
@@ -13,28 +15,28 @@ use serde::Serialize;
 
 use mrroc::report::Percentiles;
 
-/// Cycles from which on 999 of 1000 says something: the latest thousandth is a hundred of them.
+/// Minimum number of cycles for a statement about 999 of 1000: the latest thousandth has then a hundred cycles.
 const ENOUGH: u64 = 100_000;
 
-/// Periods that labs use, µs, judged beside the one measured.
+/// Usual periods of laboratories, µs, evaluated in addition to the measured period.
 const USUAL: [f64; 2] = [1000.0, 2000.0];
 
-/// How well a period is kept.
+/// Grade of a period.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub(super) enum Grade {
-    /// All within a twentieth.
+    /// All wake-ups within a twentieth of the period.
     Good,
-    /// 999 of 1000 within a twentieth, all within half.
+    /// 999 of 1000 within a twentieth, all within half of the period.
     GoodEnough,
-    /// 999 of 1000 within half.
+    /// 999 of 1000 within half of the period.
     SkipsCycles,
-    /// Not even that.
+    /// Fewer than 999 of 1000 within half of the period.
     NotFit,
 }
 
 impl Grade {
-    /// Cycles that were `skipped` are in no percentile.
+    /// The `skipped` cycles are not contained in the percentiles.
     fn of(late: &Percentiles, period: f64, cycles: u64, skipped: u64) -> Self {
         let (near, half) = (period / 20.0, period / 2.0);
         if 1000 * skipped > cycles + skipped {
@@ -65,25 +67,25 @@ impl Grade {
     }
 }
 
-/// How well one period is kept.
+/// Grade of one period.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub(super) struct Fit {
     period_us: f64,
     grade: Grade,
 }
 
-/// Parts of the tail, µs.
+/// Shares in the latency tail, µs.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub(super) struct Tail {
-    /// What the peer suffered as well.
+    /// Latency that the peer suffered as well.
     host: Percentiles,
-    /// What ours had beyond it.
+    /// Latency of our thread beyond the peer's.
     own: Percentiles,
 }
 
-/// The grades of the usual periods and of `period`.
+/// Grades of the usual periods and of `period`.
 ///
-/// `skipped` are the cycles that a cell's servo let go; they are held against every period.
+/// `skipped` is the number of cycles that the servo of a cell skipped; it counts against every period.
 pub(super) fn fits(late: &Percentiles, period: f64, cycles: u64, skipped: u64) -> Vec<Fit> {
     if cycles == 0 {
         return Vec::new();
@@ -97,7 +99,7 @@ pub(super) fn fits(late: &Percentiles, period: f64, cycles: u64, skipped: u64) -
     periods.map(fit).collect()
 }
 
-/// Whose the tail is, by what the peer suffered in the same run.
+/// Splits the latency tail into the share that the peer suffered in the same run and the share of our thread.
 pub(super) fn tail(ours: &Percentiles, peer: &Percentiles) -> Tail {
     let with = |of: fn(f64, f64) -> f64| Percentiles {
         p50: of(ours.p50, peer.p50),
@@ -111,7 +113,7 @@ pub(super) fn tail(ours: &Percentiles, peer: &Percentiles) -> Tail {
     }
 }
 
-/// The verdict in words.
+/// Text of the verdict.
 pub(super) fn words(fits: &[Fit], tail: Option<&Tail>, cycles: u64, loaded: bool) -> String {
     if cycles == 0 {
         return "nothing was measured".into();

@@ -1,4 +1,4 @@
-//! SDO block transfer in words.
+//! Text of the frames of an SDO block transfer.
 
 use can::Frame;
 use canopen::sdo::block;
@@ -39,7 +39,7 @@ pub(super) fn response(frame: &Frame, node: NodeId) -> Option<String> {
     })
 }
 
-/// A segment of a block of `object`, where that is known.
+/// Text of a segment of a block transfer; `object` is the transferred object, if known.
 pub(super) fn segment(frame: &Frame, object: Option<Object>) -> String {
     let last = if transfer::is_last(frame) {
         "last segment"
@@ -55,7 +55,7 @@ pub(super) fn segment(frame: &Frame, object: Option<Object>) -> String {
     )
 }
 
-/// A frame that may be a segment of a block, or else `other`.
+/// Text of a frame that is either a segment of a block transfer or the command described by `other`.
 pub(super) fn unknown(frame: &Frame, other: &str) -> String {
     format!(
         "unknown, {other} or segment {} of a block: {}",

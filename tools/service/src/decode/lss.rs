@@ -1,4 +1,4 @@
-//! Layer setting services in words.
+//! Text of the frames of the layer setting services (LSS).
 
 use can::Frame;
 use canopen::lss::{self, BitRate, Mode, Part};

@@ -1,4 +1,4 @@
-//! Frames in words.
+//! Text of frames.
 
 use can::{ExtendedId, StandardId};
 use canopen::objects::{POSITION_ACTUAL, STATUSWORD, TORQUE_ACTUAL};
@@ -8,7 +8,7 @@ use super::*;
 
 mod transfers;
 
-/// The frame that candump prints as `text`.
+/// Parses a frame in the notation of candump.
 fn parse(text: &str) -> Frame {
     let (id, data) = text.split_once('#').unwrap();
     let raw = u32::from_str_radix(id, 16).unwrap();
@@ -29,7 +29,7 @@ fn check(decoder: &Decoder, table: &[(&str, Kind, Option<u8>, &str)]) {
             node: node.and_then(NodeId::new),
             text: (*text).to_owned(),
         };
-        // Each by itself.
+        // Each frame is described by a fresh copy of the decoder.
         let described = decoder.clone().describe(&parse(frame), Instant::ZERO);
         assert_eq!(described, expected, "{frame}");
     }
@@ -206,7 +206,7 @@ fn pdos_are_told_by_their_mapping_where_it_is_known() {
             ("182#3702FEFF", Kind::Pdo, Some(2), short),
         ],
     );
-    // Bits, room that nothing uses, an object without a name, and more bytes than are mapped.
+    // Single bits, dummy entries, an object without a name, and a PDO with more bytes than are mapped.
     decoder.add_pdos(tpdo(&[
         Entry::new(Object::new(0x2000, 1), 1),
         Entry::new(Object::new(0x2000, 2), 3),
@@ -308,7 +308,7 @@ fn no_frame_is_too_odd_to_be_told() {
             .collect(),
     };
     decoder.add_pdos(PdoMap::from([(0x57F, pdo)]));
-    // A seeded walk over identifiers, lengths and bytes.
+    // A random walk with a fixed seed over identifiers, lengths and bytes.
     let mut random = 0x2545_F491_4F6C_DD1D_u64;
     for id in 0..=0x7FF {
         for length in 0..=8 {

@@ -1,9 +1,9 @@
-//! The SDO channel of one node as a listener sees it: which frames are commands, and which are segments of data.
+//! SDO channel of one node as a listener sees it: which frames are commands, and which are segments of data.
 //!
-//! The first byte of a block's segment takes every value but 0x00 and 0x80, so a segment looks like any command. Only
-//! the frames before it tell: [`Channel`] follows both directions of the channel through segmented and block
-//! transfers. Where the frames before were not seen, [`Reading::Unknown`] says so until an exchange fits one kind of
-//! transfer alone.
+//! The first byte of a segment of a block transfer takes every value but 0x00 and 0x80. Such a segment therefore looks
+//! like any command, and only earlier frames tell the two apart. [`Channel`] follows both directions of the channel
+//! through segmented and block transfers. If the earlier frames were not seen, the result is [`Reading::Unknown`] until
+//! an exchange fits only one kind of transfer.
 //!
 //! ```text
 //! Idle ──command──▶ Asked ──answer──▶ Segments, Block(Start ▶ Segments ⇄ Acknowledge ▶ End ▶ Ended) ──▶ Idle
@@ -11,8 +11,8 @@
 //! any state ──a segment out of turn, or frames were lost──▶ Unknown ──a fitting exchange, or QUIET──▶ …
 //! ```
 //!
-//! A client that falls silent in a sub-block may go on or may begin anew. After [`QUIET`] a frame with the number that
-//! is due is [`Reading::Unknown`], and any other command begins a new transfer.
+//! A client that falls silent within a sub-block may continue it or start a new transfer. After [`QUIET`], a frame with
+//! the segment number that is due is [`Reading::Unknown`]. Any other command starts a new transfer.
 
 mod asked;
 
@@ -23,30 +23,31 @@ use can::{Frame, Instant};
 use canopen::sdo::block::MAX_BLOCK_SIZE;
 use canopen::{NodeId, Object};
 
-/// Silence of a channel after which neither side waits any longer: longer than the time-outs of SDO clients in use.
+/// Silence of a channel after which neither side waits any longer. The value exceeds the time-outs of SDO clients in
+/// use.
 pub(super) const QUIET: Duration = Duration::from_secs(1);
 
-/// What a frame of 8 bytes on the channel is.
+/// Meaning of a frame of 8 bytes on the channel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Reading {
-    /// What its command specifier says, in a transfer of this object where that is known.
+    /// A command, as its command specifier says. The object of the transfer is given if known.
     Command(Option<Object>),
-    /// A segment of a block of this object where that is known.
+    /// A segment of a block transfer. The object of the transfer is given if known.
     BlockSegment(Option<Object>),
-    /// A command or a segment of a block: the beginning of the transfer was not seen.
+    /// A command or a segment of a block transfer: the start of the transfer was not seen.
     Unknown,
 }
 
-/// One direction of a transfer.
+/// Direction of a transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Way {
-    /// The client has the data.
+    /// The client sends the data.
     Download,
-    /// The server has the data.
+    /// The server sends the data.
     Upload,
 }
 
-/// Who sent a frame.
+/// Sender of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Side {
     Client,
@@ -55,10 +56,10 @@ enum Side {
 
 #[derive(Clone, Copy, Debug)]
 enum State {
-    /// A transfer may be under way whose beginning was not seen; with the last frame.
+    /// A transfer whose start was not seen may be under way. Holds the last frame.
     Unknown(Option<(Side, Frame)>),
     Idle,
-    /// The answer of the server decides.
+    /// A transfer was requested. The answer of the server decides which kind of transfer follows.
     Asked(Asked),
     Segments {
         way: Way,
@@ -69,45 +70,45 @@ enum State {
     Block(Block),
 }
 
-/// A block transfer.
+/// State of a block transfer.
 #[derive(Clone, Copy, Debug)]
 struct Block {
     way: Way,
     object: Option<Object>,
     stage: Stage,
-    /// Segments of the present sub-block at most.
+    /// Maximum number of segments in the present sub-block.
     size: u8,
-    /// Segments of the present sub-block that were seen, all in order.
+    /// Number of segments seen in the present sub-block, all in order.
     sent: u8,
-    /// The last of them is the last of the transfer.
+    /// Whether the last segment seen is the last of the transfer.
     last: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stage {
-    /// The client of an upload has still to ask for the first sub-block.
+    /// The client of an upload has yet to request the first sub-block.
     Start,
-    /// Segments come.
+    /// Segments follow.
     Segments,
-    /// The sub-block is complete and has to be acknowledged.
+    /// The sub-block is complete; its acknowledgement is due.
     Acknowledge,
-    /// The checksum is due.
+    /// The frame with the checksum is due.
     End,
-    /// The checksum came and has to be acknowledged.
+    /// The checksum was sent; its acknowledgement is due.
     Ended,
 }
 
-/// The SDO channel of one node.
+/// SDO channel of one node.
 #[derive(Clone, Debug)]
 pub(super) struct Channel {
     node: NodeId,
     state: State,
-    /// When the last frame came, or the listener began.
+    /// Time of the last frame, or of the start of listening.
     last: Instant,
 }
 
 impl Channel {
-    /// A channel on which no transfer is under way.
+    /// A channel without a transfer under way.
     pub(super) fn idle(node: NodeId) -> Self {
         Self {
             node,
@@ -116,7 +117,7 @@ impl Channel {
         }
     }
 
-    /// A channel that is listened to since `began`, in the middle of a transfer perhaps.
+    /// A channel that is observed since `began`, possibly from the middle of a transfer on.
     pub(super) fn listened_to_since(node: NodeId, began: Instant) -> Self {
         Self {
             node,
@@ -125,7 +126,7 @@ impl Channel {
         }
     }
 
-    /// Takes a frame of the client.
+    /// Processes a frame of the client.
     pub(super) fn request(&mut self, frame: &Frame, at: Instant) -> Reading {
         let quiet = self.passed(at);
         if first(frame) == ABORT {
@@ -146,7 +147,7 @@ impl Channel {
         }
     }
 
-    /// Takes a frame of the server.
+    /// Processes a frame of the server.
     pub(super) fn response(&mut self, frame: &Frame, at: Instant) -> Reading {
         let quiet = self.passed(at);
         if first(frame) == ABORT {
@@ -163,15 +164,15 @@ impl Channel {
         }
     }
 
-    /// Whether the channel was quiet before `at`.
+    /// Whether the channel was silent for [`QUIET`] before `at`.
     fn passed(&mut self, at: Instant) -> bool {
         let since = at.since(self.last);
         self.last = self.last.max(at);
         since >= QUIET
     }
 
-    /// Ends an unknown state where the present one is certain: after silence, and after two frames that fit one kind of
-    /// transfer alone.
+    /// Leaves the unknown state as soon as the present state is certain: after a silence, or after two frames that fit
+    /// only one kind of transfer.
     fn resolve(&mut self, side: Side, frame: &Frame, quiet: bool) {
         let State::Unknown(before) = self.state else {
             return;
@@ -190,7 +191,7 @@ impl Channel {
         }
     }
 
-    /// The state in which `response` answers `request`, if there is one alone.
+    /// State after `response` has answered `request`, if exactly one state is possible.
     fn answered(&self, request: &Frame, response: &Frame) -> Option<State> {
         let asked = Asked::of(request, self.node);
         if let Some(asked) = asked.filter(|asked| asked.is_answered(response, self.node)) {
@@ -222,7 +223,7 @@ impl Channel {
 
     fn unknown(&mut self, side: Side, frame: &Frame) -> Reading {
         self.state = State::Unknown(Some((side, *frame)));
-        // No segment of a block has the number 0.
+        // The segments of a block transfer are numbered from 1.
         if first(frame) == 0 {
             Reading::Command(None)
         } else {
@@ -230,7 +231,7 @@ impl Channel {
         }
     }
 
-    /// A frame in the middle of a sub-block, from the side that has the data.
+    /// Processes a frame within a sub-block from the side that sends the data.
     fn segment(&mut self, mut block: Block, side: Side, frame: &Frame, quiet: bool) -> Reading {
         if !block.is_next(frame) || quiet {
             return self.unknown(side, frame);
@@ -249,11 +250,11 @@ impl Channel {
         Reading::Command(None)
     }
 
-    /// A frame of the client that is no segment of a block.
+    /// Processes a frame of the client that is not a segment of a block transfer.
     fn command(&mut self, state: State, frame: &Frame) -> Reading {
         if let Some(asked) = Asked::of(frame, self.node) {
             return match state {
-                // The server may still be sending the sub-block of the transfer before.
+                // The server may still be sending the sub-block of the previous transfer.
                 State::Block(block) if block.expects(Way::Upload) => {
                     self.state = State::Unknown(Some((Side::Client, *frame)));
                     Reading::Command(None)
@@ -289,7 +290,7 @@ impl Channel {
         }
     }
 
-    /// A frame of the server that is no segment of a block.
+    /// Processes a frame of the server that is not a segment of a block transfer.
     fn answer(&mut self, state: State, frame: &Frame) -> Reading {
         match (state, first(frame)) {
             (State::Asked(asked), _) if asked.is_answered(frame, self.node) => {
@@ -325,7 +326,7 @@ impl Channel {
                 self.state = block.answered(specifier, frame).unwrap_or(state);
                 Reading::Command(block.object)
             }
-            // An answer to a client that has given up already.
+            // An answer to a client that has already given up.
             (State::Unknown(_) | State::Idle | State::Asked(_), _) => Reading::Command(None),
         }
     }
@@ -343,17 +344,17 @@ impl Block {
         }
     }
 
-    /// Whether segments come that way now.
+    /// Whether segments are due in direction `way`.
     fn expects(self, way: Way) -> bool {
         self.way == way && self.stage == Stage::Segments
     }
 
-    /// Whether a frame has the number that is due.
+    /// Whether a frame has the segment number that is due.
     fn is_next(self, frame: &Frame) -> bool {
         number(frame) == self.sent + 1
     }
 
-    /// The state after `segment` and `answer`, if the one acknowledges the other.
+    /// State after `segment` and `answer`, if either acknowledges the other.
     fn complete(way: Way, segment: &Frame, answer: &Frame) -> Option<State> {
         let [_, sequence, size, rest @ ..] = answer.data() else {
             return None;
@@ -369,7 +370,7 @@ impl Block {
         fits.then_some(State::Block(block))
     }
 
-    /// The state after a command of the client; `None` if none is due.
+    /// State after a command of the client; `None` if no command is due.
     fn commanded(self, specifier: u8, frame: &Frame) -> Option<State> {
         let to = |stage| State::Block(Self { stage, ..self });
         match (self.way, self.stage, specifier) {
@@ -383,7 +384,7 @@ impl Block {
         }
     }
 
-    /// The state after an answer of the server; `None` if none is due.
+    /// State after an answer of the server; `None` if no answer is due.
     fn answered(self, specifier: u8, frame: &Frame) -> Option<State> {
         match (self.way, self.stage, specifier) {
             (Way::Download, Stage::Segments | Stage::Acknowledge, ACKNOWLEDGE) => {
@@ -398,7 +399,7 @@ impl Block {
         }
     }
 
-    /// The state after the receiver of a sub-block has acknowledged it.
+    /// State after the receiver of a sub-block has acknowledged it.
     fn acknowledged(self, frame: &Frame) -> State {
         let [_, sequence, size, ..] = *frame.data() else {
             return State::Unknown(None);
@@ -422,7 +423,7 @@ impl Block {
     }
 }
 
-/// The state in which `request` acknowledges what the server sent, if there is one alone.
+/// State after `request` has acknowledged `response`, if exactly one state is possible.
 fn acknowledged(response: &Frame, request: &Frame) -> Option<State> {
     match (first(response), first(request)) {
         (_, ACKNOWLEDGE) => Block::complete(Way::Upload, response, request),
@@ -436,29 +437,29 @@ fn acknowledged(response: &Frame, request: &Frame) -> Option<State> {
 
 const ABORT: u8 = 0x80;
 const ACKNOWLEDGE: u8 = 0xA2;
-/// Of the first byte of a block's segment.
+/// Bit of the first byte that marks the last segment of a block transfer.
 const LAST: u8 = 0x80;
 
 fn first(frame: &Frame) -> u8 {
     frame.data().first().copied().unwrap_or(0)
 }
 
-/// The number that a frame has as a segment of a block.
+/// Segment number of a frame that is read as a segment of a block transfer.
 pub(super) fn number(frame: &Frame) -> u8 {
     first(frame) & !LAST
 }
 
-/// Whether a frame is the last one as a segment of a block.
+/// Whether a frame that is read as a segment of a block transfer is the last segment.
 pub(super) fn is_last(frame: &Frame) -> bool {
     first(frame) & LAST != 0
 }
 
-/// Whether an ordinary segment is the last.
+/// Whether an ordinary segment is the last of its transfer.
 fn is_last_of_segments(frame: &Frame) -> bool {
     first(frame) & 1 != 0
 }
 
-/// Whether a first byte is that of a checksum, `110n nn01`.
+/// Whether a first byte is the command specifier of a checksum frame, `110n nn01`.
 fn is_end(first: u8) -> bool {
     first & 0b1110_0011 == 0xC1
 }

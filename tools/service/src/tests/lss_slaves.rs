@@ -8,22 +8,23 @@ use hil::Device;
 use super::super::lss::Dialogue;
 use super::*;
 
-/// How long each question of a scan waits.
+/// Time to wait for an answer to each request of a scan.
 const QUESTION: Duration = Duration::from_millis(2);
 
-/// How a slave deviates.
+/// Deviation of a slave from CiA 305.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Oddity {
     None,
-    /// Once in configuration mode, it answers every question of a fastscan: CANopenNode's slave (`CO_LSSslave.c`).
+    /// In configuration mode, the slave answers every request of a fastscan, as the slave of CANopenNode does
+    /// (`CO_LSSslave.c`).
     AnswersConfigured,
-    /// The same, also in waiting mode.
+    /// The slave answers every request of a fastscan in waiting mode as well.
     AnswersAlways,
-    /// The end of a fastscan does not put it into configuration mode.
+    /// The end of a fastscan does not switch the slave into configuration mode.
     StaysWaiting,
 }
 
-/// A node without a node-ID that speaks LSS and nothing else.
+/// A node without a node-ID that supports LSS only.
 struct Slave {
     serial: u32,
     oddity: Oddity,
@@ -94,7 +95,7 @@ fn identity(serial: u32) -> Identity {
     }
 }
 
-/// What a scan of these slaves finds, in its order, and how it ends.
+/// Nodes that a scan of these slaves finds, in the order of the scan, and the error that ends it.
 fn scan(slaves: &[(u32, Oddity)]) -> (Vec<Identity>, Option<LssError>) {
     let mut stage = Stage::with(&[3]);
     for &(serial, oddity) in slaves {

@@ -1,6 +1,7 @@
 //! canopen-rs 0.6.1 as the master of an emulated drive: `canopen-rs-master INTERFACE NODE`.
 //!
-//! The library's values have 32 bytes at the most. Its block transfer is made of frames and two helpers, put together here.
+//! Values of the library have at most 32 bytes. Block transfer is assembled here from its frames and two helper
+//! functions.
 
 use std::cell::RefCell;
 use std::fmt::Display;
@@ -19,18 +20,19 @@ use canopen_rs::{
 };
 use mrroc_peers::{Checks, Outcome, PATIENCE, Wire, arguments, bytes, holds, same};
 
-/// Of the emulated drive.
+/// Identity of the emulated drive.
 const IDENTITY: (u32, u32, u32) = (0x0000_00FB, 0x6150_0000, 0x0170_0000);
-/// The object that takes any bytes.
+/// An object that accepts any bytes.
 const DOMAIN: Address = Address::new(0x2FF0, 2);
 const SEGMENTED: [usize; 13] = [0, 1, 3, 4, 5, 6, 7, 8, 13, 14, 15, 31, 32];
-/// Lengths at the edges of segments, of the blocks of 127 segments (889), and the longest that the drive keeps.
+/// Lengths around the limits of segments and of blocks of 127 segments (889), and the longest value that the drive
+/// stores.
 const BLOCKS: [usize; 13] = [1, 4, 5, 7, 8, 14, 28, 29, 888, 889, 890, 896, 1022];
 const PASSED: usize = 146 * 7;
-/// What begins a fastscan (CiA 305); the library's `FASTSCAN_INIT` is 32.
+/// Bit number that starts a fastscan (CiA 305); the library's `FASTSCAN_INIT` is 32.
 const FASTSCAN_RESET: u8 = 0x80;
-/// A drive answers a fastscan at once; silence means no. A busy machine may be late with one of the hundred answers, so that
-/// each attempt waits twice as long, up to `LONGEST`.
+/// A drive answers a fastscan at once, and silence means "no". A busy machine may delay one of the hundred answers.
+/// Each attempt therefore waits twice as long as the previous one, up to `LONGEST`.
 const SILENCE: Duration = Duration::from_millis(15);
 const LONGEST: Duration = Duration::from_millis(120);
 const ATTEMPTS: usize = 20;
@@ -82,12 +84,12 @@ fn said(error: impl Display) -> String {
     error.to_string()
 }
 
-/// Something that the library refuses to encode or to decode.
+/// An error of the library during encoding or decoding.
 fn library(error: canopen_rs::Error) -> String {
     format!("canopen-rs: {error:?}")
 }
 
-/// The transfer was refused for this reason.
+/// Asserts that the transfer was aborted with this code.
 fn aborted<T>(result: Result<T, SdoError>, expected: u32) -> Outcome {
     match result {
         Err(SdoError::Aborted(code)) => same("abort code", code, expected),
@@ -122,7 +124,7 @@ impl Master {
         self.bus.send_nmt(command, node).map_err(said)
     }
 
-    /// The next frame with this identifier.
+    /// Waits for the next frame with this identifier.
     fn receive(&self, cob_id: u16) -> Result<Received, String> {
         let end = Instant::now() + PATIENCE;
         while Instant::now() < end {
@@ -313,11 +315,11 @@ impl Master {
         same("block upload", none, Err("aborted 0x06020000".to_owned()))?;
         let long = self.block_download(DOMAIN, &bytes(PASSED + 1), true);
         same("block download", long, Err("aborted 0x05040005".to_owned()))?;
-        // And the next transfer works.
+        // The next transfer succeeds.
         self.reads(0x1000, 0, Value::Unsigned32(0x0002_0192))
     }
 
-    /// An RPDO that is too short.
+    /// Sends an RPDO that is too short.
     fn emergency(&self) -> Outcome {
         self.tell(NmtCommand::StartRemoteNode, self.node)?;
         let rpdo = default_cob_id(PdoKind::Receive, 1, self.node).ok_or("no identifier")?;
@@ -330,7 +332,7 @@ impl Master {
         self.boots_by(NmtCommand::ResetNode, self.node, self.node)
     }
 
-    /// Maps a synchronous PDO in the order that CiA 301 asks for.
+    /// Maps a synchronous PDO in the sequence that CiA 301 requires.
     fn map<const N: usize>(&self, at: u16, cob_id: u32, mapping: &PdoMapping<N>) -> Outcome {
         self.both(at, 1, Value::Unsigned32(cob_id | 0x8000_0000))?;
         self.both(at + 0x200, 0, Value::Unsigned8(0))?;
@@ -391,21 +393,21 @@ impl Master {
         self.boots_by(NmtCommand::ResetNode, self.node, self.node)
     }
 
-    /// Sends a request of LSS, and waits for its answer.
+    /// Sends an LSS request and waits for its answer.
     fn ask(&self, request: &LssFrame) -> Result<LssFrame, String> {
         self.bus
             .send(lss::LSS_MASTER_COB_ID, request)
             .map_err(said)?;
         loop {
             let answer = *self.receive(lss::LSS_SLAVE_COB_ID)?.payload();
-            // Those to the fastscan were looked at on the wire.
+            // Answers to the fastscan were checked on the wire.
             if !lss::is_identify_slave_response(&answer) {
                 return Ok(answer);
             }
         }
     }
 
-    /// Puts the drive into configuration mode and gives it a node-ID.
+    /// Switches the drive to configuration mode and assigns a node-ID.
     fn set(&self, address: &LssAddress, present: u8, node: u8) -> Outcome {
         let [vendor, product, revision, serial] = lss::encode_switch_selective(address);
         for part in [lss::encode_switch_global(false), vendor, product, revision] {
@@ -447,7 +449,7 @@ impl Master {
         Ok(())
     }
 
-    /// Whether any drive answers within the time that the scan gives it.
+    /// Whether any drive answers within the time limit of the scan.
     fn answered(&self, request: &LssFrame, silence: Duration) -> Result<bool, String> {
         let mark = self.wire.mark();
         self.bus
@@ -461,8 +463,8 @@ impl Master {
         }))
     }
 
-    /// The library begins with a bit number of 32, which CiA 305 reserves: it says 0x80. Drives ignore it, and are right. The
-    /// first frame is put right here, and the rest is the library's.
+    /// The library starts with bit number 32, which CiA 305 reserves; the standard requires 0x80. Drives ignore the
+    /// wrong number, as they should. The first frame is corrected here, and the library sends the rest.
     fn fastscan(&self) -> Outcome {
         let address = self.identity()?;
         self.set(&address, self.node.raw(), lss::UNCONFIGURED_NODE_ID)?;

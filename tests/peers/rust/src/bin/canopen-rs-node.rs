@@ -1,7 +1,8 @@
-//! A drive made of canopen-rs 0.6.1: `canopen-rs-node INTERFACE NODE SERIAL`, node-ID 255 for none. It ends with its standard input.
+//! A drive made with canopen-rs 0.6.1: `canopen-rs-node INTERFACE NODE SERIAL`, node-ID 255 for none. The program ends
+//! when its standard input is closed.
 //!
-//! The library's node serves SDO, PDOs, EMCY and LSS. Its application, this program, does the rest: resets, the heartbeat's
-//! timer, the reaction to SYNC, and the CiA 402 drive.
+//! The node of the library serves SDO, PDOs, EMCY and LSS. This program implements the application: resets, the
+//! heartbeat timer, the reaction to SYNC, and the CiA 402 drive.
 
 use std::io::Read;
 use std::process::exit;
@@ -21,7 +22,7 @@ use canopen_rs::{
 use mrroc_peers::drive::{DEVICE_TYPE, Drive, Objects};
 
 const OBJECTS: usize = 256;
-/// What is written here goes out as an emergency; 0 clears it.
+/// A value written here is sent as an emergency; 0 clears the error.
 const EMERGENCY: Address = Address::new(0x2F01, 0);
 const LOOK: Duration = Duration::from_millis(2);
 
@@ -121,7 +122,7 @@ fn dictionary(node: NodeId, identity: LssAddress) -> ObjectDictionary<OBJECTS> {
     put(0x60C2, 0, Entry::constant(Value::Unsigned8(2)));
     put(0x60C2, 1, Entry::rw(Value::Unsigned8(1)));
     put(0x60C2, 2, Entry::rw(Value::Integer8(-3)));
-    // Homing and the cyclic synchronous position.
+    // Homing and cyclic synchronous position mode.
     put(0x6502, 0, Entry::ro(Value::Unsigned32(0x0000_00A0)));
     objects
 }
@@ -179,7 +180,8 @@ impl Device {
             .step(&mut Dictionary(self.node.od_mut()), operational);
     }
 
-    /// A reset of the node forgets everything but the node-ID, one of its communication what lies below 0x2000.
+    /// A reset of the node clears everything except the node-ID. A reset of communication clears the objects below
+    /// 0x2000.
     fn reset(&mut self, all: bool) {
         let lss = self.node.lss().expect("it was enabled");
         let node = lss.pending_node_id();
@@ -216,7 +218,7 @@ impl Device {
             }
             return;
         }
-        // A node without a node-ID takes the new one on its way back to waiting (CiA 305).
+        // A node without a node-ID adopts the new node-ID when it returns to waiting mode (CiA 305).
         let lss = self.node.lss().expect("it was enabled");
         let given = lss.pending_node_id();
         if lss.node_id() == UNCONFIGURED_NODE_ID

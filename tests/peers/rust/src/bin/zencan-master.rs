@@ -1,6 +1,6 @@
 //! zencan-client 0.0.5 as the master of an emulated drive: `zencan-master INTERFACE NODE`.
 //!
-//! The client lacks EMCY, the NMT command for pre-operational, sending and receiving PDOs, and LSS inquiries.
+//! The client has no EMCY, no NMT command for pre-operational, no PDO transfer and no LSS inquiries.
 
 use std::process::exit;
 use std::time::{Duration, Instant};
@@ -18,18 +18,19 @@ use zencan_client::{
     BusManager, LssError, RawAbortCode, SdoClient, SdoClientError, open_socketcan,
 };
 
-/// Of the emulated drive.
+/// Identity of the emulated drive.
 const IDENTITY: (u32, u32, u32) = (0x0000_00FB, 0x6150_0000, 0x0170_0000);
-/// Node-IDs of the emulated drives, and one that no drive has.
+/// Node-IDs of the emulated drives, followed by an unused node-ID.
 const DRIVES: [u8; 5] = [1, 2, 3, 4, 5];
 const NOBODY: u8 = 0x7F;
-/// The object that takes any bytes.
+/// An object that accepts any bytes.
 const DOMAIN: (u16, u8) = (0x2FF0, 2);
-/// Lengths at the edges of frames (4, 7), of the blocks of 127 segments (889), and the longest that the drive keeps.
+/// Lengths around the limits of frames (4, 7) and of blocks of 127 segments (889), and the longest value that the drive
+/// stores.
 const SEGMENTED: [usize; 10] = [1, 4, 5, 6, 7, 8, 13, 14, 200, 1022];
 const BLOCKS: [usize; 13] = [1, 4, 5, 7, 8, 14, 28, 29, 888, 889, 890, 896, 1022];
-/// A drive answers a fastscan at once; silence means no. A busy machine may be late with one of the hundred answers, so that
-/// each attempt waits twice as long, up to `LONGEST`.
+/// A drive answers a fastscan at once, and silence means "no". A busy machine may delay one of the hundred answers.
+/// Each attempt therefore waits twice as long as the previous one, up to `LONGEST`.
 const SILENCE: Duration = Duration::from_millis(15);
 const LONGEST: Duration = Duration::from_millis(120);
 const ATTEMPTS: usize = 20;
@@ -41,7 +42,7 @@ struct Master<S: AsyncCanSender + Send + Sync> {
     wire: Wire,
     interface: String,
     node: u8,
-    /// The state of the node that does not exist: operational or stopped.
+    /// State of the non-existent node: operational or stopped.
     settled: bool,
 }
 
@@ -103,7 +104,7 @@ impl<S: AsyncCanSender + Clone + Send + Sync> Master<S> {
         client
     }
 
-    /// Gives the command, and waits for the boot-up message of `node`.
+    /// Sends the command and waits for the boot-up message of `node`.
     fn boots_by(&mut self, command: NmtCommandSpecifier, told: u8, node: u8) -> Outcome {
         let mark = self.wire.mark();
         match command {
@@ -125,7 +126,7 @@ impl<S: AsyncCanSender + Clone + Send + Sync> Master<S> {
         sent.map_err(|_| "not sent".to_owned())
     }
 
-    /// Waits until the bus manager has heard this state from the drive.
+    /// Waits until the bus manager has received this state from the drive.
     fn hears(&mut self, state: NmtState) -> Outcome {
         self.hears_of(self.node, state)
     }
@@ -165,7 +166,7 @@ impl<S: AsyncCanSender + Clone + Send + Sync> Master<S> {
         let cs = NmtCommandSpecifier::EnterPreOp;
         self.send(NmtCommand { cs, node }.into())?;
         self.hears(NmtState::PreOperational)?;
-        // To all.
+        // Addressed to all nodes.
         self.runtime.block_on(self.bus.nmt_start(0));
         self.hears(NmtState::Operational)?;
         self.boots_by(NmtCommandSpecifier::ResetComm, node, node)?;
@@ -176,10 +177,10 @@ impl<S: AsyncCanSender + Clone + Send + Sync> Master<S> {
 
     /// Waits until no answer to an earlier request is on its way to the bus manager.
     ///
-    /// The client of a transfer takes every answer of its node for its own, whatever the object. Such an answer may be one that
-    /// the manager reads late, or one that comes after the client gave up. Each drive answers in order, so that the answer
-    /// to the request made here comes last. The manager shows the state of a node that does not exist once it has read all
-    /// frames before.
+    /// The client accepts every answer of its node, even for another object. Such an answer may be read late by the
+    /// manager, or may arrive after the client has given up. Each drive answers in order, so the answer to the request
+    /// made here is the last one. The manager has read all earlier frames as soon as it shows the state of a node that
+    /// does not exist.
     fn settles(&mut self) -> Outcome {
         for node in DRIVES {
             let mut client = self.client_of(node);
@@ -192,7 +193,8 @@ impl<S: AsyncCanSender + Clone + Send + Sync> Master<S> {
         } else {
             (NmtState::Stopped, 4)
         };
-        // From a socket of its own: the manager's socket does not hear itself. The first of a node brings no state.
+        // The frame is sent from another socket, because the manager does not receive frames of its own socket. The
+        // first frame of a node does not set a state.
         let mut sender = {
             let _entered = self.runtime.enter();
             open_socketcan(&self.interface)
@@ -208,7 +210,7 @@ impl<S: AsyncCanSender + Clone + Send + Sync> Master<S> {
     }
 
     fn scans(&mut self) -> Outcome {
-        // The client gives a node 150 ms for each answer, which a busy machine may not keep.
+        // The client waits 150 ms for each answer of a node, which is too short on a busy machine.
         for _ in 0..ATTEMPTS {
             self.settles()?;
             let nodes = self.runtime.block_on(self.bus.scan_nodes()).map_err(said)?;
@@ -216,7 +218,7 @@ impl<S: AsyncCanSender + Clone + Send + Sync> Master<S> {
             let Some(drive) = nodes.into_iter().find(|it| it.node_id == self.node) else {
                 continue;
             };
-            // The name of a node that did not tell it in time is missing.
+            // The name of a node that did not report it in time is missing.
             if found != DRIVES || drive.device_name.is_none() {
                 continue;
             }
@@ -268,14 +270,15 @@ impl<S: AsyncCanSender + Clone + Send + Sync> Master<S> {
                 c.download(index, sub, &data).await.map_err(said)?;
                 same("uploaded", c.upload(index, sub).await, Ok(data))?;
             }
-            // The client writes no bytes as an expedited frame with 4 unused bytes. That number does not fit its two bits and
-            // sets a reserved one (CiA 301: initiate SDO download).
+            // For an empty value, the client sends an expedited frame with 4 unused bytes. The number 4 does not fit
+            // its two-bit field and sets a reserved bit (CiA 301: initiate SDO download).
             aborted(c.download(index, sub, &[]).await, 0x0504_0001)
         })
     }
 
-    /// The client takes the size bit of an upload's first answer for part of the command (CiA 301, initiate SDO block upload:
-    /// `s` is bit 1, `ss` is bit 0). So it understands no server that gives the size, and leaves without an abort.
+    /// The client takes the size bit in the first answer of an upload for a part of the command (CiA 301, initiate SDO
+    /// block upload: `s` is bit 1, `ss` is bit 0). It therefore cannot decode the answer of a server that gives the
+    /// size, and stops without an abort.
     fn blocks(&mut self) -> Outcome {
         let (index, sub) = DOMAIN;
         let mut c = self.client();
@@ -311,7 +314,7 @@ impl<S: AsyncCanSender + Clone + Send + Sync> Master<S> {
             )?;
             aborted(c.block_upload(0x5FFF, 0).await, 0x0602_0000)?;
             aborted(c.block_download(0x1000, 0, &bytes(29)).await, 0x0601_0002)?;
-            // And the next transfer works.
+            // The next transfer succeeds.
             same("device type", c.read_u32(0x1000, 0).await, Ok(0x0002_0192))
         })
     }
@@ -355,8 +358,8 @@ impl<S: AsyncCanSender + Clone + Send + Sync> Master<S> {
         self.runtime.block_on(client.read_identity()).map_err(said)
     }
 
-    /// Puts the drive into configuration mode and gives it a node-ID. The client waits 50 ms for an answer, which a busy
-    /// machine may not keep.
+    /// Switches the drive to configuration mode and assigns a node-ID. The client waits 50 ms for an answer, which is
+    /// too short on a busy machine.
     fn set(&mut self, identity: LssIdentity, node: NodeId) -> Outcome {
         let mut last = Ok(());
         for _ in 0..ATTEMPTS {
@@ -405,7 +408,7 @@ impl<S: AsyncCanSender + Clone + Send + Sync> Master<S> {
     }
 }
 
-/// A synchronous PDO.
+/// Configuration of a synchronous PDO.
 fn config(cob_id: u16, rtr_disabled: bool, objects: &[(u16, u8)]) -> PdoConfig {
     PdoConfig {
         comm: PdoCommParameter {
@@ -429,7 +432,7 @@ fn said(error: impl std::fmt::Display) -> String {
     error.to_string()
 }
 
-/// The transfer was refused for this reason.
+/// Asserts that the transfer was aborted with this code.
 fn aborted<T: std::fmt::Debug>(result: Result<T, SdoClientError>, expected: u32) -> Outcome {
     match result {
         Err(SdoClientError::ServerAbort { abort_code, .. }) => {

@@ -1,7 +1,9 @@
-//! A node made of zencan-node 0.0.5: `zencan-node INTERFACE NODE SERIAL`, node-ID 255 for none. It ends with its standard input.
+//! A node made with zencan-node 0.0.5: `zencan-node INTERFACE NODE SERIAL`, node-ID 255 for none. The program ends when
+//! its standard input is closed.
 //!
-//! The library gives up an SDO transfer after 25 ms without a frame, which no machine that may pause can keep. So its clock
-//! runs at a twentieth of real time here. It knows no EMCY, and its heartbeat time is a constant.
+//! The library aborts an SDO transfer after 25 ms without a frame, which is too short on a machine that may pause. Its
+//! clock therefore runs at a twentieth of real time here. The library has no EMCY, and its heartbeat time is a
+//! constant.
 
 use std::io::Read;
 use std::process::exit;
@@ -21,7 +23,7 @@ mod zencan {
 
 const LOOK: Duration = Duration::from_millis(1);
 const SLOWER: u128 = 20;
-/// The longest value of object 0x2F00, bytes.
+/// Longest value of object 0x2F00, bytes.
 const ROOM: usize = 1022;
 
 /// Object 0x2F00: bytes of any length.
@@ -95,7 +97,7 @@ fn main() {
     let began = Instant::now();
     loop {
         if let Some(message) = socket.read_frame().ok().as_ref().and_then(message) {
-            // Frames of others come back.
+            // Frames of other services are returned by this call.
             let _ = mailbox.store_message(message);
         }
         node.process((began.elapsed().as_micros() / SLOWER) as u64);

@@ -6,7 +6,7 @@ use super::super::finding::Verdict::{self, NotUsable, Ok as Fine, Warning};
 use super::super::tests::Fake;
 use super::*;
 
-/// As iproute2 6.1 writes a card, shortened.
+/// A card in the output of iproute2 6.1, shortened.
 const CARD: &str = r#"[{"ifindex":3,"ifname":"can0","flags":["NOARP","UP"],"mtu":16,"qdisc":"pfifo_fast","txqlen":10,
 "linkinfo":{"info_kind":"can","info_data":{"state":"ERROR-ACTIVE","berr_counter":{"tx":0,"rx":0},"restart_ms":100,
 "bittiming":{"bitrate":1000000,"sample_point":"0.750","tq":125,"sjw":1},"clock":8000000},
@@ -58,7 +58,7 @@ fn name() -> InterfaceName {
     InterfaceName::new("can0").unwrap()
 }
 
-/// What is found of a card as `link` describes it.
+/// Findings about a card that `link` describes.
 fn found(link: &str) -> Vec<Finding> {
     let opened = Ok(());
     let link = Link::parse(link).unwrap();
@@ -188,7 +188,7 @@ fn what_a_card_lacks_is_set_knob_by_knob() {
             "restart-ms",
             Some(Knob::RestartMs(knob()).to("100")),
         ),
-        // What wiring makes no setting mends.
+        // No setting repairs an error of the wiring.
         (("ERROR-ACTIVE", "BUS-OFF"), "bus state", None),
     ];
     for ((right, wrong), what, fix) in table {
@@ -199,7 +199,7 @@ fn what_a_card_lacks_is_set_knob_by_knob() {
     let link = Link::parse(CARD).unwrap();
     let up = Knob::State(knob()).to("up");
     let timing = |rate: &str| Knob::BitTiming(knob()).to(rate);
-    // Without a cell nobody knows the bit rate of a card that has none.
+    // Without a cell file, the intended bit rate of a card without a bit rate is unknown.
     let bare = CARD.replace("\"bitrate\":1000000", "\"bitrate\":0");
     for (bitrate_kbps, link, fixes) in [
         (Some(250), &link, vec![timing("250000"), up.clone()]),
@@ -255,7 +255,7 @@ fn an_interface_that_is_down_is_set_as_the_cell_says() {
         .iter()
         .map(|found| (found.what, found.verdict))
         .collect();
-    // An slcan interface has neither a sample point nor a restart.
+    // An slcan interface has neither a sample point nor an automatic restart.
     let expected = [
         ("interface", Fine),
         ("up", NotUsable),

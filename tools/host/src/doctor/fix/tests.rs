@@ -1,4 +1,4 @@
-//! Fixes, and their record.
+//! Changes that `--fix` makes, and their record.
 
 use std::fs;
 
@@ -20,7 +20,8 @@ fn limits(after: &str) -> Fix {
     Knob::File(format!("/{LIMITS}")).to(after)
 }
 
-/// A process that another test starts holds the lock of the record before until it becomes a program of its own.
+/// Opens the record, and retries while its lock is held. A process that another test starts inherits the lock until it
+/// executes its own program.
 fn record(fake: &Fake) -> Record {
     let mut tries = (0..100_000).map(|_| Record::open(&fake.path(RECORD)));
     let open = tries.find(|record| {
@@ -37,7 +38,7 @@ fn applied(fake: &Fake, fixes: &[Fix]) {
     }
 }
 
-/// How many changes could not be put back.
+/// Number of changes that could not be undone.
 fn undone(fake: &Fake) -> usize {
     undo(&fake.tree(), &mut record(fake)).unwrap()
 }
@@ -78,7 +79,7 @@ fn what_stands_where_it_should_is_not_touched_or_recorded() {
 fn a_change_that_cannot_be_recorded_is_not_made() {
     let fake = Fake::new(&[(RUNTIME, "400000\n")]);
     let mut record = record(&fake);
-    // The place of the new record is taken.
+    // A directory occupies the path of the new record.
     fs::create_dir(fake.path("var/undo.json.new")).unwrap();
     let refused = apply(&fake.tree(), &runtime("950000"), &mut record);
     assert!(refused.unwrap_err().to_string().contains("undo.json"));
@@ -98,7 +99,7 @@ fn a_crash_before_or_behind_a_change_leaves_what_undo_needs() {
         fake.write(RUNTIME, reached);
         assert_eq!(undone(&fake), left, "{reached}");
     }
-    // Somebody's own value stays, and so does the record of what was there.
+    // A value that another process set is kept, and the record with the original value is kept too.
     assert_eq!(fake.text(RUNTIME).as_deref(), Some("700000"));
     assert_eq!(record(&fake).changes(), [change]);
 }
@@ -141,7 +142,7 @@ fn a_knob_that_cannot_be_turned_says_why_and_leaves_no_record() {
 #[test]
 fn what_the_kernel_makes_another_value_of_is_told_and_put_back() {
     let fake = Fake::new(&[(RUNTIME, "400000\n")]);
-    // It is read without the space.
+    // The value is read without the trailing space.
     let any = |_: &Change| Ok(());
     let refused = turn(&fake.tree(), &runtime(" 950000"), &mut record(&fake), any);
     assert_eq!(refused.unwrap_err().to_string(), "it reads 950000");

@@ -1,4 +1,4 @@
-//! SDO transfers told frame by frame: which frames are commands, and which are segments.
+//! Text of SDO transfers, frame by frame: which frames are commands, and which are segments.
 
 use canopen::objects::DEVICE_NAME;
 use canopen::sdo::{AbortCode, Client, Dictionary, MAX_SIZE, Server};
@@ -7,15 +7,15 @@ use super::*;
 
 mod doubt;
 
-/// A decoder that began to listen at zero.
+/// A decoder that listens since time zero.
 fn listening() -> Decoder {
     let mut decoder = Decoder::default();
     decoder.begin(Instant::ZERO);
     decoder
 }
 
-/// Checks the text of frames in their order, each with the time at which it came, ms. `NAME` stands for the name of the
-/// device name's object.
+/// Checks the text of frames in their order. Each row has the time of arrival, ms, the frame and its text. `NAME` in a
+/// text stands for the name of the object "device name".
 #[track_caller]
 fn tell(decoder: &mut Decoder, table: &[(u64, &str, &str)]) {
     for (ms, frame, text) in table {
@@ -26,7 +26,8 @@ fn tell(decoder: &mut Decoder, table: &[(u64, &str, &str)]) {
     }
 }
 
-/// Begins a block download of sub-blocks of 127 segments and sends the first `segments`, 1 ms apart from 2 ms on.
+/// Starts a block download with sub-blocks of 127 segments. Sends the first `segments` segments, 1 ms apart, the first
+/// at 2 ms.
 fn download(decoder: &mut Decoder, segments: u8) -> u64 {
     tell(
         decoder,
@@ -105,7 +106,7 @@ fn a_sub_block_ends_with_its_last_segment_or_its_size_and_lost_segments_come_aga
                 "606#8241000000000000",
                 "last segment 2 of NAME: 41 00 00 00 00 00 00",
             ),
-            // The last one was lost.
+            // The last segment was lost.
             (
                 7,
                 "586#A2017F0000000000",
@@ -140,7 +141,7 @@ fn the_segments_of_a_block_upload_are_no_answers() {
         ],
     );
     for number in 1..=67 {
-        // Number 67 looks like the value of the statusword.
+        // Segment 67 (0x43) looks like the answer to a read of the statusword.
         let frame = format!("586#{number:02X}41600037060000");
         let text = format!("segment {number} of NAME: 41 60 00 37 06 00 00");
         tell(&mut decoder, &[(3, &frame, &text)]);
@@ -219,7 +220,7 @@ fn ordinary_segments_are_told_with_their_object() {
                 "segment of NAME: 45 50 4f 53 2b 40 60 \"EPOS+@`\"",
             ),
             (3, "586#2000000000000000", "segment taken"),
-            // Repeated, as its answer was late.
+            // The client repeats the request, because the answer was late.
             (
                 4,
                 "606#0045504F532B4060",
@@ -231,7 +232,7 @@ fn ordinary_segments_are_told_with_their_object() {
             (8, CONTROLWORD, WRITTEN),
         ],
     );
-    // Another node's transfer is another's.
+    // A transfer with another node is independent.
     let mut decoder = Decoder::default();
     download(&mut decoder, 42);
     tell(
@@ -302,7 +303,7 @@ fn steps_of_a_block_transfer_are_told_without_their_beginning() {
     }
 }
 
-/// A server's one object, of whatever size.
+/// A server with a single object of any size.
 struct Object1008(Vec<u8>);
 
 impl Dictionary for Object1008 {
@@ -319,7 +320,7 @@ impl Dictionary for Object1008 {
     }
 }
 
-/// The texts of all frames that a client and a server exchange.
+/// Texts of all frames that a client and a server exchange.
 fn told(client: &mut Client, server: &mut Server, object: &mut Object1008) -> Vec<String> {
     const NODE: NodeId = NodeId::new(6).unwrap();
     let mut decoder = Decoder::default();
@@ -353,7 +354,7 @@ fn told(client: &mut Client, server: &mut Server, object: &mut Object1008) -> Ve
 #[test]
 fn every_frame_of_a_client_and_a_server_is_told_for_what_it_is() {
     let time_out = std::time::Duration::from_millis(500);
-    // Writes of the controlword, if they were commands.
+    // Each segment would be a write of the controlword if it were a command.
     let data: Vec<u8> = [0x40, 0x60, 0, 6, 0, 0, 0].repeat(146);
     for size in [41, 301, 889, 890, 1022] {
         for block_size in [1, 2, 43, 44, 127] {

@@ -1,4 +1,4 @@
-//! The first frame of a transfer, its answer, and the state to which both lead.
+//! First frame of a transfer, the answer to it, and the state of the channel after each of them.
 
 use can::Frame;
 use canopen::sdo::block::{self, MAX_BLOCK_SIZE};
@@ -7,7 +7,7 @@ use canopen::{NodeId, Object};
 
 use super::{Block, Stage, State, Way};
 
-/// What a client begins.
+/// Transfer that a client requests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Asked {
     Expedited(Object),
@@ -15,13 +15,13 @@ pub(super) enum Asked {
     BlockDownload(Object),
     BlockUpload {
         object: Object,
-        /// Segments of the first sub-block.
+        /// Number of segments in the first sub-block.
         size: u8,
     },
 }
 
 impl Asked {
-    /// What a frame of a client begins, if anything.
+    /// Transfer that a frame of a client requests, if any.
     pub(super) fn of(frame: &Frame, node: NodeId) -> Option<Self> {
         if let Some(request) = block::Request::decode(frame, node) {
             return match request {
@@ -62,7 +62,7 @@ impl Asked {
         }
     }
 
-    /// Whether a frame of the server answers it.
+    /// Whether a frame of the server answers this request.
     pub(super) fn is_answered(self, frame: &Frame, node: NodeId) -> bool {
         let answered = match block::Response::decode(frame, node) {
             Some(block::Response::InitiateDownload { object, .. }) => {
@@ -73,7 +73,7 @@ impl Asked {
             }
             Some(_) => None,
             None => match (self, Response::decode(frame, node)) {
-                // A server may answer a block upload with an ordinary one.
+                // A server may answer the request of a block upload with an ordinary upload.
                 (
                     Self::Segments(Way::Upload, _) | Self::BlockUpload { .. },
                     Some(Response::InitiateUpload { object, .. }),
@@ -88,7 +88,7 @@ impl Asked {
         answered == Some(self.object())
     }
 
-    /// What is under way once the server has answered it by `answer`.
+    /// State of the channel after the server has answered the request with `answer`.
     pub(super) fn begun(self, answer: &Frame, node: NodeId) -> State {
         let object = Some(self.object());
         match (self, block::Response::decode(answer, node)) {
@@ -118,7 +118,7 @@ impl Asked {
                     last: false,
                 }
             }
-            // The whole transfer, or a block size that no client accepts.
+            // The answer completes the transfer, or it has a block size that no client accepts.
             (
                 Self::Expedited(_)
                 | Self::Segments(Way::Upload, _)
@@ -130,7 +130,7 @@ impl Asked {
     }
 }
 
-/// Whether the answer to a read announces segments.
+/// Whether the answer to a read announces a segmented upload.
 fn is_segmented(answer: &Frame, node: NodeId) -> bool {
     matches!(
         Response::decode(answer, node),

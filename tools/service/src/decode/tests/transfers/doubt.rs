@@ -1,10 +1,10 @@
-//! Frames that may be commands or segments, and what ends the doubt.
+//! Frames that may be commands or segments of a block transfer, and the frames that resolve the ambiguity.
 
 use super::*;
 
 #[test]
 fn a_client_that_began_anew_without_a_word_is_understood_after_its_time_out() {
-    // So many segments before the silence, and what the frame after it is.
+    // Number of segments before the silence, and the text of the frame after it.
     for (segments, text) in [(10, WRITTEN), (42, UNKNOWN)] {
         let mut decoder = Decoder::default();
         let at = download(&mut decoder, segments);
@@ -21,7 +21,7 @@ fn a_client_that_began_anew_without_a_word_is_understood_after_its_time_out() {
             ],
         );
     }
-    // Before that a frame out of turn may be either, and its answer tells.
+    // Before the silence, a frame out of order may be a command or a segment. The answer to the frame decides.
     let mut decoder = Decoder::default();
     let at = download(&mut decoder, 10);
     tell(
@@ -38,7 +38,7 @@ fn a_client_that_began_anew_without_a_word_is_understood_after_its_time_out() {
             (at, CONTROLWORD, WRITTEN),
         ],
     );
-    // A sub-block that is complete has no segment left.
+    // No segment is due after a complete sub-block.
     let mut decoder = Decoder::default();
     let at = download(&mut decoder, 127);
     tell(&mut decoder, &[(at, CONTROLWORD, WRITTEN)]);
@@ -80,7 +80,7 @@ fn a_client_that_leaves_a_block_upload_is_understood_once_it_is_answered() {
 
 #[test]
 fn a_monitor_that_begins_in_the_middle_of_a_transfer_does_not_guess() {
-    // A download that is under way, and ends.
+    // A download that is already under way ends.
     tell(
         &mut listening(),
         &[
@@ -100,7 +100,7 @@ fn a_monitor_that_begins_in_the_middle_of_a_transfer_does_not_guess() {
             (6, CONTROLWORD, WRITTEN),
         ],
     );
-    // One that goes on behind its acknowledgement.
+    // A download goes on after an acknowledgement.
     tell(
         &mut listening(),
         &[
@@ -131,7 +131,7 @@ fn a_monitor_that_begins_in_the_middle_of_a_transfer_does_not_guess() {
             ),
         ],
     );
-    // An upload, from its acknowledgement on and from its start on.
+    // An upload seen from its acknowledgement on, and an upload seen from its start on.
     tell(
         &mut listening(),
         &[
@@ -180,7 +180,7 @@ fn a_monitor_that_begins_in_the_middle_of_a_transfer_does_not_guess() {
             ),
         ],
     );
-    // Ordinary segments, both ways.
+    // Ordinary segments, download and upload.
     tell(
         &mut listening(),
         &[
@@ -224,7 +224,8 @@ fn an_exchange_that_fits_one_kind_of_transfer_alone_ends_the_doubt() {
             (3, CONTROLWORD, WRITTEN),
         ],
     );
-    // An answer of another object is none, and an acknowledgement of another segment neither.
+    // An answer for another object does not answer the command. An acknowledgement of another segment does not fit
+    // either.
     tell(
         &mut listening(),
         &[
@@ -242,7 +243,7 @@ fn an_exchange_that_fits_one_kind_of_transfer_alone_ends_the_doubt() {
             ),
         ],
     );
-    // Neither an abort nor a first byte of zero is a segment of a block.
+    // An abort and a frame whose first byte is zero are never segments of a block transfer.
     tell(
         &mut listening(),
         &[
@@ -260,7 +261,7 @@ fn an_exchange_that_fits_one_kind_of_transfer_alone_ends_the_doubt() {
             (4, CONTROLWORD, WRITTEN),
         ],
     );
-    // A silence longer than any time-out.
+    // A silence longer than every time-out.
     tell(
         &mut listening(),
         &[
