@@ -54,8 +54,8 @@ struct Gains {
     /// Torque per demanded velocity, N·m·s/rad: `b`.
     viscous: f64,
     /// Voltage per current error, Ω. With `e = exp(-R dt / L)` the sampled winding has its pole at e, and the
-    /// controller's zero cancels that pole. `R (1 - p) / (1 - e)` puts the closed loop's single pole at `p = exp(-ωc
-    /// dt)`.
+    /// controller's zero cancels that pole. `R (1 - p) / (1 - e)` puts the closed loop's single pole at
+    /// `p = exp(-ωc dt)`.
     current: f64,
     /// Voltage per current error and sub-step.
     current_integral: f64,

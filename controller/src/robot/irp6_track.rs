@@ -40,7 +40,7 @@ const PLACES: u32 = 64;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Irp6TrackParameters {
-    /// Drive of d0, the carriage. Lengths are in m where [`GearAxis`] says rad.
+    /// Drive of d0, the carriage. Lengths are in m where `GearAxis` says rad.
     pub track: GearAxis,
     /// The robot on the carriage.
     pub robot: Irp6Parameters,
