@@ -45,9 +45,9 @@ pub struct LegAxis {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RntParameters {
-    /// Radius of the circle of the legs' lower ends on the base, m.
+    /// Radius of the circle of the legs' joints on the base, m.
     pub base_radius: f64,
-    /// Radius of the circle of the legs' ends on the platform, m.
+    /// Radius of the circle of the legs' joints on the platform, m.
     pub platform_radius: f64,
     /// Distance from the platform to the wrist centre along the central leg, m.
     pub wrist_offset: f64,
