@@ -23,7 +23,7 @@ const STEP: f64 = 1e-3;
 pub struct Mass {
     /// Mass, kg.
     pub mass: f64,
-    /// Centre in the link's frame, m. The link's frame is that of its joint, as `mrroc urdf` writes it.
+    /// Centre in the link's frame, m. The link's frame is its joint's frame, as written by `mrroc urdf`.
     pub centre: [f64; 3],
 }
 

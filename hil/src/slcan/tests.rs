@@ -281,7 +281,7 @@ fn bus_off_ends_when_the_channel_is_opened_anew() {
 
 #[test]
 fn a_wrong_bit_rate_is_bus_off_for_who_speaks_and_errors_for_who_listens() {
-    // A bit rate, and whether it equals that of the bus.
+    // A bit rate, and whether the bus has the same bit rate.
     for (set, right) in [
         ("S8.", true),
         ("s0014.", true),

@@ -81,7 +81,7 @@ fn rpdos_are_filled_by_the_dummies_of_the_data_sheet() {
         let answer = bench.ask(&format!("23011601{bits:02X}00{index:02X}00"));
         let taken = answer == "6001160100000000";
         assert_eq!(taken, usable, "dummy {index}: {answer}");
-        // A dummy entry with a size other than that of its data type is refused.
+        // The size of a dummy entry must equal the size of its data type.
         let answer = bench.ask(&format!("23011601{:02X}00{index:02X}00", bits + 8));
         assert_eq!(answer, "8001160141000406", "dummy {index}");
     }
