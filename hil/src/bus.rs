@@ -3,11 +3,12 @@
 //! When the bus becomes free, the pending frame with the identifier of the highest priority is sent next. The
 //! duration of the frame follows from its content, stuff bits included. Every other node receives the frame at the
 //! end of its last bit, three bits before the bus is free again. Events are processed in the order of their times.
-//! Events at one instant are processed in the order of their kind: time-outs of devices, the end of a frame, the
-//! start of the next frame. The same input gives the same frames at the same instants.
+//! The order at one instant is: time-outs of devices, the end of a frame, the start of the next frame. The same input
+//! gives the same frames at the same instants.
 //!
-//! Left out: errors on the wire; acknowledgement, so that a single node transmits as if it were acknowledged; and bit
-//! errors of two nodes that send the same identifier at once, of which the node attached first wins.
+//! Left out: errors on the wire, acknowledgement, and bit errors of nodes that send the same identifier. A single
+//! node transmits as if its frames were acknowledged. Of two nodes that send the same identifier at once, the node
+//! attached first wins.
 //!
 //! Nothing allocates once the queues have reached their working size. Read [`VirtualBus::advance`] first.
 

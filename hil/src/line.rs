@@ -1,9 +1,9 @@
 //! A serial line with true timing: each byte lasts its start, data and stop bits, in each direction.
 //!
 //! Both directions carry bytes simultaneously and independently. A byte reaches its receiver when its last stop bit
-//! ends. Events are processed in the order of their times. Events at one instant are processed in the order of their
-//! kind: the device's time-out, the end of a byte to the device, the end of a byte to the host. The same input gives
-//! the same bytes at the same instants.
+//! ends. Events are processed in the order of their times. The order at one instant is: the device's time-out, the
+//! end of a byte to the device, the end of a byte to the host. The same input gives the same bytes at the same
+//! instants.
 //!
 //! A USB adapter between line and host collects bytes and delivers packets of up to [`USB_PACKET`] bytes. The adapter
 //! sends a packet when the packet is full or when the latency timer expires. The timer restarts with each packet, as

@@ -516,9 +516,8 @@ mod tests {
         }
     }
 
-    /// Another emulator may replace the link between the examination and the removal, even by a terminal with the
-    /// number of the abandoned terminal.
-    /// that was left.
+    /// Between the examination and the removal, another emulator may replace the link. Even the number of the
+    /// abandoned terminal may be used again.
     #[test]
     fn a_link_that_another_emulator_replaces_meanwhile_is_left_to_it() {
         let directory = Directory::new("faster");

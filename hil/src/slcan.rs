@@ -6,8 +6,8 @@
 //!
 //! The adapter accepts the start-up sequences of Linux's slcan driver, slcand and python-can. These hosts close a
 //! closed channel, open an open channel and send empty lines, all of which is accepted. Other violations of Lawicel's
-//! manual are refused with a bell: configuring an open channel, opening a channel without a bit rate, sending without
-//! an open channel. Opening a channel restarts the controller.
+//! manual are refused with a bell. These are: configuring an open channel, opening a channel without a bit rate,
+//! sending without an open channel. Opening a channel restarts the controller.
 //!
 //! A bit rate other than that of the bus is a fault as on a real bus. The first frame sent ends in bus-off. Each
 //! frame on the bus counts as a receive error. Unlike on a real bus, the frames of the other nodes stay intact.

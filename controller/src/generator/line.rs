@@ -77,9 +77,9 @@ impl PlannedStart {
 /// Jacobian J, the tool deviates from the straight line through its actual start by (1 − s)·(J(s) − J(0))·d. The
 /// deviation is about d/4 times the length of the path: 6 µm for 0.25 mrad of the column and 0.1 m.
 ///
-/// Before the motion, poses of the line at most 5 mm and 10 mrad apart are checked: reach, joint limits, and no jump
-/// from one branch of the inverse kinematics to another. A refusal names the place and the axis. If a joint would
-/// exceed its velocity or acceleration limit, for instance near a singularity, the whole line is slowed down.
+/// Poses of the line at most 5 mm and 10 mrad apart are checked before the motion. The checks cover reach, joint
+/// limits, and jumps between branches of the inverse kinematics. A refusal names the place and the axis. If a joint
+/// would exceed its velocity or acceleration limit, for instance near a singularity, the whole line is slowed down.
 ///
 /// Poses lie on the line at the ends of macrosteps. Between the ends, motors follow cubics. The cubics deviate from
 /// the line by the fourth derivative of the joint path times macrostep⁴ / 384.

@@ -47,9 +47,9 @@ pub struct Irp6TrackParameters {
 }
 
 impl Irp6TrackParameters {
-    /// The robot of the WUT with the parameters of its original controller (public code): the arm of the robot on the
-    /// pedestal, with other home positions. The ratio of the track is derived from a screw of 8 mm behind a belt of
-    /// 2:1. Later versions of that code have the column's home at -16.5 rad.
+    /// The robot of the WUT with the parameters of its original controller (public code). The arm is that of the
+    /// robot on the pedestal with other home positions. The ratio of the track is derived from a screw of 8 mm behind
+    /// a belt of 2:1. Later versions of that code have the column's home at -16.5 rad.
     pub const fn irp6ot() -> Self {
         let mut robot = Irp6Parameters::irp6p();
         robot.arm.column.motor_at_home = -10.819;
@@ -117,8 +117,8 @@ impl Irp6TrackParameters {
 /// the carriage moves towards the nearest position that meets both conditions, by at most twice the distance moved by
 /// the flange. For a pose far from `near` this limit does not matter.
 ///
-/// If the arm cannot take the pose from the resulting position, other positions are tried: the position of `near`,
-/// positions at growing distances from there, and finally positions along the whole track. For each position one
+/// If the arm cannot take the pose from the resulting position, other positions are tried. First comes the position
+/// of `near`, then positions at growing distances, and finally positions along the whole track. For each position one
 /// branch remains within the limits, as for [`Irp6`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Irp6Track {

@@ -16,8 +16,8 @@ pub(super) const STEEPEST: f64 = 1.5;
 /// Three legs of variable length between a base and a platform, which is carried by a passive central leg.
 ///
 /// The central leg hangs in a universal joint in the middle of the base. The leg leans by alpha about the x axis of
-/// the base, then by beta about its own y axis, and cannot turn about its own axis. The platform is perpendicular to
-/// the end of the central leg, rho from the universal joint. The three legs begin on a circle around the universal
+/// the base, then by beta about its own y axis. The leg cannot turn about its own axis. The platform is perpendicular
+/// to the end of the central leg, rho from the universal joint. The three legs begin on a circle around the universal
 /// joint and end on a circle around the middle of the platform. Both circles have the legs at 0°, 120° and 240° from
 /// the x axis.
 #[derive(Clone, Debug, PartialEq)]

@@ -81,9 +81,9 @@ impl PolycrankParameters {
     /// The robot of the WUT.
     ///
     /// From public code: the geometry. One of its two published copies has 0.062 m for the last offset of the
-    /// forearm. No data of the drives is public, so the following values are nominal: ratio 50, no coupling, home
-    /// with both cranks bent by a right angle and the tool axis level. The motor limits are those of a 32-bit counter
-    /// of 4000 counts per revolution, ±67 000 rad of the joint.
+    /// forearm. No data of the drives is public, so the following values are nominal: ratio 50, no coupling, and the
+    /// home posture. At home both cranks are bent by a right angle and the tool axis is level. The motor limits are
+    /// those of a 32-bit counter of 4000 counts per revolution, ±67 000 rad of the joint.
     pub const fn polycrank() -> Self {
         const fn drive(joint_at_home: f64) -> GearAxis {
             GearAxis {
@@ -127,9 +127,9 @@ impl PolycrankParameters {
 ///
 /// A pose leaves one parameter open: the forearm's reach, which is the distance of axis 6 from axis 4 perpendicular
 /// to axis 1. [`Robot::inverse`] takes the reach from `near` and returns the four or eight branches with that reach.
-/// As the arm moves towards an end of the range that the pose admits, the reach moves back, by at most twice the
-/// travel of the arm. For a pose far from `near` the reach is 0.04 m inside its range. The reach avoids folded upper
-/// cranks from a distance of 0.1 m on. [`Polycrank::inverse_at`] takes the reach from the caller.
+/// Near an end of the range that the pose admits, the reach moves back as the arm moves, by at most twice the travel
+/// of the arm. For a pose far from `near` the reach is 0.04 m inside its range. The reach avoids folded upper cranks
+/// from a distance of 0.1 m on. [`Polycrank::inverse_at`] takes the reach from the caller.
 /// [`Polycrank::most_dexterous`] searches for the best reach.
 ///
 /// Two singular poses are refused. The tool axis is parallel to axis 1 within 1e-10 (axis 2). Both pairs of cranks

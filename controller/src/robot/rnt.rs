@@ -133,7 +133,7 @@ const fn wrist(range: f64) -> GearAxis {
 /// The geometry is a substitute by this project, see [`RntParameters::nominal`]. Joints: alpha, beta, rho, roll,
 /// pitch, spin. Motors: the three legs, then the three axes of the wrist. The base frame lies in the universal joint
 /// of the central leg. The flange origin is the wrist centre. The flange orientation is
-/// Rx(alpha)·Ry(beta)·Rz(roll)·Ry(pitch)·Rz(spin), so that at pitch 0 the tool continues the line of the central leg.
+/// Rx(alpha)·Ry(beta)·Rz(roll)·Ry(pitch)·Rz(spin). At pitch 0 the tool continues the line of the central leg.
 ///
 /// A pose has two branches, with positive and with negative pitch. With a straight wrist, roll and spin turn about
 /// the same line. If the sine of the pitch is below 1e-6, [`Robot::inverse`] returns [`KinematicsError::Singular`].

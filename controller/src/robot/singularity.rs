@@ -7,8 +7,8 @@ use super::{Jacobian, KinematicsError};
 pub struct Singularity {
     /// The axis that moves most while the flange moves least. Of equal axes, the axis nearest to the base.
     pub axis: u8,
-    /// Smallest singular value of the Jacobian, with lengths in m: the speed of the flange, m/s and rad/s taken
-    /// together, in its slowest direction at joint speeds of norm 1. Zero at a singularity.
+    /// Smallest singular value of the Jacobian, with lengths in m. This value is the speed of the flange in its
+    /// slowest direction at joint speeds of norm 1, with m/s and rad/s taken together. Zero at a singularity.
     pub margin: f64,
 }
 

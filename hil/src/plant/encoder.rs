@@ -9,7 +9,7 @@ use super::noise::Noise;
 /// The counter is the floor of angle · counts / 2π, minus that value at power-on. The index pulse is one count wide,
 /// and therefore marks the same count in both directions.
 ///
-/// Edge jitter comes with a hysteresis of the same width, as in the comparators behind the disc: the counter leaves a
+/// Edge jitter comes with a hysteresis of the same width, as in the comparators behind the disc. The counter leaves a
 /// count only beyond the band of the edge. The counter of a turning shaft changes somewhere within the band. The
 /// counter of a shaft at standstill does not change.
 #[derive(Clone, Debug)]

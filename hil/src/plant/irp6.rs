@@ -166,8 +166,8 @@ impl AxisConfig {
     /// motor starts 20 rad above the home position. Limit switches close at the motor limits. The buffers begin 3 rad
     /// beyond the limits.
     ///
-    /// In a trapezoidal motion at 50 rad/s and 150 rad/s² with a set-point each 1 or 2 ms, the following errors of
-    /// the axes, in order, stay within 5, 6, 14, 12, 10 and 7 counts.
+    /// Following errors in a trapezoidal motion at 50 rad/s and 150 rad/s², with a set-point each 1 or 2 ms: within
+    /// 5, 6, 14, 12, 10 and 7 counts for the axes in order.
     pub fn irp6(axis: Irp6Axis) -> Self {
         let row = &ROWS[axis as usize];
         let (viscous, coulomb, stiction) = row.friction;

@@ -148,7 +148,6 @@ impl AxisConfig {
     /// Public data of the track: 1570.8 rad/m (screw of 8 mm, belt 2:1), home at 0, travel -200 to 1900 rad, 4000
     /// counts, over-current at 25 A. Nominal data of the track: carriage of 60 kg in addition to the arm's 76 kg,
     /// friction, winding, switches.
-    /// beside the arm's 76 kg, friction, winding, switches.
     pub fn irp6_track(axis: Irp6TrackAxis) -> Self {
         match axis {
             Irp6TrackAxis::Arm(axis) => Self::irp6(axis).with_home(TRACK_ARM_HOMES[axis as usize]),

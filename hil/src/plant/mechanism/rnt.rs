@@ -31,8 +31,8 @@ pub(super) struct Rnt {
     pose: Pose,
 }
 
-/// Pose of the platform: rotated by `alpha` about the x axis of the base, then by `beta` about the rotated y axis,
-/// and displaced by `extension` along its own z axis.
+/// Pose of the platform. The platform is rotated by `alpha` about the x axis of the base, then by `beta` about the
+/// rotated y axis. Its displacement along its own z axis is `extension`.
 #[derive(Clone, Copy, Debug)]
 struct Pose {
     alpha: f64,
