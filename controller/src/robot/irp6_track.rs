@@ -112,10 +112,10 @@ impl Irp6TrackParameters {
 ///
 /// Joints: d0, m, then th1 .. th6 of [`Irp6`]. The base frame is that of the robot with the carriage at zero.
 ///
-/// A pose leaves d0 open. [`Robot::inverse`] keeps the carriage position of `near` under two conditions. The flange
-/// is 0.6 to 0.95 m from the column axis, and it lies outside a sector of ±40° straight behind the column. Otherwise
-/// the carriage moves towards the nearest position that meets both conditions, by at most twice the distance moved by
-/// the flange. For a pose far from `near` this limit does not matter.
+/// A pose leaves d0 open. [`Robot::inverse`] keeps the carriage position of `near` if the flange is 0.6 to 0.95 m
+/// from the column axis and outside a sector of ±40° straight behind the column. Otherwise the carriage moves towards
+/// the nearest position that meets both conditions. The displacement of the carriage is at most twice the distance
+/// moved by the flange, so that a pose far from `near` gets the full displacement.
 ///
 /// If the arm cannot take the pose from the resulting position, other positions are tried. First comes the position
 /// of `near`, then positions at growing distances, and finally positions along the whole track. For each position one

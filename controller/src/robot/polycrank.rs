@@ -132,8 +132,9 @@ impl PolycrankParameters {
 /// from a distance of 0.1 m on. [`Polycrank::inverse_at`] takes the reach from the caller.
 /// [`Polycrank::most_dexterous`] searches for the best reach.
 ///
-/// Two singular poses are refused. The tool axis is parallel to axis 1 within 1e-10 (axis 2). Both pairs of cranks
-/// are stretched or folded at once, which is the edge of the workspace (axis 4, bends within 1e-5).
+/// Two singular poses are refused with [`KinematicsError::Singular`], whose axis counts from 0. Axis 2: the tool axis
+/// is parallel to axis 1 within 1e-10. Axis 4: both pairs of cranks are stretched or folded at once, with bends
+/// within 1e-5, which is the edge of the workspace.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Polycrank {
     parameters: PolycrankParameters,

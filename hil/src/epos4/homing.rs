@@ -17,8 +17,9 @@ use crate::Feedback;
 
 /// Time for which the current must stay above the threshold, s.
 const STOP_TIME: f64 = 5e-3;
-/// Time for which a switch must stay closed before its opening counts, s. Contacts bounce when they close. After a
-/// turn at a limit switch the axis leaves while they still bounce.
+/// Time for which a switch must stay closed before its opening counts, s. Contacts bounce when the axis enters the
+/// switch. After a turn at a limit switch the axis enters and leaves in the same direction, so that a bounce could be
+/// taken for the opening.
 const SETTLING: f64 = 5e-3;
 /// Number of motor turns within which an index must come.
 const INDEX_TURNS: f64 = 2.0;
