@@ -5,7 +5,7 @@ use mrroc::prelude::*;
 fn main() -> ExitCode {
     mrroc::program("cells/irb6.toml", |cell| {
         let irb6 = Motions::of(cell, "irb6")?;
-        // Joint positions, rad; the share of the robot's limits comes first.
+        // Fraction of the robot's limits, then joint positions, rad.
         let there = irb6.joints(
             0.4,
             &[[0.4, -1.8, 0.1, 0.5, 0.3], [-0.5, -1.6, 0.0, 0.9, 1.0]],

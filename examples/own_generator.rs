@@ -1,4 +1,4 @@
-//! A generator of one's own: joint 0 of the IRb-6 swings out and back, once.
+//! A custom generator: joint 0 of the IRb-6 swings out and back once.
 
 use std::f64::consts::TAU;
 
@@ -7,7 +7,7 @@ use mrroc::prelude::*;
 struct Swing {
     /// Greatest displacement, rad.
     amplitude: f64,
-    /// Macrosteps of the whole swing.
+    /// Number of macrosteps of the swing.
     steps: u32,
     start: AxesState,
     /// Duration of a macrostep, s.

@@ -1,4 +1,4 @@
-//! Time of planning and of one step, six axes of the IRp-6, at macrosteps of 20 ms.
+//! Computing time of planning and of one step, for the six axes of the IRp-6 at macrosteps of 20 ms.
 
 use std::f64::consts::FRAC_PI_2;
 use std::hint::black_box;
@@ -31,7 +31,7 @@ fn image(arm: &Arm) -> EffectorImage {
     }
 }
 
-/// Times the first step on its own and the next steps one after the other, over and over.
+/// Measures the first step and the next steps separately, each repeatedly.
 fn measure<G: Generator>(
     c: &mut Criterion,
     name: &str,

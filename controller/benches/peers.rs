@@ -1,10 +1,13 @@
-//! Forward and inverse kinematics beside an implementation by other hands, pinocchio, in one run.
+//! Forward and inverse kinematics compared with an independent implementation, pinocchio, in one run.
 //!
-//! `cargo bench -p mrroc-controller --bench peers` prints a table and one JSON object. pinocchio is the package `pin` of
-//! PyPI, which `tests/run` puts into `target/peers`. Its times are those of calls from Python, of which a row tells what
-//! such a call costs by itself; ours are those of calls from Rust. Most of its inverse is Python's and NumPy's time. Inverse kinematics is a closed form here and Newton's
-//! method with damped least squares there, to 1e-9, both from the same seeds 0.1 away from the posture in every joint.
-//! Every time is the least of many rounds, as the one least disturbed.
+//! `cargo bench -p mrroc-controller --bench peers` prints a table and one JSON object. pinocchio is the package `pin`
+//! of PyPI, which `tests/run` installs in `target/peers`. The times of pinocchio are times of calls from Python. One
+//! row gives the cost of such a call alone. The times of this project are times of calls from Rust. Most of the time
+//! of pinocchio's inverse is spent in Python and NumPy.
+//!
+//! Inverse kinematics is a closed form here. With pinocchio it is Newton's method with damped least squares, to 1e-9.
+//! Both start from the same seeds, 0.1 away from the posture in every joint. Each time is the minimum of many rounds,
+//! which is the least disturbed measurement.
 
 #![allow(
     clippy::disallowed_methods,
@@ -24,26 +27,26 @@ use mrroc_controller::robot::{
 };
 use serde_json::{Value, json};
 
-/// What Python is run with; `tests/run` makes it.
+/// The Python interpreter, installed by `tests/run`.
 const PYTHON: &str = "target/peers/bin/python";
 
-/// Postures of each robot.
+/// Number of postures of each robot.
 const POSTURES: usize = 12;
 
-/// Forward kinematics is to take less, ns.
+/// Time limit of forward kinematics, ns.
 const FORWARD: f64 = 150.0;
 
-/// Joints from motors are to take less, ns.
+/// Time limit of the joints from motors, ns.
 const FROM_MOTORS: f64 = 2000.0;
 
-/// How far a seed is from its posture, rad or m.
+/// Distance of a seed from its posture in each joint, rad or m.
 const AWAY: f64 = 0.1;
 
 struct Measured {
     name: &'static str,
     robot: Box<dyn Robot>,
     postures: Vec<Joints>,
-    /// The inverse is to take less, ns.
+    /// Time limit of inverse kinematics, ns.
     within: f64,
 }
 
@@ -111,7 +114,7 @@ impl Measured {
         }) / asked.len() as f64
     }
 
-    /// Joints from the motors, which the RNT's legs have by Newton's method.
+    /// Computing time of the joints from the motors. The legs of the RNT need Newton's method.
     fn joints_from_motors(&self) -> f64 {
         let motors = self
             .postures
@@ -125,7 +128,7 @@ impl Measured {
         }) / motors.len() as f64
     }
 
-    /// The links as pinocchio's joints, and the positions of these.
+    /// The links as joints of pinocchio, and the positions of these joints.
     fn described(&self) -> Value {
         let links = self.robot.links().unwrap().0;
         let positions = |joints: &Joints| -> Vec<f64> {
@@ -161,7 +164,7 @@ impl Measured {
     }
 }
 
-/// Nanoseconds of one call in the round least disturbed.
+/// Nanoseconds of one call in the fastest round.
 fn least(mut once: impl FnMut()) -> f64 {
     const ROUNDS: usize = 20_000;
     let round = |_| {
@@ -172,7 +175,7 @@ fn least(mut once: impl FnMut()) -> f64 {
     (0..ROUNDS).map(round).fold(f64::INFINITY, f64::min)
 }
 
-/// Where the robot is as it is asked for a pose: to one side in one joint, to the other in the next.
+/// Present posture for the inverse: alternating offsets from the posture sought, joint by joint.
 fn seed(joints: &Joints) -> Joints {
     let mut seed = *joints;
     for (axis, joint) in seed.iter_mut().enumerate() {

@@ -1,4 +1,4 @@
-//! Nothing allocates while a generator runs; planning does only for ways through poses.
+//! Nothing allocates while a generator runs. Planning allocates only for paths through poses.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -18,7 +18,7 @@ use mrroc_controller::robot::{
 };
 use servo::{EffectorLink, Order, Phase, Report};
 
-/// The system's allocator; counts what each thread asks of it.
+/// The system's allocator, with a count of the allocations of each thread.
 struct Counting;
 
 thread_local! {
@@ -26,8 +26,8 @@ thread_local! {
 }
 
 #[expect(unsafe_code, reason = "an allocator cannot be written otherwise")]
-// SAFETY: every call is passed on to the system's allocator unchanged; the counter is a plain cell that
-// needs no allocation and no destructor.
+// SAFETY: every call is passed on to the system's allocator unchanged; the counter is a plain cell that needs no
+// allocation and no destructor.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         ALLOCATIONS.set(ALLOCATIONS.get() + 1);
@@ -43,7 +43,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static COUNTING: Counting = Counting;
 
-/// The IRp-6 without a tool, weighing what it does.
+/// The IRp-6 without a tool, with the masses of its links.
 fn arm() -> Arm {
     let robot = Irp6::new(&Irp6Parameters::irp6p()).expect("its parameters are consistent");
     let weight = Weight::new(&robot, &Mass::IRP6, Mass::default(), [0.0, 0.0, 1.0]);
@@ -53,8 +53,8 @@ fn arm() -> Arm {
 
 const START: Axes = [0.2, -FRAC_PI_2, 0.1, 0.2, 1.2, 0.3, 0.0, 0.0];
 
-/// Runs one generator to its end against a servo that is wherever it was told to be, and counts the
-/// allocations of the poll that plans and of all others.
+/// Runs one generator to its end, with a servo that follows every command exactly. Counts the allocations of the
+/// planning poll, and those of all other polls.
 fn allocations<G>(generator: Result<G, GeneratorError>) -> (u64, u64)
 where
     G: Generator + Send + 'static,

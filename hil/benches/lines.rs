@@ -1,7 +1,8 @@
-//! How fast a robot of six serial axis controllers is emulated: six lines of 921600 baud, NFv2, a request
-//! with a pulse width and three reads on each every 2 ms.
+//! Speed of the emulation of a robot of six serial axis controllers. Each axis has its own line of 921600 baud and
+//! speaks NFv2. Every 2 ms each line carries a request with a pulse width and three reads.
 //!
-//! One iteration is one simulated second, so its inverse is simulated seconds per second.
+//! One iteration simulates one second, so the reciprocal of its duration is the number of simulated seconds per
+//! second.
 
 use std::hint::black_box;
 use std::time::Duration;
@@ -45,7 +46,7 @@ impl Robot {
         robot
     }
 
-    /// Returns how many axes answered.
+    /// Returns the number of axes that answered.
     fn exchange(&mut self, command: Command) -> usize {
         for (address, host) in (0..).zip(&mut self.hosts) {
             let mut frame = FrameBuilder::new(address)
@@ -68,7 +69,7 @@ impl Robot {
         answered
     }
 
-    /// One cycle, to and fro.
+    /// One cycle: a request to each axis and its answer.
     fn step(&mut self) -> usize {
         self.cycle += 1;
         let angle = f64::from(self.cycle) * PERIOD.as_secs_f64() * std::f64::consts::TAU;

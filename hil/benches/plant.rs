@@ -1,4 +1,4 @@
-//! What one axis costs per sub-step of 100 µs: the figure that says how many robots a core can stand in for.
+//! Computing time of one axis per sub-step of 100 µs. The result determines how many robots one core can emulate.
 
 use std::hint::black_box;
 
@@ -21,7 +21,7 @@ fn advance(c: &mut Criterion) {
         let mut period = 0_u32;
         group.bench_function(name, |b| {
             b.iter(|| {
-                // To and fro at 50 rad/s, a second each way.
+                // Forward and back at 50 rad/s, one second each way.
                 period += 1;
                 let velocity = if period % 1000 < 500 {
                     31_831.0
@@ -43,10 +43,10 @@ fn advance(c: &mut Criterion) {
     group.finish();
 }
 
-/// Axis of a robot by its number.
+/// Configuration of an axis of a robot, by the number of the axis.
 type Preset = fn(usize) -> Option<AxisConfig>;
 
-/// A robot's axes on their mechanism, each moved on by one servo period after the other.
+/// The axes of a robot mounted on their mechanism. Each axis in turn advances by one servo period.
 fn mounted(c: &mut Criterion) {
     let mut group = c.benchmark_group("advance a robot by one servo period");
     let rnt = MechanismConfig::Rnt {

@@ -1,6 +1,7 @@
-//! How fast a robot of six axes is emulated: one bus of 1 Mbit/s, cyclic positions every 2 ms.
+//! Speed of the emulation of a robot of six axes on one bus of 1 Mbit/s, in cyclic position mode every 2 ms.
 //!
-//! One iteration is one simulated second, so its inverse is simulated seconds per second.
+//! One iteration simulates one second, so the reciprocal of its duration is the number of simulated seconds per
+//! second.
 
 use std::hint::black_box;
 use std::time::Duration;
@@ -95,7 +96,7 @@ impl Robot {
         self.run(PERIOD);
     }
 
-    /// Returns how many axes answered that they are enabled.
+    /// Returns the number of axes whose answers report them enabled.
     fn run(&mut self, duration: Duration) -> usize {
         self.now += duration;
         self.world.advance(self.now);

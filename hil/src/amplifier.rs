@@ -1,67 +1,67 @@
-//! The inner loops of a drive: position over velocity over current, as an EPOS4-class drive closes them.
+//! The inner loops of a drive: position over velocity over current, as in a drive of the EPOS4 class.
 //!
-//! The current loop runs each sub-step of 100 µs, the outer loops each tenth. All gains follow from
-//! the motor's data and one number, the velocity loop's bandwidth `ωv`, by [`Gains::new`]. The drive
-//! knows its encoder and its current sensor, nothing else of the plant.
+//! The current loop runs each sub-step of 100 µs, the outer loops every tenth sub-step. [`Gains::new`] derives all
+//! gains from the motor's data and one parameter: the bandwidth `ωv` of the velocity loop. The drive reads its
+//! encoder and its current sensor, and has no other access to the plant.
 
 use std::f64::consts::TAU;
 
 use crate::plant::{Demand, PlantConfig, SUB_STEP, Wut};
 
-/// What a drive is set to.
+/// Settings of a drive.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AmplifierConfig {
-    /// The most it lets flow, A.
+    /// Current limit, A.
     pub max_current: f64,
-    /// Beyond it the power stage trips, A.
+    /// Over-current threshold: the power stage trips beyond this current, A.
     pub trip_current: f64,
-    /// The most it puts out, V.
+    /// Voltage limit, V.
     pub max_voltage: f64,
-    /// Inertia that its loops are tuned for, kg·m².
+    /// Inertia for which the loops are tuned, kg·m².
     pub inertia: f64,
-    /// Of the velocity loop over that inertia, rad/s.
+    /// Bandwidth of the velocity loop over that inertia, rad/s.
     pub velocity_bandwidth: f64,
 }
 
 impl AmplifierConfig {
-    /// 45 Hz: a fifth of what the encoder observer passes, which is itself a fifth of the 1 kHz
-    /// rate of the loop.
+    /// 45 Hz: a fifth of the bandwidth of the encoder observer. The observer's bandwidth is a fifth of the loop's 1
+    /// kHz rate.
     pub const VELOCITY_BANDWIDTH: f64 = 45.0 * TAU;
 }
 
-/// Sub-steps per turn of the outer loops.
+/// Sub-steps per step of the outer loops.
 pub(crate) const OUTER: u32 = 10;
 const OUTER_STEP: f64 = OUTER as f64 * SUB_STEP;
-/// How far neighbours in the cascade lie apart in bandwidth.
+/// Ratio between the bandwidths of neighbouring loops in the cascade.
 const SPACING: f64 = 5.0;
-/// Of the current loop, rad/s.
+/// Bandwidth of the current loop, rad/s.
 const CURRENT_BANDWIDTH: f64 = 1000.0 * TAU;
-/// Share of each millisecond's change of velocity feed-forward that its acceleration takes up, so
-/// that a demand which changes every other millisecond does not make it jump.
+/// Weight of the newest sample in the low-pass filter of the feed-forward acceleration, per millisecond. Without the
+/// filter, a demand that changes every other millisecond makes the acceleration jump.
 const ACCELERATION_SHARE: f64 = 0.2;
 
-/// The rule that turns a plant into gains.
+/// The gains of all loops, derived from the plant.
 #[derive(Clone, Copy, Debug)]
 struct Gains {
     /// Demanded velocity per position error, 1/s: `ωv / 5`.
     position: f64,
     /// Torque per velocity error, N·m·s/rad: `J ωv`.
     velocity: f64,
-    /// Torque per velocity error and outer step: its integral acts below `ωv / 5`.
+    /// Torque per velocity error and outer step. The integral acts below `ωv / 5`.
     velocity_integral: f64,
     /// Torque per demanded acceleration, kg·m²: `J`.
     inertia: f64,
     /// Torque per demanded velocity, N·m·s/rad: `b`.
     viscous: f64,
-    /// Voltage per current error, Ω. With `e = exp(-R dt / L)` the sampled winding has its pole at
-    /// e; the controller's zero cancels it and `R (1 - p) / (1 - e)` puts the closed loop's single
-    /// pole at `p = exp(-ωc dt)`.
+    /// Voltage per current error, Ω. With `e = exp(-R dt / L)` the sampled winding has its pole at e, and the
+    /// controller's zero cancels that pole. `R (1 - p) / (1 - e)` puts the closed loop's single pole at
+    /// `p = exp(-ωc dt)`.
     current: f64,
     /// Voltage per current error and sub-step.
     current_integral: f64,
-    /// Critically damped observer of the encoder at `5 ωv`: per sub-step, on counts ...
+    /// Critically damped observer of the encoder with bandwidth `5 ωv`: correction per sub-step of the counts ...
     observer_counts: f64,
-    /// ... and on counts/s.
+    /// ... and of the counts/s.
     observer_velocity: f64,
 }
 
@@ -96,32 +96,32 @@ impl Gains {
     }
 }
 
-/// The loops at work.
+/// State of the loops.
 #[derive(Clone, Debug)]
 pub(crate) struct Amplifier {
     config: AmplifierConfig,
     gains: Gains,
     torque_constant: f64,
     radians_per_count: f64,
-    /// The counter at the last reading, and how far the observer is ahead of it, counts.
+    /// The counter at the last reading, and the lead of the observer over the counter, counts.
     counts: i32,
     ahead: f64,
-    /// Counts/s.
+    /// Observed velocity, counts/s.
     observed_velocity: f64,
-    /// Whether the velocity loop was closed a turn ago.
+    /// Whether the velocity loop was closed in the previous outer step.
     closed: bool,
-    /// Feed-forward of a turn ago, rad/s, and what it rises by, rad/s².
+    /// Feed-forward velocity of the previous outer step, rad/s, and its filtered rate of change, rad/s².
     velocity: f64,
     acceleration: f64,
-    /// Of the velocity loop, N·m.
+    /// Integral part of the velocity loop, N·m.
     torque_integral: f64,
-    /// Asked of the current loop, A.
+    /// Set-point of the current loop, A.
     current: f64,
-    /// Of the current loop, V.
+    /// Integral part of the current loop, V.
     voltage_integral: f64,
-    /// Put out without a loop, V.
+    /// Fixed output voltage in place of the current loop, V.
     fixed: Option<f64>,
-    /// Added to what the velocity loop asks for, N·m.
+    /// Torque added to the output of the velocity loop, N·m.
     torque_offset: f64,
 }
 
@@ -153,7 +153,7 @@ impl Amplifier {
         }
     }
 
-    /// Has this torque, N·m, added to what the velocity loop asks for, until there is another.
+    /// Sets the torque, N·m, that is added to the output of the velocity loop. The offset stays until the next call.
     pub(crate) fn set_torque_offset(&mut self, torque: f64) {
         self.torque_offset = torque;
     }
@@ -167,7 +167,8 @@ impl Amplifier {
         self.gains.current_integral = integral;
     }
 
-    /// Takes an encoder reading; each sub-step, power or not. A count stands for its middle.
+    /// Takes an encoder reading. Called each sub-step, with the power stage on or off. The angle within a count is
+    /// taken to be at the middle of the count.
     pub(crate) fn observe(&mut self, counts: i32) {
         self.ahead -= f64::from(counts.wrapping_sub(self.counts));
         self.counts = counts;
@@ -176,7 +177,7 @@ impl Amplifier {
         self.ahead += self.observed_velocity * SUB_STEP + self.gains.observer_counts * error;
     }
 
-    /// Power stage off: every loop forgets.
+    /// Resets every loop. Called when the power stage is off.
     pub(crate) fn release(&mut self) {
         self.closed = false;
         self.torque_integral = 0.0;
@@ -185,8 +186,8 @@ impl Amplifier {
         self.fixed = None;
     }
 
-    /// Takes over what a demand says about the current loop itself. The loop goes on from the voltage
-    /// that was put out.
+    /// Applies a demand that addresses the current loop directly. The current loop continues from the last output
+    /// voltage.
     pub(crate) fn command(&mut self, demand: &Demand) {
         self.fixed = None;
         match *demand {
@@ -206,7 +207,7 @@ impl Amplifier {
         }
     }
 
-    /// A turn of the outer loops, `sub_step` sub-steps into the demand.
+    /// One step of the outer loops. `sub_step` counts sub-steps since the demand was set.
     pub(crate) fn regulate(&mut self, demand: &Demand, sub_step: u32, counts: i32) {
         let (velocity, correction) = match *demand {
             Demand::Off => return self.release(),
@@ -214,7 +215,7 @@ impl Amplifier {
             Demand::Torque(torque) => {
                 self.closed = false;
                 self.current = self.limited(torque / self.torque_constant);
-                // The velocity loop, should it take over, starts from here.
+                // Bumpless transfer: a velocity loop that takes over starts from this torque.
                 self.torque_integral = self.current * self.torque_constant;
                 return;
             }
@@ -235,13 +236,13 @@ impl Amplifier {
             + self.torque_offset;
         let wanted = torque / self.torque_constant;
         self.current = self.limited(wanted);
-        // At its limit the integral may come down but not wind up.
+        // Anti-windup: at the current limit the integral may shrink but not grow.
         if self.current == wanted || velocity_error * wanted < 0.0 {
             self.torque_integral += self.gains.velocity_integral * velocity_error;
         }
     }
 
-    /// Torque that the demanded motion needs of an ideal axis, N·m.
+    /// Torque that an ideal axis needs for the demanded motion, N·m.
     fn feed_forward(&mut self, velocity: f64) -> f64 {
         if self.closed {
             let rise = (velocity - self.velocity) / OUTER_STEP;
@@ -258,7 +259,7 @@ impl Amplifier {
         current.clamp(-self.config.max_current, self.config.max_current)
     }
 
-    /// One turn of the current loop: the voltage for a measured current.
+    /// One step of the current loop: the voltage for a measured current.
     pub(crate) fn voltage(&mut self, measured: f64) -> f64 {
         if let Some(voltage) = self.fixed {
             return voltage;
@@ -272,7 +273,7 @@ impl Amplifier {
         voltage
     }
 
-    /// The current of a motor that has no inductance, A: what the outer loops ask for, or what a fixed
+    /// Current of a motor without inductance, A: the set-point of the outer loops, or the current that a fixed
     /// voltage drives against the back-EMF.
     pub(crate) fn settle(&mut self, wut: &Wut) -> f64 {
         if let Some(voltage) = self.fixed {
@@ -281,22 +282,22 @@ impl Amplifier {
         self.current
     }
 
-    /// Current that the outer loops ask for, A.
+    /// Set-point of the current loop from the outer loops, A.
     pub(crate) fn current(&self) -> f64 {
         self.current
     }
 
-    /// Whether a measured current is beyond what the power stage survives.
+    /// Whether a measured current exceeds the over-current threshold.
     pub(crate) fn overloaded(&self, measured: f64) -> bool {
         measured.abs() > self.config.trip_current
     }
 
-    /// What the drive takes a measured current for, N·m.
+    /// The drive's torque estimate for a measured current, N·m.
     pub(crate) fn torque(&self, measured: f64) -> f64 {
         measured * self.torque_constant
     }
 
-    /// Velocity, counts/s.
+    /// Observed velocity, counts/s.
     pub(crate) fn observed_velocity(&self) -> f64 {
         self.observed_velocity
     }

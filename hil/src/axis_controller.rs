@@ -1,28 +1,34 @@
 //! The serial axis controllers of the IRb-6 and IRp-6, one drive per line, with either of their telegrams.
 //!
-//! [`Nfv2AxisController`] speaks [`serial::nfv2`], [`HiMoxaAxisController`] the older [`serial::hi_moxa`]; the drive
-//! behind both is one. It is a power stage on 48 V that follows pulse widths or, by its own loop, currents; a
-//! position counter that it can have zeroed by an index pulse; and protections that act without the host:
-//! over-current and limit switches. The host closes all other loops. A set-point stays until the next one, for any
-//! time. The drive keeps counter and reference while it has power, even when its host restarts.
+//! [`Nfv2AxisController`] speaks [`serial::nfv2`], [`HiMoxaAxisController`] the older [`serial::hi_moxa`]. Both share
+//! one drive. The drive has a power stage on 48 V, a position counter and protections. The power stage follows pulse
+//! widths, or currents by its own loop. An index pulse can zero the position counter. The protections against
+//! over-current and at the limit switches act without the host. The host closes all other loops. A set-point stays
+//! until the next set-point, for any time. The drive keeps counter and reference while it has power, even when its
+//! host restarts.
 //!
-//! When the last byte of a request arrives, the drive reads its sensors, does what it was told, and answers after
+//! When the last byte of a request arrives, the drive reads its sensors, executes the request, and answers after
 //! [`AxisControllerConfig::answer_delay`]. The plant moves in sub-steps of 100 µs from power-on. A value that is read
-//! is up to one sub-step old, and a value that is set acts up to one sub-step early. Both are constant at a steady
-//! period.
+//! is up to one sub-step old. A value that is set acts up to one sub-step early. Both offsets are constant at a
+//! steady period.
 //!
-//! The telegrams are documented, the drive is not. These are choices: the current loop turns each
-//! sub-step and its gains are pulse width per mA; over-current trips at the first sub-step beyond the
-//! limit; a closed limit switch shorts the winding against set-points further into it and lets go of
-//! others; positive counts run towards the upper switch; the index flag stays until the search is left;
-//! a set-point for a mode the drive is not in is ignored; what follows an incomplete request after a pause
-//! of [`GAP`] is a new one. Left out: speed and position modes, which no host used, and the limit flags 10 to 12
-//! of NFv2.
+//! The telegrams are documented, the drive is not. The following behaviour is chosen here:
+//!
+//! * The current loop runs each sub-step. Its gains are pulse width per mA.
+//! * The over-current protection trips at the first sub-step beyond the limit.
+//! * A closed limit switch shorts the winding if the set-point drives further into the switch. Other set-points are
+//!   followed.
+//! * Positive counts run towards the upper switch.
+//! * The index flag stays set until the search ends.
+//! * A set-point for a mode other than the current mode is ignored.
+//! * Bytes that follow an incomplete request after a pause of [`GAP`] begin a new request.
+//!
+//! Left out: speed and position modes, which no host used, and the limit flags 10 to 12 of NFv2.
 //!
 //! A drive in error mode opens the emergency stop of its [`Cabinet`]: no drive of the cabinet has power while any
-//! drive is in error. A drive whose power stage was in use meanwhile needs manual mode to regain power. In manual
-//! mode the fault is shown while the stop is open and not latched, so that drives can leave error one after the
-//! other. A drive that trips stops itself alone.
+//! drive is in error. A drive whose power stage was in use while the stop was open needs manual mode to regain power.
+//! While the stop is open, manual mode shows the fault but does not latch it. Drives can therefore leave error one
+//! after the other. A drive that trips stops only itself.
 
 mod cabinet;
 mod drive;
@@ -42,36 +48,38 @@ use can::Instant;
 
 use crate::plant::{AxisConfig, Mount};
 
-/// A request that stops in its middle for so long does not go on.
+/// A request interrupted for this long is discarded.
 pub const GAP: Duration = Duration::from_micros(500);
 
-/// What distinguishes one unit from another.
+/// Configuration of one unit.
 #[derive(Clone, Debug)]
 pub struct AxisControllerConfig {
-    /// When it is switched on.
+    /// Time of power-on.
     pub power_on: Instant,
-    /// Decides noise and ripple.
+    /// Seed of noise and ripple.
     pub seed: u64,
-    /// Motor, load and sensors. Of the amplifier only the trip current counts, until the host sends its own.
+    /// Motor, load and sensors. Of the amplifier's settings only the trip current counts, until the host sends its
+    /// own limit.
     pub axis: AxisConfig,
-    /// Where its axis is mounted; `None` for a motor with a load of its own.
+    /// Mounting point of the axis. `None`: the motor carries a load of its own.
     pub mount: Option<Mount>,
-    /// What a pulse width of 1000 puts on the winding, V.
+    /// Voltage across the winding at a pulse width of 1000, V.
     pub supply: f64,
-    /// From the last byte of a request to the first of its answer.
+    /// Delay from the last byte of a request to the first byte of its answer.
     pub answer_delay: Duration,
-    /// What the position counter shows at first, encoder pulses: of a drive that had power before.
+    /// Position counter at the start, encoder pulses. A drive that had power before starts with its last count.
     pub counter: i32,
     /// Whether that counter is referenced.
     pub synchronized: bool,
-    /// After so long without a set-point the drive takes it for zero. The real ones have no such thing.
+    /// The drive replaces the set-point by zero after this time without a new set-point. The real drives have no such
+    /// watchdog.
     pub watchdog: Option<Duration>,
-    /// Where it stands; a clone of this configuration is in the same one.
+    /// The cabinet of the drive. A clone of this configuration shares the cabinet.
     pub cabinet: Cabinet,
 }
 
 impl AxisControllerConfig {
-    /// A drive that was just switched on, quick to answer, without a watchdog, in a cabinet of its own.
+    /// A drive after power-on, with a short answer delay, no watchdog and a cabinet of its own.
     pub fn new(axis: AxisConfig) -> Self {
         Self {
             power_on: Instant::ZERO,

@@ -1,15 +1,16 @@
-//! A CAN bus that takes its time: arbitration by identifier, exact frame lengths, one frame at a time.
+//! A CAN bus with true timing: arbitration by identifier, exact frame lengths, one frame at a time.
 //!
-//! When the bus becomes free, the pending frame with the strongest identifier goes next. The frame lasts as many bits
-//! as its content needs, stuff bits included. Every other end receives it at the end of its last bit, three bits
-//! before the bus is free again. Events are processed in the order of their times and, at one instant, of their kind:
-//! devices' time-outs, the end of a frame, the start of the next. The same input gives the same frames at the same
-//! instants.
+//! When the bus becomes free, the pending frame with the identifier of the highest priority is sent next. The
+//! duration of the frame follows from its content, stuff bits included. Every other node receives the frame at the
+//! end of its last bit, three bits before the bus is free again. Events are processed in the order of their times.
+//! The order at one instant is: time-outs of devices, the end of a frame, the start of the next frame. The same input
+//! gives the same frames at the same instants.
 //!
-//! Left out: errors on the wire, acknowledgement (a lone end sends as if it were heard), and the
-//! bit errors of two ends that send one identifier at once (the end attached first wins).
+//! Left out: errors on the wire, acknowledgement, and bit errors of nodes that send the same identifier. A single
+//! node transmits as if its frames were acknowledged. Of two nodes that send the same identifier at once, the node
+//! attached first wins.
 //!
-//! Nothing allocates once the queues have grown to their use. Read [`VirtualBus::advance`] first.
+//! Nothing allocates once the queues have reached their working size. Read [`VirtualBus::advance`] first.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -19,16 +20,16 @@ use can::{Frame, Id, Instant, Received, VirtualPeer};
 
 use crate::Device;
 
-/// The most frames a device's transmit queue holds here; the rest waits inside the device.
+/// Capacity of a device's transmit queue on the bus. Further frames wait inside the device.
 const QUEUE: usize = 32;
 
-/// A bus with its ends: ports of the host, and devices.
+/// A bus with its nodes: ports of the host, and devices.
 pub struct VirtualBus {
     bitrate: Bitrate,
     hosts: Vec<VirtualPeer>,
     devices: Vec<Attached>,
     now: Instant,
-    /// When the intermission of the last frame ends.
+    /// End of the intermission after the last frame.
     free_at: Instant,
     on_wire: Option<Transmission>,
     statistics: BusStatistics,
@@ -36,7 +37,7 @@ pub struct VirtualBus {
 
 struct Attached {
     device: Box<dyn Device>,
-    /// What the device wants sent and since when.
+    /// Frames that the device wants to send, with the times since which they are pending.
     pending: VecDeque<Received>,
     time_out: Option<Instant>,
 }
@@ -56,21 +57,21 @@ enum End {
     Device(usize),
 }
 
-/// What a bus has counted.
+/// Counters of a bus.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BusStatistics {
-    /// Frames carried to their end.
+    /// Completed frames.
     pub frames: u64,
-    /// How long the bus was taken, intermissions included.
+    /// Time for which the bus was occupied, intermissions included.
     pub busy: Duration,
-    /// The longest that a frame took from its sender's queue to its last bit.
+    /// Longest time from a frame's entry into the sender's queue to the frame's last bit.
     pub max_latency: Duration,
-    /// How long the bus has existed.
+    /// Age of the bus.
     pub elapsed: Duration,
 }
 
 impl BusStatistics {
-    /// Share of the time for which the bus was taken, 0 to 1.
+    /// Bus load: the fraction of time for which the bus was occupied, 0 to 1.
     pub fn load(&self) -> f64 {
         if self.elapsed.is_zero() {
             0.0
@@ -81,7 +82,7 @@ impl BusStatistics {
 }
 
 impl VirtualBus {
-    /// A free bus without ends, at [`Instant::ZERO`].
+    /// An idle bus without nodes, at [`Instant::ZERO`].
     pub fn new(bitrate: Bitrate) -> Self {
         Self {
             bitrate,
@@ -94,7 +95,7 @@ impl VirtualBus {
         }
     }
 
-    /// Adds a host's end. Its frames become pending at the time they were handed over.
+    /// Adds a node of the host. Its frames become pending at the time they were handed over.
     pub fn attach_host(&mut self, peer: VirtualPeer) {
         self.hosts.push(peer);
     }
@@ -118,8 +119,8 @@ impl VirtualBus {
             .map(|attached| attached.device.as_ref())
     }
 
-    /// Lets `change` work on a device at `now`, up to which the bus is advanced before; `None` without
-    /// such a device. What the device wants sent after it is pending since `now`.
+    /// Applies `change` to a device at `now`, after advancing the bus to `now`. Returns `None` if there is no such
+    /// device. Frames that the device sends afterwards are pending from `now`.
     pub fn change_device<R>(
         &mut self,
         number: usize,
@@ -133,12 +134,12 @@ impl VirtualBus {
         Some(result)
     }
 
-    /// What was counted up to the last [`VirtualBus::advance`].
+    /// Counters up to the last [`VirtualBus::advance`].
     pub fn statistics(&self) -> BusStatistics {
         self.statistics
     }
 
-    /// Processes everything up to and including `until`; a frame that lasts longer stays on the wire.
+    /// Processes all events up to and including `until`. A frame that lasts longer stays on the wire.
     ///
     /// May be called ahead of time if the host sends nothing before `until`. A frame sent for a past instant becomes
     /// pending at once.
@@ -157,8 +158,7 @@ impl VirtualBus {
         self.statistics.elapsed = self.now.since(Instant::ZERO);
     }
 
-    /// When next something happens, as far as is known now: the instant to advance to on a bench
-    /// that waits.
+    /// Time of the next event known now: the instant up to which a waiting test bench can advance.
     pub fn next_event(&self) -> Option<Instant> {
         let (at, _) = self.next()?;
         Some(at)
@@ -185,7 +185,7 @@ impl VirtualBus {
         }
     }
 
-    /// What each end would send next.
+    /// The frame that each node would send next.
     fn heads(&self) -> impl Iterator<Item = (End, &Received)> {
         let hosts = self.hosts.iter().enumerate();
         let devices = self.devices.iter().enumerate();
@@ -202,7 +202,7 @@ impl VirtualBus {
             if attached.time_out.is_some_and(|at| at <= now) {
                 attached.device.handle_timeout(now);
                 attached.collect(now);
-                // A device that is never content must not hold up time.
+                // A device that requests time-outs without end must not stop time.
                 if attached.time_out.is_some_and(|at| at <= now) {
                     attached.time_out = Some(now + self.bitrate.duration(1));
                 }
@@ -221,7 +221,7 @@ impl VirtualBus {
         };
         let bits = bits_on_wire(&head.frame);
         if bits == 0 {
-            // An error frame is a controller's report, not something to send.
+            // An error frame is a report of the host's controller and is not transmitted.
             self.remove(sender);
             return;
         }
@@ -253,7 +253,7 @@ impl VirtualBus {
         self.statistics.max_latency = self.statistics.max_latency.max(ends.since(pending_since));
         for (at, host) in self.hosts.iter_mut().enumerate() {
             if sender != End::Host(at) {
-                // A full host loses the frame and counts it, as a card's driver does.
+                // A host with a full queue loses the frame and counts the loss, as the driver of a CAN card does.
                 host.deliver(Received { frame, at: ends }, bits);
             }
         }

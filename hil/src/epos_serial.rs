@@ -1,13 +1,17 @@
 //! The service port of maxon's axis controllers: the object dictionary of an emulated EPOS over a serial line.
 //!
-//! [`Epos4Serial`] speaks [`serial::epos4`], [`Epos2Serial`] [`serial::epos2`]. Behind both is an [`Epos4`] of
-//! its own with its axis, that hangs on no CAN bus: an EPOS2's dictionary differs from it, and what is served
-//! is EPOS4's, of which the objects of CiA 301 and CiA 402 are common to both.
+//! [`Epos4Serial`] speaks [`serial::epos4`], [`Epos2Serial`] speaks [`serial::epos2`]. Each port has an [`Epos4`]
+//! with an axis of its own, which is connected to no CAN bus. The dictionary served is always that of the EPOS4. The
+//! dictionary of a real EPOS2 differs, but shares the objects of CiA 301 and CiA 402.
 //!
-//! Choices where maxon's documents, as far as read, are silent: a device that boots says nothing; in the NMT
-//! state stopped objects are refused with 0x0F00_FFC0; other nodes, there being no bus to reach them, with
-//! 0x0F00_FFB9; a frame with a wrong CRC is answered with 0x0504_0004 by an EPOS4; an object of more than
-//! four bytes can only be read in segments; what comes before the answer to an earlier request is not heard.
+//! The maxon documents that were read leave the following open. The behaviour is chosen here:
+//!
+//! * A booting device sends nothing.
+//! * In the NMT state stopped, access to objects is refused with 0x0F00_FFC0.
+//! * Requests to other nodes are refused with 0x0F00_FFB9, since no bus leads to other nodes.
+//! * An EPOS4 answers a frame with a wrong CRC with 0x0504_0004.
+//! * An object of more than four bytes can only be read in segments.
+//! * Bytes that arrive before the answer to an earlier request are ignored.
 
 mod epos2;
 mod epos4;
@@ -26,21 +30,21 @@ use canopen::sdo::{AbortCode, MAX_SIZE};
 use crate::outbox::{Heard, Outbox};
 use crate::{Device, Epos4, Epos4Config};
 
-/// What distinguishes one unit's port from another's.
+/// Configuration of the port of one unit.
 #[derive(Clone, Debug)]
 pub struct EposSerialConfig {
     /// The device.
     pub epos: Epos4Config,
     /// Time from the last received byte to the first byte of the answer or acknowledgement.
     pub turn_around: Duration,
-    /// After such a pause in the middle of a frame or an exchange it is over (objects 0x2005, 0x2006).
+    /// A frame or exchange is abandoned after a pause of this length (objects 0x2005, 0x2006).
     pub time_out: Duration,
-    /// The most bytes an EPOS4 puts in one segment, 1 to [`serial::epos4::MAX_SEGMENT`].
+    /// Maximum length of a segment that an EPOS4 sends, bytes, 1 to [`serial::epos4::MAX_SEGMENT`].
     pub segment: u8,
 }
 
 impl EposSerialConfig {
-    /// Quick to answer, with maxon's frame time-out.
+    /// A short turn-around, and maxon's frame time-out.
     pub fn new(epos: Epos4Config) -> Self {
         Self {
             epos,
@@ -51,7 +55,7 @@ impl EposSerialConfig {
     }
 }
 
-/// The device behind a port, and what is under way to the host.
+/// The device behind a port, and the bytes on their way to the host.
 struct Service {
     config: EposSerialConfig,
     epos: Epos4,
@@ -75,7 +79,7 @@ impl Service {
         self.heard.overrun += self.outbox.put(at, bytes) as u64;
     }
 
-    /// Whether received bytes are accepted: not during boot, and not while an answer is being sent.
+    /// Whether received bytes are accepted. The port ignores bytes during boot and while an answer is being sent.
     fn listens(&self) -> bool {
         self.epos.has_booted() && self.outbox.is_empty()
     }
@@ -114,7 +118,7 @@ impl Service {
         self.epos.read(object, into, now)
     }
 
-    /// Writes the low bytes of `value`, as many as the object has.
+    /// Writes the low bytes of `value`. The size of the object determines their number.
     fn write(
         &mut self,
         node: u8,

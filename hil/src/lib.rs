@@ -1,11 +1,10 @@
-//! The other side of the wire: it shares frame layouts with the drivers and nothing else.
+//! Emulated hardware at the far end of buses and lines. The only code shared with the drivers is the frame layouts.
 //!
-//! A [`Device`] is what hangs on a bus; the [virtual bus](bus) carries frames between devices and
-//! the host with true arbitration and bit times. A [`LineDevice`] is what hangs on a [serial
-//! line](mod@line), which carries bytes in their true times. A [`World`] is all buses and lines of a
-//! cell, and a [plant] is the physics behind a device. Of devices on a bus there are the axis
-//! controller [`Epos4`] and the adapter [`SlcanDevice`], by which a host without a CAN card reaches
-//! one. Read [`Device`] and [`World`] first.
+//! A [`Device`] is a node of a bus. The [virtual bus](bus) carries frames between devices and the host with true
+//! arbitration and bit times. A [`LineDevice`] is the device at the end of a [serial line](mod@line), which carries
+//! bytes with true byte times. A [`World`] contains all buses and lines of a cell. A [plant] is the physics behind a
+//! device. Two devices are nodes of a bus: the axis controller [`Epos4`] and the adapter [`SlcanDevice`]. The adapter
+//! connects a host without a CAN card to a bus. Read [`Device`] and [`World`] first.
 
 mod amplifier;
 pub mod axis_controller;

@@ -1,16 +1,16 @@
-//! A serial line that takes its time: each byte lasts its start, data and stop bits, in each direction.
+//! A serial line with true timing: each byte lasts its start, data and stop bits, in each direction.
 //!
-//! Both directions carry bytes at once and independently. A byte reaches its receiver when its last
-//! stop bit ends. Events are processed in the order of their times and, at one instant, of their kind:
-//! the device's time-out, the end of a byte to the device, the end of a byte to the host. The same
-//! input gives the same bytes at the same instants.
+//! Both directions carry bytes simultaneously and independently. A byte reaches its receiver when its last stop bit
+//! ends. Events are processed in the order of their times. The order at one instant is: the device's time-out, the
+//! end of a byte to the device, the end of a byte to the host. The same input gives the same bytes at the same
+//! instants.
 //!
-//! A USB adapter between line and host collects bytes and delivers packets of up to [`USB_PACKET`] bytes: when a
-//! packet is full, and when the latency timer expires. The timer restarts with each packet, as in FTDI adapters.
-//! Towards the device it adds nothing here. Left out: the transfer on the USB itself, framing and parity errors,
-//! breaks.
+//! A USB adapter between line and host collects bytes and delivers packets of up to [`USB_PACKET`] bytes. The adapter
+//! sends a packet when the packet is full or when the latency timer expires. The timer restarts with each packet, as
+//! in FTDI adapters. Towards the device the emulated adapter adds no delay. Left out: the transfer on the USB itself,
+//! framing and parity errors, breaks.
 //!
-//! What can go wrong on the wire is [`LineFaults`]'s. Read [`SerialLine::advance`] first.
+//! [`LineFaults`] describes the faults on the wire. Read [`SerialLine::advance`] first.
 
 mod faults;
 #[cfg(test)]
@@ -26,16 +26,16 @@ use serial::{Settings, TimedByte, VirtualLinePeer};
 use crate::LineDevice;
 use faults::Wire;
 
-/// Bytes of the line in a full packet of a USB adapter; two more tell its state.
+/// Bytes of the line in a full packet of a USB adapter. Two more bytes of the packet carry the state of the adapter.
 pub const USB_PACKET: usize = 62;
 
-/// The latency timer of an FTDI adapter as it comes.
+/// Default latency timer of an FTDI adapter.
 pub const FTDI_LATENCY: Duration = Duration::from_millis(16);
 
-/// The same with the low-latency flag set.
+/// Latency timer of an FTDI adapter with the low-latency flag set.
 pub const FTDI_LOW_LATENCY: Duration = Duration::from_millis(1);
 
-/// A line with a device at one end; the host's end comes and goes.
+/// A line with a device at one end. The host's end can be attached and detached.
 pub struct SerialLine {
     device: Box<dyn LineDevice>,
     host: Option<VirtualLinePeer>,
@@ -46,14 +46,14 @@ pub struct SerialLine {
     adapter: Option<Adapter>,
 }
 
-/// What a line has counted, before and after what its faults did.
+/// Counters of a line, before and after the effect of its faults.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LineStatistics {
     /// Bytes that the host put on the line.
     pub to_device: u64,
     /// Bytes that the device put on the line.
     pub to_host: u64,
-    /// Bytes that arrived with another value.
+    /// Bytes that arrived with a changed value.
     pub corrupted: u64,
     /// Bytes that did not arrive.
     pub lost: u64,
@@ -64,18 +64,18 @@ pub struct LineStatistics {
 /// One direction of the line.
 struct Direction {
     settings: Settings,
-    /// When the bytes now following each other without a gap began, and how many there are.
+    /// Start of the current burst of bytes without gaps, and the number of bytes in the burst.
     burst: Instant,
     count: usize,
     free_at: Instant,
-    /// With the instant at which it ends.
+    /// The byte on the wire, with the instant at which it ends.
     on_wire: Option<TimedByte>,
     wire: Wire,
     carried: u64,
 }
 
 impl Direction {
-    /// The count of a burst restarts after this many bytes, each time with less than 1 ns of rounding.
+    /// The count of a burst restarts after this number of bytes. Each restart adds a rounding error below 1 ns.
     const BURST: usize = 1000;
 
     fn new(settings: Settings) -> Self {
@@ -90,7 +90,7 @@ impl Direction {
         }
     }
 
-    /// When a byte ends that is offered at `at`, and the burst it belongs to with its new count.
+    /// End of a byte offered at `at`, and its burst: the start and the new count.
     fn end(&self, at: Instant) -> (Instant, Instant, usize) {
         let (burst, count) = if at > self.free_at || self.count >= Self::BURST {
             (at.max(self.free_at), 1)
@@ -112,7 +112,7 @@ impl Direction {
         self.carried += 1;
     }
 
-    /// Bytes that arrive for the byte that ends now: none, one or two.
+    /// Bytes that arrive for the byte that ends now: zero, one or two.
     fn finish(&mut self) -> [Option<TimedByte>; 2] {
         let Some(ended) = self.on_wire.take() else {
             return [None, None];
@@ -125,7 +125,7 @@ impl Direction {
 /// A USB adapter's receive side.
 struct Adapter {
     latency: Duration,
-    /// When its timer last began.
+    /// Time of the last start of the timer.
     since: Instant,
     bytes: [u8; USB_PACKET],
     count: usize,
@@ -136,7 +136,7 @@ impl Adapter {
         self.since + self.latency
     }
 
-    /// Takes a byte off the line.
+    /// Takes a byte from the line.
     fn collect(&mut self, byte: TimedByte, host: Option<&mut VirtualLinePeer>) {
         self.bytes[self.count] = byte.byte;
         self.count += 1;
@@ -155,7 +155,7 @@ impl Adapter {
         self.since = at;
     }
 
-    /// Lets the timer run to `now`.
+    /// Runs the timer to `now`.
     fn run(&mut self, now: Instant, host: Option<&mut VirtualLinePeer>) {
         if self.count > 0 && self.expires() <= now {
             self.hand_over(self.expires(), host);
@@ -177,8 +177,8 @@ enum Event {
 }
 
 impl SerialLine {
-    /// A line at rest, at [`Instant::ZERO`]. With `latency`, above zero, a USB adapter with such a
-    /// timer stands between it and the host.
+    /// An idle line at [`Instant::ZERO`]. `latency`, above zero, inserts a USB adapter with such a latency timer
+    /// between line and host.
     pub fn new(settings: Settings, latency: Option<Duration>, device: Box<dyn LineDevice>) -> Self {
         let latency = latency.filter(|latency| !latency.is_zero());
         let mut line = Self {
@@ -199,13 +199,13 @@ impl SerialLine {
         line
     }
 
-    /// Connects a host's end in place of the one before, which is gone with what it had not sent yet.
+    /// Connects a new end of the host in place of the previous end. Bytes not yet sent by the previous end are lost.
     pub fn attach_host(&mut self, peer: VirtualLinePeer) {
         self.host = Some(peer);
     }
 
-    /// Disconnects the host's end for good: the adapter was unplugged, or its driver is gone. The host's next call fails
-    /// with [`LineError::Gone`](serial::LineError::Gone), and the device hears nothing more.
+    /// Disconnects the host's end permanently, as an unplugged adapter or an unloaded driver does. The host's next
+    /// call fails with [`LineError::Gone`](serial::LineError::Gone), and the device receives nothing more.
     pub fn hang_up(&mut self) {
         self.host = None;
     }
@@ -215,18 +215,18 @@ impl SerialLine {
         self.device.as_ref()
     }
 
-    /// The same, to meddle with it.
+    /// The device on the line, for changes by a test.
     pub fn device_mut(&mut self) -> &mut dyn LineDevice {
         self.device.as_mut()
     }
 
-    /// What goes wrong from now on. The same faults give the same damage to the same bytes.
+    /// Sets the faults from now on. The same faults damage the same bytes in the same way.
     pub fn set_faults(&mut self, faults: &LineFaults) {
         self.to_device.wire.set(faults.to_device, faults.seed);
         self.to_host.wire.set(faults.to_host, !faults.seed);
     }
 
-    /// What was counted up to the last [`SerialLine::advance`].
+    /// Counters up to the last [`SerialLine::advance`].
     pub fn statistics(&self) -> LineStatistics {
         let (down, up) = (&self.to_device.wire, &self.to_host.wire);
         LineStatistics {
@@ -238,7 +238,7 @@ impl SerialLine {
         }
     }
 
-    /// Processes everything up to and including `until`; a byte that lasts longer stays on the wire.
+    /// Processes all events up to and including `until`. A byte that lasts longer stays on the wire.
     ///
     /// May be called ahead of time if the host writes nothing before `until`. Bytes written for a past instant go on
     /// the line at once.
@@ -250,7 +250,7 @@ impl SerialLine {
                 Event::TimeOut => {
                     self.device.handle_timeout(self.now);
                     self.collect();
-                    // A device that is never content must not hold up time.
+                    // A device that requests time-outs without end must not stop time.
                     if self.time_out.is_some_and(|at| at <= self.now) {
                         self.time_out = Some(self.now + self.to_host.settings.line_time(1));
                     }
@@ -263,7 +263,7 @@ impl SerialLine {
                     self.collect();
                 }
                 Event::ToHost => {
-                    // The timer may have run out, with nothing to hand over, while the byte was on its way.
+                    // The timer may have expired, with no byte to deliver, while the byte was on its way.
                     self.run_adapter();
                     for arrived in self.to_host.finish().into_iter().flatten() {
                         match (&mut self.adapter, &mut self.host) {
@@ -280,8 +280,7 @@ impl SerialLine {
         self.now = self.now.max(until);
     }
 
-    /// When next something happens, as far as is known now: the instant to advance to on a bench
-    /// that waits.
+    /// Time of the next event known now: the instant up to which a waiting test bench can advance.
     pub fn next_event(&self) -> Option<Instant> {
         let (at, _) = self.next()?;
         Some(at)
@@ -298,8 +297,8 @@ impl SerialLine {
             let adapter = self.adapter.as_ref().filter(|adapter| adapter.count > 0)?;
             Some(adapter.expires())
         };
-        // One by one: this is asked for each byte, and an iterator over pairs doubled the cost of a
-        // whole cell.
+        // Explicit comparisons: this code runs for each byte, and an iterator over pairs doubled the cost of a whole
+        // cell.
         let mut first = (Instant::FAR_FUTURE, Event::TimeOut);
         let mut consider = |at: Option<Instant>, event| {
             if let Some(at) = at.filter(|&at| at < first.0) {
@@ -325,7 +324,7 @@ impl SerialLine {
         }
     }
 
-    /// Takes the device's next byte, if the line is free for it, and its next time-out.
+    /// Takes the device's next byte, if the line is free, and the device's next time-out.
     fn collect(&mut self) {
         if self.to_host.on_wire.is_none()
             && let Some(byte) = self.device.poll_transmit(self.now)

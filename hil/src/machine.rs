@@ -24,52 +24,52 @@ pub use supervisor::Cancellation;
 use supervisor::Supervisor;
 use trust::Distrust;
 
-/// Where a machine has file systems of its own.
+/// Paths at which a machine has file systems of its own.
 const HIDDEN: [&str; 4] = ["/tmp", "/var/tmp", "/run", "/dev"];
 
-/// How long the output of a killed machine may take to end.
+/// Time allowed for the output of a killed machine to end.
 const GRACE: Duration = Duration::from_secs(5);
 
-/// Why a test machine that was started, or was to be, did not deliver the exit status of its command.
+/// Reasons why a test machine delivered no exit status of its command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum MachineError {
-    /// The machine ended before the command began; the boot's messages are in the output.
+    /// The machine ended before the command began. The output contains the boot messages.
     #[error("the test machine did not boot")]
     BootFailed,
-    /// The machine ended without the command's exit status: its kernel died, or it was killed.
+    /// The machine ended without the command's exit status: the kernel crashed, or the machine was killed.
     #[error("the test machine ended before its command did")]
     Died,
-    /// It was killed at the end of its time.
+    /// The machine was killed at the end of its time.
     #[error("the test machine was killed after {0:?}")]
     TimedOut(Duration),
-    /// It was killed because its [`Cancellation`] was requested.
+    /// The machine was killed because its [`Cancellation`] was requested.
     #[error("the test machine was stopped on request")]
     Cancelled,
-    /// Another user can put other files in the place of the machine's.
+    /// Another user can replace files of the machine.
     #[error(
         "{directory}, or one above it, belongs to user {user}, who can change what lies there: name another"
     )]
     Foreign {
-        /// Which it is.
+        /// The directory in question.
         directory: Directory,
         /// The other user.
         user: u32,
     },
-    /// Any user can put other files in the place of the machine's.
+    /// Any user can replace files of the machine.
     #[error("{directory} is one that any user can change, or lies in one: name another")]
     Shared {
-        /// Which it is.
+        /// The directory in question.
         directory: Directory,
     },
-    /// A kernel's command line cannot carry the name.
+    /// The kernel's command line cannot carry the name.
     #[error("{0} has a name of other signs than letters, digits and ./_-: name another")]
     Name(Directory),
-    /// The host refused something.
+    /// The host refused an operation.
     #[error("cannot {doing}: {kind}")]
     Host {
-        /// What was tried.
+        /// The operation.
         doing: &'static str,
-        /// How it failed.
+        /// The kind of the failure.
         kind: io::ErrorKind,
     },
 }
@@ -77,9 +77,9 @@ pub enum MachineError {
 /// A directory that a machine works with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Directory {
-    /// That of [`Options::output`].
+    /// The directory of [`Options::output`].
     Output,
-    /// That of temporary files, where the machine's own directory is made.
+    /// The directory of temporary files, in which the machine's own directory is made.
     Temporary,
 }
 
@@ -111,31 +111,31 @@ impl Directory {
     }
 }
 
-/// What to run in the test machine.
+/// Options of a run in the test machine.
 #[derive(Clone, Debug)]
 pub struct Options {
     /// The program, looked up on the machine's `PATH`, and its arguments.
     pub command: Vec<OsString>,
-    /// Environment of the program, beside `PATH` and `MRROC_OUT`, the output directory. Nothing else of
-    /// the host's environment gets inside.
+    /// Environment of the program, in addition to `PATH` and `MRROC_OUT`, the output directory. No other variable of
+    /// the host's environment is passed on.
     pub env: Vec<(OsString, OsString)>,
     /// Working directory of the program.
     pub directory: PathBuf,
-    /// Further directories of the host to be seen inside, read-only, wherever they lie.
+    /// Further directories of the host that are visible inside, read-only, at any path.
     pub visible: Vec<PathBuf>,
-    /// The one directory of the host that the program can write to; it is made if it does not exist. The directory is
+    /// The one directory of the host to which the program can write. A missing directory is made. The directory is
     /// refused if other users can change its content or its path. `None` makes a directory and removes it afterwards.
     pub output: Option<PathBuf>,
     /// Memory of the machine, MiB.
     pub memory_mib: u32,
-    /// How long it may take from start to power-off.
+    /// Time limit from start to power-off.
     pub timeout: Duration,
-    /// Ends the machine before its time.
+    /// Ends the machine before its time limit.
     pub cancellation: Cancellation,
 }
 
 impl Options {
-    /// Runs `command` in the root directory, with 256 MiB for a minute at most.
+    /// Runs `command` in the root directory, with 256 MiB and a time limit of one minute.
     pub fn new(command: impl IntoIterator<Item = impl Into<OsString>>) -> Self {
         Self {
             command: command.into_iter().map(Into::into).collect(),
@@ -149,7 +149,7 @@ impl Options {
         }
     }
 
-    /// What is to be seen inside and lies where the machine has file systems of its own.
+    /// Visible paths that lie below file systems of the machine's own.
     pub(crate) fn hidden(&self) -> Vec<PathBuf> {
         let program = self.command.first();
         let program = program.filter(|program| program.as_bytes().contains(&b'/'));
@@ -162,8 +162,8 @@ impl Options {
     }
 }
 
-/// The machine's own directory, removed with everything in it, which no other user can look into. The exit status of the
-/// command goes to its file `status`.
+/// The machine's own directory. No other user can read the directory, and it is removed with its content. The exit
+/// status of the command goes to its file `status`.
 pub(crate) struct Control {
     path: PathBuf,
     output: PathBuf,
@@ -197,7 +197,7 @@ impl Control {
         })
     }
 
-    /// The directory itself. Its path has no sign that a command line or a mount option takes for another.
+    /// The path of the directory. The path contains no character that is special in a command line or a mount option.
     pub(crate) fn path(&self) -> &Path {
         &self.path
     }
@@ -207,7 +207,7 @@ impl Control {
         &self.output
     }
 
-    /// A symbolic link of such a path to `directory`.
+    /// Makes a symbolic link to `directory`, with a path free of such characters.
     pub(crate) fn link(&self, name: &str, directory: &Path) -> io::Result<()> {
         symlink(directory, self.path.join(name))
     }
@@ -234,8 +234,8 @@ pub(crate) struct Machine {
 }
 
 impl Machine {
-    /// A machine that `command` will start, and that writes to `stdout` and `stderr`. From now on the directory is removed
-    /// even if this program is killed.
+    /// Prepares a machine that `command` will start and that writes to `stdout` and `stderr`. From now on the
+    /// directory is removed even if this program is killed.
     pub(crate) fn new(
         control: Control,
         command: impl IntoIterator<Item = OsString>,
@@ -270,7 +270,7 @@ impl Machine {
             }
         }
         self.supervisor.kill();
-        // What was printed just before the end says most of why it hangs. The output ends with the last of the processes.
+        // The output just before the end is the best clue to a hang. The output ends with the last process.
         while let Ok(piece) = output.recv_timeout(GRACE) {
             show(&piece);
         }
@@ -288,7 +288,7 @@ impl Machine {
     }
 }
 
-/// Says what the host refused.
+/// Names the operation that the host refused.
 pub(crate) fn host(doing: &'static str) -> impl Fn(io::Error) -> MachineError {
     move |error| MachineError::Host {
         doing,
@@ -296,11 +296,11 @@ pub(crate) fn host(doing: &'static str) -> impl Fn(io::Error) -> MachineError {
     }
 }
 
-/// The command as a shell reads it, told of the `output` directory.
+/// The command as a shell script, with the path of the `output` directory.
 pub(crate) fn command_script(options: &Options, output: &Path) -> Vec<u8> {
     let mut script = b"cd ".to_vec();
     script.extend(quoted(options.directory.as_os_str()));
-    // Should supervisor and program both be killed, this still ends the machine.
+    // This limit ends the machine even if supervisor and program are both killed.
     let limit = options.timeout.as_secs() + 1;
     script.extend(format!(" || exit 126\nexec timeout --signal=KILL {limit} env").bytes());
     let output = ("MRROC_OUT".into(), output.as_os_str().to_owned());
@@ -319,7 +319,7 @@ pub(crate) fn command_script(options: &Options, output: &Path) -> Vec<u8> {
     script
 }
 
-/// `word` so that a shell reads it back as one word, whatever is in it.
+/// Quotes `word`, which may contain any byte, so that a shell reads one word with the same bytes.
 pub(crate) fn quoted(word: &OsStr) -> Vec<u8> {
     let mut script = vec![b'\''];
     for &byte in word.as_bytes() {

@@ -4,14 +4,14 @@ use std::collections::VecDeque;
 
 use can::Instant;
 
-/// What a device has heard. Counters only grow.
+/// Receive counters of a device. Counters only grow.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Heard {
-    /// Requests obeyed.
+    /// Requests executed.
     pub obeyed: u64,
     /// Requests to other addresses.
     pub foreign: u64,
-    /// Requests that were right and not understood, or of which the drive can do nothing.
+    /// Requests that were valid but unknown, or that the drive does not support.
     pub refused: u64,
     /// Frames whose checksum was wrong.
     pub damaged: u64,
@@ -21,7 +21,7 @@ pub struct Heard {
     pub overrun: u64,
 }
 
-/// Bytes that a device is going to send, each not before its time.
+/// Bytes to be sent by a device, each with its earliest time.
 #[derive(Clone, Debug)]
 pub(crate) struct Outbox {
     bytes: VecDeque<(Instant, u8)>,
@@ -29,7 +29,7 @@ pub(crate) struct Outbox {
 }
 
 impl Outbox {
-    /// Bytes that find room: some dozens of answers.
+    /// Capacity in bytes: some dozens of answers.
     const CAPACITY: usize = 1024;
 
     pub(crate) fn new() -> Self {
@@ -39,7 +39,7 @@ impl Outbox {
         }
     }
 
-    /// Adds what fits, and returns how many bytes did not. `at` must not decrease.
+    /// Adds the bytes for which there is room, and returns the number of the others. `at` must not decrease.
     pub(crate) fn put(&mut self, at: Instant, bytes: &[u8]) -> usize {
         let fit = bytes.len().min(Self::CAPACITY - self.bytes.len());
         self.bytes
@@ -57,12 +57,12 @@ impl Outbox {
         self.bytes.is_empty()
     }
 
-    /// Tells the time.
+    /// Sets the current time.
     pub(crate) fn run(&mut self, now: Instant) {
         self.now = now;
     }
 
-    /// When the next byte may go, if that is still to come. What is due already goes as soon as the
+    /// Time at which the next byte may go, if it lies in the future. A byte that is already due goes as soon as the
     /// line is free, which needs no time-out.
     pub(crate) fn poll_timeout(&self) -> Option<Instant> {
         let &(at, _) = self.bytes.front()?;

@@ -1,8 +1,8 @@
-//! Pseudo-terminals: serial lines whose other end a host opens as it would a tty's.
+//! Pseudo-terminals: serial lines whose far end a host opens like a tty.
 //!
-//! A [`Pty`] is raw from the start, so nothing is echoed or translated before the host has set the line
-//! up, and stays open when the host closes its end. It has no bit rate: bytes pass as fast as they
-//! are read. This is the rim: it makes system calls, and [`wait`] waits.
+//! A [`Pty`] is in raw mode from the start, so that no byte is echoed or translated before the host has configured
+//! the line. The [`Pty`] stays open when the host closes its end. A [`Pty`] has no bit rate: bytes pass as fast as
+//! they are read. This module is part of the rim: it makes system calls, and [`wait`] waits.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 #![expect(
@@ -19,25 +19,25 @@ use std::path::{Path, PathBuf};
 use can::{Instant, clock};
 use thiserror::Error;
 
-/// The device's end of a pseudo-terminal. Neither reading nor writing waits.
+/// The device's end of a pseudo-terminal. Reads and writes do not wait.
 ///
 /// Bytes written while the host's end is closed wait for the next host that opens it. Most hosts discard them.
 #[derive(Debug)]
 pub struct Pty {
     master: File,
-    /// While it is open, the host's closing is no error here.
+    /// While this file is open, the host may close its end without an error at the device's end.
     slave: File,
     path: PathBuf,
     link: Option<PathBuf>,
 }
 
-/// Why there is no pseudo-terminal, or none under the name wanted.
+/// Reasons why a pseudo-terminal could not be opened, or not under the requested name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum PtyError {
-    /// The system has none to give.
+    /// The system has no free pseudo-terminal.
     #[error("no pseudo-terminal can be opened (errno {0})")]
     Open(i32),
-    /// Something that is no symbolic link has the name wanted; it was left alone.
+    /// The name belongs to a file that is no symbolic link. The file was left unchanged.
     #[error("the name is taken by something that is no symbolic link")]
     NameTaken,
     /// The name links to the terminal of another emulator.
@@ -45,7 +45,7 @@ pub enum PtyError {
         "the name links to a terminal that is in use; end the emulator it belongs to, or remove the link"
     )]
     InUse,
-    /// The name links to something else than a pseudo-terminal; the link was left alone.
+    /// The name links to a target other than a pseudo-terminal. The link was left unchanged.
     #[error("the name is a link that no emulator made; remove the link, or choose another name")]
     ForeignLink,
     /// The symbolic link could not be made.
@@ -53,7 +53,7 @@ pub enum PtyError {
     Link(i32),
 }
 
-/// Where the kernel puts the host's ends.
+/// Directory in which the kernel creates the host's ends.
 const TERMINALS: &str = "/dev/pts/";
 
 impl Pty {
@@ -77,11 +77,11 @@ impl Pty {
         open().map_err(|error| PtyError::Open(errno(&error)))
     }
 
-    /// Opens a pair of ends and makes `link` a symbolic link to the host's, for as long as this lives.
+    /// Opens a pair of ends and makes `link` a symbolic link to the host's end, until this value is dropped.
     ///
-    /// An emulator that was killed leaves its link behind. Such a link leads nowhere, or to another terminal that got the
-    /// same number, and is replaced. A lock marks the terminal of an emulator that lives. Links to anything but
-    /// `/dev/pts/N` are neither followed nor replaced.
+    /// An emulator that was killed leaves its link behind. Such a link is dangling, or leads to another terminal that
+    /// got the same number. Such a link is replaced. A lock marks the terminal of a running emulator. Links to paths
+    /// other than `/dev/pts/N` are neither followed nor replaced.
     pub fn linked(link: &Path) -> Result<Self, PtyError> {
         let left = match fs::symlink_metadata(link) {
             Ok(found) if !found.is_symlink() => return Err(PtyError::NameTaken),
@@ -89,13 +89,13 @@ impl Pty {
             Err(_) => None,
         };
         let mut pty = Self::open()?;
-        // Before the link shows the terminal to other emulators.
+        // The lock must be held before the link shows the terminal to other emulators.
         hold(&pty.slave).map_err(|error| PtyError::Open(errno(&error)))?;
         if let Some(terminal) = left {
             remove_left(link, &terminal)?;
         }
         symlink(&pty.path, link).map_err(|error| match error.kind() {
-            // Another emulator was faster.
+            // Another emulator created the link first.
             io::ErrorKind::AlreadyExists => PtyError::InUse,
             _ => PtyError::Link(errno(&error)),
         })?;
@@ -108,12 +108,12 @@ impl Pty {
         &self.path
     }
 
-    /// Fills `into` from the front with what the host has written; 0 if there is nothing.
+    /// Fills `into` from the front with bytes written by the host. Returns 0 if there are none.
     pub fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
         not_yet(self.master.read(into))
     }
 
-    /// How many bytes the host can read at once.
+    /// Number of bytes that the host can read at once.
     pub fn readable(&self) -> io::Result<usize> {
         let mut count: libc::c_int = 0;
         // SAFETY: the descriptor is open, and FIONREAD stores one int.
@@ -121,7 +121,8 @@ impl Pty {
         Ok(count as usize)
     }
 
-    /// Sends the front of `bytes` and returns how many found room; 0 while the host does not read.
+    /// Sends the front of `bytes`, and returns the number of bytes for which there was room: 0 while the host does
+    /// not read.
     pub fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         not_yet(self.master.write(bytes))
     }
@@ -145,17 +146,17 @@ impl Drop for Pty {
     }
 }
 
-/// What is waited for at one end.
+/// Events to wait for at one end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Interest {
-    /// That there is something to read.
+    /// Wait until bytes can be read.
     pub read: bool,
-    /// That there is room to write.
+    /// Wait until bytes can be written.
     pub write: bool,
 }
 
-/// Waits until one of `ends` is ready for its interest, or until `until`. Returns for each end whether a read would
-/// return, also with an error or without a host. Signals do not shorten the wait.
+/// Waits until one of `ends` is ready for its interest, or until `until`. The result states for each end whether a
+/// read would return at once, also with an error or without a host. Signals do not shorten the wait.
 pub fn wait<'a>(
     ends: impl IntoIterator<Item = (BorrowedFd<'a>, Interest)>,
     until: Instant,
@@ -175,7 +176,7 @@ pub fn wait<'a>(
     Ok(ends.iter().map(readable).collect())
 }
 
-/// The number of the host's end, and that end.
+/// The number of the host's end, and the file of that end.
 fn unlock(master: &File) -> io::Result<(libc::c_uint, File)> {
     let (locked, mut number): (libc::c_int, libc::c_uint) = (0, 0);
     let fd = master.as_raw_fd();
@@ -186,7 +187,7 @@ fn unlock(master: &File) -> io::Result<(libc::c_uint, File)> {
     let flags = libc::O_RDWR | libc::O_NOCTTY | libc::O_CLOEXEC;
     // SAFETY: the request takes flags by value.
     let slave = checked(unsafe { libc::ioctl(fd, libc::TIOCGPTPEER, flags) })?;
-    // SAFETY: the request returned a descriptor that nothing else owns.
+    // SAFETY: the request returned a descriptor that has no other owner.
     Ok((number, unsafe { File::from_raw_fd(slave) }))
 }
 
@@ -203,7 +204,8 @@ fn make_raw(slave: &File) -> io::Result<()> {
     Ok(())
 }
 
-/// Marks the terminal as an emulator's for as long as `slave` is open. Hosts lock theirs by `flock`, which is another lock.
+/// Marks the terminal as used by an emulator while `slave` is open. Hosts lock their terminals by `flock`, which is
+/// another lock.
 fn hold(slave: &File) -> io::Result<()> {
     let lock = write_lock();
     // SAFETY: a valid lock to be read.
@@ -211,7 +213,7 @@ fn hold(slave: &File) -> io::Result<()> {
     Ok(())
 }
 
-/// The terminal that `link` names and that no living emulator has; `found` describes the link itself.
+/// The target of `link`, if no running emulator uses that terminal. `found` is the metadata of the link itself.
 fn terminal_left(link: &Path, found: &Metadata) -> Result<PathBuf, PtyError> {
     let terminal = fs::read_link(link).map_err(|error| PtyError::Link(errno(&error)))?;
     let number = terminal
@@ -229,7 +231,7 @@ fn terminal_left(link: &Path, found: &Metadata) -> Result<PathBuf, PtyError> {
     Ok(terminal)
 }
 
-/// Whether a terminal is that of an emulator that lives; `owner` made the link to it.
+/// Whether a running emulator uses a terminal. `owner` is the user who made the link to the terminal.
 fn is_in_use(terminal: &Path, owner: u32) -> bool {
     let opened = OpenOptions::new()
         .read(true)
@@ -241,7 +243,8 @@ fn is_in_use(terminal: &Path, owner: u32) -> bool {
         Err(error) if [Some(libc::ENOENT), Some(libc::EIO)].contains(&error.raw_os_error()) => {
             false
         }
-        // A terminal of another user than the one who made the link is not that of the emulator.
+        // An emulator's terminal belongs to the user who made the link. A terminal of another user is not an
+        // emulator's.
         Err(error) if error.kind() == io::ErrorKind::PermissionDenied => {
             fs::symlink_metadata(terminal).is_ok_and(|found| found.uid() == owner)
         }
@@ -256,9 +259,9 @@ fn is_pseudo_terminal(file: &File) -> bool {
     })
 }
 
-/// Removes a link that a killed emulator left, unless another emulator has replaced it since.
+/// Removes a link left by a killed emulator, unless another emulator has replaced the link in the meantime.
 ///
-/// The link is moved aside first: only one of two emulators can move it, and what it has moved is examined again.
+/// The link is first renamed. Only one of two emulators can rename the link. The renamed link is then examined again.
 fn remove_left(link: &Path, terminal: &Path) -> Result<(), PtyError> {
     let mut aside = link.as_os_str().to_owned();
     aside.push(format!(".left-{}", std::process::id()));
@@ -278,7 +281,7 @@ fn remove_left(link: &Path, terminal: &Path) -> Result<(), PtyError> {
     if in_use { Err(PtyError::InUse) } else { Ok(()) }
 }
 
-/// Whether an emulator has marked a terminal as its own.
+/// Whether an emulator has locked a terminal.
 fn is_held(terminal: &File) -> bool {
     let mut lock = write_lock();
     // SAFETY: a valid lock to be changed.
@@ -286,7 +289,7 @@ fn is_held(terminal: &File) -> bool {
     asked < 0 || libc::c_int::from(lock.l_type) != libc::F_UNLCK
 }
 
-/// Of the whole file.
+/// A write lock of the whole file.
 fn write_lock() -> libc::flock {
     // SAFETY: plain integers, for all of which zero is a value.
     let mut lock: libc::flock = unsafe { std::mem::zeroed() };
@@ -326,7 +329,7 @@ mod tests {
         write: true,
     };
 
-    /// A directory that goes with the test.
+    /// A directory that is removed at the end of the test.
     struct Directory(PathBuf);
 
     impl Directory {
@@ -383,7 +386,7 @@ mod tests {
         let mut end = host.try_clone().unwrap();
         let heard = read(&host, 256, |buffer| not_yet(end.read(buffer)).unwrap());
         assert_eq!(heard, all);
-        // What the host hears is what was written and no echo.
+        // The host receives the bytes written, and no echo.
         assert_eq!(not_yet(host.read(&mut [0; 8])).unwrap(), 0);
         assert_eq!(pty.read(&mut [0; 8]).unwrap(), 0);
     }
@@ -428,7 +431,7 @@ mod tests {
         let readable = wait(ends(), start + Duration::from_secs(60)).unwrap();
         assert_eq!(readable, [false, true]);
         assert!(clock::now() < start + Duration::from_secs(30));
-        // An end without interest in reading is not woken by readable bytes.
+        // Readable bytes do not wake an end without interest in reading.
         let nothing = Interest {
             read: false,
             ..READ
@@ -436,7 +439,7 @@ mod tests {
         let later = clock::now() + Duration::from_millis(20);
         wait([(pty[1].as_fd(), nothing)], later).unwrap();
         assert!(clock::now() >= later);
-        // Room to write is there at once.
+        // There is room to write from the start.
         let ends = [(pty[0].as_fd(), WRITE)];
         let readable = wait(ends, start + Duration::from_secs(60)).unwrap();
         assert_eq!(readable, [false]);
@@ -467,7 +470,7 @@ mod tests {
         assert_eq!(fs::read_link(&link).unwrap(), second.path());
     }
 
-    /// An emulator that was killed leaves its link, and the kernel gives its terminal's number to another terminal.
+    /// A killed emulator leaves its link. The kernel then gives the number of its terminal to another terminal.
     #[test]
     fn a_link_to_a_terminal_that_no_emulator_holds_is_replaced() {
         let directory = Directory::new("reused");
@@ -476,7 +479,7 @@ mod tests {
         symlink(terminal.path(), &link).unwrap();
         let pty = Pty::linked(&link).unwrap();
         assert_eq!(fs::read_link(&link).unwrap(), pty.path());
-        // A host that has it open does not count, nor does the lock that hosts take.
+        // Neither a host that has the terminal open nor the `flock` that hosts take counts as use by an emulator.
         let host = host(pty.path());
         // SAFETY: the descriptor is open, and the call takes plain integers.
         assert_eq!(unsafe { libc::flock(host.as_raw_fd(), libc::LOCK_EX) }, 0);
@@ -513,8 +516,8 @@ mod tests {
         }
     }
 
-    /// Another emulator may replace the link between the examination and the removal, even by a terminal of the number
-    /// that was left.
+    /// Between the examination and the removal, another emulator may replace the link. Even the number of the
+    /// abandoned terminal may be used again.
     #[test]
     fn a_link_that_another_emulator_replaces_meanwhile_is_left_to_it() {
         let directory = Directory::new("faster");

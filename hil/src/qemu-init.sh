@@ -1,10 +1,10 @@
 #!/busybox sh
-# First process of the test machine, in a file system of its own that holds this script, BusyBox, modules in
-# the order in which they load, and three more scripts: `settings` names the machine's own directory, `mounts` brings
-# back what our mounts hide and mounts the output directory, `command` is what to run.
+# First process of the test machine, in a file system of its own. The file system contains this script, BusyBox, the
+# modules in the order of loading, and three more scripts. `settings` names the machine's own directory. `mounts` mounts
+# again the directories that the mounts here hide, and mounts the output directory. `command` is the command to run.
 #
-# What the command prints goes to hvc0, what we and the kernel say to the console. The file `began` says
-# that the boot is over; the command's exit status goes to `status`.
+# The output of the command goes to hvc0, messages of this script and of the kernel to the console. The file `began`
+# marks the end of the boot; the command's exit status goes to `status`.
 export PATH=/bin
 /busybox mkdir -p /bin /dev /host /proc /root /sys
 /busybox --install -s /bin
@@ -41,13 +41,13 @@ step sh -e /mounts
 mkdir -p "/root$control"
 step mount -t 9p -o trans=virtio,version=9p2000.L,rw,msize=262144 control "/root$control"
 
-# Held open, for its settings end with the last who has it open.
+# Kept open: the settings of the terminal are lost when its last user closes the terminal.
 exec 3<>/dev/hvc0
 step stty -F /dev/hvc0 -opost -echo
 step touch "/root$control/began"
 setsid chroot /root /bin/sh -c "$(cat /command)" </dev/null >/dev/hvc0 2>&1 3>&-
 status=$?
-# Waits until all is written.
+# Waits until the whole output is written.
 stty -F /dev/hvc0 -opost
 echo $status >"/root$control/status"
 power_off

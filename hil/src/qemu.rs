@@ -1,13 +1,13 @@
-//! A test machine with CAN cards and a real-time kernel: QEMU emulates a PC with two Kvaser PCI cards on one
-//! bus, and Debian's PREEMPT_RT kernel runs on it, booted in about five seconds on the host's own file system.
+//! A test machine with CAN cards and a real-time kernel. QEMU emulates a PC with two Kvaser PCI cards on one bus.
+//! Debian's PREEMPT_RT kernel boots in about five seconds on the host's own file system.
 //!
-//! It promises what [`uml`](crate::uml) promises: the command inside can write to one directory of the host and
-//! nowhere else, it ends within its time, and no process and no file is left behind. Interfaces `can0` and
-//! `can1` are there, down and without a bit rate, as on a PC that was just switched on; `ip` and `can-utils` work
-//! on them as on any card. The machine proves function and never timing: every instruction is emulated, on
-//! one processor, and its bus knows neither bit times nor acknowledgement.
+//! The machine gives the guarantees of [`uml`](crate::uml). The command inside can write to one directory of the host
+//! and to no other. The command ends within its time limit. No process and no file is left behind. Interfaces `can0`
+//! and `can1` exist, down and without a bit rate, as on a PC after power-on. `ip` and `can-utils` work on the
+//! interfaces as on any card. The machine proves function and never timing: every instruction is emulated, on one
+//! processor. The emulated bus has neither bit times nor acknowledgement.
 //!
-//! Read [`Kernel`], then [`run`]; the machine's first process is `qemu-init.sh`.
+//! Read [`Kernel`], then [`run`]. The machine's first process is `qemu-init.sh`.
 
 use std::ffi::OsString;
 use std::fs::{self, File};
@@ -25,7 +25,8 @@ use crate::machine::{Control, Machine, command_script, host, quoted};
 const QEMU: &str = "qemu-system-x86_64";
 const BUSYBOX: &str = "/bin/busybox";
 const INIT: &str = include_str!("qemu-init.sh");
-/// What the machine needs beyond what is built into the kernel, each behind those that it depends on.
+/// Modules that the machine needs in addition to those built into the kernel. Each module comes after its
+/// dependencies.
 const MODULES: [&str; 17] = [
     "drivers/virtio/virtio_ring",
     "drivers/virtio/virtio",
@@ -45,19 +46,19 @@ const MODULES: [&str; 17] = [
     "drivers/net/can/sja1000/sja1000",
     "drivers/net/can/sja1000/kvaser_pci",
 ];
-/// Pieces of output on their way; a full queue stops the machine's writer.
+/// Capacity of the queue of output pieces. A full queue stops the machine's writer.
 const OUTPUT_PIECES: usize = 64;
 
-/// Why a test machine did not deliver the exit status of its command.
+/// Reasons why a test machine did not deliver the exit status of its command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum QemuError {
     /// QEMU is not installed.
     #[error("{QEMU} is missing: `apt-get install qemu-system-x86`")]
     QemuMissing,
-    /// BusyBox is not installed, or needs libraries that the machine does not have when it boots.
+    /// BusyBox is not installed, or needs shared libraries, which the booting machine does not have.
     #[error("no static {BUSYBOX}: `apt-get install busybox-static`")]
     BusyboxMissing,
-    /// There is no kernel in the directory.
+    /// The directory contains no kernel.
     #[error(
         "no PREEMPT_RT kernel: `apt-get download` the package that linux-image-rt-amd64 depends on and unpack \
          it with `dpkg -x PACKAGE target/qemu`"
@@ -66,12 +67,12 @@ pub enum QemuError {
     /// The kernel lacks one of the modules that the machine needs.
     #[error("the PREEMPT_RT kernel has no module {0}.ko: that of Debian 12 has it")]
     ModuleMissing(&'static str),
-    /// It did not run to its end.
+    /// The machine did not run to its end.
     #[error(transparent)]
     Machine(#[from] MachineError),
 }
 
-/// A PREEMPT_RT kernel of Debian 12, and all that it takes to boot it here.
+/// A PREEMPT_RT kernel of Debian 12, and the files needed to boot it.
 #[derive(Clone, Debug)]
 pub struct Kernel {
     image: PathBuf,
@@ -79,15 +80,16 @@ pub struct Kernel {
 }
 
 impl Kernel {
-    /// The kernel below `root`: where its package was unpacked, or `/` where it is installed.
+    /// The kernel below `root`. `root` is the directory in which the kernel's package was unpacked, or `/` for an
+    /// installed kernel.
     ///
-    /// If there are several it is the one whose name sorts last.
+    /// Of several kernels the last by name is taken.
     pub fn below(root: &Path) -> Result<Self, QemuError> {
         let path = std::env::var_os("PATH").unwrap_or_default();
         if !std::env::split_paths(&path).any(|place| place.join(QEMU).exists()) {
             return Err(QemuError::QemuMissing);
         }
-        // What needs a dynamic loader names it.
+        // A dynamically linked program contains the name of its dynamic loader.
         let dynamic = |program: Vec<u8>| program.windows(7).any(|bytes| bytes == b"/ld-lin");
         if fs::read(BUSYBOX).map_or(true, dynamic) {
             return Err(QemuError::BusyboxMissing);
@@ -119,11 +121,11 @@ impl Kernel {
     }
 }
 
-/// Boots a test machine, runs the command in it and returns its exit status (128 + n if signal n
-/// ended it).
+/// Boots a test machine, runs the command in it and returns the exit status of the command (128 + n if signal n ended
+/// the command).
 ///
-/// What the command prints, on either stream, goes to `stdout` as it comes; so do the boot's messages if the
-/// boot fails.
+/// Both output streams of the command go to `stdout` as they arrive. If the boot fails, the boot messages also go to
+/// `stdout`.
 pub fn run(kernel: &Kernel, options: &Options, stdout: &mut dyn Write) -> Result<u8, QemuError> {
     let control = Control::new("qemu", options.output.as_deref())?;
     let (machine, output) =
@@ -133,12 +135,12 @@ pub fn run(kernel: &Kernel, options: &Options, stdout: &mut dyn Write) -> Result
     fs::write(control.path().join("initramfs"), initramfs)
         .map_err(host("write the machine's directory"))?;
     machine.run(&output, options.timeout, |piece| {
-        // The command runs on when nobody reads what it prints.
+        // The command continues even if its output cannot be written.
         let _ = stdout.write_all(piece).and_then(|()| stdout.flush());
     })?;
     let result = machine.result(control.path().join("began").exists());
     if result == Err(MachineError::BootFailed) {
-        // The error is what matters; a reader who left does not.
+        // The boot error is returned. A failure to write the log is ignored.
         if let Ok(log) = fs::read(boot_log(control)) {
             let _ = stdout.write_all(&log);
         }
@@ -146,12 +148,12 @@ pub fn run(kernel: &Kernel, options: &Options, stdout: &mut dyn Write) -> Result
     Ok(result?)
 }
 
-/// What the kernel, `qemu-init.sh` and QEMU itself have to say.
+/// Messages of the kernel, of `qemu-init.sh` and of QEMU itself.
 fn boot_log(control: &Control) -> PathBuf {
     control.path().join("boot.log")
 }
 
-/// A setting of QEMU that ends with a path. A comma separates settings; a double one is a comma.
+/// A setting of QEMU that ends with a path. A comma separates settings; a double comma stands for a comma.
 fn setting(before: &str, path: &Path, behind: &str) -> OsString {
     let path = path.as_os_str().as_bytes();
     let path: Vec<&[u8]> = path.split(|byte| *byte == b',').collect();
@@ -159,7 +161,7 @@ fn setting(before: &str, path: &Path, behind: &str) -> OsString {
     OsString::from_vec(words.concat())
 }
 
-/// The machine, not started yet, and pieces of its output.
+/// The machine, not started yet, and the receiver of its output.
 fn machine(
     control: Control,
     kernel: &Kernel,
@@ -211,7 +213,7 @@ fn read_pieces(mut output: impl Read, mut take: impl FnMut(Vec<u8>) -> bool) {
     }
 }
 
-/// The file system that the kernel begins with.
+/// The file system with which the kernel starts.
 fn initramfs(kernel: &Kernel, options: &Options, control: &Control) -> io::Result<Vec<u8>> {
     let mut archive = Archive::default();
     archive.add("init", 0o755, INIT.as_bytes());
@@ -231,8 +233,8 @@ fn settings(control: &Control) -> Vec<u8> {
     [b"control=", &*control, b"\n"].concat()
 }
 
-/// A script that mounts the hidden directories which are to be seen, then the output directory, which may lie in one of
-/// them.
+/// A script that mounts the visible directories of [`Options`] which would otherwise be hidden, then the output
+/// directory, which may lie in one of them.
 fn mount_script(options: &Options, output: &Path) -> Vec<u8> {
     let mount = |place: &Path, how: &[u8]| {
         let place = quoted(place.as_os_str());
@@ -255,8 +257,9 @@ fn mount_script(options: &Options, output: &Path) -> Vec<u8> {
     hidden.chain(mount(output, writable)).collect()
 }
 
-/// A cpio archive of the format `newc`: after `070701` thirteen numbers of eight hexadecimal digits, the name
-/// with a NUL, and the content, both filled up to four bytes (Linux, driver-api/early-userspace/buffer-format).
+/// A cpio archive of the format `newc`. Each entry has `070701`, thirteen numbers of eight hexadecimal digits, the
+/// name with a NUL, and the content. Name and content are each padded to four bytes (Linux,
+/// driver-api/early-userspace/buffer-format).
 #[derive(Default)]
 struct Archive {
     bytes: Vec<u8>,

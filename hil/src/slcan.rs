@@ -1,20 +1,20 @@
 //! A CAN adapter on a serial line that speaks slcan, as a function of (bytes, frames, now).
 //!
-//! [`SlcanDevice`] is a [`Device`] of a [`World`](crate::World), so several adapters and drives share one bus. Its other
-//! side is a line: bytes of the host go in with [`SlcanDevice::handle_bytes`], those for the host are
-//! in [`SlcanDevice::bytes`] until [`SlcanDevice::consume`] takes them off.
+//! [`SlcanDevice`] is a [`Device`] of a [`World`](crate::World), so several adapters and drives share one bus. Its
+//! other side is a serial line. [`SlcanDevice::handle_bytes`] takes the bytes of the host. [`SlcanDevice::bytes`]
+//! holds the bytes for the host until [`SlcanDevice::consume`] removes them.
 //!
-//! It does what Linux's slcan driver, slcand and python-can ask of an adapter at start-up, in any
-//! order of theirs: closing a closed channel and opening an open one is well, an empty line too. What
-//! else Lawicel's manual restricts is refused with a bell: setting up an open channel, opening one without a
-//! bit rate, sending without one that is open. Opening starts the controller anew. A bit
-//! rate other than the bus's is a fault as on a real bus, only that the others' frames stay whole: the
-//! first frame sent ends in bus-off, each frame that comes is a receive error.
+//! The adapter accepts the start-up sequences of Linux's slcan driver, slcand and python-can. These hosts close a
+//! closed channel, open an open channel and send empty lines, all of which is accepted. Other violations of Lawicel's
+//! manual are refused with a bell. These are: configuring an open channel, opening a channel without a bit rate,
+//! sending without an open channel. Opening a channel restarts the controller.
 //!
-//! Every queue is bounded. While the bus takes no more frames, lines wait, and the host is held up by
-//! what [`SlcanDevice::room`] says, as USB and flow control do; what finds no room otherwise is counted in
-//! [`SlcanCounts`] and shows in the flags that the host can ask for. Left out: the speed of the serial
-//! line, and storing settings.
+//! A bit rate other than that of the bus is a fault as on a real bus. The first frame sent ends in bus-off. Each
+//! frame on the bus counts as a receive error. Unlike on a real bus, the frames of the other nodes stay intact.
+//!
+//! Every queue is bounded. While the bus accepts no more frames, lines wait in the adapter. [`SlcanDevice::room`]
+//! then holds up the host, as USB and flow control do. Other overflows are counted in [`SlcanCounts`] and set the
+//! status flags that the host can read. Left out: the speed of the serial line, and storing settings.
 
 use std::collections::VecDeque;
 
@@ -24,25 +24,25 @@ use can::{ControllerState, Frame, Id, Instant};
 
 use crate::Device;
 
-/// Bytes of the host that wait while the bus takes no frames.
+/// Capacity for bytes of the host that wait while the bus accepts no frames.
 const FROM_HOST: usize = 1024;
-/// Frames that wait for the bus, beside those that the bus has taken over.
+/// Capacity for frames that wait for the bus, in addition to the transmit queue of the bus.
 const TO_BUS: usize = 32;
-/// Frames that wait to be polled.
+/// Capacity for frames that wait to be polled.
 const TO_POLL: usize = 64;
-/// Bytes that wait for the host: some 150 frames.
+/// Capacity for bytes that wait for the host: some 150 frames.
 const TO_HOST: usize = 4096;
-/// Of those, kept free of frames for the answers to commands.
+/// Part of [`TO_HOST`] that is reserved for the answers to commands.
 const FOR_ANSWERS: usize = 256;
 
-/// What distinguishes one adapter from another.
+/// Configuration of one adapter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SlcanConfig {
-    /// The bit rate of the bus it hangs on.
+    /// The bit rate of the connected bus.
     pub bus: Bitrate,
-    /// How it acknowledges a frame from the host.
+    /// Acknowledgement of a frame from the host.
     pub acknowledge: Acknowledge,
-    /// Letters and digits.
+    /// Serial number, of letters and digits.
     pub serial_number: [u8; 4],
 }
 
@@ -57,16 +57,16 @@ impl SlcanConfig {
     }
 }
 
-/// What an adapter answers to a frame that it took for sending.
+/// Answer of an adapter to an accepted frame from the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Acknowledge {
     /// An empty line.
     Line,
-    /// `z` or `Z` by the frame's format while it reports frames unasked, an empty line otherwise.
+    /// `z` or `Z` by the frame's format while received frames are reported automatically, otherwise an empty line.
     Letter,
 }
 
-/// What an adapter has counted. Counters only grow.
+/// Counters of an adapter. Counters only grow.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SlcanCounts {
     /// Lines refused with a bell.
@@ -75,11 +75,11 @@ pub struct SlcanCounts {
     pub sent: u64,
     /// Frames from the bus that were reported or wait to be polled.
     pub received: u64,
-    /// Frames from the bus that found no room.
+    /// Frames from the bus that were lost for lack of room.
     pub lost: u64,
-    /// Answers that found no room: the host does not read.
+    /// Answers that were lost for lack of room: the host does not read.
     pub unsaid: u64,
-    /// Bytes of the host that found no room: it sent more than there was.
+    /// Bytes of the host that were lost because the host sent more than [`SlcanDevice::room`].
     pub overrun: u64,
 }
 
@@ -89,7 +89,7 @@ pub struct SlcanDevice {
     from_host: VecDeque<u8>,
     splitter: Splitter,
     channel: Channel,
-    /// Whether the bit rate that was set is the bus's.
+    /// Whether the configured bit rate equals that of the bus; `None` until a bit rate is configured.
     in_tune: Option<bool>,
     time_stamps: bool,
     auto_poll: bool,
@@ -116,12 +116,12 @@ enum Channel {
 #[derive(Clone, Copy)]
 struct Acceptance {
     code: u32,
-    /// A set bit is not looked at.
+    /// Set bits of the mask are ignored.
     mask: u32,
 }
 
 impl SlcanDevice {
-    /// With a closed channel.
+    /// An adapter with a closed channel.
     pub fn new(config: SlcanConfig) -> Self {
         Self {
             config,
@@ -146,7 +146,7 @@ impl SlcanDevice {
         }
     }
 
-    /// Takes bytes that the host sent, no more than there is [room](SlcanDevice::room) for.
+    /// Takes bytes sent by the host, at most as many as there is [room](SlcanDevice::room) for.
     pub fn handle_bytes(&mut self, bytes: &[u8], now: Instant) {
         let taken = bytes.len().min(self.room());
         self.from_host.extend(&bytes[..taken]);
@@ -154,12 +154,12 @@ impl SlcanDevice {
         self.work(now);
     }
 
-    /// How many bytes the host may send.
+    /// Number of bytes that the host may send.
     pub fn room(&self) -> usize {
         FROM_HOST - self.from_host.len()
     }
 
-    /// Obeys the host for as long as the bus takes what it sends.
+    /// Executes the host's commands while there is room for frames to the bus.
     fn work(&mut self, now: Instant) {
         while self.to_bus.len() < TO_BUS
             && let Some(byte) = self.from_host.pop_front()
@@ -182,23 +182,23 @@ impl SlcanDevice {
         }
     }
 
-    /// Bytes for the host, as many as lie together; empty when there are none.
+    /// Bytes for the host, as one contiguous slice; empty when there are none.
     pub fn bytes(&self) -> &[u8] {
         self.to_host.as_slices().0
     }
 
-    /// Takes off the first `count` of [`SlcanDevice::bytes`], which the host has been sent.
+    /// Removes the first `count` of [`SlcanDevice::bytes`] after they were sent to the host.
     pub fn consume(&mut self, count: usize) {
         self.to_host.drain(..count);
     }
 
-    /// What was counted.
+    /// The counters of the adapter.
     pub fn counts(&self) -> SlcanCounts {
         self.counts
     }
 
-    /// Puts the controller's error counters where faults on the bus would have brought them; the state
-    /// follows (ISO 11898-1), and a change of it is reported. Nothing happens to a closed channel.
+    /// Sets the controller's error counters to values that faults on the bus would cause. The state follows from the
+    /// counters (ISO 11898-1), and a change of state is reported. On a closed channel the call has no effect.
     pub fn set_error_counters(&mut self, receive: u16, transmit: u16) {
         if self.channel == Channel::Closed {
             return;
@@ -231,7 +231,7 @@ impl SlcanDevice {
         }
     }
 
-    /// Reports errors as if they had been seen on the bus. Nothing happens to a closed channel.
+    /// Reports errors as if they had occurred on the bus. On a closed channel the call has no effect.
     pub fn report_errors(&mut self, errors: BusErrors) {
         if self.channel != Channel::Closed {
             self.flags.0 |= StatusFlags::BUS_ERROR;
@@ -329,7 +329,7 @@ impl SlcanDevice {
         }
     }
 
-    /// Brings a frame to the host, or to where it can be polled.
+    /// Reports a frame to the host, or queues the frame for polling.
     fn report(&mut self, frame: Frame, now: Instant) {
         let millis = now.as_nanos() / 1_000_000 % 60_000;
         let stamp = self.time_stamps.then_some(millis as u16);
@@ -347,7 +347,7 @@ impl SlcanDevice {
         }
     }
 
-    /// Says what is no answer, if there is room.
+    /// Sends an unsolicited report, if there is room.
     fn volunteer(&mut self, report: &Report) -> bool {
         let said = self.say(report, TO_HOST - FOR_ANSWERS);
         if !said {
@@ -358,7 +358,8 @@ impl SlcanDevice {
     }
 
     fn say(&mut self, report: &Report, room: usize) -> bool {
-        // Whatever this device reports is a frame from the bus or within a line's means.
+        // Encoding succeeds for each report of this device: a frame comes from the bus, and other reports fit into a
+        // line.
         let Some(line) = report.encode() else {
             return false;
         };
@@ -379,7 +380,7 @@ impl Device for SlcanDevice {
         if self.in_tune == Some(false) {
             self.flags.0 |= StatusFlags::BUS_ERROR;
             if self.channel == Channel::Open {
-                // A controller stops counting in error passive.
+                // A controller stops counting receive errors in error passive.
                 let receive = (self.receive_errors + 1).min(128);
                 self.set_error_counters(receive, self.transmit_errors);
             }
@@ -402,8 +403,9 @@ impl Device for SlcanDevice {
 }
 
 impl Acceptance {
-    /// Whether either filter lets the frame through. The first sees an 11-bit identifier, RTR and
-    /// the first data byte, the second identifier and RTR; of a 29-bit identifier both see the upper 16 bits.
+    /// Whether either filter accepts the frame. The first filter compares an 11-bit identifier, RTR and the first
+    /// data byte. The second filter compares identifier and RTR. Of a 29-bit identifier both filters compare the
+    /// upper 16 bits.
     fn accepts(self, frame: &Frame) -> bool {
         let remote = u32::from(frame.is_remote());
         let (seen, first, second) = match frame.id() {
@@ -426,7 +428,7 @@ impl Acceptance {
     }
 }
 
-/// The bit time that the registers of an SJA1000 at 16 MHz stand for.
+/// The bit time, ns, that the registers of an SJA1000 at 16 MHz set.
 fn nanos_per_bit(btr0: u8, btr1: u8) -> u32 {
     let prescaler = u32::from(btr0 & 0x3F) + 1;
     let quanta = 3 + u32::from(btr1 & 0xF) + u32::from(btr1 >> 4 & 0x7);

@@ -1,8 +1,8 @@
 # Supervises a test machine: `sh -c SCRIPT sh DIRECTORY COMMAND...`, as the leader of a session of its own.
 #
-# Standard input is a pipe from the program that wants the machine. A line on the pipe starts the machine. The end of the
-# pipe, which the kernel brings about however that program ends, kills the machine with all its processes and removes the
-# directory. A machine that ends by itself leaves the directory until the end of the pipe.
+# Standard input is a pipe from the calling program. A line on the pipe starts the machine. The end of the pipe kills
+# the machine with all its processes and removes the directory. However the calling program ends, the kernel closes the
+# pipe. A machine that ends by itself leaves the directory until the end of the pipe.
 directory=$1
 shift
 exec 3<&0 </dev/null 4>&2 2>/dev/null
@@ -13,16 +13,16 @@ if read -r _ <&3; then
     trap '' HUP INT QUIT TERM
     {
         read -r _
-        # The process alone, if it did not become the leader of a group yet.
+        # If the process is not yet the leader of a group, only the process is killed.
         kill -s KILL -- "-$machine" || kill -s KILL "$machine"
     } <&3 >/dev/null 4>&- &
     watcher=$!
     exec 4>&-
     wait "$machine"
-    # The number of the process that has ended may be another's by now; that of its group is not as long as one is left.
+    # The ID of an ended process may already be reused. The ID of its group is not reused while a member is left.
     kill -s KILL -- "-$machine"
     kill -s KILL "$watcher"
-    # Who reads the machine's output sees its end.
+    # The reader of the machine's output sees the end of the output.
     exec >/dev/null
     read -r _ <&3
 fi

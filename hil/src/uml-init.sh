@@ -1,10 +1,10 @@
 #!/bin/sh
 # First process of the test machine. Its root is the host's file system, read-only.
 #
-# This script lies in a directory of its own, the machine's, which is the only place on the host that the machine can
-# write to beside the output directory. Beside it lie two more: `mounts` brings back what our own mounts hide, and mounts
-# the output directory; the exit status of `command` goes to `status`. A step of the boot that fails goes to `failed`
-# instead. On the console, a mark stands before and behind what the command prints.
+# This script lies in the machine's own directory. The machine can write only to this directory and to the output
+# directory. The directory contains two more scripts. `mounts` mounts again the directories that the mounts here hide,
+# and mounts the output directory. `command` is the command to run; its exit status goes to the file `status`. A failed
+# step of the boot goes to the file `failed` instead. On the console, a mark precedes and follows the command's output.
 export PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin
 control=${0%/*}
 mark=${control##*/}
@@ -20,7 +20,7 @@ step() {
     power_off
 }
 
-# Calls finit_module: Debian may come without kmod, but never without perl.
+# Calls finit_module. A Debian system may lack kmod, but always has perl.
 load() {
     perl -e '
         open(my $module, "<", $ARGV[0]) or die "$ARGV[0]: $!\n";
@@ -35,7 +35,8 @@ mount -t sysfs sysfs /sys
 stty -opost -echo </dev/console
 mkdir /dev/pts /dev/shm
 mount -t devpts devpts /dev/pts
-# Read before the mounts hide it. The machine's directory comes last: it may lie inside one of these.
+# `mounts` is read before the mounts below hide the file. The machine's directory is mounted last, since the directory
+# may lie inside one of these mounts.
 mounts=$(cat "$control/mounts")
 for directory in /dev/shm /run /tmp /var/tmp; do
     mount -t tmpfs tmpfs "$directory"

@@ -1,15 +1,17 @@
-//! A test machine with CAN for hosts whose kernel has none: user-mode Linux, a kernel that runs as a
-//! process, booted in about three seconds on the host's own file system.
+//! A test machine with CAN for hosts whose kernel has no CAN. The machine is user-mode Linux, a kernel that runs as a
+//! process, and boots in about three seconds on the host's own file system.
 //!
-//! It promises that the command inside can write to one directory of the host and nowhere else, that
-//! it ends within its time, and that no process and no file is left behind. The last promise holds even if the calling
-//! program is killed: the shell of `supervise.sh` outlives that program. Other users of the host can neither read nor
-//! change the machine's files. Interface `vcan0` is up;
-//! `can-utils`, `ip` and `tc` work as on any host. There is one processor, and its timing proves
-//! nothing. `/tmp`, `/var/tmp`, `/run` and `/dev` are the machine's own: what lies there on the host is not
-//! seen inside, but for the working directory, the program's directory and those of [`Options::visible`].
+//! The machine gives three guarantees. The command inside can write to one directory of the host and to no other. The
+//! command ends within its time limit. No process and no file is left behind. The last guarantee holds even if the
+//! calling program is killed: the shell of `supervise.sh` outlives that program. Other users of the host can neither
+//! read nor change the machine's files.
 //!
-//! Read [`Options`], then [`run`]; the machine's first process is `uml-init.sh`.
+//! Interface `vcan0` is up. `can-utils`, `ip` and `tc` work as on any host. The machine has one processor, and its
+//! timing proves nothing. `/tmp`, `/var/tmp`, `/run` and `/dev` belong to the machine: files of the host at these
+//! paths are not visible inside. Exceptions are the working directory, the program's directory and those of
+//! [`Options::visible`].
+//!
+//! Read [`Options`], then [`run`]. The machine's first process is `uml-init.sh`.
 
 use std::ffi::OsString;
 use std::fs;
@@ -29,12 +31,12 @@ use crate::machine::{Control, Machine, command_script, host, quoted};
 const KERNEL: &str = "/usr/bin/linux.uml";
 const MODULES: &str = "/usr/lib/uml/modules";
 const INIT: &str = include_str!("uml-init.sh");
-/// Lines on their way from the console; a full queue stops the machine's writer.
+/// Capacity of the queue of lines from the console. A full queue stops the machine's writer.
 const CONSOLE_LINES: usize = 256;
-/// What is kept of the boot's messages, to be shown if it fails.
+/// Maximum size of the stored boot messages, which are shown if the boot fails.
 const BOOT_LOG_BYTES: usize = 64 << 10;
 
-/// Why a test machine did not deliver the exit status of its command.
+/// Reasons why a test machine did not deliver the exit status of its command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum UmlError {
     /// The kernel is not installed.
@@ -43,7 +45,7 @@ pub enum UmlError {
     /// The kernel's CAN modules are not installed.
     #[error("no CAN modules in {MODULES}: `apt-get install user-mode-linux`")]
     ModulesMissing,
-    /// It did not run to its end.
+    /// The machine did not run to its end.
     #[error(transparent)]
     Machine(#[from] MachineError),
 }
@@ -65,11 +67,11 @@ fn installed_in(kernel: &Path, modules: &Path) -> Result<(), UmlError> {
         .ok_or(UmlError::ModulesMissing)
 }
 
-/// Boots a test machine, runs the command in it and returns its exit status (128 + n if signal n
-/// ended it).
+/// Boots a test machine, runs the command in it and returns the exit status of the command (128 + n if signal n ended
+/// the command).
 ///
-/// What the command prints, on either stream, goes to `stdout` line by line; so do the boot's messages
-/// if the boot fails.
+/// Both output streams of the command go to `stdout` line by line. If the boot fails, the boot messages also go to
+/// `stdout`.
 pub fn run(options: &Options, stdout: &mut dyn Write) -> Result<u8, UmlError> {
     installed()?;
     let control = Control::new("uml", options.output.as_deref())?;
@@ -79,7 +81,7 @@ pub fn run(options: &Options, stdout: &mut dyn Write) -> Result<u8, UmlError> {
     machine.run(&console, options.timeout, |line| screen.show(line, stdout))?;
     let result = machine.result(screen.part != Part::Boot);
     if result == Err(MachineError::BootFailed) {
-        // The error is what matters; a reader who left does not.
+        // The boot error is returned. A failure to write the log is ignored.
         let _ = stdout.write_all(&screen.boot_log);
         if let Ok(step) = fs::read_to_string(machine.control.path().join("failed")) {
             let _ = writeln!(stdout, "the boot failed at: {}", step.trim_end());
@@ -88,7 +90,7 @@ pub fn run(options: &Options, stdout: &mut dyn Write) -> Result<u8, UmlError> {
     Ok(result?)
 }
 
-/// What the machine's first process reads.
+/// Writes the files that the machine's first process reads.
 fn write(control: &Control, options: &Options) -> io::Result<()> {
     let file = |name| control.path().join(name);
     fs::write(file("init"), INIT)?;
@@ -97,14 +99,15 @@ fn write(control: &Control, options: &Options) -> io::Result<()> {
     fs::write(file("command"), command_script(options, control.output()))
 }
 
-/// The line before and behind the command's output: no other run has the same.
+/// The line before and behind the command's output. The mark differs from run to run.
 fn mark(control: &Control) -> Vec<u8> {
     let name = control.path().file_name().expect("made with a name");
     [name.as_bytes(), b"\n"].concat()
 }
 
-/// A script that mounts the hidden directories which are to be seen, then the output directory, which may lie in one of
-/// them. Each mount names a symbolic link, because a mount option cannot carry every path.
+/// A script that mounts the visible directories of [`Options`] which would otherwise be hidden, then the output
+/// directory, which may lie in one of them. Each mount names a symbolic link, because a mount option cannot carry
+/// every path.
 fn mount_script(control: &Control, options: &Options) -> io::Result<Vec<u8>> {
     let mut script = Vec::new();
     let mut mount = |name: &str, place: &Path, access: &str| {
@@ -128,7 +131,7 @@ fn mount_script(control: &Control, options: &Options) -> io::Result<Vec<u8>> {
     Ok(script)
 }
 
-/// The machine, not started yet, and the lines of its console.
+/// The machine, not started yet, and the receiver of its console lines.
 fn machine(control: Control, options: &Options) -> io::Result<(Machine, Receiver<Vec<u8>>)> {
     let (console, output) = io::pipe()?;
     let directory = control.path().display();
@@ -167,7 +170,7 @@ fn read_lines(console: PipeReader, mut take: impl FnMut(Vec<u8>) -> bool) {
     }
 }
 
-/// Tells the command's output from the kernel's chatter before and behind it.
+/// Separates the command's output from the kernel's messages before and behind it.
 struct Screen {
     mark: Vec<u8>,
     part: Part,
@@ -191,7 +194,7 @@ impl Screen {
     }
 
     fn show(&mut self, line: &[u8], stdout: &mut dyn Write) {
-        // The command's last line may lack its end, and then the mark stands on it.
+        // If the command's last line has no line end, the mark stands on the same line.
         let marked = line.strip_suffix(self.mark.as_slice());
         match (self.part, marked) {
             (Part::Boot, None) => {
@@ -200,7 +203,7 @@ impl Screen {
             }
             (Part::Boot, Some(_)) => self.part = Part::Command,
             (Part::Command, _) => {
-                // The command runs on when nobody reads what it prints.
+                // The command continues even if its output cannot be written.
                 let _ = stdout.write_all(marked.unwrap_or(line));
                 if marked.is_some() {
                     self.part = Part::PowerOff;

@@ -1,4 +1,4 @@
-//! The emulated side of a cell: its buses and serial lines with everything that hangs on them.
+//! The emulated side of a cell: its buses and serial lines with all devices.
 //!
 //! In a lockstep or emulated bench the host and the world take turns:
 //!
@@ -20,8 +20,9 @@
 //! assert_eq!(world.bus(bus).frames, 10);
 //! ```
 //!
-//! On a wall-clock bench the world is advanced to the host's next deadline right after the host's turn, ahead of
-//! time. Nothing arrives before that deadline, and the port holds frames back until their own times.
+//! On a wall-clock bench the world is advanced ahead of time: right after the host's turn, to the host's next
+//! deadline. No frame of the host is sent before that deadline. The port holds received frames back until their own
+//! times.
 
 use std::any::Any;
 use std::time::Duration;
@@ -34,7 +35,7 @@ use crate::bus::{BusStatistics, VirtualBus};
 use crate::line::{LineFaults, LineStatistics, SerialLine};
 use crate::{Device, LineDevice};
 
-/// Buses and lines with their devices, advanced together. They do not influence each other.
+/// Buses and lines with their devices, advanced together. Buses and lines do not influence each other.
 #[derive(Default)]
 pub struct World {
     buses: Vec<VirtualBus>,
@@ -57,7 +58,7 @@ pub struct DeviceId {
 pub struct LineId(usize);
 
 impl World {
-    /// Without buses and lines, at [`Instant::ZERO`].
+    /// A world without buses and lines, at [`Instant::ZERO`].
     pub fn new() -> Self {
         Self::default()
     }
@@ -68,21 +69,21 @@ impl World {
         BusId(self.buses.len() - 1)
     }
 
-    /// Hangs a device on a bus. `bus` must be of this world.
+    /// Attaches a device to a bus. `bus` must belong to this world.
     pub fn add_device(&mut self, bus: BusId, device: Box<dyn Device>) -> DeviceId {
         let number = self.buses[bus.0].attach_device(device);
         DeviceId { bus, number }
     }
 
-    /// A port on a bus with room for `capacity` frames each way. `bus` must be of this world.
+    /// A port on a bus with room for `capacity` frames each way. `bus` must belong to this world.
     pub fn host_port(&mut self, bus: BusId, capacity: usize) -> VirtualPort {
         let (port, peer) = virtual_port(capacity);
         self.buses[bus.0].attach_host(peer);
         port
     }
 
-    /// Adds a serial line with a device at its end, and with a USB adapter towards the host if it is
-    /// to have the `latency` of one: [`FTDI_LATENCY`](crate::line::FTDI_LATENCY) for example.
+    /// Adds a serial line with a device at its end. `latency` inserts a USB adapter with such a latency timer towards
+    /// the host, for example [`FTDI_LATENCY`](crate::line::FTDI_LATENCY).
     pub fn add_line(
         &mut self,
         settings: Settings,
@@ -93,15 +94,15 @@ impl World {
         LineId(self.lines.len() - 1)
     }
 
-    /// The host's end of a line with room for `capacity` bytes each way; one handed out before is
-    /// gone. `line` must be of this world.
+    /// The host's end of a line with room for `capacity` bytes each way. The call disconnects the previous end.
+    /// `line` must belong to this world.
     pub fn host_line(&mut self, line: LineId, capacity: usize) -> VirtualLine {
         let (host, peer) = virtual_line(capacity);
         self.lines[line.0].attach_host(peer);
         host
     }
 
-    /// Processes everything up to and including `until`, on every bus and line in order of events.
+    /// Processes all events up to and including `until`, on every bus and line in order of events.
     pub fn advance(&mut self, until: Instant) {
         for bus in &mut self.buses {
             bus.advance(until);
@@ -111,16 +112,16 @@ impl World {
         }
     }
 
-    /// When next something happens, as far as is known now; `None` if nothing will unless a host sends. A waiting
-    /// bench advances to this instant, or to the instant of an earlier frame of a host.
+    /// Time of the next event known now; `None` if no event occurs before a host sends. A waiting bench advances to
+    /// this instant, or to the instant of an earlier frame of a host.
     pub fn next_event(&self) -> Option<Instant> {
         let buses = self.buses.iter().filter_map(VirtualBus::next_event);
         let lines = self.lines.iter().filter_map(SerialLine::next_event);
         buses.chain(lines).min()
     }
 
-    /// Lets `change` work on a device at `now`, up to which its bus is advanced before: how bytes get
-    /// in and out of a device that has a serial line beside its bus. `None` if it is no `D`.
+    /// Applies `change` to a device at `now`, after advancing its bus to `now`. A device with a serial line exchanges
+    /// its bytes in this way. `None` if the device is no `D`.
     pub fn change<D: Device, R>(
         &mut self,
         id: DeviceId,
@@ -134,39 +135,40 @@ impl World {
         })?
     }
 
-    /// What a bus has counted. `bus` must be of this world.
+    /// Counters of a bus. `bus` must belong to this world.
     pub fn bus(&self, bus: BusId) -> BusStatistics {
         self.buses[bus.0].statistics()
     }
 
-    /// A device as what it was added as, to look at its true state; `None` if it is no `D`.
+    /// A device as its own type, to examine its true state; `None` if the device is no `D`.
     pub fn device<D: Device>(&self, id: DeviceId) -> Option<&D> {
         let device: &dyn Any = self.buses.get(id.bus.0)?.device(id.number)?;
         device.downcast_ref()
     }
 
-    /// What a line has counted. `line` must be of this world.
+    /// Counters of a line. `line` must belong to this world.
     pub fn line(&self, line: LineId) -> LineStatistics {
         self.lines[line.0].statistics()
     }
 
-    /// What goes wrong on a line from now on. `line` must be of this world.
+    /// Sets the faults of a line from now on. `line` must belong to this world.
     pub fn set_line_faults(&mut self, line: LineId, faults: &LineFaults) {
         self.lines[line.0].set_faults(faults);
     }
 
-    /// Disconnects the host's end of a line for good, as an adapter that is unplugged does. `line` must be of this world.
+    /// Disconnects the host's end of a line permanently, as an unplugged adapter does. `line` must belong to this
+    /// world.
     pub fn hang_up(&mut self, line: LineId) {
         self.lines[line.0].hang_up();
     }
 
-    /// The device of a line as what it was added as, to look at its true state; `None` if it is no `D`.
+    /// The device of a line as its own type, to examine its true state; `None` if the device is no `D`.
     pub fn line_device<D: LineDevice>(&self, line: LineId) -> Option<&D> {
         let device: &dyn Any = self.lines.get(line.0)?.device();
         device.downcast_ref()
     }
 
-    /// The same, to do to it what a host cannot.
+    /// The device of a line as its own type, for changes that no host can make; `None` if the device is no `D`.
     pub fn line_device_mut<D: LineDevice>(&mut self, line: LineId) -> Option<&mut D> {
         let device: &mut dyn Any = self.lines.get_mut(line.0)?.device_mut();
         device.downcast_mut()

@@ -8,75 +8,75 @@ use thiserror::Error;
 use crate::generator::GeneratorError;
 use crate::robot::KinematicsError;
 
-/// Why an instruction failed. The effector stands, or is faulted, by the time this is reported.
+/// Reasons why an instruction failed. When an error is reported, the effector already stands or is faulted.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum EcpError {
     /// The servo stopped the effector.
     #[error("{0}")]
     Servo(ServoFault),
-    /// The servo is faulted and does not say why.
+    /// The servo is faulted and reports no reason.
     #[error("effector is faulted")]
     Faulted,
-    /// The generator refused or gave up.
+    /// The generator refused the motion or gave it up.
     #[error("step {step}: {error}")]
     Generator {
-        /// Macrosteps sent for this instruction before.
+        /// Number of macrosteps sent before for this instruction.
         step: u64,
-        /// Its reason.
+        /// The generator's reason.
         error: GeneratorError,
     },
-    /// The generator asked for a state that the arm cannot take.
+    /// The generator requested a state that the arm cannot take.
     #[error("step {step}: {error}")]
     OutOfReach {
-        /// Macrosteps sent for this instruction before.
+        /// Number of macrosteps sent before for this instruction.
         step: u64,
-        /// Which axis, and why.
+        /// The axis and the reason.
         error: KinematicsError,
     },
-    /// The generator asked for NaN or infinity.
+    /// The generator requested NaN or infinity.
     #[error("step {step}, axis {axis}: set-point is not a finite number")]
     NotFinite {
-        /// Macrosteps sent for this instruction before.
+        /// Number of macrosteps sent before for this instruction.
         step: u64,
         /// Index of the axis.
         axis: u8,
     },
-    /// A motion was asked of an effector that does not stand with its drives on.
+    /// A motion was requested while the effector does not stand with its drives on.
     #[error("effector is {phase:?}, a motion begins from Standing")]
     NotStanding {
-        /// What it does.
+        /// Phase of the effector.
         phase: Phase,
     },
-    /// A motion was asked of an effector that is not homed.
+    /// A motion was requested while the effector is not homed.
     #[error("effector is not homed")]
     NotHomed,
-    /// The effector left the motion without a fault.
+    /// The effector ended the motion early, without a fault.
     #[error("motion broke off, effector is {phase:?}")]
     BrokenOff {
-        /// What it does.
+        /// Phase of the effector.
         phase: Phase,
     },
-    /// The servo neither reported nor took an order for too long.
+    /// For too long, the servo neither reported nor took an order.
     #[error("servo silent for {waited:?}")]
     Silent {
-        /// How long.
+        /// Duration.
         waited: Duration,
     },
-    /// The servo reports, but did not get where it was asked to in time.
+    /// The servo reports, but did not complete the request in time.
     #[error("still {phase:?} after {waited:?}")]
     TimedOut {
-        /// What the effector does.
+        /// Phase of the effector.
         phase: Phase,
-        /// How long.
+        /// Duration.
         waited: Duration,
     },
-    /// Nobody, or not everybody, came to a meeting in time.
+    /// At least one partner did not come to a meeting in time.
     #[error("the partners of a meeting did not come within {waited:?}")]
     Unmet {
-        /// How long it waited for them.
+        /// Duration of the wait.
         waited: Duration,
     },
-    /// It was told to stop.
+    /// The process was told to stop.
     #[error("stopped")]
     Stopped,
 }

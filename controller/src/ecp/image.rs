@@ -1,4 +1,4 @@
-//! The effector as its control process knows it, in motors, joints and pose.
+//! The image of the effector in its control process, in motors, joints and pose.
 
 use can::Instant;
 use servo::Report;
@@ -8,15 +8,15 @@ use crate::generator::{
 };
 use crate::robot::KinematicsError;
 
-/// Step of the differences that carry velocities through drive trains and kinematics, rad or m of the
-/// fastest axis.
+/// Step of the finite differences that convert velocities in drive trains and kinematics, rad or m of the fastest
+/// axis.
 const STEP: f64 = 1e-4;
 
-/// What the subcontroller has of its effector; everything but motors is worked out when asked for.
+/// Data of the effector in the subcontroller. Everything but motors is calculated on request.
 #[derive(Debug)]
 pub(super) struct Effector {
     pub(super) arm: Arm,
-    /// When the last report was made.
+    /// Time of the last report.
     pub(super) at: Instant,
     pub(super) macrostep: u64,
     /// Motors in the last report.
@@ -107,7 +107,8 @@ impl ImageSource for Effector {
     }
 }
 
-/// Velocity behind a map of positions, whose value at `from` is `value`: its derivative along `from.velocity`.
+/// Converts a velocity through a map of positions: the derivative of the map along `from.velocity`. The map has the
+/// value `value` at `from`.
 fn slope(
     from: &AxesState,
     value: &Axes,
@@ -122,11 +123,11 @@ fn slope(
     })
 }
 
-/// Derivative by time, at 0, of positions that pass `value` there while something moves at `speed`.
+/// Time derivative at 0 of positions that equal `value` there, while the fastest axis moves at `speed`.
 ///
-/// A central difference 1e-4 rad to either side: its error, f‴ / f′ · 1e-8 / 6, is below 1e-8 of the
-/// velocity for screws and rods, and the rounding of positions near 1000 rad adds 1e-9. Next to a limit, where
-/// one side has no value, it is one-sided and good to 1e-4.
+/// The central difference uses points 1e-4 rad to either side. Its error, f‴ / f′ · 1e-8 / 6, is below 1e-8 of the
+/// velocity for screws and rods. The rounding of positions near 1000 rad adds 1e-9. Next to a limit, where one side
+/// has no value, the difference is one-sided and accurate to 1e-4.
 fn difference(
     speed: f64,
     value: &Axes,

@@ -1,14 +1,14 @@
-//! Meetings: robots that wait for one another and go on in the same servo cycle.
+//! Meetings: robots wait for one another and continue in the same servo cycle.
 
 use servo::Gates;
 
 use super::Ecp;
 
-/// The meetings of a cell's effector control processes: each is held once, when all its partners have come.
+/// The meetings of a cell's effector control processes. Each meeting is held once, when all its partners have come.
 ///
-/// All partners go on in the same servo cycle. Once they have come they are admitted; what each does next is queued
-/// at its servo behind a gate; and when all have sent it, the gate opens for all of them at once. So it does not matter
-/// how long the thread that calls here loses the processor in between.
+/// All partners continue in the same servo cycle. When all have come, they are admitted. The next orders of each
+/// partner are queued at its servo behind a gate. When all partners have sent these orders, the gate opens for all at
+/// once. The calling thread may lose the processor in between without effect on the result.
 #[derive(Debug)]
 pub struct Meetings {
     meetings: Vec<Meeting>,
@@ -17,7 +17,7 @@ pub struct Meetings {
 
 #[derive(Debug)]
 struct Meeting {
-    /// Indices of their processes.
+    /// Indices of the partners' processes.
     partners: Vec<usize>,
     progress: Progress,
 }
@@ -30,7 +30,7 @@ enum Progress {
 }
 
 impl Meetings {
-    /// Meetings of partners given by their place among the processes, at most [`Gates::COUNT`].
+    /// Meetings of partners, at most [`Gates::COUNT`]. Partners are given by the indices of their processes.
     pub fn new(partners: impl IntoIterator<Item = Vec<usize>>, gates: Gates) -> Self {
         let meeting = |partners| Meeting {
             partners,
@@ -42,7 +42,8 @@ impl Meetings {
         }
     }
 
-    /// Holds the meetings whose time has come. Call it after every process was polled until it had no more to tell.
+    /// Holds the meetings whose partners have all come. Call this function after every process was polled until it
+    /// returned no more events.
     pub fn poll(&mut self, ecps: &mut [Ecp]) {
         for (meeting, number) in self.meetings.iter_mut().zip(0..) {
             let mut partners = meeting.partners.iter();

@@ -1,16 +1,18 @@
-//! The effector control process: walks a [`Task`] for one effector over its servo link.
+//! The effector control process: executes a [`Task`] for one effector over its servo link.
 //!
-//! [`Ecp::poll`] is called again and again, by a thread at macrostep rate or by a lockstep bench in each
-//! cycle. It takes in reports, keeps the effector's image, turns the flow chart of the generator under way
-//! (see [`generator`](crate::generator)), converts what it asks for to motors and offers orders to the
-//! servo. It never waits, allocates only what a generator's first step does, and bounds everything: the
-//! macrosteps ahead of the servo, the one order that did not fit, the time it listens to silence.
+//! A thread calls [`Ecp::poll`] at macrostep rate; a lockstep bench calls it in each cycle. The poll receives
+//! reports, keeps the effector's image, and advances the flow chart of the current generator (see
+//! [`generator`](crate::generator)). It converts the set-points of the generator to motors and offers orders to the
+//! servo.
 //!
-//! An instruction is over when the effector stands again, whatever ended it: the terminal condition, an
-//! error of the generator, [`Ecp::stop`] or the servo. If a generator ends while the effector moves, it is
-//! braked ([`Order::Stop`]). The first failure ends the task.
+//! The poll never waits. Only the first step of a generator may allocate. Everything is bounded: the macrosteps ahead
+//! of the servo, the one order for which there was no room, the time without a report.
 //!
-//! Motor velocities are carried through the drive train by numeric central differences.
+//! An instruction ends when the effector stands again, whatever the cause: the terminal condition, an error of the
+//! generator, [`Ecp::stop`] or the servo. If a generator ends while the effector moves, the effector is braked
+//! ([`Order::Stop`]). The first failure ends the task.
+//!
+//! Motor velocities are converted in the drive train by numeric central differences.
 //!
 //! Read [`Task`] first, then [`Ecp::poll`].
 
@@ -39,27 +41,27 @@ pub use subcontrollers::Subcontrollers;
 use task::Instruction;
 pub use task::Task;
 
-/// How an ECP paces its effector and how long it is patient.
+/// Timing of an ECP, and its time limits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct EcpConfig {
     /// Servo period.
     pub period: Duration,
     /// Periods per macrostep, at least 1.
     pub steps: u16,
-    /// The period of a macrostep after which the servo reports, 1 ..= `steps`; what is left of the macrostep
-    /// is the time in which the next one must be computed by a generator that reads images.
+    /// The period of a macrostep after which the servo reports, 1 ..= `steps`. A generator that reads images must
+    /// compute the next macrostep in the rest of the macrostep.
     pub report_at: u16,
-    /// Macrosteps, at least 1, that a generator whose next steps read no images may be ahead of the one
-    /// being executed. Others compute the next macrostep from the report of the one before. The servo's
-    /// order queue must hold more than that, or a stop has to wait for room behind macrosteps.
+    /// Macrosteps, at least 1, by which a generator may be ahead of the macrostep in execution if its next steps read
+    /// no images. Other generators compute the next macrostep from the report of the previous macrostep. The servo's
+    /// order queue must hold more than `lead` orders. Otherwise a stop has to wait for room behind macrosteps.
     pub lead: u16,
-    /// How long the servo may neither report nor take an order while something is under way.
+    /// Time limit without a report and without an accepted order while an instruction is in progress.
     pub silence: Duration,
-    /// How long switching on or off, resetting and braking may take.
+    /// Time limit of switching on or off, resetting and braking.
     pub switching: Duration,
-    /// How long homing may take.
+    /// Time limit of homing.
     pub homing: Duration,
-    /// How long it may wait for the partners of a meeting.
+    /// Time limit of the wait for the partners of a meeting.
     pub meeting: Duration,
 }
 
@@ -78,31 +80,31 @@ impl EcpConfig {
         }
     }
 
-    /// How long a macrostep lasts.
+    /// Duration of a macrostep.
     pub fn macrostep(&self) -> Duration {
         self.period * u32::from(self.steps)
     }
 }
 
-/// An instruction has ended.
+/// The end of an instruction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Event {
-    /// Its index in the task.
+    /// Index of the instruction in the task.
     pub instruction: usize,
-    /// How it ended. After an error, the instructions behind it were dropped.
+    /// Result of the instruction. After an error, the remaining instructions were dropped.
     pub outcome: Result<(), EcpError>,
 }
 
-/// What an ECP knows at a glance.
+/// Summary of an ECP's state.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Status {
-    /// What the effector does, as last reported; `Off` before any report.
+    /// Phase of the effector in the last report; `Off` before any report.
     pub phase: Phase,
     /// Whether every axis is homed.
     pub homed: bool,
-    /// Index of the instruction under way, if one is.
+    /// Index of the current instruction, if any.
     pub instruction: Option<usize>,
-    /// Instructions waiting behind it.
+    /// Number of instructions that wait behind the current instruction.
     pub waiting: usize,
     /// Number of the last macrostep sent.
     pub sent: u64,
@@ -110,15 +112,15 @@ pub struct Status {
     pub executed: u64,
 }
 
-/// The task that an ECP was given while it has another.
+/// A task was passed to an ECP that still executes another task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("instruction {instruction} is under way")]
 pub struct Busy {
-    /// Its index in its task.
+    /// Index of the current instruction in its task.
     pub instruction: usize,
 }
 
-/// What is under way. Every state but the first ends by a report or by its deadline.
+/// Current activity. Every activity except `Idle` ends by a report or at its deadline.
 enum Activity {
     Idle,
     /// An order other than a macrostep or a stop was sent.
@@ -126,19 +128,19 @@ enum Activity {
         order: Order,
         since: Instant,
     },
-    /// Its partners are waited for, or, once it is admitted, all are there.
+    /// The process waits for its partners. `admitted`: all partners have come.
     Meeting {
         meeting: u8,
         since: Instant,
         admitted: bool,
     },
-    /// The generator is asked for macrosteps.
+    /// The generator computes macrosteps.
     Running {
         run: Box<dyn Execution + Send>,
     },
-    /// The last macrostep was sent; it leads to a stand.
+    /// The last macrostep, which ends at standstill, was sent.
     Arriving,
-    /// A stop is offered (`since` is `None`) or sent; `outcome` is what it will have ended with.
+    /// A stop is offered (`since` is `None`) or sent. `outcome` is the result after the stop.
     Stopping {
         since: Option<Instant>,
         outcome: Result<(), EcpError>,
@@ -156,16 +158,17 @@ pub struct Ecp {
     report: Option<Report>,
     /// The orders that wait for room in the queue.
     outbox: VecDeque<Order>,
-    /// Numbers of the last macrostep made, of the last one reported, and of the last one before this motion.
+    /// Numbers of the last macrostep made, of the last macrostep reported, and of the last macrostep before this
+    /// motion.
     sent: u64,
     executed: u64,
     base: u64,
-    /// When the servo last reported or took an order.
+    /// Time of the last report or accepted order.
     heard: Instant,
 }
 
 impl Ecp {
-    /// A subcontroller that has nothing to do yet.
+    /// A subcontroller without a task.
     pub fn new(arm: Arm, link: EffectorLink, config: EcpConfig) -> Self {
         Self {
             effector: Effector::new(arm),
@@ -183,7 +186,7 @@ impl Ecp {
         }
     }
 
-    /// Takes a task; it begins with the next poll. Refused while another is under way.
+    /// Takes a task, which begins with the next poll. Fails while another task is in progress.
     pub fn execute(&mut self, task: Task) -> Result<(), Busy> {
         if let Some(instruction) = self.status().instruction {
             return Err(Busy { instruction });
@@ -193,7 +196,7 @@ impl Ecp {
         Ok(())
     }
 
-    /// Brakes and drops the rest of the task. The instruction under way ends with [`EcpError::Stopped`].
+    /// Brakes and drops the rest of the task. The current instruction ends with [`EcpError::Stopped`].
     pub fn stop(&mut self) {
         match self.activity {
             Activity::Stopping { .. } => {}
@@ -202,7 +205,7 @@ impl Ecp {
         }
     }
 
-    /// What is going on.
+    /// The present state.
     pub fn status(&self) -> Status {
         let busy = !matches!(self.activity, Activity::Idle) || !self.task.is_empty();
         Status {
@@ -215,7 +218,7 @@ impl Ecp {
         }
     }
 
-    /// The meeting at which it waits for its partners.
+    /// The meeting at which the process waits for its partners.
     fn meeting(&self) -> Option<u8> {
         match self.activity {
             Activity::Meeting { meeting, .. } => Some(meeting),
@@ -223,14 +226,15 @@ impl Ecp {
         }
     }
 
-    /// Lets it go on from the meeting it waits at. What follows is sent at the next poll, and waits for the gate.
+    /// Admits the process to the meeting at which it waits. The next orders are sent at the next poll, and wait for
+    /// the gate.
     fn admit(&mut self) {
         if let Activity::Meeting { admitted, .. } = &mut self.activity {
             *admitted = true;
         }
     }
 
-    /// Whether it has gone on from a meeting and sent all that it has to send for now.
+    /// Whether the process has left a meeting and has sent all its pending orders.
     fn has_left(&self, meeting: u8) -> bool {
         self.meeting() != Some(meeting) && self.outbox.is_empty()
     }
@@ -240,16 +244,17 @@ impl Ecp {
         self.effector.effector()
     }
 
-    /// Motor positions that the effector was commanded to take when it last reported, rad; `None` before any report.
+    /// Commanded motor positions in the last report, rad; `None` before any report.
     pub fn commanded(&self) -> Option<Axes> {
         self.report.map(|report| report.commanded)
     }
 
-    /// Takes in what the servo reported, does what is due at `now` and tells if an instruction ended.
+    /// Receives the servo's reports, performs the actions due at `now`, and returns the end of an instruction, if
+    /// any.
     ///
-    /// Call it again while it returns an event, and often enough: generators that read the effector need it
-    /// within the periods that `report_at` leaves of a macrostep, others within `lead` macrosteps. The servo
-    /// brakes an effector that it finds moving without a macrostep.
+    /// Call the function again while it returns an event. A generator that reads the effector needs a call within the
+    /// periods that `report_at` leaves of a macrostep. Other generators need a call within `lead` macrosteps. The
+    /// servo brakes a moving effector that has no next macrostep.
     pub fn poll(&mut self, now: Instant) -> Option<Event> {
         while let Ok(report) = self.link.reports.pop() {
             self.heard = now;
@@ -281,7 +286,8 @@ impl Ecp {
         self.cause_of(EcpError::Faulted)
     }
 
-    /// The fault that began a stop, where the stop ends in `consequence`: the cause is reported, not what followed from it.
+    /// The fault that began a stop, or `consequence` if there is none. The cause is reported rather than its
+    /// consequences.
     fn cause_of(&self, consequence: EcpError) -> EcpError {
         self.report
             .and_then(|report| report.fault)
@@ -301,8 +307,9 @@ impl Ecp {
         event
     }
 
-    /// Sends the orders waiting, as many as the queue takes. The servo sees them all at once: were it to
-    /// see the first macrostep of a motion alone, a thread that loses the processor there would starve it.
+    /// Sends the waiting orders for which the queue has room. The servo sees these orders at the same instant. If the
+    /// servo saw the first macrostep of a motion alone, a thread that then loses the processor would starve the
+    /// motion.
     fn offer(&mut self, now: Instant) {
         let count = self.outbox.len().min(self.link.orders.slots());
         if count == 0 {
@@ -321,7 +328,7 @@ impl Ecp {
         }
     }
 
-    /// Drops what waits to be sent.
+    /// Drops the waiting orders.
     fn clear_outbox(&mut self) {
         let moves = self
             .outbox
@@ -360,7 +367,7 @@ impl Ecp {
         None
     }
 
-    /// Whether the effector already is where an order leads.
+    /// Whether the effector is already in the state to which an order leads.
     fn is_done(&self, order: Order) -> bool {
         match order {
             Order::Enable | Order::Stop => self.phase() == Phase::Standing,
@@ -374,7 +381,7 @@ impl Ecp {
     fn begin_run(&mut self, mut run: Box<dyn Execution + Send>) -> Option<Result<(), EcpError>> {
         let report = self.report?;
         self.effector.commanded = AxesState::at_rest(report.commanded);
-        // Macrosteps that a stop has dropped keep their numbers.
+        // The numbers of macrosteps dropped by a stop are not reused.
         self.sent = self.sent.max(report.macrostep);
         self.base = self.sent;
         let first = run.first_step(&self.effector, self.config.macrostep());
@@ -414,7 +421,7 @@ impl Ecp {
                 }
                 let homing = matches!(phase, Phase::Standing | Phase::Homing);
                 if order == Order::Home && !homing {
-                    // Whoever stopped the servo did not ask for the rest of the search.
+                    // The servo was stopped from elsewhere during homing. The search is not resumed.
                     self.break_off(now);
                 } else if waited > patience {
                     self.brake(Err(EcpError::TimedOut { phase, waited }));
@@ -447,8 +454,8 @@ impl Ecp {
                 outcome,
             } => {
                 let waited = now.since(since);
-                // A stand that was reported before the stop does not count: the servo may just be about to
-                // begin with what it was sent. It takes orders each period and tells of each change.
+                // A standstill reported before the stop does not count: the servo may be about to start an earlier
+                // order. The servo takes orders each period and reports each change.
                 let settled = waited > self.config.macrostep() * 2;
                 if settled && matches!(phase, Phase::Standing | Phase::Off) {
                     Some(outcome)
@@ -478,7 +485,7 @@ impl Ecp {
         None
     }
 
-    /// Ends what the servo has ended, once the effector rests.
+    /// Ends an instruction that the servo has ended, as soon as the effector stands.
     fn break_off(&mut self, now: Instant) {
         let phase = self.phase();
         let fault = self.report.and_then(|report| report.fault);
@@ -490,7 +497,7 @@ impl Ecp {
         };
     }
 
-    /// Asks the generator for the next macrostep if one is due.
+    /// Requests the next macrostep from the generator if the macrostep is due.
     fn step(&mut self) {
         let Activity::Running { run } = &mut self.activity else {
             return;
@@ -520,7 +527,7 @@ impl Ecp {
         }
     }
 
-    /// Makes a macrostep of what the generator asked for and puts it into the outbox.
+    /// Converts the generator's set-point to a macrostep and puts the macrostep into the outbox.
     fn command(&mut self, setpoint: Option<Setpoint>) -> Result<(), EcpError> {
         let step = self.sent - self.base;
         if let Some(axis) = setpoint.and_then(|setpoint| setpoint.not_finite()) {
@@ -543,7 +550,7 @@ impl Ecp {
         Ok(())
     }
 
-    /// Drops the generator and what it wanted next, and stops the effector.
+    /// Drops the generator and the waiting orders, and stops the effector.
     fn brake(&mut self, outcome: Result<(), EcpError>) {
         self.clear_outbox();
         self.outbox.push_back(Order::Stop);

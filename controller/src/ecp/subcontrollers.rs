@@ -11,15 +11,15 @@ pub struct Subcontrollers {
 }
 
 impl Subcontrollers {
-    /// The processes in the order of the cell's robots.
+    /// The processes, in the order of the cell's robots.
     pub fn new(ecps: Vec<Ecp>, meetings: Meetings) -> Self {
         Self { ecps, meetings }
     }
 
-    /// Does what is due at `now`, robot by robot, then holds the meetings whose partners have come.
+    /// Polls the processes at `now`, robot by robot, then holds the meetings whose partners have come.
     ///
-    /// `ended` receives each instruction that ended, with the index of its robot and the process. Returns whether
-    /// any process still has an instruction. Call this function at macrostep rate or faster.
+    /// `ended` receives each ended instruction, with the index of its robot and the process. Returns whether any
+    /// process still has an instruction. Call this function at macrostep rate or faster.
     pub fn poll(&mut self, now: Instant, mut ended: impl FnMut(usize, &mut Ecp, Event)) -> bool {
         for (robot, ecp) in self.ecps.iter_mut().enumerate() {
             while let Some(event) = ecp.poll(now) {

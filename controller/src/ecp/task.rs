@@ -15,41 +15,41 @@ pub(super) enum Instruction {
     ResetFault,
 }
 
-/// A list of instructions, done in order until one fails.
+/// A list of instructions, executed in order until one fails.
 ///
-/// Generators plan in their first step, from where the motion before has ended, so a task can be written
-/// down without knowing where the effector is.
+/// Generators plan in their first step, from the end of the previous motion. A task can therefore be written without
+/// knowledge of the effector's position.
 #[derive(Default)]
 pub struct Task {
     pub(super) instructions: VecDeque<Instruction>,
 }
 
 impl Task {
-    /// Nothing to do yet.
+    /// An empty task.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Switch the drives on and stand.
+    /// Switch the drives on and hold the position.
     #[must_use]
     pub fn enable(self) -> Self {
         self.then(Instruction::Enable)
     }
 
-    /// Home the axes, unless all are.
+    /// Home the axes, unless all axes are homed.
     #[must_use]
     pub fn home(self) -> Self {
         self.then(Instruction::Home)
     }
 
-    /// Stand until every partner of this meeting has come, then go on in the same cycle as they do. The
-    /// [`Meetings`](super::Meetings) of the cell know who they are.
+    /// Stand until every partner of this meeting has come, then continue in the same cycle as the partners. The
+    /// [`Meetings`](super::Meetings) of the cell define the partners.
     #[must_use]
     pub fn meet(self, meeting: u8) -> Self {
         self.then(Instruction::Meet(meeting))
     }
 
-    /// Move as a generator says, until its terminal condition holds and the effector stands.
+    /// Move by a generator until its terminal condition holds and the effector stands.
     #[doc(alias = "Move")]
     #[must_use]
     pub fn run<G>(self, generator: G) -> Self
@@ -66,18 +66,18 @@ impl Task {
         self.then(Instruction::Disable)
     }
 
-    /// Clear latched faults; the drives stay off.
+    /// Clear latched faults. The drives stay off.
     #[must_use]
     pub fn reset_fault(self) -> Self {
         self.then(Instruction::ResetFault)
     }
 
-    /// Instructions still to do.
+    /// Number of remaining instructions.
     pub fn len(&self) -> usize {
         self.instructions.len()
     }
 
-    /// Whether nothing is to be done.
+    /// Whether no instruction remains.
     pub fn is_empty(&self) -> bool {
         self.instructions.is_empty()
     }

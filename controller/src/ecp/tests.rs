@@ -1,4 +1,4 @@
-//! The ECP against a scripted servo end, in virtual time.
+//! The ECP with a scripted servo, in virtual time.
 
 mod failures;
 mod weight;
@@ -23,7 +23,7 @@ const CONFIG: EcpConfig = EcpConfig {
     ..EcpConfig::usual()
 };
 
-/// Three sliding joints along x, y and z, motors geared 100:1, the second one by a bent lever.
+/// Three linear joints along x, y and z with motors geared 100:1. The second joint is driven by a bent lever.
 #[derive(Debug)]
 struct Gantry;
 
@@ -93,7 +93,7 @@ fn beyond(axis: u8, value: f64, limit: f64) -> KinematicsError {
     }
 }
 
-/// The servo's end of the link: does what it is told, a period at a time, and jumps to the end of each macrostep.
+/// The servo's end of the link: executes orders one period at a time, and jumps to the end of each macrostep.
 struct Script {
     orders: rtrb::Consumer<Order>,
     reports: rtrb::Producer<Report>,
@@ -102,7 +102,7 @@ struct Script {
     done: u16,
     moving: [f64; MAX_AXES],
     log: Vec<Order>,
-    /// Whether it takes orders at all.
+    /// Whether the script ignores all orders.
     deaf: bool,
     /// Whether homing never ends.
     lost: bool,
@@ -160,7 +160,7 @@ impl Script {
                         self.phase(Phase::Standing);
                     }
                 }
-                // The gates of this script are open.
+                // The gates of this script are always open.
                 Order::Gate(_) => {}
                 Order::Disable => self.phase(Phase::Off),
                 Order::ResetFault => {
@@ -215,7 +215,7 @@ struct Bench {
     ecp: Ecp,
     servo: Script,
     now: Instant,
-    /// The ECP is polled every so many periods.
+    /// Number of periods between two polls of the ECP.
     poll_every: u32,
 }
 
@@ -258,7 +258,7 @@ impl Bench {
         }
     }
 
-    /// Runs until the task is over, 100 s at most, and returns its events.
+    /// Runs until the end of the task, 100 s at most, and returns its events.
     fn run(&mut self, task: Task) -> Vec<Event> {
         self.ecp.execute(task).unwrap();
         self.go_on(|_| {})
@@ -314,7 +314,7 @@ fn to(x: f64, y: f64, z: f64) -> Newsmooth {
     Newsmooth::new(Space::Joint, 3, limits(), vec![pose]).unwrap()
 }
 
-/// Pushes axis 0 at 0.5 m/s until the measured joint is past `until`. Class 1, continuous feedback.
+/// Moves axis 0 at 0.5 m/s until the measured joint is past `until`. Class 1, continuous feedback.
 struct Push {
     until: f64,
 }
@@ -338,7 +338,7 @@ impl Generator for Push {
     }
 }
 
-/// Asks for the same set-point three times, then gives up.
+/// Requests the same set-point three times, then gives up.
 struct Ask(Setpoint);
 
 impl Generator for Ask {
@@ -413,7 +413,7 @@ fn motor_velocities_are_the_derivative_of_motor_positions() {
     let mut bench = Bench::ready();
     assert_eq!(bench.run(Task::new().run(to(0.1, 1.5, 1.5))), finished(1));
     for macrostep in bench.servo.moves() {
-        // d/dt 100 sinh y = 100 cosh y · dy/dt, and y goes along with z.
+        // d/dt 100 sinh y = 100 cosh y · dy/dt, and y moves together with z.
         let ratio = (macrostep.position[1] / 100.0).hypot(1.0);
         let (y, z) = (macrostep.velocity[1], macrostep.velocity[2]);
         assert!(
@@ -509,8 +509,8 @@ fn the_first_macrosteps_of_a_motion_reach_the_servo_at_once() {
     assert_eq!(bench.go_on(|_| {}), finished(1));
 }
 
-/// Lets two benches meet, the second of which comes `late` periods after the first; the periods in which each sent its
-/// first macrostep, and the gates opened by the one after.
+/// Lets two benches meet. The second bench comes `late` periods after the first. Returns the periods in which each
+/// bench sent its first macrostep.
 fn meet(late: u64) -> [u64; 2] {
     let mut benches = [Bench::ready(), Bench::ready()];
     let mut meetings = Meetings::new([vec![0, 1]], Gates::default());
@@ -527,7 +527,7 @@ fn meet(late: u64) -> [u64; 2] {
     let mut began = [None; 2];
     for period in 0..200 {
         let now = benches[0].now;
-        // Each enabling that is nothing to do takes a poll.
+        // Each enabling of an already enabled effector takes one poll.
         for bench in &mut benches {
             bench.ecp.poll(now);
         }

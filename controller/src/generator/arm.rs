@@ -1,11 +1,11 @@
-//! A robot with its tool, on numbers padded to the axes of the servo.
+//! A robot with its tool, with vectors padded to the axes of the servo.
 
 use std::sync::Arc;
 
 use super::{Axes, Pose};
 use crate::robot::{KinematicsError, Robot, Vector, Weight};
 
-/// A robot and the tool it carries: its kinematics from tool to motors, on numbers padded with zeros.
+/// A robot and its tool: kinematics from tool to motors, with vectors padded with zeros.
 #[derive(Clone, Debug)]
 pub struct Arm {
     robot: Arc<dyn Robot>,
@@ -14,7 +14,7 @@ pub struct Arm {
 }
 
 impl Arm {
-    /// The robot with its tool's frame; the identity for none.
+    /// The robot with its tool frame; the identity stands for no tool.
     pub fn new(robot: Arc<dyn Robot>, flange_from_tool: Pose) -> Self {
         Self {
             robot,
@@ -23,7 +23,7 @@ impl Arm {
         }
     }
 
-    /// The same with links that weigh; without, they are taken to weigh nothing.
+    /// The same arm with the weight of its links. An arm without weight has a weight torque of zero.
     pub fn weighing(self, weight: Weight) -> Self {
         Self {
             weight: Some(weight),
@@ -36,24 +36,24 @@ impl Arm {
         &*self.robot
     }
 
-    /// How many axes it has.
+    /// Number of axes of the robot.
     pub fn axes(&self) -> usize {
         self.robot.axes()
     }
 
-    /// Base from tool, at these joint positions.
+    /// Pose of the tool in the base frame at these joint positions.
     pub fn forward(&self, joints: &Axes) -> Result<Pose, KinematicsError> {
         Ok(self.robot.forward(&self.given(joints))? * self.flange_from_tool)
     }
 
-    /// The joint positions, within every limit, that take the tool there, on the branch next to `near`.
+    /// The joint positions, within all limits, that bring the tool to the pose, on the branch nearest to `near`.
     pub fn inverse(&self, base_from_tool: &Pose, near: &Axes) -> Result<Axes, KinematicsError> {
         let base_from_flange = base_from_tool * self.flange_from_tool.inverse();
         let solutions = self.robot.inverse(&base_from_flange, &self.given(near))?;
         Ok(solutions.preferred().padded())
     }
 
-    /// Motor positions at these joint positions, both within limits.
+    /// Motor positions for these joint positions. Both are checked against their limits.
     pub fn motors(&self, joints: &Axes) -> Result<Axes, KinematicsError> {
         Ok(self.robot.motors_from_joints(&self.given(joints))?.padded())
     }
@@ -63,7 +63,7 @@ impl Arm {
         Ok(self.robot.joints_from_motors(&self.given(motors))?.padded())
     }
 
-    /// Torques of the motors at these positions, N·m, that hold the weight of links and load.
+    /// Motor torques at these positions, N·m, that balance the weight of links and load.
     pub fn torques(&self, motors: &Axes) -> Result<Axes, KinematicsError> {
         match &self.weight {
             None => Ok(Axes::default()),

@@ -1,19 +1,19 @@
-//! The flow chart of the paper's figure 3 for one generator.
+//! The flow chart of the paper's figure 3, for one generator.
 
 use std::time::Duration;
 
 use super::{Generator, GeneratorError, ImageSource, Images, Setpoint};
 
-/// What one turn of the flow chart comes to.
+/// Result of one turn of the flow chart.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Step {
-    /// Go on, commanding the effector or letting it stand.
+    /// Continue: command the effector or let the effector stand.
     Continue(Option<Setpoint>),
     /// The terminal condition holds.
     Ended,
 }
 
-/// A motion instruction under way: a generator of any class with its memory.
+/// A motion instruction in progress: a generator of any class with its memory.
 pub trait Execution {
     /// The first operational block of the chart.
     fn first_step(
@@ -22,16 +22,15 @@ pub trait Execution {
         macrostep: Duration,
     ) -> Result<Step, GeneratorError>;
 
-    /// The dashed box: one snapshot, the terminal condition on it, then (5) to (8) on the same one,
-    /// committed together.
+    /// The dashed box of the chart. One snapshot is taken for the terminal condition and for (5) to (8). The results
+    /// are committed together.
     fn next_step(&mut self, source: &dyn ImageSource) -> Result<Step, GeneratorError>;
 
-    /// Whether next steps read nothing but the generator's own memory, so that they may be computed
-    /// before their turn.
+    /// Whether next steps read only the generator's own memory. Such steps may be computed ahead of time.
     fn runs_ahead(&self) -> bool;
 }
 
-/// A generator, and its memory once the first step has been made.
+/// A generator, and its memory after the first step.
 pub(crate) struct Run<G: Generator> {
     generator: G,
     memory: Option<G::Memory>,
@@ -59,7 +58,7 @@ impl<G: Generator> Execution for Run<G> {
     }
 
     fn next_step(&mut self, source: &dyn ImageSource) -> Result<Step, GeneratorError> {
-        // A runner that skips the first step gets an instruction that has nothing to do.
+        // A runner that skips the first step gets an instruction without motion.
         let Some(memory) = self.memory else {
             return Ok(Step::Ended);
         };

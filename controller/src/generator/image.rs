@@ -1,4 +1,4 @@
-//! Images that generators read, and set-points that they give.
+//! Images that generators read, and set-points that generators return.
 
 use can::Instant;
 use servo::MAX_AXES;
@@ -8,20 +8,20 @@ use super::GeneratorError;
 /// One number per axis; entries beyond the robot's axes are zero.
 pub type Axes = [f64; MAX_AXES];
 
-/// Base from tool, metres.
+/// Pose of the tool in the base frame, m.
 pub type Pose = nalgebra::Isometry3<f64>;
 
-/// Position and velocity of every axis, joint or motor as the holder says.
+/// Position and velocity of every axis. The holder determines whether the values are joint or motor values.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct AxesState {
-    /// rad, or m for a linear joint.
+    /// Position, rad, or m for a linear joint.
     pub position: Axes,
-    /// rad/s, or m/s for a linear joint.
+    /// Velocity, rad/s, or m/s for a linear joint.
     pub velocity: Axes,
 }
 
 impl AxesState {
-    /// At rest there.
+    /// Standstill at `position`.
     pub const fn at_rest(position: Axes) -> Self {
         Self {
             position,
@@ -30,53 +30,53 @@ impl AxesState {
     }
 }
 
-/// An effector at one instant, in all three spaces.
+/// State of an effector at one instant, in motors, joints and pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EffectorState {
     /// Motors, rad.
     pub motors: AxesState,
-    /// Joints.
+    /// Joints, rad or m.
     pub joints: AxesState,
-    /// Base from tool.
+    /// Pose of the tool in the base frame.
     pub pose: Pose,
 }
 
-/// `e(i)`: what the subcontroller knows of its effector.
+/// `e(i)`: the subcontroller's image of its effector.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EffectorImage {
-    /// When the measurement was taken: in this macrostep or the last while the effector moves; when it came
-    /// to its stand while it stands.
+    /// Time of the measurement. While the effector moves: in this macrostep or the previous macrostep. While the
+    /// effector stands: when the standstill began.
     pub at: Instant,
-    /// The macrostep that was being executed then.
+    /// The macrostep in execution at that time.
     pub macrostep: u64,
     /// Measured at [`at`](Self::at).
     pub measured: EffectorState,
-    /// Where the last macrostep sent ends and the next one begins.
+    /// End of the last macrostep sent, and start of the next macrostep.
     pub commanded: EffectorState,
 }
 
-/// `e(i+1)`: where the effector is to be when the next macrostep ends, and how fast.
+/// `e(i+1)`: the effector's state at the end of the next macrostep, position and velocity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Setpoint {
     /// Motors.
     Motors(AxesState),
     /// Joints.
     Joints(AxesState),
-    /// Joints: displacement from where the last macrostep ends, and velocity at the end of this one.
+    /// Joints: displacement from the end of the last macrostep, and velocity at the end of this macrostep.
     JointsBy(AxesState),
     /// The tool: pose, and its velocity in the base frame, m/s and rad/s.
     Pose {
-        /// Base from tool.
+        /// Pose of the tool in the base frame.
         pose: Pose,
-        /// Of the tool's origin, m/s.
+        /// Velocity of the tool's origin, m/s.
         linear: nalgebra::Vector3<f64>,
-        /// rad/s.
+        /// Angular velocity of the tool, rad/s.
         angular: nalgebra::Vector3<f64>,
     },
 }
 
 impl Setpoint {
-    /// Index of the first axis, or of the first coordinate of a pose, that is not a finite number.
+    /// Index of the first axis, or of the first coordinate of a pose, with a value that is not finite.
     pub fn not_finite(&self) -> Option<u8> {
         let first = |numbers: &[f64]| numbers.iter().position(|number| !number.is_finite());
         let index = match self {
@@ -96,15 +96,15 @@ impl Setpoint {
     }
 }
 
-/// Where images are fetched from. Only those that a generator declares are.
+/// Source of images. Only the images declared by the generator are read.
 pub trait ImageSource {
-    /// The effector's image now. An error if it measures what the mechanism cannot assume.
+    /// The effector's present image. Fails if the effector measures positions that the mechanism cannot take.
     fn effector(&self) -> Result<EffectorImage, GeneratorError>;
 }
 
-/// A set of images: `()` is none, [`EffectorImage`] is `e`.
+/// A set of images: `()` is the empty set, [`EffectorImage`] is `e`.
 pub trait Images: Sized {
-    /// Its part of the class: `e` is 1, `V` 2, `a0` 4.
+    /// Contribution to the class: `e` is 1, `V` 2, `a0` 4.
     const CLASS: u8;
 
     /// Takes the snapshot.

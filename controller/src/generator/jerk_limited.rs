@@ -11,16 +11,16 @@ use super::newsmooth::whole_macrosteps;
 use super::{Axes, AxesState, EffectorImage, Generator, GeneratorError, MotionLimits, Next};
 use crate::robot::Space;
 
-/// A jerk-limited, time-synchronised motion to a pose, through others on the way. Class 1, sporadic
-/// feedback.
+/// A jerk-limited, time-synchronised motion through intermediate poses to a final pose. Class 1, sporadic feedback.
 ///
-/// Without poses on the way it is time-optimal; with them it passes through each without stopping, near
-/// the optimum but not at it. The trajectory is stretched, by less than a macrostep, to end with one.
+/// Without intermediate poses the motion is time-optimal. With intermediate poses the motion passes through each pose
+/// without stopping, and its duration is near the optimum. The trajectory is stretched by less than a macrostep, so
+/// that it ends with a macrostep.
 ///
-/// The first step solves the whole motion: microseconds for a pose, some 30 ms for six axes through five
-/// poses, during which nothing else of its thread runs. For a single pose it allocates only to refuse;
-/// with poses on the way the solver formats a message for each candidate it discards, hundreds of
-/// allocations a pose. No next step allocates.
+/// The first step solves the whole motion. The computing time is microseconds for one pose, and some 30 ms for six
+/// axes through five poses. Meanwhile the thread runs nothing else. For a single pose only a refusal allocates. With
+/// intermediate poses the solver formats a message for each discarded candidate, which costs hundreds of allocations
+/// per pose. No next step allocates.
 #[derive(Debug)]
 pub struct JerkLimited {
     space: Space,
@@ -38,7 +38,7 @@ pub struct JerkLimited {
 }
 
 impl JerkLimited {
-    /// From where the effector stands through `poses`, for its first `axes` axes.
+    /// A motion from the effector's position through `poses`, for its first `axes` axes.
     pub fn new(
         space: Space,
         axes: usize,
@@ -75,7 +75,7 @@ impl JerkLimited {
         input.target_position = DataArrayOrVec::Stack(target);
         for axis in 0..MAX_AXES {
             input.enabled[axis] = axis < axes;
-            // The solver wants limits of axes that it does not move.
+            // The solver needs limits even for axes that do not move.
             let limit = |limits: &Axes| if axis < axes { limits[axis] } else { 1.0 };
             input.max_velocity[axis] = limit(&limits.max_velocity);
             input.max_acceleration[axis] = limit(&limits.max_acceleration);
@@ -95,8 +95,8 @@ impl JerkLimited {
         })
     }
 
-    /// The same motion, stretched to last this long and then to the end of a macrostep. Its first step refuses a
-    /// time that is too short.
+    /// The same motion, stretched to `duration` and then to the end of a macrostep. Its first step refuses a time
+    /// that is too short.
     #[must_use]
     pub fn lasting(self, duration: Duration) -> Self {
         Self {
@@ -105,7 +105,7 @@ impl JerkLimited {
         }
     }
 
-    /// Macrosteps the planned motion takes; 0 before its first step.
+    /// Number of macrosteps of the planned motion; 0 before its first step.
     pub const fn macrosteps(&self) -> u32 {
         self.macrosteps
     }
@@ -120,7 +120,7 @@ fn masked(position: &Axes, axes: usize) -> Axes {
 impl Generator for JerkLimited {
     type First = EffectorImage;
     type Every = ();
-    /// Macrosteps done.
+    /// Number of macrosteps done.
     type Memory = u32;
 
     fn first_step(

@@ -13,54 +13,55 @@ use super::{
     Next, Pose, Setpoint,
 };
 
-/// Spacing of the poses that are checked beforehand: at most 5 mm and 10 mrad apart.
+/// Spacing of the poses that are checked before the motion: at most 5 mm and 10 mrad.
 const CHECK_DISTANCE: f64 = 0.005;
 const CHECK_ANGLE: f64 = 0.01;
-/// The fewest and the most poses checked beforehand.
+/// Smallest and largest number of poses checked before the motion.
 const CHECKS: (usize, usize) = (32, 2_000);
-/// An axis that moves further than this, rad, between two neighbouring checks has changed its branch.
+/// Largest motion of an axis, rad, between two neighbouring checks. A larger motion is a change of the branch.
 const JUMP: f64 = 0.35;
-/// A line that would have to be walked this many times slower for one axis is refused.
+/// Largest accepted factor by which one axis slows a line.
 const SLOWEST: f64 = 50.0;
-/// Half the path parameter over which joint positions are differentiated. The error of the difference is
-/// q‴ ε² / 6, about 1e-9 relative, and rounding adds 1e-11 / ε of it.
+/// Half the interval of the path parameter for numerical derivatives of joint positions. The truncation error is q‴
+/// ε² / 6, about 1e-9 relative. Rounding adds a relative error of 1e-11 / ε.
 const EPSILON: f64 = 1e-5;
 
-/// What differences of positions lose by rounding, in relation to the tolerances of a planned start.
+/// Rounding error of differences of positions, compared with the tolerances of a planned start.
 const ROUNDING: f64 = 1e-9;
 
 /// Limits of the tool on a line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LineLimits {
-    /// m/s.
+    /// Velocity, m/s.
     pub max_velocity: f64,
-    /// m/s².
+    /// Acceleration, m/s².
     pub max_acceleration: f64,
-    /// m/s³.
+    /// Jerk, m/s³.
     pub max_jerk: f64,
-    /// rad/s.
+    /// Angular velocity, rad/s.
     pub max_angular_velocity: f64,
-    /// rad/s².
+    /// Angular acceleration, rad/s².
     pub max_angular_acceleration: f64,
-    /// rad/s³.
+    /// Angular jerk, rad/s³.
     pub max_angular_jerk: f64,
 }
 
-/// Where a line is planned to begin, and how near to there the arm counts as standing there.
+/// Planned start of a line, and the distance within which the arm counts as standing there.
 ///
-/// Homing takes an arm to its home position but for a remainder: the braking distance behind the index pulse, and some
-/// counts. A line from there must neither inherit the remainder in each of its poses nor be refused for it. An arm of
-/// five axes reaches no pose beside its plane, and next to a singular pose the smallest remainder decides on the branch.
+/// Homing takes an arm to its home position except for a remainder: the braking distance behind the index pulse, and
+/// some counts. A line from there must not contain the remainder in each of its poses, and must not be refused
+/// because of the remainder. An arm of five axes reaches no pose beside its plane. Next to a singular pose the
+/// smallest remainder decides on the branch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlannedStart {
     /// Motor positions, rad.
     pub motors: Axes,
-    /// Greatest distance of each motor from there, rad.
+    /// Largest distance of each motor from these positions, rad.
     pub tolerance: Axes,
 }
 
 impl PlannedStart {
-    /// Whether these motor positions are within the tolerance, but for rounding.
+    /// Whether these motor positions lie within the tolerance, apart from rounding.
     pub fn admits(&self, motors: &Axes) -> bool {
         let distances = motors.iter().zip(&self.motors).map(|(a, b)| (a - b).abs());
         let mut both = distances.zip(&self.tolerance);
@@ -68,23 +69,22 @@ impl PlannedStart {
     }
 }
 
-/// A straight line of the tool's origin with the shortest turn of the tool, both in one jerk-limited
-/// profile. Class 1, sporadic feedback.
+/// A straight line of the tool's origin with the shortest rotation of the tool, both with one jerk-limited profile.
+/// Class 1, sporadic feedback.
 ///
-/// An arm that stands within the tolerance of a [`PlannedStart`] follows the path of that start. Its joints begin beside
-/// the path by a remainder d, which falls to d·(1 − s) at the path parameter s. The end is exact. With the Jacobian J the
-/// tool leaves the straight line from where it stood by (1 − s)·(J(s) − J(0))·d, about d/4 times the length of the path:
-/// 6 µm for 0.25 mrad of the column and 0.1 m.
+/// An arm that stands within the tolerance of a [`PlannedStart`] follows the path from that start. Its joints begin
+/// beside the path by a remainder d, which decreases to d·(1 − s) at the path parameter s. The end is exact. With the
+/// Jacobian J, the tool deviates from the straight line through its actual start by (1 − s)·(J(s) − J(0))·d. The
+/// deviation is about d/4 times the length of the path: 6 µm for 0.25 mrad of the column and 0.1 m.
 ///
-/// Before it begins, every pose of it is checked, at most 5 mm and 10 mrad apart: reach, joint limits,
-/// and no jump from one branch of the inverse kinematics to another; the refusal names the place and the
-/// axis. Where a joint would have to exceed its velocity or acceleration limit, near a singularity
-/// for instance, the whole line is walked slower.
+/// Poses of the line at most 5 mm and 10 mrad apart are checked before the motion. The checks cover reach, joint
+/// limits, and jumps between branches of the inverse kinematics. A refusal names the place and the axis. If a joint
+/// would exceed its velocity or acceleration limit, for instance near a singularity, the whole line is slowed down.
 ///
-/// Poses are on the line at the ends of macrosteps. Between them motors follow cubics, which leave the
-/// line by the fourth derivative of the joint path times macrostep⁴ / 384.
+/// Poses lie on the line at the ends of macrosteps. Between the ends, motors follow cubics. The cubics deviate from
+/// the line by the fourth derivative of the joint path times macrostep⁴ / 384.
 ///
-/// The first step makes two inverse kinematics per checked pose, each next step three; neither allocates.
+/// The first step computes two inverse kinematics per checked pose, each next step three. No step allocates.
 #[derive(Debug)]
 pub struct Line {
     arm: Arm,
@@ -93,7 +93,7 @@ pub struct Line {
     joint_limits: MotionLimits,
     start: Option<PlannedStart>,
     path: Path,
-    /// Joint positions at the start of the motion, less those at the start of the path.
+    /// Joint positions at the start of the motion minus joint positions at the start of the path.
     remainder: Axes,
     solver: Ruckig<1, ThrowErrorHandler>,
     input: InputParameter<1>,
@@ -110,9 +110,9 @@ pub struct Line {
 struct Path {
     from: Pose,
     to: Pose,
-    /// Base frame, m.
+    /// Displacement in the base frame, m.
     displacement: Vector3<f64>,
-    /// Rotation vector in the frame of the first pose, rad, no longer than π.
+    /// Rotation vector in the frame of the first pose, rad, of length π at most.
     turn: Vector3<f64>,
 }
 
@@ -137,7 +137,7 @@ impl Path {
         Pose::from_parts(Translation3::from(position), rotation)
     }
 
-    /// Checks needed so that neighbours are close.
+    /// Number of checks that gives the required spacing.
     fn checks(&self) -> usize {
         let count = (self.displacement.norm() / CHECK_DISTANCE)
             .max(self.turn.norm() / CHECK_ANGLE)
@@ -146,7 +146,7 @@ impl Path {
     }
 }
 
-/// Velocity, acceleration and jerk of the path parameter, 1/s and so on.
+/// Velocity, acceleration and jerk of the path parameter, 1/s, 1/s², 1/s³.
 #[derive(Clone, Copy, Debug)]
 struct Rates {
     velocity: f64,
@@ -154,17 +154,17 @@ struct Rates {
     jerk: f64,
 }
 
-/// Where a line has come to.
+/// Progress of a line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LineMemory {
-    /// Macrosteps done.
+    /// Number of macrosteps done.
     done: u32,
-    /// Joints there, which choose the branch of the next inverse kinematics.
+    /// Present joints, which choose the branch of the next inverse kinematics.
     joints: Axes,
 }
 
 impl Line {
-    /// From where the effector stands to `target`, base from tool.
+    /// A line from the effector's position to `target`, the pose of the tool in the base frame.
     pub fn new(
         arm: Arm,
         target: Pose,
@@ -220,7 +220,8 @@ impl Line {
         })
     }
 
-    /// The same line from a planned start. An arm that stands elsewhere when the line begins goes straight from there.
+    /// The same line from a planned start. An arm that stands elsewhere when the line begins moves straight from its
+    /// position.
     #[must_use]
     pub fn beginning_at(self, start: PlannedStart) -> Self {
         Self {
@@ -229,12 +230,13 @@ impl Line {
         }
     }
 
-    /// Macrosteps the planned line takes; 0 before its first step.
+    /// Number of macrosteps of the planned line; 0 before its first step.
     pub const fn macrosteps(&self) -> u32 {
         self.macrosteps
     }
 
-    /// Lays the path, from the planned start if the arm stands there, and returns the joint positions at its start.
+    /// Sets the path, from the planned start if the arm stands there. Returns the joint positions at the start of the
+    /// path.
     fn lay(&mut self, e: &EffectorImage) -> Result<Axes, GeneratorError> {
         let EffectorState {
             motors,
@@ -257,7 +259,7 @@ impl Line {
         Ok(planned)
     }
 
-    /// What the tool's limits allow on the way from `here`; `None` if there is none.
+    /// The largest rates within the tool's limits on the path from `here`; `None` if there is no motion.
     fn tool_rates(&self, here: &Pose) -> Option<Rates> {
         // A remainder can be longer than the path.
         let way = Path::between(here, &self.target);
@@ -274,7 +276,7 @@ impl Line {
         })
     }
 
-    /// Walks the whole line and returns by how much it must be slowed, at least 1.
+    /// Checks the whole line. Returns the factor by which the line must be slowed down, at least 1.
     fn slowdown(&self, start: &Axes, rates: &Rates) -> Result<f64, GeneratorError> {
         let checks = self.path.checks();
         let ds = 1.0 / checks as f64;
@@ -291,7 +293,7 @@ impl Line {
             let ahead = self.inverse(s, &joints)?;
             self.on_the_way(s, &ahead)?;
             let mut slope = [0.0; servo::MAX_AXES];
-            // The profile can be no faster here than what it gained since, or loses until, the ends.
+            // Acceleration from the start and braking to the end limit the velocity of the profile at this place.
             let reach = (s - ds / 2.0).min(1.0 - s + ds / 2.0);
             let velocity = rates
                 .velocity
@@ -327,7 +329,8 @@ impl Line {
         Ok(slowdown)
     }
 
-    /// The joint positions to command at `s`: those of the path and the rest of the remainder, if the arm can take them.
+    /// The joint positions to command at `s`: the joint positions of the path plus the rest of the remainder. Fails
+    /// if the arm cannot take them.
     fn on_the_way(&self, s: f64, joints: &Axes) -> Result<Axes, GeneratorError> {
         if self.remainder == Axes::default() {
             return Ok(*joints);

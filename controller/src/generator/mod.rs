@@ -1,32 +1,32 @@
-//! Motion generators: what decides, macrostep after macrostep, where an effector goes next.
+//! Motion generators, which compute the set-point of an effector macrostep by macrostep.
 //!
-//! A subcontroller `Cj` knows the world by *images*: of its effector `e`, of its virtual sensors `V`
-//! and of the coordinator's command `a0`; `c` is its own memory. In each step `i` a generator
-//! computes from one snapshot of them (Zieliński, RoManSy 2002, equations 5 to 8)
+//! A subcontroller `Cj` reads the world through *images*: of its effector `e`, of its virtual sensors `V` and of the
+//! coordinator's command `a0`. Its own memory is `c`. In each step `i` a generator computes from one snapshot of
+//! these images (Zieliński, RoManSy 2002, equations 5 to 8)
 //!
 //! ```text
 //! (5) e(i+1)   = fe (c, e, V, a0)      the effector's next state
-//! (6) V(i+1)   = fv (c, e, V, a0)      what the sensors are told
-//! (7) aj0(i+1) = fa (c, e, V, a0)      what the coordinator is answered
+//! (6) V(i+1)   = fv (c, e, V, a0)      the command to the sensors
+//! (7) aj0(i+1) = fa (c, e, V, a0)      the answer to the coordinator
 //! (8) c(i+1)   = fc (c, e, V, a0)      its own memory
 //! ```
 //!
-//! and, before it does so, the *terminal condition* `fT(c, e, V, a0)`. [`Generator`] is that contract;
-//! [`Execution`] walks the flow chart of the paper's figure 3: first step, then, on every new snapshot,
-//! terminal condition and next step.
+//! and, before these functions, the *terminal condition* `fT(c, e, V, a0)`. [`Generator`] is that contract.
+//! [`Execution`] executes the flow chart of the paper's figure 3: first step, then, on every new snapshot, terminal
+//! condition and next step.
 //!
 //! # What a generator may read
-//! It declares the images it reads as types, those of its [first step](Generator::First) (sporadic
-//! feedback) and those of [every next step](Generator::Every) (continuous feedback), and is handed
-//! nothing else. The paper's eight classes follow: *q* = `e` + 2 `V` + 4 `a0` (the numbering is ours).
-//! A generator whose next steps read nothing but its own memory may run ahead of the servo by a few
-//! macrosteps, so that a late controller thread does not starve the motion.
+//! A generator declares the images of its [first step](Generator::First) (sporadic feedback) and of [every next
+//! step](Generator::Every) (continuous feedback) as types. It receives no other image. The paper's eight classes
+//! follow: *q* = `e` + 2 `V` + 4 `a0` (the numbering is that of this project). If the next steps read only the
+//! generator's own memory, the generator may run ahead of the servo by a few macrosteps. A late controller thread
+//! then does not starve the motion.
 //!
-//! Effector images are complete today; `V` and `a0` join as further [`Images`] and as further
-//! optional parts of [`Next`], which no generator written before needs to know.
+//! Effector images are complete today. `V` and `a0` will be added as further [`Images`] and as further optional parts
+//! of [`Next`]. Existing generators will need no change.
 //!
-//! # A generator of one's own
-//! This one swings joint 0 out and back, once. It reads the effector only to learn where it begins.
+//! # A custom generator
+//! This generator swings joint 0 out and back, once. It reads the effector only to find its start.
 //!
 //! ```
 //! use std::f64::consts::TAU;
@@ -75,7 +75,7 @@
 //! }
 //! ```
 //!
-//! Read [`Generator`] first, then [`Wait`] for the smallest one and [`Newsmooth`] for a planned one.
+//! Read [`Generator`] first, then [`Wait`] as the smallest generator and [`Newsmooth`] as a planned generator.
 
 mod arm;
 mod error;
@@ -103,19 +103,19 @@ pub use line::{Line, LineLimits, LineMemory, PlannedStart};
 pub use newsmooth::{Newsmooth, Progress, SmoothPose};
 pub use wait::Wait;
 
-/// Per-axis limits that a generator plans within; entries beyond the robot's axes are not looked at.
+/// Limits of each axis for the planning of a generator. Entries beyond the robot's axes are ignored.
 ///
-/// The servo checks its own limits on the cubics it draws between macrosteps. A cubic through samples
-/// of a trapezoid needs up to 5/3 of the trapezoid's acceleration in the macrostep in which full
-/// acceleration turns into full braking, and may pass its cruise speed by 1/20 of that acceleration times
-/// the macrostep, so the servo's limits must leave that room.
+/// The servo checks its own limits on its cubics between macrosteps. In the macrostep in which full acceleration
+/// turns into full braking, a cubic through samples of a trapezoid needs up to 5/3 of the trapezoid's acceleration.
+/// The cubic may also exceed the cruise speed by 1/20 of that acceleration times the macrostep. The servo's limits
+/// must leave room for both.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionLimits {
-    /// rad/s, or m/s for a linear axis.
+    /// Velocity, rad/s, or m/s for a linear axis.
     pub max_velocity: Axes,
-    /// rad/s² or m/s².
+    /// Acceleration, rad/s², or m/s² for a linear axis.
     pub max_acceleration: Axes,
-    /// rad/s³ or m/s³; only jerk-limited generators look at it.
+    /// Jerk, rad/s³, or m/s³ for a linear axis. Only jerk-limited generators use this limit.
     pub max_jerk: Axes,
 }
 
@@ -150,26 +150,26 @@ impl MotionLimits {
 
 /// The functions (5) to (8) and the terminal condition of one motion instruction.
 ///
-/// Next steps take `&self`, the old memory and one snapshot, and return what follows; the runner
-/// commits it as a whole. What a plan needs is laid down in `self` by the first step. Next steps must
-/// not allocate or block: each has one macrostep, less the report's lead, until the servo needs it.
+/// Next steps take `&self`, the old memory and one snapshot, and return a [`Next`], which the runner commits as a
+/// whole. The first step stores its plan in `self`. Next steps must not allocate or block: the servo needs each
+/// result within one macrostep, less the report's lead.
 pub trait Generator {
     /// Images the first step reads: sporadic feedback.
     type First: Images;
     /// Images that the terminal condition and every next step read: continuous feedback.
     type Every: Images;
-    /// Its own memory, `c`.
+    /// Type of the generator's own memory, `c`.
     type Memory: Copy;
 
-    /// Plans the motion and gives the first outputs and memory. The effector stands. Here, and only
-    /// here, a generator may take longer than a macrostep.
+    /// Plans the motion and returns the first outputs and memory. The effector stands. Only this function may take
+    /// longer than a macrostep.
     fn first_step(
         &mut self,
         images: &Self::First,
         macrostep: Duration,
     ) -> Result<Next<Self::Memory>, GeneratorError>;
 
-    /// `fT`: whether the instruction ends. Asked on each new snapshot before [`next_step`](Self::next_step).
+    /// `fT`: whether the instruction ends. Evaluated on each new snapshot before [`next_step`](Self::next_step).
     fn terminal(&self, memory: &Self::Memory, images: &Self::Every) -> bool;
 
     /// (5) to (8): the outputs and the memory of the next step.
@@ -185,19 +185,19 @@ pub const fn class<G: Generator>() -> u8 {
     G::First::CLASS | G::Every::CLASS
 }
 
-/// What one step computes, committed as a whole.
+/// Result of one step, committed as a whole.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Next<M> {
-    /// (5) Where the effector is to be at the end of the next macrostep. `None` asks nothing of it: after
-    /// a first step no macrostep is sent, after a next step the effector stands through one.
+    /// (5) The effector's state at the end of the next macrostep. With `None`, a first step sends no macrostep, and a
+    /// next step lets the effector stand for one macrostep.
     pub effector: Option<Setpoint>,
     /// (8) The memory of the next step.
     pub memory: M,
 }
 
 impl<M> Next<M> {
-    /// Commands the effector.
+    /// A result with a command to the effector.
     pub const fn command(effector: Setpoint, memory: M) -> Self {
         Self {
             effector: Some(effector),
@@ -205,7 +205,7 @@ impl<M> Next<M> {
         }
     }
 
-    /// Asks nothing of the effector.
+    /// A result without a command to the effector.
     pub const fn remember(memory: M) -> Self {
         Self {
             effector: None,

@@ -10,7 +10,7 @@ use super::{
 };
 use crate::robot::Space;
 
-/// The most macrosteps one motion may take: almost six hours at 20 ms.
+/// Largest number of macrosteps of one motion: almost six hours at 20 ms.
 pub(super) const MAX_MACROSTEPS: u32 = 1 << 20;
 
 impl Space {
@@ -32,16 +32,16 @@ impl Space {
 /// One pose of a [`Newsmooth`] motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SmoothPose {
-    /// Where to.
+    /// Target position.
     pub position: Axes,
-    /// How much of each axis' velocity limit may be used on the way there, in (0, 1].
+    /// Fraction of each axis' velocity limit on the segment to this pose, in (0, 1].
     pub velocity: Axes,
-    /// How much of each axis' acceleration limit may be used on the way there, in (0, 1].
+    /// Fraction of each axis' acceleration limit on the segment to this pose, in (0, 1].
     pub acceleration: Axes,
 }
 
 impl SmoothPose {
-    /// There, with the limits used in full.
+    /// A pose with the full limits.
     pub const fn fast(position: Axes) -> Self {
         Self {
             position,
@@ -51,16 +51,18 @@ impl SmoothPose {
     }
 }
 
-/// A time-synchronised motion through a list of poses, with constant accelerations and without a
-/// stop where an axis goes on in its direction. Class 1, sporadic feedback.
+/// A time-synchronised motion through a list of poses, with constant accelerations. An axis does not stop at a pose
+/// if it continues in the same direction. Class 1, sporadic feedback.
 ///
-/// Every pose is met exactly, at the end of a macrostep. Each segment lasts as long as its slowest axis
-/// needs, rounded up to whole macrosteps, and the other axes are stretched to that time. An axis stands
-/// at a pose where it turns back, rests next or that is the last; elsewhere it passes at no more than
-/// the smaller of its two cruise speeds, those of the stretched axes, and at no more than what it could
-/// lose again within either segment. With that bound each segment can be planned for itself, once.
+/// Every pose is reached exactly, at the end of a macrostep. Each segment lasts as long as its slowest axis needs,
+/// rounded up to whole macrosteps. The other axes are stretched to the same duration.
 ///
-/// The first step takes time in proportion to the number of poses and does not allocate.
+/// An axis stops at a pose if it reverses there, if it rests in the next segment, or if the pose is the last. At any
+/// other pose the speed of the axis has two bounds. The first bound is the smaller of its cruise speeds in the two
+/// segments, after stretching. The second bound is the speed that the axis can lose again within either segment. The
+/// second bound allows each segment to be planned independently, and only once.
+///
+/// The computing time of the first step is proportional to the number of poses. The first step does not allocate.
 #[doc(alias = "smooth")]
 #[derive(Clone, Debug)]
 pub struct Newsmooth {
@@ -80,17 +82,17 @@ struct Segment {
     profiles: [Trapezoid; MAX_AXES],
 }
 
-/// How far a motion has come.
+/// Progress of a motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Progress {
-    /// Segments done.
+    /// Number of segments done.
     segment: usize,
-    /// Macrosteps done of the next one.
+    /// Number of macrosteps done in the next segment.
     macrostep: u32,
 }
 
 impl Newsmooth {
-    /// From where the effector stands through `poses`, for its first `axes` axes.
+    /// A motion from the effector's position through `poses`, for its first `axes` axes.
     pub fn new(
         space: Space,
         axes: usize,
@@ -137,7 +139,7 @@ impl Newsmooth {
         })
     }
 
-    /// Macrosteps the planned motion takes; 0 before its first step.
+    /// Number of macrosteps of the planned motion; 0 before its first step.
     pub fn macrosteps(&self) -> u64 {
         self.segments
             .iter()
@@ -145,7 +147,7 @@ impl Newsmooth {
             .sum()
     }
 
-    /// Signed distance of one axis on the way to pose `index`; none beyond the last.
+    /// Signed distance of one axis in the segment to pose `index`; zero beyond the last pose.
     fn distance(&self, start: &Axes, index: usize, axis: usize) -> f64 {
         let Some(pose) = self.poses.get(index) else {
             return 0.0;
@@ -158,8 +160,8 @@ impl Newsmooth {
         pose.position[axis] - from[axis]
     }
 
-    /// Speed of each axis on the way to pose `index` if it went all the way at one speed and arrived
-    /// with the slowest.
+    /// Speed of each axis in the segment to pose `index`, for a motion at constant speed with the duration of the
+    /// slowest axis.
     fn cruise(&self, start: &Axes, index: usize) -> Axes {
         let mut time: f64 = 0.0;
         for axis in 0..self.axes {
@@ -175,7 +177,7 @@ impl Newsmooth {
         speeds
     }
 
-    /// Whether an axis goes on in its direction past pose `index`.
+    /// Whether an axis continues in the same direction past pose `index`.
     fn passes(&self, start: &Axes, index: usize, axis: usize) -> bool {
         self.distance(start, index, axis) * self.distance(start, index + 1, axis) > 0.0
     }
@@ -191,7 +193,7 @@ impl Newsmooth {
             if !self.passes(start, index, axis) {
                 continue;
             }
-            // Of a segment's 2 a s, each of its ends may claim half; all of it if the other end is a stand.
+            // Each end of a segment may use half of 2 a s, or all of it if the axis stands at the other end.
             let claim = |segment: usize, other_end_stands: bool| {
                 let a = self.poses[segment].acceleration[axis] * self.limits.max_acceleration[axis];
                 let s = self.distance(start, segment, axis).abs();
@@ -254,7 +256,7 @@ impl Newsmooth {
     }
 }
 
-/// The least number of macrosteps that lasts `seconds`; a billionth of one is forgiven.
+/// Smallest number of macrosteps that lasts at least `seconds`, with a tolerance of a billionth of a macrostep.
 pub(super) fn whole_macrosteps(seconds: f64, macrostep: f64) -> Result<u32, GeneratorError> {
     let count = (seconds / macrostep - 1e-9).ceil().max(0.0);
     if count <= f64::from(MAX_MACROSTEPS) {

@@ -1,11 +1,11 @@
 //! Trapezoidal velocity profile of one axis over one segment.
 
-/// One axis over one segment: from `start_velocity` to `cruise`, along, and on to `end_velocity`, with
-/// one acceleration. Position counts from the segment's start in the direction of travel.
+/// One axis over one segment: from `start_velocity` to `cruise`, at `cruise`, and on to `end_velocity`, with one
+/// acceleration. Position counts from the segment's start in the direction of travel.
 ///
-/// Whether the axis speeds up or brakes on either side of the cruise follows from the three speeds, so
-/// this one form is all of accelerate-decelerate, accelerate-accelerate, constant,
-/// decelerate-decelerate and the dip (brake, creep, speed up).
+/// The three speeds determine whether the axis accelerates or brakes before and after the cruise. The same form
+/// therefore covers accelerate-decelerate, accelerate-accelerate, constant, decelerate-decelerate and the dip (brake,
+/// slow travel, accelerate).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Trapezoid {
     distance: f64,
@@ -18,11 +18,11 @@ pub(super) struct Trapezoid {
     last: f64,
 }
 
-/// What a segment asks of one axis: all speeds are along the direction of travel, not negative, and
+/// Course of one axis over a segment. All speeds are along the direction of travel and not negative, and
 /// `start_velocity² + end_velocity² <= 2 acceleration · distance`.
 ///
-/// That condition is what makes planning final at once: the axis could brake to a stand and speed up
-/// again within the segment, so every duration from the shortest one up has a profile.
+/// With this condition the axis could brake to a standstill and accelerate again within the segment. Every duration
+/// from the shortest duration on therefore has a profile, and planning needs no second pass.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Course {
     pub(super) distance: f64,
@@ -32,7 +32,7 @@ pub(super) struct Course {
 }
 
 impl Course {
-    /// The shortest time, s, at no more than `max_velocity`.
+    /// The shortest time with at most `max_velocity`, s.
     pub(super) fn shortest(&self, max_velocity: f64) -> f64 {
         let Self {
             distance: s,
@@ -43,8 +43,7 @@ impl Course {
         if s <= 0.0 {
             return 0.0;
         }
-        // Speeding up to `peak` and braking from it uses up the whole distance when
-        // (2 peak² − vp² − vk²) / 2a = s.
+        // Acceleration to `peak` and braking from `peak` use the whole distance when (2 peak² − vp² − vk²) / 2a = s.
         let peak = (a * s + (vp * vp + vk * vk) / 2.0)
             .sqrt()
             .min(max_velocity)
@@ -54,7 +53,7 @@ impl Course {
         (2.0 * peak - vp - vk) / a + (s - ramps).max(0.0) / peak
     }
 
-    /// The profile that takes exactly `duration`, which is no less than the shortest time.
+    /// The profile with exactly this `duration`, which is at least the shortest time.
     pub(super) fn lasting(&self, duration: f64) -> Trapezoid {
         let cruise = self.cruise(duration);
         let Self {
@@ -66,7 +65,7 @@ impl Course {
         let mut first = (cruise - start_velocity).abs() / acceleration;
         let mut last = (end_velocity - cruise).abs() / acceleration;
         let ramps = first + last;
-        // At the shortest time the ramps meet, and rounding must not let them overlap.
+        // At the shortest time the ramps meet. Rounding must not make the ramps overlap.
         if ramps > duration {
             first *= duration / ramps;
             last *= duration / ramps;
@@ -82,9 +81,9 @@ impl Course {
         }
     }
 
-    /// The cruise speed `c` for which the distance covered in `t`,
-    /// `c t − sgn(c − vp) (c − vp)² / 2a − sgn(c − vk) (c − vk)² / 2a`, is the one asked for.
-    /// It grows with `c`; each of the three ranges has its closed solution.
+    /// The cruise speed `c` for the requested distance. The distance covered in `t` is
+    /// `c t − sgn(c − vp) (c − vp)² / 2a − sgn(c − vk) (c − vk)² / 2a`.
+    /// The distance grows with `c`. Each of the three ranges of `c` has a closed solution.
     fn cruise(&self, t: f64) -> f64 {
         let Self {
             distance: s,
@@ -127,7 +126,7 @@ impl Trapezoid {
         } else if rest <= 0.0 {
             (self.distance, self.end_velocity)
         } else if rest < self.last {
-            // Counted back from the end, so that the end is met exactly.
+            // Time is counted back from the end, so that the end is met exactly.
             let a = (self.end_velocity - self.cruise) / self.last;
             (
                 self.distance - rest * (self.end_velocity - a * rest / 2.0),

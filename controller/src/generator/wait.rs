@@ -4,18 +4,18 @@ use std::time::Duration;
 
 use super::{Generator, GeneratorError, Next};
 
-/// Stands for a time, rounded up to whole macrosteps. Class 0: it reads nothing but its own memory.
+/// Stands for a time, rounded up to whole macrosteps. Class 0: a wait reads only its own memory.
 #[doc(alias = "sleep")]
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Wait {
-    /// How long.
+    /// Duration of the standstill.
     pub duration: Duration,
 }
 
 impl Generator for Wait {
     type First = ();
     type Every = ();
-    /// Macrosteps still to stand.
+    /// Remaining macrosteps of standstill.
     type Memory = u64;
 
     fn first_step(&mut self, _: &(), macrostep: Duration) -> Result<Next<u64>, GeneratorError> {

@@ -6,8 +6,8 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vect
 
 use super::{ArmParameters, Jacobian, KinematicsError, Limits, Link, solutions::Search};
 
-/// Below this sine of the angle between two axes they count as parallel, and below this distance, m,
-/// a point counts as lying on an axis. A pose so close to a singularity is met within the same bound.
+/// Two axes with a smaller sine of the enclosed angle count as parallel. A point with a smaller distance, m, counts
+/// as lying on an axis. A pose this close to a singularity is reached within the same bound.
 pub(super) const PARALLEL: f64 = 1e-10;
 
 pub(super) const COLUMN: usize = 0;
@@ -32,14 +32,14 @@ impl Posture {
         }
     }
 
-    /// The wrist before its roll.
+    /// Orientation of the wrist before its roll.
     pub(super) fn wrist(&self) -> Matrix3<f64> {
         wrist((self.sin[0], self.cos[0]), (self.sin[3], self.cos[3]))
     }
 }
 
-/// `base_from_wrist` before the roll, for the sine and cosine of column and pitch. Its z axis is the
-/// roll axis; the column turns it by th1 about the vertical, the pitch by th4 about its own -y axis.
+/// `base_from_wrist` before the roll, for the sine and cosine of column and pitch. The z axis is the roll axis. The
+/// column rotates the wrist by th1 about the vertical, the pitch by th4 about the wrist's own -y axis.
 pub(super) fn wrist((s1, c1): (f64, f64), (s4, c4): (f64, f64)) -> Matrix3<f64> {
     Matrix3::new(
         c1 * s4,
@@ -54,8 +54,8 @@ pub(super) fn wrist((s1, c1): (f64, f64), (s4, c4): (f64, f64)) -> Matrix3<f64> 
     )
 }
 
-/// A column angle and a pitch at which branches are sought, as (sine, cosine), and the flange's origin
-/// in the vertical plane they face: `reach` m ahead, negative behind, and `height` m above the base.
+/// A column angle and a pitch for which branches are sought, as (sine, cosine), and the flange origin in the vertical
+/// plane of the arm. The flange origin lies `reach` m ahead, negative behind, and `height` m above the base.
 pub(super) struct Facing {
     pub(super) th1: (f64, f64),
     pub(super) pitch: (f64, f64),
@@ -63,7 +63,7 @@ pub(super) struct Facing {
     pub(super) height: f64,
 }
 
-/// Distance of the flange's origin from the column's axis, where th1 is determined, m.
+/// Distance of the flange origin from the column axis, m. Fails on the column axis, where th1 is undetermined.
 pub(super) fn radius(origin: &Vector3<f64>) -> Result<f64, KinematicsError> {
     let radius = (origin.x * origin.x + origin.y * origin.y).sqrt();
     if radius < PARALLEL {
@@ -84,7 +84,7 @@ pub(super) fn pose(origin: Vector3<f64>, axes: Matrix3<f64>) -> Isometry3<f64> {
     )
 }
 
-/// Origin and axes of a pose; refuses what is not finite.
+/// Origin and axes of a pose. Refuses values that are not finite.
 pub(super) fn parts(
     pose: &Isometry3<f64>,
 ) -> Result<(Vector3<f64>, Matrix3<f64>), KinematicsError> {
@@ -98,7 +98,7 @@ pub(super) fn parts(
 }
 
 impl ArmParameters {
-    /// The links that hang in the arm's plane, with the axes that incline them.
+    /// The links in the arm's plane: length, and the axis that sets the inclination.
     fn lengths(&self) -> [(usize, f64); 3] {
         [
             (SHOULDER, self.lower_arm_length),
@@ -107,7 +107,7 @@ impl ArmParameters {
         ]
     }
 
-    /// The flange's origin in the base frame.
+    /// The flange origin in the base frame.
     pub(super) fn origin(&self, Posture { sin, cos }: &Posture) -> Vector3<f64> {
         let (mut reach, mut drop) = (0.0, 0.0);
         for (axis, length) in self.lengths() {
@@ -117,7 +117,7 @@ impl ArmParameters {
         Vector3::new(cos[0] * reach, sin[0] * reach, self.shoulder_height - drop)
     }
 
-    /// The Jacobian's columns of th1 .. th5; those behind stay zero.
+    /// The Jacobian's columns of th1 .. th5. The columns of later axes stay zero.
     pub(super) fn jacobian(&self, posture: &Posture) -> Jacobian {
         let mut jacobian = Jacobian::zeros();
         let Posture { sin, cos } = posture;
@@ -142,8 +142,8 @@ impl ArmParameters {
         jacobian
     }
 
-    /// The links of th1 .. th5. Each turns about its own z axis; the x axis of lower arm, upper arm and wrist lies
-    /// along them, level at zero, and y points down then.
+    /// The links of th1 .. th5. Each link turns about its own z axis. The x axes of lower arm, upper arm and wrist
+    /// lie along the links and are level at zero. The y axes then point down.
     pub(super) fn links(&self, limits: &[Limits]) -> Vec<Link> {
         let on = |length| Isometry3::translation(length, 0.0, 0.0);
         let shoulder = Isometry3::rotation(Vector3::x() * -FRAC_PI_2);
@@ -161,8 +161,8 @@ impl ArmParameters {
         ]
     }
 
-    /// Follows the branches of one column angle and one pitch. `set_wrist` sets the axes behind the
-    /// pitch, given the wrist's frame before its roll.
+    /// Follows the branches of one column angle and one pitch. `set_wrist` sets the axes after the pitch from the
+    /// wrist's frame before its roll.
     pub(super) fn branches<const N: usize>(
         &self,
         search: &mut Search<'_, N>,
@@ -195,8 +195,8 @@ impl ArmParameters {
         }
     }
 
-    /// Sine and cosine of the two th2 that let the pitch axis stand `reach` m ahead of the shoulder and
-    /// `drop` m below it, or how much the arm lacks, m.
+    /// Sine and cosine of the two th2 for which the pitch axis lies `reach` m ahead of the shoulder and `drop` m
+    /// below the shoulder. Fails with the distance by which the point is out of reach, m.
     fn shoulders(&self, reach: f64, drop: f64) -> Result<[(f64, f64); 2], f64> {
         let (lower, upper) = (self.lower_arm_length, self.upper_arm_length);
         let square = reach * reach + drop * drop;

@@ -13,32 +13,33 @@ use super::{
 /// The only axis of the devices here.
 const AXIS: u8 = 0;
 
-/// How far a pose may be off the way of such a device by rounding, m and rad.
+/// Tolerance for rounding errors in the distance of a pose from the path of such a device, m and rad.
 const OFF_AXIS: f64 = 1e-9;
 
-/// Numbers of one two-finger gripper: one motor, two jaws.
+/// Parameters of one two-finger gripper: one motor, two jaws.
 ///
-/// The opening, m, is `square`·m² + `linear`·m + `constant` for the motor position m, rad.
+/// For the motor position m, rad, the opening is `square`·m² + `linear`·m + `constant`, in m.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct GripperParameters {
-    /// m/rad².
+    /// Coefficient of m², m/rad².
     pub square: f64,
-    /// m/rad.
+    /// Coefficient of m, m/rad.
     pub linear: f64,
-    /// m.
+    /// Constant term, m.
     pub constant: f64,
     /// Motor position at home, rad.
     pub motor_at_home: f64,
-    /// Range of the motor, rad. The jaws open up to the polynomial's vertex and close again past it.
+    /// Range of the motor, rad. The jaws open up to the vertex of the polynomial and close again beyond the vertex.
     pub motor_limits: Limits,
     /// Range of the opening, m.
     pub opening_limits: Limits,
 }
 
 impl GripperParameters {
-    /// The gripper of the WUT robots (public code). The sign of `linear` is the one by which its home is within its
-    /// openings; the code has the other. Its vertex is at 2564 rad (derived), its home past it.
+    /// The gripper of the WUT robots (public code). The sign of `linear` is chosen so that home lies within the
+    /// openings; the public code has the other sign. The vertex is at 2564 rad (derived), with home beyond the
+    /// vertex.
     #[doc(alias = "tfg")]
     pub const fn two_finger() -> Self {
         Self {
@@ -57,19 +58,20 @@ impl GripperParameters {
         }
     }
 
-    /// Opening of the jaws, m, at a motor position, rad. Looks at no limit: it serves measured positions.
+    /// Opening of the jaws, m, at a motor position, rad. No limit is checked, so that measured positions can be
+    /// converted.
     pub fn opening(&self, motor: f64) -> Result<f64, KinematicsError> {
         finite((self.square * motor + self.linear) * motor + self.constant)
     }
 
-    /// Motor position, rad, for an opening of the jaws, m, both within their limits: of the two positions
-    /// that have it the one nearer to `near`.
+    /// Motor position, rad, for an opening of the jaws, m, both within their limits. Of the two positions with this
+    /// opening the one nearer to `near` is returned.
     pub fn motor(&self, opening: f64, near: f64) -> Result<f64, KinematicsError> {
         within(&self.opening_limits, opening, Space::Joint)?;
         finite(near)?;
         let excess = opening - self.constant;
         let root = (self.linear * self.linear + 4.0 * self.square * excess).sqrt();
-        // This form of the solution keeps its digits where square or excess are small.
+        // This form of the solution stays accurate where `square` or `excess` is small.
         let opens = 2.0 * excess / (self.linear + root);
         let closes = -self.linear / self.square - opens;
         let mut ways = [opens, closes];
@@ -82,21 +84,21 @@ impl GripperParameters {
     }
 }
 
-/// Numbers of one conveyor: a belt behind a gear.
+/// Parameters of one conveyor: a belt behind a gear.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ConveyorParameters {
-    /// Motor rad per m of belt.
+    /// Motor angle per displacement of the belt, rad/m.
     pub ratio: f64,
     /// Motor position at home, rad.
     pub motor_at_home: f64,
-    /// Range of the motor, rad: what its counter holds, for the belt has no end.
+    /// Range of the motor, rad. The belt is endless, and the range is that of the counter.
     pub motor_limits: Limits,
 }
 
 impl ConveyorParameters {
-    /// The conveyor of the WUT laboratory (public code); 4000 counts per revolution make 0.70 µm each. Derived: a
-    /// 32-bit counter of as many counts holds the motor's range, ±1489 m of belt.
+    /// The conveyor of the WUT laboratory (public code). With 4000 counts per revolution, one count is 0.70 µm.
+    /// Derived: a 32-bit counter of these counts covers the motor's range, ±1489 m of belt.
     pub const fn belt() -> Self {
         Self {
             ratio: 2250.0,
@@ -119,11 +121,12 @@ impl ConveyorParameters {
     }
 }
 
-/// The two-finger gripper as a robot of one axis: its joint is the opening of the jaws, m, and its flange moves by
-/// it along x.
+/// The two-finger gripper as a robot of one axis. Its joint is the opening of the jaws, m. Its flange moves along x
+/// by the opening.
 ///
-/// An opening belongs to two motor positions, on either side of the polynomial's vertex. Motors are a function of the
-/// joints, so the gripper works on the side of its home, and its joint has the range of that side.
+/// Two motor positions give the same opening, one on either side of the vertex of the polynomial. The motor position
+/// must be a function of the joint. The gripper therefore uses only the side of its home position, and its joint has
+/// the range of that side.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Gripper {
     parameters: GripperParameters,
@@ -132,7 +135,7 @@ pub struct Gripper {
 }
 
 impl Gripper {
-    /// The gripper of these numbers, or what is wrong with them.
+    /// A gripper with these parameters. Fails if a parameter is invalid.
     pub fn new(parameters: &GripperParameters) -> Result<Self, ParameterError> {
         let name = "jaws";
         let GripperParameters {
@@ -177,14 +180,14 @@ impl Gripper {
     }
 }
 
-/// The conveyor as a robot of one axis without end: its joint is the position of the belt, m, along x.
+/// The endless conveyor as a robot of one axis. Its joint is the position of the belt, m, along x.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Conveyor {
     parameters: ConveyorParameters,
 }
 
 impl Conveyor {
-    /// The conveyor of these numbers, or what is wrong with them.
+    /// A conveyor with these parameters. Fails if a parameter is invalid.
     pub fn new(parameters: &ConveyorParameters) -> Result<Self, ParameterError> {
         let name = "belt";
         finite_parameter(name, parameters.ratio)?;
@@ -365,7 +368,7 @@ mod tests {
             let back = gripper.motor(opening, motor).unwrap();
             assert!((back - motor).abs() < 1e-6, "{motor} {back}");
         }
-        // Far from there only one of the two is within the motor's range.
+        // Far from the vertex only one of the two positions lies within the motor's range.
         let back = gripper.motor(0.056_649_599_26, 5000.0).unwrap();
         assert!((back + 1000.0).abs() < 1e-6, "{back}");
     }
@@ -407,7 +410,7 @@ mod tests {
         assert!((motors[0] - 4830.0).abs() < 1e-6, "{motors:?}");
         let pose = gripper.forward(&home).unwrap();
         assert_eq!(*gripper.inverse(&pose, &home).unwrap().preferred(), home);
-        // The other side alone has this opening.
+        // Only motor positions on the other side of the vertex have this opening.
         let narrow = gripper.motors_from_joints(&one(0.06)).unwrap_err();
         assert_eq!(narrow.axis(), Some(0));
         let mut other = GripperParameters::two_finger();

@@ -11,7 +11,7 @@ use super::{KinematicsError, Limits, Space};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct GearAxis {
-    /// Motor rad per joint rad (per m for a linear joint); negative where they turn against each other.
+    /// Motor angle per joint angle (per metre for a linear joint), negative if they turn in opposite directions.
     pub ratio: f64,
     /// Joint position at home, rad.
     pub joint_at_home: f64,
@@ -23,14 +23,14 @@ pub struct GearAxis {
     pub motor_limits: Limits,
 }
 
-/// An axis turned by a ball screw across a triangle: the screw is the side opposite to the joint.
+/// An axis driven by a ball screw across a triangle. The screw is the side opposite to the joint.
 ///
-/// The screw's length L obeys L² = `squared` + `cosine`·cos θ + `sine`·sin θ (law of cosines, with the
-/// angles at which crank and frame are mounted folded into the two coefficients).
+/// The length L of the screw follows from the law of cosines: L² = `squared` + `cosine`·cos θ + `sine`·sin θ. The two
+/// coefficients include the angles at which crank and frame are mounted.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ScrewAxis {
-    /// Screw travel per motor turn, m; positive where the screw lengthens as the motor turns forward.
+    /// Screw travel per motor turn, m, positive if the screw lengthens as the motor turns forward.
     pub lead: f64,
     /// Sum of the squares of the triangle's fixed lengths, m².
     #[doc(alias = "sl123")]
@@ -45,7 +45,7 @@ pub struct ScrewAxis {
     pub length_at_home: f64,
     /// Motor position at home, rad.
     pub motor_at_home: f64,
-    /// Range of the joint, rad; the screw must lengthen with the angle all over it.
+    /// Range of the joint, rad. The screw must lengthen with the angle over the whole range.
     pub joint_limits: Limits,
     /// Range of the motor, rad.
     pub motor_limits: Limits,
@@ -58,13 +58,13 @@ impl ScrewAxis {
         (self.squared + self.cosine * cos + self.sine * sin).sqrt()
     }
 
-    /// Twice the length times its derivative by the joint angle, m²/rad.
+    /// Twice the product of the length and its derivative by the joint angle, m²/rad.
     fn slope(&self, joint: f64) -> f64 {
         let (sin, cos) = joint.sin_cos();
         self.sine * cos - self.cosine * sin
     }
 
-    /// The joint angle at a screw length, or the nearest length that a triangle can have.
+    /// The joint angle for a screw length. Fails with the nearest length that a triangle can have.
     pub(super) fn joint(&self, length: f64) -> Result<f64, f64> {
         let swing = self.cosine.hypot(self.sine);
         let excess = length * length - self.squared;
@@ -75,14 +75,14 @@ impl ScrewAxis {
         if excess > swing {
             return Err((self.squared + swing).sqrt());
         }
-        // Of the two triangles with this length the one that opens as the screw lengthens.
+        // Of the two triangles with this length, the one whose angle grows as the screw lengthens.
         let slope = (swing * swing - excess * excess).max(0.0).sqrt();
         let sin = self.sine * excess - self.cosine * slope;
         let cos = self.cosine * excess + self.sine * slope;
         Ok(sin.atan2(cos))
     }
 
-    /// Whether each angle of the range has one screw length and each length one angle.
+    /// Whether angles and screw lengths correspond one to one over the range.
     pub(super) fn is_unambiguous(&self) -> bool {
         let Limits { low, high } = self.joint_limits;
         let shortest = self.squared - self.cosine.hypot(self.sine);
@@ -96,7 +96,7 @@ impl ScrewAxis {
     }
 }
 
-/// What stands between one motor and its joint.
+/// Transmission between one motor and its joint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Transmission {
     Gear(GearAxis),
@@ -107,8 +107,8 @@ pub(super) enum Transmission {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Axis {
     pub(super) transmission: Transmission,
-    /// The axis of a lower index whose motor turns this axis one to one: the motor of this axis sits before that
-    /// joint and reaches past it through a differential.
+    /// Axis of a lower index that carries this axis. The motor of this axis sits before that joint and acts across it
+    /// through a differential. The motor of that axis therefore turns this axis one to one.
     pub(super) carried_by: Option<usize>,
 }
 
@@ -129,8 +129,8 @@ impl Axis {
         }
     }
 
-    /// Range of the joint in which a geared one's motor is within its limits too, while others carry it by
-    /// `carried` rad.
+    /// Range of the joint. For a gear, the range also keeps the motor within its limits while other axes carry the
+    /// motor by `carried` rad.
     fn range(&self, carried: f64) -> Limits {
         let Transmission::Gear(gear) = &self.transmission else {
             return self.limits(Space::Joint);
@@ -144,7 +144,7 @@ impl Axis {
         }
     }
 
-    /// How far the motor is from home for this joint position, were it not carried, rad.
+    /// Motor angle from home for this joint position, without the motion of carrying axes, rad.
     fn travel(&self, joint: f64) -> f64 {
         match &self.transmission {
             Transmission::Gear(gear) => gear.ratio * (joint - gear.joint_at_home),
@@ -154,7 +154,7 @@ impl Axis {
         }
     }
 
-    /// The inverse of [`Axis::travel`], or the nearest travel that has one.
+    /// The inverse of [`Axis::travel`]. Fails with the nearest travel that has a joint position.
     fn joint(&self, travel: f64) -> Result<f64, f64> {
         match &self.transmission {
             Transmission::Gear(gear) => Ok(travel / gear.ratio + gear.joint_at_home),
@@ -165,13 +165,13 @@ impl Axis {
     }
 }
 
-/// All axes of a robot between motors and joints.
+/// All axes of a robot, between motors and joints.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct DriveTrain<const N: usize> {
     axes: [Axis; N],
     joint_limits: [Limits; N],
     motor_limits: [Limits; N],
-    /// Range of each joint within the limits of both, were it not carried.
+    /// Range of each joint within the limits of joint and motor, without the motion of carrying axes.
     ranges: [Limits; N],
 }
 
@@ -202,7 +202,7 @@ impl<const N: usize> DriveTrain<N> {
         check(&self.joint_limits[axis], joint, axis, Space::Joint)
     }
 
-    /// Motor positions for joints; both within their limits.
+    /// Motor positions for joints. Both are checked against their limits.
     pub(super) fn motors_from_joints(
         &self,
         joints: &[f64; N],
@@ -223,7 +223,7 @@ impl<const N: usize> DriveTrain<N> {
         Ok(motors)
     }
 
-    /// Joints for motor positions, wherever the mechanism can be.
+    /// Joints for motor positions. Only positions that the mechanism cannot take are refused.
     pub(super) fn joints_from_motors(
         &self,
         motors: &[f64; N],
@@ -247,15 +247,15 @@ impl<const N: usize> DriveTrain<N> {
         Ok(joints)
     }
 
-    /// `angle` plus the whole turns that bring a geared joint nearest to `near` and, if any turn does,
-    /// within the limits of joint and motor. `joints` holds the axes that carry this one.
+    /// `angle` plus the whole turns that bring a geared joint nearest to `near`. Turns within the limits of joint and
+    /// motor are preferred, if there are any. `joints` holds the axes that carry this axis.
     pub(super) fn turn(&self, index: usize, angle: f64, joints: &[f64; N], near: f64) -> f64 {
         let range = match self.axes[index].carried_by {
             Some(by) => self.axes[index].range(self.carried(by, joints)),
             None => self.ranges[index],
         };
         let mut nearest = angle;
-        // Most angles are there already, and rounding is a call.
+        // Most angles need no turn, and rounding is a function call.
         if (near - angle).abs() > PI {
             nearest += TAU * ((near - angle) / TAU).round();
         }
@@ -271,7 +271,7 @@ impl<const N: usize> DriveTrain<N> {
         }
     }
 
-    /// Sum of the turns of an axis and of the axes that carry it, rad.
+    /// Sum of the motor angles of an axis and of the axes that carry the axis, rad.
     fn carried(&self, axis: usize, joints: &[f64; N]) -> f64 {
         let carriers = std::iter::successors(Some(axis), |&by| self.axes[by].carried_by);
         carriers.map(|by| self.axes[by].travel(joints[by])).sum()

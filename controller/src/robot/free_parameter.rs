@@ -1,10 +1,10 @@
-//! How a robot of seven axes chooses the parameter that a pose leaves open.
+//! Choice of the parameter that a pose leaves open for a robot of seven axes.
 //!
-//! The choice depends on the present posture and on the distance of the pose from there. A robot that is told to
-//! stand does not move, and a densely sampled path gives joints without jumps.
+//! The choice depends on the present posture and on the distance from there to the pose. A robot that is told to
+//! stand does not move. A densely sampled path gives joints without jumps.
 
-/// A range of the free parameter from which an inner one is cut out: `outer` about `centre` and between
-/// `low` and `high`, without what is closer than `inner` to `centre`.
+/// A range of the free parameter with a gap. The range reaches `outer` to either side of `centre`, limited by `low`
+/// and `high`. Points nearer than `inner` to `centre` are excluded.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Ring {
     pub(super) centre: f64,
@@ -15,10 +15,10 @@ pub(super) struct Ring {
 }
 
 impl Ring {
-    /// What rounding may take from a ring that is a single point.
+    /// Tolerance for rounding errors in a ring that is a single point.
     pub(super) const POINT: f64 = 1e-12;
 
-    /// The two pieces, lower first; each may be empty, its end before its beginning.
+    /// The two pieces, lower first. An empty piece ends before it begins.
     pub(super) fn pieces(&self) -> [(f64, f64); 2] {
         let Self {
             centre,
@@ -37,7 +37,7 @@ impl Ring {
         ]
     }
 
-    /// The point of the ring nearest to `wish`, or by how much the ring fails to have one.
+    /// The point of the ring nearest to `wish`. Fails with the distance by which the ring is empty.
     pub(super) fn nearest(&self, wish: f64) -> Result<f64, f64> {
         let mut best: Option<f64> = None;
         let mut missing = f64::INFINITY;
@@ -54,7 +54,7 @@ impl Ring {
         best.ok_or(missing)
     }
 
-    /// What of the ring is on the same side of its centre as a point.
+    /// The part of the ring on the same side of its centre as `point`.
     pub(super) fn half(self, point: f64) -> Self {
         if point > self.centre {
             Self {
@@ -69,7 +69,7 @@ impl Ring {
         }
     }
 
-    /// The middle of the piece in which a point of the ring lies.
+    /// The middle of the piece that contains `point`.
     pub(super) fn middle(&self, point: f64) -> f64 {
         let pieces = self.pieces();
         let within = |&&(from, to): &&(f64, f64)| point >= from && point <= to;
@@ -80,14 +80,15 @@ impl Ring {
     }
 }
 
-/// Moves the parameter from where it is towards `comfort`: by no more than [`GAIN`] times the way of the arm,
-/// and ever more slowly within `band` of it.
+/// Moves the parameter from its present value towards `comfort`. The displacement is at most [`GAIN`] times the
+/// travel of the arm, and decreases within `band` of `comfort`.
 pub(super) fn drift(from: f64, comfort: f64, way: f64, band: f64) -> f64 {
     let missing = comfort - from;
     from + missing * (GAIN * way / missing.abs().max(band)).min(1.0)
 }
 
-/// Travel of the parameter per way of the arm. Above one, so that it outruns the edges of its range.
+/// Displacement of the parameter per travel of the arm. A value above one keeps the parameter ahead of the moving
+/// edges of its range.
 const GAIN: f64 = 2.0;
 
 #[cfg(test)]

@@ -15,23 +15,23 @@ use super::{
 
 const AXES: usize = 5;
 
-/// Numbers of one IRb-6.
+/// Parameters of one IRb-6.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Irb6Parameters {
     /// The five axes. The wrist ends at the tool flange, whose z axis is the roll axis.
     pub arm: ArmParameters,
-    /// How far the tool axis of a pose may lean out of the arm's plane, as the sine of the angle. The
-    /// solution leans by as much from the pose asked for.
+    /// Tolerance of the tool axis: the sine of the angle by which the axis may lean out of the arm's plane. The
+    /// solution deviates from the requested pose by the same angle.
     pub tool_plane_tolerance: f64,
 }
 
 impl Irb6Parameters {
     /// The 5-axis set of the WUT robot on the pedestal, base frame on the floor under the column.
     ///
-    /// From public code: all of the arm, with shoulder 0.7 m, flange 0.095 m and roll home 314.665 rad
-    /// of the 5-axis model. The robot's maker gives 0.450, 0.670 and 0.200 m for its own arm and
-    /// flange: set those for a robot as delivered. Nominal: the tolerance.
+    /// From public code: the whole arm, with shoulder 0.7 m, flange 0.095 m and roll home 314.665 rad of the 5-axis
+    /// model. The robot's maker gives 0.450, 0.670 and 0.200 m for its own arm and flange. Set the maker's values for
+    /// a robot as delivered. Nominal: the tolerance.
     pub const fn irb6() -> Self {
         let mut arm = ArmParameters::nominal();
         arm.shoulder_height = 0.7;
@@ -46,14 +46,14 @@ impl Irb6Parameters {
 
 /// The ASEA IRb-6: the five axes of [`ArmParameters`], the tool on the roll axis.
 ///
-/// Joints: th1 th2 th3 th4 th5, the first four absolute as the drives set them. The flange's z axis is
-/// the roll axis; with th1 = th5 = 0 and a level wrist its x axis points up.
+/// Joints: th1 th2 th3 th4 th5. The first four are absolute angles, as the drives set them. The flange's z axis is
+/// the roll axis. With th1 = th5 = 0 and a level wrist the flange's x axis points up.
 ///
-/// Five axes reach only poses whose z axis lies in the vertical plane through the column's axis and
-/// the flange; others are [`KinematicsError::ToolPlane`]. A tool aside the roll axis turns with the
-/// flange like any other, but the caller must pick its poses so that the flange stays in the plane.
-/// With the flange's origin on the column's axis th1 is [`KinematicsError::Singular`]; the arm has no
-/// other singularity within its limits.
+/// Five axes reach only poses whose z axis lies in the vertical plane through the column axis and the flange. Other
+/// poses are refused with [`KinematicsError::ToolPlane`]. A tool beside the roll axis turns with the flange like any
+/// other tool. The caller must choose the poses of such a tool so that the flange stays in the plane. With the flange
+/// origin on the column axis, th1 is [`KinematicsError::Singular`]. The arm has no other singularity within its
+/// limits.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Irb6 {
     arm: ArmParameters,
@@ -62,7 +62,7 @@ pub struct Irb6 {
 }
 
 impl Irb6 {
-    /// The robot of these numbers, or what is wrong with them.
+    /// A robot with these parameters. Fails if a parameter is invalid.
     pub fn new(parameters: &Irb6Parameters) -> Result<Self, ParameterError> {
         let &Irb6Parameters {
             arm,

@@ -16,20 +16,20 @@ use super::{
 const AXES: usize = 6;
 const HAND: usize = 5;
 
-/// Numbers of one IRp-6.
+/// Parameters of one IRp-6.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Irp6Parameters {
-    /// The five axes of the arm. Its wrist ends where the hand axis crosses the roll axis.
+    /// The five axes of the arm. The wrist ends at the intersection of the hand axis and the roll axis.
     pub arm: ArmParameters,
     /// Drive of th6, the hand axis N.
     pub hand: GearAxis,
 }
 
 impl Irp6Parameters {
-    /// The robot on the pedestal as its controller was written for it (public code), base frame at
-    /// the shoulder. Later versions of that code home the roll at 432.25 rad. The pitch ends at 90°
-    /// here instead of 92°: in those two degrees some poses have a second branch.
+    /// The robot on the pedestal with the parameters of its original controller (public code). The base frame lies at
+    /// the shoulder. Later versions of that code have the roll's home at 432.25 rad. The pitch ends at 90° here, not
+    /// at 92° as in the code: in those two degrees some poses have a second branch.
     pub const fn irp6p() -> Self {
         let mut arm = ArmParameters::nominal();
         arm.pitch.joint_limits.high = std::f64::consts::FRAC_PI_2;
@@ -51,9 +51,9 @@ impl Irp6Parameters {
         }
     }
 
-    /// The same robot as calibrated in February 2007 (public code). Home positions belong to the
-    /// machine's state of then: the two sets do not mix. Limits and gears are the nominal ones.
-    /// Home is not quite the upright posture here: lower arm at -91.0°, upper arm at -0.3° (derived).
+    /// The same robot as calibrated in February 2007 (public code). The home positions belong to the state of the
+    /// machine at that time. The two sets of parameters must not be mixed. Limits and gears are the nominal ones.
+    /// Home differs slightly from the upright posture: lower arm at -91.0°, upper arm at -0.3° (derived).
     pub const fn irp6p_calibrated() -> Self {
         let mut robot = Self::irp6p();
         let arm = &mut robot.arm;
@@ -83,14 +83,13 @@ impl Irp6Parameters {
 
 /// The WUT IRp-6: the arm of [`ArmParameters`] with a hand axis across the roll axis.
 ///
-/// Joints: th1 th2 th3 th4 th5 th6, the first four absolute as the drives set them. The flange's z
-/// axis is the hand axis N; its origin lies where that crosses the roll axis.
+/// Joints: th1 th2 th3 th4 th5 th6. The first four are absolute angles, as the drives set them. The flange's z axis
+/// is the hand axis N. The flange origin is the intersection of the hand axis and the roll axis.
 ///
-/// A pose has up to eight branches; within the limits of the real robot one remains, turns of the
-/// roll aside, so a pose needs no configuration flags. Where hand axis and column-plane normal are
-/// parallel (sin th5 = 0, within 1e-10) pitch and hand turn about the same line, and
-/// [`Robot::inverse`] keeps the pitch of `near`. With the flange's origin on the column's axis th1 is
-/// [`KinematicsError::Singular`].
+/// A pose has up to eight branches. Within the limits of the real robot one branch remains, apart from whole turns of
+/// the roll, so that a pose needs no configuration flags. Where the hand axis is normal to the arm's plane (sin th5 =
+/// 0, within 1e-10), pitch and hand turn about the same line. There [`Robot::inverse`] keeps the pitch of `near`.
+/// With the flange origin on the column axis, th1 is [`KinematicsError::Singular`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Irp6 {
     arm: ArmParameters,
@@ -98,7 +97,7 @@ pub struct Irp6 {
 }
 
 impl Irp6 {
-    /// The robot of these numbers, or what is wrong with them.
+    /// A robot with these parameters. Fails if a parameter is invalid.
     pub fn new(parameters: &Irp6Parameters) -> Result<Self, ParameterError> {
         let [column, lower_arm, upper_arm, pitch, roll] = parameters.arm.axes()?;
         let hand = parameters::gear("hand", &parameters.hand)?;
@@ -157,7 +156,7 @@ impl Robot for Irp6 {
         Search::run(&self.drive_train, near, |search| {
             for facing in [1.0, -1.0] {
                 let (s1, c1) = (facing * origin.y / radius, facing * origin.x / radius);
-                // The approach axis seen in the arm's plane points along the pitched wrist's x axis.
+                // In the arm's plane, the approach axis points along the x axis of the pitched wrist.
                 let level = c1 * approach.x + s1 * approach.y;
                 let in_plane = (level * level + approach.z * approach.z).sqrt();
                 let pitches = if in_plane < PARALLEL {
@@ -173,8 +172,8 @@ impl Robot for Irp6 {
                         reach: facing * radius,
                         height: origin.z,
                     };
-                    // Roll and hand follow from the pitch just chosen, so that no two of the three can
-                    // come from different branches, and near the singularity their errors cancel.
+                    // Roll and hand follow from the chosen pitch. The three angles therefore belong to one branch,
+                    // and near the singularity their errors cancel.
                     self.arm.branches(search, &at, |search, joints, wrist| {
                         let (ahead, across, along) =
                             (wrist.column(0), wrist.column(1), wrist.column(2));

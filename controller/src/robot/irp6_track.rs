@@ -13,43 +13,43 @@ use super::{
 };
 
 const AXES: usize = 7;
-/// Axes of the robot on the carriage.
+/// Number of axes of the robot on the carriage.
 const ARM: usize = 6;
 
-/// Distances of the flange from the column's axis at which the carriage stays where it is, m.
+/// Distances of the flange from the column axis between which the carriage stays at its position, m.
 const COMFORT: (f64, f64) = (0.6, 0.95);
 
-/// Half the angle behind the robot in which the column shall not work, as its tangent: 40°.
+/// Tangent of 40°: half the angle of the sector behind the robot in which the column should not work.
 const BEHIND: f64 = 0.839_099_631_177_280;
 
-/// Distance from a comfortable stand, m, within which the carriage moves ever more slowly.
+/// Distance from a comfortable position, m, within which the carriage moves more and more slowly.
 const BAND: f64 = 0.1;
 
-/// Lever at which a turn of the flange counts as its way, m.
+/// Lever that converts a rotation of the flange to a distance, m.
 const LEVER: f64 = 0.25;
 
-/// First detour of the carriage where the arm cannot take the pose from its stand, m; each further one
-/// is half as long again, up to 1.1 m.
+/// First detour of the carriage if the arm cannot take the pose from its present position, m. Each further detour is
+/// half as long again, up to 1.1 m.
 const DETOUR: f64 = 0.000_1;
 const DETOURS: i32 = 24;
 
-/// Places evenly along the track that are tried last.
+/// Number of evenly spaced positions along the track that are tried last.
 const PLACES: u32 = 64;
 
-/// Numbers of one IRp-6 on its track.
+/// Parameters of one IRp-6 on its track.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Irp6TrackParameters {
-    /// Drive of d0, the carriage. Lengths are in m where the axis says rad.
+    /// Drive of d0, the carriage. Lengths are in m where `GearAxis` says rad.
     pub track: GearAxis,
     /// The robot on the carriage.
     pub robot: Irp6Parameters,
 }
 
 impl Irp6TrackParameters {
-    /// The robot of the WUT as its controller was written for it (public code): the arm of the one on the
-    /// pedestal with home positions of its own. The track's ratio is derived from a screw of 8 mm behind
-    /// a belt of 2:1. Later versions of that code home the column at -16.5 rad.
+    /// The robot of the WUT with the parameters of its original controller (public code). The arm is that of the
+    /// robot on the pedestal with other home positions. The ratio of the track is derived from a screw of 8 mm behind
+    /// a belt of 2:1. Later versions of that code have the column's home at -16.5 rad.
     pub const fn irp6ot() -> Self {
         let mut robot = Irp6Parameters::irp6p();
         robot.arm.column.motor_at_home = -10.819;
@@ -76,9 +76,9 @@ impl Irp6TrackParameters {
         }
     }
 
-    /// The same robot as calibrated in February 2007 (public code). Home positions belong to the
-    /// machine's state of then: the two sets do not mix. Limits and gears are the nominal ones.
-    /// Home is not the upright posture here: lower arm at -96.3°, upper arm at 0.7° (derived).
+    /// The same robot as calibrated in February 2007 (public code). The home positions belong to the state of the
+    /// machine at that time. The two sets of parameters must not be mixed. Limits and gears are the nominal ones.
+    /// Home differs from the upright posture: lower arm at -96.3°, upper arm at 0.7° (derived).
     pub const fn irp6ot_calibrated() -> Self {
         let mut parameters = Self::irp6ot();
         parameters.track.motor_at_home = -0.0117;
@@ -112,11 +112,14 @@ impl Irp6TrackParameters {
 ///
 /// Joints: d0, m, then th1 .. th6 of [`Irp6`]. The base frame is that of the robot with the carriage at zero.
 ///
-/// A pose leaves d0 open. [`Robot::inverse`] keeps the carriage of `near` while the flange stands 0.6 to
-/// 0.95 m from the column's axis and not within 40° of straight behind it; otherwise the carriage moves towards
-/// the nearest place of which that holds, by at most twice the flange's way, so all the way for a pose far
-/// from `near`. Where the arm cannot take the pose from there, the carriage of `near`, then places ever
-/// farther from it and at last all along the track are tried. One branch remains within the limits for each place, as for [`Irp6`].
+/// A pose leaves d0 open. [`Robot::inverse`] keeps the carriage position of `near` if the flange is 0.6 to 0.95 m
+/// from the column axis and outside a sector of ±40° straight behind the column. Otherwise the carriage moves towards
+/// the nearest position that meets both conditions. The displacement of the carriage is at most twice the distance
+/// moved by the flange, so that a pose far from `near` gets the full displacement.
+///
+/// If the arm cannot take the pose from the resulting position, other positions are tried. First comes the position
+/// of `near`, then positions at growing distances, and finally positions along the whole track. For each position one
+/// branch remains within the limits, as for [`Irp6`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Irp6Track {
     robot: Irp6,
@@ -126,7 +129,7 @@ pub struct Irp6Track {
 }
 
 impl Irp6Track {
-    /// The robot of these numbers, or what is wrong with them.
+    /// A robot with these parameters. Fails if a parameter is invalid.
     pub fn new(parameters: &Irp6TrackParameters) -> Result<Self, ParameterError> {
         let robot = Irp6::new(&parameters.robot)?;
         let track = DriveTrain::new([parameters::gear("track", &parameters.track)?]);
@@ -141,7 +144,7 @@ impl Irp6Track {
         })
     }
 
-    /// The solutions with the carriage given, m, nearest to `near` first.
+    /// The solutions for a given position of the carriage, m, nearest to `near` first.
     pub fn inverse_at(
         &self,
         base_from_flange: &Isometry3<f64>,
@@ -175,7 +178,7 @@ impl Irp6Track {
         }
     }
 
-    /// Where the carriage best stands for a pose, m.
+    /// The most comfortable position of the carriage for a pose, m.
     fn comfort(&self, flange: &Vector3<f64>, carriage: f64) -> f64 {
         let Limits { low, high } = self.travel();
         let (near, far) = COMFORT;
@@ -306,20 +309,20 @@ impl Robot for Irp6Track {
     }
 }
 
-/// The carriage's number and those of the arm.
+/// The carriage's position and the arm's positions.
 fn parted<S>(all: &super::Vector<S>) -> Result<(f64, super::Vector<S>), KinematicsError> {
     let &[carriage, ref arm @ ..] = all.exactly::<AXES>()?;
     Ok((carriage, super::Vector::from(*arm)))
 }
 
-/// The inverse of [`parted`].
+/// Joins the carriage's position and the arm's positions. The inverse of [`parted`].
 fn joined<S>(carriage: f64, arm: &super::Vector<S>) -> super::Vector<S> {
     let mut all = [carriage; AXES];
     all[1..].copy_from_slice(arm);
     super::Vector::from(all)
 }
 
-/// A refusal of the arm with its axis counted from the track.
+/// An error of the arm, with its axis counted from the track.
 fn on_carriage(error: KinematicsError) -> KinematicsError {
     match error {
         KinematicsError::Singular { axis, margin } => KinematicsError::Singular {

@@ -2,39 +2,41 @@
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
-/// Most steps of the forward solution.
+/// Maximum number of steps of the forward solution.
 const MOST_STEPS: u32 = 20;
 
-/// A step of the forward solution below this, m or rad, is the last: the error left is its square.
+/// A step of the forward solution below this, m or rad, is the last step. The remaining error is the square of that
+/// step.
 const LAST_STEP: f64 = 1e-8;
 
-/// Tilt at which the forward solution turns back, rad: beyond a right angle the platform hangs upside
-/// down, where the legs close a second time.
+/// Maximum tilt in the forward solution, rad. Beyond a right angle the platform would hang upside down, where a
+/// second solution exists.
 pub(super) const STEEPEST: f64 = 1.5;
 
-/// Three legs of variable length between a base and a platform that a passive central leg carries.
+/// Three legs of variable length between a base and a platform, which is carried by a passive central leg.
 ///
-/// The central leg hangs in a universal joint in the middle of the base: it leans by alpha about the base's
-/// x axis, then by beta about its own y axis, and does not turn about itself. The platform stands
-/// across its end, rho from the universal joint. The three legs begin on a circle around that joint and
-/// end on a circle around the platform's middle, both at 0°, 120° and 240° from the x axis.
+/// The central leg hangs in a universal joint in the middle of the base. The leg leans by alpha about the x axis of
+/// the base, then by beta about its own y axis. The leg cannot turn about its own axis. The platform is perpendicular
+/// to the end of the central leg, rho from the universal joint. The three legs begin on a circle around the universal
+/// joint and end on a circle around the middle of the platform. Both circles have the legs at 0°, 120° and 240° from
+/// the x axis.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Legs {
     base: [Vector3<f64>; 3],
     platform: [Vector3<f64>; 3],
 }
 
-/// Where the legs hold the platform: alpha, beta, rad, and rho, m.
+/// Pose of the platform: alpha and beta, rad, and rho, m.
 pub(super) type Posture = [f64; 3];
 
-/// A posture found for given lengths, and the steps it took.
+/// A posture for given lengths, and the number of steps taken.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Closure {
     pub(super) posture: Posture,
     pub(super) steps: u32,
 }
 
-/// The leg that misses its length most in the closest posture found, and by how much, m.
+/// The leg with the largest length error in the closest posture found, and that error, m.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Gap {
     pub(super) leg: u8,
@@ -55,7 +57,7 @@ impl Legs {
         }
     }
 
-    /// Where each leg begins on the base and ends on the platform.
+    /// End points of each leg on the base and on the platform.
     pub(super) fn ends(&self) -> [[Vector3<f64>; 2]; 3] {
         std::array::from_fn(|leg| [self.base[leg], self.platform[leg]])
     }
@@ -66,7 +68,7 @@ impl Legs {
         std::array::from_fn(|leg| (platform_at.joint(&self.platform[leg]) - self.base[leg]).norm())
     }
 
-    /// Row i: how leg i lengthens with alpha, beta, m/rad, and rho; and the lengths themselves.
+    /// The derivatives of the leg lengths, and the lengths. Row i: leg i by alpha and beta, m/rad, and by rho.
     pub(super) fn jacobian(&self, posture: &Posture) -> (Matrix3<f64>, Vector3<f64>) {
         let at = platform(posture);
         let mut jacobian = Matrix3::zeros();
@@ -85,8 +87,8 @@ impl Legs {
         (jacobian, lengths)
     }
 
-    /// The posture with these leg lengths, by Newton's method from `near`. Where the legs cannot close: the leg with
-    /// the greatest error, and that error.
+    /// The posture with these leg lengths, by Newton's method from `near`. If the legs cannot close, fails with the
+    /// leg of the largest error, and that error.
     pub(super) fn close(&self, lengths: &[f64; 3], near: &Posture) -> Result<Closure, Gap> {
         let wanted = Vector3::from(*lengths);
         let mut posture = *near;
@@ -120,7 +122,7 @@ impl Legs {
     }
 }
 
-/// `base_from_central`: the central leg's frame, z along it.
+/// `base_from_central`: the frame of the central leg, with z along the leg.
 pub(super) fn central(alpha: f64, beta: f64) -> Rotation3<f64> {
     let ((sa, ca), (sb, cb)) = (alpha.sin_cos(), beta.sin_cos());
     Rotation3::from_matrix_unchecked(Matrix3::new(
@@ -139,9 +141,9 @@ pub(super) fn central(alpha: f64, beta: f64) -> Rotation3<f64> {
 /// The platform in the base frame.
 struct Platform {
     base_from_central: Rotation3<f64>,
-    /// The axis of beta.
+    /// Rotation axis of beta.
     beta_axis: Vector3<f64>,
-    /// The central leg's direction.
+    /// Direction of the central leg.
     central: Vector3<f64>,
     middle: Vector3<f64>,
 }

@@ -5,33 +5,33 @@ use servo::MAX_AXES;
 
 use super::{Joints, KinematicsError, Limits};
 
-/// How a link moves against the one before it.
+/// Motion of a link relative to the previous link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LinkKind {
-    /// It turns between limits.
+    /// Rotation between limits.
     Revolute,
-    /// It turns without end.
+    /// Endless rotation.
     Continuous,
-    /// It slides along its axis.
+    /// Translation along the axis.
     Prismatic,
 }
 
-/// One link of a serial arm and the joint that moves it, as robot description formats have it.
+/// One link of a serial arm and its joint, as in robot description formats.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Link {
-    /// What the joint is called.
+    /// Name of the joint.
     pub name: &'static str,
-    /// How it moves.
+    /// Kind of motion.
     pub kind: LinkKind,
-    /// Where the link's frame stands in the frame of the link before it (of the base, for the first) when the
-    /// joint is at zero.
+    /// Pose of the link's frame in the frame of the previous link (of the base, for the first link) with the joint at
+    /// zero.
     pub parent_from_link: Isometry3<f64>,
-    /// The line it turns about or slides along, in its own frame.
+    /// Axis of rotation or translation, in the link's own frame.
     pub axis: Unit<Vector3<f64>>,
-    /// Its position against the link before, rad or m, as a sum over the robot's joints: the factor of
-    /// each. An arm whose drives set absolute angles has differences here.
+    /// Position relative to the previous link, rad or m, as a weighted sum of the robot's joints: the weights. If the
+    /// drives set absolute angles, the sum is a difference.
     pub coupling: [f64; MAX_AXES],
-    /// Range of that position: what the ranges of the joints in the sum leave, taken alone.
+    /// Range of that position, taken alone, within the ranges of the joints in the sum.
     pub limits: Limits,
 }
 
@@ -68,7 +68,7 @@ impl Link {
         }
     }
 
-    /// Where the link's frame stands in the frame of the link before it at these joints of the robot.
+    /// Pose of the link's frame in the frame of the previous link, at these joints of the robot.
     pub fn placed(&self, joints: &Joints) -> Isometry3<f64> {
         let position: f64 = joints.iter().zip(self.coupling).map(|(q, k)| k * q).sum();
         let moved = match self.kind {
@@ -82,12 +82,12 @@ impl Link {
     }
 }
 
-/// The links of a serial arm from base to flange; the last link's frame is the flange.
+/// The links of a serial arm from base to flange. The last link's frame is the flange.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Links(pub Vec<Link>);
 
 impl Links {
-    /// `base_from_flange`, the product of the links: what [`super::Robot::forward`] gives.
+    /// `base_from_flange`, the product of the links. The result equals [`super::Robot::forward`].
     pub fn forward(&self, joints: &Joints) -> Result<Isometry3<f64>, KinematicsError> {
         if !joints.iter().all(|joint| joint.is_finite()) {
             return Err(KinematicsError::NotFinite);

@@ -1,36 +1,45 @@
-//! Robots: where the flange is for given joints, which joints put it there, and where the motors are.
+//! Robots: forward kinematics, inverse kinematics and drive trains.
 //!
-//! [`Robot`] is the contract; [`Irb6`] (5 axes), [`Irp6`] (6), [`Irp6Track`] and [`Polycrank`] (7), and [`Rnt`] (6,
-//! serial-parallel) keep it, and so do two devices of one axis, [`Gripper`] and [`Conveyor`]. Every call is a function
-//! of its arguments: no state, no allocation, no search without a bound. What a robot cannot do is a
-//! [`KinematicsError`] that names the axis and both sides, never a NaN or a clamped number.
+//! [`Robot`] is the contract. Its robots are [`Irb6`] (5 axes), [`Irp6`] (6), [`Irp6Track`] and [`Polycrank`] (7),
+//! and [`Rnt`] (6, serial-parallel). [`Gripper`] and [`Conveyor`] are devices of one axis with the same contract.
+//! Every call is a function of its arguments: no state, no allocation, no unbounded search. A call that a robot
+//! cannot fulfil returns a [`KinematicsError`] with the axis and both sides, never a NaN or a clamped number.
 //!
-//! Frames are named as `base_from_flange`. The **base** frame stands on axis 1, z up, its origin at
-//! the shoulder axis unless the parameters raise the shoulder above it; the **flange** is the last
-//! frame of the arm. Tools belong to the caller: `base_from_tool = base_from_flange * flange_from_tool`
-//! on the way out, and `base_from_tool * flange_from_tool.inverse()` is what [`Robot::inverse`] takes.
+//! Frames are named as `base_from_flange`. The **base** frame stands on axis 1 with z up. Its origin is at the
+//! shoulder axis, unless the parameters raise the shoulder above the origin. The **flange** is the last frame of the
+//! arm. Tools belong to the caller. Forward: `base_from_tool = base_from_flange * flange_from_tool`. Inverse:
+//! [`Robot::inverse`] takes `base_from_tool * flange_from_tool.inverse()`.
 //!
-//! Where each robot lives:
+//! Files of the robots:
 //!
-//! | robot | type | file | what is its own |
+//! | robot | type | file | special features |
 //! |---|---|---|---|
 //! | ASEA IRb-6 | [`Irb6`] | `irb6.rs` | five axes: poses whose tool axis lies in the arm's plane |
 //! | WUT IRp-6 | [`Irp6`] | `irp6.rs` | the hand axis; one branch within the limits |
-//! | IRp-6 on its track | [`Irp6Track`] | `irp6_track.rs` | where the carriage stands |
-//! | Polycrank | [`Polycrank`] | `polycrank.rs`, `polycrank/cranks.rs` | joints without end, the forearm's reach |
-//! | RNT | [`Rnt`] | `rnt.rs`, `legs.rs` | legs that close, by Newton's method, and a wrist |
+//! | IRp-6 on its track | [`Irp6Track`] | `irp6_track.rs` | the choice of the carriage position |
+//! | Polycrank | [`Polycrank`] | `polycrank.rs`, `polycrank/cranks.rs` | endless joints, the forearm's reach |
+//! | RNT | [`Rnt`] | `rnt.rs`, `legs.rs` | closed loops of legs, by Newton's method, and a wrist |
 //! | gripper, conveyor | [`Gripper`], [`Conveyor`] | `axis_map.rs` | one motor each |
 //!
-//! What they share: `arm.rs` is the arm under IRb-6 and IRp-6, `parameters.rs` its numbers and what may be wrong with
-//! any; `drive_train.rs` is gears, screws and couplings between motors and joints; `solutions.rs` collects
-//! branches within the limits, nearest first; `free_parameter.rs` is how a redundant robot chooses;
-//! `links.rs` is a robot link by link, for description files and figures; `singularity.rs` is how near the arm is to
-//! losing a direction; `weight.rs` is what links weigh on motors; `room.rs` is room in a range that ends at home; `vector.rs` is positions, one per axis. Figures and every parameter with its source are in
-//! `docs/robots` of the repository. Read [`Robot`] first, then `irp6.rs` for a robot from end to end.
+//! Shared files:
 //!
-//! Numbers carry the place they come from: *public code* is the published source of the WUT robots'
-//! controllers, *derived* follows from those by arithmetic, *nominal* is a plausible figure to be
-//! replaced by measurement.
+//! * `arm.rs`: the arm of IRb-6 and IRp-6.
+//! * `parameters.rs`: the parameters of that arm, and the errors of all parameters.
+//! * `drive_train.rs`: gears, screws and couplings between motors and joints.
+//! * `solutions.rs`: collects branches within the limits, nearest first.
+//! * `free_parameter.rs`: the choice of the free parameter of a redundant robot.
+//! * `links.rs`: a robot link by link, for description files and figures.
+//! * `singularity.rs`: the distance of the arm from a singularity.
+//! * `weight.rs`: torques of the motors against the weight of the links.
+//! * `room.rs`: extends ranges that end at home.
+//! * `vector.rs`: positions, one per axis.
+//!
+//! Figures and every parameter with its source are in `docs/robots` of the repository. Read [`Robot`] first, then
+//! `irp6.rs` as a complete example of a robot.
+//!
+//! Parameters are marked with their sources. *Public code* is the published source of the WUT robots' controllers.
+//! *Derived* values follow from public code by arithmetic. *Nominal* values are plausible figures to be replaced by
+//! measurement.
 
 mod arm;
 mod axis_map;
@@ -76,22 +85,22 @@ pub use solutions::Solutions;
 pub use vector::{Joint, Joints, Motor, Motors, Vector};
 pub use weight::{Mass, Weight, WeightError};
 
-/// Velocity of the flange per unit of joint velocity: column i is joint i, columns past the last
-/// axis are zero. Rows 0..3 are the linear velocity of the flange origin, m/s; rows 3..6 the angular
-/// velocity, rad/s; both in the base frame.
+/// Velocity of the flange per unit of joint velocity. Column i belongs to joint i. Columns beyond the last axis are
+/// zero. Rows 0..3 are the linear velocity of the flange origin, m/s. Rows 3..6 are the angular velocity, rad/s. Both
+/// are in the base frame.
 pub type Jacobian = SMatrix<f64, 6, MAX_AXES>;
 
-/// One robot: its geometry, its drive train, its limits.
+/// One robot: its geometry, its drive train and its limits.
 ///
 /// Every method refuses vectors of another length ([`KinematicsError::AxisCount`]) and numbers that
 /// are not finite ([`KinematicsError::NotFinite`]).
 pub trait Robot: fmt::Debug + Send + Sync {
-    /// Axes, at most [`MAX_AXES`]; the length of every vector it takes and gives.
+    /// Number of axes, at most [`MAX_AXES`]. All vectors of the robot have this length.
     fn axes(&self) -> usize;
 
-    /// Range of each joint, rad (m for a linear joint); [`Limits::CONTINUOUS`] for one that turns without end. The
-    /// position of such a joint counts its turns: 0 and 2π are two positions, and an interpolation passes all
-    /// positions between them.
+    /// Range of each joint, rad (m for a linear joint). [`Limits::CONTINUOUS`] marks an endless joint. The position
+    /// of an endless joint counts its turns: 0 and 2π are two positions, and an interpolation passes all positions
+    /// between them.
     fn joint_limits(&self) -> &[Limits];
 
     /// Range of each motor, rad.
@@ -101,38 +110,39 @@ pub trait Robot: fmt::Debug + Send + Sync {
     #[doc(alias = "synchro_motor_position")]
     fn home(&self) -> Motors;
 
-    /// `base_from_flange` at these joints. Looks at no limit: it serves measured joints as well.
+    /// `base_from_flange` at these joints. No limit is checked, so that measured joints can be used.
     fn forward(&self, joints: &Joints) -> Result<Isometry3<f64>, KinematicsError>;
 
-    /// The joints that put the flange there, within every joint and motor limit.
+    /// The joints that bring the flange to the pose, within all joint and motor limits.
     ///
-    /// `near` is the present posture. Solutions come nearest first. A joint of more than one turn is returned in the
-    /// turn nearest to `near`, and a redundant robot takes its free parameter from `near`. Where the pose leaves an
-    /// axis open (a wrist singularity), the value of `near` is kept if the robot says so, otherwise the answer is
-    /// [`KinematicsError::Singular`]. Where branches exist but none within limits, [`KinematicsError::BeyondLimit`]
-    /// tells of the one nearest to `near`.
+    /// `near` is the present posture. Solutions come nearest first. A joint with a range above one turn is returned
+    /// in the turn nearest to `near`. A redundant robot takes its free parameter from `near`.
+    ///
+    /// At a wrist singularity the pose leaves an axis open. Some robots then keep the value of `near`, and say so.
+    /// The other robots return [`KinematicsError::Singular`]. If branches exist but none lies within the limits,
+    /// [`KinematicsError::BeyondLimit`] describes the branch nearest to `near`.
     fn inverse(
         &self,
         base_from_flange: &Isometry3<f64>,
         near: &Joints,
     ) -> Result<Solutions, KinematicsError>;
 
-    /// Motor positions for these joints, both within their limits: the gate of everything commanded.
+    /// Motor positions for these joints, both within their limits. Every commanded position passes this check.
     fn motors_from_joints(&self, joints: &Joints) -> Result<Motors, KinematicsError>;
 
-    /// Joints for these motor positions. Looks at no limit but what the mechanism cannot assume at
-    /// all: it serves measured positions as well.
+    /// Joints for these motor positions. Only positions that the mechanism cannot take are refused. No other limit is
+    /// checked, so that measured positions can be converted.
     fn joints_from_motors(&self, motors: &Motors) -> Result<Joints, KinematicsError>;
 
     /// The Jacobian at these joints.
     fn jacobian(&self, joints: &Joints) -> Result<Jacobian, KinematicsError>;
 
-    /// How near these joints are to a singularity.
+    /// Distance of these joints from a singularity.
     fn singularity(&self, joints: &Joints) -> Result<Singularity, KinematicsError> {
         Singularity::of(&self.jacobian(joints)?, self.axes())
     }
 
-    /// The arm link by link, for description files and figures; `None` where it is no serial chain.
+    /// The arm link by link, for description files and figures; `None` if the arm is no serial chain.
     fn links(&self) -> Option<Links> {
         None
     }
@@ -149,21 +159,21 @@ pub struct Limits {
 }
 
 impl Limits {
-    /// What rounding may add to a position that stands exactly on its limit.
+    /// Tolerance for rounding errors of a position exactly at its limit.
     const SLACK: f64 = 1e-9;
 
-    /// No limit at all: a joint that turns without end.
+    /// No limit: an endless joint.
     pub const CONTINUOUS: Self = Self {
         low: f64::NEG_INFINITY,
         high: f64::INFINITY,
     };
 
-    /// Whether there is no limit on either side.
+    /// Whether neither side has a limit.
     pub const fn is_continuous(&self) -> bool {
         self.low == f64::NEG_INFINITY && self.high == f64::INFINITY
     }
 
-    /// The limit that `position` is beyond; a NaN is beyond the lower one.
+    /// The limit that `position` exceeds. A NaN exceeds the lower limit.
     pub fn exceeded_by(&self, position: f64) -> Option<f64> {
         if position > self.high + Self::SLACK {
             Some(self.high)
@@ -175,12 +185,12 @@ impl Limits {
     }
 }
 
-/// Which of an axis's two positions is meant.
+/// The two positions of an axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Space {
-    /// The joint.
+    /// Position of the joint.
     Joint,
-    /// The motor shaft.
+    /// Position of the motor shaft.
     Motor,
 }
 
@@ -193,24 +203,24 @@ impl fmt::Display for Space {
     }
 }
 
-/// Why a robot has no answer. Axes are counted from 0.
+/// Reasons why a robot has no answer. Axes are counted from 0.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum KinematicsError {
-    /// A NaN or an infinity was given.
+    /// A NaN or an infinity was passed.
     #[error("a number is not finite")]
     NotFinite,
-    /// A vector of another robot.
+    /// A vector has the length of another robot.
     #[error("{given} positions for a robot of {axes} axes")]
     AxisCount {
-        /// Axes of the robot.
+        /// Number of axes of the robot.
         axes: u8,
-        /// Positions given.
+        /// Number of positions passed.
         given: u8,
     },
-    /// The arm is too short, or too long to fold that far.
+    /// The pose is too far away for the arm, or too near.
     #[error("{margin:.6} m out of reach")]
     Unreachable {
-        /// What is missing on the branch that misses least, m.
+        /// Missing distance in the best branch, m.
         margin: f64,
     },
     /// The pose leaves an axis undetermined.
@@ -218,58 +228,58 @@ pub enum KinematicsError {
     Singular {
         /// The axis.
         axis: u8,
-        /// Distance from the singular pose: of the flange from the axis, m, or the sine of the angle between the two
-        /// axes.
+        /// Distance from the singular pose: the distance of the flange from the axis, m, or the sine of the angle
+        /// between the two axes.
         margin: f64,
     },
-    /// Legs that cannot have these lengths together. Legs are counted from 0.
+    /// The legs cannot have these lengths at the same time. Legs are counted from 0.
     #[error("the legs do not close: leg {leg} misses its length by {residual:.6} m at the least")]
     Open {
-        /// The leg that misses most.
+        /// The leg with the largest error.
         leg: u8,
-        /// The length asked for less that of the closest posture found, m.
+        /// The requested length minus the length in the closest posture found, m.
         residual: f64,
     },
-    /// A leg would pass its limit. Legs are counted from 0.
+    /// A leg would exceed its limit. Legs are counted from 0.
     #[error("leg {leg} at {length:.6} m is beyond its limit {limit:.6} m")]
     LegLimit {
-        /// The leg, which has the motor of the same number.
+        /// The leg. Its motor has the same number.
         leg: u8,
-        /// The length asked for, m.
+        /// The requested length, m.
         length: f64,
-        /// The limit it passes, m.
+        /// The exceeded limit, m.
         limit: f64,
     },
-    /// A joint or a motor would pass its limit.
+    /// A joint or a motor would exceed its limit.
     #[error("axis {axis}: {space} at {value:.6} is beyond its limit {limit:.6}")]
     BeyondLimit {
-        /// Whether joint or motor.
+        /// Joint or motor.
         space: Space,
         /// The axis.
         axis: u8,
-        /// The position asked for, rad (m for a linear joint).
+        /// The requested position, rad (m for a linear joint).
         value: f64,
-        /// The limit it passes.
+        /// The exceeded limit.
         limit: f64,
     },
-    /// The pose is beside the only way that a device of one axis has.
+    /// The pose lies beside the path of a device with one axis.
     #[error("{distance:.6} m and {angle:.6} rad off the only axis")]
     OffAxis {
         /// Distance from the axis, m.
         distance: f64,
-        /// Angle by which the pose is turned, rad.
+        /// Rotation of the pose, rad.
         angle: f64,
     },
-    /// The tool axis is outside the vertical plane of a 5-axis arm.
+    /// The tool axis lies outside the vertical plane of a 5-axis arm.
     #[error("tool axis leans {residual:.3e} out of the arm's plane")]
     ToolPlane {
-        /// Sine of the angle between tool axis and plane, signed by the normal (-sin th1, cos th1, 0).
+        /// Sine of the angle between tool axis and plane. The normal (-sin th1, cos th1, 0) gives the sign.
         residual: f64,
     },
 }
 
 impl KinematicsError {
-    /// The axis it is about.
+    /// The axis of the error.
     pub fn axis(&self) -> Option<usize> {
         match *self {
             Self::Singular { axis, .. }

@@ -12,24 +12,25 @@ use super::{
 
 /// The arm that IRb-6 and IRp-6 share: column, lower arm, upper arm, wrist pitch, wrist roll.
 ///
-/// Joints are absolute angles, as the drives set them: th1 turns the column about the vertical; th2,
-/// th3 and th4 are the inclinations of lower arm, upper arm and wrist to the horizontal, positive
-/// **down**, so that th2 = -90° is an upright lower arm and th3 = th4 = 0 a level upper arm and wrist;
-/// th5 rolls the wrist. Parallelograms keep the inclination of the upper arm when the lower arm moves, and the
-/// inclination of the wrist when either moves. The roll motor sits before the pitch joint, which carries it.
+/// Joints are absolute angles, as the drives set them. th1 turns the column about the vertical. th2, th3 and th4 are
+/// the inclinations of lower arm, upper arm and wrist to the horizontal, positive **down**. th2 = -90° is an upright
+/// lower arm. th3 = th4 = 0 is a level upper arm and wrist. th5 rolls the wrist.
+///
+/// Parallelograms keep the inclination of the upper arm when the lower arm moves, and the inclination of the wrist
+/// when either arm moves. The roll motor sits before the pitch joint, so that the pitch carries the roll.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ArmParameters {
     /// Height of the shoulder axis above the base frame, m.
     #[doc(alias = "d1")]
     pub shoulder_height: f64,
-    /// Shoulder axis to elbow axis, m.
+    /// Distance from the shoulder axis to the elbow axis, m.
     #[doc(alias = "a2")]
     pub lower_arm_length: f64,
-    /// Elbow axis to pitch axis, m.
+    /// Distance from the elbow axis to the pitch axis, m.
     #[doc(alias = "a3")]
     pub upper_arm_length: f64,
-    /// Pitch axis to flange frame along the roll axis, m.
+    /// Distance from the pitch axis to the flange frame along the roll axis, m.
     #[doc(alias = "d5")]
     pub wrist_length: f64,
     /// Drive of th1.
@@ -45,11 +46,11 @@ pub struct ArmParameters {
 }
 
 impl ArmParameters {
-    /// The arm under the WUT robots on a pedestal, base frame at the shoulder.
+    /// The arm of the WUT robots on a pedestal, with the base frame at the shoulder.
     ///
-    /// From public code: lengths, gears, screws, home positions and limits. There the limits of th3
-    /// and th4 are applied to relative angles by the latest version and to the absolute ones by the
-    /// mechanism and by versions before; here they are absolute.
+    /// From public code: lengths, gears, screws, home positions and limits. The latest version of the code applies
+    /// the limits of th3 and th4 to relative angles. Earlier versions and the mechanism itself apply the limits to
+    /// absolute angles, as here.
     pub(super) const fn nominal() -> Self {
         Self {
             shoulder_height: 0.0,
@@ -102,7 +103,7 @@ impl ArmParameters {
                     high: 380.0,
                 },
             },
-            // The bevel gear behind the harmonic drive of 128 multiplies it by 0.6.
+            // The bevel gear behind the harmonic drive of 128 multiplies the ratio by 0.6.
             roll: GearAxis {
                 ratio: -76.8,
                 joint_at_home: 0.0,
@@ -119,7 +120,7 @@ impl ArmParameters {
         }
     }
 
-    /// The drive train's first five axes, once every parameter has been found sound.
+    /// The first five axes of the drive train, after a check of every parameter.
     pub(super) fn axes(&self) -> Result<[Axis; 5], ParameterError> {
         finite("shoulder_height", self.shoulder_height)?;
         for (name, length) in [
@@ -142,30 +143,30 @@ impl ArmParameters {
     }
 }
 
-/// Why a set of parameters describes no robot.
+/// Reasons why a set of parameters describes no robot.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum ParameterError {
     /// A NaN or an infinity.
     #[error("{name} has a number that is not finite")]
     NotFinite {
-        /// The parameter or the axis it belongs to.
+        /// The parameter, or the axis of the parameter.
         name: &'static str,
     },
-    /// A length or a tolerance that must be above zero.
+    /// A length or a tolerance is not above zero.
     #[error("{name} is {value}, not above zero")]
     NotPositive {
         /// The parameter.
         name: &'static str,
-        /// What was given.
+        /// The value passed.
         value: f64,
     },
-    /// A gear or a screw that turns nothing.
+    /// A gear or a screw has no usable ratio.
     #[error("{name} has a ratio of zero")]
     NoRatio {
         /// The axis.
         name: &'static str,
     },
-    /// Limits without room between them.
+    /// The lower limit is not below the upper limit.
     #[error("{name} has limits {low} .. {high}")]
     EmptyRange {
         /// The axis.
@@ -175,13 +176,13 @@ pub enum ParameterError {
         /// The upper limit.
         high: f64,
     },
-    /// A screw that does not lengthen all over the range of its joint, or whose triangle collapses.
+    /// A screw does not lengthen over the whole range of its joint, or its triangle collapses.
     #[error("{name} has a screw whose length does not determine the joint")]
     AmbiguousScrew {
         /// The axis.
         name: &'static str,
     },
-    /// A tilt at which a platform hangs beside its base.
+    /// A tilt at which a platform would hang beside its base.
     #[error("{name} tilts by {tilt:.6} rad, more than {limit} rad", limit = super::legs::STEEPEST)]
     TooSteep {
         /// The joint.
@@ -189,34 +190,34 @@ pub enum ParameterError {
         /// The greatest tilt, rad.
         tilt: f64,
     },
-    /// A leg too short or too long for the geometry. Legs are counted from 0.
+    /// A leg is too short or too long for the geometry. Legs are counted from 0.
     #[error(
         "leg {leg} is {length:.6} m long amid the workspace, outside its range {low} .. {high} m"
     )]
     LegReach {
         /// The leg.
         leg: u8,
-        /// Its length with alpha, beta and rho amid their limits, m.
+        /// Its length with alpha, beta and rho in the middle of their limits, m.
         length: f64,
         /// Its shortest length, m.
         low: f64,
         /// Its longest length, m.
         high: f64,
     },
-    /// Legs that cannot have their lengths at home together. Legs are counted from 0.
+    /// The legs cannot have their home lengths at the same time. Legs are counted from 0.
     #[error(
         "the legs do not close at home: leg {leg} misses its length by {residual:.6} m at the least"
     )]
     OpenAtHome {
-        /// The leg that misses most.
+        /// The leg with the largest error.
         leg: u8,
-        /// What it misses, m.
+        /// Its length error, m.
         residual: f64,
     },
     /// The masses do not match the links.
     #[error("{0}")]
     Weight(super::WeightError),
-    /// A workspace that the legs do not hold everywhere.
+    /// The legs do not determine the pose of the platform in the whole workspace.
     #[error(
         "the legs lose hold of the platform before alpha {alpha:.6}, beta {beta:.6} rad, rho {rho:.6} m"
     )]
@@ -230,7 +231,7 @@ pub enum ParameterError {
     },
 }
 
-/// A rotary axis found sound.
+/// The axis of a gear, after a check of its parameters.
 pub(super) fn gear(name: &'static str, gear: &GearAxis) -> Result<Axis, ParameterError> {
     for value in [gear.ratio, gear.joint_at_home, gear.motor_at_home] {
         finite(name, value)?;
@@ -248,7 +249,7 @@ pub(super) fn gear(name: &'static str, gear: &GearAxis) -> Result<Axis, Paramete
     })
 }
 
-/// A screw axis found sound.
+/// The axis of a screw, after a check of its parameters.
 fn screw(name: &'static str, screw: &ScrewAxis) -> Result<Axis, ParameterError> {
     let ScrewAxis {
         lead,
@@ -285,7 +286,7 @@ pub(super) fn finite(name: &'static str, value: f64) -> Result<(), ParameterErro
     }
 }
 
-/// Refuses what is not above zero.
+/// Refuses a value that is not above zero.
 pub(super) fn positive(name: &'static str, value: f64) -> Result<(), ParameterError> {
     finite(name, value)?;
     if value > 0.0 {
@@ -295,7 +296,7 @@ pub(super) fn positive(name: &'static str, value: f64) -> Result<(), ParameterEr
     }
 }
 
-/// Refuses limits without room between them.
+/// Refuses limits whose lower limit is not below the upper limit.
 pub(super) fn room(name: &'static str, Limits { low, high }: Limits) -> Result<(), ParameterError> {
     finite(name, low)?;
     finite(name, high)?;

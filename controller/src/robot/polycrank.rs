@@ -26,32 +26,34 @@ const UPPER: usize = 0;
 const FOREARM: usize = 3;
 const ROLL: usize = 6;
 
-/// The axis that turns the forearm's plane, which no pose determines whose tool axis is parallel to axis 1.
+/// The axis that turns the plane of the forearm. A pose with the tool axis parallel to axis 1 leaves this axis open.
 const PLANE: usize = 2;
 /// The axis that bends the forearm.
 const ELBOW: usize = 4;
 
-/// Below this sine of both bends the two cranks count as stretched or folded together.
+/// If the sines of both bends are smaller, the two pairs of cranks count as stretched or folded.
 const STRETCHED: f64 = 1e-5;
 
-/// Distance from the ends of its range, m, from which the forearm's reach is moved back as the arm moves.
+/// Distance from the ends of its range, m, within which the forearm's reach is moved back as the arm moves.
 const BAND: f64 = 0.04;
 
-/// Points at which the most dexterous branches are sought before the best is refined.
+/// Number of points at which the most dexterous branch is sought before its refinement.
 const SAMPLES: usize = 64;
 
-/// Steps of the golden section, each 0.618 of the one before: to 1e-4 of the distance of two samples.
+/// Number of steps of the golden section. Each step is 0.618 of the previous step, down to 1e-4 of the distance
+/// between two samples.
 const REFINEMENTS: usize = 20;
 const GOLDEN: f64 = 0.618_033_988_749_895;
 
-/// How far outside its range a given reach may lie by rounding, m.
+/// Tolerance for rounding errors of a given reach outside its range, m.
 const REACH_SLACK: f64 = 1e-9;
 
-/// Numbers of one Polycrank.
+/// Parameters of one Polycrank.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PolycrankParameters {
-    /// Lengths of the two cranks that turn about axes 1 and 2, m; negative ones point backwards at zero.
+    /// Lengths of the two cranks that turn about axes 1 and 2, m. A crank of negative length points backwards at
+    /// zero.
     #[doc(alias = "a1")]
     #[doc(alias = "a2")]
     pub upper_cranks: [f64; 2],
@@ -65,11 +67,11 @@ pub struct PolycrankParameters {
     /// Offsets of axes 5, 6 and 7 along axis 4, m.
     #[doc(alias = "d4")]
     pub forearm_offsets: [f64; 3],
-    /// Flange along axis 7, m.
+    /// Offset of the flange along axis 7, m.
     #[doc(alias = "d7")]
     pub flange_offset: f64,
-    /// Whether cranks carry the drives of axes 2, 3 and of 5, 6 from a fixed motor. Each of these motors then turns
-    /// with the sum of its joint and the joints before it in its group.
+    /// Whether axes 2, 3 and 5, 6 are driven by fixed motors through the cranks. Each of these motors then sets the
+    /// sum of its joint and the preceding joints of its group.
     pub coupled: bool,
     /// The drives.
     pub axes: [GearAxis; AXES],
@@ -78,10 +80,10 @@ pub struct PolycrankParameters {
 impl PolycrankParameters {
     /// The robot of the WUT.
     ///
-    /// From public code: the geometry; of its two published copies one has 0.062 m for the last of the
-    /// forearm's offsets. Nominal, since nothing about its drives is public: ratio 50, no coupling, a home with
-    /// both cranks bent by a right angle and the tool axis level, and motor limits that a 32-bit counter of
-    /// 4000 counts per revolution holds, ±67 000 rad of the joint.
+    /// From public code: the geometry. One of its two published copies has 0.062 m for the last offset of the
+    /// forearm. No data of the drives is public, so the following values are nominal: ratio 50, no coupling, and the
+    /// home posture. At home both cranks are bent by a right angle and the tool axis is level. The motor limits are
+    /// those of a 32-bit counter of 4000 counts per revolution, ±67 000 rad of the joint.
     pub const fn polycrank() -> Self {
         const fn drive(joint_at_home: f64) -> GearAxis {
             GearAxis {
@@ -116,21 +118,23 @@ impl PolycrankParameters {
     }
 }
 
-/// The Polycrank of the WUT: seven joints that turn without end.
+/// The Polycrank of the WUT: seven endless joints.
 ///
-/// Joints: q1 .. q7. Axes 1, 2, 3 are parallel and carry two cranks, axes 4, 5, 6 are parallel, across
-/// them, and carry two more: the forearm; axis 7 rolls the tool. Positions count turns; nothing here wraps.
-/// The **base** frame has axis 1 for z, which is level in the laboratory, 0.925 m above the floor; the flange's
-/// z axis is axis 7.
+/// Joints: q1 .. q7. Axes 1, 2 and 3 are parallel and carry two cranks, the upper cranks. Axes 4, 5 and 6 are
+/// parallel, perpendicular to axes 1 to 3, and carry two more cranks, the forearm. Axis 7 rolls the tool. Positions
+/// count turns and do not wrap. The z axis of the **base** frame is axis 1, which is level in the laboratory, 0.925 m
+/// above the floor. The flange's z axis is axis 7.
 ///
-/// A pose leaves one parameter open: the forearm's reach, the distance of axis 6 from axis 4 across axis 1.
-/// [`Robot::inverse`] takes it from `near` and returns the four or eight branches that have it. As the arm moves
-/// towards an end of the range that the pose admits, the reach moves back, by at most twice the way of the arm;
-/// a pose far from `near` finds it 0.04 m inside. Folded upper cranks it leaves from 0.1 m before. [`Polycrank::inverse_at`] takes it from the caller,
-/// [`Polycrank::most_dexterous`] seeks the best.
+/// A pose leaves one parameter open: the forearm's reach, which is the distance of axis 6 from axis 4 perpendicular
+/// to axis 1. [`Robot::inverse`] takes the reach from `near` and returns the four or eight branches with that reach.
+/// Near an end of the range that the pose admits, the reach moves back as the arm moves, by at most twice the travel
+/// of the arm. For a pose far from `near` the reach is 0.04 m inside its range. The reach avoids folded upper cranks
+/// from a distance of 0.1 m on. [`Polycrank::inverse_at`] takes the reach from the caller.
+/// [`Polycrank::most_dexterous`] searches for the best reach.
 ///
-/// Singular poses are refused: a tool axis within 1e-10 of parallel to axis 1 (axis 2), and both
-/// cranks stretched or folded at once, the edge of the workspace (axis 4, bends within 1e-5).
+/// Two singular poses are refused with [`KinematicsError::Singular`], whose axis counts from 0. Axis 2: the tool axis
+/// is parallel to axis 1 within 1e-10. Axis 4: both pairs of cranks are stretched or folded at once, with bends
+/// within 1e-5, which is the edge of the workspace.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Polycrank {
     parameters: PolycrankParameters,
@@ -139,7 +143,7 @@ pub struct Polycrank {
 }
 
 impl Polycrank {
-    /// The robot of these numbers, or what is wrong with them.
+    /// A robot with these parameters. Fails if a parameter is invalid.
     pub fn new(parameters: &PolycrankParameters) -> Result<Self, ParameterError> {
         let &PolycrankParameters {
             upper_cranks,
@@ -184,12 +188,12 @@ impl Polycrank {
         })
     }
 
-    /// The forearm's reach at these joints, m: how far axis 6 stands from axis 4 across axis 1.
+    /// The forearm's reach at these joints, m: the distance of axis 6 from axis 4 perpendicular to axis 1.
     pub fn reach(&self, joints: &Joints) -> Result<f64, KinematicsError> {
         Ok(self.cranks.stand(joints.exactly()?).reach)
     }
 
-    /// The branches of a pose, nearest to `near` first, with the forearm's reach given, m.
+    /// The branches of a pose for a given reach of the forearm, m, nearest to `near` first.
     pub fn inverse_at(
         &self,
         base_from_flange: &Isometry3<f64>,
@@ -209,15 +213,15 @@ impl Polycrank {
         })
     }
 
-    /// The branches of a pose, nearest to `near` first, with the forearm's reach at which one of them is farthest
-    /// from a singularity: the best of 64 samples, refined by golden section. It takes about a millisecond
-    /// and belongs before a motion, not into it.
+    /// The branches of a pose, nearest to `near` first, for the reach of the forearm at which one branch is farthest
+    /// from a singularity. The reach is the best of 64 samples, refined by golden section. The call takes about a
+    /// millisecond, and is meant for the time before a motion.
     pub fn most_dexterous(
         &self,
         base_from_flange: &Isometry3<f64>,
         near: &Joints,
     ) -> Result<Solutions, KinematicsError> {
-        // The reach that `inverse` takes is a candidate: a range may be narrower than the samples are apart.
+        // The reach of `inverse` is also a candidate: a range may be narrower than the distance of the samples.
         let own = self.reach(self.inverse(base_from_flange, near)?.preferred())?;
         let margin = |reach| {
             let solutions = self.inverse_at(base_from_flange, near, reach);
@@ -251,7 +255,8 @@ impl Polycrank {
         self.inverse_at(base_from_flange, near, best.0)
     }
 
-    /// The branches of a pose with the reach that `choose` gives each of the two facings, or what it lacks, m.
+    /// The branches of a pose with the reach that `choose` returns for each of the two facings. Fails with the
+    /// missing distance, m.
     fn solve(
         &self,
         base_from_flange: &Isometry3<f64>,
@@ -302,14 +307,14 @@ impl Polycrank {
         }
     }
 
-    /// The reach for one facing of a pose, for an arm that stands at `here`.
+    /// The reach for one facing of a pose. `here` is the present state of the arm.
     fn choose(&self, facing: &Facing, here: &Stand) -> Result<f64, f64> {
         let admitted = self.cranks.reaches(facing, 0.0)?;
         let nearest = admitted.nearest(here.reach)?;
         let inside = self.cranks.reaches(facing, BAND);
         let comfort = inside
             .map(|ring| self.cranks.ahead_of_the_hole(facing, ring))
-            // No way leads across a hole.
+            // The arm cannot move across a hole of the range.
             .map(|ring| {
                 if admitted.inner > 0.0 {
                     ring.half(nearest)

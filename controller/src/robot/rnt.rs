@@ -27,35 +27,35 @@ const SPIN: usize = 5;
 /// Sine of the wrist's pitch below which roll and spin turn about the same line.
 const STRAIGHT: f64 = 1e-6;
 
-/// One leg: a ball screw that its motor turns directly.
+/// One leg: a ball screw that the motor drives directly.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LegAxis {
-    /// Leg travel per motor turn, m; positive where the leg lengthens as the motor turns forward.
+    /// Leg travel per motor turn, m, positive if the leg lengthens as the motor turns forward.
     pub lead: f64,
     /// Leg length at home, m.
     pub length_at_home: f64,
     /// Motor position at home, rad.
     pub motor_at_home: f64,
-    /// Range of the leg's length, m; the range of its motor follows from it.
+    /// Range of the leg's length, m. The range of its motor follows from the lengths.
     pub length_limits: Limits,
 }
 
-/// Numbers of one RNT.
+/// Parameters of one RNT.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RntParameters {
-    /// Radius of the circle on which the legs begin, m.
+    /// Radius of the circle of the legs' joints on the base, m.
     pub base_radius: f64,
-    /// Radius of the circle on which the legs end, m.
+    /// Radius of the circle of the legs' joints on the platform, m.
     pub platform_radius: f64,
-    /// From the platform to the wrist centre along the central leg, m.
+    /// Distance from the platform to the wrist centre along the central leg, m.
     pub wrist_offset: f64,
     /// The legs at 0°, 120° and 240° from the base's x axis.
     pub legs: [LegAxis; 3],
-    /// Range of alpha, the central leg's tilt about the base's x axis, rad; within ±80°.
+    /// Range of alpha, the tilt of the central leg about the base's x axis, rad; within ±80°.
     pub alpha: Limits,
-    /// Range of beta, its tilt about its own y axis, rad; within ±80°.
+    /// Range of beta, the tilt of the central leg about its own y axis, rad; within ±80°.
     pub beta: Limits,
     /// Range of rho, the distance from base to platform, m; above zero.
     pub extension: Limits,
@@ -68,9 +68,9 @@ pub struct RntParameters {
 }
 
 impl RntParameters {
-    /// A stand-in for the RNT: **every number is nominal**, none was measured or published. The size of a
-    /// tripod with a 0.70 m base, ball screws of 5 mm turned directly and harmonic drives of 100:1 in
-    /// the wrist. To be replaced, in the cell file, by the figures of the machine at hand.
+    /// A substitute for the RNT: **every number is nominal**, none was measured or published. The model has the size
+    /// of a tripod with a 0.70 m base, directly driven ball screws of 5 mm, and harmonic drives of 100:1 in the
+    /// wrist. The data of the real machine are to be set in the cell file.
     pub const fn nominal() -> Self {
         let leg = LegAxis {
             lead: 0.005,
@@ -101,7 +101,7 @@ impl RntParameters {
 }
 
 impl RntParameters {
-    /// Where each leg begins in the base frame and ends in the platform's, m.
+    /// End points of each leg, in the base frame and in the platform's frame, m.
     pub fn leg_ends(&self) -> [[Vector3<f64>; 2]; 3] {
         self.geometry().ends()
     }
@@ -128,26 +128,26 @@ const fn wrist(range: f64) -> GearAxis {
 }
 
 /// The RNT, a serial-parallel robot. Three driven legs around a passive central leg carry a platform (joints alpha,
-/// beta and rho). A wrist of three axes stands on the platform; the axes meet on the line of the central leg.
+/// beta and rho). A wrist of three axes stands on the platform. The wrist axes meet on the line of the central leg.
 ///
-/// The geometry is a stand-in of this project, see [`RntParameters::nominal`]. Joints: alpha, beta, rho,
-/// roll, pitch, spin; motors: the three legs, then the three of the wrist. The base frame stands in the
-/// universal joint of the central leg. The flange's origin is the wrist centre; its orientation is
-/// Rx(alpha)·Ry(beta)·Rz(roll)·Ry(pitch)·Rz(spin), so that the tool goes on along the central leg at pitch 0.
+/// The geometry is a substitute by this project, see [`RntParameters::nominal`]. Joints: alpha, beta, rho, roll,
+/// pitch, spin. Motors: the three legs, then the three axes of the wrist. The base frame lies in the universal joint
+/// of the central leg. The flange origin is the wrist centre. The flange orientation is
+/// Rx(alpha)·Ry(beta)·Rz(roll)·Ry(pitch)·Rz(spin). At pitch 0 the tool continues the line of the central leg.
 ///
-/// A pose has two branches, pitch to either side. With the wrist straight, roll and spin turn about the
-/// same line: below a sine of 1e-6 of the pitch [`Robot::inverse`] answers [`KinematicsError::Singular`].
+/// A pose has two branches, with positive and with negative pitch. With a straight wrist, roll and spin turn about
+/// the same line. If the sine of the pitch is below 1e-6, [`Robot::inverse`] returns [`KinematicsError::Singular`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rnt {
     parameters: RntParameters,
     legs: Legs,
-    /// Between the motors and leg lengths, wrist angles.
+    /// Drive train between the motors, and leg lengths and wrist angles.
     drive_train: DriveTrain<AXES>,
     joint_limits: [Limits; AXES],
 }
 
 impl Rnt {
-    /// The robot of these numbers, or what is wrong with them.
+    /// A robot with these parameters. Fails if a parameter is invalid.
     pub fn new(parameters: &RntParameters) -> Result<Self, ParameterError> {
         let RntParameters {
             base_radius,
@@ -196,8 +196,8 @@ impl Rnt {
         Ok(robot)
     }
 
-    /// Refuses legs that do not close in the middle of the workspace or at home. Refuses a workspace in which the
-    /// legs become singular: their Jacobian changes its sign there.
+    /// Checks that the legs close in the middle of the workspace and at home. Checks also that the legs do not become
+    /// singular in the workspace: the determinant of their Jacobian would change its sign there.
     fn closes(&self) -> Result<(), ParameterError> {
         let middle = self.middle();
         let lengths = self.legs.lengths(&middle);
@@ -235,15 +235,15 @@ impl Rnt {
 }
 
 impl Rnt {
-    /// Lengths of the three legs at these joints, m. Looks at no limit.
+    /// Lengths of the three legs at these joints, m. No limit is checked.
     pub fn leg_lengths(&self, joints: &Joints) -> Result<[f64; 3], KinematicsError> {
         let &[alpha, beta, rho, ..] = joints.exactly::<AXES>()?;
         Ok(self.legs.lengths(&[alpha, beta, rho]))
     }
 
-    /// Joints for these motor positions as [`Robot::joints_from_motors`] finds them, sought from where the
-    /// robot was: alpha, beta, rho of `near`. Takes 3 to 5 steps of Newton's method from the middle of the
-    /// workspace, 2 from within 10 mm and 10 mrad; 20 at most.
+    /// Joints for these motor positions as in [`Robot::joints_from_motors`], with alpha, beta and rho of `near` as
+    /// start of the search. Newton's method takes 3 to 5 steps from the middle of the workspace, 2 steps from within
+    /// 10 mm and 10 mrad, and 20 steps at most.
     pub fn joints_from_motors_near(
         &self,
         motors: &Motors,
@@ -268,7 +268,7 @@ impl Rnt {
         &self.legs
     }
 
-    /// Alpha, beta and rho amid their limits.
+    /// Alpha, beta and rho in the middle of their limits.
     fn middle(&self) -> Posture {
         std::array::from_fn(|axis| {
             let Limits { low, high } = self.joint_limits[axis];
@@ -276,8 +276,8 @@ impl Rnt {
         })
     }
 
-    /// What the drive train moves, leg lengths and wrist angles, once alpha, beta, rho and the legs are found
-    /// within their limits.
+    /// Leg lengths and wrist angles, which the drive train moves. Checks alpha, beta, rho and the legs against their
+    /// limits.
     fn driven(&self, joints: &[f64; AXES]) -> Result<[f64; AXES], KinematicsError> {
         let mut driven = *joints;
         for (axis, &joint) in joints.iter().enumerate().take(3) {
@@ -298,7 +298,7 @@ impl Rnt {
         Ok(driven)
     }
 
-    /// Where the wrist centre is at these joints.
+    /// Position of the wrist centre at these joints.
     fn wrist_centre(&self, joints: &[f64; AXES]) -> Vector3<f64> {
         let reach = joints[RHO] + self.parameters.wrist_offset;
         legs::central(joints[0], joints[1]) * (Vector3::z() * reach)
@@ -368,7 +368,7 @@ impl Robot for Rnt {
         let beta = (centre.x / reach).asin();
         let rho = reach - self.parameters.wrist_offset;
         let posture = [alpha, beta, rho, 0.0, 0.0, 0.0];
-        // Both branches stand on the same legs, which have their say before the wrist.
+        // Both branches have the same leg lengths, which are checked before the wrist.
         self.driven(&posture)?;
         let wrist = legs::central(alpha, beta).transpose() * axes;
         let lean = Vector2::new(wrist[(0, 2)], wrist[(1, 2)]).norm();
@@ -383,7 +383,7 @@ impl Robot for Rnt {
                 let mut joints = posture;
                 let (sin, cos) = (side * wrist[(1, 2)] / lean, side * wrist[(0, 2)] / lean);
                 let pitch = (side * lean).atan2(wrist[(2, 2)]);
-                // Spin follows from the roll just chosen, so that their errors cancel near the singularity.
+                // Spin follows from the chosen roll, so that their errors cancel near the singularity.
                 let across = |column| cos * wrist[(1, column)] - sin * wrist[(0, column)];
                 let spin = across(0).atan2(across(1));
                 search.turn(&mut joints, ROLL, [sin.atan2(cos), pitch, spin]);
@@ -396,7 +396,7 @@ impl Robot for Rnt {
         Mechanism::motors_from_joints(self, joints.exactly()?).map(Motors::from)
     }
 
-    /// Legs that close nowhere are [`KinematicsError::Open`]. Sought from the middle of the workspace.
+    /// Legs that cannot close are [`KinematicsError::Open`]. The search starts in the middle of the workspace.
     fn joints_from_motors(&self, motors: &Motors) -> Result<Joints, KinematicsError> {
         self.joints(motors, &self.middle())
     }
@@ -419,7 +419,7 @@ impl Robot for Rnt {
             (SPIN, base_from_roll * Vector3::new(sin, 0.0, cos)),
         ];
         for (column, axis) in turning {
-            // The wrist's axes meet in the flange's origin and do not move it.
+            // The wrist axes meet in the flange origin and do not move it.
             if column < RHO {
                 let moved = axis.cross(&centre);
                 jacobian.fixed_view_mut::<3, 1>(0, column).copy_from(&moved);
@@ -430,7 +430,7 @@ impl Robot for Rnt {
         Ok(jacobian)
     }
 
-    /// The passive central leg and the wrist; the driven legs are no part of a serial chain.
+    /// The passive central leg and the wrist. The driven legs are not part of a serial chain.
     fn links(&self) -> Option<Links> {
         let (x, y, z) = (Vector3::x_axis(), Vector3::y_axis(), Vector3::z_axis());
         let link = |name, axis, index, offset| Link {
@@ -459,7 +459,7 @@ impl Robot for Rnt {
 }
 
 impl LegAxis {
-    /// Motor position, rad, at a leg length, m. Looks at no limit.
+    /// Motor position, rad, at a leg length, m. No limit is checked.
     pub fn motor(&self, length: f64) -> f64 {
         self.motor_at_home + TAU / self.lead * (length - self.length_at_home)
     }

@@ -1,7 +1,7 @@
-//! Room in the ranges of axes for the places where homing leaves them.
+//! Extension of the ranges of axes by the positions in which homing leaves the axes.
 //!
-//! An axis that is homed at the end of its range comes to rest on either side of that end. Its range then has to include
-//! the places of rest, or the axis could not be commanded to leave them.
+//! An axis that is homed at the end of its range comes to rest on either side of that end. The range has to include
+//! both positions. Otherwise no command could move the axis away from there.
 
 use std::f64::consts::TAU;
 
@@ -10,13 +10,14 @@ use super::{
     Irp6TrackParameters, LegAxis, Limits, PolycrankParameters, RntParameters, ScrewAxis,
 };
 
-/// Most room that a range gets, rad of the motor. A motor that homing may leave farther from home needs a range of its own.
+/// Largest extension of a range, rad of the motor. If homing may leave a motor farther from home, the motor needs a
+/// configured range.
 const MOST: f64 = 1.0;
 
-/// Parameters of a robot whose motors, in the order of its axes, come to rest up to some distance beside their home
-/// positions, rad.
+/// Parameters of a robot, with ranges that can be extended.
 pub trait Room: Sized {
-    /// The same parameters with that room in each range that includes the home position.
+    /// Extends each range that includes the home position. `motors` holds the largest distance from home at which
+    /// homing leaves each motor, in the order of the axes, rad.
     #[must_use]
     fn with_room_at_home(self, motors: &[f64]) -> Self;
 }
@@ -33,13 +34,13 @@ impl Limits {
     }
 }
 
-/// The room of motor `axis`, rad.
+/// The extension for motor `axis`, rad.
 fn room(motors: &[f64], axis: usize) -> f64 {
     motors.get(axis).map_or(0.0, |motor| motor.min(MOST))
 }
 
 impl GearAxis {
-    /// With room for a motor that rests up to `motor` beside home, and is carried by up to `carried`, rad.
+    /// Extends the range of a motor that rests up to `motor` rad from home, and is carried by up to `carried` rad.
     fn with_room(mut self, motor: f64, carried: f64) -> Self {
         let joint = (motor + carried) / self.ratio.abs();
         self.joint_limits = self.joint_limits.with_room(self.joint_at_home, joint);
@@ -115,7 +116,7 @@ impl Room for PolycrankParameters {
     }
 }
 
-/// The ranges of alpha, beta and rho stay as they are: no home position of theirs is a parameter.
+/// The ranges of alpha, beta and rho are not extended: their home positions are not parameters.
 impl Room for RntParameters {
     fn with_room_at_home(mut self, motors: &[f64]) -> Self {
         for (axis, leg) in self.legs.iter_mut().enumerate() {

@@ -2,22 +2,22 @@
 
 use super::{Jacobian, KinematicsError};
 
-/// How near joints are to a posture that loses a direction of motion.
+/// Distance of a posture from a singularity, in which the flange cannot move in some direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Singularity {
-    /// The axis that moves most while the flange moves least; of equals the one nearest to the base.
+    /// The axis that moves most while the flange moves least. Of equal axes, the axis nearest to the base.
     pub axis: u8,
-    /// Smallest singular value of the Jacobian, with lengths in m: the flange's speed, m/s and rad/s taken
-    /// together, in its slowest direction at joint speeds of norm 1. Zero at a singularity.
+    /// Smallest singular value of the Jacobian, with lengths in m. This value is the speed of the flange in its
+    /// slowest direction at joint speeds of norm 1, with m/s and rad/s taken together. Zero at a singularity.
     pub margin: f64,
 }
 
 impl Singularity {
-    /// More sweeps than a matrix of this size has ever needed; past it the decomposition gives up.
+    /// Maximum number of sweeps of the decomposition. No matrix of this size has ever needed as many.
     const MOST_SWEEPS: usize = 200;
 
-    /// That of a Jacobian whose first `axes` columns are a robot's. An arm of fewer than six axes is
-    /// measured within the motions it has.
+    /// Singularity of a Jacobian whose first `axes` columns belong to a robot. For an arm of fewer than six axes,
+    /// only its own motions count.
     pub fn of(jacobian: &Jacobian, axes: usize) -> Result<Self, KinematicsError> {
         let decomposed = jacobian
             .try_svd(false, true, f64::EPSILON, Self::MOST_SWEEPS)

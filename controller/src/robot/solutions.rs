@@ -1,10 +1,10 @@
-//! Solutions of inverse kinematics, the preferred first.
+//! Solutions of inverse kinematics, the preferred solution first.
 
 use std::ops::Deref;
 
 use super::{Joints, KinematicsError, drive_train::DriveTrain};
 
-/// Joints that put the flange at one pose, the preferred first; never empty, at most [`Solutions::MOST`].
+/// Joints that bring the flange to one pose, the preferred solution first. At least one, at most [`Solutions::MOST`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Solutions {
     joints: [Joints; Self::MOST],
@@ -12,17 +12,17 @@ pub struct Solutions {
 }
 
 impl Solutions {
-    /// The most branches a robot here has.
+    /// Largest number of branches of a robot.
     pub const MOST: usize = 8;
 
-    /// The solution nearest to where the robot is.
+    /// The solution nearest to the present posture.
     pub fn preferred(&self) -> &Joints {
         &self.joints[0]
     }
 }
 
 impl Solutions {
-    /// The same solutions, each for a robot of other axes.
+    /// The same solutions, each converted by `joints` for a robot with other axes.
     pub(super) fn map(mut self, joints: impl Fn(&Joints) -> Joints) -> Self {
         for solution in &mut self.joints[..self.count] {
             *solution = joints(solution);
@@ -31,7 +31,7 @@ impl Solutions {
     }
 }
 
-/// The only branch of a robot that has one.
+/// The branch of a robot with a single branch.
 impl From<Joints> for Solutions {
     fn from(joints: Joints) -> Self {
         Self {
@@ -49,15 +49,15 @@ impl Deref for Solutions {
     }
 }
 
-/// What stands between the joints of a robot and its motors.
+/// Conversion between the joints of a robot and its motors.
 pub(super) trait Mechanism<const N: usize> {
     /// Refuses a joint position beyond its limit.
     fn check_joint(&self, axis: usize, joint: f64) -> Result<(), KinematicsError>;
 
-    /// Motor positions for joints; both within their limits.
+    /// Motor positions for joints. Both are checked against their limits.
     fn motors_from_joints(&self, joints: &[f64; N]) -> Result<[f64; N], KinematicsError>;
 
-    /// `angle` in the turn nearest to `near`, or, where that is beyond a limit, in one within them.
+    /// `angle` in the turn nearest to `near`, or in a turn within the limits if the nearest turn is beyond a limit.
     fn turn(&self, axis: usize, angle: f64, joints: &[f64; N], near: f64) -> f64;
 }
 
@@ -75,12 +75,12 @@ impl<const N: usize> Mechanism<N> for DriveTrain<N> {
     }
 }
 
-/// Collects the branches of one inverse problem: those within all limits, nearest first, and what to
-/// say if there are none.
+/// Collects the branches of one inverse problem: those within all limits, nearest first, or the reason why there are
+/// none.
 pub(super) struct Search<'a, const N: usize, M = DriveTrain<N>> {
     mechanism: &'a M,
     near: &'a [f64; N],
-    /// Whether branches are left at the first joint found beyond its limit.
+    /// Whether a branch is abandoned at the first joint beyond its limit.
     hasty: bool,
     found: Solutions,
     distances: [f64; Solutions::MOST],
@@ -89,8 +89,8 @@ pub(super) struct Search<'a, const N: usize, M = DriveTrain<N>> {
 }
 
 impl<'a, const N: usize, M: Mechanism<N>> Search<'a, N, M> {
-    /// The solutions among the branches that `visit` offers, always the same ones. It is called a
-    /// second time, to follow every branch to its end, only to say why there is none.
+    /// The solutions among the branches that `visit` offers. `visit` must offer the same branches in each call. If
+    /// there is no solution, a second call follows every branch to its end to find the reason.
     pub(super) fn run(
         mechanism: &'a M,
         near: &'a [f64; N],
@@ -122,12 +122,12 @@ impl<'a, const N: usize, M: Mechanism<N>> Search<'a, N, M> {
         Err(search.refused.map_or(unreachable, |(_, error)| error))
     }
 
-    /// Where the robot is.
+    /// The present posture.
     pub(super) const fn near(&self) -> &'a [f64; N] {
         self.near
     }
 
-    /// Sets the joints of a branch from `first` on, each in the turn nearest to where the robot is.
+    /// Sets the joints of a branch from `first` on, each in the turn nearest to the present posture.
     pub(super) fn turn<const K: usize>(
         &self,
         joints: &mut [f64; N],
@@ -139,25 +139,25 @@ impl<'a, const N: usize, M: Mechanism<N>> Search<'a, N, M> {
         }
     }
 
-    /// Whether a branch with the joint of this axis is worth following.
+    /// Whether a branch with this joint of `axis` is to be followed further.
     pub(super) fn follows(&self, joints: &[f64; N], axis: usize) -> bool {
         !self.hasty || self.mechanism.check_joint(axis, joints[axis]).is_ok()
     }
 
-    /// Notes by how many m the arm fails to have a pair of branches.
+    /// Records the distance, m, by which a pair of branches is out of reach.
     pub(super) fn out_of_reach(&mut self, margin: f64) {
         self.margin = self.margin.min(margin);
     }
 
-    /// Notes why branches are none, to be told if no branch beyond a limit can be.
+    /// Records a reason for missing branches, which is reported if no branch exists beyond a limit.
     pub(super) fn refuse(&mut self, error: KinematicsError) {
         self.refused.get_or_insert((f64::INFINITY, error));
     }
 
-    /// Takes a branch if the robot can stand there. Distance is the largest joint travel from `near`.
+    /// Adds a branch that lies within the limits. The distance of a branch is the largest joint travel from `near`.
     pub(super) fn offer(&mut self, joints: [f64; N]) {
         let travel = joints.iter().zip(self.near).map(|(a, b)| (a - b).abs());
-        // The numbers are finite; `f64::max` would look for a NaN at every one.
+        // The numbers are finite, so the slower `f64::max` with its check for NaN is not needed.
         let distance = travel.fold(0.0, |most, way| if way > most { way } else { most });
         if let Err(error) = self.mechanism.motors_from_joints(&joints) {
             if self.refused.is_none_or(|(nearest, _)| distance < nearest) {

@@ -1,4 +1,4 @@
-//! What every robot keeps, run over all of them, and the numbers that pin each one down.
+//! Properties of all robots, and golden values of each robot.
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -30,7 +30,7 @@ fn polycrank() -> Polycrank {
     Polycrank::new(&PolycrankParameters::polycrank()).unwrap()
 }
 
-/// The robots whose pose leaves no parameter open.
+/// The robots whose poses leave no parameter open.
 fn determined() -> [(&'static str, Box<dyn Robot>); 3] {
     let calibrated = Irp6::new(&Irp6Parameters::irp6p_calibrated()).unwrap();
     [
@@ -67,7 +67,7 @@ impl Random {
         low + (high - low) * unit
     }
 
-    /// Joints where the robot can stand.
+    /// Random joints within the limits of the robot.
     fn joints(&mut self, robot: &dyn Robot) -> Joints {
         loop {
             let mut joints = Joints::new(&[0.0; MAX_AXES][..robot.axes()]).unwrap();
@@ -107,7 +107,7 @@ fn dh([theta, d, a, alpha]: [f64; 4]) -> Matrix4<f64> {
         * Matrix4::new_rotation(Vector3::x() * alpha)
 }
 
-/// The arm as the published table has it, joints turned into its relative angles.
+/// The arm of the published table, from joints converted to its relative angles.
 fn dh_product(d1: f64, [a2, a3, d5]: [f64; 3], th: &[f64]) -> Matrix4<f64> {
     let q3 = th[2] - th[1] - FRAC_PI_2;
     let q4 = th[3] - th[2];
@@ -301,7 +301,7 @@ fn roll_stays_in_the_turn_of_the_robot_unless_a_limit_forbids_it() {
         (5.0, 4.0, 5.0),
         (-1.0, -0.9, -1.0),
         (-1.0, 5.0, TAU - 1.0),
-        // Motor 5 reaches th5 = 6.37 at this pitch, so the turn above is out of its range.
+        // At this pitch motor 5 ends at th5 = 6.37, so that the next turn is out of its range.
         (0.2, 6.3, 0.2),
     ] {
         let pose = robot.forward(&at(asked)).unwrap();
@@ -345,7 +345,7 @@ fn orientation_stays_exact_beside_the_wrist_singularity() {
 
 #[test]
 fn solutions_come_nearest_first() {
-    // Without the limits of the real robot all eight branches stand.
+    // Without the limits of the real robot all eight branches remain.
     let mut parameters = Irp6Parameters::irp6p();
     let wide = Limits {
         low: -1e6,
@@ -424,7 +424,7 @@ fn ball_screw_constants_are_one_rigid_geometry() {
     }
     assert!((upper_arm.cosine + 2.0 * crank * near).abs() < 1e-15);
     assert!((upper_arm.sine - 2.0 * crank * far).abs() < 1e-15);
-    // The lower arm has the same triangle, its crank set by 75.01° against the upper arm's.
+    // The lower arm has the same triangle. Its crank is offset by 75.01° from the upper arm's crank.
     let swing = 2.0 * crank * f64::hypot(near, far);
     assert!((lower_arm.cosine.hypot(lower_arm.sine) - swing).abs() < 1e-8);
     let phase = |screw: ScrewAxis| f64::atan2(screw.sine, screw.cosine).to_degrees();

@@ -18,9 +18,9 @@ pub enum Joint {}
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Motor {}
 
-/// One number per axis of a robot, at most [`MAX_AXES`] of them; reads and writes as a slice.
+/// One number per axis of a robot, at most [`MAX_AXES`]. A vector can be used as a slice.
 ///
-/// Joints and motors are different types, so that neither can be sent where the other belongs.
+/// Joints and motors are different types, so that the compiler refuses a mix-up of the two.
 #[derive(Clone, Copy, PartialEq)]
 pub struct Vector<Space> {
     values: [f64; MAX_AXES],
@@ -28,10 +28,10 @@ pub struct Vector<Space> {
     space: PhantomData<Space>,
 }
 
-/// Joint positions, rad (m for a linear joint), in the convention of the robot they belong to.
+/// Joint positions, rad (m for a linear joint), in the convention of their robot.
 pub type Joints = Vector<Joint>;
 
-/// Motor shaft positions, rad, as the servo and the drives count them.
+/// Motor shaft positions, rad, as in the servo and the drives.
 pub type Motors = Vector<Motor>;
 
 impl<Space> Vector<Space> {
@@ -46,12 +46,12 @@ impl<Space> Vector<Space> {
         })
     }
 
-    /// The numbers, zeros behind them: the form a [`servo::Macrostep`] has.
+    /// The numbers, padded with zeros as in a [`servo::Macrostep`].
     pub const fn padded(&self) -> [f64; MAX_AXES] {
         self.values
     }
 
-    /// The numbers of a robot of `N` axes: refuses another count and what is not finite.
+    /// The numbers of a robot of `N` axes. Refuses another count, and numbers that are not finite.
     pub(super) fn exactly<const N: usize>(&self) -> Result<&[f64; N], KinematicsError> {
         let values: &[f64; N] = (**self)
             .try_into()

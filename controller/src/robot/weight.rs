@@ -1,4 +1,4 @@
-//! Torques that hold the weight of links and load.
+//! Motor torques that balance the weight of links and load.
 
 use nalgebra::{UnitVector3, Vector3};
 use schemars::JsonSchema;
@@ -11,34 +11,34 @@ use super::{KinematicsError, Link, Motors, Robot};
 /// Free fall, m/s².
 const GRAVITY: f64 = 9.81;
 
-/// Turn of a motor to either side over which potential energy is differentiated, rad.
+/// Motor displacement to either side for the numerical derivative of the potential energy, rad.
 ///
-/// The central difference misses f‴ / 6 · 1e-6: behind gears of 50 and more, 1e-10 of the torque. What 200 J lose by
-/// rounding adds 2e-11 N·m.
+/// The truncation error of the central difference is f‴ / 6 · 1e-6. Behind gears of 50 and more the error is 1e-10 of
+/// the torque. The rounding error of 200 J adds 2e-11 N·m.
 const STEP: f64 = 1e-3;
 
-/// The mass of one link, or of what the flange carries, at its centre.
+/// The mass of one link, or of the load on the flange, at its centre.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Mass {
-    /// kg.
+    /// Mass, kg.
     pub mass: f64,
-    /// Centre in the link's frame, m. A link's frame is that of its joint, as `mrroc urdf` writes it.
+    /// Centre in the link's frame, m. The link's frame is its joint's frame, as written by `mrroc urdf`.
     pub centre: [f64; 3],
 }
 
 impl Mass {
-    /// The most that a link or a load of these robots can have, kg.
+    /// Largest mass of a link or a load, kg.
     pub const MOST: f64 = 1000.0;
 
-    /// The farthest that its centre can be, m.
+    /// Largest coordinate of a centre of mass, m.
     pub const FARTHEST: f64 = 10.0;
 
     const fn new(mass: f64, centre: [f64; 3]) -> Self {
         Self { mass, centre }
     }
 
-    /// Nominal, as all of these: of [`Irb6`](super::Irb6) with a gripper along its roll axis.
+    /// Masses of [`Irb6`](super::Irb6) with a gripper along its roll axis. All masses here are nominal.
     pub const IRB6: [Self; 5] = [
         Self::new(45.0, [0.0; 3]),
         Self::new(12.0, [0.20, 0.0, 0.0]),
@@ -47,7 +47,7 @@ impl Mass {
         Self::new(1.35, [0.0, 0.0, 0.15]),
     ];
 
-    /// Of [`Irp6`](super::Irp6) with its gripper along the hand axis.
+    /// Masses of [`Irp6`](super::Irp6) with its gripper along the hand axis.
     pub const IRP6: [Self; 6] = [
         Self::new(45.0, [0.0; 3]),
         Self::new(12.0, [0.20, 0.0, 0.0]),
@@ -57,15 +57,15 @@ impl Mass {
         Self::new(1.35, [0.0, 0.0, 0.15]),
     ];
 
-    /// Of [`Irp6Track`](super::Irp6Track), which carries the same on a carriage.
+    /// Masses of [`Irp6Track`](super::Irp6Track): the same arm on a carriage.
     pub const IRP6_TRACK: [Self; 7] = {
         let [column, lower_arm, upper_arm, pitch, roll, hand] = Self::IRP6;
         let carriage = Self::new(60.0, [0.0; 3]);
         [carriage, column, lower_arm, upper_arm, pitch, roll, hand]
     };
 
-    /// Of [`Rnt`](super::Rnt): the platform with its share of the legs, then its wrist. The frames of alpha and beta
-    /// stand.
+    /// Masses of [`Rnt`](super::Rnt): the platform with its share of the legs, then its wrist. The frames of alpha
+    /// and beta have no mass.
     pub const RNT: [Self; 6] = [
         Self::new(0.0, [0.0; 3]),
         Self::new(0.0, [0.0; 3]),
@@ -75,7 +75,7 @@ impl Mass {
         Self::new(3.0, [0.0, 0.0, 0.175]),
     ];
 
-    /// Of [`Polycrank`](super::Polycrank): rods from joint to joint.
+    /// Masses of [`Polycrank`](super::Polycrank): rods from joint to joint.
     pub const POLYCRANK: [Self; 7] = [
         Self::new(12.0, [-0.1495, 0.0, 0.110]),
         Self::new(9.0, [0.090, 0.0, 0.076]),
@@ -87,39 +87,39 @@ impl Mass {
     ];
 }
 
-/// Links of a robot with their masses, for the torques that hold them.
+/// Links of a robot with their masses, for the torques that balance their weight.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Weight {
-    /// From base to flange, the load with the last.
+    /// Links from base to flange, the last link with the load.
     links: Vec<(Link, Mass)>,
     load: Mass,
-    /// Against gravity, in the base frame.
+    /// Direction against gravity, in the base frame.
     up: UnitVector3<f64>,
 }
 
-/// Why masses are not those of a robot.
+/// Reasons why masses do not fit a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum WeightError {
-    /// A robot whose links are not known one by one.
+    /// The links of the robot are not known one by one.
     #[error("the robot has no links that weigh on its motors")]
     NoLinks,
-    /// As many masses as links are needed.
+    /// The number of masses differs from the number of links.
     #[error("{given} masses for {links} links")]
     Count {
-        /// Links of the robot.
+        /// Number of links of the robot.
         links: usize,
-        /// Masses given.
+        /// Number of masses passed.
         given: usize,
     },
-    /// A mass below zero, above [`Mass::MOST`], or no number.
+    /// A mass is below zero, above [`Mass::MOST`], or not finite.
     #[error("a mass of {mass} kg is not between 0 and {} kg", Mass::MOST)]
     Mass {
         /// Index of the link; one more than the last for the load.
         link: usize,
-        /// kg.
+        /// Mass, kg.
         mass: f64,
     },
-    /// A centre farther away than [`Mass::FARTHEST`], or not finite.
+    /// A centre is farther away than [`Mass::FARTHEST`], or not finite.
     #[error(
         "a centre of mass at {coordinate} m is not within {} m of its frame",
         Mass::FARTHEST
@@ -127,16 +127,16 @@ pub enum WeightError {
     Centre {
         /// Index of the link; one more than the last for the load.
         link: usize,
-        /// The coordinate that is, m.
+        /// The invalid coordinate, m.
         coordinate: f64,
     },
-    /// No direction against gravity.
+    /// The vector against gravity has no direction.
     #[error("up has no direction")]
     Up,
 }
 
 impl WeightError {
-    /// The link it is about; one more than the last for the load.
+    /// The link of the error; one more than the last for the load.
     pub fn link(&self) -> Option<usize> {
         match *self {
             Self::Mass { link, .. } | Self::Centre { link, .. } => Some(link),
@@ -146,8 +146,8 @@ impl WeightError {
 }
 
 impl Weight {
-    /// The weights of `robot`: one mass per link of [`Robot::links`], the load in the frame of the flange, and the
-    /// upward direction in the base frame, of any length.
+    /// The weights of `robot`. There is one mass per link of [`Robot::links`]. The load is in the frame of the
+    /// flange. The upward direction is in the base frame and has any length.
     pub fn new(
         robot: &dyn Robot,
         masses: &[Mass],
@@ -178,12 +178,12 @@ impl Weight {
         })
     }
 
-    /// Torques of the motors, N·m, that hold `robot` at these motor positions; all finite. `robot` must be the robot
-    /// that the weight was made for.
+    /// Torques of the motors, N·m, that balance the weight of `robot` at these motor positions. All torques are
+    /// finite. `robot` must be the robot for which the weights were made.
     ///
-    /// A motor's is the change of potential energy per turn of it while the others stand: virtual work, whatever
-    /// gears, screws, couplings and parallel legs lie between. Gears are without losses here. The links' potential
-    /// energy is worked out twice per motor: some 5 µs for six axes.
+    /// The torque of a motor is the derivative of the potential energy by its angle while the other motors stand.
+    /// This is the principle of virtual work. It holds for all gears, screws, couplings and parallel legs. Gears have
+    /// no losses here. The potential energy of the links is computed twice per motor: some 5 µs for six axes.
     pub fn torque(
         &self,
         robot: &dyn Robot,
@@ -205,7 +205,7 @@ impl Weight {
         Ok(torques)
     }
 
-    /// Potential energy above the base's origin, J.
+    /// Potential energy relative to the origin of the base, J.
     pub(super) fn potential(
         &self,
         robot: &dyn Robot,
@@ -213,7 +213,7 @@ impl Weight {
     ) -> Result<f64, KinematicsError> {
         let joints = robot.joints_from_motors(motors)?;
         let moment_of = |body: &Mass| Vector3::from(body.centre) * body.mass;
-        // From the flange to the base: the mass of all that is carried and its first moment, in the frame of the link.
+        // From the flange to the base: the mass of all carried links and its first moment, in the frame of the link.
         let (mut mass, mut moment) = (self.load.mass, moment_of(&self.load));
         for (link, body) in self.links.iter().rev() {
             mass += body.mass;

@@ -1,4 +1,4 @@
-//! The drive behind both telegrams.
+//! The drive that both protocols share.
 
 use std::time::Duration;
 
@@ -9,29 +9,29 @@ use super::{AxisControllerConfig, Cabinet};
 use crate::{Axis, Demand, Feedback};
 
 const SUB_STEP: Duration = Duration::from_micros(100);
-/// Sub-steps after which switches and index pulse are looked at: 1 ms.
+/// Number of sub-steps between checks of the switches and the index pulse: 1 ms.
 const CHUNK: u32 = 10;
-/// The axis is moved on at least this often.
+/// Longest interval between two advances of the axis.
 const LAZIEST: Duration = Duration::from_millis(20);
-/// A fully driven power stage.
+/// Full pulse width of the power stage.
 const FULL: f64 = 1000.0;
-/// Gains are fractions of this.
+/// Denominator of the gains.
 const ONE: f64 = 32_768.0;
 
-/// What the power stage does.
+/// Modes of the power stage.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Mode {
-    /// Open, until a mode is set.
+    /// Open until a mode is set.
     Manual,
-    /// Follows pulse widths.
+    /// Pulse widths.
     Pwm,
-    /// Follows currents.
+    /// Current control.
     Current,
-    /// Open, until [`Mode::Manual`] is set.
+    /// Open until [`Mode::Manual`] is set.
     Error,
 }
 
-/// What the index pulse is to do.
+/// State of the index search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Search {
     Off,
@@ -39,19 +39,19 @@ enum Search {
     Found,
 }
 
-/// What is latched until [`Mode::Manual`].
+/// Faults latched until [`Mode::Manual`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Faults {
     pub(super) over_current: bool,
-    /// The winding is too hot, or the power was off.
+    /// The winding is too hot, or the supply was off.
     pub(super) power_stage: bool,
 }
 
-/// What the sensors tell at one instant, as both telegrams report it.
+/// Sensor readings of one instant, as both protocols report them.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sample {
     pub(super) position: i32,
-    /// mA.
+    /// Current, mA.
     pub(super) current: i16,
     pub(super) upper_limit: bool,
     pub(super) lower_limit: bool,
@@ -65,12 +65,12 @@ pub(super) struct Sample {
 pub(super) struct Drive {
     axis: Axis,
     feedback: Feedback,
-    /// The time up to which the axis has moved.
+    /// Time up to which the axis has been simulated.
     inner: Instant,
     supply: f64,
     supplied: bool,
     mode: Mode,
-    /// Of the mode: pulse width, or mA.
+    /// Set-point of the current mode: pulse width, or mA.
     set_point: f64,
     search: Search,
     /// Position counter = raw counter + offset.
@@ -111,7 +111,7 @@ impl Drive {
         &self.axis
     }
 
-    /// Moves the axis on to the last sub-step before `now`.
+    /// Advances the axis to the last sub-step before `now`.
     pub(super) fn catch_up(&mut self, now: Instant) {
         loop {
             let left = now.since(self.inner).as_nanos() / SUB_STEP.as_nanos();
@@ -119,7 +119,7 @@ impl Drive {
             if steps == 0 {
                 return;
             }
-            // A stage in use that loses its power stays off; the stop is looked at once per chunk.
+            // A power stage that loses its supply while in use stays off. The stop is checked once per chunk.
             self.faults.power_stage |=
                 self.mode != Mode::Manual && self.cabinet.is_open(self.inner);
             self.axis.advance(steps, self.demand());
@@ -140,7 +140,7 @@ impl Drive {
         }
     }
 
-    /// When the axis has to be moved on at the latest.
+    /// Latest time at which the axis has to be advanced.
     pub(super) fn poll_timeout(&self) -> Instant {
         self.inner + LAZIEST
     }
@@ -162,7 +162,7 @@ impl Drive {
         }
     }
 
-    /// Changes the mode; one that is kept keeps its set-point. Only manual mode leads out of error.
+    /// Changes the mode. Setting the current mode again keeps the set-point. Only manual mode leaves error mode.
     pub(super) fn set_mode(&mut self, mode: Mode) {
         if self.mode == Mode::Error && mode != Mode::Manual {
             return;
@@ -185,7 +185,7 @@ impl Drive {
         }
     }
 
-    /// Takes a pulse width or a current, mA, for the mode that follows it.
+    /// Sets a pulse width or a current, mA, for the mode that follows it.
     pub(super) fn set_point(&mut self, mode: Mode, value: i16, now: Instant) {
         if mode == self.mode {
             let value = f64::from(value);
@@ -198,7 +198,7 @@ impl Drive {
         }
     }
 
-    /// Whether the next index pulse is to zero the counter.
+    /// Starts or ends the index search. During the search the next index pulse zeroes the counter.
     pub(super) fn search_index(&mut self, on: bool) {
         match (on, self.search) {
             (true, Search::Off) => {
@@ -214,16 +214,17 @@ impl Drive {
         self.synchronized = synchronized;
     }
 
-    /// mA; with none that is positive any current trips.
+    /// Current limit, mA. With a limit of zero or less, any current trips the drive.
     pub(super) fn set_max_current(&mut self, current: i16) {
         self.axis.set_trip_current(f64::from(current.max(0)) * 1e-3);
     }
 
     pub(super) fn set_current_gains(&mut self, gains: Gains) {
-        // Pulse width per mA, in V/A.
+        // Conversion from pulse width per mA to V/A.
         let scale = self.supply / FULL * 1e3 / ONE;
         let (p, i) = (f64::from(gains.p) * scale, f64::from(gains.i) * scale);
-        // The loop's integral lags a sub-step behind: one share more makes up for it.
+        // The integral of the axis's loop lags by one sub-step. Adding the integral gain to the proportional gain
+        // compensates.
         self.axis.set_current_gains(p + i, i);
     }
 

@@ -11,26 +11,26 @@ use super::{AxisControllerConfig, GAP};
 use crate::outbox::Heard;
 use crate::{Axis, LineDevice};
 
-/// What its answers begin with; no source says which byte that is.
+/// First byte of an answer. No source documents its value.
 const START: u8 = 0x23;
 
 /// A serial axis controller with the older telegrams.
 ///
-/// Ten bytes from a preamble on are a request; whatever stands between requests is skipped. A preamble
-/// within a request begins a new one. With neither length nor checksum, what follows a torn request
-/// without a pause can be taken for the rest of it. Gains are accepted without effect: no source
-/// says their scale.
+/// A request is ten bytes from a preamble on. Bytes between requests are skipped. A preamble within a request begins
+/// a new request. The telegram has neither length nor checksum. Bytes that follow a torn request without a pause can
+/// therefore be taken for the rest of that request. Gains are accepted without effect, since no source gives their
+/// scale.
 pub struct HiMoxaAxisController {
     unit: Unit,
-    /// The last bytes.
+    /// The last bytes received.
     window: [u8; REQUEST],
-    /// Bytes since the last preamble, while they may become a request.
+    /// Bytes since the last preamble, while they can still become a request.
     since: Option<usize>,
     last: Instant,
 }
 
 impl HiMoxaAxisController {
-    /// Switched on in manual mode.
+    /// A controller after power-on, in manual mode.
     pub fn new(config: AxisControllerConfig) -> Self {
         Self {
             window: NOTHING,
@@ -40,13 +40,13 @@ impl HiMoxaAxisController {
         }
     }
 
-    /// The axis with what no drive can know of it.
+    /// The simulated axis, including state that no drive can measure.
     pub fn axis(&self) -> &Axis {
         self.unit.drive.axis()
     }
 
-    /// What it has heard. Without a checksum nothing is known as damaged, without an address nothing
-    /// as foreign.
+    /// Receive counters. Without a checksum no request counts as damaged. Without an address no request counts as
+    /// foreign.
     pub fn heard(&self) -> Heard {
         self.unit.heard
     }
@@ -68,7 +68,7 @@ impl HiMoxaAxisController {
     }
 }
 
-/// A window that no byte has entered yet.
+/// A window that contains no received byte.
 const NOTHING: [u8; REQUEST] = [0xFF; REQUEST];
 
 impl LineDevice for HiMoxaAxisController {
@@ -110,7 +110,7 @@ impl LineDevice for HiMoxaAxisController {
     }
 }
 
-/// `false` if the drive can do nothing of the kind.
+/// Executes a request. Returns `false` if the drive does not support the request.
 fn obey(drive: &mut Drive, request: Request, now: Instant) -> bool {
     match request {
         Request::Drive {

@@ -13,9 +13,9 @@ use crate::{Axis, LineDevice};
 
 /// A serial axis controller with NFv2 telegrams.
 ///
-/// A frame is obeyed whole or not at all, in the order of its commands, and answered if it reads something. One to
-/// everybody is obeyed and not answered. After bytes that are no whole frame, the next `#` that begins a frame
-/// counts.
+/// A frame is executed whole or not at all, in the order of its commands. A frame that contains a read is answered. A
+/// broadcast frame is executed and not answered. After bytes that form no valid frame, reception resumes at the next
+/// `#` that begins a frame.
 pub struct Nfv2AxisController {
     address: u8,
     unit: Unit,
@@ -23,7 +23,7 @@ pub struct Nfv2AxisController {
 }
 
 impl Nfv2AxisController {
-    /// Switched on in manual mode.
+    /// A controller after power-on, in manual mode.
     pub fn new(address: u8, config: AxisControllerConfig) -> Self {
         Self {
             address,
@@ -32,12 +32,12 @@ impl Nfv2AxisController {
         }
     }
 
-    /// The axis with what no drive can know of it.
+    /// The simulated axis, including state that no drive can measure.
     pub fn axis(&self) -> &Axis {
         self.unit.drive.axis()
     }
 
-    /// What it has heard.
+    /// Receive counters.
     pub fn heard(&self) -> Heard {
         let stream = &self.stream;
         Heard {
@@ -93,7 +93,7 @@ impl LineDevice for Nfv2AxisController {
     }
 }
 
-/// Whether the drive can do what a command asks.
+/// Whether the drive supports a command.
 fn possible(command: Command) -> bool {
     use serial::nfv2::Mode as M;
     !matches!(
@@ -152,11 +152,11 @@ fn status(sample: &Sample) -> Status {
     Status(set.fold(0, |status, (_, bit)| status | bit))
 }
 
-/// Finds frames in what arrives.
+/// Finds frames in the received bytes.
 struct Stream {
     bytes: [u8; LONGEST],
     count: usize,
-    /// Bytes of the frame handed out last, still in front.
+    /// Bytes of the last returned frame, which are still at the front of the buffer.
     used: usize,
     last: Instant,
     damaged: u64,
@@ -175,7 +175,7 @@ impl Stream {
         }
     }
 
-    /// Takes a byte. There is room for it once [`Stream::next`] has said `None`.
+    /// Takes a byte. The buffer has room after [`Stream::next`] has returned `None`.
     fn push(&mut self, byte: u8, now: Instant) {
         if self.count > 0 && now.since(self.last) > GAP {
             self.skipped += self.count as u64;
@@ -186,7 +186,7 @@ impl Stream {
         self.count += 1;
     }
 
-    /// The next whole frame; called until it says `None`, which leaves at most the beginning of one.
+    /// The next whole frame. Called until the result is `None`. At most the beginning of a frame remains then.
     fn next(&mut self) -> Option<Frame<'_>> {
         let used = std::mem::take(&mut self.used);
         self.remove(used);
@@ -194,7 +194,8 @@ impl Stream {
         Frame::parse(&self.bytes[..self.used])
     }
 
-    /// Drops what cannot begin a frame, and returns the length of one that is there and right.
+    /// Drops bytes that cannot begin a frame. Returns the length of the first valid frame, if the buffer contains
+    /// one.
     fn find(&mut self) -> Option<usize> {
         loop {
             let bytes = &self.bytes[..self.count];

@@ -49,7 +49,7 @@ impl Rig {
         Self::new(Box::new(HiMoxaAxisController::new(config)))
     }
 
-    /// Writes now, and returns what has come back a period later.
+    /// Writes now, and returns the bytes received one period later.
     fn exchange(&mut self, request: &[u8]) -> Vec<u8> {
         assert_eq!(self.host.write(self.now, request), Ok(request.len()));
         self.now += PERIOD;
@@ -81,7 +81,7 @@ impl Rig {
         }
     }
 
-    /// The same with the older telegrams.
+    /// One cycle with the older telegrams.
     fn old_cycle(&mut self, request: hi_moxa::Request) -> hi_moxa::Answer {
         let answer = self.exchange(&request.encode_cyclic());
         hi_moxa::Answer::decode(answer.try_into().expect("one answer"))

@@ -6,7 +6,7 @@ use super::AxisControllerConfig;
 use super::drive::Drive;
 use crate::outbox::{Heard, Outbox};
 
-/// What both telegrams have behind them: the drive, and the answers under way.
+/// The drive and its pending answers, shared by both protocols.
 pub(super) struct Unit {
     pub(super) drive: Drive,
     pub(super) heard: Heard,
@@ -24,7 +24,7 @@ impl Unit {
         }
     }
 
-    /// Answers a request whose last byte has come.
+    /// Answers a request whose last byte has arrived.
     pub(super) fn answer(&mut self, bytes: &[u8], now: Instant) {
         let at = now + self.config.answer_delay;
         self.heard.overrun += self.outbox.put(at, bytes) as u64;

@@ -11,7 +11,7 @@ fn at(micros: u64) -> Instant {
     Instant::from_nanos(micros * 1000)
 }
 
-/// A bus with `ports` hosts and, as the last, one that only listens.
+/// A bus with `ports` hosts. The last host only listens.
 fn hosts(ports: usize) -> (VirtualBus, Vec<VirtualPort>) {
     let mut bus = VirtualBus::new(Bitrate::KBPS_1000);
     let ports = (0..=ports)
@@ -70,7 +70,7 @@ fn frames_end_after_exactly_their_bits_and_follow_each_other_without_a_gap() {
     let (mut bus, mut ports) = hosts(2);
     let request = standard(0x601, &[0x40, 0x41, 0x60, 0, 0, 0, 0, 0]);
     ports[0].send(at(0), &[request]).unwrap();
-    // Pending while the request is on the wire: it cannot interrupt, but it is next.
+    // Pending while the request is on the wire: the frame cannot interrupt the request, but is sent next.
     ports[1].send(at(50), &[standard(0x080, &[])]).unwrap();
     bus.advance(at(1000));
     let expected = [
@@ -78,7 +78,7 @@ fn frames_end_after_exactly_their_bits_and_follow_each_other_without_a_gap() {
         ("080#".to_owned(), 123_000 + 48_000),
     ];
     assert_eq!(heard(&mut ports[2]), expected);
-    // No end hears itself.
+    // No node receives its own frames.
     assert_eq!(heard(&mut ports[0]), expected[1..]);
     assert_eq!(heard(&mut ports[1]), expected[..1]);
     let statistics = bus.statistics();

@@ -7,10 +7,10 @@ use canopen::NodeId;
 
 use crate::plant::{AxisConfig, Mount};
 
-/// What distinguishes one unit from another.
+/// Configuration of one unit.
 #[derive(Clone, Debug)]
 pub struct Epos4Config {
-    /// Its address; `None` for a unit that is to be given one by LSS, and says nothing before.
+    /// Node-ID of the unit. `None`: LSS is to assign a node-ID, and the unit sends nothing before.
     pub node: Option<NodeId>,
     /// Object 0x1018:1; maxon is 0x0000_00FB.
     pub vendor: u32,
@@ -20,33 +20,33 @@ pub struct Epos4Config {
     pub revision: u32,
     /// Object 0x1018:4.
     pub serial: u32,
-    /// When it is switched on: no later than the first instant it is told of.
+    /// Time of power-on: no later than the first instant passed to the device.
     pub power_on: Instant,
-    /// From power-on or reset to the boot-up frame.
+    /// Delay from power-on or reset to the boot-up frame.
     pub boot_delay: Duration,
-    /// From an SDO request to its answer.
+    /// Delay from an SDO request to its answer.
     pub answer_delay: Duration,
     /// Bits 10 and 12 in the cyclic modes.
     pub cyclic_status: CyclicStatus,
-    /// What happens when SYNC stays away.
+    /// Reaction to missing SYNCs.
     pub sync_loss: SyncLoss,
-    /// Object 0x3000:05, quadrature counts per revolution; those of its encoder where `None`.
+    /// Object 0x3000:05, quadrature counts per revolution. `None`: the counts of the axis's encoder.
     pub main_sensor_resolution: Option<u32>,
-    /// Object 0x6076, N·m, which its nominal current (0x3001:01) is reckoned from; that of the amplifier's
-    /// greatest current where `None`.
+    /// Object 0x6076, N·m, from which the nominal current (0x3001:01) is calculated. `None`: the torque at the
+    /// amplifier's maximum current.
     pub rated_torque: Option<f64>,
-    /// Bits that stand in every statusword; EPOS2 has bit 8 in all its states.
+    /// Bits set in every statusword. An EPOS2 sets bit 8 in all its states.
     pub vendor_bits: u16,
-    /// Decides noise and ripple.
+    /// Seed of noise and ripple.
     pub seed: u64,
     /// Motor, load, sensors and inner loops.
     pub axis: AxisConfig,
-    /// Where its axis is mounted; `None` for a motor with a load of its own.
+    /// Mounting point of the axis. `None`: the motor carries a load of its own.
     pub mount: Option<Mount>,
 }
 
 impl Epos4Config {
-    /// A Module 50/5 with firmware 0x0170 on this axis, quick to boot and to answer.
+    /// A Module 50/5 with firmware 0x0170 on this axis, with short boot and answer delays.
     pub fn new(node: NodeId, axis: AxisConfig) -> Self {
         Self {
             node: Some(node),
@@ -69,25 +69,25 @@ impl Epos4Config {
     }
 }
 
-/// What the statusword shows in CSP, CSV and CST; EPOS4's documents do not say.
+/// Bits 10 and 12 of the statusword in CSP, CSV and CST. EPOS4's documents do not define them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum CyclicStatus {
-    /// Bit 12 while set-points are followed, as CiA 402 has it.
+    /// Bit 12 is set while set-points are followed, as in CiA 402.
     #[default]
     FollowsCommand,
-    /// Neither bit 10 nor bit 12.
+    /// Neither bit 10 nor bit 12 is set.
     Silent,
 }
 
-/// What a drive that follows cyclic set-points does when SYNC stays away.
+/// Reaction of a drive that follows cyclic set-points to missing SYNCs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SyncLoss {
-    /// Position stays at the last set-point, velocity and torque go on.
+    /// The position stays at the last set-point. Velocity and torque continue.
     #[default]
     Hold,
-    /// After this many interpolation periods (0x60C2) without SYNC, error 0x8250.
+    /// Error 0x8250 after this many interpolation periods (0x60C2) without SYNC.
     Fault {
-        /// Periods, at least 1.
+        /// Number of periods, at least 1.
         periods: u32,
     },
 }

@@ -3,7 +3,8 @@
 //! Sources: the pages about NMT and abort codes of the EPOS4 Communication Guide of 2019-11 (rel8759), and maxon's
 //! electronic data sheet of firmware 0x0170. The Firmware Specification was not at hand.
 
-/// Comments of the emulated drive's data sheet: ASCII without semicolons, which begin comments there.
+/// Comments of the emulated drive's data sheet. The text is ASCII without semicolons, which begin comments in data
+/// sheets.
 pub(super) const STATEMENTS: &[&str] = &[
     "Data sheet of an emulated drive. Not checked: no document of maxon was at hand for the statement.",
     "Abort codes: those that the EPOS4 Communication Guide (2019-11, table 6-20) lists as in use by the EPOS4.",

@@ -1,14 +1,16 @@
-//! The drive behind the dictionary: power states, modes of operation, and the axis they move.
+//! The drive behind the dictionary: power states, modes of operation, and the axis.
 //!
-//! Time advances in chunks of up to 1 ms, the period of the drive's own control. In each chunk the
-//! mode's set-point generator says where the axis is to go, the axis goes, and what came of it is
-//! published to the dictionary. Positions here are the device's counts: the axis' raw counter plus
-//! an offset that homing sets.
+//! Time advances in chunks of up to 1 ms, the period of the drive's own control. In each chunk the mode's set-point
+//! generator computes the demand, the axis advances under that demand, and the result is written to the dictionary.
+//! Positions here are the device's counts: the axis' raw counter plus an offset that homing sets.
 //!
-//! Not documented by maxon as far as was read, and chosen here: an axis that is switched on stands
-//! until the first SYNC or set-point; after a brake in a velocity or torque mode it holds its
-//! position; software limits and set-point checks begin with the reference; cyclic modes ignore
-//! halt; bits 10 and 12 in the cyclic modes are [`CyclicStatus`]'s choice.
+//! The maxon documents that were read do not define the following. The behaviour is chosen here:
+//!
+//! * An axis that is switched on stands until the first SYNC or set-point.
+//! * After braking in a velocity or torque mode, the axis holds its position.
+//! * Software limits and set-point checks apply only to a referenced axis.
+//! * Cyclic modes ignore halt.
+//! * [`CyclicStatus`] chooses bits 10 and 12 in the cyclic modes.
 
 mod modes;
 mod slots;
@@ -40,31 +42,31 @@ pub(super) struct Drive {
     axis: Axis,
     counts_per_turn: f64,
     cyclic_status: CyclicStatus,
-    /// Bits that stand in every statusword.
+    /// Bits set in every statusword.
     vendor_bits: u16,
     feedback: Feedback,
     /// Device position = raw counter + offset.
     offset: i32,
     referenced: bool,
     power: PowerState,
-    /// How the axis is being braked and the state that follows.
+    /// The current braking ramp, and the state that follows.
     braking: Option<(Brake, PowerState)>,
     controlword: Controlword,
     mode: ModeOfOperation,
-    /// Where the axis is to be, in device counts.
+    /// Demanded position and velocity, in device counts.
     motion: Motion,
     profile: Setpoints,
-    /// Cyclic synchronous position: where the segment ends and how long it still lasts, s.
+    /// Cyclic synchronous position: the end of the segment, and its remaining duration, s.
     segment: (f64, f64),
     homing: Homing,
     following_error: bool,
     standstill: Standstill,
-    /// How long the position has been within the window around its target, s; `None` outside.
+    /// Time for which the position has been within the window around its target, s; `None` outside.
     in_window: Option<f64>,
     average_current: f64,
 }
 
-/// Profile position mode: the target in progress and the one behind it.
+/// Profile position mode: the current target and the next target.
 #[derive(Clone, Copy, Debug, Default)]
 struct Setpoints {
     active: Option<f64>,
@@ -74,10 +76,10 @@ struct Setpoints {
 
 #[derive(Clone, Copy, Debug)]
 enum Homing {
-    /// Not started, or interrupted.
+    /// Homing has not started, or was interrupted.
     Idle,
     Searching(Search),
-    /// Found; on the way to where the axis is to rest, in device counts.
+    /// The reference was found. The axis moves to its final position, in device counts.
     Resting(f64),
     Done,
     Failed {
@@ -132,7 +134,7 @@ impl Drive {
         self.stand();
     }
 
-    /// The restart, if there was one, is over.
+    /// Ends a restart, if there was one.
     pub(super) fn started(&mut self, objects: &mut Objects) {
         if self.power != PowerState::NotReadyToSwitchOn {
             return;
@@ -152,7 +154,7 @@ impl Drive {
         )
     }
 
-    /// Whether a fault is latched or being braked for.
+    /// Whether a fault is latched, or the axis is braking because of a fault.
     pub(super) fn faulted(&self) -> bool {
         matches!(
             self.power,
@@ -173,14 +175,14 @@ impl Drive {
             )
     }
 
-    /// Takes over object 0x6060.
+    /// Applies object 0x6060.
     pub(super) fn change_mode(&mut self, objects: &mut Objects) {
         let mode = ModeOfOperation::from_raw(objects.i(MODE_OF_OPERATION) as i8);
         if mode == self.mode {
             return;
         }
         self.mode = mode;
-        // On the move, a mode goes on from where the one before it was.
+        // A moving axis continues from the motion of the previous mode.
         let (motion, braking) = (self.motion, self.braking);
         self.stand();
         self.motion = motion;
@@ -188,7 +190,7 @@ impl Drive {
         self.braking = braking;
     }
 
-    /// Takes over object 0x6040. `true` is a fault reset that was obeyed.
+    /// Applies object 0x6040. Returns `true` after a successful fault reset.
     pub(super) fn command(&mut self, objects: &mut Objects) -> bool {
         let before = self.controlword;
         let word = Controlword(objects.u(CONTROLWORD) as u16);
@@ -202,7 +204,7 @@ impl Drive {
             }
             return reset;
         }
-        // Ready to switch on passes through switched on to operation enabled by one word.
+        // One controlword can lead from ready to switch on through switched on to operation enabled.
         for _ in 0..2 {
             let Some(transition) = on_command(self.power, word.power_command(), &options(objects))
             else {
@@ -221,7 +223,7 @@ impl Drive {
         false
     }
 
-    /// Does what an error asks for; a drive without power only shows it.
+    /// Reacts to an error. A drive without power only reports the error.
     pub(super) fn react(&mut self, error: Error, objects: &Objects) {
         let at_once = match error.reaction {
             Reaction::None => return,
@@ -232,7 +234,7 @@ impl Drive {
         self.perform(on_fault(self.power, at_once, &options(objects)));
     }
 
-    /// Object 0x6007: what to do once the host is not heard any more.
+    /// Object 0x6007: the reaction to a lost connection to the host.
     pub(super) fn abort_connection(&mut self, objects: &Objects) {
         let options = options(objects);
         let transition = match objects.i(ABORT_CONNECTION_OPTION) {
@@ -248,7 +250,7 @@ impl Drive {
 
     fn perform(&mut self, transition: Transition) {
         let was_powered = self.powered();
-        // A command that is repeated each cycle goes on with what it began.
+        // A command that is repeated each cycle does not restart its braking.
         let braking = transition.brake.map(|brake| (brake, transition.then));
         if transition.now == self.power && braking == self.braking {
             return;
@@ -256,7 +258,7 @@ impl Drive {
         self.power = transition.now;
         match braking {
             Some(_) => {
-                // The demand may be far off, or absurd: braking begins with what the axis does.
+                // The demand may be far from the actual motion, or invalid: braking begins with the actual velocity.
                 self.motion.velocity = self.feedback.velocity;
                 if transition.now == PowerState::FaultReactionActive {
                     self.motion.position = self.position();
@@ -266,7 +268,7 @@ impl Drive {
             None => {
                 let motion = self.motion;
                 self.stand();
-                // An axis that keeps its power goes on from where it was told to be.
+                // An axis that keeps its power continues from the demanded position.
                 if was_powered && self.powered() {
                     self.motion = motion;
                     self.segment.0 = motion.position;
@@ -275,7 +277,7 @@ impl Drive {
         }
     }
 
-    /// Forgets every target: the axis stands where it is.
+    /// Clears every target: the axis holds its present position.
     fn stand(&mut self) {
         self.motion = Motion::at(self.position());
         self.segment = (self.motion.position, 0.0);
@@ -297,7 +299,7 @@ impl Drive {
         )
     }
 
-    /// SYNC, or a set-point outside of it: the cyclic modes' set-points take effect.
+    /// Activates the set-points of the cyclic modes. Called at SYNC, or for a set-point outside SYNC.
     pub(super) fn latch(&mut self, objects: &Objects) -> Option<Error> {
         let position = self.mode == ModeOfOperation::CyclicSynchronousPosition;
         if !position || !self.follows() {
@@ -316,7 +318,8 @@ impl Drive {
         self.referenced && (min != 0.0 || max != 0.0) && !(min..=max).contains(&target)
     }
 
-    /// Advances by `steps` sub-steps, at most [`CHUNK`], and publishes; an error if one appeared.
+    /// Advances by `steps` sub-steps, at most [`CHUNK`], and updates the dictionary. Returns a new error, if there is
+    /// one.
     pub(super) fn advance(&mut self, steps: u32, objects: &mut Objects) -> Option<Error> {
         let dt = f64::from(steps) * SUB_STEP;
         let start = self.motion;
@@ -335,7 +338,7 @@ impl Drive {
         self.axis.advance(steps, demand);
         self.feedback = self.axis.feedback();
         if !matches!(demand, Demand::Position { .. }) {
-            // What comes next begins where the axis is.
+            // The next demand begins at the actual position.
             self.motion.position = self.position();
             if matches!(demand, Demand::Off | Demand::Torque(_)) {
                 self.motion.velocity = self.feedback.velocity;

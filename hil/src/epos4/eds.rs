@@ -12,8 +12,8 @@ use super::objects::DUMMIES;
 use super::table::{self, Kind, TABLE};
 use super::{Epos4Config, identity};
 
-/// The shape and the names of objects that are more than one variable, or that [`named::TABLE`] has no name for: of the
-/// object, then of its sub-indices from 1.
+/// Object types and names of the objects that are not single variables or that have no name in [`named::TABLE`]. The
+/// name of the object comes first, then the names of its sub-indices from 1.
 const NAMES: &[(u16, ObjectType, &str, &[&str])] = &[
     (0x1003, ObjectType::Array, "Error history", &[]),
     (
@@ -166,7 +166,7 @@ const COMMUNICATION: [&str; 5] = [
     "Event timer",
 ];
 
-/// The data sheet of a unit: of its kind, but for the ratings of its motor.
+/// The data sheet of a unit. Units of one kind differ only in the ratings of the motor.
 pub(super) fn eds(config: &Epos4Config) -> Eds {
     let identity = identity(config);
     let mut eds = Eds {
@@ -232,7 +232,7 @@ fn subindices(index: u16) -> bool {
     entries.any(|object| object.index == index && object.subindex > 0)
 }
 
-/// Direction, number from 1, and whether it is the mapping.
+/// Direction, number from 1, and whether the index is that of the mapping.
 fn pdo(index: u16) -> Option<(&'static str, u16, bool)> {
     let number = (index & 0x1FF) + 1;
     match index {
@@ -257,7 +257,7 @@ fn object_name(entry: &table::Entry) -> String {
     }
 }
 
-/// The name that the objects module has, as a headline.
+/// The name from the objects module, as a headline.
 fn named_object(entry: &table::Entry) -> String {
     let Some(name) = entry.object.name() else {
         return format!("Object {}", entry.object);
@@ -293,12 +293,12 @@ fn variable_name(entry: &table::Entry) -> String {
     }
 }
 
-/// `stated` is what the unit has in place of the table's default.
+/// A variable of the data sheet. `stated` replaces the table's default for this unit.
 fn variable(entry: &table::Entry, stated: Option<u32>) -> Variable {
     let writable = entry.access == table::Access::Write;
     let stored = stated.unwrap_or(entry.default);
     let number = |value: i64| Value::number(value.into());
-    // A measured value has no default, nor has what each unit has of its own.
+    // A measured value has no default. The data that differ from unit to unit have none either.
     let measured = !writable && entry.mappable.transmit
         || matches!(
             entry.object,

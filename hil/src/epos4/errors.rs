@@ -1,7 +1,7 @@
 //! Errors: their table, the error register (0x1001), the history (0x1003) and EMCY.
 //!
-//! An error is announced by EMCY once, when it is raised or when the node may speak, and the end of the last one by
-//! EMCY 0x0000 (CiA 301, error states of the emergency service).
+//! EMCY announces an error once: when the error occurs, or later when the node may send EMCY. EMCY 0x0000 announces
+//! the end of the last error (CiA 301, error states of the emergency service).
 
 use can::Frame;
 use canopen::emcy::{Emergency, ErrorRegister};
@@ -10,31 +10,31 @@ use canopen::{NodeId, objects as named};
 use super::objects::Objects;
 use super::table::Slot;
 
-/// What a drive does about an error.
+/// Reaction of a drive to an error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Reaction {
-    /// Nothing but the announcement.
+    /// The error is announced, and nothing else happens.
     None,
-    /// As the abort connection option (0x6007) says.
+    /// The abort connection option (0x6007) applies.
     AbortConnection,
-    /// Power stage off at once.
+    /// The power stage is switched off at once.
     Disable,
-    /// As the fault reaction option (0x605E) says.
+    /// The fault reaction option (0x605E) applies.
     Fault,
 }
 
-/// An error as EPOS4 knows it.
+/// An error of the EPOS4.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Error {
     pub(super) code: u16,
     register: ErrorRegister,
     pub(super) reaction: Reaction,
-    /// Number of the cause where one code has several: entry of object 0x1016, or RPDO.
+    /// Number of the cause if one code has several causes: entry of object 0x1016, or RPDO.
     source: u8,
 }
 
 impl Error {
-    /// The same error of another cause. Each begins and ends alone.
+    /// The same error with another cause. Each cause begins and ends independently.
     pub(super) const fn of(self, source: usize) -> Self {
         Self {
             source: source as u8,
@@ -55,7 +55,7 @@ const fn error(code: u16, register: ErrorRegister, reaction: Reaction) -> Error 
 pub(super) const OVER_CURRENT: Error = error(0x2310, ErrorRegister::CURRENT, Reaction::Disable);
 pub(super) const MOTOR_TEMPERATURE: Error =
     error(0x4380, ErrorRegister::TEMPERATURE, Reaction::Disable);
-/// NMT stop or a reset of the communication where object 0x6007 makes a fault of either.
+/// NMT stop or a reset of the communication, if object 0x6007 makes a fault of either.
 pub(super) const CONNECTION_ENDED: Error = error(
     0x8100,
     ErrorRegister::COMMUNICATION,
@@ -84,7 +84,7 @@ pub(super) const NEGATIVE_LIMIT: Error = error(0x8A80, ErrorRegister::VENDOR, Re
 pub(super) const POSITIVE_LIMIT: Error = error(0x8A81, ErrorRegister::VENDOR, Reaction::Fault);
 pub(super) const SOFTWARE_LIMIT: Error = error(0x8A82, ErrorRegister::VENDOR, Reaction::Fault);
 
-/// Every error at once: nine of one cause, two heartbeats, two kinds for each of four RPDOs.
+/// Maximum number of simultaneous errors: nine with one cause, two heartbeats, two kinds for each of four RPDOs.
 const PRESENT: usize = 9 + 2 + 2 * 4;
 
 /// An error that is present.
@@ -95,7 +95,7 @@ struct Present {
     announced: bool,
 }
 
-/// The errors that are present, and which of them EMCY has announced.
+/// The present errors, and their announcement by EMCY.
 #[derive(Clone, Debug)]
 pub(super) struct Errors {
     present: [Option<Present>; PRESENT],
@@ -114,7 +114,7 @@ impl Errors {
         }
     }
 
-    /// Notes an error, unless it is present already.
+    /// Adds an error, unless the error is already present.
     pub(super) fn raise(&mut self, error: Error, objects: &mut Objects) {
         if self.errors().any(|present| present == error) {
             return;
@@ -130,7 +130,7 @@ impl Errors {
         self.write_register(objects);
     }
 
-    /// Removes what `gone` says is gone.
+    /// Removes the errors for which `gone` is true.
     pub(super) fn clear(&mut self, objects: &mut Objects, gone: impl Fn(Error) -> bool) {
         for place in &mut self.present {
             *place = place.filter(|present| !gone(present.error));
@@ -146,7 +146,7 @@ impl Errors {
         self.present.iter().any(Option::is_some)
     }
 
-    /// The communication is reset: errors that are present enter the emptied history again and are announced again.
+    /// After a reset of the communication, present errors enter the emptied history and are announced again.
     pub(super) fn restart(&mut self, objects: &mut Objects) {
         self.announced = false;
         for present in self.present.iter_mut().flatten() {
@@ -184,7 +184,7 @@ impl Errors {
     }
 }
 
-/// The EMCY that says `code`; 0 for no error.
+/// The EMCY with this `code`; 0 means no error.
 pub(super) fn emergency(node: NodeId, code: u16, objects: &Objects) -> Frame {
     Emergency {
         node,

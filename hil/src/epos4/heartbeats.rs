@@ -1,8 +1,8 @@
-//! The watch over the heartbeats of other nodes, object 0x1016.
+//! The heartbeat consumer: monitors the heartbeats of other nodes, object 0x1016.
 //!
-//! The watch of an entry begins with the first heartbeat of its node (CiA 301). CiA 301 does not say what a new time for
-//! the same node does. Here the watch goes on: the time counts from the last heartbeat, and a lost node stays lost until
-//! it is heard.
+//! Monitoring by an entry begins with the first heartbeat of its node (CiA 301). CiA 301 does not define the effect
+//! of a new time for the same node. Here monitoring continues: the time counts from the last heartbeat, and a lost
+//! node stays lost until its next heartbeat.
 
 use std::time::Duration;
 
@@ -12,32 +12,32 @@ use canopen::{NodeId, objects as named};
 use super::objects::Objects;
 use super::table::Slot;
 
-/// Entries of the object.
+/// Number of entries of the object.
 pub(super) const ENTRIES: usize = 2;
 
 const FIRST: Slot = Slot::of(named::CONSUMER_HEARTBEAT_1);
 
-/// The node-ID and the time that an entry says; `None` for one that is not used.
+/// The node-ID and the time of an entry; `None` for an unused entry.
 pub(super) fn watched(entry: u32) -> Option<(NodeId, Duration)> {
     let within = Duration::from_millis(u64::from(entry & 0xFFFF));
     let node = NodeId::new((entry >> 16) as u8)?;
     (!within.is_zero()).then_some((node, within))
 }
 
-/// The watch over every entry.
+/// The monitors of all entries.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Consumers([Consumer; ENTRIES]);
 
 #[derive(Clone, Copy, Debug, Default)]
 struct Consumer {
     watched: Option<(NodeId, Duration)>,
-    /// When its node was last heard.
+    /// Time of the node's last heartbeat.
     heard: Option<Instant>,
     lost: bool,
 }
 
 impl Consumers {
-    /// Takes over the object. Returns the entries whose node was lost and is not watched any more.
+    /// Applies the object. Returns the entries whose node was lost and is no longer monitored.
     pub(super) fn read(&mut self, objects: &Objects) -> [bool; ENTRIES] {
         std::array::from_fn(|number| {
             let consumer = &mut self.0[number];
@@ -56,7 +56,7 @@ impl Consumers {
         })
     }
 
-    /// Takes a heartbeat. Returns the entry whose node was lost until now.
+    /// Takes a heartbeat. Returns the entry of a node that was lost until now.
     pub(super) fn hear(&mut self, node: NodeId, now: Instant) -> Option<usize> {
         let watches = |consumer: &Consumer| consumer.watched.is_some_and(|(of, _)| of == node);
         let number = self.0.iter().position(watches)?;
@@ -65,7 +65,7 @@ impl Consumers {
         std::mem::take(&mut consumer.lost).then_some(number)
     }
 
-    /// An entry whose node is lost from now on; to be called until there is none.
+    /// Returns an entry whose node is lost from now on. Called until the result is `None`.
     pub(super) fn expire(&mut self, now: Instant) -> Option<usize> {
         let overdue = |consumer: &Consumer| consumer.deadline().is_some_and(|at| at <= now);
         let number = self.0.iter().position(overdue)?;
@@ -78,7 +78,7 @@ impl Consumers {
         self.0[number].lost
     }
 
-    /// When the next node is lost.
+    /// Time at which the next node counts as lost.
     pub(super) fn poll_timeout(&self) -> Option<Instant> {
         self.0.iter().filter_map(Consumer::deadline).min()
     }

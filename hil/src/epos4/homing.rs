@@ -1,4 +1,4 @@
-//! The search for a reference: which way to go, what to look for, when to give up.
+//! The search for a reference: direction, events, and conditions of failure.
 //!
 //! A search is a sequence of phases, each of which a method may leave out:
 //!
@@ -6,35 +6,36 @@
 //! seek the switch or stop ──▶ turn and leave it ──▶ go on to the index ──▶ found
 //! ```
 //!
-//! Home switch methods turn once at a limit switch; a second limit, or no index within two motor
-//! turns, ends the search as failed. The reference of a switch is where it opens as the axis leaves
-//! it; the reference of a stop is where the current passed its threshold for 5 ms. What EPOS4 does
-//! about a missing switch or index is not documented in what was read.
+//! Home switch methods turn once at a limit switch. A second limit switch, or no index within two motor turns, ends
+//! the search as failed. The reference of a switch is the position at which the switch opens as the axis leaves. The
+//! reference of a stop is the position at which the current has exceeded its threshold for 5 ms. The documents that
+//! were read do not define EPOS4's reaction to a missing switch or index.
 
 use canopen::cia402::HomingMethod;
 
 use crate::Feedback;
 
-/// How long the current must stay above the threshold, s.
+/// Time for which the current must stay above the threshold, s.
 const STOP_TIME: f64 = 5e-3;
-/// How long a switch must stay closed before its opening counts, s: contacts chatter on the way in, which after a turn
-/// at a limit switch is the way out as well.
+/// Time for which a switch must stay closed before its opening counts, s. Contacts bounce when the axis enters the
+/// switch. After a turn at a limit switch the axis enters and leaves in the same direction, so that a bounce could be
+/// taken for the opening.
 const SETTLING: f64 = 5e-3;
-/// Motor turns within which an index must come.
+/// Number of motor turns within which an index must come.
 const INDEX_TURNS: f64 = 2.0;
 
-/// Which way and how fast: the sign of the direction with one of the two speeds.
+/// Next move of the search. The sign of the value is the direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Progress {
-    /// Go at the speed for switches (0x6099:1) in this direction.
+    /// Move at the speed for switches (0x6099:1) in this direction.
     Fast(f64),
-    /// Go at the speed for the zero (0x6099:2) in this direction.
+    /// Move at the speed for the zero (0x6099:2) in this direction.
     Slow(f64),
-    /// As [`Progress::Slow`], with the index latch armed anew from here.
+    /// Move as in [`Progress::Slow`], with the index latch armed again from here.
     ArmIndex(f64),
-    /// The reference, as the raw counter counts.
+    /// The reference, as a count of the raw counter.
     Found(i32),
-    /// There is none.
+    /// The search has failed.
     Failed,
 }
 
@@ -43,7 +44,7 @@ pub(super) enum Progress {
 pub(super) struct Search {
     sought: Sought,
     index: bool,
-    /// Of the first move; what is found is left in the opposite direction.
+    /// Direction of the first move. The axis leaves a switch or stop in the opposite direction.
     initial: f64,
     phase: Phase,
 }
@@ -63,31 +64,31 @@ enum Phase {
         turned: bool,
         pressing: f64,
     },
-    /// How long it was closed at first, and has been open since, s.
+    /// Time for which the switch was closed at first, and time for which it has been open since, s.
     Leave { closed_for: f64, open_for: f64 },
     Index {
         direction: f64,
         begun_at: Option<i32>,
     },
-    /// The axis stands where it is to be.
+    /// The reference is the present position.
     Here,
 }
 
-/// What a search looks at besides the sensors.
+/// Inputs of a search in addition to the sensors.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Surroundings {
     /// Demanded velocity, counts/s.
     pub(super) velocity: f64,
-    /// Torque at which a stop is felt, N·m.
+    /// Torque that indicates a stop, N·m.
     pub(super) stop_torque: f64,
     /// Counts of one motor turn.
     pub(super) turn: f64,
-    /// Time since the last look, s.
+    /// Time since the last step, s.
     pub(super) dt: f64,
 }
 
 impl Search {
-    /// `None` for a method that EPOS4 does not have.
+    /// A search by `method`; `None` for a method that EPOS4 does not have.
     pub(super) fn new(method: HomingMethod) -> Option<Self> {
         use HomingMethod as M;
         let (sought, initial, index) = match method {
@@ -128,12 +129,12 @@ impl Search {
         })
     }
 
-    /// Whether the axis is meant to meet a stop, so that it falls behind its set-points.
+    /// Whether the search drives the axis against a stop, so that the axis falls behind its set-points.
     pub(super) fn feels_for_stop(&self) -> bool {
         self.sought == Sought::Stop
     }
 
-    /// Looks at the sensors and says how to go on.
+    /// Evaluates the sensors and returns the next move.
     pub(super) fn step(&mut self, feedback: &Feedback, around: &Surroundings) -> Progress {
         match &mut self.phase {
             Phase::Here => Progress::Found(feedback.counts),
@@ -158,7 +159,7 @@ impl Search {
                     return self.reference(feedback.counts);
                 }
                 if found {
-                    // Under an axis that stands it is quiet.
+                    // The switch of a standing axis does not bounce.
                     let stands = around.velocity == 0.0;
                     self.phase = Phase::Leave {
                         closed_for: if stands { SETTLING } else { 0.0 },
@@ -196,7 +197,7 @@ impl Search {
                     *open_for += around.dt;
                 }
                 if *open_for >= SETTLING {
-                    // It turned round on the very edge.
+                    // The axis turned round on the edge of the switch.
                     self.phase = Phase::Seek {
                         direction: self.initial,
                         turned: false,
@@ -231,7 +232,7 @@ impl Search {
         }
     }
 
-    /// The switch or stop is at `counts`: that is it, or the index is next.
+    /// Handles the switch or stop at `counts`: it is the reference, or the search goes on to the index.
     fn reference(&mut self, counts: i32) -> Progress {
         if !self.index {
             return Progress::Found(counts);
@@ -256,8 +257,8 @@ fn limit_ahead(feedback: &Feedback, direction: f64) -> bool {
 mod tests {
     use super::*;
 
-    /// A scripted axis: 1000 counts a turn with an index at 300 of each, limits at ±5000, the home
-    /// switch from 1000 to 2000, stops at ±6000. It moves as it is told, a millisecond at a time.
+    /// A scripted axis: 1000 counts a turn with an index at 300 of each, limits at ±5000, the home switch from 1000
+    /// to 2000, stops at ±6000. The axis follows each command exactly, in steps of one millisecond.
     struct Scripted {
         counts: f64,
         velocity: f64,
@@ -265,7 +266,7 @@ mod tests {
         home: bool,
         limits: bool,
         index: bool,
-        /// Milliseconds for which the home switch chatters after an edge, and how many it is since one.
+        /// Bounce time of the home switch, ms, and the time since its last edge, ms.
         bounce: u32,
         since: u32,
     }
@@ -324,7 +325,7 @@ mod tests {
             };
         }
 
-        /// The reference that a method finds, `None` if it fails.
+        /// The reference that a method finds; `None` if the method fails.
         fn home(mut self, method: i8) -> Option<i32> {
             let mut search = Search::new(HomingMethod(method)).unwrap();
             for _ in 0..100_000 {
@@ -351,7 +352,7 @@ mod tests {
 
     #[test]
     fn each_method_finds_its_reference_from_anywhere() {
-        // Method, where it starts, what it finds. Switches open one count past their edge.
+        // Method, start position, and reference found. Switches open one count past their edge.
         let table = [
             (37, 1234.0, 1234),
             (34, 0.0, 300),
@@ -363,7 +364,7 @@ mod tests {
             (1, 0.0, -4700),
             (18, 0.0, 4999),
             (2, 0.0, 4300),
-            // Home switch ahead, under the axis, and behind it, past the turn at the limit.
+            // The home switch is ahead, at the axis, or behind. In the last case the axis turns at the limit switch.
             (23, 0.0, 999),
             (23, 1500.0, 999),
             (23, 3000.0, 999),

@@ -1,4 +1,4 @@
-//! The LSS slave: how a unit gets its node-ID.
+//! The LSS slave, which assigns the node-ID of a unit.
 //!
 //! ```text
 //!             switch global, or the fourth number of switch selective, or the end of a fastscan
@@ -7,10 +7,10 @@
 //!             switch global, or any reset
 //! ```
 //!
-//! A node-ID that was configured is pending until the communication is reset; a unit without one takes
-//! it on its way back to waiting (CiA 305). Stored, it outlives a reset of the node. What the unit
-//! calls its bit rates is EPOS4's: 20 kbit/s to 1 Mbit/s, 10 kbit/s refused. A bit rate that is configured is answered with
-//! success and kept nowhere, and activating it does nothing: the unit stays at the bus's.
+//! A configured node-ID is pending until the communication is reset. A unit without a node-ID takes the pending
+//! node-ID on its way back to waiting (CiA 305). A stored node-ID outlives a reset of the node. The table of bit
+//! rates is EPOS4's: 20 kbit/s to 1 Mbit/s, 10 kbit/s refused. A configured bit rate is answered with success but not
+//! stored. Activating the bit rate has no effect: the unit stays at the bit rate of the bus.
 
 use canopen::NodeId;
 use canopen::lss::{
@@ -19,7 +19,7 @@ use canopen::lss::{
 };
 pub(super) use canopen::lss::{Identity, Request};
 
-/// The slave's state beside the node-ID in use.
+/// State of the slave, without the node-ID in use.
 #[derive(Clone, Debug)]
 pub(super) struct Lss {
     identity: Identity,
@@ -28,13 +28,13 @@ pub(super) struct Lss {
     pending: Option<NodeId>,
     /// The node-ID after the next reset of the node.
     stored: Option<NodeId>,
-    /// How many numbers of a switch selective have agreed, in their order.
+    /// Number of matching identity numbers in the present switch selective, in their order.
     selected: u8,
-    /// How many bounds of an identify have held, in their order.
+    /// Number of matching bounds in the present identify, in their order.
     identified: u8,
-    /// The number that a fastscan asks about.
+    /// Identity number that the fastscan examines.
     scanned: u8,
-    /// Whether a unit without a node-ID was given one and has gone back to waiting.
+    /// Whether a unit without a node-ID was assigned a node-ID and has gone back to waiting.
     given: bool,
 }
 
@@ -52,17 +52,17 @@ impl Lss {
         }
     }
 
-    /// The node-ID for after a reset of the communication.
+    /// The node-ID after the next reset of the communication.
     pub(super) fn pending(&self) -> Option<NodeId> {
         self.pending
     }
 
-    /// Whether a unit without a node-ID is to start with the pending one.
+    /// Whether a unit without a node-ID must start with the pending node-ID.
     pub(super) fn given(&self) -> bool {
         self.given
     }
 
-    /// The communication is reset.
+    /// Handles a reset of the communication.
     pub(super) fn wait(&mut self) {
         *self = Self {
             pending: self.pending,
@@ -71,12 +71,12 @@ impl Lss {
         };
     }
 
-    /// The node is reset: what was not stored is forgotten.
+    /// Handles a reset of the node: unstored settings are lost.
     pub(super) fn restart(&mut self) {
         self.pending = self.stored;
     }
 
-    /// Takes a request and answers it if it has an answer from this unit, whose node-ID is `active`.
+    /// Handles a request, and returns the answer of this unit, if any. `active` is the unit's node-ID in use.
     pub(super) fn handle(&mut self, request: Request, active: Option<NodeId>) -> Option<Response> {
         let configures = self.mode == Mode::Configuration;
         match request {
@@ -154,7 +154,7 @@ impl Lss {
         }
     }
 
-    /// Whether the unit is one of those that a fastscan still looks for.
+    /// Whether the unit still matches the fastscan.
     fn scan(&mut self, question: Fastscan) -> bool {
         let Fastscan {
             number,
@@ -181,7 +181,7 @@ impl Lss {
     }
 }
 
-/// How many steps have been taken in their order, once step `step` succeeds or not.
+/// Number of steps completed in order after step `step`. `taken` is the number before that step.
 fn in_order(taken: u8, step: u8, succeeds: bool) -> u8 {
     if succeeds && (step == taken || step == 0) {
         step + 1

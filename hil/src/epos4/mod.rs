@@ -1,18 +1,22 @@
 //! An EPOS4-class axis controller: CiA 301 and CiA 402 as a maxon EPOS4 speaks them on CAN.
 //!
-//! [`Epos4`] is a [`Device`]: LSS, boot-up, NMT, SDO server, heartbeats both ways, EMCY, four PDOs each
-//! way with strict re-mapping, power states with their option codes, modes PP, PV, HM, CSP, CSV and
-//! CST, and an [`Axis`] with its physics behind it. The object dictionary is one table.
+//! [`Epos4`] is a [`Device`] with an [`Axis`] and its physics. The device has LSS, boot-up, NMT, an SDO server,
+//! heartbeat producer and consumer, EMCY, and four PDOs each way with strict re-mapping. The drive has power states
+//! with their option codes and the modes PP, PV, HM, CSP, CSV and CST. The object dictionary is one table.
 //!
-//! Facts come from EPOS4's electronic data sheet and communication guide. Where those are silent, CiA 301 and CiA 402
-//! decide, and where they are silent as well the emulator chooses. The comments of its data sheet ([`Epos4::eds`], `mrroc
-//! eds`) list the choices. Further choices: bits 10 and 12 in the cyclic modes ([`CyclicStatus`]), a missing SYNC
-//! ([`SyncLoss`]), errors of communication (each ends when what was missed is heard again), and the order within a SYNC
-//! (TPDOs are sampled before RPDOs take effect). A bit rate configured by LSS is taken and changes nothing. Left out:
-//! store to a file.
+//! Facts come from EPOS4's electronic data sheet and communication guide. CiA 301 and CiA 402 fill the gaps of these
+//! documents, and the emulator chooses the rest. The comments of its data sheet ([`Epos4::eds`], `mrroc eds`) list
+//! the choices. Further choices:
 //!
-//! The drive runs at 1 kHz and is caught up lazily, when a frame or a time-out needs to know, so a
-//! device whose host sends SYNC costs nothing between SYNCs.
+//! * [`CyclicStatus`] sets bits 10 and 12 in the cyclic modes.
+//! * [`SyncLoss`] sets the reaction to a missing SYNC.
+//! * An error of communication ends when the missing frame is received again.
+//! * Within a SYNC, TPDOs are sampled before RPDOs take effect.
+//!
+//! A bit rate configured by LSS is accepted without effect. Left out: storage to a file.
+//!
+//! The drive runs at 1 kHz. It is advanced lazily, when a frame or a time-out needs its state. A device whose host
+//! sends SYNC therefore needs no computing time between SYNCs.
 
 mod config;
 mod conformity;
@@ -51,14 +55,14 @@ use pdo::Pdos;
 use table::Slot;
 
 const SUB_STEP: Duration = Duration::from_micros(100);
-/// The drive is caught up at least this often.
+/// Longest interval between two advances of the drive.
 const LAZIEST: Duration = Duration::from_millis(20);
-/// After which a client that fell silent amid a transfer has lost it.
+/// Time after which a transfer is abandoned because the client has sent nothing.
 const SDO_TIME_OUT: Duration = Duration::from_secs(1);
-/// Frames a device queues; what finds no room is lost, as in a full controller.
+/// Capacity of a device's transmit queue. Further frames are lost, as in a full controller.
 const QUEUE: usize = 32;
 
-/// What one unit has in place of the table's defaults.
+/// Values of one unit that replace the table's defaults.
 fn identity(config: &Epos4Config) -> [(Slot, u32); 8] {
     let amps = config.axis.amplifier.max_current;
     let torque_constant = match &config.axis.plant {
@@ -67,7 +71,8 @@ fn identity(config: &Epos4Config) -> [(Slot, u32); 8] {
     };
     let milliamps = |amps: f64| (amps * 1e3).round() as u32;
     let rated = config.rated_torque.unwrap_or(amps * torque_constant);
-    // In whole milliamperes: the torque constant makes up for what that rounds away of a small motor's.
+    // Nominal current in whole milliamperes. The torque constant compensates for the rounding error, which matters
+    // for small motors.
     let nominal = milliamps(rated / torque_constant).max(1);
     let torque_constant = (rated / f64::from(nominal) * 1e9).round() as u32;
     let counts = config.axis.counts_per_revolution;
@@ -92,7 +97,7 @@ fn identity(config: &Epos4Config) -> [(Slot, u32); 8] {
 /// An emulated axis controller.
 pub struct Epos4 {
     config: Epos4Config,
-    /// Under which it takes part in the bus; `None` until it is given one.
+    /// Node-ID of the device; `None` until LSS assigns a node-ID.
     node: Option<NodeId>,
     lss: Lss,
     objects: Objects,
@@ -100,23 +105,23 @@ pub struct Epos4 {
     errors: Errors,
     pdos: Pdos,
     server: sdo::Server,
-    /// The answer to the last SDO request and when it is due.
+    /// The answer to the last SDO request, and its due time.
     answer: Option<(Instant, Frame)>,
-    /// When the block that was last asked for begins; `None` once it has.
+    /// Time at which the last requested block begins; `None` once the block has begun.
     block_at: Option<Instant>,
     queue: VecDeque<Frame>,
     /// End of the restart in progress.
     boots_at: Option<Instant>,
     heartbeat_at: Option<Instant>,
     consumers: Consumers,
-    /// The time up to which the axis has moved.
+    /// Time up to which the axis has been simulated.
     inner: Instant,
     last_sync: Option<Instant>,
     wake_at: Option<Instant>,
 }
 
 impl Epos4 {
-    /// Switched on at [`Epos4Config::power_on`].
+    /// A device switched on at [`Epos4Config::power_on`].
     pub fn new(config: Epos4Config) -> Self {
         let drive = Drive::new(
             &config.axis,
@@ -158,12 +163,12 @@ impl Epos4 {
         eds::eds(config)
     }
 
-    /// The axis with what no drive can know of it.
+    /// The simulated axis, including state that no drive can measure.
     pub fn axis(&self) -> &Axis {
         self.drive.axis()
     }
 
-    /// Moves the axis on to `now`: whole chunks, and with `exact` the sub-steps that remain.
+    /// Advances the axis to `now` in whole chunks. With `exact` the remaining sub-steps are simulated as well.
     fn catch_up(&mut self, now: Instant, exact: bool) {
         loop {
             let left = now.since(self.inner);
@@ -190,7 +195,7 @@ impl Epos4 {
         }
     }
 
-    /// Whether services other than NMT and error control work.
+    /// Whether the device provides services other than NMT and error control.
     fn serving(&self) -> bool {
         matches!(
             self.objects.nmt,
@@ -242,7 +247,7 @@ impl Epos4 {
         }
         self.objects.reset(all);
         self.objects.nmt = nmt::State::Initialising;
-        // A fault keeps its errors until it is reset.
+        // A drive in fault keeps its errors until a fault reset.
         if !self.drive.faulted() {
             self.errors.clear(&mut self.objects, |_| true);
         }
@@ -261,7 +266,7 @@ impl Epos4 {
     fn boot(&mut self, now: Instant) {
         self.boots_at = None;
         if self.node.is_none() {
-            // It stays in initialisation, where there is nothing but LSS.
+            // Without a node-ID the device stays in initialisation, where only LSS works.
             return;
         }
         self.objects.nmt = nmt::State::PreOperational;
@@ -308,7 +313,7 @@ impl Epos4 {
         });
     }
 
-    /// Does what the last writes to the dictionary ask for.
+    /// Applies the last writes to the dictionary.
     fn settle(&mut self, now: Instant) {
         let changes = std::mem::take(&mut self.objects.changes);
         if changes.producer {
@@ -355,7 +360,7 @@ impl Epos4 {
         self.block_at = self.server.transmits().then_some(due);
     }
 
-    /// Does what LSS asks for.
+    /// Applies an LSS request.
     fn configure(&mut self, frame: &Frame, now: Instant) {
         let Some(request) = lss::Request::decode(frame) else {
             return;
@@ -368,7 +373,7 @@ impl Epos4 {
         }
     }
 
-    /// When the axis has to be caught up at the latest.
+    /// Latest time at which the axis has to be advanced.
     fn next_control(&self) -> Instant {
         let synchronised = self
             .last_sync
@@ -377,7 +382,7 @@ impl Epos4 {
         self.inner + if alone { CHUNK * SUB_STEP } else { LAZIEST }
     }
 
-    /// When SYNC is given up, if that matters.
+    /// Time at which a missing SYNC becomes an error; `None` if SYNC is not monitored.
     fn sync_deadline(&self) -> Option<Instant> {
         let SyncLoss::Fault { periods } = self.config.sync_loss else {
             return None;
@@ -438,7 +443,7 @@ impl Device for Epos4 {
             }
             self.serve(frame, node, now);
         } else if !self.receive_pdo(frame, now) {
-            // Only the monitored nodes' heartbeats are of further interest.
+            // All other frames are ignored, except heartbeats of monitored nodes.
             let Some(heartbeat) = Heartbeat::decode(frame) else {
                 return;
             };

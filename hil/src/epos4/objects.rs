@@ -1,8 +1,8 @@
-//! The object dictionary at work: values, storage, and the rules of writing.
+//! The values of the object dictionary, their storage, and the rules of writing.
 //!
-//! What a write means for the rest of the device is left behind as [`Changes`]; the device looks at
-//! them after each request and each PDO. The rules of re-mapping a PDO are enforced here: COB-ID
-//! off (bit 31), count to 0, entries, count, COB-ID on. Stored values live as long as the emulator.
+//! A write records its consequences for the rest of the device in [`Changes`]. The device evaluates the changes after
+//! each request and each PDO. The rules of re-mapping a PDO are enforced here: COB-ID off (bit 31), count to 0,
+//! entries, count, COB-ID on. Stored values live as long as the emulator.
 
 use canopen::cia402::{HomingMethod, ModeOfOperation, SupportedModes};
 use canopen::objects as named;
@@ -13,14 +13,14 @@ use canopen::{NodeId, Object, cob, nmt};
 use super::heartbeats::{ENTRIES, watched};
 use super::table::{Access, Kind, MAPPED, ROWS, Slot, TABLE};
 
-/// "save", as object 0x1010 wants it.
+/// "save", the password of object 0x1010.
 const SAVE: u32 = 0x6576_6173;
-/// "load", as object 0x1011 wants it.
+/// "load", the password of object 0x1011.
 const LOAD: u32 = 0x6461_6F6C;
-/// Errors that object 0x1003 remembers.
+/// Capacity of object 0x1003, errors.
 pub(super) const HISTORY: u16 = 5;
 
-/// What writes have changed since the device last looked.
+/// Changes by writes since the device last evaluated them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Changes {
     pub(super) controlword: bool,
@@ -40,20 +40,20 @@ pub(super) struct Changes {
 #[derive(Clone, Debug)]
 pub(super) struct Objects {
     values: [u32; ROWS],
-    /// What a reset brings back.
+    /// Values that a reset restores.
     stored: Box<[u32; ROWS]>,
     /// Factory values with this unit's identity.
     factory: Box<[u32; ROWS]>,
-    /// The one domain.
+    /// The only object of type DOMAIN.
     domain: Vec<u8>,
     pub(super) nmt: nmt::State,
     pub(super) changes: Changes,
 }
 
 impl Objects {
-    /// Factory values, with `identity` of this unit where the table knows none.
+    /// Factory values. `identity` holds the values that differ from unit to unit.
     ///
-    /// Without a node-ID, COB-IDs wait for [`Objects::rename`].
+    /// Without a node-ID, COB-IDs are set by [`Objects::rename`].
     pub(super) fn new(node: Option<NodeId>, identity: &[(Slot, u32)]) -> Self {
         let raw = node.map_or(0, |node| u32::from(node.raw()));
         let mut factory = [0; ROWS];
@@ -73,7 +73,7 @@ impl Objects {
         }
     }
 
-    /// Brings back stored values: those below 0x2000, or all.
+    /// Restores stored values: those below 0x2000, or all.
     pub(super) fn reset(&mut self, all: bool) {
         for (row, entry) in TABLE.iter().enumerate() {
             if all || entry.object.index < 0x2000 {
@@ -86,7 +86,7 @@ impl Objects {
         self.changes = Changes::default();
     }
 
-    /// Makes a node-ID the one that COB-IDs are reckoned from, where nothing else was stored.
+    /// Recalculates the COB-IDs for a node-ID, except COB-IDs that were stored otherwise.
     pub(super) fn rename(&mut self, node: NodeId) {
         for (row, entry) in TABLE
             .iter()
@@ -116,12 +116,12 @@ impl Objects {
         slot.entry().kind.number(self.u(slot)) as f64
     }
 
-    /// Sets a value from inside the device, without any rule.
+    /// Sets a value from inside the device, without any check.
     pub(super) fn set(&mut self, slot: Slot, value: u32) {
         self.values[slot.row()] = value;
     }
 
-    /// Writes a value that came in a PDO. One outside its limits is ignored.
+    /// Writes a value received in a PDO. A value outside its limits is ignored.
     pub(super) fn receive(&mut self, slot: Slot, bytes: [u8; 4]) {
         let entry = slot.entry();
         let value = entry.kind.decode(bytes);
@@ -132,7 +132,7 @@ impl Objects {
         }
     }
 
-    /// Remembers an error as the newest.
+    /// Stores an error as the newest entry of the history.
     pub(super) fn push_history(&mut self, code: u16) {
         const COUNT: Slot = Slot::of(named::ERROR_HISTORY_COUNT);
         for sub in (1..HISTORY).rev() {
@@ -154,7 +154,7 @@ impl Objects {
             named::TARGET_POSITION | named::TARGET_VELOCITY | named::TARGET_TORQUE => {
                 changes.setpoint = true;
             }
-            // One object by two names, CiA's and maxon's.
+            // One object has two addresses, CiA's and maxon's.
             named::HOME_OFFSET => self.set(Slot::of(named::EPOS4_HOME_OFFSET_MOVE), value),
             named::EPOS4_HOME_OFFSET_MOVE => self.set(Slot::of(named::HOME_OFFSET), value),
             _ => match object.index {
@@ -167,7 +167,7 @@ impl Objects {
         }
     }
 
-    /// What speaks against writing `value`, beyond access, length and limits.
+    /// Checks that forbid writing `value`, beyond access, length and limits.
     fn refuse(&mut self, slot: Slot, value: u32) -> Result<(), AbortCode> {
         let object = slot.entry().object;
         match object {
@@ -194,7 +194,7 @@ impl Objects {
         }
     }
 
-    /// No two entries may watch one node (CiA 301, object 0x1016).
+    /// Two entries must not monitor the same node (CiA 301, object 0x1016).
     fn refuse_consumer(&self, slot: Slot, value: u32) -> Result<(), AbortCode> {
         let Some((node, _)) = watched(value) else {
             return Ok(());
@@ -222,7 +222,7 @@ impl Objects {
             (named::RESTORE_ALL, LOAD) => self.stored.clone_from(&self.factory),
             _ => return Err(AbortCode::CANNOT_STORE),
         }
-        // What reads back says which commands are known, not what was written.
+        // Reading these objects returns the supported commands, not the written value.
         Ok(())
     }
 
@@ -257,7 +257,7 @@ impl Objects {
             Place::Mapping(_) if existing.is_valid() || self.nmt == nmt::State::Operational => {
                 return Err(AbortCode::DEVICE_STATE);
             }
-            // Every object takes a byte at least.
+            // Every object takes at least one byte.
             Place::Mapping(0) if value > 8 => return Err(AbortCode::PDO_LENGTH),
             Place::Mapping(0) => {
                 let mut bits = 0;
@@ -304,11 +304,11 @@ pub(super) fn map(kind: PdoKind, number: PdoNumber, sub: u16) -> Slot {
     first.plus((u16::from(MAPPED) + 1) * number.offset() + sub)
 }
 
-/// The bits of objects 0x0001 to 0x0007, which stand for their data types in an RPDO and fill it; 0 for what cannot be
-/// mapped: BOOLEAN, for PDOs are whole bytes here.
+/// Sizes of objects 0x0001 to 0x0007, bits. In an RPDO these objects stand for their data types as fillers. 0 marks
+/// BOOLEAN, which cannot be mapped, since PDOs consist of whole bytes here.
 pub(super) const DUMMIES: [u8; 7] = [0, 8, 16, 32, 8, 16, 32];
 
-/// The slot behind a mapping entry; `None` for a dummy of an RPDO.
+/// The slot of a mapping entry; `None` for a dummy of an RPDO.
 pub(super) fn mappable(kind: PdoKind, entry: MapEntry) -> Result<Option<Slot>, AbortCode> {
     let dummy = usize::from(entry.object.index)
         .checked_sub(1)
@@ -330,7 +330,7 @@ pub(super) fn mappable(kind: PdoKind, entry: MapEntry) -> Result<Option<Slot>, A
     }
 }
 
-/// Bytes that show when one is out of its place.
+/// A byte pattern in which a displaced byte is visible.
 fn factory_domain() -> Vec<u8> {
     (0..1000_u32).map(|at| (at % 251) as u8).collect()
 }
@@ -420,7 +420,7 @@ impl Dictionary for Objects {
         let slot = find(object)?;
         let entry = slot.entry();
         if entry.kind == Kind::Domain {
-            // A server takes no more than it can give back.
+            // A server accepts only as many bytes as it can return.
             self.domain = data.to_vec();
             return Ok(());
         }

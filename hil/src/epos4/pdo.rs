@@ -1,8 +1,8 @@
-//! Process data at work: what each PDO carries, when it takes effect and when it is sent.
+//! Process data exchange: mapping, activation and transmission of each PDO.
 //!
-//! Parameters are read from the dictionary when the node becomes operational, and those of one PDO when one of them is
-//! written; between that nothing is looked up. A synchronous RPDO waits for the next SYNC, and a
-//! second one replaces it; a synchronous TPDO is sampled at SYNC.
+//! All parameters are read from the dictionary when the node becomes operational. A write to a parameter of a PDO
+//! reads the parameters of that PDO again. No other access to the parameters takes place. A synchronous RPDO waits
+//! for the next SYNC; a second RPDO before that SYNC replaces the first. A synchronous TPDO is sampled at SYNC.
 
 use std::time::Duration;
 
@@ -12,7 +12,7 @@ use canopen::pdo::{Entry, PdoCobId, PdoKind, PdoNumber, TransmissionType};
 use super::objects::{Objects, cob_id, map, mappable};
 use super::table::{MAPPED, Slot};
 
-/// Where the bytes of a PDO come from or go to.
+/// The objects that the bytes of a PDO come from or go to.
 #[derive(Clone, Copy, Debug)]
 struct Mapping {
     entries: [(Option<Slot>, u8); MAPPED as usize],
@@ -70,13 +70,13 @@ impl Mapping {
     }
 }
 
-/// The identifier of a PDO that exists.
+/// The identifier of a PDO; `None` if the PDO is switched off.
 fn identifier(kind: PdoKind, number: PdoNumber, objects: &Objects) -> Option<StandardId> {
     let cob = PdoCobId(objects.u(cob_id(kind, number)));
     cob.id().filter(|_| cob.is_valid())
 }
 
-/// Whether an RPDO exists, and whether its event timer is on.
+/// Whether an RPDO is switched on, and whether its event timer runs.
 pub(super) fn watched(number: PdoNumber, objects: &Objects) -> (bool, bool) {
     let rpdo = Rpdo::read(number, objects);
     (
@@ -90,11 +90,11 @@ struct Rpdo {
     id: Option<StandardId>,
     synchronous: bool,
     mapping: Mapping,
-    /// Event timer; zero is off.
+    /// Event timer; zero disables the timer.
     within: Duration,
-    /// Waits for SYNC.
+    /// Data that waits for SYNC.
     waiting: Option<[u8; 8]>,
-    /// The last reception, until the event timer has expired.
+    /// Time of the last reception, until the event timer has expired.
     received: Option<Instant>,
 }
 
@@ -104,25 +104,25 @@ struct Tpdo {
     transmission: TransmissionType,
     mapping: Mapping,
     inhibit: Duration,
-    /// Event timer; zero is off.
+    /// Event timer; zero disables the timer.
     period: Duration,
-    /// SYNCs since it was last sent.
+    /// SYNCs since the last transmission.
     syncs: u8,
     sent: Option<([u8; 8], Instant)>,
     /// Whether a change waits for the end of the inhibit time.
     inhibited: bool,
 }
 
-/// What came of a frame.
+/// Result of the reception of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Reception {
-    /// No RPDO of this node.
+    /// The frame is no RPDO of this node.
     Foreign,
     /// The RPDO of this number, from 0, waits for SYNC.
     Waiting(usize),
     /// The RPDO of this number, from 0, took effect.
     Effective(usize),
-    /// The RPDO of this number, from 0, has fewer bytes than are mapped; nothing was taken.
+    /// The RPDO of this number, from 0, has fewer bytes than are mapped. The frame has no effect.
     TooShort(usize),
 }
 
@@ -134,7 +134,7 @@ pub(super) struct Pdos {
 }
 
 impl Pdos {
-    /// None exists.
+    /// All PDOs switched off.
     pub(super) const NONE: Self = Self {
         received: [Rpdo {
             id: None,
@@ -156,7 +156,7 @@ impl Pdos {
         }; 4],
     };
 
-    /// As the dictionary says; nothing waits and nothing was sent.
+    /// PDOs with the parameters of the dictionary, without waiting data and before the first transmission.
     pub(super) fn read(objects: &Objects) -> Self {
         Self {
             received: PdoNumber::ALL.map(|number| Rpdo::read(number, objects)),
@@ -164,7 +164,8 @@ impl Pdos {
         }
     }
 
-    /// Takes over the communication parameters of one PDO. Its counts, times and data stay unless its identifier changes.
+    /// Applies the communication parameters of one PDO. Its counts, times and data stay unless its identifier
+    /// changes.
     pub(super) fn update(&mut self, kind: PdoKind, number: PdoNumber, objects: &Objects) {
         let at = usize::from(number.offset());
         match kind {
@@ -190,7 +191,7 @@ impl Pdos {
         }
     }
 
-    /// Takes a frame if it is one of the RPDOs.
+    /// Takes a frame if the frame is an RPDO of this node.
     pub(super) fn receive(
         &mut self,
         id: StandardId,
@@ -216,7 +217,7 @@ impl Pdos {
         Reception::Effective(number)
     }
 
-    /// SYNC, first half: hands out the synchronous TPDOs that are due.
+    /// SYNC, first half: sends the synchronous TPDOs that are due.
     pub(super) fn sample(&mut self, objects: &Objects, now: Instant, mut send: impl FnMut(Frame)) {
         for tpdo in &mut self.transmitted {
             let Some(id) = tpdo.id.filter(|_| tpdo.transmission.is_synchronous()) else {
@@ -235,7 +236,7 @@ impl Pdos {
         }
     }
 
-    /// SYNC, second half: what waited takes effect.
+    /// SYNC, second half: waiting RPDOs take effect.
     pub(super) fn take_effect(&mut self, objects: &mut Objects) {
         for rpdo in &mut self.received {
             if let Some(data) = rpdo.waiting.take() {
@@ -244,8 +245,7 @@ impl Pdos {
         }
     }
 
-    /// Hands out the event-driven TPDOs whose content changed or whose timer expired, unless
-    /// inhibited.
+    /// Sends the event-driven TPDOs whose content changed or whose timer expired, except during the inhibit time.
     pub(super) fn events(&mut self, objects: &Objects, now: Instant, mut send: impl FnMut(Frame)) {
         for tpdo in &mut self.transmitted {
             let Some(id) = tpdo.id.filter(|_| !tpdo.transmission.is_synchronous()) else {
@@ -265,14 +265,14 @@ impl Pdos {
         }
     }
 
-    /// Whether any TPDO is sent on its own.
+    /// Whether any TPDO is event-driven.
     pub(super) fn event_driven(&self) -> bool {
         self.transmitted
             .iter()
             .any(|tpdo| tpdo.id.is_some() && !tpdo.transmission.is_synchronous())
     }
 
-    /// When an event timer of either direction expires, or an inhibit time that delays a change.
+    /// Time at which an event timer of either direction expires, or an inhibit time that delays a change.
     pub(super) fn poll_timeout(&self) -> Option<Instant> {
         let deadlines = self.received.iter().filter_map(Rpdo::deadline);
         let events = self.transmitted.iter().filter_map(|tpdo| {
@@ -283,7 +283,8 @@ impl Pdos {
         deadlines.chain(events).min()
     }
 
-    /// Number of an RPDO that is overdue, from 0; to be called until there is none. Its next reception restarts its timer.
+    /// Number of an overdue RPDO, from 0. Called until the result is `None`. The timer of an overdue RPDO restarts
+    /// with the next reception.
     pub(super) fn overdue(&mut self, now: Instant) -> Option<usize> {
         let overdue = |rpdo: &Rpdo| rpdo.deadline().is_some_and(|at| at <= now);
         let number = self.received.iter().position(overdue)?;
@@ -326,7 +327,7 @@ impl Tpdo {
         }
     }
 
-    /// When the PDO last sent `at` is due: by a change or the event timer, and never within the inhibit time.
+    /// Due time of the PDO, last sent `at`: after a change or by the event timer, and never within the inhibit time.
     fn due(&self, at: Instant) -> Option<Instant> {
         let timer = (!self.period.is_zero()).then_some(self.period);
         let event = if self.inhibited {

@@ -10,24 +10,25 @@
 //!  any ──13──▶ fault reaction active ──14──▶ fault ──15──▶ switch on disabled
 //! ```
 //!
-//! Transitions 2 to 12 and 16 answer a controlword, by [`on_command`]; 13 by [`on_fault`]. Which
-//! ramp a transition brakes on first is an option code's choice. While a ramp of 0x605B or 0x605C
-//! runs, the statusword still says operation enabled; EPOS4's documents do not say what it shows.
+//! Transitions 2 to 12 and 16 answer a controlword, see [`on_command`]. Transition 13 answers a fault, see
+//! [`on_fault`]. An option code determines the ramp on which a transition brakes first. During a ramp of 0x605B or
+//! 0x605C the statusword still shows operation enabled. EPOS4's documents do not define the statusword during these
+//! ramps.
 
 use canopen::cia402::{PowerCommand, PowerState};
 
-/// How to come to a stand before a transition.
+/// Ramp to standstill before a transition.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Brake {
-    /// On the profile deceleration, 0x6084.
+    /// Profile deceleration, 0x6084.
     SlowDown,
-    /// On the quick stop deceleration, 0x6085.
+    /// Quick stop deceleration, 0x6085.
     QuickStop,
-    /// As hard as the limits of current and voltage allow.
+    /// Maximum deceleration within the limits of current and voltage.
     AtLimits,
 }
 
-/// Option codes 0x605A to 0x605E, read when needed.
+/// Option codes 0x605A to 0x605E.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Options {
     pub(super) quick_stop: i32,
@@ -36,14 +37,14 @@ pub(super) struct Options {
     pub(super) fault_reaction: i32,
 }
 
-/// What a command or a fault leads to.
+/// Result of a command or a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Transition {
     /// The state from now on.
     pub(super) now: PowerState,
-    /// How to brake, if at all.
+    /// Braking ramp, if any.
     pub(super) brake: Option<Brake>,
-    /// The state once the axis stands.
+    /// The state after standstill.
     pub(super) then: PowerState,
 }
 
@@ -57,7 +58,7 @@ impl Transition {
     }
 }
 
-/// The transition that a controlword's command leads to, if any.
+/// The transition for a controlword's command, if any.
 pub(super) fn on_command(
     state: PowerState,
     command: PowerCommand,
@@ -114,7 +115,7 @@ pub(super) fn on_command(
     })
 }
 
-/// The transition that a fault leads to; `at_once` leaves out the braking.
+/// The transition for a fault. `at_once` omits the braking.
 pub(super) fn on_fault(state: PowerState, at_once: bool, options: &Options) -> Transition {
     let brake = match options.fault_reaction {
         1 => Brake::SlowDown,
@@ -154,8 +155,8 @@ mod tests {
 
     #[test]
     fn every_state_answers_every_command_by_this_table() {
-        // States reached at once and once the axis stands, by command: disable voltage, quick
-        // stop, shutdown, switch on, enable operation.
+        // Immediate state and state after standstill, by command: disable voltage, quick stop, shutdown, switch on,
+        // enable operation.
         let commands = [
             C::DisableVoltage,
             C::QuickStop,
@@ -240,7 +241,7 @@ mod tests {
                 (brake, then),
                 "0x605A = {option}"
             );
-            // Only an axis that stays in quick stop active comes back from there.
+            // Operation can be enabled again only if the axis stays in quick stop active.
             let back = on_command(QuickStopActive, C::EnableOperation, &options);
             assert_eq!(back.is_some(), option >= 5);
         }

@@ -1,6 +1,6 @@
-//! Trapezoidal motion, computed step by step so that limits and targets may change on the way.
+//! Trapezoidal motion, computed step by step, so that limits and targets may change during the motion.
 
-/// What a profile keeps to, in counts and seconds; all above zero.
+/// Limits of a profile, in counts and seconds. All values are above zero.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Limits {
     pub(super) velocity: f64,
@@ -8,7 +8,7 @@ pub(super) struct Limits {
     pub(super) deceleration: f64,
 }
 
-/// Where a profile is: counts and counts/s.
+/// State of a profile: counts and counts/s.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Motion {
     pub(super) position: f64,
@@ -16,7 +16,7 @@ pub(super) struct Motion {
 }
 
 impl Motion {
-    /// Standing at `position`.
+    /// Standstill at `position`.
     pub(super) const fn at(position: f64) -> Self {
         Self {
             position,
@@ -24,7 +24,7 @@ impl Motion {
         }
     }
 
-    /// One step of `dt` towards rest at `target`; whether it is there now.
+    /// One step of `dt` towards standstill at `target`. Returns whether the target is reached.
     pub(super) fn approach(&mut self, target: f64, limits: &Limits, dt: f64) -> bool {
         let way = target - self.position;
         let braking = limits.deceleration * dt;
@@ -33,8 +33,8 @@ impl Motion {
             *self = Self::at(target);
             return true;
         }
-        // The fastest velocity w after this step from which braking still ends at the target:
-        // w²/2a + (v + w) dt/2 = way.
+        // The largest velocity w after this step from which braking still ends at the target, with the distance s:
+        // w²/2a + (v + w) dt/2 = s.
         let sign = way.signum();
         let rest = (way.abs() - 0.5 * sign * self.velocity * dt).max(0.0);
         let fastest = limits.deceleration
@@ -43,7 +43,7 @@ impl Motion {
         false
     }
 
-    /// One step of `dt` towards a velocity; whether it is reached.
+    /// One step of `dt` towards a velocity. Returns whether the velocity is reached.
     pub(super) fn ramp(&mut self, velocity: f64, limits: &Limits, dt: f64) -> bool {
         let slowing = self.velocity * velocity < 0.0 || velocity.abs() < self.velocity.abs();
         let rate = if slowing {
@@ -105,7 +105,7 @@ mod tests {
         while !motion.approach(20_000.0, &limits, DT) {
             steps += 1.0;
         }
-        // Ramps cost half their duration each on top of 4 s at full speed.
+        // Each ramp adds half its duration to the 4 s at full speed.
         let expected = 4.0 + 0.5 * (5.0 / 20.0 + 5.0 / 30.0);
         assert!((steps * DT - expected).abs() < 3.0 * DT, "{}", steps * DT);
     }

@@ -1,4 +1,4 @@
-//! What ports other than CAN ask of the device, each answered at once.
+//! Services for ports other than CAN. Each request is answered at once.
 
 use can::{Frame, Instant};
 use canopen::sdo::{AbortCode, Dictionary, MAX_SIZE};
@@ -7,7 +7,7 @@ use canopen::{Object, cob, nmt};
 use super::Epos4;
 
 impl Epos4 {
-    /// Whether it has booted and answers at all.
+    /// Whether the device has booted and answers requests.
     pub(crate) fn has_booted(&self) -> bool {
         self.boots_at.is_none()
     }
@@ -17,7 +17,7 @@ impl Epos4 {
         self.objects.size(object)
     }
 
-    /// Reads an object to the front of `into`, and returns how many bytes it has.
+    /// Reads an object to the front of `into`, and returns the size of the object in bytes.
     pub(crate) fn read(
         &mut self,
         object: Object,
@@ -32,7 +32,7 @@ impl Epos4 {
         read
     }
 
-    /// Writes an object whole, and does what it asks for.
+    /// Writes a whole object and applies the change.
     pub(crate) fn write(
         &mut self,
         object: Object,
@@ -47,7 +47,7 @@ impl Epos4 {
         written
     }
 
-    /// Obeys an NMT command, if it is one and for this node or all.
+    /// Executes an NMT command for this node or for all nodes. Ignores other bytes.
     pub(crate) fn command_nmt(
         &mut self,
         command: u16,
@@ -68,7 +68,8 @@ impl Epos4 {
         Ok(())
     }
 
-    /// Whether `node` is this one: by its address, or 0 for the one at the end of the line.
+    /// Whether `node` addresses this device: by its node-ID, or by 0, which addresses the device at the end of the
+    /// line.
     pub(crate) fn is_node(&self, node: u8) -> bool {
         node == 0 || self.node.is_some_and(|own| own.raw() == node)
     }

@@ -17,7 +17,7 @@ use super::{Epos4, heartbeats};
 const PRODUCER: Slot = Slot::of(named::PRODUCER_HEARTBEAT);
 
 impl Epos4 {
-    /// An error occurs. The drive reacts each time, and EMCY announces an error once while it is present.
+    /// Handles an error. The drive reacts each time. EMCY announces an error once while the error is present.
     pub(super) fn fail(&mut self, error: Error) {
         self.errors.raise(error, &mut self.objects);
         self.announce();
@@ -25,7 +25,7 @@ impl Epos4 {
         self.drive.publish(&mut self.objects, 0.0);
     }
 
-    /// The master ends the connection: an error where object 0x6007 makes a fault of that.
+    /// Handles the end of the connection by the master, which is an error if object 0x6007 makes a fault of it.
     pub(super) fn end_connection(&mut self) {
         if self.objects.i(ABORT_CONNECTION_OPTION) == 1 && !self.drive.faulted() {
             self.fail(errors::CONNECTION_ENDED);
@@ -34,7 +34,7 @@ impl Epos4 {
         }
     }
 
-    /// An error of communication, with what object 0x1029 says of the NMT state.
+    /// Handles a communication error. Object 0x1029 determines the change of the NMT state.
     pub(super) fn lose_contact(&mut self, error: Error, now: Instant) {
         self.fail(error);
         let to = match self.objects.u(Slot::of(named::ERROR_BEHAVIOUR)) {
@@ -45,7 +45,8 @@ impl Epos4 {
         self.enter(to, now);
     }
 
-    /// What was missed is heard again; a drive in fault keeps its error until it is reset.
+    /// Ends a communication error after the missing frame was received again. A drive in fault keeps its error until
+    /// a reset.
     pub(super) fn regain(&mut self, error: Error) {
         if self.errors.any() && !self.drive.faulted() {
             self.clear(|present| present == error);
@@ -57,7 +58,7 @@ impl Epos4 {
         self.announce();
     }
 
-    /// Fault reset: ends every error but the loss of a node that is still silent.
+    /// Fault reset: ends every error except the loss of a node that still sends no heartbeat.
     pub(super) fn reset_fault(&mut self) {
         let consumers = self.consumers;
         let silent =
@@ -65,7 +66,7 @@ impl Epos4 {
         self.clear(|error| !(0..heartbeats::ENTRIES).any(|number| silent(error, number)));
     }
 
-    /// Sends the EMCY that are due, unless the NMT state forbids them: later then.
+    /// Sends the EMCYs that are due, unless the NMT state forbids them. Forbidden EMCYs are sent later.
     pub(super) fn announce(&mut self) {
         let Some(node) = self.node.filter(|_| self.serving()) else {
             return;
@@ -80,7 +81,7 @@ impl Epos4 {
         (!period.is_zero()).then_some(period)
     }
 
-    /// Object 0x1017 was written: heartbeats begin at once (CiA 301), or end.
+    /// Applies a write to object 0x1017: heartbeats begin at once (CiA 301), or end.
     pub(super) fn start_heartbeat(&mut self, now: Instant) {
         self.heartbeat_at = self.heartbeat_period().map(|_| now);
         self.produce_heartbeat(now);
@@ -93,7 +94,7 @@ impl Epos4 {
         }
     }
 
-    /// Object 0x1016 was written. The loss of a node that is not watched any more is over.
+    /// Applies a write to object 0x1016. The loss of a node that is no longer monitored ends.
     pub(super) fn read_consumers(&mut self) {
         let ended = self.consumers.read(&self.objects);
         for (number, _) in ended.into_iter().enumerate().filter(|(_, ended)| *ended) {
@@ -144,7 +145,8 @@ impl Epos4 {
         self.regain(errors::PDO_LENGTH.of(number));
     }
 
-    /// A parameter of a PDO was written. The errors of an RPDO end with the RPDO or its event timer.
+    /// Applies a write to a parameter of a PDO. The errors of an RPDO end when the RPDO or its event timer is
+    /// switched off.
     pub(super) fn update_pdo(&mut self, kind: PdoKind, number: PdoNumber) {
         if self.objects.nmt == nmt::State::Operational {
             self.pdos.update(kind, number, &self.objects);

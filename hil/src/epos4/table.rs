@@ -1,13 +1,13 @@
 //! The object dictionary as a table: every object, its type, access, default, limits and mapping.
 //!
-//! Addresses, types and defaults are those of the EPOS4 module 50/5 (firmware 0x0170) where its
-//! electronic data sheet is known; limits marked by [`Entry::range`] are EPOS4's or CiA's.
+//! Addresses, types and defaults are those of the EPOS4 module 50/5 (firmware 0x0170), as far as its electronic data
+//! sheet is known. Limits set by [`Entry::range`] are from EPOS4 or CiA.
 
 use canopen::Object;
 
 use Kind::{Domain, I8, I16, I32, Text, U8, U16, U32};
 
-/// How many mapping entries a PDO has, as an EPOS4's.
+/// Mapping entries per PDO, as in an EPOS4.
 pub(super) const MAPPED: u8 = 12;
 
 /// The type of an object.
@@ -20,7 +20,7 @@ pub(super) enum Kind {
     U32,
     I32,
     Text(&'static str),
-    /// Bytes, as many as are written; there is one such object.
+    /// Any number of bytes. The dictionary has one such object.
     Domain,
 }
 
@@ -35,7 +35,7 @@ impl Kind {
         }
     }
 
-    /// A value as stored (sign extended) from its bytes on the wire.
+    /// Converts the bytes on the wire to the stored value (sign extended).
     pub(super) fn decode(self, bytes: [u8; 4]) -> u32 {
         let [a, b, ..] = bytes;
         match self {
@@ -47,7 +47,7 @@ impl Kind {
         }
     }
 
-    /// The number a stored value stands for.
+    /// The number that a stored value represents.
     pub(super) fn number(self, stored: u32) -> i64 {
         match self {
             Self::I8 | Self::I16 | Self::I32 => i64::from(stored as i32),
@@ -58,13 +58,13 @@ impl Kind {
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Access {
-    /// Read only; the device may change it.
+    /// Read only. The device may change the value.
     Read,
     /// Read and write.
     Write,
 }
 
-/// Into which PDOs an object can be mapped.
+/// The PDOs to which an object can be mapped.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Mappable {
     pub(super) receive: bool,
@@ -76,12 +76,13 @@ pub(super) struct Entry {
     pub(super) object: Object,
     pub(super) kind: Kind,
     pub(super) access: Access,
-    /// As stored.
+    /// Default, in stored form.
     pub(super) default: u32,
     /// Whether the node-ID is added to the default.
     pub(super) plus_node: bool,
     pub(super) mappable: Mappable,
-    /// A command, a set-point or the error history: not stored by "save", excluded from downloads by the data sheet.
+    /// Marks commands, set-points and the error history. "save" does not store them, and the data sheet excludes them
+    /// from downloads.
     pub(super) volatile: bool,
     pub(super) min: i64,
     pub(super) max: i64,
@@ -173,11 +174,11 @@ const COMMUNICATION: &[Entry] = &[
     ro(0x1200, 2, U32, 0x580).plus_node(),
 ];
 
-/// Vendor objects and those of CiA 402.
+/// Vendor objects, and objects of CiA 402.
 const APPLICATION: &[Entry] = &[
     ro(0x2200, 0, U8, 1),
     ro(0x2200, 1, U16, 480).tx(),
-    // Of no EPOS4: something long to try out transfers with.
+    // Not an object of EPOS4: a long object for tests of transfers.
     ro(0x2FF0, 0, U8, 2),
     ro(
         0x2FF0,
@@ -348,12 +349,12 @@ const fn with_pdos(
     (table, at)
 }
 
-/// The row of an object that the table has.
+/// The row of an object in the table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Slot(u16);
 
 impl Slot {
-    /// For objects known when the program is built: one that the table lacks does not compile.
+    /// The slot of an object known at compile time. An object missing from the table does not compile.
     pub(super) const fn of(object: Object) -> Self {
         let mut at = 0;
         while at < ROWS {
@@ -366,7 +367,7 @@ impl Slot {
         panic!("the table has no such object")
     }
 
-    /// For objects that arrive in a frame.
+    /// The slot of an object received in a frame.
     pub(super) fn find(object: Object) -> Option<Self> {
         let at = TABLE
             .binary_search_by_key(&object, |entry| entry.object)

@@ -15,7 +15,7 @@ use crate::{AxisConfig, DeviceId, Irp6Axis, World};
 use can::timing::Bitrate;
 use can::{Port, Received, StandardId, VirtualPort};
 
-/// A host alone with node 2 on a bus of 1 Mbit/s.
+/// A host with node 2 as the only device, on a bus of 1 Mbit/s.
 struct Bench {
     world: World,
     port: VirtualPort,
@@ -41,7 +41,7 @@ fn config() -> Epos4Config {
 }
 
 impl Bench {
-    /// Powered on a moment ago; the boot-up frame is on its way.
+    /// A device after power-on, before its boot-up frame.
     fn new(config: Epos4Config) -> Self {
         let mut world = World::new();
         let bus = world.add_bus(Bitrate::KBPS_1000);
@@ -55,14 +55,14 @@ impl Bench {
         }
     }
 
-    /// Booted, the boot-up frame read.
+    /// A booted device, with its boot-up frame already read.
     fn booted(config: Epos4Config) -> Self {
         let mut bench = Self::new(config);
         assert_eq!(bench.run(60), ["702#00"]);
         bench
     }
 
-    /// Lets time pass and returns what the device said.
+    /// Advances time and returns the frames of the device.
     fn run(&mut self, millis: u64) -> Vec<String> {
         self.run_micros(millis * 1000)
             .into_iter()
@@ -81,13 +81,13 @@ impl Bench {
         into[..count].to_vec()
     }
 
-    /// Says something and returns what the device answers within 5 ms.
+    /// Sends a frame and returns the device's answers within 5 ms.
     fn say(&mut self, text: &str) -> Vec<String> {
         self.port.send(self.now, &[parse(text)]).unwrap();
         self.run(5)
     }
 
-    /// An SDO request and its answer, payloads only.
+    /// Sends an SDO request and returns its answer, payloads only.
     fn ask(&mut self, request: &str) -> String {
         let answers = self.say(&format!("602#{request}"));
         let answer = answers
@@ -96,7 +96,7 @@ impl Bench {
         answer.unwrap_or("nothing").to_owned()
     }
 
-    /// Writes an object whose address and bytes are given as on the wire.
+    /// Writes an object. Address and bytes are given as on the wire.
     fn write(&mut self, object: &str, value: i64, bytes: usize) {
         let specifier = 0x23 | (4 - bytes as u8) << 2;
         let data: String = value.to_le_bytes()[..4]
@@ -115,7 +115,7 @@ impl Bench {
         i32::from_le_bytes([byte(0), byte(1), byte(2), byte(3)])
     }
 
-    /// Back to how it left the factory, whatever was stored.
+    /// Writes the factory values, independent of the stored values.
     fn write_factory_values(&mut self) {
         self.say("000#8002");
         self.say("000#8102");
@@ -125,7 +125,7 @@ impl Bench {
         self.run(60);
     }
 
-    /// The code of an abort, or zero for a write that is taken.
+    /// The abort code of a refused write, or zero for an accepted write.
     fn refusal(&mut self, object: &str, value: u32, bytes: usize) -> u32 {
         let specifier = 0x23 | (4 - bytes as u8) << 2;
         let data: String = value
@@ -153,7 +153,7 @@ impl Bench {
         assert_eq!(self.statusword() & 0x6F, 0x27);
     }
 
-    /// Follows `target` in CSP for `cycles` of 2 ms with RPDO3 and SYNC; returns the answers.
+    /// Follows `target` in CSP for `cycles` of 2 ms with RPDO3 and SYNC. Returns the answers.
     fn follow(&mut self, cycles: u32, mut target: impl FnMut(u32) -> i32) -> Vec<String> {
         let mut heard = Vec::new();
         for cycle in 0..cycles {

@@ -19,8 +19,8 @@ use crate::{Epos4, LineDevice};
 ///                      +--> Idle            +--> Idle          pause: --> Idle
 /// ```
 ///
-/// An opcode it does not know is taken to its end and refused with 0x0F00_FFBF. An NMT command goes from
-/// Body straight to Idle. While it has something to send, it does not listen.
+/// An unknown opcode is received to its end and refused with 0x0F00_FFBF. An NMT command leads from Body straight to
+/// Idle. While the port has bytes to send, it ignores received bytes.
 pub struct Epos2Serial {
     service: Service,
     state: State,
@@ -31,19 +31,19 @@ pub struct Epos2Serial {
 #[derive(Clone, Copy)]
 enum State {
     Idle,
-    /// So many bytes behind this opcode are there.
+    /// Number of bytes received after this opcode.
     Body {
         opcode: u8,
         count: usize,
     },
-    /// The opcode of an answer is sent, and its ready acknowledgement awaited.
+    /// The opcode of an answer was sent. The ready acknowledgement is pending.
     Answering(Telegram),
-    /// All of the answer is sent, and its end acknowledgement awaited.
+    /// The whole answer was sent. The end acknowledgement is pending.
     Ending,
 }
 
 impl Epos2Serial {
-    /// Switched on with the device behind it.
+    /// A port after power-on, with its device.
     pub fn new(config: EposSerialConfig) -> Self {
         Self {
             state: State::Idle,
@@ -58,7 +58,7 @@ impl Epos2Serial {
         &self.service.epos
     }
 
-    /// What it has heard.
+    /// Receive counters.
     pub fn heard(&self) -> Heard {
         self.service.heard
     }
@@ -94,7 +94,7 @@ impl Epos2Serial {
         }
     }
 
-    /// A telegram has arrived.
+    /// Processes a complete telegram.
     fn finish(&mut self, opcode: u8, count: usize, now: Instant) -> State {
         let request = Request::decode(opcode, &self.body[..count]);
         if request == Err(Malformed::Damaged) {

@@ -11,8 +11,8 @@ use crate::{Epos4, LineDevice};
 
 /// The USB or RS-232 port of an EPOS4.
 ///
-/// Every frame that arrives whole is answered, a wrong one with an error code; a torn one is not. A new
-/// initiation replaces a segmented transfer in progress, and any error ends it.
+/// Every complete frame is answered, an invalid frame with an error code. A torn frame is not answered. A new
+/// initiation replaces a segmented transfer in progress. Any error ends the transfer.
 pub struct Epos4Serial {
     service: Service,
     deframer: Deframer,
@@ -27,12 +27,12 @@ struct Transfer {
     object: [u8; MAX_SIZE],
     size: usize,
     done: usize,
-    /// Expected of the next segment.
+    /// Toggle bit expected in the next segment.
     toggle: bool,
 }
 
 impl Epos4Serial {
-    /// Switched on with the device behind it.
+    /// A port after power-on, with its device.
     pub fn new(config: EposSerialConfig) -> Self {
         Self {
             deframer: Deframer::new(),
@@ -47,7 +47,7 @@ impl Epos4Serial {
         &self.service.epos
     }
 
-    /// What it has heard.
+    /// Receive counters.
     pub fn heard(&self) -> Heard {
         self.service.heard
     }
@@ -198,7 +198,7 @@ impl Transfer {
         self.done == self.size
     }
 
-    /// The next segment of an object that is read.
+    /// The next segment of an object that is being read.
     fn take<'s>(&mut self, limit: u8, segment: &'s mut [u8; MAX_SEGMENT]) -> &'s [u8] {
         let rest = &self.object[self.done..self.size];
         let count = rest.len().min(usize::from(limit)).min(MAX_SEGMENT);
@@ -207,7 +207,7 @@ impl Transfer {
         &segment[..count]
     }
 
-    /// The next segment of an object that is written.
+    /// Stores the next segment of an object that is being written.
     fn put(&mut self, data: &[u8]) -> Result<(), AbortCode> {
         if data.len() > self.size - self.done {
             return Err(AbortCode::LENGTH_MISMATCH);

@@ -25,7 +25,7 @@ fn config() -> EposSerialConfig {
 }
 
 impl Rig {
-    /// Booted.
+    /// A test rig with a booted device.
     fn new(device: Box<dyn LineDevice>) -> Self {
         let mut world = World::new();
         let line = world.add_line(Settings::EPOS, None, device);
@@ -56,13 +56,13 @@ impl Rig {
         into[..count].to_vec()
     }
 
-    /// Writes now, and returns what has come back 40 ms later.
+    /// Writes now, and returns the bytes received 40 ms later.
     fn send(&mut self, bytes: &[u8]) -> Vec<u8> {
         assert_eq!(self.host.write(self.now, bytes), Ok(bytes.len()));
         self.wait(Duration::from_millis(40))
     }
 
-    /// An exchange with an EPOS2 to its end; the answer's data, none for one without answer.
+    /// A complete exchange with an EPOS2. Returns the answer's data, or `None` for a request without an answer.
     fn epos2_exchange(&mut self, request: epos2::Request) -> Option<epos2::Answer> {
         let telegram = request.encode();
         assert_eq!(self.send(&[telegram.opcode()]), b"O");
@@ -86,7 +86,7 @@ impl Rig {
         found.next().expect("an answer").expect("a right one")
     }
 
-    /// What an EPOS4 answers, checked by `check`.
+    /// Compares the answer of an EPOS4 with `expected`.
     fn epos4_exchange(&mut self, request: Request, expected: Answer) {
         let frame = self.epos4_frame(&request.encode());
         let answer = Answer::decode(&frame, &request);
@@ -106,7 +106,8 @@ const fn object(index: u16, subindex: u8) -> Address {
 fn epos4_exchanges_are_the_bytes_of_the_line() {
     let mut rig = Rig::epos4(config());
     let cases: [(&[u8], &[u8]); 3] = [
-        // Statusword of node 1, right after boot: switch on disabled, and no target in profile position mode: 0x0440.
+        // Statusword of node 1 right after boot: 0x0440, switch on disabled. In profile position mode no target is
+        // reached.
         (
             &[0x90, 0x02, 0x60, 0x02, 0x01, 0x41, 0x60, 0x00, 0x22, 0xD1],
             &[
@@ -139,7 +140,7 @@ fn epos2_exchanges_are_the_bytes_of_the_line() {
     let mut config = config();
     config.epos.vendor_bits = 0x0100;
     let mut rig = Rig::epos2(config);
-    // Statusword, as an EPOS2 has it: bit 8 always.
+    // Statusword of an EPOS2: bit 8 is always set.
     assert_eq!(rig.send(&[0x10]), b"O");
     let read = [0x01, 0x41, 0x60, 0x00, 0x01, 0xAB, 0xF0];
     assert_eq!(rig.send(&read), b"O\x00");
@@ -154,7 +155,7 @@ fn epos2_exchanges_are_the_bytes_of_the_line() {
     assert_eq!(rig.send(&write), b"O\x00");
     assert_eq!(rig.send(b"O"), [0x01, 0, 0, 0, 0, 0x51, 0xAA]);
     assert_eq!(rig.send(b"O"), [0_u8; 0]);
-    // An object that is not there.
+    // An object that does not exist.
     assert_eq!(rig.send(&[0x10]), b"O");
     let missing = epos2::Request::Read {
         node: 1,
@@ -197,7 +198,7 @@ fn an_object_over_rs232_costs_an_epos2_more_than_two_milliseconds() {
     for (bytes, answer) in steps {
         rig.host.write(rig.now, bytes).unwrap();
         let mut count = 0;
-        // A host as quick as the line.
+        // A host as fast as the line.
         while count < answer {
             rig.now = rig.world.next_event().expect("an answer is to come");
             rig.world.advance(rig.now);
@@ -215,7 +216,7 @@ fn an_object_over_rs232_costs_an_epos2_more_than_two_milliseconds() {
 
 #[test]
 fn both_ports_enable_and_move_the_axis() {
-    // Profile velocity, 60 revolutions per minute: written, and what reads back 2 s later.
+    // Profile velocity of 60 revolutions per minute: the value written, and the value read back 2 s later.
     let writes = [
         (0x6060, 3),
         (0x6040, 0x06),
@@ -312,10 +313,10 @@ fn refusals_carry_the_code_of_an_abort() {
     assert_eq!(frame.data(), [0xBF, 0xFF, 0x00, 0x0F]);
     let device: &Epos4Serial = rig.world.line_device(rig.line).unwrap();
     assert_eq!(device.heard().refused, 11);
-    // An EPOS2 takes an opcode it does not know to its end before it refuses it.
+    // An EPOS2 receives a telegram with an unknown opcode to its end before it refuses the telegram.
     let mut rig = Rig::epos2(config());
     assert_eq!(rig.send(&[0x12]), b"O");
-    // opcode 0x12, two words of zeros: its CRC by the rule of the layout.
+    // Opcode 0x12, two words of zeros. The CRC follows from the rule of the layout.
     let crc = 0x3B95_u16;
     let mut body = vec![0x01, 0, 0, 0, 0];
     body.extend(crc.to_le_bytes());
@@ -385,7 +386,7 @@ fn objects_are_read_and_written_in_segments() {
     rig.epos4_exchange(next(false), segment(false, false, b"OS"));
     rig.epos4_exchange(next(true), segment(true, true, b"4"));
     rig.epos4_exchange(next(false), Answer::Refused(0x0F00_FFBF));
-    // A toggle that does not alternate ends it.
+    // A toggle bit that does not alternate ends the transfer.
     rig.epos4_exchange(
         Request::InitiateSegmentedRead(name),
         Answer::Started(5, b"EP"),
@@ -400,7 +401,7 @@ fn objects_are_read_and_written_in_segments() {
     rig.epos4_exchange(put(false, false, &[1, 2, 3]), taken(false, 3));
     rig.epos4_exchange(put(true, true, &[4]), taken(true, 1));
     rig.epos4_exchange(Request::Read(target), Answer::Value(0x0403_0201));
-    // Too little, and too much.
+    // Too few bytes, and too many.
     for data in [&[9, 9][..], &[9; 5]] {
         rig.epos4_exchange(Request::InitiateSegmentedWrite(target, 4), Answer::Done);
         rig.epos4_exchange(put(false, true, data), Answer::Refused(0x0607_0010));
@@ -416,7 +417,7 @@ fn after_the_frame_time_out_a_torn_exchange_is_over() {
         subindex: 0,
     };
     let telegram = read.encode();
-    // Where the host falls silent: after the opcode, within the telegram, before its acknowledgements.
+    // Points at which the host stops sending: after the opcode, within the telegram, before its acknowledgements.
     let body = telegram.body();
     let scripts: [&[&[u8]]; 5] = [
         &[&[0x10]],
@@ -430,7 +431,8 @@ fn after_the_frame_time_out_a_torn_exchange_is_over() {
         for bytes in script {
             rig.send(bytes);
         }
-        // Too early, the next opcode is taken for the rest; later it is one.
+        // Before the time-out the next opcode is taken for the rest of the telegram. After the time-out it begins a
+        // new telegram.
         rig.wait(Duration::from_millis(501));
         assert_eq!(
             rig.epos2_exchange(read),
@@ -468,7 +470,7 @@ fn a_damaged_telegram_is_acknowledged_as_failed_and_not_obeyed() {
     assert_eq!(rig.epos2_exchange(read), Some(epos2::Answer::Value(0)));
     let device: &Epos2Serial = rig.world.line_device(rig.line).unwrap();
     assert_eq!(device.heard().damaged, 1);
-    // The host that does not take the answer ends the exchange as well.
+    // A host that does not acknowledge the answer also ends the exchange.
     assert_eq!(rig.send(&[0x10]), b"O");
     assert_eq!(rig.send(read.encode().body()), b"O\x00");
     assert_eq!(rig.send(b"F"), [0_u8; 0]);
@@ -496,7 +498,7 @@ fn after_any_noise_and_the_time_out_a_port_works() {
     };
     for seed in 0..50 {
         let mut noise = crate::plant::Noise::new(seed);
-        // Rich in what begins, stuffs and acknowledges.
+        // Random bytes with many opcodes, stuffing bytes and acknowledgements.
         let bytes: Vec<u8> = std::iter::repeat_with(|| match noise.bits() % 8 {
             0 | 1 => 0x90,
             2 => 0x02,

@@ -2,10 +2,10 @@
 
 use crate::plant::Noise;
 
-/// What goes wrong on a line, each way; nothing by default.
+/// Faults of a line in each direction. The default is no fault.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LineFaults {
-    /// Decides what is drawn at random.
+    /// Seed of the random faults.
     pub seed: u64,
     /// From the host to the device.
     pub to_device: WireFaults,
@@ -13,25 +13,25 @@ pub struct LineFaults {
     pub to_host: WireFaults,
 }
 
-/// What goes wrong in one direction.
+/// Faults of one direction.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct WireFaults {
     /// Probability that a data bit arrives inverted.
     pub bit_error_rate: f64,
-    /// Probability of each byte to be lost together with all that follow it without a gap.
+    /// Probability, per byte, that the byte and all bytes that follow without a gap are lost.
     pub tear: f64,
-    /// Probability of each byte to arrive twice.
+    /// Probability, per byte, that the byte arrives twice.
     pub duplicate: f64,
-    /// Whether the line hangs, whatever is sent.
+    /// Permanent fault of the line, independent of the bytes sent.
     pub stuck: Option<Stuck>,
 }
 
-/// How a line hangs.
+/// Permanent faults of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stuck {
     /// Nothing arrives.
     Silent,
-    /// Every byte arrives as this one: 0x00 or 0xFF.
+    /// Every byte arrives with this value: 0x00 or 0xFF.
     At(u8),
 }
 
@@ -67,12 +67,12 @@ impl Wire {
         self.torn = false;
     }
 
-    /// The line was free for a while.
+    /// Ends the burst: the line was idle for a while.
     pub(super) fn pause(&mut self) {
         self.torn = false;
     }
 
-    /// What arrives of a byte: nothing, one, or two.
+    /// The received bytes for a sent byte: zero, one or two.
     pub(super) fn carry(&mut self, byte: u8) -> [Option<u8>; 2] {
         if self.faults == WireFaults::default() {
             return [Some(byte), None];

@@ -10,7 +10,7 @@ fn at(micros: u64) -> Instant {
     Instant::from_nanos(micros * 1000)
 }
 
-/// Sends back what it received, `delay` later.
+/// Sends received bytes back `delay` later.
 struct Echo {
     delay: Duration,
     heard: Vec<(u8, Instant)>,
@@ -56,7 +56,7 @@ impl Rig {
         &device.downcast_ref::<Echo>().unwrap().heard
     }
 
-    /// Advances from event to event until `until`, and says when how many bytes could be read.
+    /// Advances from event to event until `until`. Returns the times at which bytes could be read, and their numbers.
     fn reads(&mut self, until: Instant) -> Vec<(u64, usize)> {
         let mut reads = Vec::new();
         loop {
@@ -91,8 +91,8 @@ fn bytes_take_their_line_times_both_ways() {
             .collect::<Vec<_>>(),
         expected
     );
-    // Each byte goes back a delay after it came: one byte behind the other, again without a gap
-    // beyond what rounding leaves.
+    // Each byte returns one delay after its arrival. The returned bytes follow each other without a gap, apart from
+    // rounding.
     let first = 1_000_000 + nanos(1) + 300_000;
     assert_eq!(reads[0], (first + nanos(1), 1));
     assert_eq!(reads.len(), 3);
@@ -132,19 +132,19 @@ fn what_is_handed_over_late_goes_on_the_line_at_once() {
 
 #[test]
 fn an_adapter_hands_over_when_its_timer_runs_out_or_a_packet_is_full() {
-    // Bytes written at an instant, and what the host reads when.
+    // Times at which bytes are written, and the reads of the host with their times.
     type Reads = &'static [(u64, usize)];
     let cases: [(u64, usize, Reads); 5] = [
         (100, 3, &[(16_000_000, 3)]),
-        // The timer is not started by the byte.
+        // The byte does not start the timer.
         (15_000, 3, &[(16_000_000, 3)]),
         (15_990, 3, &[(32_000_000, 3)]),
-        // It runs out while the byte is on its way back.
+        // The timer expires while the byte is on its way back.
         (15_980, 1, &[(32_000_000, 1)]),
         (
             0,
             100,
-            // 62 once they are there, one byte of the request behind, the rest 16 ms later.
+            // 62 bytes as soon as they are there, one byte time after the request. The rest follows 16 ms later.
             &[(11_936 + 740_018, 62), (16_751_954, 38)],
         ),
     ];
@@ -203,7 +203,7 @@ fn faults_damage_their_direction_at_their_rate_and_are_counted() {
             |s| s.duplicated,
             some(0.2),
         ),
-        // Bursts of ten: what follows the lost byte is lost as well.
+        // Bursts of ten bytes: the bytes that follow the lost byte are lost as well.
         (
             WireFaults { tear: 0.1, ..wire },
             |s| s.lost,

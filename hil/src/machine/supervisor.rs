@@ -10,26 +10,26 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 const SUPERVISE: &str = include_str!("../supervise.sh");
 
-/// Ends a test machine from another thread, as for a signal. One machine at a time.
+/// Ends a test machine from another thread, for example after a signal. Serves one machine at a time.
 #[derive(Clone, Debug, Default)]
 pub struct Cancellation(Arc<Mutex<State>>);
 
 #[derive(Debug, Default)]
 struct State {
     requested: bool,
-    /// The pipe whose end ends the machine.
+    /// Closing this pipe ends the machine.
     pipe: Option<PipeWriter>,
 }
 
 impl Cancellation {
-    /// Kills the machine; one that has not been started yet never is.
+    /// Kills the machine. A machine that has not been started yet never starts.
     pub fn cancel(&self) {
         let mut state = self.state();
         state.requested = true;
         state.pipe = None;
     }
 
-    /// Whether the machine is to end.
+    /// Whether the end of the machine was requested.
     pub fn is_requested(&self) -> bool {
         self.state().requested
     }
@@ -47,7 +47,7 @@ pub(super) struct Supervisor {
 }
 
 impl Supervisor {
-    /// A supervisor that removes `directory` from now on, and is ready to start `command`. The machine writes to
+    /// A supervisor that is ready to start `command` and removes `directory` at the end. The machine writes to
     /// `stdout` and `stderr`.
     pub(super) fn new<Word: AsRef<OsStr>>(
         directory: &Path,
@@ -75,7 +75,7 @@ impl Supervisor {
         Ok(supervisor)
     }
 
-    /// Starts the machine, unless it was cancelled.
+    /// Starts the machine, unless the machine was cancelled.
     pub(super) fn start(&self) -> io::Result<()> {
         let mut state = self.cancellation.state();
         state
@@ -93,7 +93,8 @@ impl Supervisor {
 impl Drop for Supervisor {
     fn drop(&mut self) {
         self.kill();
-        // The wait fails only if the supervisor has been waited for, and then the supervisor has ended.
+        // The wait fails only after an earlier wait for the supervisor. In that case the supervisor has already
+        // ended.
         let _ = self.shell.wait();
     }
 }
@@ -124,7 +125,7 @@ mod tests {
         supervisor.start().unwrap();
         let mut said = String::new();
         output.read_line(&mut said).unwrap();
-        // What the kernel does with the pipe of a program that has gone.
+        // The kernel closes the pipe in the same way when the program ends.
         supervisor.kill();
         output.read_to_string(&mut said).unwrap();
         assert_eq!(said, "up\n");

@@ -5,24 +5,25 @@ use std::io;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Component, Path, PathBuf};
 
-/// Links that a path may lead over.
+/// Maximum number of links on a path.
 const LINKS: u32 = 40;
 
-/// Permission bits: other users may write; entries are their owners' alone to rename and remove.
+/// Permission bits: write permission of other users; the sticky bit, which lets only owners rename and remove
+/// entries.
 const OTHERS_WRITE: u32 = 0o002;
 const STICKY: u32 = 0o1000;
 
 /// The superuser.
 const ROOT: u32 = 0;
 
-/// Why a path is not to be relied on.
+/// Reasons why a path is not trusted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Distrust {
-    /// A directory or link on the way belongs to this other user.
+    /// A directory or link of the path belongs to this other user.
     Foreign(u32),
-    /// Any user can change a directory on the way.
+    /// Any user can change a directory of the path.
     Shared,
-    /// It cannot be looked at.
+    /// The path cannot be examined.
     Unknown(io::ErrorKind),
 }
 
@@ -32,7 +33,8 @@ impl From<io::Error> for Distrust {
     }
 }
 
-/// Where `path`, which is absolute and exists, leads, if only `user` and the superuser can change that.
+/// Resolves `path`, which is absolute and exists. Fails if anybody but `user` and the superuser can change the
+/// result.
 pub(super) fn resolve(path: &Path, user: u32) -> Result<PathBuf, Distrust> {
     let mut links = LINKS;
     resolve_within(path, user, &mut links)
@@ -62,12 +64,12 @@ fn resolve_within(path: &Path, user: u32, links: &mut u32) -> Result<PathBuf, Di
     Ok(reached)
 }
 
-/// A path of too many links.
+/// Error of a path with too many links.
 fn endless() -> io::Error {
     io::Error::from_raw_os_error(libc::ELOOP)
 }
 
-/// Whether only `user` and the superuser decide what a directory or link on the way is.
+/// Checks that only `user` and the superuser can replace a directory or link of a path.
 fn let_pass(found: &Metadata, user: u32) -> Result<(), Distrust> {
     passes(found.uid(), found.mode(), found.is_dir(), user)
 }
@@ -84,7 +86,7 @@ fn passes(owner: u32, mode: u32, is_directory: bool, user: u32) -> Result<(), Di
     }
 }
 
-/// Where `directory` leads, made first if it is not there, if only `user` can write to it.
+/// Resolves `directory`, made first if missing. Fails if anybody but `user` can write to the directory.
 pub(super) fn own(directory: &Path, user: u32) -> Result<PathBuf, Distrust> {
     let directory = std::path::absolute(directory)?;
     let there = |place: &&Path| fs::symlink_metadata(place).is_ok();
@@ -93,7 +95,7 @@ pub(super) fn own(directory: &Path, user: u32) -> Result<PathBuf, Distrust> {
     let directory = resolve(there, user)?.join(rest);
     fs::create_dir_all(&directory)?;
     let found = fs::metadata(&directory)?;
-    // The superuser's directories are not the user's, and in a sticky one anybody may put something.
+    // Directories of the superuser do not belong to the user, and any user can add entries to a sticky directory.
     if found.uid() != user {
         return Err(Distrust::Foreign(found.uid()));
     }
@@ -118,7 +120,7 @@ mod tests {
             (ROOT, 0o755, true, Ok(())),
             (USER, 0o775, true, Ok(())),
             (ROOT, 0o1777, true, Ok(())),
-            // The mode of a link says nothing.
+            // The mode of a link has no meaning.
             (USER, 0o777, false, Ok(())),
             (1001, 0o755, true, Err(Distrust::Foreign(1001))),
             (1001, 0o777, false, Err(Distrust::Foreign(1001))),

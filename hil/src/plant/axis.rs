@@ -11,7 +11,7 @@ use super::switch::{Contact, Switch};
 use super::wut::{Wut, WutConfig};
 use crate::amplifier::{Amplifier, AmplifierConfig, OUTER};
 
-/// What an axis is made of.
+/// Configuration of an axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AxisConfig {
     /// Motor and load.
@@ -22,11 +22,11 @@ pub struct AxisConfig {
     pub counts_per_revolution: u32,
     /// Half the band of the encoder's edge jitter, counts. The hysteresis of its comparators is as wide as the band.
     pub edge_jitter: f64,
-    /// Motor angle of an index pulse, rad; one more each whole turn away.
+    /// Motor angle of one index pulse, rad. The other index pulses lie whole turns away.
     pub index_angle: f64,
     /// Motor angle at power-on, where the counter reads zero, rad.
     pub start_angle: f64,
-    /// What a brake that closes while the power stage is off holds, N·m; zero without a brake.
+    /// Holding torque of the brake, which is closed while the power stage is off, N·m. Zero: no brake.
     pub brake: f64,
     /// Home switch.
     pub home_switch: Option<Switch>,
@@ -39,47 +39,46 @@ pub struct AxisConfig {
 /// The physics behind an axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PlantConfig {
-    /// The regression model. Its current is what the drive asks for.
+    /// The regression model. Its current follows the drive's set-point at once.
     Wut(WutConfig),
     /// A motor with windings, friction, gravity, end stops and temperature.
     Physical(MotorConfig),
 }
 
-/// What the drive's state machine asks of the power stage and the loops.
+/// Demand of the drive's state machine on the power stage and the loops.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Demand {
-    /// Power stage off; the brake, if there is one, holds.
+    /// Power stage off. A brake, if present, holds.
     Off,
-    /// Follow a straight ramp: at sub-step k of this demand the set-point is
-    /// `counts + velocity · k · 100 µs`.
+    /// Follow a straight ramp: at sub-step k of this demand the set-point is `counts + velocity · k · 100 µs`.
     Position {
-        /// Where it begins, counts.
+        /// Start of the ramp, counts.
         counts: f64,
-        /// How fast it goes on from there, counts/s; also the velocity feed-forward.
+        /// Slope of the ramp, counts/s. The slope is also the velocity feed-forward.
         velocity: f64,
     },
     /// Hold a velocity, counts/s.
     Velocity(f64),
     /// Hold a torque, N·m.
     Torque(f64),
-    /// Hold a current, A, from this sub-step on; beyond [`AmplifierConfig::max_current`] as well.
+    /// Hold a current, A, from this sub-step on. [`AmplifierConfig::max_current`] does not apply.
     Current(f64),
-    /// Put out this share of [`AmplifierConfig::max_voltage`], -1 to 1, from this sub-step on.
+    /// Output this share of [`AmplifierConfig::max_voltage`], -1 to 1, from this sub-step on.
     Duty(f64),
 }
 
-/// What the drive's sensors tell.
+/// Readings of the drive's sensors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Feedback {
-    /// Encoder counter, zero at power-on; wraps as 32 bits do.
+    /// Encoder counter, zero at power-on. The counter wraps at 32 bits.
     pub counts: i32,
-    /// Counts/s.
+    /// Observed velocity, counts/s.
     pub velocity: f64,
-    /// From the measured current, N·m.
+    /// Torque from the measured current, N·m.
     pub torque: f64,
-    /// Measured, A.
+    /// Measured current, A.
     pub current: f64,
-    /// Count at which the index pulse last passed since [`Axis::take_index`].
+    /// Count of the last index pulse since [`Axis::take_index`].
     pub index: Option<i32>,
     /// Whether the home switch is closed.
     pub home_switch: bool,
@@ -87,25 +86,24 @@ pub struct Feedback {
     pub negative_limit: bool,
     /// Whether the positive limit switch is closed.
     pub positive_limit: bool,
-    /// What keeps the power stage off, if anything does.
+    /// The trip that keeps the power stage off, if any.
     pub trip: Option<Trip>,
 }
 
-/// Why the power stage switched itself off.
+/// Protections that switch the power stage off.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum Trip {
-    /// More current than it survives; until [`Demand::Off`].
+    /// The current exceeded the limit of the power stage. Cleared by [`Demand::Off`].
     #[error("over-current")]
     OverCurrent,
-    /// The winding is too hot; until it has cooled by 5 K.
+    /// The winding is too hot. Cleared when the winding has cooled by 5 K.
     #[error("over-temperature")]
     OverTemperature,
 }
 
 /// One motor with its load, its sensors and the inner loops of its drive.
 ///
-/// The host of an axis decides when to call [`Axis::advance`]; the axis knows no time but the
-/// sub-steps it was moved on by.
+/// The caller decides when to call [`Axis::advance`]. Simulated time is the number of sub-steps advanced.
 #[derive(Clone, Debug)]
 pub struct Axis {
     plant: Plant,
@@ -118,7 +116,7 @@ pub struct Axis {
     positive_limit: Option<Contact>,
     noise: Noise,
     trip: Option<Trip>,
-    /// Sub-steps since the outer loops last turned.
+    /// Sub-steps since the last step of the outer loops.
     phase: u32,
 }
 
@@ -129,13 +127,13 @@ enum Plant {
 }
 
 impl Axis {
-    /// At rest at its start angle. Ripple, jitter and bounce follow from `seed`.
+    /// An axis at standstill at its start angle. `seed` determines ripple, jitter and bounce.
     pub fn new(config: &AxisConfig, seed: u64) -> Self {
         Self::mounted(config, seed, None)
     }
 
-    /// The same, carrying what its place in a mechanism has it carry, in place of the inertia and the gravity of
-    /// [`MotorConfig`]. The regression model feels nothing of it; the others feel where it is.
+    /// An axis that carries the load of its place in a mechanism, in place of the inertia and the gravity of
+    /// [`MotorConfig`]. The regression model ignores that load, but its angle counts in the load of the other axes.
     pub fn mounted(config: &AxisConfig, seed: u64, mount: Option<&Mount>) -> Self {
         if let Some(mount) = mount {
             mount.place(config.start_angle);
@@ -173,27 +171,27 @@ impl Axis {
         }
     }
 
-    /// Has the power stage trip beyond another current than the configured one, A.
+    /// Sets another over-current threshold than the configured one, A.
     pub fn set_trip_current(&mut self, current: f64) {
         self.amplifier.set_trip_current(current);
     }
 
-    /// Has this torque, N·m, added to what the velocity loop asks for from now on, under
-    /// [`Demand::Position`] and [`Demand::Velocity`].
+    /// Sets the torque, N·m, that is added to the output of the velocity loop from now on, under [`Demand::Position`]
+    /// and [`Demand::Velocity`].
     pub fn set_torque_offset(&mut self, torque: f64) {
         self.amplifier.set_torque_offset(torque);
     }
 
-    /// Gives the current loop other gains than those that follow from the motor: voltage per current
-    /// error, Ω, and per error and sub-step. The regression model has no use for them.
+    /// Replaces the gains of the current loop that follow from the motor: voltage per current error, Ω, and voltage
+    /// per current error and sub-step. The regression model does not use these gains.
     pub fn set_current_gains(&mut self, proportional: f64, integral: f64) {
         self.amplifier.set_current_gains(proportional, integral);
     }
 
-    /// Moves on by `dt_steps` sub-steps of 100 µs under one demand.
+    /// Advances by `dt_steps` sub-steps of 100 µs under one demand.
     ///
-    /// In each, the drive reads encoder and current, computes, and the plant integrates under the
-    /// result. The outer loops turn at every tenth sub-step since power-on, wherever calls begin.
+    /// In each sub-step the drive reads encoder and current and computes its output, and the plant integrates under
+    /// that output. The outer loops run at every tenth sub-step since power-on, independent of the start of a call.
     pub fn advance(&mut self, dt_steps: u32, demand: Demand) {
         if demand == Demand::Off {
             self.amplifier.release();
@@ -256,7 +254,7 @@ impl Axis {
         }
     }
 
-    /// What the sensors tell after the last sub-step.
+    /// Sensor readings after the last sub-step.
     pub fn feedback(&self) -> Feedback {
         let closed = |contact: &Option<Contact>| contact.as_ref().is_some_and(Contact::closed);
         let current = match &self.plant {
@@ -276,17 +274,17 @@ impl Axis {
         }
     }
 
-    /// Hands out the index latch and arms it again.
+    /// Returns the index latch and arms it again.
     pub fn take_index(&mut self) -> Option<i32> {
         self.encoder.take_index()
     }
 
-    /// What it is mounted on, if it is.
+    /// The mechanism of a mounted axis.
     pub fn mechanism(&self) -> Option<&Mechanism> {
         self.mount.as_ref().map(Mount::mechanism)
     }
 
-    /// The true angle of the motor shaft, rad, which no drive can know.
+    /// The true angle of the motor shaft, rad, which no drive can measure.
     pub fn angle(&self) -> f64 {
         self.plant.angle()
     }

@@ -6,21 +6,21 @@ use super::noise::Noise;
 
 /// A quadrature encoder on the motor shaft with one index pulse per revolution.
 ///
-/// Its counter is the floor of angle · counts / 2π, less what that was at power-on. The index pulse
-/// is as wide as one count and so marks the same count from either side.
+/// The counter is the floor of angle · counts / 2π, minus that value at power-on. The index pulse is one count wide,
+/// and therefore marks the same count in both directions.
 ///
-/// Edge jitter comes with a hysteresis of the same width, as of the comparators behind the disc: the counter leaves a
-/// count only beyond the band of the edge. The counter of a turning shaft changes somewhere within the band. The counter
-/// of a standing shaft does not change.
+/// Edge jitter comes with a hysteresis of the same width, as in the comparators behind the disc. The counter leaves a
+/// count only beyond the band of the edge. The counter of a turning shaft changes somewhere within the band. The
+/// counter of a shaft at standstill does not change.
 #[derive(Clone, Debug)]
 pub(crate) struct Encoder {
     counts_per_radian: f64,
     counts_per_revolution: i64,
     at_power_on: i64,
     jitter: f64,
-    /// Counts from the disc's zero.
+    /// Counts from the zero of the disc.
     counts: i64,
-    /// The last index at or below `counts`.
+    /// The nearest index at or below `counts`.
     index_below: i64,
     latched: Option<i32>,
 }
@@ -78,12 +78,12 @@ impl Encoder {
         self.latched = Some((index - self.at_power_on) as i32);
     }
 
-    /// The counter; it wraps as 32 bits do.
+    /// The counter, which wraps at 32 bits.
     pub(crate) fn counts(&self) -> i32 {
         (self.counts - self.at_power_on) as i32
     }
 
-    /// The counter at which the index pulse last came, if it did since the last take.
+    /// The counter at the last index pulse, if there was a pulse since the last call of `take_index`.
     pub(crate) fn index(&self) -> Option<i32> {
         self.latched
     }
@@ -93,7 +93,7 @@ impl Encoder {
     }
 }
 
-/// `f64::floor` is a call where the target has no rounding instruction; this is not.
+/// `f64::floor` is a function call on targets without a rounding instruction. This function is inlined.
 fn floor(x: f64) -> i64 {
     let towards_zero = x as i64;
     towards_zero - i64::from(x < towards_zero as f64)
@@ -134,7 +134,7 @@ mod tests {
     fn shaft_that_stands_is_counted_as_standing() {
         let count = TAU / 4000.0;
         for off in [-0.05, -0.02, -0.01, 0.0, 0.01, 0.02, 0.05] {
-            // Come from below, from above and switched on there, on the edge of a count.
+            // The encoder arrives from below, arrives from above, or is switched on there, on the edge of a count.
             for from in [-3.0, 0.0, 3.0] {
                 let mut noise = Noise::new(1);
                 let mut encoder = Encoder::new(4000, 0.0, 0.02, (100.0 + off + from) * count);
@@ -177,7 +177,7 @@ mod tests {
 
     #[test]
     fn index_marks_the_same_count_from_either_side() {
-        // The disc's index lies at count 10; power-on at count 0 unless a case says otherwise.
+        // The index of the disc lies at count 10. Power-on is at count 0 unless a case says otherwise.
         let cases: &[(&[i64], Option<i32>)] = &[
             (&[9], None),
             (&[10], Some(10)),

@@ -3,16 +3,16 @@
 /// Dry friction of a motor and its gear, at the motor shaft.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrictionConfig {
-    /// Level while sliding fast, N·m.
+    /// Friction torque when sliding fast, N·m.
     pub coulomb: f64,
-    /// Level at standstill, N·m, at least `coulomb`.
+    /// Friction torque at standstill, N·m, at least `coulomb`.
     pub stiction: f64,
-    /// Speed over which the level falls from the one to the other, rad/s.
+    /// Speed at which the friction torque falls from `stiction` to `coulomb`, rad/s.
     pub stribeck_velocity: f64,
 }
 
 impl FrictionConfig {
-    /// No dry friction at all.
+    /// No dry friction.
     pub const NONE: Self = Self {
         coulomb: 0.0,
         stiction: 0.0,
@@ -20,13 +20,14 @@ impl FrictionConfig {
     };
 }
 
-/// Entries per Stribeck velocity: linear interpolation is then within 0.1 % of the excess.
+/// Entries per Stribeck velocity. The error of linear interpolation is then within 0.1 % of the excess over
+/// `coulomb`.
 const ENTRIES_PER_UNIT: usize = 16;
 /// Beyond four Stribeck velocities exp(-x²) is 1e-7 and counts as zero.
 const ENTRIES: usize = 4 * ENTRIES_PER_UNIT + 1;
 
-/// Coulomb friction with the Stribeck curve `Tc + (Ts - Tc) exp(-(w / ws)²)`, tabulated, and with
-/// sticking as Karnopp has it: at rest, friction is whatever holds the shaft, up to its level.
+/// Coulomb friction with the Stribeck curve `Tc + (Ts - Tc) exp(-(w / ws)²)`, tabulated. Sticking follows Karnopp: at
+/// standstill, friction balances the applied torque up to the friction level.
 #[derive(Clone, Debug)]
 pub(crate) struct Friction {
     coulomb: f64,
@@ -48,7 +49,7 @@ impl Friction {
         }
     }
 
-    /// The most that friction can resist with at a speed, N·m.
+    /// Maximum friction torque at a speed, N·m.
     fn level(&self, speed: f64) -> f64 {
         let x = speed * self.entries_per_velocity;
         if x >= (ENTRIES - 1) as f64 {
@@ -59,11 +60,11 @@ impl Friction {
         self.coulomb + low + (x - i as f64) * (high - low)
     }
 
-    /// The velocity at the end of a step, given the velocity at its beginning and the one that all
-    /// other torques would lead to. `gain` is step over inertia; `extra` adds to the level, N·m.
+    /// Velocity at the end of a step. `before` is the velocity at the beginning. `free` is the velocity that all
+    /// other torques would lead to. `gain` is step over inertia. `extra` adds to the friction level, N·m.
     ///
-    /// Friction reduces velocity and never reverses it. A motor that friction could more than stop is stopped, and
-    /// stays at rest until the torque exceeds the break-away level.
+    /// Friction reduces velocity and never reverses it. If friction can more than stop the motor, the motor stops.
+    /// The motor then stays at standstill until the torque exceeds the break-away level.
     pub(crate) fn apply(&self, before: f64, free: f64, gain: f64, extra: f64) -> f64 {
         let most = (self.level(before.abs()) + extra) * gain;
         if free.abs() <= most {

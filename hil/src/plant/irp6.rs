@@ -8,25 +8,25 @@ use super::thermal::ThermalConfig;
 use super::wut::WutConfig;
 use crate::amplifier::AmplifierConfig;
 
-/// The axes of the IRp-6 robot on a pedestal, an IRb-6 with a sixth axis, as its software orders them.
+/// The axes of the IRp-6 robot on a pedestal, in the order of its software. The robot is an IRb-6 with a sixth axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Irp6Axis {
     /// Axis 1, about the vertical.
     Column,
     /// Axis 2.
     LowerArm,
-    /// Axis 3, absolute by its parallelogram.
+    /// Axis 3. Its angle is absolute because of its parallelogram.
     UpperArm,
-    /// Axis 4, T, absolute by its rods.
+    /// Axis 4, T. Its angle is absolute because of its rods.
     Pitch,
     /// Axis 5, V.
     Roll,
-    /// Axis 6, N, which the IRb-6 has not.
+    /// Axis 6, N. The IRb-6 has no such axis.
     Flange,
 }
 
 impl Irp6Axis {
-    /// All of them, in order.
+    /// All axes, in order.
     pub const ALL: [Self; 6] = [
         Self::Column,
         Self::LowerArm,
@@ -37,9 +37,9 @@ impl Irp6Axis {
     ];
 }
 
-/// The numbers of one axis, at the motor.
+/// The parameters of one axis, at the motor.
 struct Row {
-    /// Motor angle where the axis is synchronised, rad (public code).
+    /// Motor angle of the synchronisation position, rad (public code).
     home: f64,
     /// Motor limits, rad (public code).
     travel: (f64, f64),
@@ -47,19 +47,20 @@ struct Row {
     counts: u32,
     /// Working current limit, A (public code).
     max_current: f64,
-    /// Over-current threshold, A (public code; the upper arm's is nominal, the code has 15 twice).
+    /// Over-current threshold, A (public code; the upper arm's is nominal, since the public code contains 15 A
+    /// twice).
     trip_current: f64,
-    /// Rotor inertia, kg·m², and viscous friction, N·m·s/rad, of the emulator (public code).
+    /// Rotor inertia, kg·m², and viscous friction, N·m·s/rad, in the robot's own emulator (public code).
     wut: (f64, f64),
-    /// Inertia of the load at the motor, kg·m²: at home (derived from nominal masses).
+    /// Inertia of the load at the motor, at home, kg·m² (derived from nominal masses).
     load: f64,
-    /// Gravity at the motor: N·m, motor per joint angle, joint angle at `home` counted from the
-    /// horizontal, rad (ratio and angle from public code, torque derived from nominal masses: lower
-    /// arm 12 kg at 0.20 m, upper arm 14 kg at 0.25 m, wrist 4 kg, gripper 1.35 kg; no payload).
+    /// Gravity at the motor: torque, N·m; motor angle per joint angle; joint angle at `home` above the horizontal,
+    /// rad. Ratio and angle are from public code. The torque is derived from nominal masses: lower arm 12 kg at 0.20
+    /// m, upper arm 14 kg at 0.25 m, wrist 4 kg, gripper 1.35 kg; no payload.
     gravity: (f64, f64, f64),
     /// Viscous friction, N·m·s/rad, Coulomb and static friction, N·m (nominal).
     friction: (f64, f64, f64),
-    /// Winding: Ω, H (nominal).
+    /// Winding: resistance, Ω, and inductance, H (nominal).
     winding: (f64, f64),
 }
 
@@ -140,13 +141,13 @@ const ROWS: [Row; 6] = [
     },
 ];
 
-/// Torque per current of every arm motor, N·m/A (public code).
+/// Torque per current of every motor of the arm, N·m/A (public code).
 const TORQUE_CONSTANT: f64 = 0.105;
 
-/// What the control cards put out of their 48 V, V (public code: pulse widths up to 190 of 255).
+/// Maximum output of the control cards on their supply of 48 V, V (public code: pulse widths up to 190 of 255).
 const MAX_VOLTAGE: f64 = 48.0 * 190.0 / 255.0;
 
-/// Nominal.
+/// Nominal values.
 pub(super) const THERMAL: ThermalConfig = ThermalConfig {
     winding_to_housing: 1.0,
     housing_to_air: 2.0,
@@ -157,15 +158,16 @@ pub(super) const THERMAL: ThermalConfig = ThermalConfig {
 };
 
 impl AxisConfig {
-    /// An axis of the IRp-6 as a motor with load, with friction, gravity and switches.
+    /// An axis of the IRp-6 as a motor with load, friction, gravity and switches.
     ///
-    /// Motor angles follow the robot's own software: each index pulse lies where homing of the axis ends. Nominal, to
-    /// be replaced by measurement: windings, friction, masses, temperatures, ripple, and where the switches are. The
-    /// home switch is closed from 20 rad to 2 rad below the home position and the motor starts 20 rad above it; limit
-    /// switches close at the motor limits, buffers are touched 3 rad beyond them.
+    /// Motor angles follow the robot's own software: each index pulse lies where homing of the axis ends. The
+    /// following values are nominal, to be replaced by measurement: windings, friction, masses, temperatures, ripple,
+    /// and the positions of the switches. The home switch is closed from 20 rad to 2 rad below the home position. The
+    /// motor starts 20 rad above the home position. Limit switches close at the motor limits. The buffers begin 3 rad
+    /// beyond the limits.
     ///
-    /// Over a trapezoid at 50 rad/s and 150 rad/s² the axes, in order, stay within 5, 6, 14, 12, 10
-    /// and 7 counts of a set-point that comes each 1 or 2 ms.
+    /// Following errors in a trapezoidal motion at 50 rad/s and 150 rad/s², with a set-point each 1 or 2 ms: within
+    /// 5, 6, 14, 12, 10 and 7 counts for the axes in order.
     pub fn irp6(axis: Irp6Axis) -> Self {
         let row = &ROWS[axis as usize];
         let (viscous, coulomb, stiction) = row.friction;
@@ -209,8 +211,8 @@ impl AxisConfig {
         }
     }
 
-    /// An axis of the IRp-6 as the robot's own software emulates it: the same sensors around a
-    /// motor without windings, dry friction, gravity or noise.
+    /// An axis of the IRp-6 as the robot's own software emulates it. The sensors are the same. The motor has no
+    /// windings, dry friction, gravity or noise.
     pub fn wut(axis: Irp6Axis) -> Self {
         let row = &ROWS[axis as usize];
         let (inertia, viscous) = row.wut;
@@ -253,7 +255,7 @@ impl AxisConfig {
     }
 }
 
-/// Natural frequency of an axis in its buffers, rad/s; they damp it half critically.
+/// Natural frequency of an axis in its buffers, rad/s. The damping ratio is one half.
 const BUFFER_FREQUENCY: f64 = 300.0;
 
 #[cfg(test)]
@@ -262,8 +264,8 @@ mod tests {
 
     #[test]
     fn arms_weigh_as_their_pose_says() {
-        // Home is lower arm upright, upper arm and gripper horizontal. Positive motor angles lean the
-        // lower arm out, lower the upper arm and raise the gripper; weight pulls the upper arm down.
+        // At home the lower arm is upright, and the upper arm and the gripper are horizontal. Positive motor angles
+        // lean the lower arm out, lower the upper arm and raise the gripper. The weight pulls the upper arm down.
         let cases = [
             (Irp6Axis::Column, 50.0, 0.0),
             (Irp6Axis::LowerArm, 0.0, 0.0),

@@ -1,4 +1,4 @@
-//! Plants of the IRp-6 on its track, RNT, Polycrank, gripper and conveyor.
+//! Plants of the IRp-6 on its track, of RNT, of Polycrank, of the gripper and of the conveyor.
 
 use super::axis::{AxisConfig, PlantConfig};
 use super::friction::FrictionConfig;
@@ -8,7 +8,7 @@ use super::motor::{EndStops, Gravity, MotorConfig};
 use super::switch::Switch;
 use crate::amplifier::AmplifierConfig;
 
-/// The axes of the IRp-6 on a track, as its software orders them.
+/// The axes of the IRp-6 on a track, in the order of its software.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Irp6TrackAxis {
     /// Axis 0, along the track.
@@ -18,7 +18,7 @@ pub enum Irp6TrackAxis {
 }
 
 impl Irp6TrackAxis {
-    /// All of them, in order.
+    /// All axes, in order.
     pub const ALL: [Self; 7] = [
         Self::Track,
         Self::Arm(Irp6Axis::Column),
@@ -30,19 +30,19 @@ impl Irp6TrackAxis {
     ];
 }
 
-/// Motor angles where the arm on the track is synchronised, rad (public code).
+/// Motor angles of the synchronisation position of the arm on the track, rad (public code).
 const TRACK_ARM_HOMES: [f64; 6] = [-10.819, -4.012, -6.219, 158.997, 479.5, 769.7];
 
-/// What distinguishes a motor with its drive, everything at its shaft.
+/// Parameters of a motor and its drive, at the motor shaft.
 struct Row {
     home: f64,
-    /// Where limit switches close, rad; `None` if it turns for ever.
+    /// Angles at which the limit switches close, rad; `None` for an endless axis.
     travel: Option<(f64, f64)>,
     counts: u32,
     torque_constant: f64,
-    /// Ω, H.
+    /// Winding: resistance, Ω, and inductance, H.
     winding: (f64, f64),
-    /// Of rotor and load, kg·m².
+    /// Inertia of rotor and load, kg·m².
     inertia: f64,
     /// Viscous friction, N·m·s/rad, Coulomb and static friction, N·m.
     friction: (f64, f64, f64),
@@ -52,11 +52,11 @@ struct Row {
     brake: f64,
 }
 
-/// Natural frequency of an axis in its buffers, rad/s; they damp it half critically.
+/// Natural frequency of an axis in its buffers, rad/s. The damping ratio is one half.
 const BUFFER_FREQUENCY: f64 = 300.0;
-/// How long contacts chatter, sub-steps: 2 ms (nominal).
+/// Bounce time of the contacts, sub-steps: 2 ms (nominal).
 const BOUNCE: u32 = 20;
-/// How far below the index that is home the home switch opens, rad: as far from it as from the index before.
+/// Distance from the home index down to the edge of the home switch, rad: half the distance between two index pulses.
 const EDGE: f64 = std::f64::consts::PI;
 
 impl Row {
@@ -108,14 +108,14 @@ impl Row {
     }
 }
 
-/// Inertia of a motor and what it moves at home.
+/// Reflected inertia of the load of a motor, at home.
 fn inertia(mechanism: MechanismConfig, number: usize) -> f64 {
     Mechanism::new(mechanism).load(number).inertia
 }
 
 impl AxisConfig {
-    /// The same axis with another motor angle called home, rad: index, start, switches, buffers and gravity keep their
-    /// distances from it.
+    /// The same axis with its home at another motor angle, rad. Index, start, switches, buffers and gravity move with
+    /// the home position.
     pub fn with_home(mut self, home: f64) -> Self {
         let shift = home - self.index_angle;
         let moved = |switch: Option<Switch>| {
@@ -142,10 +142,12 @@ impl AxisConfig {
 
     /// An axis of the IRp-6 on its track, to be mounted on [`MechanismConfig::Irp6OnTrack`].
     ///
-    /// The arm is that of [`AxisConfig::irp6`] with the home positions of this robot (public code) and travel and
-    /// switches as far from them as on the pedestal (nominal). Of the track are public: 1570.8 rad/m (screw of 8 mm,
-    /// belt 2:1), home at 0, travel -200 to 1900 rad, 4000 counts, over-current at 25 A; nominal: its carriage of 60 kg
-    /// beside the arm's 76 kg, friction, winding, switches.
+    /// The arm equals [`AxisConfig::irp6`] with the home positions of this robot (public code). Travel and switches
+    /// are as far from home as on the pedestal (nominal).
+    ///
+    /// Public data of the track: 1570.8 rad/m (screw of 8 mm, belt 2:1), home at 0, travel -200 to 1900 rad, 4000
+    /// counts, over-current at 25 A. Nominal data of the track: carriage of 60 kg in addition to the arm's 76 kg,
+    /// friction, winding, switches.
     pub fn irp6_track(axis: Irp6TrackAxis) -> Self {
         match axis {
             Irp6TrackAxis::Arm(axis) => Self::irp6(axis).with_home(TRACK_ARM_HOMES[axis as usize]),
@@ -169,11 +171,12 @@ impl AxisConfig {
     /// Length of RNT's legs at home between their universal joints, m (nominal).
     pub const RNT_HOME_LENGTH: f64 = 0.75;
 
-    /// An axis of RNT, legs 0 to 2 and wrist 3 to 5, to be mounted on [`MechanismConfig::Rnt`] with three times
-    /// [`AxisConfig::RNT_HOME_LENGTH`]; `None` beyond. Every number is nominal.
+    /// An axis of RNT: legs 0 to 2 and wrist 3 to 5. The axis is to be mounted on [`MechanismConfig::Rnt`] with all
+    /// three lengths equal to [`AxisConfig::RNT_HOME_LENGTH`]. `None` for a higher number. All parameters are
+    /// nominal.
     ///
-    /// Motors read zero at home. Legs lengthen by 5 mm per positive turn, from 0.55 m to 1.38 m; the wrist turns once
-    /// in a hundred turns, to ±180°, ±110° and ±180°. The home switch is closed over all of the travel below home.
+    /// Motors read zero at home. Legs lengthen by 5 mm per positive turn, from 0.55 m to 1.38 m. The wrist has a gear
+    /// of 100:1 and turns to ±180°, ±110° and ±180°. The home switch is closed over all of the travel below home.
     pub fn rnt(number: usize) -> Option<Self> {
         use std::f64::consts::{PI, TAU};
         let mechanism = MechanismConfig::Rnt {
@@ -207,13 +210,15 @@ impl AxisConfig {
         Some(row.config(f64::NEG_INFINITY))
     }
 
-    /// Axis 0 to 6 of Polycrank, to be mounted on [`MechanismConfig::Polycrank`]; `None` beyond. Every number is nominal.
+    /// Axis 0 to 6 of Polycrank, to be mounted on [`MechanismConfig::Polycrank`]. `None` for a higher number. All
+    /// parameters are nominal.
     ///
-    /// Motors read zero at home and turn fifty times for a turn of the joint, which has no end. The home switch is a
-    /// cam on a shaft geared down twenty times from the joint, so that homing knows its direction and the right one
-    /// of fifty indices. The cam is closed over the ten turns below home and open over the ten turns above. Its edge
-    /// lies half a motor turn below the index of home. Beyond ten turns from home it repeats on the real thing and is
-    /// open here. Windings are sized for 6 rad/s (axes 0 to 2) and 10 rad/s with 40 rad/s² in the worst pose.
+    /// Motors read zero at home and turn fifty times per turn of the joint. The joints are endless. The home switch
+    /// is a cam on a shaft with a gear of 20:1 from the joint. The cam gives homing its direction and the right one
+    /// of fifty index pulses. The cam is closed over the ten turns below home and open over the ten turns above. Its
+    /// edge lies half a motor turn below the index of home. Beyond ten turns from home the real cam repeats, and the
+    /// emulated switch stays open. Windings are sized for 6 rad/s (axes 0 to 2) and 10 rad/s, each with 40 rad/s² in
+    /// the worst pose.
     pub fn polycrank(number: usize) -> Option<Self> {
         let mechanism = MechanismConfig::Polycrank {
             coupled: false,
@@ -240,7 +245,8 @@ impl AxisConfig {
         };
         let cam = 10.0 * 50.0 * std::f64::consts::TAU;
         let mut config = row.config(-cam);
-        // Between the folded and the stretched arm, which differ much from home in the first two axes.
+        // The loops are tuned for a pose between the folded and the stretched arm. In the first two axes the inertia
+        // of such a pose differs much from the inertia at home.
         config.amplifier.inertia *= match number {
             0 => 1.6,
             1 => 0.6,
@@ -249,9 +255,9 @@ impl AxisConfig {
         Some(config)
     }
 
-    /// The two-finger gripper of the IRp-6, on its own. Public: rotor of 5e-7 kg·m², 2e-6 N·m·s/rad, 128 counts, home
-    /// at 4830 rad, travel -2000 to 5000 rad, 60 mA, over-current at 0.2 A. Nominal: torque per current as of
-    /// the arm's motors, winding, dry friction, switches.
+    /// The two-finger gripper of the IRp-6, without a mechanism. Public data: rotor of 5e-7 kg·m², 2e-6 N·m·s/rad,
+    /// 128 counts, home at 4830 rad, travel -2000 to 5000 rad, 60 mA, over-current at 0.2 A. Nominal data: the torque
+    /// per current of the arm's motors, winding, dry friction, switches.
     pub fn gripper() -> Self {
         Row {
             home: 4830.0,
@@ -269,9 +275,10 @@ impl AxisConfig {
         .config(f64::NEG_INFINITY)
     }
 
-    /// The conveyor, endless and without switches: belt = motor angle / 2250 per m. Public: 1.5e-4 kg·m², 4000 counts.
-    /// Nominal: torque per current as of the arm's motors, winding, 60 V for 0.2 m/s, friction. The 0.01 N·m·s/rad of its
-    /// own emulator would take 21 A at 0.1 m/s and burn a real winding; as with the arm's motors it is a tenth here.
+    /// The conveyor, endless and without switches. The belt moves by motor angle / 2250, m. Public data: 1.5e-4
+    /// kg·m², 4000 counts. Nominal data: the torque per current of the arm's motors, winding, 60 V for 0.2 m/s,
+    /// friction. The 0.01 N·m·s/rad of its own emulator would take 21 A at 0.1 m/s and burn a real winding. As with
+    /// the arm's motors, a tenth of that friction is used here.
     pub fn conveyor() -> Self {
         let row = Row {
             home: 0.0,
@@ -300,7 +307,7 @@ mod tests {
     use crate::plant::{Axis, Demand};
     use std::f64::consts::TAU;
 
-    /// By name, with the lowest and the highest angle to begin at, from home.
+    /// Presets by name, with the lowest and the highest start angle relative to home.
     fn presets() -> Vec<(String, AxisConfig, f64, f64)> {
         let mut presets = Vec::new();
         let mut add = |name: String, config: AxisConfig, turns: f64| {
@@ -338,7 +345,8 @@ mod tests {
                     ..config
                 };
                 let closed = Axis::new(&config, 1).feedback().home_switch;
-                // Half a motor turn below home lies the one edge: the switch tells which side of it the axis is on.
+                // The only edge lies half a motor turn below home. The switch tells on which side of the edge the
+                // axis is.
                 assert_eq!(closed, begin <= -TAU / 2.0, "{name} at {begin}");
             }
             let mut config = config;

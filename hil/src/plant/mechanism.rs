@@ -1,4 +1,4 @@
-//! What the motors of one robot have to do with each other.
+//! Coupled dynamics of the motors of one robot: gravity, inertia and payload.
 
 mod chain;
 mod irp6;
@@ -16,40 +16,42 @@ use irp6::Irp6;
 use polycrank::Polycrank;
 use rnt::Rnt;
 
-/// Which robot's mechanics stand between the motors and the world.
+/// The robot whose mechanics couple the motors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum MechanismConfig {
-    /// Five axes; at home the lower arm stands upright, and upper arm, wrist and gripper are level, in one line.
+    /// Five axes. At home the lower arm is upright. Upper arm, wrist and gripper are level, in one line.
     Irb6,
-    /// Six axes; the same at home, but for the gripper, which is level across the wrist.
+    /// Six axes. The home posture is that of [`MechanismConfig::Irb6`], except that the gripper is level across the
+    /// wrist.
     Irp6,
-    /// The same behind a track as the first of seven axes.
+    /// The IRp-6 on a track, which is the first of seven axes.
     Irp6OnTrack,
-    /// Three legs and three axes of a wrist; nominal throughout. At home the wrist is straight.
+    /// Three legs and a wrist of three axes, all parameters nominal. At home the wrist is straight.
     Rnt {
-        /// Of each leg where its own motor is at home, between its universal joints, m.
+        /// Length of each leg between its universal joints when its own motor is at home, m.
         home_lengths: [f64; 3],
     },
     /// Seven axes.
     Polycrank {
-        /// Whether motors 1 to 3 and 4 to 6 set sums of joint angles, as motors do that stand at the base of their
-        /// group behind parallel cranks; otherwise each turns one joint.
+        /// Whether motors 1 to 3 and 4 to 6 set sums of joint angles. Motors that drive a group from its base through
+        /// parallel cranks do so. Otherwise each motor turns one joint.
         coupled: bool,
-        /// Joint angles at home by Denavit and Hartenberg, rad.
+        /// Denavit-Hartenberg joint angles at home, rad.
         at_home: [f64; 7],
     },
 }
 
-/// The links of one robot, on which its axes are mounted. Clones are the same robot.
+/// The links of one robot, on which its axes are mounted. Clones refer to the same robot.
 ///
-/// Each motor carries the weight and the inertia that its own turn moves, in the present pose of all motors. Screws,
-/// parallelograms, rods and platforms act between the motors as in the robot. The load is computed once per
-/// millisecond. Left out: forces that arise from the other axes' accelerations and speeds, except that inertia which
-/// they fold together keeps its momentum; bending; friction that depends on load.
+/// Each motor carries the weight and the inertia that its own rotation moves, in the present pose of all motors.
+/// Screws, parallelograms, rods and platforms couple the motors as in the robot. The load is computed once per
+/// millisecond. Left out: bending; friction that depends on load; forces from accelerations and speeds of the other
+/// axes. An exception is a change of inertia by the other axes, which conserves momentum.
 ///
-/// An axis finds the others where they last were moved on to. The result is a function of configurations, seeds and
-/// the order of all calls, and a [`World`](crate::World) keeps that order. Drives that several threads advance stay
-/// correct, but two runs differ in their last bits. A drive without calls lags up to 20 ms behind.
+/// The load of an axis follows from the last simulated positions of the other axes. The result is a function of
+/// configurations, seeds and the order of all calls. A [`World`](crate::World) keeps that order. If several threads
+/// advance the drives, the results stay valid but differ in their last bits from run to run. A drive without calls
+/// lags by up to 20 ms.
 #[derive(Clone, Debug)]
 pub struct Mechanism(Arc<Mutex<Robot>>);
 
@@ -60,7 +62,7 @@ pub struct Mount {
     number: usize,
 }
 
-/// The most axes of any robot.
+/// Largest number of axes of a robot.
 const AXES: usize = 7;
 
 #[derive(Clone, Debug)]
@@ -69,7 +71,7 @@ struct Robot {
     count: usize,
     /// Motor angles at home, rad.
     homes: [f64; AXES],
-    /// How far the motors are from home, rad.
+    /// Motor angles relative to home, rad.
     motors: [f64; AXES],
 }
 
@@ -80,16 +82,17 @@ enum Links {
     Polycrank(Polycrank),
 }
 
-/// What a motor has behind it.
+/// Load of a motor.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Loaded {
-    /// Of weight, N·m.
+    /// Torque of the weight, N·m.
     pub(super) torque: f64,
-    /// Of the links, at the motor, kg·m².
+    /// Inertia of the links, at the motor, kg·m².
     pub(super) reflected: f64,
-    /// Of what turns as fast as the motor, kg·m².
+    /// Inertia of parts that turn at motor speed, kg·m².
     pub(super) turning: f64,
-    /// Of the gear that carries `reflected`, if it changes with the motor's own angle; otherwise constant.
+    /// Transmission ratio behind which `reflected` lies, if the ratio changes with the motor's own angle; otherwise a
+    /// constant.
     pub(super) ratio: f64,
 }
 
@@ -100,8 +103,8 @@ impl Loaded {
 
     /// Speed change of a motor when its reflected load changes and no torque acts.
     ///
-    /// A gear that changes as the motor turns keeps the energy; an inertia that the other axes change keeps the
-    /// momentum, and the energy is theirs.
+    /// A transmission ratio that changes with the motor's own angle conserves kinetic energy. A change of inertia by
+    /// the other axes conserves momentum; the other axes supply the difference in energy.
     pub(super) fn slows_by(&self, next: &Self) -> f64 {
         let gear = self.ratio / next.ratio;
         let geared = self.turning + self.reflected * gear * gear;
@@ -110,7 +113,7 @@ impl Loaded {
 }
 
 impl Mechanism {
-    /// At home and without a payload, until axes are mounted.
+    /// A robot at home and without a payload, until axes are mounted.
     pub fn new(config: MechanismConfig) -> Self {
         let (links, count) = match config {
             MechanismConfig::Irb6 => (Links::Irp6(Irp6::with_straight_wrist()), 5),
@@ -129,13 +132,13 @@ impl Mechanism {
         })))
     }
 
-    /// How many axes it has.
+    /// Number of axes of the robot.
     pub fn axes(&self) -> usize {
         self.lock().count
     }
 
-    /// Where axis `number`, counted from 0, is mounted: `home` is the angle of its motor, rad, at which it is at
-    /// home. `None` if the robot has no such axis.
+    /// The mount of axis `number`, counted from 0. `home` is the motor angle at which the axis is at home, rad.
+    /// `None` if the robot has no such axis.
     pub fn mount(&self, number: usize, home: f64) -> Option<Mount> {
         let mut robot = self.lock();
         if number >= robot.count {
@@ -148,10 +151,13 @@ impl Mechanism {
         })
     }
 
-    /// Has the robot carry `mass`, kg, with its centre at `centre`, m, in the frame of its flange, whose z axis is that
-    /// of the tool: of the IRb-6 95 mm beyond the pitch axis, of the IRp-6 where roll and flange axis meet, each before the
-    /// gripper; of RNT 100 mm beyond the wrist's
-    /// centre; of Polycrank the last. In place of whatever it carried before.
+    /// Sets the payload, in place of the previous payload: `mass`, kg, with its centre at `centre`, m, in the flange
+    /// frame. The z axis of the frame is the tool axis. Its origin depends on the robot:
+    ///
+    /// * IRb-6: 95 mm beyond the pitch axis, before the gripper.
+    /// * IRp-6: the intersection of roll and flange axis, before the gripper.
+    /// * RNT: 100 mm beyond the wrist centre.
+    /// * Polycrank: the frame of the last joint.
     pub fn set_payload(&self, mass: f64, centre: [f64; 3]) {
         let payload = Body::point(mass, centre);
         match &mut self.lock().links {
@@ -181,12 +187,12 @@ impl Mechanism {
 }
 
 impl Mount {
-    /// The robot that it is of.
+    /// The mechanism to which the mount belongs.
     pub fn mechanism(&self) -> &Mechanism {
         &self.mechanism
     }
 
-    /// Puts the motor at `angle`, rad, wherever it was, and the links with it.
+    /// Sets the motor to `angle`, rad, from any angle, and moves the links accordingly.
     pub(super) fn place(&self, angle: f64) {
         let mut robot = self.mechanism.lock();
         robot.motors[self.number] = angle - robot.homes[self.number];
@@ -196,7 +202,8 @@ impl Mount {
         }
     }
 
-    /// Tells the others that the motor has come to `angle`, rad, and what it has to carry there.
+    /// Records the motor's new `angle`, rad, for the loads of the other axes, and returns the motor's load at that
+    /// angle.
     pub(super) fn load(&self, angle: f64) -> Loaded {
         let mut robot = self.mechanism.lock();
         robot.motors[self.number] = angle - robot.homes[self.number];

@@ -6,57 +6,59 @@ use super::mechanism::{Loaded, Mount};
 use super::noise::Noise;
 use super::thermal::{Thermal, ThermalConfig};
 
-/// A permanent-magnet motor with its load, everything at the motor shaft.
+/// A permanent-magnet motor with its load, with all quantities at the motor shaft.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotorConfig {
     /// Torque per current, N·m/A, and back-EMF per speed, V·s/rad, at 25 °C.
     pub torque_constant: f64,
-    /// Of the winding at 25 °C, Ω.
+    /// Resistance of the winding at 25 °C, Ω.
     pub resistance: f64,
-    /// Of the winding, H.
+    /// Inductance of the winding, H.
     pub inductance: f64,
-    /// Of rotor and reflected load, kg·m²; of a mounted axis it is the mechanism's instead.
+    /// Inertia of rotor and reflected load, kg·m². For a mounted axis the inertia of the mechanism replaces this
+    /// value.
     pub inertia: f64,
     /// Viscous friction, N·m·s/rad.
     pub viscous: f64,
     /// Dry friction.
     pub friction: FrictionConfig,
-    /// What the load weighs; of a mounted axis it is the mechanism's instead.
+    /// Weight of the load. For a mounted axis the weight from the mechanism replaces this value.
     pub gravity: Gravity,
-    /// Where the mechanics ends, if it does.
+    /// Buffers at the ends of travel, if there are any.
     pub end_stops: Option<EndStops>,
-    /// How it warms.
+    /// Thermal model.
     pub thermal: ThermalConfig,
-    /// Random share of the motor's torque, drawn each millisecond.
+    /// Random share of the motor's torque, drawn anew each millisecond.
     pub torque_ripple: f64,
 }
 
 /// The load's weight as a torque on the motor: `amplitude · cos(angle / ratio + phase)`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gravity {
-    /// At the motor, N·m.
+    /// Amplitude at the motor, N·m.
     pub amplitude: f64,
-    /// Motor angle per joint angle, negative if they turn against each other.
+    /// Motor angle per joint angle, negative if they turn in opposite directions.
     pub ratio: f64,
-    /// Of the joint where the motor reads zero, rad; torque is greatest where it makes zero.
+    /// Joint angle at which the motor reads zero, rad. The torque is greatest where the argument of the cosine is
+    /// zero.
     pub phase: f64,
 }
 
 impl Gravity {
-    /// A load in balance.
+    /// A balanced load.
     pub const NONE: Self = Self {
         amplitude: 0.0,
         ratio: 1.0,
         phase: 0.0,
     };
 
-    /// On the motor at `angle`, rad.
+    /// Torque on the motor at `angle`, rad.
     pub(crate) fn torque(&self, angle: f64) -> f64 {
         self.amplitude * (angle / self.ratio + self.phase).cos()
     }
 }
 
-/// Buffers that push back, and never pull, beyond the ends of travel.
+/// Buffers beyond the ends of travel. Buffers push back and never pull.
 ///
 /// The integration stays stable for a stiffness below `inertia / SUB_STEP²`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -65,9 +67,9 @@ pub struct EndStops {
     pub negative: f64,
     /// Motor angle at which the positive buffer is touched, rad.
     pub positive: f64,
-    /// N·m/rad at the motor.
+    /// Stiffness at the motor, N·m/rad.
     pub stiffness: f64,
-    /// N·m·s/rad at the motor.
+    /// Damping at the motor, N·m·s/rad.
     pub damping: f64,
 }
 
@@ -83,21 +85,22 @@ impl EndStops {
     }
 }
 
-/// Sub-steps between updates of gravity and ripple, 1 ms: at 250 rad/s and a gear of 130 the joint
-/// turns 2 mrad between two of them.
+/// Sub-steps between updates of gravity and ripple: 1 ms. At 250 rad/s and a gear of 130 the joint turns 2 mrad in
+/// that time.
 const MEDIUM: u32 = 10;
-/// Sub-steps between updates of temperatures and what depends on them, 100 ms of some 60 s.
+/// Sub-steps between updates of temperatures and the values that depend on them: 100 ms. The thermal time constant is
+/// about 60 s.
 const SLOW: u32 = 1000;
-/// Copper gains this share of its resistance per kelvin.
+/// Relative increase of the resistance of copper, 1/K.
 const COPPER: f64 = 0.0039;
-/// Ferrite magnets lose this share of their flux per kelvin.
+/// Relative decrease of the flux of ferrite magnets, 1/K.
 const FERRITE: f64 = 0.002;
 
-/// The motor moving: windings, shaft and temperatures.
+/// State of the motor: windings, shaft and temperatures.
 #[derive(Clone, Debug)]
 pub(crate) struct Motor {
     config: MotorConfig,
-    /// Mount of the motor, if it has one, and the last load there.
+    /// Mount of the motor, if any, and the last load at the mount.
     mounted: Option<(Mount, Loaded)>,
     friction: Friction,
     thermal: Thermal,
@@ -105,7 +108,7 @@ pub(crate) struct Motor {
     angle: f64,
     velocity: f64,
     current: f64,
-    /// Step over inertia.
+    /// Sub-step over inertia.
     gain: f64,
     sub_step: u32,
     /// Sum of i² since the last slow update.
@@ -114,12 +117,12 @@ pub(crate) struct Motor {
     torque_constant: f64,
     torque_per_current: f64,
     conductance: f64,
-    /// What is left of a current deviation after one sub-step, exp(-R dt / L).
+    /// Remaining share of a current deviation after one sub-step, exp(-R dt / L).
     decay: f64,
 }
 
 impl Motor {
-    /// A cold motor at rest at `angle`, rad.
+    /// A cold motor at standstill at `angle`, rad.
     pub(crate) fn new(
         config: &MotorConfig,
         mount: Option<&Mount>,
@@ -146,11 +149,11 @@ impl Motor {
         }
     }
 
-    /// One sub-step under a voltage, V, or with the power stage off, which ends the current at once.
-    /// A brake resists by up to `brake` N·m.
+    /// One sub-step under a voltage, V. `None` means that the power stage is off, which ends the current at once. A
+    /// brake resists by up to `brake` N·m.
     ///
-    /// The current follows the exact solution of `L di/dt = V - R i - Ke w` at constant speed, the
-    /// shaft semi-implicit Euler with friction as in [`Friction::apply`].
+    /// The current follows the exact solution of `L di/dt = V - R i - Ke w` at constant speed. The shaft follows
+    /// semi-implicit Euler with friction by [`Friction::apply`].
     pub(crate) fn step(&mut self, voltage: Option<f64>, brake: f64) {
         if self.sub_step.is_multiple_of(MEDIUM) {
             self.update();
@@ -171,7 +174,7 @@ impl Motor {
         self.angle += self.velocity * SUB_STEP;
     }
 
-    /// What changes slowly, and needs the functions that are slow.
+    /// Updates the quantities that change slowly and need expensive functions.
     fn update(&mut self) {
         if self.sub_step == 0 {
             let seconds = f64::from(SLOW) * SUB_STEP;
@@ -213,7 +216,7 @@ impl Motor {
         self.current
     }
 
-    /// Whether the winding is hotter than the drive allows.
+    /// Whether the temperature of the winding exceeds the drive's limit.
     pub(crate) fn overheated(&self) -> bool {
         self.thermal.tripped()
     }
@@ -338,7 +341,7 @@ mod tests {
 
     #[test]
     fn weight_follows_the_joint() {
-        // A horizontal arm at motor angle 0 that hangs after a quarter turn of the joint.
+        // A horizontal arm at motor angle 0, which hangs down after a quarter turn of the joint.
         let gravity = Gravity {
             amplitude: 0.5,
             ratio: 100.0,

@@ -2,8 +2,8 @@
 
 /// A small seeded generator of random numbers: SplitMix64 (Steele, Lea, Flood, OOPSLA 2014).
 ///
-/// A Weyl sequence, the seed stepped by the odd 64-bit golden ratio, hashed by two rounds of
-/// xor-shift and multiply. Period 2^64; good enough for ripple and jitter, useless for secrets.
+/// A Weyl sequence: the state increases by the odd 64-bit golden ratio and is hashed by two rounds of xor-shift and
+/// multiply. The period is 2^64. The quality suffices for ripple and jitter, not for secrets.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Noise(u64);
 

@@ -2,18 +2,18 @@
 
 use super::noise::Noise;
 
-/// A switch that an interval of motor angles closes: home, or a limit.
+/// A home or limit switch, closed within an interval of motor angles.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Switch {
-    /// Lowest angle at which it is closed, rad.
+    /// Lowest angle at which the switch is closed, rad.
     pub from: f64,
-    /// Highest angle at which it is closed, rad.
+    /// Highest angle at which the switch is closed, rad.
     pub to: f64,
-    /// Sub-steps of 100 µs for which its contact chatters after each edge.
+    /// Bounce time of the contact after each edge, sub-steps of 100 µs.
     pub bounce: u32,
 }
 
-/// A switch and what its contact does.
+/// A switch and the state of its contact.
 #[derive(Clone, Debug)]
 pub(crate) struct Contact {
     switch: Switch,
@@ -33,7 +33,7 @@ impl Contact {
         }
     }
 
-    /// Looks at the shaft, `elapsed` sub-steps after the last look.
+    /// Reads the shaft angle. `elapsed` counts the sub-steps since the last reading.
     pub(crate) fn advance(&mut self, angle: f64, elapsed: u32, noise: &mut Noise) {
         let pressed = (self.switch.from..=self.switch.to).contains(&angle);
         if pressed == self.pressed {

@@ -1,4 +1,4 @@
-//! An axis as a whole: plant, sensors and loops.
+//! A complete axis: plant, sensors and loops.
 
 use std::f64::consts::TAU;
 
@@ -16,7 +16,7 @@ fn irp6(axis: Irp6Axis, change: impl FnOnce(&mut MotorConfig)) -> AxisConfig {
     config
 }
 
-/// Rest to rest over 100 rad at 50 rad/s and 150 rad/s².
+/// Motion from standstill to standstill over 100 rad at 50 rad/s and 150 rad/s².
 fn trapezoid(t: f64) -> f64 {
     const RAMP: f64 = 1.0 / 3.0;
     const END: f64 = 2.0 + RAMP;
@@ -28,8 +28,8 @@ fn trapezoid(t: f64) -> f64 {
     }
 }
 
-/// Largest and last following error, counts, under a set-point in whole counts each `period`
-/// sub-steps, as a drive interpolates between those of the bus.
+/// Largest and last following error, counts. Set-points are whole counts each `period` sub-steps, between which the
+/// drive interpolates.
 fn following_error(config: &AxisConfig, period: u32) -> (i32, i32) {
     let mut axis = Axis::new(config, 1);
     axis.advance(
@@ -60,8 +60,8 @@ fn following_error(config: &AxisConfig, period: u32) -> (i32, i32) {
 
 #[test]
 fn every_axis_follows_the_trapezoid_within_few_counts() {
-    // Largest error, counts, as a physical axis and as the regression model. Breaking away from
-    // stiction is the worst of it: friction per inertia tells the axes apart.
+    // Largest error, counts, of the physical axis and of the regression model. Break-away from stiction causes the
+    // largest error. The error differs between axes with the ratio of friction to inertia.
     let table = [
         (Irp6Axis::Column, 5, 5),
         (Irp6Axis::LowerArm, 6, 5),
@@ -144,7 +144,7 @@ fn velocity_and_torque_demands_are_met() {
         let before = axis_at_work.feedback().counts;
         axis_at_work.advance(10_000, Demand::Velocity(-20_000.0));
         let moved = axis_at_work.feedback().counts - before;
-        // The weight of the arms changes on the way, and the integral lags behind it.
+        // The weight torque of the arms changes during the motion, and the integral lags behind it.
         assert!(
             (moved + 20_000).abs() <= 20,
             "{axis:?}: {moved} counts in a second"
@@ -161,7 +161,7 @@ fn velocity_and_torque_demands_are_met() {
 
 #[test]
 fn standing_axis_does_not_creep() {
-    // Greatest where the axis starts.
+    // The weight torque is greatest where the axis starts.
     let heavy = |amplitude| Gravity {
         amplitude,
         ratio: 1e3,
@@ -172,7 +172,7 @@ fn standing_axis_does_not_creep() {
         counts: 0.0,
         velocity: 0.0,
     };
-    // Weight, N·m, brake, demand, and whether the axis stays: stiction is 0.12 N·m.
+    // Weight, N·m; brake; demand; and whether the axis stays at standstill. Stiction is 0.12 N·m.
     let cases = [
         (0.11, 0.0, off, true),
         (-0.11, 0.0, off, true),
@@ -222,7 +222,7 @@ fn powered_axis_settles_on_its_count_under_its_weight() {
     }
 }
 
-/// How far an axis strays from where it is when it is first told to stand there, counts.
+/// Largest deviation, counts, of an axis that is told to hold its present position.
 fn bump(mut axis: Axis) -> i32 {
     let here = axis.feedback().counts;
     let hold = Demand::Position {
@@ -238,7 +238,7 @@ fn bump(mut axis: Axis) -> i32 {
 
 #[test]
 fn position_loop_takes_over_without_a_bump() {
-    // From a torque that carries the weight.
+    // The position loop takes over from a torque that carries the weight.
     let config = irp6(Irp6Axis::UpperArm, |motor| {
         motor.gravity = Gravity {
             amplitude: 0.4,
@@ -249,7 +249,7 @@ fn position_loop_takes_over_without_a_bump() {
     let mut axis = Axis::new(&config, 1);
     axis.advance(1_000, Demand::Torque(-0.4));
     assert!(bump(axis) <= 1);
-    // From a stop in the middle of hard work.
+    // The position loop takes over at high torque or speed.
     for work in [Demand::Torque(2.0), Demand::Velocity(20_000.0)] {
         let mut axis = Axis::new(&AxisConfig::irp6(Irp6Axis::Column), 1);
         axis.advance(100, Demand::Velocity(0.0));
@@ -304,7 +304,7 @@ fn index_marks_home_and_the_switch_is_closed_below_it() {
     }
 }
 
-/// Runs into an end at 30 rad/s and pushes on with all the torque there is.
+/// Runs into an end stop at 30 rad/s and continues to push with full torque.
 fn stalled(axis: Irp6Axis, direction: f64) -> (Axis, Demand) {
     let mut axis_at_work = Axis::new(&AxisConfig::irp6(axis), 1);
     axis_at_work.advance(100_000, Demand::Velocity(19_000.0 * direction));
@@ -348,10 +348,10 @@ fn current_and_voltage_have_their_limits() {
     }
     assert!((19.8..20.001).contains(&most), "{most} A");
     axis.advance(20_000, Demand::Torque(100.0));
-    // 35.8 V over 0.105 V·s/rad, less what friction takes.
+    // 35.8 V divided by 0.105 V·s/rad, reduced by friction.
     let speed = axis.feedback().velocity * TAU / 4000.0;
     assert!((310.0..341.0).contains(&speed), "{speed} rad/s");
-    // Coming off the voltage limit, the loops have nothing to unwind.
+    // Anti-windup: after the voltage limit the loops settle at once.
     axis.advance(3_000, Demand::Velocity(0.0));
     assert!(
         axis.feedback().velocity.abs() < 200.0,
@@ -389,7 +389,8 @@ fn stalled_motor_overheats_and_recovers_when_it_has_cooled() {
         seconds += 1;
         assert!(seconds < 200, "never trips");
     }
-    // 135 W into 60 J/K, rising as copper warms: 130 K take some 60 s with what flows off.
+    // 135 W into 60 J/K, rising as copper warms. A rise of 130 K takes about 60 s, including the heat flow to the
+    // housing.
     assert!((40..90).contains(&seconds), "{seconds} s");
     assert_eq!(axis.feedback().trip, Some(Trip::OverTemperature));
     axis.advance(1, stall);
@@ -404,7 +405,7 @@ fn stalled_motor_overheats_and_recovers_when_it_has_cooled() {
     assert_eq!(axis.feedback().trip, None);
 }
 
-/// Exercises everything that is random.
+/// Exercises all random parts.
 fn wander(seed: u64, chunks: &[u32]) -> (u64, i32) {
     let mut config = AxisConfig::irp6(Irp6Axis::Roll);
     config.home_switch = Some(Switch {
@@ -470,7 +471,7 @@ fn how_time_is_cut_up_changes_nothing() {
 
 #[test]
 fn voltages_and_currents_act_from_their_first_sub_step() {
-    // Friction beyond all means: no back-EMF.
+    // Friction exceeds any motor torque, so there is no back-EMF.
     let mut config = irp6(Irp6Axis::Column, |motor| {
         motor.friction.coulomb = 100.0;
         motor.friction.stiction = 100.0;
@@ -482,12 +483,12 @@ fn voltages_and_currents_act_from_their_first_sub_step() {
         axis.advance(phase, Demand::Off);
         for k in 1..=20 {
             axis.advance(1, Demand::Duty(0.25));
-            // 12 V over 0.6 Ω and 0.5 mH.
+            // 12 V across 0.6 Ω and 0.5 mH.
             let exact = 20.0 * (1.0 - (-0.12 * f64::from(k)).exp());
             let current = axis.feedback().current;
             assert!((current - exact).abs() < 1e-6, "{current} A for {exact}");
         }
-        // The loop takes over without a jump, and settles.
+        // The current loop takes over without a bump, and settles.
         let before = axis.feedback().current;
         axis.advance(1, Demand::Current(before));
         let jump = axis.feedback().current - before;

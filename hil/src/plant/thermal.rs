@@ -1,17 +1,17 @@
 //! Thermal model of a motor.
 
-/// Two bodies that a motor's losses heat: the winding, and the housing with its magnets.
+/// Thermal model of two bodies that the losses of a motor heat: the winding, and the housing with its magnets.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ThermalConfig {
-    /// From winding to housing, K/W.
+    /// Thermal resistance from winding to housing, K/W.
     pub winding_to_housing: f64,
-    /// From housing to the air, K/W.
+    /// Thermal resistance from housing to the air, K/W.
     pub housing_to_air: f64,
     /// Heat capacity of the winding, J/K.
     pub winding_capacity: f64,
     /// Heat capacity of the housing, J/K.
     pub housing_capacity: f64,
-    /// Air, °C. The motor starts at it.
+    /// Temperature of the air, °C. The motor starts at this temperature.
     pub air: f64,
     /// Winding temperature at which the drive trips, °C.
     pub trip: f64,
@@ -26,7 +26,7 @@ pub(crate) struct Thermal {
     tripped: bool,
 }
 
-/// What the winding must cool down by before a trip clears, K.
+/// Temperature drop of the winding that clears a trip, K.
 const HYSTERESIS: f64 = 5.0;
 
 impl Thermal {
@@ -39,8 +39,8 @@ impl Thermal {
         }
     }
 
-    /// Takes the mean loss of the last `dt` seconds, W. Explicit Euler: `dt` is to be far below the
-    /// product of the winding's capacity and resistance.
+    /// Takes the mean loss of the last `dt` seconds, W. Explicit Euler: `dt` must be far below the product of the
+    /// winding's heat capacity and thermal resistance.
     pub(crate) fn step(&mut self, loss: f64, dt: f64) {
         let inward = (self.winding - self.housing) / self.config.winding_to_housing;
         let outward = (self.housing - self.config.air) / self.config.housing_to_air;
@@ -50,17 +50,17 @@ impl Thermal {
         self.tripped = self.winding >= limit;
     }
 
-    /// The winding, °C.
+    /// Temperature of the winding, °C.
     pub(crate) fn winding(&self) -> f64 {
         self.winding
     }
 
-    /// The housing, °C.
+    /// Temperature of the housing, °C.
     pub(crate) fn housing(&self) -> f64 {
         self.housing
     }
 
-    /// Whether the winding is too hot, until it is 5 K below the trip temperature again.
+    /// Whether the winding is too hot. The state lasts until the winding is 5 K below the trip temperature.
     pub(crate) fn tripped(&self) -> bool {
         self.tripped
     }

@@ -2,8 +2,8 @@
 
 use super::friction::{Friction, FrictionConfig};
 
-/// The motor that the IRp-6 software of the Warsaw University of Technology emulates its hardware
-/// with: current becomes torque, viscous friction resists, nothing else exists.
+/// The motor model in the hardware emulation of the IRp-6 software of the Warsaw University of Technology. Current
+/// causes torque, and viscous friction resists. The model has no other effects.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WutConfig {
     /// Torque per current, N·m/A.
@@ -12,10 +12,11 @@ pub struct WutConfig {
     pub inertia: f64,
     /// Viscous friction, N·m·s/rad.
     pub viscous: f64,
-    /// Dry friction, of which the original has none.
+    /// Dry friction. The original model has none.
     pub friction: FrictionConfig,
-    /// Of the winding, Ω. The original has none and so no pulse widths: under [`Demand::Duty`] the current
-    /// is (voltage - torque_constant · w) / resistance at once. Nothing else looks at it.
+    /// Resistance of the winding, Ω. The original model has no winding and therefore no pulse widths. Under
+    /// [`Demand::Duty`] the current follows at once: (voltage - torque_constant · w) / resistance. No other demand
+    /// uses the resistance.
     ///
     /// [`Demand::Duty`]: super::Demand::Duty
     pub resistance: f64,
@@ -23,9 +24,9 @@ pub struct WutConfig {
 
 /// The regression model: `dw/dt = (torque_constant · current - viscous · w) / inertia`.
 ///
-/// Semi-implicit Euler: velocity first, then angle with the new velocity. The original steps once
-/// per servo period of 2 ms, after the current of that period was computed from the encoder, which
-/// is the floor of angle · counts / 2π.
+/// Semi-implicit Euler: velocity first, then angle with the new velocity. The original takes one step per servo
+/// period of 2 ms, after the current of that period was computed from the encoder. The encoder count is the floor of
+/// angle · counts / 2π.
 #[derive(Clone, Debug)]
 pub struct Wut {
     torque_constant: f64,
@@ -38,7 +39,7 @@ pub struct Wut {
 }
 
 impl Wut {
-    /// A motor at rest at `angle`, rad.
+    /// A motor at standstill at `angle`, rad.
     pub fn new(config: &WutConfig, angle: f64) -> Self {
         Self {
             torque_constant: config.torque_constant,

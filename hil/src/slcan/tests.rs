@@ -18,7 +18,7 @@ fn standard(id: u16, data: &[u8]) -> Frame {
     Frame::new(StandardId::new(id).unwrap(), data).unwrap()
 }
 
-/// Everything the adapter has for its host, a bell as `!`, a carriage return as `.`.
+/// All bytes for the host: a bell is shown as `!`, a carriage return as `.`.
 fn said(device: &mut SlcanDevice) -> String {
     let mut said = String::new();
     while !device.bytes().is_empty() {
@@ -29,7 +29,7 @@ fn said(device: &mut SlcanDevice) -> String {
     said.replace('\r', ".").replace('\x07', "!")
 }
 
-/// What the adapter says to a text in which `.` stands for a carriage return.
+/// Answer of the adapter to a text in which `.` stands for a carriage return.
 fn tell(device: &mut SlcanDevice, text: &str) -> String {
     device.handle_bytes(text.replace('.', "\r").as_bytes(), Instant::ZERO);
     said(device)
@@ -43,26 +43,26 @@ fn sent(device: &mut SlcanDevice) -> Vec<String> {
 
 #[test]
 fn commands_are_answered_by_what_the_channel_allows() {
-    // What the host says and what it hears.
+    // Bytes from the host, and the answer.
     let cases = [
         // slcand; python-can; the kernel's driver with a bit rate and a reset of errors.
         ("C.S8.O.", "..."),
         ("C.S8..O.O.", "....."),
         ("C.S8.F.O.", "..F00.."),
-        // A bit rate comes first, and an open channel is not set up.
+        // The bit rate must be set first, and an open channel cannot be configured.
         ("O.L.l.", "!!!"),
         ("S8.O.S8.s0014.Z1.X0.M00000000.mFFFFFFFF.", "..!!!!!!"),
         ("S8.O.L.l.C.L.O.", "..!!..!"),
         ("S8.Z1.X1.U0.M00000000.mFFFFFFFF.s0014.", "......."),
-        // Frames need an open channel that may speak.
+        // Frames need an open channel that may transmit.
         ("t0800.", "!"),
         ("S8.t0800.O.t0800.T000000800.r0800.C.t0800.", ".!.....!"),
         ("S8.L.t0800.", "..!"),
         ("V.v.N.F.", "V1010.v0100.NHIL1.F00."),
-        // Polling is of a channel that does not report by itself.
+        // Polling needs an open channel without automatic reports.
         ("P.A.S8.O.P.A.", "!!..!!"),
         ("S8.X0.O.P.A.", "....A."),
-        // What is no command, and what is no line.
+        // Unknown commands, and bytes that form no valid line.
         ("S9.x.t08\x07\x07", "!!!"),
         ("O\u{7f}.1111111111111111111111111111111111111111.C.", "!!."),
     ];
@@ -178,7 +178,7 @@ fn a_host_that_does_not_read_loses_frames_but_no_answers() {
     assert_eq!((received, lost), (174, 826));
     device.handle_bytes(b"F\rF\r", at(1));
     assert!(said(&mut device).ends_with("t70180000000000000000.F08.F00."));
-    // Answers are bounded as well.
+    // The room for answers is bounded as well.
     for _ in 0..5 {
         device.handle_bytes(&[b'\r'; 1000], at(1));
     }
@@ -193,13 +193,13 @@ fn a_bus_that_takes_nothing_holds_the_host_up() {
     let frames: String = (0..40).map(|id| format!("t{id:03X}0.")).collect();
     assert_eq!(tell(&mut device, &frames), ".".repeat(32));
     assert_eq!(device.room(), 1024 - 8 * 6);
-    // One goes, and the next line is obeyed.
+    // One frame leaves, and the next line is executed.
     assert_eq!(device.poll_transmit(at(1)), Some(standard(0, &[])));
     assert_eq!(said(&mut device), ".");
     let rest: Vec<_> = (1..40).map(|id| format!("{id:03X}#")).collect();
     assert_eq!(sent(&mut device), rest);
     assert_eq!((device.room(), said(&mut device)), (1024, ".".repeat(7)));
-    // A host that sends all the same loses what it sends.
+    // A host that sends without room loses its bytes.
     device.handle_bytes(&"t0800\r".repeat(300).into_bytes(), at(1));
     assert_eq!(device.counts().overrun, 300 * 6 - 1024);
 }
@@ -210,7 +210,7 @@ fn acceptance_is_that_of_an_sja1000_with_two_filters() {
     let empty = standard(0x123, &[]);
     let remote = Frame::remote(StandardId::new(0x123).unwrap(), 0).unwrap();
     let extended = Frame::new(ExtendedId::new(0x1234_5678).unwrap(), &[]).unwrap();
-    // Code, mask, frame, whether it passes.
+    // Code, mask, frame, and whether the filter accepts the frame.
     let cases = [
         (0_u32, u32::MAX, standard_one, true),
         (0, 0, standard_one, false),
@@ -220,7 +220,7 @@ fn acceptance_is_that_of_an_sja1000_with_two_filters() {
         (0x2470_FFFF, 0x000F_000F, remote, true),
         (0xFFFF_2460, 0x0000_000F, standard_one, true),
         (0xFFFF_2480, 0x0000_000F, standard_one, false),
-        // The first filter sees the first byte, in two halves, where there is one.
+        // The first filter compares the first data byte, in two halves, if there is one.
         (0x246A_FFFB, 0x0000_0000, standard_one, true),
         (0x246A_FFFC, 0x0000_0000, standard_one, false),
         (0x246A_FFFC, 0x0000_0000, empty, true),
@@ -248,7 +248,7 @@ fn the_state_is_reported_when_it_changes() {
     device.set_error_counters(0, 200);
     assert_eq!(said(&mut device), "");
     tell(&mut device, "S8.O.");
-    // Receive and transmit counters, and what the host hears.
+    // Receive and transmit counters, and the report to the host.
     let cases = [
         (0, 95, ""),
         (96, 8, "sw096008."),
@@ -281,7 +281,7 @@ fn bus_off_ends_when_the_channel_is_opened_anew() {
 
 #[test]
 fn a_wrong_bit_rate_is_bus_off_for_who_speaks_and_errors_for_who_listens() {
-    // A bit rate, and whether the bus has it.
+    // A bit rate, and whether the bus has the same bit rate.
     for (set, right) in [
         ("S8.", true),
         ("s0014.", true),
@@ -314,7 +314,8 @@ fn two_adapters_and_a_port_share_a_bus_with_its_bit_times() {
     for id in ids {
         world.change(id, at(1), |device: &mut SlcanDevice| tell(device, "S8.O."));
     }
-    // The stronger identifier comes second, 10 µs into the first one's frame of 47 bits and more.
+    // The frame with the higher priority is handed over second, 10 µs after the start of the first frame, which lasts
+    // at least 47 bits.
     let start = at(2);
     let hand = |world: &mut World, id, text: &str, now| {
         world
@@ -373,7 +374,7 @@ fn a_drive_answers_behind_an_adapter_within_bit_times_and_its_own() {
     assert_eq!(hand(&mut world, "t60284041600000000000.", booted), ".");
     let bits = |id, data: u64| can::timing::bits_on_wire(&standard(id, &data.to_be_bytes()));
     let (request, answer) = (0x4041_6000_0000_0000, 0x4B41_6000_4004_0000);
-    // Each is heard at its last bit, before the intermission.
+    // Each frame is received at its last bit, before the intermission.
     let bits = bits(0x602, request) + bits(0x582, answer) - 2 * can::timing::INTERMISSION;
     let due = booted + BUS.duration(bits) + delay;
     let moment = std::time::Duration::from_nanos(1);

@@ -1,4 +1,4 @@
-//! How an instruction fails, and that everything is at rest then.
+//! Failures of an instruction, and standstill after each failure.
 
 use super::*;
 

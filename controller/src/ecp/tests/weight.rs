@@ -5,7 +5,7 @@ use nalgebra::Isometry3;
 use super::*;
 use crate::robot::{Link, LinkKind, Mass, Weight};
 
-/// The slides, one on the other.
+/// The linear joints, each mounted on the previous joint.
 pub(super) fn links() -> Links {
     let axes = [Vector3::x_axis(), Vector3::y_axis(), Vector3::z_axis()];
     let slide = |(joint, axis): (usize, nalgebra::UnitVector3<f64>)| Link {
@@ -19,7 +19,7 @@ pub(super) fn links() -> Links {
     Links(axes.into_iter().enumerate().map(slide).collect())
 }
 
-/// The gantry on its side: the slide behind the lever lifts itself, the one on it and the load.
+/// The gantry on its side: the slide behind the lever lifts itself, the next slide and the load.
 fn lying() -> Arm {
     let mass = |mass| Mass {
         mass,
@@ -48,7 +48,7 @@ fn every_macrostep_tells_what_holds_the_weight_at_its_end() {
         assert!(torque.iter().all(|t| t.abs() < 1e-12), "{torque:?}");
         seen.push(expected);
     }
-    // Not the same all the way.
+    // The torque changes during the motion.
     assert!(seen.len() > 10 && seen[0] > 1.5 * seen[seen.len() - 1]);
 }
 

@@ -31,7 +31,7 @@ fn irb6() -> Arm {
     Arm::new(Arc::new(robot), Pose::identity())
 }
 
-/// The arm standing at these joints.
+/// The arm at standstill with these joints.
 fn standing(arm: &Arm, joints: Axes) -> Standing {
     Standing(AxesState::at_rest(joints), arm.forward(&joints).unwrap())
 }
@@ -51,7 +51,7 @@ fn aside(arm: &Arm, joints: &Axes, from: &Pose, to: &Pose) -> f64 {
     (offset - along * along.dot(&offset)).norm()
 }
 
-/// Greatest distance from the line while motors follow cubics between the macrostep ends.
+/// Largest distance from the line while motors follow cubics between the macrostep ends.
 fn chord_error(arm: &Arm, states: &[AxesState], from: &Pose, to: &Pose) -> f64 {
     let motors = |state: &AxesState| {
         let at = |t: f64| {

@@ -13,7 +13,7 @@ use crate::robot::Space;
 const MACROSTEP: Duration = Duration::from_millis(20);
 const MC: f64 = 0.02;
 
-/// SplitMix64: small, seeded, the same everywhere.
+/// SplitMix64: a small seeded generator with the same results on all platforms.
 struct Random(u64);
 
 impl Random {
@@ -38,7 +38,7 @@ impl Random {
     }
 }
 
-/// An image of an effector that stands there, joints and motors alike.
+/// An image of an effector at standstill with these joints and equal motors.
 struct Standing(AxesState, Pose);
 
 impl Standing {
@@ -63,7 +63,7 @@ impl ImageSource for Standing {
     }
 }
 
-/// The states at all macrostep ends, the start first.
+/// The states at all macrostep ends, beginning with the start.
 fn walk<G: Generator>(generator: G, start: &Standing) -> Result<Vec<AxesState>, GeneratorError> {
     let mut run = Run::new(generator);
     let mut states = vec![start.0];
@@ -79,7 +79,7 @@ fn walk<G: Generator>(generator: G, start: &Standing) -> Result<Vec<AxesState>, 
     Ok(states)
 }
 
-/// Acceleration, at both ends, of the cubic that the servo draws through a macrostep.
+/// Acceleration at both ends of the servo's cubic for a macrostep.
 fn cubic_accelerations(from: (f64, f64), to: (f64, f64)) -> (f64, f64) {
     let distance = to.0 - from.0;
     let start = (6.0 * distance / MC - 4.0 * from.1 - 2.0 * to.1) / MC;
@@ -87,7 +87,7 @@ fn cubic_accelerations(from: (f64, f64), to: (f64, f64)) -> (f64, f64) {
     (start, end)
 }
 
-/// Greatest speed of that cubic.
+/// Largest speed of that cubic.
 fn cubic_speed(from: (f64, f64), to: (f64, f64)) -> f64 {
     let (start, end) = cubic_accelerations(from, to);
     let peak = if start * end < 0.0 {
@@ -122,7 +122,7 @@ fn newsmooth_keeps_its_limits_meets_every_pose_and_never_jumps() {
                 velocity: random.axes(0.1, 1.0),
                 acceleration: random.axes(0.1, 1.0),
             };
-            // Axes that rest, and ways that are very short.
+            // Axes that rest, and very short distances.
             let last = if index == 0 {
                 start
             } else {
@@ -142,7 +142,7 @@ fn newsmooth_keeps_its_limits_meets_every_pose_and_never_jumps() {
 
         let mut next_pose = 0;
         for pair in states.windows(2) {
-            // A pose met is met at the end of a macrostep; poses without a way to them take none.
+            // A pose is reached at the end of a macrostep. A pose at zero distance takes no macrostep.
             let met = |pose: &SmoothPose, state: &AxesState| {
                 pose.position[..axes] == state.position[..axes]
             };
@@ -273,7 +273,7 @@ fn jerk_limited_keeps_its_limits_and_ends_exactly() {
         let axes = 1 + random.below(6);
         let limits = random_limits(&mut random);
         let start = random.axes(-2.0, 2.0);
-        // Ways through poses take milliseconds to solve, so fewer of them.
+        // Solving motions through poses takes milliseconds, so there are fewer of them.
         let count = if seed % 400 == 0 {
             2 + random.below(3)
         } else {
@@ -309,7 +309,7 @@ fn jerk_limited_keeps_its_limits_and_ends_exactly() {
             "seed {seed}"
         );
         assert_eq!(end.velocity, Axes::default());
-        // The last pose but the exact one leads there without a jump.
+        // The last computed state leads to the exact end without a jump.
         let before = &states[states.len() - 2];
         for axis in 0..axes {
             assert!(
@@ -418,7 +418,7 @@ fn what_cannot_be_planned_is_refused() {
     );
 }
 
-/// Makes three steps, whatever it reads.
+/// Makes three steps, independent of its images.
 struct Reader<F, E>(std::marker::PhantomData<(F, E)>);
 
 impl<F: Images, E: Images> Generator for Reader<F, E> {
@@ -458,7 +458,7 @@ fn only_declared_images_are_fetched_and_one_snapshot_serves_terminal_condition_a
             source.0.get(),
         )
     }
-    // Class, whether it may run ahead, fetches of the first step and of three steps and the end.
+    // Class; whether the generator may run ahead; fetches of the first step; fetches of three steps and the end.
     assert_eq!(fetches::<(), ()>(), (0, true, 0, 0));
     assert_eq!(fetches::<EffectorImage, ()>(), (1, true, 1, 0));
     assert_eq!(fetches::<(), EffectorImage>(), (1, false, 0, 4));

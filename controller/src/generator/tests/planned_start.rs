@@ -1,4 +1,4 @@
-//! Lines of arms that stand a little beside the place where the line is planned to begin.
+//! Lines of arms that stand slightly beside the planned start of the line.
 
 use std::sync::Arc;
 
@@ -16,10 +16,11 @@ const LIMITS: LineLimits = LineLimits {
     max_angular_jerk: 40.0,
 };
 
-/// Distance of each motor from its home position, rad: what homing leaves, and of a joint behind a gear of 158 half a mrad.
+/// Distance of each motor from its home position after homing, rad. Behind a gear of 158 the distance of the joint is
+/// half a mrad.
 const BESIDE: f64 = 0.08;
 
-/// An arm that stands at these motor positions.
+/// An arm at standstill with these motor positions.
 struct AtMotors(EffectorState);
 
 impl AtMotors {
@@ -32,7 +33,7 @@ impl AtMotors {
         })
     }
 
-    /// Each motor beside its home position, to the side that the bits of `signs` say.
+    /// Each motor beside its home position. The bits of `signs` give the sides.
     fn beside_home(arm: &Arm, signs: usize, distance: f64) -> Self {
         let mut motors: Axes = arm.robot().home().padded();
         for (axis, motor) in motors.iter_mut().enumerate().take(arm.axes()) {
@@ -76,7 +77,7 @@ fn home(arm: &Arm) -> PlannedStart {
     }
 }
 
-/// The pose of the arm at home, `by` m beside.
+/// The pose of the arm at home, displaced by `by`, m.
 fn from_home(arm: &Arm, by: [f64; 3]) -> Pose {
     let mut pose = arm
         .forward(&arm.joints(&home(arm).motors).unwrap())
@@ -90,7 +91,7 @@ fn line(arm: &Arm, target: Pose) -> Line {
     Line::new(arm.clone(), target, LIMITS, joint_limits).unwrap()
 }
 
-/// The joints at all macrostep ends, those of the start first.
+/// The joints at all macrostep ends, beginning with the start.
 fn walk(line: Line, start: &AtMotors) -> Result<Vec<AxesState>, GeneratorError> {
     let mut run = Run::new(line);
     let mut states = vec![start.0.joints];
@@ -104,7 +105,7 @@ fn walk(line: Line, start: &AtMotors) -> Result<Vec<AxesState>, GeneratorError> 
     Ok(states)
 }
 
-/// Greatest distance of the tool from the straight line between its first and its last place, m.
+/// Largest distance of the tool from the straight line between its first and its last position, m.
 fn bow(arm: &Arm, states: &[AxesState]) -> f64 {
     let at = |state: &AxesState| arm.forward(&state.position).unwrap().translation.vector;
     let (from, to) = (at(&states[0]), at(states.last().unwrap()));
@@ -116,7 +117,7 @@ fn bow(arm: &Arm, states: &[AxesState]) -> f64 {
     states.iter().map(aside).fold(0.0, f64::max)
 }
 
-/// Neither a jump of a joint nor one of its velocity, and every motor position within its range.
+/// Checks that no joint position or joint velocity jumps, and that every motor stays within its range.
 fn is_smooth(arm: &Arm, states: &[AxesState]) {
     for (number, pair) in states.windows(2).enumerate() {
         for axis in 0..arm.axes() {
@@ -157,7 +158,7 @@ fn five_axes_beside_their_planned_start_follow_the_line_of_that_start() {
         worst = worst.max(bow(&arm, &states));
     }
     println!("{worst:.2e} m off the straight line");
-    // 0.5 mrad of the column, a quarter of 0.11 m, and as much for the inclinations of the arm.
+    // 0.5 mrad of the column times a quarter of 0.11 m, and the same amount for the inclinations of the arm.
     assert!(worst < 30e-6, "{worst}");
 }
 
@@ -195,7 +196,7 @@ fn an_arm_at_its_planned_start_goes_as_without_one() {
 fn an_arm_elsewhere_goes_straight_from_where_it_stands() {
     let arm = irb6();
     let target = from_home(&arm, [-0.1, 0.0, -0.05]);
-    // All axes but the column's.
+    // All axes except the column.
     let mut motors = AtMotors::beside_home(&arm, 0, 2.0 * BESIDE)
         .0
         .motors
@@ -231,7 +232,7 @@ fn a_start_beyond_a_limit_is_refused_before_the_motion_begins() {
     parameters.arm.column.joint_limits.low = 0.0;
     let arm = Arm::new(Arc::new(Irb6::new(&parameters).unwrap()), Pose::identity());
     let target = from_home(&arm, [-0.1, 0.0, -0.05]);
-    // The gear turns the joint against the motor.
+    // The joint turns in the opposite direction to the motor.
     for (signs, beyond) in [(0, true), (1, false)] {
         let start = AtMotors::beside_home(&arm, signs, BESIDE);
         let states = walk(line(&arm, target).beginning_at(home(&arm)), &start);

@@ -11,13 +11,13 @@ use crate::robot::{
     free_parameter::Ring,
 };
 
-/// Lever at which a turn of the forearm's plane counts as way of the arm, m.
+/// Lever that converts a turn of the forearm's plane to a distance, m.
 const LEVER: f64 = 0.5;
 
-/// How far from folded upper cranks the reach begins to leave their neighbourhood, m.
+/// Distance from folded upper cranks, m, at which the reach begins to move away from them.
 const EARLY: f64 = 0.1;
 
-/// The lengths that decide poses, m: offsets along one axis add up.
+/// The lengths that determine poses, m. Offsets along one axis are summed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Cranks {
     pub(super) upper: [f64; 2],
@@ -27,7 +27,7 @@ pub(super) struct Cranks {
     pub(super) flange_offset: f64,
 }
 
-/// One of the two ways in which the forearm's plane can give a pose its orientation.
+/// One of the two orientations of the forearm's plane for a pose.
 pub(super) struct Facing {
     /// q1 + q2 + q3.
     pub(super) phi: f64,
@@ -35,13 +35,13 @@ pub(super) struct Facing {
     pub(super) psi: f64,
     /// q7.
     pub(super) roll: f64,
-    /// Unit vector across axis 1 in the forearm's plane.
+    /// Unit vector in the forearm's plane, perpendicular to axis 1.
     pub(super) ahead: Vector3<f64>,
-    /// From axis 1 to the end of the forearm, without the offsets, m.
+    /// Vector from axis 1 to the end of the forearm, without the offsets, m.
     pub(super) end: Vector3<f64>,
 }
 
-/// Where the cranks are.
+/// Present state of the cranks.
 pub(super) struct Stand {
     /// The forearm's reach, m.
     pub(super) reach: f64,
@@ -50,15 +50,15 @@ pub(super) struct Stand {
 }
 
 impl Stand {
-    /// How far the arm moves from here to there, m.
+    /// Travel of the arm from the present state to `facing`, m.
     pub(super) fn way_to(&self, facing: &Facing) -> f64 {
         (facing.end - self.end).norm() + LEVER * (facing.ahead - self.ahead).norm()
     }
 }
 
-/// Both pairs of angles, of the first crank and of the second against it, that put the end of two cranks at a
-/// point, and the sine of the bend; a point out of reach counts as the nearest one within. At the axis itself
-/// the first angle is `kept`.
+/// Both pairs of crank angles for which the end of two cranks lies at a point, and the sine of the bend. The first
+/// angle of a pair belongs to the first crank. The second angle is relative to the first crank. A point out of reach
+/// is replaced by the nearest point within reach. For a point on the axis itself, the first angle is `kept`.
 pub(super) fn angles(
     [inner, outer]: [f64; 2],
     (x, y): (f64, f64),
@@ -75,32 +75,32 @@ pub(super) fn angles(
     if square < PARALLEL * PARALLEL {
         return ([(kept, bend), (kept, -bend)], bend_sin);
     }
-    // The first crank leads the point by half the bend if both are equal, otherwise by Mollweide's formula.
+    // The first crank leads the point by half the bend if both cranks are equal, otherwise by Mollweide's formula.
     let lead = half - (difference * sin).atan2(sum * cos);
     let point = y.atan2(x);
     ([(point - lead, bend), (point + lead, -bend)], bend_sin)
 }
 
-/// Where two cranks end for the angles of the first and of both together.
+/// End points of two cranks. `first` is the angle of the first crank, `both` the sum of the two angles.
 fn ends([inner, outer]: [f64; 2], first: f64, both: f64) -> [(f64, f64); 2] {
     let ((s1, c1), (s2, c2)) = (first.sin_cos(), both.sin_cos());
     let (x, y) = (inner * c1, inner * s1);
     [(x, y), (x + outer * c2, y + outer * s2)]
 }
 
-/// Across axis 1 in the forearm's plane, and along axis 4.
+/// Unit vectors in the forearm's plane perpendicular to axis 1, and along axis 4.
 fn plane(phi: f64) -> (Vector3<f64>, Vector3<f64>) {
     let (s, c) = phi.sin_cos();
     (Vector3::new(c, s, 0.0), Vector3::new(s, -c, 0.0))
 }
 
 impl Cranks {
-    /// Where the upper cranks end, across axis 1.
+    /// End points of the upper cranks, perpendicular to axis 1.
     fn upper_ends(&self, q: &[f64; AXES]) -> [(f64, f64); 2] {
         ends(self.upper, q[0], q[0] + q[1])
     }
 
-    /// Where the forearm's cranks end, (ahead, up) in its plane.
+    /// End points of the forearm's cranks, (ahead, up) in the forearm's plane.
     fn forearm_ends(&self, q: &[f64; AXES]) -> [(f64, f64); 2] {
         ends([self.forearm; 2], q[3], q[3] + q[4])
     }
@@ -142,7 +142,7 @@ impl Cranks {
                 .fixed_view_mut::<3, 1>(3, axis)
                 .copy_from(direction);
         };
-        // What lies along an axis does not move about it, so offsets along the own axis are left out.
+        // An offset along an axis does not move about the same axis, and is left out.
         let flange = approach * self.flange_offset;
         let end = Vector3::new(x, y, 0.0) + ahead * reach + along * self.forearm_offset + flange;
         for (axis, (x, y)) in [(0.0, 0.0), upper[0], upper[1]].into_iter().enumerate() {
@@ -156,7 +156,7 @@ impl Cranks {
         jacobian
     }
 
-    /// Both facings of a pose; `tilt` is the sine of the angle between axis 1 and tool axis, above zero.
+    /// Both facings of a pose. `tilt` is the sine of the angle between axis 1 and tool axis, above zero.
     pub(super) fn facings(
         &self,
         origin: &Vector3<f64>,
@@ -190,8 +190,8 @@ impl Cranks {
         ]
     }
 
-    /// The reaches of the forearm for which both pairs of cranks get to the end of a facing and stay `spare` m
-    /// from stretched and, the upper ones, from folded; or what is missing, m.
+    /// The reaches of the forearm for which both pairs of cranks arrive at the end of a facing. Both pairs stay
+    /// `spare` m from stretched, and the upper cranks also from folded. Fails with the missing distance, m.
     pub(super) fn reaches(&self, facing: &Facing, spare: f64) -> Result<Ring, f64> {
         let Facing { end, ahead, .. } = facing;
         let [inner, outer] = self.upper.map(f64::abs);
@@ -208,8 +208,8 @@ impl Cranks {
         })
     }
 
-    /// The ring with a hole that opens before the one about the folded upper cranks does: that one opens
-    /// at a stroke as the arm moves across it, faster than the reach could leave it.
+    /// The ring with a hole that opens early. The hole about the folded upper cranks opens abruptly as the arm moves
+    /// across, faster than the reach could move out of the way.
     pub(super) fn ahead_of_the_hole(&self, facing: &Facing, ring: Ring) -> Ring {
         let Facing { end, ahead, .. } = facing;
         let [inner, outer] = self.upper.map(f64::abs);
@@ -230,7 +230,8 @@ fn tool(ahead: &Vector3<f64>, psi: f64) -> (Vector3<f64>, Vector3<f64>) {
     (ahead * c + up * s, ahead * s - up * c)
 }
 
-/// Half the chord of a circle at a distance from its centre, or how far it misses the circle.
+/// Half the chord of a circle at a distance from its centre. Fails with the distance by which the chord misses the
+/// circle.
 fn half_chord(radius: f64, distance: f64) -> Result<f64, f64> {
     let distance = distance.abs();
     if distance - radius > Ring::POINT {

@@ -1,4 +1,4 @@
-//! The IRp-6 on its track: its numbers and where its carriage stands.
+//! The IRp-6 on its track: golden values, and the choice of the carriage position.
 
 use super::*;
 
@@ -21,7 +21,8 @@ fn golden_vectors_of_the_pedestal_hold_on_the_carriage() {
         pose.rotation,
         arm.forward(&Joints::from(th)).unwrap().rotation
     );
-    // Those of the pedestal, each moved by the difference of the two homes; the track by its ratio.
+    // Motor positions of the robot on the pedestal, each shifted by the difference of the two homes. The track
+    // follows from its ratio.
     let motors = robot.motors_from_joints(&joints).unwrap();
     let expected = [
         628.3185307179587,
@@ -63,7 +64,7 @@ fn inverse_finds_poses_of_the_workspace_on_one_branch() {
             assert!(distance < 1e-9 && angle < 1e-9, "{joints:?}");
             assert!(robot.motors_from_joints(&solutions[0]).is_ok());
         }
-        // A place of the carriage that only a sliver of the track has may be missed from afar.
+        // The search may miss a position of the carriage that lies in a very short part of the track.
         assert!(refused < 60, "{refused}");
     }
 }
@@ -77,14 +78,14 @@ fn carriage_stays_while_the_arm_reaches_comfortably_and_moves_the_least_otherwis
         (0.8, 0.4, 0.4),
         (0.8, 0.6, 0.4),
         (0.0, 1.2, 0.4),
-        // Past 0.95 m the carriage follows, before 0.6 m it makes room.
+        // Beyond 0.95 m the carriage follows the flange. Below 0.6 m the carriage moves away.
         (0.0, 1.5, 0.55),
         (0.57, 1.5, 1.5 - 0.76),
         (0.36, 0.7, 0.22),
         (0.36, 0.1, 0.58),
-        // Beside the column, the arm turned backwards.
+        // The flange is beside and behind the column.
         (-0.5, 0.7, 0.7 - 0.5 * 40_f64.to_radians().tan()),
-        // The track's motor ends.
+        // The end of the range of the track's motor.
         (0.0, 2.3, 1900.0 / (500.0 * std::f64::consts::PI)),
     ] {
         let pose = Isometry3::from_parts(
@@ -108,7 +109,7 @@ fn carriage_stays_while_the_arm_reaches_comfortably_and_moves_the_least_otherwis
     assert_eq!(robot.inverse(&at, &near).unwrap().preferred()[0], 0.4);
 }
 
-/// Whether an axis can move less than 0.03 rad or m either way.
+/// Whether an axis is closer than 0.03 rad or m to a limit.
 fn at_limit(robot: &dyn Robot, joints: &Joints) -> bool {
     (0..robot.axes()).any(|axis| {
         [-0.03, 0.03].into_iter().any(|step| {

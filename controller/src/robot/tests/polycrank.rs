@@ -1,10 +1,10 @@
-//! The Polycrank: its numbers, its branches, its turns.
+//! The Polycrank: golden values, branches and turns.
 
 use std::f64::consts::PI;
 
 use super::*;
 
-/// What a counter of 4000 counts per revolution shows.
+/// Values of counters with 4000 counts per revolution.
 fn counts(robot: &dyn Robot, joints: &Joints) -> Vec<i32> {
     let motors = robot.motors_from_joints(joints).unwrap();
     motors
@@ -13,7 +13,7 @@ fn counts(robot: &dyn Robot, joints: &Joints) -> Vec<i32> {
         .collect()
 }
 
-/// The arm as its published table has it.
+/// The arm by its published table.
 fn table(q: &[f64], d6: f64) -> Matrix4<f64> {
     dh([q[0], 0.220, -0.299, 0.0])
         * dh([q[1], 0.152, 0.180, 0.0])
@@ -118,7 +118,7 @@ fn joints_do_not_jump_along_straight_lines() {
         let start = random.joints(&robot);
         let end = random.joints(&robot);
         let [from, to] = [start, end].map(|joints| robot.forward(&joints).unwrap());
-        // Found from afar, the start has its reach well inside the range.
+        // From a distant posture, the inverse chooses a start with its reach well inside the range.
         let mut near = *robot.inverse(&from, &end).unwrap().preferred();
         let steps = 20_000;
         for step in 1..=steps {
@@ -131,7 +131,7 @@ fn joints_do_not_jump_along_straight_lines() {
             };
             let next = *solutions.preferred();
             let moved = largest_difference(&next, &near);
-            // Near a singularity joints are fast on any path.
+            // Near a singularity joints move fast on any path.
             if (step % 20 == 0 || moved > 0.05) && robot.singularity(&near).unwrap().margin < 0.02 {
                 break;
             }
@@ -245,7 +245,7 @@ fn what_no_branch_reaches_and_what_every_branch_leaves_open_is_refused() {
     let spoilt = robot.inverse_at(&level, &near, f64::NAN);
     assert_eq!(spoilt, Err(KinematicsError::NotFinite));
 
-    // psi = 0, psi = 180°, and both cranks stretched, or one folded.
+    // psi = 0; psi = 180°; both pairs of cranks stretched; one pair folded.
     for (joints, axis, within) in [
         ([0.3, 1.0, 0.2, 0.4, 1.0, -1.4, 0.0], 2, 1e-10),
         ([0.3, 1.0, 0.2, 0.4, 1.0, PI - 1.4, 0.0], 2, 1e-10),
@@ -267,7 +267,7 @@ fn what_no_branch_reaches_and_what_every_branch_leaves_open_is_refused() {
             other => panic!("{joints:?}: {other:?}"),
         }
     }
-    // One pair of cranks alone leaves six directions of motion.
+    // A single stretched pair of cranks leaves six directions of motion.
     for axis in [1, 4] {
         let mut joints = Joints::from([0.3, 1.0, 0.2, 0.4, 1.0, 0.0, 0.0]);
         joints[axis] = 0.0;

@@ -1,4 +1,4 @@
-//! What a robot refuses, and up to where it does not.
+//! Refusals of robots, and the limits at which they begin.
 
 use KinematicsError::{AxisCount, BeyondLimit, NotFinite, Singular, ToolPlane};
 
@@ -115,7 +115,7 @@ fn joints_and_motors_past_a_limit_are_named() {
     let robot = irp6p();
     let stand = [0.0, -1.5, 0.0, 0.0, 1.0, 0.0];
     let deg = f64::to_radians;
-    // The column, the arms outwards and the roll are limited by their motors.
+    // The motors limit the column, the outward motion of the arms, and the roll.
     for (axis, value, space, limit) in [
         (0, 2.98, Space::Joint, deg(170.0)),
         (0, 2.95, Space::Motor, -470.0),

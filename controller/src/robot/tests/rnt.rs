@@ -1,4 +1,4 @@
-//! The RNT: the numbers that pin it down, its legs, its wrist, and what it refuses.
+//! The RNT: golden values, legs, wrist and refusals.
 
 use std::f64::consts::PI;
 
@@ -186,7 +186,8 @@ fn poses_past_tilts_extension_and_legs_are_refused_by_name() {
             }
         }
     }
-    // Far out and tilted the leg opposite is longer than it can be, though every joint is within its limits.
+    // For a distant and tilted platform the opposite leg exceeds its largest length, though every joint is within its
+    // limits.
     let tilted = [0.0, -0.52, 1.2, 0.1, 0.5, 0.2];
     let gate = robot.motors_from_joints(&Joints::from(tilted)).unwrap_err();
     for refusal in [gate, robot.inverse(&at(tilted), &near).unwrap_err()] {
@@ -218,7 +219,7 @@ fn legs_that_cannot_close_are_named_with_what_they_miss() {
         let [a, b, c] = lengths.map(|length| ratio * (length - 0.75));
         Motors::from([a, b, c, 0.0, 0.0, 0.0])
     };
-    // The platform's joints are at most 0.28 m apart, so one leg cannot be half a metre ahead of the others.
+    // The platform's joints are at most 0.28 m apart, so one leg cannot be half a metre longer than the others.
     for leg in 0..3 {
         let mut lengths = [0.55; 3];
         lengths[leg] = 1.38;
@@ -237,7 +238,7 @@ fn legs_that_cannot_close_are_named_with_what_they_miss() {
         let refusal = robot.joints_from_motors(&motors(lengths)).unwrap_err();
         assert!(matches!(refusal, KinematicsError::Open { .. }), "{refusal}");
     }
-    // Longer and shorter than the legs can be, but within the mechanism: a measured position is served.
+    // Lengths outside the range of the legs, but possible for the mechanism: a measured position is converted.
     for rho in [0.45, 1.6] {
         let lengths = robot.legs().lengths(&[0.7, -0.7, rho]);
         let joints = robot.joints_from_motors(&motors(lengths)).unwrap();

@@ -1,4 +1,4 @@
-//! Weight by hand, and masses that are refused.
+//! Weight torques calculated by hand, and masses that are refused.
 
 use super::*;
 
@@ -12,14 +12,15 @@ fn load(mass: f64, centre: [f64; 3]) -> Mass {
 #[test]
 fn irp6_at_home_weighs_what_levers_say() {
     let robot = irp6p();
-    // Upper arm and wrist level, 6 kg in the gripper: lever of each mass beyond the elbow, and beyond the pitch axis.
+    // Upper arm and wrist are level, with 6 kg in the gripper. Levers of each mass from the elbow, and from the pitch
+    // axis.
     let carried = load(6.0, [0.0, 0.0, 0.2]);
     let weight = Weight::new(&robot, &Mass::IRP6, carried, UP).unwrap();
     let found = weight.torque(&robot, &robot.home()).unwrap();
-    // Motor per joint angle of the upper arm's screw there (derived from public code).
+    // Motor angle per joint angle of the upper arm's screw in this posture (derived from public code).
     let gear = 175.1;
     let upper_arm = -G * (14.0 * 0.25 + (4.0 + 1.35 + 6.0) * 0.67) / gear;
-    // The hand axis is level across the wrist, and the roll axis goes with the pitch motor.
+    // The hand axis is level across the wrist, and the pitch motor also turns the roll axis.
     let across = G * (1.35 * 0.15 + 6.0 * 0.2) / 76.8;
     let pitch = G * (4.0 * 0.095 + (1.35 + 6.0) * 0.19) / 128.0 + across;
     let expected = [0.0, 0.0, upper_arm, pitch, -across, 0.0];
@@ -39,7 +40,8 @@ fn a_robot_on_its_side_weighs_on_its_column() {
     let home = robot.home();
     let standing = weight(UP).torque(&robot, &home).unwrap();
     assert!(standing[0].abs() < 1e-9, "{standing:?}");
-    // Level y up: the column's masses hang ahead of it. Its motor turns against it, 158 times.
+    // The y axis points up and is level in the robot: the masses lie ahead of the column. The column's motor turns in
+    // the opposite direction, with a ratio of 158.
     let lying = weight([0.0, 5.0, 0.0]).torque(&robot, &home).unwrap();
     let ahead = 14.0 * 0.25 + 4.0 * 0.765 + 1.35 * 0.86;
     assert!((lying[0] + G * ahead / 158.0).abs() < 1e-6, "{lying:?}");
@@ -47,7 +49,7 @@ fn a_robot_on_its_side_weighs_on_its_column() {
 
 #[test]
 fn torque_is_what_energy_says_in_every_pose_of_every_robot() {
-    // Work done along a straight way of all motors is the difference of potential energies at its ends.
+    // The work along a straight motion of all motors equals the difference of the potential energies at its ends.
     for (name, robot) in robots() {
         let mut random = Random(SEED);
         let masses: Vec<_> = (0..robot.axes())

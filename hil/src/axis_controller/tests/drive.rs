@@ -1,12 +1,12 @@
-//! What the drive does.
+//! Behaviour of the drive.
 
 use super::*;
 use serial::nfv2::Gains;
 
 #[test]
 fn pulse_widths_and_currents_drive_the_motor_only_in_their_modes() {
-    // Mode, set-point, and whether it moves.
-    // Each would move the axis, without dry friction, if it were taken for the other.
+    // Mode, set-point, and whether the axis moves. If one mode were mistaken for the other, each set-point would move
+    // the axis, which has no dry friction.
     let pwm = Command::SetPwm(200);
     let current = Command::SetCurrent(200);
     let cases = [
@@ -45,7 +45,7 @@ fn pulse_widths_and_currents_drive_the_motor_only_in_their_modes() {
 fn a_pulse_width_is_its_share_of_48_volts() {
     let mut rig = Rig::nfv2(column());
     rig.cycle(&[Command::SetMode(Mode::Pwm)]);
-    // Ramped, since a step from rest would trip.
+    // A ramp, since a step from standstill would trip the drive.
     for pwm in 0..=100 {
         rig.cycle(&[Command::SetPwm(pwm)]);
     }
@@ -61,7 +61,7 @@ fn a_pulse_width_is_its_share_of_48_volts() {
     }
     let turns = f64::from(rig.cycle(&[]).position - start) / 4000.0;
     let speed = turns * std::f64::consts::TAU;
-    // 4.8 V less the winding's share, over 0.105 V·s/rad.
+    // 4.8 V less the voltage drop of the winding, divided by 0.105 V·s/rad.
     let expected = (4.8 - 0.6 * current) / 0.105;
     assert!(
         (speed - expected).abs() < 0.02 * expected,
@@ -73,7 +73,7 @@ fn a_pulse_width_is_its_share_of_48_volts() {
 fn the_drives_own_loop_settles_on_the_current_within_two_milliseconds() {
     for axis in Irp6Axis::ALL {
         let mut config = AxisControllerConfig::new(AxisConfig::irp6(axis));
-        // Held, so that there is no back-EMF, and with a trip out of the way.
+        // The shaft is held, so there is no back-EMF. The trip threshold is out of reach.
         if let crate::PlantConfig::Physical(motor) = &mut config.axis.plant {
             motor.friction.stiction = 100.0;
             motor.friction.coulomb = 100.0;
@@ -112,14 +112,14 @@ fn over_current_is_latched_until_manual_mode() {
     let go = [Command::SetMode(Mode::Pwm), Command::SetPwm(300)];
     rig.cycle(&[Command::SetMaxCurrent(5000)]);
     rig.cycle(&go);
-    // 14.4 V through 0.6 Ω at rest would be 24 A.
+    // 14.4 V across 0.6 Ω at standstill would be 24 A.
     let tripped = rig.cycle(&[]);
     assert!(tripped.is(Status::OVERCURRENT), "{tripped:?}");
     let tripped = rig.cycle(&go);
     assert!(tripped.is(Status::OVERCURRENT) && tripped.current == 0);
     let cleared = rig.cycle(&[Command::SetMode(Mode::Manual)]);
     assert!(!cleared.is(Status::OVERCURRENT));
-    // With more patience it runs.
+    // With a higher current limit the motor runs.
     rig.cycle(&[Command::SetMaxCurrent(25_000)]);
     rig.cycle(&go);
     for _ in 0..20 {
@@ -152,7 +152,7 @@ fn a_limit_switch_stops_what_runs_into_it_and_lets_it_out() {
             let stopped = rig.cycle(&[]);
             assert!(stopped.is(bit), "{stopped:?}");
             let device = rig.device();
-            // The switch closes a radian from the start, the buffer begins three further on.
+            // The switch closes one radian from the start. The buffer begins three radians beyond the switch.
             let beyond = f64::from(sign) * (device.axis().angle() - start) - 1.0;
             assert!((0.0..3.0).contains(&beyond), "{beyond} rad into the switch");
             assert_eq!(rig.cycle(&[]).position, stopped.position, "it stands");
@@ -172,7 +172,7 @@ fn a_set_point_stays_without_a_watchdog_and_ends_with_one() {
         config.watchdog = watchdog;
         let mut rig = Rig::nfv2(config);
         rig.cycle(&[Command::SetMode(Mode::Pwm), Command::SetPwm(100)]);
-        // The host falls silent.
+        // The host stops sending.
         rig.now += Duration::from_millis(500);
         let before = rig.cycle(&[]).position;
         rig.now += Duration::from_millis(100);
@@ -229,7 +229,7 @@ fn a_drive_in_error_takes_the_power_from_its_cabinet_alone() {
         assert_eq!(off.is(Status::POWER_STAGE_FAULT), shared);
         assert_eq!(off.current == 0, shared, "{off:?}");
         assert!(!off.is(Status::ERROR));
-        // Manual mode clears nothing while the stop is open, and shows it no longer once it is closed.
+        // Manual mode clears no fault while the stop is open. Once the stop is closed, manual mode clears the fault.
         let manual = [Command::SetMode(Mode::Manual)];
         assert_eq!(rig.cycle(&manual).is(Status::POWER_STAGE_FAULT), shared);
         tell(&rig, Mode::Manual);
@@ -238,9 +238,9 @@ fn a_drive_in_error_takes_the_power_from_its_cabinet_alone() {
     }
 }
 
-/// The homing cycle by hand: towards the switch, back off it with the index armed, until the counter
-/// was zeroed. `step` takes a pulse width and whether the index is armed, and says whether the switch
-/// is closed, the index came, and where the counter is.
+/// The homing cycle by hand: towards the switch, then back off the switch with the index search armed, until the
+/// counter is zeroed. `step` takes a pulse width and whether the index search is armed. `step` returns whether the
+/// switch is closed, whether the index pulse came, and the counter.
 fn home(mut step: impl FnMut(i16, bool) -> (bool, bool, i32)) {
     let mut until = |pwm, armed, done: fn((bool, bool, i32)) -> bool| {
         (0..5000)
@@ -276,7 +276,7 @@ fn homing_by_hand_zeroes_the_counter_at_the_index() {
     let referenced = |rig: &mut Rig| {
         let reading = rig.cycle(&[Command::SetPwm(0)]);
         assert!(reading.is(Status::SYNCHRONIZED));
-        // The axis says where it truly is: the index lies at -15.9 rad.
+        // The true angle of the simulated axis: the index lies at -15.9 rad.
         let truth = (rig.device().axis().angle() + 15.9) * 4000.0 / std::f64::consts::TAU;
         assert!(
             (f64::from(reading.position) - truth).abs() < 2.0,
@@ -288,7 +288,7 @@ fn homing_by_hand_zeroes_the_counter_at_the_index() {
         rig.cycle(&[Command::SetPwm(0)]);
     }
     referenced(&mut rig);
-    // The host restarts: the drive has not noticed.
+    // The host restarts. The drive does not notice the restart.
     rig.host = rig.world.host_line(rig.line, 64);
     referenced(&mut rig);
 }
@@ -325,7 +325,7 @@ fn the_regression_model_takes_currents_and_pulse_widths() {
         let turns = f64::from(rig.cycle(&[]).position - before.unwrap()) / 4000.0;
         turns * std::f64::consts::TAU / PERIOD.as_secs_f64()
     };
-    // 10 A · 0.105 N·m/A against 0.02 N·m·s/rad.
+    // Torque 10 A · 0.105 N·m/A against viscous friction 0.02 N·m·s/rad.
     let speed = settle(&[Command::SetMode(Mode::Current), Command::SetCurrent(10_000)]);
     assert!((speed - 52.5).abs() < 1.0, "{speed}");
     // (4.8 V - 0.105 w) / 0.6 · 0.105 = 0.02 w.

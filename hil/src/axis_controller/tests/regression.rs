@@ -1,17 +1,17 @@
-//! The robots' own regulators through telegrams, against what the robots' own emulator gives.
+//! The robots' own regulators over telegrams, compared with the emulator of the robots' own software.
 
 use super::*;
 use std::f64::consts::TAU;
 
-/// The regulator of the robots' software from 2012 on, which asks the drive for currents.
+/// The regulator of the robots' software from 2012 on, which commands currents to the drive.
 struct Original {
     a: f64,
     b0: f64,
     b1: f64,
     epsilon: f64,
-    /// mA.
+    /// Gain, mA.
     gain: f64,
-    /// mA.
+    /// Limit, mA.
     limit: f64,
     outputs: [f64; 2],
     errors: [f64; 2],
@@ -31,7 +31,7 @@ impl Original {
         }
     }
 
-    /// The current, mA, for what the increment of a period missed, counts.
+    /// The current, mA, for the position increment missed in one period, counts.
     fn turn(&mut self, missed: f64) -> i16 {
         let Self {
             a, b0, b1, epsilon, ..
@@ -46,7 +46,7 @@ impl Original {
     }
 }
 
-/// 100 rad at 50 rad/s and 150 rad/s² from rest to rest, after 0.2 s.
+/// Trapezoidal motion from standstill to standstill: 100 rad at 50 rad/s and 150 rad/s², after 0.2 s.
 fn trapezoid(seconds: f64) -> f64 {
     const RAMP: f64 = 1.0 / 3.0;
     const END: f64 = 2.0 + RAMP;
@@ -61,9 +61,9 @@ fn trapezoid(seconds: f64) -> f64 {
 
 #[test]
 fn the_original_regulators_follow_as_they_do_on_the_original_emulator() {
-    // Regulator, and that emulator's largest error, counts, and current, mA. What the telegrams add is
-    // that an answer is a period old when the current it leads to arrives. The roll axis is left out:
-    // with 8° of phase margin it does not bear that.
+    // Regulator, and the largest error, counts, and current, mA, of that emulator. The telegrams add a delay: an
+    // answer is one period old when the current computed from it arrives. The roll axis is left out: its phase margin
+    // of 8° does not tolerate the delay.
     let table = [
         (
             Irp6Axis::Column,

@@ -1,4 +1,4 @@
-//! What is heard, and what is answered when.
+//! Reception of telegrams, and content and time of the answers.
 
 use super::*;
 use crate::{LineFaults, Stuck, WireFaults};
@@ -8,7 +8,7 @@ fn nfv2_answers_are_the_bytes_of_the_line() {
     let mut kept = column();
     kept.counter = -1234;
     kept.synchronized = true;
-    // Requests and answers, without powering anything.
+    // Requests and answers. No request powers the drive.
     let cases: [(&[u8], &[u8]); 4] = [
         (
             &[
@@ -20,14 +20,14 @@ fn nfv2_answers_are_the_bytes_of_the_line() {
                 0x1F, 0x02, 0x10, 0x00,
             ],
         ),
-        // Five bytes of prefix, and only the status asked for.
+        // Five bytes of prefix, followed by the requested status alone.
         (
             &[
                 0, 0, 0, 0, 0, 0x23, 0x09, 0xF6, 0x08, 0x10, 0x01, 0x00, 0x1F, 0x00, 0,
             ],
             &[0x23, 0x08, 0xF7, 0x08, 0x1F, 0x02, 0x10, 0xC0],
         ),
-        // Reset synchronised in error: done, and still in error.
+        // Reset of the synchronised flag in error mode: executed, and the drive stays in error.
         (
             &[
                 0x23, 0x0C, 0xF3, 0x08, 0x1E, 0x04, 0x02, 0x00, 0x00, 0x00, 0x1F, 0x00, 0,
@@ -62,7 +62,7 @@ fn hi_moxa_answers_are_the_bytes_of_the_line() {
     kept.synchronized = true;
     let mut rig = Rig::hi_moxa(kept);
     let cases: [(&[u8], [u8; 8]); 4] = [
-        // Manual, and its trailing garbage.
+        // Manual mode, with trailing garbage.
         (
             &[0, 0, 0, 0, 0x23, 0x9F, 0, 0, 0xAA, 0x55],
             [0x23, 0x80, 0, 0, 0x70, 0x11, 0x01, 0],
@@ -168,7 +168,7 @@ fn random_noise_is_never_answered_without_a_frame_in_it() {
     let mut noise = crate::plant::Noise::new(11);
     let mut rig = Rig::nfv2(column());
     for _ in 0..200 {
-        // Without the start byte there is no frame.
+        // Without the start byte the bytes contain no frame.
         let bytes: Vec<u8> = std::iter::repeat_with(|| noise.bits() as u8)
             .filter(|&byte| byte != 0x23)
             .take(100)
@@ -180,7 +180,7 @@ fn random_noise_is_never_answered_without_a_frame_in_it() {
 
 #[test]
 fn a_torn_request_does_not_cost_the_one_behind_it() {
-    // NFv2 finds its frame whether or not there was a pause.
+    // NFv2 finds its frame with or without a pause.
     let request = frame(ADDRESS, &[Command::SetMisc(Command::SET_SYNCHRONIZED)]);
     for offset in 0..request.len() {
         let mut rig = Rig::nfv2(column());
@@ -189,13 +189,13 @@ fn a_torn_request_does_not_cost_the_one_behind_it() {
         assert_eq!(rig.exchange(&request[..offset]), [0_u8; 0]);
         assert_eq!(rig.exchange(&request).len(), 19, "torn at {offset}");
         assert_eq!(rig.device().heard().obeyed, 2);
-        // Its end alone is nothing either.
+        // The end of a frame alone is no frame.
         if offset > 0 {
             assert_eq!(rig.exchange(&request[offset..]), [0_u8; 0]);
             assert_eq!(rig.exchange(&request).len(), 19, "tail from {offset}");
         }
     }
-    // The older telegram needs the pause.
+    // The older protocol needs the pause.
     let request = hi_moxa::Request::Set(hi_moxa::Parameter::Synchronized(true)).encode();
     for offset in 0..request.len() {
         let mut rig = Rig::hi_moxa(column());
@@ -205,7 +205,7 @@ fn a_torn_request_does_not_cost_the_one_behind_it() {
             assert_eq!(rig.exchange(&request[offset..]), [0_u8; 0]);
             assert_eq!(rig.exchange(&request).len(), 8, "tail from {offset}");
         }
-        // Without one the drive is at a loss for a telegram at most.
+        // Without a pause the drive loses at most one telegram.
         let torn = [&request[..offset], &request].concat();
         let answers = rig.exchange(&torn).len() / 8;
         assert!((1..=2).contains(&answers), "{answers}");
@@ -215,7 +215,7 @@ fn a_torn_request_does_not_cost_the_one_behind_it() {
 #[test]
 fn a_pause_ends_a_request_whose_length_is_wrong() {
     let mut rig = Rig::nfv2(column());
-    // The beginning of a frame of 256 bytes, which would swallow a dozen good ones.
+    // The beginning of a frame of 256 bytes, which would swallow a dozen valid frames.
     assert_eq!(rig.exchange(&[0x23, 0xFF, 0x00, ADDRESS]), [0_u8; 0]);
     assert!(PERIOD > GAP);
     assert_eq!(rig.cycle(&[]).position, 0);
@@ -280,11 +280,11 @@ fn a_bad_line_costs_telegrams_and_not_the_drive() {
         let answered = (0..1000)
             .filter(|_| !rig.exchange(&request).is_empty())
             .count();
-        // 21 bytes of 8 bits and two chances to be hit: a third or so is lost.
+        // 21 bytes of 8 bits in each of two directions: about a third of the exchanges is lost.
         assert!((500..800).contains(&answered), "seed {seed}: {answered}");
         let heard = rig.device().heard();
         assert!(heard.damaged > 50 && heard.skipped > 1000, "{heard:?}");
-        // A CRC of five effective bits lets one of 32 damaged frames through.
+        // The CRC has five effective bits, so one of 32 damaged frames passes.
         assert!(heard.obeyed - answered as u64 <= 20, "{heard:?}");
         rig.world.set_line_faults(rig.line, &LineFaults::default());
         for _ in 0..10 {
@@ -325,7 +325,7 @@ fn a_stuck_line_is_silence() {
 fn after_any_noise_and_a_pause_a_drive_works() {
     for seed in 0..50 {
         let mut noise = crate::plant::Noise::new(seed);
-        // Rich in what begins requests.
+        // Random bytes with many that begin requests.
         let bytes: Vec<u8> = std::iter::repeat_with(|| match noise.bits() % 8 {
             0 | 1 => 0x23,
             2..=4 => 0x00,

@@ -1,4 +1,4 @@
-//! The modes of operation: from set-points and profiles to what the axis is asked for.
+//! The modes of operation: from set-points and profiles to the demand on the axis.
 
 use canopen::cia402::{Controlword, HomingMethod, ModeOfOperation, PowerState};
 
@@ -10,7 +10,7 @@ use crate::epos4::objects::Objects;
 use crate::epos4::power::Brake;
 use crate::epos4::profile::{Limits, Motion};
 
-/// Below this speed an axis that brakes at its limits stands, revolutions/s.
+/// Speed, revolutions/s, below which an axis that brakes at its limits counts as standing.
 const STANDING: f64 = 0.1;
 
 impl Drive {
@@ -53,14 +53,15 @@ impl Drive {
         }
     }
 
-    /// Whether the position has been in its window for the window time; a window of 0xFFFF_FFFF is none (CiA 402-2).
+    /// Whether the position has been in its window for the window time. A window of 0xFFFF_FFFF disables the check
+    /// (CiA 402-2).
     pub(super) fn settled(&self, objects: &Objects) -> bool {
         let time = objects.f(POSITION_WINDOW_TIME);
         objects.u(POSITION_WINDOW) == u32::MAX
             || self.in_window.is_some_and(|passed| passed * 1e3 >= time)
     }
 
-    /// The straight way from `start` to where the motion is now.
+    /// The straight ramp from `start` to the present demand.
     pub(super) fn ramp_demand(&self, start: Motion, dt: f64) -> Demand {
         Demand::Position {
             counts: start.position - f64::from(self.offset),
@@ -81,7 +82,7 @@ impl Drive {
         }
     }
 
-    /// Counts/s of one velocity unit (0x60A9): revolutions per minute times a power of ten.
+    /// Counts/s per velocity unit (0x60A9). The unit is revolutions per minute times a power of ten.
     pub(super) fn counts_per_velocity(&self, objects: &Objects) -> f64 {
         let exponent = (objects.u(VELOCITY_UNIT) >> 24) as u8 as i8;
         self.counts_per_turn / 60.0 * POWERS_OF_TEN[usize::from(exponent.unsigned_abs().min(6))]
@@ -120,7 +121,7 @@ impl Drive {
         demand
     }
 
-    /// The velocity loop is asked for 0 and its output saturates; whether the axis stands.
+    /// Demands zero velocity with the velocity loop at its output limits. Returns whether the axis stands.
     fn brake_at_limits(&mut self) -> bool {
         let before = self.motion.velocity;
         self.motion = Motion {
@@ -213,8 +214,9 @@ impl Drive {
         }
     }
 
-    /// What object 0x60B2 adds to the torque that the velocity loop asks for, N·m: in CSP and CSV (CiA 402-2, 0x60B2;
-    /// EPOS4 maps it beside the target in its own default PDO of either mode). In CST the target itself has it.
+    /// The torque that object 0x60B2 adds to the output of the velocity loop, N·m: in CSP and CSV (CiA 402-2,
+    /// 0x60B2). EPOS4 maps the object next to the target in its own default PDO of either mode. In CST the target
+    /// includes the offset.
     pub(super) fn torque_offset(&self, objects: &Objects) -> f64 {
         use ModeOfOperation as M;
         match self.mode {
@@ -225,7 +227,7 @@ impl Drive {
         }
     }
 
-    /// Goes on along the segment that the last SYNC began, and stands at its end.
+    /// Continues along the segment that the last SYNC began, and stands at its end.
     pub(super) fn interpolate(&mut self, dt: f64) {
         let (target, left) = self.segment;
         if left > dt {
@@ -240,7 +242,8 @@ impl Drive {
         }
     }
 
-    /// Returns where this chunk begins: elsewhere than the last one ended if the counter was set.
+    /// Returns the start of this chunk. The start differs from the end of the last chunk if homing has set the
+    /// counter.
     pub(super) fn home(&mut self, objects: &Objects, dt: f64) -> Motion {
         let unit = self.counts_per_velocity(objects);
         let acceleration = objects.f(HOMING_ACCELERATION).max(1.0) * self.counts_per_turn / 60.0;
@@ -297,11 +300,12 @@ impl Drive {
         start
     }
 
-    /// The switch, stop or index is at the raw counter's `counts`. The zero position lies the home offset (0x607C) from
-    /// there (CiA 402-2); the axis goes there, and the counter reads the home position (0x30B0) then.
+    /// Sets the reference: the switch, stop or index is at `counts` of the raw counter. The zero position lies the
+    /// home offset (0x607C) away from there (CiA 402-2). The axis moves to the zero position, where the counter reads
+    /// the home position (0x30B0).
     pub(super) fn reference(&mut self, counts: i32, objects: &Objects) {
         if matches!(self.homing, Homing::Searching(search) if search.feels_for_stop()) {
-            // The stop held the axis back; what it was told meanwhile is void.
+            // The stop held the axis back, so that the demanded position is far ahead of the actual position.
             self.motion.position = self.position();
         }
         let home = objects.i(EPOS4_HOME_POSITION);
@@ -318,7 +322,7 @@ impl Drive {
 
 const POWERS_OF_TEN: [f64; 7] = [1.0, 1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6];
 
-/// The interpolation period 0x60C2, s; zero is none.
+/// The interpolation period 0x60C2, s; zero disables interpolation.
 pub(in crate::epos4) fn interpolation_period(objects: &Objects) -> f64 {
     let index = objects.i(INTERPOLATION_PERIOD_INDEX).unsigned_abs();
     objects.f(INTERPOLATION_PERIOD_VALUE) * POWERS_OF_TEN[(index as usize).min(6)]

@@ -1,4 +1,4 @@
-//! The dictionary's rows that the drive reads and writes, by the names of their objects.
+//! Slots of the dictionary that the drive reads and writes, by the names of their objects.
 
 use canopen::objects as named;
 

@@ -1,32 +1,32 @@
 //! Standstill of the axis, which bit 12 of the statusword shows in profile velocity mode.
 //!
-//! An EPOS4 has object 0x30E0 where CiA 402 has 0x606F and 0x6070: a window about zero, a time and a time-out. Standstill
-//! begins when the velocity has been within the window for the time. The end of standstill follows CiA 402: the velocity
-//! has been beyond the window for the time. maxon's documents at hand do not say how standstill ends.
+//! An EPOS4 has object 0x30E0 where CiA 402 has 0x606F and 0x6070: a window about zero, a time and a time-out.
+//! Standstill begins when the velocity has been within the window for the time. Standstill ends when the velocity has
+//! been outside the window for the time (CiA 402). The maxon documents at hand do not define the end of standstill.
 
 /// Object 0x30E0, in s and counts/s.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Window {
-    /// Velocity up to which an axis stands.
+    /// Velocity up to which an axis counts as standing.
     pub(super) velocity: f64,
-    /// Duration after which a velocity on the other side of the window counts.
+    /// Time for which the velocity must stay on the other side of the window.
     pub(super) time: f64,
-    /// Duration after which an axis with a demanded velocity of zero counts as standing.
+    /// Time after which an axis with a demanded velocity of zero counts as standing.
     pub(super) time_out: f64,
 }
 
-/// Whether the axis stands.
+/// Standstill detection.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Standstill {
     reached: bool,
-    /// Duration for which the velocity has been on the other side of the window, s.
+    /// Time for which the velocity has contradicted the present result, s.
     contradicted: f64,
-    /// Duration for which the demanded velocity has been zero, s.
+    /// Time for which the demanded velocity has been zero, s.
     told: f64,
 }
 
 impl Standstill {
-    /// An axis that stands.
+    /// The state of a standing axis.
     pub(super) const REACHED: Self = Self {
         reached: true,
         contradicted: 0.0,

@@ -1,4 +1,4 @@
-//! What the drive says of itself: the objects that can be read or mapped to transmit.
+//! Status of the drive: the objects that can be read or mapped to TPDOs.
 
 use canopen::cia402::{Controlword, HomingStatus, ModeOfOperation, Statusword};
 use canopen::objects::VENDOR_ID;
@@ -12,7 +12,7 @@ use crate::epos4::objects::Objects;
 use crate::epos4::table::Slot;
 
 impl Drive {
-    /// Writes what can be read to the dictionary.
+    /// Writes the readable values to the dictionary.
     pub(in crate::epos4) fn publish(&mut self, objects: &mut Objects, dt: f64) {
         let unit = self.counts_per_velocity(objects);
         let position = self.feedback.counts.wrapping_add(self.offset);
@@ -43,7 +43,7 @@ impl Drive {
         objects.set(TORQUE_ACTUAL, signed(share));
         objects.set(EPOS4_CURRENT_ACTUAL, signed(current));
         objects.set(CURRENT_AVERAGE, signed(self.average_current));
-        // maxon counts µN·m; a drive that says it is of another maker counts the mN·m of CiA 402.
+        // maxon counts µN·m. With the vendor-ID of another maker the drive counts mN·m, as in CiA 402.
         let of_maxon = objects.u(Slot::of(VENDOR_ID)) == 0x0000_00FB;
         let unit = if of_maxon { 1e6 } else { 1e3 };
         objects.set(MOTOR_RATED_TORQUE, (rated * unit).round() as u32);

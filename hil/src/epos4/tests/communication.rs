@@ -1,4 +1,4 @@
-//! NMT, SDO, PDO, heartbeats and EMCY as the host sees them.
+//! NMT, SDO, PDO, heartbeats and EMCY from the host's view.
 
 use super::*;
 
@@ -81,11 +81,11 @@ fn refused_requests_name_their_abort_code() {
         ("2F40600001000000", "8040600013000706"),
         ("2F29100103000000", "8029100130000906"),
         ("2B5A6000FFFF0000", "805A600030000906"),
-        // Modes and methods that EPOS4 lacks, a unit that is no speed.
+        // Modes and methods that EPOS4 lacks, and a unit that is not a unit of speed.
         ("2F60600007000000", "8060600030000906"),
         ("2F98600005000000", "8098600030000906"),
         ("23A9600000000000", "80A9600030000906"),
-        // An empty history; only 0 clears it; a wrong password to store.
+        // An empty history; a value other than 0 does not clear the history; a wrong password for storing.
         ("4003100100000000", "8003100124000008"),
         ("2F03100001000000", "8003100030000906"),
         ("2310100101000000", "8010100120000008"),
@@ -100,27 +100,27 @@ fn refused_requests_name_their_abort_code() {
 fn remapping_out_of_order_is_refused() {
     let mut bench = Bench::booted(config());
     let steps = [
-        // The PDO exists: neither its count nor its entries nor its identifier may change.
+        // The PDO is switched on: its count, its entries and its identifier cannot change.
         ("2F00160000000000", "8000160022000008"),
         ("2300160108006060", "8000160122000008"),
         ("2300140122020000", "8000140130000906"),
         ("2B00180300000000", "8000180322000008"),
-        // Off; but entries are locked while the count is not 0.
+        // The PDO is switched off, but its entries are locked while the count is not 0.
         ("2300140102020080", "6000140100000000"),
         ("2300160108006060", "8000160103000106"),
         ("2F00160000000000", "6000160000000000"),
-        // Not mappable to receive, wrong size, no such object, statusword.
+        // An object that cannot be mapped to an RPDO, a wrong size, an unknown object, the statusword.
         ("2300160110004160", "8000160141000406"),
         ("2300160120004060", "8000160141000406"),
         ("2300160110000050", "8000160100000206"),
-        // Three objects of 32 bits are too many, two with a word are too many as well.
+        // Three objects of 32 bits are too many. Two such objects and a word are also too many.
         ("2300160120007A60", "6000160100000000"),
         ("230016022000FF60", "6000160200000000"),
         ("2300160310004060", "6000160300000000"),
         ("2F00160003000000", "8000160042000406"),
         ("2F00160009000000", "8000160042000406"),
         ("2F00160002000000", "6000160000000000"),
-        // Reserved identifiers do not become PDOs.
+        // Reserved identifiers are refused for PDOs.
         ("2300140180050000", "6000140100000000"),
         ("2300140180050080", "6000140100000000"),
         ("2300140181050000", "8000140130000906"),
@@ -137,16 +137,16 @@ fn remapping_out_of_order_is_refused() {
 #[test]
 fn services_answer_only_in_their_nmt_states() {
     let mut bench = Bench::new(config());
-    // Booting: deaf.
+    // A booting device ignores requests.
     assert_eq!(bench.say("602#4041600000000000"), [""; 0]);
     assert_eq!(bench.run(60), ["702#00"]);
     let status = "602#4041600000000000";
     assert_eq!(bench.say(status).len(), 1);
-    // PDOs only in operational.
+    // PDOs work only in operational.
     assert_eq!(bench.say("202#0600"), [""; 0]);
     assert_eq!(bench.say("000#0102"), ["182#4006"]);
     assert_eq!(bench.say("202#0600"), ["182#2106"]);
-    // Stopped: SDO is dead; commands for others and nonsense are ignored.
+    // In stopped, SDO does not work. Commands to other nodes and invalid commands are ignored.
     assert_eq!(bench.say("000#0202"), [""; 0]);
     assert_eq!(bench.say(status), [""; 0]);
     assert_eq!(bench.say("202#0700"), [""; 0]);
@@ -170,7 +170,7 @@ fn resets_bring_back_their_part_of_the_dictionary() {
     bench.say("000#8102");
     assert_eq!(bench.run(60), ["702#00"]);
     assert_eq!(bench.read("656000"), 2000);
-    // What was saved survives, until the factory values are loaded.
+    // Stored values survive until the factory values are loaded.
     bench.write("656000", 77, 4);
     bench.write("101001", 0x6576_6173, 4);
     bench.write("656000", 78, 4);
@@ -205,7 +205,7 @@ fn answers_take_their_delay() {
         .send(bench.now, &[parse("602#4041600000000000")])
         .unwrap();
     let answer = bench.run_micros(2000)[0];
-    // 120 bits of request, the delay, then the answer itself.
+    // 120 bits of the request, the delay, and the answer.
     let spent = answer.at.since(begun).as_micros();
     assert!((925..=955).contains(&spent), "{spent}");
 }
@@ -226,14 +226,14 @@ fn a_host_that_falls_silent_is_stopped_by_the_drive_itself() {
     };
     let heard = beat(&mut bench, 100, start);
     assert!(heard.iter().all(|frame| frame.starts_with("382#")));
-    // Nothing more is said to it. It was moving at 5000 counts/s.
+    // The host sends nothing more. The axis was moving at 5000 counts/s.
     let heard = bench.run(100);
     assert_eq!(heard, ["082#3081110000000000"]);
     let stood = bench.read("646000");
     assert_eq!(bench.statusword() & 0x6F, 0x07, "quick stop active");
     bench.run(500);
     assert_eq!(bench.read("646000"), stood);
-    // Heard again, the error is gone; the drive is pre-operational and waits.
+    // When the heartbeat returns, the error ends. The drive is pre-operational and waits.
     assert_eq!(bench.say("77F#05"), ["082#0000000000000000"]);
 }
 
@@ -247,7 +247,7 @@ fn a_missing_rpdo_is_a_time_out() {
     let heard = bench.run(30);
     assert_eq!(heard, ["082#5082110000000000"]);
     assert_eq!(bench.statusword() & 0x6F, 0x07);
-    // A short one is not processed and says so; a complete one ends both.
+    // An RPDO that is too short is reported and not processed. A complete RPDO ends both errors.
     assert_eq!(bench.say("402#0F00"), ["082#1082110000000000"]);
     let heard = bench.follow(1, |_| start);
     assert!(
@@ -258,13 +258,13 @@ fn a_missing_rpdo_is_a_time_out() {
 
 #[test]
 fn silence_is_answered_as_the_abort_connection_option_says() {
-    // Option, error register of the EMCY, state afterwards.
+    // Option, error register of the EMCY, and the state afterwards.
     for (option, state) in [(0, 0x27), (1, 0x08), (2, 0x40), (3, 0x07)] {
         let mut bench = Bench::booted(config());
         bench.write("076000", option, 2);
         bench.write("161001", 127 << 16 | 20, 4);
         bench.enable(1);
-        // Never heard, never missed.
+        // A node without a first heartbeat is never reported as lost.
         assert_eq!(bench.run(100), [""; 0]);
         bench.say("77F#05");
         assert_eq!(bench.run(100), ["082#3081110000000000"]);
@@ -303,7 +303,7 @@ fn transmission_types_decide_when_a_pdo_is_sent() {
     assert_eq!(bench.say("080#"), [""; 0]);
     bench.say("202#0600");
     assert_eq!(bench.say("080#"), ["182#2106"]);
-    // On a change or when the event timer expires.
+    // On a change, or when the event timer expires.
     bench.say("000#8002");
     bench.write("001802", 255, 1);
     bench.write("001805", 10, 2);
@@ -346,13 +346,13 @@ fn a_storm_of_arbitrary_frames_leaves_a_device_that_a_reset_revives() {
         let mut data = random().to_le_bytes();
         let object = TABLE[random() as usize % TABLE.len()].object;
         match (id, random() % 8) {
-            // Mostly start, so that PDOs are alive.
+            // Mostly the start command, so that PDOs are active.
             (0x000, 0..6) => data = [1, 2, 0, 0, 0, 0, 0, 0],
             (0x602, 0..7) => {
                 data[1..3].copy_from_slice(&object.index.to_le_bytes());
                 data[3] = object.subindex;
                 if random() % 2 == 0 {
-                    // Small values, and mappings of objects there are.
+                    // Small values, and mappings of existing objects.
                     data[5..].fill(0);
                 }
                 data[0] = [0x23, 0x27, 0x2B, 0x2F, 0x40, 0x60, 0x21][random() as usize % 7];

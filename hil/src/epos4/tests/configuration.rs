@@ -1,8 +1,8 @@
-//! LSS, and objects that go by blocks.
+//! LSS, and block transfers of objects.
 
 use super::*;
 
-/// One LSS request, its unused bytes filled up, and the answers.
+/// Sends one LSS request, padded with zeros, and returns the answers.
 fn ask(bench: &mut Bench, request: &str) -> Vec<String> {
     let answers = bench.say(&format!("7E5#{request:0<16}"));
     let payload = |answer: String| answer.strip_prefix("7E4#").unwrap_or(&answer).to_owned();
@@ -10,7 +10,7 @@ fn ask(bench: &mut Bench, request: &str) -> Vec<String> {
     answers.into_iter().map(payload).map(bare).collect()
 }
 
-/// Plays requests and compares the answers, both without the zeros at their ends.
+/// Sends requests and compares the answers. Both are given without trailing zeros.
 fn check(bench: &mut Bench, dialogue: &[(&str, &[&str])]) {
     for (step, (request, answers)) in dialogue.iter().enumerate() {
         assert_eq!(&ask(bench, request), answers, "step {step}: {request}");
@@ -69,11 +69,11 @@ fn a_unit_without_a_node_id_boots_when_it_was_given_one() {
         ],
     );
     assert_eq!(bench.run(60), ["705#00"]);
-    // COB-IDs are those of the new node-ID, and NMT is heard under it.
+    // COB-IDs follow from the new node-ID. NMT commands to the new node-ID are executed.
     assert_eq!(bench.say("605#4014100000000000"), ["585#4314100085000000"]);
     assert_eq!(bench.say("000#0105"), ["185#4006"]);
     check(&mut bench, &[("4C", &[]), ("0401", &[]), ("5E", &["5E05"])]);
-    // It was stored.
+    // The node-ID was stored.
     bench.say("000#8105");
     assert_eq!(bench.run(60), ["705#00"]);
 }
@@ -95,7 +95,7 @@ fn a_new_node_id_waits_for_a_reset_of_the_communication() {
     bench.say("000#8207");
     assert_eq!(bench.run(60), ["707#00"]);
     check(&mut bench, &[("5E", &[])]);
-    // It was not stored.
+    // The node-ID was not stored.
     bench.say("000#8107");
     assert_eq!(bench.run(60), ["702#00"]);
 }
@@ -115,7 +115,8 @@ fn a_unit_can_be_robbed_of_its_node_id() {
 #[test]
 fn what_a_unit_is_not_asked_it_does_not_answer() {
     let mut bench = Bench::booted(config());
-    // Waiting, nothing is configured; another's numbers, or the right ones out of order, select nobody.
+    // In waiting state nothing can be configured. Wrong identity numbers, and right numbers in the wrong order,
+    // select no unit.
     for request in ["1105", "1300", "1510", "17", "5A", "5E", "510000000080"] {
         check(&mut bench, &[(request, &[])]);
     }
@@ -145,7 +146,7 @@ fn what_a_unit_is_not_asked_it_does_not_answer() {
         &mut bench,
         &[vendor, product, revision, serial, ("5E", &["5E02"])],
     );
-    // Node-IDs and bit rates that there are not.
+    // Invalid node-IDs and bit rates.
     let refused = [
         ("1100", &["1101"][..]),
         ("1180", &["1101"]),
@@ -163,7 +164,7 @@ fn what_a_unit_is_not_asked_it_does_not_answer() {
 
 #[test]
 fn a_unit_is_identified_by_ranges() {
-    // Revision 0x0170_0000, serial 0x1000_0002: the bounds, and whether the unit is within them.
+    // Revision 0x0170_0000, serial 0x1000_0002: the bounds, and whether the unit lies within them.
     let cases = [
         (
             ["4800007001", "4900007001", "4A02000010", "4B02000010"],
@@ -226,7 +227,7 @@ fn a_fastscan_finds_the_identity_bit_by_bit() {
         }
         assert!(!scan(*number ^ 1, 0, sub, (sub + 1) % 4));
         assert!(scan(*number, 0, sub, (sub + 1) % 4));
-        // The unit has turned to the next number.
+        // The unit has gone on to the next identity number.
         assert!(!scan(*number, 0, sub, sub));
     }
     assert_eq!(found, [0x0000_00FB, 0x6150_0000, 0x0170_0000, 0x1000_0002]);
@@ -259,7 +260,7 @@ fn a_long_object_goes_by_blocks_as_fast_as_the_bus_takes_it() {
     let carried = Bitrate::KBPS_1000.duration(request + segment - 2 * can::timing::INTERMISSION);
     let delay = config().answer_delay;
     assert_eq!(first[0].at.since(asked), carried + delay);
-    // Back to back, and not before the drive's time to answer.
+    // The frames follow each other without a gap, and begin after the drive's answer delay.
     let bits = |received: &Received| can::timing::bits_on_wire(&received.frame);
     let expected: u32 = first.iter().skip(1).map(bits).sum();
     let lasted = first[126].at.since(first[0].at);
@@ -274,7 +275,7 @@ fn a_long_object_goes_by_blocks_as_fast_as_the_bus_takes_it() {
     assert_eq!(bench.ask("A2107F0000000000"), "C5D3850000000000");
     assert_eq!(bench.ask("A100000000000000"), "nothing");
 
-    // Down and up again by other means.
+    // A block download, and an upload in segments.
     assert_eq!(bench.ask("C6F02F0209000000"), "A4F02F027F000000");
     assert_eq!(bench.ask("0141424344454647"), "nothing");
     assert_eq!(bench.ask("8248490000000000"), "A2027F0000000000");
@@ -301,7 +302,7 @@ fn the_rated_torque_is_the_one_that_the_motor_was_given_in_the_unit_of_the_maker
         let answers = bench.say("602#4076600000000000");
         let value = answers[0].strip_prefix("582#43766000").unwrap();
         let value = u32::from_str_radix(value, 16).unwrap().swap_bytes();
-        // The nominal current and the torque constant are whole numbers.
+        // The nominal current and the torque constant are rounded to whole numbers.
         assert!(
             value.abs_diff(expected) <= 1 + expected / 10_000,
             "{rated} N·m: {value}"

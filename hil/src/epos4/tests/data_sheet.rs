@@ -1,4 +1,4 @@
-//! The emulated drive against its data sheet.
+//! The emulated drive compared with its data sheet.
 
 use canopen::eds::{Access, DataType, Eds};
 
@@ -74,14 +74,14 @@ fn the_data_sheet_reads_back_whole_and_every_object_has_a_name() {
 fn rpdos_are_filled_by_the_dummies_of_the_data_sheet() {
     let sheet = Epos4::eds(&config());
     let mut bench = Bench::booted(config());
-    // The second RPDO is off by default; its count has to be 0 to change its mapping.
+    // The second RPDO is switched off by default. Its count has to be 0 before its mapping can change.
     assert_eq!(bench.ask("2F01160000000000"), "6001160000000000");
     for (index, usable) in (1..).zip(sheet.dummies) {
         let bits = [1, 8, 16, 32, 8, 16, 32][index - 1];
         let answer = bench.ask(&format!("23011601{bits:02X}00{index:02X}00"));
         let taken = answer == "6001160100000000";
         assert_eq!(taken, usable, "dummy {index}: {answer}");
-        // Another width than that of its type fills nothing.
+        // The size of a dummy entry must equal the size of its data type.
         let answer = bench.ask(&format!("23011601{:02X}00{index:02X}00", bits + 8));
         assert_eq!(answer, "8001160141000406", "dummy {index}");
     }
@@ -92,7 +92,7 @@ fn rpdos_are_filled_by_the_dummies_of_the_data_sheet() {
 fn what_cannot_be_written_is_refused_before_its_data_come() {
     let mut bench = Bench::booted(config());
     for (request, refusal) in [
-        // In segments and by blocks: read-only, and not there.
+        // In segments and by blocks: a read-only object, and an unknown object.
         ("2108100014000000", "8008100002000106"),
         ("C608100014000000", "8008100002000106"),
         ("2100200014000000", "8000200000000206"),

@@ -5,7 +5,7 @@ use super::*;
 const SHORT: &str = "082#1082110000000000";
 const NO_ERROR: &str = "082#0000000000000000";
 
-/// In fault for an RPDO without data, as 0x6007 = 1 has it.
+/// A drive in fault because of a missing RPDO, with 0x6007 = 1.
 fn faulted() -> Bench {
     let mut bench = Bench::booted(config());
     bench.write("076000", 1, 2);
@@ -16,7 +16,7 @@ fn faulted() -> Bench {
     bench
 }
 
-/// A fault reset ends the error, and says so.
+/// Checks that a fault reset ends the error and announces its end.
 fn check_reset(bench: &mut Bench) {
     bench.write("406000", 0, 2);
     let answers = bench.say("602#2B40600080000000");
@@ -103,17 +103,17 @@ fn an_emergency_of_a_stopped_node_is_sent_when_the_node_leaves_the_state() {
         assert_eq!(bench.say("77F#05"), [""; 0]);
         bench
     };
-    // Raised in stopped.
+    // The error occurs in stopped.
     let mut bench = watched();
     assert_eq!(bench.say("000#0202"), [""; 0]);
     assert_eq!(bench.run(100), [""; 0]);
     assert_eq!(bench.say("000#8002"), [LOST]);
     assert_eq!(bench.read("031000"), 1);
-    // Ended in stopped.
+    // The error ends in stopped.
     assert_eq!(bench.say("000#0202"), [""; 0]);
     assert_eq!(bench.say("77F#05"), [""; 0]);
     assert_eq!(bench.say("000#0102"), [NO_ERROR, "182#4006"]);
-    // Raised and ended in stopped: nothing is left to say.
+    // The error occurs and ends in stopped, so that there is nothing to announce.
     let mut bench = watched();
     bench.say("000#0202");
     bench.run(100);

@@ -1,4 +1,4 @@
-//! Heartbeats both ways: what is watched, what a loss does, and when the drive's own are sent.
+//! Heartbeats in both directions: monitoring, the effect of a loss, and the drive's own heartbeats.
 
 use super::*;
 
@@ -11,7 +11,7 @@ fn watch(node: i64, millis: i64) -> i64 {
     node << 16 | millis
 }
 
-/// Enabled, its host watched within 50 ms and heard.
+/// A drive that is enabled and monitors its host with 50 ms, after the host's first heartbeat.
 fn watched() -> Bench {
     let mut bench = Bench::booted(config());
     bench.write("161001", watch(HOST, 50), 4);
@@ -28,7 +28,7 @@ fn enable_again(bench: &mut Bench) {
 
 #[test]
 fn a_second_loss_stops_the_drive_whatever_was_written_between() {
-    // What is written to object 0x1016 between the losses.
+    // Writes to object 0x1016 between the losses.
     let writes: [&[(&str, i64)]; 4] = [
         &[("161001", watch(HOST, 60))],
         &[("161001", 0), ("161001", watch(HOST, 50))],
@@ -69,7 +69,7 @@ fn a_watch_that_is_given_another_time_goes_on() {
 
 #[test]
 fn a_watch_that_ends_takes_its_error_along() {
-    // An entry that is cleared, that is given another node, or whose node-ID is none.
+    // The entry is cleared, is given another node, or has an invalid node-ID.
     for entry in [0, watch(126, 50), watch(200, 50)] {
         let mut bench = watched();
         assert_eq!(bench.run(100), [LOST]);
@@ -104,7 +104,7 @@ fn the_loss_of_another_producer_is_another_error() {
     enable_again(&mut bench);
     assert_eq!(bench.run(200), [LOST]);
     assert_eq!(bench.statusword() & 0x6F, 0x07);
-    // The error register is clear once both are heard.
+    // The error register is clear once both nodes have sent a heartbeat again.
     assert_eq!(bench.say("77F#05"), [""; 0]);
     assert_eq!(bench.read("011000"), 0x11);
     assert_eq!(bench.say("77E#05"), [RECOVERED]);
@@ -118,7 +118,8 @@ fn a_producer_is_watched_by_one_entry_only() {
     let steps = [
         ("161001", 0x007F_0032, 0),
         ("161002", 0x007F_003C, incompatible),
-        // The same entry again, one without a time, another node, and node-IDs of no node: unused, and so no doubles.
+        // The same entry again, an entry without a time, another node, and invalid node-IDs. Such entries are unused
+        // and therefore no duplicates.
         ("161001", 0x007F_003C, 0),
         ("161002", 0x007F_0000, 0),
         ("161002", 0x007E_0032, 0),
@@ -159,7 +160,7 @@ fn a_change_of_the_watch_leaves_the_period_of_the_producer() {
     bench.write("161001", 0, 4);
     assert_eq!(bench.run(20), [""; 0]);
     assert_eq!(bench.run(20), ["702#7F"]);
-    // Switched off, the producer is silent.
+    // The heartbeat producer is switched off and sends nothing.
     bench.write("171000", 0, 2);
     assert_eq!(bench.run(300), [""; 0]);
 }

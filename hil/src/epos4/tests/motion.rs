@@ -1,4 +1,4 @@
-//! Power states, modes of operation and homing as the host sees them.
+//! Power states, modes of operation and homing from the host's view.
 
 use super::*;
 
@@ -8,7 +8,7 @@ fn a_set_point_takes_effect_at_the_sync_after_it() {
     bench.cyclic();
     let start = bench.read("646000");
     bench.follow(3, |_| start);
-    // Demand 0x6062 while two set-points arrive before one SYNC: the second wins, at SYNC.
+    // Demand 0x6062. Two set-points arrive before one SYNC. The second set-point takes effect, at SYNC.
     let set = |target: i32| {
         let bytes: String = target
             .to_le_bytes()
@@ -39,7 +39,7 @@ fn cyclic_positions_are_followed_and_answered_at_every_sync() {
         heard.iter().all(|frame| frame.starts_with("382#")),
         "{heard:?}"
     );
-    // Operation enabled, remote, and following (bit 12).
+    // Operation enabled, remote, and bit 12: set-points are followed.
     assert!(
         heard.last().unwrap().starts_with("382#3712"),
         "{:?}",
@@ -58,7 +58,7 @@ fn a_torque_offset_is_added_in_the_cyclic_modes_of_position_and_velocity() {
             bench.enable(mode);
             bench.write("B26000", offset, 2);
             let torque = i64::from(bench.read("776000") as i16);
-            // The loops have begun to take it back.
+            // The loops have already begun to compensate the offset.
             let expected = if added { 20..=100 } else { 0..=2 };
             assert!(
                 expected.contains(&(torque * offset.signum())),
@@ -81,14 +81,14 @@ fn a_jump_of_the_set_point_is_a_following_error() {
     let start = bench.read("646000");
     bench.follow(5, |_| start);
     let heard = bench.follow(50, |_| start + 100_000);
-    // EMCY: 0x8611, generic and vendor bits; it is said once.
+    // EMCY: 0x8611, generic and vendor bits. The error is announced once.
     let emergencies: Vec<_> = heard.iter().filter(|f| f.starts_with("082#")).collect();
     assert_eq!(emergencies, ["082#1186810000000000"]);
     bench.follow(500, |_| start);
     assert_eq!(bench.statusword() & 0x6F, 0x08);
     assert_eq!(bench.read("3F6000"), 0x8611);
     assert_eq!(bench.ask("4003100100000000"), "4303100111860000");
-    // Bit 7 must rise; a standing enable does not clear the fault.
+    // Bit 7 must rise. A controlword that keeps enable operation does not clear the fault.
     bench.write("406000", 0x0F, 2);
     assert_eq!(bench.statusword() & 0x6F, 0x08);
     let answers = bench.say("602#2B40600080000000");
@@ -130,7 +130,7 @@ fn profile_position_acknowledges_a_set_point_and_reaches_it() {
         0x1000,
         "acknowledged, not reached: {word:#06x}"
     );
-    // Another set-point waits behind it, and is acknowledged until there is room again.
+    // Another set-point waits behind the first. Its acknowledge bit stays set until there is room again.
     bench.write("406000", 0x0F, 2);
     assert_eq!(bench.statusword() & 0x1000, 0);
     bench.write("7A6000", 1000, 4);
@@ -202,12 +202,12 @@ fn a_cyclic_drive_enabled_without_a_set_point_jumps_to_its_old_one() {
 
 #[test]
 fn commands_brake_on_the_ramp_of_their_option() {
-    // Controlword, option and its value, how long the way to a stand takes from 100 rpm.
+    // Controlword, option and its value, and the duration of braking to standstill from 100 rpm.
     let cases: [(i64, &str, i64, u64); 4] = [
-        // Disable operation and shutdown on 0x6084, 500 rpm/s.
+        // Disable operation and shutdown on the ramp 0x6084, 500 rpm/s.
         (0x07, "5C6000", 1, 200),
         (0x06, "5B6000", 1, 200),
-        // Quick stop on 0x6084, and on 0x6085, 1000 rpm/s.
+        // Quick stop on the ramp 0x6084, and on the ramp 0x6085, 1000 rpm/s.
         (0x0B, "5A6000", 5, 200),
         (0x0B, "5A6000", 2, 100),
     ];
@@ -360,7 +360,7 @@ fn homing_sets_the_counter_and_the_referenced_bit() {
         "{}",
         bench.read("646000")
     );
-    // Leaving homing keeps the reference; a reset of the node loses it.
+    // Leaving homing mode keeps the reference. A reset of the node clears the reference.
     bench.write("606000", 8, 1);
     assert_eq!(bench.statusword() & 0x8000, 0x8000);
     bench.say("000#8102");
@@ -474,7 +474,7 @@ fn payload_handed_over_in_a_world_is_felt_by_the_drive_that_holds_it() {
         let drive: &Epos4 = bench.world.device(bench.device).unwrap();
         drive.axis().feedback().torque
     };
-    // 20 kg on the 0.67 m of the arm, over a gear of 175.1; stiction takes up to 0.12 N·m either way.
+    // 20 kg at the 0.67 m of the arm, behind a ratio of 175.1. Stiction takes up to 0.12 N·m in either direction.
     let more = held(20.0) - held(0.0);
     let weight = -9.81 * 20.0 * 0.67 / 175.1;
     assert!((more - weight).abs() < 0.24, "{more} N·m for {weight}");

@@ -1,4 +1,4 @@
-//! The parameters of PDOs: timers, identifiers, mappings, and changes of them while PDOs are exchanged.
+//! The parameters of PDOs: timers, identifiers, mappings, and changes of parameters while PDOs are exchanged.
 
 use super::*;
 
@@ -12,7 +12,7 @@ fn count(frames: &[String], id: &str) -> usize {
 
 #[test]
 fn the_inhibit_time_holds_the_event_timer_back() {
-    // Inhibit time and event timer, ms, and how often the PDO is sent within 3 s after the first.
+    // Inhibit time and event timer, ms, and the number of transmissions within 3 s after the first.
     for (inhibit, timer, expected) in [(300, 50, 10), (50, 300, 10), (0, 100, 30), (300, 0, 0)] {
         let mut bench = Bench::booted(config());
         bench.write("001801", 0xC000_0182, 4);
@@ -55,7 +55,7 @@ fn a_good_rpdo_ends_no_error_of_another() {
     assert_eq!(heard, [OVERDUE]);
     assert_eq!(bench.say("202#0600"), [""; 0]);
     assert_eq!(bench.read("011000"), 0x11);
-    // Nor does it end that of a short one.
+    // The reception of another RPDO does not end the error of a too short RPDO either.
     assert_eq!(bench.say("302#06"), ["082#1082110000000000"]);
     assert_eq!(bench.say("202#0600"), [""; 0]);
     assert_eq!(bench.read("011000"), 0x11);
@@ -65,7 +65,7 @@ fn a_good_rpdo_ends_no_error_of_another() {
 
 #[test]
 fn an_rpdo_that_is_not_watched_any_more_is_not_overdue() {
-    // The event timer off, and the PDO itself.
+    // The event timer is switched off, then the PDO itself.
     for (object, value, bytes) in [("021405", 0_u32, 2), ("021401", 0x8000_0402, 4)] {
         let mut bench = Bench::booted(config());
         bench.write("076000", 0, 2);
@@ -141,7 +141,7 @@ fn writing_one_pdo_leaves_the_others_as_they_are() {
         assert_eq!(count(&heard, "182#"), 1, "{object}: {heard:?}");
         assert_eq!(bench.read("7A6000"), 0x1122_3344, "{object}");
         bench.write("7A6000", 0, 4);
-        // The statusword of TPDO2 has changed, once.
+        // The statusword in TPDO2 has changed once.
         bench.say("202#0000");
     }
 }
@@ -174,7 +174,7 @@ fn a_mapping_has_room_for_twelve_entries_and_eight_bytes() {
         assert_eq!(bench.refusal("011600", count, 1), RANGE, "{count} entries");
     }
     assert_eq!(bench.refusal("011600", 8, 1), 0);
-    // A count beyond what is mapped.
+    // A count larger than the number of mapped objects.
     assert_eq!(bench.refusal("011A00", 0, 1), 0);
     assert_eq!(bench.refusal("011A00", 3, 1), 0x0602_0000);
     assert_eq!(bench.refusal("011A00", 9, 1), length);

@@ -1,9 +1,9 @@
-//! Quiet at rest: what a drive that stands says on its own, and bit 12 of profile velocity mode.
+//! Silence at standstill: unsolicited frames of a standing drive, and bit 12 of profile velocity mode.
 
 use super::*;
 use crate::Irp6TrackAxis;
 
-/// Every kind of axis there is, where its counter begins.
+/// Each kind of axis, by its name.
 fn axes() -> Vec<(String, AxisConfig)> {
     let mut axes: Vec<_> = Irp6Axis::ALL
         .map(|which| (format!("{which:?}"), AxisConfig::irp6(which)))
@@ -21,7 +21,7 @@ fn axes() -> Vec<(String, AxisConfig)> {
     axes
 }
 
-/// The axis, its statusword, position and velocity sent whenever one of them changes.
+/// A device that sends statusword, position and velocity whenever one of them changes.
 fn talkative(axis: AxisConfig) -> Bench {
     let mut bench = Bench::booted(Epos4Config {
         axis,
@@ -35,7 +35,7 @@ fn talkative(axis: AxisConfig) -> Bench {
 #[test]
 fn a_drive_without_power_is_silent_at_rest() {
     for (name, axis) in axes() {
-        // Where the counter begins, and on either edge of that count.
+        // The angle at which the counter begins, and either edge of that count.
         let count = std::f64::consts::TAU / f64::from(axis.counts_per_revolution);
         let edge = (axis.start_angle / count).floor() * count;
         for start_angle in [axis.start_angle, edge, edge + count] {
@@ -86,17 +86,17 @@ fn standstill_has_a_window_and_a_time() {
     bench.enable(3);
     assert_eq!(bench.statusword() & 0x1000, 0x1000, "stands");
     let stands = |bench: &mut Bench| bench.statusword() & 0x1000 != 0;
-    // Within the window the axis stands, however long.
+    // Within the window the axis counts as standing, for any time.
     bench.write("FF6000", 40, 4);
     bench.run(500);
     assert!(stands(&mut bench), "40 rpm");
-    // Beyond the window for the time, and not before.
+    // Standstill ends when the velocity has been beyond the window for the time, and not before.
     bench.write("FF6000", 60, 4);
     bench.run(80);
     assert!(stands(&mut bench), "60 rpm for less than 100 ms");
     bench.run(80);
     assert!(!stands(&mut bench), "60 rpm for 100 ms");
-    // Back within the window for the time, and not before.
+    // Standstill begins when the velocity has been within the window for the time, and not before.
     bench.write("FF6000", 40, 4);
     bench.run(80);
     assert!(!stands(&mut bench), "40 rpm for less than 100 ms");
@@ -107,7 +107,7 @@ fn standstill_has_a_window_and_a_time() {
 #[test]
 fn an_axis_that_was_told_to_stand_is_taken_to_stand_after_the_time_out() {
     let mut bench = Bench::booted(config());
-    // No velocity is below nothing.
+    // No speed is below zero.
     bench.write("E03001", 0, 4);
     bench.write("E03002", 10_000, 2);
     bench.write("E03003", 200, 2);

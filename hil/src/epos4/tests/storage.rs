@@ -1,11 +1,11 @@
-//! What "save" stores and what it does not.
+//! Objects that "save" stores, and objects that "save" does not store.
 
 use super::*;
 
 #[test]
 fn what_is_no_parameter_is_not_stored() {
     let mut bench = Bench::booted(config());
-    // An error that stops nothing.
+    // An error without effect on the motion.
     bench.write("076000", 0, 2);
     bench.say("000#0102");
     bench.say("202#");

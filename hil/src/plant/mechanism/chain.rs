@@ -1,4 +1,4 @@
-//! Rigid links on revolute joints, and what they are to a motor that turns some of the joints.
+//! Rigid links on revolute joints, and their load on a motor that turns some of the joints.
 
 /// Free fall, m/s².
 pub(super) const GRAVITY: f64 = 9.81;
@@ -26,15 +26,15 @@ pub(super) fn add(a: Vector, factor: f64, b: Vector) -> Vector {
     ]
 }
 
-/// A mass with its centre and its spread: half of it sits `spread` to either side of the centre, which for a
-/// rod of length l is l / √12.
+/// A mass with its centre and its spread. Half of the mass lies at the distance `spread` on either side of the
+/// centre. For a rod of length l the spread is l / √12.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Body {
-    /// kg.
+    /// Mass, kg.
     pub(super) mass: f64,
-    /// m.
+    /// Centre of mass, m.
     pub(super) centre: Vector,
-    /// m.
+    /// Spread, m.
     pub(super) spread: Vector,
 }
 
@@ -58,7 +58,7 @@ impl Body {
         }
     }
 
-    /// What it is to whatever moves its frame so.
+    /// Load on a motor that moves the body's frame with `motion`.
     pub(super) fn load(&self, motion: &Motion) -> Load {
         let velocity = add(motion.velocity, 1.0, cross(motion.spin, self.centre));
         let around = cross(motion.spin, self.spread);
@@ -69,19 +69,20 @@ impl Body {
     }
 }
 
-/// How a frame moves while a motor turns at 1 rad/s, and where it is upright; all in the frame's own axes.
+/// Motion of a frame while a motor turns at 1 rad/s, and the frame's upward direction. All vectors are in the frame's
+/// own axes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Motion {
     /// Unit vector against gravity.
     pub(super) up: Vector,
-    /// rad/s.
+    /// Angular velocity, rad/s.
     pub(super) spin: Vector,
-    /// Of the frame's origin, m/s.
+    /// Velocity of the frame's origin, m/s.
     pub(super) velocity: Vector,
 }
 
 impl Motion {
-    /// A frame that stands.
+    /// A frame at rest.
     pub(super) const fn standing(up: Vector) -> Self {
         Self {
             up,
@@ -91,12 +92,12 @@ impl Motion {
     }
 }
 
-/// What hangs on a motor, at its shaft.
+/// Load of a motor, at its shaft.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Load {
-    /// Of weight, N·m.
+    /// Torque of the weight, N·m.
     pub torque: f64,
-    /// kg·m².
+    /// Inertia, kg·m².
     pub inertia: f64,
 }
 
@@ -109,22 +110,23 @@ impl Load {
     }
 }
 
-/// A joint and the link behind it, by Denavit and Hartenberg: turn about z, shift `d` along z, shift `a` along
-/// the new x, turn by `alpha` about it.
+/// A joint and the link behind it, by Denavit and Hartenberg: rotate about z, shift `d` along z, shift `a` along the
+/// new x, rotate by `alpha` about the new x.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Link {
-    /// Of `alpha`: sine and cosine.
+    /// Sine and cosine of `alpha`.
     twist: (f64, f64),
-    /// From the frame before to this one, in this one, m.
+    /// Vector from the origin of the previous frame to the origin of this frame, in this frame, m.
     reach: Vector,
-    /// In this frame.
+    /// Body of the link, in this frame.
     body: Body,
-    /// The last angle of the joint, rad, its sine and its cosine: between two turns of one motor most joints stand.
+    /// The last angle of the joint, rad, and its sine and cosine. Most joints stand still between two turns of one
+    /// motor, so the values are kept.
     turn: (f64, (f64, f64)),
 }
 
 impl Link {
-    /// Lengths in m, `alpha` in quarter turns, so that it is exact.
+    /// Lengths are in m. `alpha` is in quarter turns, so that its sine and cosine are exact.
     pub(super) fn new(d: f64, a: f64, alpha: i8, body: Body) -> Self {
         let twist = match alpha {
             1 => (1.0, 0.0),
@@ -139,10 +141,10 @@ impl Link {
         }
     }
 
-    /// The same with a uniform rod from the frame before to this one.
+    /// A link with a uniform rod from the previous frame to this frame.
     pub(super) fn rod(d: f64, a: f64, alpha: i8, mass: f64) -> Self {
         let link = Self::new(d, a, alpha, Body::NONE);
-        // The rod begins where the frame before is, which this one sees at `-reach`.
+        // The rod begins at the origin of the previous frame, which lies at `-reach` in this frame.
         let body = Body::rod(mass, link.reach.map(|x| -x));
         Self { body, ..link }
     }
@@ -154,7 +156,7 @@ impl Link {
         self.turn.1
     }
 
-    /// A vector in the frame before, as this one sees it.
+    /// Converts a vector from the previous frame to this frame.
     fn turned(&self, (sin, cos): (f64, f64), [x, y, z]: Vector) -> Vector {
         let (s, c) = self.twist;
         let across = cos * y - sin * x;
@@ -162,7 +164,7 @@ impl Link {
     }
 }
 
-/// Links one after another, with a payload on the last.
+/// Links in series, with a payload on the last link.
 #[derive(Clone, Debug)]
 pub(super) struct Chain<const N: usize> {
     pub(super) links: [Link; N],
@@ -170,8 +172,8 @@ pub(super) struct Chain<const N: usize> {
 }
 
 impl<const N: usize> Chain<N> {
-    /// What it is to a motor which, at 1 rad/s, moves the base so and turns the joints, which are at `angles`,
-    /// at `rates`.
+    /// Load on a motor that, at 1 rad/s, moves the base with `base` and turns the joints at `rates`. The joints are
+    /// at `angles`.
     pub(super) fn load(&mut self, base: &Motion, angles: &[f64; N], rates: &[f64; N]) -> Load {
         let mut motion = *base;
         let mut load = Load::default();

@@ -1,5 +1,5 @@
-//! The arm of the IRb-6 and the IRp-6: two arms on a parallelogram, each by a screw across a triangle, and a wrist
-//! carried by rods.
+//! The arm of the IRb-6 and the IRp-6. Lower and upper arm form a parallelogram and are each driven by a screw across
+//! a triangle. Rods carry the wrist.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -7,24 +7,24 @@ use super::chain::{Body, Chain, Link, Load, Motion};
 use super::screw::Screw;
 use super::{AXES, Loaded};
 
-/// Motor per joint angle where it is constant (public code). The wrist's roll is driven through its pitch.
+/// Constant ratios of motor angle to joint angle (public code). The roll of the wrist is driven through its pitch.
 const COLUMN: f64 = -158.0;
 const PITCH: f64 = -128.0;
 const ROLL: f64 = -76.8;
 const FLANGE: f64 = 288.8845;
-/// Motor angle per way of the track, rad/m: screw of 8 mm, belt 2:1 (public code).
+/// Motor angle per displacement of the track, rad/m: screw of 8 mm, belt 2:1 (public code).
 const TRACK: f64 = 2.0 * std::f64::consts::TAU / 8e-3;
 
-/// Nominal: of the carriage that the column stands on, kg.
+/// Mass of the carriage below the column, kg (nominal).
 const CARRIAGE: f64 = 60.0;
-/// Of gravity.
+/// Unit vector against gravity.
 const UP: [f64; 3] = [0.0, 0.0, 1.0];
-/// Nominal: of the gripper, along its own axis from where the wrist ends.
+/// The gripper, along its own axis from the end of the wrist (nominal).
 const GRIPPER: Body = Body::point(1.35, [0.0, 0.0, 0.15]);
 
-/// What turns with the motors at their speed, kg·m²: rotors (public code), screws and wave generators (nominal).
+/// Inertia of the parts that turn at motor speed, kg·m²: rotors (public code), screws and wave generators (nominal).
 const TURNING: [f64; 6] = [1.7e-4, 1.8e-4, 1.8e-4, 1.6e-4, 2.0e-5, 1.6e-5];
-/// The same of the track: its rotor, and its long screw behind the belt (nominal).
+/// Inertia of the track's parts that turn at motor speed, kg·m²: rotor, and long screw behind the belt (nominal).
 const TURNING_TRACK: f64 = 4.5e-4;
 
 #[derive(Clone, Debug)]
@@ -32,12 +32,13 @@ pub(super) struct Irp6 {
     chain: Chain<6>,
     lower: Screw,
     upper: Screw,
-    /// Number of the first axis of the arm: 1 on the track.
+    /// Number of the first axis of the arm: 1 on the track, otherwise 0.
     first: usize,
 }
 
-/// Of the lower and of the upper arm. Crank 140 mm, pivot 157.5 and 183 mm off its axis, screw of 5 mm; the crank of
-/// the lower arm is set at 75.01° to it (all derived from public code).
+/// The screws of the lower and of the upper arm. The cranks are 140 mm long. The pivots lie 157.5 and 183 mm off the
+/// crank axes. The screws have a lead of 5 mm. The crank of the lower arm is set at 75.01° to the arm. All values are
+/// derived from public code.
 pub(super) fn screws() -> (Screw, Screw) {
     const PIVOT: (f64, f64) = (157.5e-3, 183e-3);
     let pivot = PIVOT.1.atan2(PIVOT.0);
@@ -47,7 +48,7 @@ pub(super) fn screws() -> (Screw, Screw) {
 }
 
 impl Irp6 {
-    /// Lengths follow the public code. All masses and their places are nominal.
+    /// Lengths follow the public code. All masses and their positions are nominal.
     pub(super) fn new(on_track: bool) -> Self {
         let slender = |mass: f64, centre: f64, length: f64| Body {
             spread: [length / 12_f64.sqrt(), 0.0, 0.0],
@@ -77,7 +78,7 @@ impl Irp6 {
         }
     }
 
-    /// Of the IRb-6: shorter, its gripper along the roll axis. The sixth axis is not there and stands.
+    /// The IRb-6: shorter, with its gripper along the roll axis. The sixth axis does not exist and stays at rest.
     pub(super) fn with_straight_wrist() -> Self {
         let mut arm = Self::new(false);
         let wrist = Body::point(4.0, [0.0, 0.0, -0.0475]);
@@ -95,7 +96,8 @@ impl Irp6 {
         let (upper, upper_gear) = self.upper.joint(arm(2));
         let pitch = arm(3) / PITCH;
         let roll = (arm(4) - arm(3)) / ROLL;
-        // Parallelogram and rods keep each link's angle to the horizontal; the chain counts from link to link.
+        // Parallelogram and rods keep each link's angle to the horizontal. The angles of the chain are relative to
+        // the previous link.
         let angles = [
             arm(0) / COLUMN,
             lower,

@@ -3,24 +3,24 @@
 use super::chain::{Body, Chain, Link, Load, Motion};
 use super::{AXES, Loaded};
 
-/// Nominal.
+/// Motor angle per joint angle (nominal).
 const RATIO: f64 = 50.0;
-/// Nominal rotor, kg·m².
+/// Inertia of a rotor, kg·m² (nominal).
 const TURNING: f64 = 1e-4;
-/// The first frame's x axis stands upright: the rotations published with the lengths leave open whether it is x or y.
+/// The x axis of the first frame points up. The published rotations leave open whether the x or the y axis does.
 const UP: [f64; 3] = [1.0, 0.0, 0.0];
 
 #[derive(Clone, Debug)]
 pub(super) struct Polycrank {
     chain: Chain<7>,
-    /// Motors stand at the base and set absolute angles within each group of three.
+    /// Whether motors stand at the base and set absolute angles within each group of three.
     coupled: bool,
     /// Joint angles, rad.
     at_home: [f64; AXES],
 }
 
 impl Polycrank {
-    /// Lengths are published, all masses nominal: uniform rods from joint to joint.
+    /// Lengths are published. All masses are nominal: uniform rods from joint to joint.
     pub(super) fn new(coupled: bool, at_home: [f64; AXES]) -> Self {
         Self {
             chain: Chain {
@@ -52,7 +52,8 @@ impl Polycrank {
             for joint in [5, 4, 2, 1] {
                 angles[joint] -= angles[joint - 1];
             }
-            // A motor of a group that turns alone turns the link behind its own back.
+            // If one motor of a group turns alone, the next joint turns back by the same angle, so that the later
+            // links keep their orientation.
             if !matches!(number, 2 | 5 | 6) {
                 rates[number + 1] = -rates[number];
             }

@@ -1,37 +1,38 @@
-//! RNT as the nominal machine of this project: a platform on three screws and a passive central leg, and a wrist.
-//! No number of the real one is public.
+//! RNT as the nominal machine of this project: a platform on three screws and a passive central leg, and a wrist. No
+//! parameter of the real machine is public.
 
 use std::f64::consts::TAU;
 
 use super::chain::{Body, Chain, Link, Load, Motion, Vector, add, cross, dot};
 use super::{AXES, Loaded};
 
-/// Of the universal joints, at 0°, 120° and 240°, m.
+/// Radius of the universal joints in the base, at 0°, 120° and 240°, m.
 const BASE_RADIUS: f64 = 0.350;
 const PLATFORM_RADIUS: f64 = 0.160;
-/// From the platform to the wrist's centre, m.
+/// Distance from the platform to the wrist centre, m.
 const WRIST: f64 = 0.200;
 /// Motor angle per leg length, rad/m: screws of 5 mm without a gear.
 const LEG: f64 = TAU / 5e-3;
-/// Motor per joint angle of the wrist.
+/// Motor angle per joint angle of the wrist.
 const GEAR: f64 = 100.0;
-/// What turns with the motors: rotor and screw, and rotor and wave generator, kg·m².
+/// Inertia of the parts that turn with the motors, kg·m²: rotor and screw of a leg; rotor and wave generator of the
+/// wrist.
 const TURNING: (f64, f64) = (3.0e-4, 2.0e-5);
-/// The machine hangs: its base's z axis, along which the legs reach, points down.
+/// The machine hangs: the z axis of its base, along which the legs extend, points down.
 const UP: Vector = [0.0, 0.0, -1.0];
 
 #[derive(Clone, Debug)]
 pub(super) struct Rnt {
-    /// With the half of each leg that moves most, in its own axes.
+    /// The platform with the more mobile half of each leg, in the axes of the platform.
     platform: [Body; 2],
     wrist: Chain<3>,
-    /// Of each leg where its own motor is at home, m.
+    /// Length of each leg when its own motor is at home, m.
     home_lengths: [f64; 3],
     pose: Pose,
 }
 
-/// Of the platform: turned by `alpha` about the base's x and by `beta` about the y that turned with it, `extension`
-/// away along its own z.
+/// Pose of the platform. The platform is rotated by `alpha` about the x axis of the base, then by `beta` about the
+/// rotated y axis. Its displacement along its own z axis is `extension`.
 #[derive(Clone, Copy, Debug)]
 struct Pose {
     alpha: f64,
@@ -39,10 +40,10 @@ struct Pose {
     extension: f64,
 }
 
-/// Distance of the platform at which its joints jam, m.
+/// Distance of the platform below which its joints jam, m.
 const SHORTEST: f64 = 0.3;
 
-/// Steps of Newton's method that find the first pose; each later one is followed in one step.
+/// Steps of Newton's method for the first pose. Each later pose takes one step.
 const STEPS: usize = 12;
 
 impl Rnt {
@@ -81,12 +82,12 @@ impl Rnt {
         self.wrist.payload = payload;
     }
 
-    /// Of a leg, m.
+    /// Length of a leg, m.
     fn length(&self, leg: usize, motors: &[f64; AXES]) -> f64 {
         self.home_lengths[leg] + motors[leg] / LEG
     }
 
-    /// Moves the platform to where the legs hold it.
+    /// Moves the platform to the pose that the leg lengths determine.
     pub(super) fn settle(&mut self, motors: &[f64; AXES]) {
         for _ in 0..STEPS {
             if self.follow(motors) < 1e-12 {
@@ -95,8 +96,8 @@ impl Rnt {
         }
     }
 
-    /// One step of Newton's method towards where the legs hold the platform; how far off the worst leg was, m. Legs
-    /// that no pose fits leave the platform where it last fitted.
+    /// One step of Newton's method towards the pose that the leg lengths determine. Returns the largest error of a
+    /// leg length before the step, m. If no pose fits the leg lengths, the platform keeps its last valid pose.
     fn follow(&mut self, motors: &[f64; AXES]) -> f64 {
         let legs = self.pose.legs();
         let mut step = [0.0; 3];
@@ -126,7 +127,7 @@ impl Rnt {
             let (_, rate) = self.pose.legs()[number];
             base = self.pose.motion(&rate.map(|x| x / LEG), base.up);
             let load = self.platform.map(|body| body.load(&base));
-            // Its wrist's centre.
+            // The base of the wrist's chain moves with the wrist centre.
             base.velocity = add(base.velocity, WRIST, cross(base.spin, [0.0, 0.0, 1.0]));
             (TURNING.0, load[0].and(load[1]))
         } else {
@@ -144,12 +145,12 @@ impl Rnt {
 }
 
 impl Pose {
-    /// Short of where the joints jam.
+    /// Whether the pose lies outside the range in which the joints jam.
     fn is_possible(&self) -> bool {
         self.alpha.abs() < 1.0 && self.beta.abs() < 1.0 && (SHORTEST..2.0).contains(&self.extension)
     }
 
-    /// The platform's axes in the base.
+    /// The platform's axes, in the base frame.
     fn axes(&self) -> [Vector; 3] {
         let (sa, ca) = self.alpha.sin_cos();
         let (sb, cb) = self.beta.sin_cos();
@@ -164,7 +165,7 @@ impl Pose {
         self.axes().map(|axis| dot(axis, vector))
     }
 
-    /// How the platform's frame moves with the pose at these rates.
+    /// Motion of the platform's frame when the pose changes at these rates.
     fn motion(&self, rates: &Vector, up: Vector) -> Motion {
         let [alpha, beta, extension] = *rates;
         let spin = add([alpha, 0.0, 0.0], beta, self.axes()[1]);
@@ -177,7 +178,8 @@ impl Pose {
         }
     }
 
-    /// Of each leg: its length, m, and how the pose changes with it while the others keep theirs, per m.
+    /// For each leg: its length, m, and the change of the pose per metre of its length while the other legs keep
+    /// theirs.
     fn legs(&self) -> [(f64, Vector); 3] {
         let [x, y, z] = self.axes();
         let legs = CIRCLE.map(|[cos, sin]| {
@@ -187,7 +189,7 @@ impl Pose {
             let leg = add(joint, -BASE_RADIUS, [cos, sin, 0.0]);
             let length = dot(leg, leg).sqrt();
             let along = leg.map(|part| part / length);
-            // How the leg lengthens with the pose.
+            // Change of the leg length with the pose.
             let slope = [
                 dot(along, cross([1.0, 0.0, 0.0], joint)),
                 dot(along, cross(y, joint)),
@@ -236,7 +238,7 @@ mod tests {
         for (found, expected) in found.iter().zip([0.2, -0.1, 0.9]) {
             assert!((found - expected).abs() < 1e-8, "{found} for {expected}");
         }
-        // The same where each leg is at home with a length of its own.
+        // The same pose results if each leg has this length at home.
         let home = Rnt::new(golden).pose;
         let found = [home.alpha, home.beta, home.extension];
         for (found, expected) in found.iter().zip([0.2, -0.1, 0.9]) {
@@ -261,7 +263,8 @@ mod tests {
 
     #[test]
     fn legs_carry_what_the_heights_of_the_masses_say() {
-        // Potential over the base, which hangs, by the lengths of the legs: platform, then the straight wrist's three.
+        // Potential energy in the hanging base, from the lengths of the legs: platform, then three bodies of the
+        // straight wrist.
         let potential = |lengths: [f64; 3]| {
             let mut rnt = Rnt::new([0.75; 3]);
             let mut motors = [0.0; AXES];
@@ -301,7 +304,7 @@ mod tests {
     fn pose_followed_in_single_steps_does_not_drift() {
         let mut rnt = Rnt::new([0.75; 3]);
         let mut motors = [0.0; AXES];
-        // All legs move at up to 0.2 m/s, and each tells so once per millisecond.
+        // All legs move at up to 0.2 m/s. Each leg updates its position once per millisecond.
         let at = |leg: usize, t: f64| 250.0 + 100.0 * (2.5 * t + leg as f64).sin();
         for (leg, motor) in motors.iter_mut().take(3).enumerate() {
             *motor = at(leg, 0.0);

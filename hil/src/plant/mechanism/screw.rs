@@ -1,28 +1,28 @@
-//! A ball screw across a triangle, as it moves the lower and the upper arm of the IRp-6.
+//! A ball screw across a triangle, which drives the lower or the upper arm of the IRp-6.
 
 use std::f64::consts::TAU;
 
-/// The nut pulls on a crank; the screw's other end turns about a pivot beside the crank's axis.
+/// The nut pulls on a crank. The other end of the screw turns about a pivot beside the axis of the crank.
 ///
-/// The triangle's sides are the crank, the line between axis and pivot, and the screw, whose length follows the
-/// angle opposite to it. That angle grows with the joint's.
+/// The sides of the triangle are the crank, the line between axis and pivot, and the screw. The length of the screw
+/// follows from the opposite angle, which grows with the joint angle.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Screw {
-    /// Squares of crank and axis to pivot, summed, m².
+    /// Sum of the squares of crank length and distance from axis to pivot, m².
     squares: f64,
-    /// Their product, m².
+    /// Product of crank length and distance from axis to pivot, m².
     product: f64,
-    /// Motor angle per length, rad/m.
+    /// Motor angle per screw length, rad/m.
     per_length: f64,
-    /// Of the triangle at joint angle zero, rad.
+    /// Angle of the triangle opposite to the screw, at joint angle zero, rad.
     opposite: f64,
-    /// At home, m.
+    /// Screw length at home, m.
     home: f64,
 }
 
 impl Screw {
-    /// `pivot` is beside and below the axis, m; `opposite` is the angle between crank and pivot at joint angle zero,
-    /// `home` the joint angle at home, both rad; `lead` is in m per turn.
+    /// `pivot` is the position of the pivot beside and below the axis, m. `opposite` is the angle between crank and
+    /// pivot at joint angle zero, rad. `home` is the joint angle at home, rad. `lead` is in m per turn.
     pub(super) fn new(crank: f64, pivot: (f64, f64), lead: f64, opposite: f64, home: f64) -> Self {
         let beside = pivot.0.hypot(pivot.1);
         let mut screw = Self {
@@ -36,16 +36,16 @@ impl Screw {
         screw
     }
 
-    /// At a joint angle, m.
+    /// Screw length at a joint angle, m.
     pub(super) fn length(&self, joint: f64) -> f64 {
         (self.squares - 2.0 * self.product * (joint + self.opposite).cos()).sqrt()
     }
 
-    /// The joint angle, rad, and motor angle per joint angle, where the motor is so far from home.
+    /// The joint angle, rad, and the motor angle per joint angle, for a motor `from_home` rad away from home.
     pub(super) fn joint(&self, from_home: f64) -> (f64, f64) {
         let length = self.home + from_home / self.per_length;
         let cos = (self.squares - length * length) / (2.0 * self.product);
-        // A motor taken out of all bounds leaves the triangle stretched or folded; short of that the gear stays finite.
+        // A motor far outside its range leaves the triangle stretched or folded. The clamp keeps the ratio finite.
         let cos = cos.clamp(-0.999, 0.999);
         let sin = (1.0 - cos * cos).sqrt();
         let gear = self.per_length * self.product * sin / length;
@@ -59,7 +59,7 @@ mod tests {
 
     #[test]
     fn screws_are_as_long_and_as_geared_as_those_of_the_robot() {
-        // Joint angle, degrees; length, mm; mm per rad; motor per joint. Lengths at the ends are rounded.
+        // Joint angle, degrees; length, mm; mm per rad; motor angle per joint angle. Lengths at the ends are rounded.
         let lower = [
             (-130.0, 127.5, 0.06, 109.0, 136.9),
             (-90.0, 220.3374, 5e-4, 138.2, 173.7),

@@ -1,4 +1,4 @@
-//! Weights and inertias by hand from masses and lengths, and what motors make of them.
+//! Weights and inertias calculated by hand from masses and lengths, and the motion of motors that carry such loads.
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -20,7 +20,7 @@ const ROBOTS: [MechanismConfig; 6] = [
     polycrank(true),
 ];
 
-/// At home with all angles zero.
+/// Polycrank with all joint angles zero at home.
 const fn polycrank(coupled: bool) -> MechanismConfig {
     MechanismConfig::Polycrank {
         coupled,
@@ -28,7 +28,7 @@ const fn polycrank(coupled: bool) -> MechanismConfig {
     }
 }
 
-/// With its motors so far from home.
+/// A mechanism with its motors at these angles from home.
 fn posed(config: MechanismConfig, motors: &[f64]) -> Mechanism {
     let mechanism = Mechanism::new(config);
     for (number, &motor) in motors.iter().enumerate() {
@@ -46,7 +46,7 @@ fn check(found: f64, expected: f64, what: &str) {
     );
 }
 
-/// Length of the lower arm's screw, mm, and motor per joint angle, by the published constants.
+/// Length of the lower arm's screw, mm, and motor angle per joint angle, by the published constants.
 fn lower_screw(angle: f64) -> (f64, f64) {
     let (sin, cos) = angle.sin_cos();
     let length = (77_895.25 + 60_902.55 * cos + 29_346.68 * sin).sqrt();
@@ -54,19 +54,19 @@ fn lower_screw(angle: f64) -> (f64, f64) {
     (length, slope * TAU / 5.0)
 }
 
-/// Motor per joint angle of the upper arm's screw at home, by the published constants.
+/// Motor angle per joint angle of the upper arm's screw at home, by the published constants.
 fn upper_gear() -> f64 {
     51_240.0 / (2.0 * (77_895.25_f64 - 44_100.0).sqrt()) * TAU / 5.0
 }
 
-/// Where the lower arm's motor is, from home, with the arm at an angle.
+/// Motor angle of the lower arm from home, with the arm at an angle.
 fn lower_motor(angle: f64) -> f64 {
     (lower_screw(angle).0 - lower_screw(-FRAC_PI_2).0) * TAU / 5.0
 }
 
 #[test]
 fn irp6_weighs_what_its_masses_say() {
-    // At home: torque of each axis. Gripper 1.35 kg, 150 mm beside the end of the wrist.
+    // Torque of each axis at home. The gripper of 1.35 kg lies 150 mm beside the end of the wrist.
     let roll = G * 1.35 * 0.15 / 76.8;
     let home = [
         0.0,
@@ -80,7 +80,7 @@ fn irp6_weighs_what_its_masses_say() {
     for (number, expected) in home.into_iter().enumerate() {
         check(level.load(number).torque, expected, "home");
     }
-    // The lower arm leans out by 30 degrees; nothing else has changed its angle to the horizontal.
+    // The lower arm leans out by 30 degrees. All other links keep their angle to the horizontal.
     let angle = -60_f64.to_radians();
     let leaning = posed(MechanismConfig::Irp6, &[0.0, lower_motor(angle)]);
     let lower = G * 0.5 * (12.0 * 0.20 + 19.35 * 0.455) / lower_screw(angle).1;
@@ -93,7 +93,7 @@ fn irp6_weighs_what_its_masses_say() {
 fn irb6_holds_its_gripper_along_the_roll_axis() {
     let upper = G * (14.0 * 0.25 + 5.35 * 0.67) / upper_gear();
     let pitch = -G * (4.0 * 0.0475 + 1.35 * 0.245) / 128.0;
-    // However it is rolled: the sixth axis would be next, and is not there.
+    // The weight does not depend on the roll angle. The sixth axis does not exist.
     for roll in [0.0, 40.0] {
         let level = posed(MechanismConfig::Irb6, &[0.0, 0.0, 0.0, 0.0, roll]);
         for (number, expected) in [0.0, 0.0, upper, pitch, 0.0].into_iter().enumerate() {
@@ -101,7 +101,7 @@ fn irb6_holds_its_gripper_along_the_roll_axis() {
         }
         assert!(level.axes() == 5 && level.mount(5, 0.0).is_none());
     }
-    // Lowered by a quarter, it hangs straight down.
+    // The wrist is lowered by a quarter turn, and the gripper hangs straight down.
     let quarter = 128.0 * FRAC_PI_2;
     let down = posed(MechanismConfig::Irb6, &[0.0, 0.0, 0.0, -quarter]);
     check(down.load(3).torque, 0.0, "down");
@@ -140,14 +140,14 @@ fn pitch_of_the_wrist_takes_its_roll_along() {
             .load(4)
             .torque
     };
-    // A roll motor that stands while the pitch motor turns has turned the gripper upright.
+    // When the pitch motor turns and the roll motor stands, the gripper turns upright.
     check(roll(quarter, 0.0), 0.0, "left behind");
     check(
         roll(quarter, quarter),
         G * 1.35 * 0.15 * lowered / 76.8,
         "taken along",
     );
-    // The other way round, the gripper's weight hangs on the pitch motor as well, with the other sign.
+    // Conversely, a level gripper also loads the pitch motor, with the opposite sign.
     let without = posed(MechanismConfig::Irp6, &[0.0, 0.0, 0.0, quarter]);
     let with = posed(MechanismConfig::Irp6, &[0.0, 0.0, 0.0, quarter, quarter]);
     let straight = -G * (4.0 * 0.095 + 1.35 * 0.19) * lowered / 128.0;
@@ -156,14 +156,15 @@ fn pitch_of_the_wrist_takes_its_roll_along() {
         straight - with.load(4).torque,
         "pitch with the gripper level",
     );
-    // The raised wrist carries the gripper upright and so leaning back over the pitch axis: it helps to lift.
+    // The raised wrist carries the gripper upright, so that the gripper leans back over the pitch axis. Its weight
+    // then helps to lift the wrist.
     let upright = straight + G * 1.35 * 0.15 * (quarter / 128.0).sin() / 128.0;
     check(without.load(3).torque, upright, "pitch with the gripper up");
 }
 
 #[test]
 fn polycrank_weighs_what_its_masses_say() {
-    // Axis 1 level, x up; the first crank turned by a quarter, so that what was up is level.
+    // Axis 1 is level and x points up. The first crank is turned by a quarter turn, so that the arm is level.
     let quarter = 50.0 * FRAC_PI_2;
     let arms = [
         12.0 * -0.1495 + 9.0 * -0.209 + 7.0 * -0.119 + 4.0 * -0.0435 + 3.5 * 0.1075 + 2.1 * 0.183,
@@ -171,7 +172,7 @@ fn polycrank_weighs_what_its_masses_say() {
         4.0 * 0.0755 + 3.5 * 0.2265 + 2.1 * 0.302,
     ];
     let single = posed(polycrank(false), &[quarter]);
-    // Behind parallel cranks the motors set sums of angles: all three turn with the first.
+    // Behind parallel cranks the motors set sums of joint angles: all three motors turn with the first joint.
     let coupled = posed(polycrank(true), &[quarter, quarter, quarter]);
     for (number, arm) in arms.into_iter().enumerate() {
         check(single.load(number).torque, G * arm / 50.0, "joint");
@@ -182,7 +183,7 @@ fn polycrank_weighs_what_its_masses_say() {
             "coupled",
         );
     }
-    // At home the second group turns about a level axis too: only the tool hangs beside it, by 21.5 mm.
+    // At home the second group also turns about a level axis. Only the tool lies beside that axis, by 21.5 mm.
     let home = posed(polycrank(false), &[]);
     for number in 0..3 {
         let arm = 4.0 * -0.06 + 3.5 * -0.178 + 1.5 * -0.266 + 0.6 * -0.296;
@@ -194,7 +195,7 @@ fn polycrank_weighs_what_its_masses_say() {
         );
     }
     check(home.load(6).torque, 0.0, "roll");
-    // A machine that is at home in another posture is there what the first is away from home.
+    // A machine with another home posture carries, at home, the load that the first machine has in the same posture.
     let at_home = [0.3, 1.5, -1.2, 0.4, 0.9, -0.5, 0.2];
     for coupled in [false, true] {
         let mut motors = at_home.map(|angle| 50.0 * angle);
@@ -232,7 +233,7 @@ fn polycrank_is_as_inert_as_its_masses_say() {
     let mut inertia = 0.0;
     for (mass, pair) in masses.into_iter().zip(ends.windows(2)) {
         let ((ax, ay), (bx, by)) = (pair[0], pair[1]);
-        // A rod's squares of distance average to a third of the sum of those of its ends and their product.
+        // Mean square distance of a rod: a third of the sum of the squares at its ends and the product of the two.
         inertia += mass * (ax * ax + ax * bx + bx * bx + ay * ay + ay * by + by * by) / 3.0;
     }
     let home = Mechanism::new(polycrank(false));
@@ -254,7 +255,7 @@ fn rnt_hangs_in_equal_shares_from_upright_legs() {
     for wrist in 3..6 {
         check(mechanism.load(wrist).torque, 0.0, "wrist on the plumb line");
     }
-    // The second of the wrist's axes bends the tool aside.
+    // The second axis of the wrist bends the tool aside.
     let bent = posed(RNT, &[0.0, 0.0, 0.0, 0.0, 50.0]);
     let arm = (4.0 * 0.05 + 3.0 * 0.175) * 0.5_f64.sin();
     check(bent.load(4).torque, -G * arm / 100.0, "bent wrist");
@@ -311,7 +312,7 @@ fn falling_arm_turns_its_height_into_speed() {
     };
     let mount = mechanism.mount(1, 0.0);
     let mut axis = Axis::mounted(&config, 1, mount.as_ref());
-    // Heights of the masses by the angle that the published constants give, searched for.
+    // Heights of the masses. The angle is searched for by means of the published constants.
     let height = |motor: f64| {
         let (mut low, mut high) = (-FRAC_PI_2, 0.0);
         for _ in 0..60 {
@@ -341,7 +342,7 @@ fn falling_arm_turns_its_height_into_speed() {
         );
         fastest = fastest.max(speed);
     }
-    // The gear has changed by a tenth of its inertia on the way, which shows in what is asserted above.
+    // On the way the inertia has changed by a tenth because of the ratio. The assertion above covers this effect.
     assert!(fastest > 200.0, "{fastest} rad/s");
 }
 
@@ -355,9 +356,9 @@ fn changing_gears_keep_energy_and_folding_arms_momentum() {
     };
     let cases = [
         ((6.0, 1.0), (6.0, 1.0), 1.0),
-        // Half the gear: four times the inertia, 26 for 8.
+        // Half the ratio gives four times the reflected inertia: 26 in place of 8 in total.
         ((6.0, 2.0), (24.0, 1.0), (8.0_f64 / 26.0).sqrt()),
-        // Twice the inertia behind the same gear.
+        // Twice the inertia behind the same ratio.
         ((6.0, 2.0), (14.0, 2.0), 0.5),
     ];
     for ((reflected, ratio), (then, next), expected) in cases {
@@ -401,7 +402,7 @@ fn payload_taken_up_is_held_with_the_torque_it_weighs() {
     assert!((after - before).abs() < 0.005, "{after} N·m after {before}");
 }
 
-/// All axes of a robot as its presets make them, mounted.
+/// All axes of a robot with its presets, mounted.
 fn axes(config: MechanismConfig, seed: u64) -> (Mechanism, Vec<AxisConfig>, Vec<Axis>) {
     let mechanism = Mechanism::new(config);
     let configs: Vec<_> = (0..mechanism.axes())
@@ -435,7 +436,7 @@ fn every_axis_of_every_robot_moves_with_all_others() {
         let mut worst = vec![0; axes.len()];
         let mut from = vec![0.0; axes.len()];
         for k in 0..2000 {
-            // A sine of 5 rad/s² at the joints of the slowest, 12 rad to and fro.
+            // A sine with 5 rad/s² at the joints of the slowest axis: 12 rad forward and back.
             let t = f64::from(k + 1) * 2e-3;
             for (number, axis) in axes.iter_mut().enumerate() {
                 let scale = f64::from(configs[number].counts_per_revolution) / TAU;
@@ -471,7 +472,7 @@ fn loops_are_tuned_to_inertias_that_poses_keep_to() {
             let together = 0.4 * noise.symmetric();
             for number in 0..mechanism.axes() {
                 let config = preset(robot, number).expect("it has the axis");
-                // Most of the travel, or any turn of the joint; RNT's legs not far from each other.
+                // Most of the travel, or any turn of the joint. RNT's legs stay near each other.
                 let (low, high) = match (config.negative_limit, config.positive_limit) {
                     (Some(low), Some(high)) => (low.to, high.from),
                     _ => (-160.0, 160.0),
