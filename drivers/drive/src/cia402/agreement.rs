@@ -1,4 +1,4 @@
-//! Agreement between the scale and rated torque that a drive holds and those of the cell.
+//! Agreement of a drive's scale and rated torque with the cell.
 
 use std::f64::consts::TAU;
 
