@@ -31,14 +31,14 @@ pub struct Account {
     /// `/proc/thread-self/schedstat`, opened before the first cycle; none where the kernel has none.
     schedstat: Option<File>,
     last: Usage,
-    /// Wake-up latencies of the quiet cycles since: their delays at most.
+    /// Wake-up latencies of the quiet cycles since then: an upper bound of their delays.
     quiet: Duration,
     cycles: u32,
     reads: AccountReads,
 }
 
 impl Account {
-    /// Of the calling thread, from now on.
+    /// An account of the calling thread, starting now.
     pub fn open() -> Self {
         let mut account = Self {
             schedstat: File::open("/proc/thread-self/schedstat").ok(),
@@ -51,7 +51,7 @@ impl Account {
         account
     }
 
-    /// How often it was read in cycles.
+    /// Number of readings in cycles.
     pub(super) fn reads(&self) -> AccountReads {
         self.reads
     }
@@ -62,7 +62,7 @@ impl Account {
         self.reads.slack += 1;
     }
 
-    /// Counts from now on: two system calls.
+    /// Starts counting: two system calls.
     fn begin(&mut self) {
         self.last = Usage {
             delay: self.delay(),
@@ -79,7 +79,7 @@ impl Account {
         of_last(self.last.since(before), late, quiet, cycles)
     }
 
-    /// A cycle was quiet, and the thread was woken this late for it.
+    /// Takes a quiet cycle, whose wake-up was late by `latency`.
     pub fn pass(&mut self, latency: Duration) {
         self.quiet += latency;
         self.cycles += 1;
@@ -116,7 +116,7 @@ fn of_last(counted: Usage, late: Duration, quiet: Duration, cycles: u32) -> Usag
     counted
 }
 
-/// The second of the numbers in `text`.
+/// The second number in `text`.
 fn parse(text: &[u8]) -> Option<Duration> {
     let field = std::str::from_utf8(text)
         .ok()?
@@ -132,7 +132,7 @@ mod tests {
     #[test]
     fn what_quiet_cycles_may_have_counted_is_not_the_late_ones() {
         let micros = Duration::from_micros;
-        // Faults, switches, delay; quiet cycles and how late those were woken; what is left; µs, 400 µs late.
+        // Faults, switches, delay; quiet cycles and their wake-up latency; the result; in µs, for a cycle 400 µs late.
         let cases = [
             ((1, 0, Some(0)), (0, 0), (1, 0, Some(0))),
             ((1, 0, Some(0)), (10, 50), (0, 0, Some(0))),
