@@ -19,11 +19,11 @@ pub enum Model {
     Irb6,
     /// WUT IRp-6 on its pedestal, six axes.
     Irp6,
-    /// The same robot as calibrated in February 2007.
+    /// WUT IRp-6 on its pedestal, as calibrated in February 2007.
     Irp6Calibrated,
     /// WUT IRp-6 on its track, seven axes.
     Irp6Track,
-    /// The same robot as calibrated in February 2007.
+    /// WUT IRp-6 on its track, as calibrated in February 2007.
     Irp6TrackCalibrated,
     /// WUT RNT, three legs and a wrist. All parameters are nominal, not measured.
     Rnt,
