@@ -4,11 +4,11 @@ use crate::{Knot, MAX_AXES};
 
 /// A straight stop: all motors decelerate together and come to rest at the same time.
 ///
-/// The stop starts from the set-points that were sent: the initial velocity is the last step over the period. From there
-/// each step of a motor is shorter than the step before by the same amount, |v| / N. N is the number of periods that the
-/// slowest motor needs at its greatest acceleration. All steps stay in proportion, so the motors stop along the straight
-/// line of their motion. No motor brakes harder than its limit, the velocity has no jump at either end, and the last
-/// set-point is exactly at rest. Motor *i* travels v·dt·(N − 1) / 2.
+/// The stop starts from the set-points that were sent: the initial velocity is the last step over the period. From
+/// there each step of a motor is shorter than the step before by the same amount, |v| / N. N is the number of periods
+/// that the slowest motor needs at its greatest acceleration. All steps stay in proportion, so the motors stop along
+/// the straight line of their motion. No motor brakes harder than its limit, the velocity has no jump at either end,
+/// and the last set-point is exactly at rest. Motor *i* travels v·dt·(N − 1) / 2.
 #[derive(Clone, Copy, Debug)]
 pub struct StraightStop {
     from: [Knot; MAX_AXES],

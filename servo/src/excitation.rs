@@ -12,8 +12,9 @@ const SHARE: f64 = 0.25;
 /// A sequence added at an axis during motion; see [`Servo::excite`](crate::Servo::excite).
 ///
 /// Where the servo closes the position loop, the sequence is added to the output of the law, in the unit of the output
-/// (rad/s, N·m or a duty). Where the drive closes the loop, the sequence is a torque, N·m, sent beside the position, if the
-/// drive takes one ([`ServoAxisConfig::torque_offset`]). Otherwise the sequence is added to the commanded position, rad.
+/// (rad/s, N·m or a duty). Where the drive closes the loop, the sequence is a torque, N·m, sent beside the position, if
+/// the drive takes one ([`ServoAxisConfig::torque_offset`]). Otherwise the sequence is added to the commanded position,
+/// rad.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Excitation {
     /// One value per cycle; the sequence repeats.

@@ -107,8 +107,9 @@ impl Loop {
         (self.cycles, self.periods) = (0, 0);
     }
 
-    /// One cycle: returns the set-point for the drive from the set-point `knot` and the torque, N·m, that holds the weight
-    /// there. `excitation` is added to the output; afterwards `excitation` holds the part that the output limit let pass.
+    /// One cycle: returns the set-point for the drive from the set-point `knot` and the torque, N·m, that holds the
+    /// weight there. `excitation` is added to the output; afterwards `excitation` holds the part that the output limit
+    /// let pass.
     pub(crate) fn regulate(
         &mut self,
         knot: Knot,
@@ -154,12 +155,13 @@ impl Loop {
         }
     }
 
-    /// Bumpless transfer: moves the integral part of the law at rest, N·m, into the feed-forward torque, at most `torque`, and
-    /// returns the amount moved.
+    /// Bumpless transfer: moves the integral part of the law at rest, N·m, into the feed-forward torque, at most
+    /// `torque`, and returns the amount moved.
     ///
-    /// Where weight is fed forward, the rest of the output at standstill opposes dry friction. The transfer drops that part, up
-    /// to the friction of the axis, since the next motion may start in the other direction and has its friction fed forward.
-    /// The axis keeps sticking meanwhile, unless it carries an unknown load: then the torque steps by the friction at most.
+    /// Where weight is fed forward, the rest of the output at standstill opposes dry friction. The transfer drops that
+    /// part, up to the friction of the axis, since the next motion may start in the other direction and has its
+    /// friction fed forward. The axis keeps sticking meanwhile, unless it carries an unknown load: then the torque
+    /// steps by the friction at most.
     pub(crate) fn hand_over(&mut self, torque: f64) -> f64 {
         let FeedForward {
             weight,

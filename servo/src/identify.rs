@@ -1,23 +1,25 @@
 //! The frequency response of an axis from what a servo recorded of it, and the numbers that tell a good loop.
 //!
 //! An axis whose position loop the servo closes is excited at the input of its plant. The open loop is the ratio of the
-//! law's output to the drive's input, with its sign reversed. Disturbances that do not repeat with the excitation, and do
-//! not saturate the law, leave the ratio unchanged.
+//! law's output to the drive's input, with its sign reversed. Disturbances that do not repeat with the excitation, and
+//! do not saturate the law, leave the ratio unchanged.
 //!
-//! A loop that the drive closes is excited by a torque added to the torque of the drive's velocity loop (object 0x60B2),
-//! where the drive has that object. The added torque and the whole torque of the drive (0x6077) give the loop as cut at
-//! the torque. This open loop contains all loops of the drive: the crossover of the fastest loop and the margin of all.
-//! Hold and sampling of the drive are compensated, which requires the drive's own period; an unknown period counts as half
-//! a period of dead time. Without 0x60B2 the command is excited, and the closed loop is measured: how the sample follows
-//! the command whose effect it shows, [`DriveGroup::delay`](drive::DriveGroup::delay) cycles before.
+//! A loop that the drive closes is excited by a torque added to the torque of the drive's velocity loop (object
+//! 0x60B2), where the drive has that object. The added torque and the whole torque of the drive (0x6077) give the loop
+//! as cut at the torque. This open loop contains all loops of the drive: the crossover of the fastest loop and the
+//! margin of all. Hold and sampling of the drive are compensated, which requires the drive's own period; an unknown
+//! period counts as half a period of dead time. Without 0x60B2 the command is excited, and the closed loop is measured:
+//! how the sample follows the command whose effect it shows, [`DriveGroup::delay`](drive::DriveGroup::delay) cycles
+//! before.
 //!
-//! Dry friction damps a motor that reverses during the excitation, and shows more margin than the loop has: 12° more at a
-//! light axis with a chirp of the greatest torque. A lower amplitude or a higher velocity shows the true margin.
+//! Dry friction damps a motor that reverses during the excitation, and shows more margin than the loop has: 12° more at
+//! a light axis with a chirp of the greatest torque. A lower amplitude or a higher velocity shows the true margin.
 //!
-//! An axis is measured while it moves at constant velocity ([`Run`]), since dry friction holds an axis at rest. Sequences
-//! are periodic. Every two successive periods are transformed under a Hann window, which separates neighbouring lines,
-//! weighs every part of a sequence alike, and suppresses drift (Pintelon and Schoukens, System Identification, 2012,
-//! chapter 2). The coherence is the agreement of these blocks; since the blocks overlap, the coherence is slightly high.
+//! An axis is measured while it moves at constant velocity ([`Run`]), since dry friction holds an axis at rest.
+//! Sequences are periodic. Every two successive periods are transformed under a Hann window, which separates
+//! neighbouring lines, weighs every part of a sequence alike, and suppresses drift (Pintelon and Schoukens, System
+//! Identification, 2012, chapter 2). The coherence is the agreement of these blocks; since the blocks overlap, the
+//! coherence is slightly high.
 //!
 //! # The loops of the families
 //!

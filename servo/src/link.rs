@@ -30,9 +30,9 @@ pub struct Macrostep {
     pub velocity: [f64; MAX_AXES],
     /// Motor torques that hold the weight of links and load at its end, N·m; zero where none is known.
     ///
-    /// Loops that the servo closes add the torques to their output by [`FeedForward::weight`](crate::FeedForward::weight).
-    /// Drives that close the position loop do not receive them. The torques change linearly over the macrostep, and stay
-    /// where a motion ends or is stopped.
+    /// Loops that the servo closes add the torques to their output by
+    /// [`FeedForward::weight`](crate::FeedForward::weight). Drives that close the position loop do not receive them.
+    /// The torques change linearly over the macrostep, and stay where a motion ends or is stopped.
     pub torque: [f64; MAX_AXES],
 }
 

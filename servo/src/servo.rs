@@ -17,13 +17,20 @@ use crate::{
 
 /// Steps every effector of a cell on one tick grid.
 ///
-/// # The cycle [`step`](Self::step) reads and checks the samples that the drives took at the last SYNC. Then the function finds, checks and writes the next set-points, and sends SYNC with them. [`prepare`](Self::prepare) and [`send`](Self::send) are the two parts of `step`. A thread may prepare shortly before the deadline and send exactly at it, so that only SYNC carries the jitter. In both cases a cycle costs at most one system call each way per bus, and two periods pass from sample to effect.
+/// # The cycle
+/// [`step`](Self::step) reads and checks the samples that the drives took at the last SYNC. Then the function finds,
+/// checks and writes the next set-points, and sends SYNC with them. [`prepare`](Self::prepare) and
+/// [`send`](Self::send) are the two parts of `step`. A thread may prepare shortly before the deadline and send exactly
+/// at it, so that only SYNC carries the jitter. In both cases a cycle costs at most one system call each way per bus,
+/// and two periods pass from sample to effect.
 ///
 /// None of the three functions allocates, locks, formats or waits. The deadline of a cycle is the nominal time of its
 /// SYNC. A caller that misses a deadline skips the cycle and reports the miss by [`missed`](Self::missed). The motion
 /// is then late by the missed periods, but never faster: set-points always advance by one nominal period.
 ///
-/// # Stops Every stop first brakes the effector along a straight line within its acceleration limits ([`StraightStop`](crate::StraightStop)). A [`StopRequest`] brakes all effectors, and then switches them off.
+/// # Stops
+/// Every stop first brakes the effector along a straight line within its acceleration limits
+/// ([`StraightStop`](crate::StraightStop)). A [`StopRequest`] brakes all effectors, and then switches them off.
 pub struct Servo {
     period: Duration,
     max_missed_in_row: u32,

@@ -5,11 +5,11 @@ use crate::Phase;
 /// State of an effector: [`Phase`] plus details for the servo.
 ///
 /// An effector is off, on and still, or between the two. Motion begins from standing and returns to standing when the
-/// macrosteps end at rest. An order, a fault or a stop request that ends motion brakes first. The servo brakes motion that
-/// the servo commands ([`State::Braking`]); the drive brakes motion that the drive commands, homing ([`State::Halting`]).
-/// The state after braking is decided when braking begins and can only become stricter: stand, then off, then faulted.
-/// A fault of an effector at rest takes its power at once. The loss of a loop that the servo closes takes the power at
-/// once in every state (category 0).
+/// macrosteps end at rest. An order, a fault or a stop request that ends motion brakes first. The servo brakes motion
+/// that the servo commands ([`State::Braking`]); the drive brakes motion that the drive commands, homing
+/// ([`State::Halting`]). The state after braking is decided when braking begins and can only become stricter: stand,
+/// then off, then faulted. A fault of an effector at rest takes its power at once. The loss of a loop that the servo
+/// closes takes the power at once in every state (category 0).
 ///
 /// ```text
 /// Off ──Enable──▶ Enabling ──Done──▶ Standing ──Move──▶ Moving ──Done──▶ Standing

@@ -10,11 +10,11 @@
 //! that slot and waits for the next one, so two SYNCs are never closer than half a period. [`Servo::missed`] describes
 //! the effect of too many missed deadlines. An emulated cell can avoid this effect: see [`CellTime`].
 //!
-//! **A late cycle** is explained: [`Timing::late`] counts the causes and keeps the worst cycles. The clock is read between
-//! the phases of a cycle. The kernel's account of the thread (`getrusage`, `/proc/thread-self/schedstat`) is read in the
-//! slack after SYNC: after each late or disturbed cycle, and after one quiet cycle in 16. The reading in quiet cycles
-//! separates their accumulated delays from the delay of one cycle. The cycles around the worst are kept phase by phase,
-//! and so are the cycles around a requested moment: see [`Finished::spikes`] and [`start`].
+//! **A late cycle** is explained: [`Timing::late`] counts the causes and keeps the worst cycles. The clock is read
+//! between the phases of a cycle. The kernel's account of the thread (`getrusage`, `/proc/thread-self/schedstat`) is
+//! read in the slack after SYNC: after each late or disturbed cycle, and after one quiet cycle in 16. The reading in
+//! quiet cycles separates their accumulated delays from the delay of one cycle. The cycles around the worst are kept
+//! phase by phase, and so are the cycles around a requested moment: see [`Finished::spikes`] and [`start`].
 //!
 //! **Time** seen by the control laws is the nominal period, however late a cycle is. [`Record::dt`](crate::Record)
 //! holds the real time.
@@ -25,8 +25,8 @@
 //! itself switches the power off at once (category 0). [`Finished::panicked`] reports the panic, and the panic hook
 //! receives its message. If the process dies, only the drives' own reaction to silence stops them.
 //!
-//! **Real-time needs** are asked for one by one: SCHED_FIFO or SCHED_DEADLINE, a CPU, locked memory, timer slack of
-//! 1 ns, and no deep idle states while the thread runs (`/dev/cpu_dma_latency`). Threads and processes that it starts do
+//! **Real-time needs** are asked for one by one: SCHED_FIFO or SCHED_DEADLINE, a CPU, locked memory, timer slack of 1
+//! ns, and no deep idle states while the thread runs (`/dev/cpu_dma_latency`). Threads and processes that it starts do
 //! not inherit the scheduling. The wait decides when the thread runs: the kernel's period under SCHED_DEADLINE begins
 //! whenever the thread wakes, and only bounds its processor time. Requests that the host denies are returned as
 //! [`Denial`]s, which name the setting that grants the request. With [`Realtime::Require`] a denial refuses the start.

@@ -8,7 +8,11 @@ use crate::{AxisCommand, AxisState, BringUpError, Warnings};
 
 /// All drives behind one port. Their axes may belong to several robots.
 ///
-/// # The cycle At the deadline of cycle *k* the servo calls [`read`](Self::read), computes, [`write`](Self::write)s and [`send`](Self::send)s. `send` hands the port one batch: SYNC *k* first, then the set-points. At SYNC *k* the drives sample, and latch the set-points of batch *k − 1*. Their answers are read at cycle *k + 1*. Two periods pass from sample to effect. All groups of a process are sent at one tick, so their drives latch together.
+/// # The cycle
+/// At the deadline of cycle *k* the servo calls [`read`](Self::read), computes, [`write`](Self::write)s and
+/// [`send`](Self::send)s. `send` hands the port one batch: SYNC *k* first, then the set-points. At SYNC *k* the drives
+/// sample, and latch the set-points of batch *k − 1*. Their answers are read at cycle *k + 1*. Two periods pass from
+/// sample to effect. All groups of a process are sent at one tick, so their drives latch together.
 ///
 /// `read`, `write` and `send` neither wait nor allocate, and each makes at most one system call.
 pub trait DriveGroup: Send {

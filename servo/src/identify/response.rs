@@ -80,13 +80,15 @@ pub fn respond(
 
 /// Open loop of a drive, cut at its torque, from the response of its loops to an added torque.
 ///
-/// `answered` is the torque by which the loops oppose the added torque, and `left` is the sum of both. The drive samples
-/// both at the end of each hold period of `dt` seconds. The loops of the drive turn every `drive_period` seconds.
+/// `answered` is the torque by which the loops oppose the added torque, and `left` is the sum of both. The drive
+/// samples both at the end of each hold period of `dt` seconds. The loops of the drive turn every `drive_period`
+/// seconds.
 ///
-/// The opposing share is T = L / (1 + L), so L = T / (1 - T). A value held for a period acts half a period late, and its
-/// amplitude falls at high frequencies. A sample shows the value held for one drive period, and is half a drive period
-/// older than the value's effect. Both effects are compensated, since they are not part of the loop. At high loop gain
-/// `left` is small, and at low loop gain `answered` is small: the coherence of a point is the lower of the two.
+/// The opposing share is T = L / (1 + L), so L = T / (1 - T). A value held for a period acts half a period late, and
+/// its amplitude falls at high frequencies. A sample shows the value held for one drive period, and is half a drive
+/// period older than the value's effect. Both effects are compensated, since they are not part of the loop. At high
+/// loop gain `left` is small, and at low loop gain `answered` is small: the coherence of a point is the lower of the
+/// two.
 pub(super) fn opened(answered: &[Point], left: &[Point], dt: f64, drive_period: f64) -> Vec<Point> {
     const HALF_TURN: f64 = TAU / 2.0;
     let open = |(point, left): (&Point, &Point)| {

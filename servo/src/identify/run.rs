@@ -120,8 +120,8 @@ impl Trace {
 
     /// The frequency response of an axis at `lines`; `None` if the run was interrupted.
     ///
-    /// The response is the open loop where the servo closes the position loop or the drive takes a torque, and the closed
-    /// loop otherwise. `delay` is the [`DriveGroup::delay`](drive::DriveGroup::delay) of the drive group.
+    /// The response is the open loop where the servo closes the position loop or the drive takes a torque, and the
+    /// closed loop otherwise. `delay` is the [`DriveGroup::delay`](drive::DriveGroup::delay) of the drive group.
     pub fn response(
         &self,
         run: &Run,

@@ -71,7 +71,8 @@ impl Account {
         (self.quiet, self.cycles) = (Duration::ZERO, 0);
     }
 
-    /// Counts of the disturbed cycle that was `late`, without the share of the quiet cycles before. Restarts the counts.
+    /// Counts of the disturbed cycle that was `late`, without the share of the quiet cycles before. Restarts the
+    /// counts.
     pub fn settle(&mut self, late: Duration) -> Usage {
         let (before, quiet, cycles) = (self.last, self.quiet, self.cycles);
         self.begin();
@@ -89,7 +90,8 @@ impl Account {
         }
     }
 
-    /// Time that the thread was runnable and did not run: the second field, ns (Documentation/scheduler/sched-stats.rst).
+    /// Time that the thread was runnable and did not run: the second field, ns
+    /// (Documentation/scheduler/sched-stats.rst).
     fn delay(&self) -> Option<Duration> {
         let mut text = [0; 64];
         let read = self.schedstat.as_ref()?.read_at(&mut text, 0).ok()?;
