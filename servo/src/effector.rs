@@ -224,8 +224,7 @@ impl Effector {
     /// Checks drive faults, following errors, limit switches and overruns, and updates the tracking statistics.
     ///
     /// A closed limit switch stops an effector that continues towards the switch, or that the switch holds back from
-    /// its commanded position. An axis that rests on the switch or moves away from it is not stopped, so it can leave
-    /// the switch.
+    /// its commanded position. An axis may rest on the switch or move away from the switch.
     fn check(&mut self, tick: &Tick) {
         if let Some(missed) = tick.overrun {
             // In the missed cycles, the drives stood at their last set-points or continued by them.

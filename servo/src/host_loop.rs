@@ -7,8 +7,8 @@ use crate::regulator::{Cascade, Incremental, Proportional};
 use crate::{FeedForward, HostLoop, Knot, Law, Output};
 
 /// Number of samples in a row above the limit that count as a runaway. A cycle may be half a period late without being
-/// counted. Its sample then shows the displacement of one and a half periods as that of one period. The next sample is
-/// punctual and shows the true velocity.
+/// counted. The sample then shows the displacement of one and a half periods as that of one period. The next sample
+/// is punctual and shows the true velocity.
 const RUNAWAY_SAMPLES: u32 = 2;
 
 /// The loop of one axis.

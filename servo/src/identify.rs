@@ -35,11 +35,13 @@
 //! | CiA 402 by velocity (CSV), as for the RNT | proportional, delay 3 | 50 / s | 8.4 | 82.3° |
 //! | CiA 402 by position (CSP): the IRb-6's axes | the drive's: velocity loop at 45 Hz, position at a fifth | the drive's | 46.4, 48.6, 40.4, 48.9, 52.0 | 35.6°, 37.4°, 38.9°, 37.7°, 40.6° |
 //!
-//! From sample to effect two periods pass on CAN and one on a serial line; with half a period of hold and
-//! half of the velocity's difference that is 6 ms and 4 ms at 2 ms. Hence the two thirds: delay times bandwidth, and
-//! with it the margin, stay the same.
+//! From sample to effect, two periods pass on CAN and one period on a serial line. The hold adds half a period, and the
+//! velocity difference another half. At a period of 2 ms, the total delay is 6 ms on CAN and 4 ms on a serial line. The
+//! gains on CAN are therefore two thirds of the serial ones: the product of delay and bandwidth, and with it the margin,
+//! stays the same.
 //!
-//! This module moves nothing: [`Servo::excite`](crate::Servo::excite) does, by an [`Excitation`](crate::Excitation).
+//! This module only evaluates records. [`Servo::excite`](crate::Servo::excite) excites the axis by an
+//! [`Excitation`](crate::Excitation).
 
 mod response;
 mod run;

@@ -19,8 +19,8 @@ const POSITIVE_END: [i8; 4] = [2, 18, -1, -3];
 /// Greatest distance of home from such an end, rad. A switch, an index pulse and a buffer lie in between.
 const NEAR_END: f64 = FARTHEST_INDEX;
 
-/// Greatest travel of an axis with ends, rad. An axis with a greater travel turns without end, and its limits are
-/// those of its counter.
+/// Greatest travel of an axis with ends, rad. A greater travel means an axis without ends, whose limits are those of
+/// the counter.
 const ENDLESS: f64 = 1e5;
 
 /// Longest time of a search across the travel, s. The ways to the end, back, and off a switch as wide as the travel
