@@ -60,7 +60,7 @@ pub fn run(cell: &CellFile, bench: BenchKind, tasks: &MakeTasks) -> Result<RunRe
     run::run(cell, &options, &Requests::default(), tasks, &mut |_| {})
 }
 
-/// What a robot program needs, in one `use`.
+/// All items that a robot program needs, for one `use`.
 pub mod prelude {
     pub use std::process::ExitCode;
     pub use std::time::Duration;

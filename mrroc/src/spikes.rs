@@ -1,4 +1,4 @@
-//! The cycles around the latest ones as a file for <https://ui.perfetto.dev> or chrome://tracing.
+//! The cycles around those with the greatest lateness, as a file for <https://ui.perfetto.dev> or chrome://tracing.
 //!
 //! The format is trace-event JSON. Each spike is a separate process with one track for the thread and one for
 //! deadlines. All spikes are shifted in time to align their late deadlines, so that common features are visible. The

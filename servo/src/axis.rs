@@ -182,7 +182,7 @@ impl Axis {
     ///
     /// A drive that closes the position loop stands at its last set-point. A motor whose loop the servo closes
     /// continues at its last measured velocity, also during the `missed` deadlines, because a torque set-point does
-    /// not stop the motor. A lost axis keeps its last set-point, because its last velocity no longer tells its
+    /// not stop the motor. A lost axis keeps its last set-point, because its last velocity does not give its
     /// position.
     pub(crate) fn rest(&mut self, missed: u32, dt: f64) {
         let lost = self.is_lost();

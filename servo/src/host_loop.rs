@@ -7,8 +7,8 @@ use crate::regulator::{Cascade, Incremental, Proportional};
 use crate::{FeedForward, HostLoop, Knot, Law, Output};
 
 /// Number of samples in a row above the limit that count as a runaway. A cycle may be half a period late without being
-/// counted. The sample then shows the displacement of one and a half periods as that of one period. The next sample
-/// is punctual and shows the true velocity.
+/// counted. The sample then shows the displacement of one and a half periods, which looks like one period. The next
+/// sample is punctual and shows the true velocity.
 const RUNAWAY_SAMPLES: u32 = 2;
 
 /// The loop of one axis.
@@ -160,7 +160,7 @@ impl Loop {
     ///
     /// Where weight is fed forward, the rest of the output at standstill opposes dry friction. The transfer drops that
     /// part, up to the friction of the axis, since the next motion may start in the other direction and has its
-    /// friction fed forward. The axis keeps sticking meanwhile, unless it carries an unknown load: then the torque
+    /// friction fed forward. The axis sticks during the transfer, unless it carries an unknown load: then the torque
     /// steps by the friction at most.
     pub(crate) fn hand_over(&mut self, torque: f64) -> f64 {
         let FeedForward {

@@ -1,4 +1,4 @@
-//! The frequency response of an axis from what a servo recorded of it, and the numbers that tell a good loop.
+//! Frequency response of an axis, computed from the records of a servo, and the crossover and margin of its loop.
 //!
 //! An axis whose position loop the servo closes is excited at the input of its plant. The open loop is the ratio of the
 //! law's output to the drive's input, with its sign reversed. Disturbances that do not repeat with the excitation, and
@@ -24,7 +24,7 @@
 //! # The loops of the families
 //!
 //! Measured by `mrroc identify` on the emulated benches with nominal motors, at 10 rad/s of the motor and a period of
-//! 2 ms. The first rows are of the column. `tests/system/identify.rs` and `tests/system/loops` hold the figures.
+//! 2 ms. Rows with one value are for the column. `tests/system/identify.rs` and `tests/system/loops` hold the figures.
 //!
 //! | family | loop | gains | crossover, Hz | margin |
 //! |---|---|---|---|---|

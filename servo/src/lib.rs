@@ -1,7 +1,7 @@
 //! The fixed-period cycle: `Servo::step(now)` = read → check → regulate → limit → write.
 //!
-//! A cell has one [`Servo`], which steps every effector on one tick grid. [`thread`] is the only part of this crate
-//! that waits for deadlines. [`lockstep`] runs the same functions in virtual time. The controller talks to an effector
+//! A cell has one [`Servo`], which steps every effector on one tick grid. Only [`thread`] waits for deadlines.
+//! [`lockstep`] runs the same functions in virtual time. The controller talks to an effector
 //! over an [`EffectorLink`], a macrostep at a time.
 //!
 //! Either the drives or the servo ([`HostLoop`]) close the position loops. The servo can also home the axes whose

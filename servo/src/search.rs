@@ -91,7 +91,7 @@ pub enum HomingFailure {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Search {
     config: HostHoming,
-    /// Sign of the increments per radian, which tells the limit switch in each direction.
+    /// Sign of the increments per radian, which determines the limit switch in each direction.
     counter: f64,
     phase: Phase,
     /// Start time of the phase, and the distance travelled in the phase, rad.

@@ -59,7 +59,7 @@ pub enum After {
     Fault,
 }
 
-/// What happens to an effector.
+/// Event at an effector.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Event {
     /// [`Order::Enable`](crate::Order::Enable).

@@ -189,7 +189,7 @@ pub struct Finished {
     pub servo: Servo,
     /// Punctuality of the cycles.
     pub timing: Timing,
-    /// The cycles around the latest cycles, the worst first, and around the last request.
+    /// The cycles around the cycles with the greatest lateness, the worst first, and around the last request.
     pub spikes: Vec<Spike>,
     /// The denied requests.
     pub denied: Vec<Denial>,

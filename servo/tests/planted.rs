@@ -341,8 +341,8 @@ fn plant(plant: Plant, cause: Cause) -> (u64, u64) {
     (right, planted)
 }
 
-/// Checks that a spike contains its late cycle and the cycles around it, and that each phase begins at the end of the
-/// previous one.
+/// Checks the recording of a spike: the late cycle and the cycles around it are present, and each phase begins at the
+/// end of the previous phase.
 fn traced(spike: &Spike) {
     let late = spike.late.expect("nobody asked for one");
     let cycles = &spike.cycles;

@@ -246,9 +246,9 @@ pub enum BringUpError {
         index: u16,
         /// Sub-index.
         subindex: u8,
-        /// What was written.
+        /// The written value.
         written: u32,
-        /// What was read back.
+        /// The value read back.
         found: u32,
     },
     /// The drive accepted data but reads back other data.

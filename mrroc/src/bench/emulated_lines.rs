@@ -162,7 +162,7 @@ impl EmulatedLine {
         Ok(())
     }
 
-    /// Delivers the bytes that have arrived for the host, as far as the host reads them.
+    /// Delivers received bytes to the host, until the host stops reading.
     fn deliver(&mut self, world: &mut World, now: Instant) -> io::Result<()> {
         self.full = false;
         match &mut self.end {

@@ -235,8 +235,8 @@ fn ttys(file: &CellFile, directory: Option<&Path>) -> anyhow::Result<Vec<Vec<Box
     bundles.map(bundle).collect()
 }
 
-/// The axes of bundle `bundle` and their ttys: those named in the cell, or those that `mrroc emulate --serial` made in
-/// `directory`.
+/// The axes of bundle `bundle` and their ttys. The ttys are named in the cell, or `mrroc emulate --serial` made them
+/// in `directory`.
 fn tty_paths(file: &CellFile, bundle: usize, directory: Option<&Path>) -> Vec<(String, PathBuf)> {
     let path = |(robot, number): (usize, usize)| {
         let axis = file.axis_name(robot, number);

@@ -208,7 +208,7 @@ impl Axis {
         }
     }
 
-    /// Position loop of the axis, closed by drive or host. `weighs` tells that the weight of the robot is known.
+    /// Position loop of the axis, closed by drive or host. `weighs` is true if the weight of the robot is known.
     pub(super) fn position_loop(&self, weighs: bool) -> PositionLoop {
         let by_host =
             |given: &Loop, output| PositionLoop::Host(given.of(output, self.max_velocity, weighs));

@@ -87,8 +87,8 @@ pub struct Realtime {
     pub policy: Policy,
     /// Scheduling policy of the servo thread.
     pub scheduler: Scheduler,
-    /// Priority under SCHED_FIFO, 1 to 99. The priority of the controller's thread is derived from it and lower, under
-    /// either scheduler.
+    /// Priority of the servo thread under SCHED_FIFO, 1 to 99. Under either scheduler, the controller's thread runs
+    /// under SCHED_FIFO, 10 below this value but at least at 1.
     pub priority: u8,
     /// The CPU for the servo thread; any CPU where absent. Must be absent with `scheduler = "deadline"`.
     pub cpu: Option<usize>,

@@ -58,7 +58,7 @@ pub struct NodeReport {
     pub sync_to_tpdo_us: Option<Percentiles>,
     /// SYNCs without an answer.
     pub unanswered: u64,
-    /// Answers behind the next SYNC, as far as they can be recognised.
+    /// Answers that came after the next SYNC and were recognised as late.
     pub late: u64,
     /// Answers without a SYNC.
     pub surplus: u64,

@@ -14,18 +14,18 @@ const STALE: u32 = 16;
 /// disturbs its own cycle, after which the account is read.
 const FAULT: Duration = Duration::from_micros(2);
 
-/// How often the kernel's account of the thread was read, each time with two system calls, and why.
+/// Number of readings of the kernel's account of the thread by reason. Each reading takes two system calls.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AccountReads {
     /// After a cycle that was late or otherwise out of the ordinary.
     pub disturbed: u64,
     /// After the last of 16 quiet cycles.
     pub quiet: u64,
-    /// Before the wait, since what followed a cycle took more than a hundredth of the period.
+    /// Before the wait, because the work after a cycle took more than a hundredth of the period.
     pub slack: u64,
 }
 
-/// What the kernel counted for one thread since it was read last.
+/// Counts of the kernel for one thread since the last reading.
 #[derive(Debug)]
 pub struct Account {
     /// `/proc/thread-self/schedstat`, opened before the first cycle; none where the kernel has none.
@@ -99,8 +99,8 @@ impl Account {
     }
 }
 
-/// The part of `counted` that delayed the last cycle, which was `late`. The quiet `cycles` before were woken `quiet`
-/// late in total.
+/// The part of `counted` that delayed the last cycle, whose lateness was `late`. `quiet` is the sum of the wake-up
+/// latencies of the quiet `cycles` before.
 fn of_last(counted: Usage, late: Duration, quiet: Duration, cycles: u32) -> Usage {
     let mut counted = counted;
     if counted.switches == 0 {
@@ -108,7 +108,7 @@ fn of_last(counted: Usage, late: Duration, quiet: Duration, cycles: u32) -> Usag
         counted.delay = counted.delay.map(|delay| delay.saturating_sub(quiet));
     }
     if cycles > 0 {
-        // Which cycle they belong to is unknown: few page faults, or a switch, may belong to any of the cycles.
+        // The counts may belong to any of the cycles: few page faults, or a context switch.
         let took = FAULT.saturating_mul(u32::try_from(counted.faults).unwrap_or(u32::MAX));
         if took < late / 2 {
             counted.faults = 0;

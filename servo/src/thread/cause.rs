@@ -51,7 +51,7 @@ impl Cause {
 
     /// The cause of a cycle that was `late`, from the times of its parts and the kernel's counts.
     ///
-    /// A pause by the hypervisor during a part of the cycle cannot be told from the work of that part.
+    /// A pause by the hypervisor during a part of the cycle cannot be distinguished from the work of that part.
     pub fn of_cycle(late: Duration, spent: &Spent, counted: Usage) -> Self {
         // A cause must explain at least half of the lateness.
         let preempted = match counted.delay {

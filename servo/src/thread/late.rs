@@ -61,7 +61,7 @@ impl LateCycles {
         Cause::ALL.into_iter().zip(self.counts)
     }
 
-    /// The eight latest cycles, the worst first.
+    /// The eight cycles with the greatest lateness, the worst first.
     pub fn worst(&self) -> impl Iterator<Item = LateCycle> {
         self.worst.iter().copied().flatten()
     }

@@ -108,11 +108,11 @@ struct Pending {
     left: usize,
 }
 
-/// Keeps the cycles around the eight latest cycles and around the last request. The size is fixed: recording does not
-/// allocate.
+/// Keeps the cycles around the eight worst late cycles and around the last request. The size is fixed: recording does
+/// not allocate.
 ///
-/// Late cycles within 16 cycles of each other are one spike, named after the latest of them. A ninth spike replaces
-/// the spike with the smallest lateness, if its own is greater.
+/// Late cycles within 16 cycles of each other are one spike, named after the cycle with the greatest lateness. A ninth
+/// spike replaces the spike with the smallest lateness, if its own is greater.
 #[derive(Debug)]
 pub struct Tracer {
     ring: VecDeque<Stamps>,
@@ -193,7 +193,7 @@ impl Tracer {
         }
     }
 
-    /// The stored spikes, the latest first, and the requested recording at the end.
+    /// The stored spikes, the greatest lateness first, and the requested recording at the end.
     pub fn finish(mut self) -> Vec<Spike> {
         self.freeze(|_| true);
         self.spikes.push(self.on_request);
@@ -280,7 +280,8 @@ mod tests {
             // The run begins or ends near the spike.
             (200, &[(3, 30)], &[], &[(3, 0..=19)]),
             (105, &[(100, 30)], &[], &[(100, 41..=104)]),
-            // Late cycles that follow belong to the same spike, which is named after the latest cycle.
+            // Late cycles that follow belong to the same spike, which is named after the cycle
+            // with the greatest lateness.
             (200, &[(100, 30), (110, 20)], &[], &[(100, 53..=116)]),
             (200, &[(100, 20), (110, 30)], &[], &[(110, 63..=126)]),
             // The worst spike comes first, a requested one last.

@@ -21,7 +21,7 @@ use crate::{AxisCommand, AxisState, Fault, Increments, Permille, Power, Refusal}
 /// and acts on it afterwards. The SYNC after that samples the effect, and the following cycle reads the sample.
 pub(super) const ANSWERS_TO_EFFECT: u32 = 4;
 
-/// One drive during operation: its last answer, its commanded state and its latched fault.
+/// State of one drive during operation: last answer, commanded state and latched fault.
 ///
 /// Nothing here waits or allocates. The order of calls within a cycle is:
 /// 1. [`in_time`](Self::in_time), [`answered`](Self::answered), [`heard`](Self::heard) and
@@ -84,7 +84,7 @@ pub(super) struct Learnt {
     pub(super) position: Increments,
     /// Object 0x603F.
     pub(super) error_code: u16,
-    /// Mode of operation that the drive showed by itself since its start.
+    /// Mode of operation that the drive reported unasked since its start.
     pub(super) mode_shown: Option<ModeOfOperation>,
 }
 

@@ -11,7 +11,7 @@ use super::config::{AxisConfig, ConfigError, GroupConfig, Setting};
 use super::program::{Step, program};
 use crate::{BringUpError, Increments};
 
-/// How often a node may boot before it counts as not booting.
+/// Greatest number of boots of a node in one bring-up. A node that boots again has failed to boot.
 const BOOTS: u8 = 3;
 
 /// Device profile of a drive, in the low half of object 0x1000.
@@ -112,7 +112,7 @@ impl NodeBringUp {
         }
     }
 
-    /// Takes a heartbeat or boot-up message. A boot-up replaces `sdo` by a new client.
+    /// Takes a heartbeat or boot-up message. A boot-up resets the client `sdo`.
     pub(super) fn heard(&mut self, state: nmt::State, sdo: &mut Client, now: Instant) {
         match (self.phase, state) {
             (Phase::Starting { .. }, nmt::State::Operational) => self.phase = Phase::Operational,

@@ -36,7 +36,8 @@ impl fmt::Display for Sign {
 }
 
 impl Sign {
-    /// The sign in a received frame, if any. `host` is the host's node-ID, and `is_ours` tells the drives of the bus.
+    /// The sign in a received frame, if any. `host` is the host's node-ID, and `is_ours`
+    /// returns whether a node is a drive of the group.
     pub(super) fn of(
         frame: &Frame,
         host: NodeId,

@@ -22,8 +22,8 @@ pub struct Traffic {
     pub what: &'static str,
 }
 
-/// All traffic of a group during operation, except EMCY. Service frames are counted at their greatest rate of one
-/// request and one answer a cycle, although they occur only during a change of mode.
+/// All traffic of a group during operation, except EMCY. Service frames occur only during a change of mode. The
+/// result counts them at their greatest rate: one request and one answer per cycle.
 pub(super) fn of(config: &GroupConfig, axes: &[AxisConfig]) -> Vec<Traffic> {
     let cycle = |cob_id, bytes, what| Traffic {
         cob_id,
