@@ -6,8 +6,9 @@
 //! - On SocketCAN, the listener is a socket that also receives the frames of other sockets of this host (kernel
 //!   documentation, networking/can.rst, "Local Loopback of Sent Frames"). The driver of a card loops such a frame back
 //!   after sending. For a driver without this function, such as that of `slcand`, the CAN core loops the frame back at
-//!   the handover to the driver. The report names this case. vcan sends at once. The time stamps are those of the kernel,
-//!   taken where the driver passes a frame on. If every frame has a time stamp of the card, those are used instead.
+//!   the handover to the driver. The report names this case. vcan sends at once. The time stamps are those of the
+//!   kernel, taken where the driver passes a frame on. If every frame has a time stamp of the card, those are used
+//!   instead.
 //! - An slcan adapter on a tty and a serial line have no time stamps, and the report has no times for them.
 //!
 //! An ordinary thread reads the listeners. The servo thread bears only the kernel's delivery of a few more frames, or

@@ -67,13 +67,13 @@ pub struct ServoAxisConfig {
     pub increments_per_radian: f64,
     /// Whether the servo or the drive closes the position loop.
     pub position_loop: PositionLoop,
-    /// Rated torque of the motor, N·m, where a drive that closes the position loop takes a torque beside the position
-    /// ([`Setpoint::PositionWithTorque`](drive::Setpoint::PositionWithTorque)). [Excitations](crate::Excitation) are
-    /// such torques then.
+    /// Rated torque of the motor, N·m, if the drive closes the position loop and takes a torque beside the position
+    /// ([`Setpoint::PositionWithTorque`](drive::Setpoint::PositionWithTorque)). [Excitations](crate::Excitation) then
+    /// are such torques.
     pub torque_offset: Option<f64>,
     /// Homing by the servo; `None` if the drive homes the axis ([`AxisCommand::Home`](drive::AxisCommand::Home)).
-    /// Possible only where the servo closes the position loop. A drive that closes it would follow positions in the
-    /// old count, still under way, after its counter was set.
+    /// Possible only where the servo closes the position loop. After its counter was set, a drive that closes the
+    /// loop would still follow positions of the old count, which are under way.
     pub homing: Option<HostHoming>,
 }
 
@@ -103,7 +103,7 @@ pub enum ServoError {
         /// Its axes.
         axes: usize,
     },
-    /// An effector's queue holds nothing.
+    /// The queue of an effector has no capacity.
     #[error("effector {effector} has a queue of zero orders")]
     EmptyQueue {
         /// The effector.

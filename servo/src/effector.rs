@@ -18,7 +18,7 @@ use crate::{
     StopCause, StraightStop, TrackingError,
 };
 
-/// Longest time from the last set-point of a stop to standstill. The power is then switched off.
+/// Longest wait for standstill after the last set-point of a stop. The power is then switched off.
 const STANDSTILL_WAIT: Duration = Duration::from_millis(100);
 
 /// Number of cycles in a row in which a bus may refuse the set-points of a stop. After that, the drives count as
@@ -299,7 +299,7 @@ impl Effector {
     }
 
     /// Finds stops anywhere in the queue and executes them first. Orders queued before the stop keep their order,
-    /// except that macrosteps are dropped.
+    /// but motion, gates and homing among them are dropped.
     fn take_stops(&mut self, tick: &Tick) {
         if tick.stop {
             self.apply(tick, Event::Disable);

@@ -24,7 +24,8 @@
 //! # The loops of the families
 //!
 //! Measured by `mrroc identify` on the emulated benches with nominal motors, at 10 rad/s of the motor and a period of
-//! 2 ms. Rows with one value are for the column. `tests/system/identify.rs` and `tests/system/loops` hold the figures.
+//! 2 ms. Rows with one value are for the column, or for the axis named in the row. `tests/system/identify.rs` and
+//! `tests/system/loops` hold the figures.
 //!
 //! | family | loop | gains | crossover, Hz | margin |
 //! |---|---|---|---|---|
@@ -35,10 +36,10 @@
 //! | CiA 402 by velocity (CSV), as for the RNT | proportional, delay 3 | 50 / s | 8.4 | 82.3° |
 //! | CiA 402 by position (CSP): the IRb-6's axes | the drive's: velocity loop at 45 Hz, position at a fifth | the drive's | 46.4, 48.6, 40.4, 48.9, 52.0 | 35.6°, 37.4°, 38.9°, 37.7°, 40.6° |
 //!
-//! From sample to effect, two periods pass on CAN and one period on a serial line. The hold adds half a period, and the
-//! velocity difference another half. At a period of 2 ms, the total delay is 6 ms on CAN and 4 ms on a serial line. The
-//! gains on CAN are therefore two thirds of the serial ones: the product of delay and bandwidth, and with it the margin,
-//! stays the same.
+//! From sample to effect, two periods pass on CAN and one period on a serial line. The hold adds half a period, and
+//! the velocity difference another half. At a period of 2 ms, the total delay is 6 ms on CAN and 4 ms on a serial
+//! line. The gains on CAN are therefore two thirds of the serial ones: the product of delay and bandwidth, and with it
+//! the margin, stays the same.
 //!
 //! This module only evaluates records. [`Servo::excite`](crate::Servo::excite) excites the axis by an
 //! [`Excitation`](crate::Excitation).

@@ -31,7 +31,7 @@ enum Phase {
     /// Moves off the home switch to the index pulse.
     Zero {
         /// The home switch has opened in this phase. Only later index pulses count, because the point where the axis
-        /// rested on the switch depends on its speed.
+        /// rested on the switch depends on the speed of the axis.
         open: bool,
     },
     /// Brakes and then pauses, from the given time on, before the next phase.

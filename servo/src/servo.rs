@@ -30,7 +30,8 @@ use crate::{
 ///
 /// # Stops
 /// Every stop first brakes the effector along a straight line within its acceleration limits
-/// ([`StraightStop`](crate::StraightStop)). A [`StopRequest`] brakes all effectors, and then switches them off.
+/// ([`StraightStop`](crate::StraightStop)). Exceptions are a failed position loop and [`cut_power`](Self::cut_power),
+/// which switch the power off at once. A [`StopRequest`] brakes all effectors, and then switches them off.
 pub struct Servo {
     period: Duration,
     max_missed_in_row: u32,

@@ -25,7 +25,7 @@ pub(super) struct Before {
 
 impl Run {
     /// Finds the causes of a late cycle and of the slots skipped before it. The kernel's counts are read only after
-    /// something unusual. Returns the later of the two.
+    /// something unusual. Returns the one with the greater lateness.
     pub(super) fn explain(
         &mut self,
         late: Duration,
@@ -60,8 +60,8 @@ impl Run {
         worse
     }
 
-    /// Use of the time up to the end of a wait, for a cycle that `begun` at that time. A wait without a sleep after
-    /// skipped slots belongs to their delay, because the time since the previous SYNC is already explained.
+    /// Use of the time up to the end of a wait. `begun` is the time at which the caller was done. A wait without a
+    /// sleep after skipped slots belongs to their delay, because the time since the previous SYNC is already explained.
     pub(super) fn waited(&self, begun: Instant, awake: &Awake) -> Spent {
         let Before {
             sync, done, called, ..

@@ -176,7 +176,7 @@ struct Margin {
     spin: Duration,
     busy: Duration,
     longest: Duration,
-    /// Unused share of the spins, ns. A negative value is an excess to be saved later.
+    /// Unused share of the spins, ns. A negative value was borrowed from later cycles.
     credit: i64,
     /// Remaining cycles in which a late wake-up is expected.
     alert: u32,

@@ -264,8 +264,9 @@ impl Axis {
         }
     }
 
-    /// Ends the reading of a cycle: latches a fault for every expected answer, heartbeat or transmission that failed
-    /// for too long. `due` is true if the last cycle sent a SYNC. Returns the state and whether the answer is missing.
+    /// Ends the reading of a cycle. Latches faults of missing answers, heartbeats and transmissions, and of a node that
+    /// left the state operational. `due` is true if the last cycle had to send a SYNC. Returns the state and whether
+    /// the answer is missing.
     pub(super) fn end_of_read(&mut self, now: Instant, due: bool) -> (AxisState, bool) {
         let node = self.setup.node.raw();
         let missing = due && !self.answered;
