@@ -25,7 +25,7 @@ const HEARD: usize = 1 << 15;
 /// Capacity of the host's end of a virtual line in each direction, bytes: that of a tty's buffer.
 const LINE: usize = 4096;
 
-/// Time between two frames of the background traffic: a quarter of the load of a 1 Mbit/s bus.
+/// Time between two frames of the background traffic: a quarter of the capacity of a 1 Mbit/s bus.
 const CHATTER: Duration = Duration::from_micros(500);
 
 /// Identifier of the background traffic. It belongs to no node-ID and has a lower priority than all predefined

@@ -103,8 +103,8 @@ impl Interface {
         }
     }
 
-    /// Name of the interface in a candump log. Bus `bus` of the cell names a tty, because paths are too long for the
-    /// log.
+    /// Name of the interface in a candump log. The name of a tty contains `bus`, the index of the bus in the cell,
+    /// because the path would be too long.
     pub fn log_name(&self, bus: usize) -> String {
         match self {
             Self::SocketCan(name) => name.clone(),
