@@ -1,4 +1,4 @@
-//! Whether each bus of a cell can carry its traffic within the period.
+//! Bus budget: whether each bus of a cell can carry its traffic within the period.
 
 use std::time::Duration;
 
@@ -13,24 +13,24 @@ use serde::Serialize;
 use crate::cell_file::CellFile;
 use crate::setup;
 
-/// What one bus has to carry.
+/// Budget of one bus.
 #[derive(Debug, Serialize)]
 pub struct BusBudget {
     /// Name of the bus or bundle.
     pub name: String,
-    /// Share of the bus's time that its frames need in the long run, with as many stuff bits as can be, percent.
+    /// Long-term load of the bus with the greatest number of stuff bits, percent.
     pub load_percent: f64,
-    /// Share of the period after which the last frame of a cycle has left at the latest, percent.
+    /// Latest end of the last frame of a cycle, percent of the period.
     pub worst_case_percent: f64,
-    /// Every message of the bus.
+    /// All messages of the bus.
     pub messages: Vec<MessageBudget>,
-    /// The bit rate, of all lines of a bundle together.
+    /// The bit rate; for a bundle, the sum of all lines.
     pub bits_per_second: f64,
     /// Absent for a CAN bus.
     pub serial: Option<Bundle>,
 }
 
-/// A bundle of serial lines. Each carries the messages of one axis; loads and times are of one line.
+/// A bundle of serial lines. Each line carries the messages of one axis. Loads and times apply to one line.
 #[derive(Debug, Serialize)]
 pub struct Bundle {
     /// Protocol of the axis controllers.
@@ -48,26 +48,27 @@ pub struct Line {
     pub axis: String,
     /// The tty.
     pub line: String,
-    /// Where the protocol has addresses.
+    /// Address of the axis controller, where the protocol has addresses.
     pub address: Option<u8>,
 }
 
 /// One message of a bus.
 #[derive(Debug, Serialize)]
 pub struct MessageBudget {
-    /// What the message carries.
+    /// Content of the message.
     pub what: &'static str,
     /// COB-ID; absent for a telegram of a serial line.
     pub cob_id: Option<u16>,
     /// Length of the data, bytes.
     pub bytes: u8,
-    /// Time from one such message to the next, µs.
+    /// Time between two such messages, µs.
     pub period_us: u128,
-    /// From the start of the cycle to its last bit at the latest, µs; absent for what may take longer than a cycle.
+    /// Latest end of its last bit, from the start of the cycle, µs; absent for a message that may take longer than a
+    /// cycle.
     pub response_us: Option<u128>,
 }
 
-/// Computes the budget of every bus and refuses a cell that does not fit.
+/// Computes the budget of every bus, and refuses a cell that exceeds it.
 pub fn check(file: &CellFile) -> anyhow::Result<Vec<BusBudget>> {
     let buses = (0..file.cell.bus.len()).map(|bus| check_bus(file, bus));
     let lines = (0..file.cell.serial.len()).map(|bundle| check_lines(file, bundle));
@@ -84,7 +85,7 @@ fn check_bus(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
         setup::axis_configs(file, index),
     );
     let mut traffic = Cia402Group::<Box<dyn can::Port>>::traffic(&configs.0, &configs.1);
-    // What is not of the cycle leaves behind it.
+    // Messages outside the cycle are sent after the cyclic ones.
     traffic.sort_by_key(|traffic| traffic.period > period || is_service(traffic.cob_id));
     let messages = messages(&traffic, period, bus.host_node);
     let analysis = schedule::analyse(bitrate, period, &messages);
@@ -119,7 +120,7 @@ fn check_bus(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
     )))
 }
 
-/// Each line carries one telegram each way per period; the answer leaves once the request has come.
+/// Each line carries one telegram in each direction per period. The answer starts after the request has arrived.
 fn check_lines(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
     let bundle = &file.cell.serial[index];
     let period = file.cell.period();
@@ -174,12 +175,12 @@ fn check_lines(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
 
 /// The messages of a bus in the order of the senders' queues.
 ///
-/// Service frames are not urgent and flow only while a mode changes: they block, but what they load is left out.
+/// Service frames are not urgent and occur only during a change of mode. They count as blocking, but not in the load.
 fn messages(traffic: &[Traffic], period: Duration, host: u8) -> Vec<Message> {
     let message = |traffic: &Traffic| {
         let id = traffic.cob_id.raw();
         let node = (id & 0x7F) as u8;
-        // TPDOs, heartbeats and SDO answers come from the node their identifier names.
+        // TPDOs, heartbeats and SDO answers come from the node in their identifier.
         let from_node = matches!(id & 0x780, 0x180 | 0x280 | 0x580 | 0x700) && node != host;
         let service = is_service(traffic.cob_id);
         Message {
@@ -200,19 +201,19 @@ fn messages(traffic: &[Traffic], period: Duration, host: u8) -> Vec<Message> {
     traffic.iter().map(message).collect()
 }
 
-/// Whether a frame is of the SDO service, which the drives' mode changes use during operation.
+/// Whether a frame belongs to the SDO service, which drives use for changes of mode during operation.
 fn is_service(id: StandardId) -> bool {
     matches!(id.raw() & 0x780, 0x580 | 0x600)
 }
 
-/// What would fit instead: fewer axes, or a longer period.
+/// Proposals for a cell that fits: fewer axes, or a longer period.
 fn what_fits(bitrate: Bitrate, period: Duration, messages: &[Message], axes: usize) -> String {
     let fits =
         |messages: &[Message], period| schedule::analyse(bitrate, period, messages).busy <= period;
     let nodes: Vec<u8> = messages
         .iter()
         .filter_map(|message| match message.sender {
-            // Each has one answer, and at a long period more that come once a cycle.
+            // Each axis has one answer, and at a long period further messages once per cycle.
             Sender::Node(node) if message.id.raw() & 0x780 == 0x180 => Some(node),
             _ => None,
         })

@@ -1,5 +1,5 @@
-//! A cell file that was read and checked, with the device configuration files it names; what its programs ask for is not
-//! yet looked at.
+//! A cell file that was read and checked, with its device configuration files. The motions of its programs are not
+//! checked here.
 
 use std::path::{Path, PathBuf};
 
@@ -12,7 +12,7 @@ use crate::bench::interfaces::Interface;
 use crate::configuration::Configuration;
 use crate::input;
 
-/// A cell with the arms of its robots, and the text it came from.
+/// A cell with the arms of its robots, and the text of its file.
 pub struct CellFile {
     /// Path of the file.
     pub path: PathBuf,
@@ -20,14 +20,14 @@ pub struct CellFile {
     pub text: String,
     /// The cell.
     pub cell: Cell,
-    /// One per robot.
+    /// The arms, one per robot.
     pub arms: Vec<Arm>,
-    /// Of each axis of each robot that has a device configuration file.
+    /// The device configurations by robot and axis, where the cell names a file.
     configurations: Vec<Vec<Option<Configuration>>>,
 }
 
 impl CellFile {
-    /// Reads and checks a cell file. What its programs ask for is not looked at: that is a rehearsal's work.
+    /// Reads and checks a cell file. The motions of its programs are checked by a rehearsal.
     pub fn read(path: impl AsRef<Path>) -> anyhow::Result<Self> {
         let path = path.as_ref();
         let bytes = input::read(path, cell::LARGEST);
@@ -56,7 +56,7 @@ impl CellFile {
         Ok(file)
     }
 
-    /// Each bus is on an interface of its own, and one that can be.
+    /// Checks that each bus has a valid interface of its own.
     fn check_interfaces(&self) -> anyhow::Result<()> {
         let mut taken = Vec::new();
         for (index, bus) in self.cell.bus.iter().enumerate() {
@@ -89,7 +89,8 @@ impl CellFile {
         configurations.map(|configuration| configuration.path.as_path())
     }
 
-    /// Who the drive of an axis must be: by the cell, and by its device configuration file where the cell does not say.
+    /// Expected identity of the drive of an axis: from the cell, or from the device configuration file where the cell
+    /// gives none.
     pub fn identity(&self, robot: usize, axis: usize) -> Identity {
         let drive = self.cell.robot[robot].axis[axis].cia402();
         let configured = self.configuration(robot, axis);
@@ -101,7 +102,7 @@ impl CellFile {
         }
     }
 
-    /// The error of the value at `key`, with its line. An axis that it numbers is called by its name.
+    /// The error of the value at `key`, with its line. The message gives the name of an axis in place of its number.
     pub fn refuse(&self, key: &cell::Path, problem: impl std::fmt::Display) -> anyhow::Error {
         let robot = key.robot().and_then(|robot| self.cell.robot.get(robot));
         let problem = match robot {
@@ -111,7 +112,7 @@ impl CellFile {
         refusal(&self.path, &CellError::at(&self.text, key, problem))
     }
 
-    /// What reports call axis `axis` of robot `robot`.
+    /// Name of axis `axis` of robot `robot` in reports.
     pub fn axis_name(&self, robot: usize, axis: usize) -> String {
         let robot = &self.cell.robot[robot];
         if self.cell.robot.len() == 1 {

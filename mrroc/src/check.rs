@@ -1,4 +1,4 @@
-//! The check of a cell: everything that a run would refuse, found before anything moves.
+//! Check of a cell: finds everything that a run would refuse, before anything moves.
 
 use std::fmt;
 
@@ -15,16 +15,16 @@ use crate::programs::Programs;
 use crate::tasks::MakeTasks;
 use crate::{rehearsal, setup};
 
-/// The result of a check that found nothing wrong.
+/// The result of a successful check.
 #[derive(Debug, Serialize)]
 pub struct CheckReport {
     cell: String,
     period_us: u32,
     robots: Vec<CheckedRobot>,
-    /// How long the tasks take without homing, s.
+    /// Duration of the tasks without homing, s.
     program_s: f64,
     buses: Vec<BusBudget>,
-    /// What the emulated axes cannot do of what the cell asks for; real robots may be wired otherwise.
+    /// Functions that the cell needs and its emulation lacks. Real robots may have them.
     pub problems: Vec<String>,
 }
 
@@ -36,18 +36,17 @@ struct CheckedRobot {
     configurations: Vec<CheckedConfiguration>,
 }
 
-/// What a device configuration file asks for.
+/// Summary of a device configuration file.
 #[derive(Debug, Serialize)]
 struct CheckedConfiguration {
     axis: String,
     file: String,
     writes: usize,
-    /// Values that the file only notes.
+    /// Values in the file that are not written.
     left_out: usize,
 }
 
-/// Checks a cell with its tasks: rehearses the tasks, computes the load of the buses, and makes all that a run
-/// consists of.
+/// Checks a cell with its tasks: rehearses the tasks, computes the load of the buses, and creates all parts of a run.
 pub fn check(file: &CellFile, tasks: &MakeTasks) -> anyhow::Result<CheckReport> {
     let buses = budget::check(file)?;
     let program = rehearsal::rehearse(file, tasks)?;
@@ -71,7 +70,7 @@ pub fn check(file: &CellFile, tasks: &MakeTasks) -> anyhow::Result<CheckReport> 
     })
 }
 
-/// Makes everything that a run on emulated drives consists of, with the functions of the run.
+/// Creates all parts of a run on emulated drives, with the functions of the run.
 fn assemble(file: &CellFile, tasks: &MakeTasks) -> anyhow::Result<()> {
     let (_, HostEnds { ports, lines, .. }) = Emulation::of(file);
     let ports = ports

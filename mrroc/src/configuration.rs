@@ -14,10 +14,10 @@ use drive::cia402::{Setting, reserved};
 use crate::cell_file::CellFile;
 use crate::input;
 
-/// Most values that are written to a drive before operation: each takes two exchanges of some milliseconds.
+/// Greatest number of values written to a drive before operation. Each value takes two exchanges of some milliseconds.
 const MOST_WRITES: usize = 4096;
 
-/// What a device configuration file asks for, and of which drive.
+/// Content of a device configuration file, and the drive it is for.
 pub struct Configuration {
     pub path: PathBuf,
     pub product: Option<u32>,
@@ -119,7 +119,8 @@ impl Configuration {
     }
 }
 
-/// Refuses values for objects that belong to the driver: the line of the first, what it is, and the lines of the others.
+/// Refuses values for objects that belong to the driver. The error gives the first such line and its object, and the
+/// other lines.
 fn check_reserved(download: &Download, vendor: u32) -> Result<(), (u32, String)> {
     let mut found: Vec<_> = download
         .writes
@@ -130,7 +131,7 @@ fn check_reserved(download: &Download, vendor: u32) -> Result<(), (u32, String)>
         })
         .collect();
     found.sort_by_key(|(line, _)| *line);
-    // One line of a PDO leads to several writes.
+    // One line of a PDO causes several writes.
     found.dedup_by_key(|(line, _)| *line);
     let Some(((line, first), others)) = found.split_first() else {
         return Ok(());
@@ -149,9 +150,9 @@ fn check_reserved(download: &Download, vendor: u32) -> Result<(), (u32, String)>
     Err((*line, problem))
 }
 
-/// The cell counts at the motor shaft, and so must a drive whose scale is written: by its feed constant (0x6092), or by
-/// its encoder (0x608F) where that is not written, and its gear ratio (0x6091), each a ratio of its sub-indices 1 and 2.
-/// Else the line and what is wrong.
+/// Checks that a written scale counts at the motor shaft, like the cell. The scale is given by the gear ratio (0x6091)
+/// and the feed constant (0x6092), or by the encoder (0x608F) where no feed constant is written. Each object is a
+/// ratio of its sub-indices 1 and 2. The error gives the line and the problem.
 fn check_scale(download: &Download, counts: u32) -> Result<(), (u32, String)> {
     let ratio = |index: u16| {
         let written = |subindex: u8| {

@@ -1,7 +1,7 @@
-//! Input files of the command that are read whole: cells, data sheets, records.
+//! Input files of a command that are read as a whole: cells, data sheets, records.
 //!
-//! Only a regular file is opened: a FIFO has no end until its writer closes it, a device may have none. What is longer
-//! than its limit is refused after so many bytes.
+//! Only a regular file is opened. A FIFO ends only when its writer closes it, and a device may never end. A file
+//! longer than its limit is refused after the limit was read.
 
 use std::fs::{File, Metadata, OpenOptions};
 use std::io::{self, Read};
@@ -10,25 +10,26 @@ use std::path::Path;
 
 use thiserror::Error;
 
-/// Most bytes of a data sheet or a device configuration file. Those of drives have some hundred kilobytes.
+/// Greatest size of a data sheet or a device configuration file, bytes. Files of real drives have some hundred
+/// kilobytes.
 pub const SHEET: usize = 4 << 20;
 
-/// Most bytes of the record of a repair.
+/// Greatest size of the record of a repair, bytes.
 pub const RECORD: usize = 1 << 20;
 
 /// Why a file cannot be read.
 #[derive(Debug, Error)]
 pub enum InputError {
-    /// The system refuses it.
+    /// The system reports an error.
     #[error("{0}")]
     Os(#[from] io::Error),
-    /// Something that has no end, or none yet.
+    /// The file is not a regular file, and may have no end.
     #[error("is {0}, must be a regular file")]
     NotRegular(&'static str),
-    /// The owner of the link decides which file it names.
+    /// The path is a link, and the owner of the link decides which file is read.
     #[error("is a symbolic link, must be a regular file")]
     Link,
-    /// Somebody else may have written the file.
+    /// The file belongs to another user, who may have written it.
     #[error("belongs to user {owner}, must belong to user {user}, who runs this command")]
     Foreign {
         /// User-ID of the file's owner.
@@ -36,16 +37,16 @@ pub enum InputError {
         /// Effective user-ID of this process.
         user: u32,
     },
-    /// Somebody else may have written the file.
+    /// Other users may write to the file.
     #[error("can be written by others than its owner; check its contents, then `chmod go-w` it")]
     Writable,
-    /// The status of this process is not as proc_pid_status(5) describes it.
+    /// The status of this process differs from proc_pid_status(5).
     #[error("the user of this process is unknown: /proc/self/status has no line `Uid`")]
     User,
-    /// More than any such file has.
+    /// The file is too long.
     #[error("has more than {limit} bytes, the most that such a file may have")]
     TooLong {
-        /// The most.
+        /// Greatest size, bytes.
         limit: usize,
     },
 }
@@ -58,11 +59,12 @@ pub fn read(path: &Path, limit: usize) -> Result<Vec<u8>, InputError> {
     contents(File::open(path)?, limit)
 }
 
-/// The bytes of the regular file at `path`, at most `limit`, which nobody but the user of this process can have written.
+/// The bytes of the regular file at `path`, at most `limit`. The file must be writable only for the user of this
+/// process.
 pub fn read_own(path: &Path, limit: usize) -> Result<Vec<u8>, InputError> {
     let mut options = OpenOptions::new();
     options.read(true);
-    // The file that is examined is the one that is read, whatever the path leads to by then.
+    // The opened file is both checked and read, even if the path changes in between.
     options.custom_flags(libc::O_NOFOLLOW | libc::O_NONBLOCK | libc::O_NOCTTY);
     let file = options
         .open(path)
@@ -78,7 +80,7 @@ pub fn read_own(path: &Path, limit: usize) -> Result<Vec<u8>, InputError> {
     contents(file, limit)
 }
 
-/// Refuses what is no regular file, and a file that others than `user` can have written.
+/// Refuses a file that is not regular, and a file that users other than `user` may have written.
 fn check_owner(metadata: &Metadata, user: u32) -> Result<(), InputError> {
     let owner = metadata.uid();
     if let Some(kind) = irregular(metadata) {
@@ -92,7 +94,7 @@ fn check_owner(metadata: &Metadata, user: u32) -> Result<(), InputError> {
     }
 }
 
-/// The effective user-ID in a `/proc/PID/status`: the second of four.
+/// The effective user-ID in a `/proc/PID/status`: the second of four numbers.
 fn effective_user(status: &str) -> Option<u32> {
     let users = status.lines().find_map(|line| line.strip_prefix("Uid:"))?;
     users.split_whitespace().nth(1)?.parse().ok()
@@ -107,7 +109,7 @@ fn contents(file: File, limit: usize) -> Result<Vec<u8>, InputError> {
     Ok(bytes)
 }
 
-/// What a file is that is no regular one.
+/// The kind of a file that is not regular.
 fn irregular(metadata: &Metadata) -> Option<&'static str> {
     let kind = metadata.file_type();
     if kind.is_file() {

@@ -48,19 +48,19 @@ use cell_file::CellFile;
 use report::RunReport;
 use run::{Requests, RunOptions};
 
-/// Why a cell or a program was refused, in words.
+/// The reason why a cell or a program was refused, as text.
 pub type Error = anyhow::Error;
 
 /// Rehearses `tasks`, runs them on `bench` and returns the report. Moves hardware on [`BenchKind::Card`].
 ///
-/// No signal is caught: a process that ends by a signal leaves its drives to their own watchdogs. [`program`] and
-/// [`run::run`] with [`Requests`] brake first.
+/// This function catches no signal. If a signal ends the process, only the drives' own watchdogs stop the robots.
+/// [`program`], and [`run::run`] with [`Requests`], brake first.
 pub fn run(cell: &CellFile, bench: BenchKind, tasks: &MakeTasks) -> Result<RunReport, Error> {
     let options = RunOptions::on(bench);
     run::run(cell, &options, &Requests::default(), tasks, &mut |_| {})
 }
 
-/// What a robot program needs, in one `use`.
+/// All items that a robot program needs, for one `use`.
 pub mod prelude {
     pub use std::process::ExitCode;
     pub use std::time::Duration;

@@ -15,7 +15,7 @@ pub struct Motions {
 }
 
 impl Motions {
-    /// Motions of the robot called `name`. Refuses a name that the cell does not have.
+    /// Motions of the robot called `name`. An unknown name is refused.
     pub fn of(cell: &CellFile, name: &str) -> anyhow::Result<Self> {
         let mut robots = cell.cell.robot.iter();
         let Some(robot) = robots.position(|robot| robot.name == name) else {
@@ -31,14 +31,14 @@ impl Motions {
         &self.arm
     }
 
-    /// Limits of the joints: what the motors can do, rad or m and s.
+    /// Limits of the joints that the motors permit, rad or m and s.
     pub fn limits(&self) -> MotionLimits {
         self.limits
     }
 
     /// A synchronised trapezoid through joint positions, rad (m for a linear joint).
     ///
-    /// `share` is the part of the limits of velocity and acceleration that the motion uses, above 0 and at most 1.
+    /// `share` is the fraction of the limits of velocity and acceleration to use, above 0 and at most 1.
     pub fn joints<const AXES: usize>(
         &self,
         share: f64,

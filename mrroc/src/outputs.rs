@@ -1,4 +1,4 @@
-//! Output files of a command. An output never is an input or another output, and replaces an existing file only with
+//! Output files of a command. An output must not be an input or another output. An existing file is replaced only with
 //! `--force`.
 
 use std::fmt::Display;
@@ -16,12 +16,13 @@ use crate::cell_file::CellFile;
 /// The option of a command that writes files.
 #[derive(Args, Clone, Copy, Debug, Default)]
 pub struct Replacement {
-    /// Replace the files that are there already; without it a file that is there is a refusal.
+    /// Replace existing files. Without this option, an existing file is an error.
     #[arg(long)]
     pub force: bool,
 }
 
-/// The files of a command. Until [`Self::begin`] nothing that was there has changed, and what was made is removed on drop.
+/// The output files of a command. Before [`Self::begin`], no existing file has changed, and new files are removed on
+/// drop.
 pub struct Outputs {
     replacement: Replacement,
     inputs: Vec<Known>,
@@ -29,13 +30,13 @@ pub struct Outputs {
     opened: Vec<Opened>,
 }
 
-/// A file that is none of the outputs.
+/// A file that must not be used as an output.
 struct Known {
     what: String,
     identity: Identity,
 }
 
-/// Device and inode: one file, whatever paths lead to it.
+/// Device and inode, which identify a file regardless of its path.
 type Identity = (u64, u64);
 
 /// An output.
@@ -48,12 +49,12 @@ struct Opened {
 }
 
 impl Outputs {
-    /// Knows standard output and standard error.
+    /// Outputs that protect the files of standard output and standard error.
     pub fn new(replacement: Replacement) -> Self {
         let known = |what: &str, end: BorrowedFd| {
             let found = end.try_clone_to_owned().map(File::from);
             let found = found.and_then(|file| file.metadata()).ok()?;
-            // Of a pipe, a terminal or a device all writers have the one end.
+            // All writers of a pipe, a terminal or a device share one end.
             found.is_file().then(|| Known {
                 what: what.to_owned(),
                 identity: identity(&found),
@@ -72,7 +73,7 @@ impl Outputs {
         }
     }
 
-    /// The files that `cell` was read from are no outputs.
+    /// Protects the files that `cell` was read from.
     pub fn reads(&mut self, cell: &CellFile) {
         self.reads_file("the cell file", &cell.path);
         for path in cell.configuration_files() {
@@ -81,7 +82,7 @@ impl Outputs {
     }
 
     fn reads_file(&mut self, what: &str, path: &Path) {
-        // A file that has been removed meanwhile cannot be overwritten.
+        // A file that was removed in the meantime cannot be overwritten.
         if let Ok(found) = fs::metadata(path) {
             self.inputs.push(Known {
                 what: what.to_owned(),
@@ -90,14 +91,14 @@ impl Outputs {
         }
     }
 
-    /// Opens the output of the option `what`.
+    /// Opens the output file of the option `what`.
     pub fn open(&mut self, what: impl Display, path: &Path) -> anyhow::Result<File> {
         let shown = path.display();
         let opened = self.open_as(what.to_string(), path);
         opened.with_context(|| format!("{what}: {shown}"))
     }
 
-    /// Opens an output that may not be wanted.
+    /// Opens an optional output file.
     pub fn open_if(&mut self, what: &str, path: Option<&Path>) -> anyhow::Result<Option<File>> {
         path.map(|path| self.open(what, path)).transpose()
     }
@@ -107,7 +108,7 @@ impl Outputs {
         let found = file.metadata()?;
         let opened = Opened {
             what,
-            // Where a link led to a new file, that one was made. What stands for an open descriptor leads to no path.
+            // A link to a missing file creates that file. The path of an open descriptor may not resolve.
             path: path.canonicalize().unwrap_or_else(|_| path.to_owned()),
             identity: identity(&found),
             file: file.try_clone()?,
@@ -130,7 +131,8 @@ impl Outputs {
         Ok(file)
     }
 
-    /// The file, and whether it was made. A link that leads nowhere is there already, and leads to a new file.
+    /// Opens a file, and returns whether the file was created. A link to a missing file counts as existing, and
+    /// opening it creates the file.
     fn file(&self, path: &Path) -> anyhow::Result<(File, bool)> {
         let mut options = File::options();
         options.write(true);
@@ -152,7 +154,7 @@ impl Outputs {
         Ok((options.create(made).open(path)?, made))
     }
 
-    /// The command goes ahead: the files stay from now on, and those that --force replaces are emptied.
+    /// Starts the command: files are kept from now on, and files replaced by --force are emptied.
     pub fn begin(mut self) -> anyhow::Result<()> {
         for opened in &self.opened {
             let is_file = opened.file.metadata().is_ok_and(|found| found.is_file());
@@ -173,7 +175,7 @@ impl Drop for Outputs {
         for opened in self.opened.iter().filter(|opened| opened.made) {
             let there = fs::symlink_metadata(&opened.path);
             if there.is_ok_and(|there| identity(&there) == opened.identity) {
-                // The refusal is what matters.
+                // The refusal is reported; an error of the removal is ignored.
                 let _ = fs::remove_file(&opened.path);
             }
         }

@@ -17,7 +17,7 @@ use crate::signals::Motion;
 use crate::tasks::{MakeTasks, Tasks};
 use crate::{signals, streams};
 
-/// Options of a robot program beside its cell: the options of `mrroc run`.
+/// Options of a robot program except its cell: the options of `mrroc run`.
 #[derive(Args, Debug)]
 pub struct ProgramOptions {
     /// The bench and the files.
@@ -31,7 +31,7 @@ pub struct ProgramOptions {
 /// Arguments of a robot program.
 #[derive(Parser)]
 struct Arguments {
-    /// The cell file, in place of the program's own.
+    /// The cell file to use in place of the program's own.
     cell: Option<PathBuf>,
     #[command(flatten)]
     options: ProgramOptions,
@@ -39,9 +39,9 @@ struct Arguments {
 
 /// The `main` of a robot program: reads the arguments, rehearses and runs `tasks`, prints the report.
 ///
-/// The arguments are those of `mrroc run`; `cell` is the cell file where none is given. Moves hardware with
-/// `--bench card`. The exit status is 0 when the tasks are done, 1 after a fault or a stop on request, and 2 if
-/// the program was refused before anything moved.
+/// The arguments are those of `mrroc run`. `cell` is the default cell file. Moves hardware with `--bench card`. The
+/// exit status is 0 after the end of the tasks, 1 after a fault or a requested stop, and 2 if the program was refused
+/// before any motion.
 pub fn program(cell: &str, tasks: impl Fn(&CellFile) -> anyhow::Result<Tasks> + Sync) -> ExitCode {
     let Arguments {
         cell: given,
@@ -56,7 +56,7 @@ pub fn program(cell: &str, tasks: impl Fn(&CellFile) -> anyhow::Result<Tasks> + 
     })
 }
 
-/// Runs `tasks` with a progress bar and prints the report. Signals that end a process brake the robots first.
+/// Runs `tasks` with a progress bar and prints the report. Signals that end a process first brake the robots.
 pub fn run_program(
     file: &CellFile,
     options: &ProgramOptions,
@@ -75,7 +75,7 @@ pub fn run_program(
     bar.finish();
     let report = report?;
     if let Err(error) = streams::answer(&report, options.json) {
-        // Too late to refuse: everything has moved.
+        // A refusal is too late, because everything has moved.
         streams::warn(format_args!(
             "mrroc: the report cannot be printed: {error:#}"
         ));
@@ -95,7 +95,7 @@ struct Bar {
 }
 
 impl Bar {
-    /// A bar over every instruction of every robot, or none.
+    /// A bar for all instructions of all robots, or no bar.
     fn new(file: &CellFile, instructions: u64, shown: bool) -> anyhow::Result<Self> {
         let bar = match shown {
             true => ProgressBar::new(instructions),
@@ -111,7 +111,7 @@ impl Bar {
         })
     }
 
-    /// Shows news of a robot.
+    /// Shows the progress of a robot.
     fn show(&mut self, news: Progress) {
         self.bar.inc(news.ended);
         self.phases[news.robot] = news.phase;
@@ -122,7 +122,7 @@ impl Bar {
         self.bar.set_message(message.join(", "));
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     fn finish(self) {
         self.bar.finish_and_clear();
     }

@@ -1,4 +1,4 @@
-//! The subcontrollers of a run under way: what they report and what stops them.
+//! The subcontrollers of a run under way: their reports, and the failures that stop them.
 
 use can::Instant;
 use controller::ecp::{Ecp, EcpError, Subcontrollers, Task};
@@ -10,29 +10,29 @@ use crate::report::FaultReport;
 use crate::tasks::MakeTasks;
 use crate::{rehearsal, setup};
 
-/// Every task of a run. The first failure stops every robot.
+/// All tasks of a run. The first failure stops every robot.
 pub(crate) struct Programs<'a> {
     file: &'a CellFile,
     tasks: &'a MakeTasks<'a>,
     subcontrollers: Subcontrollers,
-    /// The instruction of each task that homes its robot first.
+    /// Index of the first homing instruction of each task.
     homings: Vec<Option<usize>>,
-    /// The phase of each robot that was last told.
+    /// Last reported phase of each robot.
     phases: Vec<Phase>,
-    /// Instructions of each robot that ended in this poll.
+    /// Number of instructions of each robot that ended in this poll.
     ended: Vec<u64>,
     pub(crate) faults: Vec<FaultReport>,
     stop: StopRequest,
 }
 
-/// News of one robot.
+/// Progress of one robot.
 #[derive(Clone, Copy, Debug)]
 pub struct Progress {
     /// Index of the robot in its cell.
     pub robot: usize,
-    /// What its effector does.
+    /// Phase of its effector.
     pub phase: Phase,
-    /// Instructions that ended since the last news.
+    /// Number of instructions that ended since the last report.
     pub ended: u64,
 }
 
@@ -59,7 +59,8 @@ impl<'a> Programs<'a> {
         })
     }
 
-    /// Polls every process. Returns whether any has an instruction. `tell` receives news and must not wait.
+    /// Polls every process, and returns whether any has an instruction. `tell` receives the progress and must not
+    /// wait.
     pub(crate) fn poll(&mut self, now: Instant, mut tell: impl FnMut(Progress)) -> bool {
         self.ended.fill(0);
         let (file, tasks) = (self.file, self.tasks);
@@ -95,8 +96,9 @@ impl<'a> Programs<'a> {
     }
 }
 
-/// Why a robot must not go on behind its homing instruction, if it stands anywhere but where homing leaves it: its
-/// drives kept their reference, and no rehearsal began there.
+/// Checks whether a robot may continue after its homing instruction from its present position. Drives that kept their
+/// reference may stand away from home, where no rehearsal began. The program is then rehearsed from this position, and
+/// a refusal is returned as a fault.
 fn refused_from_here(
     file: &CellFile,
     tasks: &MakeTasks,
@@ -118,7 +120,7 @@ fn refused_from_here(
     })
 }
 
-/// The failure of an instruction, in the words of the cell.
+/// The failure of an instruction, with the names of the cell.
 fn describe(file: &CellFile, robot: usize, error: &EcpError) -> FaultReport {
     match error {
         EcpError::Servo(fault) => describe_fault(file, robot, fault),
@@ -133,7 +135,7 @@ fn describe(file: &CellFile, robot: usize, error: &EcpError) -> FaultReport {
 fn describe_fault(file: &CellFile, robot: usize, fault: &ServoFault) -> FaultReport {
     let name = Some(file.cell.robot[robot].name.clone());
     let axis = fault.axis.map(usize::from);
-    // Some faults are those of the bus and of every axis on it.
+    // Some faults concern the bus and all axes on it.
     let of_bus = match fault.cause {
         StopCause::Drive(Fault::Port(error)) => Some(error.to_string()),
         StopCause::Drive(Fault::OtherController { sign }) => {
@@ -156,13 +158,13 @@ fn describe_fault(file: &CellFile, robot: usize, fault: &ServoFault) -> FaultRep
     }
 }
 
-/// What the servo has latched of each robot, and that not all are without power.
+/// The fault that the servo latched for each robot, and a fault if some robots still have power.
 pub(crate) fn servo_faults(file: &CellFile, servo: &Servo) -> Vec<FaultReport> {
     let robots = &file.cell.robot;
     let latched = |robot| Some(describe_fault(file, robot, &servo.fault(robot)?));
     let mut faults: Vec<_> = (0..robots.len()).filter_map(latched).collect();
     if !servo.is_off() {
-        // The servo answers for all of them at once.
+        // The servo reports the power of all robots together.
         let names: Vec<_> = robots.iter().map(|robot| robot.name.as_str()).collect();
         faults.push(FaultReport {
             robot: Some(names.join(" or ")),

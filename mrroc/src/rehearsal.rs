@@ -1,10 +1,11 @@
-//! The programs of a cell, run through the real servo and the real generators on ideal drives.
+//! Rehearsal of the programs of a cell: the real servo and generators with ideal drives.
 //!
-//! The servo and the generators refuse here what they would refuse on the robot, in virtual time and before anything
-//! moves: a pose out of reach, a motion beyond a limit, a line through a singularity.
+//! In the rehearsal, servo and generators make the same refusals as on the robot, but in virtual time and before any
+//! motion. Examples are a pose out of reach, a motion beyond a limit, and a line through a singularity.
 //!
-//! A rehearsal promises a run to its end for robots that are homed first. Drives that kept their reference from an earlier
-//! run are not homed, and their robot stands anywhere: `mrroc run` then rehearses its program again from there.
+//! A rehearsal covers a whole run for robots that are homed first. Drives that kept their reference from an earlier
+//! run are not homed, and their robot may stand anywhere. `mrroc run` then rehearses the program again from the actual
+//! position.
 
 use std::task::Poll;
 use std::time::Duration;
@@ -23,20 +24,20 @@ use crate::cell_file::CellFile;
 use crate::setup;
 use crate::tasks::{MakeTasks, Tasks};
 
-/// No task is longer than this.
+/// Greatest duration of a task.
 const LONGEST: Duration = Duration::from_secs(24 * 3600);
 
-/// Time of a first motion that is rehearsed from beside the home position.
+/// Greatest duration of a first motion in a rehearsal from beside the home position.
 const BEGINNING: Duration = Duration::from_secs(600);
 
-/// Starts beside the home position that are rehearsed.
+/// Number of rehearsed start positions beside the home position.
 const STARTS: usize = 16;
 
-/// Rehearses every task and returns how long the longest takes after homing.
+/// Rehearses every task and returns the duration of the longest one after homing.
 ///
-/// The tasks are rehearsed from the home positions first. Then the first motion of each robot is rehearsed from
-/// [`STARTS`] places beside its home position, where homing may leave the arm. Each first motion ends at the place that it
-/// names, so that all motions after it are the same in every run.
+/// The tasks are first rehearsed from the home positions. The first motion of each robot is then rehearsed from
+/// [`STARTS`] positions beside its home position, where homing may leave the arm. Each first motion ends at its
+/// programmed position, so all later motions are the same in every run.
 pub fn rehearse(file: &CellFile, tasks: &MakeTasks) -> anyhow::Result<Duration> {
     let homes = homes(file);
     let motors: Vec<_> = homes.iter().map(|home| home.motors).collect();
@@ -48,7 +49,7 @@ pub fn rehearse(file: &CellFile, tasks: &MakeTasks) -> anyhow::Result<Duration> 
     Ok(duration)
 }
 
-/// Rehearses every task with robot `robot` at these motor positions, rad, and the others at home.
+/// Rehearses every task with robot `robot` at these motor positions, rad, and the other robots at home.
 pub(crate) fn rehearse_from(
     file: &CellFile,
     tasks: &MakeTasks,
@@ -71,8 +72,9 @@ fn homes(file: &CellFile) -> Vec<PlannedStart> {
 
 /// The motor positions of start `number` of [`STARTS`].
 ///
-/// Each motor is beside its home position by its tolerance. Any three motors are so in all eight combinations of signs:
-/// an orthogonal array of strength 3. To first order a quantity has its extremes at such corners.
+/// The distance of each motor from its home position is its tolerance. Any three motors occur in all eight
+/// combinations of signs: an orthogonal array of strength 3. To first order, a quantity has its extremes at such
+/// corners.
 fn beside(home: &PlannedStart, number: usize) -> Axes {
     std::array::from_fn(|axis| {
         let odd = (number & (STARTS / 2 + axis)).count_ones() % 2 == 1;
@@ -81,33 +83,33 @@ fn beside(home: &PlannedStart, number: usize) -> Axes {
     })
 }
 
-/// How much of the tasks is rehearsed.
+/// The rehearsed part of the tasks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Extent {
-    /// All.
+    /// The whole tasks.
     Tasks,
-    /// The first motion of each robot, or [`BEGINNING`] of it.
+    /// The first motion of each robot, for at most [`BEGINNING`].
     FirstMotions,
 }
 
-/// A rehearsal that has not begun.
+/// A rehearsal that has not started.
 struct Rehearsal<'a> {
     file: &'a CellFile,
     servo: Servo,
     subcontrollers: Subcontrollers,
-    /// Instructions of each task, and those up to its first motion.
+    /// Number of instructions of each task, and number up to its first motion.
     lengths: Vec<[usize; 2]>,
     /// Whether the tasks are the programs of the cell file.
     programs: bool,
 }
 
 impl<'a> Rehearsal<'a> {
-    /// On ideal drives at these motor positions, rad, of one robot after the other.
+    /// A rehearsal on ideal drives, with the initial motor positions, rad, of each robot.
     fn of(file: &'a CellFile, tasks: Tasks, starts: &[Axes]) -> anyhow::Result<Self> {
         let groups = (0..file.cell.groups().count())
             .map(|bus| Box::new(IdealDrives::of(file, bus, starts)) as Box<dyn DriveGroup>);
         let mut config = setup::servo_config(file);
-        // Ideal drives follow positions, and are where they should be from the start.
+        // Ideal drives follow positions, and stand at the commanded position from the start.
         for axis in config.effectors.iter_mut().flat_map(|it| &mut it.axes) {
             axis.position_loop = PositionLoop::Drive;
             axis.homing = None;
@@ -130,7 +132,7 @@ impl<'a> Rehearsal<'a> {
         })
     }
 
-    /// Runs the tasks, all of them or their first motions, and returns how long that takes.
+    /// Runs the tasks, or their first motions only, and returns the duration.
     fn run(mut self, extent: Extent) -> anyhow::Result<Duration> {
         let needed: Vec<_> = self
             .lengths
@@ -190,7 +192,7 @@ fn of_program(file: &CellFile, robot: usize, instruction: usize, why: String) ->
     file.refuse(&key, why)
 }
 
-/// The refusal of an instruction of a task that is in no file.
+/// The refusal of an instruction of a task outside a cell file.
 fn of_task(file: &CellFile, robot: usize, instruction: usize, why: String) -> anyhow::Error {
     let robot = &file.cell.robot[robot];
     let why = robot.naming_axes(why);
@@ -208,7 +210,7 @@ impl Extent {
         }
     }
 
-    /// Why an instruction is refused.
+    /// The reason why an instruction is refused.
     fn refusal(self, error: &EcpError) -> String {
         match self {
             Self::Tasks => error.to_string(),
@@ -219,7 +221,7 @@ impl Extent {
     }
 }
 
-/// Drives that are where they were told to be at the SYNC that told them.
+/// Ideal drives, which reach a commanded position at the SYNC that latches it.
 struct IdealDrives {
     axes: Vec<IdealAxis>,
     now: Instant,
@@ -227,11 +229,11 @@ struct IdealDrives {
 
 #[derive(Clone, Copy)]
 struct IdealAxis {
-    /// The command of this cycle, the one that was sent and the next SYNC latches, and the one latched.
+    /// The command of this cycle, the command sent, which the next SYNC latches, and the latched command.
     written: AxisCommand,
     sent: AxisCommand,
     latched: AxisCommand,
-    /// Where the motor was when the last SYNC sampled it.
+    /// Motor position sampled by the last SYNC.
     position: f64,
 }
 

@@ -1,4 +1,4 @@
-//! From a cell to what runs it: drive groups, the servo and the effector control processes.
+//! Parts of a run, made from a cell: drive groups, the servo and the effector control processes.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -18,15 +18,16 @@ use crate::cell_file::CellFile;
 use crate::configuration::Configuration;
 use crate::tasks::Tasks;
 
-/// An effector may take as long to home, however short the searches of its axes are; and so may a search by the drive
-/// of an axis without ends, since nothing tells how far it goes.
+/// Least homing time-out of an effector. The value also applies to a search by the drive of an axis without ends,
+/// because the distance of such a search is unknown.
 const HOMING: Duration = Duration::from_secs(120);
 
-/// No effector homes for longer, whatever its searches could take.
+/// Greatest homing time-out of an effector.
 const LONGEST_HOMING: Duration = Duration::from_secs(3600);
 
-/// Macrosteps that a generator may be ahead of the servo if it need not see what the servo does: at the usual 20 ms
-/// this rides through two seconds in which only the servo thread gets the processor. A stop drops them.
+/// Number of macrosteps that a generator may be ahead of the servo, if the generator does not need feedback from the
+/// servo. At the usual 20 ms, the lead bridges two seconds in which only the servo thread gets the processor. A stop
+/// drops these macrosteps.
 const LEAD: u16 = 100;
 
 /// The drives of bus `bus`, in the order of [`Cell::axes_on`].
@@ -43,8 +44,8 @@ pub fn axis_configs(file: &CellFile, bus: usize) -> Vec<AxisConfig> {
     file.cell.axes_on(bus).map(config).collect()
 }
 
-/// One drive group per bus and bundle of lines, on the given ports and lines. The drive of axis `with_torque`, of a robot,
-/// is one that takes a torque beside the position.
+/// One drive group per bus and per bundle of lines, on the given ports and lines. The drive of axis `with_torque`,
+/// given as robot and axis number, takes a torque beside the position.
 pub fn drive_groups(
     file: &CellFile,
     ports: Vec<Box<dyn Port>>,
@@ -144,8 +145,8 @@ fn servo_axes(file: &CellFile, robot: usize) -> Vec<ServoAxisConfig> {
     (0..cell.robot[robot].axis.len()).map(axis).collect()
 }
 
-/// Longest time that an effector of these axes may take to home: one order after the other, each as long as
-/// the longest of its searches. Each leg of a search by the host has a time-out of its own.
+/// Homing time-out of an effector: the sum over the homing orders, each with the longest search of its axes. Each
+/// phase of a search by the host has its own time-out.
 fn homing_timeout(file: &CellFile, robot: usize, axes: &[ServoAxisConfig]) -> Duration {
     let mut orders = BTreeMap::<u8, Duration>::new();
     let limits = file.arms[robot].robot().motor_limits();
@@ -164,8 +165,8 @@ fn homing_timeout(file: &CellFile, robot: usize, axes: &[ServoAxisConfig]) -> Du
     searches.max(HOMING).min(LONGEST_HOMING)
 }
 
-/// The longest that a search by a drive may take: to one end of the travel and back over all of it, and off a switch
-/// that may be as wide.
+/// Longest search by a drive: to one end of the travel, back over the whole travel, and off a switch of the same
+/// width.
 fn longest_search_by_drive(homing: &Homing, limits: Limits) -> Duration {
     let travel = limits.high - limits.low;
     let seconds = 2.0 * travel / homing.search_velocity + travel / homing.zero_velocity;
@@ -175,8 +176,8 @@ fn longest_search_by_drive(homing: &Homing, limits: Limits) -> Duration {
     }
 }
 
-/// The longest that one search may take: it begins on the home switch and leaves it, turns round at a limit
-/// switch, and comes to the home switch from there; each rest begins with a stop.
+/// Longest search by the host. The search starts on the home switch, leaves it, reverses at a limit switch, and
+/// returns to the home switch. Each rest begins with a stop.
 fn longest_search(homing: HostHoming) -> Duration {
     let velocity = homing.search.velocity.max(homing.zero.velocity);
     let stop =
@@ -187,7 +188,7 @@ fn longest_search(homing: HostHoming) -> Duration {
         .saturating_add(rest.saturating_mul(4))
 }
 
-/// How the effector control process of robot `robot` paces its effector.
+/// Timing of the effector control process of robot `robot`.
 fn ecp_config(file: &CellFile, robot: usize) -> EcpConfig {
     let cell = &file.cell;
     EcpConfig {
@@ -202,7 +203,7 @@ fn ecp_config(file: &CellFile, robot: usize) -> EcpConfig {
     }
 }
 
-/// What the servo thread asks of the host.
+/// Requests of the servo thread to the host.
 pub fn realtime_policy(cell: &Cell, time: CellTime) -> RealtimePolicy {
     let realtime = &cell.realtime;
     RealtimePolicy {
@@ -239,7 +240,7 @@ mod tests {
 
     use super::*;
 
-    /// Of the robot of an example cell.
+    /// The time-outs of the robot of an example cell.
     fn timeouts(cell: &str) -> (Duration, Duration) {
         let path = Path::new(env!("CARGO_MANIFEST_DIR"))
             .join("../cells")
@@ -251,10 +252,10 @@ mod tests {
 
     #[test]
     fn searches_of_the_host_get_the_time_of_their_legs_and_those_of_drives_that_of_the_travel() {
-        // The Polycrank's axes have no ends: two orders of two minutes.
+        // The Polycrank's axes have no ends: two homing orders of two minutes.
         assert_eq!(timeouts("polycrank.toml").0, HOMING * 2);
         let (servo, ecp) = timeouts("irp6-track.toml");
-        // The track alone: 2100 rad at 30 rad/s there and back, and off the switch at 3.5 rad/s.
+        // The track alone: 2100 rad at 30 rad/s in both directions, and off the switch at 3.5 rad/s.
         assert!(
             servo > Duration::from_secs(740) && ecp == servo + ENABLING,
             "{servo:?}"
@@ -262,7 +263,7 @@ mod tests {
         assert!(servo <= LONGEST_HOMING);
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../cells/irb6-serial.toml");
         let axes = servo_axes(&CellFile::read(&path).unwrap(), 0);
-        // Every axis turns round at a limit switch and comes back all of its way, in four orders.
+        // Every axis reverses at a limit switch and returns over its whole travel, in four homing orders.
         let there_and_back = |axis: &ServoAxisConfig| {
             let homing = axis.homing.unwrap();
             3 * homing.search.timeout + homing.zero.timeout + 3 * homing.pause

@@ -1,7 +1,7 @@
-//! Signals: each that would end the process asks the command to end in order.
+//! Signals: each signal that would end the process requests an orderly end of the command.
 //!
-//! Left alone are SIGKILL and SIGSTOP, which cannot be caught; SIGILL, SIGFPE, SIGSEGV and SIGBUS, after which no code of
-//! the program can be trusted; SIGPIPE, which Rust ignores; and 32 and 33, which the C library keeps for itself.
+//! Exceptions are SIGKILL and SIGSTOP, which cannot be caught. After SIGILL, SIGFPE, SIGSEGV and SIGBUS the program
+//! cannot be trusted. Rust ignores SIGPIPE, and the C library reserves 32 and 33.
 
 use std::ffi::c_int;
 use std::sync::Arc;
@@ -19,7 +19,7 @@ use signal_hook::iterator::Signals;
 use crate::bench::BenchKind;
 use crate::run::SMALL_STACK;
 
-/// Signals that end a process, but for real-time ones.
+/// Signals that end a process, except the real-time signals.
 const ENDING: [c_int; 17] = [
     SIGHUP,
     SIGINT,
@@ -40,20 +40,20 @@ const ENDING: [c_int; 17] = [
     SIGSYS,
 ];
 
-/// Signals after which a command that still has not ended is ended at once, where nothing can be in motion.
+/// Number of signals after which a command is ended at once, if nothing can be in motion.
 const PATIENCE: usize = 3;
 
-/// Whether something that is no emulation may be in motion.
+/// Whether real hardware may be in motion.
 #[derive(Clone)]
 pub struct Motion(Arc<AtomicBool>);
 
 impl Motion {
-    /// Of a command that moves nothing.
+    /// For a command that moves nothing.
     pub fn none() -> Self {
         Self(Arc::default())
     }
 
-    /// Of a command on a bench, from now on.
+    /// For a command that starts motion on a bench.
     pub fn on(bench: BenchKind) -> Self {
         let may_move = match bench {
             BenchKind::Lockstep | BenchKind::Emulated => false,
@@ -62,20 +62,20 @@ impl Motion {
         Self(Arc::new(may_move.into()))
     }
 
-    /// All stands still from now on.
+    /// Notes that all motion has ended.
     pub fn is_over(&self) {
         self.0.store(false, Ordering::Relaxed);
     }
 }
 
-/// Calls `ask`, on a thread of its own, with each signal that would end the process. The third signal ends the process
+/// Calls `ask`, on its own thread, for each signal that would end the process. The third signal ends the process,
 /// unless there may be `motion`.
 pub fn on_ending(motion: Motion, ask: impl FnMut(c_int) + Send + 'static) -> anyhow::Result<()> {
     on(ending(), motion, ask)
 }
 
-/// As [`on_ending`], for a command that moves an arm. SIGTSTP (Ctrl-Z) ends such a command too, since a suspended
-/// controller cannot watch its arm. SIGUSR1 is left to the command.
+/// Like [`on_ending`], for a command that moves an arm. SIGTSTP (Ctrl-Z) also ends such a command, because a suspended
+/// controller cannot monitor its arm. SIGUSR1 is left to the command.
 pub fn on_ending_of_motion(
     motion: Motion,
     ask: impl FnMut(c_int) + Send + 'static,
@@ -84,7 +84,7 @@ pub fn on_ending_of_motion(
     on(signals.chain([SIGTSTP]), motion, ask)
 }
 
-/// A flag that such signals set.
+/// A flag set by the signals that end a process.
 pub fn ending_flag() -> anyhow::Result<Arc<AtomicBool>> {
     let ended = Arc::new(AtomicBool::new(false));
     let flag = ended.clone();

@@ -1,8 +1,8 @@
-//! The cycles around the latest ones as a file for <https://ui.perfetto.dev> or chrome://tracing.
+//! The cycles around those with the greatest lateness, as a file for <https://ui.perfetto.dev> or chrome://tracing.
 //!
-//! The format is trace-event JSON. Each spike is a process of its own with a track for the thread and one for deadlines,
-//! and all are shifted in time so that their late deadlines are below each other: what is common to them is seen at a
-//! glance. When a spike really was is among the labels of its process.
+//! The format is trace-event JSON. Each spike is a separate process with one track for the thread and one for
+//! deadlines. All spikes are shifted in time to align their late deadlines, so that common features are visible. The
+//! labels of the process give the true time of the spike.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -17,23 +17,23 @@ use servo::thread::{Spike, Stamps};
 use crate::report::microseconds;
 use crate::run::SMALL_STACK;
 
-/// Longest wait for the file to be written; the disk of a host takes as long at most.
+/// Longest wait for writing the file, limited because the disk of a host may block.
 const WRITE_WAIT: Duration = Duration::from_secs(2);
 
 /// Tracks of a spike.
 const THREAD: u32 = 1;
 const DEADLINES: u32 = 2;
 
-/// The file, open from before the run on.
+/// The file, opened before the run.
 pub struct SpikeFile(File);
 
 impl SpikeFile {
-    /// A file that is empty yet.
+    /// A file without content.
     pub fn new(file: File) -> Self {
         Self(file)
     }
 
-    /// Writes the `spikes` of a thread of that name; a file that takes nothing is not waited for.
+    /// Writes the `spikes` of a thread of that name. A file that blocks is not waited for.
     pub fn write(self, thread: &'static str, spikes: Vec<Spike>) -> anyhow::Result<()> {
         let (tell, told) = sync_channel(1);
         let body = move || {
@@ -41,7 +41,7 @@ impl SpikeFile {
             let written = serde_json::to_writer(&mut file, &trace(thread, &spikes))
                 .map_err(std::io::Error::from)
                 .and_then(|()| file.flush());
-            // Nobody listens any more if it took too long.
+            // The receiver may have stopped waiting.
             let _ = tell.send(written);
         };
         std::thread::Builder::new()
@@ -56,9 +56,9 @@ impl SpikeFile {
     }
 }
 
-/// The document.
+/// The JSON document.
 fn trace(thread: &str, spikes: &[Spike]) -> Value {
-    // Every spike has that much before its late deadline.
+    // Longest time from the first cycle of a spike to its late deadline.
     let before = spikes.iter().filter_map(|spike| {
         let first = spike.cycles.first()?;
         Some(anchor(spike)?.since(first.begun))
@@ -75,7 +75,7 @@ fn trace(thread: &str, spikes: &[Spike]) -> Value {
     })
 }
 
-/// The deadline that a spike is about.
+/// The late deadline of a spike.
 fn anchor(spike: &Spike) -> Option<Instant> {
     let named = spike.cycles.iter().find(|one| one.cycle == spike.cycle);
     named.or(spike.cycles.first()).map(|one| one.deadline)
@@ -88,7 +88,7 @@ fn events(
     anchor: Instant,
     before: Duration,
 ) -> Vec<Value> {
-    // What is long before the anchor in one spike is so in `before`.
+    // `before` makes the earliest time of any spike zero or later.
     let at = |time: Instant| (before + time.since(anchor)).saturating_sub(anchor.since(time));
     let (what, due) = match spike.late {
         Some(late) => (
@@ -151,7 +151,7 @@ fn events(
     events
 }
 
-/// What a cycle says when it is selected.
+/// Details shown when a cycle is selected.
 fn details(cycle: &Stamps) -> Value {
     let late = cycle.sending.since(cycle.deadline);
     json!({
@@ -163,8 +163,8 @@ fn details(cycle: &Stamps) -> Value {
     })
 }
 
-/// In µs, an eighth of a nanosecond more than it was: a reader that cuts off at nanoseconds, as Perfetto does, has them
-/// again whatever its decimals cost. With one less, a phase would end after its cycle.
+/// Time in µs, increased by an eighth of a nanosecond. A reader that truncates to nanoseconds, such as Perfetto, then
+/// gets the exact value despite decimal rounding. With a nanosecond less, a phase would end after its cycle.
 fn micros(time: Duration) -> f64 {
     (time.as_nanos() as f64 + 0.125) / 1e3
 }
@@ -184,7 +184,7 @@ mod tests {
         }
     }
 
-    /// A cycle of 1 ms whose phases take some µs each, late by as many.
+    /// A cycle of 1 ms whose phases take some µs each. `late` is its lateness, µs.
     fn cycle(number: u64, late: u64) -> Stamps {
         let at = |micros: u64| Instant::from_nanos((1000 * (number + 1) + micros) * 1000 + 7);
         let awake = Awake {
@@ -264,7 +264,7 @@ mod tests {
             [first, second],
             ["late by 312 µs: preempted", "late by 33 µs: preempted"]
         );
-        // Both were due at the same place.
+        // The two due times coincide.
         assert_eq!(at - 312_000, then - 33_000);
         let name = of(1, "M").find(|one| one["name"] == "process_name");
         assert_eq!(

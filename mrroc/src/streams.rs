@@ -1,8 +1,8 @@
-//! Standard output and standard error. All that is printed goes through here: a reader that has gone, such as `head`,
-//! has had what it wanted, and is no failure, where `println!` would panic.
+//! Standard output and standard error. All output passes through this module. A closed reader, such as `head`, is no
+//! error, whereas `println!` would panic.
 //!
-//! Lines may have names and texts in them that others chose: of interfaces, of nodes, of files. A control character of
-//! theirs is no command to the terminal, but is shown as `\u001b`, which JSON understands as well.
+//! Lines may contain foreign names and texts: of interfaces, of nodes, of files. A control character in such a text
+//! has no effect on the terminal and is shown as `\u001b`, which is also valid in JSON.
 
 use std::fmt::{self, Display, Write};
 use std::io::{ErrorKind, Write as _, stderr, stdout};
@@ -11,17 +11,17 @@ use std::process::ExitCode;
 use anyhow::Context;
 use serde::Serialize;
 
-/// Prints a text as it is.
+/// Prints a text without a line end.
 pub fn print(text: impl Display) -> anyhow::Result<ExitCode> {
     write(text).map(|_| ExitCode::SUCCESS)
 }
 
-/// Prints a line; whether anybody still reads.
+/// Prints a line, and returns whether the reader is still open.
 pub fn say(line: impl Display) -> anyhow::Result<bool> {
     write(format_args!("{}\n", plain(line)))
 }
 
-/// Prints an answer for a person, or as one JSON object in one line.
+/// Prints an answer as text, or as one JSON object in one line.
 pub fn answer(answer: &(impl Serialize + Display), json: bool) -> anyhow::Result<ExitCode> {
     let text = if json {
         serde_json::to_string(answer)?
@@ -31,12 +31,12 @@ pub fn answer(answer: &(impl Serialize + Display), json: bool) -> anyhow::Result
     say(text.trim_end_matches('\n')).map(|_| ExitCode::SUCCESS)
 }
 
-/// Says what is no answer on standard error; without that there is nobody to be told.
+/// Prints a message to standard error. A failure is ignored, because no other output is left.
 pub fn warn(line: impl Display) {
     let _ = writeln!(stderr(), "{}", plain(line));
 }
 
-/// A text whose control characters are shown, but for the ends of lines and tabulators.
+/// Shows the control characters of a text, except line ends and tabulators.
 pub fn plain(text: impl Display) -> impl Display {
     Plain(text)
 }
@@ -68,7 +68,7 @@ impl Write for Escaping<'_, '_> {
     }
 }
 
-/// Says why a command was refused, in one line. The reason may quote a file: nothing of it acts on a terminal.
+/// Prints why a command was refused, in one line. Text quoted from a file has no effect on the terminal.
 pub fn refuse(refusal: &anyhow::Error) {
     let said = crate::cell::printable(&format!("{refusal:#}"));
     warn(format_args!("mrroc: {said}"));
@@ -95,7 +95,7 @@ mod tests {
         ];
         for (text, shown) in table {
             assert_eq!(plain(text).to_string(), shown);
-            // In two parts, as a formatter hands it over.
+            // Written in two parts, as by a formatter.
             let both = format_args!("{text}{text}").to_string();
             assert_eq!(plain(both).to_string(), format!("{shown}{shown}"));
         }

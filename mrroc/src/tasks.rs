@@ -1,11 +1,11 @@
-//! The tasks of a cell: what each robot is to do.
+//! The tasks of the robots of a cell.
 
 use anyhow::bail;
 use controller::ecp::Task;
 
 use crate::cell_file::CellFile;
 
-/// A function that makes the tasks of a cell. One run calls it for each rehearsal and once for the run itself.
+/// A function that makes the tasks of a cell. A run calls the function for each rehearsal and once for the run itself.
 pub type MakeTasks<'a> = dyn Fn(&CellFile) -> anyhow::Result<Tasks> + Sync + 'a;
 
 /// One task per robot of a cell. A robot without a task stays switched off.
@@ -30,7 +30,7 @@ impl Tasks {
 
     /// The programs of the cell file: switch on, home, move, switch off.
     ///
-    /// Errors name the file, the line and the key of an instruction that the robot cannot do.
+    /// Errors give the file, the line and the key of an instruction that the robot cannot execute.
     pub fn programs(file: &CellFile) -> anyhow::Result<Self> {
         let mut tasks = Self::new(file);
         tasks.programs = true;

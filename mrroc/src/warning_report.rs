@@ -1,4 +1,4 @@
-//! An error that a drive reported without a fault, in a run's report.
+//! Report of an error that a drive reported without a fault.
 
 use std::fmt;
 
@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use crate::cell_file::CellFile;
 
-/// One error of one drive, and how often the drive reported it.
+/// One error of one drive, and how often the drive reported the error.
 #[derive(Debug, Serialize)]
 pub struct WarningReport {
     /// The bus.
@@ -24,7 +24,7 @@ pub struct WarningReport {
     time_s: f64,
     /// How often the drive reported it.
     count: u64,
-    /// What it is.
+    /// Description of the error.
     what: String,
 }
 

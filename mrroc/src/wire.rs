@@ -1,15 +1,18 @@
-//! When SYNC and the drives' answers were on the wire, bus by bus: who listens, and what a report says of it.
+//! Timing of SYNC and the drives' answers on the wire, for each bus: the listeners and their report.
 //!
-//! The servo's port cannot tell: it knows when it handed a SYNC over, not when that was on the bus. So a second end
-//! listens. On a virtual bus it is told the instant of each frame's last bit. On SocketCAN it is a socket that receives
-//! what other sockets of this host send as well (kernel documentation, networking/can.rst, "Local Loopback of Sent
-//! Frames"): a card's driver hands such a frame back once it was sent; for a driver that does not, such as that of
-//! `slcand`, the CAN core does as soon as it was handed over, and the report says so. vcan sends at once. Stamps are the
-//! kernel's, taken where the driver passes a frame on, or the card's own where every frame has one. An slcan adapter on
-//! a tty and a serial line tell nothing of the kind, and nothing is made up for them.
+//! The servo's port knows when it handed a SYNC to the driver, but not when the SYNC was on the bus. A second end
+//! therefore listens:
+//! - On a virtual bus, the listener gets the time of each frame's last bit.
+//! - On SocketCAN, the listener is a socket that also receives the frames of other sockets of this host (kernel
+//!   documentation, networking/can.rst, "Local Loopback of Sent Frames"). The driver of a card loops such a frame back
+//!   after sending. For a driver without this function, such as that of `slcand`, the CAN core loops the frame back at
+//!   the handover to the driver. The report names this case. vcan sends at once. The time stamps are those of the
+//!   kernel, taken where the driver passes a frame on. If every frame has a time stamp of the card, those are used
+//!   instead.
+//! - An slcan adapter on a tty and a serial line have no time stamps, and the report has no times for them.
 //!
-//! An ordinary thread reads; the servo thread bears the delivery of a few more frames by the kernel, and on the emulated
-//! bench a push into a queue.
+//! An ordinary thread reads the listeners. The servo thread bears only the kernel's delivery of a few more frames, or
+//! on the emulated bench a push into a queue.
 
 mod listening;
 mod report;
@@ -33,28 +36,28 @@ use crate::setup;
 
 pub use report::{NodeReport, Source, SyncStamp, WireReport};
 
-/// Frames that are read at a time, and how often at one look: no queue holds more.
+/// Greatest number of frames read at a time, and of readings in one pass. No queue holds more frames.
 const BATCH: usize = 32;
 const BATCHES: usize = 1024;
 
-/// Beyond this a time counts as this: 10 s.
+/// Greatest recorded time, 10 s; longer times count as this one.
 const LONGEST: u64 = 10_000_000_000;
 
 /// `IFF_ECHO` of the kernel: the driver itself loops sent frames back.
 const ECHO: u32 = 1 << 18;
 
-/// What listens to one bus.
+/// The listener of one bus.
 pub enum Listener {
     /// An end of the virtual bus.
     Virtual(VirtualPort),
-    /// A socket of its own on the interface, and when that stamps what this host sends.
+    /// A separate socket on the interface, and the moment at which it stamps the frames of this host.
     SocketCan(SocketCanPort, SyncStamp),
-    /// Nothing could tell when a frame was on the wire.
+    /// No time stamps are available.
     None,
 }
 
 impl Listener {
-    /// On the interface of bus `bus`; nothing on an slcan adapter.
+    /// A listener on the interface of bus `bus`; none for an slcan adapter.
     pub fn open(file: &CellFile, bus: usize, interface: &Interface) -> anyhow::Result<Self> {
         let Interface::SocketCan(name) = interface else {
             return Ok(Self::None);
@@ -70,7 +73,7 @@ impl Listener {
     }
 }
 
-/// When a frame that this host sends on `interface` gets its stamp: by what its driver says it does (`IFF_ECHO`).
+/// The moment at which a frame of this host on `interface` is stamped, according to the driver's flag `IFF_ECHO`.
 fn sync_stamp(interface: &str) -> SyncStamp {
     let flags = std::fs::read_to_string(format!("/sys/class/net/{interface}/flags"));
     let flags = flags.ok().and_then(|flags| {
@@ -96,15 +99,15 @@ fn answers(file: &CellFile, bus: usize) -> impl Iterator<Item = StandardId> {
     })
 }
 
-/// The listeners of a cell and what they have heard.
+/// The listeners of a cell and their results.
 pub struct Wire(Vec<BusWire>);
 
 struct BusWire {
     name: String,
     listener: Listener,
-    /// By the instants of the bus, or the kernel's stamps.
+    /// Times from the virtual bus or from the kernel's time stamps.
     times: Times,
-    /// By the card's own stamps, while every frame has one.
+    /// Times from the card's time stamps, as long as every frame has one.
     card: Option<Times>,
     /// Each axis and its node-ID.
     axes: Vec<(String, u8)>,
@@ -139,7 +142,7 @@ impl Wire {
         Self(bus.collect())
     }
 
-    /// These listeners with what `before`, others of the same buses, have heard.
+    /// These listeners, with the results of `before`, earlier listeners of the same buses.
     pub fn continuing(mut self, before: Option<Self>) -> Self {
         let before = before.into_iter().flat_map(|wire| wire.0);
         for (bus, before) in self.0.iter_mut().zip(before) {
@@ -153,12 +156,12 @@ impl Wire {
         self
     }
 
-    /// Takes what was heard since the last call.
+    /// Takes the frames received since the last call.
     pub fn look(&mut self) {
         self.0.iter_mut().for_each(BusWire::look);
     }
 
-    /// What was heard, bus by bus.
+    /// The results of each bus.
     pub fn reports(&self) -> Vec<WireReport> {
         self.0.iter().map(BusWire::report).collect()
     }
@@ -172,7 +175,7 @@ impl BusWire {
         };
         let mut frames = [nothing; BATCH];
         for _ in 0..BATCHES {
-            // A bus that fails is the servo's to report; it may come back.
+            // The servo reports a failed bus, which may recover.
             let heard = match &mut self.listener {
                 Listener::Virtual(port) => port.receive(Instant::FAR_FUTURE, &mut frames),
                 Listener::SocketCan(port, _) => port.receive(Instant::FAR_FUTURE, &mut frames),
@@ -237,12 +240,12 @@ impl BusWire {
     }
 }
 
-/// The times of one bus, in distributions.
+/// Distributions of the times of one bus.
 struct Times {
     timing: WireTiming,
     period: Duration,
     sync: Spread,
-    /// By how much the distance of two SYNCs was off the period, either way.
+    /// Absolute deviation of the time between two SYNCs from the period.
     off_period: Spread,
     answers: Vec<Spread>,
 }
@@ -270,8 +273,8 @@ impl Times {
     }
 }
 
-/// Durations in four significant digits, a period of 2 ms to 0.1 µs, and the longest exactly. It grows with what is
-/// recorded: 0.5 MB up to 2 ms.
+/// Durations in four significant digits (0.1 µs for a period of 2 ms), and the exact maximum. The memory grows with
+/// the recorded values: 0.5 MB up to 2 ms.
 struct Spread(Histogram<u32>, Duration);
 
 impl Spread {
@@ -287,7 +290,7 @@ impl Spread {
         self.1 = self.1.max(duration);
     }
 
-    /// `None` of nothing.
+    /// `None` without values.
     fn percentiles(&self) -> Option<Percentiles> {
         let max = microseconds(self.1);
         let quantile = |share| (self.0.value_at_quantile(share) as f64 / 1e3).min(max);

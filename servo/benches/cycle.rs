@@ -1,5 +1,5 @@
-//! The cost of one cycle of a moving six-axis effector, on a group that does nothing: no system
-//! call, no encoding. Drives close the position loops, or the servo does by either law.
+//! Duration of one cycle of a moving six-axis effector on an idle group, without system calls and encoding. The drives
+//! close the position loops, or the servo does by either law.
 
 use std::hint::black_box;
 use std::task::Poll;
@@ -17,7 +17,7 @@ use mrroc_servo::{
 const AXES: usize = 6;
 const PERIOD: Duration = Duration::from_millis(1);
 
-/// Drives that are on, homed and where they were told to be.
+/// Drives that are on, homed and always at their commanded position.
 struct Trivial([AxisState; AXES]);
 
 impl DriveGroup for Trivial {
@@ -94,7 +94,7 @@ fn bench(criterion: &mut Criterion, name: &str, position_loop: PositionLoop) {
     criterion.bench_function(name, |bencher| {
         bencher.iter(|| {
             if link.orders.slots() == 16 {
-                // To and fro by 0.01 rad, ten periods each.
+                // Back and forth by 0.01 rad, ten periods each.
                 number += 1;
                 let position = [0.01 * (number % 2) as f64; MAX_AXES];
                 let velocity = [0.0; MAX_AXES];

@@ -1,4 +1,4 @@
-//! One axis as its servo knows it: what its drive says, and what was commanded when.
+//! One axis of an effector: state of its drive and history of its commands.
 
 use can::Instant;
 use drive::{AxisCommand, AxisState, Finite, Homing, Power, Setpoint};
@@ -8,10 +8,10 @@ use crate::host_loop::Loop;
 use crate::search::Search;
 use crate::{HomingFailure, Knot, PositionLoop, ServoAxisConfig, StopCause, TrackingError, limit};
 
-/// Commands remembered per axis; a sample older than that is compared with the oldest.
+/// Commands remembered per axis. A sample older than that is compared with the oldest command.
 pub(crate) const REMEMBERED: usize = 16;
 
-/// Share of its greatest velocity below which a motor counts as still.
+/// Fraction of the greatest velocity below which a motor counts as still.
 const STILL: f64 = 0.01;
 
 /// An axis.
@@ -19,27 +19,27 @@ pub(crate) struct Axis {
     pub(crate) config: ServoAxisConfig,
     /// [`DriveGroup::delay`](drive::DriveGroup::delay) of its group.
     delay: usize,
-    /// What the drive says.
+    /// Last state reported by the drive.
     pub(crate) state: AxisState,
     /// The set-point of this cycle.
     pub(crate) knot: Knot,
-    /// What holds the weight on it there, N·m.
+    /// Feed-forward torque at this set-point, which holds the weight on the axis, N·m.
     pub(crate) torque: f64,
-    /// Positions commanded, the newest first.
+    /// Commanded positions, the newest first.
     commanded: [f64; REMEMBERED],
-    /// Cycles in a row in which the drive was told to follow.
+    /// Cycles in a row in which the drive was commanded to follow.
     followed: usize,
-    /// It searched for its reference in this homing.
+    /// The axis searched for its reference during this homing.
     pub(crate) searched: bool,
     pub(crate) command: AxisCommand,
     pub(crate) tracking: TrackingError,
-    /// What measures it, if anything does, and what that adds in this cycle.
+    /// The excitation of an identification, if any, and its value in this cycle.
     pub(crate) playing: Option<Playing>,
     pub(crate) excitation: f64,
     reference: ReferenceWatch,
-    /// The position loop, if it is closed here.
+    /// The position loop, if the servo closes it.
     host: Option<Loop>,
-    /// The search of this homing, if it is made here.
+    /// The search of this homing, if the servo homes the axis.
     search: Option<Search>,
 }
 
@@ -69,10 +69,10 @@ impl Axis {
         }
     }
 
-    /// Takes what the drive says, `periods` of `dt` seconds after the last cycle.
+    /// Takes the state of the drive, `periods` of `dt` seconds after the last cycle.
     pub(crate) fn observe(&mut self, state: AxisState, periods: u32, dt: f64) {
         let seeking = matches!(self.command, AxisCommand::Seek(_));
-        // The pulse may come in the very cycle in which a stop ends the search.
+        // The index pulse may come in the cycle in which a stop ends the search.
         let led = self.search.is_some() && self.followed > 0;
         let attained =
             led && self.state.homing != Homing::Attained && state.homing == Homing::Attained;
@@ -90,7 +90,7 @@ impl Axis {
         self.state = state;
     }
 
-    /// The counter was set while the axis followed: every position so far is `step`, rad, further.
+    /// Moves all remembered positions by `step`, rad, because the counter was set while the axis followed.
     fn shift(&mut self, step: f64) {
         self.knot.position += step;
         self.commanded.iter_mut().for_each(|at| *at += step);
@@ -99,7 +99,7 @@ impl Axis {
         }
     }
 
-    /// A search for the reference begins.
+    /// Starts the search for the reference.
     pub(crate) fn begin_homing(&mut self) {
         self.searched = false;
         self.reference = ReferenceWatch::default();
@@ -107,23 +107,23 @@ impl Axis {
         self.search = homing.map(|homing| Search::new(homing, self.config.increments_per_radian));
     }
 
-    /// Whether it is homed here, and it is its turn: `order` is what homes now.
+    /// Whether the servo is searching for the reference of this axis. `order` is the homing order whose turn it is.
     pub(crate) fn is_searching(&self, order: Option<u8>) -> bool {
         let under_way = self.search.is_some_and(|search| !search.is_done());
         under_way && order == Some(self.config.homing_order)
     }
 
-    /// Whether its drive is to home it now.
+    /// Whether the drive has to home the axis now.
     pub(crate) fn homes_itself(&self, order: Option<u8>) -> bool {
         self.config.homing.is_none() && !self.is_homed() && order == Some(self.config.homing_order)
     }
 
-    /// Whether it has no reference yet, or still moves from having found it.
+    /// Whether the axis has no reference, or its search has not ended yet.
     pub(crate) fn needs_homing(&self) -> bool {
         !self.is_homed() || self.search.is_some_and(|search| !search.is_done())
     }
 
-    /// Moves the search one period on.
+    /// Advances the search by one period.
     pub(crate) fn advance_search(&mut self, now: Instant, dt: f64) -> Result<(), HomingFailure> {
         let follows = self.follows();
         let Some(mut search) = self.search else {
@@ -135,7 +135,7 @@ impl Axis {
             search.brake(&mut self.knot, dt);
         }
         if search.is_reversed() && !reversed {
-            // It goes back from where it is, not from where it was to be.
+            // The reversed search starts from the measured position instead of the commanded one.
             self.capture();
         }
         self.searched |= search.is_seeking();
@@ -143,7 +143,7 @@ impl Axis {
         result
     }
 
-    /// Brakes a search that was stopped in the middle. A lost axis keeps its last set-point.
+    /// Brakes an interrupted search. A lost axis keeps its last set-point.
     pub(crate) fn brake_search(&mut self, dt: f64) {
         let lost = self.is_lost();
         if let Some(search) = self.search.as_mut().filter(|_| !lost) {
@@ -151,17 +151,17 @@ impl Axis {
         }
     }
 
-    /// What the counter showed at the reference before it was set there; `None` without a search.
+    /// Count at the reference before the counter was set there; `None` without a search.
     pub(crate) fn homing_offset(&self) -> Option<i64> {
         self.searched.then_some(self.reference.offset)
     }
 
-    /// Whether the drive, by a sample taken under a set-point of ours, follows set-points.
+    /// Whether the drive follows set-points, as shown by a sample taken under a set-point.
     pub(crate) fn follows(&self) -> bool {
         self.is_watched() && self.state.following && self.state.power == Power::On
     }
 
-    /// Takes the measured position as the commanded one, so that following begins without a jump.
+    /// Takes the measured position as the commanded one. Following then starts without a jump.
     pub(crate) fn capture(&mut self) {
         self.knot = Knot {
             position: self.state.position,
@@ -173,14 +173,17 @@ impl Axis {
         }
     }
 
-    /// Whether its drive has a fault and is not heard any more.
+    /// Whether the drive has a fault and does not answer.
     pub(crate) fn is_lost(&self) -> bool {
         self.state.fault.is_some() && self.state.age > 0
     }
 
-    /// Takes the motor for standing at the last set-point; or, if its loop is closed here, for what it
-    /// was last seen to do, since torque does not stop at a set-point, nor in
-    /// deadlines `missed`. Where a lost axis is, its last velocity does not tell: it keeps its last set-point.
+    /// Estimates the motion of the motor after missed or refused cycles, and adapts the remembered commands to it.
+    ///
+    /// A drive that closes the position loop stands at its last set-point. A motor whose loop the servo closes
+    /// continues at its last measured velocity, also during the `missed` deadlines, because a torque set-point does
+    /// not stop the motor. A lost axis keeps its last set-point, because its last velocity does not give its
+    /// position.
     pub(crate) fn rest(&mut self, missed: u32, dt: f64) {
         let lost = self.is_lost();
         let Some(host) = self.host.as_mut().filter(|_| !lost) else {
@@ -189,7 +192,7 @@ impl Axis {
             return;
         };
         let velocity = host.measured_velocity();
-        // The sample shows the command of `delay` cycles ago, and the newest is one old.
+        // The sample shows the command of `delay` cycles ago. The newest command is one cycle old.
         let shown = self.delay - 1 + self.state.age as usize + missed as usize;
         self.commanded = std::array::from_fn(|age| {
             self.state.position + velocity * dt * (shown as f64 - age as f64)
@@ -201,22 +204,22 @@ impl Axis {
         host.follow(self.commanded, velocity);
     }
 
-    /// Whether its position loop is closed here.
+    /// Whether the servo closes the position loop.
     pub(crate) fn is_host_closed(&self) -> bool {
         self.host.is_some()
     }
 
-    /// Whether its motor is the servo's to move or to hold, whatever the effector does.
+    /// Whether the servo has to move or hold the motor in every state of the effector.
     pub(crate) fn is_led(&self) -> bool {
         self.host.is_some() && self.state.power == Power::On
     }
 
-    /// Measured velocity and limit, rad/s, if the motor is faster than a loop closed here allows.
+    /// Measured velocity and limit, rad/s, if the motor is faster than a loop closed by the servo allows.
     pub(crate) fn runaway(&self) -> Option<(f64, f64)> {
         self.host.as_ref().and_then(Loop::runaway)
     }
 
-    /// The last position sent and the step to it.
+    /// The last position sent, and the velocity of the step to it.
     pub(crate) fn last_step(&self, dt: f64) -> Knot {
         let [last, before_last, ..] = self.commanded;
         Knot {
@@ -225,32 +228,32 @@ impl Axis {
         }
     }
 
-    /// Whether `position` may be commanded next.
+    /// Checks whether `position` may be commanded next.
     pub(crate) fn vet(&self, position: f64, dt: f64) -> Result<(), StopCause> {
         let [last, before_last, ..] = self.commanded;
         limit::check(&self.config.limits(), before_last, last, position, dt)
     }
 
-    /// Whether a sample taken under a set-point of ours is there. A drive that then does not follow
-    /// is none the less watched: the growing error is how it shows.
+    /// Whether a sample taken under a set-point exists. The check does not require that the drive follows: a drive
+    /// that does not follow is detected by its growing error.
     pub(crate) fn is_watched(&self) -> bool {
         self.followed >= self.delay
     }
 
-    /// Commanded minus measured, rad, for the command that the sample shows the effect of.
+    /// Following error, rad: commanded minus measured position, for the command whose effect the sample shows.
     pub(crate) fn error(&self) -> f64 {
         if let Some(host) = &self.host {
             return host.error(&self.state);
         }
-        // This cycle's command is not in `commanded` yet, so the newest there is one period old.
+        // `commanded` does not contain this cycle's command yet; its newest entry is one period old.
         let age = (self.delay - 1)
             .saturating_add(self.state.age as usize)
             .min(REMEMBERED - 1);
         self.commanded[age] - self.state.position
     }
 
-    /// The limit switch, upper or not, that is closed and stands in the way of motion in `sense`; of an axis
-    /// with a reference. A search for it looks at the switches itself.
+    /// The closed limit switch that blocks motion in `sense`: true for the upper one. `None` for an axis without a
+    /// reference, whose search evaluates the switches itself.
     pub(crate) fn limit_switch(&self, sense: f64) -> Option<bool> {
         let towards = sense * self.config.increments_per_radian;
         let switches = &self.state.switches;
@@ -267,7 +270,7 @@ impl Axis {
         self.state.velocity.abs() <= STILL * self.config.max_velocity
     }
 
-    /// Keeps `command` for the write and remembers the set-point.
+    /// Stores `command` for the write and remembers the set-point.
     pub(crate) fn command(&mut self, command: AxisCommand) {
         let follows = matches!(command, AxisCommand::Follow(_) | AxisCommand::Seek(_));
         self.followed = if follows {
@@ -280,21 +283,21 @@ impl Axis {
         self.command = command;
     }
 
-    /// Finds what measures it in this cycle, of macrostep `macrostep` if it is one.
+    /// Takes the excitation of this cycle. `macrostep` is the macrostep under way, if any.
     pub(crate) fn excite(&mut self, macrostep: Option<u64>) {
         if let Some(playing) = &mut self.playing {
             self.excitation = playing.value(macrostep);
         }
     }
 
-    /// Turns the set-point into what its drive is to follow: the position itself, or what the loop
-    /// closed here makes of it.
+    /// Converts the set-point to the drive's command. The command holds the position itself, or the output of the loop
+    /// that the servo closes.
     pub(crate) fn regulate(&mut self, dt: f64) -> AxisCommand {
         if self.host.is_some() && self.followed == 0 {
             self.capture();
         }
-        // Only a measured position taken over can be NaN; such an axis never settles, and the
-        // time-out of what it settles for names it.
+        // The position can only be NaN if a measured position was taken over. Such an axis never settles, and the
+        // time-out of that wait names the axis.
         let Some(position) = Finite::new(self.excited_position()) else {
             return AxisCommand::Off;
         };
@@ -312,8 +315,8 @@ impl Axis {
         }
     }
 
-    /// Takes on as much of the way to `torque`, N·m, as the loop closed here gives away in exchange: together they put
-    /// out what they did, but for the dry friction that the loop forgets.
+    /// Bumpless transfer from the integral part of a loop closed by the servo to the feed-forward torque, towards
+    /// `torque`, N·m. The total output stays the same, except for the dry friction that the loop drops.
     pub(crate) fn hand_over(&mut self, torque: f64) {
         if let Some(host) = &mut self.host {
             self.torque += host.hand_over(torque - self.torque);
@@ -329,13 +332,13 @@ impl Axis {
         }
     }
 
-    /// The torque beside the position, if its drive takes one.
+    /// The torque sent beside the position, if the drive takes one.
     fn torque_beside(&self) -> Option<Finite> {
         self.config.torque_offset?;
         Finite::new(self.excitation)
     }
 
-    /// A cycle in which the set-point stands still: a loop closed here goes on.
+    /// A cycle without a new set-point. A loop closed by the servo continues.
     pub(crate) fn hold(&mut self, dt: f64) {
         let follows = matches!(self.command, AxisCommand::Follow(_) | AxisCommand::Seek(_));
         if self.host.is_some() && follows {
@@ -344,32 +347,33 @@ impl Axis {
     }
 }
 
-/// Sees a drive set its counter at the reference: the greatest step during a search that no motor can make.
+/// Detects that a drive set its counter at the reference: the greatest step during a search that no motor can make.
 #[derive(Clone, Copy, Debug, Default)]
 struct ReferenceWatch {
-    /// The last sample: rad, increments.
+    /// The last sample, rad and increments.
     last: Option<(f64, i64)>,
-    /// The way to it in one period, and the periods of it.
+    /// Displacement per period up to the last sample, and the number of periods it covers.
     way: Option<(f64, f64)>,
     periods: f64,
-    /// The way in one period to the sample before.
+    /// Displacement per period up to the sample before the last.
     earlier: Option<(f64, f64)>,
-    /// Cycles since that brought no sample.
+    /// Cycles without a sample since the last one.
     gap: u32,
     searching: bool,
-    /// The step, increments. Samples that came early or late make steps too, but smaller ones.
+    /// The step of the counter, increments. Samples taken early or late show steps too, but smaller ones.
     offset: i64,
 }
 
 impl ReferenceWatch {
-    /// A step is the counter's own if the motor would need this many times its greatest acceleration.
+    /// A step counts as a step of the counter if the motor would need this many times its greatest acceleration.
     const IMPOSSIBLE: f64 = 4.0;
 
-    /// Steps up to this are a counter's resolution, counts.
+    /// Steps up to this many counts are within the counter's resolution.
     const COARSE: f64 = 2.0;
 
-    /// Takes a sample; the step of the counter in it, rad, if it was set in between. It was if a motor
-    /// cannot have made the step, or if the drive now first says that it `attained` the reference.
+    /// Takes a sample, and returns the step of the counter, rad, if the drive set the counter since the last sample.
+    /// The criterion is a step that a motor cannot make, or the first sample in which the drive reports that it
+    /// `attained` the reference.
     fn observe(
         &mut self,
         state: &AxisState,
@@ -378,7 +382,7 @@ impl ReferenceWatch {
         max_acceleration: f64,
         dt: f64,
     ) -> Option<f64> {
-        // The sample that tells of success may be the first one after the step.
+        // The sample that reports success may be the first one after the step.
         let searching = seeking || state.homing == Homing::InProgress;
         let searched = std::mem::replace(&mut self.searching, searching) || searching;
         if state.age > 0 {
@@ -394,7 +398,7 @@ impl ReferenceWatch {
         let earlier = self.earlier.replace(way);
         let mut step = moved.0 - way.0 * periods;
         let possible = Self::IMPOSSIBLE * max_acceleration * (periods * dt).powi(2);
-        // A coarse counter makes steps of a count or two of its own, whatever the motor does.
+        // A coarse counter makes steps of one or two counts by itself.
         let seen = (moved.1 - way.1 * periods).abs() > Self::COARSE;
         let impossible = searched && seen && step.abs() > possible;
         if !attained && !impossible {
@@ -405,7 +409,8 @@ impl ReferenceWatch {
             && !impossible
             && let Some(earlier) = earlier
         {
-            // The drive may say so one sample late: a step too small to be seen is then in the way before.
+            // The drive may report success one sample late. A step too small to be detected is then part of the
+            // previous displacement.
             step += (way.0 - earlier.0) * (last_periods + periods);
             counts -= (way.1 - earlier.1) * (last_periods + periods);
         }
@@ -414,7 +419,7 @@ impl ReferenceWatch {
             self.offset = counts;
         }
         if impossible {
-            // The way to this sample is of two counts.
+            // The displacement up to this sample mixes two counts.
             (self.way, self.earlier) = (None, None);
         }
         Some(step)
@@ -429,7 +434,7 @@ mod tests {
 
     const COUNTS: f64 = 4000.0 / std::f64::consts::TAU;
 
-    /// What the watch makes of samples of homing state and counts, a period of 2 ms apart.
+    /// The offset found in a sequence of homing states and counts, with a period of 2 ms.
     fn offset(samples: &[(Homing, i32)]) -> i64 {
         let mut watch = ReferenceWatch::default();
         for &(homing, counts) in samples {
@@ -481,7 +486,7 @@ mod tests {
         let search = [(InProgress, -100), (InProgress, -96), (InProgress, -92)];
         let home = [(Attained, 4), (Attained, 4), (Attained, 4)];
         assert_eq!(offset(&[&search[..], &home].concat()), -92);
-        // Two periods' way in one: the sample was taken late.
+        // The displacement of two periods in one: the sample was taken late.
         let late = [(InProgress, -140), (InProgress, -120), (InProgress, -80)];
         assert_eq!(offset(&[&late[..], &search, &home].concat()), -92);
         let fast = [(Attained, 100), (Attained, 200), (Attained, 400)];

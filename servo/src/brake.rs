@@ -4,15 +4,15 @@ use crate::{Knot, MAX_AXES};
 
 /// A straight stop: all motors decelerate together and come to rest at the same time.
 ///
-/// The stop starts from the set-points that were sent: the initial velocity is the last step over the period. From there
-/// each step of a motor is shorter than the step before by the same amount, |v| / N. N is the number of periods that the
-/// slowest motor needs at its greatest acceleration. All steps stay in proportion, so the motors stop along the straight
-/// line of their motion. No motor brakes harder than its limit, the velocity has no jump at either end, and the last
-/// set-point is exactly at rest. Motor *i* travels v·dt·(N − 1) / 2.
+/// The stop starts from the set-points that were sent: the initial velocity is the last step over the period. From
+/// there each step of a motor is shorter than the step before by the same amount, |v| / N. N is the number of periods
+/// that the slowest motor needs at its greatest acceleration. All steps stay in proportion, so the motors stop along
+/// the straight line of their motion. No motor brakes harder than its limit, the velocity has no jump at either end,
+/// and the last set-point is exactly at rest. Motor *i* travels v·dt·(N − 1) / 2.
 #[derive(Clone, Copy, Debug)]
 pub struct StraightStop {
     from: [Knot; MAX_AXES],
-    /// Periods it takes.
+    /// Number of periods of the stop.
     periods: u32,
     /// Periods already commanded.
     done: u32,
@@ -20,13 +20,13 @@ pub struct StraightStop {
     dt: f64,
 }
 
-/// Periods that no stop exceeds; far more than any speed over any acceleration asks for, it keeps
-/// an absurd configuration from overflowing.
+/// Upper limit of the number of periods of a stop. The limit is far above every real stop and prevents an overflow by
+/// an absurd configuration.
 const MOST_PERIODS: f64 = 1e9;
 
 impl StraightStop {
-    /// Stops from `from`, one knot and one greatest acceleration, rad/s², per motor, in periods of
-    /// `dt` seconds. A knot is the last position sent and the step to it over `dt`.
+    /// A stop starting at `from`, with one knot and one greatest acceleration, rad/s², per motor, in periods of `dt`
+    /// seconds. A knot is the last position sent, and the step to it divided by `dt`.
     pub fn new(from: &[Knot], max_acceleration: &[f64], dt: f64) -> Self {
         let mut knots = [Knot::default(); MAX_AXES];
         let mut duration: f64 = 0.0;
@@ -34,7 +34,7 @@ impl StraightStop {
             knots[axis] = *knot;
             duration = duration.max(knot.velocity.abs() / acceleration);
         }
-        // A stop that needs a whole number of periods must not gain one by rounding.
+        // Rounding must not add a period to a stop of a whole number of periods.
         let periods = (duration / dt - 1e-9).ceil().clamp(0.0, MOST_PERIODS);
         Self {
             from: knots,
@@ -44,14 +44,14 @@ impl StraightStop {
         }
     }
 
-    /// Goes one period on; false if it is at rest already.
+    /// Advances by one period; false if the stop has ended.
     pub fn advance(&mut self) -> bool {
         let under_way = self.done < self.periods;
         self.done += u32::from(under_way);
         under_way
     }
 
-    /// Where motor `axis` is to be now.
+    /// Present set-point of motor `axis`.
     pub fn at(&self, axis: usize) -> Knot {
         let from = self.from[axis];
         if self.periods == 0 {
@@ -90,7 +90,7 @@ mod tests {
             let limits: Vec<f64> = motors.iter().map(|m| m.2).collect();
             let mut stop = StraightStop::new(&from, &limits, DT);
             let mut last = from.clone();
-            // The sequence sent before: constant velocity.
+            // The positions sent before the stop: constant velocity.
             let mut step: Vec<f64> = from.iter().map(|k| k.velocity * DT).collect();
             let mut periods = 0;
             while stop.advance() {
@@ -112,7 +112,7 @@ mod tests {
             }
             for axis in 0..from.len() {
                 prop_assert_eq!(stop.at(axis).velocity, 0.0);
-                // Resting on after the last set-point stays within the limit as well.
+                // Repeating the last set-point keeps the acceleration limit as well.
                 let acceleration = step[axis].abs() / (DT * DT);
                 prop_assert!(acceleration <= limits[axis] * (1.0 + RELATIVE_TOLERANCE));
             }

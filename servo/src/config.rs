@@ -12,7 +12,7 @@ pub use position_loop::{FeedForward, HostLoop, Law, Output, PositionLoop};
 
 use crate::{AxisLimits, MAX_AXES};
 
-/// What a [`Servo`](crate::Servo) steps and how fast.
+/// Configuration of a [`Servo`](crate::Servo): period and effectors.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ServoConfig {
     /// Time from one SYNC to the next.
@@ -39,7 +39,7 @@ pub struct EffectorConfig {
     pub homing_timeout: Duration,
 }
 
-/// One axis of an effector: which drive it is, and what it may do.
+/// One axis of an effector: its drive and its limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ServoAxisConfig {
     /// Index of its drive group.
@@ -54,10 +54,10 @@ pub struct ServoAxisConfig {
     pub max_velocity: f64,
     /// Highest commanded motor acceleration, rad/s²; every stop brakes with it.
     ///
-    /// It is for the interpolated sequence. Where a planned acceleration changes sign in the middle
-    /// of a macrostep, the cubic through its ends needs up to 1.5 times the planned value.
+    /// The limit applies to the interpolated sequence. Where a planned acceleration changes sign in the middle of a
+    /// macrostep, the interpolating cubic needs up to 1.5 times the planned value.
     pub max_acceleration: f64,
-    /// Largest distance, rad, between the motor and the command whose effect its drive sampled,
+    /// Largest following error, rad: distance between the motor and the command whose effect its drive sampled,
     /// [`DriveGroup::delay`](drive::DriveGroup::delay) cycles before.
     pub following_error: f64,
     /// Axes of equal order home together, lower orders first.
@@ -65,15 +65,15 @@ pub struct ServoAxisConfig {
     /// Encoder increments per radian of motor rotation, negative if they fall while the motor turns in
     /// its positive direction: [`Scale::increments_per_radian`](drive::Scale::increments_per_radian).
     pub increments_per_radian: f64,
-    /// Who closes the position loop.
+    /// Whether the servo or the drive closes the position loop.
     pub position_loop: PositionLoop,
-    /// Rated torque of the motor, N·m, where a drive that closes the position loop takes a torque beside the position
-    /// ([`Setpoint::PositionWithTorque`](drive::Setpoint::PositionWithTorque)). [Excitations](crate::Excitation) are
-    /// such torques then.
+    /// Rated torque of the motor, N·m, if the drive closes the position loop and takes a torque beside the position
+    /// ([`Setpoint::PositionWithTorque`](drive::Setpoint::PositionWithTorque)). [Excitations](crate::Excitation) then
+    /// are such torques.
     pub torque_offset: Option<f64>,
-    /// How the servo homes the axis; `None` if its drive does,
-    /// [`AxisCommand::Home`](drive::AxisCommand::Home). Only where the servo closes the position loop: a
-    /// drive that did would follow positions of the old count, still under way, once its counter is set.
+    /// Homing by the servo; `None` if the drive homes the axis ([`AxisCommand::Home`](drive::AxisCommand::Home)).
+    /// Possible only where the servo closes the position loop. After its counter was set, a drive that closes the
+    /// loop would still follow positions of the old count, which are under way.
     pub homing: Option<HostHoming>,
 }
 
@@ -89,7 +89,7 @@ impl ServoAxisConfig {
     }
 }
 
-/// Why a [`Servo`](crate::Servo) cannot be made of a configuration. Indices count from zero.
+/// Error in the configuration of a [`Servo`](crate::Servo). Indices count from zero.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum ServoError {
     /// The period is zero.
@@ -103,7 +103,7 @@ pub enum ServoError {
         /// Its axes.
         axes: usize,
     },
-    /// An effector's queue holds nothing.
+    /// The queue of an effector has no capacity.
     #[error("effector {effector} has a queue of zero orders")]
     EmptyQueue {
         /// The effector.
@@ -164,7 +164,7 @@ pub enum ServoError {
 }
 
 impl ServoConfig {
-    /// Finds the first thing wrong with it; `group_axes` is how many axes each group has.
+    /// Returns the first error. `group_axes` is the number of axes of each group.
     pub(crate) fn check(&self, group_axes: &[usize]) -> Result<(), ServoError> {
         if self.period.is_zero() {
             return Err(ServoError::ZeroPeriod);
@@ -221,7 +221,7 @@ impl ServoConfig {
 }
 
 impl ServoAxisConfig {
-    /// How long a stop takes at most, s: from its greatest velocity, or in the middle of homing.
+    /// Longest duration of a stop, s: from the greatest velocity, or during homing.
     pub(crate) fn stopping_time(&self) -> f64 {
         let homing = self.homing.map_or(0.0, |homing| {
             homing.search.velocity.max(homing.zero.velocity) / homing.acceleration
@@ -229,7 +229,7 @@ impl ServoAxisConfig {
         homing.max(self.max_velocity / self.max_acceleration)
     }
 
-    /// The first field that makes no sense, as [`ServoError::BadLimit`] names it.
+    /// The first field with an implausible value, as named by [`ServoError::BadLimit`].
     pub fn nonsense(&self) -> Option<&'static str> {
         let positive = |value: f64| value.is_finite() && value > 0.0;
         if !self.min_position.is_finite() {
@@ -459,7 +459,7 @@ mod tests {
                 |l| l.feed_forward.constant = f64::INFINITY,
                 Some("feed_forward.constant"),
             ),
-            // The table by torque has limits above 1.
+            // The tables of loops by torque have limits above 1.
             (
                 |l| l.law = Law::Incremental(IRP6[0]),
                 Some("limit of its loop, a duty above 1,"),

@@ -1,4 +1,4 @@
-//! The cycle of one effector: check its axes, take orders, find the next set-points, vet them.
+//! The cycle of one effector: checks its axes, takes orders, finds the next set-points and checks them.
 
 mod homing;
 mod motion;
@@ -18,59 +18,61 @@ use crate::{
     StopCause, StraightStop, TrackingError,
 };
 
-/// Longest time the drives get to come to rest after the last set-point of a stop, before power
-/// is taken from them.
+/// Longest wait for standstill after the last set-point of a stop. The power is then switched off.
 const STANDSTILL_WAIT: Duration = Duration::from_millis(100);
 
-/// Cycles in a row that a bus may refuse the set-points of a stop; then the drives count as standing.
+/// Number of cycles in a row in which a bus may refuse the set-points of a stop. After that, the drives count as
+/// standing.
 const REFUSED_IN_STOP: u32 = 3;
 
-/// Commanded speed, rad/s, below which an axis is taken for at rest beside a limit switch: what generators round.
+/// Commanded speed, rad/s, below which an axis at a limit switch counts as at rest. The speed covers rounding errors
+/// of generators.
 const CREEP: f64 = 1e-3;
 
-/// What a servo's cycle tells each of its effectors.
+/// Data of a servo cycle for each of its effectors.
 #[derive(Clone, Copy)]
 pub(crate) struct Tick {
     pub(crate) number: u64,
     pub(crate) now: Instant,
     /// The nominal period, s.
     pub(crate) dt: f64,
-    /// Somebody asked for everything to stop.
+    /// A stop of all effectors is requested.
     pub(crate) stop: bool,
     pub(crate) open: OpenGates,
-    /// Deadlines missed in a row, if they are too many.
+    /// Deadlines missed in a row, if they exceed the limit.
     pub(crate) overrun: Option<u32>,
-    /// Periods since the last cycle: 1 and the deadlines missed.
+    /// Periods since the last cycle: 1 plus the number of missed deadlines.
     pub(crate) periods: u32,
-    /// Cycles in a row, up to the last, whose batch a bus of this effector did not take: the set-points are due again.
+    /// Number of cycles in a row, up to the last, in which a bus of this effector refused the batch. The set-points
+    /// are then repeated.
     pub(crate) refused: u32,
 }
 
-/// One effector as its servo knows it.
+/// State of one effector.
 pub(crate) struct Effector {
     index: u8,
     axes: Vec<Axis>,
     enabling_timeout: Duration,
     homing_timeout: Duration,
     orders: rtrb::Consumer<Order>,
-    /// Orders at the front of the queue known to be neither stop nor disable.
+    /// Number of orders at the front of the queue that were checked and are neither stop nor disable.
     scanned: usize,
     reports: rtrb::Producer<Report>,
     state: State,
-    /// When `state` was entered.
+    /// Time at which `state` was entered.
     since: Instant,
     fault: Option<ServoFault>,
     segment: Option<Segment>,
     stop: StraightStop,
-    /// The present stop was restarted, because a bus took no set-point of the first one.
+    /// The present stop was restarted because a bus refused its set-points.
     stop_restarted: bool,
     /// While [`State::Halting`]: the drives have come to rest.
     halted: bool,
     /// Number of the last macrostep begun.
     macrostep: u64,
-    /// Something happened in this cycle that the controller is to hear of.
+    /// This cycle has a report for the controller.
     news: bool,
-    /// The time the slowest axis needs to stop from its greatest velocity.
+    /// Time that the slowest axis needs to stop from its greatest velocity.
     stopping_time: Duration,
     counters: Counters,
 }
@@ -82,7 +84,7 @@ impl Effector {
         delays: &[usize],
     ) -> (Self, EffectorLink) {
         let (order_sender, orders) = rtrb::RingBuffer::new(config.queue);
-        // One report per macrostep, and the few changes of phase that one order can cause.
+        // One report per macrostep, plus the few changes of phase that one order can cause.
         let (reports, report_receiver) = rtrb::RingBuffer::new(config.queue + 16);
         let stops = config.axes.iter().map(ServoAxisConfig::stopping_time);
         let effector = Self {
@@ -131,7 +133,7 @@ impl Effector {
         &self.counters
     }
 
-    /// The time the slowest stop takes, standstill wait included.
+    /// Duration of the slowest stop, including the wait for standstill.
     pub(crate) fn longest_stop(&self) -> Duration {
         self.stopping_time.saturating_add(STANDSTILL_WAIT)
     }
@@ -148,7 +150,7 @@ impl Effector {
         self.axes.iter().map(|axis| axis.tracking)
     }
 
-    /// Excites axis `axis`, if there is one.
+    /// Starts an excitation of axis `axis`, if the axis exists.
     pub(crate) fn excite(
         &mut self,
         axis: usize,
@@ -163,7 +165,7 @@ impl Effector {
         Ok(())
     }
 
-    /// Takes what the drives say, by group and index in it.
+    /// Takes the states of the drives, by group and index within the group.
     pub(crate) fn set_states(&mut self, state: impl Fn(usize, usize) -> AxisState, tick: &Tick) {
         for axis in &mut self.axes {
             let state = state(axis.config.group, axis.config.index_in_group);
@@ -176,7 +178,7 @@ impl Effector {
         self.axes.iter().map(|axis| axis.config.group)
     }
 
-    /// The command of each axis, with its group and the index in it.
+    /// The command of each axis, with its group and its index within the group.
     pub(crate) fn commands(&self) -> impl Iterator<Item = (usize, usize, AxisCommand)> {
         let command = |axis: &Axis| (axis.config.group, axis.config.index_in_group, axis.command);
         self.axes.iter().map(command)
@@ -200,11 +202,11 @@ impl Effector {
         }
     }
 
-    /// Whether the set-points of the last cycle are due again, because a bus did not take them.
+    /// Whether the set-points of the last cycle are repeated because a bus refused them.
     fn is_held(&mut self, tick: &Tick) -> bool {
         if matches!(self.state, State::Braking(_)) && tick.refused > REFUSED_IN_STOP {
-            // The drives hear no set-point, and stand by now. The stop is restarted once: a restart in every cycle would
-            // never end while a motor is measured to move.
+            // The drives receive no set-point and count as standing. The stop is restarted only once: a restart in
+            // every cycle would never end while a motor is measured to move.
             if !self.stop_restarted {
                 self.axes.iter_mut().for_each(|axis| axis.rest(0, tick.dt));
                 self.begin_stop(tick);
@@ -219,13 +221,13 @@ impl Effector {
         tick.refused > 0 && follows
     }
 
-    /// Faults of drives, following errors, limit switches, overruns; the tracking statistics.
+    /// Checks drive faults, following errors, limit switches and overruns, and updates the tracking statistics.
     ///
-    /// A closed limit switch stops an effector that goes on towards it, and one that it holds back from where it
-    /// was told to be. It does neither to an axis that rests on it or leaves it: that is the way off.
+    /// A closed limit switch stops an effector that continues towards the switch, or that the switch holds back from
+    /// its commanded position. An axis may rest on the switch or move away from the switch.
     fn check(&mut self, tick: &Tick) {
         if let Some(missed) = tick.overrun {
-            // The drives have stood at their last set-points meanwhile, or run on by them.
+            // In the missed cycles, the drives stood at their last set-points or continued by them.
             let late = tick.periods - 1;
             let axes = self.axes.iter_mut();
             axes.for_each(|axis| axis.rest(late, tick.dt));
@@ -252,19 +254,20 @@ impl Effector {
                 continue;
             }
             if tick.overrun.is_some() && axis.is_host_closed() {
-                // Its commands are those of now, its sample is from before the deadlines missed.
+                // The commands were adapted to the missed deadlines, but the sample is older.
                 continue;
             }
             if self.state == State::Moving && axis.state.age == 0 {
                 axis.tracking.record(error);
             }
             let beyond = error.abs() > limit;
-            // The command of the last cycle, or the one that the motor does not come up to.
+            // Direction of the last command, or of the position that the motor does not reach.
             let sense = if beyond { error } else { axis.knot.velocity };
             let judged = commanding && (beyond || sense.abs() > CREEP);
             let switch = axis.limit_switch(sense).filter(|_| judged);
             if let Some(upper) = switch {
-                // Its drive stops it there whatever it is told, and its loop works: the others are braked.
+                // The drive itself stops this axis at the switch, and the loop of the axis works. The servo brakes the
+                // other axes.
                 self.fail(tick, index, StopCause::LimitSwitch { upper });
             } else if beyond || error.is_nan() {
                 let host_closed = axis.is_host_closed();
@@ -278,13 +281,13 @@ impl Effector {
         }
     }
 
-    /// Latches the first fault and leaves the present state for it.
+    /// Latches the first fault and leaves the present state.
     fn fail(&mut self, tick: &Tick, axis: impl Into<Option<usize>>, cause: StopCause) {
         self.latch(axis.into(), cause);
         self.apply(tick, Event::Fault);
     }
 
-    /// The same for a loop that does not work, and so cannot brake: power goes at once.
+    /// Latches a fault of a position loop. Such a loop cannot brake, so the power is switched off at once.
     fn lose(&mut self, tick: &Tick, axis: usize, cause: StopCause) {
         self.latch(Some(axis), cause);
         self.apply(tick, Event::ControlLost);
@@ -295,8 +298,8 @@ impl Effector {
         self.fault.get_or_insert(ServoFault { axis, cause });
     }
 
-    /// Finds stops anywhere in the queue and carries them out before all else: what was queued
-    /// before them keeps its order, less the macrosteps.
+    /// Finds stops anywhere in the queue and executes them first. Orders queued before the stop keep their order,
+    /// but motion, gates and homing among them are dropped.
     fn take_stops(&mut self, tick: &Tick) {
         if tick.stop {
             self.apply(tick, Event::Disable);
@@ -327,7 +330,7 @@ impl Effector {
         Some(order)
     }
 
-    /// Carries out orders from the front of the queue until one has to wait. Macrosteps are for
+    /// Executes orders from the front of the queue until an order has to wait. Macrosteps are left to
     /// [`Effector::advance`].
     fn take_orders(&mut self, tick: &Tick) {
         for _ in 0..self.orders.slots() {
@@ -358,7 +361,7 @@ impl Effector {
         }
     }
 
-    /// Goes where `event` leads; false if it is refused.
+    /// Changes the state by `event`; false if the event is refused.
     fn apply(&mut self, tick: &Tick, event: Event) -> bool {
         match self.state.next(event) {
             Answer::To(next) => self.enter(tick, next),
@@ -367,17 +370,17 @@ impl Effector {
         true
     }
 
-    /// What has to be prepared on the way into a state.
+    /// Prepares and enters a state.
     fn enter(&mut self, tick: &Tick, next: State) {
         let last = self.state;
         if next == last {
             return;
         }
         self.state = next;
-        // A reset that failed leads back to the phase it came from, and is news all the same.
+        // A failed reset returns to its previous phase, and is reported as well.
         self.news |= next.phase() != last.phase() || last == State::Resetting;
         match (last, next) {
-            // The stop goes on, only its end is another.
+            // The stop continues; only the state after it changes.
             (State::Braking(_), State::Braking(_)) | (State::Halting(_), State::Halting(_)) => {
                 return;
             }
@@ -388,7 +391,7 @@ impl Effector {
             }
             (_, State::Halting(_)) => self.halted = false,
             (_, State::Enabling) if !self.stands_as_commanded() => {
-                // Somebody moved it while it was off, and its links do not weigh what they did.
+                // The arm was moved while it was off, so the old feed-forward torques are wrong.
                 self.axes.iter_mut().for_each(|axis| axis.torque = 0.0);
             }
             (_, State::Homing) => self.axes.iter_mut().for_each(Axis::begin_homing),
@@ -410,7 +413,7 @@ impl Effector {
         self.stop = StraightStop::new(&knots[..used], &accelerations[..used], tick.dt);
     }
 
-    /// Moves the set-points one period on, and the state with them.
+    /// Advances the set-points by one period, and the state with them.
     fn advance(&mut self, tick: &Tick) {
         let waited = tick.now.since(self.since);
         match self.state {
@@ -445,7 +448,7 @@ impl Effector {
             State::Halting(after) => {
                 let axes = self.axes.iter_mut();
                 axes.for_each(|axis| axis.brake_search(tick.dt));
-                // A search may reverse, so a moment without motion is not yet the end of it.
+                // A search may reverse, so a short standstill does not prove its end.
                 let still = self.axes.iter().all(Axis::is_still);
                 self.halted |= waited >= self.longest_stop() || still && waited >= STANDSTILL_WAIT;
                 if waited > self.longest_stop().saturating_add(self.enabling_timeout) {
@@ -453,7 +456,7 @@ impl Effector {
                     self.fail(tick, late, StopCause::NotReady { waited });
                     self.apply(tick, Event::Done);
                 } else if after == After::Stand {
-                    // Set-points are taken up again only once nothing moves.
+                    // Following restarts only after standstill.
                     if self.halted && self.settle() {
                         self.apply(tick, Event::Done);
                     }
@@ -472,7 +475,7 @@ impl Effector {
         }
     }
 
-    /// Whether all axes have their reference and are where they were last told to be.
+    /// Whether all axes have their reference and stand within the following error of their last command.
     fn stands_as_commanded(&self) -> bool {
         self.axes.iter().all(|axis| {
             let error = axis.knot.position - axis.state.position;
@@ -480,13 +483,13 @@ impl Effector {
         })
     }
 
-    /// The first axis for which `what` holds, or the first.
+    /// The first axis for which `what` holds, or axis 0.
     fn first(&self, what: impl Fn(&Axis) -> bool) -> usize {
         self.axes.iter().position(what).unwrap_or(0)
     }
 
-    /// How long after the last set-point of a stop the power may stay on at most. A drive that
-    /// brakes by itself gets as long as the set-points could have taken.
+    /// Longest time from the last set-point of a stop to switching off the power. A drive that brakes by itself gets
+    /// the time of the longest stop.
     fn standstill_wait(&self) -> Duration {
         if self.axes.iter().any(|axis| axis.state.fault.is_some()) {
             self.longest_stop()
@@ -495,7 +498,8 @@ impl Effector {
         }
     }
 
-    /// Takes the set-points of the straight stop. A lost axis keeps its last one, since its drive hears no other.
+    /// Takes the set-points of the straight stop. A lost axis keeps its last set-point, because its drive receives no
+    /// other.
     fn place_stop(&mut self) {
         let axes = self.axes.iter_mut().enumerate();
         for (index, axis) in axes.filter(|(_, axis)| !axis.is_lost()) {
@@ -503,12 +507,12 @@ impl Effector {
         }
     }
 
-    /// Turns state and set-points into one command per axis.
+    /// Converts state and set-points to one command per axis.
     ///
-    /// An axis whose loop is closed here is regulated from its first cycle with power to its last: told to
-    /// stand it would have no torque, and fall. One whose drive has a fault is told so all the same, for there is
-    /// no loop through a drive that has a fault: its group brakes it if it commands pulse widths, by shorting the
-    /// motor, and lets it coast, loaded or not, if it commands current.
+    /// A loop that the servo closes is regulated as long as its axis has power. `Stand` would give such an axis no
+    /// torque, and the axis would fall. An axis with a drive fault gets `Stand` all the same, because no loop can act
+    /// through a faulted drive. The group then brakes a drive commanded by pulse width by shorting its motor. A drive
+    /// commanded by current coasts, even under load.
     fn command(&mut self, tick: &Tick) {
         let halted = self.halted;
         let on = self.axes.iter().all(|axis| axis.state.power == Power::On);
@@ -526,7 +530,7 @@ impl Effector {
             let command = match self.state {
                 State::Off | State::Faulted => AxisCommand::Off,
                 State::Resetting => AxisCommand::ResetFault,
-                // Its group brakes an axis that has a fault, if that can be; off would let it coast.
+                // With `Stand`, the group brakes a faulted axis if possible. `Off` would let the axis coast.
                 _ if axis.state.fault.is_some() => AxisCommand::Stand,
                 State::Homing if axis.homes_itself(order) => AxisCommand::Home,
                 _ if follow || axis.is_led() => axis.regulate(tick.dt),
@@ -555,7 +559,7 @@ impl Effector {
         self.counters.dropped_reports += u64::from(self.reports.push(report).is_err());
     }
 
-    /// What the recording keeps of this cycle.
+    /// The record of this cycle.
     pub(crate) fn record(&self, tick: &Tick) -> Record {
         let mut record = Record {
             cycle: tick.number,
@@ -586,7 +590,7 @@ impl Order {
         match self {
             Self::Enable => Event::Enable,
             Self::Home => Event::Home,
-            // A gate waits and is refused where the motion behind it would be.
+            // A gate is queued and refused in the same states as the motion behind it.
             Self::Move(_) | Self::Gate(_) => Event::Move,
             Self::Stop => Event::Stop,
             Self::Disable => Event::Disable,

@@ -9,20 +9,21 @@ use crate::{PositionLoop, ServoAxisConfig};
 /// Greatest excitation as a share of the loop's output limit, of the rated torque, or of the following error.
 const SHARE: f64 = 0.25;
 
-/// A sequence added at an axis while it moves; see [`Servo::excite`](crate::Servo::excite).
+/// A sequence added at an axis during motion; see [`Servo::excite`](crate::Servo::excite).
 ///
 /// Where the servo closes the position loop, the sequence is added to the output of the law, in the unit of the output
-/// (rad/s, N·m or a duty). Where the drive closes the loop, the sequence is a torque, N·m, sent beside the position, if the
-/// drive takes one ([`ServoAxisConfig::torque_offset`]). Otherwise the sequence is added to the commanded position, rad.
+/// (rad/s, N·m or a duty). Where the drive closes the loop, the sequence is a torque, N·m, sent beside the position, if
+/// the drive takes one ([`ServoAxisConfig::torque_offset`]). Otherwise the sequence is added to the commanded position,
+/// rad.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Excitation {
-    /// One value per cycle; it repeats.
+    /// One value per cycle; the sequence repeats.
     pub period: Vec<f64>,
-    /// Numbers of the macrosteps in which it is added.
+    /// Numbers of the macrosteps during which the sequence is added.
     pub macrosteps: RangeInclusive<u64>,
 }
 
-/// Why an axis is not excited so. Indices count from zero.
+/// Why an excitation is refused. Indices count from zero.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum ExcitationError {
     /// There is no such axis.
@@ -33,34 +34,34 @@ pub enum ExcitationError {
         /// The axis.
         axis: usize,
     },
-    /// It has no value, or one that is not a number.
+    /// The sequence is empty, or has a value that is not finite.
     #[error("an excitation of no value, or of one that is not a number")]
     NotFinite,
-    /// It is greater than a quarter of what the loop may put out, of the rated torque, or of the following error.
+    /// The amplitude exceeds a quarter of the loop's output limit, of the rated torque, or of the following error.
     #[error(
         "an amplitude of {amplitude} is beyond the limit of {limit} at this axis; ask for less"
     )]
     Amplitude {
         /// Greatest value.
         amplitude: f64,
-        /// The most that is allowed.
+        /// The permitted amplitude.
         limit: f64,
     },
-    /// Added to positions it would need a greater acceleration than the axis may have.
+    /// The excitation of the position needs more acceleration than the axis permits.
     #[error(
         "an excitation that needs {acceleration:.0} rad/s² is beyond the limit of {limit:.0} rad/s² at this axis; \
          ask for a lower amplitude or frequency"
     )]
     Acceleration {
-        /// Greatest acceleration of it, rad/s².
+        /// Greatest acceleration of the excitation, rad/s².
         acceleration: f64,
-        /// The most that is allowed, rad/s².
+        /// The permitted acceleration, rad/s².
         limit: f64,
     },
 }
 
 impl Excitation {
-    /// Whether `axis` may be excited so, at a period of `dt` seconds.
+    /// Checks the excitation for `axis` at a period of `dt` seconds.
     pub(crate) fn check(&self, axis: &ServoAxisConfig, dt: f64) -> Result<(), ExcitationError> {
         let values = &self.period;
         if values.is_empty() || !values.iter().all(|value| value.is_finite()) {
@@ -88,7 +89,7 @@ impl Excitation {
     }
 }
 
-/// The greatest amplitude of an excitation of an axis, in its unit.
+/// The greatest permitted amplitude of an excitation of an axis, in the unit of the excitation.
 pub fn most(axis: &ServoAxisConfig) -> f64 {
     SHARE
         * match &axis.position_loop {
@@ -97,7 +98,7 @@ pub fn most(axis: &ServoAxisConfig) -> f64 {
         }
 }
 
-/// An excitation at work.
+/// An excitation under way.
 #[derive(Clone, Debug)]
 pub(crate) struct Playing {
     period: Box<[f64]>,
@@ -114,7 +115,7 @@ impl Playing {
         }
     }
 
-    /// The value of a cycle in macrostep `number`; nothing while the effector does anything else.
+    /// The value for a cycle in macrostep `number`; zero outside the excited macrosteps.
     pub(crate) fn value(&mut self, number: Option<u64>) -> f64 {
         if !number.is_some_and(|number| self.macrosteps.contains(&number)) {
             return 0.0;

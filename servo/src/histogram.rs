@@ -5,15 +5,15 @@ use std::time::Duration;
 
 /// A histogram of durations from 1 ns to 10 s in three significant digits.
 ///
-/// Made whole at the start: recording neither allocates nor resizes, and what exceeds 10 s is
-/// counted as 10 s.
+/// All memory is allocated at the start, and recording neither allocates nor resizes. Durations above 10 s count as 10
+/// s.
 #[derive(Clone)]
 pub struct Histogram(hdrhistogram::Histogram<u64>);
 
 const LONGEST: u64 = 10_000_000_000;
 
 impl Histogram {
-    /// An empty one, of about 200 kB.
+    /// An empty histogram of about 200 kB.
     pub fn new() -> Self {
         let histogram = hdrhistogram::Histogram::new_with_bounds(1, LONGEST, 3);
         Self(histogram.expect("the bounds are constants that the library accepts"))
@@ -25,23 +25,23 @@ impl Histogram {
         self.0.saturating_record(nanos.min(LONGEST));
     }
 
-    /// How many were recorded.
+    /// Number of recorded durations.
     pub fn count(&self) -> u64 {
         self.0.len()
     }
 
-    /// The duration that the share `quantile`, 0 ..= 1, of all recorded ones do not exceed; zero if
-    /// none was.
+    /// The duration that the fraction `quantile`, 0 ..= 1, of all recorded durations does not exceed; zero without
+    /// records.
     pub fn quantile(&self, quantile: f64) -> Duration {
         Duration::from_nanos(self.0.value_at_quantile(quantile))
     }
 
-    /// The longest one; zero if none was recorded.
+    /// The longest recorded duration; zero without records.
     pub fn max(&self) -> Duration {
         Duration::from_nanos(self.0.max())
     }
 
-    /// Their mean; zero if none was recorded.
+    /// The mean of the recorded durations; zero without records.
     pub fn mean(&self) -> Duration {
         Duration::from_nanos(self.0.mean() as u64)
     }

@@ -1,4 +1,4 @@
-//! A position loop that the servo closes, at work: set-points and samples in; velocity, torque or duty out.
+//! A position loop closed by the servo. Inputs are set-points and samples; the output is velocity, torque or duty.
 
 use drive::{AxisState, Finite, Setpoint};
 
@@ -6,42 +6,42 @@ use crate::axis::REMEMBERED;
 use crate::regulator::{Cascade, Incremental, Proportional};
 use crate::{FeedForward, HostLoop, Knot, Law, Output};
 
-/// Successive samples above the limit that make a runaway. A cycle may be half a period late without being counted, and
-/// then the displacement of one and a half periods looks like that of one. The next sample is punctual and shows the
-/// difference.
+/// Number of samples in a row above the limit that count as a runaway. A cycle may be half a period late without being
+/// counted. The sample then shows the displacement of one and a half periods, which looks like one period. The next
+/// sample is punctual and shows the true velocity.
 const RUNAWAY_SAMPLES: u32 = 2;
 
 /// The loop of one axis.
 ///
-/// Each cycle first [`observe`](Self::observe)s a sample, then [`regulate`](Self::regulate)s. Errors are
-/// those of a sample against the command of [`DriveGroup::delay`](drive::DriveGroup::delay) cycles before.
-/// While answers are missing the error stays, as if the axis moved as commanded, and nothing is integrated. The next
-/// sample shows the whole error.
+/// Each cycle first [`observe`](Self::observe)s a sample and then [`regulate`](Self::regulate)s. Errors compare a
+/// sample with the command of [`DriveGroup::delay`](drive::DriveGroup::delay) cycles before. While answers are
+/// missing, the error keeps its value, as if the axis moved as commanded, and nothing is integrated. The next sample
+/// shows the whole error.
 #[derive(Clone, Debug)]
 pub(crate) struct Loop {
     config: HostLoop,
     law: Regulator,
     delay: usize,
-    /// Increments per radian, whatever their sign: the law works in the sense of the motor.
+    /// Absolute value of the increments per radian. The law uses the direction of the motor.
     increments_per_radian: f64,
-    /// Positions commanded, the newest first; a cycle in which the set-points stood still counts too.
+    /// Commanded positions, the newest first, including cycles without a new set-point.
     references: [f64; REMEMBERED],
     /// Velocity of the last set-point, rad/s.
     velocity: f64,
-    /// Position of the last sample, rad, and the cycles and periods since.
+    /// Position of the last sample, rad, and the cycles and periods since then.
     sample: Option<f64>,
     cycles: usize,
     periods: u32,
-    /// Periods that the last cycle came after the one before.
+    /// Periods between the last cycle and the one before.
     last_periods: u32,
     /// Speed between the last two samples, rad/s.
     measured_velocity: f64,
-    /// Samples in a row that show a velocity beyond the limit.
+    /// Samples in a row with a velocity beyond the limit.
     beyond: u32,
     /// Errors of the last sample, rad and rad/s.
     error: f64,
     velocity_error: f64,
-    /// Position error as the law has it, rad.
+    /// Position error used by the law, rad.
     taken: f64,
 }
 
@@ -80,14 +80,15 @@ impl Loop {
     /// Takes a sample, `periods` of `dt` seconds after the last cycle.
     pub(crate) fn observe(&mut self, state: &AxisState, periods: u32, dt: f64) {
         self.cycles += 1;
-        // Such a sample was taken with the batch of the last cycle.
+        // With a delay above 1, the sample was taken at the SYNC of the last cycle, so the periods before that cycle
+        // apply.
         let before = std::mem::replace(&mut self.last_periods, periods);
         let periods = if self.delay > 1 { before } else { periods };
         self.periods = self.periods.saturating_add(periods);
         if state.age > 0 {
             return;
         }
-        // Set-points whose effect this sample and the sample before show.
+        // Set-points whose effect is visible in this sample and in the sample before.
         let (now, before) = (
             self.reference(self.delay - 1),
             self.reference(self.delay - 1 + self.cycles),
@@ -106,8 +107,9 @@ impl Loop {
         (self.cycles, self.periods) = (0, 0);
     }
 
-    /// One cycle: returns the set-point for the drive from the set-point `knot` and the torque, N·m, that holds the weight
-    /// there. `excitation` is added to the output; afterwards `excitation` holds the part that the output limit let pass.
+    /// One cycle: returns the set-point for the drive from the set-point `knot` and the torque, N·m, that holds the
+    /// weight there. `excitation` is added to the output; afterwards `excitation` holds the part that the output limit
+    /// let pass.
     pub(crate) fn regulate(
         &mut self,
         knot: Knot,
@@ -153,12 +155,13 @@ impl Loop {
         }
     }
 
-    /// Bumpless transfer: moves the integral part of the law at rest, N·m, into the feed-forward torque, at most `torque`, and
-    /// returns the amount moved.
+    /// Bumpless transfer: moves the integral part of the law at rest, N·m, into the feed-forward torque, at most
+    /// `torque`, and returns the amount moved.
     ///
-    /// Where weight is fed forward, the rest of the output at standstill opposes dry friction. The transfer drops that part, up
-    /// to the friction of the axis, since the next motion may start in the other direction and has its friction fed forward.
-    /// The axis keeps sticking meanwhile, unless it carries an unknown load: then the torque steps by the friction at most.
+    /// Where weight is fed forward, the rest of the output at standstill opposes dry friction. The transfer drops that
+    /// part, up to the friction of the axis, since the next motion may start in the other direction and has its
+    /// friction fed forward. The axis sticks during the transfer, unless it carries an unknown load: then the torque
+    /// steps by the friction at most.
     pub(crate) fn hand_over(&mut self, torque: f64) -> f64 {
         let FeedForward {
             weight,
@@ -184,7 +187,7 @@ impl Loop {
         }
     }
 
-    /// Begins anew, at rest at `position`.
+    /// Restarts the loop at rest at `position`.
     pub(crate) fn capture(&mut self, position: f64) {
         match &mut self.law {
             Regulator::Incremental(law) => law.reset(),
@@ -194,20 +197,21 @@ impl Loop {
         self.follow([position; REMEMBERED], 0.0);
     }
 
-    /// Goes on with other commands, the newest first, as if the axis had followed them.
+    /// Continues with other commands, the newest first, as if the axis had followed them.
     pub(crate) fn follow(&mut self, commands: [f64; REMEMBERED], velocity: f64) {
         self.references = commands;
         self.velocity = velocity;
         (self.error, self.velocity_error, self.taken) = (0.0, 0.0, 0.0);
     }
 
-    /// The counter was set: all positions so far are `step`, rad, further.
+    /// Moves all remembered positions by `step`, rad, because the counter was set.
     pub(crate) fn shift(&mut self, step: f64) {
         self.references.iter_mut().for_each(|r| *r += step);
         self.sample = self.sample.map(|sample| sample + step);
     }
 
-    /// Commanded minus measured, rad, for a sample `age` cycles old; before this cycle's command.
+    /// Following error, rad, for a sample `age` cycles old. The function is called before this cycle's command is
+    /// stored.
     pub(crate) fn error(&self, state: &AxisState) -> f64 {
         self.reference((self.delay - 1).saturating_add(state.age as usize)) - state.position
     }
@@ -217,7 +221,7 @@ impl Loop {
         self.measured_velocity
     }
 
-    /// The measured velocity and the limit, both rad/s, if it is beyond by [`RUNAWAY_SAMPLES`].
+    /// The measured velocity and the limit, both rad/s, if [`RUNAWAY_SAMPLES`] samples exceeded the limit.
     pub(crate) fn runaway(&self) -> Option<(f64, f64)> {
         let (velocity, limit) = (self.measured_velocity, self.config.runaway_velocity);
         (velocity.is_nan() || self.beyond >= RUNAWAY_SAMPLES).then_some((velocity, limit))
@@ -268,7 +272,8 @@ mod tests {
             constant: -0.125,
             ..FeedForward::default()
         });
-        // Velocities of set-points, weight, and the torque: mean velocity, acceleration, dry friction, weight.
+        // Velocities of set-points, weight, and the resulting torque from mean velocity, acceleration, dry friction
+        // and weight.
         let cases = [
             (0.0, 0.0, -0.125),
             (2.0, 0.0, 0.5 + 10.0 + 0.25 - 0.125),
@@ -331,7 +336,7 @@ mod tests {
                 velocity: 0.0,
             };
             held.capture(0.0);
-            // An error that a weight brings about, and that the integral has then made good.
+            // An error caused by a weight, which the integral part then corrects.
             for (position, cycles) in [(0.0, 10), (0.01, 300)] {
                 let state = AxisState {
                     position,
@@ -346,7 +351,7 @@ mod tests {
             assert!(before > 1e-4, "{law:?}: {before} N·m");
             assert_eq!(held.hand_over(-1.0), 0.0, "{law:?}: the other way");
             for asked in [0.25 * before / 2.0, before] {
-                // The second asks for more than is left.
+                // The second transfer requests more than is left.
                 let given = held.hand_over(asked);
                 assert!(given > 0.0 && given <= asked, "{law:?}: {given}");
                 let after = torque(held.regulate(knot, given, DT, &mut 0.0));
@@ -383,7 +388,7 @@ mod tests {
             outputs.iter().all(|output| *output == outputs[0]),
             "{outputs:?}"
         );
-        // The next sample is compared with what was commanded for it.
+        // The next sample is compared with the command that belongs to it.
         state.age = 0;
         held.observe(&state, 1, DT);
         assert!(torque(held.regulate(knot, 0.0, DT, &mut 0.0)) >= outputs[0]);
@@ -402,7 +407,7 @@ mod tests {
         held.observe(&at(1.0, 1), 1, DT);
         held.observe(&at(1.4, 0), 1, DT);
         assert!((held.measured_velocity() - 100.0).abs() < 1e-9);
-        // Two deadlines missed: it is the next sample that was taken later.
+        // After two missed deadlines, the next sample is the one taken later.
         held.observe(&at(1.6, 0), 3, DT);
         assert!((held.measured_velocity() - 100.0).abs() < 1e-9);
         held.observe(&at(2.2, 0), 1, DT);
@@ -412,7 +417,7 @@ mod tests {
 
     #[test]
     fn two_samples_in_a_row_are_a_runaway_and_one_is_not() {
-        // Ways of a period, in periods of 250 rad/s; the last sample's verdict.
+        // Displacements per period, in units of 250 rad/s, and the result at the last sample.
         let cases: [(&[f64], bool); 6] = [
             (&[1.0, 1.5, 0.5], false),
             (&[1.0, 1.5], false),

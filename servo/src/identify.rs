@@ -1,28 +1,31 @@
-//! The frequency response of an axis from what a servo recorded of it, and the numbers that tell a good loop.
+//! Frequency response of an axis, computed from the records of a servo, and the crossover and margin of its loop.
 //!
 //! An axis whose position loop the servo closes is excited at the input of its plant. The open loop is the ratio of the
-//! law's output to the drive's input, with its sign reversed. Disturbances that do not repeat with the excitation, and do
-//! not saturate the law, leave the ratio unchanged.
+//! law's output to the drive's input, with its sign reversed. Disturbances that do not repeat with the excitation, and
+//! do not saturate the law, leave the ratio unchanged.
 //!
-//! A loop that the drive closes is excited by a torque added to the torque of the drive's velocity loop (object 0x60B2),
-//! where the drive has that object. The added torque and the whole torque of the drive (0x6077) give the loop as cut at
-//! the torque. This open loop contains all loops of the drive: the crossover of the fastest loop and the margin of all.
-//! Hold and sampling of the drive are compensated, which requires the drive's own period; an unknown period counts as half
-//! a period of dead time. Without 0x60B2 the command is excited, and the closed loop is measured: how the sample follows
-//! the command whose effect it shows, [`DriveGroup::delay`](drive::DriveGroup::delay) cycles before.
+//! A loop that the drive closes is excited by a torque added to the torque of the drive's velocity loop (object
+//! 0x60B2), where the drive has that object. The added torque and the whole torque of the drive (0x6077) give the loop
+//! as cut at the torque. This open loop contains all loops of the drive: the crossover of the fastest loop and the
+//! margin of all. Hold and sampling of the drive are compensated, which requires the drive's own period; an unknown
+//! period counts as half a period of dead time. Without 0x60B2 the command is excited, and the closed loop is measured:
+//! how the sample follows the command whose effect it shows, [`DriveGroup::delay`](drive::DriveGroup::delay) cycles
+//! before.
 //!
-//! Dry friction damps a motor that reverses during the excitation, and shows more margin than the loop has: 12° more at a
-//! light axis with a chirp of the greatest torque. A lower amplitude or a higher velocity shows the true margin.
+//! Dry friction damps a motor that reverses during the excitation, and shows more margin than the loop has: 12° more at
+//! a light axis with a chirp of the greatest torque. A lower amplitude or a higher velocity shows the true margin.
 //!
-//! An axis is measured while it moves at constant velocity ([`Run`]), since dry friction holds an axis at rest. Sequences
-//! are periodic. Every two successive periods are transformed under a Hann window, which separates neighbouring lines,
-//! weighs every part of a sequence alike, and suppresses drift (Pintelon and Schoukens, System Identification, 2012,
-//! chapter 2). The coherence is the agreement of these blocks; since the blocks overlap, the coherence is slightly high.
+//! An axis is measured while it moves at constant velocity ([`Run`]), since dry friction holds an axis at rest.
+//! Sequences are periodic. Every two successive periods are transformed under a Hann window, which separates
+//! neighbouring lines, weighs every part of a sequence alike, and suppresses drift (Pintelon and Schoukens, System
+//! Identification, 2012, chapter 2). The coherence is the agreement of these blocks; since the blocks overlap, the
+//! coherence is slightly high.
 //!
 //! # The loops of the families
 //!
 //! Measured by `mrroc identify` on the emulated benches with nominal motors, at 10 rad/s of the motor and a period of
-//! 2 ms. The first rows are of the column. `tests/system/identify.rs` and `tests/system/loops` hold the figures.
+//! 2 ms. Rows with one value are for the column, or for the axis named in the row. `tests/system/identify.rs` and
+//! `tests/system/loops` hold the figures.
 //!
 //! | family | loop | gains | crossover, Hz | margin |
 //! |---|---|---|---|---|
@@ -33,11 +36,13 @@
 //! | CiA 402 by velocity (CSV), as for the RNT | proportional, delay 3 | 50 / s | 8.4 | 82.3° |
 //! | CiA 402 by position (CSP): the IRb-6's axes | the drive's: velocity loop at 45 Hz, position at a fifth | the drive's | 46.4, 48.6, 40.4, 48.9, 52.0 | 35.6°, 37.4°, 38.9°, 37.7°, 40.6° |
 //!
-//! From sample to effect two periods pass on CAN and one on a serial line; with half a period of hold and
-//! half of the velocity's difference that is 6 ms and 4 ms at 2 ms. Hence the two thirds: delay times bandwidth, and
-//! with it the margin, stay the same.
+//! From sample to effect, two periods pass on CAN and one period on a serial line. The hold adds half a period, and
+//! the velocity difference another half. At a period of 2 ms, the total delay is 6 ms on CAN and 4 ms on a serial
+//! line. The gains on CAN are therefore two thirds of the serial ones: the product of delay and bandwidth, and with it
+//! the margin, stays the same.
 //!
-//! This module moves nothing: [`Servo::excite`](crate::Servo::excite) does, by an [`Excitation`](crate::Excitation).
+//! This module only evaluates records. [`Servo::excite`](crate::Servo::excite) excites the axis by an
+//! [`Excitation`](crate::Excitation).
 
 mod response;
 mod run;

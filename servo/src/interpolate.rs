@@ -11,12 +11,12 @@ pub struct Knot {
     pub velocity: f64,
 }
 
-/// The cubic that meets position and velocity of `from` at 0 and of `to` at `duration` seconds,
-/// at the fraction `u` of its duration.
+/// The cubic that has position and velocity of `from` at time 0 and of `to` at `duration` seconds, evaluated at the
+/// fraction `u` of the duration.
 pub fn hermite(from: Knot, to: Knot, duration: f64, u: f64) -> Knot {
     let distance = to.position - from.position;
     let (v0, v1) = (from.velocity * duration, to.velocity * duration);
-    // p(u) = p0 + v0 u + b u² + c u³, which leaves least rounding for the small steps near u = 0.
+    // p(u) = p0 + v0 u + b u² + c u³. This form has the least rounding error for the small steps near u = 0.
     let b = 3.0 * distance - 2.0 * v0 - v1;
     let c = v0 + v1 - 2.0 * distance;
     Knot {
@@ -30,16 +30,16 @@ pub fn hermite(from: Knot, to: Knot, duration: f64, u: f64) -> Knot {
 pub(crate) struct Segment {
     macrostep: Macrostep,
     from: [Knot; MAX_AXES],
-    /// Torques at its beginning, N·m.
+    /// Initial torques, N·m.
     from_torque: [f64; MAX_AXES],
     /// Periods already commanded.
     done: u16,
-    /// Its duration, s.
+    /// Duration of the segment, s.
     duration: f64,
 }
 
 impl Segment {
-    /// Begins at `from` and under `from_torque`, N·m; `macrostep.steps` is at least 1.
+    /// A segment from `from` with the torques `from_torque`, N·m. `macrostep.steps` is at least 1.
     pub(crate) fn new(
         macrostep: Macrostep,
         from: [Knot; MAX_AXES],
@@ -56,12 +56,12 @@ impl Segment {
         }
     }
 
-    /// Goes one period on; the knot of `axis` is then [`Segment::at`].
+    /// Advances by one period. [`Segment::at`] then returns the new knot of an axis.
     pub(crate) fn advance(&mut self) {
         self.done += 1;
     }
 
-    /// Where `axis` is to be now. The last period meets the macrostep exactly.
+    /// Present set-point of `axis`. The set-point of the last period equals the macrostep exactly.
     pub(crate) fn at(&self, axis: usize) -> Knot {
         let to = Knot {
             position: self.macrostep.position[axis],
@@ -73,7 +73,7 @@ impl Segment {
         hermite(self.from[axis], to, self.duration, self.share())
     }
 
-    /// What holds the weight on `axis` now, N·m.
+    /// Feed-forward torque of `axis` at this set-point, which holds the weight, N·m.
     pub(crate) fn torque(&self, axis: usize) -> f64 {
         let (from, to) = (self.from_torque[axis], self.macrostep.torque[axis]);
         from + self.share() * (to - from)

@@ -1,17 +1,17 @@
 //! The fixed-period cycle: `Servo::step(now)` = read → check → regulate → limit → write.
 //!
-//! A cell has one [`Servo`], which steps every effector on one tick grid; [`thread`] is the shell
-//! that waits for deadlines, and nothing else here waits; [`lockstep`] turns the same functions in
-//! virtual time. The controller talks to an effector over an [`EffectorLink`], a macrostep at a time.
+//! A cell has one [`Servo`], which steps every effector on one tick grid. Only [`thread`] waits for deadlines.
+//! [`lockstep`] runs the same functions in virtual time. The controller talks to an effector
+//! over an [`EffectorLink`], a macrostep at a time.
 //!
-//! Drives close the position loop, or the servo does ([`HostLoop`]) and then can home the axis too
-//! ([`HostHoming`]).
+//! Either the drives or the servo ([`HostLoop`]) close the position loops. The servo can also home the axes whose
+//! loops the servo closes ([`HostHoming`]).
 //!
 //! [`identify`] measures a loop: its frequency response, crossover and phase margin.
 //!
-//! Read [`Servo`] for the cycle, [`state`](State) for what an effector can do when, and [`thread`]
-//! for deadlines and what happens when they are missed. Joints, Cartesian poses and planning are
-//! not here: everything is in motor positions.
+//! Read [`Servo`] for the cycle, [`state`](State) for the states and orders of an effector, and [`thread`] for
+//! deadlines and the effect of a missed one. This crate works in motor positions only; joints, Cartesian poses and
+//! planning are outside.
 
 #![cfg_attr(mrroc_rtsan, feature(sanitize))]
 

@@ -1,21 +1,20 @@
-//! Limits of the set-points that are sent.
+//! Limits of the set-points sent.
 
 use crate::StopCause;
 
-/// Share by which a finite difference of sent positions may exceed a limit.
+/// Fraction by which a finite difference of sent positions may exceed a limit.
 ///
-/// Positions of some 10⁴ rad carry rounding errors of 10⁻¹² rad, which over the square of a period
-/// of 1 ms is 10⁻⁵ rad/s²: a thousandth of any real limit is far above that and far below what a
-/// drive would notice.
+/// Positions of some 10⁴ rad carry rounding errors of 10⁻¹² rad. Over the square of a period of 1 ms, such an error is
+/// 10⁻⁵ rad/s². A thousandth of any real limit is far above this error and far below any effect in a drive.
 pub(crate) const RELATIVE_TOLERANCE: f64 = 1e-3;
 
 /// Distance beyond a position limit, rad, that counts as rounding.
 ///
-/// Positions up to 10⁷ rad are rounded to 10⁻⁹ rad, and a position at its limit has been through a drive train and an
+/// Positions up to 10⁷ rad are rounded to 10⁻⁹ rad. A position at its limit has passed through a drive train and an
 /// interpolation. The shortest count of a drive is above 10⁻⁷ rad.
 const POSITION_TOLERANCE: f64 = 1e-8;
 
-/// What the commanded sequence of one motor must keep.
+/// Limits of the commanded sequence of one motor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AxisLimits {
     /// Lowest position, rad.
@@ -28,12 +27,12 @@ pub struct AxisLimits {
     pub max_acceleration: f64,
 }
 
-/// Whether `next` may follow `last` and, before it, `before_last` in periods of `dt` seconds.
+/// Checks whether `next` may follow `last` and `before_last`, in periods of `dt` seconds.
 ///
-/// Speed and acceleration are the first and second difference of the positions sent, with a
-/// tolerance of a thousandth; positions have a tolerance of 10⁻⁸ rad. An axis that stands beyond a position limit may move back towards
-/// it. A stop begun near a position limit passes it by at most v² / 2a, so the limit belongs that far
-/// before anything solid.
+/// Speed and acceleration are the first and second difference of the positions sent, with a tolerance of a thousandth.
+/// Positions have a tolerance of 10⁻⁸ rad. An axis beyond a position limit may move back towards the limit. A stop
+/// begun near a position limit overshoots it by at most v² / 2a. The limit must keep at least this distance from any
+/// obstacle.
 pub fn check(
     limits: &AxisLimits,
     before_last: f64,
@@ -88,7 +87,7 @@ mod tests {
 
     #[test]
     fn a_position_that_rounding_takes_beyond_its_limit_is_within() {
-        // The limits of a motor behind a gear of 50 that turns without end, and of a short ball screw.
+        // The limits of a motor that turns without end behind a gear of 50, and of a short ball screw.
         for limit in [3.35e6, 100.0] {
             let limits = AxisLimits {
                 min_position: -limit,

@@ -9,34 +9,34 @@ use thiserror::Error;
 
 use crate::HomingFailure;
 
-/// The most axes one effector can have.
+/// Greatest number of axes of one effector.
 pub const MAX_AXES: usize = 8;
 
-/// One macrostep: where the motors are to be some servo periods from now.
+/// One macrostep: motor positions and velocities to reach in some servo periods.
 ///
-/// Between the end of the last macrostep and this one the servo interpolates each motor by the cubic
-/// that meets position and velocity at both ends.
+/// From the end of the last macrostep, the servo interpolates each motor by the cubic that has the given position and
+/// velocity at both ends.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Macrostep {
-    /// Number of the macrostep, one more than the number before: replies are told apart by it.
+    /// Number of the macrostep, one more than the previous number. Reports refer to this number.
     pub number: u64,
-    /// Servo periods it lasts, at least 1.
+    /// Duration in servo periods, at least 1.
     pub steps: u16,
-    /// The period, 1 ..= `steps`, after which the servo reports the measured state back.
+    /// The period, 1 ..= `steps`, after which the servo reports the measured state.
     pub report_at: u16,
     /// Motor positions at its end, rad.
     pub position: [f64; MAX_AXES],
-    /// Motor velocities at its end, rad/s; all zero means the effector may rest there.
+    /// Motor velocities at its end, rad/s. All zero means that the effector may rest there.
     pub velocity: [f64; MAX_AXES],
     /// Motor torques that hold the weight of links and load at its end, N·m; zero where none is known.
     ///
-    /// Loops that the servo closes add the torques to their output by [`FeedForward::weight`](crate::FeedForward::weight).
-    /// Drives that close the position loop do not receive them. The torques change linearly over the macrostep, and stay
-    /// where a motion ends or is stopped.
+    /// Loops that the servo closes add the torques to their output by
+    /// [`FeedForward::weight`](crate::FeedForward::weight). Drives that close the position loop do not receive them.
+    /// The torques change linearly over the macrostep, and stay where a motion ends or is stopped.
     pub torque: [f64; MAX_AXES],
 }
 
-/// What the controller asks of one effector.
+/// An order of the controller to one effector.
 #[expect(
     clippy::large_enum_variant,
     reason = "nearly all that a queue holds are macrosteps, and a box would allocate"
@@ -45,28 +45,28 @@ pub struct Macrostep {
 pub enum Order {
     /// Switch the drives on and stand.
     Enable,
-    /// Home the axes in the configured order; those that kept their reference are skipped.
+    /// Home the axes in the configured order. Axes that kept their reference are skipped.
     Home,
-    /// Move. Queued behind the macrosteps sent before.
+    /// Execute a macrostep, queued behind those sent before.
     Move(Macrostep),
-    /// Stand until this gate of [`Gates`](crate::Gates) is open; what was sent behind it waits too, but for a stop.
+    /// Stand until this gate of [`Gates`](crate::Gates) is open. Later orders wait too, except stops.
     Gate(u8),
-    /// Brake to a stand within the acceleration limits, drop what was queued before, keep power on
-    /// (category 2). It overtakes the queue. A moving effector whose queue runs dry brakes likewise, and that is a fault.
+    /// Brake to a stand within the acceleration limits, drop the queued motion and keep the power on (category 2). The
+    /// order overtakes the queue. A moving effector whose queue runs empty brakes in the same way, but as a fault.
     Stop,
-    /// Brake as [`Order::Stop`] does, then switch the drives off (category 1). It overtakes the queue.
+    /// Brake like [`Order::Stop`], then switch the drives off (category 1). The order overtakes the queue.
     Disable,
     /// Clear latched faults; the drives stay off.
     ResetFault,
 }
 
-/// What an effector is doing, as its servo sees it.
+/// Phase of an effector, as reported to the controller.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Phase {
     /// Drives off.
     #[default]
     Off,
-    /// Drives on their way to on and following.
+    /// The drives are being switched on.
     Enabling,
     /// Homing.
     Homing,
@@ -80,34 +80,34 @@ pub enum Phase {
     Faulted,
 }
 
-/// What the servo tells the controller: at every change of phase, in answer to every order but a
-/// macrostep, and at `report_at` of a macrostep. One a cycle at most.
+/// Report from the servo to the controller. The servo reports every change of phase, every order except a macrostep,
+/// and `report_at` of a macrostep. An effector sends at most one report per cycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Report {
-    /// The cycle's time.
+    /// Time of the cycle.
     pub at: Instant,
-    /// What the effector does.
+    /// Phase of the effector.
     pub phase: Phase,
     /// Whether every axis is homed.
     pub homed: bool,
-    /// The number of the macrostep this is the report of, or of the last one begun; 0 before any.
+    /// Number of the macrostep that the report belongs to, or of the last one begun; 0 before the first.
     pub macrostep: u64,
     /// Motor positions commanded in this cycle, rad.
     pub commanded: [f64; MAX_AXES],
-    /// Motor positions measured, rad: the answer to what was commanded two cycles before.
+    /// Measured motor positions, rad: the effect of the commands of two cycles before.
     pub measured: [f64; MAX_AXES],
     /// Motor velocities measured, rad/s.
     pub velocity: [f64; MAX_AXES],
-    /// The fault that stopped it, if one did.
+    /// The fault that stopped the effector, if any.
     pub fault: Option<ServoFault>,
 }
 
-/// Why the servo stopped an effector.
+/// Fault by which the servo stopped an effector.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ServoFault {
-    /// Index of the axis within its effector; `None` if it is not of one.
+    /// Index of the axis within its effector; `None` if no single axis is concerned.
     pub axis: Option<u8>,
-    /// What happened.
+    /// Cause of the stop.
     pub cause: StopCause,
 }
 
@@ -122,13 +122,13 @@ impl fmt::Display for ServoFault {
     }
 }
 
-/// What a servo stops for. Positions in motor rad.
+/// Cause of a stop. Positions are motor positions, rad.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum StopCause {
-    /// The drive.
+    /// A fault of the drive.
     #[error("{0}")]
     Drive(drive::Fault),
-    /// The motor is further from where it was told to be than the cell allows.
+    /// The following error exceeds the limit of the cell.
     #[error("following error {error:.4} rad exceeds {limit:.4} rad")]
     FollowingError {
         /// Commanded minus measured.
@@ -136,7 +136,7 @@ pub enum StopCause {
         /// The cell's limit.
         limit: f64,
     },
-    /// The motor is faster than its loop, which is closed here, could ever make it.
+    /// The motor is faster than its position loop, closed by the servo, could make it.
     #[error("motor runs away at {velocity:.1} rad/s, beyond {limit:.1} rad/s")]
     Runaway {
         /// Measured.
@@ -144,55 +144,55 @@ pub enum StopCause {
         /// The cell's limit.
         limit: f64,
     },
-    /// The axis was told to go on towards a limit switch that is closed, or is held back by it.
+    /// The command leads towards a closed limit switch, or the switch holds the axis back.
     #[error("ran onto the {} limit switch", if *.upper { "upper" } else { "lower" })]
     LimitSwitch {
-        /// At the upper end of the counter's travel, not at its lower.
+        /// True at the upper end of the counter's travel, false at the lower end.
         upper: bool,
     },
-    /// A set-point beyond a position limit; it was not sent.
+    /// A set-point beyond a position limit. The set-point was not sent.
     #[error("set-point {position:.4} rad is beyond the limit {limit:.4} rad")]
     PositionLimit {
         /// The set-point.
         position: f64,
-        /// The limit it passes.
+        /// The exceeded limit.
         limit: f64,
     },
-    /// A set-point that needs more speed than allowed; it was not sent.
+    /// A set-point that needs more speed than permitted. The set-point was not sent.
     #[error("set-point needs {velocity:.3} rad/s, the limit is {limit:.3} rad/s")]
     VelocityLimit {
-        /// Needed.
+        /// Required speed.
         velocity: f64,
-        /// Allowed.
+        /// Permitted speed.
         limit: f64,
     },
-    /// A set-point that needs more acceleration than allowed; it was not sent.
+    /// A set-point that needs more acceleration than permitted. The set-point was not sent.
     #[error("set-point needs {acceleration:.2} rad/s², the limit is {limit:.2} rad/s²")]
     AccelerationLimit {
-        /// Needed.
+        /// Required acceleration.
         acceleration: f64,
-        /// Allowed.
+        /// Permitted acceleration.
         limit: f64,
     },
-    /// A set-point that is NaN or infinite; it was not sent.
+    /// A set-point that is NaN or infinite. The set-point was not sent.
     #[error("set-point is not a finite number")]
     NotFinite,
-    /// A macrostep of no steps, or one whose report lies outside it; it was not begun.
+    /// A macrostep without steps, or with `report_at` beyond its steps. The macrostep was not begun.
     #[error("macrostep {number} has no steps or its report lies outside it")]
     Malformed {
-        /// Its number.
+        /// Number of the macrostep.
         number: u64,
     },
-    /// A macrostep for an axis whose position means nothing yet; it was not begun.
+    /// A macrostep for an axis without a reference. The macrostep was not begun.
     #[error("asked to move before it was homed")]
     NotHomed,
-    /// The drive was not on and following, or still had a fault after a reset, in time.
+    /// The drive did not follow in time, or still had a fault after a reset.
     #[error("not ready within {waited:?}")]
     NotReady {
         /// Time waited.
         waited: Duration,
     },
-    /// The macrostep queue ran dry while the effector moved.
+    /// The macrostep queue ran empty while the effector moved.
     #[error("no macrostep in time after number {last}")]
     Starved {
         /// The last macrostep that was executed.
@@ -204,19 +204,20 @@ pub enum StopCause {
     /// Homing by the servo did not find the reference.
     #[error("homing: {0}")]
     NoReference(HomingFailure),
-    /// More cycles in a row missed their deadline than the cell allows.
+    /// More deadlines in a row were missed than the cell permits.
     #[error("{missed} cycles in a row missed their deadline")]
     Overrun {
-        /// Cycles missed.
+        /// Number of missed deadlines.
         missed: u32,
     },
 }
 
-/// The controller's end of one effector: orders out, reports in, both wait-free and bounded.
+/// The controller's end of the link to one effector: orders to the servo and reports from it. Both queues are
+/// wait-free and bounded.
 #[derive(Debug)]
 pub struct EffectorLink {
-    /// Orders to the servo. Full means the servo is ahead; offer again later.
+    /// Orders to the servo. A full queue means that the controller is ahead; send again later.
     pub orders: rtrb::Producer<Order>,
-    /// Reports from the servo. The servo drops and counts what does not fit.
+    /// Reports from the servo. The servo drops and counts reports that do not fit.
     pub reports: rtrb::Consumer<Report>,
 }

@@ -1,14 +1,14 @@
-//! The servo under virtual time: one thread, a fixed order of calls, the same run each time.
+//! The servo in virtual time: one thread and a fixed order of calls make every run identical.
 
 use can::Instant;
 use std::task::Poll;
 
 use crate::{NotUp, Servo};
 
-/// Polls the bring-up of every group once a period from `start` on, and calls `between` with the
-/// time of the next poll after each. Returns the time at which the first cycle is due.
+/// Polls the bring-up of every group once a period from `start` on. After each poll, `between` is called with the time
+/// of the next one. Returns the time at which the first cycle is due.
 ///
-/// It ends because every wait inside a group's bring-up does, and at once by a stop request.
+/// The function ends because every wait inside a group's bring-up ends. A stop request ends it at once.
 pub fn bring_up(
     servo: &mut Servo,
     start: Instant,
@@ -25,11 +25,11 @@ pub fn bring_up(
     }
 }
 
-/// Runs cycles from `start` on until `until` says so, and returns the time of the next one.
+/// Runs cycles from `start` on until `until` returns true, and returns the time of the next cycle.
 ///
-/// A cycle is, in this order: `until(servo, now)`, [`Servo::step`], `controller(now)`, and
-/// `between(next)`, which brings the emulated world to the time of the next cycle. To give motion
-/// a chance to end before a stretch of the run does is the caller's task.
+/// A cycle consists of, in this order: `until(servo, now)`, [`Servo::step`], `controller(now)`, and `between(next)`,
+/// which advances the emulated world to the time of the next cycle. The caller has to let a motion end before the run
+/// ends.
 pub fn run(
     servo: &mut Servo,
     start: Instant,
@@ -56,7 +56,7 @@ mod tests {
     use super::*;
     use crate::{MAX_AXES, Macrostep, Order, Phase, Record, scripted};
 
-    /// Brings a cell up, moves it to and fro, stops it; everything that was recorded of it.
+    /// Brings up a cell, moves the effector back and forth, and stops it. Returns all records.
     fn run_once() -> Vec<Record> {
         let (group, world) = scripted::group(2);
         for drive in &mut world.lock().unwrap().axes {

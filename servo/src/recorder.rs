@@ -1,4 +1,4 @@
-//! Per-cycle records in a bounded ring, drained by a thread that may be late.
+//! Records of each cycle in a bounded ring, which another thread drains.
 
 use std::time::Duration;
 
@@ -12,17 +12,17 @@ use crate::{MAX_AXES, Phase};
 pub struct Record {
     /// Number of the cycle, from 0.
     pub cycle: u64,
-    /// Its time.
+    /// Time of the cycle.
     pub at: Instant,
-    /// Time since the SYNC of the cycle before, zero in the first; control laws are given the nominal period.
+    /// Time since the SYNC of the last cycle; zero in the first cycle. Control laws use the nominal period instead.
     pub dt: Duration,
     /// Index of the effector.
     pub effector: u8,
-    /// How many of `axis` are used.
+    /// Number of used entries of `axis`.
     pub axes: u8,
-    /// What the effector did.
+    /// Phase of the effector.
     pub phase: Phase,
-    /// Its axes.
+    /// Records of the axes.
     pub axis: [AxisRecord; MAX_AXES],
 }
 
@@ -31,21 +31,21 @@ pub struct Record {
 pub struct AxisRecord {
     /// Motor position commanded in this cycle, rad.
     pub commanded: f64,
-    /// What its drive is told in this cycle.
+    /// Command to the drive in this cycle.
     pub command: AxisCommand,
-    /// What the [`Excitation`](crate::Excitation) of the axis adds, in its unit; zero unless it is
+    /// Value added by the [`Excitation`](crate::Excitation) of the axis, in its unit; zero unless the axis is
     /// [excited](crate::Servo::excite).
     pub excitation: f64,
-    /// Motor position as last measured, rad; it answers the command of as many cycles before as
-    /// [`DriveGroup::delay`](drive::DriveGroup::delay) says.
+    /// Last measured motor position, rad: the effect of the command of [`DriveGroup::delay`](drive::DriveGroup::delay)
+    /// cycles before.
     pub measured: f64,
-    /// The same as the drive counts it.
+    /// The measured position in the drive's unit.
     pub increments: Increments,
     /// Motor velocity measured, rad/s.
     pub velocity: f64,
     /// Motor torque measured, N·m.
     pub torque: f64,
-    /// What the drive says of its reference.
+    /// Homing state reported by the drive.
     pub homing: Homing,
 }
 
@@ -57,13 +57,13 @@ pub(crate) struct Recorder {
 }
 
 impl Recorder {
-    /// A ring of `capacity` records, each one effector and cycle.
+    /// A ring of `capacity` records, each for one effector and cycle.
     pub(crate) fn new(capacity: usize) -> (Self, rtrb::Consumer<Record>) {
         let (ring, records) = rtrb::RingBuffer::new(capacity);
         (Self { ring, dropped: 0 }, records)
     }
 
-    /// Keeps one record, or counts it as dropped.
+    /// Stores one record, or counts it as dropped.
     pub(crate) fn record(&mut self, record: Record) {
         self.dropped += u64::from(self.ring.push(record).is_err());
     }

@@ -1,4 +1,4 @@
-//! The search of one axis for its reference, where the servo homes it.
+//! Homing of one axis by the servo: the search for the reference.
 
 use std::time::Duration;
 
@@ -8,7 +8,7 @@ use thiserror::Error;
 
 use crate::{Direction, HomingLeg, HostHoming, Knot};
 
-/// Where homing by the servo is.
+/// State machine of homing by the servo.
 ///
 /// ```text
 /// Look ──open──▶ Switch ──closed──▶ rest ──▶ Zero ──attained──▶ rest ──▶ Done
@@ -19,28 +19,28 @@ use crate::{Direction, HomingLeg, HostHoming, Knot};
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
-    /// Waiting for the drive to follow and for the switches to be known.
+    /// Waits until the drive follows and the states of the switches are known.
     Look,
-    /// Away from the home switch.
+    /// Moves away from the home switch.
     Leave {
-        /// It was closed on this way or before.
+        /// The home switch was closed in this phase or before.
         seen: bool,
     },
-    /// Towards the home switch.
+    /// Moves towards the home switch.
     Switch,
-    /// Off the home switch to the index pulse.
+    /// Moves off the home switch to the index pulse.
     Zero {
-        /// The home switch opened on this way: pulses count from there, since where the axis rested depends on how
-        /// fast it came.
+        /// The home switch has opened in this phase. Only later index pulses count, because the point where the axis
+        /// rested on the switch depends on the speed of the axis.
         open: bool,
     },
-    /// Braking, then pausing since the time given, before what comes next.
+    /// Brakes and then pauses, from the given time on, before the next phase.
     Rest(Option<Instant>, Next),
-    /// The counter is set, the motor at rest.
+    /// The counter is set and the motor is at rest.
     Done,
 }
 
-/// What follows a rest.
+/// The phase after a rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Next {
     Switch,
@@ -48,56 +48,56 @@ enum Next {
     Done,
 }
 
-/// Why the servo did not find the reference of an axis. What it does then is a stop within the axis's
-/// homing acceleration, and off.
+/// Why the servo did not find the reference of an axis. The servo then stops the axis within its homing acceleration
+/// and switches it off.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum HomingFailure {
     /// The home switch never closed.
     #[error("no home switch within {distance:.1} rad")]
     NoSwitch {
-        /// How far it was searched, rad.
+        /// Searched distance, rad.
         distance: f64,
     },
-    /// The home switch did not open again, or never closed on the way back from a limit switch.
+    /// The home switch did not open again, or did not close on the way back from a limit switch.
     #[error("the home switch was not left within {distance:.1} rad")]
     SwitchNotLeft {
-        /// How far the axis went, rad.
+        /// Travelled distance, rad.
         distance: f64,
     },
     /// The axis came to rest beyond the home switch.
     #[error("stopped beyond the home switch; search slower, or brake harder")]
     SwitchPassed,
-    /// No index pulse.
+    /// No index pulse was found.
     #[error("no index pulse within {distance:.1} rad")]
     NoIndex {
-        /// How far it was searched, rad.
+        /// Searched distance, rad.
         distance: f64,
     },
-    /// A leg took too long.
+    /// A phase of the search took too long.
     #[error("nothing found within {waited:?}")]
     TimedOut {
-        /// Time the leg took.
+        /// Duration of the phase.
         waited: Duration,
     },
-    /// A limit switch was in the way.
+    /// The axis reached a limit switch.
     #[error("ran onto the {} limit switch", if *.upper { "upper" } else { "lower" })]
     LimitSwitch {
-        /// At the upper end of the counter's travel, not at its lower.
+        /// True at the upper end of the counter's travel, false at the lower end.
         upper: bool,
     },
 }
 
-/// The search at work. Its velocity never changes faster than the configured acceleration, but for a limit switch.
+/// A search under way. Its velocity never changes faster than the configured acceleration, except at a limit switch.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Search {
     config: HostHoming,
-    /// Sign of the increments per radian: which limit switch is where.
+    /// Sign of the increments per radian, which determines the limit switch in each direction.
     counter: f64,
     phase: Phase,
-    /// When the leg began, and the way gone in it, rad.
+    /// Start time of the phase, and the distance travelled in the phase, rad.
     since: Option<Instant>,
     travelled: f64,
-    /// A limit switch turned the search round.
+    /// A limit switch reversed the search.
     reversed: bool,
     home: Debounce,
     lower: Debounce,
@@ -126,17 +126,17 @@ impl Search {
         self.phase == Phase::Done
     }
 
-    /// Whether the next index pulse is to be taken for the reference.
+    /// Whether the drive has to take the next index pulse as the reference.
     pub(crate) fn is_seeking(&self) -> bool {
         self.phase == Phase::Zero { open: true }
     }
 
-    /// Whether a limit switch turned it round.
+    /// Whether a limit switch reversed the search.
     pub(crate) fn is_reversed(&self) -> bool {
         self.reversed
     }
 
-    /// One period of `dt` seconds: moves `knot` on.
+    /// Advances the search and `knot` by one period of `dt` seconds.
     pub(crate) fn advance(
         &mut self,
         knot: &mut Knot,
@@ -180,8 +180,8 @@ impl Search {
                         return Err(HomingFailure::LimitSwitch { upper });
                     }
                     self.reversed = true;
-                    // Neither brakes nor rests: the drive lets nothing pass in this sense any more, and a loop that
-                    // held the motor there would push against that with all its torque.
+                    // The commanded velocity drops to zero at once, without a braking ramp. The drive blocks all
+                    // torque in this direction, and a loop would push against the block with its full torque.
                     self.velocity = 0.0;
                     self.begin(Phase::Leave { seen: false });
                     0.0
@@ -231,7 +231,7 @@ impl Search {
         Ok(())
     }
 
-    /// One period of a stop in the middle.
+    /// One period of braking, for an interrupted search.
     pub(crate) fn brake(&mut self, knot: &mut Knot, dt: f64) {
         self.phase = Phase::Done;
         self.ramp(knot, 0.0, dt);
@@ -253,13 +253,13 @@ impl Search {
         self.travelled = 0.0;
     }
 
-    /// The velocity to brake to.
+    /// Enters the rest before `next`, and returns the target velocity zero.
     fn rest(&mut self, next: Next) -> f64 {
         self.phase = Phase::Rest(None, next);
         0.0
     }
 
-    /// Takes the switches of a sample; whether all are known.
+    /// Takes the switches of a sample. True once the state of every switch is known.
     fn look(&mut self, state: &AxisState) -> bool {
         let Switches {
             home,
@@ -275,7 +275,7 @@ impl Search {
         self.home.known && self.lower.known && self.upper.known
     }
 
-    /// Whether time or way of a leg is over: an error, or the way.
+    /// Checks time and distance of a phase. A time-out is an error; an exceeded distance is returned.
     fn watch(&mut self, leg: HomingLeg, now: Instant) -> Result<Option<f64>, HomingFailure> {
         let waited = now.since(*self.since.get_or_insert(now));
         if waited > leg.timeout {
@@ -284,7 +284,7 @@ impl Search {
         Ok((self.travelled > leg.distance).then_some(self.travelled))
     }
 
-    /// +1 or -1: where the home switch is searched.
+    /// Direction of the home switch: +1 or -1.
     fn sense(&self) -> f64 {
         match self.config.direction {
             Direction::Negative => -1.0,
@@ -292,7 +292,7 @@ impl Search {
         }
     }
 
-    /// The limit switch, upper or not, that stands in the way of motion in `sense`.
+    /// The limit switch that blocks motion in `sense`: true for the upper one.
     fn limit(&self, sense: f64) -> Option<bool> {
         let upper = sense * self.counter > 0.0;
         let switch = if upper { &self.upper } else { &self.lower };
@@ -300,7 +300,7 @@ impl Search {
     }
 }
 
-/// A switch that counts as open or closed once enough samples in a row say so.
+/// A debounced switch: the state counts once enough samples in a row agree.
 #[derive(Clone, Copy, Debug, Default)]
 struct Debounce {
     closed: bool,

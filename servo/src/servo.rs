@@ -18,20 +18,20 @@ use crate::{
 /// Steps every effector of a cell on one tick grid.
 ///
 /// # The cycle
-/// [`step`](Self::step) reads what the drives sampled at the SYNC before, checks it, finds the next
-/// set-points, vets them, writes them, and sends SYNC with them. It is [`prepare`](Self::prepare)
-/// and [`send`](Self::send) in one: a thread may prepare shortly before the deadline and send
-/// exactly at it, so that SYNC alone carries the jitter. Either way a cycle costs at most one system
-/// call each way per bus, and from sample to effect two periods pass.
+/// [`step`](Self::step) reads and checks the samples that the drives took at the last SYNC. Then the function finds,
+/// checks and writes the next set-points, and sends SYNC with them. [`prepare`](Self::prepare) and
+/// [`send`](Self::send) are the two parts of `step`. A thread may prepare shortly before the deadline and send exactly
+/// at it, so that only SYNC carries the jitter. In both cases a cycle costs at most one system call each way per bus,
+/// and two periods pass from sample to effect.
 ///
-/// None of the three allocates, locks, formats or waits. The deadline of a cycle is the nominal
-/// time of its SYNC; whoever misses one skips it and says so with [`missed`](Self::missed). Motion is then
-/// late by as many periods, never faster: set-points always advance by one nominal period.
+/// None of the three functions allocates, locks, formats or waits. The deadline of a cycle is the nominal time of its
+/// SYNC. A caller that misses a deadline skips the cycle and reports the miss by [`missed`](Self::missed). The motion
+/// is then late by the missed periods, but never faster: set-points always advance by one nominal period.
 ///
 /// # Stops
-/// Whatever stops an effector brakes it along a straight line within its acceleration limits first
-/// ([`StraightStop`](crate::StraightStop)). A [`StopRequest`] does so to all of them, and then
-/// switches them off.
+/// Every stop first brakes the effector along a straight line within its acceleration limits
+/// ([`StraightStop`](crate::StraightStop)). Exceptions are a failed position loop and [`cut_power`](Self::cut_power),
+/// which switch the power off at once. A [`StopRequest`] brakes all effectors, and then switches them off.
 pub struct Servo {
     period: Duration,
     max_missed_in_row: u32,
@@ -41,9 +41,9 @@ pub struct Servo {
     gates: Gates,
     recorder: Option<Recorder>,
     cycles: u64,
-    /// When SYNC was sent last.
+    /// Time of the last SYNC.
     sent: Option<Instant>,
-    /// Missed since the last cycle, in a row up to it, and ever.
+    /// Missed deadlines: since the last cycle, in a row up to the last cycle, and in total.
     missed: u32,
     missed_in_row: u32,
     missed_ever: u64,
@@ -54,13 +54,13 @@ struct Group {
     states: Vec<AxisState>,
     commands: Vec<AxisCommand>,
     is_up: bool,
-    /// Cycles in a row, up to the last, whose batch the bus did not take whole.
+    /// Number of cycles in a row, up to the last, in which the bus did not take the whole batch.
     refused_in_row: u32,
 }
 
 impl Group {
-    /// Cycles in a row, up to the last, whose set-points are due again. A group whose axes all have a fault has no
-    /// set-points: a bus that is gone holds up no stop.
+    /// Number of cycles in a row, up to the last, whose set-points must be repeated. A group whose axes all have a
+    /// fault has no set-points, so a failed bus delays no stop.
     fn refused(&self) -> u32 {
         if self.states.iter().all(|state| state.fault.is_some()) {
             0
@@ -70,25 +70,25 @@ impl Group {
     }
 }
 
-/// Asks a servo to brake every effector and switch it off; for Ctrl-C and the like.
+/// Request to brake every effector and switch it off, for example on Ctrl-C.
 ///
-/// It holds for the rest of the run: orders that come after it are refused.
+/// The request holds for the rest of the run, and later orders are refused.
 #[derive(Clone, Debug, Default)]
 pub struct StopRequest(Arc<AtomicBool>);
 
-/// The gates that effectors wait at ([`Order::Gate`](crate::Order::Gate)), all shut at first.
+/// The gates that effectors wait at ([`Order::Gate`](crate::Order::Gate)), all closed at first.
 ///
-/// A cycle looks at them once for all effectors: those that wait at a gate go on in the same cycle, whenever it
-/// is opened. A gate stays open.
+/// The servo reads the gates once per cycle for all effectors. All effectors that wait at a gate therefore continue in
+/// the same cycle. A gate stays open.
 #[derive(Clone, Debug, Default)]
 pub struct Gates(Arc<AtomicU64>);
 
 impl Gates {
-    /// How many there are, numbered from 0.
+    /// Number of gates; they are numbered from 0.
     pub const COUNT: u8 = 64;
 
-    /// Opens a gate. What was sent to the effectors before is there when they pass it. There is none beyond
-    /// [`Gates::COUNT`], and whoever waits there is not let through.
+    /// Opens a gate. Orders sent before this call have arrived when the effectors pass the gate. Gates from
+    /// [`Gates::COUNT`] on do not exist, and an effector that waits at one never passes.
     pub fn open(&self, gate: u8) {
         self.0.fetch_or(bit(gate), Ordering::Release);
     }
@@ -112,29 +112,29 @@ fn bit(gate: u8) -> u64 {
     1u64.checked_shl(gate.into()).unwrap_or(0)
 }
 
-/// Why a servo's drives did not come up. None of them has power.
+/// Why the drives of a servo did not come up. None of the drives has power.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum NotUp {
     /// The drive group of this index failed.
     Group(usize, BringUpError),
-    /// Somebody used the [`StopRequest`].
+    /// A [`StopRequest`] ended the bring-up.
     Stopped,
 }
 
 impl StopRequest {
-    /// Asks. From any thread, or from a signal handler.
+    /// Requests the stop, from any thread or from a signal handler.
     pub fn request(&self) {
         self.0.store(true, Ordering::Relaxed);
     }
 
-    /// Whether anybody asked.
+    /// Whether a stop was requested.
     pub fn is_requested(&self) -> bool {
         self.0.load(Ordering::Relaxed)
     }
 }
 
 impl Servo {
-    /// A servo for `groups`, with one link per effector of `config`, in its order.
+    /// A servo for `groups`, and one link per effector of `config`, in the same order.
     pub fn new(
         config: &ServoConfig,
         groups: Vec<Box<dyn DriveGroup>>,
@@ -170,7 +170,7 @@ impl Servo {
         Ok((servo, links))
     }
 
-    /// Moves the bring-up of every group forward; call it every period until it is ready.
+    /// Advances the bring-up of every group. Call this function every period until it is ready.
     pub fn bring_up(&mut self, now: Instant) -> Poll<Result<(), NotUp>> {
         if self.stop.is_requested() {
             return Poll::Ready(Err(NotUp::Stopped));
@@ -192,13 +192,13 @@ impl Servo {
         }
     }
 
-    /// One cycle. Only once [`bring_up`](Self::bring_up) is ready.
+    /// One cycle. Call this function only after [`bring_up`](Self::bring_up) is ready.
     pub fn step(&mut self, now: Instant) {
         self.prepare(now);
         self.send(now);
     }
 
-    /// Everything of a cycle but its sending; `now` is the time of its SYNC, or shortly before.
+    /// All of a cycle except sending. `now` is the time of its SYNC, or shortly before.
     #[cfg_attr(mrroc_rtsan, sanitize(realtime = "nonblocking"))]
     pub fn prepare(&mut self, now: Instant) {
         self.read(now);
@@ -206,14 +206,15 @@ impl Servo {
         self.write(now);
     }
 
-    /// Takes in what the drives sampled: the first part of [`prepare`](Self::prepare), for a caller that times each.
+    /// Reads the samples of the drives: the first part of [`prepare`](Self::prepare), for a caller that measures the
+    /// time of each part.
     pub fn read(&mut self, now: Instant) {
         for group in &mut self.groups {
             group.drives.read(now, &mut group.states);
         }
     }
 
-    /// Finds the set-points and vets them: the second part, which touches no bus.
+    /// Finds and checks the set-points: the second part, without access to a bus.
     pub fn compute(&mut self, now: Instant) {
         let tick = self.tick(now);
         for effector in &mut self.effectors {
@@ -236,18 +237,18 @@ impl Servo {
         }
     }
 
-    /// Hands the set-points to the buses, which keep them until [`send`](Self::send): the third part.
+    /// Passes the set-points to the groups, which keep them until [`send`](Self::send): the third part.
     pub fn write(&mut self, now: Instant) {
         for group in &mut self.groups {
             group.drives.write(now, &group.commands);
         }
     }
 
-    /// Sends SYNC and what was prepared, on every bus.
+    /// Sends SYNC and the prepared set-points, on every bus.
     ///
-    /// After a refused batch the next cycle repeats the set-points of every effector with an axis on that bus. The motion
-    /// of these effectors is then late by a period, and no drive is ever handed two steps at once. Other effectors go on.
-    /// A bus whose axes all have a fault holds up nothing.
+    /// After a refused batch, the next cycle repeats the set-points of every effector with an axis on that bus. The
+    /// motion of these effectors is then late by a period, and no drive ever receives two steps at once. Other
+    /// effectors continue. A bus whose axes all have a fault delays no effector.
     #[cfg_attr(mrroc_rtsan, sanitize(realtime = "nonblocking"))]
     pub fn send(&mut self, now: Instant) {
         self.sent = Some(now);
@@ -261,16 +262,16 @@ impl Servo {
         }
     }
 
-    /// Says that `count` deadlines passed without a cycle since the last one.
+    /// Reports that `count` deadlines passed without a cycle since the last one.
     ///
-    /// Cycles that each missed some count as one row; a punctual one ends it. A row longer than
-    /// [`ServoConfig::max_missed_in_row`] is a fault of every effector: its drives have stood at their last
-    /// set-points, and there it stops.
+    /// Misses before successive cycles count as one row, which a punctual cycle ends. A row longer than
+    /// [`ServoConfig::max_missed_in_row`] is a fault of every effector. The drives have then stood at their last
+    /// set-points, where the stop starts.
     pub fn missed(&mut self, count: u32) {
         self.missed = self.missed.saturating_add(count);
     }
 
-    /// Says that `count` deadlines passed while the cell's own time stood still: they are counted and
+    /// Reports that `count` deadlines passed while the cell's own time stood still. These deadlines are counted and
     /// have no other effect.
     pub fn slipped(&mut self, count: u32) {
         self.missed_ever += u64::from(count);
@@ -299,10 +300,10 @@ impl Servo {
         }
     }
 
-    /// Takes the power from every axis without braking it first (category 0).
+    /// Switches off the power of every axis without braking first (category 0).
     ///
-    /// For when the cycle itself cannot be trusted any more. A drive obeys what it latched at a
-    /// SYNC, so two of these a period apart are the least.
+    /// This function is for a cycle that has failed. A drive executes at a SYNC the command latched before, so at
+    /// least two calls a period apart are necessary.
     #[cfg_attr(mrroc_rtsan, sanitize(realtime = "nonblocking"))]
     pub fn cut_power(&mut self, now: Instant) {
         for group in &mut self.groups {
@@ -312,20 +313,20 @@ impl Servo {
         }
     }
 
-    /// Begins a recording of at most `capacity` records, one per effector and cycle. Drain it from
-    /// another thread; what does not fit is counted.
+    /// Starts a recording of at most `capacity` records, one per effector and cycle. Another thread drains the
+    /// recording. Records that do not fit are counted.
     pub fn record(&mut self, capacity: usize) -> rtrb::Consumer<Record> {
         let (recorder, records) = Recorder::new(capacity);
         self.recorder = Some(recorder);
         records
     }
 
-    /// Excites axis `axis` of effector `effector` while the effector carries out the macrosteps that the excitation
-    /// is for; to be called before the cycles begin, and once more to change it. Nothing is added otherwise.
+    /// Excites axis `axis` of effector `effector` during the macrosteps given in the excitation. Call this function
+    /// before the cycles begin, and again to change the excitation. Outside these macrosteps nothing is added.
     ///
-    /// All the guards of the axis stay in force. An excitation beyond a quarter of what its loop may put out is
-    /// refused; where the drive closes the loop, a torque beyond a quarter of the rated one, or a position beyond a
-    /// quarter of the following error or beyond the axis's acceleration.
+    /// All monitoring of the axis stays active. An excitation must not exceed a quarter of the output limit of a loop
+    /// that the servo closes. Where the drive closes the loop, an added torque must not exceed a quarter of the rated
+    /// torque. An added position must not exceed a quarter of the following error, or the acceleration of the axis.
     pub fn excite(
         &mut self,
         effector: usize,
@@ -338,12 +339,12 @@ impl Servo {
         found.excite(axis, excitation, dt)
     }
 
-    /// A handle that opens the gates that effectors wait at.
+    /// A handle to open the gates that effectors wait at.
     pub fn gates(&self) -> Gates {
         self.gates.clone()
     }
 
-    /// A handle that stops everything.
+    /// A handle to stop all effectors.
     pub fn stop_request(&self) -> StopRequest {
         self.stop.clone()
     }
@@ -353,31 +354,30 @@ impl Servo {
         self.period
     }
 
-    /// What effector `index` does; `None` if there is no such effector.
+    /// State of effector `index`; `None` if there is no such effector.
     pub fn state(&self, index: usize) -> Option<State> {
         self.effectors.get(index).map(Effector::state)
     }
 
-    /// Why effector `index` was stopped, if it was.
+    /// The fault that stopped effector `index`, if any.
     pub fn fault(&self, index: usize) -> Option<ServoFault> {
         self.effectors.get(index).and_then(Effector::fault)
     }
 
-    /// Whether every effector is off or faulted and no drive of theirs says that it has power.
+    /// Whether every effector is off or faulted, and every drive reports that it has no power.
     pub fn is_off(&self) -> bool {
         self.effectors.iter().all(|effector| {
             matches!(effector.state(), State::Off | State::Faulted) && !effector.has_power()
         })
     }
 
-    /// The longest that stopping any effector takes: its set-points, then its drives.
+    /// Longest duration of a stop of any effector: first its set-points, then its drives.
     pub fn longest_stop(&self) -> Duration {
         let longest = self.effectors.iter().map(Effector::longest_stop).max();
         longest.unwrap_or_default().saturating_mul(2)
     }
 
-    /// How far the axes of effector `index` were from their commands; empty if there is no such
-    /// effector.
+    /// Tracking errors of the axes of effector `index`; empty if there is no such effector.
     pub fn tracking(&self, index: usize) -> impl Iterator<Item = TrackingError> {
         self.effectors
             .get(index)
@@ -385,9 +385,9 @@ impl Servo {
             .flat_map(Effector::tracking)
     }
 
-    /// How far the counters of the axes of effector `index` were moved when homing found the reference,
-    /// increments, to about one cycle's motion: what the counter since power-on showed there. `None`
-    /// for an axis that did not home in this run.
+    /// Change of the counters of effector `index` when homing found the reference, increments: the count since
+    /// power-on at the reference. The uncertainty is about one cycle's motion. `None` for an axis that did not home in
+    /// this run.
     pub fn homing_offsets(&self, index: usize) -> impl Iterator<Item = Option<i64>> {
         self.effectors
             .get(index)
@@ -395,7 +395,7 @@ impl Servo {
             .flat_map(Effector::homing_offsets)
     }
 
-    /// What was counted so far.
+    /// The counters of the servo.
     pub fn counters(&self) -> Counters {
         let mut sum = Counters {
             cycles: self.cycles,
@@ -411,12 +411,12 @@ impl Servo {
         sum
     }
 
-    /// What the drives of each group have reported while they went on.
+    /// The warnings of each group's drives.
     pub fn warnings(&self) -> impl Iterator<Item = &Warnings> {
         self.groups.iter().map(|group| group.drives.warnings())
     }
 
-    /// What each group counted so far.
+    /// The counters of each group.
     pub fn group_counters(&self) -> impl Iterator<Item = GroupCounters> {
         self.groups.iter().map(|group| group.drives.counters())
     }

@@ -2,14 +2,14 @@
 
 use crate::Phase;
 
-/// What an effector does: [`Phase`] with what only its servo needs to know.
+/// State of an effector: [`Phase`] plus details for the servo.
 ///
 /// An effector is off, on and still, or between the two. Motion begins from standing and returns to standing when the
-/// macrosteps end at rest. An order, a fault or a stop request that ends motion brakes first. The servo brakes motion that
-/// the servo commands ([`State::Braking`]); the drive brakes motion that the drive commands, homing ([`State::Halting`]).
-/// The state after braking is decided when braking begins and can only become stricter: stand, then off, then faulted.
-/// A fault of an effector at rest takes its power at once. The loss of a loop that the servo closes takes the power at
-/// once in every state (category 0).
+/// macrosteps end at rest. An order, a fault or a stop request that ends motion brakes first. The servo brakes motion
+/// that the servo commands ([`State::Braking`]); the drive brakes motion that the drive commands, homing
+/// ([`State::Halting`]). The state after braking is decided when braking begins and can only become stricter: stand,
+/// then off, then faulted. A fault of an effector at rest takes its power at once. The loss of a loop that the servo
+/// closes takes the power at once in every state (category 0).
 ///
 /// ```text
 /// Off ──Enable──▶ Enabling ──Done──▶ Standing ──Move──▶ Moving ──Done──▶ Standing
@@ -30,7 +30,7 @@ pub enum State {
     /// Drives off.
     #[default]
     Off,
-    /// Drives on their way to on and following.
+    /// The drives are being switched on.
     Enabling,
     /// On and still.
     Standing,
@@ -40,7 +40,7 @@ pub enum State {
     Moving,
     /// Decelerating by set-points.
     Braking(After),
-    /// Waiting for the drives to end the motion that homing was.
+    /// Waiting for the drives to end the motion of homing.
     Halting(After),
     /// Stopped by a fault, drives off.
     Faulted,
@@ -48,7 +48,7 @@ pub enum State {
     Resetting,
 }
 
-/// What follows a stop; the greater one wins.
+/// The state after a stop. The greater value wins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum After {
     /// Stand with power on (category 2).
@@ -59,7 +59,7 @@ pub enum After {
     Fault,
 }
 
-/// What happens to an effector.
+/// Event at an effector.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Event {
     /// [`Order::Enable`](crate::Order::Enable).
@@ -74,12 +74,12 @@ pub enum Event {
     Disable,
     /// [`Order::ResetFault`](crate::Order::ResetFault).
     ResetFault,
-    /// What the state waits for has come: all on, all homed, the last macrostep ended at rest,
-    /// standstill, no drive fault left.
+    /// The awaited condition is reached: all drives on, all axes homed, the last macrostep ended at rest, standstill,
+    /// or no drive fault left.
     Done,
-    /// A drive, a check or a time-out.
+    /// A fault of a drive, a failed check or a time-out.
     Fault,
-    /// A loop that the servo closes does not work, and so can brake nothing.
+    /// A position loop closed by the servo failed, and cannot brake.
     ControlLost,
 }
 
@@ -95,7 +95,7 @@ pub enum Answer {
 }
 
 impl State {
-    /// The only way from state to state.
+    /// The only transition function.
     pub fn next(self, event: Event) -> Answer {
         use Answer::{Refuse, To, Wait};
         use State::{
@@ -157,7 +157,7 @@ impl State {
         }
     }
 
-    /// What the controller is told.
+    /// The phase reported to the controller.
     pub fn phase(self) -> Phase {
         match self {
             Self::Off => Phase::Off,

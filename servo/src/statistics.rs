@@ -1,9 +1,10 @@
 //! Tracking errors and counters.
 
-/// How far one axis was from its command while its effector moved.
+/// Tracking error of one axis during motion of its effector.
 ///
-/// The command is the one whose effect the drive sampled, [`DriveGroup::delay`](drive::DriveGroup::delay)
-/// cycles before, so the periods of transport are not in it.
+/// The error compares the sample with the command whose effect the drive sampled,
+/// [`DriveGroup::delay`](drive::DriveGroup::delay) cycles before. The transport delay is therefore not part of the
+/// error.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TrackingError {
     samples: u64,
@@ -19,7 +20,7 @@ impl TrackingError {
         self.peak = self.peak.max(error.abs());
     }
 
-    /// Cycles counted.
+    /// Number of cycles counted.
     pub fn samples(&self) -> u64 {
         self.samples
     }
@@ -39,7 +40,7 @@ impl TrackingError {
     }
 }
 
-/// What a servo counts. Counters only grow.
+/// Counters of a servo. Counters only grow.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
     /// Cycles stepped.
@@ -48,8 +49,7 @@ pub struct Counters {
     pub missed_cycles: u64,
     /// Macrosteps begun.
     pub macrosteps: u64,
-    /// Orders that were not carried out because the effector could not take them, and macrosteps
-    /// dropped by a stop.
+    /// Orders refused in the state of the effector, and macrosteps dropped by a stop.
     pub refused_orders: u64,
     /// Reports dropped because the controller did not collect them.
     pub dropped_reports: u64,

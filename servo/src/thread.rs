@@ -1,34 +1,32 @@
-//! The servo thread: it waits for deadlines and steps the servo at them. Nothing else here waits.
+//! The servo thread: waits for deadlines and steps the servo. No other part of this crate waits.
 //!
-//! **Deadlines** lie one period apart on `CLOCK_MONOTONIC`. For each the thread waits until
-//! [`RealtimePolicy::lead`] before it, prepares the cycle, spins to the deadline and sends.
-//! With [`Wait::Plain`] the wait is an absolute `clock_nanosleep`, and with a lead of zero the thread prepares and
-//! sends when it wakes. With [`Wait::Hybrid`] it sleeps to a margin before and spins the rest, and the lead is at
-//! least what preparing takes, which is learnt too: SYNC leaves at the deadline.
+//! **Deadlines** lie one period apart on `CLOCK_MONOTONIC`. For each deadline the thread waits until
+//! [`RealtimePolicy::lead`] before it, prepares the cycle, spins to the deadline and sends. With [`Wait::Plain`] the
+//! wait is an absolute `clock_nanosleep`. With a lead of zero, the thread then prepares and sends on waking. With
+//! [`Wait::Hybrid`] the thread sleeps until a margin before the deadline and spins the rest. The lead is then at least
+//! the learnt duration of preparing, and SYNC leaves at the deadline.
 //!
-//! **A missed deadline** is counted and skipped, never caught up: a thread that is half a period
-//! late or later lets that slot go and waits for the next, so two SYNCs are never closer than half a
-//! period. What follows from too many is in [`Servo::missed`]. An emulated cell need not suffer from it:
-//! see [`CellTime`].
+//! **A missed deadline** is counted and skipped, never caught up. A thread that is late by half a period or more skips
+//! that slot and waits for the next one, so two SYNCs are never closer than half a period. [`Servo::missed`] describes
+//! the effect of too many missed deadlines. An emulated cell can avoid this effect: see [`CellTime`].
 //!
-//! **A late cycle** is explained: [`Timing::late`] counts the causes and keeps the worst cycles. The clock is read between
-//! the phases of a cycle. The kernel's account of the thread (`getrusage`, `/proc/thread-self/schedstat`) is read in the
-//! slack after SYNC: after each late or disturbed cycle, and after one quiet cycle in 16. The reading in quiet cycles
-//! separates their accumulated delays from the delay of one cycle. The cycles around the worst are kept phase by phase,
-//! and so are the cycles around a requested moment: see [`Finished::spikes`] and [`start`].
+//! **A late cycle** is explained: [`Timing::late`] counts the causes and keeps the worst cycles. The clock is read
+//! between the phases of a cycle. The kernel's account of the thread (`getrusage`, `/proc/thread-self/schedstat`) is
+//! read in the slack after SYNC: after each late or disturbed cycle, and after one quiet cycle in 16. The reading in
+//! quiet cycles separates their accumulated delays from the delay of one cycle. The cycles around the worst are kept
+//! phase by phase, and so are the cycles around a requested moment: see [`Finished::spikes`] and [`start`].
 //!
-//! **Time** that control laws see is the nominal period, however late a cycle is; [`Record::dt`](crate::Record) has the
-//! real one.
+//! **Time** seen by the control laws is the nominal period, however late a cycle is. [`Record::dt`](crate::Record)
+//! holds the real time.
 //!
-//! **The end** is always drives off. When `until` says so the servo is asked to stop, and cycles go
-//! on until every effector is braked and without power, or for as long as that can take. A panic
-//! of `between` or `until` ends in the same way (category 1), without calling them again; a panic of
-//! the cycle itself takes the power at once (category 0). [`Finished::panicked`] says so, and the
-//! panic message is where the panic hook puts it. If the process dies, the drives' own reaction
-//! to silence is what stops them.
+//! **The end** always switches the drives off. When `until` returns true, the thread requests a stop. Cycles continue
+//! until every effector has braked and has no power, or until the longest time for stopping has passed. A panic of
+//! `between` or `until` ends the run in the same way (category 1), and neither is called again. A panic of the cycle
+//! itself switches the power off at once (category 0). [`Finished::panicked`] reports the panic, and the panic hook
+//! receives its message. If the process dies, only the drives' own reaction to silence stops them.
 //!
-//! **Real-time needs** are asked for one by one: SCHED_FIFO or SCHED_DEADLINE, a CPU, locked memory, timer slack of
-//! 1 ns, and no deep idle states while the thread runs (`/dev/cpu_dma_latency`). Threads and processes that it starts do
+//! **Real-time needs** are asked for one by one: SCHED_FIFO or SCHED_DEADLINE, a CPU, locked memory, timer slack of 1
+//! ns, and no deep idle states while the thread runs (`/dev/cpu_dma_latency`). Threads and processes that it starts do
 //! not inherit the scheduling. The wait decides when the thread runs: the kernel's period under SCHED_DEADLINE begins
 //! whenever the thread wakes, and only bounds its processor time. Requests that the host denies are returned as
 //! [`Denial`]s, which name the setting that grants the request. With [`Realtime::Require`] a denial refuses the start.
@@ -72,21 +70,21 @@ pub use self::wait::{Awake, Wait, WaitReport, Waiter};
 /// Bytes of the thread's stack; `MCL_FUTURE` locks all of it.
 const STACK: usize = 512 * 1024;
 
-/// Cycles that take the power after a panic of the cycle.
+/// Number of cycles that switch the power off after a panic of the cycle.
 const CUTS: u32 = 10;
 
 /// Least number of cycles after the end of a run. A drive obeys the command of a cycle at the SYNC of the next, and the
 /// answer is read one cycle later.
 const OFF_CYCLES: u32 = 4;
 
-/// Share of the period, as a divisor, that the learnt lead may take: the bus delivers the answers of the cycle before
-/// in the rest.
+/// Largest fraction of the period, given as a divisor, for the learnt lead. The bus needs the rest to deliver the
+/// answers of the last cycle.
 const LONGEST_LEAD: u32 = 20;
 
-/// Longest time for the drives to report that they have no power, once they are told.
+/// Longest time for the drives to report that they have no power, after the command.
 const POWER_OFF_WAIT: Duration = Duration::from_millis(500);
 
-/// Whether to run without what the host denies.
+/// Whether to run although the host denies a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Realtime {
     /// Refuse to start. For robots.
@@ -95,31 +93,31 @@ pub enum Realtime {
     BestEffort,
 }
 
-/// What the servo thread asks of the host.
+/// Requests of the servo thread to the host.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RealtimePolicy {
-    /// What to do where it is denied.
+    /// Reaction to a denied request.
     pub realtime: Realtime,
-    /// What schedules it.
+    /// Scheduling policy.
     pub scheduler: Scheduler,
     /// SCHED_FIFO priority, 1 ..= 99.
     pub priority: u8,
-    /// The CPU to stay on, none under SCHED_DEADLINE. Only this thread is moved.
+    /// The CPU to run on; none under SCHED_DEADLINE. Only this thread is bound.
     pub cpu: Option<usize>,
     /// Whether to lock all memory of the process, present and future. The stack of each later thread is locked as a
     /// whole, so such threads need small stacks.
     pub lock_memory: bool,
-    /// How long before the deadline to prepare at the least, spinning from then until it. The answers to the
-    /// SYNC before must have come by then. At most half a period is used; a hybrid wait takes what preparing
-    /// needs if that is more, up to a twentieth of the period.
+    /// Shortest time from preparing to the deadline; the thread spins in between. The answers to the last SYNC must
+    /// have arrived by then. At most half a period is used. A hybrid wait uses the duration of preparing if that is
+    /// longer, up to a twentieth of the period.
     pub lead: Duration,
-    /// How to wait.
+    /// Kind of wait.
     pub wait: Wait,
-    /// The time that cycles are given.
+    /// Source of the cycles' time.
     pub time: CellTime,
 }
 
-/// The time that cycles are given.
+/// Source of the cycles' time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CellTime {
     /// `CLOCK_MONOTONIC`: for drives that follow the wall clock.
@@ -131,7 +129,7 @@ pub enum CellTime {
 }
 
 impl RealtimePolicy {
-    /// SCHED_FIFO 80 and locked memory if the host grants it, no CPU, no lead, a plain wait, by the wall clock.
+    /// SCHED_FIFO 80 and locked memory if the host grants them, no CPU, no lead, a plain wait, and wall-clock time.
     pub const BEST_EFFORT: Self = Self {
         realtime: Realtime::BestEffort,
         scheduler: Scheduler::Fifo,
@@ -147,18 +145,18 @@ impl RealtimePolicy {
 /// Why a servo thread did not start. No cycle ran.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum StartError {
-    /// The policy requires what the host denies.
+    /// The policy requires a setting that the host denies.
     #[error("{0}")]
     Denied(Denial),
-    /// No thread could be made.
+    /// The thread could not be created.
     #[error("the servo thread cannot be made (errno {errno})")]
     Spawn {
-        /// What the system said.
+        /// Error of the system.
         errno: i32,
     },
 }
 
-/// A servo thread under way. Dropping it leaves the thread running.
+/// A running servo thread. Dropping this value leaves the thread running.
 #[derive(Debug)]
 pub struct Running {
     thread: JoinHandle<Finished>,
@@ -166,7 +164,7 @@ pub struct Running {
 }
 
 impl Running {
-    /// What the host denied.
+    /// The denied requests.
     pub fn denied(&self) -> &[Denial] {
         &self.denied
     }
@@ -178,33 +176,33 @@ impl Running {
 
     /// Waits for the end of the thread.
     pub fn join(self) -> Finished {
-        // The thread catches every panic of what it calls.
+        // The thread catches every panic of the functions it calls.
         self.thread
             .join()
             .unwrap_or_else(|panic| std::panic::resume_unwind(panic))
     }
 }
 
-/// What a servo thread leaves behind.
+/// Result of a servo thread.
 pub struct Finished {
     /// The servo, its drives off.
     pub servo: Servo,
-    /// How punctual it was.
+    /// Punctuality of the cycles.
     pub timing: Timing,
-    /// The cycles around the latest ones, the worst first, and around the last request.
+    /// The cycles around the cycles with the greatest lateness, the worst first, and around the last request.
     pub spikes: Vec<Spike>,
-    /// What the host denied.
+    /// The denied requests.
     pub denied: Vec<Denial>,
-    /// What ended the run, if it was a panic.
+    /// The panic that ended the run, if any.
     pub panicked: Option<Panicked>,
 }
 
-/// What panicked in a servo thread.
+/// The source of a panic in a servo thread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Panicked {
-    /// `between` or `until`; the effectors were braked, then switched off (category 1).
+    /// `between` or `until`: the effectors were braked, then switched off (category 1).
     Caller,
-    /// The cycle, or a drive in it; the power was taken at once (category 0).
+    /// The cycle, or a drive in it: the power was switched off at once (category 0).
     Cycle,
 }
 
@@ -225,10 +223,10 @@ impl std::fmt::Debug for Finished {
     }
 }
 
-/// Polls the bring-up of every group once a period on the calling thread, calling `between` with the
-/// time of the next poll after each.
+/// Polls the bring-up of every group once a period on the calling thread. After each poll, `between` is called with
+/// the time of the next one.
 ///
-/// It ends because every wait inside a group's bring-up does, and at once by a stop request.
+/// The function ends because every wait inside a group's bring-up ends. A stop request ends it at once.
 pub fn bring_up(servo: &mut Servo, mut between: impl FnMut(Instant)) -> Result<(), NotUp> {
     let mut deadline = now();
     loop {
@@ -242,12 +240,12 @@ pub fn bring_up(servo: &mut Servo, mut between: impl FnMut(Instant)) -> Result<(
     }
 }
 
-/// Starts a thread that steps `servo` until `until` says so after a cycle.
+/// Starts a thread that steps `servo` until `until` returns true after a cycle.
 ///
-/// `between` is called with the next deadline, in the slack after each cycle: an emulated bench advances its world
-/// there. Time that `between` and `until` take beyond the slack is named [`Cause::BetweenCycles`]. Raising
-/// `trace_request`, now or later, keeps the cycles around that moment among [`Finished::spikes`]; the thread lowers the
-/// flag.
+/// `between` is called with the next deadline in the slack after each cycle. An emulated bench advances its world
+/// there. Time that `between` and `until` take beyond the slack is attributed to [`Cause::BetweenCycles`]. Setting
+/// `trace_request`, now or later, keeps the cycles around that moment among [`Finished::spikes`], and the thread
+/// clears the flag.
 pub fn start(
     servo: Servo,
     policy: RealtimePolicy,
@@ -286,7 +284,7 @@ pub fn start(
     let running = Running { thread, denied };
     match running.denied.first() {
         Some(&denial) if policy.realtime == Realtime::Require => {
-            // It has nothing to do; with it the servo goes, and every port is closed.
+            // The thread has nothing to do. Joining it drops the servo and closes every port.
             drop(running.join());
             Err(StartError::Denied(denial))
         }
@@ -294,7 +292,7 @@ pub fn start(
     }
 }
 
-/// [`start`] and [`Running::join`] in one, with nothing to trace on request.
+/// [`start`] and [`Running::join`] in one, without traces on request.
 pub fn run(
     servo: Servo,
     policy: RealtimePolicy,
@@ -312,20 +310,20 @@ struct Run {
     period: Duration,
     waiter: Waiter,
     lead: Duration,
-    /// What preparing takes, if the lead is to follow it.
+    /// Learnt duration of preparing, if the lead follows it.
     preparation: Option<LearntQuantile>,
-    /// Of the cycle that is due next, by the wall clock.
+    /// Deadline of the next cycle, on the wall clock.
     deadline: Instant,
     first: Instant,
     time: CellTime,
-    /// Number of the cycle that is due next.
+    /// Number of the next cycle.
     number: u64,
     account: Account,
     tracer: Tracer,
-    /// What a step takes but for one in 1000.
+    /// Learnt bound that all but one in 1000 steps keep.
     usual: LearntQuantile,
     before: Before,
-    /// How late the thread was for slots that it let go, and where the time went.
+    /// Lateness at the skipped slots, and the use of the time before.
     skipped: Option<(Duration, Spent)>,
 }
 
@@ -389,7 +387,7 @@ impl Run {
         };
     }
 
-    /// How long before the deadline to prepare.
+    /// Time from the start of preparing to the deadline.
     fn lead(&self) -> Duration {
         let preparation = self
             .preparation
@@ -397,7 +395,7 @@ impl Run {
         self.lead.max(preparation)
     }
 
-    /// Waits for the deadline and steps; false if the step panicked.
+    /// Waits for the deadline and steps the servo; false if the step panicked.
     #[cfg_attr(mrroc_rtsan, sanitize(realtime = "nonblocking"))]
     fn cycle(&mut self) -> bool {
         let begun = now();
@@ -427,7 +425,7 @@ impl Run {
         let (sending, gap) = self.waiter.spin(written, self.deadline);
         self.servo.send(self.cell_time(sending));
         let done = now();
-        // SYNC has left: what follows is in the slack.
+        // SYNC has left, and the rest runs in the slack.
         let (preparation, transfer) = (written.since(reading), done.since(sending));
         if let Some(learnt) = &mut self.preparation {
             learnt.observe(preparation);
@@ -461,7 +459,7 @@ impl Run {
         (self.before.sync, self.before.done) = (sending, done);
     }
 
-    /// The cycle's own time, where the wall clock shows `wall`.
+    /// The time of the cycle, for `wall` on the wall clock.
     fn cell_time(&self, wall: Instant) -> Instant {
         match self.time {
             CellTime::Wall => wall,
@@ -469,16 +467,16 @@ impl Run {
         }
     }
 
-    /// When the next cycle is due, in the cycles' time.
+    /// Due time of the next cycle, in the time of the cycles.
     fn next(&self) -> Instant {
         self.cell_time(self.deadline)
     }
 
-    /// Waits until the lead before the deadline; a deadline that has long passed is skipped.
+    /// Waits until the lead before the deadline. A deadline passed by half a period or more is skipped.
     fn wait(&mut self, begun: Instant) -> Awake {
         if begun < self.deadline - self.lead() && begun.since(self.before.done) > self.period / LATE
         {
-            // What the kernel counted in the caller's time made nothing late.
+            // The kernel's counts during the caller's work made no cycle late.
             self.account.skip();
         }
         loop {
@@ -491,7 +489,7 @@ impl Run {
             if late <= self.period / 2 {
                 return awake;
             }
-            // A cycle that was as late itself leaves no time to sleep, and has been counted.
+            // After a cycle that was equally late, there is no time to sleep, and that lateness was already counted.
             let inherited = awake.wake_up_latency().is_none() && self.before.late >= late / 2;
             if !inherited && self.skipped.is_none_or(|(before, _)| late > before) {
                 self.skipped = Some((late, self.waited(begun, &awake)));
@@ -506,7 +504,7 @@ impl Run {
         }
     }
 
-    /// Brakes and switches off whatever still runs. The emulated world goes on if it can.
+    /// Brakes all effectors and switches them off. The emulated world continues if possible.
     fn wind_down(&mut self, mut between: impl FnMut(Instant)) {
         self.servo.stop_request().request();
         let mut alive = self.panicked.is_none();
@@ -521,7 +519,7 @@ impl Run {
         }
     }
 
-    /// Takes the power from every axis, period by period; if that panics too, silence is left.
+    /// Switches off the power of every axis, period by period. If this panics too, the drives react to silence.
     fn cut_power(&mut self) {
         for _ in 0..CUTS {
             sleep_until(self.deadline);

@@ -1,25 +1,25 @@
-//! Times of the cycles of a servo thread.
+//! Timing of the cycles of a servo thread.
 
 use crate::thread::{AccountReads, LateCycles, WaitReport};
 use crate::{Histogram, Servo};
 
-/// How punctual a servo thread was.
+/// Punctuality of a servo thread.
 #[derive(Clone, Debug, Default)]
 pub struct Timing {
-    /// From when the thread asked to be woken to when it ran.
+    /// Time from the requested wake-up until the thread ran.
     pub wake_up: Histogram,
-    /// From a cycle's deadline to when its SYNC was handed over: the jitter that drives see. A
-    /// deadline that was skipped is not in it; [`Counters`](crate::Counters) has how many were.
+    /// Time from a cycle's deadline to the sending of its SYNC: the jitter at the drives. Skipped deadlines are not
+    /// included; [`Counters`](crate::Counters) counts them.
     pub sync: Histogram,
-    /// Time a cycle took, waiting excluded.
+    /// Duration of a cycle, without waiting.
     pub step: Histogram,
-    /// From SYNC to the last answer, of every group and cycle in which one came.
+    /// Time from SYNC to the last answer, for every group and every cycle with an answer.
     pub bus: Histogram,
-    /// What waiting for the deadlines cost.
+    /// Cost of waiting for the deadlines.
     pub wait: WaitReport,
-    /// Who made cycles late: their SYNC left more than a hundredth of the period after the deadline.
+    /// Causes of late cycles: those whose SYNC left more than a hundredth of the period after the deadline.
     pub late: LateCycles,
-    /// How often the kernel was asked who, and why.
+    /// Number of and reasons for readings of the kernel's account.
     pub account: AccountReads,
 }
 

@@ -1,4 +1,4 @@
-//! Ten thousand cycles with a moving effector, and its stop, allocate nothing.
+//! Ten thousand cycles with a moving effector, and its stop, do not allocate.
 
 #![allow(
     clippy::disallowed_methods,
@@ -22,7 +22,7 @@ use mrroc_servo::{
 
 mod scripted;
 
-/// Counts what this thread asks of the system allocator.
+/// Counts the requests of this thread to the system allocator.
 struct Counting;
 
 thread_local! {
@@ -33,17 +33,17 @@ fn count() {
     CALLS.with(|calls| calls.set(calls.get() + 1));
 }
 
-// SAFETY: every call is passed on to the system allocator as it is.
+// SAFETY: every call is forwarded unchanged to the system allocator.
 #[expect(unsafe_code, reason = "an allocator cannot be written without")]
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count();
-        // SAFETY: the caller keeps the contract.
+        // SAFETY: the caller guarantees the contract.
         unsafe { System.alloc(layout) }
     }
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
         count();
-        // SAFETY: the caller keeps the contract.
+        // SAFETY: the caller guarantees the contract.
         unsafe { System.dealloc(pointer, layout) }
     }
 }
@@ -86,7 +86,7 @@ fn moves_and_stops(config: &ServoConfig) {
     let before = CALLS.with(Cell::get);
     let mut moving = 0;
     for number in 0..1000 {
-        // To and fro by 0.01 rad.
+        // Back and forth by 0.01 rad.
         let position = [if number % 2 == 0 { 0.01 } else { 0.0 }; MAX_AXES];
         let velocity = [0.0; MAX_AXES];
         let macrostep = Macrostep {
@@ -106,7 +106,7 @@ fn moves_and_stops(config: &ServoConfig) {
             while records.pop().is_ok() || link.reports.pop().is_ok() {}
         }
     }
-    // Nor does a stop: a stream that ends in motion, a fault, drives off.
+    // A stop does not allocate either: a stream that ends in motion, a fault, drives off.
     let (position, velocity) = ([0.05; MAX_AXES], [5.0; MAX_AXES]);
     let last = Macrostep {
         number: 1000,
@@ -142,12 +142,12 @@ fn late_cycles_and_their_bookkeeping_do_not_allocate() {
     let (mut cycles, mut first) = (0, None);
     let counted = Arc::new(AtomicU64::new(u64::MAX));
     let so_far = Arc::clone(&counted);
-    // On the servo thread.
+    // The same on the servo thread.
     let between = move |next: Instant| {
         cycles += 1;
         let calls = CALLS.with(Cell::get);
         so_far.store(calls - *first.get_or_insert(calls), Ordering::Relaxed);
-        // Late for it, and for some slots too late.
+        // Late for the next cycle, and at times too late for some slots.
         let late = [100, 1300][cycles / 10 % 2];
         while cycles % 10 == 0 && now() < next + Duration::from_micros(late) {}
     };

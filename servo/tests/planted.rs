@@ -1,7 +1,7 @@
-//! Delays that are planted in single cycles get their names.
+//! Delays inserted into single cycles are attributed to their causes.
 //!
-//! Only planted cycles are judged, and by their share: the host of a test delays others as it likes. Needs SCHED_FIFO
-//! up to priority 90; `MRROC_LEAVE_OUT=realtime` leaves the cases out that do.
+//! Only cycles with an inserted delay are judged, and by their share, because the host of a test may delay others. The
+//! tests need SCHED_FIFO up to priority 90. `MRROC_LEAVE_OUT=realtime` skips the cases that need it.
 
 #![allow(
     clippy::disallowed_methods,
@@ -22,19 +22,19 @@ use mrroc_servo::*;
 
 mod scripted;
 
-/// What is planted: less than half a period, so that no slot is skipped.
+/// The inserted delay: less than half a period, so that no slot is skipped.
 const DELAY: Duration = Duration::from_micros(450);
-/// What is planted to have one slot skipped, and what is left of it makes the next late.
+/// An inserted delay that skips one slot. Its rest makes the next cycle late.
 const LONG_DELAY: Duration = Duration::from_micros(1300);
-/// How long before the deadline a wake-up is spoiled: the thread sleeps then.
+/// Time before the deadline at which a wake-up is disturbed, while the thread sleeps.
 const EARLY: Duration = Duration::from_micros(300);
-/// Cycles from one planted one to the next, and how many in one run: the eight worst are kept, and a
-/// skipped slot makes two.
+/// Cycles between two inserted delays, and number of delays in one run. The tracer keeps the eight worst cycles, and a
+/// skipped slot counts as two.
 const EVERY: u64 = 20;
 const PER_RUN: u64 = 3;
 const RUNS: u64 = 14;
 
-/// One test at a time: they take the CPU from each other.
+/// Runs one test at a time, because the tests take the CPU from each other.
 static ALONE: Mutex<()> = Mutex::new(());
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -52,18 +52,18 @@ enum Plant {
     LongSleep,
 }
 
-/// The thread to hold up, from when and until when.
+/// The thread to delay, and the begin and end of the delay.
 type HoldUp = (libc::pthread_t, Instant, Instant);
 
-/// When the handler of SIGUSR2 returns, ns.
+/// Time at which the handler of SIGUSR2 returns, ns.
 static ASLEEP_UNTIL: AtomicU64 = AtomicU64::new(0);
 
-/// Has the thread that it interrupts oversleep.
+/// Makes the interrupted thread oversleep.
 extern "C" fn oversleep(_: libc::c_int) {
     sleep_until(Instant::from_nanos(ASLEEP_UNTIL.load(Ordering::Relaxed)));
 }
 
-/// Has threads oversleep.
+/// Makes threads oversleep on request.
 #[expect(unsafe_code, reason = "signals are the system's")]
 fn stopper(orders: Receiver<HoldUp>) {
     // SAFETY: the handler reads an atomic number and the clock, and sleeps.
@@ -71,14 +71,14 @@ fn stopper(orders: Receiver<HoldUp>) {
     for (thread, from, to) in orders {
         ASLEEP_UNTIL.store(to.as_nanos(), Ordering::Relaxed);
         sleep_until(from);
-        // SAFETY: the thread drives cycles after the last order, or waits for its end.
+        // SAFETY: the thread still runs cycles after the last request, or waits for its end.
         unsafe { libc::pthread_kill(thread, libc::SIGUSR2) };
     }
 }
 
 #[expect(unsafe_code, reason = "the thread's handle is the system's to tell")]
 fn this_thread() -> libc::pthread_t {
-    // SAFETY: it takes nothing and touches nothing.
+    // SAFETY: the call takes no argument and touches no memory.
     unsafe { libc::pthread_self() }
 }
 
@@ -97,7 +97,7 @@ struct Delaying {
     inner: Box<dyn DriveGroup>,
     plant: Plant,
     cycle: u64,
-    /// When that is due.
+    /// Time of the delay.
     due: Instant,
     pages: Pages,
     hog: Sender<HoldUp>,
@@ -169,7 +169,7 @@ impl DriveGroup for Delaying {
     }
 }
 
-/// Memory of which every page faults at its first touch.
+/// Memory with a page fault at the first touch of every page.
 struct Pages(usize);
 
 impl Pages {
@@ -177,7 +177,7 @@ impl Pages {
 
     #[expect(unsafe_code, reason = "pages are the kernel's")]
     fn new() -> Self {
-        // SAFETY: a mapping of its own, which nobody else knows.
+        // SAFETY: a new mapping, which no other code uses.
         let start = unsafe {
             let start = libc::mmap(
                 std::ptr::null_mut(),
@@ -197,7 +197,7 @@ impl Pages {
     #[expect(unsafe_code, reason = "pages are the kernel's")]
     fn touch_until(&mut self, end: Instant) {
         for page in (self.0..self.0 + Self::BYTES).step_by(4096) {
-            // SAFETY: the page is of the mapping, which lasts as long as this.
+            // SAFETY: the page belongs to the mapping, which lives as long as this value.
             unsafe { (page as *mut u8).write_volatile(1) };
             if now() >= end {
                 break;
@@ -207,7 +207,7 @@ impl Pages {
 
     #[expect(unsafe_code, reason = "pages are the kernel's")]
     fn forget(&mut self) {
-        // SAFETY: what is in the mapping is needed no more.
+        // SAFETY: the content of the mapping is not needed any more.
         let done = unsafe { libc::madvise(self.0 as *mut _, Self::BYTES, libc::MADV_DONTNEED) };
         assert_eq!(done, 0, "the mapping is not locked");
     }
@@ -216,12 +216,12 @@ impl Pages {
 impl Drop for Pages {
     #[expect(unsafe_code, reason = "pages are the kernel's")]
     fn drop(&mut self) {
-        // SAFETY: nobody else knows the mapping.
+        // SAFETY: no other code uses the mapping.
         unsafe { libc::munmap(self.0 as *mut _, Self::BYTES) };
     }
 }
 
-/// A thread above the servo's, on its CPU, that takes it from one time to another.
+/// A thread of a higher priority than the servo's on the same CPU, which takes the CPU for given intervals.
 fn hog(cpu: usize, orders: Receiver<HoldUp>) {
     let policy = RealtimePolicy {
         priority: 90,
@@ -236,7 +236,7 @@ fn hog(cpu: usize, orders: Receiver<HoldUp>) {
     }
 }
 
-/// How many orders a servo takes [`DELAY`] to carry out in one step.
+/// Number of orders that a servo needs [`DELAY`] to execute in one step.
 fn flood() -> usize {
     const ORDERS: usize = 10_000;
     let mut config = scripted::config(2);
@@ -256,7 +256,7 @@ fn flood() -> usize {
     (ORDERS as u128 * DELAY.as_nanos() / least.as_nanos()) as usize
 }
 
-/// How many of the planted cycles were named `cause`, of how many.
+/// Number of delayed cycles attributed to `cause`, and number of all delayed cycles.
 fn plant(plant: Plant, cause: Cause) -> (u64, u64) {
     let (mut right, mut planted) = (0, 0);
     let flood = flood();
@@ -285,7 +285,7 @@ fn plant(plant: Plant, cause: Cause) -> (u64, u64) {
             Plant::LongSleep => Some(std::thread::spawn(move || stopper(told))),
             _ => None,
         };
-        // Until the hog waits.
+        // Waits until the hog waits.
         sleep_until(now() + Duration::from_millis(20));
         let policy = RealtimePolicy {
             cpu: Some(cpu),
@@ -341,14 +341,15 @@ fn plant(plant: Plant, cause: Cause) -> (u64, u64) {
     (right, planted)
 }
 
-/// A spike has its late cycle and those around it, and one phase begins where another ended.
+/// Checks the recording of a spike: the late cycle and the cycles around it are present, and each phase begins at the
+/// end of the previous phase.
 fn traced(spike: &Spike) {
     let late = spike.late.expect("nobody asked for one");
     let cycles = &spike.cycles;
     let place = cycles.iter().position(|one| one.cycle == late.cycle);
     let place = place.expect("the late cycle is in it");
     assert_eq!(cycles[place].late, Some(late));
-    // The run ends with some more.
+    // The run ends with some further cycles.
     assert!(place >= 40.min(late.cycle as usize) && cycles.len() - place <= 17);
     let mut end = Instant::ZERO;
     for (number, cycle) in (cycles[0].cycle..).zip(cycles) {
@@ -372,11 +373,11 @@ fn traced(spike: &Spike) {
 
 #[expect(unsafe_code, reason = "the current CPU is the kernel's to tell")]
 fn current_cpu() -> usize {
-    // SAFETY: it takes nothing and touches nothing.
+    // SAFETY: the call takes no argument and touches no memory.
     unsafe { libc::sched_getcpu() }.max(0) as usize
 }
 
-/// Nine of ten planted cycles have the right name, at the second attempt at the latest.
+/// Checks that nine of ten delayed cycles have the right cause, at the second attempt at the latest.
 fn check(cases: &[(Plant, Cause)]) {
     let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     for &(planted, cause) in cases {
@@ -404,7 +405,7 @@ fn what_the_thread_does_itself_and_an_overslept_wake_up_are_named() {
         (Plant::SpinningBus, Cause::Bus),
         (Plant::BlockingBus, Cause::Bus),
         (Plant::PageFaults, Cause::PageFault),
-        // What is left of it after the skipped slot is no work of the thread's.
+        // The rest of the delay after the skipped slot is no work of the thread.
         (Plant::LongSleep, Cause::LateWakeUp),
     ]);
 }
@@ -426,7 +427,7 @@ fn a_thread_that_takes_the_cpu_is_named() {
     );
     check(&[
         (Plant::PreemptedStep, Cause::Preempted),
-        // It could run when it asked to, and another did.
+        // The thread was ready at the requested time, but another thread ran.
         (Plant::StarvedWakeUp, Cause::Preempted),
         (Plant::LongStarvedWakeUp, Cause::Preempted),
     ]);

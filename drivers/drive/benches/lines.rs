@@ -1,5 +1,5 @@
-//! What six axis controllers on pseudo-terminals cost the servo thread in a cycle of 2 ms, system calls included.
-//! `cargo bench -p mrroc-drive --bench lines`
+//! Processor time of the servo thread for six axis controllers on pseudo-terminals in a cycle of 2 ms, system calls
+//! included. `cargo bench -p mrroc-drive --bench lines`
 #![allow(
     unsafe_code,
     reason = "opening and polling pseudo-terminals takes system calls"
@@ -26,7 +26,7 @@ const AXES: usize = 6;
 const PERIOD: Duration = Duration::from_millis(2);
 
 fn pty() -> (File, PathBuf) {
-    // SAFETY: the descriptor returned is new and ours; the name fits its buffer.
+    // SAFETY: the returned descriptor is new and owned here; the name fits its buffer.
     unsafe {
         let master = libc::posix_openpt(libc::O_RDWR | libc::O_NOCTTY | libc::O_CLOEXEC);
         assert!(master >= 0 && libc::grantpt(master) == 0 && libc::unlockpt(master) == 0);
@@ -37,7 +37,7 @@ fn pty() -> (File, PathBuf) {
     }
 }
 
-/// Answers until the host's end is closed.
+/// Answers requests until the host's end is closed.
 fn emulate(mut masters: Vec<File>, protocol: Protocol) {
     let mut drives: Vec<scripted::Shared> = (0..AXES)
         .map(|_| scripted::Drive::new(protocol, 8).shared())
@@ -52,7 +52,7 @@ fn emulate(mut masters: Vec<File>, protocol: Protocol) {
         .collect();
     let mut bytes = [0; 256];
     loop {
-        // SAFETY: as many valid descriptions as are said.
+        // SAFETY: the count is the length of the array.
         if unsafe { libc::poll(polls.as_mut_ptr(), AXES as libc::nfds_t, 1_000) } <= 0 {
             return;
         }
@@ -133,7 +133,7 @@ fn measure(protocol: Protocol, cycles: usize) {
     }
 }
 
-/// Processor time of this thread, which others on the machine take nothing from.
+/// Processor time of this thread, independent of the load of the machine.
 fn spent() -> Duration {
     let mut time = libc::timespec {
         tv_sec: 0,

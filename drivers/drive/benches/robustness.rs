@@ -1,5 +1,5 @@
-//! What the host of axis controllers believes on damaged lines: ten million cycles of each kind, or as many as the
-//! first argument says. `cargo bench -p mrroc-drive --bench robustness`
+//! Positions that the host of axis controllers believes on damaged lines: ten million cycles of each kind, or the
+//! number in the first argument. `cargo bench -p mrroc-drive --bench robustness`
 
 #[path = "robustness/study.rs"]
 mod study;

@@ -1,6 +1,6 @@
 //! Commands to an axis.
 
-/// A number that is neither NaN nor infinite; nothing else reaches a drive.
+/// A finite number. Only finite numbers reach a drive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, PartialOrd)]
 pub struct Finite(f64);
 
@@ -8,7 +8,7 @@ impl Finite {
     /// Zero.
     pub const ZERO: Self = Self(0.0);
 
-    /// `None` for NaN and the infinities.
+    /// `None` for NaN and infinities.
     pub fn new(value: f64) -> Option<Self> {
         value.is_finite().then_some(Self(value))
     }
@@ -19,12 +19,12 @@ impl Finite {
     }
 }
 
-/// What a drive is to follow during one cycle, at the motor shaft.
+/// Set-point of a drive for one cycle, at the motor shaft.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Setpoint {
     /// Motor position, rad. The drive closes the position loop (CSP).
     Position(Finite),
-    /// Motor position, rad, and a torque, N·m, that the drive adds to what its loops ask for
+    /// Motor position, rad, and a torque, N·m, that the drive adds to the output of its loops
     /// ([`CyclicMode::CspWithTorque`](crate::cia402::CyclicMode::CspWithTorque)).
     PositionWithTorque {
         /// Motor position, rad.
@@ -36,31 +36,30 @@ pub enum Setpoint {
     Velocity(Finite),
     /// Motor torque, N·m. The host closes every other loop (CST, and axis controllers by current).
     Torque(Finite),
-    /// Fraction of the full pulse width, -1 to 1: the share of the supply voltage that the motor gets.
-    /// The host closes every loop.
+    /// Fraction of the full pulse width, -1 to 1: the motor voltage as a fraction of the supply voltage. The host
+    /// closes every loop.
     Duty(Finite),
 }
 
-/// What one axis is asked to do in one cycle.
+/// Commanded state of one axis for one cycle.
 ///
-/// It is a level, not an event: the group brings the drive to it by as many transitions as that
-/// takes and keeps it there, and [`AxisState`](crate::AxisState) says how far it got.
+/// A command is a level, not an event. The group brings the drive to the commanded state by as many transitions as
+/// necessary, and keeps the drive there. [`AxisState`](crate::AxisState) shows the progress.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum AxisCommand {
     /// No torque. A latched fault stays latched.
     #[default]
     Off,
-    /// No torque, and a latched drive fault is to be cleared.
+    /// No torque, and reset of a latched drive fault.
     ResetFault,
-    /// Torque on, standing where the drive was when it was enabled, or where the last set-point
-    /// left it. Velocity or torque zero, for drives that close only those loops.
+    /// Torque on, holding the position at which the drive was enabled or the last set-point. In a velocity or torque
+    /// mode, velocity or torque zero.
     Stand,
-    /// Torque on, homing by the method the drive was configured with. Leaving it stops homing.
+    /// Torque on, homing by the configured method. Any other command stops homing.
     Home,
     /// Torque on, following the set-point. Only after [`Power::On`](crate::Power::On) was seen.
     Follow(Setpoint),
-    /// The same, and the drive takes the next index pulse for its reference: for drives that the host
-    /// homes. The counter is set there, and then the state says
-    /// [`Homing::Attained`](crate::Homing::Attained).
+    /// Like `Follow`, and the drive sets its counter at the next index pulse, for axes homed by the host. The state
+    /// then shows [`Homing::Attained`](crate::Homing::Attained).
     Seek(Setpoint),
 }

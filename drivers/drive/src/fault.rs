@@ -21,7 +21,7 @@ pub enum Fault {
         /// Error code of CiA 402 or of the vendor.
         code: u16,
     },
-    /// Answers were missing for more cycles than the cell allows.
+    /// Answers were missing for more cycles than the cell tolerates.
     #[error("node {node}: no answer for {cycles} cycles")]
     Silent {
         /// Node-ID.
@@ -29,8 +29,8 @@ pub enum Fault {
         /// Cycles without an answer.
         cycles: u32,
     },
-    /// The port took no set-point for the node, or not even the SYNC, for more cycles than the cell
-    /// allows: the drive goes on by an old one.
+    /// The port refused the set-point of the node, or even the SYNC, for more cycles than the cell tolerates. The
+    /// drive continues with an old set-point.
     #[error("node {node}: set-point not taken by the bus for {cycles} cycles")]
     NotSent {
         /// Node-ID.
@@ -43,15 +43,15 @@ pub enum Fault {
     HeartbeatLost {
         /// Node-ID.
         node: u8,
-        /// Time since the last one.
+        /// Time since the last heartbeat.
         waited: Duration,
     },
-    /// We sent no SYNC for longer than the drives wait for our heartbeat: they have stopped by themselves.
+    /// The host sent no SYNC for longer than the drives' heartbeat time-out. The drives have stopped by themselves.
     #[error("node {node}: no SYNC was sent for {waited:.1?}")]
     HostLate {
         /// Node-ID.
         node: u8,
-        /// Time since the last one.
+        /// Time since the last SYNC.
         waited: Duration,
     },
     /// The node booted again, or left NMT state operational, during operation.
@@ -60,7 +60,7 @@ pub enum Fault {
         /// Node-ID.
         node: u8,
     },
-    /// The drive dropped out of operation enabled without being asked and without a fault.
+    /// The drive left the state operation enabled without a command and without a fault.
     #[error("node {node}: power was lost (statusword {statusword:#06x})")]
     PowerLost {
         /// Node-ID.
@@ -68,7 +68,7 @@ pub enum Fault {
         /// Object 0x6041.
         statusword: u16,
     },
-    /// The drive's position counter jumped. The position is not believed.
+    /// The drive's position counter jumped. The position is refused as implausible.
     #[error(
         "node {node}: position jumped by {moved} increments within {within:.1?}; the motor cannot have turned by more than \
          {most}"
@@ -76,24 +76,24 @@ pub enum Fault {
     Implausible {
         /// Node-ID.
         node: u8,
-        /// Increments from the last position believed.
+        /// Increments from the last plausible position.
         moved: i32,
-        /// Most increments that the motor can have turned by.
+        /// Greatest possible displacement of the motor, increments.
         most: u32,
-        /// Longest time that the motor can have had since that position.
+        /// Longest time that may have passed since that position.
         within: Duration,
     },
-    /// The drive is in another mode of operation than it was told, by a command of somebody else.
+    /// Another controller changed the drive's mode of operation.
     #[error("node {node}: mode of operation is {found}, commanded was {expected}")]
     ModeChanged {
         /// Node-ID.
         node: u8,
-        /// The mode that the drive was told (object 0x6060).
+        /// The commanded mode (object 0x6060).
         expected: ModeOfOperation,
-        /// The mode that the drive shows (object 0x6061).
+        /// The mode that the drive reports (object 0x6061).
         found: ModeOfOperation,
     },
-    /// The drive did not reach the asked state in time.
+    /// The drive did not reach the commanded state in time.
     #[error(
         "node {node}: did not reach the asked state within {waited:.1?} (statusword {statusword:#06x})"
     )]
@@ -117,7 +117,7 @@ pub enum Fault {
         /// SDO abort code; 0x0504_0000 if the drive did not answer.
         code: u32,
     },
-    /// A set-point that was not sent, nor any other of its cycle.
+    /// A set-point was refused. No set-point of that cycle was sent.
     #[error("node {node}: set-point {refusal}")]
     Refused {
         /// Node-ID.
@@ -130,41 +130,41 @@ pub enum Fault {
     AxisController {
         /// Index of its axis in the group.
         line: u8,
-        /// Which.
+        /// The fault of the axis controller.
         fault: AxisControllerFault,
     },
     /// A second controller commands the drives of the bus.
     #[error("bus: another controller is at work: it sent {sign}")]
     OtherController {
-        /// The frame that gave it away.
+        /// The frame by which it was detected.
         sign: Sign,
     },
     /// The port cannot send or receive.
     #[error("bus: {0}")]
     Port(can::PortError),
-    /// Our controller made too many errors and left the bus: no drive hears us.
+    /// The host's CAN controller counted too many errors and left the bus. No drive receives the host's frames.
     #[error("bus: the controller is bus-off")]
     BusOff,
 }
 
-/// What was wrong with a set-point.
+/// Reason for refusing a set-point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum Refusal {
-    /// Its kind is not what the drive's mode of operation follows.
+    /// The drive's mode of operation follows another kind of set-point.
     #[error("is of another kind than the drive's mode of operation follows")]
     WrongKind,
-    /// The drive has no torque to follow it with.
+    /// The drive has no torque.
     #[error("came while the drive was not on")]
     NotOn,
-    /// The drive's units cannot hold it.
+    /// The set-point is beyond the range of the drive's units.
     #[error("does not fit the drive's units")]
     OutOfRange,
 }
 
-/// Why a group could not be brought up. Nothing has moved.
+/// Failure of the bring-up of a group. Nothing has moved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum BringUpError {
-    /// No boot-up message and no answer.
+    /// Neither a boot-up message nor an answer was received.
     #[error("node {node}: never booted, waited {waited:.1?}")]
     NeverBooted {
         /// Node-ID.
@@ -172,7 +172,7 @@ pub enum BringUpError {
         /// Time waited.
         waited: Duration,
     },
-    /// The node answers, and is no drive: its device profile is not CiA 402.
+    /// The node answers, but its device profile is not CiA 402.
     #[error("node {node}: not a CiA 402 drive (0x1000 is {device_type:#010x})")]
     NotADrive {
         /// Node-ID.
@@ -180,7 +180,7 @@ pub enum BringUpError {
         /// Object 0x1000.
         device_type: u32,
     },
-    /// The node was started and no heartbeat said that it became operational.
+    /// The node was started, but no heartbeat showed the state operational.
     #[error("node {node}: not operational, waited {waited:.1?}")]
     NotOperational {
         /// Node-ID.
@@ -188,7 +188,7 @@ pub enum BringUpError {
         /// Time waited.
         waited: Duration,
     },
-    /// Object 0x1018 does not say what the cell says.
+    /// Object 0x1018 differs from the cell file.
     #[error(
         "node {node}: identity 0x1018:{subindex:02x} is {found:#010x}, the cell expects {expected:#010x}"
     )]
@@ -197,12 +197,12 @@ pub enum BringUpError {
         node: u8,
         /// Sub-index of 0x1018: 1 vendor, 2 product, 3 revision, 4 serial number.
         subindex: u8,
-        /// What the cell file says.
+        /// The value in the cell file.
         expected: u32,
-        /// What the drive says.
+        /// The value in the drive.
         found: u32,
     },
-    /// The drive scales its positions or torques otherwise than the cell.
+    /// The scale of the drive's positions or torques differs from the cell.
     #[error(
         "node {node}: {index:#06x}:{subindex:02x} is {ratio} {what}, the cell says {expected}: {remedy}",
         ratio = Ratio(*.found, *.per)
@@ -212,17 +212,17 @@ pub enum BringUpError {
         node: u8,
         /// Object index.
         index: u16,
-        /// Sub-index; of a ratio that of its dividend.
+        /// Sub-index; for a ratio, the sub-index of the dividend.
         subindex: u8,
-        /// What the drive says; of a ratio its dividend.
+        /// The value in the drive; for a ratio, the dividend.
         found: u32,
-        /// The divisor of a ratio, else 1.
+        /// The divisor of a ratio, otherwise 1.
         per: u32,
-        /// What the cell file says, in the drive's unit.
+        /// The value in the cell file, in the drive's unit.
         expected: u32,
         /// The quantity and its unit.
         what: &'static str,
-        /// What to do.
+        /// The remedy.
         remedy: &'static str,
     },
     /// The drive refused a parameter.
@@ -237,7 +237,7 @@ pub enum BringUpError {
         /// SDO abort code.
         code: u32,
     },
-    /// The drive took a parameter and holds another.
+    /// The drive accepted a parameter but reads back another value.
     #[error("node {node}: {index:#06x}:{subindex:02x} reads back {found:#x}, wrote {written:#x}")]
     ReadBack {
         /// Node-ID.
@@ -246,12 +246,12 @@ pub enum BringUpError {
         index: u16,
         /// Sub-index.
         subindex: u8,
-        /// What was written.
+        /// The written value.
         written: u32,
-        /// What was read back.
+        /// The value read back.
         found: u32,
     },
-    /// The drive took bytes and holds others.
+    /// The drive accepted data but reads back other data.
     #[error(
         "node {node}: {index:#06x}:{subindex:02x} reads back {found} bytes, wrote {written}, the first {same} are equal"
     )]
@@ -266,7 +266,7 @@ pub enum BringUpError {
         written: usize,
         /// Bytes read back.
         found: usize,
-        /// Bytes that are equal, from the first.
+        /// Number of equal bytes from the start.
         same: usize,
     },
     /// The drive did not answer a service request in time.
@@ -281,28 +281,28 @@ pub enum BringUpError {
         /// Time waited.
         waited: Duration,
     },
-    /// The drive cannot do the asked mode of operation (object 0x6502).
+    /// The drive does not support the mode of operation (object 0x6502).
     #[error("node {node}: mode {mode} is not supported (0x6502 is {supported:#010x})")]
     ModeUnsupported {
         /// Node-ID.
         node: u8,
-        /// Value for object 0x6060.
+        /// The mode as a value of object 0x6060.
         mode: i8,
         /// Object 0x6502.
         supported: u32,
     },
-    /// An axis controller on a serial line.
+    /// An axis controller on a serial line could not be brought up.
     #[error("line {line}: {error}")]
     AxisController {
         /// Index of its axis in the group.
         line: u8,
-        /// Why.
+        /// The reason.
         error: AxisControllerError,
     },
     /// A second controller commands the drives of the bus.
     #[error("another controller is at work: it sent {sign}; end it before this one is started")]
     OtherController {
-        /// The frame that gave it away.
+        /// The frame by which it was detected.
         sign: Sign,
     },
     /// The port cannot send or receive.
@@ -311,7 +311,7 @@ pub enum BringUpError {
 }
 
 impl BringUpError {
-    /// The node it is about; `None` on a serial line, whose index is [`line`](Self::line).
+    /// The node concerned; `None` on a serial line, whose index is [`line`](Self::line).
     pub fn node(&self) -> Option<u8> {
         match *self {
             Self::NeverBooted { node, .. }
@@ -328,7 +328,7 @@ impl BringUpError {
         }
     }
 
-    /// The index in its group of the axis that it is about, on a serial line.
+    /// The index within the group of the axis concerned, on a serial line.
     pub fn line(&self) -> Option<usize> {
         match *self {
             Self::AxisController { line, .. } => Some(usize::from(line)),
@@ -337,7 +337,7 @@ impl BringUpError {
     }
 }
 
-/// `4000`, or `8000/3`.
+/// Formatted as `4000` or `8000/3`.
 struct Ratio(u32, u32);
 
 impl fmt::Display for Ratio {

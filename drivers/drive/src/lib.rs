@@ -1,8 +1,8 @@
-//! The contract between the servo and the drives behind one port, and one file per device family.
+//! The contract between the servo and the drives behind one port, and one module per device family.
 //!
-//! Read [`DriveGroup`] first. Positions are of the **motor shaft**, in rad (m for a linear motor):
-//! the drive trains of `controller` turn joints into motors, and [`Scale`] turns motor positions
-//! into what the device counts in, at one place.
+//! Read [`DriveGroup`] first. All positions are positions of the **motor shaft**, rad (m for a linear motor). The
+//! drive trains of `controller` convert joint positions to motor positions. [`Scale`] is the only place that converts
+//! motor positions to the units of a device.
 
 pub mod axis_controller;
 pub mod cia402;

@@ -2,33 +2,32 @@
 
 use std::f64::consts::TAU;
 
-/// Revolutions per minute of a radian per second: 60 s over 2π rad.
+/// Revolutions per minute per radian per second: 60 s over 2π rad.
 const RPM: f64 = 60.0 / TAU;
 
-/// A position as the drive counts it: quadrature counts of its encoder.
+/// A position in the drive's unit: quadrature counts of its encoder.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Increments(pub i32);
 
-/// A velocity as an EPOS4 counts it while its unit (object 0x60A9) is the default: revolutions of
-/// the motor per minute, positive while its counter rises.
+/// A velocity in the unit of an EPOS4 with the default of object 0x60A9: revolutions of the motor per minute, positive
+/// towards a rising counter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Rpm(pub i32);
 
-/// A torque as CiA 402 counts it: thousandths of the motor's rated torque, positive towards a rising
-/// counter.
+/// A torque in the unit of CiA 402: thousandths of the motor's rated torque, positive towards a rising counter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Permille(pub i16);
 
-/// A motor current as an axis controller counts it, mA, positive towards a rising counter.
+/// A motor current in the unit of an axis controller, mA, positive towards a rising counter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Milliamperes(pub i16);
 
-/// A pulse width as an axis controller counts it: thousandths, positive towards a rising counter.
+/// A pulse width in the unit of an axis controller: thousandths, positive towards a rising counter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct PulseWidth(pub i16);
 
-/// Turns motor positions, velocities, torques and duties into what a device counts in and back: the only
-/// place that does.
+/// Converts motor positions, velocities, torques and duties to the units of a device and back. No other place converts
+/// them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scale {
     increments_per_radian: f64,
@@ -36,9 +35,9 @@ pub struct Scale {
 }
 
 impl Scale {
-    /// `counts_per_revolution` are quadrature counts of one motor turn, negative if they fall while
-    /// the motor turns in its positive direction; `home_position` is the motor position, rad, at
-    /// which the homed counter reads zero. `None` for zero counts or a number that is not finite.
+    /// A scale, or `None` for zero counts or a number that is not finite. `counts_per_revolution` are quadrature
+    /// counts per motor turn, negative if the count falls while the motor turns in its positive direction.
+    /// `home_position` is the motor position, rad, at which the homed counter reads zero.
     pub fn new(counts_per_revolution: i32, home_position: f64) -> Option<Self> {
         (counts_per_revolution != 0 && home_position.is_finite()).then(|| Self {
             increments_per_radian: f64::from(counts_per_revolution) / TAU,
@@ -51,7 +50,7 @@ impl Scale {
         f64::from(increments.0) / self.increments_per_radian + self.home_position
     }
 
-    /// The nearest count; `None` beyond the counter's 32 bits.
+    /// The nearest count; `None` beyond the 32 bits of the counter.
     pub fn increments(&self, position: f64) -> Option<Increments> {
         nearest_i32((position - self.home_position) * self.increments_per_radian).map(Increments)
     }
@@ -61,15 +60,14 @@ impl Scale {
         self.increments_per_radian
     }
 
-    /// The nearest device velocity to `velocity`, rad/s; `None` beyond 32 bits.
+    /// The device velocity nearest to `velocity`, rad/s; `None` beyond 32 bits.
     ///
-    /// A device velocity counts turns, not increments, yet has the sign of the counter.
+    /// A device velocity counts turns instead of increments, but has the sign of the counter.
     pub fn rpm(&self, velocity: f64) -> Option<Rpm> {
         nearest_i32(velocity * RPM * self.increments_per_radian.signum()).map(Rpm)
     }
 
-    /// The nearest device torque to `torque`, N·m, of a motor of `rated_torque`, N·m; `None` beyond
-    /// 16 bits.
+    /// The device torque nearest to `torque`, N·m, for a motor of `rated_torque`, N·m; `None` beyond 16 bits.
     pub fn permille(&self, torque: f64, rated_torque: f64) -> Option<Permille> {
         let permille = torque / rated_torque * 1_000.0 * self.increments_per_radian.signum();
         nearest_i32(permille)
@@ -82,8 +80,7 @@ impl Scale {
         f64::from(permille.0) / 1_000.0 * rated_torque * self.increments_per_radian.signum()
     }
 
-    /// The nearest current to that which makes `torque`, N·m, in a motor of `torque_constant`, N·m/A; `None`
-    /// beyond 16 bits.
+    /// The nearest current for `torque`, N·m, of a motor of `torque_constant`, N·m/A; `None` beyond 16 bits.
     pub fn milliamperes(&self, torque: f64, torque_constant: f64) -> Option<Milliamperes> {
         let current = torque / torque_constant * self.increments_per_radian.signum();
         nearest_i32(current * 1_000.0)
@@ -91,26 +88,26 @@ impl Scale {
             .map(Milliamperes)
     }
 
-    /// Motor torque, N·m, that a current makes in a motor of `torque_constant`, N·m/A.
+    /// Motor torque, N·m, of a current in a motor of `torque_constant`, N·m/A.
     pub fn torque_of(&self, current: Milliamperes, torque_constant: f64) -> f64 {
         f64::from(current.0) / 1_000.0 * torque_constant * self.increments_per_radian.signum()
     }
 
-    /// The nearest pulse width to `duty`, -1 to 1; `None` beyond.
+    /// The pulse width nearest to `duty`, -1 to 1; `None` beyond.
     pub fn pulse_width(&self, duty: f64) -> Option<PulseWidth> {
         (-1.0..=1.0).contains(&duty).then(|| {
             PulseWidth((duty * 1_000.0 * self.increments_per_radian.signum()).round() as i16)
         })
     }
 
-    /// The number of increments in `distance`, rad, whatever its direction; `None` beyond 32 bits.
+    /// The number of increments in `distance`, rad, regardless of direction; `None` beyond 32 bits.
     pub fn distance(&self, distance: f64) -> Option<u32> {
         nearest_u32((distance * self.increments_per_radian).abs())
     }
 }
 
-/// A speed, rad/s, in rpm, or an acceleration, rad/s², in rpm/s: both differ by 60 / 2π. `None` if
-/// it is negative or does not fit 32 bits.
+/// Converts a speed, rad/s, to rpm, or an acceleration, rad/s², to rpm/s: both by the factor 60 / 2π. `None` if the
+/// value is negative or exceeds 32 bits.
 pub(crate) fn rpm_magnitude(value: f64) -> Option<u32> {
     nearest_u32(value * RPM)
 }
@@ -133,7 +130,7 @@ fn nearest_u32(value: f64) -> Option<u32> {
 mod tests {
     use super::*;
 
-    /// 2000 counts a turn rising with the motor, and falling against it from 1 rad on.
+    /// One scale of 2000 counts per turn rising with the motor, and one falling against the motor, with home at 1 rad.
     fn scales() -> (Scale, Scale) {
         (
             Scale::new(2_000, 0.0).unwrap(),

@@ -1,23 +1,23 @@
-//! State of an axis as measured.
+//! Measured state of an axis.
 
 use can::Instant;
 
 use crate::{Fault, Increments};
 
-/// What is known of one axis at the cycle of [`AxisState::at`].
+/// Measured state of one axis. [`AxisState::at`] is the time of the last answer.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct AxisState {
     /// When the drive's last answer was received.
     pub at: Instant,
-    /// Cycles without an answer to their SYNC: 0 in a cycle that read one. Older answers do not count.
+    /// Cycles since an answer to the last SYNC was read: 0 in a cycle that read one. Older answers do not count.
     pub age: u32,
-    /// Motor position, rad. Meaningless as an absolute position until [`Homing::Attained`].
+    /// Motor position, rad. Not an absolute position before [`Homing::Attained`].
     pub position: f64,
-    /// The same position as the drive counts it.
+    /// The same position in the drive's unit.
     pub increments: Increments,
     /// Motor velocity, rad/s.
     pub velocity: f64,
-    /// Motor torque, N·m; zero where the drive does not say.
+    /// Motor torque, N·m; zero where the drive does not report it.
     pub torque: f64,
     /// Whether the motor has torque.
     pub power: Power,
@@ -25,9 +25,9 @@ pub struct AxisState {
     pub homing: Homing,
     /// Whether the drive follows the set-points it is sent.
     pub following: bool,
-    /// The switches of the axis; open where the drive does not say.
+    /// The switches of the axis; open where the drive does not report them.
     pub switches: Switches,
-    /// What stands in the way, latched until reset.
+    /// The fault of the axis, latched until reset.
     pub fault: Option<Fault>,
 }
 
@@ -48,21 +48,21 @@ pub enum Power {
     /// No torque.
     #[default]
     Off,
-    /// On its way from off to on or back.
+    /// Changing between on and off.
     Changing,
     /// Torque.
     On,
 }
 
-/// What a drive says of its reference.
+/// Homing state as reported by the drive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Homing {
-    /// The position counter means nothing yet.
+    /// The position counter has no reference.
     #[default]
     NotHomed,
     /// The axis is searching.
     InProgress,
-    /// The counter is referenced, by this run or by one before it.
+    /// The counter has its reference, found in this run or an earlier one.
     Attained,
     /// The search ended without a reference; leave [`AxisCommand::Home`](crate::AxisCommand::Home) to try again.
     Failed,

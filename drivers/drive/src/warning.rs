@@ -1,18 +1,18 @@
-//! What drives report while they go on: warnings, counted and bounded.
+//! Warnings: errors that drives report without a fault, counted and bounded.
 
 use std::time::Duration;
 
 use canopen::cia402::FaultTable;
 use thiserror::Error;
 
-/// An error that a drive reported (EMCY) without a fault, since operation began.
+/// An error reported by EMCY without a fault since the start of operation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 #[error(
     "node {node}: EMCY {code:#06x} ({text}), error register {register:#04x}",
     text = FaultTable::Epos4.text(*.code)
 )]
 pub struct Warning {
-    /// Time from the beginning of operation to the first such report.
+    /// Time from the start of operation to the first report.
     pub after: Duration,
     /// Node-ID.
     pub node: u8,
@@ -24,7 +24,7 @@ pub struct Warning {
     pub count: u64,
 }
 
-/// The warnings of a group: the first [`KEPT`](Self::KEPT) different ones, and how many reports had no room.
+/// The warnings of a group: the first [`KEPT`](Self::KEPT) different ones, and the number of reports that had no room.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Warnings {
     kept: Vec<Warning>,
@@ -32,7 +32,7 @@ pub struct Warnings {
 }
 
 impl Warnings {
-    /// Different warnings that are kept.
+    /// Greatest number of different warnings.
     pub const KEPT: usize = 32;
 
     /// No warning.
@@ -41,7 +41,7 @@ impl Warnings {
         omitted: 0,
     };
 
-    /// No warning, with room for those to come.
+    /// No warning, with reserved room for later ones.
     pub(crate) fn with_room() -> Self {
         Self {
             kept: Vec::with_capacity(Self::KEPT),
@@ -54,7 +54,7 @@ impl Warnings {
         self.omitted = 0;
     }
 
-    /// Adds a report; one of the same node, code and register counts as a repetition.
+    /// Adds a report. A report of the same node, code and register as an earlier one increases its count.
     pub(crate) fn add(&mut self, warning: Warning) {
         let kind = |it: &Warning| (it.node, it.code, it.register);
         let mut kept = self.kept.iter();
@@ -65,7 +65,7 @@ impl Warnings {
         }
     }
 
-    /// Takes the last report of `code` by `node` away: the drive has a fault of this code.
+    /// Removes the last report of `code` by `node`, because the drive has a fault of this code.
     pub(crate) fn explain(&mut self, node: u8, code: u16) {
         let mut kept = self.kept.iter();
         let last = kept.rposition(|kept| (kept.node, kept.code) == (node, code));
@@ -76,7 +76,7 @@ impl Warnings {
         }
     }
 
-    /// Those that are kept, in the order in which they came first.
+    /// The warnings, in the order of their first report.
     pub fn iter(&self) -> impl Iterator<Item = &Warning> {
         self.kept.iter()
     }

@@ -1,4 +1,4 @@
-//! The cycle does not allocate, whatever the drives say: enabling, following, homing, faults.
+//! The cycle does not allocate, whatever the drives report: enabling, following, homing, faults.
 #![allow(
     unsafe_code,
     reason = "a counting allocator implements an unsafe trait"
@@ -32,21 +32,21 @@ fn count() {
     ALLOCATIONS.with(|count| count.set(count.get() + 1));
 }
 
-// SAFETY: every call goes unchanged to the system's allocator.
+// SAFETY: every call is forwarded unchanged to the system's allocator.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count();
-        // SAFETY: the caller's promise is passed on.
+        // SAFETY: the caller guarantees the contract.
         unsafe { System.alloc(layout) }
     }
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
         count();
-        // SAFETY: the caller's promise is passed on.
+        // SAFETY: the caller guarantees the contract.
         unsafe { System.dealloc(pointer, layout) }
     }
     unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         count();
-        // SAFETY: the caller's promise is passed on.
+        // SAFETY: the caller guarantees the contract.
         unsafe { System.realloc(pointer, layout, size) }
     }
 }
@@ -57,10 +57,10 @@ static ALLOCATOR: Counting = Counting;
 const AXES: usize = 6;
 const PERIOD: Duration = Duration::from_millis(2);
 
-/// Every drive of the bus at once: a store of objects for service requests, and for every SYNC
-/// the same statusword from each of them.
+/// All drives of the bus: an object store for service requests, and the same statusword from each drive for every
+/// SYNC.
 struct Drives {
-    /// By request identifier, index and sub-index; under identifier 0, what each drive has at first.
+    /// Objects by request identifier, index and sub-index. Identifier 0 holds the initial objects of every drive.
     objects: BTreeMap<(u16, u16, u8), [u8; 4]>,
     statusword: u16,
     emergencies: u16,
@@ -85,7 +85,7 @@ impl Drives {
                 let [low, high] = self.statusword.to_le_bytes();
                 for node in 1..=AXES as u16 {
                     self.reply(0x180 + node, &[low, high, 0xE8, 3, 0, 0, 0, 0], at);
-                    // Each another error that is no fault, more of them than are kept.
+                    // Each EMCY is another error without a fault, and there are more of them than the group keeps.
                     self.emergencies = self.emergencies.wrapping_add(1);
                     let [code, vendor] = self.emergencies.to_le_bytes();
                     self.reply(0x080 + node, &[code, 0xFF, 1, vendor, 0, 0, 0, 0], at);
@@ -137,7 +137,7 @@ impl Port for Drives {
     }
 }
 
-/// The port stays in the test's hands, so that it can say what the drives say.
+/// The test keeps a handle to the port and can change the answers of the drives.
 struct Shared(std::sync::Arc<std::sync::Mutex<Drives>>);
 
 impl Port for Shared {
@@ -266,7 +266,7 @@ fn no_cycle_allocates() {
     }
     assert!(followed && homed && faulted);
     assert_eq!((states[0].power, states[0].fault), (Power::Off, None));
-    // The counting itself works.
+    // The allocation counter itself works.
     let before = ALLOCATIONS.get();
     drop(Box::new(1));
     assert_eq!(ALLOCATIONS.get() - before, 2);

@@ -14,7 +14,7 @@ fn nothing_is_believed_that_the_motor_cannot_have_moved() {
             println!("{what}");
             assert_eq!(tally.beyond_reach, 0, "{what}");
             assert!(tally.frames_to_find <= 2, "{what}");
-            // A damaged position that was believed, or a repeated one, is left behind by a jump at the latest.
+            // A damaged position that was accepted, or a repeated one, is corrected by a jump at the latest.
             assert!(tally.frames_to_believe <= 3, "{what}");
             assert!(tally.accepted > 0 && tally.damaged > 0, "{what}");
         }

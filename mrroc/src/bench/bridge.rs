@@ -1,8 +1,8 @@
 //! Pseudo-terminals between the host and the emulated lines of a cell whose time follows the servo's cycles.
 //!
-//! The kernel passes bytes through a pseudo-terminal when it comes to it, within microseconds as a rule. The cell's
-//! time stands still meanwhile: after a cycle the bridge waits until it has every byte that the host wrote in it, and
-//! before the next one until the host's end holds every byte that has arrived.
+//! The kernel normally passes bytes through a pseudo-terminal within microseconds. The cell's time stands still during
+//! the transfer. After a cycle, the bridge waits until it has received every byte that the host wrote in the cycle.
+//! Before the next cycle, the bridge waits until the host's end holds every byte that has arrived.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
@@ -17,22 +17,22 @@ use hil::Pty;
 use hil::pty::{self, Interest};
 use serial::{Line, LineCounters, LineError, Settings, Tty, VirtualLine};
 
-/// Longest wait for the kernel; what is later is taken in the next cycle.
+/// Longest wait for the kernel. Later bytes are taken in the next cycle.
 const KERNEL: Duration = Duration::from_millis(50);
 
-/// Time between two looks at what the host's end holds.
+/// Time between two checks of the host's end.
 const LOOK: Duration = Duration::from_micros(20);
 
-/// What a bridge waits for.
+/// Events that a bridge waits for.
 const READ: Interest = Interest {
     read: true,
     write: false,
 };
 
-/// Bytes that pass at a time.
+/// Greatest number of bytes transferred at a time.
 const CHUNK: usize = 4096;
 
-/// The emulated side of a pseudo-terminal: what comes out of it goes to a virtual line, and back.
+/// The emulated side of a pseudo-terminal. Bytes from the host go to a virtual line, and back.
 pub struct Bridge {
     pty: Pty,
     line: VirtualLine,
@@ -41,13 +41,13 @@ pub struct Bridge {
     delivered: u64,
 }
 
-/// The host's side: a tty that says how much has passed through it.
+/// The host's side: a tty that counts the transferred bytes.
 pub struct BridgedTty {
     tty: Tty,
     passed: Arc<Passed>,
 }
 
-/// Bytes that the host has written and read.
+/// Numbers of bytes written and read by the host.
 #[derive(Default)]
 struct Passed {
     written: AtomicU64,
@@ -70,7 +70,7 @@ impl Bridge {
         Ok((bridge, BridgedTty { tty, passed }))
     }
 
-    /// Takes what the host wrote, at `now`. A pseudo-terminal that fails is as good as a line that is cut.
+    /// Takes the bytes that the host wrote, at `now`. A failed pseudo-terminal acts like a cut line.
     pub fn take(&mut self, now: Instant) {
         let written = self.host.written.load(Ordering::Relaxed);
         let give_up = clock::now() + KERNEL;
@@ -85,14 +85,14 @@ impl Bridge {
                 Ok(0) | Err(_) => return,
                 Ok(count) => {
                     self.taken += count as u64;
-                    // What finds no room is lost, as in an overrun receiver.
+                    // Bytes without room are lost, as in the overrun of a receiver.
                     let _ = self.line.write(now, &bytes[..count]);
                 }
             }
         }
     }
 
-    /// Delivers what has arrived by `until`, and waits until the host can read it.
+    /// Delivers the bytes that have arrived by `until`, and waits until the host can read them.
     pub fn deliver(&mut self, until: Instant) {
         let mut bytes = [0; CHUNK];
         while let Ok(count @ 1..) = self.line.read(until, &mut bytes) {

@@ -1,4 +1,4 @@
-//! A bus of the real world: a SocketCAN interface or an slcan adapter.
+//! A real bus: a SocketCAN interface or an slcan adapter.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
@@ -15,21 +15,22 @@ use serial::{Settings, SlcanError, SlcanPort, StopBits, Tty};
 
 use crate::bench::interfaces::Interface;
 
-/// A port that can be waited for.
+/// A port that supports waiting.
 pub enum BusPort {
-    /// A SocketCAN interface, and what this process has claimed of it.
+    /// A SocketCAN interface, and the claims of this process on it.
     SocketCan(SocketCanPort, Vec<Claim>),
     /// An slcan adapter, whose tty no other process can open.
     Slcan(SlcanPort<Tty>),
 }
 
 impl BusPort {
-    /// Opens an interface; `kbps` is the bit rate that an slcan adapter is set to.
+    /// Opens an interface. `kbps` is the bit rate for an slcan adapter.
     pub fn open(interface: &Interface, kbps: u32) -> anyhow::Result<Self> {
         Self::with_options(interface, kbps, &SocketCanOptions::default())
     }
 
-    /// The same, for who sends nothing: an slcan adapter stays off the bus, even if the bit rate is wrong.
+    /// Opens an interface for listening only. An slcan adapter then does not disturb the bus, even at a wrong bit
+    /// rate.
     pub fn listen(interface: &Interface, kbps: u32) -> anyhow::Result<Self> {
         match interface {
             Interface::SocketCan(_) | Interface::Epos { .. } => Self::open(interface, kbps),
@@ -37,7 +38,7 @@ impl BusPort {
         }
     }
 
-    /// The same, with `options` where it is a SocketCAN interface. An slcan adapter is given 0.9 s to answer.
+    /// Opens an interface with `options` for SocketCAN. An slcan adapter gets 0.9 s to answer.
     pub fn with_options(
         interface: &Interface,
         kbps: u32,
@@ -56,7 +57,7 @@ impl BusPort {
         }
     }
 
-    /// The same port, which gives `claims` up when it is closed.
+    /// The same port with `claims`, which are released when the port is closed.
     pub fn holding(mut self, claims: impl IntoIterator<Item = Claim>) -> Self {
         if let Self::SocketCan(_, held) = &mut self {
             held.extend(claims);
@@ -71,7 +72,7 @@ impl BusPort {
         Ok(Self::Slcan(opened.with_context(|| path.to_owned())?))
     }
 
-    /// Waits until there is something to receive or the clock shows `until`, and says which.
+    /// Waits until a frame can be received or the clock shows `until`. Returns whether a frame can be received.
     pub fn wait_readable(&self, until: Instant) -> Result<bool, PortError> {
         match self {
             Self::SocketCan(port, _) => port.wait_readable(until),
@@ -96,7 +97,7 @@ impl BusPort {
     }
 }
 
-/// Begins to open an adapter, to send or only to listen.
+/// Starts to open an adapter, for sending or for listening only.
 type Begin = fn(Tty, Bitrate, Instant) -> Result<SlcanPort<Tty>, SlcanError>;
 
 fn open_slcan(tty: Tty, kbps: u32, begin: Begin) -> anyhow::Result<SlcanPort<Tty>> {

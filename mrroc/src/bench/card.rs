@@ -1,5 +1,4 @@
-//! The card of a bus before a run: its bit rate is set where that was asked for, and compared with the cell's
-//! where not.
+//! The CAN card of a bus before a run: sets its bit rate on request, and otherwise compares it with the cell's.
 
 use crate::cell::Bus;
 use anyhow::{Context, bail};
@@ -8,9 +7,9 @@ use can::timing::Bitrate;
 
 use crate::bench::interfaces::Interface;
 
-/// Sees to it that the card of `bus` has the cell's bit rate: by setting it, or by refusing any other.
+/// Ensures that the card of `bus` has the cell's bit rate: sets the bit rate, or refuses a different one.
 ///
-/// An slcan adapter is set whenever it is opened, and a virtual interface has no bit rate to be compared.
+/// An slcan adapter is set whenever it is opened, and a virtual interface has no bit rate to compare.
 pub(super) fn prepare(interface: &Interface, bus: &Bus, set: bool) -> anyhow::Result<()> {
     let Interface::SocketCan(name) = interface else {
         return Ok(());
@@ -44,7 +43,7 @@ pub(super) fn prepare(interface: &Interface, bus: &Bus, set: bool) -> anyhow::Re
     }
 }
 
-/// What was read back.
+/// Description of the settings that were read back.
 fn described(card: &Card) -> String {
     let state = match card.state {
         CardState::Running => "running",

@@ -1,4 +1,4 @@
-//! A servo by the wall clock, with the emulated world that hangs on its cycles where there is one.
+//! A servo on the wall clock, together with the emulated world that its cycles advance, if there is one.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -9,7 +9,7 @@ use servo::{NotUp, Servo, lockstep};
 
 use crate::bench::emulation::Emulation;
 
-/// Brings the drives up. Emulated ones do so in their own time, as fast as they can; returns when that then is.
+/// Brings the drives up. Emulated drives come up in their own time, as fast as possible. Returns that time.
 pub fn bring_up(
     servo: &mut Servo,
     emulation: &mut Option<Emulation>,
@@ -23,7 +23,7 @@ pub fn bring_up(
     }
 }
 
-/// Starts the servo thread of a cell that is up since `emulated_since` of its emulation's time.
+/// Starts the servo thread of a cell. `emulated_since` is the emulated time at the end of bring-up.
 pub fn start(
     servo: Servo,
     emulation: Option<Emulation>,

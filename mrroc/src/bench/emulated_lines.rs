@@ -1,5 +1,5 @@
-//! Emulated devices on pseudo-terminals, in step with the wall clock: the buses of a cell behind slcan adapters, its
-//! serial axis controllers, and service ports. Waits for bytes and for the devices' time.
+//! Emulated devices on pseudo-terminals, in step with the wall clock: CAN buses behind slcan adapters, serial axis
+//! controllers, and service ports. This module waits for bytes and for the devices' time.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
@@ -19,27 +19,27 @@ use crate::bench::emulation;
 use crate::bench::plants::Mechanisms;
 use crate::cell_file::CellFile;
 
-/// Longest time between two looks at whether somebody pressed Ctrl-C.
+/// Longest time between two checks for Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// SCHED_FIFO priority that is asked for.
+/// Requested SCHED_FIFO priority.
 const PRIORITY: u8 = 60;
 
-/// Between two looks at what the devices do, at the least: what bytes come is looked at when they come, but no byte that
-/// ends is worth a look, nor does a UART interrupt for one. A request of 2 ms cells and its answer take 0.4 ms.
+/// Shortest time between two wake-ups for the devices. Received bytes are handled at once. The end of a sent byte or a
+/// UART interrupt needs no wake-up. The request and the answer of a 2 ms cell take 0.4 ms.
 const GRAIN: Duration = Duration::from_micros(500);
 
-/// Bytes taken from a pseudo-terminal at a time; more wait in it.
+/// Greatest number of bytes taken from a pseudo-terminal at a time. Further bytes wait in it.
 const CHUNK: usize = 4096;
 
-/// A world, and the pseudo-terminals on which hosts reach it. Its time begins at [`Instant::ZERO`].
+/// A world, and the pseudo-terminals for its hosts. The time of the world starts at [`Instant::ZERO`].
 #[derive(Default)]
 pub struct EmulatedLines {
     world: World,
     lines: Vec<EmulatedLine>,
 }
 
-/// One pseudo-terminal and what is behind it.
+/// One pseudo-terminal and the device behind it.
 struct EmulatedLine {
     pty: Pty,
     end: End,
@@ -51,13 +51,13 @@ enum End {
     Adapter(DeviceId),
     Line {
         line: VirtualLine,
-        /// What has arrived for the host.
+        /// Bytes that have arrived for the host.
         arrived: Vec<u8>,
     },
 }
 
 impl EmulatedLines {
-    /// Adds CAN bus `index` of a cell, reached by an slcan adapter on `pty`.
+    /// Adds CAN bus `index` of a cell, behind an slcan adapter on `pty`.
     pub fn add_bus(&mut self, file: &CellFile, mechanisms: &Mechanisms, index: usize, pty: Pty) {
         let bus = emulation::add_bus(&mut self.world, file, mechanisms, index);
         let config = SlcanConfig::new(emulation::bitrate(file, index));
@@ -66,8 +66,8 @@ impl EmulatedLines {
         self.add(pty, end);
     }
 
-    /// Adds the axis controller of `axis`, robot and number, which is of bundle `bundle` and stands in
-    /// `cabinet`, on `pty`.
+    /// Adds the axis controller of `axis`, given as robot and axis number, on `pty`. The axis controller belongs to
+    /// bundle `bundle` and is in `cabinet`.
     pub fn add_axis(
         &mut self,
         file: &CellFile,
@@ -81,7 +81,7 @@ impl EmulatedLines {
         self.add_line(line, pty);
     }
 
-    /// Adds on `pty` the service port of a drive that is as the one of `axis`, robot and number.
+    /// Adds a service port on `pty`, of a drive like the drive of `axis`, given as robot and axis number.
     pub fn add_service_port(&mut self, file: &CellFile, axis: (usize, usize), pty: Pty) {
         let line = emulation::add_service_port(&mut self.world, file, axis);
         self.add_line(line, pty);
@@ -97,15 +97,15 @@ impl EmulatedLines {
         self.lines.push(EmulatedLine { pty, end, full });
     }
 
-    /// Whether there is none.
+    /// Whether there are no lines.
     pub fn is_empty(&self) -> bool {
         self.lines.is_empty()
     }
 
-    /// Lets the devices live until `stop`.
+    /// Runs the devices until `stop`.
     pub fn serve(&mut self, stop: &AtomicBool) -> io::Result<()> {
-        // Below a controller on the same host, above everything else; where it is denied, a busy host makes the
-        // devices late.
+        // The priority is below a controller on the same host and above everything else. If the priority is denied, a
+        // busy host delays the devices.
         let _ = set_fifo(PRIORITY);
         let mut time = EmulatedTime::since(clock::now());
         let mut passed = Instant::ZERO;
@@ -121,9 +121,9 @@ impl EmulatedLines {
                 (line.pty.as_fd(), interest)
             });
             let readable = pty::wait(ends, wake)?;
-            // A pseudo-terminal does not tell when its bytes came. If this program slept too long, they are
-            // taken for older than what falls due in between: what a device watches is its host's silence and
-            // not this program's.
+            // A pseudo-terminal does not tell when its bytes arrived. After a late wake-up of this program, the bytes
+            // count as older than the events that fell due in between. A device must detect the silence of its host,
+            // not a delay of this program.
             let now = clock::now();
             time.waited(wake, now);
             let now = time.at(now);
@@ -143,7 +143,7 @@ impl EmulatedLines {
 }
 
 impl EmulatedLine {
-    /// Takes what the host has written.
+    /// Takes the bytes that the host has written.
     fn take(&mut self, world: &mut World, now: Instant) -> io::Result<()> {
         let mut bytes = [0; CHUNK];
         let room = self.end.room(world).min(CHUNK);
@@ -156,13 +156,13 @@ impl EmulatedLine {
             End::Adapter(id) => change(world, *id, now, |adapter| {
                 adapter.handle_bytes(&bytes[..count], now);
             }),
-            // What finds no room is lost, as in an overrun receiver.
+            // Bytes without room are lost, as in the overrun of a receiver.
             End::Line { line, .. } => _ = line.write(now, &bytes[..count]),
         }
         Ok(())
     }
 
-    /// Hands the host what has arrived for it, as far as it reads.
+    /// Delivers received bytes to the host, until the host stops reading.
     fn deliver(&mut self, world: &mut World, now: Instant) -> io::Result<()> {
         self.full = false;
         match &mut self.end {
@@ -177,7 +177,7 @@ impl EmulatedLine {
                 let mut bytes = [0; CHUNK];
                 while !self.full {
                     if arrived.is_empty() {
-                        // Of a line that fails nothing arrives.
+                        // A failed line delivers no bytes.
                         let count = line.read(now, &mut bytes).unwrap_or(0);
                         arrived.extend_from_slice(&bytes[..count]);
                     }
@@ -186,7 +186,8 @@ impl EmulatedLine {
                     }
                     let count = self.pty.write(arrived)?;
                     arrived.drain(..count);
-                    // Meanwhile the line's own queue fills up, and then loses bytes, as a tty's does.
+                    // While the host does not read, the line's own queue fills up and then loses bytes, like that of a
+                    // tty.
                     self.full = !arrived.is_empty();
                 }
             }
@@ -196,7 +197,7 @@ impl EmulatedLine {
 }
 
 impl End {
-    /// How many bytes it takes; the host is held up for the rest.
+    /// Number of bytes that the end takes. Further bytes block the host.
     fn room(&self, world: &World) -> usize {
         match self {
             Self::Adapter(id) => adapter(world, *id).room(),

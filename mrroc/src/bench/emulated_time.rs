@@ -1,36 +1,36 @@
-//! The time of emulated devices: that of the clock, but for when their machine stood still.
+//! The time of emulated devices: the clock, without the times at which their machine stood still.
 
 use std::time::Duration;
 
 use can::Instant;
 
-/// A wait that ends so much too late is a standstill of the machine, of a virtual one as a rule, and of its hosts with it:
-/// a busy one is not so late.
+/// A wait that overshoots by more than this is taken for a standstill of the whole (virtual) machine, including the
+/// hosts of the devices. A busy machine causes shorter delays.
 const STANDSTILL: Duration = Duration::from_millis(100);
 
-/// How far the time of devices is behind the clock. An arm whose machine stood still did not move meanwhile, and what its
-/// drives watch was not silent.
+/// Difference between the clock and the time of the devices. During a standstill of the machine, an arm did not move,
+/// and the drives must not detect silence.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct EmulatedTime(Duration);
 
 impl EmulatedTime {
-    /// The time that is zero when the clock shows `start`.
+    /// A time that is zero when the clock shows `start`.
     pub fn since(start: Instant) -> Self {
         Self(start.since(Instant::ZERO))
     }
 
-    /// The time when the clock shows `clock`.
+    /// The time of the devices when the clock shows `clock`.
     pub fn at(self, clock: Instant) -> Instant {
         clock - self.0
     }
 
-    /// What the clock shows at `time`, unless the machine stands still before.
+    /// The clock at the device time `time`, if no standstill occurs before.
     pub fn clock(self, time: Instant) -> Instant {
         time + self.0
     }
 
-    /// A wait that was to end when the clock shows `until` ended by something that came at `came`: by the clock itself, if
-    /// nothing did.
+    /// Notes the end of a wait that was to end when the clock shows `until`. `came` is the time of the event that
+    /// ended the wait, or the present time if there was none.
     pub fn waited(&mut self, until: Instant, came: Instant) {
         let late = came.since(until);
         if late >= STANDSTILL {
@@ -53,7 +53,7 @@ mod tests {
             (1100, 1070, 1070, 70),
             // A busy machine.
             (1100, 1199, 1199, 199),
-            // One that stood still for 0.9 s. What came long before it was noticed shows that the machine did not.
+            // A standstill of 0.9 s. An event long before it was handled shows that the machine did not stand still.
             (1200, 2100, 2100, 200),
             (2150, 2150, 3000, 1100),
         ] {

@@ -1,4 +1,4 @@
-//! From a cell to the emulated axis controllers that stand in for its drives.
+//! The emulated drives and axis controllers of a cell.
 
 use std::time::Duration;
 
@@ -16,29 +16,30 @@ use crate::bench::bridge::{Bridge, BridgedTty};
 use crate::bench::plants::{Mechanisms, Payloads, homing_problem, plant};
 use crate::cell_file::CellFile;
 
-/// Frames that the host's end of a virtual bus holds each way.
+/// Capacity of the host's end of a virtual bus in each direction, frames.
 const QUEUE: usize = 256;
 
-/// Frames that a listener of a virtual bus may lag behind: some seconds of a full one.
+/// Frames by which a listener of a virtual bus may lag behind: some seconds of a full bus.
 const HEARD: usize = 1 << 15;
 
-/// Bytes that the host's end of a virtual line holds each way: as a tty's buffer.
+/// Capacity of the host's end of a virtual line in each direction, bytes: that of a tty's buffer.
 const LINE: usize = 4096;
 
-/// Time between two frames of the traffic that nobody asked for: a quarter of a bus of 1 Mbit/s.
+/// Time between two frames of the background traffic: a quarter of the capacity of a 1 Mbit/s bus.
 const CHATTER: Duration = Duration::from_micros(500);
 
-/// Its identifier: of no node-ID, and of a lower priority than all that CANopen predefines but LSS.
+/// Identifier of the background traffic. It belongs to no node-ID and has a lower priority than all predefined
+/// identifiers of CANopen except LSS.
 const CHATTER_ID: u16 = 0x7A0;
 
 /// The emulated cell on virtual buses and lines.
 pub struct Emulation {
     world: World,
     buses: Vec<BusId>,
-    /// Where the host's ends of lines are ttys.
+    /// Bridges of the lines whose host end is a tty.
     bridges: Vec<Bridge>,
     payloads: Payloads,
-    /// Up to when time has passed.
+    /// Time up to which the world was advanced.
     passed: Instant,
 }
 
@@ -46,9 +47,9 @@ pub struct Emulation {
 pub struct HostEnds {
     /// The port of each CAN bus.
     pub ports: Vec<VirtualPort>,
-    /// An end of each CAN bus to listen at.
+    /// An additional end of each CAN bus for listening.
     pub listeners: Vec<VirtualPort>,
-    /// Each bundle's lines, in the order of [`Cell::axes_on`](crate::cell::Cell::axes_on).
+    /// The lines of each bundle, in the order of [`Cell::axes_on`](crate::cell::Cell::axes_on).
     pub lines: Vec<Vec<VirtualLine>>,
 }
 
@@ -86,14 +87,14 @@ impl Emulation {
         (emulation, ends)
     }
 
-    /// Puts a pseudo-terminal between the host and its end of a line, and returns the tty.
+    /// Connects the host and its end of a line by a pseudo-terminal, and returns the tty.
     pub fn on_tty(&mut self, line: VirtualLine, settings: Settings) -> anyhow::Result<BridgedTty> {
         let (bridge, tty) = Bridge::new(line, settings)?;
         self.bridges.push(bridge);
         Ok(tty)
     }
 
-    /// Adds a node to every bus that sends frames nobody asked for, of the lowest priority.
+    /// Adds background traffic to every bus: a node that sends frames of the lowest priority.
     pub fn add_traffic(&mut self) {
         for &bus in &self.buses {
             let next = Instant::ZERO;
@@ -102,7 +103,7 @@ impl Emulation {
         }
     }
 
-    /// Lets time pass to `until`, at which the host is to have whatever has arrived by then.
+    /// Advances the world to `until`. The host then has all frames and bytes that arrived by that time.
     pub fn advance(&mut self, until: Instant) {
         for bridge in &mut self.bridges {
             bridge.take(self.passed);
@@ -116,7 +117,7 @@ impl Emulation {
     }
 }
 
-/// A node that sends a frame of eight bytes every [`CHATTER`], and listens to nobody.
+/// A node that sends a frame of eight bytes every [`CHATTER`] and ignores received frames.
 struct Chatter {
     next: Instant,
     due: bool,
@@ -143,7 +144,7 @@ impl Device for Chatter {
     }
 }
 
-/// What an emulated cell cannot do of what the cell asks for; real robots may.
+/// Functions that the cell needs and its emulation lacks. Real robots may have them.
 pub fn problems(file: &CellFile) -> impl Iterator<Item = anyhow::Error> {
     let axes = (0..file.cell.bus.len()).flat_map(|bus| file.cell.axes_on(bus));
     let problems = axes.filter_map(|axis| homing_problem(file, axis));
@@ -165,8 +166,8 @@ pub fn bitrate(file: &CellFile, bus: usize) -> Bitrate {
         .expect("a parsed cell has possible bit rates")
 }
 
-/// Adds the line of an axis of bundle `bundle`, its axis controller in `cabinet` switched on at [`Instant::ZERO`], and
-/// returns the host's end.
+/// Adds the line of an axis of bundle `bundle`, with its axis controller in `cabinet`, switched on at
+/// [`Instant::ZERO`]. Returns the host's end.
 pub fn add_line(
     world: &mut World,
     file: &CellFile,
@@ -184,8 +185,8 @@ pub fn add_line(
     world.host_line(line, LINE)
 }
 
-/// Adds the line to the service port of a drive that is as the one of a CAN axis and hangs on no bus, switched on at
-/// [`Instant::ZERO`], and returns the host's end.
+/// Adds the service port of a drive like the drive of a CAN axis, switched on at [`Instant::ZERO`]. This drive is on
+/// no bus. Returns the host's end.
 pub fn add_service_port(
     world: &mut World,
     file: &CellFile,
@@ -223,7 +224,7 @@ fn axis_controller(
     }
 }
 
-/// The end of a line that nothing is plugged into.
+/// The end of a line without a device.
 struct Absent;
 
 impl LineDevice for Absent {
@@ -237,7 +238,7 @@ impl LineDevice for Absent {
     fn handle_timeout(&mut self, _now: Instant) {}
 }
 
-/// The axes on bus `bus` that have a drive, robot and number.
+/// The axes on bus `bus` that have a drive, as pairs of robot and axis number.
 pub fn axes_present(file: &CellFile, bus: usize) -> impl Iterator<Item = (usize, usize)> {
     let present =
         |&(robot, axis): &(usize, usize)| !file.cell.robot[robot].axis[axis].emulator.absent;
@@ -269,7 +270,7 @@ fn device(
     }))
 }
 
-/// What stands in for the drive of an axis, its motor on no mechanism.
+/// The configuration of the emulated drive of an axis, with its motor on no mechanism.
 pub fn config(file: &CellFile, robot: usize, number: usize, power_on: Instant) -> Epos4Config {
     let axis = &file.cell.robot[robot].axis[number];
     let node = NodeId::new(axis.node).expect("a parsed cell has valid node-IDs");

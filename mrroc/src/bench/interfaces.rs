@@ -1,4 +1,4 @@
-//! The notation of interfaces, and which of them each bus of a cell is on.
+//! The notation of interfaces, and the interface of each bus of a cell.
 
 use std::fmt;
 
@@ -8,41 +8,41 @@ use serial::service::Dialect;
 
 use crate::cell::{Cell, quoted};
 
-/// What begins the name of an slcan adapter.
+/// Prefix of the name of an slcan adapter.
 const SLCAN: &str = "slcan:";
 
-/// What begins the name of a service port.
+/// Prefixes of the name of a service port.
 const EPOS: [(&str, Dialect); 2] = [("epos2:", Dialect::Epos2), ("epos4:", Dialect::Epos4)];
 
-/// Speed of a tty whose name says none, which is that of service ports as delivered. Adapters and drives that are USB
-/// devices themselves do not look at it.
+/// Baud rate of a tty whose name has none: the factory setting of service ports. Adapters and drives with a USB port
+/// of their own ignore the rate.
 const BAUD: u32 = 115_200;
 
-/// An interface by the name that options and cell files give it.
+/// An interface, named as in options and cell files.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Interface {
-    /// That of SocketCAN, such as `can0`.
+    /// A SocketCAN interface, such as `can0`.
     SocketCan(String),
     /// An slcan adapter on a tty: `slcan:/dev/ttyACM0`, or `slcan:/dev/ttyUSB0@921600`.
     Slcan {
         /// The tty.
         path: String,
-        /// Its speed, bit/s.
+        /// Baud rate, bit/s.
         baud: u32,
     },
-    /// The service port of one drive on a tty, which is no bus: `epos2:/dev/ttyS0@38400`, `epos4:/dev/ttyACM0`.
+    /// The service port of one drive on a tty, which is not a bus: `epos2:/dev/ttyS0@38400`, `epos4:/dev/ttyACM0`.
     Epos {
-        /// What the drive speaks.
+        /// Protocol dialect of the drive.
         dialect: Dialect,
         /// The tty.
         path: String,
-        /// Its speed, bit/s.
+        /// Baud rate, bit/s.
         baud: u32,
     },
 }
 
 impl Interface {
-    /// Whatever does not begin with `slcan:`, `epos2:` or `epos4:` is SocketCAN's.
+    /// Parses a name. A name without the prefix `slcan:`, `epos2:` or `epos4:` is a SocketCAN interface.
     pub fn parse(name: &str) -> Self {
         if let Some(tty) = name.strip_prefix(SLCAN) {
             let (path, baud) = tty_of(tty);
@@ -61,13 +61,13 @@ impl Interface {
         Self::SocketCan(name.to_owned())
     }
 
-    /// Claims the interface for the one controller that its bus may have; `None` for a tty, which one process opens at
-    /// a time. A controller in another computer on the same bus does not show here, but by its frames.
+    /// Claims the interface for the only controller of its bus; `None` for a tty, which only one process can open. A
+    /// controller on another computer is detected by its frames only.
     pub fn claim_as_controller(&self) -> anyhow::Result<Option<Claim>> {
         self.claim("controller", "another controller is at work")
     }
 
-    /// Claims the node `node` of the interface for the one emulator that it may have; `None` for a tty.
+    /// Claims node `node` of the interface for its only emulator; `None` for a tty.
     pub fn claim_as_node(&self, node: u8) -> anyhow::Result<Option<Claim>> {
         let taken = format!("node {node} is emulated already");
         self.claim(&format!("node {node}"), &taken)
@@ -87,7 +87,7 @@ impl Interface {
         }
     }
 
-    /// Refuses what no interface can be called.
+    /// Refuses impossible names of interfaces.
     pub fn check(&self) -> anyhow::Result<()> {
         match self {
             Self::SocketCan(name) if can::InterfaceName::new(name).is_none() => bail!(
@@ -103,7 +103,8 @@ impl Interface {
         }
     }
 
-    /// What a candump log calls the interface, as bus `bus` of the cell: paths are too long for it.
+    /// Name of the interface in a candump log. The name of a tty contains `bus`, the index of the bus in the cell,
+    /// because the path would be too long.
     pub fn log_name(&self, bus: usize) -> String {
         match self {
             Self::SocketCan(name) => name.clone(),
@@ -143,9 +144,10 @@ fn tty_of(text: &str) -> (String, u32) {
     (path.to_owned(), baud)
 }
 
-/// The interface of each bus, in the cell's order: the cell's own, or as `overrides` say, at most one for each bus.
+/// The interface of each bus, in the cell's order: the interface of the cell, unless `overrides` give another, at most
+/// one for each bus.
 ///
-/// An override is `IFACE` for a cell of one bus, or `BUS=IFACE`.
+/// An override is `IFACE` for a cell with one bus, or `BUS=IFACE`.
 pub fn resolve(cell: &Cell, overrides: &[String]) -> anyhow::Result<Vec<Interface>> {
     let of_cell = cell.bus.iter().map(|bus| Interface::parse(&bus.interface));
     let mut interfaces: Vec<_> = of_cell.collect();
@@ -164,7 +166,7 @@ pub fn resolve(cell: &Cell, overrides: &[String]) -> anyhow::Result<Vec<Interfac
     Ok(interfaces)
 }
 
-/// Refuses buses that share an interface; one without any shares none.
+/// Refuses buses that share an interface. Buses without an interface share none.
 pub fn all_differ<'a>(
     cell: &Cell,
     interfaces: impl IntoIterator<Item = Option<&'a Interface>>,
@@ -185,7 +187,7 @@ pub fn all_differ<'a>(
     Ok(())
 }
 
-/// What an option says of which bus: `VALUE` for a cell of one bus, or `BUS=VALUE`.
+/// Splits an option into bus and value: `VALUE` for a cell with one bus, or `BUS=VALUE`.
 pub fn bus_of<'a>(cell: &Cell, option: &str, given: &'a str) -> anyhow::Result<(usize, &'a str)> {
     match given.split_once('=') {
         Some((name, value)) => {

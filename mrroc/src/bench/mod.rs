@@ -1,4 +1,4 @@
-//! What a run runs on: the ports to the drives, and the emulated world behind them where there is one.
+//! Benches: the ports to the drives, and the emulated world behind them, if any.
 
 pub mod bridge;
 pub mod bus_port;
@@ -25,7 +25,7 @@ use crate::bench::interfaces::Interface;
 use crate::cell_file::CellFile;
 use crate::wire::{Listener, Wire};
 
-/// Frames that a trace may lag behind the bus: some seconds of a full one.
+/// Frames by which a trace may lag behind the bus: some seconds of a full bus.
 const TRACE: usize = 1 << 16;
 
 /// The benches.
@@ -33,16 +33,16 @@ const TRACE: usize = 1 << 16;
 pub enum BenchKind {
     /// Emulated drives on a virtual bus, in virtual time.
     Lockstep,
-    /// Emulated drives on a virtual bus, by the wall clock.
+    /// Emulated drives on a virtual bus, in real time.
     Emulated,
-    /// A virtual CAN interface, or pseudo-terminals; `mrroc emulate` at their other end.
+    /// A virtual CAN interface or pseudo-terminals, with `mrroc emulate` at the other end.
     Vcan,
     /// CAN cards and ttys. Moves hardware.
     Card,
 }
 
 impl BenchKind {
-    /// The name of the bench, as the command line and reports have it.
+    /// Name of the bench on the command line and in reports.
     pub fn name(self) -> &'static str {
         match self {
             Self::Lockstep => "lockstep",
@@ -53,24 +53,24 @@ impl BenchKind {
     }
 }
 
-/// Where to find what a bench consists of, if not where the cell says.
+/// Interfaces and ttys of a bench, where they differ from the cell file.
 #[derive(Args, Debug, Default)]
 pub struct Places {
-    /// The interface of a bus in place of the cell's: IFACE, or once for each bus BUS=IFACE where there are several.
+    /// The interface of a bus in place of the cell's: IFACE, or BUS=IFACE once for each of several buses.
     #[arg(long, value_name = "IFACE")]
     pub can: Vec<String>,
-    /// The directory of the lines' ttys, one per axis by its name, in place of the cell's lines: as `mrroc emulate
-    /// --serial` makes it.
+    /// The directory with one tty per axis, named after the axis, in place of the cell's lines. `mrroc emulate
+    /// --serial` makes such a directory.
     #[arg(long, value_name = "DIR")]
     pub serial: Option<PathBuf>,
-    /// Set the cards to the cell's bit rates and bring them up; a card that is up at another rate is taken down before.
+    /// Set the cards to the cell's bit rates and bring them up. A card that is up at another rate is taken down first.
     #[arg(long)]
     pub set_bitrate: bool,
 }
 
 impl Places {
-    /// Refuses what may be hardware on a bench that is none: on [`BenchKind::Vcan`] interfaces that are not virtual, and
-    /// ttys that are no pseudo-terminals.
+    /// Refuses interfaces and ttys that may be hardware on a bench without hardware. [`BenchKind::Vcan`] permits only
+    /// virtual interfaces and pseudo-terminals.
     pub fn check(&self, file: &CellFile, kind: BenchKind) -> anyhow::Result<()> {
         if kind != BenchKind::Vcan {
             return Ok(());
@@ -100,15 +100,15 @@ impl Places {
 
 /// An opened bench.
 pub struct Bench {
-    /// One per bus of the cell.
+    /// One port per bus of the cell.
     pub ports: Vec<Box<dyn Port>>,
     /// The lines of each bundle of the cell.
     pub lines: Vec<Vec<Box<dyn Line>>>,
-    /// What each of them is on: the cell's interface, or the one given in its place.
+    /// The interface of each port: the cell's, or the one given in its place.
     pub interfaces: Vec<Interface>,
-    /// What passed each port, if a trace was asked for.
+    /// Frames at each port, if a trace was requested.
     pub traces: Vec<TraceReader>,
-    /// What listens to the buses.
+    /// The listeners of the buses.
     pub wire: Wire,
     /// The emulated cell, on the benches without hardware.
     pub emulation: Option<Emulation>,
@@ -150,7 +150,7 @@ impl Bench {
                 let open = |(index, interface): (usize, &Interface)| {
                     let bus = &file.cell.bus[index];
                     let on_bus = || format!("bus {}", bus.name);
-                    // Before the card is touched, which another controller may have in use.
+                    // Before any access to the card, which another controller may be using.
                     let claim = interface.claim_as_controller().with_context(on_bus)?;
                     if kind == BenchKind::Card {
                         card::prepare(interface, bus, set_bitrate).with_context(on_bus)?;
@@ -201,7 +201,7 @@ impl Bench {
     }
 }
 
-/// The host's ends of emulated lines: as they are in lockstep, as ttys by the wall clock.
+/// The host's ends of emulated lines: virtual lines in lockstep, ttys in real time.
 fn emulated_lines(
     file: &CellFile,
     kind: BenchKind,
@@ -221,7 +221,7 @@ fn emulated_lines(
     bundles.map(bundle).collect()
 }
 
-/// The ttys of a cell, opened.
+/// Opens the ttys of a cell.
 fn ttys(file: &CellFile, directory: Option<&Path>) -> anyhow::Result<Vec<Vec<Box<dyn Line>>>> {
     let bundles = file.cell.serial.iter().enumerate();
     let bundle = |(index, bundle): (usize, &Serial)| {
@@ -235,8 +235,8 @@ fn ttys(file: &CellFile, directory: Option<&Path>) -> anyhow::Result<Vec<Vec<Box
     bundles.map(bundle).collect()
 }
 
-/// The axes of bundle `bundle` and their ttys: those that the cell names, or those that `mrroc emulate --serial` put
-/// into `directory`.
+/// The axes of bundle `bundle` and their ttys. The ttys are named in the cell, or `mrroc emulate --serial` made them
+/// in `directory`.
 fn tty_paths(file: &CellFile, bundle: usize, directory: Option<&Path>) -> Vec<(String, PathBuf)> {
     let path = |(robot, number): (usize, usize)| {
         let axis = file.axis_name(robot, number);

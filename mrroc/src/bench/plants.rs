@@ -1,4 +1,4 @@
-//! From a cell to the motors, sensors and switches behind its emulated drives, and to the mechanics between them.
+//! The motors, sensors, switches and mechanisms behind the emulated drives of a cell.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -12,11 +12,11 @@ use hil::{AxisConfig, Irp6Axis, Irp6TrackAxis, Mechanism, MechanismConfig, Mount
 use crate::cell::{Model, Parameters, Path, Plant};
 use crate::cell_file::CellFile;
 
-/// The mechanism of each robot of a cell that has one, whatever buses and lines its axes are on.
+/// The mechanism of each robot of a cell that has one. The axes of a mechanism may be on several buses and lines.
 pub struct Mechanisms(Vec<Option<Mechanism>>);
 
 impl Mechanisms {
-    /// All at home and without payloads.
+    /// All mechanisms at home and without payloads.
     pub fn of(file: &CellFile) -> Self {
         let robots = file.cell.robot.iter();
         let config = |robot: &crate::cell::Robot| {
@@ -38,14 +38,14 @@ impl Mechanisms {
         Self(robots.map(config).collect())
     }
 
-    /// The place of an axis in its robot; `None` if it moves a load of its own.
+    /// The mount of an axis in its robot; `None` if the axis moves its own load.
     pub fn mount(&self, file: &CellFile, robot: usize, number: usize) -> Option<Mount> {
         let home = file.arms[robot].robot().home()[number];
         self.0[robot].as_ref()?.mount(number, home)
     }
 }
 
-/// The payloads that the robots of a cell take over as time passes.
+/// The emulated payloads of a cell, in order of time.
 pub struct Payloads(VecDeque<Payload>);
 
 struct Payload {
@@ -56,7 +56,7 @@ struct Payload {
 }
 
 impl Payloads {
-    /// Those of a cell whose drives are switched on at `power_on`.
+    /// The payloads of a cell whose drives are switched on at `power_on`.
     pub fn of(file: &CellFile, mechanisms: &Mechanisms, power_on: Instant) -> Self {
         let robots = file.cell.robot.iter().zip(&mechanisms.0);
         let payloads = robots.filter_map(|(robot, mechanism)| Some((robot, mechanism.as_ref()?)));
@@ -73,12 +73,12 @@ impl Payloads {
         Self(payloads.into())
     }
 
-    /// When the next is due.
+    /// Time of the next change of payload.
     pub fn next(&self) -> Option<Instant> {
         self.0.front().map(|payload| payload.due)
     }
 
-    /// Hands the robots those that are due.
+    /// Attaches the payloads that are due to their robots.
     pub fn take_over(&mut self, now: Instant) {
         while self.next().is_some_and(|due| due <= now) {
             if let Some(payload) = self.0.pop_front() {
@@ -88,8 +88,8 @@ impl Payloads {
     }
 }
 
-/// The reason for which the emulated drive of an axis cannot home by its method, and the method's key; `None` if it can.
-/// A real robot may be wired otherwise.
+/// Why the emulated drive of an axis cannot home by its method, and the key of the method; `None` if it can. A real
+/// robot may be wired differently.
 pub fn homing_problem(file: &CellFile, (robot, number): (usize, usize)) -> Option<(Path, String)> {
     let axis = &file.cell.robot[robot].axis[number];
     let method = axis.homing.method.filter(|_| !axis.emulator.absent)?;
@@ -105,7 +105,7 @@ pub fn homing_problem(file: &CellFile, (robot, number): (usize, usize)) -> Optio
         Some(_) if needed.positive_limit && plant.positive_limit.is_none() => {
             "turns round at a positive limit switch, which the emulated axis does not have: use 11 or 27"
         }
-        // It leaves the switch against the direction of its search, which is upwards.
+        // The drive leaves the switch against the direction of its search, which is upwards.
         Some(switch) if needed.positive_limit && switch.from <= lowest => {
             "leaves the home switch downwards, where that of the emulated axis never opens: use 11 or 27"
         }
@@ -141,7 +141,7 @@ pub fn plant(file: &CellFile, robot: usize, number: usize) -> AxisConfig {
     bounded(plant, file.arms[robot].robot().motor_limits()[number])
 }
 
-/// The same axis with its limit switches and buffers, if it has any, no nearer than beyond the range of the motor, rad.
+/// Moves limit switches and buffers, if the axis has any, beyond the range of the motor, rad.
 fn bounded(mut plant: AxisConfig, range: Limits) -> AxisConfig {
     if let Some(switch) = &mut plant.negative_limit {
         switch.to = switch.to.min(range.low - SWITCHES);
@@ -159,7 +159,7 @@ fn bounded(mut plant: AxisConfig, range: Limits) -> AxisConfig {
 }
 
 /// Distance of the limit switches from the range of the motor, rad. A motor that stops at the end of its range
-/// overshoots by some counts, and that must not close a switch.
+/// overshoots by some counts, and must not close a switch.
 const SWITCHES: f64 = 1.0;
 
 /// Distance of the buffers from the range of the motor, rad.
@@ -167,7 +167,7 @@ const BUFFERS: f64 = 3.0;
 
 const AS_MANY: &str = "a parsed robot has as many axes as its model";
 
-/// The same of an arm on its pedestal.
+/// Motor, load, sensors and switches of an axis of an arm on its pedestal.
 fn arm_plant(file: &CellFile, robot: usize, number: usize) -> AxisConfig {
     let axis = &file.cell.robot[robot].axis[number];
     let home = file.arms[robot].robot().home()[number];

@@ -1,4 +1,4 @@
-//! What a cell file must satisfy beyond its shape.
+//! Checks of a cell file beyond its structure.
 
 mod assembly;
 mod axis;
@@ -15,7 +15,7 @@ use super::locate::Path;
 use super::text::Range;
 use super::{Cell, Realtime, Scheduler, Wait};
 
-/// Most robots of a cell, and most buses and bundles of serial lines.
+/// Greatest number of robots of a cell, and of buses and bundles together.
 const MOST: usize = 32;
 
 type Checked = Result<(), (Path, Problem)>;
@@ -23,7 +23,7 @@ type Checked = Result<(), (Path, Problem)>;
 pub(super) fn check(cell: &Cell) -> Checked {
     let top = Path::default();
     name(&top.then("name"), &cell.name)?;
-    // What object 0x60C2 of an EPOS4 holds in its usual unit.
+    // The range of object 0x60C2 of an EPOS4 in its usual unit.
     let period = Range::new(1_000.0, 100_000.0, "µs");
     within(&top.then("period_us"), f64::from(cell.period_us), period)?;
     if !cell.period_us.is_multiple_of(1000) {
@@ -67,7 +67,7 @@ fn check_realtime(cell: &Cell) -> Checked {
         return Err((path.then("cpu"), Problem::PinnedDeadline));
     }
     if let Some(cpu) = cpu {
-        // The size of the kernel's sets of CPUs.
+        // The size of the kernel's CPU sets.
         within(&path.then("cpu"), cpu as f64, Range::new(0.0, 1023.0, ""))?;
     }
     if wait == Wait::Plain {
@@ -90,7 +90,7 @@ fn check_realtime(cell: &Cell) -> Checked {
     )
 }
 
-/// Whether `value` is in `range`.
+/// Checks that `value` is in `range`.
 fn within(path: &Path, value: f64, range: Range) -> Checked {
     if range.has(value) {
         Ok(())
@@ -99,7 +99,7 @@ fn within(path: &Path, value: f64, range: Range) -> Checked {
     }
 }
 
-/// Whether a text is a name: nothing that a path, a table, a line of CSV or an option would take for its own.
+/// Checks that a text is a name: without characters that are special in a path, a table, a line of CSV or an option.
 fn name(path: &Path, text: &str) -> Checked {
     let first = |c: char| c.is_ascii_alphanumeric();
     let other = |c: char| first(c) || matches!(c, '-' | '_');
@@ -110,7 +110,7 @@ fn name(path: &Path, text: &str) -> Checked {
     }
 }
 
-/// Refuses a key that is given where it means nothing.
+/// Refuses a key that has no effect at its place.
 fn no_effect(path: &Path, given: bool, because: &'static str) -> Checked {
     if given {
         Err((path.clone(), Problem::NoEffect { because }))
@@ -119,7 +119,7 @@ fn no_effect(path: &Path, given: bool, because: &'static str) -> Checked {
     }
 }
 
-/// Refuses none, and more than `most`.
+/// Refuses an empty list, and a list of more than `most` elements.
 fn some(path: &Path, found: usize, most: usize, what: &'static str) -> Checked {
     match found {
         0 => Err((path.clone(), Problem::None { what })),
@@ -128,7 +128,7 @@ fn some(path: &Path, found: usize, most: usize, what: &'static str) -> Checked {
     }
 }
 
-/// The first of `before` that is the same as `this`.
+/// The index of the first element of `before` that equals `this`.
 fn first_same<T: PartialEq>(before: impl IntoIterator<Item = T>, this: &T) -> Option<usize> {
     before.into_iter().position(|other| other == *this)
 }

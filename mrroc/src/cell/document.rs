@@ -1,4 +1,4 @@
-//! The text of a cell file as a TOML document: bounded before it is parsed, with the line of whatever is no TOML.
+//! The text of a cell file as a TOML document. The size is checked before parsing, and errors name the line.
 
 use toml::de::DeTable;
 
@@ -6,11 +6,11 @@ use super::error::{CellError, Problem};
 use super::locate::line_at;
 use super::text::excerpt;
 
-/// Most bytes of a cell file. The largest example has 26 kB.
+/// Greatest size of a cell file, bytes. The largest example has 26 kB.
 pub const LARGEST: usize = 1 << 20;
 
-/// Most characters of a cell file that make elements: `.`, `,`, `=`, `[` and `{`. Each may stand for a table, which takes
-/// a kilobyte of memory; a taught pose of six joints has thirteen.
+/// Greatest number of characters in a cell file that make elements: `.`, `,`, `=`, `[` and `{`. Each may create a
+/// table, which takes a kilobyte of memory. A taught pose of six joints has thirteen such characters.
 const MOST_ELEMENTS: usize = 1 << 16;
 
 /// The text of a cell file.

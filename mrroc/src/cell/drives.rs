@@ -1,4 +1,4 @@
-//! From the keys of a cell to the configurations of its drive groups and of the servo's axes.
+//! Configurations of drive groups and servo axes, made from the keys of a cell.
 
 use std::time::Duration;
 
@@ -14,23 +14,23 @@ use super::{
 };
 use controller::robot::Limits;
 
-/// Longest way back from the home switch to the index pulse beside it, rad: five turns of the motor, most of
-/// which a switch may be wide.
+/// Longest way back from the home switch to its index pulse, rad: five turns of the motor. A switch may take up most
+/// of this way.
 pub(super) const FARTHEST_INDEX: f64 = 5.0 * std::f64::consts::TAU;
 
-/// Rest between the legs of a search by the host.
+/// Pause between the phases of a search by the host.
 const REST: Duration = Duration::from_millis(500);
 
-/// Samples in a row that have to agree on a switch.
+/// Number of samples in a row that must agree on the state of a switch.
 const AGREEING: u32 = 3;
 
-/// Velocity of a runaway loop where the cell gives none, as a multiple of the greatest velocity of the axis.
+/// Default velocity of a runaway loop, as a multiple of the greatest velocity of the axis.
 const RUNAWAY: f64 = 1.2;
 
 /// Plausibility bound of the velocity of a motor on a CAN bus, as a multiple of the velocity of a runaway loop.
 const PLAUSIBLE: f64 = 2.0;
 
-/// Longest time from switching an effector's drives on to the last of them following.
+/// Longest time from switching on an effector's drives until the last one follows.
 pub const ENABLING: Duration = Duration::from_secs(5);
 
 impl Cell {
@@ -45,8 +45,8 @@ impl Cell {
         buses.chain(self.serial.iter().map(|serial| serial.name.as_str()))
     }
 
-    /// The axes of drive group `group` of [`groups`](Self::groups) as pairs of robot and axis numbers, in
-    /// their order within it.
+    /// The axes of drive group `group` of [`groups`](Self::groups), as pairs of robot and axis number, in their order
+    /// within the group.
     pub fn axes_on(&self, group: usize) -> impl Iterator<Item = (usize, usize)> {
         let name = self.groups().nth(group);
         let robots = self.robot.iter().enumerate();
@@ -55,7 +55,7 @@ impl Cell {
         axes.filter(move |&(robot, axis)| Some(self.robot[robot].axis[axis].bus.as_str()) == name)
     }
 
-    /// What the drives of bus `bus` have in common.
+    /// Settings common to the drives of bus `bus`.
     pub fn group_config(&self, bus: usize) -> GroupConfig {
         let bus = &self.bus[bus];
         let milliseconds = |count: u32| Duration::from_millis(u64::from(count));
@@ -73,7 +73,7 @@ impl Cell {
 }
 
 impl Serial {
-    /// How its lines are set.
+    /// Settings of the serial lines.
     pub fn settings(&self) -> Settings {
         Settings {
             baud: self.baud,
@@ -81,7 +81,7 @@ impl Serial {
         }
     }
 
-    /// Bytes of a cyclic request on one of its lines, and of the answer to it.
+    /// Lengths of a cyclic request on one of the lines and of its answer, bytes.
     pub fn telegrams(&self) -> (usize, usize) {
         self.drive_protocol().telegrams()
     }
@@ -93,7 +93,7 @@ impl Serial {
         }
     }
 
-    /// What its axis controllers have in common, at the servo period `period`.
+    /// Settings common to the axis controllers, at the servo period `period`.
     pub fn group_config(&self, period: Duration) -> axis_controller::GroupConfig {
         axis_controller::GroupConfig {
             period,
@@ -106,8 +106,8 @@ impl Serial {
 }
 
 impl Axis {
-    /// Between motor positions, rad, and the counts of its drive, whose homed counter reads zero at the
-    /// motor position `home`, rad.
+    /// Scale between motor positions, rad, and the counts of the drive. The homed counter reads zero at the motor
+    /// position `home`, rad.
     pub fn scale(&self, home: f64) -> Scale {
         let reversed = match (&self.drive, &self.controller) {
             (Some(drive), _) => drive.reversed,
@@ -128,12 +128,12 @@ impl Axis {
         }
     }
 
-    /// Its drive on a CAN bus. Not for an axis on a serial line.
+    /// The drive on a CAN bus. Not for an axis on a serial line.
     pub fn cia402(&self) -> &Drive {
         self.drive.as_ref().expect(HAS_DRIVE)
     }
 
-    /// Its drive on a CAN bus, homed at the motor position `home`, rad.
+    /// Configuration of the drive on a CAN bus, homed at the motor position `home`, rad.
     pub fn drive_config(&self, home: f64) -> AxisConfig {
         let drive = self.cia402();
         let parameter = |given: &Parameter| drive::cia402::Parameter {
@@ -173,20 +173,20 @@ impl Axis {
         }
     }
 
-    /// Motor velocity, rad/s, beyond which a position loop that the host closes counts as a runaway loop. A drive that
-    /// closes its loop itself has the same bound.
+    /// Motor velocity, rad/s, beyond which a position loop closed by the host counts as a runaway loop. The same bound
+    /// applies to a drive that closes its own loop.
     fn runaway_velocity(&self) -> f64 {
         let given = self.drive.as_ref().and_then(|drive| drive.r#loop.as_ref());
         let given = given.and_then(|given| given.runaway_velocity);
         given.unwrap_or(RUNAWAY * self.max_velocity)
     }
 
-    /// Its axis controller on a serial line. Not for an axis on a CAN bus.
+    /// The axis controller on a serial line. Not for an axis on a CAN bus.
     pub fn axis_controller(&self) -> &AxisController {
         self.controller.as_ref().expect(HAS_DRIVE)
     }
 
-    /// Its axis controller on a serial line, homed at the motor position `home`, rad.
+    /// Configuration of the axis controller on a serial line, homed at the motor position `home`, rad.
     pub fn controller_config(&self, home: f64) -> axis_controller::AxisConfig {
         let controller = self.axis_controller();
         let plausible = |given: Option<f64>, otherwise| given.unwrap_or(otherwise);
@@ -208,7 +208,7 @@ impl Axis {
         }
     }
 
-    /// Who closes its position loop, and how; `weighs` tells of a robot whose weight is known.
+    /// Position loop of the axis, closed by drive or host. `weighs` is true if the weight of the robot is known.
     pub(super) fn position_loop(&self, weighs: bool) -> PositionLoop {
         let by_host =
             |given: &Loop, output| PositionLoop::Host(given.of(output, self.max_velocity, weighs));
@@ -234,8 +234,8 @@ impl Axis {
 }
 
 impl Robot {
-    /// What the servo holds axis `number` to, within the motor's own `limits`, as axis `index_in_group` of drive
-    /// group `group`.
+    /// Servo configuration of axis `number`, within the `limits` of its motor. The axis is axis `index_in_group` of
+    /// drive group `group`.
     pub fn servo_config(
         &self,
         number: usize,
@@ -314,12 +314,12 @@ impl Loop {
 }
 
 impl Homing {
-    /// The search that the host makes on a motor with these `limits`.
+    /// The search by the host for a motor with these `limits`.
     fn by_host(&self, limits: Limits) -> HostHoming {
         let leg = |velocity: f64, distance: f64| HomingLeg {
             velocity,
             distance,
-            // Its ramps, and as much again for a loop that lags.
+            // Twice the ideal time for ramps and for a loop that lags.
             timeout: Duration::try_from_secs_f64(2.0 * distance / velocity + 2.0)
                 .unwrap_or(Duration::MAX),
         };

@@ -1,4 +1,4 @@
-//! What a refused cell file is refused for: the line, the key, the problem.
+//! Errors of a cell file: line, key and problem.
 
 use std::fmt;
 
@@ -7,19 +7,19 @@ use thiserror::Error;
 use super::locate::{self, Path};
 use super::text::{Figure, Range, printable, quoted};
 
-/// A refused cell file: where and why, in one line that has no effect on a terminal.
+/// The error of a refused cell file, in one line without control characters.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CellError {
-    /// The line, from 1.
+    /// The line, counted from 1.
     pub line: usize,
     /// The dotted key, empty where the text is not TOML.
     pub key: String,
-    /// What is wrong.
+    /// The problem.
     pub problem: Problem,
 }
 
 impl CellError {
-    /// The error of a value that is in its shape but cannot be used, found by another part of the program.
+    /// An error found by another part of the program, for a value of the right structure.
     pub fn at(text: &str, path: &Path, problem: impl fmt::Display) -> Self {
         Self {
             line: locate::line_of(text, path),
@@ -41,7 +41,7 @@ impl fmt::Display for CellError {
 
 impl std::error::Error for CellError {}
 
-/// What can be wrong with a cell file.
+/// Problems of a cell file.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum Problem {
     /// Not TOML, a key that does not exist, or a value of the wrong type.
@@ -50,10 +50,10 @@ pub enum Problem {
     /// NaN or infinity.
     #[error("must be a finite number")]
     NotFinite,
-    /// A required key that is not there.
+    /// A required key is missing.
     #[error("is missing")]
     Missing,
-    /// A CPU for a thread under SCHED_DEADLINE.
+    /// A CPU was given for a thread under SCHED_DEADLINE.
     #[error(
         "must be left out with scheduler = \"deadline\", which the kernel grants only to a thread that may run on all CPUs"
     )]
@@ -66,15 +66,15 @@ pub enum Problem {
         /// The range.
         range: Range,
     },
-    /// A number that is none of those possible.
+    /// A number that is not one of the permitted ones.
     #[error("is {}, must be {expected}", Figure(*value))]
     NoneOf {
         /// The number.
         value: f64,
-        /// Those possible, in words.
+        /// Description of the permitted numbers.
         expected: &'static str,
     },
-    /// Limits upside down.
+    /// A lower limit above its upper limit.
     #[error("is {}, not below the upper limit {}", Figure(*low), Figure(*high))]
     UpsideDown {
         /// The lower limit.
@@ -82,7 +82,7 @@ pub enum Problem {
         /// The upper limit.
         high: f64,
     },
-    /// An upper limit below the lower one that the model has.
+    /// An upper limit below the model's lower limit.
     #[error("is {}, not above the lower limit {}", Figure(*high), Figure(*low))]
     BelowLow {
         /// The lower limit.
@@ -90,7 +90,7 @@ pub enum Problem {
         /// The upper limit.
         high: f64,
     },
-    /// A limit outside those that the model has.
+    /// A limit outside those of the model.
     #[error("is {}, must lie within the model's limits {} and {}", Figure(*value), Figure(*low), Figure(*high))]
     BeyondModel {
         /// The limit.
@@ -100,62 +100,62 @@ pub enum Problem {
         /// The model's upper limit.
         high: f64,
     },
-    /// A text that is no name.
+    /// A text that is not a valid name.
     #[error("is {}, must be a name: {NAME_RULE}", quoted(.0))]
     NotName(String),
     /// A second use of something that must be unique.
     #[error("{what} is used twice, first by {first}")]
     Twice {
-        /// What is used twice.
+        /// The repeated value.
         what: String,
-        /// The key that used it first.
+        /// The key of the first use.
         first: String,
     },
-    /// A name that nothing bears.
+    /// A reference to an unknown name.
     #[error("no {kind} is called {}", quoted(name))]
     Unknown {
-        /// What was looked for.
+        /// Kind of the referenced object.
         kind: &'static str,
         /// The name.
         name: String,
     },
-    /// An empty list that must have an element.
+    /// An empty list that needs an element.
     #[error("has no {what}, must have at least one")]
     None {
-        /// Of what.
+        /// Kind of the elements.
         what: &'static str,
     },
-    /// A wrong number of things.
+    /// A wrong number of elements.
     #[error("has {found} {what}, must have {expected}")]
     Count {
-        /// How many there are.
+        /// Number of elements found.
         found: usize,
-        /// How many there must be.
+        /// Number of elements expected.
         expected: usize,
-        /// Of what.
+        /// Kind of the elements.
         what: &'static str,
     },
-    /// Too many things.
+    /// Too many elements.
     #[error("has {found} {what}, may have {most}")]
     TooMany {
-        /// How many there are.
+        /// Number of elements found.
         found: usize,
-        /// How many there may be.
+        /// Greatest number of elements.
         most: usize,
-        /// Of what.
+        /// Kind of the elements.
         what: &'static str,
     },
-    /// A key that means nothing where it stands.
+    /// A key without effect at its place.
     #[error("has no effect {because}: leave it out")]
     NoEffect {
-        /// Why, as the rest of a sentence.
+        /// The reason, as the rest of a sentence.
         because: &'static str,
     },
-    /// Something that another part of the program refused.
+    /// A refusal by another part of the program.
     #[error("{0}")]
     Refused(String),
 }
 
-/// What a name is made of, in the words of a message.
+/// Rule for names, as part of a message.
 pub(super) const NAME_RULE: &str =
     "1 to 64 letters of A to Z, digits, - and _, of which the first is a letter or a digit";

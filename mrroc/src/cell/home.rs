@@ -1,4 +1,4 @@
-//! Where homing leaves the axes of a robot.
+//! Positions of a robot's axes after homing.
 
 use std::f64::consts::TAU;
 
@@ -6,15 +6,15 @@ use super::{Axis, Cell};
 use controller::generator::{Arm, Axes, PlannedStart};
 use controller::robot::{ParameterError, Room};
 
-/// Periods from a motor's reference to the begin of its braking. The reference is seen at the next sample, the command has
-/// effect a period later, and a group states a delay of up to two periods.
+/// Periods from a motor's reference to the start of its braking. The reference appears in the next sample, the command
+/// takes effect a period later, and a group has a delay of up to two periods.
 const LATE: f64 = 4.0;
 
-/// Counts by which a motor at rest may be beside its set-point when the servo takes its position over.
+/// Greatest distance of a motor at rest from its set-point, counts, when the servo takes over its position.
 const SETTLING: f64 = 4.0;
 
 impl Cell {
-    /// Robot `robot` as [`Robot::arm`](super::Robot::arm), with room for homing in each range that ends at home.
+    /// Like [`Robot::arm`](super::Robot::arm) for robot `robot`, with room for homing in each range that ends at home.
     pub fn arm(&self, robot: usize) -> Result<Arm, ParameterError> {
         let given = &self.robot[robot];
         let parameters = given.parameters.unwrap_or(given.model.parameters());
@@ -25,7 +25,7 @@ impl Cell {
         roomy.arm().or_else(|_| given.arm())
     }
 
-    /// The home position of robot `robot`, and how far beside it homing may leave each motor.
+    /// The home position of robot `robot`, and the tolerance of each motor after homing.
     pub fn home(&self, robot: usize, arm: &Arm) -> PlannedStart {
         PlannedStart {
             motors: arm.robot().home().padded(),
@@ -43,11 +43,12 @@ impl Cell {
 
     /// Greatest distance of a homed motor from its home position, rad.
     ///
-    /// A search ends at the home position with the velocity v of its last leg, `zero_velocity`. The motor goes on by
-    /// v²/2a under the homing acceleration a, and by v for each period until it brakes. On a serial line the host
-    /// brakes, and up to `tolerated_missing` answers may be lost before the one with the reference. With the figures of
-    /// the example cells, 3.5 rad/s, 150 rad/s² and 2 ms, that is 0.041 + 0.028 rad, and 4 counts of 4000 are 0.006 rad:
-    /// 0.08 rad of the motor, 0.5 mrad of a joint behind a gear of 158, and 0.4 mm of a tool 0.8 m from its axis.
+    /// A search reaches the home position with the velocity v of its last phase, `zero_velocity`. The motor continues
+    /// by v²/2a under the homing acceleration a, and by v for each period until it brakes. On a serial line the host
+    /// brakes, and up to `tolerated_missing` answers may be lost before the answer with the reference. With the
+    /// figures of the example cells, 3.5 rad/s, 150 rad/s² and 2 ms, the two distances are 0.041 + 0.028 rad. 4 counts
+    /// of 4000 are 0.006 rad. The sum of 0.08 rad of the motor is 0.5 mrad of a joint behind a gear of 158, or 0.4 mm
+    /// of a tool 0.8 m from its axis.
     fn home_tolerance(&self, axis: &Axis) -> f64 {
         let homing = &axis.homing;
         let bundle = self.serial.iter().find(|bundle| bundle.name == axis.bus);

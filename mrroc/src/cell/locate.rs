@@ -1,15 +1,15 @@
-//! Where a key stands in the text of a cell file.
+//! Location of a key in the text of a cell file.
 
 use std::fmt;
 
 use toml::de::DeTable;
 
-/// One step from a table into what it holds.
+/// One step from a table to its content.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
-    /// Into the value of a key.
+    /// To the value of a key.
     Key(&'static str),
-    /// Into an element of an array, from 0.
+    /// To an element of an array, counted from 0.
     At(usize),
 }
 
@@ -25,19 +25,19 @@ impl From<usize> for Step {
     }
 }
 
-/// The way from the top of the file to a value, written `robot[0].axis[2].node`.
+/// The path from the top of the file to a value, written as `robot[0].axis[2].node`.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Path(Vec<Step>);
 
 impl Path {
-    /// This path, one step longer.
+    /// This path, extended by one step.
     pub fn then(&self, step: impl Into<Step>) -> Self {
         let mut steps = self.0.clone();
         steps.push(step.into());
         Self(steps)
     }
 
-    /// The number of the robot that it leads to or into.
+    /// The index of the robot that the path leads to.
     pub fn robot(&self) -> Option<usize> {
         match *self.0 {
             [Step::Key("robot"), Step::At(robot), ..] => Some(robot),
@@ -59,7 +59,7 @@ impl fmt::Display for Path {
     }
 }
 
-/// The line, from 1, that the byte at `offset` of `text` stands on.
+/// The line, counted from 1, of the byte at `offset` of `text`.
 pub(super) fn line_at(text: &str, offset: usize) -> usize {
     let upto = offset.min(text.len());
     text.as_bytes()[..upto]
@@ -69,7 +69,7 @@ pub(super) fn line_at(text: &str, offset: usize) -> usize {
         + 1
 }
 
-/// The line of the value at `path`, or of the nearest table around it that is in the file.
+/// The line of the value at `path`, or of the nearest enclosing table in the file.
 pub(super) fn line_of(text: &str, path: &Path) -> usize {
     let Ok(document) = DeTable::parse(text) else {
         return 1;

@@ -1,20 +1,20 @@
-//! The meetings that the programs of a cell name.
+//! The meetings in the programs of a cell.
 
 use super::{Cell, Instruction, Robot};
 
-/// One meeting: the first, second, … of its name.
+/// One meeting: the first, second, … occurrence of its name.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Meeting {
     /// Its name.
     pub name: String,
-    /// How many of this name are before it.
+    /// Number of earlier meetings of this name.
     pub occurrence: usize,
-    /// Who comes: numbers of the robots whose programs name it as often.
+    /// Indices of the robots whose programs name the meeting so many times.
     pub robots: Vec<usize>,
 }
 
 impl Cell {
-    /// The meetings of its programs. Their order is that of no time: it numbers them.
+    /// The meetings of all programs. The order only numbers the meetings and is not an order in time.
     pub fn meetings(&self) -> Vec<Meeting> {
         let mut meetings: Vec<Meeting> = Vec::new();
         for (number, robot) in self.robot.iter().enumerate() {
@@ -38,7 +38,7 @@ impl Cell {
 }
 
 impl Robot {
-    /// The meetings of its program in order, each with the index of its instruction.
+    /// The meetings of the robot's program in order, each with the index of its instruction.
     pub(super) fn meetings(&self) -> impl Iterator<Item = (usize, &str)> {
         let program = self.program.iter().enumerate();
         program.filter_map(|(index, instruction)| match instruction {
@@ -47,7 +47,7 @@ impl Robot {
         })
     }
 
-    /// The number among `meetings` of the one at instruction `index` of this robot's program.
+    /// The index in `meetings` of the meeting at instruction `index` of this robot's program.
     pub(super) fn meeting_at(&self, index: usize, meetings: &[Meeting]) -> Option<u8> {
         let (_, name) = self.meetings().find(|(at, _)| *at == index)?;
         let before = self.meetings().take_while(|(at, _)| *at < index);

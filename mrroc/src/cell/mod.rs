@@ -1,10 +1,9 @@
 //! The cell file: robots, buses, lines and drives of one controller, in TOML.
 //!
-//! These structs are the file, key for key; the JSON schema beside the example cells is generated
-//! from them. What [`Cell::parse`] returns has been checked whole, so the rest of the program does
-//! not check again: take no `Cell` from serde alone. Units are SI at the **motor shaft** for an
-//! axis (rad, rad/s, rad/s²) and joint rad or metres for a program; a key that holds something
-//! else says so in its name.
+//! The structs mirror the file key for key. The JSON schema next to the example cells is generated from them.
+//! [`Cell::parse`] checks the whole cell, so the rest of the program does not check again. A `Cell` deserialised by
+//! serde alone is unchecked. Units are SI: rad, rad/s and rad/s² at the **motor shaft** for an axis, rad or m at the
+//! joint for a program. The name of a key with another unit ends in that unit.
 
 mod axis_controller;
 mod check;
@@ -44,11 +43,11 @@ pub use program::{ProgramError, instruction_path};
 pub use text::{Figure, Range, printable, quoted};
 pub use weight::Weights;
 
-/// One controller: everything that is stepped on one tick grid.
+/// One controller: all robots that share one servo cycle.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Cell {
-    /// What the reports call it.
+    /// Name of the cell in reports.
     #[schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"))]
     pub name: String,
     /// Period of the servo cycle and of SYNC, µs: 1 to 100 whole milliseconds.
@@ -56,18 +55,18 @@ pub struct Cell {
     /// Servo periods in one macrostep, the step of the generators.
     #[serde(default = "defaults::macrostep")]
     pub macrostep: u16,
-    /// Deadlines that may be missed in a row; one more stops the cell with category 1. The drives hold
-    /// their last set-point while deadlines are missed, so this bounds how long an arm in motion stands
-    /// still before it would jump. Without effect on the emulated benches, whose time waits for the host.
+    /// Tolerated number of missed deadlines in a row; one more stops the cell with category 1. The drives hold their
+    /// last set-point while deadlines are missed. The number therefore limits the time that a moving arm stands still
+    /// before it would jump. The number has no effect on the emulated benches, where time waits for the host.
     #[serde(default = "defaults::max_missed_in_row")]
     pub max_missed_in_row: u32,
-    /// How long a robot may wait for its partners at a meeting, s; then the cell stops by a fault.
+    /// Longest wait of a robot for its partners at a meeting, s. A longer wait stops the cell by a fault.
     #[serde(default = "defaults::meeting_timeout_s")]
     pub meeting_timeout_s: u32,
-    /// Seed of everything that is random in the emulators.
+    /// Seed of all random values in the emulators.
     #[serde(default = "defaults::seed")]
     pub seed: u64,
-    /// What the servo thread asks of the host.
+    /// Real-time settings of the servo thread.
     #[serde(default)]
     pub realtime: Realtime,
     /// The CAN buses.
@@ -80,44 +79,47 @@ pub struct Cell {
     pub robot: Vec<Robot>,
 }
 
-/// What the servo thread asks of the host.
+/// Real-time settings of the servo thread.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Realtime {
-    /// Whether a denied request is reported or refuses the start.
+    /// Whether a denied request is reported or prevents the start.
     pub policy: Policy,
-    /// What schedules the servo thread.
+    /// Scheduling policy of the servo thread.
     pub scheduler: Scheduler,
-    /// Priority under SCHED_FIFO, 1 to 99; the controller's thread is some below it under either scheduler.
+    /// Priority of the servo thread under SCHED_FIFO, 1 to 99. Under either scheduler, the controller's thread runs
+    /// under SCHED_FIFO, 10 below this value but at least at 1.
     pub priority: u8,
-    /// The CPU to pin the servo thread to; none leaves it to the scheduler. None with `scheduler = "deadline"`.
+    /// The CPU for the servo thread; any CPU where absent. Must be absent with `scheduler = "deadline"`.
     pub cpu: Option<usize>,
     /// Whether to lock the process's memory.
     pub lock_memory: bool,
     /// How the servo thread waits for its deadlines.
     pub wait: Wait,
-    /// How long before it needs to run a hybrid wait asks to be woken, µs; none learns it from how late the host is.
+    /// Time by which a hybrid wait requests its wake-up before it has to run, µs. Where absent, the time is learnt
+    /// from the latency of the host.
     pub margin_us: Option<u32>,
-    /// Largest share of a core that a hybrid wait spins in, 0 to 0.5: of each period with `margin_us`, of any second but for a twentieth without.
-    /// 0.2 where absent.
+    /// Largest fraction of a core for the spinning of a hybrid wait, 0 to 0.5; 0.2 where absent. With `margin_us` the
+    /// fraction applies to each period. Without `margin_us` it applies to any second, with an excess of up to a
+    /// twentieth.
     pub spin_share: Option<f64>,
 }
 
 impl Realtime {
-    /// Largest share of a core that a hybrid wait spins in.
+    /// Largest fraction of a core for the spinning of a hybrid wait.
     pub fn spin_share(&self) -> f64 {
         self.spin_share.unwrap_or(0.2)
     }
 }
 
-/// What schedules the servo thread.
+/// Scheduling policy of the servo thread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Scheduler {
-    /// SCHED_FIFO: before all threads of a lower priority, for as long as it wants to run.
+    /// SCHED_FIFO: the thread runs before all threads of a lower priority, without a time limit.
     Fifo,
-    /// SCHED_DEADLINE: before all threads under SCHED_FIFO, for nine tenths of each period at most. Needs CAP_SYS_NICE,
-    /// which no limit stands for, and all CPUs.
+    /// SCHED_DEADLINE: the thread runs before all threads under SCHED_FIFO, for at most nine tenths of each period.
+    /// The policy needs CAP_SYS_NICE, which no limit replaces, and all CPUs.
     Deadline,
 }
 
@@ -125,9 +127,10 @@ pub enum Scheduler {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Wait {
-    /// It sleeps until the deadline, and is as late as the host wakes it.
+    /// The thread sleeps until the deadline, and is as late as its wake-up.
     Plain,
-    /// It sleeps to a margin before the deadline, then spins: punctual, for some of a core.
+    /// The thread sleeps until a margin before the deadline, then spins. This wait is punctual but uses a part of a
+    /// core.
     Hybrid,
 }
 
@@ -146,13 +149,13 @@ impl Default for Realtime {
     }
 }
 
-/// What happens when the host denies a real-time request.
+/// Reaction to a real-time request that the host denies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Policy {
     /// The run does not start.
     Require,
-    /// The run starts and its report says what was denied.
+    /// The run starts, and its report lists the denied requests.
     BestEffort,
 }
 
@@ -160,61 +163,63 @@ pub enum Policy {
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Bus {
-    /// What axes and reports call it.
+    /// Name of the bus for axes and reports.
     #[schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"))]
     pub name: String,
     /// Bit rate, kbit/s.
     #[serde(default = "defaults::bitrate_kbps")]
     pub bitrate_kbps: u32,
-    /// The interface on the benches that have one: SocketCAN's, or `slcan:PATH[@BAUD]` for an adapter on a tty.
+    /// The interface on the benches with a real or virtual interface: a SocketCAN interface, or `slcan:PATH[@BAUD]`
+    /// for an adapter on a tty.
     pub interface: String,
     /// Node-ID of the host, whose heartbeat the drives watch.
     #[serde(default = "defaults::host_node")]
     pub host_node: u8,
-    /// Period of every heartbeat on the bus, ms; silence of three periods is a fault.
+    /// Period of every heartbeat on the bus, ms. Three periods without a heartbeat are a fault.
     #[serde(default = "defaults::heartbeat_ms")]
     pub heartbeat_ms: u16,
-    /// Cycles in a row that a drive's answer may be missing before it is a fault.
+    /// Tolerated number of cycles in a row without an answer of a drive; one more is a fault.
     #[serde(default = "defaults::tolerated_missing")]
     pub tolerated_missing: u32,
-    /// Deadline of one SDO answer, ms.
+    /// Time-out of an SDO answer, ms.
     #[serde(default = "defaults::sdo_timeout_ms")]
     pub sdo_timeout_ms: u32,
-    /// Deadline of a node's boot, ms.
+    /// Time-out of a node's boot, ms.
     #[serde(default = "defaults::boot_timeout_ms")]
     pub boot_timeout_ms: u32,
 }
 
-/// One effector: its kinematics, its axes and what it is to do.
+/// One effector: its kinematics, axes and program.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Robot {
-    /// What reports call it.
+    /// Name of the robot in reports.
     #[schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"))]
     pub name: String,
-    /// Which robot it is.
+    /// Model of the robot.
     pub model: Model,
-    /// Geometry, drive train, home positions and limits, in place of the model's own.
+    /// Geometry, drive train, home positions and limits, in place of those of the model.
     #[serde(default)]
     pub parameters: Option<Parameters>,
     /// Origin of the tool in the flange's frame, m.
     #[serde(default)]
     pub tool: [f64; 3],
-    /// What its links weigh, to be fed forward to its motors; not fed forward where absent.
+    /// Masses of the links, for the feed-forward of the weight to the motors; no such feed-forward where absent.
     #[serde(default)]
     pub weight: Option<Weights>,
     /// The axes, base first.
     pub axis: Vec<Axis>,
-    /// What it does after homing, in order.
+    /// Instructions after homing, in order.
     #[serde(default)]
     pub program: Vec<Instruction>,
-    /// What the emulated robot carries, and from when on; nothing before the first. The others ignore it.
+    /// Payloads of the emulated robot, each from a given time on; no payload before the first. Real robots ignore this
+    /// key.
     #[serde(default)]
     pub emulated_payload: Vec<EmulatedPayload>,
 }
 
 impl Robot {
-    /// Its kinematics, its tool and what weighs on its motors, or what is wrong with its parameters.
+    /// Kinematics, tool and weight of the robot, or the error in its parameters.
     pub fn arm(&self) -> Result<Arm, ParameterError> {
         let robot = self.kinematics()?;
         let weight = self
@@ -229,7 +234,7 @@ impl Robot {
         })
     }
 
-    /// What an error says, with the names of axes in place of their numbers.
+    /// The text of an error with the names of axes in place of their numbers.
     pub fn naming_axes(&self, error: impl std::fmt::Display) -> String {
         let said = error.to_string();
         for (number, axis) in self.axis.iter().enumerate() {
@@ -240,19 +245,19 @@ impl Robot {
             if behind.starts_with(|c: char| c.is_ascii_digit()) {
                 continue;
             }
-            // Where the name stands in front, once is enough.
+            // A name in front of the message is not repeated.
             let name = &axis.name;
             let in_front = before
                 .strip_suffix(", ")
                 .is_some_and(|it| it.ends_with(name));
             let before = if in_front { "" } else { before };
-            // An error is of one axis.
+            // An error concerns one axis.
             return format!("{before}axis {name}{behind}");
         }
         said
     }
 
-    /// Its kinematics and drive train, or what is wrong with its parameters.
+    /// Kinematics and drive train, or the error in the parameters.
     pub fn kinematics(&self) -> Result<Arc<dyn controller::robot::Robot>, ParameterError> {
         let usual = || self.model.parameters();
         self.parameters.unwrap_or_else(usual).kinematics()
@@ -263,12 +268,12 @@ impl Robot {
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Axis {
-    /// What reports call it.
+    /// Name of the axis in reports.
     #[schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"))]
     pub name: String,
-    /// The CAN bus its drive hangs on, or the bundle of lines its axis controller is of.
+    /// The CAN bus of the drive, or the bundle of serial lines of the axis controller.
     pub bus: String,
-    /// Node-ID of its drive, or NFv2 address of its axis controller; the older protocol has none.
+    /// Node-ID of the drive, or NFv2 address of the axis controller. The older protocol has no addresses.
     #[serde(default)]
     pub node: u8,
     /// The drive, on a CAN bus.
@@ -281,19 +286,19 @@ pub struct Axis {
     pub max_velocity: f64,
     /// Greatest motor acceleration, rad/s².
     pub max_acceleration: f64,
-    /// Lowest motor position, rad, within the model's own limits and below `max_position`; the model's own
+    /// Lowest motor position, rad, within the limits of the model and below `max_position`; the limit of the model
     /// where absent.
     #[serde(default)]
     pub min_position: Option<f64>,
-    /// Highest motor position, rad, within the model's own limits and above `min_position`; the model's own
+    /// Highest motor position, rad, within the limits of the model and above `min_position`; the limit of the model
     /// where absent.
     #[serde(default)]
     pub max_position: Option<f64>,
-    /// Greatest distance between commanded and measured motor position, rad.
+    /// Greatest following error: distance between commanded and measured motor position, rad.
     pub following_error: f64,
-    /// How it finds its reference.
+    /// How the axis searches for its reference.
     pub homing: Homing,
-    /// What stands in for it on the benches without hardware.
+    /// Settings of the emulated axis, on the benches without hardware.
     #[serde(default)]
     pub emulator: Emulator,
 }
@@ -310,9 +315,9 @@ pub struct Drive {
     /// Revision number, object 0x1018:03; not checked where absent.
     #[serde(default)]
     pub revision: Option<u32>,
-    /// Device configuration file (DCF of CiA 306) whose values are written before operation and read back, relative to the
-    /// cell file. What the controller itself sets, and `parameter`, come after it and win. One that states no node-ID can
-    /// serve several axes.
+    /// Device configuration file (DCF of CiA 306), relative to the cell file. Its values are written before operation
+    /// and read back. Settings of the controller and `parameter` are written later and take precedence. A file without
+    /// a node-ID can serve several axes.
     #[serde(default)]
     pub dcf: Option<String>,
     /// Quadrature counts per motor revolution.
@@ -320,12 +325,12 @@ pub struct Drive {
     /// Whether the counter falls while the motor turns in its positive direction.
     #[serde(default)]
     pub reversed: bool,
-    /// Rated torque of the motor, N·m: the unit of the drive's torque values is a thousandth of it.
+    /// Rated torque of the motor, N·m. The drive's torque values are thousandths of it.
     pub rated_torque: f64,
-    /// What it is commanded by.
+    /// The quantity commanded to the drive.
     #[serde(default)]
     pub control: DriveControl,
-    /// How the host closes the position loop, under `control = "velocity"` or `"torque"`.
+    /// The position loop in the host, with `control = "velocity"` or `"torque"`.
     #[serde(default)]
     pub r#loop: Option<Loop>,
     /// Further objects to write before operation.
@@ -333,7 +338,7 @@ pub struct Drive {
     pub parameter: Vec<Parameter>,
 }
 
-/// What a drive on CAN is commanded by, each at every SYNC.
+/// The quantity commanded to a drive on CAN at every SYNC.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum DriveControl {
@@ -342,8 +347,9 @@ pub enum DriveControl {
     Position,
     /// Velocity (CSV): the host closes the position loop.
     Velocity,
-    /// Torque (CST): the host closes position and velocity loop. Their gain is right only if `rated_torque` is what the
-    /// drive says in object 0x6076, which for maxon is nominal current times torque constant.
+    /// Torque (CST): the host closes position and velocity loop. The gain of these loops is correct only if
+    /// `rated_torque` equals object 0x6076 of the drive. For maxon, that value is nominal current times torque
+    /// constant.
     Torque,
 }
 
@@ -358,7 +364,7 @@ pub struct Parameter {
     pub subindex: u8,
     /// Value.
     pub value: u32,
-    /// Its size in the dictionary, bytes: 1, 2 or 4.
+    /// Size of the object, bytes: 1, 2 or 4.
     pub bytes: u8,
 }
 
@@ -366,18 +372,18 @@ pub struct Parameter {
 #[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Homing {
-    /// Homing method of a drive, object 0x6098. An axis on a serial line has none: it searches for its home
-    /// switch, and back for the index pulse beside it.
+    /// Homing method of a drive, object 0x6098. An axis on a serial line has no method: it searches for its home
+    /// switch, and then back for the index pulse of the switch.
     #[serde(default)]
     pub method: Option<i8>,
-    /// Where an axis on a serial line searches for its home switch; towards lower positions where absent.
+    /// Direction in which an axis on a serial line searches for its home switch; negative where absent.
     #[serde(default)]
     pub direction: Option<Direction>,
-    /// Axes home in ascending order of this; equal ones together.
+    /// Homing order: axes home in ascending order, and axes of equal order together.
     #[serde(default)]
     pub order: u8,
-    /// Whether a search by the host that meets a limit switch goes back across the home switch and begins
-    /// again, once; it does where absent.
+    /// Whether a search by the host that meets a limit switch returns across the home switch and starts again, once;
+    /// true where absent.
     #[serde(default)]
     pub reverse_at_limit: Option<bool>,
     /// Motor velocity while searching for the switch, rad/s.
@@ -398,52 +404,51 @@ pub enum Direction {
     Positive,
 }
 
-/// What stands in for an axis on the benches without hardware.
+/// Settings of the emulated axis, on the benches without hardware.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Emulator {
     /// The plant behind the emulated drive.
     pub plant: Plant,
-    /// Motor position at which the emulated axis stands when it is switched on, rad; 20 rad above its
-    /// home position where absent.
+    /// Initial motor position of the emulated axis, rad; 20 rad above its home position where absent.
     pub start: Option<f64>,
-    /// Vendor-ID it answers with; the drive's own where absent.
+    /// Vendor-ID that the emulated drive reports; the drive's own where absent.
     pub vendor: Option<u32>,
-    /// Revision number it answers with; the drive's own where absent.
+    /// Revision number that the emulated drive reports; the drive's own where absent.
     pub revision: Option<u32>,
-    /// Quadrature counts per revolution that it says its sensor has; the drive's own where absent.
+    /// Quadrature counts per revolution that the emulated drive reports for its sensor; the drive's own where absent.
     pub counts_per_revolution: Option<u32>,
-    /// Rated torque that it says its motor has, N·m; the drive's own where absent.
+    /// Rated torque that the emulated drive reports for its motor, N·m; the drive's own where absent.
     pub rated_torque: Option<f64>,
-    /// NFv2 address it answers with; the axis's own where absent.
+    /// NFv2 address of the emulated axis controller; the axis's own where absent.
     pub address: Option<u8>,
-    /// What it speaks on its line; what the axis expects where absent.
+    /// Protocol of the emulated axis controller; the protocol of the axis where absent.
     pub protocol: Option<Protocol>,
-    /// Whether the bus or line lacks it: a drive that never boots.
+    /// Whether the device is absent from its bus or line. An absent drive never boots.
     pub absent: bool,
 }
 
-/// What an emulated robot carries from a point of time on, in place of whatever it carried before.
+/// A payload of an emulated robot from a given time on. The payload replaces the previous one.
 #[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct EmulatedPayload {
-    /// Counted from when the emulated drives are switched on, s.
+    /// Time since the emulated drives were switched on, s.
     pub at_s: f64,
-    /// kg; 0 puts down what it carried.
+    /// Mass of the payload, kg; 0 removes the payload.
     pub mass: f64,
     /// The centre of mass in the emulated mechanism's flange frame, m.
     #[serde(default)]
     pub centre: [f64; 3],
 }
 
-/// The plants an emulated axis can have.
+/// Physical models of an emulated axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Plant {
     /// Friction, gravity, current limit, switches; masses and friction are nominal.
     #[default]
     Physical,
-    /// The inertia and viscous friction of WUT's own emulator, and nothing else.
+    /// Only the inertia and viscous friction of WUT's emulator.
     Wut,
 }
 
@@ -455,12 +460,12 @@ pub enum Instruction {
     Joints(Joints),
     /// Move the tool along a straight line.
     Line(Line),
-    /// Stand until every robot whose program names this meeting has come to it, then go on with them in the same servo
-    /// cycle. A name that comes again is another meeting of the same robots.
+    /// Stand until every robot whose program names this meeting has come to it. All of them then continue in the same
+    /// servo cycle. A repeated name is another meeting of the same robots.
     Meet(#[schemars(schema_with = "name_schema")] String),
 }
 
-/// A name, where an attribute of the field does not reach the schema.
+/// The schema of a name, for fields whose attributes do not reach the schema.
 fn name_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
     schemars::json_schema!({ "type": "string", "pattern": "^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$" })
 }
@@ -480,8 +485,8 @@ pub struct Joints {
     /// Fraction of the greatest joint acceleration to use.
     #[serde(default = "defaults::fraction")]
     pub acceleration: f64,
-    /// How long the motion to each pose lasts, s, rounded up to a macrostep; of jerk-limited motions only, and as
-    /// short as the limits allow where absent.
+    /// Duration of the motion to each pose, s, rounded up to a macrostep; the shortest within the limits where absent.
+    /// Only for jerk-limited motions.
     #[serde(default)]
     pub duration: Option<f64>,
 }
@@ -497,13 +502,13 @@ pub enum JointGenerator {
     JerkLimited,
 }
 
-/// A straight line of the tool from where it is.
+/// A straight line of the tool from its present position.
 #[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Line {
-    /// Where the tool is to go, m, in the robot's base frame.
+    /// Target position of the tool, m, in the robot's base frame.
     pub position: [f64; 3],
-    /// Its orientation there as w, x, y, z; unchanged where absent.
+    /// Target orientation of the tool as w, x, y, z; unchanged where absent.
     #[serde(default)]
     pub quaternion: Option<[f64; 4]>,
     /// Greatest tool velocity, m/s.
@@ -520,7 +525,7 @@ impl Cell {
         schemars::schema_for!(Self)
     }
 
-    /// The text of a cell file of these bytes: refused if it is not UTF-8, or longer than [`LARGEST`].
+    /// The text of a cell file. Bytes that are not UTF-8 or more than [`LARGEST`] are refused.
     pub fn text(bytes: &[u8]) -> Result<&str, CellError> {
         document::text(bytes)
     }

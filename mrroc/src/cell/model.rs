@@ -1,4 +1,4 @@
-//! The robots that a cell can name, and their numbers.
+//! The robot models that a cell can name, and their parameters.
 
 use std::sync::Arc;
 
@@ -11,7 +11,7 @@ use controller::robot::{
     Rnt, RntParameters, Room,
 };
 
-/// The robots whose numbers are known.
+/// The models with known parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Model {
@@ -19,15 +19,15 @@ pub enum Model {
     Irb6,
     /// WUT IRp-6 on its pedestal, six axes.
     Irp6,
-    /// The same robot as calibrated in February 2007.
+    /// WUT IRp-6 on its pedestal, as calibrated in February 2007.
     Irp6Calibrated,
     /// WUT IRp-6 on its track, seven axes.
     Irp6Track,
-    /// The same robot as calibrated in February 2007.
+    /// WUT IRp-6 on its track, as calibrated in February 2007.
     Irp6TrackCalibrated,
-    /// WUT RNT, three legs and a wrist: a stand-in whose every number is nominal, not measured.
+    /// WUT RNT, three legs and a wrist. All parameters are nominal, not measured.
     Rnt,
-    /// WUT Polycrank, seven axes without end: the geometry is the robot's, its drives are nominal.
+    /// WUT Polycrank, seven axes without end. The geometry is that of the robot; the drives are nominal.
     Polycrank,
     /// Two-finger gripper of the WUT robots, one axis: opening of the jaws, m.
     Gripper,
@@ -35,7 +35,7 @@ pub enum Model {
     Conveyor,
 }
 
-/// The numbers of one robot.
+/// The parameters of one robot.
 #[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Parameters {
@@ -56,7 +56,7 @@ pub enum Parameters {
 }
 
 impl Parameters {
-    /// The key that cell files give them by.
+    /// The key of the parameters in cell files.
     pub const fn name(&self) -> &'static str {
         match self {
             Self::Irb6(_) => "irb6",
@@ -69,7 +69,7 @@ impl Parameters {
         }
     }
 
-    /// The robot of these numbers, or what is wrong with them.
+    /// The kinematics of a robot with these parameters, or the error in them.
     pub fn kinematics(&self) -> Result<Arc<dyn controller::robot::Robot>, ParameterError> {
         Ok(match self {
             Self::Irb6(parameters) => Arc::new(Irb6::new(parameters)?),
@@ -98,7 +98,7 @@ impl Room for Parameters {
 }
 
 impl Model {
-    /// All of them.
+    /// All models.
     pub const ALL: [Self; 9] = [
         Self::Irb6,
         Self::Irp6,
@@ -111,7 +111,7 @@ impl Model {
         Self::Conveyor,
     ];
 
-    /// What a cell file calls it.
+    /// The name in cell files.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Irb6 => "irb6",
@@ -126,7 +126,7 @@ impl Model {
         }
     }
 
-    /// Its own numbers.
+    /// The parameters of the model.
     pub const fn parameters(self) -> Parameters {
         match self {
             Self::Irb6 => Parameters::Irb6(Irb6Parameters::irb6()),
@@ -143,12 +143,12 @@ impl Model {
         }
     }
 
-    /// Whether it is an arm that stands on a pedestal.
+    /// Whether the model is an arm on a pedestal.
     pub const fn is_on_pedestal(self) -> bool {
         matches!(self, Self::Irb6 | Self::Irp6 | Self::Irp6Calibrated)
     }
 
-    /// How many axes it has.
+    /// Number of axes.
     pub const fn axes(self) -> usize {
         match self {
             Self::Irb6 => 5,

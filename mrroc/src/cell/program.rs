@@ -1,4 +1,4 @@
-//! From the program of a cell file to the task of an effector control process.
+//! Conversion of the program in a cell file to the task of an effector control process.
 
 use std::f64::consts::PI;
 use std::time::Duration;
@@ -15,30 +15,30 @@ use controller::generator::{
 };
 use controller::robot::{KinematicsError, Limits, Space};
 
-/// Greatest joint velocity, acceleration and jerk of generators, rad/s and so on: velocity and acceleration are
-/// those of MRROC++'s generators, the jerk reaches that acceleration in a tenth of a second.
+/// Greatest joint velocity, acceleration and jerk of generators, rad/s, rad/s² and rad/s³. Velocity and acceleration
+/// are those of MRROC++'s generators. With this jerk, the acceleration is reached in a tenth of a second.
 const JOINT_LIMITS: (f64, f64, f64) = (1.5, 7.0, 70.0);
 
-/// Share of a motor's limits that plans may use. The cubics between macrosteps need up to 5/3 of a planned
-/// acceleration, and a ball screw turns constant joint velocity into some motor acceleration.
+/// Fractions of a motor's limits of velocity and acceleration for plans. The cubics between macrosteps need up to 5/3
+/// of a planned acceleration. A ball screw converts constant joint velocity to some motor acceleration.
 const PLANNED: (f64, f64) = (0.95, 0.5);
 
-/// How many joint positions the drive train is sampled at, over the range of each joint.
+/// Number of joint positions at which the drive train is sampled, over the range of each joint.
 const SAMPLES: usize = 32;
 
-/// Tool acceleration is reached within this time, s.
+/// Time to reach the tool acceleration, s.
 const LINE_RISE: f64 = 0.1;
 
-/// Rotation allowed per metre of the tool's way, rad/m: a line's angular limits are its linear ones times this.
+/// Permitted rotation per metre of tool motion, rad/m. The angular limits of a line are its linear limits times this.
 const TURN_PER_METRE: f64 = 5.0;
 
-/// Instructions of a task before those of the program: enable and home.
+/// Number of instructions of a task before those of the program: enable and home.
 const PREAMBLE: usize = 2;
 
-/// Why a program cannot be run.
+/// Error of a program.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum ProgramError {
-    /// The arm cannot take the pose.
+    /// The arm cannot reach the pose.
     #[error("{0}")]
     Kinematics(#[from] KinematicsError),
     /// A generator refuses the motion.
@@ -47,7 +47,7 @@ pub enum ProgramError {
 }
 
 impl ProgramError {
-    /// The axis it is about.
+    /// The axis concerned.
     pub fn axis(&self) -> Option<usize> {
         match *self {
             Self::Kinematics(cause) | Self::Generator(GeneratorError::Path { cause, .. }) => {
@@ -68,10 +68,10 @@ pub fn instruction_path(robot: usize, index: usize) -> Path {
 }
 
 impl Cell {
-    /// The program of robot `robot` as a task: enable, home, the instructions one by one, disable.
+    /// The program of robot `robot` as a task: enable, home, the instructions in order, disable.
     ///
-    /// Every pose is looked at here, from where the instruction before it will have ended; the error comes with the
-    /// key of the instruction or the pose.
+    /// Every pose is checked from the end of the previous instruction. An error comes with the key of the instruction
+    /// or the pose.
     pub fn task(&self, robot: usize, arm: &Arm) -> Result<Task, (Path, ProgramError)> {
         let home = self.home(robot, arm);
         self.robot[robot].task(robot, arm, home, &self.meetings())
@@ -79,13 +79,13 @@ impl Cell {
 }
 
 impl Robot {
-    /// How many instructions its [`task`](Cell::task) has.
+    /// Number of instructions of the robot's [`task`](Cell::task).
     pub fn task_len(&self) -> usize {
         PREAMBLE + self.program.iter().map(moves).sum::<usize>() + 1
     }
 
-    /// Which instruction of the program instruction `index` of its [`task`](Cell::task) is of; `None` for
-    /// those before and behind it.
+    /// The index in the program of instruction `index` of the [`task`](Cell::task); `None` for those before and after
+    /// the program.
     pub fn instruction_of(&self, index: usize) -> Option<usize> {
         let mut left = index.checked_sub(PREAMBLE)?;
         self.program.iter().position(|instruction| {
@@ -128,13 +128,13 @@ impl Robot {
                 }
             }?;
             (task, joints) = (next, end);
-            // From the end of the first motion on, the arm is where it was sent.
+            // After the first motion, the arm is at the end of that motion.
             start = start.filter(|_| matches!(instruction, Instruction::Meet(_)));
         }
         Ok(task.disable())
     }
 
-    /// The error comes with the number of its pose.
+    /// Converts a joint motion. An error comes with the number of its pose.
     fn joint_motion(
         &self,
         arm: &Arm,
@@ -213,9 +213,9 @@ impl Robot {
         Ok((task.run(generator), end))
     }
 
-    /// What each joint may do so that no motor is asked for more than its share.
+    /// Limits of each joint that keep every motor within its share of the limits.
     ///
-    /// Several joints may turn one motor; they are slowed together.
+    /// Joints that turn a common motor are slowed together.
     pub fn motion_limits(&self, arm: &Arm) -> MotionLimits {
         let (velocity, acceleration, jerk) = JOINT_LIMITS;
         let mut limits = MotionLimits::uniform(velocity, acceleration, jerk);
@@ -240,7 +240,7 @@ impl Robot {
     }
 }
 
-/// How many instructions of a task one of a program becomes.
+/// Number of instructions of a task for one instruction of a program.
 fn moves(instruction: &Instruction) -> usize {
     match instruction {
         Instruction::Joints(Joints {
@@ -252,7 +252,7 @@ fn moves(instruction: &Instruction) -> usize {
     }
 }
 
-/// Lowers the `rates` of the joints that turn a motor until their sum is within `limit`.
+/// Reduces the `rates` of the joints that turn a motor until their sum is within `limit`.
 fn slow(rates: &mut Axes, gains: &Axes, limit: f64) {
     let sum: f64 = rates
         .iter()
@@ -266,14 +266,14 @@ fn slow(rates: &mut Axes, gains: &Axes, limit: f64) {
     }
 }
 
-/// The steepest |∂motor/∂joint| over the range of each joint, a row per motor.
+/// The greatest |∂motor/∂joint| over the range of each joint, one row per motor.
 fn steepest_gains(arm: &Arm) -> [Axes; MAX_AXES] {
     let mut gains = [[0.0; MAX_AXES]; MAX_AXES];
     let Ok(home) = arm.joints(&arm.robot().home().padded()) else {
         return gains;
     };
     for (joint, range) in arm.robot().joint_limits().iter().enumerate() {
-        // A joint without end has the gear of every turn within one.
+        // The drive train of a joint without end repeats with every turn.
         let range = if range.is_continuous() {
             Limits {
                 low: home[joint] - PI,

@@ -1,7 +1,7 @@
-//! From the document of a cell file to its values: every element is used or refused, with its key and its line.
+//! Conversion of a TOML document to the values of a cell. Every element is used, or refused with its key and line.
 //!
-//! serde's own arrays take the elements they need and leave the others in silence; here the rest is a refusal, as is a
-//! table with two variants of an enumeration. All messages name what is possible in the words of TOML.
+//! The arrays of serde silently ignore surplus elements. This module refuses them, and also a table with two variants
+//! of an enumeration. All messages name the permitted values in the words of TOML.
 
 use std::fmt;
 
@@ -19,10 +19,10 @@ use super::error::{CellError, Problem};
 use super::locate::line_at;
 use super::text::{Range, excerpt, one_of, quoted};
 
-/// The numbers of a cell: no SI quantity of a robot is beyond, and squares and products of them stay finite.
+/// Range of all numbers of a cell. No SI quantity of a robot is beyond it, and squares and products stay finite.
 const MOST: Range = Range::new(-1e12, 1e12, "");
 
-/// The value of a document, which was parsed from `text`.
+/// Reads a value from a document that was parsed from `text`.
 pub(super) fn read<'de, T: Deserialize<'de>>(
     text: &str,
     document: &'de DeTable<'de>,
@@ -38,12 +38,12 @@ pub(super) fn read<'de, T: Deserialize<'de>>(
     })
 }
 
-/// What is wrong, and where.
+/// A problem and its location.
 #[derive(Debug)]
 struct Refusal {
     /// The key, its last step first.
     steps: Vec<Step>,
-    /// Where it stands in the text.
+    /// Offset in the text.
     offset: Option<usize>,
     problem: Problem,
 }
@@ -67,13 +67,13 @@ impl Refusal {
         Self::new(Problem::Shape(problem))
     }
 
-    /// The same, unless it knows better where it stands.
+    /// The refusal at this offset, unless it has an offset already.
     fn from(mut self, offset: usize) -> Self {
         self.offset.get_or_insert(offset);
         self
     }
 
-    /// The same, one step deeper.
+    /// The refusal one step deeper.
     fn below(mut self, step: Step) -> Self {
         self.steps.push(step);
         self
@@ -150,7 +150,7 @@ impl<'de> Deserializer<'de> for Table<'de> {
 /// The entries of a table.
 struct Entries<'de, I> {
     left: I,
-    /// Of the key that was last handed out.
+    /// The value of the last key.
     value: Option<(&'de str, &'de Spanned<DeValue<'de>>)>,
     offset: usize,
 }
@@ -199,7 +199,7 @@ struct Value<'de> {
 }
 
 impl<'de> Value<'de> {
-    /// A table of dotted keys alone has no place in the text: its place is that of the enclosing table.
+    /// A table of dotted keys alone has no offset in the text, and gets the offset of the enclosing table.
     fn of(value: &'de Spanned<DeValue<'de>>, around: usize) -> Self {
         let span = value.span();
         Self {
@@ -208,7 +208,7 @@ impl<'de> Value<'de> {
         }
     }
 
-    /// The refusal of a value that is not as `expected`.
+    /// The refusal of a value that differs from `expected`.
     fn wrong(&self, expected: impl fmt::Display) -> Refusal {
         let found = match self.value {
             DeValue::String(text) => quoted(text),
@@ -276,7 +276,7 @@ impl<'de> Value<'de> {
         }
     }
 
-    /// Hands an array to `visitor`, which must take all of it.
+    /// Passes an array to `visitor`, which must take all elements.
     fn array<V: Visitor<'de>>(
         &self,
         length: Option<usize>,
@@ -468,7 +468,7 @@ impl<'de> SeqAccess<'de> for &mut Elements<'de> {
     }
 }
 
-/// A variant of an enumeration: its name alone, or a table of its name and content.
+/// A variant of an enumeration: its name, or a table with its name and content.
 struct Variant<'de> {
     name: &'de str,
     whole: Value<'de>,

@@ -1,4 +1,4 @@
-//! Whole cells: parsing, refusals, and the configurations made of them.
+//! Tests of whole cells: parsing, refusals, and the resulting configurations.
 
 mod bounds;
 mod families;
@@ -16,7 +16,7 @@ const POLYCRANK: &str = include_str!("../../../cells/polycrank.toml");
 const LAB: &str = include_str!("../../../cells/lab.toml");
 const SERIAL: &str = include_str!("../../../cells/irb6-serial.toml");
 
-/// The line, from 1, of the first occurrence of `needle`.
+/// The line, counted from 1, of the first occurrence of `needle`.
 fn line_of(text: &str, needle: &str) -> usize {
     text[..text.find(needle).expect("the needle is in the text")]
         .matches('\n')
@@ -245,7 +245,7 @@ fn a_refusal_names_line_key_and_reason() {
         let shown = error.to_string();
         assert!(shown.contains(reason), "{bad}: {shown}");
         assert_eq!(error.key, key, "{bad}");
-        // A list stands where its first element does, all else where it was replaced.
+        // A list is located at its first element; any other value is located at the replacement.
         let place = if key.ends_with(".axis") {
             "[[robot.axis]]"
         } else {
@@ -455,7 +455,7 @@ fn a_model_has_one_name_and_the_axes_of_its_robot() {
 
 #[test]
 fn meetings_that_cannot_be_held_are_refused_at_their_line() {
-    // Of the robots irb6, irp6-track, rnt, polycrank, gripper and conveyor, each with start, half-way and end.
+    // For the robots irb6, irp6-track, rnt, polycrank, gripper and conveyor: start, middle and end.
     let third = |good: &str, bad: &str, occurrence: usize| {
         let at = LAB.match_indices(good).nth(occurrence).unwrap().0;
         format!("{}{bad}{}", &LAB[..at], &LAB[at + good.len()..])

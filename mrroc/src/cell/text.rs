@@ -1,14 +1,14 @@
-//! Texts and numbers of files as messages show them: short, on one line, and without effect on a terminal.
+//! Texts and numbers from files in messages: short, on one line, and without effect on a terminal.
 
 use std::fmt::{self, Write as _};
 
-/// Most characters of a text that a message quotes.
+/// Greatest number of characters that a message quotes.
 const LONGEST: usize = 60;
 
-/// A text in which nothing acts on a terminal: control characters, line separators, and characters that change the
-/// direction of writing or are invisible, are written as escapes (`\n`, `\u{1b}`).
+/// A text without effect on a terminal. Control characters, line separators, and invisible characters or those that
+/// change the direction of writing are written as escapes (`\n`, `\u{1b}`).
 ///
-/// Whatever was read from a file passes through here before it is printed.
+/// Every text that was read from a file must pass through this function before printing.
 pub fn printable(text: &str) -> String {
     let mut shown = String::with_capacity(text.len());
     for character in text.chars() {
@@ -34,7 +34,7 @@ pub fn printable(text: &str) -> String {
     shown
 }
 
-/// The beginning of a text, as a message shows it without quotes.
+/// The beginning of a text, for a message without quotes.
 pub(super) fn excerpt(text: &str) -> String {
     match text.char_indices().nth(LONGEST) {
         None => printable(text),
@@ -46,7 +46,7 @@ pub(super) fn excerpt(text: &str) -> String {
     }
 }
 
-/// The beginning of a text in quotes, as a message shows it.
+/// The beginning of a text in quotes, for a message.
 pub fn quoted(text: &str) -> String {
     match text.char_indices().nth(LONGEST) {
         None => format!("{text:?}"),
@@ -54,7 +54,7 @@ pub fn quoted(text: &str) -> String {
     }
 }
 
-/// A number as a message shows it: 1000001, 0.25, 1e300.
+/// A number in a message: 1000001, 0.25, 1e300.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Figure(pub f64);
 
@@ -69,15 +69,15 @@ impl fmt::Display for Figure {
     }
 }
 
-/// The values that a number may have, both ends included. [`f64::MIN_POSITIVE`] as the low end stands for all above 0,
-/// [`f64::MIN`] and [`f64::MAX`] for no end.
+/// The permitted range of a number, including both ends. [`f64::MIN_POSITIVE`] as the low end means all positive
+/// numbers. [`f64::MIN`] and [`f64::MAX`] mean no limit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Range {
     /// Low end.
     pub low: f64,
     /// High end.
     pub high: f64,
-    /// The unit and what the ends follow from, in the words of a message; may be empty.
+    /// The unit and the origin of the limits, as part of a message; may be empty.
     pub of: &'static str,
 }
 
@@ -86,7 +86,7 @@ impl Range {
         Self { low, high, of }
     }
 
-    /// Whether `value` is in it; never, if it is not a number.
+    /// Whether `value` is in the range; false for NaN.
     pub(super) fn has(&self, value: f64) -> bool {
         (self.low..=self.high).contains(&value)
     }
@@ -113,7 +113,7 @@ impl fmt::Display for Range {
     }
 }
 
-/// An end of a range in few digits, rounded towards its inside: whatever is shown is possible.
+/// An end of a range with few digits, rounded to the inside of the range. The printed number is therefore permitted.
 fn inner(end: f64, round: fn(f64) -> f64) -> String {
     let exact = Figure(end).to_string();
     let power = format!("{end:e}");

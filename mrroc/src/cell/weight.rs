@@ -1,4 +1,4 @@
-//! The keys of what a robot weighs.
+//! The keys for the weight of a robot.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -6,24 +6,26 @@ use serde::{Deserialize, Serialize};
 use super::Model;
 use controller::robot::{Mass, Robot, Weight, WeightError};
 
-/// What a robot's links weigh. With this table in the cell file, the torques that hold them in the pose commanded are
-/// fed forward to its motors; without it they are left to the loops. An empty one takes the model's nominal masses.
+/// Masses of a robot's links. With this table in the cell file, the torques that hold the links in the commanded pose
+/// are fed forward to the motors. Without the table, only the position loops hold the weight. An empty table uses the
+/// nominal masses of the model.
 ///
-/// Every axis has its loop closed by the host, and is commanded by torque or current; or by pulse width, with the
-/// `weight` of its `feed_forward` given. Drives that close the loop hold the weight by themselves.
+/// The host must close the position loop of every axis, commanded by torque or current. Pulse width is possible if
+/// `feed_forward` gives `weight`. Drives that close the loop hold the weight by themselves.
 #[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Weights {
-    /// The links from base to flange as `mrroc urdf` writes them; the model's nominal ones where absent.
+    /// The links from base to flange, as written by `mrroc urdf`; the nominal links of the model where absent.
     pub masses: Option<Vec<Mass>>,
-    /// What the flange carries beyond the last link, its centre in the flange's frame.
+    /// The load at the flange beyond the last link, with its centre in the flange's frame.
     pub load: Mass,
-    /// Against gravity, in the robot's base frame, of any length; the model's own where absent.
+    /// The direction against gravity in the robot's base frame, of any length; the direction of the model where
+    /// absent.
     pub up: Option<[f64; 3]>,
 }
 
 impl Weights {
-    /// Of `robot`, which is a `model`.
+    /// The weight of `robot`, whose model is `model`.
     pub(super) fn of(&self, model: Model, robot: &dyn Robot) -> Result<Weight, WeightError> {
         let masses = self.masses.as_deref().unwrap_or(model.masses());
         Weight::new(robot, masses, self.load, self.up.unwrap_or(model.up()))
@@ -31,7 +33,7 @@ impl Weights {
 }
 
 impl Model {
-    /// Nominal masses of its links: plausible figures, to be replaced by those of the machine at hand.
+    /// Nominal masses of the links: plausible figures, to be replaced by those of the real machine.
     pub const fn masses(self) -> &'static [Mass] {
         match self {
             Self::Irb6 => &Mass::IRB6,
@@ -43,8 +45,8 @@ impl Model {
         }
     }
 
-    /// The direction against gravity in its base frame: the RNT hangs, and of the two directions that the Polycrank's
-    /// level axis 1 leaves open x is taken for it (nominal, both).
+    /// The direction against gravity in the base frame. The RNT hangs. Axis 1 of the Polycrank is level, which leaves
+    /// two directions, of which x is used. Both values are nominal.
     pub const fn up(self) -> [f64; 3] {
         match self {
             Self::Rnt => [0.0, 0.0, -1.0],

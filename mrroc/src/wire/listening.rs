@@ -1,4 +1,4 @@
-//! The thread that listens while a cell runs by the wall clock. It waits, but holds up nobody.
+//! The thread that listens to the buses during a run in real time. The thread waits, but blocks no other thread.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
@@ -13,13 +13,13 @@ use anyhow::Context;
 use super::{Wire, WireReport};
 use crate::run::SMALL_STACK;
 
-/// How often the listeners are read, at the least; their queues hold seconds.
+/// Longest time between two readings of the listeners. Their queues hold the frames of some seconds.
 const LOOK: Duration = Duration::from_millis(20);
 
-/// Longest wait for what was heard once a run has ended.
+/// Longest wait for the results at the end of a run.
 const LAST_LOOK: Duration = Duration::from_secs(2);
 
-/// A thread that listens, until this is dropped.
+/// A thread that listens until this value is dropped.
 pub struct Listening {
     over: Arc<AtomicBool>,
     told: Receiver<Vec<WireReport>>,
@@ -27,7 +27,7 @@ pub struct Listening {
 }
 
 impl Listening {
-    /// What was heard; nothing if the thread does not get the processor in time.
+    /// The results; empty if the thread does not get the processor in time.
     pub fn finish(self) -> Vec<WireReport> {
         self.over.store(true, Ordering::Relaxed);
         self.thread.unpark();
@@ -42,7 +42,7 @@ impl Drop for Listening {
 }
 
 impl Wire {
-    /// Begins to listen on a thread of its own.
+    /// Starts to listen on a separate thread.
     pub fn listen(mut self) -> anyhow::Result<Listening> {
         let over = Arc::new(AtomicBool::new(false));
         let (tell, told) = sync_channel(1);
@@ -52,9 +52,9 @@ impl Wire {
                 std::thread::park_timeout(LOOK);
                 self.look();
             }
-            // What came before the end was asked for is still in the queues.
+            // Frames that arrived before the end are still in the queues.
             self.look();
-            // Nobody waits any more if it took too long.
+            // The receiver may have stopped waiting.
             let _ = tell.send(self.reports());
         };
         let thread = Builder::new()

@@ -1,4 +1,4 @@
-//! What a report says of the wire: one JSON object per bus, or a table for a person.
+//! The report on the timing of the wire: one JSON object per bus, or a table.
 
 use std::fmt;
 
@@ -6,61 +6,61 @@ use serde::Serialize;
 
 use crate::report::Percentiles;
 
-/// Whose instants the times are from.
+/// Source of the times.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Source {
-    /// The virtual bus's, exact to the bit. Its time waits for the host, so what the host misses does not show.
+    /// The virtual bus, exact to the bit. Its time waits for the host, so delays of the host are not visible.
     Virtual,
-    /// The kernel's stamps.
+    /// Time stamps of the kernel.
     Kernel,
-    /// The card's own stamps.
+    /// Time stamps of the CAN card.
     Hardware,
 }
 
-/// When a SYNC of this host gets its stamp.
+/// The moment at which a SYNC of this host is stamped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SyncStamp {
-    /// Once it was on the bus.
+    /// When the bus has carried the frame.
     Sent,
-    /// When the driver took it: what it waits for the bus is in the times to the answers.
+    /// When the driver takes the frame. The frame's wait for the bus is then part of the times to the answers.
     HandedOver,
 }
 
-/// One bus on the wire. Each time is between the ends of two frames.
+/// Timing of one bus. Each time is between the ends of two frames.
 #[derive(Debug, Serialize)]
 pub struct WireReport {
-    /// Its name.
+    /// Name of the bus.
     pub bus: String,
-    /// Whose instants these are; null where nothing tells when a frame was on the wire.
+    /// Source of the times; null where frames have no time stamps.
     pub source: Option<Source>,
-    /// When SYNC was stamped; null with the source.
+    /// The moment at which SYNC is stamped; null without a source.
     pub sync_stamp: Option<SyncStamp>,
-    /// From one SYNC to the next, µs; null where there were no two.
+    /// Time between two successive SYNCs, µs; null with less than two.
     pub sync_to_sync_us: Option<Percentiles>,
-    /// By how much that was off the period, either way, µs.
+    /// Absolute deviation of that time from the period, µs.
     pub sync_off_period_us: Option<Percentiles>,
-    /// Every drive, in the order of the cell; none where nothing is measured.
+    /// All drives, in the order of the cell; empty without measurements.
     pub nodes: Vec<NodeReport>,
-    /// Frames that were not read in time; each may be behind a SYNC that seems missing or unanswered.
+    /// Frames that were not read in time. Such a frame may cause a SYNC to seem missing or unanswered.
     pub lost_frames: u64,
 }
 
 /// The answers of one drive.
 #[derive(Debug, Serialize)]
 pub struct NodeReport {
-    /// Robot and axis.
+    /// Names of robot and axis.
     pub axis: String,
     /// Its node-ID.
     pub node: u8,
-    /// From SYNC to the answer, µs; null where none came.
+    /// Time from SYNC to the answer, µs; null without answers.
     pub sync_to_tpdo_us: Option<Percentiles>,
     /// SYNCs without an answer.
     pub unanswered: u64,
-    /// Answers that came behind the next SYNC, as far as they can be told.
+    /// Answers that came after the next SYNC and were recognised as late.
     pub late: u64,
-    /// Answers that no SYNC asked for.
+    /// Answers without a SYNC.
     pub surplus: u64,
 }
 

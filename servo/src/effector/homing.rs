@@ -1,4 +1,4 @@
-//! Homing of an effector: its axes in their order, and the return to set-points at its end.
+//! Homing of an effector: its axes in their order, and the return to set-points afterwards.
 
 use std::time::Duration;
 
@@ -9,8 +9,7 @@ use crate::axis::Axis;
 use crate::{Event, StopCause};
 
 impl Effector {
-    /// Watches homing by drives and moves on homing by the servo: a search that failed, the time-out,
-    /// the end.
+    /// Monitors homing by drives and advances homing by the servo, until success, failure or time-out.
     pub(super) fn home(&mut self, tick: &Tick, waited: Duration) {
         let order = self.homing_order();
         let mut failed = None;
@@ -18,7 +17,7 @@ impl Effector {
             let axis = &mut self.axes[index];
             match axis.state.homing {
                 Homing::InProgress => axis.searched = true,
-                // Before the search was seen, it is the verdict on an earlier one.
+                // Before a search was seen, this is the result of an earlier search.
                 Homing::Failed if axis.searched => {
                     failed = failed.or(Some((index, StopCause::HomingFailed)));
                 }
@@ -42,12 +41,12 @@ impl Effector {
         }
     }
 
-    /// Target := actual for every axis that does not follow yet; true once all do.
+    /// Sets the target of every axis that does not follow yet to its actual position. True once all axes follow.
     pub(super) fn settle(&mut self) -> bool {
         let mut settled = true;
         for axis in &mut self.axes {
             if !axis.follows() {
-                // A loop closed here captures as it begins, and holds from there.
+                // A loop closed by the servo takes the measured position when it starts, and holds from there.
                 if !axis.is_host_closed() {
                     axis.capture();
                 }
@@ -57,7 +56,7 @@ impl Effector {
         settled
     }
 
-    /// The order whose turn it is to home; `None` once all are.
+    /// The homing order whose turn it is; `None` once all axes are homed.
     pub(super) fn homing_order(&self) -> Option<u8> {
         let missing = self.axes.iter().filter(|axis| axis.needs_homing());
         missing.map(|axis: &Axis| axis.config.homing_order).min()

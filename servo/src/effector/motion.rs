@@ -1,11 +1,11 @@
-//! Motion of an effector: macrosteps begun one after the other, interpolated and vetted.
+//! Motion of an effector: macrosteps in sequence, interpolated and checked.
 
 use super::{Effector, Tick};
 use crate::interpolate::Segment;
 use crate::{Event, Knot, MAX_AXES, Macrostep, Order, State, StopCause};
 
 impl Effector {
-    /// Interpolates, beginning the next macrostep where one ends, and brakes if it cannot go on.
+    /// Interpolates, starts the next macrostep at the end of each one, and brakes on an error.
     pub(super) fn follow_macrosteps(&mut self, tick: &Tick) {
         if let Err((axis, cause)) = self.try_follow(tick) {
             self.fail(tick, axis, cause);
@@ -31,7 +31,7 @@ impl Effector {
                 .map_err(|cause| (Some(index), cause))?;
             knots[index] = knot;
         }
-        // Only now is any of it taken: an effector is never half commanded.
+        // The set-points are taken only after all were checked. An effector is never commanded in part.
         for (index, axis) in self.axes.iter_mut().enumerate() {
             axis.knot = knots[index];
             axis.torque = segment.torque(index);
@@ -52,7 +52,7 @@ impl Effector {
                     },
                 ));
             }
-            // A macrostep may claim an end at rest and yet arrive with speed.
+            // A macrostep may end with zero velocity and still arrive with a last step that is too fast.
             for (index, axis) in self.axes.iter().enumerate() {
                 axis.vet(axis.knot.position, tick.dt)
                     .map_err(|cause| (Some(index), cause))?;
@@ -66,7 +66,7 @@ impl Effector {
         self.admit(&macrostep)?;
         let told = macrostep.torque.iter().any(|torque| *torque != 0.0);
         if told && self.state == State::Standing {
-            // What loops have come to hold by themselves, since homing or since a stop elsewhere, changes hands.
+            // Bumpless transfer: the torque that loops hold since homing or since a stop moves into the feed-forward.
             let axes = self.axes.iter_mut().zip(macrostep.torque);
             axes.for_each(|(axis, torque)| axis.hand_over(torque));
         }
@@ -82,7 +82,7 @@ impl Effector {
         Ok(Some(Segment::new(macrostep, from, from_torque, tick.dt)))
     }
 
-    /// Whether a macrostep can be begun at all.
+    /// Checks whether a macrostep can be started.
     fn admit(&self, macrostep: &Macrostep) -> Result<(), (Option<usize>, StopCause)> {
         let Macrostep {
             number,

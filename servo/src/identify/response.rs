@@ -1,13 +1,13 @@
-//! From input and output of some periods to points of a frequency response.
+//! Points of a frequency response from some periods of input and output.
 
 use std::f64::consts::{FRAC_1_SQRT_2, TAU};
 
-/// What a response is of.
+/// Kind of a frequency response.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Response {
-    /// The loop cut open: crossover and margin are read from it.
+    /// The open loop, from which crossover and margin are read.
     Open,
-    /// From command to sample.
+    /// The closed loop, from command to sample.
     Closed,
 }
 
@@ -20,24 +20,24 @@ pub struct Point {
     pub magnitude: f64,
     /// rad, without jumps from point to point.
     pub phase: f64,
-    /// How far the periods agree, 0 to 1: below 0.9 a point says little.
+    /// Coherence of the periods, 0 to 1. A point below 0.9 is unreliable.
     pub coherence: f64,
 }
 
-/// What tells a good loop.
+/// Quality of a loop.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Margin {
-    /// Where the open loop's magnitude falls below 1 for good, Hz.
+    /// Frequency at which the open loop's magnitude finally falls below 1, Hz.
     pub crossover: f64,
-    /// What its phase is above half a turn there, rad.
+    /// Phase margin: phase above half a turn at the crossover, rad.
     pub phase: f64,
 }
 
-/// The response at `lines` from the whole periods of `length` samples in `input` and `output`, a sample each `dt`
-/// seconds.
+/// The response at `lines`, computed from the whole periods of `length` samples in `input` and `output`, with a sample
+/// each `dt` seconds.
 ///
-/// Every two periods in a row are a block, so two of them at least are needed. It is the ratio of the mean spectra, so
-/// noise in either one is not taken for loop.
+/// Every two successive periods are a block, so at least two periods are needed. The response is the ratio of the
+/// averaged spectra. Noise in input or output is therefore not taken for a response.
 pub fn respond(
     input: &[f64],
     output: &[f64],
@@ -52,7 +52,7 @@ pub fn respond(
     let blocks: Vec<_> = starts
         .map(|start| (&input[block(start)], &output[block(start)]))
         .collect();
-    // Where the first phase is looked for: about half a turn behind, or none.
+    // Initial value for the phase: about half a turn behind for an open loop, zero otherwise.
     let mut near = match response {
         Response::Open => -TAU / 2.0,
         Response::Closed => 0.0,
@@ -80,13 +80,15 @@ pub fn respond(
 
 /// Open loop of a drive, cut at its torque, from the response of its loops to an added torque.
 ///
-/// `answered` is the torque by which the loops oppose the added torque, and `left` is the sum of both. The drive samples
-/// both at the end of each hold period of `dt` seconds. The loops of the drive turn every `drive_period` seconds.
+/// `answered` is the torque by which the loops oppose the added torque, and `left` is the sum of both. The drive
+/// samples both at the end of each hold period of `dt` seconds. The loops of the drive turn every `drive_period`
+/// seconds.
 ///
-/// The opposing share is T = L / (1 + L), so L = T / (1 - T). A value held for a period acts half a period late, and its
-/// amplitude falls at high frequencies. A sample shows the value held for one drive period, and is half a drive period
-/// older than the value's effect. Both effects are compensated, since they are not part of the loop. At high loop gain
-/// `left` is small, and at low loop gain `answered` is small: the coherence of a point is the lower of the two.
+/// The opposing share is T = L / (1 + L), so L = T / (1 - T). A value held for a period acts half a period late, and
+/// its amplitude falls at high frequencies. A sample shows the value held for one drive period, and is half a drive
+/// period older than the value's effect. Both effects are compensated, since they are not part of the loop. At high
+/// loop gain `left` is small, and at low loop gain `answered` is small: the coherence of a point is the lower of the
+/// two.
 pub(super) fn opened(answered: &[Point], left: &[Point], dt: f64, drive_period: f64) -> Vec<Point> {
     const HALF_TURN: f64 = TAU / 2.0;
     let open = |(point, left): (&Point, &Point)| {
@@ -95,7 +97,7 @@ pub(super) fn opened(answered: &[Point], left: &[Point], dt: f64, drive_period: 
         let ahead = HALF_TURN * point.frequency * (dt - drive_period);
         let taken = Complex::polar(point.magnitude / share, point.phase - ahead);
         let open = taken.over(Complex(1.0, 0.0).plus(taken.times(-1.0)));
-        // At low frequencies `left` vanishes, and its noise would spoil a phase that is unwrapped from there.
+        // At low frequencies `left` vanishes, and its noise would disturb a phase unwrapped from there.
         let mut near = -HALF_TURN;
         Point {
             magnitude: open.power().sqrt(),
@@ -107,7 +109,7 @@ pub(super) fn opened(answered: &[Point], left: &[Point], dt: f64, drive_period: 
     answered.iter().zip(left).map(open).collect()
 }
 
-/// The angle that is `angle` but for whole turns, and nearest to the one before, which it takes the place of.
+/// The angle that differs from `angle` by whole turns and is nearest to the previous angle `near`, which it replaces.
 fn continued(near: &mut f64, angle: f64) -> f64 {
     *near = angle + TAU * ((*near - angle) / TAU).round();
     *near
@@ -122,12 +124,12 @@ pub fn margin(open: &[Point]) -> Option<Margin> {
     })
 }
 
-/// Where a closed loop falls below -3 dB for good, Hz; `None` if not between two points.
+/// Frequency at which a closed loop finally falls below -3 dB, Hz; `None` if no two points enclose it.
 pub fn bandwidth(closed: &[Point]) -> Option<f64> {
     last_fall(closed, FRAC_1_SQRT_2).map(|(frequency, _)| frequency)
 }
 
-/// Frequency and phase at which the magnitude falls below `level` last, between two points as straight lines on
+/// Frequency and phase at which the magnitude last falls below `level`. Points are connected by straight lines on
 /// logarithmic axes.
 fn last_fall(points: &[Point], level: f64) -> Option<(f64, f64)> {
     let falls = |pair: &&[Point]| pair[0].magnitude >= level && pair[1].magnitude < level;

@@ -1,4 +1,4 @@
-//! The motion under which an axis is measured, and what is kept of it.
+//! The motion during which an axis is measured, and the records kept of the axis.
 
 use std::ops::RangeInclusive;
 
@@ -11,31 +11,33 @@ use crate::{Excitation, MAX_AXES, Macrostep, PositionLoop, Record, ServoAxisConf
 /// Time at constant velocity before the excitation begins, s.
 const SETTLING: f64 = 0.5;
 
-/// One axis from rest to constant velocity, excited, and to rest; the others stand.
+/// Motion of one axis: acceleration from rest, constant velocity with excitation, and braking to rest. The other axes
+/// stand.
 #[derive(Clone, Debug)]
 pub struct Run {
-    /// The axis of its effector.
+    /// Index of the axis within its effector.
     pub axis: usize,
-    /// Where the axes stand when it begins, rad.
+    /// Initial positions of the axes, rad.
     pub start: [f64; MAX_AXES],
-    /// Velocity while it is excited, rad/s.
+    /// Velocity during the excitation, rad/s.
     pub velocity: f64,
-    /// On the way to it and from it, rad/s².
+    /// Acceleration and deceleration, rad/s².
     pub acceleration: f64,
     /// One period of the excitation; a whole number of macrosteps long.
     pub excitation: Vec<f64>,
-    /// How often it is measured; it is played once more before, for the transient.
+    /// Number of measured periods. One more period is played before them, for the transient.
     pub periods: usize,
     /// Cycles of a macrostep.
     pub steps: u16,
     /// Period of the servo, s.
     pub dt: f64,
-    /// Period of the loops of the drive, s, where a torque is added to theirs: what it shows is held for so long.
+    /// Period of the drive's loops, s, where a torque is added inside the drive. The drive holds each of its values
+    /// for this time.
     pub drive_period: f64,
 }
 
 impl Run {
-    /// What [`Servo::excite`](crate::Servo::excite) is given.
+    /// The excitation for [`Servo::excite`](crate::Servo::excite).
     pub fn excitation(&self) -> Excitation {
         Excitation {
             period: self.excitation.clone(),
@@ -43,7 +45,7 @@ impl Run {
         }
     }
 
-    /// The macrostep of this number, from 1; `None` after the last.
+    /// The macrostep with this number, counted from 1; `None` after the last.
     pub fn macrostep(&self, number: u64) -> Option<Macrostep> {
         if number == 0 || number > self.macrosteps() {
             return None;
@@ -75,12 +77,12 @@ impl Run {
         })
     }
 
-    /// How many macrosteps it has.
+    /// Number of macrosteps.
     pub fn macrosteps(&self) -> u64 {
         self.excited().end() + self.ramp()
     }
 
-    /// How far the axis moves, rad, with the sign of the velocity.
+    /// Displacement of the axis, rad, with the sign of the velocity.
     pub fn travel(&self) -> f64 {
         self.velocity * (self.macrosteps() - self.ramp()) as f64 * self.macrostep_time()
     }
@@ -91,7 +93,7 @@ impl Run {
         settled + 1..=settled + (cycles / usize::from(self.steps)) as u64
     }
 
-    /// Macrosteps to the velocity.
+    /// Number of macrosteps of the acceleration.
     fn ramp(&self) -> u64 {
         (self.velocity.abs() / self.acceleration / self.macrostep_time()).ceil() as u64
     }
@@ -101,14 +103,14 @@ impl Run {
     }
 }
 
-/// What a servo recorded of an axis since its excitation began.
+/// Records of an axis since the start of its excitation.
 #[derive(Clone, Debug, Default)]
 pub struct Trace {
     records: Vec<crate::AxisRecord>,
 }
 
 impl Trace {
-    /// Takes the record of a cycle; those before the excitation began are left out.
+    /// Takes the record of a cycle. Records before the start of the excitation are skipped.
     pub fn take(&mut self, record: &Record, axis: usize) {
         let record = record.axis[axis];
         if !self.records.is_empty() || record.excitation != 0.0 {
@@ -116,10 +118,10 @@ impl Trace {
         }
     }
 
-    /// The frequency response of an axis at `lines`; `None` if the run was broken off before its end.
+    /// The frequency response of an axis at `lines`; `None` if the run was interrupted.
     ///
-    /// The response is the open loop where the servo closes the position loop or the drive takes a torque, and the closed
-    /// loop otherwise. `delay` is the [`DriveGroup::delay`](drive::DriveGroup::delay) of the drive group.
+    /// The response is the open loop where the servo closes the position loop or the drive takes a torque, and the
+    /// closed loop otherwise. `delay` is the [`DriveGroup::delay`](drive::DriveGroup::delay) of the drive group.
     pub fn response(
         &self,
         run: &Run,

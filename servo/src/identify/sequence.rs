@@ -1,9 +1,9 @@
-//! Periodic sequences to excite an axis with, of `length` cycles.
+//! Periodic excitation sequences of `length` cycles.
 
 use std::f64::consts::{PI, TAU};
 
-/// At most `count` multiples of the sequence's own frequency from `low` to `high`, Hz, evenly spread on a
-/// logarithmic axis, no two the same and none the first; `dt` is the period of the servo, s.
+/// At most `count` multiples of the fundamental frequency from `low` to `high`, Hz, evenly spaced on a logarithmic
+/// axis. All multiples are different, and the fundamental itself is not used. `dt` is the period of the servo, s.
 pub fn lines(length: usize, dt: f64, [low, high]: [f64; 2], count: usize) -> Vec<usize> {
     let bins = length as f64 * dt;
     let step = (high / low).powf(1.0 / (count.max(2) - 1) as f64);
@@ -19,14 +19,14 @@ pub fn lines(length: usize, dt: f64, [low, high]: [f64; 2], count: usize) -> Vec
     lines
 }
 
-/// Sines of equal amplitude at `lines`, their phases by Schroeder (IEEE Trans. Inf. Theory 16 (1970) 85), the
-/// greatest value `amplitude`.
+/// Sum of sines of equal amplitude at `lines`, with phases by Schroeder (IEEE Trans. Inf. Theory 16 (1970) 85). The
+/// greatest value is `amplitude`.
 pub fn multisine(length: usize, lines: &[usize], amplitude: f64) -> Vec<f64> {
     let count = lines.len().max(1) as f64;
     let value = |at: usize| -> f64 {
         let sine = |(number, &line): (usize, &usize)| {
             let phase = -PI * (number * (number + 1)) as f64 / count;
-            // The product is reduced first: a sine of thousands of turns has lost its last digits.
+            // The product is reduced first, because a sine of thousands of turns would lose its last digits.
             let turn = (line * at % length) as f64 / length as f64;
             (TAU * turn + phase).cos()
         };
@@ -35,7 +35,7 @@ pub fn multisine(length: usize, lines: &[usize], amplitude: f64) -> Vec<f64> {
     scaled((0..length).map(value).collect(), amplitude)
 }
 
-/// A sine that rises from the first of `lines` to the last, each octave as long as the others.
+/// A sine whose frequency rises from the first of `lines` to the last, with equal time for each octave.
 pub fn chirp(length: usize, lines: &[usize], amplitude: f64) -> Vec<f64> {
     let (Some(&first), Some(&last)) = (lines.first(), lines.last()) else {
         return vec![0.0; length];

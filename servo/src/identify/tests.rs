@@ -7,8 +7,8 @@ use super::*;
 const DT: f64 = 0.002;
 const LENGTH: usize = 1000;
 
-/// A loop of `gain / s` over a delay of `delay` samples, excited at its plant: what the law puts out and what
-/// the plant gets.
+/// A loop of `gain / s` over a delay of `delay` samples, excited at the input of its plant. Returns the output of the
+/// law and the input of the plant.
 fn integrator(gain: f64, delay: usize, excitation: &[f64], periods: usize) -> (Vec<f64>, Vec<f64>) {
     let (mut position, mut past) = (0.0, vec![0.0; delay + 1]);
     let (mut input, mut output) = (Vec::new(), Vec::new());
@@ -48,8 +48,8 @@ fn an_integrator_with_a_delay_is_measured_as_it_is_calculated() {
     }
 }
 
-/// A drive that holds a velocity of zero by `gain`, 1/s, of an inertia of one, turning its loop every `tenths` tenths of a
-/// millisecond: the torque that is added to its own, and what it shows at the end of each cycle.
+/// A drive that controls the velocity of a unit inertia to zero with `gain`, 1/s, and a loop period of `tenths` tenths
+/// of a millisecond. Returns the added torque, and the torque that the drive reports at the end of each cycle.
 fn drive(gain: f64, tenths: usize, excitation: &[f64], periods: usize) -> (Vec<f64>, Vec<f64>) {
     const TENTH: f64 = 1e-4;
     let (mut velocity, mut torque) = (0.0, 0.0);
@@ -91,7 +91,7 @@ fn the_loop_of_a_drive_is_that_of_its_own_period_not_of_the_bus() {
             (found.crossover / crossover - 1.0).abs() < 0.02,
             "{found:?}"
         );
-        // What the loop passes of the images of a held torque folds back, 0.04 rad at 45 Hz.
+        // The images of a held torque that the loop passes fold back: 0.04 rad at 45 Hz.
         assert!((found.phase - phase).abs() < 0.05, "{found:?}, {phase}");
         assert!(points.iter().all(|it| it.coherence > 0.99), "{points:?}");
     }
@@ -143,7 +143,7 @@ fn noise_in_one_period_and_not_in_the_next_costs_coherence() {
     let excitation = multisine(LENGTH, &lines, 1.0);
     let (input, mut output) = integrator(60.0, 2, &excitation, 4);
     for (at, value) in output.iter_mut().enumerate() {
-        // A line of the spectrum whose phase is another in every period.
+        // A line of the spectrum with a different phase in every period.
         let angle = TAU * lines[30] as f64 * at as f64 / LENGTH as f64;
         *value += (angle + (at / LENGTH) as f64 * 1.7).cos();
     }

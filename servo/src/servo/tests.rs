@@ -107,7 +107,7 @@ impl Rig {
         self.reports().iter().map(|report| report.phase).collect()
     }
 
-    /// Positions that axis `axis` was told to follow, cycle by cycle.
+    /// Commanded positions of axis `axis`, cycle by cycle.
     fn positions(&self, axis: usize) -> Vec<f64> {
         let position = |batch: &Vec<AxisCommand>| match batch[axis] {
             AxisCommand::Follow(Setpoint::Position(position)) => Some(position.get()),
@@ -120,8 +120,8 @@ impl Rig {
         self.world().sent.last().unwrap().clone()
     }
 
-    /// Queues constant acceleration over `ramp` macrosteps of 10 periods, then as many of constant
-    /// speed as `cruise` says; ends in motion. Position and velocity at the end.
+    /// Queues constant acceleration over `ramp` macrosteps of 10 periods, then `cruise` macrosteps of constant speed.
+    /// The sequence ends in motion. Returns position and velocity at its end.
     fn accelerate(&mut self, acceleration: f64, ramp: u64, cruise: u64) -> (f64, f64) {
         let (mut position, mut velocity) = (0.0, 0.0);
         for number in 1..=ramp + cruise {
@@ -146,7 +146,7 @@ fn macrostep(number: u64, steps: u16, position: f64, velocity: f64) -> Macrostep
     }
 }
 
-/// First and second difference of a sequence never exceed the limits by more than a thousandth.
+/// Checks that the first and second difference of a sequence exceed the limits by at most a thousandth.
 fn keeps_limits(positions: &[f64]) -> Result<(), TestCaseError> {
     for (at, three) in positions.windows(3).enumerate() {
         let velocity = (three[2] - three[1]) / DT;
@@ -165,7 +165,7 @@ fn keeps_limits(positions: &[f64]) -> Result<(), TestCaseError> {
 
 #[test]
 fn control_sees_the_nominal_period_and_records_have_the_real_one() {
-    // The same orders under a punctual clock and one that wavers by up to 0.4 periods.
+    // The same orders under a punctual clock, and under a clock with a jitter of up to 0.4 periods.
     let run = |waver: i32| {
         let (group, world) = scripted::group(2);
         for drive in &mut world.lock().unwrap().axes {

@@ -14,31 +14,31 @@ const STALE: u32 = 16;
 /// disturbs its own cycle, after which the account is read.
 const FAULT: Duration = Duration::from_micros(2);
 
-/// How often the kernel's account of the thread was read, each time with two system calls, and why.
+/// Number of readings of the kernel's account of the thread by reason. Each reading takes two system calls.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AccountReads {
     /// After a cycle that was late or otherwise out of the ordinary.
     pub disturbed: u64,
     /// After the last of 16 quiet cycles.
     pub quiet: u64,
-    /// Before the wait, since what followed a cycle took more than a hundredth of the period.
+    /// Before the wait, because the work after a cycle took more than a hundredth of the period.
     pub slack: u64,
 }
 
-/// What the kernel counted for one thread since it was read last.
+/// Counts of the kernel for one thread since the last reading.
 #[derive(Debug)]
 pub struct Account {
     /// `/proc/thread-self/schedstat`, opened before the first cycle; none where the kernel has none.
     schedstat: Option<File>,
     last: Usage,
-    /// Wake-up latencies of the quiet cycles since: their delays at most.
+    /// Wake-up latencies of the quiet cycles since then: an upper bound of their delays.
     quiet: Duration,
     cycles: u32,
     reads: AccountReads,
 }
 
 impl Account {
-    /// Of the calling thread, from now on.
+    /// An account of the calling thread, starting now.
     pub fn open() -> Self {
         let mut account = Self {
             schedstat: File::open("/proc/thread-self/schedstat").ok(),
@@ -51,7 +51,7 @@ impl Account {
         account
     }
 
-    /// How often it was read in cycles.
+    /// Number of readings in cycles.
     pub(super) fn reads(&self) -> AccountReads {
         self.reads
     }
@@ -62,7 +62,7 @@ impl Account {
         self.reads.slack += 1;
     }
 
-    /// Counts from now on: two system calls.
+    /// Starts counting: two system calls.
     fn begin(&mut self) {
         self.last = Usage {
             delay: self.delay(),
@@ -71,7 +71,8 @@ impl Account {
         (self.quiet, self.cycles) = (Duration::ZERO, 0);
     }
 
-    /// Counts of the disturbed cycle that was `late`, without the share of the quiet cycles before. Restarts the counts.
+    /// Counts of the disturbed cycle that was `late`, without the share of the quiet cycles before. Restarts the
+    /// counts.
     pub fn settle(&mut self, late: Duration) -> Usage {
         let (before, quiet, cycles) = (self.last, self.quiet, self.cycles);
         self.begin();
@@ -79,7 +80,7 @@ impl Account {
         of_last(self.last.since(before), late, quiet, cycles)
     }
 
-    /// A cycle was quiet, and the thread was woken this late for it.
+    /// Takes a quiet cycle, whose wake-up was late by `latency`.
     pub fn pass(&mut self, latency: Duration) {
         self.quiet += latency;
         self.cycles += 1;
@@ -89,7 +90,8 @@ impl Account {
         }
     }
 
-    /// Time that the thread was runnable and did not run: the second field, ns (Documentation/scheduler/sched-stats.rst).
+    /// Time that the thread was runnable and did not run: the second field, ns
+    /// (Documentation/scheduler/sched-stats.rst).
     fn delay(&self) -> Option<Duration> {
         let mut text = [0; 64];
         let read = self.schedstat.as_ref()?.read_at(&mut text, 0).ok()?;
@@ -97,8 +99,8 @@ impl Account {
     }
 }
 
-/// The part of `counted` that delayed the last cycle, which was `late`. The quiet `cycles` before were woken `quiet`
-/// late in total.
+/// The part of `counted` that delayed the last cycle, whose lateness was `late`. `quiet` is the sum of the wake-up
+/// latencies of the quiet `cycles` before.
 fn of_last(counted: Usage, late: Duration, quiet: Duration, cycles: u32) -> Usage {
     let mut counted = counted;
     if counted.switches == 0 {
@@ -106,7 +108,7 @@ fn of_last(counted: Usage, late: Duration, quiet: Duration, cycles: u32) -> Usag
         counted.delay = counted.delay.map(|delay| delay.saturating_sub(quiet));
     }
     if cycles > 0 {
-        // Which cycle they belong to is unknown: few page faults, or a switch, may belong to any of the cycles.
+        // The counts may belong to any of the cycles: few page faults, or a context switch.
         let took = FAULT.saturating_mul(u32::try_from(counted.faults).unwrap_or(u32::MAX));
         if took < late / 2 {
             counted.faults = 0;
@@ -116,7 +118,7 @@ fn of_last(counted: Usage, late: Duration, quiet: Duration, cycles: u32) -> Usag
     counted
 }
 
-/// The second of the numbers in `text`.
+/// The second number in `text`.
 fn parse(text: &[u8]) -> Option<Duration> {
     let field = std::str::from_utf8(text)
         .ok()?
@@ -132,7 +134,7 @@ mod tests {
     #[test]
     fn what_quiet_cycles_may_have_counted_is_not_the_late_ones() {
         let micros = Duration::from_micros;
-        // Faults, switches, delay; quiet cycles and how late those were woken; what is left; µs, 400 µs late.
+        // Faults, switches, delay; quiet cycles and their wake-up latency; the result; in µs, for a cycle 400 µs late.
         let cases = [
             ((1, 0, Some(0)), (0, 0), (1, 0, Some(0))),
             ((1, 0, Some(0)), (10, 50), (0, 0, Some(0))),

@@ -4,28 +4,28 @@ use std::time::Duration;
 
 use super::Awake;
 
-/// Who took the time of a late cycle.
+/// Cause of a late cycle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Cause {
-    /// Its own computing: regulators, set-points, and the figures it keeps once SYNC has left.
+    /// The servo's own computing: regulators, set-points, and statistics after SYNC.
     OwnStep,
     /// Reading from a bus, or writing to one.
     Bus,
-    /// What the caller has the thread do between cycles: on an emulated bench, the emulators of the whole cell.
+    /// Work of the caller between cycles: on an emulated bench, the emulators of the whole cell.
     BetweenCycles,
     /// A page of the process was not in memory.
     PageFault,
     /// Another thread was given the CPU.
     Preempted,
-    /// The kernel or the hypervisor woke the thread later than it asked for.
+    /// The kernel or the hypervisor woke the thread later than requested.
     LateWakeUp,
-    /// The thread had the CPU by the kernel's account, and time passed between two reads of the clock: an
-    /// interrupt, or the hypervisor.
+    /// According to the kernel, the thread had the CPU while time passed between two reads of the clock: an interrupt,
+    /// or the hypervisor.
     Host,
 }
 
 impl Cause {
-    /// All, the least of a host's faults first.
+    /// All causes, ordered from the servo's own work to the host.
     pub const ALL: [Self; 7] = [
         Self::OwnStep,
         Self::Bus,
@@ -36,7 +36,7 @@ impl Cause {
         Self::Host,
     ];
 
-    /// Its name.
+    /// Name of the cause.
     pub fn name(self) -> &'static str {
         match self {
             Self::OwnStep => "own step",
@@ -49,11 +49,11 @@ impl Cause {
         }
     }
 
-    /// Who made a cycle `late` that `spent` its time so, by what the kernel counted meanwhile.
+    /// The cause of a cycle that was `late`, from the times of its parts and the kernel's counts.
     ///
-    /// A hypervisor that stops the computer inside the step, or between cycles, cannot be told from what is done there.
+    /// A pause by the hypervisor during a part of the cycle cannot be distinguished from the work of that part.
     pub fn of_cycle(late: Duration, spent: &Spent, counted: Usage) -> Self {
-        // What took less than half of the time is not what took it.
+        // A cause must explain at least half of the lateness.
         let preempted = match counted.delay {
             Some(delay) => delay >= late / 2,
             None => counted.switches > 0,
@@ -78,23 +78,23 @@ impl Cause {
     }
 }
 
-/// Where a cycle's time went, from the SYNC before to its own.
+/// Use of the time from the previous SYNC to the SYNC of this cycle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Spent {
-    /// In computing.
+    /// Time of computing.
     pub own: Duration,
-    /// In reading from buses and writing to them.
+    /// Time of reading from buses and writing to them.
     pub bus: Duration,
-    /// In what the caller does between cycles.
+    /// Time of the caller's work between cycles.
     pub between: Duration,
-    /// From when the thread asked to be woken to when it ran.
+    /// Time from the requested wake-up until the thread ran.
     pub wake_up: Duration,
-    /// Between two reads of the clock while it spun, the longest.
+    /// Longest time between two reads of the clock during a spin.
     pub gap: Duration,
 }
 
 impl Spent {
-    /// Up to the end of a wait. What was spent before it counts if it left no time to sleep.
+    /// The times up to the end of a wait. The times `before` the wait count only if they left no time to sleep.
     pub fn waiting(awake: &Awake, before: Self) -> Self {
         let (gap, slept) = (awake.gap, awake.wake_up_latency());
         let of_wait = |wake_up| Self {
@@ -108,25 +108,25 @@ impl Spent {
     }
 }
 
-/// What the kernel counted for one thread.
+/// Counts of the kernel for one thread.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Usage {
     /// Page faults, with and without reading from a disk.
     pub faults: u64,
-    /// Times that the CPU was taken from it for another thread.
+    /// Number of times that another thread took the CPU.
     pub switches: u64,
-    /// Time that it could have run while another thread did; `None` where the kernel does not say.
+    /// Time during which the thread was ready but another thread ran; `None` where the kernel does not report it.
     pub delay: Option<Duration>,
 }
 
 impl Usage {
-    /// Of the calling thread, since it began: one system call.
+    /// Counts of the calling thread since its start: one system call.
     #[expect(
         unsafe_code,
         reason = "getrusage has no safe wrapper among our dependencies"
     )]
     pub fn of_this_thread() -> Self {
-        // SAFETY: a rusage is plain numbers, and `usage` is one for the call to fill.
+        // SAFETY: a rusage consists of plain numbers, and the call fills `usage`.
         let usage = unsafe {
             let mut usage: libc::rusage = std::mem::zeroed();
             libc::getrusage(libc::RUSAGE_THREAD, &raw mut usage);
@@ -139,7 +139,7 @@ impl Usage {
         }
     }
 
-    /// What was counted since `earlier`.
+    /// Counts since `earlier`.
     pub fn since(self, earlier: Self) -> Self {
         Self {
             faults: self.faults.saturating_sub(earlier.faults),
@@ -251,7 +251,7 @@ mod tests {
     fn a_touched_page_is_counted_as_a_fault() {
         let before = Usage::of_this_thread();
         let pages = 64 * 4096;
-        // Fresh pages of the system's: too many for the allocator to have had.
+        // Fresh pages of the system: too many for the allocator to have had them.
         let mut memory = vec![0u8; 64 * pages];
         memory.iter_mut().step_by(4096).for_each(|byte| *byte = 1);
         std::hint::black_box(&memory);

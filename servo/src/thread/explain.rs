@@ -1,4 +1,4 @@
-//! Why a cycle was late, or slots were let go before it.
+//! Causes of late cycles and skipped slots.
 
 use std::time::Duration;
 
@@ -6,26 +6,26 @@ use can::Instant;
 
 use super::{Awake, Cause, LateCycle, Run, Spent};
 
-/// Share of the period, as a divisor, by which a SYNC may leave late without a question why.
+/// A SYNC that leaves late by more than this fraction of the period, given as a divisor, is explained.
 pub(super) const LATE: u32 = 100;
 
-/// Time between two reads of the clock in a spin from which on somebody took the CPU.
+/// Shortest time between two reads of the clock in a spin that counts as a loss of the CPU.
 pub const GAP: Duration = Duration::from_micros(5);
 
-/// What the cycle before leaves to the next.
+/// Data of the last cycle for the next one.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Before {
-    /// When its SYNC was handed over, when that was done, and when all else was and the caller was called.
+    /// Time at which SYNC was sent, time at which sending had ended, and time at which the caller got the thread.
     pub sync: Instant,
     pub done: Instant,
     pub called: Instant,
-    /// How late that was, zero if it was punctual.
+    /// Lateness of the last cycle; zero if punctual.
     pub late: Duration,
 }
 
 impl Run {
-    /// Attributes the cycle's lateness, and that of the slots let go before it. The kernel is asked only if something
-    /// was out of the ordinary. Returns the worse of them.
+    /// Finds the causes of a late cycle and of the slots skipped before it. The kernel's counts are read only after
+    /// something unusual. Returns the one with the greater lateness.
     pub(super) fn explain(
         &mut self,
         late: Duration,
@@ -60,8 +60,8 @@ impl Run {
         worse
     }
 
-    /// Where the time went up to the end of a wait, of a cycle that `begun` then. What is left of the delay that let a
-    /// slot go is of that: without a sleep of its own the time since the SYNC before has been told of.
+    /// Use of the time up to the end of a wait. `begun` is the time at which the caller was done. A wait without a
+    /// sleep after skipped slots belongs to their delay, because the time since the previous SYNC is already explained.
     pub(super) fn waited(&self, begun: Instant, awake: &Awake) -> Spent {
         let Before {
             sync, done, called, ..

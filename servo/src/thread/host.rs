@@ -1,4 +1,4 @@
-//! What a real-time thread asks of the host, one by one, and what the host denied.
+//! Real-time settings of the host that a thread requests, and the requests that the host denied.
 
 use std::fmt;
 use std::fs::{File, OpenOptions};
@@ -15,17 +15,17 @@ use thread_priority::{
 use super::RealtimePolicy;
 use super::wait::BUSY_SHARE;
 
-/// Bytes of the stack that are touched before the first cycle.
+/// Bytes of the stack touched before the first cycle.
 const PREFAULTED: usize = 128 * 1024;
 
-/// Keeps all CPUs from idle states that take time to leave, while it exists.
+/// Keeps all CPUs out of idle states with an exit latency, as long as the value exists.
 #[derive(Debug)]
 pub struct CpuLatency(
     #[expect(dead_code, reason = "the request lasts as long as the file is open")] File,
 );
 
 impl CpuLatency {
-    /// Asks the kernel's power management for a latency of 0 µs; usually granted to root alone.
+    /// Requests a latency of 0 µs from the kernel's power management; usually granted to root only.
     pub fn hold() -> io::Result<Self> {
         let mut file = OpenOptions::new()
             .write(true)
@@ -34,7 +34,7 @@ impl CpuLatency {
         Ok(Self(file))
     }
 
-    /// The same for a servo that runs; a kernel without the file has no idle states to keep away from.
+    /// The same for a running servo. A kernel without the file has no such idle states.
     pub(super) fn demand() -> Result<Option<Self>, Denial> {
         match Self::hold() {
             Ok(held) => Ok(Some(held)),
@@ -46,10 +46,11 @@ impl CpuLatency {
     }
 }
 
-/// Where the lines that grant a [`Limit`] belong.
+/// The file for the lines that grant a [`Limit`].
 pub const LIMITS: &str = "/etc/security/limits.d/mrroc.conf";
 
-/// What a line of [`LIMITS`] grants to the members of group realtime (limits.conf(5)); its words are that line.
+/// A line of [`LIMITS`], which grants a limit to the members of group realtime (limits.conf(5)). `Display` writes the
+/// line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Limit {
     /// SCHED_FIFO up to this priority.
@@ -67,7 +68,7 @@ impl fmt::Display for Limit {
     }
 }
 
-/// How to have a [`Limit`] granted, in words.
+/// Instructions for granting a [`Limit`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Grant(pub Limit);
 
@@ -86,7 +87,7 @@ impl fmt::Display for Grant {
     }
 }
 
-/// How to have SCHED_DEADLINE granted where the kernel said `.0`, in words (sched(7), sched_setattr(2)).
+/// Instructions for granting SCHED_DEADLINE, where `.0` is the kernel's error (sched(7), sched_setattr(2)).
 struct DeadlineGrant(i32);
 
 impl fmt::Display for DeadlineGrant {
@@ -106,7 +107,7 @@ impl fmt::Display for DeadlineGrant {
     }
 }
 
-/// What the host denied, and how to have it granted.
+/// A request denied by the host, with instructions for granting it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum Denial {
     /// SCHED_FIFO.
@@ -115,9 +116,9 @@ pub enum Denial {
         Grant(Limit::Priority(*priority))
     )]
     Fifo {
-        /// The priority asked for.
+        /// The requested priority.
         priority: u8,
-        /// What the system said; `EINVAL` for a priority that does not exist.
+        /// Error of the system; `EINVAL` for a priority that does not exist.
         errno: i32,
     },
     /// SCHED_DEADLINE.
@@ -126,12 +127,12 @@ pub enum Denial {
         DeadlineGrant(*errno)
     )]
     Deadline {
-        /// The budget asked for.
+        /// The requested budget.
         runtime: Duration,
-        /// The period of it.
+        /// The period of the budget.
         period: Duration,
-        /// What the system said; `EPERM` without CAP_SYS_NICE or with less than all CPUs, `EBUSY` if other
-        /// deadline threads leave too little.
+        /// Error of the system; `EPERM` without CAP_SYS_NICE or with less than all CPUs, `EBUSY` if other deadline
+        /// threads leave too little time.
         errno: i32,
     },
     /// `mlockall`.
@@ -140,7 +141,7 @@ pub enum Denial {
         Grant(Limit::LockedMemory)
     )]
     LockMemory {
-        /// What the system said.
+        /// Error of the system.
         errno: i32,
     },
     /// `sched_setaffinity`.
@@ -149,9 +150,9 @@ pub enum Denial {
          cpuset.cpus list the ones there are"
     )]
     Cpu {
-        /// The CPU asked for.
+        /// The requested CPU.
         cpu: usize,
-        /// What the system said.
+        /// Error of the system.
         errno: i32,
     },
     /// `prctl(PR_SET_TIMERSLACK)`.
@@ -159,7 +160,7 @@ pub enum Denial {
         "a timer slack of 1 ns was denied (errno {errno}); no privilege is needed, so a seccomp filter denies it"
     )]
     TimerSlack {
-        /// What the system said.
+        /// Error of the system.
         errno: i32,
     },
     /// `/dev/cpu_dma_latency`.
@@ -168,25 +169,26 @@ pub enum Denial {
          `KERNEL==\"cpu_dma_latency\", GROUP=\"realtime\", MODE=\"0660\"` in /etc/udev/rules.d/99-realtime.rules"
     )]
     CpuLatency {
-        /// What the system said.
+        /// Error of the system.
         errno: i32,
     },
 }
 
-/// What schedules a real-time thread.
+/// Scheduling policy of a real-time thread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scheduler {
-    /// SCHED_FIFO: it runs before all threads of a lower priority, for as long as it wants to.
+    /// SCHED_FIFO: the thread runs before all threads of a lower priority, without a time limit.
     Fifo,
-    /// SCHED_DEADLINE: it runs before all threads under SCHED_FIFO, for nine tenths of each period at most. A thread
-    /// that has used them up stands still until the period is over, which is a late cycle. No CPU can be asked for.
+    /// SCHED_DEADLINE: the thread runs before all threads under SCHED_FIFO, for at most nine tenths of each period. A
+    /// thread that has used its budget stands still until the period ends, which makes the cycle late. No CPU can be
+    /// requested.
     Deadline {
-        /// The period of the budget: the servo's.
+        /// The period of the budget, equal to the servo period.
         period: Duration,
     },
 }
 
-/// Asks the host for what the policy wants on the calling thread; returns what it denied.
+/// Requests the settings of the policy for the calling thread; returns the denied ones.
 pub fn demand(policy: &RealtimePolicy) -> Vec<Denial> {
     let mut denied = Vec::new();
     denied.extend(set_timer_slack().err());
@@ -203,19 +205,19 @@ pub fn demand(policy: &RealtimePolicy) -> Vec<Denial> {
     denied
 }
 
-/// Puts the calling thread under SCHED_DEADLINE, with the time that work and spin together may take as its budget
-/// in each `period`. Threads and processes that it starts do not inherit it.
+/// Puts the calling thread under SCHED_DEADLINE. The budget of each `period` is the permitted time of work and spin
+/// together. Threads and processes started by this thread do not inherit the policy.
 pub fn set_deadline(period: Duration) -> Result<(), Denial> {
     let runtime = period.mul_f64(BUSY_SHARE);
     let priority = ThreadPriority::Deadline {
         runtime,
         deadline: period,
         period,
-        // Without it the kernel lets a deadline thread start no other.
+        // Without this flag, the kernel does not let a deadline thread start other threads.
         flags: DeadlineFlags::RESET_ON_FORK,
     };
     let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Deadline);
-    // The crate takes a number of the kernel's here, where 0 is this thread, and leaves what was wrong in errno.
+    // The crate takes the kernel's thread ID here, where 0 is this thread, and leaves the error in errno.
     set_thread_priority_and_policy(0, priority, policy).map_err(|_| Denial::Deadline {
         runtime,
         period,
@@ -223,8 +225,8 @@ pub fn set_deadline(period: Duration) -> Result<(), Denial> {
     })
 }
 
-/// Puts the calling thread under SCHED_FIFO at this priority; for threads that the servo needs, such as
-/// the controller's, each below it.
+/// Puts the calling thread under SCHED_FIFO at this priority. This function is for threads that the servo needs, such
+/// as the controller's, each at a lower priority than the servo.
 pub fn set_fifo(priority: u8) -> Result<(), Denial> {
     let denial = |errno| Denial::Fifo { priority, errno };
     let value = ThreadPriorityValue::try_from(priority).map_err(|_| denial(libc::EINVAL))?;
@@ -239,7 +241,7 @@ pub fn set_fifo(priority: u8) -> Result<(), Denial> {
     reset_on_fork(value.into()).map_err(denial)
 }
 
-/// Keeps SCHED_FIFO from the threads and processes that this thread starts.
+/// Keeps threads and processes started by this thread from inheriting SCHED_FIFO.
 #[expect(
     unsafe_code,
     reason = "sched_setscheduler has no safe wrapper among our dependencies"
@@ -249,7 +251,7 @@ fn reset_on_fork(priority: u8) -> Result<(), i32> {
     let param = libc::sched_param {
         sched_priority: priority.into(),
     };
-    // SAFETY: 0 means this thread, and `param` outlives the call. The libc's own function may refuse the flag.
+    // SAFETY: 0 means this thread, and `param` outlives the call. The function of libc may refuse the flag.
     let result =
         unsafe { libc::syscall(libc::SYS_sched_setscheduler, 0, policy, &raw const param) };
     check(result as libc::c_int)
@@ -260,7 +262,7 @@ fn reset_on_fork(priority: u8) -> Result<(), i32> {
     reason = "mlockall has no safe wrapper among our dependencies"
 )]
 fn lock_memory() -> Result<(), Denial> {
-    // SAFETY: it changes how pages are kept, not what is in them.
+    // SAFETY: the call changes where pages are kept, not their content.
     let result = unsafe { libc::mlockall(libc::MCL_CURRENT | libc::MCL_FUTURE) };
     check(result).map_err(|errno| Denial::LockMemory { errno })
 }
@@ -276,7 +278,7 @@ fn stay_on(cpu: usize) -> Result<(), Denial> {
             errno: libc::EINVAL,
         });
     }
-    // SAFETY: a cpu_set_t is plain bits, `cpu` is below its size, and 0 means this thread.
+    // SAFETY: a cpu_set_t consists of plain bits, `cpu` is below its size, and 0 means this thread.
     let result = unsafe {
         let mut set: libc::cpu_set_t = std::mem::zeroed();
         libc::CPU_SET(cpu, &mut set);
@@ -302,7 +304,7 @@ fn check(result: libc::c_int) -> Result<(), i32> {
     Err(io::Error::last_os_error().raw_os_error().unwrap_or(0))
 }
 
-/// Touches the stack that cycles will use, so that no page of it is missing later.
+/// Touches the stack that cycles will use, so that no page fault occurs later.
 #[inline(never)]
 fn prefault_stack() {
     hint::black_box(&mut [0u8; PREFAULTED]);

@@ -1,41 +1,41 @@
-//! Late cycles: counts by cause, and the worst.
+//! Late cycles: counts by cause, and the worst cycles.
 
 use std::time::Duration;
 
 use super::Cause;
 
-/// How many late cycles are kept one by one.
+/// Number of late cycles that are kept individually.
 const KEPT: usize = 8;
 
 /// One late cycle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LateCycle {
-    /// Its number, from 0.
+    /// Number of the cycle, counted from 0.
     pub cycle: u64,
-    /// When it was due, from the first deadline.
+    /// Due time, from the first deadline.
     pub due: Duration,
-    /// How late it was.
+    /// Lateness.
     pub late: Duration,
-    /// Who took the time.
+    /// Cause of the lateness.
     pub cause: Cause,
 }
 
-/// Who made cycles late, and the worst of them. Of fixed size: recording does not allocate.
+/// Counts of late cycles by cause, and the worst cycles. The size is fixed: recording does not allocate.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct LateCycles {
     counts: [u64; Cause::ALL.len()],
-    /// The latest first, then the earlier; none where there were fewer.
+    /// The worst cycles in descending order of lateness; the rest is `None`.
     worst: [Option<LateCycle>; KEPT],
 }
 
 impl LateCycles {
-    /// Counts one, and keeps it if it is among the latest.
+    /// Counts a late cycle, and keeps it if it is among the worst.
     pub fn record(&mut self, late: LateCycle) {
         self.counts[late.cause as usize] += 1;
         self.keep(late);
     }
 
-    /// Counts those of another run as well; the numbers and times of its cycles are its own.
+    /// Adds the late cycles of another run. Their numbers and times still refer to that run.
     pub fn add(&mut self, other: &Self) {
         for (count, more) in self.counts.iter_mut().zip(other.counts) {
             *count += more;
@@ -51,17 +51,17 @@ impl LateCycles {
         }
     }
 
-    /// How many there were.
+    /// Number of late cycles.
     pub fn count(&self) -> u64 {
         self.counts.iter().sum()
     }
 
-    /// How many each cause made, in the order of [`Cause::ALL`].
+    /// Number of late cycles per cause, in the order of [`Cause::ALL`].
     pub fn causes(&self) -> impl Iterator<Item = (Cause, u64)> {
         Cause::ALL.into_iter().zip(self.counts)
     }
 
-    /// The eight latest, the worst first.
+    /// The eight cycles with the greatest lateness, the worst first.
     pub fn worst(&self) -> impl Iterator<Item = LateCycle> {
         self.worst.iter().copied().flatten()
     }

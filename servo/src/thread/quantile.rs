@@ -2,10 +2,10 @@
 
 use std::time::Duration;
 
-/// One in this many observations is longer than what is learnt.
+/// One in this many observations exceeds the learnt bound.
 const RARE: u32 = 1000;
 
-/// Observations too long in a row that take it from zero to its ceiling.
+/// Number of too long observations in a row that raise the bound from zero to its ceiling.
 const RISES: u32 = 32;
 
 /// A bound, learnt from durations as they are observed, that all but about one in 1000 keep within.
@@ -21,7 +21,7 @@ pub(super) struct LearntQuantile {
 }
 
 impl LearntQuantile {
-    /// Begins at `value`, and never exceeds `ceiling`.
+    /// A bound that starts at `value` and never exceeds `ceiling`.
     pub(super) fn new(value: Duration, ceiling: Duration) -> Self {
         let value = value.min(ceiling);
         Self { value, ceiling }

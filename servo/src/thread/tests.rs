@@ -1,4 +1,4 @@
-//! Tests of the servo thread by the clock.
+//! Tests of the servo thread in real time.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
@@ -83,7 +83,7 @@ fn with_a_hybrid_wait_sync_leaves_at_the_deadline_however_long_preparing_takes()
     let timing = finished.timing;
     assert!(timing.wait.lead > work && timing.wait.margin > Duration::ZERO);
     assert!(timing.wait.spin_share > 0.0);
-    // The host may be very late, but not most of the time.
+    // The host may be very late at times, but not in most cycles.
     assert!(timing.sync.quantile(0.5) < work, "{:?}", timing.sync);
 }
 
@@ -126,7 +126,7 @@ fn missed_slots_are_skipped_and_never_caught_up() {
         last = due;
         cycles += 1;
         if cycles == 5 {
-            // Work that is three periods too long.
+            // Work that takes three periods too long.
             sleep_until(now() + 4 * PERIOD);
         }
     };
@@ -162,7 +162,7 @@ fn nominal_time_stands_still_while_deadlines_are_missed() {
 
 #[test]
 fn what_is_required_and_denied_is_named_before_any_cycle() {
-    // Neither exists on any host.
+    // No host has this priority or these CPUs.
     for (priority, cpu) in [(100, None), (80, Some(1023)), (80, Some(usize::MAX))] {
         let (servo, _link, world) = rig();
         let realtime = Realtime::Require;
@@ -193,7 +193,7 @@ fn what_is_required_and_denied_is_named_before_any_cycle() {
 #[expect(unsafe_code, reason = "what a thread has is the kernel's to tell")]
 fn a_thread_really_has_what_was_not_denied() {
     let has = || {
-        // SAFETY: both calls are about this thread, take numbers and touch no memory.
+        // SAFETY: both calls concern this thread, take numbers and touch no memory.
         let (scheduler, slack) = unsafe {
             (
                 libc::sched_getscheduler(0),
@@ -206,7 +206,7 @@ fn a_thread_really_has_what_was_not_denied() {
             line.unwrap().trim().to_owned()
         };
         let stat = std::fs::read_to_string("/proc/thread-self/stat").unwrap();
-        // Field 40 of proc_pid_stat(5); the name in brackets is the second.
+        // Field 40 of proc_pid_stat(5). The name in brackets is the second field.
         let priority = stat.rsplit(')').next().unwrap().split_whitespace().nth(37);
         let priority = priority.unwrap().parse::<u8>().unwrap();
         let locked = field("VmLck:") != "0 kB";
@@ -241,7 +241,7 @@ fn a_thread_really_has_what_was_not_denied() {
         "{scheduler:#x} {priority}"
     );
     assert_eq!(child, libc::SCHED_OTHER, "a child does not inherit it");
-    // Linux 6.13 and later give a real-time thread no slack at all.
+    // Linux 6.13 and later give a real-time thread no timer slack.
     assert_eq!(
         slack <= 1,
         granted(|one| matches!(one, Denial::TimerSlack { .. }))
@@ -254,10 +254,10 @@ fn a_thread_really_has_what_was_not_denied() {
     assert!(locked || !granted(|one| matches!(one, Denial::LockMemory { .. })));
 }
 
-/// What sched_getattr(2) says of the calling thread.
+/// The result of sched_getattr(2) for the calling thread.
 #[expect(unsafe_code, reason = "what a thread has is the kernel's to tell")]
 fn scheduling() -> libc::sched_attr {
-    // SAFETY: a sched_attr is plain numbers, of which the call fills as many bytes as it is told.
+    // SAFETY: a sched_attr consists of plain numbers, and the call fills at most the given number of bytes.
     unsafe {
         let mut attr: libc::sched_attr = std::mem::zeroed();
         let size = size_of::<libc::sched_attr>();
@@ -314,7 +314,8 @@ fn a_deadline_thread_has_its_budget_and_starts_others_without_it() {
 
 #[test]
 fn a_denied_deadline_says_what_would_grant_it() {
-    // A thread on one CPU of several is refused like one without the capability; no host has a period of 1 h.
+    // A thread bound to one of several CPUs is refused like one without the capability. No host accepts a period of 1
+    // h.
     let on_one_cpu = RealtimePolicy {
         scheduler: Scheduler::Deadline { period: PERIOD },
         cpu: Some(0),
@@ -334,7 +335,7 @@ fn a_denied_deadline_says_what_would_grant_it() {
         != "0";
     for (policy, needles) in [
         (on_one_cpu, ["cap_sys_nice+ep", "cap_sys_nice+ep"]),
-        // The kernel looks at the capability after the period, and a filter before both.
+        // The kernel checks the capability after the period, and a filter acts before both.
         (too_long, ["sched_deadline_period_min_us", "seccomp"]),
     ] {
         let denied = std::thread::spawn(move || demand(&policy)).join().unwrap();

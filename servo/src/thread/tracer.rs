@@ -1,4 +1,4 @@
-//! The cycles around a late one, phase by phase.
+//! Recording of the phases of the cycles around a late cycle.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -9,42 +9,43 @@ use can::Instant;
 
 use super::{Awake, LateCycle};
 
-/// Cycles that a spike shows, and how many of them come after the late one.
+/// Number of cycles in a spike, and number of those after the late one.
 const SHOWN: usize = 64;
 const AFTER: usize = 16;
 
-/// When the phases of one cycle ended, `CLOCK_MONOTONIC`. Each begins where the one before ended.
+/// End times of the phases of one cycle, `CLOCK_MONOTONIC`. Each phase begins at the end of the previous one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stamps {
-    /// Its number, from 0.
+    /// Number of the cycle, counted from 0.
     pub cycle: u64,
-    /// When its SYNC was due.
+    /// Due time of its SYNC.
     pub deadline: Instant,
-    /// The end of the cycle before it: from here on the caller had the thread.
+    /// End of the previous cycle; the caller has the thread from here on.
     pub called: Instant,
-    /// The caller was done.
+    /// End of the caller's work.
     pub begun: Instant,
-    /// The wait for it, the last one if slots were let go.
+    /// The wait for the cycle; the last wait if slots were skipped.
     pub awake: Awake,
-    /// The buses were about to be read.
+    /// Start of reading the buses.
     pub reading: Instant,
-    /// They were read.
+    /// End of reading.
     pub read: Instant,
-    /// The servo had computed.
+    /// End of computing.
     pub computed: Instant,
-    /// The commands were handed to the buses.
+    /// End of passing the commands to the groups.
     pub written: Instant,
-    /// SYNC was about to leave.
+    /// Start of sending SYNC.
     pub sending: Instant,
-    /// It was handed over; what follows is slack.
+    /// End of sending; the slack begins here.
     pub done: Instant,
-    /// How late it was and why, or the slots let go before it, if those were later.
+    /// Lateness and cause of the cycle, or of the slots skipped before it if those were later.
     pub late: Option<LateCycle>,
 }
 
 impl Stamps {
-    /// The phases by name, each with its end; the first begins at [`Stamps::begun`], and some may take no time.
-    /// `begin` is what precedes the wait: reading the kernel's account, or waits for slots that were let go.
+    /// The phases by name, each with its end time. The first phase begins at [`Stamps::begun`], and some phases may
+    /// have no duration. `begin` is the time before the wait: reading the kernel's account, or waits for skipped
+    /// slots.
     pub fn phases(&self) -> [(&'static str, Instant); 8] {
         [
             ("begin", self.awake.asked_at),
@@ -58,7 +59,7 @@ impl Stamps {
         ]
     }
 
-    /// A wait with nothing after it.
+    /// A wait without a following cycle.
     pub fn of_wait(cycle: u64, deadline: Instant, awake: Awake, late: Option<LateCycle>) -> Self {
         Self {
             cycle,
@@ -77,19 +78,19 @@ impl Stamps {
     }
 }
 
-/// The cycles around one.
+/// The recorded cycles around a late cycle or a request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Spike {
-    /// The late cycle; `None` if they were asked for.
+    /// The late cycle; `None` if the recording was requested.
     pub late: Option<LateCycle>,
-    /// The number of that cycle, or of the one after which they were asked for.
+    /// Number of the late cycle, or of the last cycle before the request.
     pub cycle: u64,
-    /// At most 64, the oldest first; 16 of them later than that one, unless the run ended before.
+    /// At most 64 cycles, the oldest first. 16 of them follow the late cycle, unless the run ended before.
     pub cycles: Vec<Stamps>,
 }
 
 impl Spike {
-    /// How late it was; zero if it was asked for.
+    /// Lateness of the spike; zero if the recording was requested.
     pub fn lateness(&self) -> Duration {
         self.late.map_or(Duration::ZERO, |late| late.late)
     }
@@ -99,7 +100,7 @@ impl Spike {
     }
 }
 
-/// What is frozen once `left` more cycles have been seen.
+/// A spike that is stored after `left` more cycles.
 #[derive(Clone, Copy, Debug)]
 struct Pending {
     late: Option<LateCycle>,
@@ -107,27 +108,27 @@ struct Pending {
     left: usize,
 }
 
-/// Keeps the cycles around the eight latest ones, and around the last request. Of fixed size: recording does not
-/// allocate.
+/// Keeps the cycles around the eight worst late cycles and around the last request. The size is fixed: recording does
+/// not allocate.
 ///
-/// Late cycles that follow each other within 16 are one spike, named after the latest; a spike that is later than the
-/// mildest of eight takes its place.
+/// Late cycles within 16 cycles of each other are one spike, named after the cycle with the greatest lateness. A ninth
+/// spike replaces the spike with the smallest lateness, if its own is greater.
 #[derive(Debug)]
 pub struct Tracer {
     ring: VecDeque<Stamps>,
     late: Option<Pending>,
     asked: Option<Pending>,
     spikes: Vec<Spike>,
-    /// The last one that was asked for.
+    /// The last requested recording.
     on_request: Spike,
     request: Arc<AtomicBool>,
 }
 
 impl Tracer {
-    /// Spikes that are kept because of a late cycle.
+    /// Number of spikes kept for late cycles.
     pub const KEPT: usize = 8;
 
-    /// With nothing seen; raising `request` freezes what is seen then.
+    /// An empty tracer. Setting `request` stores the cycles around that moment.
     pub fn new(request: Arc<AtomicBool>) -> Self {
         let free = || Spike {
             late: None,
@@ -144,7 +145,7 @@ impl Tracer {
         }
     }
 
-    /// Takes in one cycle.
+    /// Takes the stamps of one cycle.
     pub fn record(&mut self, stamps: Stamps) {
         if self.ring.len() == SHOWN {
             self.ring.pop_front();
@@ -172,13 +173,13 @@ impl Tracer {
         self.freeze(|pending| pending.left == 0);
     }
 
-    /// There are no cycles for a while; those to come are not shown beside those before.
+    /// Notes an interruption of the cycles. Later cycles are not shown together with earlier ones.
     pub fn pause(&mut self) {
         self.freeze(|_| true);
         self.ring.clear();
     }
 
-    /// Freezes what is due.
+    /// Stores the spikes that are due.
     fn freeze(&mut self, due: impl Fn(&Pending) -> bool) {
         if let Some(pending) = self.asked.take_if(|pending| due(pending)) {
             pending.freeze(&self.ring, &mut self.on_request);
@@ -192,7 +193,7 @@ impl Tracer {
         }
     }
 
-    /// What was kept: the latest first, and at the end what was asked for.
+    /// The stored spikes, the greatest lateness first, and the requested recording at the end.
     pub fn finish(mut self) -> Vec<Spike> {
         self.freeze(|_| true);
         self.spikes.push(self.on_request);
@@ -218,7 +219,7 @@ impl Pending {
     }
 }
 
-/// Room for the cycles of one spike whose pages are there.
+/// Touched memory for the cycles of one spike.
 fn touched() -> Vec<Stamps> {
     let zero = Instant::ZERO;
     let awake = Awake {
@@ -238,7 +239,7 @@ mod tests {
     use super::super::Cause;
     use super::*;
 
-    /// Cycles of 1 ms, some of them late by as many µs, some followed by a request.
+    /// Cycles of 1 ms. `late` gives the lateness of some cycles in µs, `asked` the cycles followed by a request.
     fn traced(cycles: u64, late: &[(u64, u64)], asked: &[u64]) -> Vec<Spike> {
         let request = Arc::new(AtomicBool::new(false));
         let mut tracer = Tracer::new(Arc::clone(&request));
@@ -266,7 +267,7 @@ mod tests {
 
     #[test]
     fn a_spike_is_kept_with_the_cycles_before_and_after_it() {
-        // Cycles, late ones by µs, requests; spikes: cycle, first and last shown.
+        // Number of cycles, late cycles and µs, requests; expected spikes: cycle, first and last cycle shown.
         type Case<'a> = (
             u64,
             &'a [(u64, u64)],
@@ -276,13 +277,14 @@ mod tests {
         let cases: [Case; 9] = [
             (200, &[], &[], &[]),
             (200, &[(100, 30)], &[], &[(100, 53..=116)]),
-            // The run begins or ends near it.
+            // The run begins or ends near the spike.
             (200, &[(3, 30)], &[], &[(3, 0..=19)]),
             (105, &[(100, 30)], &[], &[(100, 41..=104)]),
-            // Those that follow are of the same spike, and name it if they are later.
+            // Late cycles that follow belong to the same spike, which is named after the cycle
+            // with the greatest lateness.
             (200, &[(100, 30), (110, 20)], &[], &[(100, 53..=116)]),
             (200, &[(100, 20), (110, 30)], &[], &[(110, 63..=126)]),
-            // The worst comes first, a request last.
+            // The worst spike comes first, a requested one last.
             (
                 200,
                 &[(50, 20), (100, 30)],

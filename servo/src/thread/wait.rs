@@ -1,4 +1,4 @@
-//! The wait for a deadline: sleep to a margin before it, then spin to it.
+//! The wait for a deadline: sleep until a margin before the deadline, then spin.
 //!
 //! Late wake-ups come in clusters. A margin that always covers them would take half a core. The learnt margin therefore
 //! covers the cluster only after its first late wake-up. Spin time that was not used is kept as credit, up to
@@ -12,29 +12,30 @@ use can::clock::{now, sleep_until};
 
 use super::quantile::LearntQuantile;
 
-/// Share of the period that work and spin together may take: a thread under SCHED_FIFO that takes more than
-/// 95 % of a second (`sched_rt_runtime_us`) is frozen for the rest of it.
+/// Fraction of the period that work and spin together may take. The kernel freezes a thread under SCHED_FIFO that
+/// takes more than 95 % of a second (`sched_rt_runtime_us`) for the rest of the second.
 pub(super) const BUSY_SHARE: f64 = 0.9;
 
 /// Greatest credit of unused spin time. Within any second, spins exceed their share by at most a twentieth.
 const CREDIT: Duration = Duration::from_millis(50);
 
-/// Cycles after a wake-up later than its margin in which to expect another: on a virtual machine of a busy host every
-/// second one was followed within 8, and few more within 64.
+/// Number of cycles, after a wake-up later than its margin, in which another late wake-up is expected. On a virtual
+/// machine of a busy host, a second late wake-up followed within 8 cycles in half of the cases. Only few more followed
+/// within 64 cycles.
 const ALERT: u32 = 16;
 
 /// How a thread waits for a deadline.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Wait {
-    /// It sleeps until the deadline, and runs as late as the host wakes it.
+    /// The thread sleeps until the deadline, and is as late as its wake-up.
     Plain,
-    /// It sleeps to a margin before the deadline, then spins.
+    /// The thread sleeps until a margin before the deadline, then spins.
     Hybrid {
         /// The margin. `None` learns a margin that covers all but about one in 1000 wake-ups. After a late wake-up the
         /// margin grows to at most half a period for some cycles, within the share.
         margin: Option<Duration>,
-        /// Largest share of a core, 0 ..= 1, to spin in: of each period with a fixed margin, of any second but for a
-        /// twentieth with a learnt one.
+        /// Largest fraction of a core for spinning, 0 ..= 1. A fixed margin keeps the fraction in each period. A
+        /// learnt margin keeps it in any second, up to an excess of a twentieth.
         spin_share: f64,
     },
 }
@@ -47,34 +48,34 @@ impl Wait {
     };
 }
 
-/// What waiting cost.
+/// Cost of waiting.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct WaitReport {
     /// Time by which the last wake-up was requested early; zero with [`Wait::Plain`].
     pub margin: Duration,
-    /// How long before the deadline the thread prepares the cycle, as of last.
+    /// Time from the start of preparing to the deadline, in the last cycle.
     pub lead: Duration,
     /// Share of a core spent spinning.
     pub spin_share: f64,
 }
 
-/// When a wait ended.
+/// Times of one wait.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Awake {
     /// When the thread began to wait.
     pub asked_at: Instant,
-    /// When it asked to be woken; not before `asked_at` if it slept.
+    /// Requested wake-up time; not before `asked_at` if the thread slept.
     pub wake_up: Instant,
-    /// When it ran again.
+    /// Time at which the thread ran again.
     pub woken: Instant,
-    /// When the wait was over.
+    /// End of the wait.
     pub at: Instant,
     /// Longest time between two reads of the clock in the spin: time taken by an interrupt or another thread.
     pub gap: Duration,
 }
 
 impl Awake {
-    /// How late the thread was woken; `None` if there was no time left to sleep.
+    /// Latency of the wake-up; `None` if there was no time left to sleep.
     pub fn wake_up_latency(&self) -> Option<Duration> {
         (self.asked_at < self.wake_up).then(|| self.woken.since(self.wake_up))
     }
@@ -84,18 +85,18 @@ impl Awake {
 #[derive(Clone, Debug)]
 pub struct Waiter {
     margin: Margin,
-    /// From wait to wait, and in spins of it.
+    /// Total time of the waits, and the time of their spins.
     elapsed: Duration,
     spun: Duration,
-    /// End of the wait before, if deadlines followed each other.
+    /// End of the last wait, if deadlines followed each other.
     last: Option<Instant>,
-    /// Begin of the wait before, likewise, and spins up to then.
+    /// Begin of the last wait, under the same condition, and the spin time up to then.
     settled: Option<Instant>,
     settled_spun: Duration,
 }
 
 impl Waiter {
-    /// For deadlines one `period` apart.
+    /// A waiter for deadlines one `period` apart.
     pub fn new(wait: Wait, period: Duration) -> Self {
         Self {
             margin: Margin::new(wait, period),
@@ -107,7 +108,7 @@ impl Waiter {
         }
     }
 
-    /// Waits for `due`, keeping `reserved` of the share for a spin to come; returns at once if it has passed.
+    /// Waits for `due`, and keeps `reserved` of the spin share for a later spin. Returns at once if `due` has passed.
     pub fn wait(&mut self, due: Instant, reserved: Duration) -> Awake {
         let asked_at = now();
         let last = self.last.unwrap_or(asked_at);
@@ -133,8 +134,8 @@ impl Waiter {
         awake
     }
 
-    /// Spins from `from`, which is now, to `due`; returns when that was over, and the longest time between two
-    /// reads of the clock.
+    /// Spins from `from`, which is now, to `due`. Returns the end time and the longest time between two reads of the
+    /// clock.
     pub(super) fn spin(&mut self, from: Instant, due: Instant) -> (Instant, Duration) {
         let (mut at, mut gap) = (from, Duration::ZERO);
         while at < due {
@@ -147,12 +148,12 @@ impl Waiter {
         (at, gap)
     }
 
-    /// There are no deadlines for a while; what passes until the next wait is nobody's.
+    /// Notes an interruption of the deadlines. The time until the next wait is not accounted.
     pub fn pause(&mut self) {
         (self.last, self.settled) = (None, None);
     }
 
-    /// What the waits cost so far.
+    /// Cost of the waits so far.
     pub fn report(&self) -> WaitReport {
         WaitReport {
             margin: self.margin.get(),
@@ -166,18 +167,18 @@ impl Waiter {
     }
 }
 
-/// How long before a deadline to wake.
+/// Time between wake-up and deadline.
 #[derive(Clone, Copy, Debug)]
 struct Margin {
     kind: Kind,
     share: f64,
-    /// Of a period: for spins, for work and spins, and for the longest margin.
+    /// Limits in each period: for spins, for work and spins together, and for the longest margin.
     spin: Duration,
     busy: Duration,
     longest: Duration,
-    /// What spins have left of their share, ns; below zero what they have had of the next.
+    /// Unused share of the spins, ns. A negative value was borrowed from later cycles.
     credit: i64,
-    /// Cycles left in which to expect a late wake-up.
+    /// Remaining cycles in which a late wake-up is expected.
     alert: u32,
 }
 
@@ -200,7 +201,7 @@ impl Margin {
         };
         let spin = period.mul_f64(share);
         Self {
-            // The first wake-ups are no worse than later ones if it comes down from above.
+            // Starting from the greatest value makes the first wake-ups no worse than later ones.
             kind: margin.map_or_else(
                 || Kind::Learnt(LearntQuantile::new(spin, spin)),
                 |margin| Kind::Fixed(margin.min(spin)),
@@ -221,7 +222,8 @@ impl Margin {
         }
     }
 
-    /// A wake-up came this late. One beyond what is learnt puts the wait on alert, met or not.
+    /// Takes the latency of a wake-up. A latency beyond the learnt bound starts the alert, even if the deadline was
+    /// met.
     fn observe(&mut self, latency: Duration) {
         if let Kind::Learnt(learnt) = &mut self.kind {
             let is_late = latency > learnt.get();
@@ -233,16 +235,16 @@ impl Margin {
         }
     }
 
-    /// `passed` went by, of which spins took `spun`.
+    /// Accounts for the time `passed`, of which spins took `spun`.
     fn settle(&mut self, passed: Duration, spun: Duration) {
         let share = |time: Duration| time.mul_f64(self.share).as_nanos() as i64;
-        // Longer than what can be saved up counts the same.
+        // A time longer than the greatest credit counts the same.
         let earned = share(passed.min(CREDIT + spun));
         let left = self.credit.saturating_add(earned) - spun.as_nanos() as i64;
         self.credit = left.min(share(CREDIT));
     }
 
-    /// The margin of a cycle of which work has taken `busy`, with `reserved` of the share of spins kept.
+    /// The margin of a cycle in which work took `busy`, with `reserved` of the spin share kept.
     fn allowed(&self, busy: Duration, reserved: Duration) -> Duration {
         let learnt = self.get();
         let spin = match self.kind {
@@ -275,7 +277,7 @@ mod tests {
             margin: Some(micros(margin)),
             spin_share,
         };
-        // Wait, work so far, kept for a spin to come, margin; µs of a period of 1000.
+        // Wait, work so far, reserved spin time, expected margin; in µs of a period of 1000.
         let cases = [
             (Wait::Plain, 0, 0, 0),
             (Wait::HYBRID, 0, 0, 200),
@@ -297,8 +299,8 @@ mod tests {
         }
     }
 
-    /// One cycle of a learning wait that is woken `latency` late after `work`: what it spun, and whether it came too
-    /// late.
+    /// One cycle of a learning wait whose wake-up is `latency` late after `work`. Returns the spin time, and whether
+    /// the deadline was missed.
     fn cycle(margin: &mut Margin, latency: Duration, work: Duration) -> (Duration, bool) {
         let allowed = margin.allowed(work, Duration::ZERO);
         let spun = allowed.saturating_sub(latency);
@@ -311,7 +313,7 @@ mod tests {
     fn spins_of_a_learning_wait_stay_within_the_share_whatever_the_host_does() {
         let mut margin = Margin::new(Wait::HYBRID, PERIOD);
         let (mut spun, mut late) = (Duration::ZERO, 0);
-        // An idle host, a busy one, one that needs longer than the share allows, and an idle one again.
+        // An idle host, a busy host, a host that needs more than the permitted share, and an idle host again.
         for latency in [40, 120, 900, 40] {
             for _ in 0..40_000 {
                 let (spin, is_late) = cycle(&mut margin, micros(latency), micros(30));
@@ -342,7 +344,7 @@ mod tests {
             let (mut spun, mut busy) = (Duration::ZERO, Duration::ZERO);
             let (mut most, mut busiest) = (Duration::ZERO, Duration::ZERO);
             for _ in 0..60_000 {
-                // Calm stretches fill the credit, then every third wake-up keeps the thread alert.
+                // Calm intervals fill the credit; then every third wake-up keeps the alert active.
                 let stretch = random(3000) == 0;
                 let restless = second.back().is_some_and(|&(_, _, restless)| restless) != stretch;
                 let latency = match restless && random(3) == 0 {
@@ -373,7 +375,7 @@ mod tests {
         let mut margin = Margin::new(Wait::HYBRID, PERIOD);
         let (mut late, mut spun) = (0, Duration::ZERO);
         for number in 0..100_000 {
-            // Four of 400 µs, 8 cycles apart, every 2 s.
+            // Four late wake-ups of 400 µs, 8 cycles apart, every 2 s.
             let clustered = (1000..1032).contains(&(number % 2000)) && number % 8 == 0;
             let latency = micros(if clustered { 400 } else { 40 });
             let (spin, is_late) = cycle(&mut margin, latency, micros(30));
@@ -386,7 +388,7 @@ mod tests {
 
     #[test]
     fn an_alert_wait_spends_what_was_saved_and_no_more() {
-        // Saved, kept for a spin to come, margin; µs of a period of 1000 with a share of 0.2.
+        // Credit, reserved spin time, expected margin; in µs of a period of 1000 with a share of 0.2.
         for (saved, reserved, expected) in [
             (0, 0, 200),
             (100, 0, 300),

@@ -1,4 +1,4 @@
-//! A drive group without a bus: ideal drives that latch at SYNC, and a script to spoil them.
+//! A drive group without a bus: ideal drives that latch at SYNC, and a script for their faults.
 
 #![allow(
     clippy::disallowed_methods,
@@ -25,7 +25,7 @@ use super::{
 pub const PERIOD: Duration = Duration::from_millis(1);
 pub const MAX_VELOCITY: f64 = 100.0;
 pub const MAX_ACCELERATION: f64 = 1000.0;
-/// Of a motor that is driven by torque, kg·m².
+/// Inertia of a motor driven by torque, kg·m².
 pub const INERTIA: f64 = 5e-4;
 /// Time constant of such a motor when it is shorted, s.
 const BRAKING_TIME: f64 = 0.01;
@@ -59,7 +59,8 @@ pub fn config(axes: usize) -> ServoConfig {
     }
 }
 
-/// The same with every position loop closed by the servo: some 25 Hz, phase margin above 45°.
+/// The same with every position loop closed by the servo, with a bandwidth of about 25 Hz and a phase margin above
+/// 45°.
 pub fn host_config(axes: usize) -> ServoConfig {
     let mut config = config(axes);
     for axis in &mut config.effectors[0].axes {
@@ -81,38 +82,38 @@ pub fn host_config(axes: usize) -> ServoConfig {
     config
 }
 
-/// What the drives do and what they were told.
+/// State of the drives and commands received.
 #[derive(Default)]
 pub struct World {
     pub axes: Vec<Drive>,
     /// Commands as written, cycle by cycle, if `log` is set.
     pub sent: Vec<Vec<AxisCommand>>,
     pub log: bool,
-    /// Polls that bring-up is pending.
+    /// Number of polls for which bring-up is pending.
     pub coming_up: u32,
-    /// Bring-up ends in [`NEVER_BOOTED`].
+    /// Bring-up fails with [`NEVER_BOOTED`].
     pub absent: bool,
     /// The next call of `write` panics.
     pub panic: bool,
-    /// Batches that the bus does not take.
+    /// Number of batches that the bus refuses.
     pub refuses: u32,
-    /// The bus is gone: every read says [`FAULT`] of every drive, and no batch is taken.
+    /// The bus has failed: every read reports [`FAULT`] for every drive, and no batch is taken.
     pub gone: bool,
-    /// What each call of `write` takes, by the wall clock.
+    /// Duration of each call of `write` on the wall clock.
     pub work: Duration,
 }
 
-/// How a drive tells that the index pulse set its counter.
+/// How a drive reports that the index pulse set its counter.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum AtIndex {
-    /// Counter and word in one answer.
+    /// The new count and the statusword arrive in one answer.
     #[default]
     Prompt,
-    /// The word an answer after the counter.
+    /// The statusword arrives one answer after the new count.
     WordLate,
-    /// The counter an answer after the word.
+    /// The new count arrives one answer after the statusword.
     CounterLate,
-    /// Three answers are missing there.
+    /// Three answers are missing at that moment.
     Mute,
 }
 
@@ -122,21 +123,21 @@ pub struct Drive {
     pub state: AxisState,
     /// The motor does not move.
     pub blocked: bool,
-    /// It answers no more.
+    /// The drive does not answer any more.
     pub silent: bool,
-    /// It never gets power.
+    /// The drive never gets power.
     pub dead: bool,
-    /// A reset does not clear its fault.
+    /// A reset does not clear the drive's fault.
     pub stubborn: bool,
-    /// It is powered and ignores set-points.
+    /// The drive has power but ignores set-points.
     pub deaf: bool,
-    /// It searches and finds nothing.
+    /// The search of the drive finds nothing.
     pub homing_fails: bool,
-    /// SYNCs that homing takes; it never ends if zero.
+    /// Number of SYNCs that homing takes; homing never ends if zero.
     pub homing_takes: u32,
     /// The set-point reaches the motor one SYNC later than with an ideal drive.
     pub lags: bool,
-    /// The velocity it reports whatever it does.
+    /// The reported velocity, independent of the motion.
     pub drifts_at: Option<f64>,
     pending: AxisCommand,
     target: Option<f64>,
@@ -144,18 +145,18 @@ pub struct Drive {
     homing: u32,
     /// Speed of a motor that is driven by torque, rad/s; its inertia is [`INERTIA`].
     pub spin: f64,
-    /// Torque that its load adds, N·m.
+    /// Torque of the load, N·m.
     pub load: f64,
-    /// It turns against its torque.
+    /// The motor turns against its torque.
     pub backwards: bool,
-    /// Its encoder stands still from here on.
+    /// The encoder stands still from this position on.
     pub frozen: Option<f64>,
-    /// Cycles of the home switch's contact that chatter, one open and one closed.
+    /// Number of cycles in which the contact of the home switch chatters, alternately open and closed.
     pub chatter: u32,
-    /// Passing this position while sought sets the counter to zero there.
+    /// While the index is sought, passing this position sets the counter to zero there.
     pub index: f64,
     pub at_index: AtIndex,
-    /// Answers still missing by [`AtIndex::Mute`].
+    /// Answers still missing after [`AtIndex::Mute`].
     mute: u32,
     /// The home switch is closed below this position.
     pub home_below: Option<f64>,
@@ -165,9 +166,9 @@ pub struct Drive {
     pub limit_below: Option<f64>,
     /// The upper limit switch is closed above this position.
     pub limit_above: Option<f64>,
-    /// It passes no torque towards a closed limit switch, but shorts its motor.
+    /// The drive blocks torque towards a closed limit switch and shorts its motor.
     pub guards: bool,
-    /// What the host sees: the sample of the last SYNC.
+    /// State visible to the host: the sample of the last SYNC.
     seen: AxisState,
 }
 
@@ -247,7 +248,7 @@ impl Drive {
         if matches!(self.pending, AxisCommand::Seek(_)) && passed.contains(&self.index) {
             state.homing = Homing::Attained;
             state.position -= self.index;
-            // The switches stay where they are.
+            // The switches keep their physical positions.
             for at in [&mut self.home_below, &mut self.limit_below] {
                 *at = at.map(|at| at - self.index);
             }
@@ -292,7 +293,7 @@ impl Drive {
     }
 }
 
-/// The group; its world stays with the test.
+/// The group. The test keeps a handle to its world.
 pub struct Scripted {
     world: Arc<Mutex<World>>,
     axes: usize,

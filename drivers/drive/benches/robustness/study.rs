@@ -1,7 +1,8 @@
-//! A motor in full swing whose answers are damaged on their way, and what its host believes of them.
+//! A motor in full swing whose answers are damaged on the line, and the positions that its host believes.
 //!
-//! The drive is made of the layouts alone: it answers every write with a sample of its motion, which it does not take from
-//! the host. Requests arrive whole; what becomes of damaged ones no host can see.
+//! The drive is built from the layouts of the telegrams alone. The drive answers every write with a sample of its
+//! motion, which does not depend on the host. Requests arrive undamaged, because a host cannot see the effect of a
+//! damaged request.
 
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
@@ -19,50 +20,50 @@ use serial::{Line, LineCounters, LineError, hi_moxa};
 
 const PERIOD: Duration = Duration::from_millis(2);
 const COUNTS: i32 = 4_000;
-/// rad/s, of which the motion reaches four fifths.
+/// Plausibility bound, rad/s. The motion reaches four fifths of it.
 const MAX_VELOCITY: f64 = 100.0;
-/// Cycles of one swing to and fro.
+/// Cycles of one swing back and forth.
 const SWING: f64 = 200.0;
 
-/// What happens to answers.
+/// Kind of damage to the answers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Damage {
-    /// Bits are inverted, each with this probability.
+    /// Every bit is inverted with this probability.
     BitErrors(f64),
-    /// Every seventh answer ends after some bytes, at each length in turn, and every other time its rest comes with the
-    /// next one.
+    /// Every seventh answer is truncated, at each length in turn. In every other case, the rest arrives with the next
+    /// answer.
     Torn,
-    /// Every fifth has up to 24 bytes of anything before, in or behind it.
+    /// Up to 24 random bytes are inserted before, in or behind every fifth answer.
     Surplus,
-    /// For up to 20 cycles in 40 a line says one byte all the time.
+    /// For up to 20 of 40 cycles, the line repeats one byte.
     Stuck,
-    /// For up to 20 cycles in 40 an answer is as many bytes of anything.
+    /// For up to 20 of 40 cycles, an answer consists of random bytes.
     Noise,
-    /// For up to 20 cycles in 40 an answer is the one before them.
+    /// For up to 20 of 40 cycles, the last answer before them is repeated.
     Repeated,
-    /// Every seventh comes with the next one.
+    /// Every seventh answer arrives together with the next one.
     Late,
 }
 
-/// What came of a run.
+/// Result of a run.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Tally {
     pub(crate) cycles: u64,
-    /// Cycles that were damaged.
+    /// Cycles with damage.
     pub(crate) damaged: u64,
-    /// Cycles with an answer that was believed.
+    /// Cycles with an accepted answer.
     pub(crate) accepted: u64,
-    /// Of these, with a position other than sent.
+    /// Accepted answers with a position other than the one sent.
     pub(crate) wrong_positions: u64,
-    /// Greatest error of one, increments.
+    /// Greatest error of an accepted position, increments.
     pub(crate) greatest_error: u32,
-    /// Farther from the one before than the motor can move in the cycles between.
+    /// Accepted positions that the motor cannot have reached since the last accepted position.
     pub(crate) beyond_reach: u64,
-    /// Most undamaged answers after a damaged one until one was found among the bytes.
+    /// Most undamaged answers after a damaged answer until an answer was found in the byte stream.
     pub(crate) frames_to_find: u32,
-    /// And until one was believed.
+    /// Most undamaged answers after a damaged answer until an answer was accepted.
     pub(crate) frames_to_believe: u32,
-    /// Times that the axis was stopped by a fault.
+    /// Number of faults that stopped the axis.
     pub(crate) faults: u64,
 }
 
@@ -72,10 +73,10 @@ struct World {
     random: Random,
     cycle: u64,
     outbox: VecDeque<u8>,
-    /// Of the last answer, as sent.
+    /// Position in the last answer, before any damage.
     position: i32,
     damaged: bool,
-    /// Cycles until this burst ends, or the next begins.
+    /// Cycles until the end of this burst or the start of the next.
     burst: u32,
     in_burst: bool,
     stuck: u8,
@@ -104,7 +105,7 @@ impl Random {
         (self.next() >> 56) as u8
     }
 
-    /// Bits until the next error.
+    /// Number of bits until the next error.
     fn gap(&mut self, rate: f64) -> u64 {
         let uniform = ((self.next() >> 11) as f64 + 0.5) / (1u64 << 53) as f64;
         (uniform.ln() / (-rate).ln_1p()) as u64
@@ -153,7 +154,7 @@ impl World {
         self.outbox.extend(bytes);
     }
 
-    /// Whether it did anything.
+    /// Damages `bytes`, and returns whether any byte was affected.
     fn apply(&mut self, damage: Damage, bytes: &mut Vec<u8>) -> bool {
         match damage {
             Damage::BitErrors(rate) => {
@@ -202,7 +203,7 @@ impl World {
                 }
                 match damage {
                     Damage::Stuck => {
-                        // 2 ms of a line without a gap, or as many as an answer has.
+                        // The bytes of 2 ms on a line without gaps, or the length of an answer.
                         let count = if self.stuck == 0x55 { 167 } else { bytes.len() };
                         *bytes = vec![self.stuck; count];
                     }
@@ -239,7 +240,7 @@ impl Line for Channel {
     }
 }
 
-/// Runs one axis for so many cycles.
+/// Runs one axis for the given number of cycles.
 pub(crate) fn run(protocol: Protocol, damage: Damage, cycles: u64, seed: u64) -> Tally {
     let mut random = Random(seed | 1);
     let bits_to_error = match damage {
@@ -309,7 +310,7 @@ pub(crate) fn run(protocol: Protocol, damage: Damage, cycles: u64, seed: u64) ->
         group.write(now, &[AxisCommand::Stand]);
         group.send(now);
         let [state] = states;
-        // The first answers are to requests of before.
+        // The first answers belong to earlier requests.
         if std::mem::take(&mut stray) {
             continue;
         }
@@ -356,7 +357,7 @@ pub(crate) fn run(protocol: Protocol, damage: Damage, cycles: u64, seed: u64) ->
     tally
 }
 
-/// All that is studied, and what it is called.
+/// All kinds of damage in the study, and their names.
 pub(crate) const DAMAGES: [(&str, Damage); 11] = [
     ("bit errors 1e-6", Damage::BitErrors(1e-6)),
     ("bit errors 1e-5", Damage::BitErrors(1e-5)),

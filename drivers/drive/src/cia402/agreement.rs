@@ -1,4 +1,4 @@
-//! Agreement of a drive's own scale and rated torque with the cell.
+//! Agreement of a drive's scale and rated torque with the cell.
 
 use std::f64::consts::TAU;
 
@@ -9,33 +9,32 @@ use super::config::AxisConfig;
 use super::program::MAXON;
 use crate::BringUpError;
 
-/// Vendors whose object 0x6076 has a unit of its own, N·m: maxon counts µN·m, as published drivers for
-/// EPOS4 read it.
+/// Vendors whose object 0x6076 has a unit of its own, N·m. Maxon counts µN·m, as published drivers for EPOS4 read it.
 const TORQUE_UNITS: [(u32, f64); 1] = [(MAXON, 1e-6)];
-/// The unit of object 0x6076 elsewhere, N·m, as manuals of CiA 402 drives give it.
+/// The unit of object 0x6076 of all other vendors, N·m, as manuals of CiA 402 drives give it.
 const TORQUE_UNIT: f64 = 1e-3;
 
 const CORRECT_COUNTS: &str = "correct drive.counts_per_revolution or the drive's own setting";
 const CORRECT_GEAR: &str = "set 1/1 in the drive, the cell counts at the motor shaft";
 const CORRECT_TORQUE: &str = "correct drive.rated_torque or the drive's motor data";
 
-/// A number in which a drive that has the object must agree with the cell.
+/// An expected value of an object of the drive's dictionary. A drive without the object is accepted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Agreement {
     pub(super) object: Object,
-    /// Of a ratio, the object that the first is divided by.
+    /// The divisor, where the quantity is a ratio of two objects.
     pub(super) divisor: Option<Object>,
-    /// It counts only where the drive has not the object of the agreement before.
+    /// The agreement applies only where the drive lacks the object of the previous agreement.
     pub(super) instead: bool,
     expected: u32,
-    /// How far it may be from `expected`.
+    /// Greatest accepted difference from `expected`.
     tolerance: u32,
     what: &'static str,
     remedy: &'static str,
 }
 
 impl Agreement {
-    /// Whether `found` / `per` is what the cell says.
+    /// Checks that `found` / `per` is the expected value, within the tolerance.
     pub(super) fn check(&self, node: u8, found: u32, per: u32) -> Result<(), BringUpError> {
         let expected = u64::from(self.expected) * u64::from(per);
         let apart = u64::from(found).abs_diff(expected);
@@ -55,17 +54,18 @@ impl Agreement {
     }
 }
 
-/// All that the dictionary of an axis's drive must agree in.
+/// All agreements that the dictionary of an axis's drive is checked for.
 ///
-/// Position units per motor revolution are feed constant (0x6092) / gear ratio (0x6091): a drive makes its increments of
-/// them by encoder resolution (0x608F) * gear ratio / feed constant, as manuals of CiA 402 drives have it, so that its
-/// encoder may be finer than the units. One without a feed constant counts increments of its encoder. What a vendor
-/// makes of 0x60A8, the SI unit of position, is its own affair and not asked for.
+/// Position units per motor revolution are feed constant (0x6092) / gear ratio (0x6091). According to manuals of CiA
+/// 402 drives, the drive converts position units to encoder increments by encoder resolution (0x608F) * gear ratio /
+/// feed constant. The encoder may therefore be finer than the position units. A drive without a feed constant counts
+/// increments of its encoder. Object 0x60A8, the SI unit of position, is not read: its use differs between vendors.
 ///
-/// EPOS4 has none of these ratios: it counts increments of its main sensor, whose resolution in quadrature counts is
-/// object 0x3000:05.
+/// EPOS4 has none of these ratios. The position unit of an EPOS4 is an increment of the main sensor, and object
+/// 0x3000:05 is the resolution of that sensor in quadrature counts.
 ///
-/// The rated torque counts in every mode: in CST it scales the loop, and elsewhere every torque that is reported.
+/// The rated torque matters in every mode. In CST, the rated torque scales the torque loop; in the other modes, it
+/// scales the reported torque.
 pub(super) fn of(axis: &AxisConfig) -> Vec<Agreement> {
     let counts = axis.scale.distance(TAU).unwrap_or(u32::MAX);
     let ratio = |object, divisor, expected, what, remedy| Agreement {
@@ -125,7 +125,7 @@ pub(super) fn of(axis: &AxisConfig) -> Vec<Agreement> {
         divisor: None,
         instead: false,
         expected,
-        // 1 %, or the last digit of a small motor.
+        // 1 %, or one unit of the object where 1 % is less.
         tolerance: (expected / 100).max(1),
         what,
         remedy: CORRECT_TORQUE,

@@ -17,16 +17,18 @@ use super::setup::Setup;
 use super::target::Target;
 use crate::{AxisCommand, AxisState, Fault, Increments, Permille, Power, Refusal};
 
-/// Answers until a word handed over in some cycle surely shows: it is latched at the next SYNC, acts
-/// after that, is sampled at the one after and read in the cycle that follows.
+/// Answers until a controlword surely has its effect in the statusword. The drive latches the word at the next SYNC
+/// and acts on it afterwards. The SYNC after that samples the effect, and the following cycle reads the sample.
 pub(super) const ANSWERS_TO_EFFECT: u32 = 4;
 
-/// One drive during operation: what it said, what it is told, and what stands in the way.
+/// State of one drive during operation: last answer, commanded state and latched fault.
 ///
-/// Nothing here waits or allocates. The order within a cycle is [`in_time`](Self::in_time) and
-/// [`answered`](Self::answered), [`heard`](Self::heard) and [`emergency`](Self::emergency) as frames come, then
-/// [`end_of_read`](Self::end_of_read); [`check`](Self::check) for all axes, then
-/// [`command`](Self::command) and [`handed_over`](Self::handed_over).
+/// Nothing here waits or allocates. The order of calls within a cycle is:
+/// 1. [`in_time`](Self::in_time), [`answered`](Self::answered), [`heard`](Self::heard) and
+///    [`emergency`](Self::emergency), as frames arrive;
+/// 2. [`end_of_read`](Self::end_of_read);
+/// 3. [`check`](Self::check) of every axis;
+/// 4. [`command`](Self::command) and [`handed_over`](Self::handed_over).
 #[derive(Clone, Debug)]
 pub(super) struct Axis {
     setup: Setup,
@@ -46,22 +48,22 @@ pub(super) struct Axis {
     booted: bool,
 
     goal: Goal,
-    /// Answers in time since the goal changed.
+    /// Answers received in time since the goal changed.
     answers: u32,
     unsettled_since: Option<Instant>,
     power: PowerStateMachine,
     search: Search,
     modes: ModeSwitch,
-    /// A change of mode is on its way.
+    /// A request to change the mode of operation is under way.
     telling: bool,
-    /// The drive failed a service request; none is made again before the fault is reset.
+    /// The drive failed a service request. No further request is made until the fault is reset.
     unserved: bool,
-    /// Whether the last cycle's target was one to hold on to.
+    /// The target of the last cycle was a position held under torque.
     held: bool,
     target: Target,
 }
 
-/// What the drive is led to.
+/// The state that the drive is commanded to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum Goal {
     /// No torque.
@@ -71,18 +73,18 @@ enum Goal {
     ResetFault,
     /// Torque.
     On,
-    /// Braked by its own ramp, for a fault that the drive does not know of.
+    /// Braked by a quick stop, for a fault that the drive itself does not see.
     Stopped,
 }
 
-/// What bring-up learnt of a drive.
+/// State of a drive as bring-up read it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Learnt {
     pub(super) statusword: Statusword,
     pub(super) position: Increments,
     /// Object 0x603F.
     pub(super) error_code: u16,
-    /// Mode of operation that the drive showed by itself since its start.
+    /// Mode of operation that the drive reported unasked since its start.
     pub(super) mode_shown: Option<ModeOfOperation>,
 }
 
@@ -92,8 +94,8 @@ impl Axis {
         Self::started(setup, Instant::ZERO, Learnt::default())
     }
 
-    /// Starts operation after bring-up: un-enabled, and with the position known before any word
-    /// that could enable.
+    /// Starts operation after bring-up. The drive is not enabled, and its position is known before any controlword
+    /// could enable it.
     pub(super) fn begin(&mut self, now: Instant, learnt: Learnt) {
         let search = self.search;
         *self = Self::started(self.setup, now, learnt);
@@ -150,14 +152,14 @@ impl Axis {
         Fault::Drive { node, code }
     }
 
-    /// The answer to the last SYNC is here. Without it a cycle misses one, whatever older answers it reads:
-    /// a drive that lags behind is not one that is heard.
+    /// Notes that the last SYNC was answered. A cycle that reads only older answers counts as a missing answer: a
+    /// drive that lags behind is treated as silent.
     pub(super) fn in_time(&mut self) {
         self.answered = true;
         self.answers = self.answers.saturating_add(1);
     }
 
-    /// Takes an answer received at `at`, which is a sample of the SYNC sent at `sampled`.
+    /// Takes an answer received at `at`, sampled at the SYNC that was sent at `sampled`.
     pub(super) fn answered(&mut self, answer: Answer, sampled: Instant, at: Instant) {
         let before = self.statusword.power_state();
         self.statusword = answer.statusword;
@@ -207,7 +209,8 @@ impl Axis {
             | PowerState::SwitchedOn
             | PowerState::QuickStopActive
             | PowerState::Unknown => {
-                // A reaction to lost communication ends without the fault state, and yet has a code.
+                // A drive that reacts to a lost connection stops without entering the fault state, but reports an
+                // error code.
                 if dropped && self.error_code != 0 {
                     self.latch(self.drive_fault(self.error_code));
                 } else if dropped {
@@ -230,8 +233,8 @@ impl Axis {
         }
     }
 
-    /// Takes the mode of operation that the drive shows by itself. Frames come in the order in which they were sent, so
-    /// that one behind the answer that showed a mode is no older than that.
+    /// Takes the mode of operation that the drive reported unasked. Frames arrive in the order of sending, so a report
+    /// read behind an answer is no older than that answer.
     pub(super) fn shows(&mut self, found: ModeOfOperation) {
         let settled = self.modes.settled_in().filter(|_| !self.telling);
         if let Some(expected) = settled.filter(|expected| *expected != found) {
@@ -252,7 +255,8 @@ impl Axis {
         }
     }
 
-    /// The code of a drive fault, which may come before or after the statusword that shows it.
+    /// Stores the error code of a drive fault. The code may arrive before or after the statusword that shows the
+    /// fault.
     fn name_fault(&mut self, found: u16) {
         (self.error_code, self.error_age) = (found, 0);
         if let Some(Fault::Drive { code: code @ 0, .. }) = &mut self.state.fault {
@@ -260,8 +264,9 @@ impl Axis {
         }
     }
 
-    /// Ends the reading of a cycle: what was to come and did not. `due` says whether the
-    /// cycle before asked for an answer. Returns the state and whether the answer is missing.
+    /// Ends the reading of a cycle. Latches faults of missing answers, heartbeats and transmissions, and of a node that
+    /// left the state operational. `due` is true if the last cycle had to send a SYNC. Returns the state and whether
+    /// the answer is missing.
     pub(super) fn end_of_read(&mut self, now: Instant, due: bool) -> (AxisState, bool) {
         let node = self.setup.node.raw();
         let missing = due && !self.answered;
@@ -280,7 +285,7 @@ impl Axis {
         if !self.operational || self.booted {
             self.latch(Fault::LeftOperational { node });
         }
-        // Before silence, which it may be the cause of.
+        // Checked before silence, because dropped set-points may cause the silence.
         if self.not_sent > self.setup.tolerated_missing {
             self.latch(Fault::NotSent {
                 node,
@@ -326,7 +331,7 @@ impl Axis {
         }
     }
 
-    /// Bit 12 is not relied on: a recorded EPOS shows 0x0737 once it is enabled.
+    /// Bit 12 is ignored: a recorded EPOS shows 0x0737 once enabled, with this bit clear.
     fn following(&self) -> bool {
         self.state.power == Power::On
             && self.state.fault.is_none()
@@ -335,8 +340,9 @@ impl Axis {
             && self.modes.is(self.setup.mode.of_operation())
     }
 
-    /// The set-point in the drive's units, if the command brings one; the reason if it cannot
-    /// be followed. A faulted axis has none: it is being stopped, whatever it is told.
+    /// Converts the set-point of a command to the drive's units; `None` for a command without a set-point. An error
+    /// says why the set-point is refused. The set-point of a faulted axis is ignored, because the axis is being
+    /// stopped.
     pub(super) fn check(&self, command: AxisCommand) -> Result<Option<Target>, Refusal> {
         let setpoint = match command {
             AxisCommand::Follow(setpoint) => setpoint,
@@ -359,8 +365,8 @@ impl Axis {
         target.map(Some).ok_or(Refusal::OutOfRange)
     }
 
-    /// We left the drive alone for so long that it has braked by itself. A word that enables would take it
-    /// back to a target of before, so it is led to a quick stop instead.
+    /// Latches that no SYNC was sent for so long that the drive braked by itself. A controlword that enables the drive
+    /// would make it follow an old target, so the drive gets a quick stop instead.
     pub(super) fn left_alone(&mut self, waited: Duration) {
         let node = self.setup.node.raw();
         self.latch(Fault::HostLate { node, waited });
@@ -373,8 +379,8 @@ impl Axis {
         });
     }
 
-    /// Takes the command of this cycle. `setpoint` is what [`check`](Self::check) said; `hold` keeps the
-    /// target of the last cycle, because another axis refused its own.
+    /// Takes the command of this cycle and returns the RPDO. `setpoint` is the result of [`check`](Self::check).
+    /// `hold` keeps the target of the last cycle, because the set-point of another axis was refused.
     pub(super) fn command(
         &mut self,
         command: AxisCommand,
@@ -419,7 +425,7 @@ impl Axis {
         process_data::encode(self.setup.node, self.setup.mode, word, self.target)
     }
 
-    /// Whether the port took what [`command`](Self::command) gave it, and the SYNC before it.
+    /// Notes whether the port took the frame from [`command`](Self::command) and the SYNC before it.
     pub(super) fn handed_over(&mut self, taken: bool) {
         self.not_sent = if taken {
             0
@@ -428,8 +434,8 @@ impl Axis {
         };
     }
 
-    /// Clears the fault, unless it is the drive's to leave first. What the drive and the bus
-    /// still show is latched again by the next reading.
+    /// Clears the fault, unless the drive itself is in its fault state. A cause that persists is latched again at the
+    /// next reading.
     fn reset(&mut self) {
         let faulted = matches!(
             self.statusword.power_state(),
@@ -459,14 +465,14 @@ impl Axis {
         }
     }
 
-    /// Chooses the target. While the drive does not act on it, it is where the drive stands, so that
-    /// the first one it acts on moves nothing; from then on it changes by set-points alone.
+    /// Chooses the target. As long as the drive does not act on the target, the target follows the measured position,
+    /// so enabling moves nothing. Once the drive acts on the target, only set-points change it.
     fn aim(&mut self, command: AxisCommand, setpoint: Option<Target>, hold: bool, powered: bool) {
         let holding = powered && self.modes.is(self.setup.mode.of_operation());
         if !(holding && self.held) {
             self.target = self.resting_target().into();
         }
-        // A torque is for one cycle.
+        // A feed-forward torque applies for one cycle only.
         self.target.torque = Permille(0);
         self.held = holding;
         if !holding || hold {
@@ -487,7 +493,7 @@ impl Axis {
         }
     }
 
-    /// Whether it stands by a velocity or torque of zero, not by a position.
+    /// Whether the axis stands by a velocity or torque of zero instead of a held position.
     fn rests_at_zero(&self) -> bool {
         match self.setup.mode {
             CyclicMode::Csp | CyclicMode::CspWithTorque => false,
@@ -536,7 +542,7 @@ impl Axis {
         }
     }
 
-    /// What to ask the drive by SDO next, if its client is free.
+    /// The next service request to the drive, for an idle SDO client.
     pub(super) fn next_service(&mut self) -> Option<Service> {
         if !self.operational || self.booted || self.unserved {
             return None;
@@ -544,7 +550,7 @@ impl Axis {
         if self.state.fault == Some(self.drive_fault(0)) {
             return Some(Service::ErrorCode);
         }
-        // While its quick stop brakes it, a drive in a foreign mode stays there.
+        // A drive in a mode that the group did not command stays in it while the quick stop brakes.
         if matches!(self.state.fault, Some(Fault::ModeChanged { .. })) {
             return None;
         }
@@ -553,7 +559,7 @@ impl Axis {
         Some(Service::Mode(request))
     }
 
-    /// Takes the answer to a service request: the object's value, or why there is none.
+    /// Takes the answer to a service request: the value of the object, or the abort code.
     pub(super) fn served(&mut self, service: Service, result: Result<u32, u32>) {
         match (service, result) {
             (Service::Mode(ModeRequest::Tell(mode)), Ok(_)) => self.modes.taken(mode),
@@ -561,7 +567,7 @@ impl Axis {
                 self.modes.seen(ModeOfOperation::from_raw(value as i8));
             }
             (Service::ErrorCode, Ok(code @ 1..)) => self.name_fault(code as u16),
-            // A drive that has a fault without a code.
+            // The drive has a fault but reports no error code.
             (Service::ErrorCode, Ok(0)) => self.unserved = true,
             (Service::Mode(_) | Service::ErrorCode, Err(code)) => {
                 let Object { index, subindex } = service.object();
@@ -577,7 +583,7 @@ impl Axis {
         self.telling = false;
     }
 
-    /// The first fault stays until reset: the later ones are mostly its consequences.
+    /// Latches a fault. The first fault stays until reset, because later ones are mostly its consequences.
     pub(super) fn latch(&mut self, fault: Fault) {
         self.state.fault.get_or_insert(fault);
     }

@@ -11,13 +11,13 @@ use super::config::{AxisConfig, ConfigError, GroupConfig, Setting};
 use super::program::{Step, program};
 use crate::{BringUpError, Increments};
 
-/// How often a node may boot before it counts as not booting.
+/// Greatest number of boots of a node in one bring-up. A node that boots again has failed to boot.
 const BOOTS: u8 = 3;
 
 /// Device profile of a drive, in the low half of object 0x1000.
 const PROFILE_402: u32 = 402;
 
-/// Brings one node from whatever state it is in to configured, and then to operational.
+/// Brings one node from any state to configured, and then to operational.
 ///
 /// ```text
 ///          boot-up, or 0x1000 answered        last step            all nodes are        heartbeat 0x05
@@ -34,7 +34,7 @@ pub(super) struct NodeBringUp {
     phase: Phase,
     boots: u8,
     learnt: Learnt,
-    /// The value of the agreement whose divisor is asked for, if the drive has it.
+    /// Value of the last agreement's object, kept while its divisor is read.
     value: Option<u32>,
     /// Whether the drive has the object of the last agreement.
     agreed: bool,
@@ -42,13 +42,13 @@ pub(super) struct NodeBringUp {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
-    /// Reset was ordered at `since`; its boot-up is awaited, or an answer to object 0x1000.
+    /// The reset was sent at `since`. The boot-up message or an answer to object 0x1000 is awaited.
     Booting {
         since: Instant,
         booted: bool,
         asked: bool,
     },
-    /// `asked`: the request of the step is under way since `since`.
+    /// `asked`: the request of the current step is under way since `since`.
     Configuring {
         step: usize,
         reading_back: bool,
@@ -77,7 +77,7 @@ impl NodeBringUp {
         })
     }
 
-    /// Begins anew; the caller sends the reset.
+    /// Restarts bring-up. The caller sends the reset.
     pub(super) fn reset(&mut self, now: Instant) {
         self.phase = Phase::Booting {
             since: now,
@@ -88,7 +88,7 @@ impl NodeBringUp {
         self.learnt = Learnt::default();
     }
 
-    /// Begins the start; the caller sends the command.
+    /// Starts the change to operational. The caller sends the command.
     pub(super) fn start(&mut self, now: Instant) {
         self.phase = Phase::Starting { since: now };
     }
@@ -105,18 +105,18 @@ impl NodeBringUp {
         self.learnt
     }
 
-    /// Takes the mode of operation that the drive shows by itself; a drive shows none before its start.
+    /// Takes the mode of operation that the drive reported unasked. A drive reports none before its start.
     pub(super) fn shows(&mut self, mode: ModeOfOperation) {
         if matches!(self.phase, Phase::Starting { .. } | Phase::Operational) {
             self.learnt.mode_shown = Some(mode);
         }
     }
 
-    /// Takes a heartbeat or boot-up; `sdo` starts anew with a node that booted.
+    /// Takes a heartbeat or boot-up message. A boot-up resets the client `sdo`.
     pub(super) fn heard(&mut self, state: nmt::State, sdo: &mut Client, now: Instant) {
         match (self.phase, state) {
             (Phase::Starting { .. }, nmt::State::Operational) => self.phase = Phase::Operational,
-            // Nothing in a node that left operational again is as it was told; the start's deadline ends it.
+            // A node that left operational may have lost its configuration. The boot time-out ends the start.
             (Phase::Operational, state) if state != nmt::State::Operational => {
                 self.phase = Phase::Starting { since: now };
             }
@@ -145,7 +145,7 @@ impl NodeBringUp {
         Client::new(self.node, self.group.sdo_timeout, self.group.sdo_retries)
     }
 
-    /// Moves on: takes the answer to the last request and makes the next one.
+    /// Advances bring-up: takes the answer to the last request and makes the next request.
     pub(super) fn advance(&mut self, sdo: &mut Client, now: Instant) -> Result<(), BringUpError> {
         let node = self.node.raw();
         sdo.handle_timeout(now);
@@ -173,7 +173,7 @@ impl NodeBringUp {
                         Ok(device_type) => {
                             return Err(BringUpError::NotADrive { node, device_type });
                         }
-                        // It may still boot; the boot time-out decides.
+                        // The node may still boot; the boot time-out decides.
                         Err(_) => {
                             self.phase = Phase::Booting {
                                 since,
@@ -259,7 +259,7 @@ impl NodeBringUp {
             }
             Phase::Starting { since } => {
                 let waited = now.since(since);
-                // The heartbeat that says so may be a period away.
+                // The heartbeat that shows the operational state may be a period away.
                 if waited > self.group.boot_timeout + self.group.heartbeat_period {
                     return Err(BringUpError::NotOperational { node, waited });
                 }
@@ -291,7 +291,7 @@ impl NodeBringUp {
                 return Ok(Next::Step);
             }
             Step::Agree(agreement) if absent => {
-                // A dividend alone is divided by one.
+                // A dividend without a divisor is divided by one.
                 let value = self.value.take();
                 self.agreed = value.is_some();
                 if let Some(value) = value {
@@ -393,7 +393,7 @@ impl NodeBringUp {
     }
 }
 
-/// Whether a drive holds what was written.
+/// Checks that the drive holds the written value.
 fn compare(node: NodeId, object: Object, wrote: &[u8], read: Transfer) -> Result<(), BringUpError> {
     let found = read.data;
     let node = node.raw();
@@ -429,7 +429,7 @@ enum Next {
     Step,
 }
 
-/// Starts a transfer with a client that is idle: it was just made, or its last result was taken.
+/// Starts a transfer with an idle client: a new one, or one whose last result was taken.
 pub(super) fn begin(sdo: &mut Client, object: Object, write: Option<Write>, now: Instant) {
     let started = match write {
         Some(write) => sdo.write(write, now),
@@ -438,7 +438,7 @@ pub(super) fn begin(sdo: &mut Client, object: Object, write: Option<Write>, now:
     started.expect("the client is idle and four bytes fit it");
 }
 
-/// The abort code that says why, whichever side ended the transfer.
+/// The abort code of the error, whichever side ended the transfer.
 pub(super) fn abort_code(error: SdoError) -> (Object, AbortCode) {
     (error.object(), error.abort_code())
 }

@@ -1,4 +1,4 @@
-//! What a drive group and its axes are configured to, and what is refused before a frame is sent.
+//! Configuration of a drive group and its axes, and the checks made before the first frame.
 
 use std::fmt;
 use std::time::Duration;
@@ -12,19 +12,20 @@ use super::reserved::reserved;
 use crate::Scale;
 use crate::scale::rpm_magnitude;
 
-/// How many of its own periods a heartbeat may be late before it counts as lost, in both directions.
+/// Heartbeat periods without a heartbeat after which the other side counts as lost, in both directions.
 pub(super) const HEARTBEATS_TO_LOSE: u32 = 3;
 
-/// What the drives of a group have in common.
+/// Settings common to all drives of a group.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GroupConfig {
-    /// The SYNC period, which is the servo period. Whole milliseconds up to 100 are what an EPOS4 takes.
+    /// The SYNC period, equal to the servo period. An EPOS4 accepts whole milliseconds up to 100.
     pub period: Duration,
-    /// Missing answers in a row that are ridden through; one more is [`Fault::Silent`](crate::Fault::Silent).
-    /// As many set-points in a row may be refused by the port; one more is [`Fault::NotSent`](crate::Fault::NotSent).
+    /// Tolerated number of missing answers in a row; one more is [`Fault::Silent`](crate::Fault::Silent). The same
+    /// number of set-points in a row may be refused by the port; one more is
+    /// [`Fault::NotSent`](crate::Fault::NotSent).
     pub tolerated_missing: u32,
-    /// Period of the drives' heartbeats and of ours, whole milliseconds. Three periods of silence are a
-    /// loss, here and in the drives (object 0x1016).
+    /// Heartbeat period of the drives and of the host, whole milliseconds. Three periods without a heartbeat count as
+    /// a loss, in the host and in the drives (object 0x1016).
     pub heartbeat_period: Duration,
     /// The node-ID under which the host sends its heartbeat.
     pub host_node: NodeId,
@@ -32,43 +33,44 @@ pub struct GroupConfig {
     pub sdo_timeout: Duration,
     /// How often a service request is repeated before it counts as timed out.
     pub sdo_retries: u8,
-    /// How long a node may take to boot, and again to become operational, less a heartbeat period.
+    /// Time-out for the boot of a node, and again for its change to operational. The latter is extended by a heartbeat
+    /// period.
     pub boot_timeout: Duration,
-    /// How long a drive may take to reach an asked power state or mode of operation.
+    /// Time-out for a change of power state or mode of operation.
     pub transition_timeout: Duration,
 }
 
 /// One drive and its motor.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AxisConfig {
-    /// Its node-ID.
+    /// Node-ID of the drive.
     pub node: NodeId,
-    /// What object 0x1018 must say.
+    /// Expected content of object 0x1018.
     pub identity: Identity,
-    /// The cyclic mode of operation it works in.
+    /// The cyclic mode of operation.
     pub mode: CyclicMode,
-    /// Between motor positions and its counts.
+    /// Scale between motor positions and the drive's increments.
     pub scale: Scale,
-    /// Rated torque of the motor, N·m: object 0x6076, whose thousandths 0x6071 and 0x6077 count.
+    /// Rated torque of the motor, N·m (object 0x6076). Objects 0x6071 and 0x6077 count thousandths of it.
     pub rated_torque: f64,
-    /// How it finds its reference.
+    /// How the drive searches for its reference.
     pub homing: HomingConfig,
-    /// Plausibility bound, rad/s: a faster change of position is a counter that jumped. No motor turns so fast, not even
-    /// in a runaway loop.
+    /// Plausibility bound, rad/s. A faster change of position counts as a jump of the counter. The motor must not
+    /// reach this speed even in a runaway loop.
     pub plausible_velocity: f64,
-    /// Following error at which the drive faults by itself, rad of motor rotation (object 0x6065).
+    /// Following error at which the drive itself faults, rad of motor rotation (object 0x6065).
     pub following_error: f64,
     /// Deceleration of a quick stop, rad/s² (object 0x6085).
     pub quick_stop_deceleration: f64,
-    /// The objects of its device configuration file, in order, downloaded before `parameters`. None of them may be
+    /// The objects of the device configuration file, in order, downloaded before `parameters`. None of them may be
     /// [`reserved`](super::reserved).
     pub configuration: Vec<Setting>,
-    /// Further objects to download, in order, before all that this driver sets itself. None of them may be
+    /// Further objects, downloaded in order before the settings of this driver. None of them may be
     /// [`reserved`](super::reserved).
     pub parameters: Vec<Parameter>,
 }
 
-/// Who a drive must be (object 0x1018); `None` accepts any.
+/// Expected identity of a drive (object 0x1018); `None` accepts any value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Identity {
     /// Vendor-ID; 0x0000_00FB is maxon.
@@ -84,16 +86,18 @@ pub struct Identity {
 pub enum CyclicMode {
     /// The drive closes the position loop.
     Csp,
-    /// The same, and it adds a torque that it gets with each position (object 0x60B2) to what its loops ask for:
-    /// torque feed-forward in CiA 402-2, mapped beside the position in an EPOS4's own default PDO of the mode.
+    /// The drive closes the position loop and adds a torque to the output of its loops. The torque arrives with each
+    /// position (object 0x60B2; torque feed-forward in CiA 402-2). EPOS4's default PDO of this mode maps the torque
+    /// beside the position.
     CspWithTorque,
     /// The drive closes the velocity loop.
     Csv,
     /// The drive closes the torque loop.
     ///
-    /// No limit of speed is set in it. Object 0x6080 is the most that the motor stands (CiA 402-2), from its data sheet;
-    /// whether a drive heeds it in this mode is its maker's choice (Nanotec's PD4-E lists it for the mode, Lenze's i700
-    /// has 0x2946 instead, and of maxon's nothing is known here). The host sees how fast the motor is, and stops it.
+    /// This driver sets no speed limit in this mode. Object 0x6080 is the greatest speed that the motor permits (CiA
+    /// 402-2), from its data sheet. Whether a drive limits the speed to it in this mode depends on the vendor:
+    /// Nanotec's PD4-E lists 0x6080 for this mode, Lenze's i700 has 0x2946 instead, and for maxon's drives the
+    /// behaviour is unknown. The host monitors the speed and stops the motor.
     Cst,
 }
 
@@ -110,29 +114,29 @@ pub struct HomingConfig {
     pub acceleration: f64,
 }
 
-/// A value for one object of a drive.
+/// A value of an object of a drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Parameter {
     /// Object index.
     pub index: u16,
     /// Sub-index.
     pub subindex: u8,
-    /// The value; of a signed object its two's complement, cut to `size`.
+    /// The value; for a signed object the two's complement, truncated to `size`.
     pub value: u32,
     /// Bytes of the object: 1, 2 or 4.
     pub size: u8,
 }
 
-/// A value of any length for one object of a drive.
+/// A value of any length of an object of a drive.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Setting {
     /// Object index.
     pub index: u16,
     /// Sub-index.
     pub subindex: u8,
-    /// The value as it goes over the bus, up to [`CAPACITY`] bytes.
+    /// The value in wire format, up to [`CAPACITY`] bytes.
     pub data: Vec<u8>,
-    /// Whether it can be read back, and is.
+    /// The object can be read; bring-up then reads it back.
     pub readable: bool,
 }
 
@@ -148,22 +152,22 @@ impl Parameter {
     }
 }
 
-/// Why a group cannot be configured so.
+/// Why a configuration is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum ConfigError {
-    /// No axis at all, or more than node-IDs.
+    /// No axis, or more axes than node-IDs.
     #[error("a group has 1 to 126 axes, not {0}")]
     Axes(usize),
     /// Two nodes of one bus share a node-ID.
     #[error("node {0} occurs twice")]
     DuplicateNode(u8),
-    /// Object 0x60C2 cannot say this period exactly.
+    /// Object 0x60C2 cannot represent this period exactly.
     #[error("a period of {0:?} is not a count of up to 255 times a power of ten of a second")]
     Period(Duration),
-    /// Objects 0x1016 and 0x1017 cannot say this period, or the watch over it.
+    /// Objects 0x1016 and 0x1017 cannot represent this period or its time-out.
     #[error("a heartbeat period of {0:?} is not 1 to 21845 whole milliseconds")]
     HeartbeatPeriod(Duration),
-    /// A setting that cannot be, or must not be, written.
+    /// A setting that cannot or must not be written.
     #[error("node {node}: {index:#06x}:{subindex:02x} cannot be configured: {why}")]
     Setting {
         /// Node-ID.
@@ -175,7 +179,7 @@ pub enum ConfigError {
         /// Why.
         why: &'static str,
     },
-    /// A quantity of an axis that is zero, negative, not finite, or beyond what the drive can hold.
+    /// A quantity of an axis is zero, negative, not finite, or out of the drive's range.
     #[error("node {node}: {quantity} is out of range")]
     OutOfRange {
         /// Node-ID.
@@ -185,7 +189,7 @@ pub enum ConfigError {
     },
 }
 
-/// A quantity of an axis that its drive has in a unit and a number of bits of its own.
+/// A quantity of an axis that the drive holds in its own unit and integer size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Quantity {
     /// [`AxisConfig::rated_torque`].
@@ -232,8 +236,8 @@ impl CyclicMode {
 }
 
 impl GroupConfig {
-    /// Object 0x60C2: value and power of ten, s. Milliseconds if they are whole, else as coarse as
-    /// is exact.
+    /// Object 0x60C2: value and power of ten, s. The unit is milliseconds if possible, otherwise the coarsest unit
+    /// that is exact.
     pub(super) fn interpolation_period(&self) -> Result<(u8, i8), ConfigError> {
         let nanos = self.period.as_nanos();
         [(-3, 1_000_000), (-4, 100_000), (-5, 10_000), (-6, 1_000)]
@@ -243,7 +247,7 @@ impl GroupConfig {
             .ok_or(ConfigError::Period(self.period))
     }
 
-    /// Milliseconds between heartbeats (object 0x1017) and until one is lost (object 0x1016).
+    /// Milliseconds between heartbeats (object 0x1017) and until a heartbeat counts as lost (object 0x1016).
     pub(super) fn heartbeat_times(&self) -> Result<(u16, u16), ConfigError> {
         let error = ConfigError::HeartbeatPeriod(self.heartbeat_period);
         let nanos = self.heartbeat_period.as_nanos();
@@ -256,19 +260,20 @@ impl GroupConfig {
         }
     }
 
-    /// How long the bus is listened to before the first frame is sent: three periods of the heartbeat and of SYNC. A
-    /// controller that is silent for that long has lost its drives, which have stopped by themselves.
+    /// How long the group listens to the bus before its first frame: three periods of the heartbeat or of SYNC,
+    /// whichever is longer. The drives of a controller silent for that long have detected its loss and stopped by
+    /// themselves.
     pub fn listening(&self) -> Duration {
         self.heartbeat_period.max(self.period) * HEARTBEATS_TO_LOSE
     }
 
-    /// How long a heartbeat may stay away.
+    /// Time without a heartbeat after which a drive counts as lost.
     pub(super) fn heartbeat_lost_after(&self) -> Duration {
         self.heartbeat_period * HEARTBEATS_TO_LOSE
     }
 }
 
-/// An axis's quantities in the drive's units.
+/// Quantities of an axis in the drive's units.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct DriveUnits {
     /// Increments.
@@ -284,7 +289,7 @@ pub(super) struct DriveUnits {
 }
 
 impl AxisConfig {
-    /// Refuses what cannot or must not be written by a setting or a parameter.
+    /// Refuses settings and parameters that cannot or must not be written.
     fn check_writes(&self) -> Result<(), ConfigError> {
         let refusal = |object: Object, why| ConfigError::Setting {
             node: self.node.raw(),
@@ -349,7 +354,8 @@ impl AxisConfig {
 }
 
 impl GroupConfig {
-    /// Refuses what cannot work before a frame is sent: all that [`Cia402Group::new`](super::Cia402Group::new) refuses.
+    /// Checks the configuration without sending a frame: all that [`Cia402Group::new`](super::Cia402Group::new)
+    /// refuses.
     pub fn check(&self, axes: &[AxisConfig]) -> Result<(), ConfigError> {
         if !(1..=126).contains(&axes.len()) {
             return Err(ConfigError::Axes(axes.len()));

@@ -5,7 +5,7 @@ use canopen::cia402::{Controlword, HomingStatus, Statusword};
 use super::axis::ANSWERS_TO_EFFECT;
 use crate::Homing;
 
-/// One axis's search for its reference, and whether it has one.
+/// State machine of one axis's homing, and whether the axis has a reference.
 ///
 /// ```text
 ///         wanted            0x6061 is HM           bits 10, 12, 13
@@ -20,13 +20,13 @@ use crate::Homing;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Search {
     step: Step,
-    /// A search succeeded, and nothing has put the counter in doubt since.
+    /// A search succeeded, and the counter has not become doubtful since.
     attained: bool,
-    /// Bit 15 of the last statusword: EPOS keep their reference while they are powered.
+    /// Bit 15 of the last statusword: EPOS drives keep their reference while they are powered.
     kept: bool,
-    /// The counter jumped: the axis has no reference before the next search, even if the drive reports one.
+    /// The counter jumped. The axis has no reference until the next search, even if the drive reports one.
     doubted: bool,
-    /// Answers to come in which the end of a search may still show by a counter set anew.
+    /// Number of further answers in which the drive may still set its counter, as the end of a search does.
     may_set_counter: u32,
 }
 
@@ -35,7 +35,7 @@ enum Step {
     #[default]
     Idle,
     Preparing,
-    /// Bit 4 is set. `begun` once the drive said that it searches.
+    /// Controlword bit 4 is set. `begun`: the drive has reported that it searches.
     Searching {
         answers: u32,
         begun: bool,
@@ -43,14 +43,14 @@ enum Step {
     Ended {
         attained: bool,
     },
-    /// Bit 4 is clear and halt is set.
+    /// Controlword bit 4 is clear and the halt bit is set.
     Halting {
         answers: u32,
     },
 }
 
 impl Search {
-    /// Moves on once a cycle, by what is wanted and where the drive is.
+    /// Advances once a cycle. `wanted` is the commanded state; the other arguments are the state of the drive.
     pub(super) fn command(&mut self, wanted: bool, powered: bool, in_homing_mode: bool) {
         self.step = match self.step {
             _ if !powered => Step::Idle,
@@ -73,9 +73,10 @@ impl Search {
 
     /// Takes the statusword of an answer.
     ///
-    /// Bits 10, 12 and 13 may still be those of a search before, so what would end this one
-    /// counts only once the drive was seen searching or had time to begin. A drive that was not told to
-    /// search yet may look as if it did until it stands, and interrupted then: that counts once it had time.
+    /// Bits 10, 12 and 13 may still be the result of the previous search. An end of this search is therefore accepted
+    /// only after the drive was seen searching, or had time to begin. A drive that has not yet started may seem to
+    /// search until it stands, and then to be interrupted. An interruption is therefore accepted only once the drive
+    /// had time to begin.
     pub(super) fn answered(&mut self, word: Statusword) {
         if self.kept && !word.epos_referenced() {
             self.attained = false;
@@ -125,23 +126,23 @@ impl Search {
         }
     }
 
-    /// The counter jumped.
+    /// Notes that the counter jumped.
     pub(super) fn doubt(&mut self) {
         self.doubted = true;
     }
 
-    /// Keeps the doubt of operation before a bring-up, which neither resets nor examines the counter.
+    /// Keeps the doubt from before a bring-up, because bring-up neither resets nor checks the counter.
     pub(super) fn doubt_as(&mut self, before: &Self) {
         self.doubted = before.doubted;
     }
 
-    /// Whether the drive may set its counter anew. A drive searches on until the word that ends the search has effect, and
-    /// the statusword may show the end of the search before the counter does.
+    /// Whether the drive may set its counter. A drive continues its search until the controlword that ends it takes
+    /// effect. The statusword may show the end of the search before the position shows the new count.
     pub(super) fn may_set_counter(&self) -> bool {
         self.may_set_counter > 0
     }
 
-    /// The node booted: its counter means nothing any more.
+    /// Discards the reference: a node that booted has lost its counter.
     pub(super) fn forget(&mut self) {
         *self = Self::default();
     }
@@ -151,12 +152,12 @@ impl Search {
         self.step != Step::Idle
     }
 
-    /// Whether the drive still has to come to a stand.
+    /// Whether the drive is still stopping.
     pub(super) fn halting(&self) -> bool {
         matches!(self.step, Step::Halting { .. })
     }
 
-    /// Adds bit 4 or halt to a controlword.
+    /// Adds the start bit (bit 4) or the halt bit to a controlword.
     pub(super) fn controlword(&self, word: Controlword) -> Controlword {
         let started = matches!(self.step, Step::Searching { .. } | Step::Ended { .. });
         word.with(Controlword::START, started)
@@ -197,7 +198,7 @@ mod tests {
         search.controlword(Controlword::ENABLE_OPERATION).0
     }
 
-    /// Until the start of the search surely shows in an answer.
+    /// A search long enough under way that its start surely shows in an answer.
     fn begun() -> Search {
         let mut search = searching();
         for _ in 0..ANSWERS_TO_EFFECT {
@@ -230,13 +231,13 @@ mod tests {
     fn what_the_drive_said_before_it_could_begin_ends_no_search() {
         const STALE: usize = ANSWERS_TO_EFFECT as usize;
         let table: &[(&[u16], u16, Homing)] = &[
-            // Left over from a search before.
+            // Statuswords left over from the previous search.
             (&[DONE; STALE], SEARCHING, Homing::InProgress),
             (&[FAILED; STALE], SEARCHING, Homing::InProgress),
             (&[INTERRUPTED; STALE], INTERRUPTED, Homing::InProgress),
-            // Just come to mode HM, and not told to search yet.
+            // Mode HM has just begun, and no search was commanded yet.
             (&[SEARCHING, INTERRUPTED], SEARCHING, Homing::InProgress),
-            // Done before an answer could show it searching: method 37.
+            // Method 37 ends before any answer shows a search.
             (
                 &[INTERRUPTED, INTERRUPTED, DONE, DONE],
                 DONE,

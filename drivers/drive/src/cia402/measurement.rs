@@ -7,44 +7,44 @@ use can::Instant;
 use super::setup::Setup;
 use crate::{AxisState, Increments, Scale};
 
-/// Most increments that rounding both positions adds to a displacement.
+/// Greatest error of a displacement from rounding both positions, increments.
 const ROUNDING: f64 = 2.0;
 
 /// Shortest time, periods, that the check allows for a displacement.
 ///
-/// Answers that the bus or an adapter held back arrive in a burst. All answers of a burst are taken for samples of the
-/// last SYNC, although a period lies between two of them, and two periods where an answer in between is lost.
+/// Answers delayed by the bus or an adapter arrive in a burst. All answers of a burst are taken for samples of the
+/// last SYNC. Two successive ones are a period apart in fact, or two periods where the answer between them is lost.
 const SHORTEST: u32 = 2;
 
-/// Position and velocity of the last sample that was believed.
+/// Position and velocity of the last plausible sample.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Measurement {
     scale: Scale,
-    /// Increments/s that the motor cannot exceed.
+    /// Greatest possible speed of the motor, increments/s.
     fastest: f64,
-    /// Least time that the check allows for a displacement.
+    /// Shortest time that the check allows for a displacement.
     shortest: Duration,
     increments: Increments,
-    /// The last position reported, believed or not.
+    /// The last reported position, plausible or not.
     reported: Increments,
     velocity: f64,
-    /// When the SYNC was sent that sampled it.
+    /// Time at which the SYNC of that sample was sent.
     sampled: Option<Instant>,
 }
 
-/// A change of position that the motor cannot have made.
+/// An impossible change of position.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Jump {
-    /// Increments from the last position believed.
+    /// Increments from the last plausible position.
     pub(super) moved: i32,
-    /// Most increments that the motor can have moved.
+    /// Greatest possible displacement of the motor, increments.
     pub(super) most: u32,
-    /// Longest time that the motor can have had.
+    /// Longest time that may have passed for the motor.
     pub(super) within: Duration,
 }
 
 impl Measurement {
-    /// A motor that was at `increments` before the first answer.
+    /// A motor at `increments` before the first answer.
     pub(super) fn new(setup: &Setup, increments: Increments) -> Self {
         let Setup { scale, period, .. } = *setup;
         Self {
@@ -58,14 +58,15 @@ impl Measurement {
         }
     }
 
-    /// Takes the position that the SYNC sent at `sampled` sampled and an answer brought at `at`, `search_speed` during a
-    /// search for the reference. A jump is not believed: position and velocity stay as they are.
+    /// Takes the position sampled by the SYNC sent at `sampled` and received at `at`. `search_speed` is given during a
+    /// search for the reference. A jump is refused: position and velocity keep their values.
     ///
-    /// Velocity is the difference of two positions over the time between the SYNCs that sampled them. That time is longer
-    /// than a period where an answer or a cycle was missed. The resolution is one increment a period.
+    /// Velocity is the difference of two positions over the time between the SYNCs that sampled them. That time is
+    /// longer than a period where an answer or a cycle was missed. The resolution is one increment per period.
     ///
-    /// Both SYNCs may have reached the drive late. The time from the sending of the first SYNC to the second answer is the
-    /// longest time that the motor can have had. No delay of the host or of the bus looks like a jump.
+    /// Both SYNCs may have reached the drive late. The longest time that may have passed for the motor is therefore
+    /// the time from sending the first SYNC to receiving the second answer. No delay of the host or of the bus looks
+    /// like a jump.
     pub(super) fn take(
         &mut self,
         position: Increments,
@@ -79,7 +80,7 @@ impl Measurement {
             let dt = sampled.since(before).as_secs_f64();
             let within = at.since(before).max(self.shortest);
             let most = self.fastest * within.as_secs_f64() + ROUNDING;
-            // A search sets the counter anew.
+            // During a search, the drive sets the counter.
             if search_speed.is_none() && f64::from(moved).abs() > most {
                 let most = most as u32;
                 return Err(Jump {
@@ -101,12 +102,12 @@ impl Measurement {
         Ok(())
     }
 
-    /// The drive's own counter, even where it jumped.
+    /// The position as the drive counts it, even after a jump.
     pub(super) fn reported(&self) -> Increments {
         self.reported
     }
 
-    /// Says so in `state`.
+    /// Copies position and velocity to `state`.
     pub(super) fn tell(&self, state: &mut AxisState) {
         state.increments = self.increments;
         state.position = self.scale.position(self.increments);

@@ -1,43 +1,47 @@
-//! Drives of CiA 402 on one CAN bus in the cyclic synchronous modes, as the EPOS4 does them.
+//! CiA 402 drives on one CAN bus in the cyclic synchronous modes, as the EPOS4 implements them.
 //!
-//! [`Cia402Group`] brings its drives up, exchanges one RPDO and one TPDO with each per SYNC, leads
-//! them through the power states and through homing, and watches them: answers, heartbeats, EMCY,
-//! statuswords. What a drive does when it loses *us* is set and read back at bring-up: three host
-//! heartbeats missing, and it brakes by its quick stop and holds.
+//! [`Cia402Group`] brings its drives up and exchanges one RPDO and one TPDO with each drive per SYNC. The group leads
+//! the drives through the power states and through homing. The group monitors answers, heartbeats, EMCY and
+//! statuswords. Bring-up also sets and reads back the reaction of a drive that loses the host: after three missing
+//! host heartbeats, the drive brakes by its quick stop and holds.
 //!
-//! TPDO 2 brings the mode of operation when it changes: a change that the group did not command is a fault. A drive
-//! sends nothing on TPDO 2 as a rule, so that the watch costs no bus load.
+//! TPDO 2 reports a change of the mode of operation. A change that the group did not command is a fault. A drive
+//! normally sends nothing on TPDO 2, so the monitoring costs no bus load.
 //!
-//! Before its first frame the group listens ([`GroupConfig::listening`]). A frame that only a controller sends, from
-//! another, refuses the start; in operation such a frame is a fault of every axis ([`Sign`]).
+//! Before its first frame the group listens ([`GroupConfig::listening`]). A frame that only another controller can
+//! have sent makes the group refuse the start. In operation, such a frame is a fault of every axis ([`Sign`]).
 //!
-//! # What each command means
-//! - [`Off`](AxisCommand::Off) takes the voltage away, also from a moving axis; who wants it
-//!   braked brakes it before.
-//! - [`Stand`](AxisCommand::Stand) holds the position (CSP) of the answer that first showed torque, or the
-//!   last set-point followed. In CSV and CST it means velocity and torque zero, which is no
-//!   standing where a load pulls: follow at once.
-//! - [`Follow`](AxisCommand::Follow) before [`Power::On`] was seen, of another kind than the mode's, or
-//!   beyond the drive's units is refused: [`Fault::Refused`] names the axis, and no axis of the
-//!   group changes its target in that cycle. While [`AxisState::following`] is false for a change of
-//!   mode, the set-point is passed over and the drive stands.
-//! - [`Home`](AxisCommand::Home) changes to mode HM by service requests, at most one frame a cycle for the
-//!   whole group, searches, and on leaving comes back to the cyclic mode with the target where the axis
-//!   stands. An unfinished search is halted first.
-//! - An axis with a latched fault is braked by its quick stop, and stays there under any command
-//!   but `Off` and `ResetFault`.
+//! # Commands
+//! - [`Off`](AxisCommand::Off) removes the voltage, also from a moving axis. The servo brakes the axis first where
+//!   necessary.
+//! - [`Stand`](AxisCommand::Stand) in CSP holds the position of the first answer that showed torque, or the last
+//!   set-point followed. In CSV and CST the command means zero velocity or torque, and a load may then move the axis:
+//!   follow at once.
+//! - [`Follow`](AxisCommand::Follow) is refused before [`Power::On`] was seen, with the wrong kind of set-point for
+//!   the mode, or beyond the drive's range. [`Fault::Refused`] names the axis, and no axis of the group changes its
+//!   target in that cycle. While [`AxisState::following`] is false during a change of mode, the set-point is ignored
+//!   and the drive stands.
+//! - [`Home`](AxisCommand::Home) changes to mode HM by service requests and searches. The whole group sends at most
+//!   one service frame a cycle. On leaving, an unfinished search is halted, and the drive returns to the cyclic mode
+//!   with its present position as target.
+//! - An axis with a latched fault is braked by its quick stop. Only `Off` and `ResetFault` end this state.
 //!
 //! No set-point is clamped, queued or sent twice.
 //!
-//! # Who writes an object
-//! [`AxisConfig::configuration`] is written first, then [`AxisConfig::parameters`]. Neither may hold an object that is
-//! [`reserved`]: those belong to this driver, which writes and reads back its own part of them last, before operation:
-//! heartbeats (0x1016:01, 0x1017), reactions (0x1029:01, 0x6007, 0x605A, 0x6085), the interpolation period (0x60C2), the
-//! following error window (0x6065), homing (0x6098, 0x6099, 0x609A, 0x607C and maxon's 0x30B0, 0x30B1), offsets (0x60B0 to
-//! 0x60B2), process data and the mode of operation (0x6060). Of the PDOs, RPDO 1, TPDO 1 and TPDO 2 are mapped and the
-//! others switched off.
+//! # Which objects are written
 //!
-//! Left out: profile modes, interpolated position (EPOS2), several axes behind one node-ID. Read
+//! [`AxisConfig::configuration`] is written first, then [`AxisConfig::parameters`]. Neither may hold a [`reserved`]
+//! object. Those objects belong to this driver, which writes and reads back the following last, before operation:
+//! - heartbeats (0x1016:01, 0x1017);
+//! - reactions (0x1029:01, 0x6007, 0x605A, 0x6085);
+//! - interpolation period (0x60C2);
+//! - following error window (0x6065);
+//! - homing (0x6098, 0x6099, 0x609A, 0x607C and maxon's 0x30B0, 0x30B1);
+//! - offsets (0x60B0 to 0x60B2);
+//! - process data: RPDO 1, TPDO 1 and TPDO 2 are mapped and the other PDOs switched off;
+//! - mode of operation (0x6060).
+//!
+//! Not supported: profile modes, interpolated position (EPOS2), and several axes behind one node-ID. Read
 //! [`DriveGroup`] first, then `axis`, `bring_up` and `program`.
 
 mod agreement;
@@ -93,14 +97,14 @@ use process_data::Answer;
 use service::Service;
 use target::Target;
 
-/// SDO frames that one call of bring-up sends at most: what a transmit queue of ten still takes.
+/// Greatest number of SDO frames sent by one call of bring-up. A transmit queue of ten has room for them.
 const SDO_FRAMES_PER_CALL: usize = 8;
 
-/// Frames that a cycle sends beside one set-point for each axis: SYNC, our heartbeat and a service request. A
-/// port must take them all at once, or set-points are dropped.
+/// Frames of a cycle in addition to one set-point for each axis: SYNC, the host's heartbeat and a service request. A
+/// port must take all frames of a cycle at once, or set-points are dropped.
 pub const BESIDE_SETPOINTS: usize = 3;
 
-/// CiA 402 drives behind one port. The module says what it does with each command.
+/// CiA 402 drives behind one port. The module documentation describes each command.
 pub struct Cia402Group<P: Port> {
     port: P,
     config: GroupConfig,
@@ -109,35 +113,35 @@ pub struct Cia402Group<P: Port> {
     index: [Option<u8>; 128],
     stage: Stage,
     received: Vec<Received>,
-    /// Bring-up: frames that the port has still to take. Cycle: SYNC and the set-points.
+    /// During bring-up: frames that the port has not taken yet. In a cycle: SYNC and the set-points.
     batch: Vec<Frame>,
-    /// A service frame that the port has still to take.
+    /// A service frame that the port has not taken yet.
     service: Option<Frame>,
-    /// Whose client may speak first.
+    /// Index of the node whose SDO client sent last.
     turn: usize,
     syncs: Syncs,
     heartbeat_due: Instant,
     counters: GroupCounters,
     warnings: Warnings,
-    /// When bring-up was ready.
+    /// End of bring-up.
     up_since: Instant,
 }
 
-/// One drive: how it is brought up, how it runs, and the client both use.
+/// One drive: its bring-up, its operation, and the SDO client of both.
 struct Node {
     bring_up: NodeBringUp,
     axis: Axis,
     sdo: Client,
     service: Option<Service>,
     setpoint: Option<Target>,
-    /// That of the last cycle.
+    /// Fault at the end of the last cycle.
     fault: Option<Fault>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stage {
     Down,
-    /// Nothing is sent; another controller would be heard.
+    /// Nothing is sent, and frames of another controller are detected.
     Listening {
         until: Instant,
     },
@@ -146,20 +150,20 @@ enum Stage {
     Up,
 }
 
-/// The SYNCs sent, as far as answers to them can still come.
+/// The SYNCs sent to which answers may still arrive.
 #[derive(Clone, Copy, Debug, Default)]
 struct Syncs {
     last: Option<Instant>,
     before: Option<Instant>,
-    /// The last cycle was to send one.
+    /// The last cycle had to send a SYNC.
     attempted: bool,
-    /// And the port took it.
+    /// The port took the SYNC of the last cycle.
     sent: bool,
 }
 
 impl Syncs {
-    /// The SYNC that an answer received at `at` belongs to: the last one sent before it. `None` for
-    /// answers from so long ago that it is not known any more.
+    /// The SYNC that an answer received at `at` belongs to: the last one sent before the answer. `None` if the answer
+    /// is older than the last two SYNCs.
     fn of_answer(&self, at: Instant) -> Option<Instant> {
         [self.last, self.before]
             .into_iter()
@@ -177,7 +181,7 @@ impl Syncs {
 }
 
 impl<P: Port> Cia402Group<P> {
-    /// A group that has sent nothing yet; states and commands come in the order of `axes`.
+    /// A group that has sent nothing yet. States and commands come in the order of `axes`.
     pub fn new(port: P, config: GroupConfig, axes: &[AxisConfig]) -> Result<Self, ConfigError> {
         config.check(axes)?;
         let mut index = [None; 128];
@@ -219,7 +223,7 @@ impl<P: Port> Cia402Group<P> {
         })
     }
 
-    /// What such a group puts on its bus during operation.
+    /// Frames that a group of this configuration exchanges on its bus during operation.
     pub fn traffic(config: &GroupConfig, axes: &[AxisConfig]) -> Vec<Traffic> {
         traffic::of(config, axes)
     }
@@ -229,13 +233,13 @@ impl<P: Port> Cia402Group<P> {
         self.nodes.get_mut(usize::from(index))
     }
 
-    /// What `frame` says of another controller.
+    /// The sign of another controller in `frame`, if any.
     fn sign(&self, frame: &Frame) -> Option<Sign> {
         let is_ours = |node: NodeId| self.index[usize::from(node.raw())].is_some();
         Sign::of(frame, self.config.host_node, is_ours)
     }
 
-    /// Takes one frame during operation; `None` if it was not understood or not expected.
+    /// Takes one frame during operation. `None` means an undecodable or unexpected frame.
     fn take(&mut self, Received { frame, at }: Received, now: Instant) -> Option<()> {
         if let Some(sign) = self.sign(&frame) {
             self.latch_all(Fault::OtherController { sign });
@@ -264,7 +268,7 @@ impl<P: Port> Cia402Group<P> {
                 let emergency = Emergency::decode(&frame)?;
                 let axis = &mut self.node(node)?.axis;
                 axis.emergency(&emergency);
-                // The one that explains a fault may come before the statusword that shows the fault.
+                // The EMCY that explains a fault may arrive before the statusword that shows the fault.
                 if !emergency.is_reset() && axis.fault() != Some(axis.drive_fault(emergency.code)) {
                     self.warnings.add(Warning {
                         after: at.since(self.up_since),
@@ -282,7 +286,7 @@ impl<P: Port> Cia402Group<P> {
             cob::Function::SdoResponse(node) => {
                 let node = self.node(node)?;
                 node.sdo.handle(&frame, now);
-                // Before the frames behind it.
+                // The result must be known before the next frames are taken.
                 node.finish_service(now);
             }
             cob::Function::Nmt
@@ -301,7 +305,7 @@ impl<P: Port> Cia402Group<P> {
             .for_each(|node| node.axis.latch(fault));
     }
 
-    /// The next service frame of any node, each having its turn.
+    /// The next service frame; the nodes take turns.
     fn next_sdo_frame(&mut self, now: Instant) -> Option<Frame> {
         for _ in 0..self.nodes.len() {
             self.turn = (self.turn + 1) % self.nodes.len();
@@ -320,7 +324,7 @@ impl<P: Port> Cia402Group<P> {
         self.batch.extend(nodes);
     }
 
-    /// Ends the listening: whatever the nodes were told before is to be forgotten.
+    /// Ends the listening and discards all earlier requests to the nodes.
     fn begin(&mut self, now: Instant) {
         self.stage = Stage::Configuring;
         self.batch.clear();
@@ -402,22 +406,21 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
         self.nodes.len()
     }
 
-    /// A drive latches a set-point at the SYNC after the one it was sent with. In CSP it interpolates to it over one
-    /// period (0x60C2); in CSV and CST a period of acting on it is what the next sample shows.
+    /// A drive latches a set-point at the SYNC after the one it was sent with. In CSP, the drive interpolates to the
+    /// set-point over one period (0x60C2). In CSV and CST, the next sample shows the effect of one period.
     fn delay(&self) -> usize {
         3
     }
 
-    /// A call after readiness or an error begins bring-up again, with [`GroupConfig::listening`] and a reset of the
-    /// drives' communication.
-    /// The error of the first failing axis decides.
+    /// A call after completion or an error restarts bring-up, with [`GroupConfig::listening`] and a reset of the
+    /// drives' communication. The error of the first failing axis is returned.
     fn bring_up(&mut self, now: Instant) -> Poll<Result<(), BringUpError>> {
         match self.advance_bring_up(now) {
             Ok(false) => Poll::Pending,
             Ok(true) => {
                 self.stage = Stage::Up;
                 self.batch.clear();
-                // Operation owes nothing to how bring-up was timed.
+                // Operation starts from the same state, whatever the timing of bring-up.
                 self.turn = 0;
                 self.syncs = Syncs::default();
                 self.heartbeat_due = now;
@@ -449,7 +452,7 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
             }
             Err(error) => self.latch_all(Fault::Port(error)),
         }
-        // Before what follows from it is judged.
+        // Checked first, because silence is a consequence of bus-off.
         if self.port.state() == ControllerState::BusOff {
             self.latch_all(Fault::BusOff);
         }
@@ -496,8 +499,8 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
         }
     }
 
-    /// Behind the set-points come our heartbeat, when it is due, and at most one service frame, which
-    /// alone is offered again if the port does not take it.
+    /// The host's heartbeat, when due, and at most one service frame follow the set-points. Only the service frame is
+    /// sent again if the port does not take it.
     fn send(&mut self, now: Instant) -> bool {
         if self.batch.is_empty() {
             self.batch.push(Sync::default().encode());
@@ -521,7 +524,7 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
         };
         self.syncs.send(now, taken > 0);
         for (i, node) in self.nodes.iter_mut().enumerate() {
-            // A SYNC alone has no set-point to lose.
+            // A SYNC alone carries no set-point that could be lost.
             node.axis.handed_over(taken > setpoints.min(i + 1));
         }
         self.counters.dropped_syncs += u64::from(taken == 0);

@@ -1,11 +1,11 @@
-//! The mode of operation of one drive: told, shown, and changed by somebody else.
+//! The mode of operation of one drive: commanded, reported, and changed by another controller.
 
 use canopen::cia402::ModeOfOperation;
 
-/// Which mode of operation the drive was told, and which it shows.
+/// The commanded and the reported mode of operation of one drive.
 ///
-/// The drive is in a mode once object 0x6060 was written and object 0x6061 shows it; until then it
-/// is in none that could be relied on.
+/// The mode counts as reached once object 0x6060 was written and object 0x6061 shows the mode. Until then the mode is
+/// unknown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct ModeSwitch {
     told: ModeOfOperation,
@@ -22,7 +22,7 @@ pub(super) enum ModeRequest {
 }
 
 impl ModeSwitch {
-    /// A drive that was brought up in `mode`.
+    /// The state after bring-up in `mode`.
     pub(super) fn settled(mode: ModeOfOperation) -> Self {
         Self {
             told: mode,
@@ -35,7 +35,7 @@ impl ModeSwitch {
         self.told == mode && self.shown == Some(mode)
     }
 
-    /// What to ask the drive next so that it gets to `wanted`.
+    /// The next service request on the way to the mode `wanted`.
     pub(super) fn next(&self, wanted: ModeOfOperation) -> Option<ModeRequest> {
         if self.told != wanted {
             Some(ModeRequest::Tell(wanted))
@@ -46,7 +46,7 @@ impl ModeSwitch {
         }
     }
 
-    /// The drive took object 0x6060.
+    /// Notes that the drive accepted the write of object 0x6060.
     pub(super) fn taken(&mut self, mode: ModeOfOperation) {
         *self = Self {
             told: mode,
@@ -54,17 +54,17 @@ impl ModeSwitch {
         };
     }
 
-    /// The mode that the drive is known to be in; `None` on the way to another.
+    /// The mode that the drive is known to be in; `None` during a change.
     pub(super) fn settled_in(&self) -> Option<ModeOfOperation> {
         self.shown.filter(|shown| *shown == self.told)
     }
 
-    /// Somebody else has told the drive another mode.
+    /// Notes that another controller changed the mode.
     pub(super) fn overruled(&mut self, mode: ModeOfOperation) {
         *self = Self::settled(mode);
     }
 
-    /// Object 0x6061 was read.
+    /// Notes the value read from object 0x6061.
     pub(super) fn seen(&mut self, mode: ModeOfOperation) {
         self.shown = Some(mode);
     }

@@ -1,14 +1,14 @@
-//! The frames by which a second controller on the bus gives itself away.
+//! Detection of a second controller on the bus.
 //!
-//! Drives follow SYNC and set-points from any sender, and accept any heartbeat under the host's node-ID. NMT commands and
-//! service requests are no sign, since service commands may be used beside a controller.
+//! Drives follow SYNC and set-points from any sender, and accept any heartbeat under the host's node-ID. NMT commands
+//! and service requests are not signs of a second controller, because service tools may send them beside a controller.
 
 use std::fmt;
 
 use can::Frame;
 use canopen::{NodeId, cob};
 
-/// A frame that only the controller of a bus sends, and that came from elsewhere.
+/// A received frame that only the controller of a bus sends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sign {
     /// SYNC.
@@ -36,7 +36,8 @@ impl fmt::Display for Sign {
 }
 
 impl Sign {
-    /// What a received frame is a sign of, on the bus of `host` and the drives that `is_ours` knows.
+    /// The sign in a received frame, if any. `host` is the host's node-ID, and `is_ours`
+    /// returns whether a node is a drive of the group.
     pub(super) fn of(
         frame: &Frame,
         host: NodeId,

@@ -1,4 +1,4 @@
-//! The process data of a drive: what its PDOs carry, and how they are set up.
+//! Process data of a drive: content and configuration of its PDOs.
 
 use std::time::Duration;
 
@@ -18,21 +18,21 @@ use super::config::CyclicMode;
 use super::target::Target;
 use crate::{Increments, Permille};
 
-/// What TPDO 1 carries: statusword, position and torque.
+/// Content of TPDO 1: statusword, position and torque.
 pub(super) const ANSWER: [Entry; 3] = [
     Entry::new(STATUSWORD, 16),
     Entry::new(POSITION_ACTUAL, 32),
     Entry::new(TORQUE_ACTUAL, 16),
 ];
 
-/// What TPDO 2 carries: the mode of operation that the drive is in.
+/// Content of TPDO 2: the mode of operation that the drive is in.
 const SHOWN: [Entry; 1] = [Entry::new(MODE_OF_OPERATION_DISPLAY, 8)];
 
-/// The least time between two frames of TPDO 2, which a drive sends when its mode changes: its bus load is bounded, and zero
-/// as a rule.
+/// Inhibit time of TPDO 2, which a drive sends when its mode changes. The inhibit time bounds the bus load, which is
+/// normally zero.
 pub(super) const SHOWN_APART: Duration = Duration::from_millis(100);
 
-/// What RPDO 1 carries: controlword and the target of the mode.
+/// Content of RPDO 1: controlword and the target of the mode.
 pub(super) const fn request(mode: CyclicMode) -> &'static [Entry] {
     const WORD: Entry = Entry::new(CONTROLWORD, 16);
     const POSITION: Entry = Entry::new(TARGET_POSITION, 32);
@@ -53,10 +53,10 @@ pub(super) fn request_len(mode: CyclicMode) -> usize {
     bits.sum::<usize>() / 8
 }
 
-/// The PDOs of a drive in a mode: the request it receives and the answer it transmits at every SYNC, and its mode of
-/// operation, which it transmits when that changes.
+/// The PDOs of a drive in a mode. The drive receives the request and transmits the answer at every SYNC, and transmits
+/// its mode of operation when the mode changes.
 ///
-/// EPOS4 comes with event-driven PDOs and an inhibit time of 1 ms, longer than some periods.
+/// The default PDOs of an EPOS4 are event-driven with an inhibit time of 1 ms, which is longer than some periods.
 pub fn pdo_setups(node: NodeId, mode: CyclicMode) -> [PdoSetup; 3] {
     let request = PdoSetup {
         kind: PdoKind::Rpdo,
@@ -87,7 +87,7 @@ pub fn pdo_setups(node: NodeId, mode: CyclicMode) -> [PdoSetup; 3] {
     [request, answer, shown]
 }
 
-/// What to write so that a drive exchanges these PDOs and no others.
+/// The writes after which a drive exchanges these PDOs and no others.
 pub(super) fn mapping_writes(node: NodeId, mode: CyclicMode) -> impl Iterator<Item = Write> {
     use PdoNumber::{Four, Three, Two};
     let rpdo = |number| PdoCobId::new(cob::rpdo(number, node));
@@ -103,7 +103,7 @@ pub(super) fn mapping_writes(node: NodeId, mode: CyclicMode) -> impl Iterator<It
         .chain(setups.into_iter().flat_map(|setup| remap(&setup)))
 }
 
-/// TPDO 2; `None` for a payload of another length.
+/// Decodes TPDO 2; `None` for a payload of another length.
 pub(super) fn mode_shown(data: &[u8]) -> Option<ModeOfOperation> {
     let &[mode] = data else { return None };
     Some(ModeOfOperation::from_raw(mode as i8))

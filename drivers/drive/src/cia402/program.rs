@@ -1,4 +1,4 @@
-//! The steps of bring-up: what a drive is asked and told before it is started, in order.
+//! The steps of bring-up: reads and writes before a drive is started, in order.
 
 use canopen::Object;
 use canopen::cia402::{HomingMethod, ModeOfOperation};
@@ -11,38 +11,38 @@ use super::process_data;
 
 /// Vendor-ID of maxon.
 pub(super) const MAXON: u32 = 0x0000_00FB;
-/// Object 0x6007: a broken connection makes the drive brake by a quick stop.
+/// Object 0x6007: the drive brakes by a quick stop when the connection is lost.
 const ABORT_CONNECTION_BY_QUICK_STOP: i16 = 3;
-/// Object 0x1029:1: a lost connection leaves the NMT state alone. A drive that went to pre-operational would
-/// hold its axis with torque and hear no controlword that takes it away.
+/// Object 0x1029:1: the NMT state stays as it is when the connection is lost. In pre-operational, the drive would hold
+/// its axis under torque and receive no controlword to remove the torque.
 const STAY_OPERATIONAL: u8 = 1;
-/// Object 0x605A: a quick stop brakes on its ramp, and the drive then holds the axis.
+/// Object 0x605A: the quick stop brakes on its ramp, and the drive then holds the axis.
 const QUICK_STOP_RAMP_AND_HOLD: i16 = 6;
 
-/// One thing that a node is asked or told.
+/// One read or write of bring-up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Step {
-    /// Object 0x1018 must say this.
+    /// Object 0x1018 must have this value.
     Identity(Object, u32),
-    /// Object 0x6502 must have these modes.
+    /// Object 0x6502 must list these modes.
     Modes([ModeOfOperation; 2]),
-    /// What the agreement is about is read; a drive without the object has nothing to disagree.
+    /// Reads the object of the agreement. A drive without the object is accepted.
     Value(Agreement),
-    /// Its divisor, if it has one, is read; both must say what the cell says.
+    /// Reads the divisor of the agreement, if there is one, and checks the quotient against the cell.
     Agree(Agreement),
-    /// Write this setting of [`AxisConfig::configuration`], and read it back if that can be.
+    /// Writes this setting of [`AxisConfig::configuration`], and reads it back if the object is readable.
     Configure(Object, usize),
-    /// Write, and read back.
+    /// Writes and reads back.
     Set(Write),
-    /// Write, and read back; a drive without the object has no other value either.
+    /// Writes and reads back. A drive without the object is accepted.
     SetIfPresent(Write),
-    /// Object 0x6061 must come to show this mode.
+    /// Waits until object 0x6061 shows this mode.
     Shown(ModeOfOperation),
-    /// Object 0x6041.
+    /// Reads object 0x6041.
     Statusword,
-    /// Object 0x6064.
+    /// Reads object 0x6064.
     Position,
-    /// Object 0x603F, which counts if the drive is in fault.
+    /// Reads object 0x603F, used if the drive is in fault.
     ErrorCode,
 }
 
@@ -61,12 +61,12 @@ impl Step {
         }
     }
 
-    /// Whether it is left out where the last agreement was about an object that the drive has.
+    /// Whether the step is skipped if the drive has the object of the last agreement.
     pub(super) fn instead(&self) -> bool {
         matches!(self, Self::Value(agreement) | Self::Agree(agreement) if agreement.instead)
     }
 
-    /// The number it writes; `None` if it writes a setting, or only reads.
+    /// The number to write; `None` for a setting or a read.
     pub(super) fn write(&self) -> Option<Write> {
         match self {
             Self::Set(write) | Self::SetIfPresent(write) => Some(*write),
@@ -93,7 +93,7 @@ impl Parameter {
     }
 }
 
-/// All that a drive is asked and told before it is started.
+/// All steps before a drive is started.
 pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step>, ConfigError> {
     let units = axis.drive_units()?;
     let (period, exponent) = group.interpolation_period()?;
@@ -111,7 +111,7 @@ pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
         .filter_map(|(object, expected)| Some(Step::Identity(object, expected?)))
         .collect();
     steps.push(Step::Modes([mode, ModeOfOperation::Homing]));
-    // A controller before us may have left the drive enabled.
+    // A previous controller may have left the drive enabled.
     steps.push(Step::Set(Write::new(CONTROLWORD, 0_u16)));
     let settings = axis.configuration.iter().enumerate();
     steps.extend(settings.map(|(number, setting)| Step::Configure(setting.object(), number)));
@@ -121,7 +121,7 @@ pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
             .filter_map(Parameter::write)
             .map(Step::Set),
     );
-    // Behind the cell's own objects, whose writing may change others in the drive.
+    // After the cell's own objects, because writing those may change other objects in the drive.
     steps.extend(
         [
             Write::new(PRODUCER_HEARTBEAT, heartbeat),
@@ -143,14 +143,14 @@ pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
         ERROR_BEHAVIOUR,
         STAY_OPERATIONAL,
     )));
-    // Offsets outlive a host that added them and died, and are added to every set-point.
+    // Offsets are added to every set-point. A previous host may have left offsets in the drive.
     steps.extend([
         Step::SetIfPresent(Write::new(POSITION_OFFSET, 0_i32)),
         Step::SetIfPresent(Write::new(VELOCITY_OFFSET, 0_i32)),
         Step::SetIfPresent(Write::new(TORQUE_OFFSET, 0_i16)),
     ]);
-    // The homed counter reads zero at home, and home is where the reference was found. EPOS4 has no
-    // home offset, but two objects of its own.
+    // The homed counter must read zero at home, which is the position of the reference. EPOS4 has two objects of its
+    // own in place of the home offset.
     steps.push(Step::SetIfPresent(Write::new(HOME_OFFSET, 0_i32)));
     if axis.identity.vendor == MAXON {
         steps.extend(
@@ -158,7 +158,7 @@ pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
                 .map(|object| Step::SetIfPresent(Write::new(object, 0_i32))),
         );
     }
-    // Behind all that may set them.
+    // After all writes that may change these objects.
     for agreement in agreement::of(axis) {
         steps.extend(agreement.divisor.map(|_| Step::Value(agreement)));
         steps.push(Step::Agree(agreement));

@@ -9,14 +9,13 @@ use canopen::{NodeId, cob};
 
 use crate::{BringUpError, DriveGroup};
 
-/// What a recorded bus carried during one run of its host, to be played back through a group of the
-/// same configuration.
+/// The traffic of one bus during one run, played back through a group of the same configuration.
 ///
-/// The drives' frames come again in their order; the host's own tell when the group was called:
-/// - Bring-up is called at every frame. The run called it as often as once a period, so here it is
-///   never later: each request is made again before the recorded answer to it comes.
-/// - A cycle is read, written and sent at its SYNC. The run read shortly before, so only a frame that came
-///   between its reading and its sending is read a cycle early. A cycle whose SYNC the port
+/// The frames of the drives are delivered in their order. The frames of the host tell when the group was called:
+/// - Bring-up is called at every frame. The run called bring-up once a period at least. In the replay, each request is
+///   therefore made before the recorded answer to it arrives.
+/// - A cycle is read, written and sent at the time of its SYNC. The run read shortly before its SYNC. Only a frame
+///   that arrived between the reading and the sending is therefore read a cycle early. A cycle whose SYNC the port
 ///   refused is not in the recording.
 ///
 /// ```text
@@ -26,20 +25,20 @@ use crate::{BringUpError, DriveGroup};
 /// ```
 #[derive(Clone, Debug)]
 pub struct Recording {
-    /// From the host's first frame on, no two at one time.
+    /// Frames from the host's first frame on, each at a time of its own.
     frames: Vec<Received>,
     host_node: NodeId,
 }
 
 impl Recording {
-    /// Takes the frames of one bus in the order in which they passed. What came before the host's
-    /// first frame is left out: it was not listening yet.
+    /// Takes the frames of one bus in the order of the bus. Frames before the host's first frame are skipped, because
+    /// the host was not listening yet.
     pub fn new(frames: impl IntoIterator<Item = Received>, host_node: NodeId) -> Self {
         let from_host = |received: &Received| is_from_host(&received.frame, host_node);
         let frames = frames
             .into_iter()
             .skip_while(|received| !from_host(received));
-        // A recording's times are rounded; the order is what counts.
+        // The times of a recording are rounded, and only the order is reliable.
         let next = |last: &mut Instant, Received { frame, at }| {
             *last = at.max(*last + Duration::from_nanos(1));
             Some(Received { frame, at: *last })
@@ -50,31 +49,31 @@ impl Recording {
         }
     }
 
-    /// A port that brings what the drives sent, at their times.
+    /// A port that delivers the frames of the drives at their times.
     pub fn port(&self) -> ReplayPort {
         let drives = |received: &&Received| !is_from_host(&received.frame, self.host_node);
         ReplayPort::new(self.frames.iter().filter(drives).copied().collect())
     }
 
-    /// What the host sent.
+    /// The frames of the host.
     pub fn from_host(&self) -> impl Iterator<Item = Received> {
         let host = |received: &Received| is_from_host(&received.frame, self.host_node);
         self.frames.iter().copied().filter(host)
     }
 
-    /// When each cycle sent its SYNC.
+    /// The time of the SYNC of each cycle.
     pub fn syncs(&self) -> impl Iterator<Item = Instant> {
         let sync = |received: Received| is_sync(&received.frame).then_some(received.at);
         self.from_host().filter_map(sync)
     }
 
-    /// Brings up a group that has [`Self::port`]; pending if the first SYNC came before that was done.
+    /// Brings up a group on [`Self::port`]. `Pending` means that the first SYNC came before the end of bring-up.
     pub fn bring_up(&self, group: &mut dyn DriveGroup) -> Poll<Result<(), BringUpError>> {
         let before = self
             .frames
             .iter()
             .take_while(|received| !is_sync(&received.frame));
-        // The run listened before its first frame, long enough.
+        // The run listened long enough before its first frame.
         if let Poll::Ready(ended) = group.bring_up(Instant::ZERO) {
             return Poll::Ready(ended);
         }

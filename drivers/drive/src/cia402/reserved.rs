@@ -1,11 +1,12 @@
-//! The objects of a drive that belong to its driver: neither a cell nor a device configuration file may write them.
+//! Objects of a drive that belong to the driver. Neither a cell nor a device configuration file may write them.
 //!
-//! Bring-up writes some of them itself; others would undo a part of bring-up, or command the drive. The rest of the
-//! dictionary is for tuning: controller gains, limits of torque, current, speed and position, position windows, inputs
-//! and outputs, motor data. A wrong limit makes an axis weak or slow, and its drive still brakes by the quick stop. Scale
-//! and rated torque may be written and are compared with the cell afterwards (`agreement`).
+//! Bring-up writes some of these objects itself. Writing the others would undo a part of bring-up or command the
+//! drive. The rest of the dictionary is free for tuning: controller gains, limits of torque, current, speed and
+//! position, position windows, inputs and outputs, motor data. A wrong limit makes an axis weak or slow, but the drive
+//! still brakes by the quick stop. Scale and rated torque may be written, and are compared with the cell afterwards
+//! (`agreement`).
 //!
-//! Objects of vendors are known for maxon alone.
+//! Vendor-specific objects are known for maxon only.
 
 use std::fmt;
 use std::ops::RangeInclusive;
@@ -26,7 +27,7 @@ const SYNC: &str = "the host sends SYNC, without a counter, under identifier 0x0
 const STORE: &str = "it would store or restore the drive's parameters at every start";
 const IDENTITY: &str = "it would take the node off its bus or rename it";
 
-/// Reasons by index, all sub-indices. The first range that holds an index counts.
+/// Reasons by index, for all sub-indices. The first range that contains an index applies.
 const RESERVED: &[(RangeInclusive<u16>, &str)] = &[
     (0x1005..=0x1007, SYNC),
     (0x1010..=0x1011, STORE),
@@ -73,15 +74,15 @@ const RESERVED: &[(RangeInclusive<u16>, &str)] = &[
     (0x60FF..=0x60FF, COMMAND),
 ];
 
-/// Objects of the communication area that are for tuning: the error history, which a write clears, TIME, the inhibit time
-/// of EMCY, and the note of a configuration's date.
+/// Objects of the communication area that are free for tuning: the error history, which a write clears, TIME, the
+/// inhibit time of EMCY, and the date of a configuration.
 const FREE: [u16; 5] = [0x1003, 0x1012, 0x1013, 0x1015, 0x1020];
 
-/// The same for maxon's own objects: node-ID and bit rate, home position and home offset.
+/// Reserved objects of maxon drives: node-ID and bit rate, home position and home offset.
 const OF_MAXON: &[(RangeInclusive<u16>, &str)] =
     &[(0x2000..=0x2001, IDENTITY), (0x30B0..=0x30B1, REFERENCE)];
 
-/// An object that belongs to the driver, and why.
+/// An object that belongs to the driver, and the reason.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reserved {
     object: Object,
@@ -89,13 +90,13 @@ pub struct Reserved {
 }
 
 impl Reserved {
-    /// Why a cell or a device configuration file must not write it.
+    /// Reason why a cell or a device configuration file must not write the object.
     pub fn why(&self) -> &'static str {
         self.why
     }
 }
 
-/// As `0x6007:00 (abort connection option code) belongs to the driver: it decides …`.
+/// Formatted as `0x6007:00 (abort connection option code) belongs to the driver: it decides …`.
 impl fmt::Display for Reserved {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} ", self.object)?;
@@ -106,11 +107,11 @@ impl fmt::Display for Reserved {
     }
 }
 
-/// Whether an object of a drive of `vendor` belongs to the driver: neither a cell nor a device configuration file may write
-/// it.
+/// The reservation of an object of a drive of `vendor`. `None` if a cell or a device configuration file may write the
+/// object.
 pub fn reserved(vendor: u32, index: u16, subindex: u8) -> Option<Reserved> {
     let canonical = match index {
-        // Further axes behind one node-ID have the same objects, each 0x800 higher (CiA 402-2).
+        // Further axes behind one node-ID have the same objects at indices 0x800 higher for each axis (CiA 402-2).
         0x6000..=0x9FFF => 0x6000 + (index - 0x6000) % 0x800,
         _ => index,
     };

@@ -1,4 +1,4 @@
-//! What the cycle asks of a drive over SDO: its mode of operation, and the code of a fault without EMCY.
+//! Service requests during operation: the mode of operation, and the code of a fault without EMCY.
 
 use canopen::Object;
 use canopen::objects::{ERROR_CODE, MODE_OF_OPERATION, MODE_OF_OPERATION_DISPLAY};
@@ -6,7 +6,7 @@ use canopen::sdo::Write;
 
 use super::mode::ModeRequest;
 
-/// One service request of the cycle.
+/// One service request during operation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Service {
     Mode(ModeRequest),
@@ -23,7 +23,7 @@ impl Service {
         }
     }
 
-    /// What to write; `None` to read.
+    /// The value to write; `None` for a read.
     pub(super) fn write(self) -> Option<Write> {
         match self {
             Self::Mode(ModeRequest::Tell(mode)) => Some(Write::new(self.object(), mode.raw())),

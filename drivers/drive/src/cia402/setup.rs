@@ -1,4 +1,4 @@
-//! What does not change of one drive while its group lives.
+//! Constant data of one drive.
 
 use std::time::Duration;
 
@@ -19,7 +19,7 @@ pub(super) struct Setup {
     pub(super) plausible_velocity: f64,
     pub(super) period: Duration,
     pub(super) search_speed: f64,
-    /// Bit 15 of the statusword says that the drive has its reference; it is the vendor's to use.
+    /// Bit 15 of the statusword reports the reference. The meaning of this bit is vendor-specific.
     tells_reference: bool,
     pub(super) tolerated_missing: u32,
     pub(super) heartbeat_lost_after: Duration,
@@ -43,7 +43,7 @@ impl Setup {
         }
     }
 
-    /// A statusword without what only maxon means by it.
+    /// The statusword without bit 15, unless the drive is maxon's.
     pub(super) fn homing_word(&self, word: Statusword) -> Statusword {
         let told = self.tells_reference && word.epos_referenced();
         word.with(Statusword::EPOS_REFERENCED, told)

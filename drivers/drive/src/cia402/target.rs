@@ -3,17 +3,17 @@
 use super::config::CyclicMode;
 use crate::{Finite, Permille, Refusal, Scale, Setpoint};
 
-/// What a request asks for, in the drive's units.
+/// Target of a drive, in the drive's units.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Target {
-    /// The target of the mode; of a torque, 16 bits.
+    /// The target of the mode; a torque uses 16 bits.
     pub(super) value: i32,
-    /// What the drive adds to the torque that its loops ask for.
+    /// Torque that the drive adds to the output of its loops.
     pub(super) torque: Permille,
 }
 
 impl Target {
-    /// What a set-point is to a drive in a mode; `None` beyond what that can count.
+    /// Converts a set-point to the target of a drive in a mode; `None` beyond the drive's range.
     pub(super) fn of(
         setpoint: Setpoint,
         mode: CyclicMode,

@@ -1,4 +1,4 @@
-//! The group against frames written by hand.
+//! Tests of the group against frames written by hand.
 
 mod agreement;
 mod bench;

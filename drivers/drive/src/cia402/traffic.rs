@@ -1,4 +1,4 @@
-//! The frames of a group, for the sum of the bus load.
+//! The frames of a group, for the calculation of the bus load.
 
 use std::time::Duration;
 
@@ -9,21 +9,21 @@ use canopen::pdo::PdoNumber;
 use super::config::{AxisConfig, GroupConfig};
 use super::process_data;
 
-/// One kind of frame that a group puts on its bus or causes there, for adding up the bus load.
+/// One kind of frame that a group or its drives send, for the calculation of the bus load.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Traffic {
     /// Its identifier.
     pub cob_id: StandardId,
     /// Bytes of payload.
     pub bytes: u8,
-    /// The time from one to the next, at the most frequent.
+    /// Shortest time between two such frames.
     pub period: Duration,
-    /// What it is.
+    /// Description of the frame.
     pub what: &'static str,
 }
 
-/// Everything a group exchanges during operation. Service frames are counted at their worst, one
-/// request and one answer a cycle, though they flow only while a mode changes; EMCY is left out.
+/// All traffic of a group during operation, except EMCY. Service frames occur only during a change of mode. The
+/// result counts them at their greatest rate: one request and one answer per cycle.
 pub(super) fn of(config: &GroupConfig, axes: &[AxisConfig]) -> Vec<Traffic> {
     let cycle = |cob_id, bytes, what| Traffic {
         cob_id,

@@ -1,4 +1,4 @@
-//! Which answers are believed.
+//! Which answers are accepted.
 
 use super::*;
 
@@ -41,7 +41,7 @@ fn an_implausible_answer_counts_as_missing() {
         let state = rig.cycle(AxisCommand::Stand);
         assert_eq!((state.age, rig.counters().implausible), (0, 1));
         assert!((state.torque - 2.25).abs() < 1e-9);
-        // A leap within what the motor's velocity allows, and not its acceleration.
+        // A jump within the bound of velocity but beyond the bound of acceleration.
         rig.drive().position += 110;
         rig.cycle(AxisCommand::Stand);
         rig.drive().position -= 110;
@@ -51,7 +51,7 @@ fn an_implausible_answer_counts_as_missing() {
     }
 }
 
-/// Whatever is cut off or put in, the answer after the next is believed.
+/// After truncated or inserted bytes, the second answer at the latest is accepted.
 #[test]
 fn torn_and_surplus_bytes_cost_two_answers_at_most() {
     for protocol in BOTH {
@@ -71,7 +71,7 @@ fn torn_and_surplus_bytes_cost_two_answers_at_most() {
                 .extend((0..surplus).map(|n| [0x23, 0x12, 0xED, 8][n % 4]));
             let ages: Vec<u32> = (0..3).map(|_| rig.cycle(AxisCommand::Stand).age).collect();
             assert_eq!(ages[2], 0, "{protocol:?} {surplus}: {ages:?}");
-            // What looks like a header hides no answer behind it.
+            // Bytes that look like a header hide no answer behind them.
             assert!(
                 protocol == Protocol::HiMoxa || ages == [0; 3],
                 "{surplus}: {ages:?}"
@@ -104,7 +104,7 @@ fn an_answer_that_is_not_its_own_is_refused() {
     moxa.run(2, AxisCommand::Stand);
     assert_eq!((moxa.states[0].age, moxa.counters().damaged), (1, 1));
 
-    // Unless its start byte was never the same.
+    // A drive whose start byte changes in every answer is accepted with any start byte.
     let mut restless = Rig::of(Drive::new(Protocol::HiMoxa, 8));
     while restless.group.bring_up(restless.now).is_pending() {
         restless.now += PERIOD;

@@ -1,4 +1,4 @@
-//! Who is found at the other end, and what is refused before.
+//! Identification of the device on the line, and refusals before operation.
 
 use super::*;
 
@@ -52,7 +52,7 @@ fn a_late_answer_to_a_repeated_question_is_not_that_to_the_next() {
             rig.now += PERIOD;
             let answer: Vec<u8> = rig.drive().outbox.drain(..).collect();
             answers.extend((!answer.is_empty()).then_some(answer));
-            // The first answer waits for the repetition, and the others behind it.
+            // The first answer is held back until the request is repeated, and so are the following answers.
             if answers.len() >= 2 && delivered < answers.len() {
                 rig.drive().outbox.extend(&answers[delivered]);
                 delivered += 1;
@@ -122,7 +122,7 @@ fn calls_of_a_host_that_catches_up_make_no_answer_late() {
         let result = (0..1_000).find_map(|_| {
             rig.now += PERIOD;
             let result = rig.group.bring_up(rig.now);
-            // What was asked just now is not answered yet.
+            // The last request has no answer yet.
             let under_way: Vec<u8> = rig.drive().outbox.drain(..).collect();
             for call in 1..=3 {
                 let now = rig.now + call * Duration::from_micros(10);
@@ -170,7 +170,7 @@ fn bring_up_says_who_is_at_the_other_end() {
             ..Drive::new(expected, 8)
         });
         assert_eq!(error(&mut dark), AxisControllerError::PowerStage);
-        // Switched on, the same group comes up.
+        // After the drive is switched on, the same group comes up.
         dark.drive().status = 0;
         assert_eq!(dark.bring_up(), Ok(()));
     }
@@ -183,7 +183,7 @@ fn bring_up_says_who_is_at_the_other_end() {
         expected: 8,
         found: 9,
     };
-    // Such as answers whatever it is asked.
+    // A device that answers regardless of the request.
     let mut shouting = Rig::of(Drive {
         deaf: true,
         ..Drive::new(Protocol::Nfv2, 8)

@@ -1,4 +1,4 @@
-//! What each command means on the line.
+//! The telegrams of each command.
 
 use super::*;
 
@@ -23,7 +23,7 @@ fn a_sample_is_taken_before_the_set_point_that_came_with_its_request() {
 fn torque_comes_and_goes_with_a_zero_set_point_first() {
     for protocol in BOTH {
         let mut rig = Rig::up(Drive::new(protocol, 8));
-        // A set-point that somebody left there.
+        // A set-point left over from an earlier controller.
         rig.drive().setpoint = 700;
         let mut powers = Vec::new();
         for _ in 0..8 {
@@ -74,7 +74,7 @@ fn the_last_thing_a_drive_hears_is_to_be_off() {
 #[test]
 fn no_old_set_point_goes_before_what_takes_torque_away() {
     for protocol in BOTH {
-        // Switched off, by a panic, and at the end of the group.
+        // Switched off, by a panic, and when the group is dropped.
         for (cycles, command) in [
             (2, Some(AxisCommand::Off)),
             (8, Some(AxisCommand::Stand)),
@@ -210,7 +210,7 @@ fn the_index_pulse_sets_the_counter_while_seeking() {
             let far = rig.drive().position - 20 - rig.states[0].increments.0;
             assert!(far.abs() <= 20, "{far}");
             assert_eq!(rig.counters().indexed, 1);
-            // Leaving the search goes back, and keeps the reference.
+            // Leaving the search returns to following and keeps the reference.
             let state = rig.run(4, AxisCommand::Follow(raw(protocol, 4)));
             assert_eq!((state.homing, state.fault), (Homing::Attained, None));
             assert!(matches!(rig.drive().mode, Mode::Pwm | Mode::Current));

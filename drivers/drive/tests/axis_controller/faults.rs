@@ -7,7 +7,7 @@ fn a_fault_while_switching_on_leaves_power_unknown() {
     for protocol in BOTH {
         let mut rig = Rig::up(Drive::new(protocol, 8));
         rig.cycle(AxisCommand::Stand);
-        // Refused, as there is no torque yet.
+        // Refused, because the drive has no torque yet.
         rig.cycle(AxisCommand::Follow(raw(protocol, 100)));
         let state = rig.run(8, AxisCommand::Stand);
         assert_eq!(state.power, Power::Changing, "{protocol:?}");
@@ -18,7 +18,7 @@ fn a_fault_while_switching_on_leaves_power_unknown() {
 #[test]
 fn answers_that_come_in_heaps_are_a_fault_and_rare_gaps_are_none() {
     for protocol in BOTH {
-        // One missing of so many.
+        // One answer in `every` is missing.
         for (every, right) in [(3, false), (5, true)] {
             let mut rig = Rig::on(Drive::new(protocol, 8));
             for cycle in 0..1_000 {
@@ -27,7 +27,7 @@ fn answers_that_come_in_heaps_are_a_fault_and_rare_gaps_are_none() {
                     _ => Vec::new(),
                 };
                 rig.cycle(AxisCommand::Stand);
-                // It comes with the next one.
+                // The late answer arrives with the next one.
                 let newer: Vec<u8> = rig.drive().outbox.drain(..).collect();
                 rig.drive().outbox.extend(held.into_iter().chain(newer));
             }
@@ -59,7 +59,7 @@ fn what_a_drive_reports_counts_when_two_answers_show_it() {
         rig.run(4, AxisCommand::Follow(raw(protocol, 100)));
         assert_eq!(rig.fault(), Some(fault), "{protocol:?}");
         assert_eq!(rig.drive().setpoint, 0);
-        // Off keeps the fault although manual mode cleared it in the drive.
+        // Off keeps the fault, although manual mode cleared it in the drive.
         rig.drive().status = 0;
         rig.run(4, AxisCommand::Off);
         assert_eq!(rig.fault(), Some(fault));
@@ -105,7 +105,7 @@ fn no_set_point_follows_what_may_be_a_restart() {
         });
         rig.run(3, follow);
         rig.drive().restart();
-        // Asks for the first answer after it.
+        // This cycle requests the first answer after the restart.
         rig.cycle(follow);
         for _ in 0..6 {
             rig.cycle(follow);

@@ -1,4 +1,4 @@
-//! What serial axis controllers are told, believed and blamed for, in both protocols.
+//! Serial axis controllers in both protocols: telegrams, accepted answers and faults.
 #![allow(clippy::unwrap_used, reason = "a test")]
 
 mod belief;
@@ -29,7 +29,7 @@ use serial::nfv2::{Mode, Status};
 const PERIOD: Duration = Duration::from_millis(2);
 const BOTH: [Protocol; 2] = [Protocol::Nfv2, Protocol::HiMoxa];
 
-/// 4000 increments a turn; 100 rad/s are 127 increments a cycle.
+/// 4000 increments per turn; 100 rad/s are 127 increments per cycle.
 fn axis(protocol: Protocol) -> AxisConfig {
     AxisConfig {
         address: 8,
@@ -46,7 +46,7 @@ fn axis(protocol: Protocol) -> AxisConfig {
     }
 }
 
-/// A set-point of so many mA or thousandths, whichever the protocol's axis takes.
+/// A set-point in mA or in thousandths, depending on the axis of the protocol.
 fn raw(protocol: Protocol, value: i16) -> Setpoint {
     let value = f64::from(value) / 1_000.0;
     match protocol {
@@ -94,7 +94,7 @@ impl Rig {
         rig
     }
 
-    /// With torque.
+    /// A drive with torque on.
     fn on(drive: Drive) -> Self {
         let mut rig = Self::up(drive);
         rig.run(6, AxisCommand::Stand);

@@ -1,4 +1,4 @@
-//! Panics, which stop the whole cabinet.
+//! Panics, which stop all axes of a cabinet.
 
 use super::*;
 
@@ -13,7 +13,7 @@ fn missing_answers_are_ridden_through_and_then_are_a_panic() {
         rig.drive().mute = 3;
         rig.run(6, follow);
         assert_eq!(rig.fault(), Some(AxisControllerFault::Silent { cycles: 3 }));
-        // It may hear what we do not.
+        // The drive may receive telegrams although its answers are lost.
         assert_eq!(rig.drive().mode, Mode::Error);
         rig.run(3, AxisCommand::Off);
         assert_eq!(
@@ -60,7 +60,7 @@ fn a_panic_of_one_axis_tells_every_drive_to_open_the_cabinet() {
                 let mode = rig.lines[line].drive().mode;
                 assert_eq!(mode, Mode::Error, "{protocol:?} {name}: in the same cycle");
             }
-            // Whatever they are commanded, and when the group ends.
+            // For every command, and when the group is dropped.
             rig.run(10, AxisCommand::Off);
             let with = AxisControllerFault::Cabinet {
                 line: failing as u8,
@@ -74,7 +74,7 @@ fn a_panic_of_one_axis_tells_every_drive_to_open_the_cabinet() {
                 assert_eq!(rig.states[line].power, Power::Off);
                 assert_eq!(rig.lines[line].drive().mode, Mode::Error);
             }
-            // A reset of one alone does not bring the circuit back while another is unknown.
+            // A reset of one axis does not close the circuit while another axis is unknown.
             let mut commands = [AxisCommand::Off; 3];
             let one = others().next_back().unwrap();
             commands[one] = AxisCommand::ResetFault;
@@ -162,7 +162,7 @@ fn a_counter_that_jumped_is_no_reference_for_whoever_comes_after() {
                 ..Drive::new(protocol, 8)
             });
             rig.drive().position = 90_000;
-            // Until the fault, and then not a cycle or some.
+            // Until the fault, and no cycle later.
             while rig.fault().is_none() {
                 rig.cycle(AxisCommand::Stand);
             }
@@ -216,7 +216,7 @@ fn a_line_that_is_gone_is_said_at_once() {
 #[test]
 fn a_counter_that_is_set_anew_without_being_asked_to_is_a_panic() {
     for protocol in BOTH {
-        // A jump to zero with a reference, while following; and one to elsewhere while seeking.
+        // A jump to zero with a reference, while following; and a jump to another position while seeking.
         for (position, seeks) in [(0, false), (50_000, true)] {
             let mut rig = Rig::on(Drive::new(protocol, 8));
             let setpoint = raw(protocol, 1);
@@ -240,7 +240,7 @@ fn the_line_of_an_axis_with_a_fault_refuses_no_set_point_of_the_others() {
     type Break = fn(&mut Drive);
     let breaks: [(&str, Break, u32); 2] = [
         ("gone", |drive| drive.gone = true, 0),
-        // Until it counts as a fault its set-points are due again.
+        // A full line is no fault during the first cycles, and its set-points are repeated.
         ("full", |drive| drive.full = true, 3),
     ];
     for (protocol, (name, fail, refused)) in BOTH.into_iter().flat_map(|p| breaks.map(|b| (p, b))) {

@@ -1,4 +1,4 @@
-//! An axis controller made of its telegrams' layouts alone, which does what a test says.
+//! A scripted axis controller, built from the layouts of its telegrams alone.
 
 #![allow(dead_code, reason = "each test takes what it needs")]
 
@@ -11,40 +11,40 @@ use serial::hi_moxa::{self, DriverMode, Flags, Parameter, Request};
 use serial::nfv2::{self, Answer, Command, Frame, FrameBuilder, Mode, Status};
 use serial::{Line, LineCounters, LineError};
 
-/// A drive whose counter moves, after each sample, by its set-point or by a velocity of its own.
+/// A drive whose counter moves, after each sample, by its set-point or by its own velocity.
 pub(crate) struct Drive {
     pub(crate) protocol: Protocol,
     pub(crate) address: u8,
-    /// What the next answer says.
+    /// Position in the next answer.
     pub(crate) position: i32,
     pub(crate) current: i16,
     pub(crate) status: u16,
     pub(crate) start: u8,
-    /// Increments per telegram, beside those of the set-point.
+    /// Increments per telegram, in addition to the set-point.
     pub(crate) velocity: i32,
     pub(crate) follows: bool,
-    /// Does not forget its reference when told to.
+    /// The drive keeps its reference when commanded to forget it.
     pub(crate) keeps_reference: bool,
-    /// Where the index is, as the counter counts.
+    /// Position of the index pulse, increments.
     pub(crate) index: Option<i32>,
     pub(crate) mode: Mode,
     pub(crate) setpoint: i16,
     pub(crate) max_current: i16,
-    /// Answers that are not given.
+    /// Number of answers to omit.
     pub(crate) mute: u32,
     pub(crate) deaf: bool,
-    /// Takes no more bytes.
+    /// The line takes no more bytes.
     pub(crate) full: bool,
     pub(crate) gone: bool,
-    /// The line holds what it takes.
+    /// The line keeps the bytes that it takes and delivers none.
     pub(crate) stalled: bool,
     pub(crate) unsent: Vec<u8>,
-    /// Bytes as written, one item for each write.
+    /// Bytes as written, one item per write.
     pub(crate) heard: Vec<Vec<u8>>,
     pub(crate) keep_heard: bool,
-    /// Bytes that the host has still to read.
+    /// Bytes that the host has not read yet.
     pub(crate) outbox: VecDeque<u8>,
-    /// What the last answer was before anybody damaged it.
+    /// The last answer, before any damage.
     pub(crate) last_answer: Vec<u8>,
 }
 
@@ -137,7 +137,7 @@ impl Drive {
             self.set_mode(mode);
         }
         self.turn();
-        // A drive obeys a broadcast and does not answer it.
+        // A drive executes a broadcast but does not answer it.
         if asked && frame.address == self.address {
             self.answer(answer.finish().expect("three answers fit a frame"));
         }
@@ -202,7 +202,7 @@ impl Drive {
         self.mode = mode;
     }
 
-    /// Moves, after the sample was taken.
+    /// Moves after the sample was taken.
     fn turn(&mut self) {
         let before = self.position;
         let powered = !matches!(self.mode, Mode::Manual | Mode::Error);
@@ -230,7 +230,7 @@ impl Drive {
         }
     }
 
-    /// The drive lost its supply and has it again.
+    /// Simulates a loss and return of the drive's supply.
     pub(crate) fn restart(&mut self) {
         self.position = 0;
         self.status = 0;
@@ -239,7 +239,7 @@ impl Drive {
     }
 }
 
-/// The line with the drive at its end, of which the test has the other handle.
+/// The line with the drive at its end. The test keeps a second handle.
 #[derive(Clone)]
 pub(crate) struct Shared(Arc<Mutex<Drive>>);
 

@@ -1,7 +1,7 @@
-//! Whether the drive groups and the servo can be made of a cell: what they refuse, by the keys of the cell.
+//! Checks that drive groups and the servo accept the cell, with refusals reported by the keys of the cell.
 //!
-//! The bounds of the other modules are narrower, in the units of the file. The checks here are the drivers' and the
-//! servo's own.
+//! The bounds in the other modules are narrower and use the units of the file. The checks here are those of the
+//! drivers and the servo.
 
 use drive::{axis_controller, cia402};
 
@@ -42,7 +42,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
             .group_config(cell.period())
             .check(&configs, axes.len());
         match checked {
-            // The budget of the line refuses it with what would fit.
+            // The budget of the line refuses such a period and proposes one that fits.
             Ok(()) | Err(axis_controller::ConfigError::Period { .. }) => {}
             Err(error) => {
                 let bundle = Path::default().then("serial").then(index);
@@ -75,7 +75,7 @@ fn axis_path((robot, axis): (usize, usize)) -> Path {
     path.then("axis").then(axis)
 }
 
-/// The key of what a group of drives on `bus` refuses.
+/// The key for an error of a drive group on `bus`.
 fn place_of_drive(
     cell: &Cell,
     bus: &Path,
@@ -111,7 +111,7 @@ fn place_of_drive(
     }
 }
 
-/// The key of what a group of axis controllers on `bundle` refuses.
+/// The key for an error of a group of axis controllers on `bundle`.
 fn place_of_controller(
     cell: &Cell,
     bundle: &Path,

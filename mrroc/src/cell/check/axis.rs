@@ -1,4 +1,4 @@
-//! What one axis of a cell must satisfy, on a CAN bus or on a serial line.
+//! Checks of one axis, on a CAN bus or on a serial line.
 
 use std::f64::consts::{PI, TAU};
 use std::time::Duration;
@@ -13,22 +13,23 @@ use crate::cell::{
 };
 use controller::robot::Limits;
 
-/// Encoder counts that a limit of the following error has at the least: a loop at work is some counts off.
+/// Least limit of the following error, encoder counts: a working loop has an error of some counts.
 const LEAST_ERROR: f64 = 10.0;
 
-/// The greatest velocity and acceleration of any motor, rad/s and rad/s².
+/// Greatest velocity and acceleration of any motor, rad/s and rad/s².
 const FASTEST: (f64, f64) = (1e5, 1e7);
 
-/// Longest time in which an axis comes to rest from its greatest velocity, s.
+/// Longest time of a stop from the greatest velocity, s.
 const LONGEST_STOP: f64 = 60.0;
 
-/// The greatest rated torque and torque constant, N·m and N·m/A. Object 0x6076 of an EPOS4 holds 32 bits of µN·m.
+/// Greatest rated torque and torque constant, N·m and N·m/A. Object 0x6076 of an EPOS4 holds 32 bits of µN·m.
 const STRONGEST: f64 = 4294.0;
 
-/// How far from home an emulated axis without ends may stand, rad: its search for the home switch takes that long.
+/// Greatest initial distance of an emulated axis without ends from home, rad. The distance determines the duration of
+/// its search for the home switch.
 const FARTHEST_START: f64 = 1000.0;
 
-/// What an axis hangs on.
+/// The bus or bundle of an axis.
 #[derive(Clone, Copy)]
 pub(super) enum Place<'a> {
     Bus(&'a Bus),
@@ -44,7 +45,8 @@ impl<'a> Place<'a> {
     }
 }
 
-/// `model` is what the model says of the motor, which the axis may narrow; `home` is its position at home, rad.
+/// Checks an axis. `model` holds the limits of the motor from the model, which the axis may narrow. `home` is its home
+/// position, rad.
 pub(super) fn check(
     path: &Path,
     period: Duration,
@@ -105,7 +107,7 @@ pub(super) fn check(
     homing::check(&path.then("homing"), axis, place, model, home)
 }
 
-/// Positions are within those of the model, and counted in 32 bits.
+/// Positions lie within those of the model and fit a 32-bit counter.
 fn check_positions(path: &Path, axis: &Axis, model: Limits, home: f64) -> Checked {
     let given = [
         ("min_position", axis.min_position),
@@ -142,7 +144,7 @@ fn check_positions(path: &Path, axis: &Axis, model: Limits, home: f64) -> Checke
     Ok(())
 }
 
-/// An axis on a CAN bus has a drive, and one on a serial line an axis controller.
+/// An axis on a CAN bus has a drive, and an axis on a serial line has an axis controller.
 fn check_family(path: &Path, axis: &Axis, place: Place<'_>) -> Checked {
     match (place, &axis.drive, &axis.controller) {
         (Place::Bus(_), Some(_), None) | (Place::Serial(_), None, Some(_)) => Ok(()),
@@ -207,7 +209,7 @@ fn check_emulator(path: &Path, axis: &Axis, place: Place<'_>, model: Limits, hom
             let of = "rad of the motor: 1000 rad from home";
             Range::new(home - FARTHEST_START, home + FARTHEST_START, of)
         } else {
-            // The emulated limit switches lie beyond the travel.
+            // The emulated limit switches are beyond the travel.
             let of = "rad of the motor: its travel and half a turn beyond";
             Range::new(model.low - PI, model.high + PI, of)
         };
@@ -223,7 +225,7 @@ fn check_emulator(path: &Path, axis: &Axis, place: Place<'_>, model: Limits, hom
 }
 
 fn check_drive(path: &Path, period: Duration, drive: &Drive, axis: &Axis) -> Checked {
-    // The unit of object 0x6076 is 1 mN·m, of maxon's 1 µN·m.
+    // The unit of object 0x6076 is 1 mN·m, for maxon's drives 1 µN·m.
     let torque = Range::new(1e-3, STRONGEST, "N·m");
     within(&path.then("rated_torque"), drive.rated_torque, torque)?;
     if let Some(dcf) = &drive.dcf {
@@ -239,7 +241,7 @@ fn check_drive(path: &Path, period: Duration, drive: &Drive, axis: &Axis) -> Che
             let (value, expected) = (f64::from(parameter.bytes), "1, 2 or 4");
             return Err((path.then("bytes"), Problem::NoneOf { value, expected }));
         }
-        // As an unsigned number, or as the two's complement of a signed one.
+        // As an unsigned number, or as the two's complement of a signed number.
         let unused = 32 - 8 * u32::from(parameter.bytes);
         let value = parameter.value;
         let extended = ((value << unused) as i32 >> unused) as u32;

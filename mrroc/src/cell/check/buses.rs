@@ -1,4 +1,4 @@
-//! What buses and bundles of serial lines must satisfy.
+//! Checks of buses and bundles of serial lines.
 
 use super::{Checked, MOST, first_same, name, refused, some, twice, within};
 use crate::cell::error::Problem;
@@ -21,7 +21,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
     check_serial(cell)
 }
 
-/// A drive group of no axes cannot be made.
+/// A drive group needs at least one axis.
 pub(super) fn check_used(cell: &Cell) -> Checked {
     for (group, group_name) in cell.groups().enumerate() {
         if cell.axes_on(group).next().is_none() {
@@ -133,7 +133,7 @@ fn check_serial(cell: &Cell) -> Checked {
     Ok(())
 }
 
-/// Whether a text can be the path of a device or the name of an interface, whatever else it has to be.
+/// Checks that a text can be the path of a device or the name of an interface.
 pub(super) fn text(path: &Path, text: &str) -> Checked {
     if text.is_empty() {
         return refused(path.clone(), "is empty");

@@ -1,4 +1,4 @@
-//! What the homing of an axis must satisfy: methods that find home, and searches that end.
+//! Checks of the homing of an axis: the method must find home, and the search must end.
 
 use super::axis::Place;
 use super::{Checked, no_effect, refused, within};
@@ -11,36 +11,37 @@ use controller::robot::Limits;
 /// The homing methods of an EPOS4.
 const METHODS: [i8; 15] = [37, 34, 33, 27, 23, 18, 17, 11, 7, 2, 1, -1, -2, -3, -4];
 
-/// Methods whose reference is the negative end of the travel, a limit switch or a mechanical stop, and methods of the
-/// positive end. The ends are in the sense of the drive's counter.
+/// Methods whose reference is the negative end of the travel (a limit switch or a mechanical stop), and methods for
+/// the positive end. The ends refer to the direction of the drive's counter.
 const NEGATIVE_END: [i8; 4] = [1, 17, -2, -4];
 const POSITIVE_END: [i8; 4] = [2, 18, -1, -3];
 
-/// Greatest distance of home from such an end, rad: a switch, an index pulse and a buffer lie between them.
+/// Greatest distance of home from such an end, rad. A switch, an index pulse and a buffer lie in between.
 const NEAR_END: f64 = FARTHEST_INDEX;
 
-/// Greatest travel of an axis with ends, rad. The limits of an axis that turns without end are those of its counter.
+/// Greatest travel of an axis with ends, rad. A greater travel means an axis without ends, whose limits are those of
+/// the counter.
 const ENDLESS: f64 = 1e5;
 
-/// Longest time in which a search crosses the travel once, s. The way there, the way back and the way off a switch of
-/// the same width take an hour.
+/// Longest time of a search across the travel, s. The ways to the end, back, and off a switch as wide as the travel
+/// then take an hour.
 const CROSSING: f64 = 1200.0;
 
-/// Least distance that the search of an axis without ends covers, rad, and the time that its drive has for it, s.
+/// Least distance of a search of an axis without ends, rad, and time-out of such a search by the drive, s.
 const ENDLESS_SEARCH: (f64, f64) = (100.0, 120.0);
 
-/// Longest time from the home switch to the index beside it, s, of a search by the host.
+/// Longest time from the home switch to the index pulse, s, in a search by the host.
 const ZEROING: f64 = 300.0;
 
-/// Longest time in which a search reaches its velocity, s.
+/// Longest time until a search reaches its velocity, s.
 const RAMP: f64 = 10.0;
 
-/// Whether an axis of these limits turns without end.
+/// Whether an axis with these limits turns without end.
 pub(super) fn is_endless(limits: Limits) -> bool {
     limits.high - limits.low > ENDLESS
 }
 
-/// The least velocity by which an axis of these limits can be homed, rad/s.
+/// The least homing velocity for an axis with these limits, rad/s.
 pub(super) fn slowest(limits: Limits) -> f64 {
     if is_endless(limits) {
         ENDLESS_SEARCH.0 / ENDLESS_SEARCH.1
@@ -49,7 +50,8 @@ pub(super) fn slowest(limits: Limits) -> f64 {
     }
 }
 
-/// `model` is what the model says of the motor; `home` is its position at home, rad.
+/// Checks the homing of an axis. `model` holds the limits of the motor from the model, and `home` is the home
+/// position, rad.
 pub(super) fn check(
     path: &Path,
     axis: &Axis,
@@ -110,7 +112,7 @@ pub(super) fn check(
     )
 }
 
-/// A homed counter reads zero at the robot's home: the reference of the method has to be there.
+/// The reference of the method must be at the robot's home position, because a homed counter reads zero there.
 fn check_method(path: &Path, axis: &Axis, model: Limits, home: f64) -> Checked {
     let Some(method) = axis.homing.method else {
         let why = "is missing: a drive homes by one of its methods";

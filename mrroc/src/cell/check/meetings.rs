@@ -1,16 +1,16 @@
-//! Whether the meetings of a cell's programs can all be held.
+//! Checks that all meetings of a cell's programs can take place.
 
 use servo::Gates;
 
 use super::{Checked, Problem};
 use crate::cell::{Cell, Meeting, Path, instruction_path};
 
-/// Robots that meet come to the meetings of a name equally often, and to different ones in an order in which none waits
-/// for ever for one that waits for it.
+/// Robots with a common meeting must come to it equally often. The order of the meetings must not make robots wait for
+/// each other forever.
 pub(super) fn check(cell: &Cell) -> Checked {
     let refused = |(path, why): (Path, String)| Err((path, Problem::Refused(why)));
     for (number, robot) in cell.robot.iter().enumerate() {
-        // Each is a meeting of its own.
+        // Each occurrence of a name is a meeting of its own.
         let (own, most) = (robot.meetings().count(), usize::from(Gates::COUNT));
         if let Some((index, _)) = robot.meetings().nth(most) {
             let why = format!("is one of {own} meetings of the robot, which may have {most}");
@@ -37,7 +37,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
     hold(cell).map_or(Ok(()), refused)
 }
 
-/// What is wrong with the number of those who come to a meeting.
+/// The error of a meeting with a wrong number of robots.
 fn lonely(cell: &Cell, meetings: &[Meeting], meeting: &Meeting) -> Option<(Path, String)> {
     let name = &meeting.name;
     let first = meetings.iter().find(|it| it.name == *name)?;
@@ -64,7 +64,7 @@ fn lonely(cell: &Cell, meetings: &[Meeting], meeting: &Meeting) -> Option<(Path,
     Some((path, why))
 }
 
-/// Holds every meeting that can be held until none is left or the robots wait for each other.
+/// Holds meetings in order, until all were held or the remaining robots wait for each other.
 fn hold(cell: &Cell) -> Option<(Path, String)> {
     let mut programs: Vec<_> = cell
         .robot

@@ -1,8 +1,8 @@
-//! What a position loop that the host closes must satisfy.
+//! Checks of a position loop closed by the host.
 //!
-//! The bounds of gains are no design, they exclude what no sampled loop can be. No error is corrected faster than in one
-//! period. One encoder count does not saturate the output. A position error of `following_error` changes the output by
-//! a thousandth of its limit at the least.
+//! The bounds of the gains do not guarantee a good design; they exclude impossible sampled loops. No error is
+//! corrected faster than in one period. One encoder count does not saturate the output. A position error of
+//! `following_error` changes the output by at least a thousandth of its limit.
 
 use std::f64::consts::TAU;
 use std::time::Duration;
@@ -13,22 +13,22 @@ use crate::cell::{
     Axis, AxisController, Control, Drive, DriveControl, FeedForward, Law, Loop, Path,
 };
 
-/// Share of the greatest output that a limit of it may be at the least.
+/// Least limit of the output, as a fraction of the greatest output.
 const LEAST_LIMIT: f64 = 1e-3;
 
-/// Share of the limit that a position error as great as the following error puts out at the least.
+/// Least output for a position error of `following_error`, as a fraction of the limit.
 const LEAST_OUTPUT: f64 = 1e-3;
 
-/// The least position gain, 1/s: an error is gone after some minutes.
+/// Least position gain, 1/s, with which an error decays in some minutes.
 const LEAST_GAIN: f64 = 0.01;
 
-/// Greatest rate of integration per period. One that cancels the pole of a motor may be as fast as the motor.
+/// Greatest rate of integration per period. An integral that cancels the pole of a motor may be as fast as the motor.
 const INTEGRATED: f64 = 100.0;
 
 /// Greatest coefficient of the incremental law.
 const GREATEST: f64 = 1e6;
 
-/// What a loop puts out at the most, and what per newton metre of weight.
+/// Greatest output of a loop, and greatest output per newton metre of weight.
 struct Output {
     most: f64,
     of: &'static str,
@@ -43,7 +43,8 @@ pub(super) fn check_controller(
     axis: &Axis,
 ) -> Checked {
     let output = match controller.control {
-        // More is refused while it moves: the axis would stop by a fault where it needs its torque most.
+        // A greater output is refused during motion, and the axis would stop by a fault where the torque is needed
+        // most.
         Control::Current => Output {
             most: controller.max_current * controller.torque_constant * (1.0 + 1e-9),
             of: "N·m; max_current * torque_constant at the most",
@@ -80,7 +81,7 @@ pub(super) fn check_drive(path: &Path, period: Duration, drive: &Drive, axis: &A
                 let why = "is a torque: by velocity the drive's own loop holds the weight";
                 return refused(path.then("feed_forward").then("weight"), why);
             }
-            // A loop at its limit is not to look like one that runs away.
+            // A loop at its limit must not look like a runaway loop.
             let output = Output {
                 most: given.runaway_velocity.unwrap_or(1.2 * axis.max_velocity),
                 of: "rad/s of the motor; runaway_velocity at the most",
@@ -122,7 +123,7 @@ fn check(path: &Path, period: Duration, given: &Loop, output: &Output, axis: &Ax
     )
 }
 
-/// The limit of the law, if it can be used.
+/// Checks the law and returns its limit.
 fn check_law(
     path: &Path,
     period: Duration,
@@ -186,7 +187,7 @@ fn check_law(
     }
 }
 
-/// What is put out beforehand is within the limit of the loop.
+/// The feed-forward output must be within the limit of the loop.
 fn check_feed_forward(
     path: &Path,
     given: &FeedForward,

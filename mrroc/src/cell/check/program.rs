@@ -1,17 +1,17 @@
-//! What the instructions of a program must satisfy, whatever arm they are for.
+//! Checks of the instructions of a program that do not depend on the arm.
 
 use super::{Checked, name, refused, some, within};
 use crate::cell::error::Problem;
 use crate::cell::text::Range;
 use crate::cell::{Instruction, JointGenerator, Joints, Line, Path, Robot};
 
-/// Most instructions of a program, and most poses of one.
+/// Greatest number of instructions of a program, and of poses of an instruction.
 const MOST: usize = 10_000;
 
-/// Of the greatest velocity and acceleration.
+/// Fraction of the greatest velocity and acceleration.
 const SHARE: Range = Range::new(1e-3, 1.0, "of the greatest");
 
-/// The farthest that a joint or a tool may be told to go, rad or m.
+/// Greatest coordinate of a joint or a tool, rad or m.
 const FARTHEST: Range = Range::new(-1e6, 1e6, "rad or m");
 
 pub(super) fn check(path: &Path, robot: &Robot) -> Checked {

@@ -72,7 +72,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
     Ok(())
 }
 
-/// What an axis has for itself, and the key that says so.
+/// The bus or bundle of an axis, and the key that names it.
 fn place_of(
     path: &Path,
     axis: &Axis,
@@ -94,7 +94,7 @@ fn place_of(
     }
 }
 
-/// The parameters of a robot are of its own kind: another kind may have as many axes.
+/// The parameters must be of the robot's model, even if another model has as many axes.
 fn check_parameters(path: &Path, robot: &Robot) -> Checked {
     let usual = robot.model.parameters();
     match &robot.parameters {

@@ -1,4 +1,4 @@
-//! What a robot that says what it weighs must satisfy.
+//! Checks of a robot with a table `weight`.
 
 use servo::PositionLoop;
 
@@ -50,7 +50,7 @@ pub(super) fn check(
     })
 }
 
-/// The feed-forward of the loop that the host closes, if it closes one.
+/// The feed-forward of the position loop, if the host closes the loop.
 fn feed_forward(path: &Path, axis: &Axis) -> Option<(Path, FeedForward)> {
     match (&axis.drive, &axis.controller) {
         (Some(drive), _) => {
@@ -64,7 +64,7 @@ fn feed_forward(path: &Path, axis: &Axis) -> Option<(Path, FeedForward)> {
     }
 }
 
-/// Whether an axis of a robot that does not say what it weighs asks for its weight.
+/// Checks an axis of a robot without a table `weight`: its feed-forward must not use the weight.
 fn check_weightless(path: &Path, axis: &Axis) -> Checked {
     match feed_forward(path, axis) {
         Some((path, it)) if it.weight.is_some_and(|weight| weight != 0.0) => Err((
@@ -78,7 +78,7 @@ fn check_weightless(path: &Path, axis: &Axis) -> Checked {
     }
 }
 
-/// Whether the loop of an axis can put out what holds the weight at home, N·m, and is not given it twice.
+/// Checks that the loop of an axis can output the torque for the weight at home, N·m, and does not add it twice.
 fn check_output(path: &Path, axis: &Axis, torque: f64) -> Checked {
     let PositionLoop::Host(host) = axis.position_loop(true) else {
         return Ok(());
@@ -102,7 +102,7 @@ fn check_output(path: &Path, axis: &Axis, torque: f64) -> Checked {
     Ok(())
 }
 
-/// Whether a motor can be given what holds its robot's weight.
+/// Checks that the weight can be fed forward to a motor.
 fn check_axis(path: &Path, axis: &Axis) -> Checked {
     let refused = |path: Path, why: &str| -> Checked { Err((path, Problem::Refused(why.into()))) };
     let drive = path.then("drive").then("control");
@@ -133,7 +133,7 @@ mod tests {
     const SERIAL: &str = include_str!("../../../../cells/irb6-serial.toml");
     const IRB6: &str = include_str!("../../../../cells/irb6.toml");
 
-    /// The cell with `weight` in its robot; `roll` goes into the feed-forward of the axis that is commanded by pulse width.
+    /// The cell with `weight` in its robot. `roll` is added to the feed-forward of the axis commanded by pulse width.
     fn weighing(cell: &str, weight: &str, roll: &str) -> String {
         let robot = "model = \"irb6\"\n";
         let cell = cell.replacen(robot, &format!("{robot}weight = {weight}\n"), 1);

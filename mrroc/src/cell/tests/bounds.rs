@@ -1,8 +1,9 @@
-//! Numbers beyond what a drive, a search, a loop or an emulator can do something with.
+//! Numbers that a drive, a search, a loop or an emulator cannot use.
 
 use super::*;
 
-/// The key that refuses the example with the first `good` replaced by `bad`, at the line of `good`.
+/// The key of the refusal after the first `good` was replaced by `bad`. Checks that the error is at the line of
+/// `good`.
 fn refusing(text: &str, good: &str, bad: &str) -> String {
     assert!(text.contains(good), "no {good:?}");
     let error = Cell::parse(&text.replacen(good, bad, 1)).expect_err(bad);
@@ -91,7 +92,7 @@ fn a_search_that_would_not_end_is_refused_by_the_time_that_homing_has() {
             assert_eq!(parsed.is_ok(), possible, "{slow}");
         }
     }
-    // An axis without ends is searched for two minutes.
+    // The search of an axis without ends takes two minutes.
     for (slow, possible) in [(0.82, false), (0.84, true)] {
         let slow = format!("search_velocity = {slow}");
         let text = POLYCRANK.replacen("search_velocity = 15.0", &slow, 1);
@@ -107,7 +108,7 @@ fn a_search_by_the_host_that_would_stop_far_behind_its_switch_is_refused() {
         let fast = format!("search_velocity = {fast}");
         let parsed = Cell::parse(&SERIAL.replacen("search_velocity = 15.0", &fast, 1));
         assert_eq!(parsed.is_ok(), possible, "{fast}");
-        // A drive brakes by its own rules.
+        // A drive brakes by its own settings.
         assert!(Cell::parse(&IRB6.replacen("search_velocity = 15.0", &fast, 1)).is_ok());
     }
 }
@@ -154,7 +155,7 @@ fn an_emulated_axis_stands_within_its_travel_or_beside_a_limit_switch() {
 
 #[test]
 fn positions_that_a_counter_of_32_bits_does_not_reach_are_refused() {
-    // 3.35e6 rad either way are 2.13e9 of 4000 counts, of 2.147e9.
+    // 3.35e6 rad in both directions are 2.13e9 increments at 4000 counts, of 2.147e9.
     let finer = |given: &str| {
         let text = POLYCRANK.replacen(
             "counts_per_revolution = 4000",
@@ -281,7 +282,7 @@ fn the_gains_of_every_law_of_the_robots_themselves_are_within_the_bounds() {
             law.limit.min(2.6)
         );
         let cell = SERIAL.replacen("law = { cascade", &format!("{text} law = {{ cascade"), 1);
-        // The rest of the line is a comment now.
+        // The rest of the line becomes a comment.
         let cell = cell.replacen(" #", " } }\n#", 1);
         Cell::parse(&cell).unwrap_or_else(|error| panic!("{law:?}: {error}"));
     }

@@ -1,10 +1,10 @@
-//! Keys that mean nothing to the family of an axis, and homing that would find another place than home.
+//! Keys without effect for the family of an axis, and homing with a reference away from home.
 
 use super::*;
 
 const HI_MOXA: &str = include_str!("../../../../cells/irb6-hi-moxa.toml");
 
-/// The cell with `key = value` in the first axis's table `table`, which has it begin; `None` for the axis itself.
+/// The cell with `key = value` at the beginning of the first axis's table `table`; `None` means the axis itself.
 fn with(text: &str, table: Option<&str>, given: &str) -> (String, usize) {
     let begin = match table {
         Some(table) => format!("{table} = {{ "),
@@ -176,7 +176,7 @@ fn a_homing_method_that_finds_an_end_of_the_travel_needs_home_to_be_there() {
         );
         assert!(method(POLYCRANK, given).is_err(), "{given}");
     }
-    // The column of a robot that is at the lower end of its travel when it is at home, -15.9 rad.
+    // The column of a robot whose home position is the lower end of its travel, -15.9 rad.
     let parameters = toml::Value::try_from(Model::Irb6.parameters())
         .unwrap()
         .to_string();

@@ -1,4 +1,4 @@
-//! Names, which become files, columns, options and words on a terminal.
+//! Names, which are used for files, columns, options and terminal output.
 
 use super::*;
 

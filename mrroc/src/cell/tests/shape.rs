@@ -1,8 +1,9 @@
-//! The shape of a file: every element is used or refused, with its line and key, in words that say what is possible.
+//! The structure of a file: every element is used, or refused with its line, its key and the permitted values.
 
 use super::*;
 
-/// The refusal of the example with the first `good` replaced by `bad`, which begins with `expected` behind the line.
+/// Checks the refusal after the first `good` was replaced by `bad`. After the line, the message must begin with
+/// `expected`.
 fn refused(text: &str, good: &str, bad: &str, expected: &str) {
     assert!(text.contains(good), "no {good:?}");
     let error = Cell::parse(&text.replacen(good, bad, 1)).expect_err(bad);
@@ -78,7 +79,7 @@ fn a_choice_of_two_is_refused() {
         "robot[0].axis[0].controller.loop.law: has 2 keys, must have one: \"incremental\", \"cascade\" or \"proportional\"",
     );
     let error = Cell::parse(&IRB6.replacen("line = {", "meet = \"x\"\nline = {", 1)).unwrap_err();
-    // It is of the table, which begins a line before.
+    // The error belongs to the table, which begins a line before.
     assert_eq!(error.line, line_of(IRB6, "line = {") - 1);
     let expected =
         "robot[0].program[1]: has 2 keys, must have one: \"joints\", \"line\" or \"meet\"";

@@ -1,4 +1,4 @@
-//! Homing that the servo does, for drives with an index latch and no more.
+//! Homing by the servo, for drives whose only homing function is an index latch.
 
 use super::*;
 use crate::{Direction, HomingFailure, HomingLeg, HostHoming};
@@ -21,7 +21,7 @@ const HOMING: HostHoming = HostHoming {
     reverse_at_limit: true,
 };
 
-/// Axes under either law.
+/// Axes under each law.
 fn configs(axes: usize) -> [ServoConfig; 2] {
     host_loops::laws(axes).map(|mut config| {
         config.effectors[0].homing_timeout = Duration::from_secs(20);
@@ -33,7 +33,7 @@ fn configs(axes: usize) -> [ServoConfig; 2] {
     })
 }
 
-/// Standing 10 rad above the edge of the home switch, the index 2 rad above it, the limit switch 5
+/// An axis 10 rad above the edge of the home switch. The index is 2 rad above the edge, and the limit switch 5 rad
 /// below.
 fn rig(config: &ServoConfig) -> Rig {
     let mut rig = Rig::with(config);
@@ -50,8 +50,8 @@ fn rig(config: &ServoConfig) -> Rig {
     rig
 }
 
-/// Homes to the end; the greatest change of torque from one cycle to the next, if torque is sent, and the
-/// true positions, from power-on, of axis 0.
+/// Homes to the end. Returns the greatest change of torque between two cycles, if torque is sent, and the true
+/// positions of axis 0 since power-on.
 fn home(rig: &mut Rig) -> (f64, Vec<f64>) {
     rig.order(Order::Home);
     let mut way = Vec::new();
@@ -100,14 +100,14 @@ fn the_servo_finds_switch_and_index_without_a_kick() {
         let mut rig = rig(&config);
         let (kick, way) = home(&mut rig);
         assert_eq!(rig.phase(), Phase::Standing, "{:?}", rig.cause());
-        // The acceleration's own torque, 0.15 N·m, comes and goes at once; the counter jumped by 2 rad.
+        // The torque of the acceleration, 0.15 N·m, starts and ends in one step; the counter jumped by 2 rad.
         assert!(kick < 0.25, "{kick} N·m in one cycle");
         let steepest = |two: &[f64]| (two[1] - two[0]) / DT;
         let fastest = way.windows(2).map(steepest).fold(0.0, f64::max);
         assert!((3.4..4.5).contains(&fastest), "{fastest} rad/s back");
         let slowest = way.windows(2).map(steepest).fold(0.0, f64::min);
         assert!((-17.0..-14.9).contains(&slowest), "{slowest} rad/s there");
-        // The counter showed 2 rad at the reference, 1000 increments each.
+        // The counter showed 2 rad at the reference, at 1000 increments per radian.
         let offset = offset(&rig).unwrap();
         assert!((1995..=2005).contains(&offset), "{offset}");
         let world = rig.world();
@@ -158,7 +158,7 @@ fn no_order_of_counter_and_word_kicks_the_motor_nor_do_missing_answers() {
 fn a_switch_closed_at_the_start_is_left_and_entered_from_its_side() {
     for config in configs(1) {
         let mut rig = rig(&config);
-        // Deep inside: the next index pulse from here would be another one.
+        // Deep inside the switch, the next index pulse would be another one.
         rig.world().axes[0].home_below = Some(19.0);
         rig.world().axes[0].index = 20.0;
         rig.run(5);
@@ -171,7 +171,7 @@ fn a_switch_closed_at_the_start_is_left_and_entered_from_its_side() {
     }
 }
 
-/// An axis that was slow when the switch closed rests nearer to its edge than one that came at full speed.
+/// An axis that was slow when the switch closed comes to rest nearer to the edge of the switch than a fast one.
 #[test]
 fn an_index_pulse_on_the_switch_is_passed_wherever_the_axis_rested_there() {
     for config in configs(1) {
@@ -326,7 +326,7 @@ fn a_bouncing_switch_counts_once_it_is_quiet() {
         rig.world().axes[0].chatter = 30;
         let (_, way) = home(&mut rig);
         assert_eq!(rig.phase(), Phase::Standing, "{:?}", rig.cause());
-        // 30 ms of chatter at 15 rad/s, then three samples and the way to a stop.
+        // 30 ms of chatter at 15 rad/s, then three samples and the braking distance.
         let lowest = way.iter().copied().fold(f64::MAX, f64::min);
         assert!((-1.2..-0.7).contains(&lowest), "{lowest}");
     }
@@ -414,7 +414,7 @@ fn a_stop_anywhere_in_the_search_is_a_ramp() {
             }
             let rest = &way[2000..];
             assert!(rest.iter().all(|at| (at - rest[0]).abs() < 0.01));
-            // And it homes afterwards, if it has not.
+            // Afterwards the axis homes, if it has no reference.
             home(&mut rig);
             assert_eq!(rig.phase(), Phase::Standing, "{:?}", rig.cause());
             assert_eq!(rig.world().axes[0].state.homing, Homing::Attained);

@@ -32,7 +32,7 @@ pub(super) fn change(axis: &mut crate::ServoAxisConfig, how: impl FnOnce(&mut Ho
 }
 
 impl Rig {
-    /// What axis `axis` was sent, cycle by cycle.
+    /// Torques sent to axis `axis`, cycle by cycle.
     pub(super) fn torques(&self, axis: usize) -> Vec<f64> {
         let torque = |batch: &Vec<AxisCommand>| match batch[axis] {
             AxisCommand::Follow(Setpoint::Torque(torque)) => torque.get(),
@@ -42,7 +42,7 @@ impl Rig {
         self.world().sent.iter().map(torque).collect()
     }
 
-    /// Constant speed of 50 rad/s reached, the queue full of more.
+    /// Moving at a constant speed of 50 rad/s, with more macrosteps in the queue.
     fn cruising(config: &ServoConfig) -> Self {
         let mut rig = Self::with(config).stand();
         rig.accelerate(500.0, 10, 50);
@@ -61,7 +61,7 @@ fn an_axis_is_held_against_its_weight_from_its_first_power_to_its_last() {
             drive.state.position = 3.0;
             drive.load = -0.5;
         }
-        // One drive takes longer: the other is held meanwhile.
+        // One drive takes longer, while the other axis is held.
         rig.world().axes[1].dead = true;
         rig.order(Order::Enable);
         rig.run(50);
@@ -197,7 +197,7 @@ fn a_missed_deadline_is_no_runaway() {
         host.runaway_velocity = 101.0;
     });
     let mut rig = Rig::cruising(&config);
-    // The motor has run on for a period in which no cycle was.
+    // The motor continued for a period without a cycle.
     rig.servo.missed(1);
     rig.world().axes[0].state.position += 50.0 * DT;
     rig.run(50);
@@ -212,7 +212,7 @@ fn one_sample_taken_late_is_no_runaway() {
         host.runaway_velocity = 60.0;
     });
     let mut rig = Rig::cruising(&config);
-    // Half a period late, and the next one in time: 75 rad/s, then 25.
+    // A cycle half a period late, followed by a punctual one: 75 rad/s, then 25.
     let late = 50.0 * 0.5 * DT;
     rig.world().axes[0].state.position += late;
     rig.run(1);
@@ -231,7 +231,7 @@ fn a_stop_after_an_overrun_begins_from_the_motion_measured() {
         rig.world().sent.clear();
         rig.run_until(Phase::Faulted);
         assert_eq!(rig.cause(), Some(StopCause::Overrun { missed: 4 }));
-        // 50 rad/s at 1000 rad/s² for some 50 ms, not a blow.
+        // 50 rad/s at 1000 rad/s² take some 50 ms, without a step of the torque.
         let torques = rig.torques(0);
         assert!(
             (45..200).contains(&torques.len()),

@@ -1,10 +1,10 @@
-//! Limit switches outside homing, over drives that pass no torque towards a closed one.
+//! Limit switches outside homing, with drives that block torque towards a closed switch.
 
 use super::host_loops::laws;
 use super::*;
 use crate::State;
 
-/// Two axes at 50 rad/s in `sense`; a limit switch of axis 1 stands 2 rad on.
+/// Two axes at 50 rad/s in `sense`. A limit switch of axis 1 is 2 rad ahead.
 fn cruising(config: &ServoConfig, sense: f64) -> Rig {
     let mut rig = Rig::with(config).stand();
     rig.accelerate(500.0 * sense, 10, 30);
@@ -48,7 +48,8 @@ fn a_limit_switch_brakes_the_effector_and_is_named_and_can_be_left() {
             rig.run_until(Phase::Stopping);
             assert_eq!(rig.cause(), Some(StopCause::LimitSwitch { upper }));
             assert_eq!(rig.servo.fault(0).unwrap().axis, Some(1));
-            // The other axis comes to rest under its loop, 50 rad/s at 1000 rad/s²; only then is it let go.
+            // The other axis brakes under its loop, 50 rad/s at 1000 rad/s². The power is switched off only
+            // afterwards.
             let mut cycles = 0;
             while rig.servo.state(0) != Some(State::Faulted) {
                 assert!(matches!(rig.last_sent()[0], AxisCommand::Follow(_)));
@@ -62,7 +63,8 @@ fn a_limit_switch_brakes_the_effector_and_is_named_and_can_be_left() {
             let text = rig.servo.fault(0).unwrap().to_string();
             assert_eq!(text, format!("axis 1: ran onto the {name} limit switch"));
 
-            // It rests on the switch, and holds, and may be moved away; not on.
+            // The axis rests on the switch and holds. Motion away from the switch is allowed, motion towards it is
+            // not.
             rig.world()
                 .axes
                 .iter_mut()
@@ -96,7 +98,7 @@ fn a_counter_that_falls_has_its_upper_switch_below() {
     let mut rig = cruising(&config, -1.0);
     rig.world().axes[1].limit_below = None;
     let here = rig.world().axes[1].state.position;
-    // What the drive calls its upper switch is beyond all of the way here.
+    // The drive's upper switch lies beyond the whole motion.
     rig.world().axes[1].limit_above = Some(here - 100.0);
     rig.world().axes[1].guards = false;
     rig.run_until(Phase::Stopping);
@@ -111,7 +113,7 @@ fn an_axis_that_its_switch_does_not_hold_is_named_with_it() {
             let drive = &mut rig.world().axes[1];
             drive.guards = true;
             drive.limit_above = Some(-10.0);
-            // Its weight pulls it off the switch, and the drive lets nothing pass against that.
+            // The weight pulls the axis off the switch, and the drive blocks the opposing torque.
             drive.load = -0.5;
         }
         rig.run_until(Phase::Faulted);

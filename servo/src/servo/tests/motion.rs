@@ -45,7 +45,7 @@ fn a_queue_that_runs_dry_in_motion_brakes_and_faults() {
     rig.run_until(Phase::Faulted);
     let positions = rig.positions(0);
     keeps_limits(&positions).unwrap();
-    // 15 rad/s at 1000 rad/s²: 15 periods, of which the last does not move.
+    // 15 rad/s at 1000 rad/s²: 15 periods, the last of them without motion.
     let end = positions.last().unwrap() - positions[39];
     assert!((end - 0.5 * 15.0 * 0.014).abs() < 1e-9, "{end}");
     assert_eq!(rig.last_sent(), [AxisCommand::Off; 2]);
@@ -142,7 +142,7 @@ fn an_effector_that_is_not_homed_does_not_move() {
 
 #[test]
 fn the_following_error_is_that_of_the_command_the_drive_had_latched() {
-    // At 20 rad/s each period of wrong delay shows as 0.02 rad.
+    // At 20 rad/s, each period of error in the delay is an error of 0.02 rad.
     let mut config = scripted::config(1);
     config.effectors[0].axes[0].following_error = 0.019;
     let mut rig = Rig::with(&config).stand();
@@ -214,8 +214,8 @@ fn every_cycle_is_recorded_and_what_does_not_fit_is_counted() {
 }
 
 proptest! {
-    /// Random streams, most of them nonsense, with stops in between. proptest prints the failing
-    /// case and keeps its seed.
+    /// Random sequences, most of them invalid, with stops in between. proptest prints the failing case and keeps its
+    /// seed.
     #[test]
     fn whatever_is_asked_what_is_sent_keeps_the_limits_and_comes_to_rest(
         stream in prop::collection::vec((1u16..40, -1.0..1.0f64, -1.0..1.0f64), 1..20),
@@ -273,7 +273,7 @@ fn effectors_at_a_gate_go_on_in_the_cycle_that_finds_it_open() {
         now += PERIOD;
         [0, 1].map(|index| servo.state(index).unwrap().phase())
     };
-    // The first stands there long before the second is sent to it, and the second has one more to pass.
+    // The first effector waits long before the second gets its order, and the second has another gate to pass.
     let gates = servo.gates();
     gates.open(63);
     for (link, late) in links.iter_mut().zip([0, 30]) {

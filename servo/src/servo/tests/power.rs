@@ -1,4 +1,4 @@
-//! Bring-up, enabling, homing, reset: everything before motion.
+//! Bring-up, enabling, homing and reset.
 
 use super::*;
 use crate::NotUp;
@@ -134,7 +134,7 @@ fn axes_home_in_ascending_order_and_homed_ones_are_skipped() {
         .collect();
     assert!(homing.is_sorted_by(|a, b| a >= b), "{homing:?}");
     assert!(homing.contains(&2) && homing.contains(&0) && !homing.contains(&1));
-    // The counter jumped to zero; the command went with it.
+    // The counter jumped to zero, and the command followed.
     assert_eq!(*rig.positions(0).last().unwrap(), 0.0);
 }
 

@@ -1,10 +1,10 @@
-//! What stops an effector, and how.
+//! Causes and course of stops.
 
 use super::*;
 
 #[test]
 fn stop_and_disable_overtake_the_queue_and_brake() {
-    // After 31 cycles a macrostep has just been taken since the queue was last looked through.
+    // After 31 cycles, a macrostep was taken since the last search of the queue.
     let cases = [
         (Order::Stop, 30, Phase::Standing),
         (Order::Disable, 30, Phase::Off),
@@ -46,7 +46,7 @@ fn power_stays_on_until_the_motors_are_still_or_have_had_their_time() {
         rig.accelerate(500.0, 2, 20);
         rig.run(30);
         rig.order(Order::Disable);
-        // 10 rad/s at 1000 rad/s²: ten set-points, then the drive goes on by itself.
+        // 10 rad/s at 1000 rad/s²: ten set-points, after which the drive continues by itself.
         rig.run(10);
         rig.world().axes[0].drifts_at = Some(velocity);
         let before = rig.now;
@@ -148,7 +148,7 @@ fn a_drive_fault_brakes_the_other_axes_before_power_goes() {
     keeps_limits(&rig.positions(0)).unwrap();
     assert_eq!(rig.positions(0), rig.positions(2));
 
-    // Nothing but a reset leads out of it.
+    // Only a reset leaves this state.
     rig.order(Order::Enable);
     rig.order(Order::Home);
     rig.run(5);
@@ -214,7 +214,7 @@ fn a_stop_request_brakes_switches_off_and_holds() {
 
 #[test]
 fn missed_cycles_stop_the_effector_only_beyond_the_allowed_row() {
-    // How many deadlines are missed before each of some cycles, and whether that is an overrun.
+    // Number of missed deadlines before each cycle, and whether the row is an overrun.
     let cases: [(&[u32], Option<u32>); 5] = [
         (&[2, 0, 2, 0, 2], None),
         (&[1, 1, 0, 1, 1], None),
@@ -296,7 +296,7 @@ fn a_bus_that_takes_nothing_does_not_hold_up_a_stop() {
     assert_eq!(rig.phase(), Phase::Off);
 }
 
-/// Two effectors of one axis each, every one on a group of its own, at 10 rad/s.
+/// Two effectors of one axis each, each on its own group, at 10 rad/s.
 fn two_in_motion(config: &ServoConfig) -> (Servo, Vec<EffectorLink>, Vec<Arc<Mutex<World>>>) {
     let mut config = config.clone();
     let mut other = config.effectors[0].clone();
@@ -314,7 +314,7 @@ fn two_in_motion(config: &ServoConfig) -> (Servo, Vec<EffectorLink>, Vec<Arc<Mut
         if cycle == 20 {
             for link in &mut links {
                 for number in 1..=50 {
-                    // Up to 10 rad/s in 20 ms, then on at that speed.
+                    // Acceleration to 10 rad/s in 20 ms, then constant speed.
                     let time = 0.01 * number as f64;
                     let velocity = (500.0 * time).min(10.0);
                     let position = if number <= 2 {
@@ -402,7 +402,7 @@ fn a_stop_ends_in_time_though_its_bus_is_gone_or_takes_nothing() {
                 for axis in 0..2 {
                     let way =
                         (record.axis[axis].commanded - records[100].axis[axis].commanded).abs();
-                    // Full speed for the cycles until the stop begins, and the stop itself.
+                    // Full speed until the stop begins, and the stop itself.
                     let most = if gone { 0.0 } else { 20.0 * 0.03 };
                     assert!(way <= most, "gone: {gone}: commanded {way} rad on");
                 }

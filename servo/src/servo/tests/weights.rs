@@ -5,10 +5,10 @@ use super::*;
 
 const WEIGHT: f64 = 0.5;
 
-/// Where its motors stand.
+/// Position of the motors.
 const AT: f64 = 3.0;
 
-/// Switched on under a weight on axis 0 that nobody has told the servo of, and standing.
+/// Enabled and standing, with a weight on axis 0 that the servo does not know.
 fn loaded(config: &ServoConfig, stiction: f64) -> Rig {
     under(config, stiction, WEIGHT)
 }
@@ -32,7 +32,7 @@ fn under(config: &ServoConfig, stiction: f64, weight: f64) -> Rig {
     rig
 }
 
-/// Macrosteps that lead nowhere, each with the weight told.
+/// Macrosteps without motion, each with the torque of the weight.
 fn told(rig: &mut Rig, torque: f64, numbers: std::ops::RangeInclusive<u64>) {
     for number in numbers {
         let mut step = macrostep(number, 10, AT, 0.0);
@@ -61,12 +61,12 @@ fn what_the_loop_does_not_hold_yet_comes_in_over_a_macrostep() {
     for config in laws(1) {
         let mut rig = loaded(&config, 0.0);
         rig.world().axes[0].load = 0.0;
-        // The other way: there is nothing of it to take over.
+        // In the opposite direction, nothing can be transferred.
         rig.run(1500);
         rig.world().sent.clear();
         told(&mut rig, -0.2, 1..=1);
         let torques = rig.torques(0);
-        // Then the loop stems itself against it, since nothing weighs there.
+        // The loop then acts against the feed-forward torque, because no weight acts.
         for (cycle, torque) in torques.iter().take(4).enumerate() {
             let expected = -0.02 * (cycle + 1) as f64;
             assert!((torque - expected).abs() < 0.02, "{torques:?}");
@@ -79,7 +79,7 @@ fn dry_friction_that_an_axis_stuck_in_is_forgotten_as_it_begins_to_move() {
     for config in laws(1) {
         for sense in [1.0, -1.0] {
             let mut rig = under(&config, 0.3, sense * WEIGHT);
-            // 0.2 N·m less than what the loop holds: the rest is what the axis stuck in.
+            // 0.2 N·m less than the loop holds: the difference is dry friction.
             let told_of = sense * (WEIGHT - 0.2);
             told(&mut rig, told_of, 1..=1);
             let first = rig.torques(0)[0];
@@ -100,7 +100,7 @@ fn a_stop_keeps_the_torque_and_the_next_power_begins_with_it() {
             torques.iter().all(|torque| (torque - WEIGHT).abs() < 0.01),
             "{torques:?}"
         );
-        // Off, with the brake on; then on again where it stands, and once more after it was moved by hand.
+        // Off, with the brake on; then on again at the same position, and once more after the arm was moved by hand.
         for (moved, expected) in [(0.0, WEIGHT), (10.0, 0.0)] {
             rig.order(Order::Disable);
             rig.run_until(Phase::Off);

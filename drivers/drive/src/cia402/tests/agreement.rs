@@ -1,4 +1,4 @@
-//! Scale and rated torque that agree or disagree.
+//! Drives whose scale and rated torque agree or disagree with the cell.
 
 use super::bench::*;
 use crate::cia402::*;
@@ -16,7 +16,7 @@ fn a_drive_that_scales_as_the_cell_or_does_not_say_comes_up_and_another_is_refus
         (maxon(&[(0x608F, 1, 2_000)]), None),
         (maxon(&[(0x6091, 1, 7), (0x6091, 2, 7)]), None),
         (maxon(&[(0x6092, 1, 2_000), (0x6092, 2, 1)]), None),
-        // An encoder finer than the units, and a feed constant that says nothing of it.
+        // An encoder finer than the position units, with a feed constant that agrees with the cell.
         (
             maxon(&[
                 (0x608F, 1, 524_288),
@@ -35,7 +35,7 @@ fn a_drive_that_scales_as_the_cell_or_does_not_say_comes_up_and_another_is_refus
         (maxon(&[(0x6076, 0, 100_000)]), None),
         (maxon(&[(0x6076, 0, 101_000)]), None),
         (another(&[(0x6076, 0, 100)]), None),
-        // Main sensor and µN·m are maxon's.
+        // Objects for the main sensor and a rated torque in µN·m exist in maxon's drives only.
         (another(&[(0x3000, 5, 1), (0x6076, 0, 101)]), None),
         (
             maxon(&[(0x608F, 1, 4_000), (0x608F, 2, 1)]),
@@ -101,7 +101,7 @@ fn a_drive_that_scales_as_the_cell_or_does_not_say_comes_up_and_another_is_refus
                 (Err(error @ BringUpError::WrongScale { index, .. }), Some((of, needle))) => {
                     assert_eq!((error.node(), index), (Some(2), of), "{says:x?}");
                     assert!(error.to_string().contains(needle), "{error}");
-                    // The only controlword took the voltage off, and the node was not started.
+                    // The only controlword removed the voltage, and the node was not started.
                     let sent = sent(&bench);
                     let words = sent.iter().filter(|frame| frame.contains("#2B4060"));
                     assert!(words.eq(["602#2B40600000000000"]), "{sent:?}");

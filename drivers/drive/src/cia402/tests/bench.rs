@@ -30,7 +30,7 @@ pub(super) fn group_config() -> GroupConfig {
     }
 }
 
-/// 2000 increments a turn, so that an increment is TAU / 2000 rad.
+/// 2000 increments per turn; an increment is TAU / 2000 rad.
 pub(super) fn axis_config(raw: u8) -> AxisConfig {
     let tau = std::f64::consts::TAU;
     AxisConfig {
@@ -62,7 +62,7 @@ pub(super) fn axis_config(raw: u8) -> AxisConfig {
     }
 }
 
-/// A bus seen from the host's end: what it sent, what it is to receive, how much its queue takes.
+/// A bus seen from the host: frames sent, frames to be received, and the free space of its queue.
 #[derive(Default)]
 pub(super) struct Bus {
     pub(super) sent: Vec<Frame>,
@@ -107,7 +107,7 @@ impl Port for BusEnd {
     }
 }
 
-/// A frame as `candump -L` writes it.
+/// Parses a frame in the format of `candump -L`.
 pub(super) fn frame(text: &str) -> Frame {
     let (id, data) = text.split_once('#').unwrap();
     let id = StandardId::new(u16::from_str_radix(id, 16).unwrap()).unwrap();
@@ -116,7 +116,7 @@ pub(super) fn frame(text: &str) -> Frame {
     Frame::new(id, &bytes).unwrap()
 }
 
-/// TPDO 1 of a node, torque zero.
+/// TPDO 1 of a node, with torque zero.
 pub(super) fn answer(raw: u8, statusword: u16, position: i32) -> String {
     let [s0, s1] = statusword.to_le_bytes();
     let [a, b, c, d] = position.to_le_bytes();
@@ -126,21 +126,21 @@ pub(super) fn answer(raw: u8, statusword: u16, position: i32) -> String {
     )
 }
 
-/// The service side of a node: a store of objects that answers byte for byte, and nothing else.
+/// The service side of a node: an object store that answers service requests only.
 pub(super) struct Store {
     pub(super) raw: u8,
     pub(super) objects: BTreeMap<(u16, u8), Vec<u8>>,
     pub(super) aborts: BTreeMap<(u16, u8), u32>,
-    /// Objects it takes and does not keep.
+    /// Object whose writes are accepted but not stored.
     pub(super) forgetful: Option<(u16, u8)>,
-    /// An object whose writing sets another to zero.
+    /// An object whose writing sets another object to zero.
     pub(super) clears: Option<((u16, u8), (u16, u8))>,
-    /// Objects it does not answer for.
+    /// Object without any answer.
     pub(super) mute: Option<(u16, u8)>,
     pub(super) boots: bool,
     pub(super) starts: bool,
     pub(super) shows_modes: bool,
-    /// The object that is transferred in segments, and its bytes so far, or those left.
+    /// The object of a segmented transfer, and the bytes received so far or still to be sent.
     segments: ((u16, u8), Vec<u8>),
 }
 
@@ -232,7 +232,7 @@ impl Store {
         }
     }
 
-    /// The next seven bytes, either way.
+    /// Transfers the next seven bytes, in either direction.
     fn segment(&mut self, specifier: u8, data: &[u8]) -> [u8; 8] {
         let (object, bytes) = &mut self.segments;
         let mut answer = [0; 8];
@@ -334,7 +334,7 @@ impl Bench {
         bench
     }
 
-    /// Runs bring-up to its end, a call every period.
+    /// Runs bring-up to its end with one call per period.
     pub(super) fn bring_up(&mut self) -> Result<(), BringUpError> {
         for _ in 0..10_000 {
             if let Poll::Ready(result) = self.group.bring_up(self.now) {
@@ -346,7 +346,7 @@ impl Bench {
         panic!("bring-up did not end");
     }
 
-    /// Lets the stores answer what was sent since.
+    /// Lets the stores answer the frames sent since the last call.
     pub(super) fn serve(&mut self) {
         let mut bus = self.bus.0.lock().unwrap();
         let at = self.now + PERIOD / 2;
@@ -362,7 +362,7 @@ impl Bench {
         self.seen = bus.sent.len();
     }
 
-    /// One cycle: `answers` arrived half a period ago; returns what was sent.
+    /// One cycle: `answers` arrived half a period ago. Returns the frames sent.
     pub(super) fn cycle<T: AsRef<str>>(
         &mut self,
         answers: &[T],
@@ -386,7 +386,7 @@ impl Bench {
         bus.sent[before..].iter().map(Frame::to_string).collect()
     }
 
-    /// Every axis stands at 1000 increments, enabled.
+    /// Enables every axis, standing at 1000 increments.
     pub(super) fn enable(&mut self) {
         let commands = vec![AxisCommand::Stand; self.states.len()];
         for statusword in [0x0740, 0x0721, 0x0723, 0x0737, 0x0737, 0x0737, 0x0737] {
@@ -407,7 +407,7 @@ impl Bench {
     }
 }
 
-/// Follow a position given in increments of [`axis_config`].
+/// Follows a position in increments of [`axis_config`].
 pub(super) fn follow(increments: f64) -> AxisCommand {
     let position = increments * std::f64::consts::TAU / 2_000.0;
     AxisCommand::Follow(Setpoint::Position(Finite::new(position).unwrap()))
@@ -415,7 +415,7 @@ pub(super) fn follow(increments: f64) -> AxisCommand {
 
 pub(super) const NONE: &[&str] = &[];
 
-/// What was sent, as candump writes it.
+/// The frames sent, in the format of `candump`.
 pub(crate) fn sent(bench: &Bench) -> Vec<String> {
     bench
         .bus

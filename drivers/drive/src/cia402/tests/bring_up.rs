@@ -9,15 +9,15 @@ use super::bench::*;
 use crate::cia402::*;
 use crate::{Homing, Power};
 
-/// What node 2 is told, in order. Each is read back before the next.
+/// Writes to node 2, in order. Each write is read back before the next.
 const TOLD: &[&str] = &[
     // Voltage off, then the cell's own parameter.
     "602#2B40600000000000",
     "602#23013001D0070000",
-    // Our heartbeat is watched, the drive's is produced.
+    // The drive watches the host's heartbeat and produces its own.
     "602#2B171000D0070000",
     "602#2316100170177F00",
-    // When it loses us it brakes at 6000 rpm/s and holds.
+    // On loss of the host, the drive brakes at 6000 rpm/s and holds.
     "602#2B07600003000000",
     "602#2B5A600006000000",
     "602#2385600070170000",
@@ -30,10 +30,10 @@ const TOLD: &[&str] = &[
     "602#239960013C000000",
     "602#239960020A000000",
     "602#239A600058020000",
-    // The homed counter reads zero, without a move from the reference.
+    // The homed counter reads zero, without a motion away from the reference.
     "602#23B0300000000000",
     "602#23B1300000000000",
-    // RPDO 2 to 4, TPDO 3 and 4 off.
+    // RPDO 2 to 4, and TPDO 3 and 4, are switched off.
     "602#2301140102030080",
     "602#2302140102040080",
     "602#2303140102050080",
@@ -57,7 +57,7 @@ const TOLD: &[&str] = &[
     "602#2F00180201000000",
     "602#2B00180300000000",
     "602#2300180182010040",
-    // TPDO 2: mode of operation, when it changes, 100 ms apart at least.
+    // TPDO 2: mode of operation, sent on change, at least 100 ms apart.
     "602#23011801820200C0",
     "602#2F011A0000000000",
     "602#23011A0108006160",
@@ -82,8 +82,7 @@ fn an_epos4_is_asked_and_told_this_frame_by_frame() {
         expected.push((*told).to_owned());
         expected.push(format!("602#40{}00000000", &told[6..12]));
         if told.starts_with("602#239A60") {
-            // The reaction to a lost connection and the offsets, which this store lacks, and the home offset, which
-            // an EPOS4 has no such object for.
+            // This store lacks the reaction to a lost connection and the offsets. An EPOS4 lacks the home offset.
             for lacking in [
                 "2F29100101000000",
                 "23B0600000000000",
@@ -95,7 +94,7 @@ fn an_epos4_is_asked_and_told_this_frame_by_frame() {
             }
         }
         if told.starts_with("602#23B13000") {
-            // What it must agree in with the cell, none of which this store has: gear, feed, encoder, main sensor,
+            // Objects that must agree with the cell, none of which this store has: gear, feed, encoder, main sensor,
             // rated torque.
             for object in [
                 "916001", "916002", "926001", "926002", "8F6001", "8F6002", "003005", "766000",
@@ -269,7 +268,7 @@ fn drives_come_up_side_by_side_with_few_frames_a_call() {
     assert_eq!(time(1, None).1, 1);
     assert_eq!((time(6, None).0, time(6, None).1), (time(1, None).0, 6));
     assert_eq!(time(12, None).1, 8);
-    // A port that takes one frame at a time loses none of them.
+    // A port that takes one frame at a time loses no frame.
     assert_eq!(time(2, Some(1)).1, 1);
 }
 
@@ -365,7 +364,7 @@ fn every_failure_names_the_node_and_what_it_said() {
         ),
         (
             |store| store.mute = Some((0x6085, 0)),
-            // Asked twice, 100 ms each.
+            // Two requests, 100 ms each.
             BringUpError::TimedOut {
                 node,
                 index: 0x6085,
@@ -392,7 +391,7 @@ fn every_failure_names_the_node_and_what_it_said() {
             started,
             "{error}"
         );
-        // No RPDO, so no controlword but the one that takes the voltage away.
+        // No RPDO, and no controlword except the one that removes the voltage.
         assert!(
             sent.iter()
                 .all(|frame| frame.starts_with("000") || frame.starts_with('6'))
@@ -402,7 +401,7 @@ fn every_failure_names_the_node_and_what_it_said() {
                 .iter()
                 .any(|frame| frame.contains("#2B406000") && !frame.ends_with("00000000"))
         );
-        // Mended, it comes up from the beginning.
+        // Once repaired, the group comes up from the start.
         bench.stores[1] = Store::epos4(node);
         assert_eq!(bench.bring_up(), Ok(()), "{error}");
     }
@@ -497,7 +496,7 @@ fn configurations_that_cannot_work_are_refused() {
     }
 }
 
-/// A node that has lost its configuration must not be taken for one that has it.
+/// A node without its configuration must not be taken for a configured one.
 #[test]
 fn a_node_that_boots_while_others_still_start_fails_it() {
     let mut bench = Bench::new(group_config(), &[axis_config(2), axis_config(3)]);

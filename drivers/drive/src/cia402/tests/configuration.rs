@@ -30,7 +30,7 @@ fn bench(settings: Vec<Setting>) -> Bench {
     bench
 }
 
-/// How many frames were sent before the first that begins with `prefix`.
+/// Number of frames sent before the first that begins with `prefix`.
 fn position(bench: &Bench, prefix: &str) -> Option<usize> {
     let bus = bench.bus.0.lock().unwrap();
     let mut sent = bus.sent.iter().map(Frame::to_string);

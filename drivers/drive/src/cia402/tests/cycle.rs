@@ -19,14 +19,14 @@ fn an_epos_is_enabled_word_by_word_with_the_target_where_it_stands() {
         ("182#2307E90300000000", "202#0F00E9030000", Power::Changing),
         ("182#2307EA0300000000", "202#0F00EA030000", Power::Changing),
         ("182#3707EB0300000000", "202#0F00EB030000", Power::On),
-        // It now holds that position, wherever a load pulls it.
+        // The drive holds that position, even if a load moves the axis.
         ("182#3707E00300000000", "202#0F00EB030000", Power::On),
         ("182#3707D00300000000", "202#0F00EB030000", Power::On),
     ];
     for (i, (received, sent, power)) in trace.into_iter().enumerate() {
         let frames = bench.cycle(&[received], &[AxisCommand::Stand]);
         assert_eq!((i, &*frames[0], &*frames[1]), (i, "080#", sent));
-        // Before the first command nothing is on its way.
+        // Before the first command no transition is under way.
         let power = if i == 0 { Power::Off } else { power };
         assert_eq!((i, bench.states[0].power), (i, power));
         assert_eq!(bench.states[0].following, power == Power::On);
@@ -161,7 +161,7 @@ fn one_refused_set_point_keeps_every_axis_where_it_was_told_before() {
         bench.cycle(&answers, &[follow(1_001.0), follow(1_002.0)]);
         let frames = bench.cycle(&answers, &[follow(1_500.0), command]);
         assert_eq!(frames[1..], ["201#0F00E9030000", "202#0200E8030000"]);
-        // The other goes on as it is told; the refused one is braked.
+        // The other axis follows its command; the refused axis is braked.
         let frames = bench.cycle(&answers, &[follow(1_003.0), follow(1_004.0)]);
         assert_eq!(frames[1..], ["201#0F00EB030000", "202#0200E8030000"]);
         assert_eq!(bench.states[0].fault, None);
@@ -213,7 +213,7 @@ fn what_the_port_does_not_take_is_counted_and_never_sent_later() {
     bench.bus.0.lock().unwrap().takes = None;
     let frames = bench.cycle(NONE, &[follow(1_003.0), follow(1_003.0)]);
     assert_eq!(frames, ["080#", "201#0F00EB030000", "202#0F00EB030000"]);
-    // No SYNC asked for the answers that did not come.
+    // No SYNC requested the missing answers.
     assert_eq!(bench.group.counters().missed_answers, 0);
     assert_eq!(bench.states[0].age, 1);
 }

@@ -43,10 +43,10 @@ fn missing_answers_are_ridden_through_and_then_the_drive_is_silent() {
         Some(Fault::Silent { node: 2, cycles: 3 })
     );
     assert!(!bench.states[0].following);
-    // Not heard, it may still hear.
+    // A silent drive may still receive frames.
     assert_eq!(frames[1], "202#0200E8030000");
     assert_eq!(bench.group.counters().missed_answers, 5);
-    // Silence cannot be reset away; an answer lets it.
+    // A reset does not clear silence; an answer allows it.
     bench.cycle(NONE, RESET);
     bench.cycle(NONE, RESET);
     assert_eq!(
@@ -63,7 +63,7 @@ fn syncs_that_the_port_never_takes_are_named_and_not_the_silence_after_them() {
     let mut bench = enabled();
     stand(&mut bench, 0x0737);
     bench.bus.0.lock().unwrap().takes = Some(0);
-    // The first of them still reads the answer to the SYNC before.
+    // The first of these cycles still reads the answer to the last SYNC.
     bench.cycle(&bench.answers(0x0737, 1_000), STAND);
     for _ in 0..3 {
         bench.cycle(NONE, STAND);
@@ -88,14 +88,14 @@ fn set_points_that_the_port_does_not_take_are_ridden_through_and_then_a_fault_of
         }
         [bench.states[0].fault, bench.states[1].fault]
     };
-    // The SYNC and the first set-point fit; both drives go on answering.
+    // The port takes the SYNC and the first set-point; both drives continue to answer.
     assert_eq!(cycles(Some(2), 2, stand), [None, None]);
-    // One that is taken ends the row.
+    // A set-point that is taken restarts the count.
     assert_eq!(cycles(None, 1, stand), [None, None]);
     assert_eq!(cycles(Some(2), 3, stand), [None, None]);
     let fault = Some(Fault::NotSent { node: 2, cycles: 3 });
     assert_eq!(cycles(Some(2), 1, stand), [None, fault]);
-    // It cannot be reset away; a set-point that is taken lets it.
+    // A reset does not clear the fault until a set-point is taken.
     let reset = &[AxisCommand::Stand, AxisCommand::ResetFault];
     let fault = Some(Fault::NotSent { node: 2, cycles: 5 });
     assert_eq!(cycles(Some(2), 2, reset), [None, fault]);
@@ -108,7 +108,7 @@ fn answers_to_an_older_sync_are_missing_ones() {
     let mut bench = enabled();
     stand(&mut bench, 0x0737);
     for age in 1..=3 {
-        // Each came shortly before the last SYNC, and so belongs to the one before.
+        // Each answer came shortly before the last SYNC and belongs to the SYNC before.
         let (frame, at) = (
             frame(&answer(2, 0x0737, 1_000 + age)),
             bench.now - PERIOD / 4,
@@ -116,7 +116,7 @@ fn answers_to_an_older_sync_are_missing_ones() {
         let late = Received { frame, at };
         bench.bus.0.lock().unwrap().inbox.push_back(late);
         bench.cycle(NONE, STAND);
-        // What it says is news all the same.
+        // The position of a late answer is used all the same.
         assert_eq!(bench.states[0].increments.0, 1_000 + age);
         assert_eq!((bench.states[0].age, bench.states[0].at), (age as u32, at));
     }
@@ -124,7 +124,7 @@ fn answers_to_an_older_sync_are_missing_ones() {
     assert_eq!(bench.states[0].fault, Some(silent));
     assert_eq!(bench.group.counters().missed_answers, 3);
     let unexpected = bench.group.counters().unexpected;
-    // Nobody knows which SYNC an answer from before those two belongs to.
+    // An answer from before the last two SYNCs cannot be attributed to a SYNC.
     let (frame, at) = (frame(&answer(2, 0x0737, 7)), bench.now - 2 * PERIOD);
     let old = Received { frame, at };
     bench.bus.0.lock().unwrap().inbox.push_back(old);
@@ -343,7 +343,7 @@ fn a_transition_that_takes_too_long_is_a_fault() {
         waited,
     };
     assert_eq!(bench.states[0].fault, Some(stuck));
-    // And on the way down.
+    // The same while the power is being switched off.
     let mut bench = enabled();
     while bench.states[0].fault.is_none() {
         bench.cycle(&bench.answers(0x0737, 1_000), OFF);
@@ -386,7 +386,7 @@ fn a_controller_that_left_the_bus_faults_every_axis_until_it_is_back() {
     for state in [ControllerState::Warning, ControllerState::Passive] {
         assert_eq!(faults(state, &answers, stand), [None; 2]);
     }
-    // It is named, and not the silence that follows; while it lasts it cannot be reset away.
+    // Bus-off is reported instead of the silence that follows, and cannot be reset while it lasts.
     for command in [stand, stand, stand, stand, reset, reset, stand] {
         let seen = faults(ControllerState::BusOff, &[], command);
         assert_eq!(seen, [Some(Fault::BusOff); 2]);
@@ -417,7 +417,7 @@ fn the_first_fault_stays_and_enabling_waits_for_its_reset() {
     assert_eq!(bench.states[0].fault, None);
 }
 
-/// The drives have braked by themselves long ago; a word that enables would take them back.
+/// The drives have braked by themselves long ago. An enabling controlword would make them follow an old target.
 #[test]
 fn after_we_were_silent_too_long_no_drive_is_enabled_blindly() {
     let mut bench = enabled();

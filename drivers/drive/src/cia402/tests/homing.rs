@@ -7,7 +7,7 @@ use crate::{Finite, Homing, Power, Setpoint};
 const HOME: &[AxisCommand] = &[AxisCommand::Home];
 const STAND: &[AxisCommand] = &[AxisCommand::Stand];
 
-/// A cycle of the only axis; returns RPDO and service frame.
+/// One cycle of the only axis. Returns RPDO and service frame.
 fn cycle(
     bench: &mut Bench,
     statusword: u16,
@@ -28,7 +28,7 @@ fn homing_runs_in_its_own_mode_and_comes_back_where_the_axis_stands() {
     /// Statusword, position and command; RPDO, service frame, homing and following.
     type Step<'a> = (u16, i32, &'a [AxisCommand], &'a str, &'a str, Homing, bool);
     let steps: &[Step<'_>] = &[
-        // Mode HM is told, then seen, while the axis stands.
+        // Mode HM is commanded, then reported, while the axis stands.
         (
             0x0737,
             1_000,
@@ -56,7 +56,7 @@ fn homing_runs_in_its_own_mode_and_comes_back_where_the_axis_stands() {
             Homing::InProgress,
             false,
         ),
-        // It searches; in the end the counter is set to zero.
+        // The drive searches and finally sets its counter to zero.
         (
             0x0237,
             1_002,
@@ -84,7 +84,7 @@ fn homing_runs_in_its_own_mode_and_comes_back_where_the_axis_stands() {
             Homing::Attained,
             false,
         ),
-        // Back to CSP with the target where it stands.
+        // Return to CSP with the present position as target.
         (
             0x9637,
             1,
@@ -132,7 +132,7 @@ fn homing_runs_in_its_own_mode_and_comes_back_where_the_axis_stands() {
         let state = bench.states[0];
         assert_eq!((i, state.homing, state.following), (i, homing, following));
         assert_eq!((state.power, state.fault), (Power::On, None));
-        // The counter's jump to zero is no motion.
+        // The jump of the counter to zero is not a motion.
         assert!(state.velocity.abs() < 10.0, "{}", state.velocity);
     }
 }
@@ -162,7 +162,7 @@ fn a_failed_search_says_so_and_may_be_tried_again() {
         cycle(&mut bench, statusword, 1_000, HOME);
     }
     assert_eq!(bench.states[0].homing, Homing::Failed);
-    // Halted, and back to CSP once it stands.
+    // Halted, and back to CSP after standstill.
     assert_eq!(
         cycle(&mut bench, 0x2637, 1_000, STAND)[0],
         "202#0F01E8030000"
@@ -256,7 +256,7 @@ fn a_drive_that_refuses_the_mode_or_does_not_answer_is_faulted() {
             cycle(&mut bench, 0x0737, 1_000, HOME);
         }
         assert_eq!(bench.states[0].fault, Some(abort(code)));
-        // It is asked no more before the reset.
+        // No further request before the reset.
         let asked = cycle(&mut bench, 0x0707, 1_000, HOME);
         assert_eq!(asked, ["202#0200E8030000", ""].map(String::from));
     }
@@ -291,7 +291,8 @@ fn a_mode_on_its_way_is_none_to_follow_in() {
     bench.stores[0].mute = Some((0x6060, 0));
     cycle(&mut bench, 0x0737, 1_000, HOME);
     bench.stores[0].mute = None;
-    // It may or may not have heard; asked again after 100 ms, it goes to HM and then back.
+    // The drive may have missed the request. The request is repeated after 100 ms, and the drive changes to HM and
+    // back.
     let mut services = Vec::new();
     for _ in 0..100 {
         let [rpdo, service] = cycle(&mut bench, 0x0737, 1_000, &[follow(1_100.0)]);

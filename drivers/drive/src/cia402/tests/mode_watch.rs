@@ -1,4 +1,4 @@
-//! Whose mode of operation it is: a change that the group did not ask for.
+//! A change of the mode of operation that the group did not command.
 
 use can::Received;
 use canopen::cia402::ModeOfOperation;
@@ -17,7 +17,7 @@ fn enabled() -> Bench {
     bench
 }
 
-/// A cycle in which the drive stands enabled; then come these frames.
+/// A cycle in which the drive stands enabled, followed by these frames.
 fn cycle(bench: &mut Bench, frames: &[&str], command: &[AxisCommand]) -> Vec<String> {
     let mut answers = bench.answers(0x0737, 1_000);
     answers.extend(frames.iter().map(|text| (*text).to_owned()));
@@ -48,7 +48,7 @@ fn a_foreign_change_of_mode_is_a_fault_that_names_both_modes() {
         let frames = cycle(&mut bench, &[text], STAND);
         assert_eq!(bench.states[0].fault, changed(found, CSP));
         assert!(!bench.states[0].following);
-        // Its quick stop; the mode is left alone meanwhile.
+        // The drive gets a quick stop. Its mode is not changed during braking.
         assert_eq!(frames, ["080#", "202#0200E8030000"]);
         assert_eq!(bench.group.counters().unexpected, unexpected);
     }
@@ -80,7 +80,7 @@ fn after_a_reset_the_drive_is_told_its_mode_again() {
 
 #[test]
 fn the_groups_own_changes_of_mode_are_none_whenever_they_show() {
-    // Before the drive has shown the mode to a service request: stale, early, both, or nothing.
+    // Frames before the drive has reported the mode to a service request: old mode, new mode, both, or none.
     let homing: [&[&str]; 4] = [&["282#08"], &["282#06"], &["282#08", "282#06"], &[]];
     let back: [&[&str]; 4] = [&["282#06"], &["282#08"], &["282#06", "282#08"], &[]];
     for frames in homing {
@@ -110,15 +110,15 @@ fn the_groups_own_changes_of_mode_are_none_whenever_they_show() {
     }
 }
 
-/// The first frame of the mode and the drive's own answer may be read in one cycle.
+/// The first frame with the new mode and the answer of the drive may be read in one cycle.
 #[test]
 fn a_change_right_behind_the_answer_that_showed_the_mode_is_a_fault() {
     let mut bench = enabled();
     cycle(&mut bench, &[], HOME);
-    // The mode is taken; whether it shows is asked.
+    // The drive accepted the mode; the reported mode is read.
     let asked = cycle(&mut bench, &[], HOME);
     assert_eq!(asked[2], "602#4061600000000000");
-    // The store's answer is in the inbox, before the frame.
+    // The answer of the store precedes the frame in the inbox.
     cycle(&mut bench, &["282#03"], HOME);
     let found = ModeOfOperation::ProfileVelocity;
     let fault = changed(found, ModeOfOperation::Homing);
@@ -134,7 +134,7 @@ fn modes_of_another_length_are_counted_and_not_believed() {
     assert_eq!(bench.group.counters().unexpected, unexpected + 2);
 }
 
-/// What a drive shows as it becomes operational comes before the first cycle.
+/// The mode that a drive reports on becoming operational arrives before the first cycle.
 #[test]
 fn a_change_between_bring_up_and_operation_is_a_fault_of_the_first_cycle() {
     for (text, fault) in [
@@ -160,7 +160,7 @@ fn a_change_between_bring_up_and_operation_is_a_fault_of_the_first_cycle() {
         bench.cycle(NONE, &[AxisCommand::Off; 2]);
         assert_eq!(bench.states[0].fault, fault);
         assert_eq!(bench.states[1].fault, None);
-        // Bring-up forgets it.
+        // Bring-up clears the fault.
         bench.stores[1].starts = true;
         assert_eq!(bench.bring_up(), Ok(()));
         bench.cycle(NONE, &[AxisCommand::Off; 2]);

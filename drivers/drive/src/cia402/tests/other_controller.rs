@@ -8,7 +8,7 @@ use can::Received;
 use super::bench::*;
 use crate::cia402::*;
 
-/// What only a controller sends: SYNC, the heartbeat of our own node-ID, set-points of our drives.
+/// Frames that only a controller sends: SYNC, the heartbeat of the host's node-ID, set-points of the group's drives.
 const SIGNS: [(&str, Sign); 5] = [
     ("080#", Sign::Sync),
     ("080#11", Sign::Sync),
@@ -17,7 +17,7 @@ const SIGNS: [(&str, Sign); 5] = [
     ("302#0F00", Sign::Setpoint { node: 2 }),
 ];
 
-/// What drives, other hosts' drives and service commands send.
+/// Frames of drives, of the drives of other hosts, and of service tools.
 const OTHERS: [&str; 11] = [
     "182#3707E80300000000",
     "282#08",
@@ -38,7 +38,7 @@ fn hear(bench: &Bench, text: &str) {
     bench.bus.0.lock().unwrap().inbox.push_back(received);
 }
 
-/// Bring-up until `until`, a call every period.
+/// Runs bring-up until `until` with one call per period.
 fn listen(bench: &mut Bench, until: Duration) -> Poll<Result<(), BringUpError>> {
     while u128::from(bench.now.as_nanos()) < until.as_nanos() {
         let polled = bench.group.bring_up(bench.now);
@@ -105,7 +105,7 @@ fn a_master_that_comes_during_bring_up_ends_it() {
         hear(&bench, text);
         let refused = BringUpError::OtherController { sign };
         assert_eq!(bench.bring_up(), Err(refused));
-        // Once it has gone, bring-up begins anew.
+        // After the other controller has gone, bring-up starts again.
         assert_eq!(bench.bring_up(), Ok(()));
     }
 }
@@ -134,7 +134,7 @@ fn a_master_that_comes_in_operation_stops_every_axis() {
 
 #[test]
 fn drives_and_service_commands_do_not_stop_a_robot() {
-    // Of the node's own frames only those that its drive may send in operation.
+    // Of the frames of the node itself, only those that a drive may send in operation.
     let others = OTHERS.iter().filter(|text| !text.starts_with("702"));
     let mut bench = Bench::up(&[2]);
     bench.enable();

@@ -10,7 +10,7 @@ use crate::cia402::*;
 const STAND: &[AxisCommand] = &[AxisCommand::Stand];
 const RESET: &[AxisCommand] = &[AxisCommand::ResetFault];
 
-/// 10 turns a second: 20 000 increments/s, 40 in a period.
+/// 10 turns per second: 20 000 increments/s, 40 per period.
 const FASTEST: f64 = 10.0 * TAU;
 
 /// The drive stands enabled at 1000 increments.
@@ -28,7 +28,7 @@ fn at(bench: &mut Bench, position: i32) {
     bench.cycle(&[answer(2, 0x0737, position)], STAND);
 }
 
-/// The check allows two periods at least: 80 increments, and two of rounding.
+/// The check allows at least two periods: 80 increments, and two increments of rounding.
 #[test]
 fn a_jump_that_the_motor_cannot_have_made_is_a_fault_and_not_believed() {
     for (moved, believed) in [(82, true), (-82, true), (83, false), (-83, false)] {
@@ -66,7 +66,7 @@ fn a_jump_that_the_motor_cannot_have_made_is_a_fault_and_not_believed() {
 fn a_counter_that_wraps_does_not_jump() {
     let mut bench = enabled();
     let mut position = i32::MAX - 100;
-    // From where it stands, by a way that takes long enough.
+    // After so long a time, the displacement from the initial position is plausible.
     bench.now += Duration::from_secs(200_000);
     bench.cycle(&[answer(2, 0x0740, position)], &[AxisCommand::ResetFault]);
     bench.cycle(&[answer(2, 0x0740, position), "702#05".into()], RESET);
@@ -100,7 +100,7 @@ fn a_way_that_missed_answers_leave_time_for_is_believed() {
     ));
 }
 
-/// A bus or an adapter that held answers back delivers all of them behind the last SYNC.
+/// A bus or an adapter that delayed answers delivers all of them after the last SYNC.
 #[test]
 fn answers_that_come_in_a_burst_are_no_jump() {
     let mut bench = enabled();
@@ -112,7 +112,7 @@ fn answers_that_come_in_a_burst_are_no_jump() {
     assert_eq!((state.increments.0, state.fault), (1_120, None));
 }
 
-/// The counter at the end of a search and of one that is given up, in answers behind the last of the search.
+/// The counter at the end of a search, and of an aborted search, in answers after the last answer of the search.
 #[test]
 fn a_counter_that_a_search_sets_anew_late_does_not_jump() {
     for (command, late) in [
@@ -146,7 +146,7 @@ fn a_counter_that_a_search_sets_anew_late_does_not_jump() {
     }
 }
 
-/// Bring-up resets the communication of a drive, not its counter.
+/// Bring-up resets the communication of a drive, but not its counter.
 #[test]
 fn a_bring_up_does_not_make_a_counter_that_jumped_a_reference() {
     let mut bench = enabled();
@@ -159,7 +159,7 @@ fn a_bring_up_does_not_make_a_counter_that_jumped_a_reference() {
     }
 }
 
-/// A target where the axis was believed to be would move the motor by the jump.
+/// A target at the last plausible position would move the motor by the jump.
 #[test]
 fn a_drive_whose_counter_jumped_is_stopped_where_it_counts() {
     let mut bench = enabled();
@@ -173,7 +173,7 @@ fn an_axis_whose_counter_jumped_stays_in_fault_until_the_jump_has_had_time() {
     let mut bench = enabled();
     let sampled = bench.now - PERIOD;
     at(&mut bench, 3_000);
-    // What shows the jump still is latched again after a reset.
+    // An answer that still shows the jump is latched again after a reset.
     while bench.now.since(sampled) < Duration::from_millis(100) - 2 * PERIOD {
         bench.cycle(&[answer(2, 0x0740, 3_000)], RESET);
         assert_eq!(bench.states[0].increments.0, 1_000);
@@ -189,7 +189,7 @@ fn an_axis_whose_counter_jumped_stays_in_fault_until_the_jump_has_had_time() {
 #[test]
 fn a_counter_that_jumped_is_no_reference_until_the_axis_is_homed_again() {
     let mut bench = enabled();
-    // Bit 15: the drive says that it has its reference.
+    // Bit 15: the drive reports that it has its reference.
     bench.cycle(&[answer(2, 0x8737, 1_000)], STAND);
     assert_eq!(bench.states[0].homing, Homing::Attained);
     bench.cycle(&[answer(2, 0x8737, 2_000)], STAND);
@@ -204,7 +204,7 @@ fn a_counter_that_jumped_is_no_reference_until_the_axis_is_homed_again() {
     ] {
         bench.cycle(&[answer(2, statusword, 2_000)], STAND);
     }
-    // In mode HM after two cycles, and the search shows after some more; the counter is set anew.
+    // The drive is in mode HM after two cycles. The search shows some cycles later, and the drive sets its counter.
     for _ in 0..10 {
         bench.cycle(&[answer(2, 0x0237, 2_000)], &[AxisCommand::Home]);
     }

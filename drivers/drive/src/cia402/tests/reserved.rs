@@ -1,4 +1,4 @@
-//! Which objects the driver keeps for itself, and that no other way leads to them.
+//! The objects reserved for the driver, and the refusal of all other ways to write them.
 
 use super::bench::*;
 use crate::cia402::program::{MAXON, program};
@@ -53,7 +53,7 @@ fn what_undoes_or_commands_is_reserved_and_tuning_is_not() {
         (0x60C5, 0),
         (0x60C6, 0),
         (0x60FF, 0),
-        // Of a second axis behind the node-ID.
+        // The same object of a second axis behind the node-ID.
         (0x6840, 0),
         (0x7007, 0),
         (0x9885, 0),
@@ -133,7 +133,7 @@ fn reserved_objects_are_refused_before_a_frame_whoever_asks_for_them() {
     }
 }
 
-/// Whatever a vendor's object does to others when it is written.
+/// Writing a vendor's object may change other objects.
 #[test]
 fn what_a_setting_or_a_parameter_changes_elsewhere_is_set_and_read_back_afterwards() {
     let (trigger, changed) = ((0x2101, 0), [(0x6007, 0), (0x1016, 1), (0x6085, 0)]);

@@ -14,7 +14,7 @@ fn enabled() -> Bench {
     bench
 }
 
-/// A cycle in which the drive stands enabled and sends these EMCY too.
+/// A cycle in which the drive stands enabled and additionally sends these EMCY.
 fn reports(bench: &mut Bench, emergencies: &[&str]) {
     let mut answers = bench.answers(0x0737, 1_000);
     answers.extend(emergencies.iter().map(|text| (*text).to_owned()));
@@ -39,7 +39,7 @@ fn an_emcy_without_a_fault_is_a_warning_with_its_time_and_count() {
         &mut bench,
         &["082#0000000000000000", "083#1042080000000000"],
     );
-    // Seven cycles of enabling before, and the EMCY comes half a period before its cycle.
+    // Enabling took seven cycles, and the EMCY arrives half a period before its cycle.
     let first = bench.now.since(up) + 7 * PERIOD - 3 * PERIOD + PERIOD / 2;
     let warning = |register, count, after| Warning {
         after,
@@ -74,7 +74,7 @@ fn the_emcy_of_a_fault_is_no_warning_whichever_comes_first() {
         let code = 0x8611;
         assert_eq!(bench.states[0].fault, Some(Fault::Drive { node: 2, code }));
         assert_eq!(warnings(&bench), [], "{cycles:?}");
-        // Another error beside the fault is one.
+        // Another error beside the fault is a warning.
         bench.cycle(&[other, &statusword], STAND);
         assert_eq!(warnings(&bench).len(), 1);
     }
@@ -91,7 +91,7 @@ fn warnings_are_bounded_and_the_rest_is_counted() {
     assert_eq!(found.len(), Warnings::KEPT);
     assert_eq!((found[0].code, found[31].code), (0xFF01, 0xFF20));
     assert_eq!(bench.group.warnings().omitted(), 8);
-    // Those that are known count on.
+    // The counts of known warnings continue.
     reports(&mut bench, &["082#01FF010000000000"]);
     assert_eq!(warnings(&bench)[0].count, 2);
 }
@@ -113,7 +113,7 @@ fn warnings_are_those_of_the_operation_since_bring_up() {
 fn an_old_warning_does_not_name_a_later_fault() {
     let warning = "082#1042080000000000";
     for (age, is_named) in [(0, true), (1, true), (10, false)] {
-        // A fault whose EMCY was lost, and power that was lost.
+        // A fault whose EMCY was lost, and a loss of power.
         let mut bench = enabled();
         reports(&mut bench, &[warning]);
         (0..age).for_each(|_| reports(&mut bench, &[]));
