@@ -132,12 +132,17 @@ fn main() -> ExitCode {
         Command::Nmt(options) => service::nmt::nmt(&options),
         Command::Lss { action } => service::lss::lss(&action),
         Command::Monitor(options) => service::monitor::monitor(&options),
-        Command::Eds { cell, axis } => descriptions::eds::eds(&cell, &axis),
+        Command::Eds { cell, axis } => {
+            descriptions::eds::eds(&cell, &axis).and_then(streams::print)
+        }
         Command::Identify(options) => identify::identify(&options),
         Command::Jitter(options) => host::jitter::jitter(&options),
-        Command::Kinematics { question } => descriptions::kinematics::kinematics(&question),
-        Command::Datasheet(options) => descriptions::datasheet::datasheet(&options),
-        Command::Urdf(options) => descriptions::urdf::urdf(&options),
+        Command::Kinematics { question } => descriptions::kinematics::kinematics(&question)
+            .and_then(|answer| streams::answer(&answer, question.json())),
+        Command::Datasheet(options) => {
+            descriptions::datasheet::datasheet(&options).and_then(streams::print)
+        }
+        Command::Urdf(options) => descriptions::urdf::urdf(&options).and_then(streams::print),
         Command::Vm { machine } => vm::vm(&machine),
         Command::Schema { reference } => schema(reference),
         Command::Manual {

@@ -10,12 +10,9 @@ mod symbols;
 mod tables;
 mod views;
 
-use std::process::ExitCode;
-
 use clap::Args;
 
 use crate::kinematics::{Machine, Which};
-use mrroc::streams;
 use views::Drawing;
 
 /// Options of `mrroc datasheet`.
@@ -28,10 +25,10 @@ pub struct Options {
     figure: bool,
 }
 
-/// Prints the data sheet of a robot, of the gripper or of the conveyor.
-pub fn datasheet(options: &Options) -> anyhow::Result<ExitCode> {
+/// The data sheet or the figure of a robot, of the gripper or of the conveyor.
+pub fn datasheet(options: &Options) -> anyhow::Result<String> {
     let machine = Machine::find(&options.machine)?;
-    streams::print(match (options.figure, views::drawing(&machine)) {
+    Ok(match (options.figure, views::drawing(&machine)) {
         (false, _) => tables::sheet(&machine),
         (true, Drawing::Arm(views)) => {
             let symbols = views::symbols(&machine.parameters);

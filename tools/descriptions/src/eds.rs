@@ -1,7 +1,6 @@
 //! `mrroc eds`: the electronic data sheet of an emulated drive.
 
 use std::path::Path;
-use std::process::ExitCode;
 
 use anyhow::anyhow;
 use can::Instant;
@@ -9,14 +8,13 @@ use hil::epos4::Epos4;
 
 use mrroc::bench::emulation;
 use mrroc::cell_file::CellFile;
-use mrroc::streams;
 
-/// Prints the data sheet of the emulated drive of an axis.
-pub fn eds(cell: &Path, axis: &str) -> anyhow::Result<ExitCode> {
+/// The data sheet of the emulated drive of an axis.
+pub fn eds(cell: &Path, axis: &str) -> anyhow::Result<String> {
     let file = CellFile::read(cell)?;
     let (robot, number) = find(&file, axis)?;
     let config = emulation::config(&file, robot, number, Instant::ZERO);
-    streams::print(Epos4::eds(&config))
+    Ok(Epos4::eds(&config).to_string())
 }
 
 /// Finds the axis with this name: ROBOT/AXIS, or an axis name or node-ID that is unique in the cell.

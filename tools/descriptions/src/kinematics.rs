@@ -7,15 +7,14 @@ mod answers;
 mod machine;
 mod numbers;
 
-use std::process::ExitCode;
+use std::fmt;
 
 use anyhow::{Context as _, bail};
 use clap::{ArgGroup, Args, Subcommand};
+use serde::Serialize;
 
+pub use answers::{Forward, Inverse, Ranges, Sensitivity};
 pub use machine::{Machine, Which};
-
-use answers::{Forward, Inverse, Ranges, Sensitivity};
-use mrroc::streams;
 
 /// The robot, and the format of the answer.
 #[derive(Args)]
@@ -82,9 +81,45 @@ pub enum Question {
     },
 }
 
+/// The answer to a question about a robot.
+#[derive(Serialize)]
+#[serde(untagged)]
+pub enum Answer {
+    /// Pose of the flange.
+    Forward(Forward),
+    /// Joint positions that give a pose.
+    Inverse(Inverse),
+    /// Jacobian.
+    Jacobian(Sensitivity),
+    /// Ranges of joints and motors.
+    Limits(Ranges),
+}
+
+impl fmt::Display for Answer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Forward(answer) => answer.fmt(f),
+            Self::Inverse(answer) => answer.fmt(f),
+            Self::Jacobian(answer) => answer.fmt(f),
+            Self::Limits(answer) => answer.fmt(f),
+        }
+    }
+}
+
+impl Question {
+    /// Whether the answer is to be one JSON object.
+    pub fn json(&self) -> bool {
+        let (Self::Fk { common, .. }
+        | Self::Ik { common, .. }
+        | Self::Jacobian { common, .. }
+        | Self::Limits { common }) = self;
+        common.json
+    }
+}
+
 /// Answers a question about a robot.
-pub fn kinematics(question: &Question) -> anyhow::Result<ExitCode> {
-    match question {
+pub fn kinematics(question: &Question) -> anyhow::Result<Answer> {
+    Ok(match question {
         Question::Fk {
             common,
             joints,
@@ -96,7 +131,7 @@ pub fn kinematics(question: &Question) -> anyhow::Result<ExitCode> {
                 (None, Some(motors)) => machine.joints_from_motors(motors)?,
                 (None, None) => bail!("neither --joints nor --motors is given"),
             };
-            streams::answer(&Forward::of(&machine, &joints)?, common.json)
+            Answer::Forward(Forward::of(&machine, &joints)?)
         }
         Question::Ik {
             common,
@@ -113,16 +148,16 @@ pub fn kinematics(question: &Question) -> anyhow::Result<ExitCode> {
             let solutions = machine.robot.inverse(&pose, &near);
             let solutions =
                 solutions.with_context(|| format!("{}: no joints for this pose", machine.name))?;
-            streams::answer(&Inverse::of(&machine, &solutions), common.json)
+            Answer::Inverse(Inverse::of(&machine, &solutions))
         }
         Question::Jacobian { common, joints } => {
             let machine = Machine::find(&common.machine)?;
             let joints = machine.joints("--joints", joints)?;
-            streams::answer(&Sensitivity::of(&machine, &joints)?, common.json)
+            Answer::Jacobian(Sensitivity::of(&machine, &joints)?)
         }
         Question::Limits { common } => {
             let machine = Machine::find(&common.machine)?;
-            streams::answer(&Ranges::of(&machine), common.json)
+            Answer::Limits(Ranges::of(&machine))
         }
-    }
+    })
 }

@@ -4,7 +4,6 @@
 //! needs none, and a library of rigid bodies assumes zero.
 
 use std::fmt::{self, Write as _};
-use std::process::ExitCode;
 
 use anyhow::{Context as _, anyhow};
 use clap::Args;
@@ -13,7 +12,6 @@ use mrroc::cell::Parameters;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use crate::kinematics::{Machine, Which};
-use mrroc::streams;
 
 /// Radius of the rod between two joints, m.
 const ROD: f64 = 0.03;
@@ -27,15 +25,15 @@ pub struct Options {
     machine: Which,
 }
 
-/// Prints the description of a robot.
-pub fn urdf(options: &Options) -> anyhow::Result<ExitCode> {
+/// The description of a robot.
+pub fn urdf(options: &Options) -> anyhow::Result<String> {
     let machine = Machine::find(&options.machine)?;
     let links = machine.robot.links();
     let links = links
         .ok_or_else(|| anyhow!("{}: no serial arm, and no description of one", machine.name))?;
     let mut text = String::new();
     write(&mut text, &machine, &links.0).context("the description cannot be written")?;
-    streams::print(text)
+    Ok(text)
 }
 
 fn write(text: &mut String, machine: &Machine, links: &[Link]) -> fmt::Result {

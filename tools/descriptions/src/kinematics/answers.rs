@@ -13,7 +13,7 @@ const DEGREES: f64 = 8.0 * std::f64::consts::PI;
 
 /// Position and orientation of the flange.
 #[derive(Serialize)]
-pub(super) struct Forward {
+pub struct Forward {
     robot: String,
     joints: Vec<f64>,
     /// Origin of the flange in the base frame, m.
@@ -109,7 +109,7 @@ impl fmt::Display for Forward {
 
 /// Joint positions for a pose of the flange.
 #[derive(Serialize)]
-pub(super) struct Inverse {
+pub struct Inverse {
     robot: String,
     /// Solutions, the preferred solution first.
     solutions: Vec<Vec<f64>>,
@@ -138,7 +138,7 @@ impl fmt::Display for Inverse {
 
 /// Relation between velocities of joints and flange.
 #[derive(Serialize)]
-pub(super) struct Sensitivity {
+pub struct Sensitivity {
     robot: String,
     /// Six rows, one column per joint.
     jacobian: [Vec<f64>; 6],
@@ -195,7 +195,7 @@ impl fmt::Display for Sensitivity {
 
 /// Permitted ranges of a robot.
 #[derive(Serialize)]
-pub(super) struct Ranges {
+pub struct Ranges {
     robot: String,
     joints: Vec<Limits>,
     /// Motor ranges, rad. The first three ranges of the RNT are leg lengths, m.

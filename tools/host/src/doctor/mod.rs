@@ -83,10 +83,26 @@ pub struct Options {
 
 /// Results of the examination.
 #[derive(Serialize)]
-struct Examined {
+pub struct Examined {
     cell: Option<String>,
     verdict: Verdict,
     findings: Vec<Finding>,
+}
+
+/// Examines the host, for a cell if one is given. Changes nothing.
+pub fn examine_host(cell: Option<&CellFile>) -> anyhow::Result<Examined> {
+    examined(&Tree::new("/"), cell)
+}
+
+fn examined(tree: &Tree, file: Option<&CellFile>) -> anyhow::Result<Examined> {
+    let cell = file.map(|file| &file.cell);
+    let findings = examine(tree, cell)?;
+    let worst = findings.iter().map(|finding| finding.verdict).max();
+    Ok(Examined {
+        cell: cell.map(|cell| cell.name.clone()),
+        verdict: worst.unwrap_or(Verdict::Ok),
+        findings,
+    })
 }
 
 /// Examines the host and prints the findings.
@@ -100,27 +116,20 @@ pub fn doctor(options: &Options) -> anyhow::Result<ExitCode> {
         "--fix asks on a terminal, and this is none: --yes answers for it"
     );
     let file = options.cell.as_deref().map(CellFile::read).transpose()?;
-    let cell = file.as_ref().map(|file| &file.cell);
-    let mut findings = examine(&tree, cell)?;
+    let mut found = examined(&tree, file.as_ref())?;
     if options.fix {
         let mut record = Record::open(&state(&tree, options)?)?;
-        mend::fix(&tree, &findings, &mut record, |finding| {
+        mend::fix(&tree, &found.findings, &mut record, |finding| {
             if options.yes {
                 Ok(true)
             } else {
                 mend::asked(finding)
             }
         })?;
-        findings = examine(&tree, cell)?;
+        found = examined(&tree, file.as_ref())?;
     }
-    let worst = findings.iter().map(|finding| finding.verdict).max();
-    let examined = Examined {
-        cell: cell.map(|cell| cell.name.clone()),
-        verdict: worst.unwrap_or(Verdict::Ok),
-        findings,
-    };
-    streams::answer(&examined, options.json)?;
-    Ok(ExitCode::from(match examined.verdict {
+    streams::answer(&found, options.json)?;
+    Ok(ExitCode::from(match found.verdict {
         Verdict::Ok => 0,
         Verdict::Warning => 1,
         Verdict::NotUsable => 2,
