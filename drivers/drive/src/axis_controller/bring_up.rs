@@ -8,7 +8,7 @@ use serial::nfv2::Status;
 
 use super::config::{AxisConfig, CurrentGains, GroupConfig, Protocol};
 use super::fault::AxisControllerError;
-use super::gate::{Gate, Verdict};
+use super::plausibility::{PositionCheck, Verdict};
 use super::stream::{Answer, Stream, speaks};
 use super::telegram::{Aim, Dialect, Setting, Telegram};
 use super::{AxisCounters, axis::Learnt};
@@ -27,7 +27,7 @@ const CALLS_TO_DRAIN: u8 = 3;
 ///                └ silence → asked by every address, then in the other protocol → the error that says so
 /// ```
 ///
-/// The last answers are where operation begins: the gate has passed them, and the power stage is on. A line on which
+/// The last answers are where operation begins: the plausibility check has accepted them, and the power stage is on. A line on which
 /// most answers took more than a period is refused: in operation they have to come in one. Calls that a host makes
 /// after each other to catch up with its deadlines are no periods.
 #[derive(Clone, Debug)]
@@ -38,11 +38,11 @@ pub(super) struct BringUp {
     attempts_allowed: u8,
     /// What to say, one after the other.
     script: Vec<Telegram>,
-    fresh_gate: Gate,
+    fresh_check: PositionCheck,
 
     stage: Stage,
     stream: Stream,
-    gate: Gate,
+    position_check: PositionCheck,
     attempts: u8,
     asked_at: Instant,
     since: Instant,
@@ -85,10 +85,10 @@ impl BringUp {
             answer_timeout: group.answer_timeout,
             attempts_allowed: group.attempts,
             script,
-            fresh_gate: Gate::new(group, config),
+            fresh_check: PositionCheck::new(group, config),
             stage: Stage::Draining(0),
             stream: Stream::new(dialect.protocol, dialect.address),
-            gate: Gate::new(group, config),
+            position_check: PositionCheck::new(group, config),
             attempts: 0,
             asked_at: Instant::ZERO,
             since: Instant::ZERO,
@@ -104,7 +104,7 @@ impl BringUp {
     pub(super) fn reset(&mut self, now: Instant) {
         self.stage = Stage::Draining(0);
         self.stream = Stream::new(self.dialect.protocol, self.dialect.address);
-        self.gate = self.fresh_gate.clone();
+        self.position_check = self.fresh_check.clone();
         (self.attempts, self.heard, self.calls, self.late) = (0, 0, 0, 0);
         (self.asked_at, self.since) = (now, now);
         (self.last, self.objection) = (None, None);
@@ -205,14 +205,17 @@ impl BringUp {
         };
         self.stream.learn(bytes);
         let before = self.last.map(|last| last.position.0);
-        self.objection = match self.gate.judge(answer, self.asked_at, false) {
-            Verdict::Refused | Verdict::Awaited | Verdict::Jumped(_) | Verdict::Indexed(_) => {
+        self.objection = match self.position_check.judge(answer, self.asked_at, false) {
+            Verdict::Implausible
+            | Verdict::Unconfirmed
+            | Verdict::Jumped(_)
+            | Verdict::Indexed(_) => {
                 let to = answer.position.0;
                 let from = before.unwrap_or(to);
                 Some(AxisControllerError::Unsteady { from, to })
             }
-            Verdict::Passed if step + 1 < self.script.len() => None,
-            Verdict::Passed => answer
+            Verdict::Plausible if step + 1 < self.script.len() => None,
+            Verdict::Plausible => answer
                 .status
                 .any(Status::POWER_STAGE_FAULT)
                 .then_some(AxisControllerError::PowerStage),

@@ -6,7 +6,7 @@ use serial::LineError;
 use thiserror::Error;
 
 use super::config::Protocol;
-use crate::Refusal;
+use crate::{Fault, Refusal};
 
 /// A latched condition of an axis controller on a serial line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
@@ -90,7 +90,7 @@ pub enum AxisControllerFault {
 impl AxisControllerFault {
     /// Whether every drive of the group is told to open its power stage and the emergency-stop circuit of their
     /// cabinet, since nobody knows what this one does.
-    pub fn is_panic(self) -> bool {
+    pub fn is_emergency_stop(self) -> bool {
         match self {
             Self::Silent { .. }
             | Self::NotSent { .. }
@@ -106,6 +106,73 @@ impl AxisControllerFault {
             | Self::Cabinet { .. }
             | Self::Refused(_) => false,
         }
+    }
+}
+
+/// Faults of an axis since its last reset.
+///
+/// The first fault is the one reported, as later ones are mostly its consequences. An emergency stop is latched also
+/// when another fault came first. It never occurs without a fault.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct FaultLatch {
+    line: u8,
+    first: Option<AxisControllerFault>,
+    emergency_stop: Option<Origin>,
+}
+
+/// Which axis required an emergency stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Origin {
+    ThisAxis,
+    OtherAxis,
+}
+
+impl FaultLatch {
+    pub(super) fn new(line: u8) -> Self {
+        Self {
+            line,
+            first: None,
+            emergency_stop: None,
+        }
+    }
+
+    pub(super) fn latch(&mut self, fault: AxisControllerFault) {
+        if fault.is_emergency_stop() {
+            self.emergency_stop = Some(Origin::ThisAxis);
+        }
+        self.first.get_or_insert(fault);
+    }
+
+    /// Latches the emergency stop that the axis of `line` requires.
+    pub(super) fn stop_with(&mut self, line: u8) {
+        if self.emergency_stop.is_none() {
+            self.emergency_stop = Some(Origin::OtherAxis);
+            self.latch(AxisControllerFault::Cabinet { line });
+        }
+    }
+
+    pub(super) fn reset(&mut self) {
+        *self = Self::new(self.line);
+    }
+
+    pub(super) fn first(&self) -> Option<Fault> {
+        let line = self.line;
+        self.first
+            .map(|fault| Fault::AxisController { line, fault })
+    }
+
+    pub(super) fn is_latched(&self) -> bool {
+        self.first.is_some()
+    }
+
+    /// Whether this axis or another one of the cabinet required an emergency stop.
+    pub(super) fn is_emergency_stop(&self) -> bool {
+        self.emergency_stop.is_some()
+    }
+
+    /// Whether this axis itself required an emergency stop.
+    pub(super) fn requires_emergency_stop(&self) -> bool {
+        self.emergency_stop == Some(Origin::ThisAxis)
     }
 }
 

@@ -55,8 +55,10 @@
 mod axis;
 mod bring_up;
 mod config;
+mod exchange;
 mod fault;
-mod gate;
+mod phase;
+mod plausibility;
 mod stream;
 mod telegram;
 
@@ -245,7 +247,7 @@ impl<L: Line> DriveGroup for AxisControllerGroup<L> {
         // After the reading, which so shows the axis that panicked a cycle before those that stop with it.
         let panicked = (0..)
             .zip(&self.controllers)
-            .find(|(_, controller)| controller.axis.panics());
+            .find(|(_, controller)| controller.axis.requires_emergency_stop());
         if let Some((line, _)) = panicked {
             for (controller, &command) in self.controllers.iter_mut().zip(commands) {
                 if command != AxisCommand::ResetFault {
@@ -273,7 +275,7 @@ impl<L: Line> DriveGroup for AxisControllerGroup<L> {
     fn send(&mut self, now: Instant) -> bool {
         let mut all = true;
         for Controller { line, axis, .. } in &mut self.controllers {
-            if axis.overtakes() {
+            if axis.discards_unsent() {
                 line.discard_unsent();
             }
             let taken = match line.write(now, axis.telegram()) {
