@@ -406,7 +406,7 @@ impl Axis {
             }
             Phase::SwitchingOn => dialect.switch_on(answers),
             Phase::Unreferencing { cycles } => {
-                let unreference = dialect.may_unreference(cycles - 1);
+                let unreference = dialect.may_unreference(cycles);
                 dialect.follow(aim, self.setpoint, tell, unreference)
             }
             Phase::Following | Phase::SearchingIndex | Phase::IndexFound => {
