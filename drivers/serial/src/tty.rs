@@ -64,7 +64,6 @@ pub enum OpenError {
 /// A tty, raw and ours alone.
 pub struct Tty {
     device: OwnedFd,
-    low_latency: bool,
     gone: bool,
     counters: LineCounters,
 }
@@ -102,7 +101,7 @@ impl Tty {
         // SAFETY: the port released the descriptor, which has no other owner.
         let device = unsafe { OwnedFd::from_raw_fd(port.into_raw_fd()) };
         let fd = device.as_raw_fd();
-        let low_latency = set_low_latency(fd);
+        ask_for_low_latency(fd);
         // SAFETY: the descriptor is open, and both calls take plain integers.
         let set = unsafe {
             libc::fcntl(fd, libc::F_SETFL, libc::O_NONBLOCK) >= 0
@@ -113,17 +112,9 @@ impl Tty {
         }
         Ok(Self {
             device,
-            low_latency,
             gone: false,
             counters: LineCounters::default(),
         })
-    }
-
-    /// Whether the driver hands bytes over as they come. An adapter that cannot be set, such as an FTDI adapter whose
-    /// latency timer stands at 16 ms, delivers too late for a cycle. A driver without a latency timer needs no
-    /// setting.
-    pub fn low_latency(&self) -> bool {
-        self.low_latency
     }
 
     fn failed(&mut self, errno: i32) -> LineError {
@@ -271,18 +262,18 @@ struct SerialStruct {
 /// `ASYNC_LOW_LATENCY` of `linux/tty_flags.h`.
 const LOW_LATENCY: libc::c_int = 1 << 13;
 
-/// Whether the driver was told to hand bytes over as they come. Ptys and many drivers know nothing of it, and
-/// only root may change other flags: neither is an error.
-fn set_low_latency(fd: libc::c_int) -> bool {
+/// Asks the driver to hand bytes over as they come. Pseudo-terminals and many drivers do not support it, and a user
+/// without privileges cannot change every driver: neither is an error.
+fn ask_for_low_latency(fd: libc::c_int) {
     // SAFETY: plain integers and a pointer, for all of which zero is a value.
     let mut serial: SerialStruct = unsafe { mem::zeroed() };
     // SAFETY: the call fills a structure that is as large as it expects.
     if unsafe { libc::ioctl(fd, libc::TIOCGSERIAL, &raw mut serial) } < 0 {
-        return false;
+        return;
     }
     serial.flags |= LOW_LATENCY;
     // SAFETY: the call reads such a structure.
-    unsafe { libc::ioctl(fd, libc::TIOCSSERIAL, &raw const serial) >= 0 }
+    unsafe { libc::ioctl(fd, libc::TIOCSSERIAL, &raw const serial) };
 }
 
 #[cfg(test)]
@@ -354,7 +345,6 @@ mod tests {
         assert_eq!(tty.read(NOW, &mut into), Ok(0));
         let (sent, received) = (tty.counters().sent, tty.counters().received);
         assert_eq!((sent, received), (256, 256));
-        assert!(!tty.low_latency(), "a pty has no such flag");
     }
 
     #[test]
