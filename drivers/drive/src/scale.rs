@@ -12,20 +12,20 @@ pub struct Increments(pub i32);
 /// A velocity as an EPOS4 counts it while its unit (object 0x60A9) is the default: revolutions of
 /// the motor per minute, positive while its counter rises.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Rpm(pub i32);
+pub(crate) struct Rpm(pub(crate) i32);
 
 /// A torque as CiA 402 counts it: thousandths of the motor's rated torque, positive towards a rising
 /// counter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Permille(pub i16);
+pub(crate) struct Permille(pub(crate) i16);
 
 /// A motor current as an axis controller counts it, mA, positive towards a rising counter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Milliamperes(pub i16);
+pub(crate) struct Milliamperes(pub(crate) i16);
 
 /// A pulse width as an axis controller counts it: thousandths, positive towards a rising counter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub struct PulseWidth(pub i16);
+pub(crate) struct PulseWidth(pub(crate) i16);
 
 /// Turns motor positions, velocities, torques and duties into what a device counts in and back: the only
 /// place that does.
@@ -64,13 +64,13 @@ impl Scale {
     /// The nearest device velocity to `velocity`, rad/s; `None` beyond 32 bits.
     ///
     /// A device velocity counts turns, not increments, yet has the sign of the counter.
-    pub fn rpm(&self, velocity: f64) -> Option<Rpm> {
+    pub(crate) fn rpm(&self, velocity: f64) -> Option<Rpm> {
         nearest_i32(velocity * RPM * self.increments_per_radian.signum()).map(Rpm)
     }
 
     /// The nearest device torque to `torque`, N·m, of a motor of `rated_torque`, N·m; `None` beyond
     /// 16 bits.
-    pub fn permille(&self, torque: f64, rated_torque: f64) -> Option<Permille> {
+    pub(crate) fn permille(&self, torque: f64, rated_torque: f64) -> Option<Permille> {
         let permille = torque / rated_torque * 1_000.0 * self.increments_per_radian.signum();
         nearest_i32(permille)
             .and_then(|n| i16::try_from(n).ok())
@@ -78,13 +78,13 @@ impl Scale {
     }
 
     /// Motor torque, N·m, of a motor of `rated_torque`, N·m.
-    pub fn torque(&self, permille: Permille, rated_torque: f64) -> f64 {
+    pub(crate) fn torque(&self, permille: Permille, rated_torque: f64) -> f64 {
         f64::from(permille.0) / 1_000.0 * rated_torque * self.increments_per_radian.signum()
     }
 
     /// The nearest current to that which makes `torque`, N·m, in a motor of `torque_constant`, N·m/A; `None`
     /// beyond 16 bits.
-    pub fn milliamperes(&self, torque: f64, torque_constant: f64) -> Option<Milliamperes> {
+    pub(crate) fn milliamperes(&self, torque: f64, torque_constant: f64) -> Option<Milliamperes> {
         let current = torque / torque_constant * self.increments_per_radian.signum();
         nearest_i32(current * 1_000.0)
             .and_then(|n| i16::try_from(n).ok())
@@ -92,19 +92,19 @@ impl Scale {
     }
 
     /// Motor torque, N·m, that a current makes in a motor of `torque_constant`, N·m/A.
-    pub fn torque_of(&self, current: Milliamperes, torque_constant: f64) -> f64 {
+    pub(crate) fn torque_of(&self, current: Milliamperes, torque_constant: f64) -> f64 {
         f64::from(current.0) / 1_000.0 * torque_constant * self.increments_per_radian.signum()
     }
 
     /// The nearest pulse width to `duty`, -1 to 1; `None` beyond.
-    pub fn pulse_width(&self, duty: f64) -> Option<PulseWidth> {
+    pub(crate) fn pulse_width(&self, duty: f64) -> Option<PulseWidth> {
         (-1.0..=1.0).contains(&duty).then(|| {
             PulseWidth((duty * 1_000.0 * self.increments_per_radian.signum()).round() as i16)
         })
     }
 
     /// The number of increments in `distance`, rad, whatever its direction; `None` beyond 32 bits.
-    pub fn distance(&self, distance: f64) -> Option<u32> {
+    pub(crate) fn distance(&self, distance: f64) -> Option<u32> {
         nearest_u32((distance * self.increments_per_radian).abs())
     }
 }
