@@ -79,12 +79,15 @@ struct DebouncedStatus {
 }
 
 /// Reference of the position counter, as the host knows it.
-#[derive(Clone, Copy, Debug, Default)]
-struct Reference {
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Reference {
+    /// Positions of the counter are relative.
+    #[default]
+    Unknown,
     /// Positions of the counter are absolute.
-    known: bool,
-    /// The counter jumped. The drive is told to forget its reference, which would mislead the next host.
-    invalid: bool,
+    Known,
+    /// The counter jumped. The drive is told to forget its reference, which the next host would trust.
+    Invalid,
 }
 
 /// What bring-up learnt of a drive.
@@ -153,9 +156,9 @@ impl Axis {
             confirmed: answer.status,
             last: answer.status,
         };
-        self.reference = Reference {
-            known: answer.status.any(Status::SYNCHRONIZED),
-            invalid: false,
+        self.reference = match answer.status.any(Status::SYNCHRONIZED) {
+            true => Reference::Known,
+            false => Reference::Unknown,
         };
         self.state = AxisState {
             at,
@@ -200,11 +203,8 @@ impl Axis {
                 self.status.last = before;
             }
             Verdict::Jumped(from) => {
-                let restarted = self.reference.known && !answer.status.any(Status::SYNCHRONIZED);
-                self.reference = Reference {
-                    known: false,
-                    invalid: true,
-                };
+                let restarted = self.loses_reference(answer.status);
+                self.reference = Reference::Invalid;
                 self.faults.latch(if restarted {
                     AxisControllerFault::Restarted
                 } else {
@@ -228,12 +228,14 @@ impl Axis {
         if !self.faults.is_latched() && self.acknowledgement.answers >= answers {
             self.phase = self.phase.next(Event::SwitchedOn);
         }
-        let synchronized = self.status.confirmed.any(Status::SYNCHRONIZED);
-        if may_index && synchronized {
-            self.reference.known = true;
-        } else if self.reference.known && !synchronized {
-            self.reference.known = false;
+        if self.loses_reference(self.status.confirmed) {
+            self.reference = Reference::Unknown;
             self.faults.latch(AxisControllerFault::Restarted);
+        }
+        let forgetting = matches!(self.phase, Phase::Unreferencing { .. });
+        let synchronized = self.status.confirmed.any(Status::SYNCHRONIZED);
+        if self.reference == Reference::Unknown && synchronized && may_index && !forgetting {
+            self.reference = Reference::Known;
         }
         let responsive = self.phase.has_torque() && !self.status.confirmed.any(LIMITED);
         if let Some(cycles) = self.freeze_check.judge(answer, self.setpoint, responsive) {
@@ -276,10 +278,10 @@ impl Axis {
         self.state = AxisState {
             age: exchange.age,
             power,
-            homing: match (self.reference.known, self.phase.searches()) {
-                (true, _) => Homing::Attained,
-                (false, true) => Homing::InProgress,
-                (false, false) => Homing::NotHomed,
+            homing: match (self.reference, self.phase.searches()) {
+                (Reference::Known, _) => Homing::Attained,
+                (Reference::Unknown | Reference::Invalid, true) => Homing::InProgress,
+                (Reference::Unknown | Reference::Invalid, false) => Homing::NotHomed,
             },
             following: power == Power::On && !self.faults.is_latched(),
             switches: Switches {
@@ -357,10 +359,12 @@ impl Axis {
         }
         let before = self.phase;
         self.phase = before.next(self.event(command));
-        if self.phase.searches() && !before.searches() {
-            self.reference.known = false;
-        }
-        self.reference.invalid &= self.status.may_be(Status::SYNCHRONIZED);
+        let search_begins = self.phase.searches() && !before.searches();
+        self.reference = match self.reference {
+            Reference::Known if search_begins => Reference::Unknown,
+            Reference::Invalid if !self.status.may_be(Status::SYNCHRONIZED) => Reference::Unknown,
+            unchanged => unchanged,
+        };
         let mode_changes = self.phase.aim() != before.aim();
         if mode_changes {
             self.acknowledgement = Acknowledgement::pending(before.aim());
@@ -383,12 +387,8 @@ impl Axis {
             AxisCommand::Off => Event::Off,
             _ if self.faults.is_latched() => Event::Fault,
             AxisCommand::Seek(_) => Event::Seek {
-                drive_referenced: if self.phase.searches() {
-                    self.status.may_be(Status::SYNCHRONIZED)
-                } else {
-                    self.status.last.any(Status::SYNCHRONIZED)
-                },
-                index_found: self.reference.known,
+                drive_referenced: self.status.may_be(Status::SYNCHRONIZED),
+                index_found: self.reference == Reference::Known,
             },
             AxisCommand::Follow(_) | AxisCommand::Stand | AxisCommand::Home => Event::Follow,
         }
@@ -402,7 +402,7 @@ impl Axis {
         let tell = !self.acknowledgement.is_complete();
         match self.phase {
             Phase::Off | Phase::EmergencyStop => {
-                dialect.rest(aim, telegrams, self.reference.invalid)
+                dialect.rest(aim, telegrams, self.reference == Reference::Invalid)
             }
             Phase::SwitchingOn => dialect.switch_on(answers),
             Phase::Unreferencing { cycles } => {
@@ -418,9 +418,14 @@ impl Axis {
 
     /// Whether the last answer may come from a drive that restarted, which a set-point would switch on again.
     fn may_have_restarted(&self) -> bool {
-        let unreferenced = self.reference.known && !self.status.last.any(Status::SYNCHRONIZED);
+        let unreferenced = self.loses_reference(self.status.last);
         let suspicious = self.position_check.is_beyond_reach() || unreferenced;
         self.setup.dialect.setpoints_switch_on() && suspicious
+    }
+
+    /// Whether a drive with this status has lost a reference that the host knows.
+    fn loses_reference(&self, status: Status) -> bool {
+        self.reference == Reference::Known && !status.any(Status::SYNCHRONIZED)
     }
 
     pub(super) fn telegram(&self) -> &[u8] {
@@ -458,7 +463,7 @@ impl Axis {
             Aim::Manual
         };
         let dialect = self.setup.dialect;
-        dialect.farewell(aim, self.reference.invalid)
+        dialect.farewell(aim, self.reference == Reference::Invalid)
     }
 
     /// Clears the latched faults. The next reading latches again what the drive and the line still show.
