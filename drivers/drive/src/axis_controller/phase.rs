@@ -3,20 +3,24 @@
 //! Each cycle feeds one command event to [`Phase::next`]. The answers of the drive feed [`Event::SwitchedOn`].
 //!
 //! ```text
-//!          Follow, Seek               SwitchedOn                 Seek, drive referenced
-//!    Off ───────────────► SwitchingOn ──────────► Following ──────────────────────► Unreferencing
-//!                              │                   │  ▲  │                               │
-//!                              │                   │  │  │ Seek, drive unreferenced      │ Seek, reference forgotten
-//!                              │                   │  │  └──────────► SearchingIndex ◄───┘
-//!                              │                   │  │                     │
-//!                              │                   │  │ Follow              │ Seek, index found
-//!                              │                   │  └── each search ── IndexFound
-//!                              │ Fault             │ Fault, also from each search
-//!                              └──► FaultReaction ◄┘
+//!  Off ──Follow, Seek──► SwitchingOn ──SwitchedOn──► Following
+//!                                                      │  ▲
+//!                                                 Seek │  │ Follow
+//!  ┌ search for a reference ───────────────────────────▼──┴──┐
+//!  │  drive referenced:    Unreferencing                     │
+//!  │                             │ Seek, reference forgotten │
+//!  │  drive unreferenced:  SearchingIndex                    │
+//!  │                             │ Seek, index found         │
+//!  │                       IndexFound                        │
+//!  └─────────────────────────────────────────────────────────┘
 //!
-//!    each phase ── Off ──► Off                    a fault changes nothing in Off
-//!    each phase ── EmergencyStop ──► EmergencyStop, which ends by Off alone
+//!  SwitchingOn, Following, search ──Fault──► FaultReaction
+//!  every phase ──Off──► Off
+//!  every phase ──EmergencyStop──► EmergencyStop
 //! ```
+//!
+//! `FaultReaction` ends by `Off` or `EmergencyStop`. `EmergencyStop` ends by `Off` alone, which then is a reset. `Fault`
+//! changes nothing in `Off`.
 //!
 //! [`Unreferencing`](Phase::Unreferencing), [`SearchingIndex`](Phase::SearchingIndex) and
 //! [`IndexFound`](Phase::IndexFound) are the search for a reference. Motion continues by set-points meanwhile.
