@@ -307,10 +307,7 @@ impl<L: Line> DriveGroup for AxisControllerGroup<L> {
     /// say when an answer came, so there is no bus time.
     fn counters(&self) -> GroupCounters {
         let mut counters = self.counters;
-        let bits_of_a_byte = match self.config.settings.stop_bits {
-            StopBits::One => 10,
-            StopBits::Two => 11,
-        };
+        let bits_per_byte = self.config.settings.bits_per_byte();
         for Controller { line, axis, .. } in &self.controllers {
             let axis = axis.counters;
             let LineCounters {
@@ -328,7 +325,7 @@ impl<L: Line> DriveGroup for AxisControllerGroup<L> {
                 refused: port.refused + axis.refused,
                 dropped: port.dropped + dropped,
                 errors: port.errors + refused,
-                bits: port.bits + bits_of_a_byte * (sent + received),
+                bits: port.bits + bits_per_byte * (sent + received),
             };
         }
         counters
