@@ -16,6 +16,7 @@ mod warning;
 pub use command::{AxisCommand, Finite, Setpoint};
 pub use fault::{BringUpError, Fault, Refusal};
 pub use group::{DriveGroup, GroupCounters};
-pub use scale::{Increments, Milliamperes, Permille, PulseWidth, Rpm, Scale};
+pub use scale::{Increments, Scale};
+pub(crate) use scale::{Milliamperes, Permille};
 pub use state::{AxisState, Homing, Power, Switches};
 pub use warning::{Warning, Warnings};

@@ -12,19 +12,19 @@ pub struct Increments(pub i32);
 /// A velocity in the unit of an EPOS4 with the default of object 0x60A9: revolutions of the motor per minute, positive
 /// towards a rising counter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Rpm(pub i32);
+pub(crate) struct Rpm(pub(crate) i32);
 
 /// A torque in the unit of CiA 402: thousandths of the motor's rated torque, positive towards a rising counter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Permille(pub i16);
+pub(crate) struct Permille(pub(crate) i16);
 
 /// A motor current in the unit of an axis controller, mA, positive towards a rising counter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Milliamperes(pub i16);
+pub(crate) struct Milliamperes(pub(crate) i16);
 
 /// A pulse width in the unit of an axis controller: thousandths, positive towards a rising counter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub struct PulseWidth(pub i16);
+pub(crate) struct PulseWidth(pub(crate) i16);
 
 /// Converts motor positions, velocities, torques and duties to the units of a device and back. No other place converts
 /// them.
@@ -63,12 +63,12 @@ impl Scale {
     /// The device velocity nearest to `velocity`, rad/s; `None` beyond 32 bits.
     ///
     /// A device velocity counts turns instead of increments, but has the sign of the counter.
-    pub fn rpm(&self, velocity: f64) -> Option<Rpm> {
+    pub(crate) fn rpm(&self, velocity: f64) -> Option<Rpm> {
         nearest_i32(velocity * RPM * self.increments_per_radian.signum()).map(Rpm)
     }
 
     /// The device torque nearest to `torque`, N·m, for a motor of `rated_torque`, N·m; `None` beyond 16 bits.
-    pub fn permille(&self, torque: f64, rated_torque: f64) -> Option<Permille> {
+    pub(crate) fn permille(&self, torque: f64, rated_torque: f64) -> Option<Permille> {
         let permille = torque / rated_torque * 1_000.0 * self.increments_per_radian.signum();
         nearest_i32(permille)
             .and_then(|n| i16::try_from(n).ok())
@@ -76,12 +76,12 @@ impl Scale {
     }
 
     /// Motor torque, N·m, of a motor of `rated_torque`, N·m.
-    pub fn torque(&self, permille: Permille, rated_torque: f64) -> f64 {
+    pub(crate) fn torque(&self, permille: Permille, rated_torque: f64) -> f64 {
         f64::from(permille.0) / 1_000.0 * rated_torque * self.increments_per_radian.signum()
     }
 
     /// The nearest current for `torque`, N·m, of a motor of `torque_constant`, N·m/A; `None` beyond 16 bits.
-    pub fn milliamperes(&self, torque: f64, torque_constant: f64) -> Option<Milliamperes> {
+    pub(crate) fn milliamperes(&self, torque: f64, torque_constant: f64) -> Option<Milliamperes> {
         let current = torque / torque_constant * self.increments_per_radian.signum();
         nearest_i32(current * 1_000.0)
             .and_then(|n| i16::try_from(n).ok())
@@ -89,19 +89,19 @@ impl Scale {
     }
 
     /// Motor torque, N·m, of a current in a motor of `torque_constant`, N·m/A.
-    pub fn torque_of(&self, current: Milliamperes, torque_constant: f64) -> f64 {
+    pub(crate) fn torque_of(&self, current: Milliamperes, torque_constant: f64) -> f64 {
         f64::from(current.0) / 1_000.0 * torque_constant * self.increments_per_radian.signum()
     }
 
     /// The pulse width nearest to `duty`, -1 to 1; `None` beyond.
-    pub fn pulse_width(&self, duty: f64) -> Option<PulseWidth> {
+    pub(crate) fn pulse_width(&self, duty: f64) -> Option<PulseWidth> {
         (-1.0..=1.0).contains(&duty).then(|| {
             PulseWidth((duty * 1_000.0 * self.increments_per_radian.signum()).round() as i16)
         })
     }
 
     /// The number of increments in `distance`, rad, regardless of direction; `None` beyond 32 bits.
-    pub fn distance(&self, distance: f64) -> Option<u32> {
+    pub(crate) fn distance(&self, distance: f64) -> Option<u32> {
         nearest_u32((distance * self.increments_per_radian).abs())
     }
 }

@@ -20,10 +20,10 @@ pub use frame::{Deframer, Frame, FrameError};
 use std::time::Duration;
 
 /// First byte of a frame. Within the data, this byte is doubled.
-pub const DLE: u8 = 0x90;
+const DLE: u8 = 0x90;
 
 /// Second byte of a frame.
-pub const STX: u8 = 0x02;
+const STX: u8 = 0x02;
 
 /// Opcode of every answer.
 pub const ANSWER: u8 = 0x00;

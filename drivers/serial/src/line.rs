@@ -100,13 +100,18 @@ impl Settings {
         stop_bits: StopBits::One,
     };
 
-    /// Duration of `count` bytes on the line including start and stop bits, rounded up.
-    pub const fn line_time(self, count: usize) -> Duration {
-        let bits = match self.stop_bits {
+    /// Bits of a byte on the line, start and stop bits included.
+    pub const fn bits_per_byte(self) -> u64 {
+        match self.stop_bits {
             StopBits::One => 10,
             StopBits::Two => 11,
-        };
-        let nanoseconds = (bits * count as u64 * 1_000_000_000).div_ceil(self.baud as u64);
+        }
+    }
+
+    /// The time that `count` bytes take on the line, start and stop bits included, rounded up.
+    pub const fn line_time(self, count: usize) -> Duration {
+        let bits = self.bits_per_byte() * count as u64;
+        let nanoseconds = (bits * 1_000_000_000).div_ceil(self.baud as u64);
         Duration::from_nanos(nanoseconds)
     }
 }

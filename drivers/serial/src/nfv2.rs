@@ -13,7 +13,7 @@
 pub const START: u8 = 0x23;
 
 /// Bytes before the first command.
-pub const HEADER: usize = 4;
+const HEADER: usize = 4;
 
 /// Length of the longest frame: commands up to index 254, and the CRC.
 pub const LONGEST: usize = 256;
@@ -202,8 +202,6 @@ impl Status {
     pub const POWER_STAGE_FAULT: u16 = 1 << 14;
     /// The drive is in its error state.
     pub const ERROR: u16 = 1 << 15;
-    /// Bits of unknown meaning.
-    pub const UNKNOWN: u16 = 0b11_1110_0000;
 
     /// Whether any of `bits` is set.
     pub const fn any(self, bits: u16) -> bool {

@@ -8,15 +8,15 @@ use serial::nfv2::Status;
 
 use super::config::{AxisConfig, CurrentGains, GroupConfig, Protocol};
 use super::fault::AxisControllerError;
-use super::gate::{Gate, Verdict};
+use super::plausibility::{PositionCheck, Verdict};
 use super::stream::{Answer, Stream, speaks};
 use super::telegram::{Aim, Dialect, Setting, Telegram};
 use super::{AxisCounters, axis::Learnt};
 
-/// The last address that is looked for: those of the IRp-6's drives are 0 to 15.
+/// Last address of the search for a drive: the IRp-6's drives have 0 to 15.
 const LAST_ADDRESS: u8 = 15;
 
-/// Calls that a line may take to fall silent before it is spoken to anyway.
+/// Calls that wait for silence on the line before the first request goes out anyway.
 const CALLS_TO_DRAIN: u8 = 3;
 
 /// Brings one drive up: to manual mode, where latched errors clear, with its limits set.
@@ -24,25 +24,25 @@ const CALLS_TO_DRAIN: u8 = 3;
 /// ```text
 /// drain → manual → manual → greatest current → (gains) → manual → ready
 ///           each until it is answered, `attempts` times
-///                └ silence → asked by every address, then in the other protocol → the error that says so
+///                └ silence → probe of every address, then of the other protocol → the error that names the drive
 /// ```
 ///
-/// The last answers are where operation begins: the gate has passed them, and the power stage is on. A line on which
-/// most answers took more than a period is refused: in operation they have to come in one. Calls that a host makes
-/// after each other to catch up with its deadlines are no periods.
+/// Operation begins with the last answer: the plausibility check has accepted it, and the power stage is on. A line is
+/// refused if most answers took more than a period, since in operation an answer has to come within one. Calls of a
+/// host that catches up with its deadlines do not count as periods.
 #[derive(Clone, Debug)]
 pub(super) struct BringUp {
     dialect: Dialect,
     period: Duration,
     answer_timeout: Duration,
     attempts_allowed: u8,
-    /// What to say, one after the other.
+    /// Requests in their order.
     script: Vec<Telegram>,
-    fresh_gate: Gate,
+    fresh_check: PositionCheck,
 
     stage: Stage,
     stream: Stream,
-    gate: Gate,
+    position_check: PositionCheck,
     attempts: u8,
     asked_at: Instant,
     since: Instant,
@@ -53,18 +53,18 @@ pub(super) struct BringUp {
     /// Answers that took more than one call and more than a period.
     late: usize,
     last: Option<Answer>,
-    /// Why the last answer was not taken.
+    /// Why the last answer was refused.
     objection: Option<AxisControllerError>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stage {
     Draining(u8),
-    /// The line of the script that is next, or said.
+    /// The request of this step is next, or waits for its answer.
     Asking(usize),
-    /// A question was repeated: both answers have to be here before the next one.
+    /// A request was repeated: both answers have to arrive before the next request.
     Settling(usize),
-    /// Whoever is there is asked in this protocol by this address.
+    /// A drive is searched for in this protocol and at this address.
     Probing(Protocol, u8),
     Ready,
 }
@@ -85,10 +85,10 @@ impl BringUp {
             answer_timeout: group.answer_timeout,
             attempts_allowed: group.attempts,
             script,
-            fresh_gate: Gate::new(group, config),
+            fresh_check: PositionCheck::new(group, config),
             stage: Stage::Draining(0),
             stream: Stream::new(dialect.protocol, dialect.address),
-            gate: Gate::new(group, config),
+            position_check: PositionCheck::new(group, config),
             attempts: 0,
             asked_at: Instant::ZERO,
             since: Instant::ZERO,
@@ -104,13 +104,13 @@ impl BringUp {
     pub(super) fn reset(&mut self, now: Instant) {
         self.stage = Stage::Draining(0);
         self.stream = Stream::new(self.dialect.protocol, self.dialect.address);
-        self.gate = self.fresh_gate.clone();
+        self.position_check = self.fresh_check.clone();
         (self.attempts, self.heard, self.calls, self.late) = (0, 0, 0, 0);
         (self.asked_at, self.since) = (now, now);
         (self.last, self.objection) = (None, None);
     }
 
-    /// What operation begins with, once the drive is ready.
+    /// Start of operation, once the drive is ready.
     pub(super) fn learnt(&self) -> Option<Learnt> {
         let answer = self.last.filter(|_| self.stage == Stage::Ready)?;
         Some(Learnt {
@@ -120,7 +120,7 @@ impl BringUp {
         })
     }
 
-    /// Reads, and says what is next; whether the drive is ready.
+    /// Reads the line and sends the next request. Returns whether the drive is ready.
     pub(super) fn advance(
         &mut self,
         line: &mut impl Line,
@@ -198,21 +198,24 @@ impl BringUp {
         Ok(self.stage == Stage::Ready)
     }
 
-    /// Whether the question is answered. The last one must be so by a drive that has power.
+    /// Whether the request is answered. The last answer must come from a drive that has power.
     fn answered(&mut self, bytes: &[u8], counters: &mut AxisCounters, step: usize) -> bool {
         let Some(answer) = self.stream.take(bytes, 1, counters).answer else {
             return false;
         };
         self.stream.learn(bytes);
         let before = self.last.map(|last| last.position.0);
-        self.objection = match self.gate.judge(answer, self.asked_at, false) {
-            Verdict::Refused | Verdict::Awaited | Verdict::Jumped(_) | Verdict::Indexed(_) => {
+        self.objection = match self.position_check.judge(answer, self.asked_at, false) {
+            Verdict::Implausible
+            | Verdict::Unconfirmed
+            | Verdict::Jumped(_)
+            | Verdict::Indexed(_) => {
                 let to = answer.position.0;
                 let from = before.unwrap_or(to);
                 Some(AxisControllerError::Unsteady { from, to })
             }
-            Verdict::Passed if step + 1 < self.script.len() => None,
-            Verdict::Passed => answer
+            Verdict::Plausible if step + 1 < self.script.len() => None,
+            Verdict::Plausible => answer
                 .status
                 .any(Status::POWER_STAGE_FAULT)
                 .then_some(AxisControllerError::PowerStage),
@@ -223,7 +226,7 @@ impl BringUp {
         self.objection.is_none()
     }
 
-    /// The line of the script that is next, or the end of it.
+    /// The stage of a step of the script, or of its end.
     fn step(&self, step: usize) -> Stage {
         if step < self.script.len() {
             Stage::Asking(step)
@@ -232,8 +235,8 @@ impl BringUp {
         }
     }
 
-    /// Who is asked after `address` did not answer: in NFv2 one after the other, as drives obey a broadcast and do not
-    /// answer it; the older protocol has no addresses.
+    /// The probe after `address` did not answer. NFv2 addresses are probed one by one, as drives obey a broadcast
+    /// without an answer. The older protocol has no addresses.
     fn next_probe(&self, protocol: Protocol, address: u8) -> Option<Stage> {
         if protocol == Protocol::Nfv2 && address < LAST_ADDRESS {
             Some(Stage::Probing(protocol, address + 1))
@@ -242,7 +245,7 @@ impl BringUp {
         }
     }
 
-    /// What follows when a question was not answered in any attempt.
+    /// The stage after a request without an answer in any attempt.
     fn unanswered(&self) -> Result<Stage, AxisControllerError> {
         if let Some(objection) = self.objection {
             return Err(objection);

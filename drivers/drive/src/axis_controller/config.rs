@@ -9,7 +9,8 @@ use thiserror::Error;
 use super::stream::{NFV2_ANSWER, NFV2_REQUEST};
 use crate::{Milliamperes, Scale};
 
-/// The farthest a counter may be able to move in a cycle: half the way round it, and a gate sees nothing.
+/// Bound of the counts that a motor may move in a cycle. A plausibility check cannot see a move of half the counter's
+/// range.
 const FARTHEST: f64 = (1 << 24) as f64;
 
 /// Which telegrams the drives of a group speak.
@@ -30,9 +31,8 @@ pub struct GroupConfig {
     pub protocol: Protocol,
     /// How their lines are set; [`Settings::AXIS_CONTROLLER`].
     pub settings: Settings,
-    /// Missing answers in a row that are ridden through; one more is a fault, and a panic (the module says
-    /// what that is). A refused answer counts as missing. As many set-points in a row may be refused by the
-    /// line. At least 1: an index pulse takes two answers to be believed.
+    /// Missing answers in a row that are tolerated. One more is a fault and an emergency stop. A refused answer counts as
+    /// missing. The line may refuse as many set-points in a row. At least 1: an index pulse takes two answers.
     pub tolerated_missing: u32,
     /// Bring-up: how long an answer to one request may take, rounded up to calls of it.
     pub answer_timeout: Duration,
@@ -41,8 +41,8 @@ pub struct GroupConfig {
 }
 
 impl GroupConfig {
-    /// As the laboratory ran its robots: 921600 8N2, a cycle of 2 ms, the third missing answer in a row is a panic,
-    /// three attempts for a parameter.
+    /// As the laboratory ran its robots: 921600 8N2, a cycle of 2 ms, the third missing answer in a row is an
+    /// emergency stop, three attempts for a parameter.
     pub const fn new(protocol: Protocol) -> Self {
         Self {
             period: Duration::from_millis(2),
@@ -68,11 +68,11 @@ pub struct AxisConfig {
     pub control: Control,
     /// Current at which the drive's protection acts, A, and the greatest that a set-point may ask for.
     pub max_current: f64,
-    /// Greatest velocity that the motor can physically have, rad/s: no limit of motion, but the width of the gate
-    /// that positions must pass, a third above the limit for instance. Beyond it axes stop by a fault.
+    /// Greatest velocity that the motor can physically have, rad/s: no limit of motion, but that of the plausibility
+    /// check of positions. A third above the limit of motion, for instance. A faster axis stops by a fault.
     pub max_velocity: f64,
-    /// Greatest acceleration that it can physically have, rad/s², for the same gate: the torque of its greatest
-    /// current over its inertia, and friction with it.
+    /// Greatest acceleration that the motor can physically have, rad/s², for the same check: the torque of the greatest
+    /// current and of friction, over the inertia.
     pub max_acceleration: f64,
     /// Gains of the drive's current regulator; `None` leaves those it has after power-on.
     pub current_gains: Option<CurrentGains>,
@@ -146,7 +146,7 @@ pub enum ConfigError {
     },
 }
 
-/// A quantity of an axis that its drive or its gate has bounds for.
+/// A quantity of an axis that has bounds in the drive or in the plausibility check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Quantity {
     /// [`AxisConfig::address`].

@@ -1,62 +1,75 @@
-//! The axis controllers of the IRb-6 and IRp-6, one on each serial line, in both of their protocols.
+//! The axis controllers of the IRb-6 and IRp-6, each on a serial line of its own, in both of their protocols.
 //!
-//! [`AxisControllerGroup`] brings its drives up, exchanges one telegram and one answer with each per cycle, believes
-//! no answer that its motor cannot have given, and watches what is missing. These drives close at most the
-//! current loop, and **they have no watchdog**: one that hears nothing follows its last set-point for ever. So
-//! what takes torque away is said in every cycle and is the last thing said to a drive whose group is dropped;
-//! but against the death of this process only the cabinet's emergency stop helps.
+//! [`AxisControllerGroup`] brings its drives up, exchanges one telegram and one answer with each drive per cycle, and
+//! checks the plausibility of every answer. These drives close at most the current loop, and **they have no watchdog**:
+//! a drive that hears nothing follows its last set-point for ever. So a telegram that takes torque away is repeated in
+//! every cycle, and a dropped group sends it last. If this process dies, only the cabinet's emergency stop helps.
 //!
-//! # What each command means
-//! - [`Off`](AxisCommand::Off) is a zero set-point and manual mode, in every cycle. Manual mode clears what the drive
-//!   has latched; what the group has latched stays.
-//! - [`Stand`](AxisCommand::Stand) is a zero set-point: pulse width zero shorts the motor, which brakes
-//!   it; current zero lets it run out. It is no standing where a load pulls: follow at once.
-//! - [`Follow`](AxisCommand::Follow) before [`Power::On`] was seen, of another kind than the drive's control, or
-//!   beyond its greatest current or pulse width is refused: the fault names the axis, whose set-point is then zero,
-//!   and no other axis of the group changes its own in that cycle. Nothing is clamped.
-//! - [`Seek`](AxisCommand::Seek) follows as well, and the next index pulse zeroes the counter. A reference that the
-//!   drive had is taken from it first, and one that it keeps is a fault. In the older protocol the parameter for that takes
-//!   the place of every other set-point meanwhile.
+//! # Commands
+//! - [`Off`](AxisCommand::Off) sends a zero set-point and manual mode in every cycle. Manual mode clears the faults that
+//!   the drive has latched. The faults that the group has latched stay.
+//! - [`Stand`](AxisCommand::Stand) sends a zero set-point. Pulse width zero shorts the motor, which brakes; current zero
+//!   lets the motor run out. Neither holds a load: follow at once.
+//! - [`Follow`](AxisCommand::Follow) is refused before [`Power::On`], for another kind of set-point than the drive's
+//!   control, and beyond the greatest current or pulse width. Nothing is clamped. The fault names the axis, whose
+//!   set-point is then zero. Every other axis of the group keeps its set-point in that cycle.
+//! - [`Seek`](AxisCommand::Seek) follows as well, and the next index pulse zeroes the counter. The drive is first told
+//!   to forget a reference that it has; a reference that stays is a fault. In the older protocol this parameter takes
+//!   the place of every other set-point.
 //! - [`Home`](AxisCommand::Home) is refused: these drives have no homing of their own.
-//! - An axis with a latched fault has a zero set-point under any command but `Off` and `ResetFault`.
-//! - A **panic** ([`AxisControllerFault::is_panic`]) is a fault after which nobody knows what the drive does: too many
-//!   answers missing, a counter that jumped. It may not hear us and go on by its last set-point, so **every drive of the
-//!   group** is told, from that cycle's telegrams on and until its own `ResetFault`, to be in its error state, in which it
-//!   opens its power stage and the emergency-stop circuit of their cabinet; that takes the power from all, the deaf one
-//!   too. The axis that panicked reports it first; from the next reading on the others report
-//!   [`AxisControllerFault::Cabinet`] with its line. Both protocols have such a state. A group is the drives of
-//!   one cabinet: where it has one drive alone, nobody else can open the circuit for it.
+//! - A latched fault makes the set-point zero under any command but `Off` and `ResetFault`.
 //!
-//! Power and mode are no part of an answer: a drive is where it was told to be once it has answered two
-//! telegrams that said so, and it is not told again, so that one that was switched off and on stays off in NFv2. That
-//! it was is known by its counter and its reference; of one that had no reference and stood at zero it is not. In the older
-//! protocol every set-point names its mode, which switches such a drive on again: it gets zero from the first answer on
-//! that shows a counter beyond reach or no reference, also before the next ones confirm it. The set-point of one cycle
-//! it may have taken by then.
+//! `phase` has the diagram of the phases of an axis.
 //!
-//! # What is believed
-//! The CRC of NFv2 lets one damaged frame in 32 through, the older protocol has none. So a position must be where
-//! the motor can have got since the last believed one (`gate`), a current below one and a half times the greatest, and
-//! **a status bit counts when two answers in a row show it**: also overcurrent, power stage and limit switches, on which
-//! the drive acts by itself and at once, so that our acting a cycle earlier gains nothing and a flipped bit would stop
-//! the robot. A counter that is elsewhere for three answers is a jump, which is a fault, and while seeking, near
-//! zero, and with the drive's word that it is referenced, the index pulse after two. What is refused is counted
-//! ([`AxisCounters`]) and counts as missing. What passes all the same, at which error rates, is in
-//! `drivers/drive/benches/robustness/results.md`.
+//! # Emergency stop
+//! After some faults ([`AxisControllerFault::is_emergency_stop`]) the state of the drive is unknown: too many answers
+//! are missing, or the counter jumped. The drive may not hear the host and may follow its last set-point. So **every
+//! drive of the group** is told to be in its error state, from the telegrams of that cycle until its own `ResetFault`.
+//! In its error state a drive opens its power stage and the emergency-stop circuit of the cabinet. The open circuit
+//! takes the power from every drive, also from a drive that does not hear.
 //!
-//! Answers carry no number. One that comes a cycle late is taken for the next one's if that does not come as well; of a
-//! moving motor it is implausible and refused, of a standing one it says the same. More than a quarter missing of 200 is a
-//! fault, [`AxisControllerFault::Late`], since a line that delivers in heaps is no line for a loop; one that
-//! begins to be late by the same time in every cycle is not seen, as each cycle then has an answer.
+//! The axis with the fault reports the fault first. From the next reading on the other axes report
+//! [`AxisControllerFault::Cabinet`] with the line of that axis. A group contains the drives of one cabinet. In a group of
+//! one drive no other drive can open the circuit.
 //!
-//! Left out: position and speed modes, and all boards of the family that are no drives. Read [`DriveGroup`]
-//! first, then `axis`, `bring_up`, `stream` and `gate`.
+//! # Modes and power cycles
+//! An answer contains neither power nor mode. A drive is taken to be in its mode after two answers to telegrams with
+//! that mode. The mode is then not repeated, so an NFv2 drive that was power-cycled stays off. In the older protocol
+//! every set-point names its mode, so a set-point switches such a drive on again. This drive gets zero from the first
+//! answer on that shows a counter beyond reach or no reference. It may have taken the set-point of one cycle by then.
+//!
+//! A power cycle is detected by a counter or a reference that changed. A drive that was unreferenced and stood at zero
+//! cannot be told from a drive that was power-cycled.
+//!
+//! # Plausibility checks
+//! The CRC of NFv2 lets one damaged frame in 32 through, and the older protocol has no CRC. So every answer is checked:
+//! - The motor can have reached the position since the last accepted position (`plausibility`).
+//! - The current is at most one and a half times the greatest current.
+//! - **A status bit counts when two answers in a row show it.** Overcurrent, power stage and limit switches are
+//!   included: the drive itself acts on them at once. Acting a cycle earlier gains nothing, and a flipped bit would
+//!   stop the robot.
+//! - A position beyond reach in three answers is a jump of the counter, which is a fault.
+//! - A position near zero in two answers is the index pulse, if a search is on and the drive reports its reference.
+//!
+//! Refused answers are counted ([`AxisCounters`]) and count as missing. `drivers/drive/benches/robustness/results.md`
+//! lists the error rates of accepted answers.
+//!
+//! # Late answers
+//! Answers carry no number. An answer that is a cycle late counts as the next one if the next one does not come as
+//! well. A late answer of a moving motor is implausible; a late answer of a standing motor says the same. More than a
+//! quarter missing of 200 answers is the fault [`AxisControllerFault::Late`]. Answers that are late by the same time in
+//! every cycle are not detected, since each cycle then has an answer.
+//!
+//! Left out: position and speed modes, and all boards of the family that are no drives. Read [`DriveGroup`] first, then
+//! `phase`, `axis`, `bring_up`, `stream` and `plausibility`.
 
 mod axis;
 mod bring_up;
 mod config;
+mod exchange;
 mod fault;
-mod gate;
+mod phase;
+mod plausibility;
 mod stream;
 mod telegram;
 
@@ -76,18 +89,18 @@ use crate::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters};
 use axis::Axis;
 use bring_up::BringUp;
 
-/// What one reading takes: all that the tty layer of Linux ever holds, so that nothing old stays behind.
+/// Bytes of one reading: the whole buffer of the tty layer of Linux, so that no old bytes stay behind.
 const READING: usize = 4_096;
 
-/// Axis controllers, each on a line of its own. The module says what it does with each command.
+/// Axis controllers, each on a line of its own. The docs of the module describe the commands.
 ///
-/// A cycle makes one system call each way per line, and one more where torque is first taken away: whatever old
-/// set-points a stalled line holds are dropped before that.
+/// A cycle makes one system call each way per line. The cycle that takes torque away makes one more, which discards
+/// old set-points that a stalled line still holds.
 pub struct AxisControllerGroup<L: Line> {
     config: GroupConfig,
     controllers: Vec<Controller<L>>,
     up: bool,
-    /// The last cycle was to send.
+    /// The last cycle called [`send`](DriveGroup::send), so that answers are due.
     attempted: bool,
     buffer: Box<[u8; READING]>,
     counters: GroupCounters,
@@ -103,21 +116,21 @@ struct Controller<L> {
     setpoint: Option<i16>,
 }
 
-/// What is counted of one axis. Counters only grow.
+/// Counters of one axis. Counters only grow.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AxisCounters {
-    /// Answers that were believed.
+    /// Accepted answers.
     pub accepted: u64,
-    /// Whole answers refused by the gates: positions, currents, or a change not confirmed yet.
+    /// Whole answers that the plausibility checks refused: positions, currents, or a change not confirmed yet.
     pub implausible: u64,
-    /// Damaged ones: in NFv2, headers behind which no answer was; in the older protocol, readings of another
-    /// length than an answer's or with another start byte.
+    /// Damaged answers. In NFv2: headers without an answer. In the older protocol: readings of another length than an
+    /// answer, or with another start byte.
     pub damaged: u64,
-    /// Answers of somebody else's address.
+    /// Answers from another address.
     pub foreign: u64,
-    /// Answers that came with a later one, and were passed over.
+    /// Answers that came together with a later one and were skipped.
     pub late: u64,
-    /// Answers beyond what was asked for.
+    /// Answers without a request.
     pub surplus: u64,
     /// Times that an index pulse set the counter.
     pub indexed: u64,
@@ -188,14 +201,13 @@ impl<L: Line> DriveGroup for AxisControllerGroup<L> {
         self.controllers.len()
     }
 
-    /// A drive samples when a telegram arrives and only then takes its set-point: the answer to the next
-    /// telegram, read a cycle after that was sent, is the first to show where it got.
+    /// A drive samples when a telegram arrives, and then takes its set-point. The answer to the next telegram is the
+    /// first to show the effect, and that answer is read a cycle later.
     fn delay(&self) -> usize {
         2
     }
 
-    /// Called after it was ready, or after an error, it begins anew. The error of the first failing axis
-    /// decides.
+    /// A call after success or after an error begins anew. The error of the first failing axis is returned.
     fn bring_up(&mut self, now: Instant) -> Poll<Result<(), BringUpError>> {
         self.now = now;
         if std::mem::take(&mut self.up) {
@@ -242,11 +254,11 @@ impl<L: Line> DriveGroup for AxisControllerGroup<L> {
                 controller.axis.reset();
             }
         }
-        // After the reading, which so shows the axis that panicked a cycle before those that stop with it.
-        let panicked = (0..)
+        // The reading came before: so states show the cause a cycle before the axes that stop with it.
+        let cause = (0..)
             .zip(&self.controllers)
-            .find(|(_, controller)| controller.axis.panics());
-        if let Some((line, _)) = panicked {
+            .find(|(_, controller)| controller.axis.requires_emergency_stop());
+        if let Some((line, _)) = cause {
             for (controller, &command) in self.controllers.iter_mut().zip(commands) {
                 if command != AxisCommand::ResetFault {
                     controller.axis.stop_with(line);
@@ -273,7 +285,7 @@ impl<L: Line> DriveGroup for AxisControllerGroup<L> {
     fn send(&mut self, now: Instant) -> bool {
         let mut all = true;
         for Controller { line, axis, .. } in &mut self.controllers {
-            if axis.overtakes() {
+            if axis.discards_unsent() {
                 line.discard_unsent();
             }
             let taken = match line.write(now, axis.telegram()) {
@@ -291,14 +303,11 @@ impl<L: Line> DriveGroup for AxisControllerGroup<L> {
         all
     }
 
-    /// The port's counters are those of the lines together, in telegrams; their errors are the answers refused. When
-    /// an answer came a tty does not say, so that there is no bus time.
+    /// The counters of the port are sums over the lines, in telegrams. Errors are the refused answers. A tty does not
+    /// say when an answer came, so there is no bus time.
     fn counters(&self) -> GroupCounters {
         let mut counters = self.counters;
-        let bits_of_a_byte = match self.config.settings.stop_bits {
-            StopBits::One => 10,
-            StopBits::Two => 11,
-        };
+        let bits_per_byte = self.config.settings.bits_per_byte();
         for Controller { line, axis, .. } in &self.controllers {
             let axis = axis.counters;
             let LineCounters {
@@ -316,19 +325,19 @@ impl<L: Line> DriveGroup for AxisControllerGroup<L> {
                 refused: port.refused + axis.refused,
                 dropped: port.dropped + dropped,
                 errors: port.errors + refused,
-                bits: port.bits + bits_of_a_byte * (sent + received),
+                bits: port.bits + bits_per_byte * (sent + received),
             };
         }
         counters
     }
 }
 
-/// The last thing that a drive hears is to be off, or in error if it was so.
+/// The last telegram tells each drive to be off, or in its error state after an emergency stop.
 impl<L: Line> Drop for AxisControllerGroup<L> {
     fn drop(&mut self) {
         for Controller { line, axis, .. } in &mut self.controllers {
             line.discard_unsent();
-            // There is nobody left to tell of a line that does not take it.
+            // A dropped group cannot report that a line does not take the telegram.
             let _: Result<usize, LineError> = line.write(self.now, axis.farewell().bytes());
         }
     }

@@ -10,26 +10,25 @@ use crate::{Increments, Milliamperes};
 /// Bytes of a cyclic NFv2 request: a set-point and three reads.
 pub(super) const NFV2_REQUEST: usize = 15;
 
-/// Bytes of the only NFv2 answer there is to our requests: position, current and status.
+/// Bytes of the NFv2 answer to every request of this driver: position, current and status.
 pub(super) const NFV2_ANSWER: usize = 19;
 
-/// What a drive says in one answer, of either protocol.
+/// An answer of a drive, in either protocol.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Answer {
     pub(super) position: Increments,
     pub(super) current: Milliamperes,
-    /// In the bits of NFv2, which has more of them.
+    /// In the bits of NFv2, which has more bits.
     pub(super) status: Status,
 }
 
 /// Finds answers among the bytes of a line.
 ///
-/// NFv2 is searched byte by byte for a header that only our answer can have; after a header, an item or a CRC that is
-/// wrong the search goes on at the very next byte, so that whatever is damaged costs one answer.
+/// NFv2 is searched byte by byte for a header that only an expected answer can have. After a wrong header, item or CRC
+/// the search continues at the next byte, so any damage costs one answer.
 ///
-/// The older protocol has nothing to search for. Its answers are cut by time: between one exchange and the next the
-/// line is idle, and so what was read since the last request is the answer if it has the length of one. Anything
-/// else is refused whole, and what follows it begins anew.
+/// The older protocol has no header. Its answers are cut by time, as the line is idle between two exchanges. The bytes
+/// since the last request are the answer if they have its length. Other bytes are refused as a whole.
 #[derive(Clone, Debug)]
 pub(super) struct Stream {
     protocol: Protocol,
@@ -38,11 +37,11 @@ pub(super) struct Stream {
     held: [u8; NFV2_ANSWER],
     length: usize,
     start: StartByte,
-    /// The last address other than ours.
+    /// Last address other than that of the drive.
     foreign: Option<u8>,
 }
 
-/// What is known of the first byte of the older protocol's answers.
+/// Knowledge of the first byte of the older protocol's answers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum StartByte {
     Unknown,
@@ -50,12 +49,12 @@ enum StartByte {
     Varies,
 }
 
-/// What one reading of a line held.
+/// Answers in one reading of a line.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Found {
     /// The last answer.
     pub(super) answer: Option<Answer>,
-    /// How many there were.
+    /// Number of answers.
     pub(super) count: u32,
 }
 
@@ -71,7 +70,7 @@ impl Stream {
         }
     }
 
-    /// Somebody else's address among the frames seen since the stream was new.
+    /// Address of frames from another drive since the stream was new.
     pub(super) fn foreign(&self) -> Option<u8> {
         self.foreign
     }
@@ -129,9 +128,9 @@ impl Stream {
         let before = std::mem::take(&mut self.length);
         let (count, whole) = match (before + bytes.len(), bytes.len()) {
             (0, _) => return Found::default(),
-            // What was torn stays torn, and this is the next one.
+            // The rest of a torn answer never came, and this is the next answer.
             (_, hi_moxa::ANSWER) => (1, true),
-            // One that was torn by our reading in the midst of it, alone or with the next one behind it.
+            // An answer that the last reading cut in two, alone or with the next answer behind it.
             (all, 1..) => {
                 let count = all / hi_moxa::ANSWER;
                 let owed = owed.max(1) as usize;
@@ -163,7 +162,7 @@ impl Stream {
         Found::default()
     }
 
-    /// Looks at an answer's start byte while bring-up exchanges parameters.
+    /// Learns the start byte of answers while bring-up exchanges parameters.
     pub(super) fn learn(&mut self, bytes: &[u8]) {
         if let (Protocol::HiMoxa, &[start, ..]) = (self.protocol, bytes) {
             self.start = match self.start {
@@ -175,7 +174,7 @@ impl Stream {
     }
 }
 
-/// Whether bytes may be the beginning of an answer to one of our requests, whoever sends it.
+/// Whether bytes may be the beginning of an answer to a request of this driver, from any drive.
 fn begins_answer(bytes: &[u8]) -> bool {
     const INDEX: u8 = NFV2_ANSWER as u8 - 1;
     bytes
@@ -223,7 +222,7 @@ fn translated(answer: hi_moxa::Answer) -> Answer {
     }
 }
 
-/// Which protocol somebody speaks who said `bytes` to a request in it.
+/// Address of the drive that answered `bytes` to a request in `protocol`; `None` if `bytes` are no answer.
 pub(super) fn speaks(protocol: Protocol, bytes: &[u8]) -> Option<u8> {
     match protocol {
         Protocol::Nfv2 => bytes

@@ -6,19 +6,20 @@ use serial::nfv2::{Command, FrameBuilder, Gains, Mode};
 
 use super::config::{Control, Protocol};
 
-/// The longest that we send: gains, a mode, a flag, a set-point and three reads are fewer.
+/// Greatest length: gains, a mode, a flag, a set-point and three reads have fewer bytes.
 const LONGEST: usize = 64;
 
-/// Answers to telegrams with a mode until it is taken to be there: one could be that to an earlier telegram.
+/// Answers to telegrams with a mode until the drive is taken to be in the mode: one answer could belong to an earlier
+/// telegram.
 pub(super) const ANSWERS_TO_EFFECT: u32 = 2;
 
-/// What a drive is told to be.
+/// The mode that a drive is told, in either protocol.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Aim {
-    /// By hand: no torque, latched errors cleared.
+    /// No torque; the drive clears its latched errors.
     #[default]
     Manual,
-    /// In its error state: power stage and emergency-stop circuit open.
+    /// Error state: the drive opens its power stage and the emergency-stop circuit.
     Error,
     /// Follows set-points.
     Drive,
@@ -34,7 +35,7 @@ pub(super) enum Setting {
     CurrentGains(Gains),
 }
 
-/// Who is spoken to, and how.
+/// Address and language of a drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Dialect {
     pub(super) protocol: Protocol,
@@ -68,11 +69,10 @@ impl Telegram {
 }
 
 impl Dialect {
-    /// A set-point. `tell` says that the drive has still to be told of its aim; `unreference`, that it is to forget its
-    /// reference.
+    /// A set-point. `tell` includes the mode, and `unreference` tells the drive to forget its reference.
     ///
-    /// NFv2 carries everything in one frame. The older protocol tells its aim by a flag of every set-point, and has
-    /// a telegram of its own for a parameter: while that goes, the set-point before it holds.
+    /// One NFv2 frame carries all of them. In the older protocol a flag of every set-point carries the mode. A parameter
+    /// has a telegram of its own there, so the drive follows its last set-point meanwhile.
     pub(super) fn follow(self, aim: Aim, setpoint: i16, tell: bool, unreference: bool) -> Telegram {
         match self.protocol {
             Protocol::Nfv2 => {
@@ -90,27 +90,27 @@ impl Dialect {
         }
     }
 
-    /// Whether a set-point names its mode, so that a drive may take it for being switched on.
+    /// Whether a set-point names its mode, and so switches a drive on.
     pub(super) fn setpoints_switch_on(self) -> bool {
         self.protocol == Protocol::HiMoxa
     }
 
-    /// Whether a drive may be told to forget its reference, after so many cycles of that: where it costs the set-point, they
-    /// take turns.
-    pub(super) fn may_unreference(self, cycles: u32) -> bool {
+    /// Whether the telegram of this cycle tells the drive to forget its reference; `cycle` counts from 1. In the older
+    /// protocol every other telegram is a set-point.
+    pub(super) fn may_unreference(self, cycle: u32) -> bool {
         match self.protocol {
             Protocol::Nfv2 => true,
-            Protocol::HiMoxa => cycles.is_multiple_of(2),
+            Protocol::HiMoxa => cycle % 2 == 1,
         }
     }
 
-    /// A zero set-point with which no aim changes.
+    /// A zero set-point without a mode.
     pub(super) fn zero(self) -> Telegram {
         self.follow(Aim::Drive, 0, false, false)
     }
 
-    /// Gives a drive torque, after `answers` that it gave to such telegrams: a zero set-point is there before the
-    /// mode, so that no mode begins with an old one.
+    /// Gives a drive torque; `answers` counts the answers to such telegrams. The zero set-point goes before the mode, so
+    /// that no mode begins with an old set-point.
     pub(super) fn switch_on(self, answers: u32) -> Telegram {
         match self.protocol {
             Protocol::Nfv2 => self.follow(Aim::Drive, 0, true, false),
@@ -119,7 +119,7 @@ impl Dialect {
         }
     }
 
-    /// Answers until a drive has been switched on.
+    /// Answers until a drive is taken to have torque.
     pub(super) fn answers_to_switch_on(self) -> u32 {
         match self.protocol {
             Protocol::Nfv2 => ANSWERS_TO_EFFECT,
@@ -127,9 +127,9 @@ impl Dialect {
         }
     }
 
-    /// Takes torque away, after so many such telegrams: a zero set-point, and the mode [`Aim::Manual`] or
-    /// [`Aim::Error`]. In the older protocol the first goes before the second, except on the way to an error.
-    /// `unreference` says that the drive is to forget its reference too; the older protocol takes turns.
+    /// Takes torque away by a zero set-point and the mode [`Aim::Manual`] or [`Aim::Error`]; `told` counts such
+    /// telegrams. In the older protocol the set-point goes first, except before an error state. `unreference` tells the
+    /// drive to forget its reference too, in every other telegram of the older protocol.
     pub(super) fn rest(self, aim: Aim, told: u32, unreference: bool) -> Telegram {
         match (self.protocol, aim) {
             (Protocol::Nfv2, _) => prefixed(self.follow(aim, 0, true, unreference)),
@@ -142,7 +142,7 @@ impl Dialect {
         }
     }
 
-    /// All of [`rest`](Self::rest) at once, for a drive whose answers nobody reads.
+    /// All of [`rest`](Self::rest) at once, for a drive whose answers are not read any more.
     pub(super) fn farewell(self, aim: Aim, unreference: bool) -> Telegram {
         match self.protocol {
             Protocol::Nfv2 => self.rest(aim, 0, unreference),
@@ -167,13 +167,13 @@ impl Dialect {
                 self.frame(0).command(Command::SetCurrentRegulator(gains)),
             )),
             (Protocol::HiMoxa, Setting::MaxCurrent(current)) => set(Parameter::MaxCurrent(current)),
-            // There are none: the configuration was refused.
+            // Unreachable: the configuration refuses gains in this protocol.
             (Protocol::HiMoxa, Setting::CurrentGains(_)) => self.rest(Aim::Manual, 1, false),
         }
     }
 
-    /// What is said first, to a drive that may have torque from before, and may speak the other protocol: a zero set-point
-    /// and, in NFv2, manual mode. Without the zeros of [`rest`](Self::rest), with which a drive of the older protocol would
+    /// The first telegram, to a drive that may have torque and may speak the other protocol: a zero set-point and, in
+    /// NFv2, manual mode. The zeros of [`rest`](Self::rest) are left out, with which a drive of the older protocol would
     /// take the frame for a set-point.
     pub(super) fn opening(self) -> Telegram {
         match self.protocol {
@@ -182,7 +182,7 @@ impl Dialect {
         }
     }
 
-    /// Asks whoever has `address` to be in manual mode, in `protocol`.
+    /// Tells the drive with `address` to be in manual mode, in `protocol`.
     pub(super) fn probe(self, protocol: Protocol, address: u8) -> Telegram {
         let dialect = Self {
             protocol,
@@ -225,8 +225,8 @@ fn read(frame: FrameBuilder) -> Telegram {
     Telegram::NONE.append(bytes)
 }
 
-/// Behind five zeros, as the laboratory's host sends parameters and panics: they end a torn frame that the drive still
-/// waits for.
+/// A frame behind five zeros, as MRROC++ sends parameters and emergency stops: the zeros end a torn frame that the drive
+/// still waits for.
 fn prefixed(frame: Telegram) -> Telegram {
     Telegram::NONE.append(&[0; 5]).append(frame.bytes())
 }

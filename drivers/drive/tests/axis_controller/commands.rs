@@ -240,6 +240,46 @@ fn an_index_pulse_in_the_last_cycle_of_a_search_counts() {
 }
 
 #[test]
+fn a_search_that_begins_again_after_an_index_pulse_is_no_restart() {
+    for (protocol, pause) in BOTH.into_iter().flat_map(|p| [1, 2, 3].map(|n| (p, n))) {
+        let mut rig = Rig::on(Drive {
+            velocity: 20,
+            ..Drive::new(protocol, 8)
+        });
+        let seek = AxisCommand::Seek(raw(protocol, 3));
+        rig.run(5, seek);
+        let index = rig.drive().position + 10;
+        rig.drive().index = Some(index);
+        // The pulse comes in the last cycle of the first search.
+        rig.cycle(seek);
+        assert_eq!(rig.drive().index, None);
+        rig.run(pause, AxisCommand::Stand);
+        rig.run(10, seek);
+        assert_eq!(rig.fault(), None, "{protocol:?} after {pause} cycles");
+    }
+}
+
+#[test]
+fn a_status_bit_that_is_lost_in_one_answer_makes_no_reference_found() {
+    for protocol in BOTH {
+        let mut rig = Rig::on(Drive {
+            status: Status::SYNCHRONIZED,
+            ..Drive::new(protocol, 8)
+        });
+        let seek = AxisCommand::Seek(raw(protocol, 3));
+        // The answer to the first cycle shows no reference, and the search begins with its reading.
+        rig.drive().status = 0;
+        rig.cycle(AxisCommand::Stand);
+        rig.drive().status = Status::SYNCHRONIZED;
+        for _ in 0..20 {
+            let state = rig.cycle(seek);
+            assert_eq!(state.fault, None, "{protocol:?}");
+        }
+        assert_eq!(rig.states[0].homing, Homing::InProgress, "{protocol:?}");
+    }
+}
+
+#[test]
 fn a_drive_that_is_mute_is_told_to_be_off_all_the_same() {
     for protocol in BOTH {
         let mut rig = Rig::on(Drive::new(protocol, 8));

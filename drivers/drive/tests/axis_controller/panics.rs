@@ -236,6 +236,34 @@ fn a_counter_that_is_set_anew_without_being_asked_to_is_a_panic() {
 }
 
 #[test]
+fn a_counter_that_jumped_during_a_search_never_counts_as_referenced() {
+    for protocol in BOTH {
+        for keeps_reference in [false, true] {
+            let mut rig = Rig::on(Drive {
+                keeps_reference,
+                ..Drive::new(protocol, 8)
+            });
+            let seek = AxisCommand::Seek(raw(protocol, 1));
+            rig.run(5, seek);
+            (rig.drive().position, rig.drive().status) = (50_000, Status::SYNCHRONIZED);
+            for (cycles, command) in [
+                (6, seek),
+                (4, AxisCommand::Off),
+                (6, AxisCommand::ResetFault),
+                (10, AxisCommand::Off),
+            ] {
+                for _ in 0..cycles {
+                    let state = rig.cycle(command);
+                    let what = format!("{protocol:?} {keeps_reference} {command:?}");
+                    assert_ne!(state.homing, Homing::Attained, "{what}");
+                }
+            }
+            assert_eq!(rig.fault(), None, "{protocol:?} {keeps_reference}");
+        }
+    }
+}
+
+#[test]
 fn the_line_of_an_axis_with_a_fault_refuses_no_set_point_of_the_others() {
     type Break = fn(&mut Drive);
     let breaks: [(&str, Break, u32); 2] = [
