@@ -255,9 +255,7 @@ impl Effector {
                 // Its commands are those of now, its sample is from before the deadlines missed.
                 continue;
             }
-            if self.state == State::Moving && axis.state.age == 0 {
-                axis.tracking.record(error);
-            }
+            axis.track(error, self.state);
             let beyond = error.abs() > limit;
             // The command of the last cycle, or the one that the motor does not come up to.
             let sense = if beyond { error } else { axis.knot.velocity };
@@ -571,6 +569,7 @@ impl Effector {
                 command: axis.command,
                 excitation: axis.excitation,
                 measured: axis.state.position,
+                expected: axis.expected,
                 increments: axis.state.increments,
                 velocity: axis.state.velocity,
                 torque: axis.state.torque,
