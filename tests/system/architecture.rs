@@ -12,7 +12,7 @@ fn root() -> PathBuf {
 }
 
 /// Each room and the rooms it may import, by their names in the workspace.
-const ARROWS: [(&str, &[&str]); 15] = [
+const ARROWS: [(&str, &[&str]); 14] = [
     ("drivers/can", &[]),
     ("drivers/canopen", &["can"]),
     ("drivers/serial", &["can"]),
@@ -21,13 +21,9 @@ const ARROWS: [(&str, &[&str]); 15] = [
     ("controller", &["can", "drive", "servo"]),
     ("hil", &["can", "canopen", "serial"]),
     ("mrroc", BELOW_LIBRARY),
-    ("tools/figures", &[]),
-    (
-        "tools/descriptions",
-        &["can", "controller", "hil", "mrroc", "figures"],
-    ),
-    ("tools/host", &["can", "drive", "servo", "mrroc", "figures"]),
-    ("tools/identify", &["can", "servo", "mrroc", "figures"]),
+    ("tools/descriptions", &["can", "controller", "hil", "mrroc"]),
+    ("tools/host", &["can", "drive", "servo", "mrroc"]),
+    ("tools/identify", &["can", "servo", "mrroc"]),
     (
         "tools/service",
         &["can", "canopen", "serial", "drive", "mrroc"],
