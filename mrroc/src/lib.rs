@@ -19,6 +19,7 @@ pub mod bench;
 pub mod budget;
 pub mod cell;
 pub mod cell_file;
+pub mod charts;
 pub mod check;
 mod configuration;
 pub mod input;

@@ -103,6 +103,18 @@ impl Outputs {
         path.map(|path| self.open(what, path)).transpose()
     }
 
+    /// Opens the output `name` of the option `what` in a directory, which is made where it is not there yet.
+    pub fn open_in(
+        &mut self,
+        what: impl Display,
+        directory: &Path,
+        name: &str,
+    ) -> anyhow::Result<File> {
+        fs::create_dir_all(directory)
+            .with_context(|| format!("{what}: {} cannot be made", directory.display()))?;
+        self.open(what, &directory.join(name))
+    }
+
     fn open_as(&mut self, what: String, path: &Path) -> anyhow::Result<File> {
         let (file, made) = self.file(path)?;
         let found = file.metadata()?;

@@ -65,18 +65,13 @@ impl FrameLog {
 
 /// A CSV file of every axis in every cycle.
 pub(crate) struct AxisLog {
-    records: rtrb::Consumer<Record>,
     names: Vec<Vec<String>>,
     writer: BufWriter<File>,
 }
 
 impl AxisLog {
     /// Writes the head of the file.
-    pub(crate) fn new(
-        sink: File,
-        file: &CellFile,
-        records: rtrb::Consumer<Record>,
-    ) -> io::Result<Self> {
+    pub(crate) fn new(sink: File, file: &CellFile) -> io::Result<Self> {
         let mut writer = BufWriter::new(sink);
         writeln!(
             writer,
@@ -90,34 +85,36 @@ impl AxisLog {
                 .collect()
         });
         Ok(Self {
-            records,
             names: names.collect(),
             writer,
         })
     }
 
-    /// Writes what was recorded since the last call.
-    pub(crate) fn drain(&mut self) -> io::Result<()> {
-        while let Ok(record) = self.records.pop() {
-            let names = &self.names[usize::from(record.effector)];
-            for (axis, name) in record.axis.iter().zip(names) {
-                let seconds = record.at.as_nanos() as f64 / 1e9;
-                writeln!(
-                    self.writer,
-                    "{},{seconds:.9},{name},{:?},{},{},{},{},{},{},{:?},{:.9}",
-                    record.cycle,
-                    record.phase,
-                    word(axis.command),
-                    axis.commanded,
-                    axis.measured,
-                    axis.increments.0,
-                    axis.velocity,
-                    axis.torque,
-                    axis.homing,
-                    record.dt.as_secs_f64(),
-                )?;
-            }
+    /// Writes a record.
+    pub(crate) fn write(&mut self, record: &Record) -> io::Result<()> {
+        let names = &self.names[usize::from(record.effector)];
+        for (axis, name) in record.axis.iter().zip(names) {
+            let seconds = record.at.as_nanos() as f64 / 1e9;
+            writeln!(
+                self.writer,
+                "{},{seconds:.9},{name},{:?},{},{},{},{},{},{},{:?},{:.9}",
+                record.cycle,
+                record.phase,
+                word(axis.command),
+                axis.commanded,
+                axis.measured,
+                axis.increments.0,
+                axis.velocity,
+                axis.torque,
+                axis.homing,
+                record.dt.as_secs_f64(),
+            )?;
         }
+        Ok(())
+    }
+
+    /// Hands what was written to the file.
+    pub(crate) fn flush(&mut self) -> io::Result<()> {
         self.writer.flush()
     }
 }

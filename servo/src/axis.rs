@@ -6,7 +6,9 @@ use drive::{AxisCommand, AxisState, Finite, Homing, Power, Setpoint};
 use crate::excitation::Playing;
 use crate::host_loop::Loop;
 use crate::search::Search;
-use crate::{HomingFailure, Knot, PositionLoop, ServoAxisConfig, StopCause, TrackingError, limit};
+use crate::{
+    HomingFailure, Knot, PositionLoop, ServoAxisConfig, State, StopCause, TrackingError, limit,
+};
 
 /// Commands remembered per axis. A sample older than that is compared with the oldest command.
 pub(crate) const REMEMBERED: usize = 16;
@@ -33,7 +35,9 @@ pub(crate) struct Axis {
     pub(crate) searched: bool,
     pub(crate) command: AxisCommand,
     pub(crate) tracking: TrackingError,
-    /// The excitation of an identification, if any, and its value in this cycle.
+    /// The command that the sample of this cycle answers, rad, if the sample is new and its error counts.
+    pub(crate) expected: Option<f64>,
+    /// What measures it, if anything does, and what that adds in this cycle.
     pub(crate) playing: Option<Playing>,
     pub(crate) excitation: f64,
     reference: ReferenceWatch,
@@ -56,6 +60,7 @@ impl Axis {
             searched: false,
             command: AxisCommand::Off,
             tracking: TrackingError::default(),
+            expected: None,
             playing: None,
             excitation: 0.0,
             reference: ReferenceWatch::default(),
@@ -88,6 +93,19 @@ impl Axis {
             host.observe(&state, periods, dt);
         }
         self.state = state;
+        self.expected = None;
+    }
+
+    /// Counts the tracking error of a new sample, rad, while the effector is in `state`.
+    pub(crate) fn track(&mut self, error: f64, state: State) {
+        if self.state.age > 0 {
+            return;
+        }
+        if state == State::Moving {
+            self.tracking.record(error);
+        }
+        let counts = matches!(state, State::Standing | State::Moving) && self.is_homed();
+        self.expected = counts.then_some(self.state.position + error);
     }
 
     /// Moves all remembered positions by `step`, rad, because the counter was set while the axis followed.

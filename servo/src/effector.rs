@@ -257,9 +257,7 @@ impl Effector {
                 // The commands were adapted to the missed deadlines, but the sample is older.
                 continue;
             }
-            if self.state == State::Moving && axis.state.age == 0 {
-                axis.tracking.record(error);
-            }
+            axis.track(error, self.state);
             let beyond = error.abs() > limit;
             // Direction of the last command, or of the position that the motor does not reach.
             let sense = if beyond { error } else { axis.knot.velocity };
@@ -575,6 +573,7 @@ impl Effector {
                 command: axis.command,
                 excitation: axis.excitation,
                 measured: axis.state.position,
+                expected: axis.expected,
                 increments: axis.state.increments,
                 velocity: axis.state.velocity,
                 torque: axis.state.torque,

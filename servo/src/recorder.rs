@@ -39,7 +39,10 @@ pub struct AxisRecord {
     /// Last measured motor position, rad: the effect of the command of [`DriveGroup::delay`](drive::DriveGroup::delay)
     /// cycles before.
     pub measured: f64,
-    /// The measured position in the drive's unit.
+    /// Motor position, rad, of the command that `measured` answers, by which the servo finds the tracking error. Present
+    /// in cycles that read a new sample of a referenced axis while its effector stood or moved by set-points.
+    pub expected: Option<f64>,
+    /// The same as the drive counts it.
     pub increments: Increments,
     /// Motor velocity measured, rad/s.
     pub velocity: f64,
@@ -59,7 +62,12 @@ pub(crate) struct Recorder {
 impl Recorder {
     /// A ring of `capacity` records, each for one effector and cycle.
     pub(crate) fn new(capacity: usize) -> (Self, rtrb::Consumer<Record>) {
-        let (ring, records) = rtrb::RingBuffer::new(capacity);
+        let (mut ring, mut records) = rtrb::RingBuffer::new(capacity);
+        // Every page of the ring is touched here: no cycle waits for one.
+        for _ in 0..capacity {
+            let _ = ring.push(Record::default());
+            let _ = records.pop();
+        }
         (Self { ring, dropped: 0 }, records)
     }
 

@@ -12,8 +12,8 @@ fn root() -> PathBuf {
         .to_owned()
 }
 
-/// Each crate and the crates that it may depend on, by their names in the workspace.
-const ARROWS: [(&str, &[&str]); 15] = [
+/// Each room and the rooms it may import, by their names in the workspace.
+const ARROWS: [(&str, &[&str]); 14] = [
     ("drivers/can", &[]),
     ("drivers/canopen", &["can"]),
     ("drivers/serial", &["can"]),
@@ -22,13 +22,9 @@ const ARROWS: [(&str, &[&str]); 15] = [
     ("controller", &["can", "drive", "servo"]),
     ("hil", &["can", "canopen", "serial"]),
     ("mrroc", BELOW_LIBRARY),
-    ("tools/figures", &[]),
-    (
-        "tools/descriptions",
-        &["can", "controller", "hil", "mrroc", "figures"],
-    ),
-    ("tools/host", &["can", "drive", "servo", "mrroc", "figures"]),
-    ("tools/identify", &["can", "servo", "mrroc", "figures"]),
+    ("tools/descriptions", &["can", "controller", "hil", "mrroc"]),
+    ("tools/host", &["can", "drive", "servo", "mrroc"]),
+    ("tools/identify", &["can", "servo", "mrroc"]),
     (
         "tools/service",
         &["can", "canopen", "serial", "drive", "hil", "mrroc"],

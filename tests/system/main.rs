@@ -49,6 +49,7 @@ mod readme;
 mod referenced;
 mod regression;
 mod repetition;
+mod report;
 mod second_controller;
 mod serial_cli;
 mod serial_faults;

@@ -114,6 +114,7 @@ fn what_is_there_is_replaced_by_force_alone() {
     for (words, option, file, begins) in [
         (&run, "trace", "trace.log", "(0"),
         (&run, "record", "states.csv", "cycle,"),
+        (&run, "out", "report.html", "<!DOCTYPE html>"),
         (&jitter, "spikes", "spikes.json", "{"),
         (&jitter, "out", "ours.hgrm", "    "),
         (&jitter, "out", "jitter.svg", "<svg"),

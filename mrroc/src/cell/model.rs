@@ -148,7 +148,12 @@ impl Model {
         matches!(self, Self::Irb6 | Self::Irp6 | Self::Irp6Calibrated)
     }
 
-    /// Number of axes.
+    /// Whether it carries a tool; a gripper and a conveyor are devices of one axis.
+    pub const fn has_tool(self) -> bool {
+        !matches!(self, Self::Gripper | Self::Conveyor)
+    }
+
+    /// How many axes it has.
     pub const fn axes(self) -> usize {
         match self {
             Self::Irb6 => 5,

@@ -10,7 +10,11 @@ use std::time::Duration;
 
 use anyhow::{Context, anyhow};
 
+use servo::Record;
+
 use super::SMALL_STACK;
+use crate::cell_file::CellFile;
+use crate::report::Tracks;
 use crate::trace::{AxisLog, FrameLog};
 
 /// Longest wait for the files of a run once it has ended.
@@ -19,36 +23,58 @@ const FILES_WAIT: Duration = Duration::from_secs(2);
 /// How often the files of a run are written, at the least.
 const DRAIN: Duration = Duration::from_millis(20);
 
-/// The files of a run.
+/// The records and the files of a run.
 pub(super) struct Logs {
+    pub(super) records: rtrb::Consumer<Record>,
+    pub(super) tracks: Tracks,
     pub(super) frames: Option<FrameLog>,
     pub(super) axes: Option<AxisLog>,
+    /// Why the files are written no more.
+    pub(super) failed: Option<anyhow::Error>,
 }
 
 impl Logs {
-    pub(super) fn drain(&mut self) -> anyhow::Result<()> {
-        if let Some(frames) = &mut self.frames {
-            frames.drain().context("the trace cannot be written")?;
+    /// Takes what came since the last call; whether all files can still be written. The robots are followed to the end of
+    /// the run all the same.
+    pub(super) fn drain(&mut self) -> bool {
+        let mut written = match &mut self.frames {
+            Some(frames) if self.failed.is_none() => {
+                frames.drain().context("the trace cannot be written")
+            }
+            _ => Ok(()),
+        };
+        let mut axes = self.axes.as_mut().filter(|_| self.failed.is_none());
+        let mut recorded = Ok(());
+        while let Ok(record) = self.records.pop() {
+            self.tracks.observe(&record);
+            if let Some(axes) = axes.as_mut().filter(|_| recorded.is_ok()) {
+                recorded = axes.write(&record);
+            }
         }
-        if let Some(axes) = &mut self.axes {
-            axes.drain().context("the record cannot be written")?;
+        if let Some(axes) = axes.filter(|_| recorded.is_ok()) {
+            recorded = axes.flush();
         }
-        Ok(())
+        written = written.and(recorded.context("the record cannot be written"));
+        if let Err(error) = written {
+            self.failed = Some(error);
+        }
+        self.failed.is_none()
     }
 
-    pub(super) fn finish(mut self) -> anyhow::Result<()> {
-        self.drain()?;
-        match self
-            .frames
-            .map(FrameLog::finish)
-            .transpose()
-            .context("the trace cannot be written")?
-        {
-            Some(lost @ 1..) => Err(anyhow!(
+    /// Takes the rest: what became of the files, and of the robots.
+    pub(super) fn finish(mut self) -> (anyhow::Result<()>, Tracks) {
+        self.drain();
+        let frames = self.frames.filter(|_| self.failed.is_none());
+        let finished = frames.map(FrameLog::finish).transpose();
+        let written = match (self.failed, finished) {
+            (Some(error), _) => Err(error),
+            (None, Err(error)) => Err(error).context("the trace cannot be written"),
+            (None, Ok(Some(lost @ 1..))) => Err(anyhow!(
                 "the trace lacks {lost} frames: the file was too slow"
             )),
-            _ => Ok(()),
-        }
+            (None, Ok(_)) => Ok(()),
+        };
+        (written, self.tracks)
     }
 }
 
@@ -56,14 +82,15 @@ impl Logs {
 pub(super) struct Writing {
     what: &'static str,
     over: Arc<AtomicBool>,
-    told: Receiver<anyhow::Result<()>>,
+    told: Receiver<(anyhow::Result<()>, Tracks)>,
 }
 
 impl Writing {
     /// Begins. A file that cannot be written raises `failed`.
     pub(super) fn start(mut logs: Logs, failed: Arc<AtomicBool>) -> anyhow::Result<Self> {
         let what = match (&logs.frames, &logs.axes) {
-            (_, None) => "trace",
+            (None, None) => "records",
+            (Some(_), None) => "trace",
             (None, Some(_)) => "record",
             (Some(_), Some(_)) => "trace or the record",
         };
@@ -72,14 +99,12 @@ impl Writing {
         let last = over.clone();
         let thread = Builder::new().name("files".into()).stack_size(SMALL_STACK);
         let body = move || {
-            let mut written = Ok(());
-            while written.is_ok() && !last.load(Ordering::Relaxed) {
+            while !last.load(Ordering::Relaxed) {
                 std::thread::park_timeout(DRAIN);
-                written = logs.drain();
+                failed.fetch_or(!logs.drain(), Ordering::Relaxed);
             }
-            failed.fetch_or(written.is_err(), Ordering::Relaxed);
             // Nobody listens any more if it took too long.
-            let _ = tell.send(written.and_then(|()| logs.finish()));
+            let _ = tell.send(logs.finish());
         };
         thread
             .spawn(body)
@@ -87,11 +112,12 @@ impl Writing {
         Ok(Self { what, over, told })
     }
 
-    /// Writes the rest, unless that takes too long.
-    pub(super) fn finish(self) -> anyhow::Result<()> {
+    /// Writes the rest, unless that takes too long: then nothing is known of the robots either.
+    pub(super) fn finish(self, file: &CellFile) -> (anyhow::Result<()>, Tracks) {
         self.over.store(true, Ordering::Relaxed);
-        self.told
-            .recv_timeout(FILES_WAIT)
-            .unwrap_or_else(|_| Err(anyhow!("the {} cannot be written in time", self.what)))
+        self.told.recv_timeout(FILES_WAIT).unwrap_or_else(|_| {
+            let late = anyhow!("the {} cannot be written in time", self.what);
+            (Err(late), Tracks::new(file, false))
+        })
     }
 }

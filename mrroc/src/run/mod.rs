@@ -1,8 +1,8 @@
 //! A run: brings a cell up, does the tasks of its robots, switches it off and reports.
 //!
-//! By the wall clock five threads take part: the servo's, the controller's below it, one that writes the
-//! files, one that listens to the buses, and the caller's, which receives the progress. However a run ends,
-//! the servo thread is waited for until it has braked the arms and switched them off: at the end of the tasks,
+//! By the wall clock five threads take part: the servo's, the controller's below it, one that reads the records of the
+//! servo and writes the files, one that listens to the buses, and the caller's, which receives the progress. However a
+//! run ends, the servo thread is waited for until it has braked the arms and switched them off: at the end of the tasks,
 //! on a signal, when a file cannot be written, and by a panic of the caller's thread or the controller's. A file
 //! that takes nothing is not waited for. Whatever may still have power afterwards is a fault of the run.
 
@@ -13,6 +13,7 @@ mod requests;
 mod turning;
 
 use std::cell::{Cell as Shared, RefCell};
+use std::io::Write as _;
 use std::mem::take;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -32,7 +33,7 @@ use crate::bench::{Bench, BenchKind, Places};
 use crate::cell_file::CellFile;
 use crate::outputs::{Outputs, Replacement};
 use crate::programs::{Programs, servo_faults};
-use crate::report::{FaultReport, Outcome, RunEnd, RunReport};
+use crate::report::{self, FaultReport, Outcome, RunEnd, RunReport, Tracks};
 use crate::spikes::SpikeFile;
 use crate::tasks::MakeTasks;
 use crate::trace::{AxisLog, FrameLog};
@@ -45,8 +46,11 @@ pub use crate::programs::Progress;
 pub use requests::Requests;
 pub use turning::Turning;
 
-/// Records that an axis log may lag behind the servo, per effector: some seconds.
-const RECORDS: usize = 1 << 13;
+/// Records that the evaluation may lag behind the servo, per effector: some seconds.
+const RECORDS: usize = 1 << 11;
+
+/// Records that an axis log may lag behind the servo, per effector.
+const LOGGED_RECORDS: usize = 1 << 13;
 
 /// How often the controller looks at its effectors: this is a tenth of the usual macrostep, and a tenth of a longer one is.
 const POLL: Duration = Duration::from_millis(2);
@@ -59,6 +63,9 @@ const NEWS: usize = 64;
 
 /// Longest time in the cell for the drives to report that they have no power, once they are told.
 const POWER_OFF_WAIT: Duration = Duration::from_millis(500);
+
+/// The file of `--out`.
+const REPORT: &str = "report.html";
 
 /// Bytes of the stack of a thread that reads queues and writes files; once memory is locked, all of it is.
 pub const SMALL_STACK: usize = 128 * 1024;
@@ -82,6 +89,9 @@ pub struct RunOptions {
     /// those around a moment of yours.
     #[arg(long, value_name = "FILE")]
     pub spikes: Option<PathBuf>,
+    /// Write report.html into this directory: tables and plots of the run in one file, which needs no network.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
     /// Replacement of files that are there.
     #[command(flatten)]
     pub replacement: Replacement,
@@ -96,6 +106,7 @@ impl RunOptions {
             trace: None,
             record: None,
             spikes: None,
+            out: None,
             replacement: Replacement::default(),
         }
     }
@@ -125,6 +136,9 @@ pub fn run(
     let trace = outputs.open_if("--trace", options.trace.as_deref())?;
     let record = outputs.open_if("--record", options.record.as_deref())?;
     let spikes = outputs.open_if("--spikes", options.spikes.as_deref())?;
+    let directory = options.out.as_deref();
+    let page = directory.map(|directory| outputs.open_in("--out", directory, REPORT));
+    let page = page.transpose()?;
     let Bench {
         ports,
         lines,
@@ -143,12 +157,15 @@ pub fn run(
         setup::drive_groups(file, ports, lines, None)?,
     )?;
     outputs.begin()?;
-    let axes = |sink| {
-        let records = servo.record(RECORDS * file.cell.robot.len());
-        AxisLog::new(sink, file, records)
-    };
+    let lag = record.as_ref().map_or(RECORDS, |_| LOGGED_RECORDS);
     let logs = Logs {
-        axes: record.map(axes).transpose().context("--record")?,
+        records: servo.record(lag * file.cell.robot.len()),
+        tracks: Tracks::new(file, page.is_some()),
+        failed: None,
+        axes: record
+            .map(|sink| AxisLog::new(sink, file))
+            .transpose()
+            .context("--record")?,
         frames: trace
             .map(|sink| FrameLog::new(sink, &interfaces, traces))
             .transpose()?,
@@ -184,14 +201,26 @@ pub fn run(
         (true, true) => Outcome::Stopped,
         (false, true) => Outcome::Completed,
     };
-    Ok(RunReport::of(
+    let mut report = RunReport::of(
         file,
         options.bench.name(),
-        end,
+        &mut end,
         &budget,
         clock::now().since(began),
         outcome,
-    ))
+    );
+    if let Some(mut file) = page {
+        let drawn = report::page(&report, &end.tracks, &end.timing).context(REPORT);
+        let written = drawn.and_then(|page| {
+            let written = file.write_all(page.as_bytes());
+            written.with_context(|| format!("{REPORT} cannot be written"))
+        });
+        if let Err(error) = written {
+            report.faults.push(FaultReport::of_run(error));
+            report.outcome = Outcome::Faulted;
+        }
+    }
+    Ok(report)
 }
 
 /// What is beyond the ports of a run.
@@ -206,13 +235,14 @@ fn not_up(
     file: &CellFile,
     servo: Servo,
     cell_time: Duration,
-    written: anyhow::Result<()>,
+    (written, tracks): (anyhow::Result<()>, Tracks),
     why: NotUp,
 ) -> anyhow::Result<RunEnd> {
     written?;
     if why == NotUp::Stopped {
         return Ok(RunEnd {
             servo,
+            tracks,
             timing: Timing::default(),
             spikes: Vec::new(),
             denied: Vec::new(),
@@ -274,7 +304,7 @@ fn in_lockstep(
             return not_up(file, servo, cell_time, logs.finish(), error);
         }
     };
-    let (done, failed) = (Shared::new(false), RefCell::new(None));
+    let done = Shared::new(false);
     let mut over = None;
     let logs = RefCell::new(logs);
     let mut timing = Timing::default();
@@ -282,13 +312,8 @@ fn in_lockstep(
         &mut servo,
         start,
         |now| {
-            if failed.borrow().is_some() {
-                return;
-            }
-            let busy = programs.poll(now, &mut *progress);
-            let drained = logs.borrow_mut().drain();
-            done.set(!busy || interrupted.load(Ordering::Relaxed) || drained.is_err());
-            failed.replace(drained.err());
+            let going = logs.borrow_mut().drain() && programs.poll(now, &mut *progress);
+            done.set(!going || interrupted.load(Ordering::Relaxed));
         },
         between,
         |servo, now| {
@@ -303,13 +328,12 @@ fn in_lockstep(
             servo.is_off() || now >= over
         },
     );
-    let written = failed
-        .take()
-        .map_or_else(|| logs.into_inner().finish(), Err);
+    let (written, tracks) = logs.into_inner().finish();
     let mut faults = programs.faults;
     faults.extend(written.err().map(FaultReport::of_run));
     Ok(RunEnd {
         servo,
+        tracks,
         timing,
         spikes: Vec::new(),
         denied: Vec::new(),
@@ -342,7 +366,7 @@ fn by_the_clock(
         Ok(first) => first,
         Err(error) => {
             let cell_time = clock::now().since(began);
-            return not_up(file, servo, cell_time, writing.finish(), error);
+            return not_up(file, servo, cell_time, writing.finish(file), error);
         }
     };
     let trace = requests.spikes.clone();
@@ -383,13 +407,15 @@ fn by_the_clock(
         None => clock::now().since(began),
     };
     let mut faults = programs.faults;
-    faults.extend(writing.finish().err().map(FaultReport::of_run));
+    let (written, tracks) = writing.finish(file);
+    faults.extend(written.err().map(FaultReport::of_run));
     if let Some(panicked) = ended.panicked {
         let what = format!("the servo thread panicked: {panicked:?}");
         faults.push(FaultReport::of_run(what));
     }
     Ok(RunEnd {
         servo: ended.servo,
+        tracks,
         timing: ended.timing,
         spikes: ended.spikes,
         denied: ended.denied.iter().map(ToString::to_string).collect(),

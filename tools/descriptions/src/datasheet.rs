@@ -6,6 +6,7 @@ mod figure;
 mod ink;
 mod loops;
 mod posture;
+mod svg;
 mod symbols;
 mod tables;
 mod views;

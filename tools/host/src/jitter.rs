@@ -368,7 +368,8 @@ pub fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
             let curve = |name, ledger| Curve::of(name, ledger);
             let beside = options.against.map(|against| curve(against.name(), &peers));
             let chart = chart::chart(&said, &curve("mrroc", &ledger), beside.as_ref());
-            files.write(&ledger.total, &peers.total, &chart)
+            let chart = chart.context("jitter.svg cannot be drawn");
+            chart.and_then(|chart| files.write(&ledger.total, &peers.total, &chart))
         }
     };
     let written = written.and(spikes.map_or(Ok(()), |file| match cell {

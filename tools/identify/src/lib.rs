@@ -10,7 +10,7 @@ mod report;
 mod session;
 
 use std::cell::RefCell;
-use std::fs::{File, create_dir_all};
+use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -245,16 +245,15 @@ struct BodeFiles {
 
 impl BodeFiles {
     fn open(outputs: &mut Outputs, directory: &Path) -> anyhow::Result<Self> {
-        create_dir_all(directory)
-            .with_context(|| format!("--out: {} cannot be made", directory.display()))?;
         Ok(Self {
-            chart: outputs.open("--out", &directory.join("bode.svg"))?,
-            table: outputs.open("--out", &directory.join("bode.csv"))?,
+            chart: outputs.open_in("--out", directory, "bode.svg")?,
+            table: outputs.open_in("--out", directory, "bode.csv")?,
         })
     }
 
     fn write(mut self, report: &Report) -> anyhow::Result<()> {
-        let chart = self.chart.write_all(bode::chart(report).as_bytes());
+        let drawn = bode::chart(report).context("bode.svg")?;
+        let chart = self.chart.write_all(drawn.as_bytes());
         chart.context("bode.svg cannot be written")?;
         let table = self.table.write_all(report.csv().as_bytes());
         table.context("bode.csv cannot be written")

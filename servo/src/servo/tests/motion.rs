@@ -1,6 +1,7 @@
 //! Macrosteps, limits, following errors, reports and records.
 
 use super::*;
+use crate::{AxisRecord, Record};
 
 #[test]
 fn macrosteps_are_met_and_reported_and_end_in_standing() {
@@ -309,4 +310,31 @@ fn a_stop_drops_what_waits_at_a_gate() {
     rig.run(20);
     assert_eq!(rig.phase(), Phase::Off);
     assert_eq!(rig.servo.counters().refused_orders, 2);
+}
+
+#[test]
+fn a_record_has_the_command_that_its_sample_answers_wherever_the_error_counts() {
+    let mut rig = Rig::standing(2);
+    let mut records = rig.servo.record(100);
+    rig.order(Order::Move(macrostep(1, 10, 0.01, 0.0)));
+    rig.run(20);
+    rig.order(Order::Disable);
+    rig.run(10);
+    let kept: Vec<_> = std::iter::from_fn(|| records.pop().ok()).collect();
+    let moving = kept.iter().filter(|kept| kept.phase == Phase::Moving);
+    let apart = |kept: &&Record| (kept.axis[0].commanded - kept.axis[0].measured).abs() > 1e-4;
+    assert!(
+        moving.filter(apart).count() > 5,
+        "the sample is cycles behind"
+    );
+    for record in &kept {
+        if matches!(record.phase, Phase::Moving | Phase::Standing) {
+            let AxisRecord {
+                expected, measured, ..
+            } = record.axis[0];
+            assert_eq!(expected, Some(measured), "{record:?}");
+        }
+    }
+    let last = kept.last().unwrap();
+    assert_eq!((last.phase, last.axis[0].expected), (Phase::Off, None));
 }

@@ -3,7 +3,7 @@
 use controller::robot::{ConveyorParameters, GripperParameters};
 
 use super::ink;
-use figures::svg::{self, Point};
+use super::svg::{self, Point};
 
 const SIZE: [f64; 2] = [960.0, 380.0];
 

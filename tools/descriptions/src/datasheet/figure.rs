@@ -6,9 +6,9 @@ use nalgebra::Vector3;
 
 use super::ink::{self, Sheet};
 use super::posture::{LEAST, Stand, stands};
+use super::svg::{self, Point};
 use super::symbols;
 use crate::kinematics::Machine;
-use figures::svg::{self, Point};
 
 const WIDTH: f64 = 960.0;
 /// Size of the drawing area of a view, px.

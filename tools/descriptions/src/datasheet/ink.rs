@@ -5,8 +5,8 @@ use std::fmt::Write as _;
 use controller::robot::LinkKind;
 use nalgebra::{Isometry3, Vector3};
 
+use super::svg::{self, Point, unit};
 use super::symbols::{ACCENT, BODY, DASHED, axis_line, drum, pole, square, turn_about};
-use figures::svg::{self, Point, unit};
 
 pub(super) const SECONDARY: &str = "fill=\"#666\"";
 const LINK: &str = "fill=\"none\" stroke=\"#8a939e\" stroke-width=\"9\" stroke-linecap=\"round\"";

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use figures::svg::{self, Point, unit};
+use super::svg::{self, Point, unit};
 
 pub(super) const DASHED: &str = "stroke=\"#1666c0\" stroke-width=\"1\" stroke-dasharray=\"4 3\"";
 pub(super) const BODY: &str = "fill=\"#fff\" stroke=\"#222\" stroke-width=\"2\"";

@@ -3,7 +3,7 @@
 //! `ours.hgrm` and `peer.hgrm` are percentile distributions, recorded in ns and printed in µs; `ours.hlog` is an
 //! interval log, format 1.3, in ns; `jitter.svg` shows both sides.
 
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::{self, LineWriter, Write};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
@@ -39,9 +39,7 @@ impl Files {
         directory: &Path,
         peer: bool,
     ) -> anyhow::Result<(Self, LineWriter<File>)> {
-        let mut create = |name| outputs.open("--out", &directory.join(name));
-        fs::create_dir_all(directory)
-            .with_context(|| format!("--out: {} cannot be made", directory.display()))?;
+        let mut create = |name| outputs.open_in("--out", directory, name);
         let files = Self {
             directory: directory.to_owned(),
             ours: create("ours.hgrm")?,

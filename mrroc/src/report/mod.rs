@@ -1,7 +1,17 @@
-//! What a run says at its end: one JSON object, or tables for a person.
+//! What a run says at its end: one JSON object, tables for a person, or a page with plots.
+//!
+//! The report as data lives here. `text.rs` prints it and `page.rs` makes the page of it. `tool.rs` finds how far each
+//! robot was from its commanded path; `curves.rs` and `plots.rs` are what the page shows of that.
+
+mod curves;
+mod page;
+mod plots;
+mod text;
+mod tool;
 
 use std::collections::BTreeMap;
-use std::fmt::{self, Write as _};
+use std::fmt;
+use std::mem::take;
 use std::time::Duration;
 
 use drive::Warnings;
@@ -14,10 +24,16 @@ use crate::cell_file::CellFile;
 use crate::warning_report::WarningReport;
 use crate::wire::WireReport;
 
+pub(crate) use page::page;
+pub(crate) use tool::Tracks;
+pub use tool::{Deviation, RobotReport, Subject};
+
 /// What a run leaves behind.
-pub struct RunEnd {
+pub(crate) struct RunEnd {
     /// The servo, its robots switched off.
     pub servo: Servo,
+    /// How far the robots were from their commanded paths.
+    pub tracks: Tracks,
     /// Times of the cycles.
     pub timing: Timing,
     /// The cycles around the latest ones.
@@ -39,6 +55,10 @@ pub struct RunReport {
     pub cell: String,
     /// The bench it ran on.
     pub bench: &'static str,
+    /// Every robot: how far it was from its commanded path.
+    pub robots: Vec<RobotReport>,
+    /// Records of a robot's cycle that the errors of robots lack, since nobody read the records in time.
+    pub lost_records: u64,
     /// Every axis, robot by robot.
     pub axes: Vec<AxisReport>,
     /// The servo cycle.
@@ -63,10 +83,10 @@ pub struct RunReport {
 
 impl RunReport {
     /// The report of what `end` in `wall` of the host's time.
-    pub fn of(
+    pub(crate) fn of(
         file: &CellFile,
         bench: &'static str,
-        end: RunEnd,
+        end: &mut RunEnd,
         budgets: &[BusBudget],
         wall: Duration,
         outcome: Outcome,
@@ -117,6 +137,8 @@ impl RunReport {
             cell: file.cell.name.clone(),
             bench,
             warnings: warnings.collect(),
+            robots: end.tracks.reports(),
+            lost_records: counters.dropped_records,
             more_warnings: end.servo.warnings().map(Warnings::omitted).sum(),
             axes: axes.collect(),
             cycle: CycleReport {
@@ -138,9 +160,9 @@ impl RunReport {
                 account: AccountReport::from(end.timing.account),
             },
             buses: buses.collect(),
-            wire: end.wire,
-            faults: end.faults,
-            denied: end.denied,
+            wire: take(&mut end.wire),
+            faults: take(&mut end.faults),
+            denied: take(&mut end.denied),
             realtime_factor: end.cell_time.as_secs_f64() / wall.as_secs_f64(),
             outcome,
         }
@@ -365,130 +387,4 @@ pub struct BusReport {
     pub dropped_setpoints: u64,
     /// Answers of drives that did not come in their cycle.
     pub missed_answers: u64,
-}
-
-impl fmt::Display for RunReport {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let names = self
-            .axes
-            .iter()
-            .map(|axis| axis.name.len())
-            .max()
-            .unwrap_or(0)
-            .max(4);
-        writeln!(
-            f,
-            "{:names$}  {:>12} {:>12} {:>10} {:>10} {:>10} {:>7}",
-            "axis", "rms rad", "peak rad", "rms cnt", "peak cnt", "homing cnt", "faults"
-        )?;
-        for axis in &self.axes {
-            let offset = axis
-                .homing_offset_counts
-                .map_or("-".to_owned(), |counts| counts.to_string());
-            let of_axis = |fault: &&FaultReport| fault.axis.as_ref() == Some(&axis.name);
-            let faults = self.faults.iter().filter(of_axis).count();
-            writeln!(
-                f,
-                "{:names$}  {:>12.6} {:>12.6} {:>10.2} {:>10.1} {offset:>10} {faults:>7}",
-                axis.name,
-                axis.tracking_rms_rad,
-                axis.tracking_peak_rad,
-                axis.tracking_rms_counts,
-                axis.tracking_peak_counts,
-            )?;
-        }
-        writeln!(
-            f,
-            "\n{:9} {:>10} {:>10} {:>10} {:>10}",
-            "cycle, µs", "p50", "p99", "p99.9", "max"
-        )?;
-        let rows = [
-            ("wake-up", self.cycle.wake_us),
-            ("SYNC", self.cycle.sync_us),
-            ("step", self.cycle.step_us),
-        ];
-        // A tty does not tell when an answer came.
-        let bus = Some(("bus", self.cycle.bus_us)).filter(|(_, times)| times.max > 0.0);
-        for (name, times) in rows.into_iter().chain(bus) {
-            writeln!(
-                f,
-                "{name:9} {:>10.1} {:>10.1} {:>10.1} {:>10.1}",
-                times.p50, times.p99, times.p999, times.max
-            )?;
-        }
-        let cycle = &self.cycle;
-        writeln!(
-            f,
-            "\n{} cycles of {} µs, {} missed",
-            cycle.cycles, cycle.period_us, cycle.missed
-        )?;
-        if cycle.wait.spin_percent > 0.0 {
-            writeln!(
-                f,
-                "hybrid wait: woken {:.0} µs early, prepared {:.0} µs early, {:.1} % of a core spent spinning",
-                cycle.wait.margin_us, cycle.wait.lead_us, cycle.wait.spin_percent
-            )?;
-        }
-        let causes = cycle.causes.iter().filter(|(_, count)| **count > 0);
-        let causes: Vec<_> = causes
-            .map(|(cause, count)| format!("{cause} {count}"))
-            .collect();
-        if !causes.is_empty() {
-            let limit = f64::from(cycle.period_us) / 100.0;
-            writeln!(f, "more than {limit} µs late: {}", causes.join(", "))?;
-            let worst = cycle.worst.iter().map(|worst| {
-                let WorstCycle {
-                    time_s,
-                    late_us,
-                    cause,
-                    ..
-                } = worst;
-                format!("{late_us:.0} µs {cause} at {time_s:.3} s")
-            });
-            writeln!(f, "the worst: {}", worst.collect::<Vec<_>>().join(", "))?;
-        }
-        for bus in &self.buses {
-            let traffic = match bus.lines {
-                None => format!("{} frames", bus.frames),
-                Some(1) => format!("{} telegrams on 1 line", bus.frames),
-                Some(lines) => format!("{} telegrams on {lines} lines", bus.frames),
-            };
-            let mut line = format!(
-                "bus {}: {traffic}, load {:.1} %, worst case {:.1} % of the period",
-                bus.name, bus.load_percent, bus.worst_case_percent
-            );
-            if bus.dropped_setpoints + bus.missed_answers > 0 {
-                write!(
-                    line,
-                    ", {} set-points dropped, {} answers missed",
-                    bus.dropped_setpoints, bus.missed_answers
-                )?;
-            }
-            writeln!(f, "{line}")?;
-        }
-        for wire in &self.wire {
-            write!(f, "{wire}")?;
-        }
-        for denied in &self.denied {
-            writeln!(f, "denied: {denied}")?;
-        }
-        for warning in &self.warnings {
-            writeln!(f, "warning: {warning}")?;
-        }
-        if self.more_warnings > 0 {
-            writeln!(
-                f,
-                "warning: {} further reports of drives",
-                self.more_warnings
-            )?;
-        }
-        for fault in &self.faults {
-            writeln!(f, "fault: {fault}")?;
-        }
-        write!(
-            f,
-            "{} {}, {:.1} times real time",
-            self.cell, self.outcome, self.realtime_factor
-        )
-    }
 }

@@ -3,10 +3,10 @@
 use std::fmt::Write as _;
 
 /// A point or a direction on the sheet.
-pub type Point = [f64; 2];
+pub(super) type Point = [f64; 2];
 
 /// Starts a white sheet of this size; `</svg>` ends it.
-pub fn open([width, height]: [f64; 2]) -> String {
+pub(super) fn open([width, height]: [f64; 2]) -> String {
     format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" \
          height=\"{height}\" font-family=\"Helvetica, Arial, sans-serif\" font-size=\"13\" fill=\"#333\">\n\
@@ -15,7 +15,7 @@ pub fn open([width, height]: [f64; 2]) -> String {
 }
 
 /// Adds a text; `anchor` is the SVG attribute text-anchor.
-pub fn text(svg: &mut String, [x, y]: Point, anchor: &str, style: &str, said: &str) {
+pub(super) fn text(svg: &mut String, [x, y]: Point, anchor: &str, style: &str, said: &str) {
     let said = said.replace('&', "&amp;").replace('<', "&lt;");
     let _ = writeln!(
         svg,
@@ -24,12 +24,12 @@ pub fn text(svg: &mut String, [x, y]: Point, anchor: &str, style: &str, said: &s
 }
 
 /// Adds a straight line.
-pub fn line(svg: &mut String, from: Point, to: Point, style: &str) {
+pub(super) fn line(svg: &mut String, from: Point, to: Point, style: &str) {
     path(svg, &[from, to], style);
 }
 
 /// Adds a line through points, or an area if `style` fills it.
-pub fn path(svg: &mut String, points: &[Point], style: &str) {
+pub(super) fn path(svg: &mut String, points: &[Point], style: &str) {
     let mut way = String::new();
     for (number, [x, y]) in points.iter().enumerate() {
         let _ = write!(way, "{}{x:.1} {y:.1}", if number == 0 { 'M' } else { 'L' });
@@ -38,7 +38,7 @@ pub fn path(svg: &mut String, points: &[Point], style: &str) {
 }
 
 /// Adds a circle.
-pub fn circle(svg: &mut String, [x, y]: Point, radius: f64, style: &str) {
+pub(super) fn circle(svg: &mut String, [x, y]: Point, radius: f64, style: &str) {
     let _ = writeln!(
         svg,
         "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{radius:.1}\" {style}/>"
@@ -46,7 +46,7 @@ pub fn circle(svg: &mut String, [x, y]: Point, radius: f64, style: &str) {
 }
 
 /// Adds an arrowhead with its tip at `tip`. The arrow points along `direction`, which may have any length.
-pub fn arrowhead(svg: &mut String, tip: Point, direction: Point, size: f64, colour: &str) {
+pub(super) fn arrowhead(svg: &mut String, tip: Point, direction: Point, size: f64, colour: &str) {
     let along = unit(direction);
     let back = |side: f64| {
         [
@@ -62,7 +62,7 @@ pub fn arrowhead(svg: &mut String, tip: Point, direction: Point, size: f64, colo
 }
 
 /// Unit vector; a vector of length zero yields the direction to the right.
-pub fn unit([x, y]: Point) -> Point {
+pub(super) fn unit([x, y]: Point) -> Point {
     let length = x.hypot(y);
     if length > 0.0 {
         [x / length, y / length]

@@ -1,0 +1,303 @@
+//! The report of a run as one HTML file with its tables and plots. The page loads nothing: style and plots are in it.
+
+use std::fmt::{Display, Write as _};
+
+use servo::Timing;
+
+use super::text::rounded;
+use super::{Deviation, RunReport, Tracks, plots};
+use crate::cell::printable;
+use crate::charts::{ChartError, escaped};
+
+const STYLE: &str = include_str!("page.css");
+
+/// The page of a run. It is well-formed XML as well.
+pub(crate) fn page(
+    report: &RunReport,
+    tracks: &Tracks,
+    timing: &Timing,
+) -> Result<String, ChartError> {
+    let title = format!("{} {}", report.cell, report.outcome);
+    let mut page = format!(
+        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\"/>\n\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"/>\n\
+         <title>{0}</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n<h1>{0}</h1>\n",
+        text(&title)
+    );
+    let cycle = &report.cycle;
+    paragraph(
+        &mut page,
+        format_args!(
+            "Bench {}, {:.1} times real time. {} cycles of {} µs, {} missed.",
+            report.bench, report.realtime_factor, cycle.cycles, cycle.period_us, cycle.missed
+        ),
+    );
+    if report.lost_records > 0 {
+        paragraph(
+            &mut page,
+            format_args!(
+                "{} records of cycles were lost: errors of robots and plots lack them.",
+                report.lost_records
+            ),
+        );
+    }
+    list(&mut page, "Faults", &report.faults);
+    list(&mut page, "Warnings", &report.warnings);
+    if report.more_warnings > 0 {
+        let more = report.more_warnings;
+        paragraph(&mut page, format_args!("{more} further reports of drives."));
+    }
+    list(&mut page, "Denied by the host", &report.denied);
+    robots(&mut page, report);
+    for track in &tracks.robots {
+        let drawn = plots::robot(track)?;
+        if !drawn.is_empty() {
+            let _ = writeln!(page, "<h2>{}</h2>", text(&track.name));
+        }
+        drawn.iter().for_each(|svg| figure(&mut page, svg));
+    }
+    let _ = writeln!(page, "<h2>Motors</h2>");
+    motors(&mut page, report);
+    let _ = writeln!(page, "<h2>Timing</h2>");
+    times(&mut page, report);
+    let drawn = plots::timing(timing)?;
+    drawn.iter().for_each(|svg| figure(&mut page, svg));
+    buses(&mut page, report);
+    page.push_str("</body>\n</html>\n");
+    Ok(page)
+}
+
+/// A text from the cell, the host or a drive: nothing of it is markup.
+fn text(said: &str) -> String {
+    escaped(&printable(said))
+}
+
+fn paragraph(page: &mut String, said: impl Display) {
+    let _ = writeln!(page, "<p>{}</p>", text(&said.to_string()));
+}
+
+fn list(page: &mut String, title: &str, items: &[impl Display]) {
+    if items.is_empty() {
+        return;
+    }
+    let _ = writeln!(page, "<h2>{title}</h2>\n<ul>");
+    for item in items {
+        let _ = writeln!(page, "<li>{}</li>", text(&item.to_string()));
+    }
+    page.push_str("</ul>\n");
+}
+
+/// A plot is part of the page: it needs no name space.
+fn figure(page: &mut String, svg: &str) {
+    let svg = svg.replacen(" xmlns=\"http://www.w3.org/2000/svg\"", "", 1);
+    let _ = writeln!(page, "<figure>\n{svg}</figure>");
+}
+
+fn table(page: &mut String, caption: &str, head: &[&str], rows: &[Vec<String>]) {
+    let row = |page: &mut String, tag: &str, cells: &mut dyn Iterator<Item = &str>| {
+        page.push_str("<tr>");
+        cells.for_each(|cell| {
+            let _ = write!(page, "<{tag}>{}</{tag}>", text(cell));
+        });
+        page.push_str("</tr>\n");
+    };
+    let _ = writeln!(page, "<table>\n<caption>{}</caption>", text(caption));
+    row(page, "th", &mut head.iter().copied());
+    for cells in rows {
+        row(page, "td", &mut cells.iter().map(String::as_str));
+    }
+    page.push_str("</table>\n");
+}
+
+fn robots(page: &mut String, report: &RunReport) {
+    let errors = |error: Option<Deviation>| {
+        error.map_or(["–".to_owned(), "–".to_owned()], |error| {
+            [error.rms, error.peak].map(rounded)
+        })
+    };
+    let row = |robot: &super::RobotReport| {
+        let [position_rms, position_peak] = errors(robot.position_mm);
+        let [angle_rms, angle_peak] = errors(robot.orientation_deg);
+        vec![
+            robot.name.clone(),
+            robot.subject.name().to_owned(),
+            position_rms,
+            position_peak,
+            angle_rms,
+            angle_peak,
+            robot.cycles.to_string(),
+            robot.unsolved.to_string(),
+        ]
+    };
+    let rows: Vec<_> = report.robots.iter().map(row).collect();
+    table(
+        page,
+        "Distance from the commanded path, while the robot moved or stood with power and a reference",
+        &[
+            "robot", "error of", "mm rms", "mm peak", "° rms", "° peak", "cycles", "no pose",
+        ],
+        &rows,
+    );
+}
+
+fn motors(page: &mut String, report: &RunReport) {
+    let rows: Vec<_> = report
+        .axes
+        .iter()
+        .map(|axis| {
+            let faults = report
+                .faults
+                .iter()
+                .filter(|it| it.axis.as_ref() == Some(&axis.name));
+            let offset = axis.homing_offset_counts;
+            vec![
+                axis.name.clone(),
+                format!("{:.6}", axis.tracking_rms_rad),
+                format!("{:.6}", axis.tracking_peak_rad),
+                format!("{:.2}", axis.tracking_rms_counts),
+                format!("{:.1}", axis.tracking_peak_counts),
+                offset.map_or("–".to_owned(), |counts| counts.to_string()),
+                faults.count().to_string(),
+            ]
+        })
+        .collect();
+    table(
+        page,
+        "Tracking error of the motor shaft while moving, and counter at the reference",
+        &[
+            "axis",
+            "rad rms",
+            "rad peak",
+            "counts rms",
+            "counts peak",
+            "homing, counts",
+            "faults",
+        ],
+        &rows,
+    );
+}
+
+fn times(page: &mut String, report: &RunReport) {
+    let cycle = &report.cycle;
+    let named = [
+        ("wake-up", cycle.wake_us),
+        ("SYNC", cycle.sync_us),
+        ("step", cycle.step_us),
+        ("bus", cycle.bus_us),
+    ];
+    let row = |(name, times): (&str, super::Percentiles)| {
+        let points = [times.p50, times.p99, times.p999, times.max];
+        let points = points.map(|time| format!("{time:.1}"));
+        [name.to_owned()].into_iter().chain(points).collect()
+    };
+    let rows: Vec<Vec<String>> = named.into_iter().map(row).collect();
+    let caption = "Servo cycle, µs";
+    table(page, caption, &["", "p50", "p99", "p99.9", "max"], &rows);
+    let causes = cycle.causes.iter().filter(|(_, count)| **count > 0);
+    let causes: Vec<_> = causes
+        .map(|(cause, count)| vec![(*cause).to_owned(), count.to_string()])
+        .collect();
+    if !causes.is_empty() {
+        let limit = f64::from(cycle.period_us) / 100.0;
+        let caption = format!("Cycles more than {limit} µs late");
+        table(page, &caption, &["cause", "cycles"], &causes);
+    }
+}
+
+fn buses(page: &mut String, report: &RunReport) {
+    let row = |bus: &super::BusReport| {
+        vec![
+            bus.name.clone(),
+            bus.frames.to_string(),
+            format!("{:.1}", bus.load_percent),
+            format!("{:.1}", bus.worst_case_percent),
+            bus.dropped_setpoints.to_string(),
+            bus.missed_answers.to_string(),
+        ]
+    };
+    let rows: Vec<_> = report.buses.iter().map(row).collect();
+    page.push_str("<h2>Buses</h2>\n");
+    table(
+        page,
+        "Traffic of the host",
+        &[
+            "bus",
+            "frames or telegrams",
+            "load, %",
+            "worst case, % of the period",
+            "set-points dropped",
+            "answers missed",
+        ],
+        &rows,
+    );
+    for wire in &report.wire {
+        // Lines of a table in columns.
+        let lines = wire.to_string();
+        let lines: Vec<_> = lines.lines().map(text).collect();
+        let _ = writeln!(page, "<pre>{}</pre>", lines.join("\n").trim_matches('\n'));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use controller::ecp::Task;
+    use roxmltree::{Document, ParsingOptions};
+    use servo::{AxisRecord, Record};
+
+    use super::*;
+    use crate::bench::BenchKind;
+    use crate::cell_file::CellFile;
+    use crate::report::FaultReport;
+    use crate::tasks::Tasks;
+
+    #[test]
+    fn texts_of_a_page_are_no_markup_and_it_is_well_formed() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../cells/irb6.toml");
+        let file = CellFile::read(&path).unwrap();
+        let tasks = |cell: &CellFile| Tasks::new(cell).give("irb6", Task::new().enable().disable());
+        let mut report = crate::run(&file, BenchKind::Lockstep, &tasks).unwrap();
+        let mut tracks = Tracks::new(&file, true);
+        let mut record = Record {
+            axes: 5,
+            ..Record::default()
+        };
+        for (axis, home) in record.axis.iter_mut().zip(&*file.arms[0].robot().home()) {
+            *axis = AxisRecord {
+                expected: Some(*home),
+                measured: *home,
+                ..AxisRecord::default()
+            };
+        }
+        tracks.observe(&record);
+        let planted = "<script>a & b</script> \u{7}]]>\"'";
+        report.cell = planted.into();
+        report.robots[0].name = planted.into();
+        report.axes[0].name = planted.into();
+        report.buses[0].name = planted.into();
+        report.wire[0].bus = planted.into();
+        report.denied.push(planted.into());
+        report.faults.push(FaultReport::of_run(planted));
+        report.lost_records = 3;
+        assert!(report.to_string().contains("3 records of cycles were lost"));
+        tracks.robots[0].name = planted.into();
+        let page = page(&report, &tracks, &Timing::default()).unwrap();
+        assert!(
+            !page.contains("<script") && !page.contains('\u{7}'),
+            "{page}"
+        );
+        assert!(page.contains("<p>3 records of cycles were lost"), "{page}");
+        let options = ParsingOptions {
+            allow_dtd: true,
+            ..ParsingOptions::default()
+        };
+        let read = Document::parse_with_options(&page, options).unwrap();
+        let shown = printable(planted);
+        let texts = read.descendants().filter(|node| node.is_text());
+        let planted = texts.filter(|node| node.text().is_some_and(|it| it.contains(&shown)));
+        // Title and headings of page, robot and two plots, and the rows and items.
+        assert!(planted.count() >= 11, "{page}");
+        assert!(!page.contains("NaN") && !page.contains("inf"), "{page}");
+    }
+}

@@ -1,0 +1,211 @@
+//! The report of a run as tables for a person.
+
+use std::fmt::{self, Write as _};
+
+use super::{Deviation, FaultReport, RobotReport, RunReport, WorstCycle};
+
+/// `irb6  tool 0.12 mm rms, 0.45 mm peak; 0.01° rms, 0.05° peak`
+impl fmt::Display for RobotReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let errors = [(self.position_mm, " mm"), (self.orientation_deg, "°")];
+        let said = errors.into_iter().filter_map(|(error, unit)| {
+            let Deviation { rms, peak } = error?;
+            let [rms, peak] = [rms, peak].map(rounded);
+            Some(format!("{rms}{unit} rms, {peak}{unit} peak"))
+        });
+        let said: Vec<_> = said.collect();
+        write!(f, "{}  {} ", self.name, self.subject.name())?;
+        match said.is_empty() {
+            true => write!(f, "error unknown: no cycle with power and a reference")?,
+            false => write!(f, "{}", said.join("; "))?,
+        }
+        if self.unsolved > 0 {
+            write!(f, "; no pose in {} cycles", self.unsolved)?;
+        }
+        Ok(())
+    }
+}
+
+/// An error in mm or degrees with the digits that matter: 12.35, 0.12, 0.045, 0.0007.
+pub(super) fn rounded(error: f64) -> String {
+    let digits = match error {
+        0.0995.. => 2,
+        0.00995.. => 3,
+        _ => 4,
+    };
+    format!("{error:.digits$}")
+}
+
+impl fmt::Display for RunReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for robot in &self.robots {
+            writeln!(f, "{robot}")?;
+        }
+        if self.lost_records > 0 {
+            writeln!(f, "{} records of cycles were lost", self.lost_records)?;
+        }
+        let names = self
+            .axes
+            .iter()
+            .map(|axis| axis.name.len())
+            .max()
+            .unwrap_or(0)
+            .max(4);
+        writeln!(
+            f,
+            "\n{:names$}  {:>12} {:>12} {:>10} {:>10} {:>10} {:>7}",
+            "axis", "rms rad", "peak rad", "rms cnt", "peak cnt", "homing cnt", "faults"
+        )?;
+        for axis in &self.axes {
+            let offset = axis
+                .homing_offset_counts
+                .map_or("-".to_owned(), |counts| counts.to_string());
+            let of_axis = |fault: &&FaultReport| fault.axis.as_ref() == Some(&axis.name);
+            let faults = self.faults.iter().filter(of_axis).count();
+            writeln!(
+                f,
+                "{:names$}  {:>12.6} {:>12.6} {:>10.2} {:>10.1} {offset:>10} {faults:>7}",
+                axis.name,
+                axis.tracking_rms_rad,
+                axis.tracking_peak_rad,
+                axis.tracking_rms_counts,
+                axis.tracking_peak_counts,
+            )?;
+        }
+        writeln!(
+            f,
+            "\n{:9} {:>10} {:>10} {:>10} {:>10}",
+            "cycle, µs", "p50", "p99", "p99.9", "max"
+        )?;
+        let rows = [
+            ("wake-up", self.cycle.wake_us),
+            ("SYNC", self.cycle.sync_us),
+            ("step", self.cycle.step_us),
+        ];
+        // A tty does not tell when an answer came.
+        let bus = Some(("bus", self.cycle.bus_us)).filter(|(_, times)| times.max > 0.0);
+        for (name, times) in rows.into_iter().chain(bus) {
+            writeln!(
+                f,
+                "{name:9} {:>10.1} {:>10.1} {:>10.1} {:>10.1}",
+                times.p50, times.p99, times.p999, times.max
+            )?;
+        }
+        let cycle = &self.cycle;
+        writeln!(
+            f,
+            "\n{} cycles of {} µs, {} missed",
+            cycle.cycles, cycle.period_us, cycle.missed
+        )?;
+        if cycle.wait.spin_percent > 0.0 {
+            writeln!(
+                f,
+                "hybrid wait: woken {:.0} µs early, prepared {:.0} µs early, {:.1} % of a core spent spinning",
+                cycle.wait.margin_us, cycle.wait.lead_us, cycle.wait.spin_percent
+            )?;
+        }
+        let causes = cycle.causes.iter().filter(|(_, count)| **count > 0);
+        let causes: Vec<_> = causes
+            .map(|(cause, count)| format!("{cause} {count}"))
+            .collect();
+        if !causes.is_empty() {
+            let limit = f64::from(cycle.period_us) / 100.0;
+            writeln!(f, "more than {limit} µs late: {}", causes.join(", "))?;
+            let worst = cycle.worst.iter().map(|worst| {
+                let WorstCycle {
+                    time_s,
+                    late_us,
+                    cause,
+                    ..
+                } = worst;
+                format!("{late_us:.0} µs {cause} at {time_s:.3} s")
+            });
+            writeln!(f, "the worst: {}", worst.collect::<Vec<_>>().join(", "))?;
+        }
+        for bus in &self.buses {
+            let traffic = match bus.lines {
+                None => format!("{} frames", bus.frames),
+                Some(1) => format!("{} telegrams on 1 line", bus.frames),
+                Some(lines) => format!("{} telegrams on {lines} lines", bus.frames),
+            };
+            let mut line = format!(
+                "bus {}: {traffic}, load {:.1} %, worst case {:.1} % of the period",
+                bus.name, bus.load_percent, bus.worst_case_percent
+            );
+            if bus.dropped_setpoints + bus.missed_answers > 0 {
+                write!(
+                    line,
+                    ", {} set-points dropped, {} answers missed",
+                    bus.dropped_setpoints, bus.missed_answers
+                )?;
+            }
+            writeln!(f, "{line}")?;
+        }
+        for wire in &self.wire {
+            write!(f, "{wire}")?;
+        }
+        for denied in &self.denied {
+            writeln!(f, "denied: {denied}")?;
+        }
+        for warning in &self.warnings {
+            writeln!(f, "warning: {warning}")?;
+        }
+        if self.more_warnings > 0 {
+            writeln!(
+                f,
+                "warning: {} further reports of drives",
+                self.more_warnings
+            )?;
+        }
+        for fault in &self.faults {
+            writeln!(f, "fault: {fault}")?;
+        }
+        write!(
+            f,
+            "{} {}, {:.1} times real time",
+            self.cell, self.outcome, self.realtime_factor
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::Subject;
+
+    #[test]
+    fn a_robot_has_one_line_with_its_errors_in_mm_and_degrees() {
+        let error = |rms, peak| Some(Deviation { rms, peak });
+        let tool = RobotReport {
+            name: "irb6".into(),
+            subject: Subject::Tool,
+            cycles: 100,
+            unsolved: 0,
+            position_mm: error(0.12, 12.345),
+            orientation_deg: error(0.01, 0.00068),
+        };
+        assert_eq!(
+            tool.to_string(),
+            "irb6  tool 0.12 mm rms, 12.35 mm peak; 0.010° rms, 0.0007° peak"
+        );
+        let joint = RobotReport {
+            subject: Subject::Joint,
+            orientation_deg: None,
+            unsolved: 3,
+            ..tool
+        };
+        assert_eq!(
+            joint.to_string(),
+            "irb6  joint 0.12 mm rms, 12.35 mm peak; no pose in 3 cycles"
+        );
+        let unknown = RobotReport {
+            position_mm: None,
+            unsolved: 0,
+            ..joint
+        };
+        assert_eq!(
+            unknown.to_string(),
+            "irb6  joint error unknown: no cycle with power and a reference"
+        );
+    }
+}

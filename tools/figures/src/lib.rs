@@ -1,4 +1,0 @@
-//! Figures in SVG: basic shapes, and common parts of charts.
-
-pub mod chart;
-pub mod svg;
