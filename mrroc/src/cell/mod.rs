@@ -30,18 +30,19 @@ use serde::{Deserialize, Serialize};
 use controller::generator::{Arm, Pose};
 use controller::robot::ParameterError;
 
-pub use axis_controller::{
-    AxisController, Cascade, Control, FeedForward, Incremental, Law, Loop, Proportional, Protocol,
-    Serial,
-};
+pub use axis_controller::{AxisController, Loop, Serial};
 pub use document::LARGEST;
+pub use drive::axis_controller::{Control, Protocol};
 pub use drives::ENABLING;
 pub use error::{CellError, Problem};
 pub use locate::{Path, Step};
 pub use meetings::Meeting;
 pub use model::{Model, Parameters};
 pub use program::{ProgramError, instruction_path};
-pub use text::{Figure, Range, printable, quoted};
+pub use servo::regulator::{CascadeConfig, IncrementalConfig, ProportionalConfig};
+pub use servo::thread::{Policy, Realtime, Scheduler, Wait};
+pub use servo::{Direction, FeedForward, Figure, Law, Range};
+pub use text::{printable, quoted};
 pub use weight::Weights;
 
 /// One controller: everything that is stepped on one tick grid.
@@ -78,82 +79,6 @@ pub struct Cell {
     pub serial: Vec<Serial>,
     /// The robots.
     pub robot: Vec<Robot>,
-}
-
-/// What the servo thread asks of the host.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct Realtime {
-    /// Whether a denied request is reported or refuses the start.
-    pub policy: Policy,
-    /// What schedules the servo thread.
-    pub scheduler: Scheduler,
-    /// Priority under SCHED_FIFO, 1 to 99; the controller's thread is some below it under either scheduler.
-    pub priority: u8,
-    /// The CPU to pin the servo thread to; none leaves it to the scheduler. None with `scheduler = "deadline"`.
-    pub cpu: Option<usize>,
-    /// Whether to lock the process's memory.
-    pub lock_memory: bool,
-    /// How the servo thread waits for its deadlines.
-    pub wait: Wait,
-    /// How long before it needs to run a hybrid wait asks to be woken, µs; none learns it from how late the host is.
-    pub margin_us: Option<u32>,
-    /// Largest share of a core that a hybrid wait spins in, 0 to 0.5: of each period with `margin_us`, of any second but for a twentieth without.
-    /// 0.2 where absent.
-    pub spin_share: Option<f64>,
-}
-
-impl Realtime {
-    /// Largest share of a core that a hybrid wait spins in.
-    pub fn spin_share(&self) -> f64 {
-        self.spin_share.unwrap_or(0.2)
-    }
-}
-
-/// What schedules the servo thread.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum Scheduler {
-    /// SCHED_FIFO: before all threads of a lower priority, for as long as it wants to run.
-    Fifo,
-    /// SCHED_DEADLINE: before all threads under SCHED_FIFO, for nine tenths of each period at most. Needs CAP_SYS_NICE,
-    /// which no limit stands for, and all CPUs.
-    Deadline,
-}
-
-/// How the servo thread waits for its deadlines.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum Wait {
-    /// It sleeps until the deadline, and is as late as the host wakes it.
-    Plain,
-    /// It sleeps to a margin before the deadline, then spins: punctual, for some of a core.
-    Hybrid,
-}
-
-impl Default for Realtime {
-    fn default() -> Self {
-        Self {
-            policy: Policy::BestEffort,
-            scheduler: Scheduler::Fifo,
-            priority: 80,
-            cpu: None,
-            lock_memory: true,
-            wait: Wait::Hybrid,
-            margin_us: None,
-            spin_share: None,
-        }
-    }
-}
-
-/// What happens when the host denies a real-time request.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum Policy {
-    /// The run does not start.
-    Require,
-    /// The run starts and its report says what was denied.
-    BestEffort,
 }
 
 /// One CAN bus and the host's behaviour on it.
@@ -333,6 +258,7 @@ pub struct Drive {
     pub parameter: Vec<Parameter>,
 }
 
+// A drive's `CyclicMode` has one mode more, position with a torque, which follows from the robot's `weight`.
 /// What a drive on CAN is commanded by, each at every SYNC.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
@@ -362,6 +288,7 @@ pub struct Parameter {
     pub bytes: u8,
 }
 
+// One table for both families. The legs of a `HostHoming` follow from the limits of the motor.
 /// Homing: by the drive on CAN (CiA 402 mode HM), by the host on a serial line.
 #[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -386,16 +313,6 @@ pub struct Homing {
     pub zero_velocity: f64,
     /// Motor acceleration, rad/s².
     pub acceleration: f64,
-}
-
-/// A direction of the motor.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum Direction {
-    /// Towards lower positions.
-    Negative,
-    /// Towards higher positions.
-    Positive,
 }
 
 /// What stands in for an axis on the benches without hardware.
@@ -539,9 +456,6 @@ impl Cell {
 }
 
 mod defaults {
-    pub(super) fn yes() -> bool {
-        true
-    }
     pub(super) fn macrostep() -> u16 {
         10
     }

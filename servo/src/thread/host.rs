@@ -12,7 +12,7 @@ use thread_priority::{
     ThreadSchedulePolicy, set_thread_priority_and_policy, thread_native_id,
 };
 
-use super::RealtimePolicy;
+use super::realtime::{Realtime, Scheduler};
 use super::wait::BUSY_SHARE;
 
 /// Bytes of the stack that are touched before the first cycle.
@@ -173,31 +173,18 @@ pub enum Denial {
     },
 }
 
-/// What schedules a real-time thread.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Scheduler {
-    /// SCHED_FIFO: it runs before all threads of a lower priority, for as long as it wants to.
-    Fifo,
-    /// SCHED_DEADLINE: it runs before all threads under SCHED_FIFO, for nine tenths of each period at most. A thread
-    /// that has used them up stands still until the period is over, which is a late cycle. No CPU can be asked for.
-    Deadline {
-        /// The period of the budget: the servo's.
-        period: Duration,
-    },
-}
-
-/// Asks the host for what the policy wants on the calling thread; returns what it denied.
-pub fn demand(policy: &RealtimePolicy) -> Vec<Denial> {
+/// Asks the host for the real-time needs of the calling thread, whose cycles take `period`; returns what it denied.
+pub fn demand(realtime: &Realtime, period: Duration) -> Vec<Denial> {
     let mut denied = Vec::new();
     denied.extend(set_timer_slack().err());
-    denied.extend(policy.cpu.and_then(|cpu| stay_on(cpu).err()));
-    if policy.lock_memory {
+    denied.extend(realtime.cpu.and_then(|cpu| stay_on(cpu).err()));
+    if realtime.lock_memory {
         denied.extend(lock_memory().err());
     }
     prefault_stack();
-    let scheduled = match policy.scheduler {
-        Scheduler::Fifo => set_fifo(policy.priority),
-        Scheduler::Deadline { period } => set_deadline(period),
+    let scheduled = match realtime.scheduler {
+        Scheduler::Fifo => set_fifo(realtime.priority),
+        Scheduler::Deadline => set_deadline(period),
     };
     denied.extend(scheduled.err());
     denied

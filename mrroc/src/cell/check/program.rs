@@ -1,8 +1,8 @@
 //! What the instructions of a program must satisfy, whatever arm they are for.
 
 use super::{Checked, name, refused, some, within};
+use crate::cell::Range;
 use crate::cell::error::Problem;
-use crate::cell::text::Range;
 use crate::cell::{Instruction, JointGenerator, Joints, Line, Path, Robot};
 
 /// Most instructions of a program, and most poses of one.

@@ -2,8 +2,8 @@
 
 use super::axis::{self, Place};
 use super::{Checked, MOST, first_same, name, program, refused, some, twice, weight, within};
+use crate::cell::Range;
 use crate::cell::error::Problem;
-use crate::cell::text::Range;
 use crate::cell::{Axis, Cell, Path, Plant, Robot};
 
 pub(super) fn check(cell: &Cell) -> Checked {
