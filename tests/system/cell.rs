@@ -144,21 +144,8 @@ impl Setup {
     /// What is behind the axes of the robot; of gripper and conveyor nothing.
     fn mechanism(&self) -> Option<Mechanism> {
         let robot = &self.cell.robot[0];
-        Some(Mechanism::new(
-            match robot.parameters.unwrap_or(robot.model.parameters()) {
-                Parameters::Irb6(_) => MechanismConfig::Irb6,
-                Parameters::Irp6(_) => MechanismConfig::Irp6,
-                Parameters::Irp6Track(_) => MechanismConfig::Irp6OnTrack,
-                Parameters::Rnt(rnt) => MechanismConfig::Rnt {
-                    home_lengths: rnt.legs.map(|leg| leg.length_at_home),
-                },
-                Parameters::Polycrank(polycrank) => MechanismConfig::Polycrank {
-                    coupled: polycrank.coupled,
-                    at_home: polycrank.axes.map(|axis| axis.joint_at_home),
-                },
-                Parameters::Gripper(_) | Parameters::Conveyor(_) => return None,
-            },
-        ))
+        let parameters = robot.parameters.unwrap_or(robot.model.parameters());
+        parameters.mechanism().map(Mechanism::new)
     }
 
     fn seed(&self, number: usize) -> u64 {

@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use super::{Axis, Cell};
 use controller::generator::{Arm, Axes, PlannedStart};
-use controller::robot::{ParameterError, Room};
+use controller::robot::ParameterError;
 
 /// Periods from a motor's reference to the begin of its braking. The reference is seen at the next sample, the command has
 /// effect a period later, and a group states a delay of up to two periods.

@@ -14,7 +14,6 @@ mod error;
 mod home;
 mod locate;
 mod meetings;
-mod model;
 mod program;
 mod read;
 #[cfg(test)]
@@ -30,6 +29,7 @@ use serde::{Deserialize, Serialize};
 use controller::generator::{Arm, Pose};
 use controller::robot::ParameterError;
 
+pub use crate::robots::{Model, Parameters};
 pub use axis_controller::{AxisController, Loop, Serial};
 pub use document::LARGEST;
 pub use drive::axis_controller::{Control, Protocol};
@@ -37,7 +37,6 @@ pub use drives::ENABLING;
 pub use error::{CellError, Problem};
 pub use locate::{Path, Step};
 pub use meetings::Meeting;
-pub use model::{Model, Parameters};
 pub use program::{ProgramError, instruction_path};
 pub use servo::regulator::{CascadeConfig, IncrementalConfig, ProportionalConfig};
 pub use servo::thread::{Policy, Realtime, Scheduler, Wait};

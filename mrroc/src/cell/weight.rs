@@ -29,33 +29,3 @@ impl Weights {
         Weight::new(robot, masses, self.load, self.up.unwrap_or(model.up()))
     }
 }
-
-impl Model {
-    /// Nominal masses of its links: plausible figures, to be replaced by those of the machine at hand.
-    pub const fn masses(self) -> &'static [Mass] {
-        match self {
-            Self::Irb6 => &Mass::IRB6,
-            Self::Irp6 | Self::Irp6Calibrated => &Mass::IRP6,
-            Self::Irp6Track | Self::Irp6TrackCalibrated => &Mass::IRP6_TRACK,
-            Self::Rnt => &Mass::RNT,
-            Self::Polycrank => &Mass::POLYCRANK,
-            Self::Gripper | Self::Conveyor => &[],
-        }
-    }
-
-    /// The direction against gravity in its base frame: the RNT hangs, and of the two directions that the Polycrank's
-    /// level axis 1 leaves open x is taken for it (nominal, both).
-    pub const fn up(self) -> [f64; 3] {
-        match self {
-            Self::Rnt => [0.0, 0.0, -1.0],
-            Self::Polycrank => [1.0, 0.0, 0.0],
-            Self::Irb6
-            | Self::Irp6
-            | Self::Irp6Calibrated
-            | Self::Irp6Track
-            | Self::Irp6TrackCalibrated
-            | Self::Gripper
-            | Self::Conveyor => [0.0, 0.0, 1.0],
-        }
-    }
-}

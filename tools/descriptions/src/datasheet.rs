@@ -1,20 +1,21 @@
 //! `mrroc datasheet`: a robot's figure and its parameters, each with the place it comes from.
 
 mod devices;
-mod drives;
-mod figure;
+pub(crate) mod drives;
+pub(crate) mod figure;
 mod ink;
-mod loops;
-mod posture;
+pub(crate) mod loops;
+pub(crate) mod posture;
 mod symbols;
-mod tables;
-mod views;
+pub(crate) mod tables;
+pub(crate) mod views;
 
 use std::process::ExitCode;
 
 use clap::Args;
 
 use crate::kinematics::{Machine, Which};
+use crate::robots::described;
 use mrroc::streams;
 use views::Drawing;
 
@@ -31,15 +32,20 @@ pub struct Options {
 /// Prints the data sheet of a robot or of a device beside it, the gripper or the conveyor.
 pub fn datasheet(options: &Options) -> anyhow::Result<ExitCode> {
     let machine = Machine::find(&options.machine)?;
-    streams::print(match (options.figure, views::drawing(&machine)) {
-        (false, _) => tables::sheet(&machine),
-        (true, Drawing::Arm(views)) => {
-            let symbols = views::symbols(&machine.parameters);
-            figure::figure(&machine, symbols, &views)
-        }
-        (true, Drawing::Gripper(gripper)) => devices::gripper(gripper),
-        (true, Drawing::Conveyor(conveyor)) => devices::conveyor(conveyor),
-    })
+    streams::print(
+        match (
+            options.figure,
+            described(&machine.parameters).drawing(&machine),
+        ) {
+            (false, _) => tables::sheet(&machine),
+            (true, Drawing::Arm(views)) => {
+                let symbols = described(&machine.parameters).symbols();
+                figure::figure(&machine, symbols, &views)
+            }
+            (true, Drawing::Gripper(gripper)) => devices::gripper(gripper),
+            (true, Drawing::Conveyor(conveyor)) => devices::conveyor(conveyor),
+        },
+    )
 }
 
 #[cfg(test)]
@@ -56,7 +62,7 @@ mod tests {
     fn every_view_shows_a_posture_that_the_robot_can_take() {
         for model in Model::ALL {
             let machine = machine(model);
-            let Drawing::Arm(views) = views::drawing(&machine) else {
+            let Drawing::Arm(views) = described(&machine.parameters).drawing(&machine) else {
                 assert_eq!(model.axes(), 1, "{}", model.name());
                 continue;
             };

@@ -19,28 +19,28 @@ const TOP: f64 = 112.0;
 const HEIGHT: f64 = TOP + PANEL[1] + 96.0;
 
 /// One view of a robot in one posture.
-pub(super) struct View {
-    pub(super) title: &'static str,
-    pub(super) joints: Joints,
+pub(crate) struct View {
+    pub(crate) title: &'static str,
+    pub(crate) joints: Joints,
     /// What points right and up on the sheet, in the base frame. They span the page.
-    pub(super) right: Vector3<f64>,
-    pub(super) up: Vector3<f64>,
+    pub(crate) right: Vector3<f64>,
+    pub(crate) up: Vector3<f64>,
     /// An area that a point of the robot reaches, as its outlines, and what it is called.
-    pub(super) reach: Option<(Vec<Vec<Vector3<f64>>>, &'static str)>,
+    pub(crate) reach: Option<(Vec<Vec<Vector3<f64>>>, &'static str)>,
     /// A line of other parts: rails, legs, platforms.
-    pub(super) others: Vec<Other>,
+    pub(crate) others: Vec<Other>,
 }
 
 /// A part that is no link of the serial arm.
-pub(super) struct Other {
-    pub(super) points: Vec<Vector3<f64>>,
-    pub(super) part: Part,
-    pub(super) said: Option<String>,
+pub(crate) struct Other {
+    pub(crate) points: Vec<Vector3<f64>>,
+    pub(crate) part: Part,
+    pub(crate) said: Option<String>,
 }
 
 /// What a part is.
 #[derive(Clone, Copy, PartialEq)]
-pub(super) enum Part {
+pub(crate) enum Part {
     /// It is rigid.
     Solid,
     /// A leg, driven along its line.
@@ -50,7 +50,7 @@ pub(super) enum Part {
 }
 
 /// The picture of one or two views; `symbols` are the joints' names in the formulas.
-pub(super) fn figure(machine: &Machine, symbols: &[&str], views: &[View; 2]) -> String {
+pub(crate) fn figure(machine: &Machine, symbols: &[&str], views: &[View; 2]) -> String {
     let links = machine.robot.links().map_or_else(Vec::new, |links| links.0);
     let mut svg = svg::open([WIDTH, HEIGHT]);
     let title = format!("{}: geometry in mm", machine.name);

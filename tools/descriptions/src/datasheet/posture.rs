@@ -6,26 +6,26 @@ use nalgebra::{Isometry3, Vector3};
 use crate::kinematics::Machine;
 
 /// What is shorter is no link to be drawn, m.
-pub(super) const LEAST: f64 = 1e-4;
+pub(crate) const LEAST: f64 = 1e-4;
 
 /// Steps of an outline along one joint.
 const STEPS: usize = 48;
 
 /// One joint and the link before it.
-pub(super) struct Stand {
-    pub(super) kind: LinkKind,
+pub(crate) struct Stand {
+    pub(crate) kind: LinkKind,
     /// The joint's frame.
-    pub(super) frame: Isometry3<f64>,
-    pub(super) axis: Vector3<f64>,
+    pub(crate) frame: Isometry3<f64>,
+    pub(crate) axis: Vector3<f64>,
     /// The way from the joint before: along that joint's axis, then across it.
-    pub(super) way: Vec<[Vector3<f64>; 2]>,
+    pub(crate) way: Vec<[Vector3<f64>; 2]>,
     /// Where the link behind this joint would point with the joint at zero, and where it points; none where
     /// that does not turn with the joint.
-    pub(super) turned: Option<[Vector3<f64>; 2]>,
+    pub(crate) turned: Option<[Vector3<f64>; 2]>,
 }
 
 /// All joints of a robot at the given positions.
-pub(super) fn stands(links: &[Link], all: &Joints) -> Vec<Stand> {
+pub(crate) fn stands(links: &[Link], all: &Joints) -> Vec<Stand> {
     let frames = frames(links, all);
     let mut before = Isometry3::identity();
     let mut axis_before = Vector3::z();
@@ -72,7 +72,7 @@ fn frames(links: &[Link], joints: &Joints) -> Vec<Isometry3<f64>> {
 
 /// Where `point` of the robot can be brought by two of its joints, the others as they are: the outline of the
 /// area, where the first joint does not bring the second one's ends across each other.
-pub(super) fn outline(
+pub(crate) fn outline(
     machine: &Machine,
     joints: &Joints,
     [outer, inner]: [usize; 2],
@@ -98,7 +98,7 @@ pub(super) fn outline(
 
 /// How far one joint can go to either side, with the others as they are: what its limits, its motor's and the
 /// legs' leave.
-pub(super) fn range(machine: &Machine, joints: &Joints, axis: usize) -> [f64; 2] {
+pub(crate) fn range(machine: &Machine, joints: &Joints, axis: usize) -> [f64; 2] {
     let limits = machine.robot.joint_limits()[axis];
     let here = joints[axis];
     [limits.low, limits.high].map(|end| {
