@@ -8,20 +8,19 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
-use ::mrroc::cell::{Axis, Cell, Parameters, Protocol};
+use ::mrroc::cell::{Axis, Cell, Protocol};
 use can::timing::Bitrate;
 use can::{Frame, Instant, Port, TraceReader, Tracer, VirtualPort};
 use canopen::NodeId;
 use controller::ecp::{Ecp, EcpConfig};
-use controller::generator::Arm;
+use controller::robot::Arm;
 use drive::axis_controller::AxisControllerGroup;
 use drive::cia402::Cia402Group;
 use drive::{DriveGroup, Scale};
 use hil::plant::Switch;
 use hil::{
     AxisControllerConfig, Cabinet, Device, DeviceId, Epos4, Epos4Config, HiMoxaAxisController,
-    Irp6Axis, LineDevice, LineFaults, LineId, Mechanism, MechanismConfig, Nfv2AxisController,
-    World,
+    Irp6Axis, LineDevice, LineFaults, LineId, Mechanism, Nfv2AxisController, World,
 };
 use servo::{EffectorConfig, EffectorLink, Order, Phase, Record, Servo, ServoConfig, ServoFault};
 

@@ -25,7 +25,7 @@
 //! any; `drive_train.rs` is gears, screws and couplings between motors and joints; `solutions.rs` collects
 //! branches within the limits, nearest first; `free_parameter.rs` is how a redundant robot chooses;
 //! `links.rs` is a robot link by link, for description files and figures; `singularity.rs` is how near the arm is to
-//! losing a direction; `weight.rs` is what links weigh on motors; `room.rs` is room in a range that ends at home; `vector.rs` is positions, one per axis. Figures and every parameter with its source are in
+//! losing a direction; `weight.rs` is what links weigh on motors; `tool.rs` is a robot with its tool; `room.rs` is room in a range that ends at home; `vector.rs` is positions, one per axis. Figures and every parameter with its source are in
 //! `docs/robots` of the repository. Read [`Robot`] first, then `irp6.rs` for a robot from end to end.
 //!
 //! Numbers carry the place they come from: *public code* is the published source of the WUT robots'
@@ -47,6 +47,7 @@ mod rnt;
 mod room;
 mod singularity;
 mod solutions;
+mod tool;
 mod vector;
 mod weight;
 
@@ -73,6 +74,7 @@ pub use polycrank::{Polycrank, PolycrankParameters};
 pub use rnt::{LegAxis, Rnt, RntParameters};
 pub use singularity::Singularity;
 pub use solutions::Solutions;
+pub use tool::{Arm, Axes, Pose};
 pub use vector::{Joint, Joints, Motor, Motors, Vector};
 pub use weight::{Mass, Weight, WeightError};
 

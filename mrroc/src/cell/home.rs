@@ -3,7 +3,8 @@
 use std::f64::consts::TAU;
 
 use super::{Axis, Cell};
-use controller::generator::{Arm, Axes, PlannedStart};
+use controller::generator::{Axes, PlannedStart};
+use controller::robot::Arm;
 use controller::robot::ParameterError;
 
 /// Periods from a motor's reference to the begin of its braking. The reference is seen at the next sample, the command has

@@ -26,7 +26,8 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use controller::generator::{Arm, Pose};
+use controller::generator::Pose;
+use controller::robot::Arm;
 use controller::robot::ParameterError;
 
 pub use crate::robots::{Model, Parameters};
