@@ -8,10 +8,10 @@ use std::time::Duration;
 use can::Instant;
 use criterion::{Criterion, criterion_group, criterion_main};
 use mrroc_controller::generator::{
-    Arm, Axes, AxesState, EffectorImage, EffectorState, Generator, JerkLimited, Line, LineLimits,
+    Axes, AxesState, EffectorImage, EffectorState, Generator, JerkLimited, Line, LineLimits,
     MotionLimits, Newsmooth, Next, Pose, SmoothPose,
 };
-use mrroc_controller::robot::{Irp6, Irp6Parameters, Space};
+use mrroc_controller::robot::{Arm, Irp6, Irp6Parameters, Space};
 
 const MACROSTEP: Duration = Duration::from_millis(20);
 const START: Axes = [0.2, -FRAC_PI_2, 0.1, 0.2, 1.2, 0.3, 0.0, 0.0];

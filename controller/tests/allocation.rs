@@ -9,11 +9,11 @@ use std::time::Duration;
 use can::Instant;
 use mrroc_controller::ecp::{Ecp, EcpConfig, Task};
 use mrroc_controller::generator::{
-    Arm, Axes, Generator, GeneratorError, JerkLimited, Line, LineLimits, MotionLimits, Newsmooth,
-    Pose, SmoothPose,
+    Axes, Generator, GeneratorError, JerkLimited, Line, LineLimits, MotionLimits, Newsmooth, Pose,
+    SmoothPose,
 };
 use mrroc_controller::robot::{
-    Irb6, Irb6Parameters, Irp6, Irp6Parameters, Irp6Track, Irp6TrackParameters, Joints, Mass,
+    Arm, Irb6, Irb6Parameters, Irp6, Irp6Parameters, Irp6Track, Irp6TrackParameters, Joints, Mass,
     Polycrank, PolycrankParameters, Rnt, RntParameters, Robot, Space, Weight,
 };
 use servo::{EffectorLink, Order, Phase, Report};

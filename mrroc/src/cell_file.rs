@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use crate::cell::{self, Cell, CellError};
 use anyhow::{Context, anyhow};
-use controller::generator::Arm;
+use controller::robot::Arm;
 use drive::cia402::Identity;
 
 use crate::bench::interfaces::Interface;

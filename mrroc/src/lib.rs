@@ -29,6 +29,7 @@ mod program;
 mod programs;
 pub mod rehearsal;
 pub mod report;
+pub mod robots;
 pub mod run;
 pub mod setup;
 pub mod signals;

@@ -1,7 +1,8 @@
 //! Motions of one robot of a cell, within the limits of its axes.
 
 use anyhow::{Context, bail};
-use controller::generator::{Arm, Axes, MotionLimits, Newsmooth, SmoothPose};
+use controller::generator::{Axes, MotionLimits, Newsmooth, SmoothPose};
+use controller::robot::Arm;
 use controller::robot::Space;
 use servo::MAX_AXES;
 

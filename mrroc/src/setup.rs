@@ -10,10 +10,9 @@ use drive::DriveGroup;
 use drive::axis_controller::AxisControllerGroup;
 use drive::cia402::{AxisConfig, Cia402Group, CyclicMode};
 use serial::Line;
-use servo::thread::{CellTime, Realtime, RealtimePolicy, Scheduler, Wait};
 use servo::{EffectorConfig, EffectorLink, Gates, HostHoming, ServoAxisConfig, ServoConfig};
 
-use crate::cell::{self, Bus, Cell, ENABLING, Homing, Path, Policy, Serial};
+use crate::cell::{Bus, ENABLING, Homing, Path, Robot, Serial};
 use crate::cell_file::CellFile;
 use crate::configuration::Configuration;
 use crate::tasks::Tasks;
@@ -86,7 +85,7 @@ pub fn drive_groups(
 /// The servo of the whole cell.
 pub fn servo_config(file: &CellFile) -> ServoConfig {
     let cell = &file.cell;
-    let effector = |(index, robot): (usize, &cell::Robot)| {
+    let effector = |(index, robot): (usize, &Robot)| {
         let axes = servo_axes(file, index);
         EffectorConfig {
             name: robot.name.clone(),
@@ -200,37 +199,6 @@ fn ecp_config(file: &CellFile, robot: usize) -> EcpConfig {
         switching: ENABLING * 2,
         homing: homing_timeout(file, robot, &servo_axes(file, robot)) + ENABLING,
         meeting: Duration::from_secs(cell.meeting_timeout_s.into()),
-    }
-}
-
-/// Requests of the servo thread to the host.
-pub fn realtime_policy(cell: &Cell, time: CellTime) -> RealtimePolicy {
-    let realtime = &cell.realtime;
-    RealtimePolicy {
-        realtime: match realtime.policy {
-            Policy::Require => Realtime::Require,
-            Policy::BestEffort => Realtime::BestEffort,
-        },
-        scheduler: match realtime.scheduler {
-            cell::Scheduler::Fifo => Scheduler::Fifo,
-            cell::Scheduler::Deadline => Scheduler::Deadline {
-                period: cell.period(),
-            },
-        },
-        priority: realtime.priority,
-        cpu: realtime.cpu,
-        lock_memory: realtime.lock_memory,
-        lead: Duration::ZERO,
-        wait: match realtime.wait {
-            cell::Wait::Plain => Wait::Plain,
-            cell::Wait::Hybrid => Wait::Hybrid {
-                margin: realtime
-                    .margin_us
-                    .map(|margin| Duration::from_micros(margin.into())),
-                spin_share: realtime.spin_share(),
-            },
-        },
-        time,
     }
 }
 

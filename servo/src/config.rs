@@ -1,14 +1,18 @@
 //! Configuration of a servo.
 
 mod host_homing;
+mod loop_ranges;
 mod position_loop;
+pub(crate) mod refusal;
 
 use std::time::Duration;
 
 use thiserror::Error;
 
 pub use host_homing::{Direction, HomingLeg, HostHoming};
+pub use loop_ranges::LoopBounds;
 pub use position_loop::{FeedForward, HostLoop, Law, Output, PositionLoop};
+pub use refusal::{Figure, Range, Reason, Refusal};
 
 use crate::{AxisLimits, MAX_AXES};
 
@@ -373,9 +377,9 @@ mod tests {
             velocity: 0.0,
             acceleration: 0.0,
             coulomb: 0.0,
-            stiction: 0.0,
-            stribeck_velocity: 0.0,
-            weight: 0.0,
+            stiction: None,
+            stribeck_velocity: None,
+            weight: None,
             constant: 0.0,
         },
         runaway_velocity: 120.0,
@@ -432,26 +436,26 @@ mod tests {
                 Some("feed_forward.coulomb"),
             ),
             (
-                |l| (l.feed_forward.coulomb, l.feed_forward.stiction) = (0.1, 0.09),
+                |l| (l.feed_forward.coulomb, l.feed_forward.stiction) = (0.1, Some(0.09)),
                 Some("feed_forward.stiction"),
             ),
             (
-                |l| l.feed_forward.stiction = 0.1,
+                |l| l.feed_forward.stiction = Some(0.1),
                 Some("feed_forward.stribeck_velocity"),
             ),
             (
-                |l| l.feed_forward.weight = f64::NAN,
+                |l| l.feed_forward.weight = Some(f64::NAN),
                 Some("feed_forward.weight"),
             ),
             (
-                |l| (l.output, l.feed_forward.weight) = (Output::Velocity, 1.0),
+                |l| (l.output, l.feed_forward.weight) = (Output::Velocity, Some(1.0)),
                 Some("feed_forward.weight, a torque for a drive that is sent velocities,"),
             ),
             (
                 |l| {
-                    l.feed_forward.stiction = 0.1;
-                    l.feed_forward.stribeck_velocity = 5.0;
-                    l.feed_forward.weight = 0.1;
+                    l.feed_forward.stiction = Some(0.1);
+                    l.feed_forward.stribeck_velocity = Some(5.0);
+                    l.feed_forward.weight = Some(0.1);
                 },
                 None,
             ),

@@ -126,7 +126,7 @@ impl Loop {
         let feed_forward = feed.velocity * velocity
             + feed.acceleration * (knot.velocity - last_velocity) / dt
             + feed.dry(velocity)
-            + feed.weight * torque
+            + feed.weight.unwrap_or(0.0) * torque
             + feed.constant;
         let integrated = if self.cycles == 0 { dt } else { 0.0 };
         let grown = self.error - std::mem::replace(&mut self.taken, self.error);
@@ -169,11 +169,11 @@ impl Loop {
             stiction,
             ..
         } = self.config.feed_forward;
-        if weight == 0.0 {
+        let Some(weight) = weight.filter(|weight| *weight != 0.0) else {
             return 0.0;
-        }
+        };
         let given = self.give(weight * torque) / weight;
-        let stuck = coulomb.max(stiction);
+        let stuck = coulomb.max(stiction.unwrap_or(0.0));
         self.give(stuck);
         self.give(-stuck);
         given
@@ -268,7 +268,7 @@ mod tests {
             velocity: 0.5,
             acceleration: 0.01,
             coulomb: 0.25,
-            weight: 0.5,
+            weight: Some(0.5),
             constant: -0.125,
             ..FeedForward::default()
         });
@@ -295,8 +295,8 @@ mod tests {
     fn dry_friction_is_greatest_at_break_away_and_turns_round_without_a_step() {
         let feed = FeedForward {
             coulomb: 0.08,
-            stiction: 0.12,
-            stribeck_velocity: 5.0,
+            stiction: Some(0.12),
+            stribeck_velocity: Some(5.0),
             ..FeedForward::default()
         };
         let cases = [
@@ -323,7 +323,7 @@ mod tests {
                     law,
                     output: Output::Torque,
                     feed_forward: FeedForward {
-                        weight: 2.0,
+                        weight: Some(2.0),
                         ..FeedForward::default()
                     },
                     runaway_velocity: 300.0,

@@ -41,8 +41,9 @@ mod timing;
 
 pub use brake::StraightStop;
 pub use config::{
-    Direction, EffectorConfig, FeedForward, HomingLeg, HostHoming, HostLoop, Law, Output,
-    PositionLoop, ServoAxisConfig, ServoConfig, ServoError,
+    Direction, EffectorConfig, FeedForward, Figure, HomingLeg, HostHoming, HostLoop, Law,
+    LoopBounds, Output, PositionLoop, Range, Reason, Refusal, ServoAxisConfig, ServoConfig,
+    ServoError,
 };
 pub use excitation::{Excitation, ExcitationError, most as greatest_excitation};
 pub use histogram::Histogram;

@@ -29,7 +29,7 @@
 //! ns, and no deep idle states while the thread runs (`/dev/cpu_dma_latency`). Threads and processes that it starts do
 //! not inherit the scheduling. The wait decides when the thread runs: the kernel's period under SCHED_DEADLINE begins
 //! whenever the thread wakes, and only bounds its processor time. Requests that the host denies are returned as
-//! [`Denial`]s, which name the setting that grants the request. With [`Realtime::Require`] a denial refuses the start.
+//! [`Denial`]s, which name the setting that grants the request. With [`Policy::Require`] a denial refuses the start.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
@@ -39,6 +39,7 @@ mod explain;
 mod host;
 mod late;
 mod quantile;
+mod realtime;
 mod tracer;
 mod wait;
 
@@ -60,12 +61,11 @@ use crate::{NotUp, Servo, Timing};
 pub use self::account::{Account, AccountReads};
 pub use self::cause::{Cause, Spent, Usage};
 pub use self::explain::GAP;
-pub use self::host::{
-    CpuLatency, Denial, Grant, LIMITS, Limit, Scheduler, demand, set_deadline, set_fifo,
-};
+pub use self::host::{CpuLatency, Denial, Grant, LIMITS, Limit, demand, set_deadline, set_fifo};
 pub use self::late::{LateCycle, LateCycles};
+pub use self::realtime::{Policy, Realtime, Scheduler, Wait};
 pub use self::tracer::{Spike, Stamps, Tracer};
-pub use self::wait::{Awake, Wait, WaitReport, Waiter};
+pub use self::wait::{Awake, WaitReport, Waiter};
 
 /// Bytes of the thread's stack; `MCL_FUTURE` locks all of it.
 const STACK: usize = 512 * 1024;
@@ -84,40 +84,7 @@ const LONGEST_LEAD: u32 = 20;
 /// Longest time for the drives to report that they have no power, after the command.
 const POWER_OFF_WAIT: Duration = Duration::from_millis(500);
 
-/// Whether to run although the host denies a request.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Realtime {
-    /// Refuse to start. For robots.
-    Require,
-    /// Start and report the denials. For tests.
-    BestEffort,
-}
-
-/// Requests of the servo thread to the host.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RealtimePolicy {
-    /// Reaction to a denied request.
-    pub realtime: Realtime,
-    /// Scheduling policy.
-    pub scheduler: Scheduler,
-    /// SCHED_FIFO priority, 1 ..= 99.
-    pub priority: u8,
-    /// The CPU to run on; none under SCHED_DEADLINE. Only this thread is bound.
-    pub cpu: Option<usize>,
-    /// Whether to lock all memory of the process, present and future. The stack of each later thread is locked as a
-    /// whole, so such threads need small stacks.
-    pub lock_memory: bool,
-    /// Shortest time from preparing to the deadline; the thread spins in between. The answers to the last SYNC must
-    /// have arrived by then. At most half a period is used. A hybrid wait uses the duration of preparing if that is
-    /// longer, up to a twentieth of the period.
-    pub lead: Duration,
-    /// Kind of wait.
-    pub wait: Wait,
-    /// Source of the cycles' time.
-    pub time: CellTime,
-}
-
-/// Source of the cycles' time.
+/// The time that cycles are given.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CellTime {
     /// `CLOCK_MONOTONIC`: for drives that follow the wall clock.
@@ -126,20 +93,6 @@ pub enum CellTime {
     /// delays the servo delays the emulators by the same time, so the emulated time stands still while deadlines are
     /// missed. Missed deadlines are counted and have no other effect.
     Nominal(Instant),
-}
-
-impl RealtimePolicy {
-    /// SCHED_FIFO 80 and locked memory if the host grants them, no CPU, no lead, a plain wait, and wall-clock time.
-    pub const BEST_EFFORT: Self = Self {
-        realtime: Realtime::BestEffort,
-        scheduler: Scheduler::Fifo,
-        priority: 80,
-        cpu: None,
-        lock_memory: true,
-        lead: Duration::ZERO,
-        wait: Wait::Plain,
-        time: CellTime::Wall,
-    };
 }
 
 /// Why a servo thread did not start. No cycle ran.
@@ -248,18 +201,19 @@ pub fn bring_up(servo: &mut Servo, mut between: impl FnMut(Instant)) -> Result<(
 /// clears the flag.
 pub fn start(
     servo: Servo,
-    policy: RealtimePolicy,
+    realtime: Realtime,
+    time: CellTime,
     trace_request: Arc<AtomicBool>,
     between: impl FnMut(Instant) + Send + 'static,
     until: impl FnMut(&Servo) -> bool + Send + 'static,
 ) -> Result<Running, StartError> {
     let (tell, told) = mpsc::sync_channel(1);
     let body = move || {
-        let mut run = Run::new(servo, policy, trace_request);
-        let mut denied = demand(&policy);
+        let mut run = Run::new(servo, &realtime, time, trace_request);
+        let mut denied = demand(&realtime, run.period);
         let latency = CpuLatency::demand();
         denied.extend(latency.as_ref().err());
-        let refused = policy.realtime == Realtime::Require && !denied.is_empty();
+        let refused = realtime.policy == Policy::Require && !denied.is_empty();
         // The starter waits for this message. Without a starter, no caller could stop the thread.
         let heard = tell.send(denied.clone()).is_ok();
         if !refused && heard {
@@ -283,8 +237,8 @@ pub fn start(
     let denied = told.recv().unwrap_or_default();
     let running = Running { thread, denied };
     match running.denied.first() {
-        Some(&denial) if policy.realtime == Realtime::Require => {
-            // The thread has nothing to do. Joining it drops the servo and closes every port.
+        Some(&denial) if realtime.policy == Policy::Require => {
+            // It has nothing to do; with it the servo goes, and every port is closed.
             drop(running.join());
             Err(StartError::Denied(denial))
         }
@@ -295,11 +249,12 @@ pub fn start(
 /// [`start`] and [`Running::join`] in one, without traces on request.
 pub fn run(
     servo: Servo,
-    policy: RealtimePolicy,
+    realtime: Realtime,
+    time: CellTime,
     between: impl FnMut(Instant) + Send + 'static,
     until: impl FnMut(&Servo) -> bool + Send + 'static,
 ) -> Result<Finished, StartError> {
-    start(servo, policy, Arc::default(), between, until).map(Running::join)
+    start(servo, realtime, time, Arc::default(), between, until).map(Running::join)
 }
 
 /// One run of the thread.
@@ -309,8 +264,7 @@ struct Run {
     panicked: Option<Panicked>,
     period: Duration,
     waiter: Waiter,
-    lead: Duration,
-    /// Learnt duration of preparing, if the lead follows it.
+    /// What preparing takes, if the lead is to follow it.
     preparation: Option<LearntQuantile>,
     /// Deadline of the next cycle, on the wall clock.
     deadline: Instant,
@@ -328,22 +282,20 @@ struct Run {
 }
 
 impl Run {
-    fn new(servo: Servo, policy: RealtimePolicy, request: Arc<AtomicBool>) -> Self {
+    fn new(servo: Servo, realtime: &Realtime, time: CellTime, request: Arc<AtomicBool>) -> Self {
         let period = servo.period();
-        let lead = policy.lead.min(period / 2);
         let timing = Timing::default();
         Self {
             servo,
             timing,
             panicked: None,
             period,
-            waiter: Waiter::new(policy.wait, period),
-            lead,
-            preparation: (policy.wait != Wait::Plain)
+            waiter: Waiter::new(realtime, period),
+            preparation: (realtime.wait != Wait::Plain)
                 .then(|| LearntQuantile::new(Duration::ZERO, period / LONGEST_LEAD)),
             deadline: Instant::ZERO,
             first: Instant::ZERO,
-            time: policy.time,
+            time,
             number: 0,
             account: Account::open(),
             tracer: Tracer::new(request),
@@ -389,10 +341,8 @@ impl Run {
 
     /// Time from the start of preparing to the deadline.
     fn lead(&self) -> Duration {
-        let preparation = self
-            .preparation
-            .map_or(Duration::ZERO, |learnt| learnt.get());
-        self.lead.max(preparation)
+        self.preparation
+            .map_or(Duration::ZERO, |learnt| learnt.get())
     }
 
     /// Waits for the deadline and steps the servo; false if the step panicked.

@@ -156,11 +156,12 @@ fn late_cycles_and_their_bookkeeping_do_not_allocate() {
         turned += 1;
         turned == 200
     };
-    let policy = thread::RealtimePolicy {
+    let realtime = thread::Realtime {
         lock_memory: false,
-        ..thread::RealtimePolicy::BEST_EFFORT
+        ..thread::Realtime::PLAIN
     };
-    let finished = thread::run(servo, policy, between, until).expect("nothing is required");
+    let finished = thread::run(servo, realtime, thread::CellTime::Wall, between, until)
+        .expect("nothing is required");
     assert!(finished.timing.late.count() >= 20, "{finished:?}");
     assert!(finished.servo.counters().missed_cycles >= 10);
     assert_eq!(counted.load(Ordering::Relaxed), 0);

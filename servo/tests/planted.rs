@@ -17,7 +17,7 @@ use std::time::Duration;
 use can::Instant;
 use can::clock::{now, sleep_until};
 use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters};
-use mrroc_servo::thread::{self, Cause, LateCycle, RealtimePolicy, Spike, Wait};
+use mrroc_servo::thread::{self, Cause, CellTime, LateCycle, Realtime, Spike};
 use mrroc_servo::*;
 
 mod scripted;
@@ -223,13 +223,17 @@ impl Drop for Pages {
 
 /// A thread of a higher priority than the servo's on the same CPU, which takes the CPU for given intervals.
 fn hog(cpu: usize, orders: Receiver<HoldUp>) {
-    let policy = RealtimePolicy {
+    let realtime = Realtime {
         priority: 90,
         cpu: Some(cpu),
         lock_memory: false,
-        ..RealtimePolicy::BEST_EFFORT
+        ..Realtime::PLAIN
     };
-    assert_eq!(thread::demand(&policy), [], "the hog needs them");
+    assert_eq!(
+        thread::demand(&realtime, scripted::PERIOD),
+        [],
+        "the hog needs them"
+    );
     for (_, from, to) in orders {
         sleep_until(from);
         spin_until(to);
@@ -287,14 +291,11 @@ fn plant(plant: Plant, cause: Cause) -> (u64, u64) {
         };
         // Waits until the hog waits.
         sleep_until(now() + Duration::from_millis(20));
-        let policy = RealtimePolicy {
+        let realtime = Realtime {
             cpu: Some(cpu),
             lock_memory: false,
-            wait: Wait::Hybrid {
-                margin: Some(Duration::from_micros(100)),
-                spin_share: 0.2,
-            },
-            ..RealtimePolicy::BEST_EFFORT
+            margin: Some(Duration::from_micros(100)),
+            ..Realtime::default()
         };
         let mut next_cycle = 0;
         let between = move |next: Instant| {
@@ -315,7 +316,8 @@ fn plant(plant: Plant, cause: Cause) -> (u64, u64) {
             }
             cycles == EVERY * PER_RUN
         };
-        let finished = thread::run(servo, policy, between, until).expect("nothing is required");
+        let finished = thread::run(servo, realtime, CellTime::Wall, between, until)
+            .expect("nothing is required");
         let late = finished.timing.late;
         finished.spikes.iter().for_each(traced);
         let is_traced = |late: &LateCycle| {

@@ -17,7 +17,7 @@ use std::time::Duration;
 
 use can::{Instant, clock};
 use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters};
-use servo::thread::{self, RealtimePolicy};
+use servo::thread::{self, CellTime, Realtime};
 use servo::{EffectorConfig, PositionLoop, Servo, ServoAxisConfig, ServoConfig};
 
 const PERIOD: Duration = Duration::from_millis(1);
@@ -109,7 +109,8 @@ fn main() {
     };
     let running = thread::start(
         servo,
-        RealtimePolicy::BEST_EFFORT,
+        Realtime::PLAIN,
+        CellTime::Wall,
         Arc::default(),
         |_| {},
         until,

@@ -8,20 +8,19 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
-use ::mrroc::cell::{Axis, Cell, Parameters, Protocol};
+use ::mrroc::cell::{Axis, Cell, Protocol};
 use can::timing::Bitrate;
 use can::{Frame, Instant, Port, TraceReader, Tracer, VirtualPort};
 use canopen::NodeId;
 use controller::ecp::{Ecp, EcpConfig};
-use controller::generator::Arm;
+use controller::robot::Arm;
 use drive::axis_controller::AxisControllerGroup;
 use drive::cia402::Cia402Group;
 use drive::{DriveGroup, Scale};
 use hil::plant::Switch;
 use hil::{
     AxisControllerConfig, Cabinet, Device, DeviceId, Epos4, Epos4Config, HiMoxaAxisController,
-    Irp6Axis, LineDevice, LineFaults, LineId, Mechanism, MechanismConfig, Nfv2AxisController,
-    World,
+    Irp6Axis, LineDevice, LineFaults, LineId, Mechanism, Nfv2AxisController, World,
 };
 use servo::{EffectorConfig, EffectorLink, Order, Phase, Record, Servo, ServoConfig, ServoFault};
 
@@ -144,21 +143,8 @@ impl Setup {
     /// Mechanism behind the axes of the robot; `None` for gripper and conveyor.
     fn mechanism(&self) -> Option<Mechanism> {
         let robot = &self.cell.robot[0];
-        Some(Mechanism::new(
-            match robot.parameters.unwrap_or(robot.model.parameters()) {
-                Parameters::Irb6(_) => MechanismConfig::Irb6,
-                Parameters::Irp6(_) => MechanismConfig::Irp6,
-                Parameters::Irp6Track(_) => MechanismConfig::Irp6OnTrack,
-                Parameters::Rnt(rnt) => MechanismConfig::Rnt {
-                    home_lengths: rnt.legs.map(|leg| leg.length_at_home),
-                },
-                Parameters::Polycrank(polycrank) => MechanismConfig::Polycrank {
-                    coupled: polycrank.coupled,
-                    at_home: polycrank.axes.map(|axis| axis.joint_at_home),
-                },
-                Parameters::Gripper(_) | Parameters::Conveyor(_) => return None,
-            },
-        ))
+        let parameters = robot.parameters.unwrap_or(robot.model.parameters());
+        parameters.mechanism().map(Mechanism::new)
     }
 
     fn seed(&self, number: usize) -> u64 {

@@ -9,7 +9,7 @@ use can::{ControllerState, Tracer};
 use drive::Fault;
 use drive::axis_controller::AxisControllerFault;
 use hil::{LineFaults, Stuck, WireFaults};
-use servo::thread::{CellTime, RealtimePolicy, Wait};
+use servo::thread::{CellTime, Realtime, Wait};
 use servo::{MAX_AXES, Macrostep, Order, Phase, StopCause, thread};
 
 use crate::allocations::count;
@@ -141,9 +141,9 @@ fn nothing_that_ends_a_motion_uses_the_heap() {
 fn a_servo_thread_does_not_use_the_heap_however_it_waits() {
     const CYCLES: u64 = 500;
     for (cell, wait) in [
-        ("irb6", Wait::HYBRID),
+        ("irb6", Wait::Hybrid),
         ("irb6", Wait::Plain),
-        ("irb6-serial", Wait::HYBRID),
+        ("irb6-serial", Wait::Hybrid),
     ] {
         let mut rig = Setup::of(cell).bring_up();
         rig.home();
@@ -154,12 +154,11 @@ fn a_servo_thread_does_not_use_the_heap_however_it_waits() {
             link,
             ..
         } = rig;
-        let policy = RealtimePolicy {
+        let realtime = Realtime {
             wait,
-            time: CellTime::Nominal(now),
-            // Locking would affect all other tests of this process.
+            // Of all the other tests too.
             lock_memory: false,
-            ..RealtimePolicy::BEST_EFFORT
+            ..Realtime::PLAIN
         };
         let used = Arc::new(AtomicU64::new(0));
         let uses = used.clone();
@@ -172,7 +171,8 @@ fn a_servo_thread_does_not_use_the_heap_however_it_waits() {
         };
         let first = servo.counters().cycles;
         let until = move |servo: &servo::Servo| servo.counters().cycles >= first + CYCLES;
-        let finished = thread::run(servo, policy, between, until).unwrap();
+        let finished =
+            thread::run(servo, realtime, CellTime::Nominal(now), between, until).unwrap();
         drop(link);
         assert_eq!(finished.panicked, None);
         assert!(finished.servo.is_off(), "{cell}: {finished:?}");

@@ -2,7 +2,9 @@
 
 use std::time::Duration;
 
-use ::mrroc::cell::{Axis, Cascade, DriveControl, FeedForward, Law, Loop, Proportional};
+use ::mrroc::cell::{
+    Axis, CascadeConfig, DriveControl, FeedForward, Law, Loop, ProportionalConfig,
+};
 use drive::{AxisCommand, AxisState, Finite, Power, Setpoint};
 use hil::AxisConfig;
 use hil::plant::{Irp6Axis, PlantConfig};
@@ -30,7 +32,7 @@ pub(crate) fn closed_by_host(axis: &mut Axis, kind: Irp6Axis, control: DriveCont
     let (law, feed_forward) = match control {
         DriveControl::Position => return,
         DriveControl::Velocity => (
-            Law::Proportional(Proportional {
+            Law::Proportional(ProportionalConfig {
                 position_gain: POSITION_GAIN,
                 integral_rate: 0.0,
                 limit: 280.0,
@@ -41,7 +43,7 @@ pub(crate) fn closed_by_host(axis: &mut Axis, kind: Irp6Axis, control: DriveCont
             },
         ),
         DriveControl::Torque => (
-            Law::Cascade(Cascade {
+            Law::Cascade(CascadeConfig {
                 position_gain: 25.0 * SHARE,
                 velocity_gain: motor.inertia * 100.0 * SHARE,
                 integral_rate: 10.0 * SHARE,

@@ -4,8 +4,9 @@ use can::Instant;
 use servo::Report;
 
 use crate::generator::{
-    Arm, Axes, AxesState, EffectorImage, EffectorState, GeneratorError, ImageSource, Pose, Setpoint,
+    Axes, AxesState, EffectorImage, EffectorState, GeneratorError, ImageSource, Pose, Setpoint,
 };
+use crate::robot::Arm;
 use crate::robot::KinematicsError;
 
 /// Step of the finite differences that convert velocities in drive trains and kinematics, rad or m of the fastest

@@ -31,8 +31,9 @@ use can::Instant;
 use servo::{EffectorLink, Macrostep, Order, Phase, Report};
 
 use crate::generator::{
-    Arm, Axes, AxesState, EffectorImage, Execution, GeneratorError, ImageSource, Setpoint, Step,
+    Axes, AxesState, EffectorImage, Execution, GeneratorError, ImageSource, Setpoint, Step,
 };
+use crate::robot::Arm;
 
 pub use error::EcpError;
 use image::Effector;

@@ -14,7 +14,7 @@ use crate::generator::{
     Axes, Generator, JerkLimited, MotionLimits, Newsmooth, Next, Pose, SmoothPose, Wait,
 };
 use crate::robot::{
-    Jacobian, Joints, KinematicsError, Limits, Links, Motors, Robot, Solutions, Space,
+    Arm, Jacobian, Joints, KinematicsError, Limits, Links, Motors, Robot, Solutions, Space,
 };
 
 const PERIOD: Duration = Duration::from_millis(2);

@@ -3,13 +3,7 @@
 use can::Instant;
 use servo::MAX_AXES;
 
-use super::GeneratorError;
-
-/// One number per axis; entries beyond the robot's axes are zero.
-pub type Axes = [f64; MAX_AXES];
-
-/// Pose of the tool in the base frame, m.
-pub type Pose = nalgebra::Isometry3<f64>;
+use super::{Axes, GeneratorError, Pose};
 
 /// Position and velocity of every axis. The holder determines whether the values are joint or motor values.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -2,12 +2,10 @@
 
 use std::time::Duration;
 
-use rsruckig::prelude::{
-    DataArrayOrVec, InputParameter, Ruckig, RuckigResult, ThrowErrorHandler, Trajectory,
-};
+use rsruckig::prelude::DataArrayOrVec;
 use servo::MAX_AXES;
 
-use super::newsmooth::whole_macrosteps;
+use super::plan::Plan;
 use super::{Axes, AxesState, EffectorImage, Generator, GeneratorError, MotionLimits, Next};
 use crate::robot::Space;
 
@@ -25,16 +23,9 @@ use crate::robot::Space;
 pub struct JerkLimited {
     space: Space,
     axes: usize,
-    solver: Ruckig<MAX_AXES, ThrowErrorHandler>,
-    input: InputParameter<MAX_AXES>,
-    trajectory: Trajectory<MAX_AXES>,
+    plan: Plan<MAX_AXES>,
     target: Axes,
     duration: Option<Duration>,
-    macrosteps: u32,
-    /// Trajectory seconds per macrostep.
-    step: f64,
-    /// Trajectory seconds per second, at most 1.
-    pace: f64,
 }
 
 impl JerkLimited {
@@ -63,9 +54,8 @@ impl JerkLimited {
                 });
             }
         }
-        let mut input = InputParameter::with_waypoints(None, on_the_way.len());
-        let mut trajectory = Trajectory::new(None);
-        trajectory.reserve_sections(poses.len());
+        let mut plan = Plan::new(on_the_way.len());
+        let input = &mut plan.input;
         for pose in on_the_way {
             input
                 .intermediate_positions
@@ -84,14 +74,9 @@ impl JerkLimited {
         Ok(Self {
             space,
             axes,
-            solver: Ruckig::with_waypoints(None, 1.0, on_the_way.len()),
-            input,
-            trajectory,
+            plan,
             target,
             duration: None,
-            macrosteps: 0,
-            step: 0.0,
-            pace: 1.0,
         })
     }
 
@@ -107,7 +92,7 @@ impl JerkLimited {
 
     /// Number of macrosteps of the planned motion; 0 before its first step.
     pub const fn macrosteps(&self) -> u32 {
-        self.macrosteps
+        self.plan.macrosteps
     }
 }
 
@@ -133,57 +118,29 @@ impl Generator for JerkLimited {
         }
         let from = self.space.commanded(e);
         for axis in 0..self.axes {
-            self.input.current_position[axis] = from.position[axis];
+            self.plan.input.current_position[axis] = from.position[axis];
         }
-        match self.solver.calculate(&self.input, &mut self.trajectory) {
-            Ok(RuckigResult::Working | RuckigResult::Finished) => {}
-            Ok(_) | Err(_) => return Err(GeneratorError::NoProfile),
-        }
-        let macrostep = macrostep.as_secs_f64();
-        let duration = self.trajectory.get_duration();
-        let given = self.duration.map_or(duration, |given| given.as_secs_f64());
-        if given < duration {
-            return Err(GeneratorError::TooShort {
-                needed: duration,
-                given,
-            });
-        }
-        self.macrosteps = whole_macrosteps(given, macrostep)?;
-        if self.macrosteps > 0 {
-            self.step = duration / f64::from(self.macrosteps);
-            self.pace = self.step / macrostep;
-        }
+        let given = self.duration.map(|given| given.as_secs_f64());
+        self.plan.solve(given, macrostep.as_secs_f64())?;
         Ok(Next::remember(0))
     }
 
     fn terminal(&self, done: &u32, _: &()) -> bool {
-        *done == self.macrosteps
+        *done == self.plan.macrosteps
     }
 
     fn next_step(&self, done: &u32, _: &()) -> Result<Next<u32>, GeneratorError> {
         let done = done + 1;
-        if done == self.macrosteps {
+        if done == self.plan.macrosteps {
             return Ok(Next::command(
                 self.space.setpoint(AxesState::at_rest(self.target)),
                 done,
             ));
         }
-        let mut position = DataArrayOrVec::Stack([0.0; MAX_AXES]);
-        let mut velocity = DataArrayOrVec::Stack([0.0; MAX_AXES]);
-        let t = f64::from(done) * self.step;
-        self.trajectory.at_time(
-            t,
-            &mut Some(&mut position),
-            &mut Some(&mut velocity),
-            &mut None,
-            &mut None,
-            &mut None,
-        );
+        let (position, velocity) = self.plan.at(done);
         let mut state = AxesState::default();
-        for axis in 0..self.axes {
-            state.position[axis] = position[axis];
-            state.velocity[axis] = velocity[axis] * self.pace;
-        }
+        state.position[..self.axes].copy_from_slice(&position[..self.axes]);
+        state.velocity[..self.axes].copy_from_slice(&velocity[..self.axes]);
         Ok(Next::command(self.space.setpoint(state), done))
     }
 }

@@ -3,15 +3,13 @@
 use std::time::Duration;
 
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
-use rsruckig::prelude::{
-    DataArrayOrVec, InputParameter, Ruckig, RuckigResult, ThrowErrorHandler, Trajectory,
-};
 
-use super::newsmooth::whole_macrosteps;
+use super::plan::Plan;
 use super::{
-    Arm, Axes, AxesState, EffectorImage, EffectorState, Generator, GeneratorError, MotionLimits,
-    Next, Pose, Setpoint,
+    Axes, AxesState, EffectorImage, EffectorState, Generator, GeneratorError, MotionLimits, Next,
+    Pose, Setpoint,
 };
+use crate::robot::Arm;
 
 /// Spacing of the poses that are checked before the motion: at most 5 mm and 10 mrad.
 const CHECK_DISTANCE: f64 = 0.005;
@@ -95,14 +93,7 @@ pub struct Line {
     path: Path,
     /// Joint positions at the start of the motion minus joint positions at the start of the path.
     remainder: Axes,
-    solver: Ruckig<1, ThrowErrorHandler>,
-    input: InputParameter<1>,
-    trajectory: Trajectory<1>,
-    macrosteps: u32,
-    /// Trajectory seconds per macrostep.
-    step: f64,
-    /// Trajectory seconds per second, at most 1.
-    pace: f64,
+    plan: Plan<1>,
 }
 
 /// The geometry: tool poses over the path parameter `s`, 0 to 1.
@@ -211,12 +202,7 @@ impl Line {
             start: None,
             path: Path::between(&target, &target),
             remainder: Axes::default(),
-            solver: Ruckig::new(None, 1.0),
-            input: InputParameter::new(None),
-            trajectory: Trajectory::new(None),
-            macrosteps: 0,
-            step: 0.0,
-            pace: 1.0,
+            plan: Plan::new(0),
         })
     }
 
@@ -232,7 +218,7 @@ impl Line {
 
     /// Number of macrosteps of the planned line; 0 before its first step.
     pub const fn macrosteps(&self) -> u32 {
-        self.macrosteps
+        self.plan.macrosteps
     }
 
     /// Sets the path, from the planned start if the arm stands there. Returns the joint positions at the start of the
@@ -366,54 +352,36 @@ impl Generator for Line {
             done: 0,
             joints: self.lay(e)?,
         };
-        self.macrosteps = 0;
+        self.plan.macrosteps = 0;
         let Some(rates) = self.tool_rates(&e.commanded.pose) else {
             return Ok(Next::remember(memory));
         };
         self.on_the_way(0.0, &memory.joints)?;
         let slowdown = self.slowdown(&memory.joints, &rates)?;
-        self.input.target_position[0] = 1.0;
-        self.input.max_velocity[0] = rates.velocity / slowdown;
-        self.input.max_acceleration[0] = rates.acceleration / slowdown.powi(2);
-        self.input.max_jerk[0] = rates.jerk / slowdown.powi(3);
-        match self.solver.calculate(&self.input, &mut self.trajectory) {
-            Ok(RuckigResult::Working | RuckigResult::Finished) => {}
-            Ok(_) | Err(_) => return Err(GeneratorError::NoProfile),
-        }
-        let macrostep = macrostep.as_secs_f64();
-        let duration = self.trajectory.get_duration();
-        self.macrosteps = whole_macrosteps(duration, macrostep)?;
-        self.step = duration / f64::from(self.macrosteps.max(1));
-        self.pace = self.step / macrostep;
+        let input = &mut self.plan.input;
+        input.target_position[0] = 1.0;
+        input.max_velocity[0] = rates.velocity / slowdown;
+        input.max_acceleration[0] = rates.acceleration / slowdown.powi(2);
+        input.max_jerk[0] = rates.jerk / slowdown.powi(3);
+        self.plan.solve(None, macrostep.as_secs_f64())?;
         Ok(Next::remember(memory))
     }
 
     fn terminal(&self, memory: &LineMemory, _: &()) -> bool {
-        memory.done == self.macrosteps
+        memory.done == self.plan.macrosteps
     }
 
     fn next_step(&self, memory: &LineMemory, _: &()) -> Result<Next<LineMemory>, GeneratorError> {
         let done = memory.done + 1;
-        if done == self.macrosteps {
+        if done == self.plan.macrosteps {
             let joints = self.inverse(1.0, &memory.joints)?;
             return Ok(Next::command(
                 Setpoint::Joints(AxesState::at_rest(joints)),
                 LineMemory { done, joints },
             ));
         }
-        let mut position = DataArrayOrVec::Stack([0.0]);
-        let mut velocity = DataArrayOrVec::Stack([0.0]);
-        let t = f64::from(done) * self.step;
-        self.trajectory.at_time(
-            t,
-            &mut Some(&mut position),
-            &mut Some(&mut velocity),
-            &mut None,
-            &mut None,
-            &mut None,
-        );
-        let s = position[0].clamp(0.0, 1.0);
-        let rate = velocity[0] * self.pace;
+        let ([s], [rate]) = self.plan.at(done);
+        let s = s.clamp(0.0, 1.0);
 
         let joints = self.inverse(s, &memory.joints)?;
         let (before, after) = ((s - EPSILON).max(0.0), (s + EPSILON).min(1.0));

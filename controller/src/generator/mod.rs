@@ -77,13 +77,13 @@
 //!
 //! Read [`Generator`] first, then [`Wait`] as the smallest generator and [`Newsmooth`] as a planned generator.
 
-mod arm;
 mod error;
 mod execution;
 mod image;
 mod jerk_limited;
 mod line;
 mod newsmooth;
+mod plan;
 mod profile;
 #[cfg(test)]
 mod tests;
@@ -91,13 +91,11 @@ mod wait;
 
 use std::time::Duration;
 
-pub use arm::Arm;
+pub use crate::robot::{Axes, Pose};
 pub use error::GeneratorError;
 pub(crate) use execution::Run;
 pub use execution::{Execution, Step};
-pub use image::{
-    Axes, AxesState, EffectorImage, EffectorState, ImageSource, Images, Pose, Setpoint,
-};
+pub use image::{AxesState, EffectorImage, EffectorState, ImageSource, Images, Setpoint};
 pub use jerk_limited::JerkLimited;
 pub use line::{Line, LineLimits, LineMemory, PlannedStart};
 pub use newsmooth::{Newsmooth, Progress, SmoothPose};

@@ -1,13 +1,16 @@
 //! Devices of one axis: gripper and conveyor.
 
+use std::sync::Arc;
+
 use nalgebra::Isometry3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::parameters::{finite as finite_parameter, room};
+use super::room::room as room_at_home;
 use super::{
-    Jacobian, Joints, KinematicsError, Limits, Motors, ParameterError, Robot, Solutions, Space,
-    Vector,
+    Jacobian, Joints, KinematicsError, Limits, Motors, ParameterError, Robot, RobotParameters,
+    Solutions, Space, Vector,
 };
 
 /// The only axis of the devices here.
@@ -347,6 +350,41 @@ fn within(limits: &Limits, value: f64, space: Space) -> Result<(), KinematicsErr
             limit,
         }),
         None => Ok(()),
+    }
+}
+
+impl RobotParameters for GripperParameters {
+    const AXES: usize = 1;
+
+    fn robot(&self) -> Result<Arc<dyn Robot>, ParameterError> {
+        Ok(Arc::new(Gripper::new(self)?))
+    }
+
+    fn with_room_at_home(mut self, motors: &[f64]) -> Self {
+        let motor = room_at_home(motors, 0);
+        if let Ok(home) = self.opening(self.motor_at_home) {
+            let ends = [-motor, motor].map(|by| self.opening(self.motor_at_home + by));
+            let ways = ends.into_iter().flatten().map(|end| (end - home).abs());
+            let opening = ways.fold(0.0, f64::max);
+            self.opening_limits = self.opening_limits.with_room(home, opening);
+        }
+        self.motor_limits = self.motor_limits.with_room(self.motor_at_home, motor);
+        self
+    }
+}
+
+impl RobotParameters for ConveyorParameters {
+    const AXES: usize = 1;
+
+    fn robot(&self) -> Result<Arc<dyn Robot>, ParameterError> {
+        Ok(Arc::new(Conveyor::new(self)?))
+    }
+
+    fn with_room_at_home(mut self, motors: &[f64]) -> Self {
+        self.motor_limits = self
+            .motor_limits
+            .with_room(self.motor_at_home, room_at_home(motors, 0));
+        self
     }
 }
 

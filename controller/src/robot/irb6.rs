@@ -1,12 +1,14 @@
 //! Kinematics of the IRb-6.
 
+use std::sync::Arc;
+
 use nalgebra::{Isometry3, Matrix3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    ArmParameters, Jacobian, Joints, KinematicsError, Limits, Links, Motors, ParameterError, Robot,
-    Solutions,
+    ArmParameters, Jacobian, Joints, KinematicsError, Limits, Links, Mass, Motors, ParameterError,
+    Robot, RobotParameters, Solutions,
     arm::{self, Facing, Posture, ROLL},
     drive_train::DriveTrain,
     parameters,
@@ -165,5 +167,35 @@ impl Robot for Irb6 {
     }
     fn links(&self) -> Option<Links> {
         Some(Links(self.arm.links(self.joint_limits())))
+    }
+}
+
+impl Mass {
+    /// Nominal masses of the links of [`Irb6`](Irb6) with a gripper along its roll axis.
+    pub const IRB6: [Self; 5] = [
+        Self::new(45.0, [0.0; 3]),
+        Self::new(12.0, [0.20, 0.0, 0.0]),
+        Self::new(14.0, [0.25, 0.0, 0.0]),
+        Self::new(4.0, [0.0475, 0.0, 0.0]),
+        Self::new(1.35, [0.0, 0.0, 0.15]),
+    ];
+}
+
+impl RobotParameters for Irb6Parameters {
+    const AXES: usize = 5;
+
+    fn robot(&self) -> Result<Arc<dyn Robot>, ParameterError> {
+        Ok(Arc::new(Irb6::new(self)?))
+    }
+
+    fn with_room_at_home(self, motors: &[f64]) -> Self {
+        Self {
+            arm: self.arm.with_room_at_home(motors),
+            ..self
+        }
+    }
+
+    fn masses(&self) -> &'static [Mass] {
+        &Mass::IRB6
     }
 }

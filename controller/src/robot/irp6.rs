@@ -1,12 +1,15 @@
 //! Kinematics of the IRp-6.
 
+use std::sync::Arc;
+
 use nalgebra::{Isometry3, Matrix3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::room::room;
 use super::{
-    ArmParameters, GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, Links, Motors,
-    ParameterError, Robot, Solutions,
+    ArmParameters, GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, Links, Mass, Motors,
+    ParameterError, Robot, RobotParameters, Solutions,
     arm::{self, Facing, PARALLEL, PITCH, Posture, ROLL},
     drive_train::DriveTrain,
     parameters,
@@ -215,5 +218,36 @@ impl Robot for Irp6 {
         let across = Isometry3::rotation(Vector3::x() * std::f64::consts::FRAC_PI_2);
         links.push(Link::turning("hand", across, &[(HAND, 1.0)], limits));
         Some(Links(links))
+    }
+}
+
+impl Mass {
+    /// Nominal masses of the links of [`Irp6`](Irp6) with its gripper along the hand axis.
+    pub const IRP6: [Self; 6] = [
+        Self::new(45.0, [0.0; 3]),
+        Self::new(12.0, [0.20, 0.0, 0.0]),
+        Self::new(14.0, [0.25, 0.0, 0.0]),
+        Self::new(4.0, [0.095, 0.0, 0.0]),
+        Self::new(0.0, [0.0; 3]),
+        Self::new(1.35, [0.0, 0.0, 0.15]),
+    ];
+}
+
+impl RobotParameters for Irp6Parameters {
+    const AXES: usize = 6;
+
+    fn robot(&self) -> Result<Arc<dyn Robot>, ParameterError> {
+        Ok(Arc::new(Irp6::new(self)?))
+    }
+
+    fn with_room_at_home(self, motors: &[f64]) -> Self {
+        Self {
+            arm: self.arm.with_room_at_home(motors),
+            hand: self.hand.with_room(room(motors, 5), 0.0),
+        }
+    }
+
+    fn masses(&self) -> &'static [Mass] {
+        &Mass::IRP6
     }
 }

@@ -1,12 +1,15 @@
 //! Kinematics of the IRp-6 on its track.
 
+use std::sync::Arc;
+
 use nalgebra::{Isometry3, Translation3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::room::room;
 use super::{
     GearAxis, Irp6, Irp6Parameters, Jacobian, Joints, KinematicsError, Limits, Link, LinkKind,
-    Links, Motors, ParameterError, Robot, Solutions,
+    Links, Mass, Motors, ParameterError, Robot, RobotParameters, Solutions,
     drive_train::DriveTrain,
     free_parameter::{self, Ring},
     parameters,
@@ -347,5 +350,33 @@ fn on_carriage(error: KinematicsError) -> KinematicsError {
         | KinematicsError::LegLimit { .. }
         | KinematicsError::OffAxis { .. }
         | KinematicsError::ToolPlane { .. } => error,
+    }
+}
+
+impl Mass {
+    /// Nominal masses of the links of [`Irp6Track`](Irp6Track), which carries the same on a carriage.
+    pub const IRP6_TRACK: [Self; 7] = {
+        let [column, lower_arm, upper_arm, pitch, roll, hand] = Self::IRP6;
+        let carriage = Self::new(60.0, [0.0; 3]);
+        [carriage, column, lower_arm, upper_arm, pitch, roll, hand]
+    };
+}
+
+impl RobotParameters for Irp6TrackParameters {
+    const AXES: usize = 7;
+
+    fn robot(&self) -> Result<Arc<dyn Robot>, ParameterError> {
+        Ok(Arc::new(Irp6Track::new(self)?))
+    }
+
+    fn with_room_at_home(self, motors: &[f64]) -> Self {
+        Self {
+            track: self.track.with_room(room(motors, 0), 0.0),
+            robot: self.robot.with_room_at_home(motors.get(1..).unwrap_or(&[])),
+        }
+    }
+
+    fn masses(&self) -> &'static [Mass] {
+        &Mass::IRP6_TRACK
     }
 }

@@ -56,6 +56,7 @@ mod rnt;
 mod room;
 mod singularity;
 mod solutions;
+mod tool;
 mod vector;
 mod weight;
 
@@ -63,6 +64,7 @@ mod weight;
 mod tests;
 
 use std::fmt;
+use std::sync::Arc;
 
 use nalgebra::{Isometry3, SMatrix};
 use schemars::JsonSchema;
@@ -79,9 +81,9 @@ pub use links::{Link, LinkKind, Links};
 pub use parameters::{ArmParameters, ParameterError};
 pub use polycrank::{Polycrank, PolycrankParameters};
 pub use rnt::{LegAxis, Rnt, RntParameters};
-pub use room::Room;
 pub use singularity::Singularity;
 pub use solutions::Solutions;
+pub use tool::{Arm, Axes, Pose};
 pub use vector::{Joint, Joints, Motor, Motors, Vector};
 pub use weight::{Mass, Weight, WeightError};
 
@@ -90,7 +92,31 @@ pub use weight::{Mass, Weight, WeightError};
 /// are in the base frame.
 pub type Jacobian = SMatrix<f64, 6, MAX_AXES>;
 
-/// One robot: its geometry, its drive train and its limits.
+/// The numbers of one robot.
+pub trait RobotParameters: Copy {
+    /// Axes of the robot.
+    const AXES: usize;
+
+    /// The robot of these numbers, or what is wrong with them.
+    fn robot(&self) -> Result<Arc<dyn Robot>, ParameterError>;
+
+    /// The same numbers with room at home, in each range that includes the home position. The motors, in the order of
+    /// the axes, come to rest up to these distances beside their home positions, rad.
+    #[must_use]
+    fn with_room_at_home(self, motors: &[f64]) -> Self;
+
+    /// Nominal masses of the links: plausible figures, to be replaced by those of the machine at hand.
+    fn masses(&self) -> &'static [Mass] {
+        &[]
+    }
+
+    /// The direction against gravity in the base frame.
+    fn up(&self) -> [f64; 3] {
+        [0.0, 0.0, 1.0]
+    }
+}
+
+/// One robot: its geometry, its drive train, its limits.
 ///
 /// Every method refuses vectors of another length ([`KinematicsError::AxisCount`]) and numbers that
 /// are not finite ([`KinematicsError::NotFinite`]).

@@ -8,6 +8,7 @@ use super::{
     GearAxis, Limits, ScrewAxis,
     arm::PITCH,
     drive_train::{Axis, Transmission},
+    room,
 };
 
 /// The arm that IRb-6 and IRp-6 share: column, lower arm, upper arm, wrist pitch, wrist roll.
@@ -311,5 +312,20 @@ pub(super) const fn degrees(low: f64, high: f64) -> Limits {
     Limits {
         low: low.to_radians(),
         high: high.to_radians(),
+    }
+}
+
+impl ArmParameters {
+    /// The same with room for its five motors beside their homes.
+    pub(super) fn with_room_at_home(self, motors: &[f64]) -> Self {
+        let room = |axis| room::room(motors, axis);
+        Self {
+            column: self.column.with_room(room(0), 0.0),
+            lower_arm: self.lower_arm.with_room(room(1)),
+            upper_arm: self.upper_arm.with_room(room(2)),
+            pitch: self.pitch.with_room(room(3), 0.0),
+            roll: self.roll.with_room(room(4), room(3)),
+            ..self
+        }
     }
 }

@@ -3,14 +3,16 @@
 mod cranks;
 
 use std::f64::consts::FRAC_PI_2;
+use std::sync::Arc;
 
 use nalgebra::{Isometry3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::room::room;
 use super::{
-    GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, Links, Motors, ParameterError,
-    Robot, Solutions,
+    GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, Links, Mass, Motors, ParameterError,
+    Robot, RobotParameters, Solutions,
     arm::{self, PARALLEL},
     drive_train::{Axis, DriveTrain},
     free_parameter, parameters,
@@ -401,5 +403,44 @@ impl Robot for Polycrank {
         let links = NAMES.iter().zip(frames).enumerate();
         let link = |(axis, (&name, frame))| Link::turning(name, frame, &[(axis, 1.0)], limits);
         Some(Links(links.map(link).collect()))
+    }
+}
+
+impl Mass {
+    /// Nominal masses of the links of [`Polycrank`](Polycrank): rods from joint to joint.
+    pub const POLYCRANK: [Self; 7] = [
+        Self::new(12.0, [-0.1495, 0.0, 0.110]),
+        Self::new(9.0, [0.090, 0.0, 0.076]),
+        Self::new(7.0, [0.0, 0.0, 0.1675]),
+        Self::new(4.0, [0.0755, 0.0, 0.060]),
+        Self::new(3.5, [0.0755, 0.0, 0.058]),
+        Self::new(1.5, [0.0, 0.0, 0.030]),
+        Self::new(0.6, [0.0, 0.0, -0.0215]),
+    ];
+}
+
+impl RobotParameters for PolycrankParameters {
+    const AXES: usize = 7;
+
+    fn robot(&self) -> Result<Arc<dyn Robot>, ParameterError> {
+        Ok(Arc::new(Polycrank::new(self)?))
+    }
+
+    fn with_room_at_home(mut self, motors: &[f64]) -> Self {
+        for (axis, gear) in self.axes.iter_mut().enumerate() {
+            let carried = self.coupled && matches!(axis, 1 | 2 | 4 | 5);
+            let carried = if carried { room(motors, axis - 1) } else { 0.0 };
+            *gear = gear.with_room(room(motors, axis), carried);
+        }
+        self
+    }
+
+    fn masses(&self) -> &'static [Mass] {
+        &Mass::POLYCRANK
+    }
+
+    // Of the two directions that the level axis 1 leaves open x is taken (nominal).
+    fn up(&self) -> [f64; 3] {
+        [1.0, 0.0, 0.0]
     }
 }

@@ -1,14 +1,16 @@
 //! Kinematics of the RNT, serial-parallel.
 
 use std::f64::consts::TAU;
+use std::sync::Arc;
 
 use nalgebra::{Isometry3, Rotation3, Vector2, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::room::room;
 use super::{
-    GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, LinkKind, Links, Motors,
-    ParameterError, Robot, Solutions, Space,
+    GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, LinkKind, Links, Mass, Motors,
+    ParameterError, Robot, RobotParameters, Solutions, Space,
     arm::{self, PARALLEL},
     drive_train::{self, Axis, DriveTrain},
     legs::{self, Gap, Legs, Posture},
@@ -484,5 +486,54 @@ impl LegAxis {
             },
         };
         parameters::gear("legs", &gear)
+    }
+}
+
+impl Mass {
+    /// Nominal masses of the links of [`Rnt`](Rnt): the platform with its share of the legs, then its wrist. The frames of alpha and beta
+    /// stand.
+    pub const RNT: [Self; 6] = [
+        Self::new(0.0, [0.0; 3]),
+        Self::new(0.0, [0.0; 3]),
+        Self::new(30.0, [0.0; 3]),
+        Self::new(5.0, [0.0; 3]),
+        Self::new(4.0, [0.0, 0.0, 0.05]),
+        Self::new(3.0, [0.0, 0.0, 0.175]),
+    ];
+}
+
+impl RobotParameters for RntParameters {
+    const AXES: usize = 6;
+
+    fn robot(&self) -> Result<Arc<dyn Robot>, ParameterError> {
+        Ok(Arc::new(Rnt::new(self)?))
+    }
+
+    // The ranges of alpha, beta and rho stay as they are: no home position of theirs is a parameter.
+    fn with_room_at_home(mut self, motors: &[f64]) -> Self {
+        for (axis, leg) in self.legs.iter_mut().enumerate() {
+            let LegAxis {
+                lead,
+                length_at_home,
+                ..
+            } = *leg;
+            let length = room(motors, axis) * lead.abs() / TAU;
+            leg.length_limits = leg.length_limits.with_room(length_at_home, length);
+        }
+        Self {
+            roll: self.roll.with_room(room(motors, 3), 0.0),
+            pitch: self.pitch.with_room(room(motors, 4), 0.0),
+            spin: self.spin.with_room(room(motors, 5), 0.0),
+            ..self
+        }
+    }
+
+    fn masses(&self) -> &'static [Mass] {
+        &Mass::RNT
+    }
+
+    // It hangs.
+    fn up(&self) -> [f64; 3] {
+        [0.0, 0.0, -1.0]
     }
 }

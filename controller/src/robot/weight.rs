@@ -34,57 +34,9 @@ impl Mass {
     /// Largest coordinate of a centre of mass, m.
     pub const FARTHEST: f64 = 10.0;
 
-    const fn new(mass: f64, centre: [f64; 3]) -> Self {
+    pub(super) const fn new(mass: f64, centre: [f64; 3]) -> Self {
         Self { mass, centre }
     }
-
-    /// Masses of [`Irb6`](super::Irb6) with a gripper along its roll axis. All masses here are nominal.
-    pub const IRB6: [Self; 5] = [
-        Self::new(45.0, [0.0; 3]),
-        Self::new(12.0, [0.20, 0.0, 0.0]),
-        Self::new(14.0, [0.25, 0.0, 0.0]),
-        Self::new(4.0, [0.0475, 0.0, 0.0]),
-        Self::new(1.35, [0.0, 0.0, 0.15]),
-    ];
-
-    /// Masses of [`Irp6`](super::Irp6) with its gripper along the hand axis.
-    pub const IRP6: [Self; 6] = [
-        Self::new(45.0, [0.0; 3]),
-        Self::new(12.0, [0.20, 0.0, 0.0]),
-        Self::new(14.0, [0.25, 0.0, 0.0]),
-        Self::new(4.0, [0.095, 0.0, 0.0]),
-        Self::new(0.0, [0.0; 3]),
-        Self::new(1.35, [0.0, 0.0, 0.15]),
-    ];
-
-    /// Masses of [`Irp6Track`](super::Irp6Track): the same arm on a carriage.
-    pub const IRP6_TRACK: [Self; 7] = {
-        let [column, lower_arm, upper_arm, pitch, roll, hand] = Self::IRP6;
-        let carriage = Self::new(60.0, [0.0; 3]);
-        [carriage, column, lower_arm, upper_arm, pitch, roll, hand]
-    };
-
-    /// Masses of [`Rnt`](super::Rnt): the platform with its share of the legs, then its wrist. The frames of alpha
-    /// and beta have no mass.
-    pub const RNT: [Self; 6] = [
-        Self::new(0.0, [0.0; 3]),
-        Self::new(0.0, [0.0; 3]),
-        Self::new(30.0, [0.0; 3]),
-        Self::new(5.0, [0.0; 3]),
-        Self::new(4.0, [0.0, 0.0, 0.05]),
-        Self::new(3.0, [0.0, 0.0, 0.175]),
-    ];
-
-    /// Masses of [`Polycrank`](super::Polycrank): rods from joint to joint.
-    pub const POLYCRANK: [Self; 7] = [
-        Self::new(12.0, [-0.1495, 0.0, 0.110]),
-        Self::new(9.0, [0.090, 0.0, 0.076]),
-        Self::new(7.0, [0.0, 0.0, 0.1675]),
-        Self::new(4.0, [0.0755, 0.0, 0.060]),
-        Self::new(3.5, [0.0755, 0.0, 0.058]),
-        Self::new(1.5, [0.0, 0.0, 0.030]),
-        Self::new(0.6, [0.0, 0.0, -0.0215]),
-    ];
 }
 
 /// Links of a robot with their masses, for the torques that balance their weight.

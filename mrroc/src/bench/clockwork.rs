@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use can::Instant;
-use servo::thread::{self, CellTime, RealtimePolicy, Running, StartError};
+use servo::thread::{self, CellTime, Realtime, Running, StartError};
 use servo::{NotUp, Servo, lockstep};
 
 use crate::bench::emulation::Emulation;
@@ -28,17 +28,25 @@ pub fn start(
     servo: Servo,
     emulation: Option<Emulation>,
     emulated_since: Option<Instant>,
-    policy: impl Fn(CellTime) -> RealtimePolicy,
+    realtime: Realtime,
     trace_request: Arc<AtomicBool>,
     until: impl FnMut(&Servo) -> bool + Send + 'static,
 ) -> Result<Running, StartError> {
     match emulation.zip(emulated_since) {
-        None => thread::start(servo, policy(CellTime::Wall), trace_request, |_| {}, until),
+        None => thread::start(
+            servo,
+            realtime,
+            CellTime::Wall,
+            trace_request,
+            |_| {},
+            until,
+        ),
         Some((mut emulation, first)) => {
             let between = move |next| emulation.advance(next);
             thread::start(
                 servo,
-                policy(CellTime::Nominal(first)),
+                realtime,
+                CellTime::Nominal(first),
                 trace_request,
                 between,
                 until,

@@ -6,10 +6,10 @@ use std::time::Duration;
 use can::Instant;
 use canopen::cia402::HomingMethod;
 use controller::robot::Limits;
-use hil::plant::{PlantConfig, Switch};
-use hil::{AxisConfig, Irp6Axis, Irp6TrackAxis, Mechanism, MechanismConfig, Mount};
+use hil::plant::PlantConfig;
+use hil::{AxisConfig, Mechanism, Mount};
 
-use crate::cell::{Model, Parameters, Path, Plant};
+use crate::cell::Path;
 use crate::cell_file::CellFile;
 
 /// The mechanism of each robot of a cell that has one. The axes of a mechanism may be on several buses and lines.
@@ -21,19 +21,7 @@ impl Mechanisms {
         let robots = file.cell.robot.iter();
         let config = |robot: &crate::cell::Robot| {
             let parameters = robot.parameters.unwrap_or(robot.model.parameters());
-            Some(Mechanism::new(match parameters {
-                Parameters::Irb6(_) => MechanismConfig::Irb6,
-                Parameters::Irp6(_) => MechanismConfig::Irp6,
-                Parameters::Irp6Track(_) => MechanismConfig::Irp6OnTrack,
-                Parameters::Rnt(rnt) => MechanismConfig::Rnt {
-                    home_lengths: rnt.legs.map(|leg| leg.length_at_home),
-                },
-                Parameters::Polycrank(polycrank) => MechanismConfig::Polycrank {
-                    coupled: polycrank.coupled,
-                    at_home: polycrank.axes.map(|axis| axis.joint_at_home),
-                },
-                Parameters::Gripper(_) | Parameters::Conveyor(_) => return None,
-            }))
+            parameters.mechanism().map(Mechanism::new)
         };
         Self(robots.map(config).collect())
     }
@@ -120,19 +108,8 @@ pub fn homing_problem(file: &CellFile, (robot, number): (usize, usize)) -> Optio
 pub fn plant(file: &CellFile, robot: usize, number: usize) -> AxisConfig {
     let axis = &file.cell.robot[robot].axis[number];
     let home = file.arms[robot].robot().home()[number];
-    let preset = match file.cell.robot[robot].model {
-        Model::Irb6 | Model::Irp6 | Model::Irp6Calibrated => {
-            return arm_plant(file, robot, number);
-        }
-        Model::Irp6Track | Model::Irp6TrackCalibrated => {
-            AxisConfig::irp6_track(Irp6TrackAxis::ALL[number])
-        }
-        Model::Rnt => AxisConfig::rnt(number).expect(AS_MANY),
-        Model::Polycrank => AxisConfig::polycrank(number).expect(AS_MANY),
-        Model::Gripper => AxisConfig::gripper(),
-        Model::Conveyor => AxisConfig::conveyor(),
-    };
-    let preset = preset.with_home(home);
+    let parameters = file.cell.robot[robot].model.parameters();
+    let preset = parameters.plant(axis.emulator.plant, number, home);
     let plant = AxisConfig {
         counts_per_revolution: axis.counts_per_revolution(),
         start_angle: axis.emulator.start.unwrap_or(preset.start_angle),
@@ -164,29 +141,3 @@ const SWITCHES: f64 = 1.0;
 
 /// Distance of the buffers from the range of the motor, rad.
 const BUFFERS: f64 = 3.0;
-
-const AS_MANY: &str = "a parsed robot has as many axes as its model";
-
-/// Motor, load, sensors and switches of an axis of an arm on its pedestal.
-fn arm_plant(file: &CellFile, robot: usize, number: usize) -> AxisConfig {
-    let axis = &file.cell.robot[robot].axis[number];
-    let home = file.arms[robot].robot().home()[number];
-    let limits = file.arms[robot].robot().motor_limits()[number];
-    let kind = Irp6Axis::ALL[number];
-    let preset = match axis.emulator.plant {
-        Plant::Physical => AxisConfig::irp6(kind),
-        Plant::Wut => AxisConfig::wut(kind),
-    };
-    let plant = AxisConfig {
-        counts_per_revolution: axis.counts_per_revolution(),
-        index_angle: home,
-        start_angle: axis.emulator.start.unwrap_or(home + 20.0),
-        home_switch: Some(Switch {
-            from: home - 20.0,
-            to: home - 2.0,
-            bounce: 0,
-        }),
-        ..preset
-    };
-    bounded(plant, limits)
-}

@@ -10,10 +10,11 @@ mod program;
 mod robots;
 mod weight;
 
+use servo::{Reason, Refusal};
+
 use super::error::Problem;
 use super::locate::Path;
-use super::text::Range;
-use super::{Cell, Realtime, Scheduler, Wait};
+use super::{Cell, Range};
 
 /// Greatest number of robots of a cell, and of buses and bundles together.
 const MOST: usize = 32;
@@ -36,7 +37,8 @@ pub(super) fn check(cell: &Cell) -> Checked {
     let missed = f64::from(cell.max_missed_in_row);
     let range = Range::new(1.0, 1e6, "periods");
     within(&top.then("max_missed_in_row"), missed, range)?;
-    check_realtime(cell)?;
+    let realtime = cell.realtime.check(cell.period());
+    realtime.map_err(|refusal| by_servo(&top.then("realtime"), refusal))?;
     buses::check(cell)?;
     let timeout = f64::from(cell.meeting_timeout_s);
     let range = Range::new(1.0, 86_400.0, "s");
@@ -47,47 +49,18 @@ pub(super) fn check(cell: &Cell) -> Checked {
     assembly::check(cell)
 }
 
-fn check_realtime(cell: &Cell) -> Checked {
-    let path = Path::default().then("realtime");
-    let Realtime {
-        scheduler,
-        cpu,
-        priority,
-        wait,
-        margin_us,
-        spin_share,
-        ..
-    } = cell.realtime;
-    within(
-        &path.then("priority"),
-        f64::from(priority),
-        Range::new(1.0, 99.0, ""),
-    )?;
-    if scheduler == Scheduler::Deadline && cpu.is_some() {
-        return Err((path.then("cpu"), Problem::PinnedDeadline));
-    }
-    if let Some(cpu) = cpu {
-        // The size of the kernel's CPU sets.
-        within(&path.then("cpu"), cpu as f64, Range::new(0.0, 1023.0, ""))?;
-    }
-    if wait == Wait::Plain {
-        let because = "with wait = \"plain\", which does not spin";
-        no_effect(&path.then("spin_share"), spin_share.is_some(), because)?;
-        no_effect(&path.then("margin_us"), margin_us.is_some(), because)?;
-    }
-    let share = cell.realtime.spin_share();
-    within(
-        &path.then("spin_share"),
-        share,
-        Range::new(0.0, 0.5, "of a core"),
-    )?;
-    let most = share * f64::from(cell.period_us);
-    let range = Range::new(0.0, most, "µs, spin_share of the period");
-    within(
-        &path.then("margin_us"),
-        f64::from(margin_us.unwrap_or(0)),
-        range,
-    )
+/// What the servo refuses of a table at `path`.
+fn by_servo(path: &Path, refusal: Refusal) -> (Path, Problem) {
+    let path = refusal
+        .key
+        .split('.')
+        .fold(path.clone(), |path, key| path.then(key));
+    let problem = match refusal.reason {
+        Reason::OutOfRange { value, range } => Problem::OutOfRange { value, range },
+        Reason::NoEffect { because } => Problem::NoEffect { because },
+        Reason::Conflict(why) => Problem::Refused(why.into()),
+    };
+    (path, problem)
 }
 
 /// Checks that `value` is in `range`.

@@ -5,12 +5,11 @@ use std::time::Duration;
 use drive::Scale;
 use drive::axis_controller::{self, Settings, StopBits};
 use drive::cia402::{AxisConfig, CyclicMode, GroupConfig, HomingConfig, Identity, NodeId};
-use servo::regulator::{CascadeConfig, IncrementalConfig, ProportionalConfig};
 use servo::{FeedForward, HomingLeg, HostHoming, HostLoop, Output, PositionLoop, ServoAxisConfig};
 
 use super::{
-    Axis, AxisController, Cell, Control, Direction, Drive, DriveControl, Homing, Law, Loop,
-    Parameter, Protocol, Robot, Serial,
+    Axis, AxisController, Cell, Control, Direction, Drive, DriveControl, Homing, Loop, Parameter,
+    Robot, Serial,
 };
 use controller::robot::Limits;
 
@@ -83,14 +82,7 @@ impl Serial {
 
     /// Lengths of a cyclic request on one of the lines and of its answer, bytes.
     pub fn telegrams(&self) -> (usize, usize) {
-        self.drive_protocol().telegrams()
-    }
-
-    fn drive_protocol(&self) -> axis_controller::Protocol {
-        match self.protocol {
-            Protocol::Nfv2 => axis_controller::Protocol::Nfv2,
-            Protocol::HiMoxa => axis_controller::Protocol::HiMoxa,
-        }
+        self.protocol.telegrams()
     }
 
     /// Settings common to the axis controllers, at the servo period `period`.
@@ -100,7 +92,7 @@ impl Serial {
             settings: self.settings(),
             tolerated_missing: self.tolerated_missing,
             answer_timeout: Duration::from_millis(u64::from(self.answer_timeout_ms)),
-            ..axis_controller::GroupConfig::new(self.drive_protocol())
+            ..axis_controller::GroupConfig::new(self.protocol)
         }
     }
 }
@@ -194,10 +186,7 @@ impl Axis {
             address: self.node,
             scale: self.scale(home),
             torque_constant: controller.torque_constant,
-            control: match controller.control {
-                Control::Current => axis_controller::Control::Current,
-                Control::Pwm => axis_controller::Control::Pwm,
-            },
+            control: controller.control,
             max_current: controller.max_current,
             max_velocity: plausible(controller.plausible_velocity, 4.0 / 3.0 * self.max_velocity),
             max_acceleration: plausible(
@@ -272,41 +261,15 @@ impl Loop {
             runaway_velocity,
         } = *self;
         HostLoop {
-            law: match law {
-                Law::Incremental(law) => servo::Law::Incremental(IncrementalConfig {
-                    a: law.a,
-                    b0: law.b0,
-                    b1: law.b1,
-                    eps: law.eps,
-                    integral: law.integral,
-                    gain: law.gain,
-                    limit: law.limit,
-                }),
-                Law::Cascade(law) => servo::Law::Cascade(CascadeConfig {
-                    position_gain: law.position_gain,
-                    velocity_gain: law.velocity_gain,
-                    integral_rate: law.integral_rate,
-                    limit: law.limit,
-                }),
-                Law::Proportional(law) => servo::Law::Proportional(ProportionalConfig {
-                    position_gain: law.position_gain,
-                    integral_rate: law.integral_rate,
-                    limit: law.limit,
-                }),
-            },
+            law,
             output,
             feed_forward: FeedForward {
-                velocity: feed_forward.velocity,
-                acceleration: feed_forward.acceleration,
-                coulomb: feed_forward.coulomb,
-                stiction: feed_forward.stiction.unwrap_or(0.0),
-                stribeck_velocity: feed_forward.stribeck_velocity.unwrap_or(0.0),
                 weight: match output {
-                    _ if !weighs => 0.0,
-                    Output::Torque => feed_forward.weight.unwrap_or(1.0),
-                    Output::Velocity | Output::Duty => feed_forward.weight.unwrap_or(0.0),
+                    _ if !weighs => None,
+                    Output::Torque => Some(feed_forward.weight.unwrap_or(1.0)),
+                    Output::Velocity | Output::Duty => feed_forward.weight,
                 },
-                constant: feed_forward.constant,
+                ..feed_forward
             },
             runaway_velocity: runaway_velocity.unwrap_or(RUNAWAY * max_velocity),
         }
@@ -324,10 +287,7 @@ impl Homing {
                 .unwrap_or(Duration::MAX),
         };
         HostHoming {
-            direction: match self.direction {
-                None | Some(Direction::Negative) => servo::Direction::Negative,
-                Some(Direction::Positive) => servo::Direction::Positive,
-            },
+            direction: self.direction.unwrap_or(Direction::Negative),
             search: leg(self.search_velocity, limits.high - limits.low),
             zero: leg(self.zero_velocity, FARTHEST_INDEX),
             acceleration: self.acceleration,

@@ -5,7 +5,8 @@ use std::fmt;
 use thiserror::Error;
 
 use super::locate::{self, Path};
-use super::text::{Figure, Range, printable, quoted};
+use super::text::{printable, quoted};
+use super::{Figure, Range};
 
 /// The error of a refused cell file, in one line without control characters.
 #[derive(Clone, Debug, PartialEq)]
@@ -53,11 +54,6 @@ pub enum Problem {
     /// A required key is missing.
     #[error("is missing")]
     Missing,
-    /// A CPU was given for a thread under SCHED_DEADLINE.
-    #[error(
-        "must be left out with scheduler = \"deadline\", which the kernel grants only to a thread that may run on all CPUs"
-    )]
-    PinnedDeadline,
     /// A number outside its range.
     #[error("is {}, must be {range}", Figure(*value))]
     OutOfRange {

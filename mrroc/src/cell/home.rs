@@ -3,8 +3,9 @@
 use std::f64::consts::TAU;
 
 use super::{Axis, Cell};
-use controller::generator::{Arm, Axes, PlannedStart};
-use controller::robot::{ParameterError, Room};
+use controller::generator::{Axes, PlannedStart};
+use controller::robot::Arm;
+use controller::robot::ParameterError;
 
 /// Periods from a motor's reference to the start of its braking. The reference appears in the next sample, the command
 /// takes effect a period later, and a group has a delay of up to two periods.

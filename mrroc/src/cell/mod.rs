@@ -13,7 +13,6 @@ mod error;
 mod home;
 mod locate;
 mod meetings;
-mod model;
 mod program;
 mod read;
 #[cfg(test)]
@@ -26,21 +25,23 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use controller::generator::{Arm, Pose};
+use controller::generator::Pose;
+use controller::robot::Arm;
 use controller::robot::ParameterError;
 
-pub use axis_controller::{
-    AxisController, Cascade, Control, FeedForward, Incremental, Law, Loop, Proportional, Protocol,
-    Serial,
-};
+pub use crate::robots::{Model, Parameters};
+pub use axis_controller::{AxisController, Loop, Serial};
 pub use document::LARGEST;
+pub use drive::axis_controller::{Control, Protocol};
 pub use drives::ENABLING;
 pub use error::{CellError, Problem};
 pub use locate::{Path, Step};
 pub use meetings::Meeting;
-pub use model::{Model, Parameters};
 pub use program::{ProgramError, instruction_path};
-pub use text::{Figure, Range, printable, quoted};
+pub use servo::regulator::{CascadeConfig, IncrementalConfig, ProportionalConfig};
+pub use servo::thread::{Policy, Realtime, Scheduler, Wait};
+pub use servo::{Direction, FeedForward, Figure, Law, Range};
+pub use text::{printable, quoted};
 pub use weight::Weights;
 
 /// One controller: all robots that share one servo cycle.
@@ -77,86 +78,6 @@ pub struct Cell {
     pub serial: Vec<Serial>,
     /// The robots.
     pub robot: Vec<Robot>,
-}
-
-/// Real-time settings of the servo thread.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct Realtime {
-    /// Whether a denied request is reported or prevents the start.
-    pub policy: Policy,
-    /// Scheduling policy of the servo thread.
-    pub scheduler: Scheduler,
-    /// Priority of the servo thread under SCHED_FIFO, 1 to 99. Under either scheduler, the controller's thread runs
-    /// under SCHED_FIFO, 10 below this value but at least at 1.
-    pub priority: u8,
-    /// The CPU for the servo thread; any CPU where absent. Must be absent with `scheduler = "deadline"`.
-    pub cpu: Option<usize>,
-    /// Whether to lock the process's memory.
-    pub lock_memory: bool,
-    /// How the servo thread waits for its deadlines.
-    pub wait: Wait,
-    /// Time by which a hybrid wait requests its wake-up before it has to run, µs. Where absent, the time is learnt
-    /// from the latency of the host.
-    pub margin_us: Option<u32>,
-    /// Largest fraction of a core for the spinning of a hybrid wait, 0 to 0.5; 0.2 where absent. With `margin_us` the
-    /// fraction applies to each period. Without `margin_us` it applies to any second, with an excess of up to a
-    /// twentieth.
-    pub spin_share: Option<f64>,
-}
-
-impl Realtime {
-    /// Largest fraction of a core for the spinning of a hybrid wait.
-    pub fn spin_share(&self) -> f64 {
-        self.spin_share.unwrap_or(0.2)
-    }
-}
-
-/// Scheduling policy of the servo thread.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum Scheduler {
-    /// SCHED_FIFO: the thread runs before all threads of a lower priority, without a time limit.
-    Fifo,
-    /// SCHED_DEADLINE: the thread runs before all threads under SCHED_FIFO, for at most nine tenths of each period.
-    /// The policy needs CAP_SYS_NICE, which no limit replaces, and all CPUs.
-    Deadline,
-}
-
-/// How the servo thread waits for its deadlines.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum Wait {
-    /// The thread sleeps until the deadline, and is as late as its wake-up.
-    Plain,
-    /// The thread sleeps until a margin before the deadline, then spins. This wait is punctual but uses a part of a
-    /// core.
-    Hybrid,
-}
-
-impl Default for Realtime {
-    fn default() -> Self {
-        Self {
-            policy: Policy::BestEffort,
-            scheduler: Scheduler::Fifo,
-            priority: 80,
-            cpu: None,
-            lock_memory: true,
-            wait: Wait::Hybrid,
-            margin_us: None,
-            spin_share: None,
-        }
-    }
-}
-
-/// Reaction to a real-time request that the host denies.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum Policy {
-    /// The run does not start.
-    Require,
-    /// The run starts, and its report lists the denied requests.
-    BestEffort,
 }
 
 /// One CAN bus and the host's behaviour on it.
@@ -368,6 +289,7 @@ pub struct Parameter {
     pub bytes: u8,
 }
 
+// One table for both families. The legs of a `HostHoming` follow from the limits of the motor.
 /// Homing: by the drive on CAN (CiA 402 mode HM), by the host on a serial line.
 #[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -394,17 +316,7 @@ pub struct Homing {
     pub acceleration: f64,
 }
 
-/// A direction of the motor.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum Direction {
-    /// Towards lower positions.
-    Negative,
-    /// Towards higher positions.
-    Positive,
-}
-
-/// Settings of the emulated axis, on the benches without hardware.
+/// What stands in for an axis on the benches without hardware.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Emulator {
@@ -544,9 +456,6 @@ impl Cell {
 }
 
 mod defaults {
-    pub(super) fn yes() -> bool {
-        true
-    }
     pub(super) fn macrostep() -> u16 {
         10
     }

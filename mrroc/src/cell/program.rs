@@ -10,10 +10,10 @@ use thiserror::Error;
 use super::{Cell, Instruction, JointGenerator, Joints, Line, Meeting, Path, Robot};
 use controller::ecp::Task;
 use controller::generator::{
-    self, Arm, Axes, GeneratorError, JerkLimited, LineLimits, MotionLimits, Newsmooth,
-    PlannedStart, Pose, SmoothPose,
+    self, Axes, GeneratorError, JerkLimited, LineLimits, MotionLimits, Newsmooth, PlannedStart,
+    Pose, SmoothPose,
 };
-use controller::robot::{KinematicsError, Limits, Space};
+use controller::robot::{Arm, KinematicsError, Limits, Space};
 
 /// Greatest joint velocity, acceleration and jerk of generators, rad/s, rad/s² and rad/s³. Velocity and acceleration
 /// are those of MRROC++'s generators. With this jerk, the acceleration is reached in a tenth of a second.

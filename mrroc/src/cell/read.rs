@@ -15,9 +15,10 @@ use serde::forward_to_deserialize_any;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
+use super::Range;
 use super::error::{CellError, Problem};
 use super::locate::line_at;
-use super::text::{Range, excerpt, one_of, quoted};
+use super::text::{excerpt, one_of, quoted};
 
 /// Range of all numbers of a cell. No SI quantity of a robot is beyond it, and squares and products stay finite.
 const MOST: Range = Range::new(-1e12, 1e12, "");

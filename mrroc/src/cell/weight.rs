@@ -31,33 +31,3 @@ impl Weights {
         Weight::new(robot, masses, self.load, self.up.unwrap_or(model.up()))
     }
 }
-
-impl Model {
-    /// Nominal masses of the links: plausible figures, to be replaced by those of the real machine.
-    pub const fn masses(self) -> &'static [Mass] {
-        match self {
-            Self::Irb6 => &Mass::IRB6,
-            Self::Irp6 | Self::Irp6Calibrated => &Mass::IRP6,
-            Self::Irp6Track | Self::Irp6TrackCalibrated => &Mass::IRP6_TRACK,
-            Self::Rnt => &Mass::RNT,
-            Self::Polycrank => &Mass::POLYCRANK,
-            Self::Gripper | Self::Conveyor => &[],
-        }
-    }
-
-    /// The direction against gravity in the base frame. The RNT hangs. Axis 1 of the Polycrank is level, which leaves
-    /// two directions, of which x is used. Both values are nominal.
-    pub const fn up(self) -> [f64; 3] {
-        match self {
-            Self::Rnt => [0.0, 0.0, -1.0],
-            Self::Polycrank => [1.0, 0.0, 0.0],
-            Self::Irb6
-            | Self::Irp6
-            | Self::Irp6Calibrated
-            | Self::Irp6Track
-            | Self::Irp6TrackCalibrated
-            | Self::Gripper
-            | Self::Conveyor => [0.0, 0.0, 1.0],
-        }
-    }
-}

@@ -5,7 +5,8 @@
 //! power and a reference; homing does not count.
 
 use can::Instant;
-use controller::generator::{Arm, Axes, Pose};
+use controller::generator::{Axes, Pose};
+use controller::robot::Arm;
 use controller::robot::{KinematicsError, LinkKind};
 use serde::Serialize;
 use servo::Record;

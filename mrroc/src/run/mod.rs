@@ -356,7 +356,6 @@ fn by_the_clock(
     progress: &mut dyn FnMut(Progress),
 ) -> anyhow::Result<RunEnd> {
     let began = clock::now();
-    let policy = |time| setup::realtime_policy(&file.cell, time);
     let done = Arc::new(AtomicBool::new(false));
     let writing = Writing::start(logs, done.clone())?;
     let listening = wire.listen()?;
@@ -370,7 +369,14 @@ fn by_the_clock(
         }
     };
     let trace = requests.spikes.clone();
-    let running = clockwork::start(servo, emulation, emulated_since, policy, trace, until)?;
+    let running = clockwork::start(
+        servo,
+        emulation,
+        emulated_since,
+        file.cell.realtime,
+        trace,
+        until,
+    )?;
     let turning = Turning::of(running, done.clone());
     let poll = POLL.max(file.cell.period() * u32::from(file.cell.macrostep) / 10);
     let (tell, told) = sync_channel(NEWS);

@@ -2,6 +2,9 @@
 
 use std::time::Duration;
 
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
 /// How the servo homes an axis whose drive has an index latch but no homing of its own.
 ///
 /// The axis searches its home switch, stops, pauses and leaves the switch again slowly, in the
@@ -38,8 +41,9 @@ pub struct HomingLeg {
     pub timeout: Duration,
 }
 
-/// A sense of rotation of the motor.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// A direction of the motor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
 pub enum Direction {
     /// Towards lower positions.
     Negative,

@@ -1,5 +1,8 @@
 //! Configuration of position loops.
 
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
 use crate::regulator::{CascadeConfig, IncrementalConfig, ProportionalConfig};
 
 /// Who closes the position loop of an axis.
@@ -36,13 +39,14 @@ pub struct HostLoop {
 }
 
 /// A control law.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
 pub enum Law {
-    /// The incremental law of the IRp-6. Its coefficients hold for one period and count encoder increments.
+    /// The law of the IRp-6: two zeros, one pole, one integrator, in encoder counts and periods.
     Incremental(IncrementalConfig),
     /// Proportional position loop over a proportional-integral velocity loop.
     Cascade(CascadeConfig),
-    /// Proportional-integral position loop; for a drive that closes the velocity loop.
+    /// Proportional-integral position loop, for a drive that closes the velocity loop itself.
     Proportional(ProportionalConfig),
 }
 
@@ -57,26 +61,27 @@ pub enum Output {
     Duty,
 }
 
-/// Output that the commanded motion needs, in the loop's unit of output at the motor shaft.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+/// Output that the commanded motion needs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
 pub struct FeedForward {
-    /// Per commanded velocity, output·s/rad: viscous friction, and back-EMF where the output is a duty; 1 where
-    /// the output is a velocity.
+    /// Per commanded velocity, output·s/rad: viscous friction, and back-EMF under `control = "pwm"`; 1 under `control =
+    /// "velocity"`.
     pub velocity: f64,
-    /// Per commanded acceleration, output·s²/rad: inertia; the lag of the drive's loop, s, where the output is a
-    /// velocity.
+    /// Per commanded acceleration, output·s²/rad: inertia; under `control = "velocity"` the lag of the drive's loop, s.
     pub acceleration: f64,
     /// In the sense of the commanded velocity: dry friction while sliding fast.
     pub coulomb: f64,
-    /// The same at break-away, at least `coulomb`; or zero, for no more than `coulomb`.
-    pub stiction: f64,
-    /// Velocity over which it falls from `stiction` to `coulomb`, rad/s, as `exp(-(v / stribeck_velocity)²)` does.
-    pub stribeck_velocity: f64,
-    /// Per torque that weight takes in the pose commanded, output/(N·m): 1 where the output is a torque; winding
-    /// resistance by torque constant and supply voltage where it is a duty; 0 leaves [`Macrostep::torque`](crate::Macrostep::torque)
-    /// out.
-    pub weight: f64,
-    /// Always: the mean weight of the load, where no pose tells it.
+    /// The same at break-away, at least `coulomb`; `coulomb` where absent.
+    pub stiction: Option<f64>,
+    /// Velocity over which it falls from `stiction` to `coulomb`, rad/s: to 0.37 of the difference. Needed with
+    /// `stiction`.
+    pub stribeck_velocity: Option<f64>,
+    // The cell fills the default in. The servo leaves `Macrostep::torque` out where the factor is absent.
+    /// Per torque, 1/(N·m), that the robot's `weight` takes: 1 where absent under `control = "current"` or `"torque"`;
+    /// under `control = "pwm"` winding resistance / (torque constant * supply voltage).
+    pub weight: Option<f64>,
+    /// Always: the mean weight of the load, where the robot has no `weight`.
     pub constant: f64,
 }
 
@@ -87,9 +92,11 @@ impl FeedForward {
     /// What dry friction takes at a commanded velocity, rad/s. Nothing at rest.
     pub(crate) fn dry(&self, velocity: f64) -> f64 {
         let mut level = self.coulomb;
-        if self.stiction > level {
-            let x = velocity / self.stribeck_velocity;
-            level += (self.stiction - level) * (-x * x).exp();
+        if let (Some(stiction), Some(stribeck_velocity)) = (self.stiction, self.stribeck_velocity)
+            && stiction > level
+        {
+            let x = velocity / stribeck_velocity;
+            level += (stiction - level) * (-x * x).exp();
         }
         level * (velocity / REVERSAL).clamp(-1.0, 1.0)
     }
@@ -127,6 +134,8 @@ impl HostLoop {
             constant,
         } = self.feed_forward;
         let not_negative = |value: f64| value.is_finite() && value >= 0.0;
+        let [stiction, stribeck_velocity, weight] =
+            [stiction, stribeck_velocity, weight].map(|given| given.unwrap_or(0.0));
         if matches!(self.law, Law::Proportional(_)) && self.output != Output::Velocity {
             Some("law of its loop, which leaves the velocity to a drive that has no loop for it,")
         } else if self.output == Output::Duty && self.law.limit() > 1.0 {

@@ -1,18 +1,23 @@
 //! Cascade: proportional position loop over proportional-integral velocity loop.
 
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
 use super::proportional::{Proportional, ProportionalConfig};
 use super::{is_not_negative, is_positive};
 
-/// The gains of one axis.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Gains of `velocity_gain (1 + integral_rate / s) (position_gain + s)`, which acts on the position error in rad.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+#[schemars(rename = "Cascade")]
 pub struct CascadeConfig {
     /// Velocity asked for per position error, 1/s.
     pub position_gain: f64,
-    /// Torque, N·m, or duty per velocity error, 1/(rad/s).
+    /// Output per velocity error, 1/(rad/s).
     pub velocity_gain: f64,
-    /// How fast the velocity error is integrated: 1 / integral time, 1/s; zero for none.
+    /// How fast the velocity error is integrated, 1/s; zero for not at all.
     pub integral_rate: f64,
-    /// The most that is put out either way, N·m or duty.
+    /// The most that is put out either way.
     pub limit: f64,
 }
 

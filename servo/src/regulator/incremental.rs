@@ -1,9 +1,15 @@
 //! Incremental law of the original IRp-6 controller.
 
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
 use super::{is_not_negative, is_positive, share};
 
-/// The coefficients of one axis.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Coefficients of `gain (b0 - b1/z) ((1 + eps) - (1 - eps)/z) / ((1 - 1/z) (1 - a/z))`, which acts on the position
+/// error in counts; they hold for one servo period.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+#[schemars(rename = "Incremental")]
 pub struct IncrementalConfig {
     /// Pole, from 0 to below 1.
     pub a: f64,
@@ -13,12 +19,17 @@ pub struct IncrementalConfig {
     pub b1: f64,
     /// How far the first zero lies from 1, about half of it.
     pub eps: f64,
-    /// Whether the position error is integrated. Without, the law is a lead filter, and eps means nothing.
+    /// Whether the position error is integrated; a lead filter otherwise, in which eps means nothing.
+    #[serde(default = "integrating")]
     pub integral: bool,
-    /// Torque, N·m, or duty per unit of the law's own output.
+    /// Output per unit of the law's own.
     pub gain: f64,
-    /// The most that is put out either way, N·m or duty.
+    /// The most that is put out either way.
     pub limit: f64,
+}
+
+const fn integrating() -> bool {
+    true
 }
 
 /// The IRp-6 by torque: column, lower arm, upper arm, T, V, N. For encoder counts and 2 ms.

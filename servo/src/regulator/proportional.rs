@@ -1,13 +1,20 @@
 //! Proportional position loop.
 
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
 use super::{is_not_negative, is_positive, share};
 
-/// The gains of one axis.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Gains of `position_gain (1 + integral_rate / s)`, which acts on the position error in rad.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+#[schemars(rename = "Proportional")]
 pub struct ProportionalConfig {
-    /// Velocity per position error, 1/s: about the crossover, rad/s.
+    /// Velocity per position error, 1/s: about the crossover, rad/s. Some fifth of what the drive's velocity loop
+    /// passes, and less than 0.1 per delay from sample to effect (two and a half periods on CAN).
     pub position_gain: f64,
-    /// How fast the position error is integrated: 1 / integral time, 1/s; zero for none.
+    /// How fast the position error is integrated, 1/s; zero for not at all.
+    #[serde(default)]
     pub integral_rate: f64,
     /// The most that is put out either way, rad/s.
     pub limit: f64,

@@ -12,7 +12,7 @@ use thread_priority::{
     ThreadSchedulePolicy, set_thread_priority_and_policy, thread_native_id,
 };
 
-use super::RealtimePolicy;
+use super::realtime::{Realtime, Scheduler};
 use super::wait::BUSY_SHARE;
 
 /// Bytes of the stack touched before the first cycle.
@@ -174,32 +174,18 @@ pub enum Denial {
     },
 }
 
-/// Scheduling policy of a real-time thread.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Scheduler {
-    /// SCHED_FIFO: the thread runs before all threads of a lower priority, without a time limit.
-    Fifo,
-    /// SCHED_DEADLINE: the thread runs before all threads under SCHED_FIFO, for at most nine tenths of each period. A
-    /// thread that has used its budget stands still until the period ends, which makes the cycle late. No CPU can be
-    /// requested.
-    Deadline {
-        /// The period of the budget, equal to the servo period.
-        period: Duration,
-    },
-}
-
-/// Requests the settings of the policy for the calling thread; returns the denied ones.
-pub fn demand(policy: &RealtimePolicy) -> Vec<Denial> {
+/// Asks the host for the real-time needs of the calling thread, whose cycles take `period`; returns what it denied.
+pub fn demand(realtime: &Realtime, period: Duration) -> Vec<Denial> {
     let mut denied = Vec::new();
     denied.extend(set_timer_slack().err());
-    denied.extend(policy.cpu.and_then(|cpu| stay_on(cpu).err()));
-    if policy.lock_memory {
+    denied.extend(realtime.cpu.and_then(|cpu| stay_on(cpu).err()));
+    if realtime.lock_memory {
         denied.extend(lock_memory().err());
     }
     prefault_stack();
-    let scheduled = match policy.scheduler {
-        Scheduler::Fifo => set_fifo(policy.priority),
-        Scheduler::Deadline { period } => set_deadline(period),
+    let scheduled = match realtime.scheduler {
+        Scheduler::Fifo => set_fifo(realtime.priority),
+        Scheduler::Deadline => set_deadline(period),
     };
     denied.extend(scheduled.err());
     denied

@@ -36,12 +36,8 @@ fn has_power(world: &Arc<Mutex<World>>) -> bool {
 
 #[test]
 fn a_run_ends_with_the_drives_off_and_every_cycle_timed() {
-    for lead in [Duration::ZERO, Duration::from_micros(200)] {
+    for realtime in [Realtime::PLAIN, Realtime::default()] {
         let (servo, _link, world) = rig();
-        let policy = RealtimePolicy {
-            lead,
-            ..RealtimePolicy::BEST_EFFORT
-        };
         let calls = Arc::new(AtomicU32::new(0));
         let counted = Arc::clone(&calls);
         let mut last = Instant::ZERO;
@@ -50,7 +46,7 @@ fn a_run_ends_with_the_drives_off_and_every_cycle_timed() {
             last = next;
             counted.fetch_add(1, Ordering::Relaxed);
         };
-        let finished = run(servo, policy, between, is_standing).unwrap();
+        let finished = run(servo, realtime, CellTime::Wall, between, is_standing).unwrap();
         assert_eq!(finished.panicked, None);
         assert!(finished.servo.is_off() && !has_power(&world));
         let cycles = finished.servo.counters().cycles;
@@ -67,19 +63,16 @@ fn with_a_hybrid_wait_sync_leaves_at_the_deadline_however_long_preparing_takes()
     let (servo, _link, world) = rig();
     let work = Duration::from_micros(30);
     world.lock().unwrap().work = work;
-    let policy = RealtimePolicy {
-        wait: Wait::Hybrid {
-            margin: None,
-            spin_share: 0.5,
-        },
-        ..RealtimePolicy::BEST_EFFORT
+    let realtime = Realtime {
+        spin_share: Some(0.5),
+        ..Realtime::default()
     };
     let mut cycles = 0;
     let until = move |_: &Servo| {
         cycles += 1;
         cycles == 300
     };
-    let finished = run(servo, policy, |_| {}, until).unwrap();
+    let finished = run(servo, realtime, CellTime::Wall, |_| {}, until).unwrap();
     let timing = finished.timing;
     assert!(timing.wait.lead > work && timing.wait.margin > Duration::ZERO);
     assert!(timing.wait.spin_share > 0.0);
@@ -97,7 +90,7 @@ fn a_panic_of_the_caller_brakes_and_switches_off() {
             false
         }
     };
-    let finished = run(servo, RealtimePolicy::BEST_EFFORT, |_| {}, until).unwrap();
+    let finished = run(servo, Realtime::PLAIN, CellTime::Wall, |_| {}, until).unwrap();
     assert_eq!(finished.panicked, Some(Panicked::Caller));
     assert!(finished.servo.is_off() && !has_power(&world));
 }
@@ -110,7 +103,7 @@ fn a_panic_of_the_cycle_takes_the_power() {
         script.lock().unwrap().panic = is_standing(servo);
         false
     };
-    let finished = run(servo, RealtimePolicy::BEST_EFFORT, |_| {}, until).unwrap();
+    let finished = run(servo, Realtime::PLAIN, CellTime::Wall, |_| {}, until).unwrap();
     assert_eq!(finished.panicked, Some(Panicked::Cycle));
     assert!(!has_power(&world));
 }
@@ -130,7 +123,7 @@ fn missed_slots_are_skipped_and_never_caught_up() {
             sleep_until(now() + 4 * PERIOD);
         }
     };
-    let finished = run(servo, RealtimePolicy::BEST_EFFORT, between, is_standing).unwrap();
+    let finished = run(servo, Realtime::PLAIN, CellTime::Wall, between, is_standing).unwrap();
     assert_eq!(finished.panicked, None);
     assert!(finished.servo.counters().missed_cycles >= 3);
 }
@@ -150,11 +143,8 @@ fn nominal_time_stands_still_while_deadlines_are_missed() {
             sleep_until(now() + 4 * PERIOD);
         }
     };
-    let policy = RealtimePolicy {
-        time: CellTime::Nominal(first),
-        ..RealtimePolicy::BEST_EFFORT
-    };
-    let finished = run(servo, policy, between, is_standing).unwrap();
+    let time = CellTime::Nominal(first);
+    let finished = run(servo, Realtime::PLAIN, time, between, is_standing).unwrap();
     assert_eq!(finished.panicked, None);
     assert_eq!(finished.servo.fault(0), None);
     assert!(finished.servo.counters().missed_cycles >= 3);
@@ -165,15 +155,22 @@ fn what_is_required_and_denied_is_named_before_any_cycle() {
     // No host has this priority or these CPUs.
     for (priority, cpu) in [(100, None), (80, Some(1023)), (80, Some(usize::MAX))] {
         let (servo, _link, world) = rig();
-        let realtime = Realtime::Require;
-        let policy = RealtimePolicy {
-            realtime,
+        let realtime = Realtime {
+            policy: Policy::Require,
             priority,
             cpu,
             lock_memory: false,
-            ..RealtimePolicy::BEST_EFFORT
+            ..Realtime::PLAIN
         };
-        let refused = start(servo, policy, Arc::default(), |_| {}, |_| true).unwrap_err();
+        let refused = start(
+            servo,
+            realtime,
+            CellTime::Wall,
+            Arc::default(),
+            |_| {},
+            |_| true,
+        )
+        .unwrap_err();
         let StartError::Denied(denial) = refused else {
             panic!("{refused}")
         };
@@ -224,13 +221,13 @@ fn a_thread_really_has_what_was_not_denied() {
         let _ = tell.send((has(), child.0));
         true
     };
-    let policy = RealtimePolicy {
+    let realtime = Realtime {
         priority: 42,
         cpu: Some(0),
-        ..RealtimePolicy::BEST_EFFORT
+        ..Realtime::PLAIN
     };
     let (servo, _link, _world) = rig();
-    let finished = run(servo, policy, |_| {}, until).unwrap();
+    let finished = run(servo, realtime, CellTime::Wall, |_| {}, until).unwrap();
     let ((scheduler, priority, slack, cpus, locked), child) = told.recv().unwrap();
     let granted = |which: fn(&Denial) -> bool| !finished.denied.iter().any(which);
     let fifo = libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK;
@@ -277,13 +274,12 @@ fn a_deadline_thread_has_its_budget_and_starts_others_without_it() {
         cycles += 1;
         cycles == 5
     };
-    let policy = RealtimePolicy {
-        scheduler: Scheduler::Deadline { period: PERIOD },
-        wait: Wait::HYBRID,
-        ..RealtimePolicy::BEST_EFFORT
+    let realtime = Realtime {
+        scheduler: Scheduler::Deadline,
+        ..Realtime::default()
     };
     let (servo, _link, _world) = rig();
-    let finished = run(servo, policy, |_| {}, until).unwrap();
+    let finished = run(servo, realtime, CellTime::Wall, |_| {}, until).unwrap();
     let (found, child) = told.recv().unwrap();
     assert_eq!(child.sched_policy, libc::SCHED_OTHER as u32);
     let denial = (finished.denied.iter()).find(|one| matches!(one, Denial::Deadline { .. }));
@@ -314,31 +310,34 @@ fn a_deadline_thread_has_its_budget_and_starts_others_without_it() {
 
 #[test]
 fn a_denied_deadline_says_what_would_grant_it() {
-    // A thread bound to one of several CPUs is refused like one without the capability. No host accepts a period of 1
-    // h.
-    let on_one_cpu = RealtimePolicy {
-        scheduler: Scheduler::Deadline { period: PERIOD },
+    // A thread on one CPU of several is refused like one without the capability; no host has a period of 1 h.
+    let on_one_cpu = Realtime {
+        scheduler: Scheduler::Deadline,
         cpu: Some(0),
         lock_memory: false,
-        ..RealtimePolicy::BEST_EFFORT
+        ..Realtime::PLAIN
     };
-    let too_long = RealtimePolicy {
-        scheduler: Scheduler::Deadline {
-            period: Duration::from_secs(3600),
-        },
+    let on_any = Realtime {
         cpu: None,
         ..on_one_cpu
     };
+    let too_long = Duration::from_secs(3600);
     let several = std::fs::read_to_string("/sys/devices/system/cpu/online")
         .unwrap()
         .trim()
         != "0";
-    for (policy, needles) in [
-        (on_one_cpu, ["cap_sys_nice+ep", "cap_sys_nice+ep"]),
-        // The kernel checks the capability after the period, and a filter acts before both.
-        (too_long, ["sched_deadline_period_min_us", "seccomp"]),
+    for (policy, period, needles) in [
+        (on_one_cpu, PERIOD, ["cap_sys_nice+ep", "cap_sys_nice+ep"]),
+        // The kernel looks at the capability after the period, and a filter before both.
+        (
+            on_any,
+            too_long,
+            ["sched_deadline_period_min_us", "seccomp"],
+        ),
     ] {
-        let denied = std::thread::spawn(move || demand(&policy)).join().unwrap();
+        let denied = std::thread::spawn(move || demand(&policy, period))
+            .join()
+            .unwrap();
         let said = denied
             .iter()
             .find(|one| matches!(one, Denial::Deadline { .. }));

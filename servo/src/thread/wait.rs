@@ -11,6 +11,7 @@ use can::Instant;
 use can::clock::{now, sleep_until};
 
 use super::quantile::LearntQuantile;
+use super::realtime::{Realtime, Wait};
 
 /// Fraction of the period that work and spin together may take. The kernel freezes a thread under SCHED_FIFO that
 /// takes more than 95 % of a second (`sched_rt_runtime_us`) for the rest of the second.
@@ -24,31 +25,7 @@ const CREDIT: Duration = Duration::from_millis(50);
 /// within 64 cycles.
 const ALERT: u32 = 16;
 
-/// How a thread waits for a deadline.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Wait {
-    /// The thread sleeps until the deadline, and is as late as its wake-up.
-    Plain,
-    /// The thread sleeps until a margin before the deadline, then spins.
-    Hybrid {
-        /// The margin. `None` learns a margin that covers all but about one in 1000 wake-ups. After a late wake-up the
-        /// margin grows to at most half a period for some cycles, within the share.
-        margin: Option<Duration>,
-        /// Largest fraction of a core for spinning, 0 ..= 1. A fixed margin keeps the fraction in each period. A
-        /// learnt margin keeps it in any second, up to an excess of a twentieth.
-        spin_share: f64,
-    },
-}
-
-impl Wait {
-    /// The hybrid wait that learns its margin, in at most a fifth of a core.
-    pub const HYBRID: Self = Self::Hybrid {
-        margin: None,
-        spin_share: 0.2,
-    };
-}
-
-/// Cost of waiting.
+/// What waiting cost.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct WaitReport {
     /// Time by which the last wake-up was requested early; zero with [`Wait::Plain`].
@@ -96,10 +73,10 @@ pub struct Waiter {
 }
 
 impl Waiter {
-    /// A waiter for deadlines one `period` apart.
-    pub fn new(wait: Wait, period: Duration) -> Self {
+    /// For deadlines one `period` apart.
+    pub fn new(realtime: &Realtime, period: Duration) -> Self {
         Self {
-            margin: Margin::new(wait, period),
+            margin: Margin::new(realtime, period),
             elapsed: Duration::ZERO,
             spun: Duration::ZERO,
             last: None,
@@ -189,10 +166,10 @@ enum Kind {
 }
 
 impl Margin {
-    fn new(wait: Wait, period: Duration) -> Self {
-        let (margin, share) = match wait {
+    fn new(realtime: &Realtime, period: Duration) -> Self {
+        let (margin, share) = match realtime.wait {
             Wait::Plain => (Some(Duration::ZERO), 0.0),
-            Wait::Hybrid { margin, spin_share } => (margin, spin_share),
+            Wait::Hybrid => (realtime.margin, realtime.spin_share()),
         };
         let share = if share.is_finite() {
             share.clamp(0.0, 1.0)
@@ -273,18 +250,23 @@ mod tests {
 
     #[test]
     fn a_margin_is_within_the_share_and_leaves_throttling_its_room() {
-        let fixed = |margin, spin_share| Wait::Hybrid {
+        let fixed = |margin, spin_share| Realtime {
             margin: Some(micros(margin)),
-            spin_share,
+            spin_share: Some(spin_share),
+            ..Realtime::default()
+        };
+        let plain = Realtime {
+            wait: Wait::Plain,
+            ..Realtime::default()
         };
         // Wait, work so far, reserved spin time, expected margin; in µs of a period of 1000.
         let cases = [
-            (Wait::Plain, 0, 0, 0),
-            (Wait::HYBRID, 0, 0, 200),
-            (Wait::HYBRID, 0, 50, 150),
-            (Wait::HYBRID, 0, 300, 0),
-            (Wait::HYBRID, 750, 0, 150),
-            (Wait::HYBRID, 2500, 0, 0),
+            (plain, 0, 0, 0),
+            (Realtime::default(), 0, 0, 200),
+            (Realtime::default(), 0, 50, 150),
+            (Realtime::default(), 0, 300, 0),
+            (Realtime::default(), 750, 0, 150),
+            (Realtime::default(), 2500, 0, 0),
             (fixed(100, 0.2), 0, 0, 100),
             (fixed(300, 0.2), 0, 0, 200),
             (fixed(100, 0.2), 850, 0, 50),
@@ -293,7 +275,7 @@ mod tests {
             (fixed(100, -1.0), 0, 0, 0),
         ];
         for (wait, busy, reserved, expected) in cases {
-            let margin = Margin::new(wait, PERIOD);
+            let margin = Margin::new(&wait, PERIOD);
             let found = margin.allowed(micros(busy), micros(reserved));
             assert_eq!(found, micros(expected), "{wait:?} {busy} {reserved}");
         }
@@ -311,7 +293,7 @@ mod tests {
 
     #[test]
     fn spins_of_a_learning_wait_stay_within_the_share_whatever_the_host_does() {
-        let mut margin = Margin::new(Wait::HYBRID, PERIOD);
+        let mut margin = Margin::new(&Realtime::default(), PERIOD);
         let (mut spun, mut late) = (Duration::ZERO, 0);
         // An idle host, a busy host, a host that needs more than the permitted share, and an idle host again.
         for latency in [40, 120, 900, 40] {
@@ -330,11 +312,11 @@ mod tests {
     fn in_no_second_do_spins_take_more_than_their_share_and_a_twentieth_or_trip_throttling() {
         let cycles = 1000;
         for (spin_share, seed) in [(0.05, 1), (0.2, 2), (0.5, 3)] {
-            let wait = Wait::Hybrid {
-                margin: None,
-                spin_share,
+            let wait = Realtime {
+                spin_share: Some(spin_share),
+                ..Realtime::default()
             };
-            let mut margin = Margin::new(wait, PERIOD);
+            let mut margin = Margin::new(&wait, PERIOD);
             let mut seed: u64 = seed;
             let mut random = |below: u64| {
                 seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
@@ -372,7 +354,7 @@ mod tests {
 
     #[test]
     fn of_a_cluster_of_late_wake_ups_the_first_alone_is_late() {
-        let mut margin = Margin::new(Wait::HYBRID, PERIOD);
+        let mut margin = Margin::new(&Realtime::default(), PERIOD);
         let (mut late, mut spun) = (0, Duration::ZERO);
         for number in 0..100_000 {
             // Four late wake-ups of 400 µs, 8 cycles apart, every 2 s.
@@ -397,13 +379,13 @@ mod tests {
             (-150, 0, 50),
             (-300, 0, 0),
         ] {
-            let mut margin = Margin::new(Wait::HYBRID, PERIOD);
+            let mut margin = Margin::new(&Realtime::default(), PERIOD);
             margin.observe(micros(900));
             margin.credit = 1000 * saved;
             let found = margin.allowed(Duration::ZERO, micros(reserved));
             assert_eq!(found, micros(expected), "{saved} {reserved}");
         }
-        let mut margin = Margin::new(Wait::HYBRID, PERIOD);
+        let mut margin = Margin::new(&Realtime::default(), PERIOD);
         margin.settle(Duration::MAX, Duration::ZERO);
         assert_eq!(margin.credit, 10_000_000);
         assert_eq!(margin.allowed(Duration::ZERO, Duration::ZERO), micros(200));
@@ -411,7 +393,7 @@ mod tests {
 
     #[test]
     fn the_hybrid_wait_ends_at_its_deadline_and_not_before() {
-        let mut waiter = Waiter::new(Wait::HYBRID, PERIOD);
+        let mut waiter = Waiter::new(&Realtime::default(), PERIOD);
         let mut due = now();
         let mut spun = 0;
         for _ in 0..100 {

@@ -168,9 +168,9 @@ impl Plant {
                     velocity: motor.viscous,
                     acceleration: load.inertia,
                     coulomb: self.known() * motor.friction.coulomb,
-                    stiction: self.known() * motor.friction.stiction,
-                    stribeck_velocity: motor.friction.stribeck_velocity,
-                    weight: 1.0,
+                    stiction: Some(self.known() * motor.friction.stiction),
+                    stribeck_velocity: Some(motor.friction.stribeck_velocity),
+                    weight: Some(1.0),
                     ..FeedForward::default()
                 }
             }

@@ -1,7 +1,8 @@
 //! Random programs from random start positions, on the robots of the example cells.
 
 use ::mrroc::cell::{Cell, EmulatedPayload, Instruction, JointGenerator, Joints, Line, Robot};
-use controller::generator::{Arm, Axes};
+use controller::generator::Axes;
+use controller::robot::Arm;
 use controller::robot::Limits;
 
 use super::draw::Draw;

@@ -1,8 +1,8 @@
 //! Example cells with short programs, and with every key that a cell file can have.
 
 use ::mrroc::cell::{
-    Cell, Direction, DriveControl, EmulatedPayload, Incremental, Instruction, JointGenerator,
-    Joints, Law, Line, Parameter, Parameters, Protocol, Weights,
+    Cell, Direction, DriveControl, EmulatedPayload, Instruction, JointGenerator, Joints, Law, Line,
+    Parameter, Parameters, Protocol, Weights,
 };
 use controller::robot::Mass;
 use hil::plant::Irp6Axis;
@@ -53,7 +53,7 @@ fn written(example: &str, change: impl FnOnce(&mut Cell)) -> String {
 
 /// Adds every key that an arm on CAN may have.
 fn on_can(cell: &mut Cell) {
-    cell.realtime.margin_us = Some(100);
+    cell.realtime.margin = Some(std::time::Duration::from_micros(100));
     cell.realtime.cpu = Some(0);
     cell.realtime.spin_share = Some(0.2);
     let robot = &mut cell.robot[0];
@@ -147,14 +147,9 @@ fn other_law(cell: &mut Cell) {
 
 /// The law of an IRp-6, with a smaller limit if necessary.
 fn incremental(law: &IncrementalConfig, limit: f64) -> Law {
-    Law::Incremental(Incremental {
-        a: law.a,
-        b0: law.b0,
-        b1: law.b1,
-        eps: law.eps,
-        integral: law.integral,
-        gain: law.gain,
+    Law::Incremental(IncrementalConfig {
         limit: law.limit.min(limit),
+        ..*law
     })
 }
 

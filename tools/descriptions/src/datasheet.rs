@@ -1,19 +1,20 @@
 //! `mrroc datasheet`: figure and parameters of a robot, with the source of each parameter.
 
 mod devices;
-mod drives;
-mod figure;
+pub(crate) mod drives;
+pub(crate) mod figure;
 mod ink;
-mod loops;
-mod posture;
+pub(crate) mod loops;
+pub(crate) mod posture;
 mod svg;
 mod symbols;
-mod tables;
-mod views;
+pub(crate) mod tables;
+pub(crate) mod views;
 
 use clap::Args;
 
 use crate::kinematics::{Machine, Which};
+use crate::robots::described;
 use views::Drawing;
 
 /// Options of `mrroc datasheet`.
@@ -29,12 +30,10 @@ pub struct Options {
 /// The data sheet or the figure of a robot, of the gripper or of the conveyor.
 pub fn datasheet(options: &Options) -> anyhow::Result<String> {
     let machine = Machine::find(&options.machine)?;
-    Ok(match (options.figure, views::drawing(&machine)) {
+    let described = described(&machine.parameters);
+    Ok(match (options.figure, described.drawing(&machine)) {
         (false, _) => tables::sheet(&machine),
-        (true, Drawing::Arm(views)) => {
-            let symbols = views::symbols(&machine.parameters);
-            figure::figure(&machine, symbols, &views)
-        }
+        (true, Drawing::Arm(views)) => figure::figure(&machine, described.symbols(), &views),
         (true, Drawing::Gripper(gripper)) => devices::gripper(gripper),
         (true, Drawing::Conveyor(conveyor)) => devices::conveyor(conveyor),
     })
@@ -54,7 +53,7 @@ mod tests {
     fn every_view_shows_a_posture_that_the_robot_can_take() {
         for model in Model::ALL {
             let machine = machine(model);
-            let Drawing::Arm(views) = views::drawing(&machine) else {
+            let Drawing::Arm(views) = described(&machine.parameters).drawing(&machine) else {
                 assert_eq!(model.axes(), 1, "{}", model.name());
                 continue;
             };

@@ -4,4 +4,5 @@ pub mod cell_reference;
 pub mod datasheet;
 pub mod eds;
 pub mod kinematics;
+mod robots;
 pub mod urdf;

@@ -33,11 +33,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, bail};
 use can::clock;
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Args, ValueEnum};
 use hdrhistogram::serialization::V2DeflateSerializer;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
-use servo::thread::{self, CpuLatency, Denial, Waiter};
+use serde::de::DeserializeOwned;
+use serde::de::value::{self, StringDeserializer};
+use servo::thread::{CpuLatency, Denial, Scheduler, Wait, Waiter};
 
 use bench::CellBench;
 use cell::MeasuredCell;
@@ -75,8 +78,8 @@ pub struct Options {
     /// Duration of the measurement, with its unit: 60s, 10m, 1h. The peer is measured for the same time.
     #[arg(long, default_value = "60s")]
     duration: String,
-    /// Scheduling policy of the thread. [default: the cell's, or fifo]
-    #[arg(long, value_enum)]
+    /// What schedules the thread; the cell's or fifo, unless given.
+    #[arg(long, value_parser = words::<Scheduler>(SCHEDULERS))]
     scheduler: Option<Scheduler>,
     /// Priority under SCHED_FIFO, 1 to 99. [default: the cell's, or 80]
     #[arg(long)]
@@ -84,8 +87,8 @@ pub struct Options {
     /// The CPU to which the thread is pinned. [default: the cell's]
     #[arg(long)]
     cpu: Option<usize>,
-    /// Kind of wait. [default: the cell's, or hybrid]
-    #[arg(long, value_enum)]
+    /// How to wait; the cell's or hybrid, unless given.
+    #[arg(long, value_parser = words::<Wait>(WAITS))]
     wait: Option<Wait>,
     /// Time before a deadline at which a hybrid wait wakes up, with its unit: 100us. [default: the cell's, or learnt]
     #[arg(long)]
@@ -113,24 +116,31 @@ pub struct Options {
     json: bool,
 }
 
-/// Scheduling policy of the thread.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
-#[serde(rename_all = "kebab-case")]
-enum Scheduler {
-    /// SCHED_FIFO.
-    Fifo,
-    /// SCHED_DEADLINE with a run time of nine tenths of each period.
-    Deadline,
-}
+/// The values of `--scheduler`.
+const SCHEDULERS: [(&str, &str); 2] = [
+    ("fifo", "SCHED_FIFO"),
+    (
+        "deadline",
+        "SCHED_DEADLINE, with nine tenths of each period",
+    ),
+];
 
-/// Kind of wait.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
-#[serde(rename_all = "kebab-case")]
-enum Wait {
-    /// Sleep until the deadline.
-    Plain,
-    /// Sleep to a learnt margin before the deadline, then spin.
-    Hybrid,
+/// The values of `--wait`.
+const WAITS: [(&str, &str); 2] = [
+    ("plain", "Sleep until the deadline"),
+    (
+        "hybrid",
+        "Sleep to a learnt margin before the deadline, then spin",
+    ),
+];
+
+/// A parser of words that cell files have, each with its help.
+fn words<T: DeserializeOwned + Clone + Send + Sync + 'static>(
+    words: [(&'static str, &'static str); 2],
+) -> impl TypedValueParser<Value = T> {
+    let words = words.map(|(word, help)| PossibleValue::new(word).help(help));
+    PossibleValuesParser::new(words)
+        .try_map(|word| T::deserialize(StringDeserializer::<value::Error>::new(word)))
 }
 
 /// The peer.
@@ -199,10 +209,12 @@ impl Course<'_> {
         who: &str,
         mut body: impl FnMut(&mut Wakeups) + Send,
     ) -> anyhow::Result<Vec<Denial>> {
-        let policy = self.plan.policy;
+        let Plan {
+            realtime, period, ..
+        } = *self.plan;
         let look = || self.look(ledger, who);
-        let ((), denied) = probe::on_thread(&policy, || body(wakeups), look)?;
-        // Records the last interval of a turn. All other histograms are free by now.
+        let ((), denied) = probe::on_thread(&realtime, period, || body(wakeups), look)?;
+        // The last interval of a turn; all others are free by now.
         self.look(ledger, who);
         wakeups.late.hand_over();
         self.look(ledger, who);
@@ -234,7 +246,7 @@ pub fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
         cyclictest::find()?;
     }
     Load::find(&options.load)?;
-    let ((), mut denied) = probe::on_thread(&plan.policy, || (), || ())?;
+    let ((), mut denied) = probe::on_thread(&plan.realtime, plan.period, || (), || ())?;
     if let Some(cpu) = denied.iter().find(|one| matches!(one, Denial::Cpu { .. })) {
         bail!("{cpu}");
     }
@@ -262,7 +274,7 @@ pub fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
     let mut ours = Wakeups::new(recorder);
     let (recorder, mut peers) = recording(began, None);
     let mut peer = Wakeups::new(recorder);
-    let mut waiter = Waiter::new(plan.policy.wait, plan.period);
+    let mut waiter = Waiter::new(&plan.realtime, plan.period);
     let style = ProgressStyle::with_template("turn {pos}/{len}, {msg}")?;
     let mut course = Course {
         plan: &plan,
@@ -291,7 +303,7 @@ pub fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
                 if round == 1 {
                     cell.forget();
                 }
-                cell.turn(plan.policy, turn, into, |ledger| {
+                cell.turn(plan.realtime, turn, into, |ledger| {
                     course.look(ledger, "ours");
                 })?
             }
@@ -309,8 +321,8 @@ pub fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
                 course.thread(wakeups, into, "plain probe", |to| probe::probe(to, turn))?;
             }
             Some(Peer::Cyclictest) => {
-                let policy = &plan.policy;
-                let interval = cyclictest::measure(turn, policy.priority, policy.cpu)?;
+                let realtime = &plan.realtime;
+                let interval = cyclictest::measure(turn, realtime.priority, realtime.cpu)?;
                 into.add(&interval)?;
                 course.look(into, "cyclictest");
             }
@@ -328,16 +340,10 @@ pub fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
         seconds: (plan.turn * plan.rounds).as_secs_f64(),
         rounds: plan.rounds,
         warm_up_s: plan.warm_up.as_secs_f64(),
-        scheduler: match plan.policy.scheduler {
-            thread::Scheduler::Fifo => Scheduler::Fifo,
-            thread::Scheduler::Deadline { .. } => Scheduler::Deadline,
-        },
-        priority: plan.policy.priority,
-        cpu: plan.policy.cpu,
-        wait: match plan.policy.wait {
-            thread::Wait::Plain => Wait::Plain,
-            thread::Wait::Hybrid { .. } => Wait::Hybrid,
-        },
+        scheduler: plan.realtime.scheduler,
+        priority: plan.realtime.priority,
+        cpu: plan.realtime.cpu,
+        wait: plan.realtime.wait,
         load: options.load.clone(),
         against: options.against,
         cpu_latency_held: latency.is_ok(),

@@ -3,7 +3,7 @@
 use nalgebra::Isometry3;
 
 use super::*;
-use crate::robot::{Link, LinkKind, Mass, Weight};
+use crate::robot::{Arm, Link, LinkKind, Mass, Weight};
 
 /// The linear joints, each mounted on the previous joint.
 pub(super) fn links() -> Links {

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
 use super::*;
-use crate::robot::{Irb6, Irb6Parameters, Irp6, Irp6Parameters, KinematicsError};
+use crate::robot::{Arm, Irb6, Irb6Parameters, Irp6, Irp6Parameters, KinematicsError};
 
 const LIMITS: LineLimits = LineLimits {
     max_velocity: 0.25,

@@ -3,6 +3,8 @@
 use std::fmt;
 use std::time::Duration;
 
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 use serial::{Settings, hi_moxa, nfv2};
 use thiserror::Error;
 
@@ -13,12 +15,16 @@ use crate::{Milliamperes, Scale};
 /// range.
 const FARTHEST: f64 = (1 << 24) as f64;
 
-/// Which telegrams the drives of a group speak.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// What serial axis controllers speak.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
 pub enum Protocol {
-    /// The later ones, with addresses and a CRC: [`serial::nfv2`].
+    // `serial::nfv2`.
+    /// Framed and addressed, with a CRC-8.
+    #[default]
     Nfv2,
-    /// The older ones, without a checksum: [`serial::hi_moxa`]. Pulse widths only.
+    // `serial::hi_moxa`.
+    /// The older one, without a checksum. Pulse widths only.
     HiMoxa,
 }
 
@@ -78,12 +84,16 @@ pub struct AxisConfig {
     pub current_gains: Option<CurrentGains>,
 }
 
-/// What an axis controller's set-points are.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+// These docs are those of the cell-file reference, where links into this crate lead nowhere. The set-points come from
+// `Setpoint::Torque` and `Setpoint::Duty`.
+/// What an axis controller is commanded by.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
 pub enum Control {
-    /// Currents, from [`Setpoint::Torque`](crate::Setpoint::Torque). Only [`Protocol::Nfv2`].
+    /// Motor current; its own loop keeps it. NFv2 only.
+    #[default]
     Current,
-    /// Pulse widths, from [`Setpoint::Duty`](crate::Setpoint::Duty).
+    /// Pulse width: the share of the supply voltage that the motor gets.
     Pwm,
 }
 
@@ -177,6 +187,14 @@ impl fmt::Display for Quantity {
 }
 
 impl Protocol {
+    /// Its name in cell files.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Nfv2 => "nfv2",
+            Self::HiMoxa => "hi-moxa",
+        }
+    }
+
     pub(super) const fn other(self) -> Self {
         match self {
             Self::Nfv2 => Self::HiMoxa,

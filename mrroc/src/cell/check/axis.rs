@@ -6,8 +6,8 @@ use std::time::Duration;
 use drive::cia402::reserved;
 
 use super::{Checked, buses, homing, no_effect, position_loop, refused, within};
+use crate::cell::Range;
 use crate::cell::error::Problem;
-use crate::cell::text::Range;
 use crate::cell::{
     Axis, AxisController, Bus, Cell, Control, Drive, Emulator, Path, Plant, Protocol, Serial,
 };

@@ -1,8 +1,9 @@
 //! Checks of buses and bundles of serial lines.
 
 use super::{Checked, MOST, first_same, name, refused, some, twice, within};
+use crate::cell::Range;
 use crate::cell::error::Problem;
-use crate::cell::text::{Range, quoted};
+use crate::cell::text::quoted;
 use crate::cell::{Cell, Path};
 
 pub(super) fn check(cell: &Cell) -> Checked {

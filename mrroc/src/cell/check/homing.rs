@@ -2,9 +2,9 @@
 
 use super::axis::Place;
 use super::{Checked, no_effect, refused, within};
+use crate::cell::Range;
 use crate::cell::drives::FARTHEST_INDEX;
 use crate::cell::error::Problem;
-use crate::cell::text::Range;
 use crate::cell::{Axis, Path};
 use controller::robot::Limits;
 

@@ -1,8 +1,8 @@
 //! Checks of the instructions of a program that do not depend on the arm.
 
 use super::{Checked, name, refused, some, within};
+use crate::cell::Range;
 use crate::cell::error::Problem;
-use crate::cell::text::Range;
 use crate::cell::{Instruction, JointGenerator, Joints, Line, Path, Robot};
 
 /// Greatest number of instructions of a program, and of poses of an instruction.

@@ -2,8 +2,8 @@
 
 use super::axis::{self, Place};
 use super::{Checked, MOST, first_same, name, program, refused, some, twice, weight, within};
+use crate::cell::Range;
 use crate::cell::error::Problem;
-use crate::cell::text::Range;
 use crate::cell::{Axis, Cell, Path, Plant, Robot};
 
 pub(super) fn check(cell: &Cell) -> Checked {
@@ -54,7 +54,12 @@ pub(super) fn check(cell: &Cell) -> Checked {
                 limits[number],
                 home[number],
             )?;
-            if axis.emulator.plant == Plant::Wut && !robot.model.is_on_pedestal() {
+            if !robot
+                .model
+                .parameters()
+                .plants()
+                .contains(&axis.emulator.plant)
+            {
                 let why = "is wut, which is known of the robots on pedestals only: use physical";
                 return refused(path.then("emulator").then("plant"), why);
             }
@@ -117,7 +122,7 @@ fn check_tool(path: &Path, robot: &Robot) -> Checked {
 fn check_payloads(path: &Path, robot: &Robot) -> Checked {
     for (number, payload) in robot.emulated_payload.iter().enumerate() {
         let path = path.then(number);
-        if robot.model.axes() == 1 {
+        if robot.model.parameters().mechanism().is_none() {
             let why = "is of a gripper or conveyor, whose emulation carries nothing: leave it out";
             return refused(path, why);
         }

@@ -83,15 +83,15 @@ fn check_output(path: &Path, axis: &Axis, torque: f64) -> Checked {
     let PositionLoop::Host(host) = axis.position_loop(true) else {
         return Ok(());
     };
-    let Some((path, given)) = feed_forward(path, axis).filter(|_| host.feed_forward.weight != 0.0)
-    else {
+    let weight = host.feed_forward.weight.unwrap_or(0.0);
+    let Some((path, given)) = feed_forward(path, axis).filter(|_| weight != 0.0) else {
         return Ok(());
     };
     if given.constant != 0.0 {
         let why = "is the mean of a weight that the robot's table weight feeds forward already: leave it out";
         return Err((path.then("constant"), Problem::Refused(why.into())));
     }
-    let (output, limit) = (host.feed_forward.weight * torque, host.law.limit());
+    let (output, limit) = (weight * torque, host.law.limit());
     if output.abs() > limit {
         let why = format!(
             "is to hold {torque:.3} N·m at home, {:.3} of an output of {limit} at most: correct the masses or the limit",
@@ -285,9 +285,9 @@ mod tests {
                 .torques(&robot.kinematics().unwrap().home().padded());
             (factors, torques.unwrap()[2])
         };
-        assert_eq!(factors(SERIAL), (vec![0.0; 5], 0.0));
+        assert_eq!(factors(SERIAL), (vec![None; 5], 0.0));
         let (factors, upper_arm) = factors(&weighing(SERIAL, "{}", ", weight = 0.119"));
-        assert_eq!(factors, [1.0, 1.0, 1.0, 1.0, 0.119]);
+        assert_eq!(factors, [1.0, 1.0, 1.0, 1.0, 0.119].map(Some));
         assert!((upper_arm + 0.397).abs() < 1e-3, "{upper_arm} N·m");
     }
 

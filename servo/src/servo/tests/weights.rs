@@ -16,7 +16,7 @@ fn loaded(config: &ServoConfig, stiction: f64) -> Rig {
 fn under(config: &ServoConfig, stiction: f64, weight: f64) -> Rig {
     let mut config = config.clone();
     change(&mut config.effectors[0].axes[0], |host| {
-        host.feed_forward.weight = 1.0;
+        host.feed_forward.weight = Some(1.0);
         host.feed_forward.coulomb = stiction;
     });
     let mut rig = Rig::with(&config);

@@ -19,29 +19,29 @@ const TOP: f64 = 112.0;
 const HEIGHT: f64 = TOP + PANEL[1] + 96.0;
 
 /// One view of a robot in one posture.
-pub(super) struct View {
-    pub(super) title: &'static str,
-    pub(super) joints: Joints,
+pub(crate) struct View {
+    pub(crate) title: &'static str,
+    pub(crate) joints: Joints,
     /// Directions to the right and upwards on the sheet, in the base frame. They span the plane of projection.
-    pub(super) right: Vector3<f64>,
-    pub(super) up: Vector3<f64>,
+    pub(crate) right: Vector3<f64>,
+    pub(crate) up: Vector3<f64>,
     /// Outlines and name of the area that a point of the robot can reach.
-    pub(super) reach: Option<(Vec<Vec<Vector3<f64>>>, &'static str)>,
+    pub(crate) reach: Option<(Vec<Vec<Vector3<f64>>>, &'static str)>,
     /// Other parts: rails, legs, platforms.
-    pub(super) others: Vec<Other>,
+    pub(crate) others: Vec<Other>,
 }
 
 /// A part outside the serial chain of links.
-pub(super) struct Other {
-    pub(super) points: Vec<Vector3<f64>>,
-    pub(super) part: Part,
-    pub(super) said: Option<String>,
+pub(crate) struct Other {
+    pub(crate) points: Vec<Vector3<f64>>,
+    pub(crate) part: Part,
+    pub(crate) said: Option<String>,
 }
 
 /// Kind of a part.
 #[derive(Clone, Copy, PartialEq)]
-pub(super) enum Part {
-    /// A rigid part.
+pub(crate) enum Part {
+    /// It is rigid.
     Solid,
     /// A leg, whose length is driven.
     Leg,
@@ -50,7 +50,7 @@ pub(super) enum Part {
 }
 
 /// Figure of one or two views. `symbols` are the names of the joints in the formulas.
-pub(super) fn figure(machine: &Machine, symbols: &[&str], views: &[View; 2]) -> String {
+pub(crate) fn figure(machine: &Machine, symbols: &[&str], views: &[View; 2]) -> String {
     let links = machine.robot.links().map_or_else(Vec::new, |links| links.0);
     let mut svg = svg::open([WIDTH, HEIGHT]);
     let title = format!("{}: geometry in mm", machine.name);

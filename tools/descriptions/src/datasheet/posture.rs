@@ -6,26 +6,26 @@ use nalgebra::{Isometry3, Vector3};
 use crate::kinematics::Machine;
 
 /// Shortest link that is drawn, m.
-pub(super) const LEAST: f64 = 1e-4;
+pub(crate) const LEAST: f64 = 1e-4;
 
 /// Number of steps of an outline along one joint.
 const STEPS: usize = 48;
 
 /// One joint and the link before it.
-pub(super) struct Stand {
-    pub(super) kind: LinkKind,
+pub(crate) struct Stand {
+    pub(crate) kind: LinkKind,
     /// The joint's frame.
-    pub(super) frame: Isometry3<f64>,
-    pub(super) axis: Vector3<f64>,
+    pub(crate) frame: Isometry3<f64>,
+    pub(crate) axis: Vector3<f64>,
     /// Segments of the link from the previous joint: along the axis of that joint, then across it.
-    pub(super) way: Vec<[Vector3<f64>; 2]>,
+    pub(crate) way: Vec<[Vector3<f64>; 2]>,
     /// Direction of the link after this joint with the joint at zero, and its present direction. `None` if the
     /// direction does not depend on the joint.
-    pub(super) turned: Option<[Vector3<f64>; 2]>,
+    pub(crate) turned: Option<[Vector3<f64>; 2]>,
 }
 
 /// All joints of a robot at the given positions.
-pub(super) fn stands(links: &[Link], all: &Joints) -> Vec<Stand> {
+pub(crate) fn stands(links: &[Link], all: &Joints) -> Vec<Stand> {
     let frames = frames(links, all);
     let mut before = Isometry3::identity();
     let mut axis_before = Vector3::z();
@@ -72,7 +72,7 @@ fn frames(links: &[Link], joints: &Joints) -> Vec<Isometry3<f64>> {
 
 /// Outline of the area that `point` of the robot reaches by motion of two joints, with all other joints fixed. The
 /// outline is correct if motion of the outer joint does not make the limit curves of the inner joint cross.
-pub(super) fn outline(
+pub(crate) fn outline(
     machine: &Machine,
     joints: &Joints,
     [outer, inner]: [usize; 2],
@@ -97,7 +97,7 @@ pub(super) fn outline(
 }
 
 /// Range of one joint with all other joints fixed. Limits of the joint, of its motor and of the legs apply.
-pub(super) fn range(machine: &Machine, joints: &Joints, axis: usize) -> [f64; 2] {
+pub(crate) fn range(machine: &Machine, joints: &Joints, axis: usize) -> [f64; 2] {
     let limits = machine.robot.joint_limits()[axis];
     let here = joints[axis];
     [limits.low, limits.high].map(|end| {

@@ -5,22 +5,16 @@ use std::sync::Arc;
 
 use anyhow::{Context as _, anyhow};
 use clap::Args;
-use controller::robot::{
-    Joints, Limits, Motors, ParameterError, PolycrankParameters, Rnt, RntParameters, Robot, Vector,
-};
+use controller::robot::{Joints, Limits, Motors, ParameterError, Rnt, Robot, Vector};
 use mrroc::cell::{Model, Parameters};
 
 use nalgebra::Vector3;
 
 use super::numbers;
+use crate::robots::described;
 use mrroc::cell_file::CellFile;
 
-const RNT: &str =
-    "geometry, drives and limits of the RNT are nominal: none was measured or published";
-const POLYCRANK: &str =
-    "drives and home of the Polycrank are nominal: none was measured or published";
-
-/// Options that select the robot.
+/// Which robot.
 #[derive(Args)]
 pub struct Which {
     /// The model of the robot, such as irp6-track. With --cell, the name of the robot in the cell.
@@ -77,21 +71,11 @@ impl Machine {
     }
 
     fn new(name: String, parameters: Parameters) -> Result<Self, ParameterError> {
-        let (rnt, caution) = match &parameters {
-            Parameters::Rnt(numbers) => {
-                let nominal = *numbers == RntParameters::nominal();
-                (Some(Rnt::new(numbers)?), nominal.then_some(RNT))
-            }
-            Parameters::Polycrank(numbers) => {
-                let nominal = *numbers == PolycrankParameters::polycrank();
-                (None, nominal.then_some(POLYCRANK))
-            }
-            Parameters::Irb6(_)
-            | Parameters::Irp6(_)
-            | Parameters::Irp6Track(_)
-            | Parameters::Gripper(_)
-            | Parameters::Conveyor(_) => (None, None),
-        };
+        let mut rnt = None;
+        if let Parameters::Rnt(numbers) = &parameters {
+            rnt = Some(Rnt::new(numbers)?);
+        }
+        let caution = described(&parameters).caution();
         Ok(Self {
             name,
             robot: parameters.kinematics()?,

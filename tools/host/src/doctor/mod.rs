@@ -172,7 +172,7 @@ fn state(tree: &Tree, options: &Options) -> anyhow::Result<PathBuf> {
 }
 
 fn examine(tree: &Tree, cell: Option<&Cell>) -> anyhow::Result<Vec<Finding>> {
-    let realtime = cell.map_or_else(Realtime::default, |cell| cell.realtime.clone());
+    let realtime = cell.map_or_else(Realtime::default, |cell| cell.realtime);
     let stat = || tree.text("/proc/stat").unwrap_or_default();
     let before = stat();
     let end = now() + WATCH;

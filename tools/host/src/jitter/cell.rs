@@ -11,7 +11,7 @@ use std::sync::Arc;
 use anyhow::{anyhow, bail};
 use can::clock::{now, sleep_until};
 use serde::Serialize;
-use servo::thread::{CellTime, Denial, LateCycles, RealtimePolicy, Spike, Tracer, WaitReport};
+use servo::thread::{Denial, LateCycles, Realtime, Spike, Tracer, WaitReport};
 use servo::{Order, Phase, Servo};
 
 use super::bench::CellBench;
@@ -81,7 +81,7 @@ impl<'a> MeasuredCell<'a> {
     /// turn.
     pub(super) fn turn(
         &mut self,
-        policy: RealtimePolicy,
+        realtime: Realtime,
         turn: Turn,
         ledger: &mut Ledger,
         mut look: impl FnMut(&mut Ledger),
@@ -113,8 +113,7 @@ impl<'a> MeasuredCell<'a> {
         let end = begun + turn.time;
         let until =
             move |_: &Servo| now() >= end || over.load(std::sync::atomic::Ordering::Relaxed);
-        let policy = |time: CellTime| RealtimePolicy { time, ..policy };
-        let running = clockwork::start(servo, emulation, since, policy, Arc::default(), until)?;
+        let running = clockwork::start(servo, emulation, since, realtime, Arc::default(), until)?;
         let mut stood = vec![false; links.len()];
         while !running.is_finished() {
             for (link, stood) in links.iter_mut().zip(&mut stood) {

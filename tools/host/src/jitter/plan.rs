@@ -4,10 +4,9 @@ use std::time::Duration;
 
 use anyhow::{anyhow, bail};
 use mrroc::cell::Cell;
-use servo::thread::{self, CellTime, Realtime, RealtimePolicy};
+use servo::thread::{Policy, Realtime, Scheduler, Wait};
 
-use super::{Options, Scheduler, Wait};
-use mrroc::setup;
+use super::Options;
 
 /// Shortest and longest allowed period.
 const PERIODS: [Duration; 2] = [Duration::from_micros(50), Duration::from_secs(1)];
@@ -38,7 +37,7 @@ pub(super) struct Plan {
     pub(super) rounds: u32,
     /// Duration of the first turn of each side, which is not counted.
     pub(super) warm_up: Duration,
-    pub(super) policy: RealtimePolicy,
+    pub(super) realtime: Realtime,
 }
 
 impl Plan {
@@ -59,26 +58,15 @@ impl Plan {
                 options.duration
             );
         }
-        let usual = match cell {
-            Some(cell) => setup::realtime_policy(cell, CellTime::Wall),
-            None => RealtimePolicy {
-                wait: thread::Wait::HYBRID,
-                ..RealtimePolicy::BEST_EFFORT
-            },
-        };
+        let usual = cell.map_or_else(Realtime::default, |cell| cell.realtime);
         let given = options.priority.unwrap_or(usual.priority.into());
         let priority = u8::try_from(given)
             .ok()
             .filter(|priority| (1..=99).contains(priority))
             .ok_or_else(|| anyhow!("--priority is {}, must be between 1 and 99", given))?;
-        let scheduler = match (options.scheduler, usual.scheduler) {
-            (Some(Scheduler::Fifo), _) | (None, thread::Scheduler::Fifo) => thread::Scheduler::Fifo,
-            (Some(Scheduler::Deadline), _) | (None, thread::Scheduler::Deadline { .. }) => {
-                thread::Scheduler::Deadline { period }
-            }
-        };
+        let scheduler = options.scheduler.unwrap_or(usual.scheduler);
         let cpu = options.cpu.or(usual.cpu);
-        if let (thread::Scheduler::Deadline { .. }, Some(cpu)) = (scheduler, cpu) {
+        if let (Scheduler::Deadline, Some(cpu)) = (scheduler, cpu) {
             bail!(
                 "CPU {cpu} cannot be had with --scheduler deadline, which the kernel grants only to a thread that may \
                  run on all CPUs"
@@ -90,46 +78,47 @@ impl Plan {
             warm_up: turn.min(WARM_UP),
             turn,
             rounds: time.div_duration_f64(turn).ceil() as u32,
-            policy: RealtimePolicy {
-                realtime: Realtime::BestEffort,
+            realtime: Realtime {
+                policy: Policy::BestEffort,
                 scheduler,
                 priority,
                 cpu,
-                wait: wait(options, usual.wait, period)?,
-                // Applies to both sides.
+                // Both sides alike.
                 lock_memory: true,
-                ..usual
+                ..waiting(options, usual, period)?
             },
         })
     }
 }
 
-/// Kind of wait: `usual`, changed by the options within the limits of a cell file.
-fn wait(options: &Options, usual: thread::Wait, period: Duration) -> anyhow::Result<thread::Wait> {
-    let wait = match (options.wait, usual) {
-        (Some(Wait::Plain), _) | (None, thread::Wait::Plain) => thread::Wait::Plain,
-        (Some(Wait::Hybrid), thread::Wait::Plain) => thread::Wait::HYBRID,
-        (Some(Wait::Hybrid) | None, hybrid) => hybrid,
-    };
-    let thread::Wait::Hybrid { margin, spin_share } = wait else {
+/// How to wait: as `usual` but for what the options say, within what a cell may say.
+fn waiting(options: &Options, usual: Realtime, period: Duration) -> anyhow::Result<Realtime> {
+    let wait = options.wait.unwrap_or(usual.wait);
+    if wait == Wait::Plain {
         if options.margin.is_some() || options.spin_share.is_some() {
             bail!("--margin and --spin-share need --wait hybrid");
         }
-        return Ok(wait);
-    };
+        return Ok(Realtime { wait, ..usual });
+    }
     let given = options.margin.as_deref();
     let given = given.map(|text| duration("margin", text)).transpose()?;
-    let (margin, spin_share) = (given.or(margin), options.spin_share.unwrap_or(spin_share));
+    let realtime = Realtime {
+        wait,
+        margin: given.or(usual.margin),
+        spin_share: options.spin_share.or(usual.spin_share),
+        ..usual
+    };
+    let spin_share = realtime.spin_share();
     if !(0.0..=0.5).contains(&spin_share) {
         bail!("--spin-share is {spin_share}, must be between 0 and 0.5 (of a core)");
     }
     let longest = period.mul_f64(spin_share);
-    if let Some(margin) = margin.filter(|&margin| margin > longest) {
+    if let Some(margin) = realtime.margin.filter(|&margin| margin > longest) {
         bail!(
             "--margin is {margin:?}, must be at most the share of the period to spin in, {longest:?}"
         );
     }
-    Ok(thread::Wait::Hybrid { margin, spin_share })
+    Ok(realtime)
 }
 
 fn period(text: &str, of_cell: bool) -> anyhow::Result<Duration> {
@@ -252,27 +241,32 @@ mod tests {
 
     #[test]
     fn the_thread_is_scheduled_and_waits_as_the_options_say() {
-        let hybrid = |margin: Option<u64>, spin_share| thread::Wait::Hybrid {
-            margin: margin.map(Duration::from_micros),
-            spin_share,
+        let usual = Realtime::default();
+        let deadline = Realtime {
+            scheduler: Scheduler::Deadline,
+            ..usual
         };
-        let deadline = |period| thread::Scheduler::Deadline {
-            period: Duration::from_millis(period),
-        };
-        let fifo = thread::Scheduler::Fifo;
-        for (line, scheduler, wait) in [
-            ("", fifo, thread::Wait::HYBRID),
-            ("--scheduler fifo --wait plain", fifo, thread::Wait::Plain),
-            ("--scheduler deadline", deadline(1), thread::Wait::HYBRID),
+        for (line, realtime) in [
+            ("", usual),
+            ("--scheduler fifo --wait plain", Realtime::PLAIN),
+            ("--scheduler deadline", deadline),
             (
                 "--scheduler deadline --period 2ms --margin 800us --spin-share 0.4",
-                deadline(2),
-                hybrid(Some(800), 0.4),
+                Realtime {
+                    margin: Some(Duration::from_micros(800)),
+                    spin_share: Some(0.4),
+                    ..deadline
+                },
             ),
-            ("--wait hybrid --spin-share 0", fifo, hybrid(None, 0.0)),
+            (
+                "--wait hybrid --spin-share 0",
+                Realtime {
+                    spin_share: Some(0.0),
+                    ..usual
+                },
+            ),
         ] {
-            let policy = plan(line).unwrap().policy;
-            assert_eq!((policy.scheduler, policy.wait), (scheduler, wait), "{line}");
+            assert_eq!(plan(line).unwrap().realtime, realtime, "{line}");
         }
     }
 

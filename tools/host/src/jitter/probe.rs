@@ -10,8 +10,8 @@ use std::time::Duration;
 use anyhow::{Context, anyhow};
 use can::clock::{now, sleep_until};
 use servo::thread::{
-    self, Account, Cause, Denial, GAP, LateCycle, LateCycles, RealtimePolicy, Spent, Stamps,
-    Tracer, Waiter,
+    self, Account, Cause, Denial, GAP, LateCycle, LateCycles, Realtime, Spent, Stamps, Tracer,
+    Waiter,
 };
 
 use super::interval::Recorder;
@@ -130,7 +130,8 @@ pub(super) fn probe(wakeups: &mut Wakeups, turn: Turn) {
 /// Runs `body` on a new thread under `policy`, and calls `meanwhile` on this thread repeatedly. Also returns what the
 /// host denied.
 pub(super) fn on_thread<T: Send>(
-    policy: &RealtimePolicy,
+    realtime: &Realtime,
+    period: Duration,
     body: impl FnOnce() -> T + Send,
     mut meanwhile: impl FnMut(),
 ) -> anyhow::Result<(T, Vec<Denial>)> {
@@ -139,7 +140,7 @@ pub(super) fn on_thread<T: Send>(
             .name("jitter".into())
             .stack_size(STACK)
             .spawn_scoped(scope, || {
-                let denied = thread::demand(policy);
+                let denied = thread::demand(realtime, period);
                 (body(), denied)
             })
             .context("no thread to measure on can be made")?;
@@ -155,8 +156,6 @@ pub(super) fn on_thread<T: Send>(
 
 #[cfg(test)]
 mod tests {
-    use servo::thread::Wait;
-
     use super::*;
     use crate::jitter::interval::recording;
 
@@ -170,7 +169,11 @@ mod tests {
         };
         for probe in [
             |wakeups: &mut Wakeups, turn: Turn| {
-                wait(&mut Waiter::new(Wait::HYBRID, turn.period), wakeups, turn);
+                wait(
+                    &mut Waiter::new(&Realtime::default(), turn.period),
+                    wakeups,
+                    turn,
+                );
             },
             probe,
         ] {
@@ -194,15 +197,15 @@ mod tests {
             time: Duration::from_millis(400),
             over: &over,
         };
-        let policy = |priority| RealtimePolicy {
+        let realtime = |priority| Realtime {
             priority,
             cpu: Some(0),
             lock_memory: false,
-            ..RealtimePolicy::BEST_EFFORT
+            ..Realtime::PLAIN
         };
         let end = now() + turn.time;
         let hog = std::thread::spawn(move || {
-            let denied = thread::demand(&policy(90));
+            let denied = thread::demand(&realtime(90), turn.period);
             while now() < end {
                 sleep_until(now() + Duration::from_millis(20));
                 let over = now() + Duration::from_micros(1500);
@@ -212,9 +215,9 @@ mod tests {
         });
         let (recorder, _ledger) = recording(now(), None);
         let mut wakeups = Wakeups::new(recorder);
-        let mut waiter = Waiter::new(Wait::Plain, turn.period);
+        let mut waiter = Waiter::new(&Realtime::PLAIN, turn.period);
         let measure = || wait(&mut waiter, &mut wakeups, turn);
-        let ((), denied) = on_thread(&policy(80), measure, || {}).unwrap();
+        let ((), denied) = on_thread(&realtime(80), turn.period, measure, || {}).unwrap();
         assert_eq!(
             denied,
             [],

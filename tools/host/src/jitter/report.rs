@@ -4,12 +4,12 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use serde::Serialize;
-use servo::thread::{LateCycles, WaitReport};
+use servo::thread::{LateCycles, Scheduler, Wait, WaitReport};
 
 use super::cell::CellReport;
 use super::interval::Counts;
 use super::verdict::{self, Fit, Tail};
-use super::{Peer, Scheduler, Wait, load};
+use super::{Peer, load};
 use mrroc::report::{Percentiles, WaitCost, microseconds};
 
 /// Subject and conditions of a measurement.

@@ -1,4 +1,11 @@
-//! The robot models that a cell can name, and their parameters.
+//! The list of robots that a cell can name: their models, their numbers and what emulates them.
+//!
+//! A robot keeps [`RobotParameters`] in `controller` and [`Emulated`] in its own file here. CONTRIBUTING.md has the recipe.
+
+mod arms;
+mod devices;
+mod polycrank;
+mod rnt;
 
 use std::sync::Arc;
 
@@ -6,10 +13,44 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use controller::robot::{
-    Conveyor, ConveyorParameters, Gripper, GripperParameters, Irb6, Irb6Parameters, Irp6,
-    Irp6Parameters, Irp6Track, Irp6TrackParameters, ParameterError, Polycrank, PolycrankParameters,
-    Rnt, RntParameters, Room,
+    ConveyorParameters, GripperParameters, Irb6Parameters, Irp6Parameters, Irp6TrackParameters,
+    Mass, ParameterError, PolycrankParameters, RntParameters, Robot, RobotParameters,
 };
+use hil::{AxisConfig, MechanismConfig};
+
+use crate::cell::Plant;
+
+/// What stands in for a robot on the benches without hardware.
+pub trait Emulated: RobotParameters {
+    /// Plants that its axes can have.
+    fn plants(&self) -> &'static [Plant] {
+        &[Plant::Physical]
+    }
+
+    /// Coupled dynamics of its motors; `None` where each axis moves a load of its own.
+    fn mechanism(&self) -> Option<MechanismConfig> {
+        None
+    }
+
+    /// Motor, load, sensors and switches of axis `number`, whose home position is `home`, rad.
+    fn plant(&self, plant: Plant, number: usize, home: f64) -> AxisConfig;
+}
+
+/// Evaluates an expression on the numbers of a robot, whichever robot: `each_robot!(parameters, it => it.masses())`.
+#[macro_export]
+macro_rules! each_robot {
+    ($parameters:expr, $it:ident => $value:expr) => {
+        match $parameters {
+            $crate::cell::Parameters::Irb6($it) => $value,
+            $crate::cell::Parameters::Irp6($it) => $value,
+            $crate::cell::Parameters::Irp6Track($it) => $value,
+            $crate::cell::Parameters::Rnt($it) => $value,
+            $crate::cell::Parameters::Polycrank($it) => $value,
+            $crate::cell::Parameters::Gripper($it) => $value,
+            $crate::cell::Parameters::Conveyor($it) => $value,
+        }
+    };
+}
 
 /// The models with known parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
@@ -69,31 +110,39 @@ impl Parameters {
         }
     }
 
-    /// The kinematics of a robot with these parameters, or the error in them.
-    pub fn kinematics(&self) -> Result<Arc<dyn controller::robot::Robot>, ParameterError> {
-        Ok(match self {
-            Self::Irb6(parameters) => Arc::new(Irb6::new(parameters)?),
-            Self::Irp6(parameters) => Arc::new(Irp6::new(parameters)?),
-            Self::Irp6Track(parameters) => Arc::new(Irp6Track::new(parameters)?),
-            Self::Rnt(parameters) => Arc::new(Rnt::new(parameters)?),
-            Self::Polycrank(parameters) => Arc::new(Polycrank::new(parameters)?),
-            Self::Gripper(parameters) => Arc::new(Gripper::new(parameters)?),
-            Self::Conveyor(parameters) => Arc::new(Conveyor::new(parameters)?),
-        })
+    /// The robot of these numbers, or what is wrong with them.
+    pub fn kinematics(&self) -> Result<Arc<dyn Robot>, ParameterError> {
+        each_robot!(self, it => it.robot())
     }
-}
 
-impl Room for Parameters {
-    fn with_room_at_home(self, motors: &[f64]) -> Self {
-        match self {
-            Self::Irb6(it) => Self::Irb6(it.with_room_at_home(motors)),
-            Self::Irp6(it) => Self::Irp6(it.with_room_at_home(motors)),
-            Self::Irp6Track(it) => Self::Irp6Track(it.with_room_at_home(motors)),
-            Self::Rnt(it) => Self::Rnt(it.with_room_at_home(motors)),
-            Self::Polycrank(it) => Self::Polycrank(it.with_room_at_home(motors)),
-            Self::Gripper(it) => Self::Gripper(it.with_room_at_home(motors)),
-            Self::Conveyor(it) => Self::Conveyor(it.with_room_at_home(motors)),
+    /// The same numbers with room at home: [`RobotParameters::with_room_at_home`].
+    #[must_use]
+    pub fn with_room_at_home(mut self, motors: &[f64]) -> Self {
+        each_robot!(&mut self, it => *it = it.with_room_at_home(motors));
+        self
+    }
+
+    /// How many axes the robot has.
+    pub fn axes(&self) -> usize {
+        fn axes<T: RobotParameters>(_: &T) -> usize {
+            T::AXES
         }
+        each_robot!(self, it => axes(it))
+    }
+
+    /// Plants that its axes can have.
+    pub fn plants(&self) -> &'static [Plant] {
+        each_robot!(self, it => it.plants())
+    }
+
+    /// Coupled dynamics of its motors; `None` where each axis moves a load of its own.
+    pub fn mechanism(&self) -> Option<MechanismConfig> {
+        each_robot!(self, it => it.mechanism())
+    }
+
+    /// Motor, load, sensors and switches of axis `number`, whose home position is `home`, rad.
+    pub fn plant(&self, plant: Plant, number: usize, home: f64) -> AxisConfig {
+        each_robot!(self, it => it.plant(plant, number, home))
     }
 }
 
@@ -143,23 +192,25 @@ impl Model {
         }
     }
 
-    /// Whether the model is an arm on a pedestal.
-    pub const fn is_on_pedestal(self) -> bool {
-        matches!(self, Self::Irb6 | Self::Irp6 | Self::Irp6Calibrated)
+    /// How many axes it has.
+    pub fn axes(self) -> usize {
+        self.parameters().axes()
     }
 
     /// Whether it carries a tool; a gripper and a conveyor are devices of one axis.
-    pub const fn has_tool(self) -> bool {
-        !matches!(self, Self::Gripper | Self::Conveyor)
+    pub fn has_tool(self) -> bool {
+        self.axes() > 1
     }
 
-    /// How many axes it has.
-    pub const fn axes(self) -> usize {
-        match self {
-            Self::Irb6 => 5,
-            Self::Irp6 | Self::Irp6Calibrated | Self::Rnt => 6,
-            Self::Irp6Track | Self::Irp6TrackCalibrated | Self::Polycrank => 7,
-            Self::Gripper | Self::Conveyor => 1,
-        }
+    /// Nominal masses of its links.
+    pub fn masses(self) -> &'static [Mass] {
+        each_robot!(self.parameters(), it => it.masses())
+    }
+
+    /// The direction against gravity in its base frame.
+    pub fn up(self) -> [f64; 3] {
+        each_robot!(self.parameters(), it => it.up())
     }
 }
+
+const AS_MANY: &str = "a parsed robot has as many axes as its model";

@@ -2,8 +2,15 @@
 
 use std::sync::Arc;
 
-use super::{Axes, Pose};
-use crate::robot::{KinematicsError, Robot, Vector, Weight};
+use servo::MAX_AXES;
+
+use super::{KinematicsError, Robot, Vector, Weight};
+
+/// One number per axis; entries beyond the robot's axes are zero.
+pub type Axes = [f64; MAX_AXES];
+
+/// Base from tool, metres.
+pub type Pose = nalgebra::Isometry3<f64>;
 
 /// A robot and its tool: kinematics from tool to motors, with vectors padded with zeros.
 #[derive(Clone, Debug)]
