@@ -1,13 +1,11 @@
 //! Throughput of the SDO and PDO layouts, frames per second on one core.
 
 use std::hint::black_box;
-use std::time::Duration;
 
-use can::{Frame, Instant};
+use can::Frame;
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use mrroc_canopen::cia402::{Goal, PowerStateMachine, Statusword};
 use mrroc_canopen::pdo::{Entry, PdoMapping, PdoNumber};
-use mrroc_canopen::sdo::{Client, Expedited, Initiate, Request, Response};
+use mrroc_canopen::sdo::{Expedited, Initiate, Request, Response};
 use mrroc_canopen::{NodeId, cob, objects};
 
 const NODE: NodeId = NodeId::new(2).expect("2 is a node-ID");
@@ -27,19 +25,6 @@ fn sdo(c: &mut Criterion) {
     let frame = response.encode(NODE);
     group.bench_function("decode", |b| {
         b.iter(|| Response::decode(black_box(&frame), NODE));
-    });
-    let mut client = Client::new(NODE, Duration::from_millis(500), 2);
-    group.bench_function("upload", |b| {
-        b.iter(|| {
-            client
-                .upload(objects::STATUSWORD, Instant::ZERO)
-                .expect("the last result was taken");
-            black_box(client.poll_transmit(Instant::ZERO));
-            client.handle(black_box(&frame), Instant::ZERO);
-            client
-                .poll()
-                .and_then(|result| result.ok()?.number::<u16>().ok())
-        });
     });
     group.finish();
 }
@@ -69,10 +54,6 @@ fn pdo(c: &mut Criterion) {
             let bytes = black_box(&frame).data().try_into().expect("8 bytes");
             (control.read_unsigned(bytes), target.read_signed(bytes))
         });
-    });
-    let mut machine = PowerStateMachine::new();
-    group.bench_function("power step", |b| {
-        b.iter(|| machine.step(black_box(Statusword(0x0737)), Goal::On));
     });
     group.finish();
 }

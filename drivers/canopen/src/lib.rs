@@ -48,10 +48,6 @@ fn payload(frame: &Frame, id: StandardId) -> Option<&[u8]> {
 /// The frame that candump prints as `text`.
 #[cfg(test)]
 fn parse(text: &str) -> Frame {
-    let (id, data) = text.split_once('#').unwrap();
-    let id = StandardId::new(u16::from_str_radix(id, 16).unwrap()).unwrap();
-    let bytes = (0..data.len())
-        .step_by(2)
-        .map(|at| u8::from_str_radix(&data[at..at + 2], 16));
-    Frame::new(id, &bytes.collect::<Result<Vec<_>, _>>().unwrap()).unwrap()
+    let line = format!("(0.000000) vcan0 {text}");
+    can::candump::Entry::parse(line.as_bytes()).unwrap().frame
 }

@@ -7,7 +7,6 @@ use can::StandardId;
 use thiserror::Error;
 
 use crate::Object;
-use crate::sdo::Write;
 
 /// Which of the four PDOs of the predefined connection set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -312,68 +311,10 @@ impl Slot {
     }
 }
 
-/// How one PDO of a device is to be.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct PdoSetup {
-    /// Its direction.
-    pub kind: PdoKind,
-    /// Its number.
-    pub number: PdoNumber,
-    /// Its identifier; an invalid one leaves the PDO switched off.
-    pub cob_id: PdoCobId,
-    /// What it carries.
-    pub mapping: PdoMapping,
-    /// When it is sent or takes effect.
-    pub transmission: TransmissionType,
-    /// TPDO: the least time between two of them, in 100 µs. `None` leaves what the device has;
-    /// EPOS4 has 1 ms.
-    pub inhibit_time: Option<u16>,
-    /// TPDO: sent at least that often, ms; RPDO: deadline for the next one, ms. `None` leaves what the
-    /// device has.
-    pub event_timer: Option<u16>,
-}
-
-/// Writes in the order of CiA 301 §7.5.2.36: switch the PDO off, clear the mapping, fill it, set its count, write the
-/// communication parameters, switch the PDO on.
-///
-/// Devices abort writes in another order.
-pub fn remap(setup: &PdoSetup) -> impl Iterator<Item = Write> + use<> {
-    let PdoSetup {
-        kind,
-        number,
-        cob_id,
-        mapping,
-        transmission,
-        inhibit_time,
-        event_timer,
-    } = *setup;
-    let communication = move |subindex| kind.communication(number, subindex);
-    let count = kind.mapping(number, 0);
-    let entries = (1..=mapping.count).map(move |subindex| {
-        let entry = mapping.entries[usize::from(subindex) - 1];
-        Write::new(kind.mapping(number, subindex), entry.raw())
-    });
-    [
-        Write::new(communication(1), cob_id.invalid().0),
-        Write::new(count, 0u8),
-    ]
-    .into_iter()
-    .chain(entries)
-    .chain([
-        Write::new(count, mapping.count),
-        Write::new(communication(2), transmission.0),
-    ])
-    .chain(inhibit_time.map(|time| Write::new(communication(3), time)))
-    .chain(event_timer.map(|time| Write::new(communication(5), time)))
-    .chain([Write::new(communication(1), cob_id.0)])
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::objects::*;
-    use crate::sdo::{Initiate, Request};
-    use crate::{NodeId, cob};
 
     #[test]
     fn parameters_lie_where_cia_301_puts_them() {
@@ -502,71 +443,5 @@ mod tests {
             };
             assert_eq!(PdoMapping::new(&[entry]), Err(refused));
         }
-    }
-
-    #[test]
-    fn a_pdo_is_remapped_in_the_strict_order() {
-        let node = NodeId::new(2).unwrap();
-        let rpdo = PdoSetup {
-            kind: PdoKind::Rpdo,
-            number: PdoNumber::One,
-            cob_id: PdoCobId::new(cob::rpdo(PdoNumber::One, node)),
-            mapping: PdoMapping::new(&[
-                Entry::new(CONTROLWORD, 16),
-                Entry::new(TARGET_POSITION, 32),
-            ])
-            .unwrap(),
-            transmission: TransmissionType::EVERY_SYNC,
-            inhibit_time: None,
-            event_timer: None,
-        };
-        check(
-            &rpdo,
-            &[
-                "602#2300140102020080",
-                "602#2F00160000000000",
-                "602#2300160110004060",
-                "602#2300160220007A60",
-                "602#2F00160002000000",
-                "602#2F00140201000000",
-                "602#2300140102020000",
-            ],
-        );
-        let tpdo = PdoSetup {
-            kind: PdoKind::Tpdo,
-            number: PdoNumber::Two,
-            cob_id: PdoCobId::new(cob::tpdo(PdoNumber::Two, node))
-                .without_rtr()
-                .invalid(),
-            mapping: PdoMapping::EMPTY,
-            transmission: TransmissionType::EVENT_PROFILE,
-            inhibit_time: Some(10),
-            event_timer: Some(100),
-        };
-        check(
-            &tpdo,
-            &[
-                "602#23011801820200C0",
-                "602#2F011A0000000000",
-                "602#2F011A0000000000",
-                "602#2F011802FF000000",
-                "602#2B0118030A000000",
-                "602#2B01180564000000",
-                "602#23011801820200C0",
-            ],
-        );
-    }
-
-    fn check(setup: &PdoSetup, frames: &[&str]) {
-        let sent: Vec<_> = remap(setup)
-            .map(|Write { object, data }| {
-                let initiate = Initiate::Expedited(data);
-                let node = NodeId::new(2).unwrap();
-                Request::InitiateDownload { object, initiate }
-                    .encode(node)
-                    .to_string()
-            })
-            .collect();
-        assert_eq!(sent, frames);
     }
 }

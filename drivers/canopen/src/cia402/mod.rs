@@ -6,11 +6,9 @@
 mod fault_codes;
 mod homing;
 mod mode;
-pub mod power;
 mod word;
 
 pub use fault_codes::FaultTable;
 pub use homing::{HomingMethod, HomingStatus, References};
 pub use mode::{ModeOfOperation, SupportedModes};
-pub use power::{Goal, PowerStateMachine, next_controlword};
 pub use word::{Controlword, PowerCommand, PowerState, Statusword};

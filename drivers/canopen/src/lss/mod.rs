@@ -5,11 +5,8 @@
 //! the configuring requests only in [`Mode::Configuration`].
 
 mod layout;
-mod master;
-mod scan;
 
 pub use layout::{Bound, FASTSCAN_RESET, Fastscan, Mode, Outcome, Part, Request, Response};
-pub use master::{Answer, Busy, LssError, Master, Service};
 
 /// The node-ID of a node that has none.
 pub const UNCONFIGURED: u8 = 0xFF;

@@ -5,11 +5,9 @@
 
 mod abort;
 pub mod block;
-mod client;
 mod layout;
 mod server;
 
 pub use abort::AbortCode;
-pub use client::{CAPACITY, Client, Number, SdoError, StartError, Transfer};
 pub use layout::{Expedited, Initiate, Request, Response, Segment, Unsupported, Write};
 pub use server::{Dictionary, MAX_SIZE, Server};

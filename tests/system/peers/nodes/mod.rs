@@ -1,4 +1,4 @@
-//! Nodes of zencan, canopen-rs and durand, all on one bus: our SDO client, NMT and LSS masters, drive group and service
+//! Nodes of zencan, canopen-rs and durand, all on one bus: our SDO client, NMT commands, LSS master, drive group and service
 //! commands have to do with them.
 //!
 //! What a peer does otherwise than CiA 301 or CiA 305 say is in its row of [`table::PEERS`], with the standard's word
@@ -10,12 +10,11 @@ mod table;
 
 use can::Frame;
 use canopen::nmt::Command;
-use canopen::pdo::{
-    Entry, PdoCobId, PdoKind, PdoMapping, PdoNumber, PdoSetup, TransmissionType, remap,
-};
+use canopen::pdo::{Entry, PdoCobId, PdoKind, PdoMapping, PdoNumber, TransmissionType};
 use canopen::sync::Sync;
 use canopen::{Object, cob};
 use drive::cia402::AxisConfig;
+use master::pdo::{PdoSetup, remap};
 
 use super::group::run_as_drives;
 use super::host::Host;
@@ -42,7 +41,7 @@ fn zencan_canopen_rs_and_durand_obey_our_host_side() {
             .each_ref()
             .map(|peer| programs.start(stage, peer, Some(peer.node)));
         for (host, peer) in hosts.iter_mut().zip(&PEERS) {
-            host.hears(peer.booted());
+            host.hears(peer.boots_as);
         }
         for (host, peer) in hosts.iter_mut().zip(&PEERS) {
             for (name, check) in services::CHECKS {
@@ -113,7 +112,7 @@ fn drive_group(stage: &Stage, programs: &Programs) {
     let start = |peer: &Peer| programs.start(stage, peer, Some(peer.node));
     let _started: Vec<_> = drives().map(start).collect();
     for (host, peer) in hosts.iter_mut().zip(drives()) {
-        host.hears(peer.booted());
+        host.hears(peer.boots_as);
     }
     drop(hosts);
     let change = |peer: &'static Peer| {

@@ -4,9 +4,9 @@ use std::time::Duration;
 
 use can::{Frame, Instant};
 
-use super::block::SEGMENT;
-use super::{Expedited, Initiate, Request, Response, Segment, Write};
-use crate::{NodeId, Object};
+use canopen::sdo::block::SEGMENT;
+use canopen::sdo::{Expedited, Initiate, Request, Response, Segment, Write};
+use canopen::{NodeId, Object};
 
 mod block;
 mod error;
@@ -40,7 +40,7 @@ pub const CAPACITY: usize = 256;
 /// passed over. SDO requests carry no number: an answer after its time-out is taken for the answer to the retry, or
 /// to the next equal request. Read back what matters.
 ///
-/// [Block transfer](super::block) sends up to 127 frames for one answer. [`Client::poll_transmit`] gives them one
+/// [Block transfer](canopen::sdo::block) sends up to 127 frames for one answer. [`Client::poll_transmit`] gives them one
 /// at a time: who has a short transmit queue asks for as many as it takes, and again when it has sent them.
 /// * A server that refuses block transfer (0x0504_0001) is asked for an ordinary transfer, and so is any
 ///   server for up to 28 bytes, which that moves in no more frames.

@@ -4,10 +4,10 @@ use std::time::Duration;
 
 use super::super::tests::{NODE, TIME_OUT, at, client, play};
 use super::*;
-use crate::objects::DEVICE_NAME;
 use crate::parse;
+use canopen::objects::DEVICE_NAME;
 
-const OBJECT: crate::Object = DEVICE_NAME;
+const OBJECT: canopen::Object = DEVICE_NAME;
 
 /// 30 bytes, whose checksum is 0x0121.
 fn data() -> Vec<u8> {

@@ -32,7 +32,7 @@
 //! EPOS2 shows 0x4123 and 0x4133 while its power stage is refreshed between switched on and operation enabled. Both
 //! decode as switched on, so the enabling controlword is repeated.
 
-use super::{Controlword, PowerState, Statusword};
+use canopen::cia402::{Controlword, PowerState, Statusword};
 
 /// What the host wants of a drive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -109,8 +109,10 @@ impl PowerStateMachine {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pdo::PdoNumber;
-    use crate::{NodeId, cob, frame, parse};
+    use crate::parse;
+    use can::Frame;
+    use canopen::pdo::PdoNumber;
+    use canopen::{NodeId, cob};
 
     #[test]
     fn every_state_and_goal_has_its_word() {
@@ -172,7 +174,8 @@ mod tests {
             );
             let status = u16::from_le_bytes(status.data().try_into().unwrap());
             let word = machine.step(Statusword(status), goal);
-            let command = frame(cob::rpdo(PdoNumber::One, node), word.0.to_le_bytes());
+            let command =
+                Frame::new(cob::rpdo(PdoNumber::One, node), &word.0.to_le_bytes()).unwrap();
             assert_eq!(command.to_string(), *sent, "after {seen}");
         }
     }

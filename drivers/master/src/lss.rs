@@ -6,9 +6,13 @@ use std::time::Duration;
 use can::{Frame, Instant};
 use thiserror::Error;
 
-use super::scan::{Next, Scan};
-use super::{BitRate, CIA_TABLE, Identity, Mode, Outcome, Part, Request, Response, UNCONFIGURED};
-use crate::NodeId;
+use canopen::NodeId;
+use canopen::lss::{
+    BitRate, CIA_TABLE, Identity, Mode, Outcome, Part, Request, Response, UNCONFIGURED,
+};
+use scan::{Next, Scan};
+
+mod scan;
 
 /// Gives nodes their node-IDs and bit rates, one service at a time.
 ///

@@ -1,6 +1,6 @@
 //! The questions of a fastscan, and what their answers say.
 
-use super::{FASTSCAN_RESET, Fastscan, Identity, Part};
+use canopen::lss::{FASTSCAN_RESET, Fastscan, Identity, Part};
 
 /// Guesses the identity of a slave without a node-ID bit by bit, from the highest of the vendor-ID down.
 ///
