@@ -66,11 +66,6 @@ impl Bitrate {
     pub const fn duration(self, bits: u32) -> Duration {
         Duration::from_nanos(bits as u64 * (1_000_000 / self.kbps) as u64)
     }
-
-    /// How long `frame` keeps the bus, intermission included.
-    pub fn frame_time(self, frame: &Frame) -> Duration {
-        self.duration(bits_on_wire(frame))
-    }
 }
 
 /// The two formats of a classic frame.

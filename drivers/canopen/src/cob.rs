@@ -116,26 +116,26 @@ impl Function {
             _ => return None,
         })
     }
-
-    /// The identifier it is sent under.
-    pub const fn id(self) -> StandardId {
-        match self {
-            Self::Nmt => NMT,
-            Self::Sync => SYNC,
-            Self::Time => TIME,
-            Self::Emcy(node) => emcy(node),
-            Self::Tpdo(number, node) => tpdo(number, node),
-            Self::Rpdo(number, node) => rpdo(number, node),
-            Self::SdoResponse(node) => sdo_response(node),
-            Self::SdoRequest(node) => sdo_request(node),
-            Self::Heartbeat(node) => heartbeat(node),
-        }
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The identifier that [`Function::of`] is to take for `function`.
+    fn id(function: Function) -> StandardId {
+        match function {
+            Function::Nmt => NMT,
+            Function::Sync => SYNC,
+            Function::Time => TIME,
+            Function::Emcy(node) => emcy(node),
+            Function::Tpdo(number, node) => tpdo(number, node),
+            Function::Rpdo(number, node) => rpdo(number, node),
+            Function::SdoResponse(node) => sdo_response(node),
+            Function::SdoRequest(node) => sdo_request(node),
+            Function::Heartbeat(node) => heartbeat(node),
+        }
+    }
 
     #[test]
     fn identifiers_are_those_of_the_predefined_connection_set() {
@@ -167,7 +167,7 @@ mod tests {
             let id = StandardId::new(raw).unwrap();
             if let Some(function) = Function::of(id) {
                 known += 1;
-                assert_eq!(function.id(), id);
+                assert_eq!(self::id(function), id);
             }
         }
         assert_eq!(known, 3 + 12 * 127);

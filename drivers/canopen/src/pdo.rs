@@ -80,11 +80,6 @@ impl PdoCobId {
         Self(self.0 | Self::INVALID)
     }
 
-    /// The same, switched on.
-    pub const fn valid(self) -> Self {
-        Self(self.0 & !Self::INVALID)
-    }
-
     /// The same, not to be asked for by a remote frame.
     pub const fn without_rtr(self) -> Self {
         Self(self.0 | Self::NO_RTR)
@@ -93,11 +88,6 @@ impl PdoCobId {
     /// Whether the PDO exists.
     pub const fn is_valid(self) -> bool {
         self.0 & Self::INVALID == 0
-    }
-
-    /// Whether it may be asked for by a remote frame.
-    pub const fn rtr_allowed(self) -> bool {
-        self.0 & Self::NO_RTR == 0
     }
 
     /// Whether the frame has an 11-bit identifier and bits 11 to 28 are zero (CiA 301).
@@ -120,16 +110,8 @@ impl PdoCobId {
 pub struct TransmissionType(pub u8);
 
 impl TransmissionType {
-    /// At the SYNC after an event.
-    pub const SYNCHRONOUS_ACYCLIC: Self = Self(0);
     /// At every SYNC.
     pub const EVERY_SYNC: Self = Self(1);
-    /// Sampled at SYNC, sent on a remote frame.
-    pub const RTR_SYNCHRONOUS: Self = Self(252);
-    /// Sent on a remote frame.
-    pub const RTR: Self = Self(253);
-    /// On an event of the vendor's choice.
-    pub const EVENT_VENDOR: Self = Self(254);
     /// On an event of the device profile's choice.
     pub const EVENT_PROFILE: Self = Self(255);
 
@@ -206,7 +188,6 @@ pub enum MappingError {
 pub struct PdoMapping {
     entries: [Entry; 8],
     count: u8,
-    bytes: u8,
 }
 
 impl PdoMapping {
@@ -214,7 +195,6 @@ impl PdoMapping {
     pub const EMPTY: Self = Self {
         entries: [Entry::new(Object::new(0, 0), 0); 8],
         count: 0,
-        bytes: 0,
     };
 
     /// The entries in the order of the frame.
@@ -238,76 +218,12 @@ impl PdoMapping {
             return Err(MappingError::TooLong { bits });
         }
         mapping.count = entries.len() as u8;
-        mapping.bytes = (bits / 8) as u8;
         Ok(mapping)
     }
 
     /// The entries in the order of the frame.
     pub fn entries(&self) -> &[Entry] {
         &self.entries[..usize::from(self.count)]
-    }
-
-    /// Length of the frame.
-    pub const fn bytes(&self) -> usize {
-        self.bytes as usize
-    }
-
-    /// Every entry's object with its place.
-    pub fn slots(&self) -> impl Iterator<Item = (Object, Slot)> + '_ {
-        self.entries().iter().scan(0, |offset, entry| {
-            let slot = Slot {
-                offset: *offset,
-                bytes: entry.bits / 8,
-            };
-            *offset += slot.bytes;
-            Some((entry.object, slot))
-        })
-    }
-
-    /// Where `object` lies; `None` if it is not mapped.
-    pub fn slot(&self, object: Object) -> Option<Slot> {
-        self.slots()
-            .find(|(mapped, _)| *mapped == object)
-            .map(|(_, slot)| slot)
-    }
-}
-
-/// The place of one object in a PDO, 1 to 8 bytes, little endian.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Slot {
-    offset: u8,
-    bytes: u8,
-}
-
-impl Slot {
-    /// Writes the low bytes of `value`; a signed one goes through `as u64`.
-    pub fn write(self, frame: &mut [u8; 8], value: u64) {
-        let bytes = usize::from(self.bytes);
-        frame[usize::from(self.offset)..][..bytes].copy_from_slice(&value.to_le_bytes()[..bytes]);
-    }
-
-    /// Reads an unsigned number.
-    pub fn read_unsigned(self, frame: &[u8; 8]) -> u64 {
-        let bytes = usize::from(self.bytes);
-        let mut value = [0; 8];
-        value[..bytes].copy_from_slice(&frame[usize::from(self.offset)..][..bytes]);
-        u64::from_le_bytes(value)
-    }
-
-    /// Reads a signed number.
-    pub fn read_signed(self, frame: &[u8; 8]) -> i64 {
-        let unused = 64 - 8 * u32::from(self.bytes);
-        (self.read_unsigned(frame) << unused) as i64 >> unused
-    }
-
-    /// Index of its first byte.
-    pub const fn offset(self) -> usize {
-        self.offset as usize
-    }
-
-    /// How many bytes it takes.
-    pub const fn bytes(self) -> usize {
-        self.bytes as usize
     }
 }
 
@@ -336,9 +252,7 @@ mod tests {
         assert_eq!(word.0, 0x0000_0182);
         assert_eq!(word.invalid().0, 0x8000_0182);
         assert_eq!(word.invalid().without_rtr().0, 0xC000_0182);
-        assert_eq!(word.invalid().valid(), word);
-        assert!(word.is_valid() && word.rtr_allowed());
-        assert!(!word.invalid().is_valid() && !word.without_rtr().rtr_allowed());
+        assert!(word.is_valid() && !word.invalid().is_valid());
         assert_eq!(word.invalid().without_rtr().id(), Some(id));
         assert_eq!(PdoCobId(0x2000_0182).id(), None);
     }
@@ -369,55 +283,6 @@ mod tests {
             Entry::from_raw(0x20C1_0040).object,
             EPOS2_INTERPOLATION_DATA
         );
-    }
-
-    #[test]
-    fn values_lie_in_the_order_of_the_entries() {
-        let mapping = PdoMapping::new(&[
-            Entry::new(CONTROLWORD, 16),
-            Entry::new(MODE_OF_OPERATION, 8),
-            Entry::new(TARGET_POSITION, 32),
-        ])
-        .unwrap();
-        assert_eq!(mapping.bytes(), 7);
-        let mut frame = [0; 8];
-        mapping.slot(CONTROLWORD).unwrap().write(&mut frame, 0x000F);
-        mapping
-            .slot(MODE_OF_OPERATION)
-            .unwrap()
-            .write(&mut frame, -1i64 as u64);
-        mapping
-            .slot(TARGET_POSITION)
-            .unwrap()
-            .write(&mut frame, -2i64 as u64);
-        assert_eq!(frame, [0x0F, 0x00, 0xFF, 0xFE, 0xFF, 0xFF, 0xFF, 0x00]);
-        assert_eq!(
-            mapping.slot(CONTROLWORD).unwrap().read_unsigned(&frame),
-            0x000F
-        );
-        assert_eq!(
-            mapping.slot(MODE_OF_OPERATION).unwrap().read_signed(&frame),
-            -1
-        );
-        assert_eq!(
-            mapping.slot(TARGET_POSITION).unwrap().read_signed(&frame),
-            -2
-        );
-        assert_eq!(
-            mapping.slot(TARGET_POSITION).unwrap().read_unsigned(&frame),
-            0xFFFF_FFFE
-        );
-        assert_eq!(mapping.slot(STATUSWORD), None);
-    }
-
-    #[test]
-    fn a_full_frame_in_one_entry_reads_back() {
-        let mapping = PdoMapping::new(&[Entry::new(EPOS2_INTERPOLATION_DATA, 64)]).unwrap();
-        let slot = mapping.slot(EPOS2_INTERPOLATION_DATA).unwrap();
-        let mut frame = [0; 8];
-        slot.write(&mut frame, 0x8001_0203_0405_0607);
-        assert_eq!(frame, [7, 6, 5, 4, 3, 2, 1, 0x80]);
-        assert_eq!(slot.read_signed(&frame), 0x8001_0203_0405_0607_u64 as i64);
     }
 
     #[test]

@@ -2,10 +2,8 @@
 
 use can::Frame;
 use mrroc_canopen::cia402::{Controlword, ModeOfOperation, Statusword};
-use mrroc_canopen::cob::Function;
 use mrroc_canopen::emcy::Emergency;
 use mrroc_canopen::heartbeat::Heartbeat;
-use mrroc_canopen::pdo::{Entry, PdoMapping};
 use mrroc_canopen::sdo::{self, Expedited, Initiate, Request, Response, Segment, block};
 use mrroc_canopen::sync::Sync;
 use mrroc_canopen::time::TimeOfDay;
@@ -142,9 +140,6 @@ proptest! {
         if let Some(emergency) = Emergency::decode(&frame) {
             prop_assert_eq!(emergency.encode(), frame);
         }
-        if let Some(function) = frame.standard_data_id().and_then(Function::of) {
-            prop_assert_eq!(Some(function.id()), frame.standard_data_id());
-        }
     }
 
     #[test]
@@ -188,28 +183,5 @@ proptest! {
         }
         prop_assert_eq!(ModeOfOperation::from_raw(mode).raw(), mode);
         let _ = (status.homing(), Controlword(control).power_command());
-    }
-
-    #[test]
-    fn mapped_values_do_not_touch_each_other(
-        sizes in proptest::collection::vec(1..=8_u8, 0..=10),
-        values in any::<[u64; 8]>(),
-    ) {
-        let entry = |(at, bytes): (usize, &u8)| Entry::new(Object::new(0x6000 + at as u16, 0), bytes * 8);
-        let entries: Vec<_> = sizes.iter().enumerate().map(entry).collect();
-        let fits = sizes.len() <= 8 && sizes.iter().sum::<u8>() <= 8;
-        let mapping = PdoMapping::new(&entries);
-        prop_assert_eq!(mapping.is_ok(), fits);
-        if let Ok(mapping) = mapping {
-            let mut frame = [0; 8];
-            for ((_, slot), value) in mapping.slots().zip(values) {
-                slot.write(&mut frame, value);
-            }
-            for ((_, slot), value) in mapping.slots().zip(values) {
-                let unused = 64 - 8 * slot.bytes() as u32;
-                prop_assert_eq!(slot.read_unsigned(&frame), value << unused >> unused);
-                prop_assert_eq!(slot.read_signed(&frame), (value as i64) << unused >> unused);
-            }
-        }
     }
 }

@@ -88,19 +88,12 @@ impl fmt::Display for ModeOfOperation {
 pub struct SupportedModes(pub u32);
 
 impl SupportedModes {
-    /// A drive with none of CiA 402's modes.
-    pub const NONE: Self = Self(0);
     /// EPOS4: PP, PV, HM, CSP, CSV, CST.
     pub const EPOS4: Self = Self(0x0000_03A5);
 
     /// Whether the drive has `mode`; the object says nothing of vendors' modes, so `false` for them.
     pub const fn contains(self, mode: ModeOfOperation) -> bool {
         self.0 & Self::bit(mode) != 0
-    }
-
-    /// The same with `mode`, if the object has a bit for it.
-    pub const fn with(self, mode: ModeOfOperation) -> Self {
-        Self(self.0 | Self::bit(mode))
     }
 
     /// Modes 1 to 10 have bits 0 to 9.
@@ -134,10 +127,6 @@ mod tests {
             CyclicSynchronousVelocity,
             CyclicSynchronousTorque,
         ];
-        let built = modes
-            .into_iter()
-            .fold(SupportedModes::NONE, SupportedModes::with);
-        assert_eq!(built, SupportedModes::EPOS4);
         for mode in modes {
             assert!(SupportedModes::EPOS4.contains(mode));
         }

@@ -120,11 +120,6 @@ impl BitRate {
             Self::Automatic => return None,
         })
     }
-
-    /// `None` for a bit rate that the table does not have.
-    pub fn from_kbps(kbps: u16) -> Option<Self> {
-        Self::ALL.into_iter().find(|rate| rate.kbps() == Some(kbps))
-    }
 }
 
 #[cfg(test)]
@@ -147,13 +142,9 @@ mod tests {
         for (index, kbps) in table {
             let rate = BitRate::from_index(index).unwrap();
             assert_eq!((rate.index(), rate.kbps()), (index, kbps));
-            if let Some(kbps) = kbps {
-                assert_eq!(BitRate::from_kbps(kbps), Some(rate));
-            }
         }
         for index in [5, 10, 255] {
             assert_eq!(BitRate::from_index(index), None);
         }
-        assert_eq!(BitRate::from_kbps(100), None);
     }
 }
