@@ -1,6 +1,6 @@
-//! The identifiers of the predefined connection set (CiA 301) and what each of them means.
+//! The identifiers of the predefined connection set (CiA 301 §7.3.3), and the function of each.
 //!
-//! [`Function::of`] tells what a frame is for; the functions below name the identifier to send under.
+//! [`Function::of`] returns the function of a received identifier. The functions below return the identifier to send.
 //! A node configured to other identifiers (objects 0x1005, 0x1014, 0x14xx, 0x18xx) is not described
 //! by this table.
 
@@ -58,7 +58,7 @@ const fn id(raw: u16) -> StandardId {
     StandardId::new(raw).expect("every identifier of the connection set has 11 bits")
 }
 
-/// Whether CiA 301 keeps the identifier for other services, so that no PDO may use it.
+/// Whether the identifier is restricted (CiA 301 §7.3.5), so that no PDO may use it.
 pub const fn reserved(id: StandardId) -> bool {
     matches!(
         id.raw(),
@@ -66,7 +66,7 @@ pub const fn reserved(id: StandardId) -> bool {
     )
 }
 
-/// What a frame is for, by its identifier alone. [LSS](crate::lss) is none of them.
+/// Function of a frame by its identifier. [LSS](crate::lss) is not part of the connection set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Function {
     /// NMT command.

@@ -1,7 +1,6 @@
-//! What a DCF asks to be written to its device: in which order, and as a concise DCF.
+//! Download of a DCF (CiA 306): the values that a DCF states for its device, in the order of their writes.
 //!
-//! Read [`crate::eds`] first. [`download`] gives the writes of a DCF; [`encode`] and [`decode`] are the format of object
-//! 0x1F22 (CiA 302), in which a manager keeps them, for programs of one's own.
+//! Read [`crate::eds`] first, then [`download`].
 
 use std::collections::BTreeMap;
 
@@ -15,17 +14,17 @@ use crate::{NodeId, Object};
 /// The writes of a DCF.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Download {
-    /// In the order in which to do them.
+    /// The writes, in their order on the bus.
     pub writes: Vec<ObjectWrite>,
-    /// Values that are stated and not written: objects with bit 0 of `ObjFlags`, where a tool stored everything that
-    /// it read from a device, and object 0x1018, the identity of the device.
+    /// Number of stated values that are not written. These are the identity (object 0x1018) and objects with bit 0 of
+    /// `ObjFlags`. Tools that store all values of a device set this bit.
     pub left_out: usize,
 }
 
 /// One write.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ObjectWrite {
-    /// What to write.
+    /// The object to write.
     pub object: Object,
     /// The value, as it goes over the bus.
     pub data: Vec<u8>,
@@ -77,8 +76,8 @@ impl DownloadError {
     }
 }
 
-/// What `dcf` states, for a device with this node-ID: every stated value, one equal to the default as well, since a device may
-/// have stored another.
+/// The stated values of `dcf` for a device with this node-ID. A value equal to the default is written as well, since the
+/// device may have stored another value.
 ///
 /// Objects are written in ascending order, PDOs last. A PDO with any stated value is switched off (COB-ID with bit
 /// 31), and its mapping is cleared, filled and counted. Its other parameters follow, and its COB-ID last (CiA 301

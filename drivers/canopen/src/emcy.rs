@@ -1,4 +1,4 @@
-//! EMCY (CiA 301): what a node says the moment an error appears, and once more when it has gone.
+//! EMCY (CiA 301 §7.2.7): the frame that a node sends when an error appears, and again when the error has gone.
 
 use can::Frame;
 
@@ -7,13 +7,13 @@ use crate::{NodeId, cob, frame};
 /// An EMCY frame, `080 + node#code register vendor`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Emergency {
-    /// Who speaks.
+    /// The sender.
     pub node: NodeId,
-    /// Error code; 0x0000 says that an error has gone. Texts: [`crate::cia402::FaultTable`].
+    /// Error code. 0x0000 means that an error has gone. [`crate::cia402::FaultTable`] has the texts.
     pub code: u16,
     /// Object 0x1001.
     pub error_register: ErrorRegister,
-    /// Five bytes of the vendor's own.
+    /// Five bytes with a meaning of the vendor.
     pub vendor: [u8; 5],
 }
 
@@ -44,18 +44,18 @@ impl Emergency {
         })
     }
 
-    /// Whether it announces the end of an error instead of one.
+    /// Whether the frame reports the end of an error.
     pub fn is_reset(&self) -> bool {
         self.code & 0xFF00 == 0
     }
 }
 
-/// Object 0x1001: which kinds of error are present.
+/// Object 0x1001 (CiA 301 §7.5.2.2): the kinds of error that are present.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ErrorRegister(pub u8);
 
 impl ErrorRegister {
-    /// Any error at all.
+    /// Any error.
     pub const GENERIC: Self = Self(1 << 0);
     /// Current.
     pub const CURRENT: Self = Self(1 << 1);
@@ -75,7 +75,7 @@ impl ErrorRegister {
         self.0 & other.0 == other.0
     }
 
-    /// Both together.
+    /// The bits of both.
     pub const fn with(self, other: Self) -> Self {
         Self(self.0 | other.0)
     }

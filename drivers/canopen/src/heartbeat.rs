@@ -1,17 +1,18 @@
-//! Heartbeat and boot-up (CiA 301): a node says each producer time (object 0x1017) in which NMT
-//! state it is. [`Consumer`] notices when it no longer does, [`Producer`] speaks for this host.
+//! Heartbeat (CiA 301 §7.2.8.3.2.2) and boot-up (§7.2.8.3.3): the NMT state of a node, sent by the node.
+//!
+//! A node sends its heartbeat once per producer time (object 0x1017).
 
 use can::Frame;
 
 use crate::nmt::State;
 use crate::{NodeId, cob, frame};
 
-/// A heartbeat frame, `700 + node#state`; with [`State::Initialising`] it is the boot-up frame.
+/// A heartbeat frame, `700 + node#state`. The boot-up frame is a heartbeat with [`State::Initialising`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Heartbeat {
-    /// Who speaks.
+    /// The sender.
     pub node: NodeId,
-    /// Its NMT state.
+    /// The NMT state of the sender.
     pub state: State,
 }
 

@@ -1,8 +1,6 @@
-//! Network management (CiA 301): the master's commands and the states that nodes report.
+//! Network management (CiA 301 §7.2.8.3.1): commands of the master, and the states of a node (§7.3.2).
 //!
-//! [`Master`] keeps what the nodes of one bus last said of themselves.
-//!
-//! A stopped node answers no SDO and takes no PDO, so a request to it times out rather than aborts.
+//! A stopped node answers no SDO request, so that the request times out and is not aborted.
 
 use std::fmt;
 
@@ -10,14 +8,14 @@ use can::Frame;
 
 use crate::{NodeId, cob, frame, payload};
 
-/// What the master tells nodes to do.
+/// A command of the master.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Command {
-    /// Enter operational: PDOs flow.
+    /// Enter operational: all services work.
     Start,
-    /// Enter stopped: only NMT and error control remain.
+    /// Enter stopped: only NMT and error control work.
     Stop,
-    /// Enter pre-operational: SDO, no PDO.
+    /// Enter pre-operational: all services but PDOs work.
     EnterPreOperational,
     /// Reset the node with its application.
     ResetNode,
@@ -64,7 +62,7 @@ impl Command {
     }
 }
 
-/// Whom a command is for.
+/// The nodes that a command addresses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Target {
     /// Every node.
@@ -76,14 +74,14 @@ pub enum Target {
 /// An NMT frame: `000#cs node`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Request {
-    /// What to do.
+    /// The command.
     pub command: Command,
-    /// Who is to do it.
+    /// The nodes addressed.
     pub target: Target,
 }
 
 impl Request {
-    /// Whether `node` is to obey.
+    /// Whether the command addresses `node`.
     pub fn concerns(self, node: NodeId) -> bool {
         match self.target {
             Target::All => true,
@@ -119,13 +117,13 @@ impl Request {
 /// The NMT state a node reports in its heartbeat.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum State {
-    /// Just booted; the value of the boot-up frame.
+    /// The node has just booted: the value of the boot-up frame.
     Initialising,
-    /// Only NMT and error control.
+    /// Only NMT and error control work.
     Stopped,
-    /// Everything.
+    /// All services work.
     Operational,
-    /// Everything but PDOs.
+    /// All services but PDOs work.
     PreOperational,
     /// A value that CiA 301 does not know.
     Unknown(u8),

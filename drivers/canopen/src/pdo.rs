@@ -1,14 +1,13 @@
-//! PDOs (CiA 301): their parameters, and where a mapped object lies in the frame.
+//! Parameters of PDOs (CiA 301 §7.5.2.35 to §7.5.2.38): COB-ID, transmission type, and mapping.
 //!
-//! Every mapped object takes whole bytes here, so a mapping has at most eight entries. Drives with
-//! bit-wise mappings would need another [`Slot`].
+//! Every mapped object has whole bytes here, so that a mapping has at most eight entries.
 
 use can::StandardId;
 use thiserror::Error;
 
 use crate::Object;
 
-/// Which of the four PDOs of the predefined connection set.
+/// One of the four PDOs of the predefined connection set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum PdoNumber {
     /// PDO 1.
@@ -25,7 +24,7 @@ impl PdoNumber {
     /// In ascending order.
     pub const ALL: [Self; 4] = [Self::One, Self::Two, Self::Three, Self::Four];
 
-    /// 0 ..= 3, as added to object indices.
+    /// 0 ..= 3: the offset of the PDO in object indices.
     pub const fn offset(self) -> u16 {
         self as u16
     }
@@ -115,12 +114,12 @@ impl TransmissionType {
     /// On an event of the device profile's choice.
     pub const EVENT_PROFILE: Self = Self(255);
 
-    /// Whether SYNC decides: 0 ..= 240. An RPDO then takes effect at the next SYNC, whatever the number.
+    /// Whether SYNC triggers the PDO: 0 ..= 240. An RPDO of each of these types takes effect at the next SYNC.
     pub const fn is_synchronous(self) -> bool {
         self.0 <= 240
     }
 
-    /// For a TPDO sent at every n-th SYNC: n.
+    /// n of a TPDO that is sent at every n-th SYNC.
     pub const fn cycle(self) -> Option<u8> {
         match self.0 {
             1..=240 => Some(self.0),
@@ -132,7 +131,7 @@ impl TransmissionType {
 /// One entry of a mapping parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Entry {
-    /// What is mapped.
+    /// The mapped object.
     pub object: Object,
     /// Its size in bits.
     pub bits: u8,
@@ -144,12 +143,12 @@ impl Entry {
         Self { object, bits }
     }
 
-    /// As in the mapping parameter: index, sub-index, bits from high to low.
+    /// The value in the mapping parameter: index, sub-index and size, from high to low bits.
     pub const fn raw(self) -> u32 {
         (self.object.index as u32) << 16 | (self.object.subindex as u32) << 8 | self.bits as u32
     }
 
-    /// From the mapping parameter.
+    /// From the value in the mapping parameter.
     pub const fn from_raw(raw: u32) -> Self {
         Self {
             object: Object::new((raw >> 16) as u16, (raw >> 8) as u8),
@@ -158,7 +157,7 @@ impl Entry {
     }
 }
 
-/// Why entries do not make a mapping.
+/// Reason that entries are no mapping.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum MappingError {
     /// More entries than bytes.

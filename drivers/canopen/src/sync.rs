@@ -1,4 +1,4 @@
-//! SYNC (CiA 301): the frame at which synchronous nodes latch their set-points and sample.
+//! SYNC (CiA 301 §7.2.5): the frame at which synchronous nodes latch their set-points and sample.
 
 use can::Frame;
 

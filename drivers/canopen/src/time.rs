@@ -1,4 +1,4 @@
-//! TIME (CiA 301): the frame that tells the nodes which day and time it is.
+//! TIME (CiA 301 §7.2.6): the frame with the day and the time of day.
 
 use can::Frame;
 
@@ -6,7 +6,7 @@ use crate::{cob, frame, payload};
 
 /// Days since 1984-01-01 and milliseconds after midnight (CiA 301 TIME_OF_DAY).
 ///
-/// Which time zone, and what of leap seconds, is up to those who use it.
+/// The standard leaves the time zone and leap seconds to the users.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct TimeOfDay {
     days: u16,
@@ -36,7 +36,7 @@ impl TimeOfDay {
         self.millis
     }
 
-    /// The frame, for programs of one's own that send the time.
+    /// The frame.
     pub fn encode(self) -> Frame {
         let [a, b, c, d] = self.millis.to_le_bytes();
         let [low, high] = self.days.to_le_bytes();

@@ -3,7 +3,7 @@
 use canopen::pdo::{PdoCobId, PdoKind, PdoMapping, PdoNumber, TransmissionType};
 use canopen::sdo::Write;
 
-/// How one PDO of a device is to be.
+/// Configuration of one PDO of a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PdoSetup {
     /// Its direction.
@@ -12,15 +12,14 @@ pub struct PdoSetup {
     pub number: PdoNumber,
     /// Its identifier; an invalid one leaves the PDO switched off.
     pub cob_id: PdoCobId,
-    /// What it carries.
+    /// The mapped objects.
     pub mapping: PdoMapping,
-    /// When it is sent or takes effect.
+    /// The trigger of the PDO.
     pub transmission: TransmissionType,
-    /// TPDO: the least time between two of them, in 100 µs. `None` leaves what the device has;
-    /// EPOS4 has 1 ms.
+    /// Inhibit time of a TPDO, 100 µs. `None` leaves the value of the device. EPOS4 has 1 ms.
     pub inhibit_time: Option<u16>,
-    /// TPDO: sent at least that often, ms; RPDO: deadline for the next one, ms. `None` leaves what the
-    /// device has.
+    /// Event timer, ms: the longest time between two TPDOs, or the deadline of the next RPDO. `None` leaves the value of
+    /// the device.
     pub event_timer: Option<u16>,
 }
 

@@ -31,7 +31,7 @@ struct Peer {
 
 enum State {
     Idle,
-    /// `base` bytes are acknowledged of what it sends.
+    /// `base` bytes of the object are acknowledged.
     Sending {
         base: usize,
         segments: usize,

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-/// Object 0x6060 and 0x6061: what a drive makes of its set-points.
+/// Mode of operation of a drive, objects 0x6060 (commanded) and 0x6061 (shown).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum ModeOfOperation {
     /// No mode (0).
@@ -25,7 +25,7 @@ pub enum ModeOfOperation {
     CyclicSynchronousVelocity,
     /// Cyclic synchronous torque, CST (10).
     CyclicSynchronousTorque,
-    /// A vendor's own (negative) or one not known here.
+    /// A mode of the vendor (negative), or an unknown mode.
     Other(i8),
 }
 
@@ -83,7 +83,7 @@ impl fmt::Display for ModeOfOperation {
     }
 }
 
-/// Object 0x6502: the modes a drive has.
+/// Object 0x6502: the modes that a drive supports.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SupportedModes(pub u32);
 

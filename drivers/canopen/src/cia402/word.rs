@@ -4,14 +4,14 @@ use std::fmt;
 
 use super::HomingStatus;
 
-/// Where a drive is in the state machine of CiA 402, as its statusword says.
+/// Power state of a drive by its statusword (CiA 402-2).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum PowerState {
     /// Self-test after power-on.
     NotReadyToSwitchOn,
-    /// Power may not be switched on yet.
+    /// The power stage may not be switched on yet.
     SwitchOnDisabled,
-    /// Waits for switch on.
+    /// The drive waits for the command switch on.
     ReadyToSwitchOn,
     /// Power is on, no torque.
     SwitchedOn,
@@ -75,7 +75,7 @@ impl fmt::Display for PowerState {
     }
 }
 
-/// Object 0x6041.
+/// Statusword, object 0x6041.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Statusword(pub u16);
 
@@ -154,7 +154,7 @@ impl Statusword {
     }
 }
 
-/// Object 0x6040.
+/// Controlword, object 0x6040.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Controlword(pub u16);
 
@@ -195,7 +195,7 @@ impl Controlword {
 
     /// The command to the power state machine in bits 0 to 3, as a device reads it.
     ///
-    /// Bit 7 is for the caller: a fault reset is its rising edge, so it takes two words to see one.
+    /// Bit 7 is not part of the command. A fault reset is the rising edge of bit 7, which shows in two successive words.
     pub const fn power_command(self) -> PowerCommand {
         match self.0 & 0x0F {
             word if word & 0b0010 == 0 => PowerCommand::DisableVoltage,
@@ -207,7 +207,7 @@ impl Controlword {
     }
 }
 
-/// What the low bits of a controlword ask of the power state machine.
+/// Command to the power state machine in the low bits of a controlword.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum PowerCommand {
     /// Bit 1 is clear.
