@@ -1,4 +1,4 @@
-//! A raw client on a virtual bus: frames are built byte by byte from the standards, and no master of `drivers/canopen` takes part.
+//! A raw client on a virtual bus: frames are built byte by byte from the standards, and `drivers/master` takes no part.
 
 use std::fmt::Write as _;
 use std::time::Duration;
