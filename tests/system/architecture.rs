@@ -31,7 +31,9 @@ const ARROWS: [(&str, &[&str]); 16] = [
     ("tools/identify", &["can", "servo", "mrroc", "figures"]),
     (
         "tools/service",
-        &["can", "canopen", "master", "serial", "drive", "mrroc"],
+        &[
+            "can", "canopen", "master", "serial", "drive", "hil", "mrroc",
+        ],
     ),
     (
         "console",
