@@ -7,9 +7,9 @@ use anyhow::{Context, anyhow};
 use canopen::dcf::{self, Download};
 use canopen::eds::Eds;
 use canopen::objects::{PRODUCT_CODE, REVISION, VENDOR_ID};
-use canopen::sdo::CAPACITY;
 use canopen::{NodeId, Object};
 use drive::cia402::{Setting, reserved};
+use master::sdo::CAPACITY;
 
 use crate::cell_file::CellFile;
 use crate::input;

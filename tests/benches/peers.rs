@@ -26,9 +26,9 @@ use can::timing::Bitrate;
 use can::{Instant, Port, Received, clock};
 use canopen::NodeId;
 use canopen::objects::DEVICE_TYPE;
-use canopen::sdo::Client;
 use canopen::sync::Sync;
 use hil::{AxisConfig, Epos4, Epos4Config, Irp6Axis, World, pty};
+use master::sdo::Client;
 use serde_json::json;
 use serial::{Settings, SlcanPort, Tty};
 

@@ -1,7 +1,7 @@
 //! Rules of the architecture: crates depend on each other in one direction only, and only listed files read clocks or
 //! wait.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -13,11 +13,12 @@ fn root() -> PathBuf {
 }
 
 /// Each room and the rooms it may import, by their names in the workspace.
-const ARROWS: [(&str, &[&str]); 14] = [
+const ARROWS: [(&str, &[&str]); 15] = [
     ("drivers/can", &[]),
     ("drivers/canopen", &["can"]),
+    ("drivers/master", &["can", "canopen"]),
     ("drivers/serial", &["can"]),
-    ("drivers/drive", &["can", "canopen", "serial"]),
+    ("drivers/drive", &["can", "canopen", "master", "serial"]),
     ("servo", &["can", "drive"]),
     ("controller", &["can", "drive", "servo"]),
     ("hil", &["can", "canopen", "serial"]),
@@ -27,7 +28,9 @@ const ARROWS: [(&str, &[&str]); 14] = [
     ("tools/identify", &["can", "servo", "mrroc"]),
     (
         "tools/service",
-        &["can", "canopen", "serial", "drive", "hil", "mrroc"],
+        &[
+            "can", "canopen", "master", "serial", "drive", "hil", "mrroc",
+        ],
     ),
     (
         "console",
@@ -47,6 +50,7 @@ const ARROWS: [(&str, &[&str]); 14] = [
         &[
             "can",
             "canopen",
+            "master",
             "serial",
             "drive",
             "servo",
@@ -61,6 +65,7 @@ const ARROWS: [(&str, &[&str]); 14] = [
 const BELOW_LIBRARY: &[&str] = &[
     "can",
     "canopen",
+    "master",
     "serial",
     "drive",
     "servo",
@@ -217,34 +222,33 @@ fn every_function_of_the_clock_module_is_refused_outside_the_rim() {
     }
 }
 
-/// Types for the host's side of a protocol. If an emulator used one of them, both ends would share its errors, and the
-/// error would stay undetected.
-const HOST_SIDE: [&str; 8] = [
-    "sdo::Client",
-    "PowerStateMachine",
-    "next_controlword",
-    "nmt::Master",
-    "pdo::remap",
-    "heartbeat::Consumer",
-    "guarding::Guard",
-    "lss::Master",
-];
-
-fn host_side_words(text: &str) -> Vec<&'static str> {
-    HOST_SIDE
-        .into_iter()
-        .filter(|word| text.contains(word))
-        .collect()
+/// Every room that `room` imports, directly or by way of other rooms.
+fn reach(room: &str) -> BTreeSet<&'static str> {
+    let row = |name: &str| {
+        let (_, allowed) = ARROWS
+            .into_iter()
+            .find(|(path, _)| *path == name || path.ends_with(&format!("/{name}")))
+            .unwrap_or_else(|| panic!("room {name} has no row in ARROWS"));
+        allowed
+    };
+    let mut found = BTreeSet::new();
+    let mut open: Vec<&str> = row(room).to_vec();
+    while let Some(name) = open.pop() {
+        if found.insert(name) {
+            open.extend(row(name));
+        }
+    }
+    found
 }
 
 #[test]
-fn emulators_share_layouts_with_the_drivers_and_no_state_machine() {
-    for file in sources("hil/src") {
-        let found = host_side_words(&fs::read_to_string(&file).unwrap());
-        assert!(found.is_empty(), "{} uses {found:?}", file.display());
+fn emulators_cannot_name_a_state_machine_of_the_host() {
+    let rooms = manifest_names();
+    for host in ["master", "drive", "servo", "controller"] {
+        assert!(rooms.contains(&host.to_owned()), "{host} is no room");
+        assert!(!reach("hil").contains(host), "hil reaches {host}");
     }
-    assert_eq!(
-        host_side_words("let client = sdo::Client::new(node);"),
-        ["sdo::Client"]
-    );
+    // The host and the emulators share frame layouts.
+    assert!(reach("hil").contains("canopen") && reach("drive").contains("canopen"));
+    assert!(reach("drive").contains("master"));
 }

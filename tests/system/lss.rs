@@ -5,8 +5,9 @@ use std::time::Duration;
 use can::timing::Bitrate;
 use can::{Frame, Instant, Port, Received, StandardId, VirtualPort};
 use canopen::NodeId;
-use canopen::lss::{Answer, Identity, LssError, Master, Mode, Service};
+use canopen::lss::{Identity, Mode};
 use hil::{AxisConfig, Epos4, Epos4Config, Irp6Axis, World};
+use master::lss::{Answer, LssError, Master, Service};
 
 const TICK: Duration = Duration::from_millis(1);
 const TIME_OUT: Duration = Duration::from_millis(5);

@@ -45,38 +45,15 @@ impl ErrorFrame {
         })
     }
 
-    /// The classes as a set of bits.
-    pub fn classes(&self) -> u32 {
-        self.classes
-    }
-
     /// The driver gave up on a frame.
     pub fn tx_timeout(&self) -> bool {
         self.has(TX_TIMEOUT)
-    }
-
-    /// The bit at which arbitration was lost, from the start bit; 0 if the driver does not know.
-    pub fn lost_arbitration(&self) -> Option<u8> {
-        self.has(LOST_ARBITRATION).then_some(self.data[0])
     }
 
     /// What the controller says of itself.
     pub fn controller(&self) -> Option<ControllerFlags> {
         self.has(CONTROLLER)
             .then_some(ControllerFlags(self.data[1]))
-    }
-
-    /// How a frame broke the protocol, and where in the frame (`CAN_ERR_PROT_*`, `CAN_ERR_PROT_LOC_*`).
-    pub fn protocol(&self) -> Option<ProtocolViolation> {
-        self.has(PROTOCOL).then_some(ProtocolViolation {
-            kinds: self.data[2],
-            location: self.data[3],
-        })
-    }
-
-    /// What the transceiver says (`CAN_ERR_TRX_*`).
-    pub fn transceiver(&self) -> Option<u8> {
-        self.has(TRANSCEIVER).then_some(self.data[4])
     }
 
     /// Nobody acknowledged a frame: no other node is listening.
@@ -149,16 +126,6 @@ impl ControllerFlags {
     pub fn transmit_overflow(self) -> bool {
         self.0 & 0x02 != 0
     }
-}
-
-/// How a frame broke the protocol.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ProtocolViolation {
-    /// `CAN_ERR_PROT_*`: 1 single bit, 2 form, 4 stuff, 8 dominant bit, 0x10 recessive bit, 0x20 overload,
-    /// 0x40 error active announcement, 0x80 while transmitting.
-    pub kinds: u8,
-    /// `CAN_ERR_PROT_LOC_*`: the field of the frame; 0 if the driver does not know.
-    pub location: u8,
 }
 
 /// The error counters of a controller.
@@ -250,14 +217,7 @@ mod tests {
     #[test]
     fn each_class_reads_its_own_bytes() {
         let all = error(0x3FF, [1, 2, 3, 4, 5, 6, 7, 8]);
-        assert_eq!(all.lost_arbitration(), Some(1));
         assert_eq!(all.controller(), Some(ControllerFlags(2)));
-        let violation = ProtocolViolation {
-            kinds: 3,
-            location: 4,
-        };
-        assert_eq!(all.protocol(), Some(violation));
-        assert_eq!(all.transceiver(), Some(5));
         assert_eq!(
             all.counts(),
             Some(ErrorCounts {
@@ -268,10 +228,7 @@ mod tests {
         assert!(all.tx_timeout() && all.no_acknowledge() && all.bus_error());
 
         let none = error(0, [1, 2, 3, 4, 5, 6, 7, 8]);
-        assert_eq!(none.lost_arbitration(), None);
         assert_eq!(none.controller(), None);
-        assert_eq!(none.protocol(), None);
-        assert_eq!(none.transceiver(), None);
         assert_eq!(none.counts(), None);
     }
 

@@ -10,8 +10,8 @@ pub struct InterfaceName {
 }
 
 impl InterfaceName {
-    /// `None` for what the kernel takes for no name: an empty one, one longer than 15 bytes, `.` and `..`, and one with a
-    /// slash, a colon or white space in it. Nor may it have control characters, which logs and terminals act on.
+    /// `None` for a name that the kernel refuses. A name has 1 to 15 bytes, is not `.` or `..`, and has no slash, colon or
+    /// white space. Control characters are refused as well, since logs and terminals act on them.
     pub fn new(name: &str) -> Option<Self> {
         let forbidden = |c: char| matches!(c, '/' | ':') || c.is_control() || c.is_whitespace();
         if matches!(name, "" | "." | "..") || name.contains(forbidden) {

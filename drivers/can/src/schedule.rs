@@ -1,10 +1,13 @@
 //! Worst-case bus load and response times of a cyclic traffic pattern.
 //!
 //! The bus is driven by SYNC: at the start of a cycle the host queues a batch, and the nodes answer. All frames of a
-//! cycle must have left the bus before the next cycle begins. The delay of a message has three parts: one frame that
-//! is already on the wire, the frames before the message in the queue of its sender, and the frames that win
-//! arbitration against it. Every frame is counted with as many stuff bits as any content can need. Error frames,
-//! retransmissions and frames that only faults cause are left out: the drivers ride through those.
+//! cycle must have left the bus before the next cycle begins. The delay of a message has three parts:
+//! - one frame that is already on the wire;
+//! - the frames before the message in the queue of its sender;
+//! - the frames that win arbitration against it.
+//!
+//! Every frame counts with the largest number of stuff bits of any content. Error frames, retransmissions and frames that
+//! only faults cause are left out. The drivers tolerate those.
 
 use std::time::Duration;
 

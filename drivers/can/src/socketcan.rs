@@ -1,11 +1,11 @@
 //! A port on a SocketCAN interface: real cards, `vcan` and `slcan` alike.
 //!
-//! Each send or receive is one system call. Nothing allocates after opening. The kernel stamps the times. A full
-//! queue is reported to the caller: the send buffer of the socket is so small that it fills before the queue of the
-//! interface, where the kernel would drop frames silently.
+//! Each send or receive is one system call. Nothing allocates after opening. The kernel stamps the times. The caller
+//! learns of a full queue: the small send buffer of the socket fills before the queue of the interface. A full queue of
+//! the interface would make the kernel drop frames silently.
 //!
-//! Bit rates are set by [`card`](crate::card), and restarts after bus-off are left to `ip link`. This is the rim: it makes system calls
-//! and reads the clock. Read [`SocketCanPort::open`] first.
+//! [`card`](crate::card) sets bit rates, and `ip link` restarts a card after bus-off. This file belongs to the rim: it makes
+//! system calls and reads the clock. Read [`SocketCanPort::open`] first.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 

@@ -66,11 +66,6 @@ impl Bitrate {
     pub const fn duration(self, bits: u32) -> Duration {
         Duration::from_nanos(bits as u64 * (1_000_000 / self.kbps) as u64)
     }
-
-    /// How long `frame` keeps the bus, intermission included.
-    pub fn frame_time(self, frame: &Frame) -> Duration {
-        self.duration(bits_on_wire(frame))
-    }
 }
 
 /// The two formats of a classic frame.
@@ -145,8 +140,8 @@ fn crc15(content: u128, bits: u32) -> u16 {
 
 /// How many stuff bits the last `bits` of `content` need, the rest being zero.
 fn stuff_bits(content: u128, bits: u32) -> u32 {
-    // Alternating bits fill up the first byte. They need no stuff bits, and the last of them is a one, so the start
-    // bit begins a new run.
+    // Alternating bits fill up the first byte. They need no stuff bits, and the last is a one. The start bit
+    // therefore begins a new run.
     let padded = content | 0x5555_5555_5555_5555_5555_5555_5555_5555 << bits;
     let mut run = Run { ones: true, len: 1 }.index();
     let mut count = 0;

@@ -45,11 +45,6 @@ impl<P: Port> Tracer<P> {
         (Self { port, trace, lost }, reader)
     }
 
-    /// The port below.
-    pub fn into_inner(self) -> P {
-        self.port
-    }
-
     fn record(&mut self, frames: impl Iterator<Item = Traced>) {
         for traced in frames {
             if self.trace.push(traced).is_err() {
@@ -107,12 +102,6 @@ impl TraceReader {
     pub fn lost(&self) -> u64 {
         self.lost.load(Ordering::Relaxed)
     }
-
-    /// Whether the port is gone and everything was read.
-    pub fn is_finished(&self) -> bool {
-        // In this order: the port may record and go between the two questions.
-        self.entries.is_abandoned() && self.entries.is_empty()
-    }
 }
 
 /// A port that hands out a recording as time passes, and takes every frame sent.
@@ -134,21 +123,6 @@ impl ReplayPort {
             counters: Counters::default(),
             state: ControllerState::Active,
         }
-    }
-
-    /// Moves the recording in time so that its first frame comes at `start`.
-    pub fn starting_at(mut self, start: Instant) -> Self {
-        if let Some(first) = self.recording.first().map(|received| received.at) {
-            for received in &mut self.recording {
-                received.at = start + received.at.since(first);
-            }
-        }
-        self
-    }
-
-    /// Whether all frames were handed out.
-    pub fn is_finished(&self) -> bool {
-        self.next == self.recording.len()
     }
 }
 
@@ -244,30 +218,27 @@ mod tests {
         assert_eq!(trace.lost(), 2);
         assert!(trace.read().is_some());
         assert_eq!(port.send(at(2), &[frame(4)]), Ok(1));
-        assert!(!trace.is_finished());
         drop(port);
         assert_eq!(trace.read().map(|traced| traced.at), Some(at(2)));
-        assert!(trace.is_finished());
     }
 
     #[test]
     fn a_recording_comes_at_its_times_and_then_falls_silent() {
         let passive = Frame::from_raw(0x2000_0004, 8, [0, 0x20, 0, 0, 0, 0, 0, 0]).unwrap();
         let recording = vec![
-            received(1, 10),
+            received(1, 1000),
             Received {
                 frame: passive,
-                at: at(15),
+                at: at(1005),
             },
-            received(2, 20),
+            received(2, 1010),
         ];
-        let mut port = ReplayPort::new(recording).starting_at(at(1000));
+        let mut port = ReplayPort::new(recording);
         assert_eq!(receive(&mut port, 999), []);
         assert_eq!(receive(&mut port, 1000), [received(1, 1000)]);
         assert_eq!(port.state(), ControllerState::Active);
         assert_eq!(receive(&mut port, 1010), [received(2, 1010)]);
         assert_eq!(port.state(), ControllerState::Passive);
-        assert!(port.is_finished());
         assert_eq!(receive(&mut port, 5000), []);
         assert_eq!(port.send(at(5000), &[frame(1), frame(2)]), Ok(2));
         let expected = Counters {

@@ -148,11 +148,6 @@ impl VirtualPeer {
         }
         delivered
     }
-
-    /// Whether the host dropped its end.
-    pub fn is_abandoned(&self) -> bool {
-        self.to_host.is_abandoned()
-    }
 }
 
 #[cfg(test)]
@@ -247,13 +242,5 @@ mod tests {
         assert_eq!(port.send(at(1), &[frame(1)]), Err(PortError::Gone));
         assert_eq!(receive(&mut port, 1).unwrap().len(), 1);
         assert_eq!(receive(&mut port, 1), Err(PortError::Gone));
-    }
-
-    #[test]
-    fn the_bus_sees_that_the_host_left() {
-        let (port, peer) = virtual_port(1);
-        assert!(!peer.is_abandoned());
-        drop(port);
-        assert!(peer.is_abandoned());
     }
 }

@@ -1,14 +1,10 @@
-//! Throughput of the SDO and PDO layouts, frames per second on one core.
+//! Throughput of the SDO layouts, frames per second on one core.
 
 use std::hint::black_box;
-use std::time::Duration;
 
-use can::{Frame, Instant};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use mrroc_canopen::cia402::{Goal, PowerStateMachine, Statusword};
-use mrroc_canopen::pdo::{Entry, PdoMapping, PdoNumber};
-use mrroc_canopen::sdo::{Client, Expedited, Initiate, Request, Response};
-use mrroc_canopen::{NodeId, cob, objects};
+use mrroc_canopen::sdo::{Expedited, Initiate, Request, Response};
+use mrroc_canopen::{NodeId, objects};
 
 const NODE: NodeId = NodeId::new(2).expect("2 is a node-ID");
 
@@ -28,54 +24,8 @@ fn sdo(c: &mut Criterion) {
     group.bench_function("decode", |b| {
         b.iter(|| Response::decode(black_box(&frame), NODE));
     });
-    let mut client = Client::new(NODE, Duration::from_millis(500), 2);
-    group.bench_function("upload", |b| {
-        b.iter(|| {
-            client
-                .upload(objects::STATUSWORD, Instant::ZERO)
-                .expect("the last result was taken");
-            black_box(client.poll_transmit(Instant::ZERO));
-            client.handle(black_box(&frame), Instant::ZERO);
-            client
-                .poll()
-                .and_then(|result| result.ok()?.number::<u16>().ok())
-        });
-    });
     group.finish();
 }
 
-fn pdo(c: &mut Criterion) {
-    let mut group = c.benchmark_group("pdo");
-    group.throughput(Throughput::Elements(1));
-    let mapping = PdoMapping::new(&[
-        Entry::new(objects::CONTROLWORD, 16),
-        Entry::new(objects::TARGET_POSITION, 32),
-    ])
-    .expect("6 bytes fit");
-    let control = mapping.slot(objects::CONTROLWORD).expect("mapped");
-    let target = mapping.slot(objects::TARGET_POSITION).expect("mapped");
-    let id = cob::rpdo(PdoNumber::One, NODE);
-    group.bench_function("encode", |b| {
-        b.iter(|| {
-            let mut bytes = [0; 8];
-            control.write(&mut bytes, black_box(0x000F));
-            target.write(&mut bytes, black_box(-100_000_i64) as u64);
-            Frame::new(id, &bytes[..mapping.bytes()])
-        });
-    });
-    let frame = Frame::new(id, &[0x37, 0x07, 0x60, 0x79, 0xFE, 0xFF, 0, 0]).expect("8 bytes");
-    group.bench_function("decode", |b| {
-        b.iter(|| {
-            let bytes = black_box(&frame).data().try_into().expect("8 bytes");
-            (control.read_unsigned(bytes), target.read_signed(bytes))
-        });
-    });
-    let mut machine = PowerStateMachine::new();
-    group.bench_function("power step", |b| {
-        b.iter(|| machine.step(black_box(Statusword(0x0737)), Goal::On));
-    });
-    group.finish();
-}
-
-criterion_group!(benches, sdo, pdo);
+criterion_group!(benches, sdo);
 criterion_main!(benches);

@@ -1,6 +1,6 @@
-//! The identifiers of the predefined connection set (CiA 301) and what each of them means.
+//! The identifiers of the predefined connection set (CiA 301 §7.3.3), and the function of each.
 //!
-//! [`Function::of`] tells what a frame is for; the functions below name the identifier to send under.
+//! [`Function::of`] returns the function of a received identifier. The functions below return the identifier to send.
 //! A node configured to other identifiers (objects 0x1005, 0x1014, 0x14xx, 0x18xx) is not described
 //! by this table.
 
@@ -58,7 +58,7 @@ const fn id(raw: u16) -> StandardId {
     StandardId::new(raw).expect("every identifier of the connection set has 11 bits")
 }
 
-/// Whether CiA 301 keeps the identifier for other services, so that no PDO may use it.
+/// Whether the identifier is restricted (CiA 301 §7.3.5), so that no PDO may use it.
 pub const fn reserved(id: StandardId) -> bool {
     matches!(
         id.raw(),
@@ -66,7 +66,7 @@ pub const fn reserved(id: StandardId) -> bool {
     )
 }
 
-/// What a frame is for, by its identifier alone. [LSS](crate::lss) is none of them.
+/// Function of a frame by its identifier. [LSS](crate::lss) is not part of the connection set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Function {
     /// NMT command.
@@ -116,26 +116,26 @@ impl Function {
             _ => return None,
         })
     }
-
-    /// The identifier it is sent under.
-    pub const fn id(self) -> StandardId {
-        match self {
-            Self::Nmt => NMT,
-            Self::Sync => SYNC,
-            Self::Time => TIME,
-            Self::Emcy(node) => emcy(node),
-            Self::Tpdo(number, node) => tpdo(number, node),
-            Self::Rpdo(number, node) => rpdo(number, node),
-            Self::SdoResponse(node) => sdo_response(node),
-            Self::SdoRequest(node) => sdo_request(node),
-            Self::Heartbeat(node) => heartbeat(node),
-        }
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The identifier that [`Function::of`] is to take for `function`.
+    fn id(function: Function) -> StandardId {
+        match function {
+            Function::Nmt => NMT,
+            Function::Sync => SYNC,
+            Function::Time => TIME,
+            Function::Emcy(node) => emcy(node),
+            Function::Tpdo(number, node) => tpdo(number, node),
+            Function::Rpdo(number, node) => rpdo(number, node),
+            Function::SdoResponse(node) => sdo_response(node),
+            Function::SdoRequest(node) => sdo_request(node),
+            Function::Heartbeat(node) => heartbeat(node),
+        }
+    }
 
     #[test]
     fn identifiers_are_those_of_the_predefined_connection_set() {
@@ -167,7 +167,7 @@ mod tests {
             let id = StandardId::new(raw).unwrap();
             if let Some(function) = Function::of(id) {
                 known += 1;
-                assert_eq!(function.id(), id);
+                assert_eq!(self::id(function), id);
             }
         }
         assert_eq!(known, 3 + 12 * 127);

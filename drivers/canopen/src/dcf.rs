@@ -1,7 +1,6 @@
-//! What a DCF asks to be written to its device: in which order, and as a concise DCF.
+//! Download of a DCF (CiA 306): the values that a DCF states for its device, in the order of their writes.
 //!
-//! Read [`crate::eds`] first. [`download`] gives the writes of a DCF; [`encode`] and [`decode`] are the format of object
-//! 0x1F22 (CiA 302), in which a manager keeps them, for programs of one's own.
+//! Read [`crate::eds`] first, then [`download`].
 
 use std::collections::BTreeMap;
 
@@ -15,17 +14,17 @@ use crate::{NodeId, Object};
 /// The writes of a DCF.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Download {
-    /// In the order in which to do them.
+    /// The writes, in their order on the bus.
     pub writes: Vec<ObjectWrite>,
-    /// Values that are stated and not written: objects with bit 0 of `ObjFlags`, where a tool stored everything that
-    /// it read from a device, and object 0x1018, the identity of the device.
+    /// Number of stated values that are not written. These are the identity (object 0x1018) and objects with bit 0 of
+    /// `ObjFlags`. Tools that store all values of a device set this bit.
     pub left_out: usize,
 }
 
 /// One write.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ObjectWrite {
-    /// What to write.
+    /// The object to write.
     pub object: Object,
     /// The value, as it goes over the bus.
     pub data: Vec<u8>,
@@ -77,8 +76,8 @@ impl DownloadError {
     }
 }
 
-/// What `dcf` states, for a device with this node-ID: every stated value, one equal to the default as well, since a device may
-/// have stored another.
+/// The stated values of `dcf` for a device with this node-ID. A value equal to the default is written as well, since the
+/// device may have stored another value.
 ///
 /// Objects are written in ascending order, PDOs last. A PDO with any stated value is switched off (COB-ID with bit
 /// 31), and its mapping is cleared, filled and counted. Its other parameters follow, and its COB-ID last (CiA 301
@@ -212,70 +211,6 @@ fn take(
 fn number(data: &[u8]) -> u32 {
     let bytes = data.iter().take(4).rev();
     bytes.fold(0, |number, &byte| number << 8 | u32::from(byte))
-}
-
-/// Why bytes are no concise DCF.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-pub enum ConciseError {
-    /// Fewer bytes than the counts in it ask for.
-    #[error("ends after {length} bytes, inside or before entry {entry} of {entries}")]
-    Truncated {
-        /// Bytes there are.
-        length: usize,
-        /// The entry, from 1; 0 is the count itself.
-        entry: u32,
-        /// How many there should be.
-        entries: u32,
-    },
-    /// More bytes than the counts in it ask for.
-    #[error("{left} bytes follow the last of {entries} entries")]
-    Surplus {
-        /// Bytes left over.
-        left: usize,
-        /// How many entries there are.
-        entries: u32,
-    },
-}
-
-/// A concise DCF: the number of entries, then index, sub-index, size and data of each (object 0x1F22, CiA 302), little endian.
-pub fn encode<'a>(writes: impl IntoIterator<Item = (Object, &'a [u8])>) -> Vec<u8> {
-    let mut bytes = vec![0; 4];
-    let mut entries = 0_u32;
-    for (object, data) in writes {
-        entries += 1;
-        bytes.extend(object.index.to_le_bytes());
-        bytes.push(object.subindex);
-        bytes.extend((data.len() as u32).to_le_bytes());
-        bytes.extend(data);
-    }
-    bytes[..4].copy_from_slice(&entries.to_le_bytes());
-    bytes
-}
-
-/// The entries of a concise DCF.
-pub fn decode(bytes: &[u8]) -> Result<Vec<(Object, &[u8])>, ConciseError> {
-    let truncated = |entry, entries| ConciseError::Truncated {
-        length: bytes.len(),
-        entry,
-        entries,
-    };
-    let (count, mut rest) = bytes.split_first_chunk().ok_or(truncated(0, 0))?;
-    let entries = u32::from_le_bytes(*count);
-    let mut found = Vec::new();
-    for entry in 1..=entries {
-        let error = truncated(entry, entries);
-        let ([i0, i1, subindex, s0, s1, s2, s3], data) = rest.split_first_chunk().ok_or(error)?;
-        let size = u32::from_le_bytes([*s0, *s1, *s2, *s3]);
-        let size = usize::try_from(size).map_err(|_| error)?;
-        let (data, behind) = data.split_at_checked(size).ok_or(error)?;
-        let index = u16::from_le_bytes([*i0, *i1]);
-        found.push((Object::new(index, *subindex), data));
-        rest = behind;
-    }
-    match rest.len() {
-        0 => Ok(found),
-        left => Err(ConciseError::Surplus { left, entries }),
-    }
 }
 
 #[cfg(test)]
@@ -459,30 +394,5 @@ AccessType=rw
         window.variables.get_mut(&0).unwrap().refuses_download = true;
         let download = download(&asked, NodeId::MIN).unwrap();
         assert_eq!((download.writes.len(), download.left_out), (1, 2));
-    }
-
-    #[test]
-    fn a_concise_dcf_is_count_then_index_subindex_size_data() {
-        let entries: [(Object, &[u8]); 2] = [
-            (Object::new(0x1017, 0), &[0xE8, 0x03]),
-            (Object::new(0x6099, 2), &[]),
-        ];
-        let bytes = [
-            2, 0, 0, 0, 0x17, 0x10, 0, 2, 0, 0, 0, 0xE8, 0x03, 0x99, 0x60, 2, 0, 0, 0, 0,
-        ];
-        assert_eq!(encode(entries), bytes);
-        assert_eq!(decode(&bytes).unwrap(), entries);
-        assert_eq!(encode([]), [0; 4]);
-        for length in 0..bytes.len() {
-            let error = decode(&bytes[..length]).unwrap_err();
-            assert!(matches!(error, ConciseError::Truncated { length: l, .. } if l == length));
-        }
-        let longer = [bytes.as_slice(), &[0]].concat();
-        let surplus = ConciseError::Surplus {
-            left: 1,
-            entries: 2,
-        };
-        assert_eq!(decode(&longer), Err(surplus));
-        assert!(decode(&[0xFF; 11]).is_err());
     }
 }

@@ -1,19 +1,19 @@
-//! EMCY (CiA 301): what a node says the moment an error appears, and once more when it has gone.
+//! EMCY (CiA 301 §7.2.7): the frame that a node sends when an error appears, and again when the error has gone.
 
-use can::{Frame, Instant};
+use can::Frame;
 
 use crate::{NodeId, cob, frame};
 
 /// An EMCY frame, `080 + node#code register vendor`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Emergency {
-    /// Who speaks.
+    /// The sender.
     pub node: NodeId,
-    /// Error code; 0x0000 says that an error has gone. Texts: [`crate::cia402::FaultTable`].
+    /// Error code. 0x0000 means that an error has gone. [`crate::cia402::FaultTable`] has the texts.
     pub code: u16,
     /// Object 0x1001.
     pub error_register: ErrorRegister,
-    /// Five bytes of the vendor's own.
+    /// Five bytes with a meaning of the vendor.
     pub vendor: [u8; 5],
 }
 
@@ -44,18 +44,18 @@ impl Emergency {
         })
     }
 
-    /// Whether it announces the end of an error instead of one.
+    /// Whether the frame reports the end of an error.
     pub fn is_reset(&self) -> bool {
         self.code & 0xFF00 == 0
     }
 }
 
-/// Object 0x1001: which kinds of error are present.
+/// Object 0x1001 (CiA 301 §7.5.2.2): the kinds of error that are present.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ErrorRegister(pub u8);
 
 impl ErrorRegister {
-    /// Any error at all.
+    /// Any error.
     pub const GENERIC: Self = Self(1 << 0);
     /// Current.
     pub const CURRENT: Self = Self(1 << 1);
@@ -75,85 +75,15 @@ impl ErrorRegister {
         self.0 & other.0 == other.0
     }
 
-    /// Both together.
+    /// The bits of both.
     pub const fn with(self, other: Self) -> Self {
         Self(self.0 | other.0)
     }
 }
 
-/// How many emergencies a [`Consumer`] keeps.
-pub const HISTORY: usize = 8;
-
-/// Listens to the emergencies of one node and keeps the last [`HISTORY`] of them.
-#[derive(Clone, Debug)]
-pub struct Consumer {
-    node: NodeId,
-    /// A ring; the emergency that arrived as number n, from 0, lies at n modulo its length.
-    history: [Option<(Emergency, Instant)>; HISTORY],
-    received: u64,
-    polled: u64,
-}
-
-impl Consumer {
-    /// Listens to `node`.
-    pub const fn new(node: NodeId) -> Self {
-        Self {
-            node,
-            history: [None; HISTORY],
-            received: 0,
-            polled: 0,
-        }
-    }
-
-    /// Takes a frame from the bus.
-    pub fn handle(&mut self, frame: &Frame, now: Instant) {
-        if let Some(emergency) = Emergency::decode(frame)
-            && emergency.node == self.node
-        {
-            self.history[slot(self.received)] = Some((emergency, now));
-            self.received += 1;
-        }
-    }
-
-    /// The next emergency not polled yet, oldest first. More than [`HISTORY`] between two polls
-    /// overwrite the oldest; [`Consumer::received`] counts them all.
-    pub fn poll(&mut self) -> Option<Emergency> {
-        self.polled = self
-            .polled
-            .max(self.received.saturating_sub(HISTORY as u64));
-        if self.polled == self.received {
-            return None;
-        }
-        let (emergency, _) = self.history[slot(self.polled)]?;
-        self.polled += 1;
-        Some(emergency)
-    }
-
-    /// Emergencies received since it was made.
-    pub fn received(&self) -> u64 {
-        self.received
-    }
-
-    /// What it keeps with the time of arrival, newest first.
-    pub fn history(&self) -> impl Iterator<Item = (Emergency, Instant)> + '_ {
-        (1..=HISTORY as u64).map_while(|age| self.history[slot(self.received.checked_sub(age)?)])
-    }
-
-    /// The last emergency, unless it said that the error has gone.
-    pub fn last_error(&self) -> Option<Emergency> {
-        let (emergency, _) = self.history().next()?;
-        (!emergency.is_reset()).then_some(emergency)
-    }
-}
-
-fn slot(number: u64) -> usize {
-    (number % HISTORY as u64) as usize
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::parse;
 
     #[test]
     fn an_emergency_is_code_register_and_five_vendor_bytes() {
@@ -187,54 +117,5 @@ mod tests {
                 None
             );
         }
-    }
-
-    #[test]
-    fn emergencies_are_polled_oldest_first_and_kept_newest_first() {
-        let mut consumer = Consumer::new(NodeId::new(3).unwrap());
-        let frames = [
-            "083#1186210102030405",
-            "084#1186210000000000",
-            "083#0000000000000000",
-        ];
-        for (nanos, frame) in frames.into_iter().enumerate() {
-            consumer.handle(&parse(frame), Instant::from_nanos(nanos as u64));
-            if nanos == 0 {
-                assert_eq!(
-                    consumer.last_error().map(|emergency| emergency.code),
-                    Some(0x8611)
-                );
-            }
-        }
-        assert_eq!(consumer.last_error(), None);
-        assert_eq!(consumer.poll().unwrap().code, 0x8611);
-        assert_eq!(consumer.poll().unwrap().code, 0x0000);
-        assert_eq!(consumer.poll(), None);
-        let kept: Vec<_> = consumer
-            .history()
-            .map(|(emergency, at)| (emergency.code, at.as_nanos()))
-            .collect();
-        assert_eq!(kept, [(0x0000, 2), (0x8611, 0)]);
-    }
-
-    #[test]
-    fn the_history_is_bounded_and_the_count_is_not() {
-        let node = NodeId::new(3).unwrap();
-        let mut consumer = Consumer::new(node);
-        for code in 0x1000..0x1014 {
-            let emergency = Emergency {
-                node,
-                code,
-                error_register: ErrorRegister(1),
-                vendor: [0; 5],
-            };
-            consumer.handle(&emergency.encode(), Instant::ZERO);
-        }
-        assert_eq!(consumer.received(), 20);
-        let polled: Vec<_> = std::iter::from_fn(|| consumer.poll())
-            .map(|it| it.code)
-            .collect();
-        assert_eq!(polled, (0x100C..0x1014).collect::<Vec<_>>());
-        assert_eq!(consumer.history().count(), HISTORY);
     }
 }

@@ -1,24 +1,21 @@
-//! Network management (CiA 301): the master's commands and the states that nodes report.
+//! Network management (CiA 301 §7.2.8.3.1): commands of the master, and the states of a node (§7.3.2).
 //!
-//! [`Master`] keeps what the nodes of one bus last said of themselves.
-//!
-//! A stopped node answers no SDO and takes no PDO, so a request to it times out rather than aborts.
+//! A stopped node answers no SDO request, so that the request times out and is not aborted.
 
 use std::fmt;
 
 use can::Frame;
 
-use crate::heartbeat::Heartbeat;
 use crate::{NodeId, cob, frame, payload};
 
-/// What the master tells nodes to do.
+/// A command of the master.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Command {
-    /// Enter operational: PDOs flow.
+    /// Enter operational: all services work.
     Start,
-    /// Enter stopped: only NMT and error control remain.
+    /// Enter stopped: only NMT and error control work.
     Stop,
-    /// Enter pre-operational: SDO, no PDO.
+    /// Enter pre-operational: all services but PDOs work.
     EnterPreOperational,
     /// Reset the node with its application.
     ResetNode,
@@ -65,7 +62,7 @@ impl Command {
     }
 }
 
-/// Whom a command is for.
+/// The nodes that a command addresses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Target {
     /// Every node.
@@ -77,14 +74,14 @@ pub enum Target {
 /// An NMT frame: `000#cs node`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Request {
-    /// What to do.
+    /// The command.
     pub command: Command,
-    /// Who is to do it.
+    /// The nodes addressed.
     pub target: Target,
 }
 
 impl Request {
-    /// Whether `node` is to obey.
+    /// Whether the command addresses `node`.
     pub fn concerns(self, node: NodeId) -> bool {
         match self.target {
             Target::All => true,
@@ -120,13 +117,13 @@ impl Request {
 /// The NMT state a node reports in its heartbeat.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum State {
-    /// Just booted; the value of the boot-up frame.
+    /// The node has just booted: the value of the boot-up frame.
     Initialising,
-    /// Only NMT and error control.
+    /// Only NMT and error control work.
     Stopped,
-    /// Everything.
+    /// All services work.
     Operational,
-    /// Everything but PDOs.
+    /// All services but PDOs work.
     PreOperational,
     /// A value that CiA 301 does not know.
     Unknown(u8),
@@ -168,111 +165,9 @@ impl fmt::Display for State {
     }
 }
 
-/// What the master knows of the nodes of one bus, from their boot-up frames and heartbeats.
-///
-/// It neither sends nor waits: [`Master::command`] gives the frame to send, and
-/// [`heartbeat::Consumer`](crate::heartbeat::Consumer) watches the time.
-#[derive(Clone, Debug)]
-pub struct Master {
-    states: [Option<State>; 128],
-    /// Nodes whose boot-up was not polled yet, one bit each.
-    booted: u128,
-    /// Nodes whose change of state was not polled yet, one bit each.
-    changed: u128,
-}
-
-/// What a node did. Of several changes between two polls the last state is told, and every node
-/// that booted in between.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Event {
-    /// The node booted: whatever was written to it is gone, unless stored.
-    Booted(NodeId),
-    /// The node is in another state than it last said.
-    Changed {
-        /// Which.
-        node: NodeId,
-        /// Its state now.
-        state: State,
-    },
-}
-
-impl Default for Master {
-    fn default() -> Self {
-        Self {
-            states: [None; 128],
-            booted: 0,
-            changed: 0,
-        }
-    }
-}
-
-impl Master {
-    /// One that has heard nothing.
-    pub fn new() -> Self {
-        Self::default()
-    }
-
-    /// Takes a frame from the bus.
-    pub fn handle(&mut self, frame: &Frame) {
-        let Some(Heartbeat { node, state }) = Heartbeat::decode(frame) else {
-            return;
-        };
-        let index = usize::from(node.raw());
-        let bit = 1 << index;
-        if state == State::Initialising {
-            self.booted |= bit;
-            self.changed &= !bit;
-        } else if self.states[index] != Some(state) {
-            self.changed |= bit;
-        }
-        self.states[index] = Some(state);
-    }
-
-    /// The next thing that happened, boot-ups first.
-    pub fn poll(&mut self) -> Option<Event> {
-        if let Some(node) = take_lowest(&mut self.booted) {
-            return Some(Event::Booted(node));
-        }
-        let node = take_lowest(&mut self.changed)?;
-        Some(Event::Changed {
-            node,
-            state: self.state(node)?,
-        })
-    }
-
-    /// What the node last said; `None` if it said nothing since the master began or reset it.
-    pub fn state(&self, node: NodeId) -> Option<State> {
-        self.states[usize::from(node.raw())]
-    }
-
-    /// The frame of a command. A reset clears the recorded state of the node, so that the next boot-up message is
-    /// recognised as new.
-    pub fn command(&mut self, request: Request) -> Frame {
-        match request.command {
-            Command::Start | Command::Stop | Command::EnterPreOperational => {}
-            Command::ResetNode | Command::ResetCommunication => {
-                for node in NodeId::all().filter(|node| request.concerns(*node)) {
-                    let index = usize::from(node.raw());
-                    self.states[index] = None;
-                    self.booted &= !(1 << index);
-                    self.changed &= !(1 << index);
-                }
-            }
-        }
-        request.encode()
-    }
-}
-
-fn take_lowest(nodes: &mut u128) -> Option<NodeId> {
-    let node = NodeId::new(nodes.trailing_zeros() as u8)?;
-    *nodes &= *nodes - 1;
-    Some(node)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::parse;
 
     fn node(raw: u8) -> NodeId {
         NodeId::new(raw).unwrap()
@@ -323,98 +218,5 @@ mod tests {
         for raw in 0..=u8::MAX {
             assert_eq!(State::from_raw(raw).raw(), raw);
         }
-    }
-
-    #[test]
-    fn the_master_tells_boots_and_changes_once() {
-        let mut master = Master::new();
-        assert_eq!(master.state(node(2)), None);
-        for (frame, event) in [
-            ("702#00", Some(Event::Booted(node(2)))),
-            (
-                "702#7F",
-                Some(Event::Changed {
-                    node: node(2),
-                    state: State::PreOperational,
-                }),
-            ),
-            ("702#7F", None),
-            (
-                "702#05",
-                Some(Event::Changed {
-                    node: node(2),
-                    state: State::Operational,
-                }),
-            ),
-            ("702#05", None),
-            ("702#00", Some(Event::Booted(node(2)))),
-            (
-                "77F#05",
-                Some(Event::Changed {
-                    node: node(127),
-                    state: State::Operational,
-                }),
-            ),
-            ("082#0000000000000000", None),
-        ] {
-            master.handle(&parse(frame));
-            assert_eq!(master.poll(), event, "{frame}");
-            assert_eq!(master.poll(), None);
-        }
-        assert_eq!(master.state(node(2)), Some(State::Initialising));
-    }
-
-    #[test]
-    fn a_boot_between_two_polls_is_not_lost() {
-        let mut master = Master::new();
-        for frame in ["703#05", "702#05", "702#00", "702#7F", "702#05"] {
-            master.handle(&parse(frame));
-        }
-        let events = std::iter::from_fn(|| master.poll()).collect::<Vec<_>>();
-        let changed = |node| Event::Changed {
-            node,
-            state: State::Operational,
-        };
-        assert_eq!(
-            events,
-            [Event::Booted(node(2)), changed(node(2)), changed(node(3))]
-        );
-    }
-
-    #[test]
-    fn a_boot_is_told_as_a_boot_alone() {
-        let mut master = Master::new();
-        for frame in ["702#05", "702#00"] {
-            master.handle(&parse(frame));
-        }
-        assert_eq!(master.poll(), Some(Event::Booted(node(2))));
-        assert_eq!(master.poll(), None);
-    }
-
-    #[test]
-    fn a_reset_forgets_what_its_nodes_said() {
-        let mut master = Master::new();
-        for frame in ["702#05", "703#05"] {
-            master.handle(&parse(frame));
-        }
-        assert_eq!(
-            master.command(Command::ResetNode.to(node(2))).to_string(),
-            "000#8102"
-        );
-        assert_eq!(master.state(node(2)), None);
-        assert_eq!(master.state(node(3)), Some(State::Operational));
-        assert_eq!(
-            master.command(Command::Start.to_all()).to_string(),
-            "000#0100"
-        );
-        assert_eq!(master.state(node(3)), Some(State::Operational));
-        assert_eq!(
-            master.poll(),
-            Some(Event::Changed {
-                node: node(3),
-                state: State::Operational
-            })
-        );
-        assert_eq!(master.poll(), None);
     }
 }

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-/// The address of a node on its bus, 1 ..= 127 (CiA 301).
+/// The address of a node on its bus, 1 ..= 127 (CiA 301 §7.3.3).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct NodeId(u8);
 

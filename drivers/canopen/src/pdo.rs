@@ -1,15 +1,13 @@
-//! PDOs (CiA 301): their parameters, and where a mapped object lies in the frame.
+//! Parameters of PDOs (CiA 301 §7.5.2.35 to §7.5.2.38): COB-ID, transmission type, and mapping.
 //!
-//! Every mapped object takes whole bytes here, so a mapping has at most eight entries. Drives with
-//! bit-wise mappings would need another [`Slot`].
+//! Every mapped object has whole bytes here, so that a mapping has at most eight entries.
 
 use can::StandardId;
 use thiserror::Error;
 
 use crate::Object;
-use crate::sdo::Write;
 
-/// Which of the four PDOs of the predefined connection set.
+/// One of the four PDOs of the predefined connection set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum PdoNumber {
     /// PDO 1.
@@ -26,7 +24,7 @@ impl PdoNumber {
     /// In ascending order.
     pub const ALL: [Self; 4] = [Self::One, Self::Two, Self::Three, Self::Four];
 
-    /// 0 ..= 3, as added to object indices.
+    /// 0 ..= 3: the offset of the PDO in object indices.
     pub const fn offset(self) -> u16 {
         self as u16
     }
@@ -81,11 +79,6 @@ impl PdoCobId {
         Self(self.0 | Self::INVALID)
     }
 
-    /// The same, switched on.
-    pub const fn valid(self) -> Self {
-        Self(self.0 & !Self::INVALID)
-    }
-
     /// The same, not to be asked for by a remote frame.
     pub const fn without_rtr(self) -> Self {
         Self(self.0 | Self::NO_RTR)
@@ -94,11 +87,6 @@ impl PdoCobId {
     /// Whether the PDO exists.
     pub const fn is_valid(self) -> bool {
         self.0 & Self::INVALID == 0
-    }
-
-    /// Whether it may be asked for by a remote frame.
-    pub const fn rtr_allowed(self) -> bool {
-        self.0 & Self::NO_RTR == 0
     }
 
     /// Whether the frame has an 11-bit identifier and bits 11 to 28 are zero (CiA 301).
@@ -121,25 +109,17 @@ impl PdoCobId {
 pub struct TransmissionType(pub u8);
 
 impl TransmissionType {
-    /// At the SYNC after an event.
-    pub const SYNCHRONOUS_ACYCLIC: Self = Self(0);
     /// At every SYNC.
     pub const EVERY_SYNC: Self = Self(1);
-    /// Sampled at SYNC, sent on a remote frame.
-    pub const RTR_SYNCHRONOUS: Self = Self(252);
-    /// Sent on a remote frame.
-    pub const RTR: Self = Self(253);
-    /// On an event of the vendor's choice.
-    pub const EVENT_VENDOR: Self = Self(254);
     /// On an event of the device profile's choice.
     pub const EVENT_PROFILE: Self = Self(255);
 
-    /// Whether SYNC decides: 0 ..= 240. An RPDO then takes effect at the next SYNC, whatever the number.
+    /// Whether SYNC triggers the PDO: 0 ..= 240. An RPDO of each of these types takes effect at the next SYNC.
     pub const fn is_synchronous(self) -> bool {
         self.0 <= 240
     }
 
-    /// For a TPDO sent at every n-th SYNC: n.
+    /// n of a TPDO that is sent at every n-th SYNC.
     pub const fn cycle(self) -> Option<u8> {
         match self.0 {
             1..=240 => Some(self.0),
@@ -151,7 +131,7 @@ impl TransmissionType {
 /// One entry of a mapping parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Entry {
-    /// What is mapped.
+    /// The mapped object.
     pub object: Object,
     /// Its size in bits.
     pub bits: u8,
@@ -163,12 +143,12 @@ impl Entry {
         Self { object, bits }
     }
 
-    /// As in the mapping parameter: index, sub-index, bits from high to low.
+    /// The value in the mapping parameter: index, sub-index and size, from high to low bits.
     pub const fn raw(self) -> u32 {
         (self.object.index as u32) << 16 | (self.object.subindex as u32) << 8 | self.bits as u32
     }
 
-    /// From the mapping parameter.
+    /// From the value in the mapping parameter.
     pub const fn from_raw(raw: u32) -> Self {
         Self {
             object: Object::new((raw >> 16) as u16, (raw >> 8) as u8),
@@ -177,7 +157,7 @@ impl Entry {
     }
 }
 
-/// Why entries do not make a mapping.
+/// Reason that entries are no mapping.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum MappingError {
     /// More entries than bytes.
@@ -207,7 +187,6 @@ pub enum MappingError {
 pub struct PdoMapping {
     entries: [Entry; 8],
     count: u8,
-    bytes: u8,
 }
 
 impl PdoMapping {
@@ -215,7 +194,6 @@ impl PdoMapping {
     pub const EMPTY: Self = Self {
         entries: [Entry::new(Object::new(0, 0), 0); 8],
         count: 0,
-        bytes: 0,
     };
 
     /// The entries in the order of the frame.
@@ -239,7 +217,6 @@ impl PdoMapping {
             return Err(MappingError::TooLong { bits });
         }
         mapping.count = entries.len() as u8;
-        mapping.bytes = (bits / 8) as u8;
         Ok(mapping)
     }
 
@@ -247,133 +224,12 @@ impl PdoMapping {
     pub fn entries(&self) -> &[Entry] {
         &self.entries[..usize::from(self.count)]
     }
-
-    /// Length of the frame.
-    pub const fn bytes(&self) -> usize {
-        self.bytes as usize
-    }
-
-    /// Every entry's object with its place.
-    pub fn slots(&self) -> impl Iterator<Item = (Object, Slot)> + '_ {
-        self.entries().iter().scan(0, |offset, entry| {
-            let slot = Slot {
-                offset: *offset,
-                bytes: entry.bits / 8,
-            };
-            *offset += slot.bytes;
-            Some((entry.object, slot))
-        })
-    }
-
-    /// Where `object` lies; `None` if it is not mapped.
-    pub fn slot(&self, object: Object) -> Option<Slot> {
-        self.slots()
-            .find(|(mapped, _)| *mapped == object)
-            .map(|(_, slot)| slot)
-    }
-}
-
-/// The place of one object in a PDO, 1 to 8 bytes, little endian.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Slot {
-    offset: u8,
-    bytes: u8,
-}
-
-impl Slot {
-    /// Writes the low bytes of `value`; a signed one goes through `as u64`.
-    pub fn write(self, frame: &mut [u8; 8], value: u64) {
-        let bytes = usize::from(self.bytes);
-        frame[usize::from(self.offset)..][..bytes].copy_from_slice(&value.to_le_bytes()[..bytes]);
-    }
-
-    /// Reads an unsigned number.
-    pub fn read_unsigned(self, frame: &[u8; 8]) -> u64 {
-        let bytes = usize::from(self.bytes);
-        let mut value = [0; 8];
-        value[..bytes].copy_from_slice(&frame[usize::from(self.offset)..][..bytes]);
-        u64::from_le_bytes(value)
-    }
-
-    /// Reads a signed number.
-    pub fn read_signed(self, frame: &[u8; 8]) -> i64 {
-        let unused = 64 - 8 * u32::from(self.bytes);
-        (self.read_unsigned(frame) << unused) as i64 >> unused
-    }
-
-    /// Index of its first byte.
-    pub const fn offset(self) -> usize {
-        self.offset as usize
-    }
-
-    /// How many bytes it takes.
-    pub const fn bytes(self) -> usize {
-        self.bytes as usize
-    }
-}
-
-/// How one PDO of a device is to be.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct PdoSetup {
-    /// Its direction.
-    pub kind: PdoKind,
-    /// Its number.
-    pub number: PdoNumber,
-    /// Its identifier; an invalid one leaves the PDO switched off.
-    pub cob_id: PdoCobId,
-    /// What it carries.
-    pub mapping: PdoMapping,
-    /// When it is sent or takes effect.
-    pub transmission: TransmissionType,
-    /// TPDO: the least time between two of them, in 100 µs. `None` leaves what the device has;
-    /// EPOS4 has 1 ms.
-    pub inhibit_time: Option<u16>,
-    /// TPDO: sent at least that often, ms; RPDO: deadline for the next one, ms. `None` leaves what the
-    /// device has.
-    pub event_timer: Option<u16>,
-}
-
-/// Writes in the order of CiA 301 §7.5.2.36: switch the PDO off, clear the mapping, fill it, set its count, write the
-/// communication parameters, switch the PDO on.
-///
-/// Devices abort writes in another order.
-pub fn remap(setup: &PdoSetup) -> impl Iterator<Item = Write> + use<> {
-    let PdoSetup {
-        kind,
-        number,
-        cob_id,
-        mapping,
-        transmission,
-        inhibit_time,
-        event_timer,
-    } = *setup;
-    let communication = move |subindex| kind.communication(number, subindex);
-    let count = kind.mapping(number, 0);
-    let entries = (1..=mapping.count).map(move |subindex| {
-        let entry = mapping.entries[usize::from(subindex) - 1];
-        Write::new(kind.mapping(number, subindex), entry.raw())
-    });
-    [
-        Write::new(communication(1), cob_id.invalid().0),
-        Write::new(count, 0u8),
-    ]
-    .into_iter()
-    .chain(entries)
-    .chain([
-        Write::new(count, mapping.count),
-        Write::new(communication(2), transmission.0),
-    ])
-    .chain(inhibit_time.map(|time| Write::new(communication(3), time)))
-    .chain(event_timer.map(|time| Write::new(communication(5), time)))
-    .chain([Write::new(communication(1), cob_id.0)])
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::objects::*;
-    use crate::sdo::{Initiate, Request};
-    use crate::{NodeId, cob};
 
     #[test]
     fn parameters_lie_where_cia_301_puts_them() {
@@ -395,9 +251,7 @@ mod tests {
         assert_eq!(word.0, 0x0000_0182);
         assert_eq!(word.invalid().0, 0x8000_0182);
         assert_eq!(word.invalid().without_rtr().0, 0xC000_0182);
-        assert_eq!(word.invalid().valid(), word);
-        assert!(word.is_valid() && word.rtr_allowed());
-        assert!(!word.invalid().is_valid() && !word.without_rtr().rtr_allowed());
+        assert!(word.is_valid() && !word.invalid().is_valid());
         assert_eq!(word.invalid().without_rtr().id(), Some(id));
         assert_eq!(PdoCobId(0x2000_0182).id(), None);
     }
@@ -431,55 +285,6 @@ mod tests {
     }
 
     #[test]
-    fn values_lie_in_the_order_of_the_entries() {
-        let mapping = PdoMapping::new(&[
-            Entry::new(CONTROLWORD, 16),
-            Entry::new(MODE_OF_OPERATION, 8),
-            Entry::new(TARGET_POSITION, 32),
-        ])
-        .unwrap();
-        assert_eq!(mapping.bytes(), 7);
-        let mut frame = [0; 8];
-        mapping.slot(CONTROLWORD).unwrap().write(&mut frame, 0x000F);
-        mapping
-            .slot(MODE_OF_OPERATION)
-            .unwrap()
-            .write(&mut frame, -1i64 as u64);
-        mapping
-            .slot(TARGET_POSITION)
-            .unwrap()
-            .write(&mut frame, -2i64 as u64);
-        assert_eq!(frame, [0x0F, 0x00, 0xFF, 0xFE, 0xFF, 0xFF, 0xFF, 0x00]);
-        assert_eq!(
-            mapping.slot(CONTROLWORD).unwrap().read_unsigned(&frame),
-            0x000F
-        );
-        assert_eq!(
-            mapping.slot(MODE_OF_OPERATION).unwrap().read_signed(&frame),
-            -1
-        );
-        assert_eq!(
-            mapping.slot(TARGET_POSITION).unwrap().read_signed(&frame),
-            -2
-        );
-        assert_eq!(
-            mapping.slot(TARGET_POSITION).unwrap().read_unsigned(&frame),
-            0xFFFF_FFFE
-        );
-        assert_eq!(mapping.slot(STATUSWORD), None);
-    }
-
-    #[test]
-    fn a_full_frame_in_one_entry_reads_back() {
-        let mapping = PdoMapping::new(&[Entry::new(EPOS2_INTERPOLATION_DATA, 64)]).unwrap();
-        let slot = mapping.slot(EPOS2_INTERPOLATION_DATA).unwrap();
-        let mut frame = [0; 8];
-        slot.write(&mut frame, 0x8001_0203_0405_0607);
-        assert_eq!(frame, [7, 6, 5, 4, 3, 2, 1, 0x80]);
-        assert_eq!(slot.read_signed(&frame), 0x8001_0203_0405_0607_u64 as i64);
-    }
-
-    #[test]
     fn mappings_that_do_not_fit_are_refused() {
         let byte = Entry::new(MODE_OF_OPERATION, 8);
         let long = Entry::new(TARGET_POSITION, 32);
@@ -502,71 +307,5 @@ mod tests {
             };
             assert_eq!(PdoMapping::new(&[entry]), Err(refused));
         }
-    }
-
-    #[test]
-    fn a_pdo_is_remapped_in_the_strict_order() {
-        let node = NodeId::new(2).unwrap();
-        let rpdo = PdoSetup {
-            kind: PdoKind::Rpdo,
-            number: PdoNumber::One,
-            cob_id: PdoCobId::new(cob::rpdo(PdoNumber::One, node)),
-            mapping: PdoMapping::new(&[
-                Entry::new(CONTROLWORD, 16),
-                Entry::new(TARGET_POSITION, 32),
-            ])
-            .unwrap(),
-            transmission: TransmissionType::EVERY_SYNC,
-            inhibit_time: None,
-            event_timer: None,
-        };
-        check(
-            &rpdo,
-            &[
-                "602#2300140102020080",
-                "602#2F00160000000000",
-                "602#2300160110004060",
-                "602#2300160220007A60",
-                "602#2F00160002000000",
-                "602#2F00140201000000",
-                "602#2300140102020000",
-            ],
-        );
-        let tpdo = PdoSetup {
-            kind: PdoKind::Tpdo,
-            number: PdoNumber::Two,
-            cob_id: PdoCobId::new(cob::tpdo(PdoNumber::Two, node))
-                .without_rtr()
-                .invalid(),
-            mapping: PdoMapping::EMPTY,
-            transmission: TransmissionType::EVENT_PROFILE,
-            inhibit_time: Some(10),
-            event_timer: Some(100),
-        };
-        check(
-            &tpdo,
-            &[
-                "602#23011801820200C0",
-                "602#2F011A0000000000",
-                "602#2F011A0000000000",
-                "602#2F011802FF000000",
-                "602#2B0118030A000000",
-                "602#2B01180564000000",
-                "602#23011801820200C0",
-            ],
-        );
-    }
-
-    fn check(setup: &PdoSetup, frames: &[&str]) {
-        let sent: Vec<_> = remap(setup)
-            .map(|Write { object, data }| {
-                let initiate = Initiate::Expedited(data);
-                let node = NodeId::new(2).unwrap();
-                Request::InitiateDownload { object, initiate }
-                    .encode(node)
-                    .to_string()
-            })
-            .collect();
-        assert_eq!(sent, frames);
     }
 }

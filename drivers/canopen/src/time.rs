@@ -1,19 +1,12 @@
-//! TIME (CiA 301): the frame that tells the nodes which day and time it is.
-
-use std::time::Duration;
+//! TIME (CiA 301 §7.2.6): the frame with the day and the time of day.
 
 use can::Frame;
 
 use crate::{cob, frame, payload};
 
-/// From the beginning of Unix time, 1970-01-01, to that of CANopen, 1984-01-01.
-pub const EPOCH: Duration = Duration::from_secs(5113 * 86_400);
-
-const DAY_MS: u128 = 86_400_000;
-
 /// Days since 1984-01-01 and milliseconds after midnight (CiA 301 TIME_OF_DAY).
 ///
-/// Which time zone, and what of leap seconds, is up to those who use it.
+/// The standard leaves the time zone and leap seconds to the users.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct TimeOfDay {
     days: u16,
@@ -43,23 +36,7 @@ impl TimeOfDay {
         self.millis
     }
 
-    /// From the time since 1984-01-01, of which whole milliseconds are kept; `None` after 65_535 days, in the
-    /// year 2163.
-    pub fn from_duration(since_1984: Duration) -> Option<Self> {
-        let millis = since_1984.as_millis();
-        Some(Self {
-            days: u16::try_from(millis / DAY_MS).ok()?,
-            millis: (millis % DAY_MS) as u32,
-        })
-    }
-
-    /// The time since 1984-01-01.
-    pub fn to_duration(self) -> Duration {
-        Duration::from_secs(u64::from(self.days) * 86_400)
-            + Duration::from_millis(self.millis.into())
-    }
-
-    /// The frame, for programs of one's own that send the time.
+    /// The frame.
     pub fn encode(self) -> Frame {
         let [a, b, c, d] = self.millis.to_le_bytes();
         let [low, high] = self.days.to_le_bytes();
@@ -105,25 +82,5 @@ mod tests {
         for text in ["100#0200000001", "100#02000000010000", "080#020000000100"] {
             assert_eq!(TimeOfDay::decode(&parse(text)), None, "{text}");
         }
-    }
-
-    #[test]
-    fn time_counts_from_the_first_day_of_1984() {
-        // 2026-11-21 10:49:56.250 UTC.
-        let unix = Duration::from_millis(1_795_258_196_250);
-        let time = TimeOfDay::from_duration(unix - EPOCH).unwrap();
-        assert_eq!((time.days(), time.millis()), (15_665, 38_996_250));
-        assert_eq!(time.to_duration(), unix - EPOCH);
-        let last = Duration::from_secs(65_536 * 86_400) - Duration::from_millis(1);
-        assert_eq!(
-            TimeOfDay::from_duration(last),
-            TimeOfDay::new(65_535, 86_399_999)
-        );
-        assert_eq!(
-            TimeOfDay::from_duration(last + Duration::from_millis(1)),
-            None
-        );
-        let fraction = Duration::from_micros(1_999);
-        assert_eq!(TimeOfDay::from_duration(fraction), TimeOfDay::new(0, 1));
     }
 }

@@ -4,10 +4,12 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use can::{Frame, Instant, Port, Received, SocketCanOptions, SocketCanPort, clock};
-use canopen::nmt::{Command, Event, Master};
-use canopen::sdo::{AbortCode, Client, SdoError, StartError, Write};
+use canopen::heartbeat::Heartbeat;
+use canopen::nmt::{Command, State};
+use canopen::sdo::{AbortCode, Write};
 use canopen::sync::Sync;
 use canopen::{NodeId, Object};
+use master::sdo::{Client, SdoError, StartError};
 
 /// Upper bound for the duration of every step.
 pub(super) const PATIENCE: Duration = Duration::from_secs(10);
@@ -22,11 +24,12 @@ const LAST: usize = 24;
 pub(super) struct Host {
     port: SocketCanPort,
     pub(super) node: NodeId,
-    nodes: Master,
     client: Client,
     /// Received frames that were not examined yet, the latest at the end.
     frames: VecDeque<Frame>,
-    /// The last frames as text, for failure messages.
+    /// The states that the node showed and nobody looked at, the last at the end.
+    states: VecDeque<State>,
+    /// The last frames in words, for whoever looks into a failure.
     last: VecDeque<String>,
 }
 
@@ -47,9 +50,9 @@ impl Host {
         Self {
             port: port.unwrap(),
             node,
-            nodes: Master::new(),
             client: Client::with_capacity(node, Duration::from_secs(1), 0, CAPACITY),
             frames: VecDeque::new(),
+            states: VecDeque::new(),
             last: VecDeque::new(),
         }
     }
@@ -68,7 +71,8 @@ impl Host {
             let look = clock::now() + Duration::from_millis(20);
             self.port.wait_readable(look).unwrap();
             for Received { frame, .. } in self.receive() {
-                self.nodes.handle(&frame);
+                let heartbeat = Heartbeat::decode(&frame).filter(|it| it.node == self.node);
+                self.states.extend(heartbeat.map(|it| it.state));
                 self.client.handle(&frame, clock::now());
                 self.note("<-", &frame);
                 self.frames.push_back(frame);
@@ -104,7 +108,7 @@ impl Host {
     /// Discards all frames received so far.
     pub(super) fn forget(&mut self) {
         while self.receive().len() == 32 {}
-        while self.nodes.poll().is_some() {}
+        self.states.clear();
         self.frames.clear();
     }
 
@@ -116,13 +120,14 @@ impl Host {
     }
 
     pub(super) fn command(&mut self, command: Command) {
-        let frame = self.nodes.command(command.to(self.node));
-        self.send(&frame);
+        self.states.clear();
+        self.send(&command.to(self.node).encode());
     }
 
-    pub(super) fn hears(&mut self, event: Event) {
-        self.until(&format!("{event:?}"), |host| {
-            std::iter::from_fn(|| host.nodes.poll()).find(|it| *it == event)
+    /// Waits for a heartbeat or boot-up of the node with this state, and forgets those before.
+    pub(super) fn hears(&mut self, state: State) {
+        self.until(&format!("{state}"), |host| {
+            std::iter::from_fn(|| host.states.pop_front()).find(|it| *it == state)
         });
     }
 

@@ -1,11 +1,12 @@
 //! python-canopen as a drive, commanded by this project's SDO client, NMT master and drive group.
 
-use canopen::nmt::{Command, Event, State};
+use canopen::nmt::{Command, State};
 use canopen::objects::{
     DEVICE_NAME, DEVICE_TYPE, PRODUCER_HEARTBEAT, PROFILE_VELOCITY, STATUSWORD,
 };
-use canopen::sdo::{AbortCode, Client};
+use canopen::sdo::AbortCode;
 use canopen::{NodeId, Object};
+use master::sdo::Client;
 
 use super::group::run_as_drives;
 use super::host::Host;
@@ -22,7 +23,7 @@ fn beside_a_local_node(test: &str, body: impl FnOnce(&Stage, Host)) {
         let bus = Bus::socketcan(stage.interface);
         let mut script = bus.script(&python, "slave.py");
         let _slave = Script::start(script.args(["--node", &NODE.raw().to_string()]));
-        host.hears(Event::Booted(NODE));
+        host.hears(State::Initialising);
         body(stage, host);
     });
 }
@@ -64,8 +65,8 @@ fn the_service_client_reads_and_writes_a_local_node() {
 }
 
 #[test]
-fn the_network_master_commands_a_local_node() {
-    let test = "peers::slave::the_network_master_commands_a_local_node";
+fn a_local_node_obeys_network_commands() {
+    let test = "peers::slave::a_local_node_obeys_network_commands";
     beside_a_local_node(test, |_, mut host| {
         let heartbeat = 20_u16.to_le_bytes();
         assert_eq!(host.download(PRODUCER_HEARTBEAT, &heartbeat), Ok(()));
@@ -75,12 +76,12 @@ fn the_network_master_commands_a_local_node() {
             (Command::EnterPreOperational, State::PreOperational),
         ] {
             host.command(command);
-            host.hears(Event::Changed { node: NODE, state });
+            host.hears(state);
         }
         for reset in [Command::ResetNode, Command::ResetCommunication] {
             assert_eq!(host.download(PRODUCER_HEARTBEAT, &heartbeat), Ok(()));
             host.command(reset);
-            host.hears(Event::Booted(NODE));
+            host.hears(State::Initialising);
             assert_eq!(host.upload(PRODUCER_HEARTBEAT).as_deref(), Ok(&[0, 0][..]));
         }
     });

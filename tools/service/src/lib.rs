@@ -32,9 +32,9 @@ use std::time::Duration;
 
 use anyhow::{Context, bail};
 use can::{ControllerState, Instant, Port, clock};
-use canopen::sdo::SdoError;
 use canopen::{NodeId, Object};
 use clap::Args;
+use master::sdo::SdoError;
 
 use epos::ServicePort;
 use mrroc::bench::bus_port::BusPort;

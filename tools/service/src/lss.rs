@@ -7,9 +7,10 @@ use std::time::Duration;
 use can::{Frame, Instant};
 use canopen::NodeId;
 use canopen::heartbeat::Heartbeat;
-use canopen::lss::{Answer, Identity, LssError, Master, Mode, Part, Request, Service};
+use canopen::lss::{Identity, Mode, Part, Request};
 use canopen::nmt::State;
 use clap::{Args, Subcommand};
+use master::lss::{Answer, LssError, Master, Service};
 use serde::Serialize;
 
 use super::talk::{Conversation, Ended};

@@ -8,9 +8,9 @@ use can::{Frame, Instant};
 use canopen::guarding::Response;
 use canopen::nmt::{Command, Request, State, Target};
 use canopen::objects::PRODUCER_HEARTBEAT;
-use canopen::sdo::{self, SdoError};
 use canopen::{NodeId, Object};
 use clap::{Args, ValueEnum};
+use master::sdo::{self, SdoError};
 
 use super::talk::{Conversation, Ended};
 use super::{Bus, BusArgs, Channel, Drive, interrupted, milliseconds, node_id, now, say};

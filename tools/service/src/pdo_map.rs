@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use canopen::pdo::{Entry, PdoCobId, PdoKind, PdoNumber};
-use canopen::sdo::SdoError;
 use canopen::{NodeId, Object};
+use master::sdo::SdoError;
 
 use super::survey::Questions;
 use super::value;

@@ -7,13 +7,13 @@ use std::time::Duration;
 use anyhow::bail;
 use can::{Frame, Instant};
 use canopen::guarding::Response;
-use canopen::lss::Answer;
 use canopen::objects::{
     DEVICE_NAME, DEVICE_TYPE, PRODUCER_HEARTBEAT, PRODUCT_CODE, REVISION, SERIAL_NUMBER, VENDOR_ID,
 };
-use canopen::sdo::SdoError;
 use canopen::{NodeId, Object, nmt};
 use clap::Args;
+use master::lss::Answer;
+use master::sdo::SdoError;
 use serde::Serialize;
 
 use super::lss::Dialogue;

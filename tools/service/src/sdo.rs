@@ -7,9 +7,10 @@ use std::time::Duration;
 use anyhow::{Context, anyhow, bail};
 use can::{Frame, Instant};
 use canopen::objects::{ERROR_CODE, ERROR_HISTORY_NEWEST, VENDOR_ID};
-use canopen::sdo::{self, AbortCode, SdoError, StartError};
+use canopen::sdo::AbortCode;
 use canopen::{NodeId, Object};
 use clap::{Args, Subcommand};
+use master::sdo::{self, SdoError, StartError};
 use serde::Serialize;
 
 use super::data_sheet::DataSheet;

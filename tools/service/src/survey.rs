@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use can::{Frame, Instant};
-use canopen::sdo::{self, SdoError};
 use canopen::{NodeId, Object};
+use master::sdo::{self, SdoError};
 
 use super::talk::Conversation;
 

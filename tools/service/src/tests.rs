@@ -4,14 +4,16 @@ use std::time::Duration;
 
 use can::timing::Bitrate;
 use can::{Frame, Instant, Port, Received, StandardId, VirtualPort};
-use canopen::lss::{Answer, Identity, Service};
+use canopen::lss::Identity;
 use canopen::nmt::{Command, Request, State};
 use canopen::objects::{DEVICE_NAME, PRODUCER_HEARTBEAT, STATUSWORD};
-use canopen::sdo::{AbortCode, SdoError};
+use canopen::sdo::AbortCode;
 use canopen::sync::Sync;
 use canopen::{NodeId, Object};
 use hil::epos4::{Epos4, Epos4Config};
 use hil::{AxisConfig, BusId, Irp6Axis, World};
+use master::lss::{Answer, Service};
+use master::sdo::SdoError;
 
 use super::lss::Dialogue;
 use super::nmt::{Report, Told};

@@ -211,11 +211,6 @@ impl BusErrors {
         self.0 & other.0 == other.0
     }
 
-    /// Whether there is none.
-    pub fn is_empty(self) -> bool {
-        self.0 == 0
-    }
-
     fn letters(self) -> impl Iterator<Item = u8> {
         let letters = Self::LETTERS.into_iter().enumerate();
         letters.filter_map(move |(bit, letter)| (self.0 >> bit & 1 == 1).then_some(letter))
@@ -241,16 +236,12 @@ pub struct StatusFlags(pub u8);
 impl StatusFlags {
     /// The queue of received frames was full.
     pub const RECEIVE_QUEUE_FULL: u8 = 0x01;
-    /// The queue of frames to send was full.
-    pub const TRANSMIT_QUEUE_FULL: u8 = 0x02;
     /// An error counter passed 96.
     pub const ERROR_WARNING: u8 = 0x04;
     /// The controller lost a received frame.
     pub const DATA_OVERRUN: u8 = 0x08;
     /// An error counter passed 127.
     pub const ERROR_PASSIVE: u8 = 0x20;
-    /// Arbitration was lost.
-    pub const ARBITRATION_LOST: u8 = 0x40;
     /// An error was seen on the bus.
     pub const BUS_ERROR: u8 = 0x80;
 }

@@ -1,7 +1,7 @@
 //! Error codes of EMCY and object 0x603F in words.
 
-/// Whose meaning an error code has (EMCY and object 0x603F): vendors use the range 0xFFxx, and
-/// others, each for their own ends.
+/// Source of the meaning of an error code (EMCY and object 0x603F). Vendors give meanings of their own to the range 0xFFxx
+/// and to some other codes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum FaultTable {
     /// CiA 402 and the communication codes of CiA 301.
@@ -14,7 +14,7 @@ pub enum FaultTable {
 }
 
 impl FaultTable {
-    /// The text of an error code: the vendor's, else CiA's, else that of its class.
+    /// The text of an error code: the text of the vendor, of CiA, or of the class of the code, in this order.
     pub fn text(self, code: u16) -> &'static str {
         let vendor = match self {
             Self::Cia402 => None,
@@ -47,7 +47,7 @@ fn find(table: &[(u16, &'static str)], code: u16) -> Option<&'static str> {
     Some(table[at].1)
 }
 
-/// The classes of CiA 301.
+/// The error classes of EMCY (CiA 301 §7.2.7).
 const fn class(code: u16) -> &'static str {
     match code {
         0x0000..=0x00FF => "no error",

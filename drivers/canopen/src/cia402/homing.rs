@@ -4,12 +4,11 @@ use std::fmt;
 
 use super::Statusword;
 
-/// Object 0x6098: how a drive searches its reference. Positive is the direction in which the
-/// position grows.
+/// Object 0x6098: the method by which a drive searches its reference. The position grows in the positive direction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct HomingMethod(pub i8);
 
-/// What a homing method looks for.
+/// The references that a homing method searches.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct References {
     /// The limit switch at the negative end.
@@ -20,14 +19,14 @@ pub struct References {
     pub home_switch: bool,
     /// The encoder's index.
     pub index: bool,
-    /// A mechanical stop, felt by the motor current.
+    /// A mechanical stop, detected by the motor current.
     pub stop: bool,
 }
 
 impl HomingMethod {
-    /// maxon: stop at the negative end, felt by the current.
+    /// maxon: stop at the negative end, detected by the current.
     pub const CURRENT_NEGATIVE: Self = Self(-4);
-    /// maxon: stop at the positive end, felt by the current.
+    /// maxon: stop at the positive end, detected by the current.
     pub const CURRENT_POSITIVE: Self = Self(-3);
     /// maxon: as [`Self::CURRENT_NEGATIVE`], then the index.
     pub const CURRENT_NEGATIVE_INDEX: Self = Self(-2);
@@ -79,8 +78,8 @@ impl HomingMethod {
         Self::CURRENT_NEGATIVE,
     ];
 
-    /// What it looks for; nothing where it takes the position at which the axis stands. `None` for
-    /// a method not named here.
+    /// The references that the method searches: none if the method takes the actual position. `None` for a method without
+    /// a name here.
     pub const fn references(self) -> Option<References> {
         let mut needs = References {
             negative_limit: false,
@@ -123,7 +122,7 @@ impl HomingMethod {
     }
 }
 
-/// What the statusword says in homing mode (bits 10, 12 and 13).
+/// State of homing by the statusword in homing mode (bits 10, 12 and 13).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum HomingStatus {
     /// Searching.

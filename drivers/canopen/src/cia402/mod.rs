@@ -1,16 +1,13 @@
-//! CiA 402 (IEC 61800-7-201): drives. The two words, power states, modes, homing and fault codes.
+//! Drives (CiA 402-2, IEC 61800-7-201): controlword, statusword, power states, modes, homing and fault codes.
 //!
-//! Read [`Statusword`] and [`power`] first. What EPOS2 does differently is tolerated and said
-//! where it matters.
+//! Read [`Statusword`] first. Deviations of EPOS2 are tolerated, and stated at the item concerned.
 
 mod fault_codes;
 mod homing;
 mod mode;
-pub mod power;
 mod word;
 
 pub use fault_codes::FaultTable;
 pub use homing::{HomingMethod, HomingStatus, References};
 pub use mode::{ModeOfOperation, SupportedModes};
-pub use power::{Goal, PowerStateMachine, next_controlword};
 pub use word::{Controlword, PowerCommand, PowerState, Statusword};

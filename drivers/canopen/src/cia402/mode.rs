@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-/// Object 0x6060 and 0x6061: what a drive makes of its set-points.
+/// Mode of operation of a drive, objects 0x6060 (commanded) and 0x6061 (shown).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum ModeOfOperation {
     /// No mode (0).
@@ -25,7 +25,7 @@ pub enum ModeOfOperation {
     CyclicSynchronousVelocity,
     /// Cyclic synchronous torque, CST (10).
     CyclicSynchronousTorque,
-    /// A vendor's own (negative) or one not known here.
+    /// A mode of the vendor (negative), or an unknown mode.
     Other(i8),
 }
 
@@ -83,24 +83,17 @@ impl fmt::Display for ModeOfOperation {
     }
 }
 
-/// Object 0x6502: the modes a drive has.
+/// Object 0x6502: the modes that a drive supports.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SupportedModes(pub u32);
 
 impl SupportedModes {
-    /// A drive with none of CiA 402's modes.
-    pub const NONE: Self = Self(0);
     /// EPOS4: PP, PV, HM, CSP, CSV, CST.
     pub const EPOS4: Self = Self(0x0000_03A5);
 
     /// Whether the drive has `mode`; the object says nothing of vendors' modes, so `false` for them.
     pub const fn contains(self, mode: ModeOfOperation) -> bool {
         self.0 & Self::bit(mode) != 0
-    }
-
-    /// The same with `mode`, if the object has a bit for it.
-    pub const fn with(self, mode: ModeOfOperation) -> Self {
-        Self(self.0 | Self::bit(mode))
     }
 
     /// Modes 1 to 10 have bits 0 to 9.
@@ -134,10 +127,6 @@ mod tests {
             CyclicSynchronousVelocity,
             CyclicSynchronousTorque,
         ];
-        let built = modes
-            .into_iter()
-            .fold(SupportedModes::NONE, SupportedModes::with);
-        assert_eq!(built, SupportedModes::EPOS4);
         for mode in modes {
             assert!(SupportedModes::EPOS4.contains(mode));
         }

@@ -4,14 +4,14 @@ use std::fmt;
 
 use super::HomingStatus;
 
-/// Where a drive is in the state machine of CiA 402, as its statusword says.
+/// Power state of a drive by its statusword (CiA 402-2).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum PowerState {
     /// Self-test after power-on.
     NotReadyToSwitchOn,
-    /// Power may not be switched on yet.
+    /// The power stage may not be switched on yet.
     SwitchOnDisabled,
-    /// Waits for switch on.
+    /// The drive waits for the command switch on.
     ReadyToSwitchOn,
     /// Power is on, no torque.
     SwitchedOn,
@@ -75,7 +75,7 @@ impl fmt::Display for PowerState {
     }
 }
 
-/// Object 0x6041.
+/// Statusword, object 0x6041.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Statusword(pub u16);
 
@@ -94,8 +94,6 @@ impl Statusword {
     pub const MODE_SPECIFIC_12: u16 = 1 << 12;
     /// Bit 13, whose meaning depends on the mode of operation.
     pub const MODE_SPECIFIC_13: u16 = 1 << 13;
-    /// EPOS2: the power stage is being refreshed (bit 14).
-    pub const EPOS2_REFRESH: u16 = 1 << 14;
     /// EPOS2 and EPOS4: the position is referenced to home (bit 15).
     pub const EPOS_REFERENCED: u16 = 1 << 15;
 
@@ -135,11 +133,6 @@ impl Statusword {
         self.has(Self::WARNING)
     }
 
-    /// Whether the drive obeys the controlword.
-    pub const fn remote(self) -> bool {
-        self.has(Self::REMOTE)
-    }
-
     /// Whether the target is reached; in homing mode read [`Self::homing`] instead.
     pub const fn target_reached(self) -> bool {
         self.has(Self::TARGET_REACHED)
@@ -148,26 +141,6 @@ impl Statusword {
     /// Whether a limit inside the drive is in force.
     pub const fn internal_limit(self) -> bool {
         self.has(Self::INTERNAL_LIMIT)
-    }
-
-    /// Cyclic synchronous modes: whether the drive follows the set-points (bit 12).
-    pub const fn follows_command(self) -> bool {
-        self.has(Self::MODE_SPECIFIC_12)
-    }
-
-    /// Position modes: whether the following error is too large (bit 13).
-    pub const fn following_error(self) -> bool {
-        self.has(Self::MODE_SPECIFIC_13)
-    }
-
-    /// Profile position mode: whether the new set-point was taken (bit 12).
-    pub const fn setpoint_acknowledged(self) -> bool {
-        self.has(Self::MODE_SPECIFIC_12)
-    }
-
-    /// Profile velocity mode: whether the speed is zero (bit 12).
-    pub const fn speed_is_zero(self) -> bool {
-        self.has(Self::MODE_SPECIFIC_12)
     }
 
     /// EPOS2 and EPOS4: whether the position is referenced to home.
@@ -181,7 +154,7 @@ impl Statusword {
     }
 }
 
-/// Object 0x6040.
+/// Controlword, object 0x6040.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Controlword(pub u16);
 
@@ -192,10 +165,8 @@ impl Controlword {
     pub const QUICK_STOP: Self = Self(0x0002);
     /// To ready to switch on.
     pub const SHUTDOWN: Self = Self(0x0006);
-    /// To switched on.
+    /// To switched on. In operation enabled the same word disables operation.
     pub const SWITCH_ON: Self = Self(0x0007);
-    /// From operation enabled back to switched on: the same word as [`Self::SWITCH_ON`].
-    pub const DISABLE_OPERATION: Self = Self(0x0007);
     /// To operation enabled.
     pub const ENABLE_OPERATION: Self = Self(0x000F);
     /// Clears a fault at the rising edge of bit 7.
@@ -224,7 +195,7 @@ impl Controlword {
 
     /// The command to the power state machine in bits 0 to 3, as a device reads it.
     ///
-    /// Bit 7 is for the caller: a fault reset is its rising edge, so it takes two words to see one.
+    /// Bit 7 is not part of the command. A fault reset is the rising edge of bit 7, which shows in two successive words.
     pub const fn power_command(self) -> PowerCommand {
         match self.0 & 0x0F {
             word if word & 0b0010 == 0 => PowerCommand::DisableVoltage,
@@ -236,7 +207,7 @@ impl Controlword {
     }
 }
 
-/// What the low bits of a controlword ask of the power state machine.
+/// Command to the power state machine in the low bits of a controlword.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum PowerCommand {
     /// Bit 1 is clear.
@@ -306,7 +277,6 @@ mod tests {
             (Controlword::QUICK_STOP, QuickStop),
             (Controlword::SHUTDOWN, Shutdown),
             (Controlword::SWITCH_ON, SwitchOn),
-            (Controlword::DISABLE_OPERATION, SwitchOn),
             (Controlword::ENABLE_OPERATION, EnableOperation),
             (Controlword(0x001F), EnableOperation),
             (Controlword(0x010F), EnableOperation),

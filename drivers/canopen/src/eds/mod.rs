@@ -2,13 +2,19 @@
 //!
 //! An EDS lists the objects of a kind of device. A DCF is the EDS of one device with the values for that device
 //! (`ParameterValue`) and its place on the network (`DeviceComissioning`, the standard's spelling). [`Eds::read`]
-//! takes the bytes of either and checks them whole; [`Eds`]'s `Display` writes them so that this reader and others
-//! read the same. What a DCF asks to be written to its device is in [`crate::dcf`].
+//! reads and checks the bytes of both. `Display` of [`Eds`] writes a file that this reader and other readers understand.
+//! [`crate::dcf`] makes a download of a DCF.
 //!
-//! It reads: any case of names and keys, `\n` and `\r\n`, UTF-8 and ISO 8859-1, comments behind `;`, empty values (as if the
-//! key were not there), `$NODEID`, `CompactSubObj` with its `[1003Name]` and `[1003Value]`. Passed over, since no
-//! object depends on them: sections of tools and modules, denotations, object links. An object that no list mentions is
-//! an object all the same.
+//! The reader understands:
+//! - any case of names and keys;
+//! - `\n` and `\r\n`, UTF-8 and ISO 8859-1;
+//! - comments behind `;`;
+//! - empty values, which count as absent keys;
+//! - `$NODEID`;
+//! - `CompactSubObj` with its `[1003Name]` and `[1003Value]`;
+//! - objects that no list mentions.
+//!
+//! The reader ignores sections of tools and modules, denotations and object links, since no object depends on them.
 
 mod error;
 mod ini;

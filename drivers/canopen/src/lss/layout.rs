@@ -6,25 +6,25 @@ use can::Frame;
 
 use crate::{cob, frame, payload};
 
-/// What the master tells or asks the slaves, on 0x7E5.
+/// A request of the master, on 0x7E5.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Request {
-    /// All slaves enter this mode. Not answered.
+    /// All slaves enter this mode (CiA 305 §6.3.2). Not answered.
     SwitchGlobal(Mode),
-    /// One of four: the slave whose [identity](super::Identity) has all four numbers enters configuration
-    /// mode and answers [`Response::Selected`] after the serial number.
+    /// One of four frames (CiA 305 §6.3.3). The slave with this [identity](super::Identity) enters configuration mode and
+    /// answers [`Response::Selected`] after the fourth frame.
     SwitchSelective {
-        /// Which number.
+        /// The number of the identity.
         part: Part,
-        /// What it has to be.
+        /// Its required value.
         value: u32,
     },
-    /// Take this node-ID at the next reset of the communication.
+    /// Take this node-ID at the next reset of the communication (CiA 305 §6.4.2).
     ConfigureNodeId {
         /// 1 ..= 127 or [`super::UNCONFIGURED`]; a slave refuses the others.
         node_id: u8,
     },
-    /// Take this bit rate when it is activated or at the next power-on.
+    /// Take this bit rate at its activation or at the next power-on (CiA 305 §6.4.3).
     ConfigureBitTiming {
         /// [`super::CIA_TABLE`], or a table of the vendor.
         table: u8,
@@ -37,26 +37,26 @@ pub enum Request {
         /// ms.
         delay_ms: u16,
     },
-    /// Keep node-ID and bit rate over power-off.
+    /// Keep node-ID and bit rate over power-off (CiA 305 §6.4.5).
     Store,
-    /// Say one number of the identity.
+    /// Ask for one number of the identity (CiA 305 §6.5.2).
     Inquire(Part),
-    /// Say the node-ID.
+    /// Ask for the node-ID (CiA 305 §6.5.3).
     InquireNodeId,
-    /// One of six: every slave within all of them answers [`Response::Identified`] after the last.
+    /// One of six bounds (CiA 305 §6.6.2). Every slave within all bounds answers [`Response::Identified`] after the last.
     Identify {
-        /// Which bound.
+        /// The bound.
         bound: Bound,
         /// Its value, which belongs to the range.
         value: u32,
     },
-    /// Every slave without a node-ID answers [`Response::Unconfigured`].
+    /// Every slave without a node-ID answers [`Response::Unconfigured`] (CiA 305 §6.6.4).
     IdentifyUnconfigured,
-    /// Every slave without a node-ID whose identity agrees so far answers [`Response::Identified`].
+    /// Every slave without a node-ID whose identity agrees so far answers [`Response::Identified`] (CiA 305 §6.7).
     Fastscan(Fastscan),
 }
 
-/// What a slave answers, on 0x7E4. Equal answers of several slaves at once are one frame on the bus.
+/// An answer of a slave, on 0x7E4. Equal answers of several slaves at the same time are one frame on the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Response {
     /// Its identity was named; it is in configuration mode.
@@ -69,9 +69,9 @@ pub enum Response {
     Stored(Outcome),
     /// To [`Request::Inquire`].
     Inquired {
-        /// Which number.
+        /// The number of the identity.
         part: Part,
-        /// What it is.
+        /// Its value.
         value: u32,
     },
     /// To [`Request::InquireNodeId`].
@@ -85,12 +85,12 @@ pub enum Response {
     Unconfigured,
 }
 
-/// What a slave listens to.
+/// The LSS state of a slave.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mode {
-    /// To switching and identifying only.
+    /// The slave takes switching and identifying requests.
     Waiting,
-    /// To configuring and inquiring, too.
+    /// The slave takes configuring and inquiring requests as well.
     Configuration,
 }
 
@@ -184,17 +184,17 @@ pub struct Fastscan {
     pub next: u8,
 }
 
-/// What became of a configuring request.
+/// Result of a configuring request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Outcome {
-    /// [`Outcome::SUCCESS`] or why not.
+    /// [`Outcome::SUCCESS`], or the reason of the failure.
     pub error: u8,
     /// The vendor's code, if `error` is [`Outcome::VENDOR`].
     pub specific: u8,
 }
 
 impl Outcome {
-    /// Done.
+    /// Success.
     pub const SUCCESS: u8 = 0;
     /// The node-ID or bit rate is out of range; of a store: not supported.
     pub const OUT_OF_RANGE: u8 = 1;

@@ -1,23 +1,20 @@
-//! LSS, the layer setting services (CiA 305): giving node-IDs and bit rates to nodes that have none.
+//! LSS, the layer setting services (CiA 305): node-IDs and bit rates for nodes that have none.
 //!
-//! [`Request`] goes from the master to all slaves at once, [`Response`] back from whichever slave is
-//! concerned; neither carries a node-ID. A node without one takes part in nothing but LSS. Slaves obey
-//! the configuring requests only in [`Mode::Configuration`].
+//! A [`Request`] goes from the master to all slaves, a [`Response`] from the addressed slave to the master. Neither has a
+//! node-ID. A node without a node-ID takes part in LSS alone. Slaves obey the configuring requests only in
+//! [`Mode::Configuration`].
 
 mod layout;
-mod master;
-mod scan;
 
 pub use layout::{Bound, FASTSCAN_RESET, Fastscan, Mode, Outcome, Part, Request, Response};
-pub use master::{Answer, Busy, LssError, Master, Service};
 
 /// The node-ID of a node that has none.
 pub const UNCONFIGURED: u8 = 0xFF;
 
-/// The bit timing table of CiA, whose indices are those of [`BitRate`].
+/// The bit timing table of CiA (CiA 305 §6.4.3). [`BitRate::index`] returns its indices.
 pub const CIA_TABLE: u8 = 0;
 
-/// Who a node is among all the CANopen nodes of the world: the LSS address (CiA 305), object 0x1018.
+/// The LSS address of a node, unique among all nodes of CANopen: object 0x1018 (CiA 301 §7.5.2.21).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Identity {
     /// Vendor-ID, given by CiA.
@@ -71,7 +68,7 @@ pub enum BitRate {
     Kbps800,
     /// 1 Mbit/s.
     Kbps1000,
-    /// Whatever the node finds on the bus.
+    /// The node detects the bit rate of the bus.
     Automatic,
 }
 
@@ -109,7 +106,7 @@ impl BitRate {
         Self::ALL.into_iter().find(|rate| rate.index() == index)
     }
 
-    /// kbit/s; `None` if the node is to find it.
+    /// kbit/s; `None` if the node detects it.
     pub const fn kbps(self) -> Option<u16> {
         Some(match self {
             Self::Kbps10 => 10,
@@ -122,11 +119,6 @@ impl BitRate {
             Self::Kbps1000 => 1000,
             Self::Automatic => return None,
         })
-    }
-
-    /// `None` for a bit rate that the table does not have.
-    pub fn from_kbps(kbps: u16) -> Option<Self> {
-        Self::ALL.into_iter().find(|rate| rate.kbps() == Some(kbps))
     }
 }
 
@@ -150,13 +142,9 @@ mod tests {
         for (index, kbps) in table {
             let rate = BitRate::from_index(index).unwrap();
             assert_eq!((rate.index(), rate.kbps()), (index, kbps));
-            if let Some(kbps) = kbps {
-                assert_eq!(BitRate::from_kbps(kbps), Some(rate));
-            }
         }
         for index in [5, 10, 255] {
             assert_eq!(BitRate::from_index(index), None);
         }
-        assert_eq!(BitRate::from_kbps(100), None);
     }
 }

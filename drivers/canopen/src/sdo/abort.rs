@@ -1,9 +1,9 @@
-//! SDO abort codes (CiA 301).
+//! SDO abort codes (CiA 301 §7.2.4.3.17).
 
 use std::fmt;
 
-/// Why one side ended an SDO transfer. Any value can arrive; the constants are those with a meaning
-/// known here, the `MAXON_` ones from maxon's drives.
+/// Reason for the end of an SDO transfer. Any value can arrive. The constants are the codes of CiA 301 and, with
+/// `MAXON_`, those of maxon's drives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct AbortCode(pub u32);
 
@@ -15,7 +15,7 @@ macro_rules! abort_codes {
             /// Every code with a name.
             pub const ALL: &[Self] = &[$(Self::$name),*];
 
-            /// What it means; "unknown abort code" if it has no name here.
+            /// The meaning; "unknown abort code" if the code has no name here.
             pub const fn text(self) -> &'static str {
                 match self.0 {
                     $($raw => $text,)*

@@ -1,8 +1,7 @@
-//! The frames of SDO block transfer (CiA 301).
+//! The frames of SDO block transfer (CiA 301 §7.2.4.3.8 to §7.2.4.3.16).
 //!
-//! Data go in sub-blocks of up to 127 [`Segment`]s, which the receiver acknowledges together; a
-//! checksum ends them. What the sender of the data sends and what their receiver answers is the same in both
-//! directions:
+//! The data go in sub-blocks of up to 127 [`Segment`]s. The receiver acknowledges each sub-block, and a checksum ends the
+//! transfer. The frames of the data's sender and receiver are the same in both directions:
 //!
 //! ```text
 //!   download   client                                server
@@ -14,7 +13,7 @@
 //!              ◄─────────────────── EndDownload
 //!
 //!   upload     InitiateUpload (block size) ────────►
-//!              ◄─────────────────── InitiateUpload (or that of an ordinary upload, if short)
+//!              ◄─────────────────── InitiateUpload (of an ordinary upload, if short)
 //!              StartUpload ────────────────────────►
 //!              ◄─────────────────── Segment 1 ..= block size
 //!              Acknowledge ────────────────────────►
@@ -22,10 +21,10 @@
 //!              EndUpload ──────────────────────────►
 //! ```
 //!
-//! The first byte of a segment takes every value but 0x00 and 0x80, so it cannot be told from the other
-//! requests or responses by its bytes. Who is in the middle of a sub-block tries [`Segment::decode`];
-//! only an abort (0x80) still comes between. Everybody else tries [`Request::decode`] or
-//! [`Response::decode`] on what [`super::Request`] or [`super::Response`] calls unsupported.
+//! The first byte of a segment has any value but 0x00 and 0x80. The bytes of a segment therefore do not differ from those of
+//! other requests and responses. The receiver of a sub-block tries [`Segment::decode`]; an abort (0x80) is the only
+//! other frame there. In all other states [`Request::decode`] or [`Response::decode`] decode the frames that
+//! [`super::Request`] or [`super::Response`] call unsupported.
 
 use can::{Frame, StandardId};
 use crc::{CRC_16_XMODEM, Crc};
@@ -40,7 +39,7 @@ pub const MAX_BLOCK_SIZE: u8 = 127;
 /// The bytes of a segment.
 pub const SEGMENT: usize = 7;
 
-/// What a client sends to a server, on `0x600 + node`.
+/// A request of the client, on `0x600 + node`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Request {
     /// Begin to write an object.
@@ -49,7 +48,7 @@ pub enum Request {
         object: Object,
         /// Whether the client can make the checksum.
         crc: bool,
-        /// Bytes to come, where the client says.
+        /// Number of bytes, if the client gives it.
         size: Option<u32>,
     },
     /// All segments were acknowledged.
@@ -74,7 +73,7 @@ pub enum Request {
     EndUpload,
 }
 
-/// What a server answers, on `0x580 + node`.
+/// An answer of the server, on `0x580 + node`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Response {
     /// Send the first sub-block.
@@ -96,27 +95,27 @@ pub enum Response {
         object: Object,
         /// Whether the server can make the checksum.
         crc: bool,
-        /// Bytes to come, where the server says.
+        /// Number of bytes, if the server gives it.
         size: Option<u32>,
     },
     /// All segments were acknowledged.
     EndUpload(End),
 }
 
-/// What the receiver of a sub-block says at its end.
+/// Acknowledgement of a sub-block by its receiver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Acknowledge {
-    /// The last segment that came in order; those after it are sent again. 0 for none of them.
+    /// The last segment that came in order, or 0. The segments after it are sent again.
     pub sequence: u8,
     /// Segments of the next sub-block.
     pub block_size: u8,
 }
 
-/// What the sender of the data says when all of them are acknowledged.
+/// End of a block transfer by the sender of the data, after the last acknowledgement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct End {
     unused: u8,
-    /// The [`checksum`] of all the data if both sides have said that they know it, else 0.
+    /// The [`checksum`] of all data if both sides support it, else 0.
     pub crc: u16,
 }
 
@@ -141,7 +140,7 @@ impl End {
         Self { unused, crc }
     }
 
-    /// Bytes of the last segment that are none of the data's, 0 ..= 7.
+    /// Unused bytes of the last segment, 0 ..= 7.
     pub const fn unused(self) -> usize {
         self.unused as usize
     }
@@ -194,15 +193,15 @@ impl Segment {
         frame(id, [first, a, b, c, d, e, f, g])
     }
 
-    /// What the frame is in the middle of a sub-block: `None` for an abort, for sequence number 0 and for
-    /// frames under another identifier or of another length.
+    /// A frame within a sub-block. `None` for an abort, for sequence number 0, and for frames under another identifier or
+    /// of another length.
     pub fn decode(frame: &Frame, id: StandardId) -> Option<Self> {
         let [first, data @ ..] = <[u8; 8]>::try_from(payload(frame, id)?).ok()?;
         Self::new(first & 0x7F, first & 0x80 != 0, data)
     }
 }
 
-/// The checksum of the data of a block transfer, unused bytes left out: CRC-16/XMODEM.
+/// The checksum of the data of a block transfer, unused bytes left out: CRC-16/XMODEM (CiA 301 §7.2.4.3.16).
 pub fn checksum(data: &[u8]) -> u16 {
     static TABLE: Crc<u16> = Crc::<u16>::new(&CRC_16_XMODEM);
     TABLE.checksum(data)

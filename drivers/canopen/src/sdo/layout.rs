@@ -1,28 +1,28 @@
-//! Frames of expedited and segmented SDO transfer.
+//! Frames of expedited and segmented SDO transfer (CiA 301 §7.2.4.3.3 to §7.2.4.3.7, abort §7.2.4.3.17).
 
 use can::Frame;
 
 use super::AbortCode;
 use crate::{NodeId, Object, cob, frame, payload};
 
-/// What a client sends to a server, on `0x600 + node`.
+/// A request of the client, on `0x600 + node`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Request {
     /// Begin to write an object, or write all of it where expedited.
     InitiateDownload {
         /// The object to write.
         object: Object,
-        /// Its data, or their size.
+        /// The data, or the size of the data.
         initiate: Initiate,
     },
-    /// The next piece of a segmented download.
+    /// The next segment of a segmented download.
     DownloadSegment(Segment),
     /// Read an object.
     InitiateUpload {
         /// The object to read.
         object: Object,
     },
-    /// Ask for the next piece of a segmented upload.
+    /// Ask for the next segment of a segmented upload.
     UploadSegment {
         /// Alternates, starting with `false`.
         toggle: bool,
@@ -31,14 +31,14 @@ pub enum Request {
     Abort {
         /// The object being transferred.
         object: Object,
-        /// Why.
+        /// The reason.
         code: AbortCode,
     },
-    /// Any other command specifier; those of [block transfer](super::block) among them.
+    /// Any other command specifier, for example of [block transfer](super::block).
     Unsupported(Unsupported),
 }
 
-/// What a server answers, on `0x580 + node`.
+/// An answer of the server, on `0x580 + node`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Response {
     /// The download was taken, or its segments may follow.
@@ -48,30 +48,30 @@ pub enum Response {
     },
     /// The segment was taken.
     DownloadSegment {
-        /// That of the segment.
+        /// The toggle bit of the segment.
         toggle: bool,
     },
     /// The object's data where expedited, else its segments may be asked for.
     InitiateUpload {
         /// The object being read.
         object: Object,
-        /// Its data, or their size.
+        /// The data, or the size of the data.
         initiate: Initiate,
     },
-    /// The next piece of a segmented upload.
+    /// The next segment of a segmented upload.
     UploadSegment(Segment),
     /// End the transfer.
     Abort {
         /// The object being transferred.
         object: Object,
-        /// Why.
+        /// The reason.
         code: AbortCode,
     },
-    /// Any other command specifier; those of [block transfer](super::block) among them.
+    /// Any other command specifier, for example of [block transfer](super::block).
     Unsupported(Unsupported),
 }
 
-/// What the first frame of a transfer carries.
+/// Contents of the first frame of a transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Initiate {
     /// All the data.

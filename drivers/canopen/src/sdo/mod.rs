@@ -1,15 +1,13 @@
-//! SDO (CiA 301): reading (upload) and writing (download) one object of a node's dictionary.
+//! SDO (CiA 301 §7.2.4): reading (upload) and writing (download) one object of a node's dictionary.
 //!
-//! [`Request`] goes from client to server, [`Response`] back; both are always 8 bytes. A server has
-//! one channel, so a [`Client`] asks one thing at a time. Large objects go faster by [`block`] transfer.
+//! A [`Request`] goes from the client to the server, a [`Response`] from the server to the client. Both have 8 bytes. A
+//! server has one channel, and serves one transfer at a time. [`block`] transfer needs fewer frames for large objects.
 
 mod abort;
 pub mod block;
-mod client;
 mod layout;
 mod server;
 
 pub use abort::AbortCode;
-pub use client::{CAPACITY, Client, Number, SdoError, StartError, Transfer};
 pub use layout::{Expedited, Initiate, Request, Response, Segment, Unsupported, Write};
 pub use server::{Dictionary, MAX_SIZE, Server};

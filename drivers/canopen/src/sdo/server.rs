@@ -1,9 +1,8 @@
 //! The SDO server: the device's side of a transfer, expedited, segmented or by blocks.
 //!
-//! It has one channel, as devices do: a new initiate request replaces the transfer in progress. A
-//! transfer whose client falls silent ends after the time-out with [`AbortCode::TIME_OUT`]. Objects
-//! are read and written whole, up to [`MAX_SIZE`] bytes. Only emulated devices use it; read
-//! [`Dictionary`] first, then [`Server::handle_frame`].
+//! The server has one channel, as devices have: a new initiate request replaces the transfer in progress. A transfer
+//! without further requests ends after the time-out with [`AbortCode::TIME_OUT`]. Objects are read and written whole, up
+//! to [`MAX_SIZE`] bytes. Only emulated devices use the server. Read [`Dictionary`] first, then [`Server::handle_frame`].
 
 mod blocks;
 
@@ -65,8 +64,7 @@ enum Direction {
 }
 
 impl Server {
-    /// A server that gives a transfer up `time_out` after the client's last request, and takes blocks of
-    /// the greatest size.
+    /// A server with the greatest block size. It ends a transfer `time_out` after the last request of the client.
     pub fn new(time_out: Duration) -> Self {
         Self {
             time_out,
@@ -158,7 +156,7 @@ impl Server {
         })
     }
 
-    /// That of the transfer in progress, as an abort names it.
+    /// The object of the transfer in progress, for an abort.
     fn object(&self) -> Object {
         self.transfer
             .map_or(Object::new(0, 0), |transfer| transfer.object)
@@ -406,7 +404,7 @@ mod tests {
                 ("0141424344454647", "8008100013000706"),
             ],
             &[("21081000FF030000", "8008100005000405")],
-            // A specifier that nobody knows.
+            // An unknown specifier.
             &[("E008100007000000", "8008100001000405")],
             // An abort is not answered, and ends the transfer.
             &[

@@ -3,9 +3,10 @@
 use std::time::Duration;
 
 use can::{Frame, Instant};
-use canopen::cia402::{self, ModeOfOperation, PowerState, PowerStateMachine, Statusword};
+use canopen::cia402::{Controlword, ModeOfOperation, PowerState, Statusword};
 use canopen::emcy::Emergency;
 use canopen::{NodeId, Object, nmt};
+use master::power::{self, PowerStateMachine};
 
 use super::config::{AxisConfig, CyclicMode, GroupConfig};
 use super::homing::Search;
@@ -407,15 +408,15 @@ impl Axis {
         self.judge_progress(now);
 
         let goal = match goal {
-            Goal::Off | Goal::Stopped => cia402::Goal::Off,
-            Goal::ResetFault => cia402::Goal::ResetFault,
-            Goal::On => cia402::Goal::On,
+            Goal::Off | Goal::Stopped => power::Goal::Off,
+            Goal::ResetFault => power::Goal::ResetFault,
+            Goal::On => power::Goal::On,
         };
         let word = match self.statusword.power_state() {
             PowerState::OperationEnabled | PowerState::QuickStopActive
                 if self.goal == Goal::Stopped =>
             {
-                cia402::Controlword::QUICK_STOP
+                Controlword::QUICK_STOP
             }
             PowerState::OperationEnabled if self.goal == Goal::On => self
                 .search

@@ -3,8 +3,9 @@
 use can::Instant;
 use canopen::cia402::{ModeOfOperation, PowerState, Statusword, SupportedModes};
 use canopen::objects::{DEVICE_TYPE, MODE_OF_OPERATION_DISPLAY};
-use canopen::sdo::{AbortCode, Client, SdoError, Transfer, Write};
+use canopen::sdo::{AbortCode, Write};
 use canopen::{NodeId, Object, nmt};
+use master::sdo::{Client, SdoError, Transfer};
 
 use super::axis::Learnt;
 use super::config::{AxisConfig, ConfigError, GroupConfig, Setting};

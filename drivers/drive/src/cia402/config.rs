@@ -4,8 +4,8 @@ use std::fmt;
 use std::time::Duration;
 
 use canopen::cia402::ModeOfOperation;
-use canopen::sdo::CAPACITY;
 use canopen::{NodeId, Object};
+use master::sdo::CAPACITY;
 use thiserror::Error;
 
 use super::reserved::reserved;

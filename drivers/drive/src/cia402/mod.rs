@@ -71,9 +71,9 @@ use can::{ControllerState, Frame, Instant, Port, Received};
 use canopen::emcy::Emergency;
 use canopen::heartbeat::Heartbeat;
 use canopen::pdo::PdoNumber;
-use canopen::sdo::Client;
 use canopen::sync::Sync;
 use canopen::{cob, nmt};
+use master::sdo::Client;
 
 pub use canopen::NodeId;
 pub use config::{

@@ -8,11 +8,10 @@ use canopen::objects::{
     CONTROLWORD, MODE_OF_OPERATION_DISPLAY, POSITION_ACTUAL, STATUSWORD, TARGET_POSITION,
     TARGET_TORQUE, TARGET_VELOCITY, TORQUE_ACTUAL, TORQUE_OFFSET,
 };
-use canopen::pdo::{
-    Entry, PdoCobId, PdoKind, PdoMapping, PdoNumber, PdoSetup, TransmissionType, remap,
-};
+use canopen::pdo::{Entry, PdoCobId, PdoKind, PdoMapping, PdoNumber, TransmissionType};
 use canopen::sdo::Write;
 use canopen::{NodeId, cob};
+use master::pdo::{PdoSetup, remap};
 
 use super::config::CyclicMode;
 use super::target::Target;

@@ -9,12 +9,11 @@ mod table;
 
 use can::Frame;
 use canopen::nmt::Command;
-use canopen::pdo::{
-    Entry, PdoCobId, PdoKind, PdoMapping, PdoNumber, PdoSetup, TransmissionType, remap,
-};
+use canopen::pdo::{Entry, PdoCobId, PdoKind, PdoMapping, PdoNumber, TransmissionType};
 use canopen::sync::Sync;
 use canopen::{Object, cob};
 use drive::cia402::AxisConfig;
+use master::pdo::{PdoSetup, remap};
 
 use super::group::run_as_drives;
 use super::host::Host;
@@ -41,7 +40,7 @@ fn zencan_canopen_rs_and_durand_obey_our_host_side() {
             .each_ref()
             .map(|peer| programs.start(stage, peer, Some(peer.node)));
         for (host, peer) in hosts.iter_mut().zip(&PEERS) {
-            host.hears(peer.booted());
+            host.hears(peer.boots_as);
         }
         for (host, peer) in hosts.iter_mut().zip(&PEERS) {
             for (name, check) in services::CHECKS {
@@ -112,7 +111,7 @@ fn drive_group(stage: &Stage, programs: &Programs) {
     let start = |peer: &Peer| programs.start(stage, peer, Some(peer.node));
     let _started: Vec<_> = drives().map(start).collect();
     for (host, peer) in hosts.iter_mut().zip(drives()) {
-        host.hears(peer.booted());
+        host.hears(peer.boots_as);
     }
     drop(hosts);
     let change = |peer: &'static Peer| {

@@ -2,7 +2,7 @@
 
 use canopen::Object;
 use canopen::emcy::Emergency;
-use canopen::nmt::{Command, Event, State};
+use canopen::nmt::{Command, State};
 use canopen::objects::{DEVICE_NAME, DEVICE_TYPE, PRODUCER_HEARTBEAT, VENDOR_ID};
 use canopen::sdo::AbortCode;
 
@@ -44,7 +44,6 @@ fn identity(host: &mut Host, peer: &Peer) {
 }
 
 fn network_management(host: &mut Host, peer: &Peer) {
-    let node = peer.node;
     let heartbeat = 50_u16.to_le_bytes();
     let own = peer.constant_heartbeat.map(u16::to_le_bytes);
     match own {
@@ -58,11 +57,11 @@ fn network_management(host: &mut Host, peer: &Peer) {
         (Command::Start, State::Operational),
     ] {
         host.command(order);
-        host.hears(Event::Changed { node, state });
+        host.hears(state);
     }
     for reset in [Command::ResetNode, Command::ResetCommunication] {
         host.command(reset);
-        host.hears(peer.booted());
+        host.hears(peer.boots_as);
         let left = match (own, peer.restores) {
             (Some(own), _) => own,
             (None, true) => [0, 0],

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::process::Command;
 
 use canopen::NodeId;
-use canopen::nmt::{Event, State};
+use canopen::nmt::State;
 use canopen::sdo::AbortCode;
 
 use super::super::{PATIENCE, Script, python, rust};
@@ -102,16 +102,7 @@ pub(super) static PEERS: [Peer; 3] = [
 ];
 
 impl Peer {
-    /// Event that shows that the peer has booted.
-    pub(super) fn booted(&self) -> Event {
-        let node = self.node;
-        match self.boots_as {
-            State::Initialising => Event::Booted(node),
-            state => Event::Changed { node, state },
-        }
-    }
-
-    /// Whether the peer always sends a boot-up message. Without it, no host can detect a reset of the peer.
+    /// Whether a boot-up message is sure to come. No host sees the reset of a peer that sends none.
     pub(super) fn boots(&self) -> bool {
         self.boots_as == State::Initialising
     }

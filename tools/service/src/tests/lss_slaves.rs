@@ -2,8 +2,9 @@
 
 use std::collections::VecDeque;
 
-use canopen::lss::{Fastscan, LssError, Mode, Part, Request as LssRequest, Response};
+use canopen::lss::{Fastscan, Mode, Part, Request as LssRequest, Response};
 use hil::Device;
+use master::lss::LssError;
 
 use super::super::lss::Dialogue;
 use super::*;

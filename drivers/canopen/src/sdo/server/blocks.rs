@@ -248,14 +248,14 @@ impl Server {
         self.begin(object, Direction::BlockUpload(upload), now);
         let answer = block::Response::InitiateUpload {
             object,
-            // Clients that ask for no checksum, and are told that the server knows it, may check it all the same.
+            // The server has offered the checksum. A client that did not ask for it may check it nevertheless.
             crc: upload.crc,
             size: Some(size as u32),
         };
         Ok(answer.encode(node))
     }
 
-    /// The upload in progress, its client's time running anew.
+    /// The upload in progress. The time-out of the client restarts.
     fn upload_by_blocks(&mut self, now: Instant) -> Result<(&mut Upload, &mut usize), AbortCode> {
         let transfer = self.transfer.as_mut().ok_or(AbortCode::COMMAND_SPECIFIER)?;
         transfer.deadline = now + self.time_out;

@@ -1,7 +1,8 @@
 //! Text of SDO transfers, frame by frame: which frames are commands, and which are segments.
 
 use canopen::objects::DEVICE_NAME;
-use canopen::sdo::{AbortCode, Client, Dictionary, MAX_SIZE, Server};
+use canopen::sdo::{AbortCode, Dictionary, MAX_SIZE, Server};
+use master::sdo::Client;
 
 use super::*;
 

@@ -305,7 +305,7 @@ fn every_size_comes_whole_through_a_wire_that_loses_segments() {
                 seven[..piece.len()].copy_from_slice(piece);
                 let last = from + sequence == segments;
                 let segment = Segment::new(sequence as u8, last, seven).unwrap();
-                // The one that ends a sub-block has to arrive: nobody else asks for an answer.
+                // The last segment of a sub-block has to arrive, since no other segment is answered.
                 if sequence < count && xorshift(&mut random).is_multiple_of(8) {
                     continue;
                 }

@@ -3,8 +3,9 @@
 use std::time::Duration;
 
 use can::Instant;
-use mrroc_canopen::sdo::{AbortCode, CAPACITY, Client, Dictionary, MAX_SIZE, SdoError, Server};
-use mrroc_canopen::{NodeId, Object};
+use canopen::sdo::{AbortCode, Dictionary, MAX_SIZE, Server};
+use canopen::{NodeId, Object};
+use mrroc_master::sdo::{CAPACITY, Client, SdoError};
 use proptest::prelude::*;
 
 const NODE: NodeId = NodeId::new(2).unwrap();

@@ -6,18 +6,22 @@ use std::time::Duration;
 use can::{Frame, Instant};
 use thiserror::Error;
 
-use super::scan::{Next, Scan};
-use super::{BitRate, CIA_TABLE, Identity, Mode, Outcome, Part, Request, Response, UNCONFIGURED};
-use crate::NodeId;
+use canopen::NodeId;
+use canopen::lss::{
+    BitRate, CIA_TABLE, Identity, Mode, Outcome, Part, Request, Response, UNCONFIGURED,
+};
+use scan::{Next, Scan};
+
+mod scan;
 
 /// Gives nodes their node-IDs and bit rates, one service at a time.
 ///
-/// A service has `timeout` for each of its answers, counted from the frame that asks. Nothing is asked
-/// twice; a service that timed out may be started again. Answers to other requests are passed over.
+/// The deadline of each answer is `timeout` after its request. No request is repeated; a service that timed out may be
+/// started again. Answers to other requests are ignored.
 ///
-/// To give an address to a node that has none: [`Service::Fastscan`] finds it and leaves it in configuration
-/// mode, then [`Service::ConfigureNodeId`], [`Service::Store`] and, back in [`Mode::Waiting`], it boots with
-/// its new address. All slaves in configuration mode obey at once, so have one of them there.
+/// A node without a node-ID gets one in four steps. [`Service::Fastscan`] finds the node and puts it into configuration
+/// mode. [`Service::ConfigureNodeId`] and [`Service::Store`] follow. After a switch to [`Mode::Waiting`] the node boots
+/// with its node-ID. All slaves in configuration mode obey at the same time: only one slave may be in this mode.
 #[derive(Clone, Debug)]
 pub struct Master {
     state: State,
@@ -45,7 +49,7 @@ enum State {
     Finished(Result<Answer, LssError>),
 }
 
-/// What the master can do.
+/// A service of the master.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Service {
     /// Put all slaves into a mode. Not answered: done when it is sent.
@@ -76,14 +80,14 @@ pub enum Service {
     /// times, and silence means no; it may be as short as the slowest slave's answer, some 10 ms.
     ///
     /// Slaves in configuration mode should be silent. One that answers every question, as CANopenNode's does, fails the
-    /// scan with [`LssError::Untrue`]; [`Service::FastscanAbove`] goes round it.
+    /// scan with [`LssError::Untrue`]; [`Service::FastscanAbove`] avoids it.
     Fastscan,
     /// Find the smallest identity above this one in the same way. With all slaves in [`Mode::Waiting`] the ones found
     /// before are passed over. Takes up to 270 times `timeout`.
     FastscanAbove(Identity),
 }
 
-/// What came of a service.
+/// Result of a service.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Answer {
     /// It is done.
@@ -98,7 +102,7 @@ pub enum Answer {
     Found(Option<Identity>),
 }
 
-/// Why a service was not started.
+/// Reason that a service was not started.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 #[error("{service} is under way, or its result was not taken")]
 pub struct Busy {
@@ -106,7 +110,7 @@ pub struct Busy {
     pub service: Service,
 }
 
-/// Why a service failed.
+/// Reason that a service failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum LssError {
     /// No answer.

@@ -4,8 +4,8 @@ use std::time::Duration;
 
 use thiserror::Error;
 
-use crate::Object;
-use crate::sdo::AbortCode;
+use canopen::Object;
+use canopen::sdo::AbortCode;
 
 /// Why a transfer was not started.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]

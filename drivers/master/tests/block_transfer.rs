@@ -7,8 +7,9 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use can::{Frame, Instant, StandardId};
-use mrroc_canopen::sdo::{AbortCode, Client, SdoError};
-use mrroc_canopen::{NodeId, Object};
+use canopen::sdo::AbortCode;
+use canopen::{NodeId, Object};
+use mrroc_master::sdo::{Client, SdoError};
 use proptest::prelude::*;
 
 const NODE: NodeId = NodeId::new(2).unwrap();
@@ -30,7 +31,7 @@ struct Peer {
 
 enum State {
     Idle,
-    /// `base` bytes are acknowledged of what it sends.
+    /// `base` bytes of the object are acknowledged.
     Sending {
         base: usize,
         segments: usize,

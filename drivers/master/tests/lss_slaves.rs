@@ -3,8 +3,9 @@
 use std::time::Duration;
 
 use can::{Frame, Instant, StandardId};
-use mrroc_canopen::NodeId;
-use mrroc_canopen::lss::{Answer, Identity, LssError, Master, Mode, Service};
+use canopen::NodeId;
+use canopen::lss::{Identity, Mode};
+use mrroc_master::lss::{Answer, LssError, Master, Service};
 use proptest::prelude::*;
 
 const TIME_OUT: Duration = Duration::from_millis(10);

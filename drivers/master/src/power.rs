@@ -1,4 +1,4 @@
-//! The host's side of the power state machine of CiA 402.
+//! The host's end of the power state machine of drives (CiA 402-2).
 //!
 //! ```text
 //!                       power-on                                    any state
@@ -24,17 +24,17 @@
 //!                └────────────────────┘              └─────────────────┘
 //! ```
 //!
-//! The drive decides where it is; [`next_controlword`] alone decides what it is told. To switch on, the host climbs
-//! 2, 3, 4, one step for each statusword it sees. Switching off removes power at once from every state. The servo
-//! brakes a moving axis before. A quick stop is never commanded here: the drive takes it for its own reasons (object
-//! 0x6007, an input), and is left to brake.
+//! The drive decides its state, and [`next_controlword`] alone decides the command. To switch on, the host commands
+//! transitions 2, 3 and 4, one for each received statusword. Switching off removes power at once from every state. The servo
+//! brakes a moving axis before. A quick stop is not commanded here. The drive starts a quick stop by itself (object
+//! 0x6007, an input), and brakes without a command.
 //!
 //! EPOS2 shows 0x4123 and 0x4133 while its power stage is refreshed between switched on and operation enabled. Both
 //! decode as switched on, so the enabling controlword is repeated.
 
-use super::{Controlword, PowerState, Statusword};
+use canopen::cia402::{Controlword, PowerState, Statusword};
 
-/// What the host wants of a drive.
+/// The state to which the host leads a drive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Goal {
     /// No torque. A latched fault stays latched.
@@ -81,7 +81,7 @@ pub const fn next_controlword(status: Statusword, goal: Goal) -> Controlword {
 
 /// Drives one drive to a goal: [`next_controlword`], and the rising edge that a fault reset is.
 ///
-/// It holds the goal: a drive that dropped out is led back. Who does not want that lowers the goal.
+/// The goal holds: a drive that left the goal is led back until the caller changes the goal.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PowerStateMachine {
     /// Whether the last word had bit 7 clear, so that setting it makes an edge.
@@ -109,8 +109,10 @@ impl PowerStateMachine {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pdo::PdoNumber;
-    use crate::{NodeId, cob, frame, parse};
+    use crate::parse;
+    use can::Frame;
+    use canopen::pdo::PdoNumber;
+    use canopen::{NodeId, cob};
 
     #[test]
     fn every_state_and_goal_has_its_word() {
@@ -172,7 +174,8 @@ mod tests {
             );
             let status = u16::from_le_bytes(status.data().try_into().unwrap());
             let word = machine.step(Statusword(status), goal);
-            let command = frame(cob::rpdo(PdoNumber::One, node), word.0.to_le_bytes());
+            let command =
+                Frame::new(cob::rpdo(PdoNumber::One, node), &word.0.to_le_bytes()).unwrap();
             assert_eq!(command.to_string(), *sent, "after {seen}");
         }
     }

@@ -1,7 +1,7 @@
 //! Results of SDO transfers.
 
 use super::SdoError;
-use crate::Object;
+use canopen::Object;
 
 /// A transfer that succeeded: what was read, or what was written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

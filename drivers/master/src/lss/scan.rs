@@ -1,6 +1,6 @@
-//! The questions of a fastscan, and what their answers say.
+//! The questions of a fastscan (CiA 305 §6.7), and the conclusions from their answers.
 
-use super::{FASTSCAN_RESET, Fastscan, Identity, Part};
+use canopen::lss::{FASTSCAN_RESET, Fastscan, Identity, Part};
 
 /// Guesses the identity of a slave without a node-ID bit by bit, from the highest of the vendor-ID down.
 ///
@@ -10,8 +10,8 @@ use super::{FASTSCAN_RESET, Fastscan, Identity, Part};
 ///                                                                             └─no─► vanished    last: found
 /// ```
 ///
-/// Each bit is guessed to be 0. Silence says that it is 1 with every slave still in the scan, so
-/// of several slaves the one with the smallest identity is found.
+/// The scan asks for the bit 0. Without an answer, the bit is 1 in every slave that is still in the scan. Of several slaves
+/// the scan finds the one with the smallest identity.
 ///
 /// Both nonsense questions ask for a serial number out of turn, and the two numbers differ. A slave that answers both
 /// answers any question, and its answers mean nothing. CANopenNode's slave does so in configuration mode

@@ -3,11 +3,11 @@
 use can::{Frame, Instant};
 
 use super::{Client, SdoError, Start};
-use crate::cob;
-use crate::sdo::block::{
+use canopen::cob;
+use canopen::sdo::block::{
     Acknowledge, End, MAX_BLOCK_SIZE, Request, Response, SEGMENT, Segment, checksum,
 };
-use crate::sdo::{self, AbortCode};
+use canopen::sdo::{self, AbortCode};
 
 /// Objects of up to this size take no more frames as an ordinary transfer, bytes: m segments are
 /// 2 + 2 m frames there, 6 + m frames of block transfer here.

@@ -4,10 +4,10 @@ use std::time::Duration;
 
 use super::super::tests::{NODE, TIME_OUT, at, client, play};
 use super::*;
-use crate::objects::DEVICE_NAME;
 use crate::parse;
+use canopen::objects::DEVICE_NAME;
 
-const OBJECT: crate::Object = DEVICE_NAME;
+const OBJECT: canopen::Object = DEVICE_NAME;
 
 /// 30 bytes, whose checksum is 0x0121.
 fn data() -> Vec<u8> {
@@ -209,7 +209,7 @@ fn a_server_that_refuses_block_transfer_is_asked_for_an_ordinary_one() {
          602#0B1D1E0000000000 582#2000000000000000",
     ];
     assert_eq!(download(&written.concat()), Ok(data()));
-    // What starts anew after a refusal does not ask for block transfer again.
+    // A restart after a refusal does not ask for block transfer again.
     let mut client = uploading(1);
     say(&mut client, 0, "602#A40810007F1C0000");
     say(&mut client, 0, &[refused, "602#4008100000000000"].concat());

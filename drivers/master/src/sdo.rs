@@ -1,12 +1,12 @@
-//! SDO client: expedited, segmented and block transfer.
+//! SDO client: expedited, segmented and block transfer (CiA 301 §7.2.4.3).
 
 use std::time::Duration;
 
 use can::{Frame, Instant};
 
-use super::block::SEGMENT;
-use super::{Expedited, Initiate, Request, Response, Segment, Write};
-use crate::{NodeId, Object};
+use canopen::sdo::block::SEGMENT;
+use canopen::sdo::{Expedited, Initiate, Request, Response, Segment, Write};
+use canopen::{NodeId, Object};
 
 mod block;
 mod error;
@@ -32,24 +32,24 @@ pub const CAPACITY: usize = 256;
 ///    └◄───────────────────────────────────────────────────────────────────── poll ──┘
 /// ```
 ///
-/// Each answer has `timeout` to come; the first frame counts from the call that starts the transfer.
-/// A missing answer is met by an abort (0x0504_0000) and a fresh start, `retries` times; then
-/// the transfer fails. An abort by the server or a broken protocol fails it at once.
+/// The deadline of each answer is `timeout` after its request. The first deadline counts from the call that starts the
+/// transfer. After a missing answer the client sends an abort (0x0504_0000) and restarts the transfer, `retries` times.
+/// Then the transfer fails. An abort of the server and a violation of the protocol fail the transfer at once.
 ///
-/// Answers of another object, of the other direction or of another step are late ones of an earlier request and are
-/// passed over. SDO requests carry no number: an answer after its time-out is taken for the answer to the retry, or
-/// to the next equal request. Read back what matters.
+/// An answer of another object, of the other direction or of another step is a late answer to an earlier request, and is
+/// ignored. SDO requests have no number. An answer after its time-out therefore counts as the answer to the retry, or to the next
+/// equal request. Read important values back.
 ///
-/// [Block transfer](super::block) sends up to 127 frames for one answer. [`Client::poll_transmit`] gives them one
-/// at a time: who has a short transmit queue asks for as many as it takes, and again when it has sent them.
-/// * A server that refuses block transfer (0x0504_0001) is asked for an ordinary transfer, and so is any
-///   server for up to 28 bytes, which that moves in no more frames.
-/// * The receiver of the data recovers what is lost: it acknowledges what came in order, after `timeout`
-///   if the end of a sub-block is missing, and the rest is sent again. As receiver, the client halves the size of its
-///   sub-blocks at each loss, for a queue on the way may be too short. After `retries` successive sub-blocks without
-///   any segment the transfer restarts as above.
-/// * Data whose checksum is wrong fail the transfer (0x0504_0004). A server that knows no checksum is
-///   taken at its word, but a sub-block whose end is missing then starts the transfer anew.
+/// [Block transfer](canopen::sdo::block) sends up to 127 frames for one answer. [`Client::poll_transmit`] returns one frame
+/// per call. A caller with a short transmit queue takes as many frames as the queue holds, and continues when they are sent.
+/// * The client falls back to an ordinary transfer if the server refuses block transfer (0x0504_0001). It uses an ordinary
+///   transfer for up to 28 bytes, where block transfer needs no fewer frames.
+/// * The receiver of the data recovers lost segments. It acknowledges the segments that came in order, and the others are
+///   sent again. If the end of a sub-block is missing, the acknowledgement follows after `timeout`.
+/// * As receiver, the client halves the size of its sub-blocks at each loss, since a queue on the way may be too short.
+///   After `retries` successive sub-blocks without any segment the transfer restarts as above.
+/// * A wrong checksum fails the transfer (0x0504_0004). The data of a server without checksum are not checked. A missing
+///   end of a sub-block of such a server restarts the transfer.
 #[derive(Clone, Debug)]
 pub struct Client {
     node: NodeId,
@@ -92,7 +92,7 @@ enum State {
         announced: Option<usize>,
     },
     DownloadInitiated,
-    /// `toggle` is that of the segment in flight, `sent` the bytes up to its end.
+    /// `toggle` is the toggle bit of the segment in flight, `sent` the number of bytes up to its end.
     DownloadSegments {
         toggle: bool,
         sent: usize,
@@ -102,8 +102,7 @@ enum State {
 }
 
 impl Client {
-    /// A client of the server `node` that waits `timeout` for each answer and starts a transfer anew
-    /// `retries` times.
+    /// A client of the server `node`. It waits `timeout` for each answer, and restarts a transfer up to `retries` times.
     pub fn new(node: NodeId, timeout: Duration, retries: u8) -> Self {
         Self::with_capacity(node, timeout, retries, CAPACITY)
     }
@@ -174,14 +173,14 @@ impl Client {
         self.begin(object, start, data, now)
     }
 
-    /// Forgets the transfer under way without a word to the server, as after its boot.
+    /// Drops the transfer in progress and sends no abort: the server has booted.
     pub fn reset(&mut self) {
         self.state = State::Idle;
         self.ending = None;
         self.request = None;
     }
 
-    /// Takes a frame from the bus; frames of others are passed over.
+    /// Takes a frame from the bus; frames of other nodes are ignored.
     pub fn handle(&mut self, frame: &Frame, now: Instant) {
         match (self.state, Response::decode(frame, self.node)) {
             (State::Idle | State::Finished(_), _) => {}
@@ -211,7 +210,7 @@ impl Client {
         }
     }
 
-    /// Recovers, starts anew or gives up if the answer is overdue at `now`.
+    /// Recovers, restarts or fails the transfer if the answer is overdue at `now`.
     pub fn handle_timeout(&mut self, now: Instant) {
         if self.poll_timeout().is_none_or(|deadline| now < deadline) {
             return;

@@ -1,9 +1,9 @@
 //! Dialogues of the SDO client.
 
 use super::*;
-use crate::objects::{CONTROLWORD, DEVICE_NAME, HOME_OFFSET, MODE_OF_OPERATION, STATUSWORD};
 use crate::parse;
-use crate::sdo::AbortCode;
+use canopen::objects::{CONTROLWORD, DEVICE_NAME, HOME_OFFSET, MODE_OF_OPERATION, STATUSWORD};
+use canopen::sdo::AbortCode;
 
 pub(super) const NODE: NodeId = NodeId::new(2).unwrap();
 pub(super) const TIME_OUT: Duration = Duration::from_millis(500);
