@@ -36,7 +36,7 @@ const STARTS: usize = 16;
 /// Rehearses every task and returns the duration of the longest one after homing.
 ///
 /// The tasks are first rehearsed from the home positions. The first motion of each robot is then rehearsed from
-/// [`STARTS`] positions beside its home position, where homing may leave the arm. Each first motion ends at its
+/// `STARTS` positions beside its home position, where homing may leave the arm. Each first motion ends at its
 /// programmed position, so all later motions are the same in every run.
 pub fn rehearse(file: &CellFile, tasks: &MakeTasks) -> anyhow::Result<Duration> {
     let homes = homes(file);

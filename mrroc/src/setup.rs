@@ -29,7 +29,7 @@ const LONGEST_HOMING: Duration = Duration::from_secs(3600);
 /// drops these macrosteps.
 const LEAD: u16 = 100;
 
-/// The drives of bus `bus`, in the order of [`Cell::axes_on`].
+/// The drives of bus `bus`, in the order of `Cell::axes_on`.
 pub fn axis_configs(file: &CellFile, bus: usize) -> Vec<AxisConfig> {
     let config = |(robot, number): (usize, usize)| {
         let axis = &file.cell.robot[robot].axis[number];

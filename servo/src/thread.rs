@@ -1,10 +1,9 @@
 //! The servo thread: waits for deadlines and steps the servo. No other part of this crate waits.
 //!
-//! **Deadlines** lie one period apart on `CLOCK_MONOTONIC`. For each deadline the thread waits until
-//! [`RealtimePolicy::lead`] before it, prepares the cycle, spins to the deadline and sends. With [`Wait::Plain`] the
-//! wait is an absolute `clock_nanosleep`. With a lead of zero, the thread then prepares and sends on waking. With
-//! [`Wait::Hybrid`] the thread sleeps until a margin before the deadline and spins the rest. The lead is then at least
-//! the learnt duration of preparing, and SYNC leaves at the deadline.
+//! **Deadlines** lie one period apart on `CLOCK_MONOTONIC`. With [`Wait::Plain`] the thread sleeps until the deadline by
+//! an absolute `clock_nanosleep`, then prepares the cycle and sends. With [`Wait::Hybrid`] the thread sleeps until a
+//! margin before the deadline, prepares the cycle, spins to the deadline and sends. The duration of preparing is learnt,
+//! and SYNC leaves at the deadline.
 //!
 //! **A missed deadline** is counted and skipped, never caught up. A thread that is late by half a period or more skips
 //! that slot and waits for the next one, so two SYNCs are never closer than half a period. [`Servo::missed`] describes

@@ -274,7 +274,7 @@ mod tests {
 
     fn tracks(cell: &str) -> (CellFile, Tracks) {
         let path = FilePath::new(env!("CARGO_MANIFEST_DIR")).join("../cells");
-        let file = CellFile::read(&path.join(cell)).unwrap();
+        let file = CellFile::read(path.join(cell)).unwrap();
         let tracks = Tracks::new(&file, true);
         (file, tracks)
     }

@@ -10,7 +10,7 @@
 //! locked, the timer slack is 1 ns, and the first turn is not counted. No two turns overlap. Our latency is counted in
 //! ns and the histogram of cyclictest in µs. The resolution of a ratio is therefore 1 µs.
 //!
-//! The output files of `--out` are described in [`files`], the evaluation in [`verdict`].
+//! The output files of `--out` are described in `files`, the evaluation in `verdict`.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 

@@ -1,6 +1,6 @@
 //! The service commands: search for nodes, access to objects, NMT commands, LSS and a monitor.
 //!
-//! The protocol of a command is a [`Conversation`], a function of (state, frame, now). The tests run conversations with
+//! The protocol of a command is a `Conversation`, a function of (state, frame, now). The tests run conversations with
 //! emulated drives in virtual time; [`talk`] runs them on the wall clock.
 //!
 //! Exit status: 0 done; 1 the node did not obey a command, or Ctrl-C; 2 refused, aborted by the node, no answer, or the

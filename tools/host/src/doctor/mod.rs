@@ -1,8 +1,8 @@
 //! `mrroc doctor`: checks whether this host can run a cell, and proposes corrections.
 //!
 //! The command changes nothing without `--fix`. Each subject has a module of pure functions from the data of
-//! [`tree::Tree`] and a few system calls to verdicts. Every result is a [`finding::Finding`], and the worst verdict is
-//! the exit status. Corrections that need no person are part of the finding as [`fix::Fix`]es.
+//! `tree::Tree` and a few system calls to verdicts. Every result is a `finding::Finding`, and the worst verdict is
+//! the exit status. Corrections that need no person are part of the finding as `fix::Fix`es.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
