@@ -36,7 +36,7 @@ pub(super) struct NodeBringUp {
     learnt: Learnt,
     /// The value of the agreement whose divisor is asked for, if the drive has it.
     value: Option<u32>,
-    /// Whether the drive has the object of the last agreement.
+    /// Whether the drive has the object of the last agreement, or its last limit suffices.
     agreed: bool,
 }
 
@@ -284,8 +284,20 @@ impl NodeBringUp {
                 ..
             })
         );
+        let read_only = matches!(
+            result,
+            Err(SdoError::Aborted {
+                code: AbortCode::READ_ONLY,
+                ..
+            })
+        );
         match step {
             Step::SetIfPresent(_) if absent => return Ok(Next::Step),
+            Step::SetIfPresent(_) if read_only && !reading_back => return Ok(Next::ReadBack),
+            Step::AtLeast(..) if absent => {
+                self.agreed = true;
+                return Ok(Next::Step);
+            }
             Step::Value(_) if absent => {
                 self.value = None;
                 return Ok(Next::Step);
@@ -339,7 +351,12 @@ impl NodeBringUp {
                     (Some(_), None) => {}
                 }
             }
-            Step::Set(_) | Step::SetIfPresent(_) if !reading_back => return Ok(Next::ReadBack),
+            Step::AtLeast(_, least) => {
+                self.agreed = transfer.number::<u32>().map_err(error)? >= least;
+            }
+            Step::Set(_) | Step::SetIfPresent(_) | Step::Raise(_) if !reading_back => {
+                return Ok(Next::ReadBack);
+            }
             Step::Configure(_, number) if !reading_back => {
                 return Ok(if self.configuration[number].readable {
                     Next::ReadBack
@@ -355,7 +372,7 @@ impl NodeBringUp {
                     transfer,
                 )?;
             }
-            Step::Set(write) | Step::SetIfPresent(write) => {
+            Step::Set(write) | Step::SetIfPresent(write) | Step::Raise(write) => {
                 compare(self.node, write.object, write.data.data(), transfer)?;
             }
             Step::Shown(mode) => {

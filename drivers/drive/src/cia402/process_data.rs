@@ -12,7 +12,7 @@ use canopen::pdo::{
     Entry, PdoCobId, PdoKind, PdoMapping, PdoNumber, PdoSetup, TransmissionType, remap,
 };
 use canopen::sdo::Write;
-use canopen::{NodeId, cob};
+use canopen::{NodeId, Object, cob};
 
 use super::config::CyclicMode;
 use super::target::Target;
@@ -54,7 +54,7 @@ pub(super) fn request_len(mode: CyclicMode) -> usize {
 }
 
 /// The PDOs of a drive in a mode: the request it receives and the answer it transmits at every SYNC, and its mode of
-/// operation, which it transmits when that changes.
+/// operation, which it transmits when that changes. No event timer runs.
 ///
 /// EPOS4 comes with event-driven PDOs and an inhibit time of 1 ms, longer than some periods.
 pub fn pdo_setups(node: NodeId, mode: CyclicMode) -> [PdoSetup; 3] {
@@ -65,7 +65,7 @@ pub fn pdo_setups(node: NodeId, mode: CyclicMode) -> [PdoSetup; 3] {
         mapping: PdoMapping::new(request(mode)).expect("eight bytes fit"),
         transmission: TransmissionType::EVERY_SYNC,
         inhibit_time: None,
-        event_timer: None,
+        event_timer: Some(0),
     };
     let answer = PdoSetup {
         kind: PdoKind::Tpdo,
@@ -82,6 +82,7 @@ pub fn pdo_setups(node: NodeId, mode: CyclicMode) -> [PdoSetup; 3] {
         mapping: PdoMapping::new(&SHOWN).expect("one byte fits"),
         transmission: TransmissionType::EVENT_PROFILE,
         inhibit_time: Some((SHOWN_APART.as_micros() / 100) as u16),
+        event_timer: Some(0),
         ..answer
     };
     [request, answer, shown]
@@ -101,6 +102,13 @@ pub(super) fn mapping_writes(node: NodeId, mode: CyclicMode) -> impl Iterator<It
         .into_iter()
         .chain([Three, Four].map(|number| off(PdoKind::Tpdo, number, tpdo(number))))
         .chain(setups.into_iter().flat_map(|setup| remap(&setup)))
+}
+
+/// Whether a drive may lack this object of [`mapping_writes`]: an event timer, which is off where it is absent (CiA 301
+/// §7.5.2.35, §7.5.2.37).
+pub(super) fn may_be_absent(object: Object) -> bool {
+    let communication = matches!(object.index, 0x1400..=0x15FF | 0x1800..=0x19FF);
+    communication && object.subindex == 5
 }
 
 /// TPDO 2; `None` for a payload of another length.

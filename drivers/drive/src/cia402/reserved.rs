@@ -14,8 +14,10 @@ use canopen::Object;
 
 use super::program::MAXON;
 
-const SILENCE: &str = "it decides whether the drive stops when its host falls silent";
-const BRAKING: &str = "it decides how the drive brakes";
+pub(super) const SILENCE: &str = "it decides whether the drive stops when its host falls silent";
+pub(super) const BRAKING: &str = "it decides how the drive brakes";
+pub(super) const DELAY: &str = "it would delay the fault of a following error";
+pub(super) const SENSE: &str = "the cell's reversed sets the sense of rotation";
 const COMMAND: &str = "it commands the drive";
 const HOMING: &str = "the cell's homing sets it";
 const REFERENCE: &str = "the homed counter must read zero at the reference";
@@ -46,17 +48,11 @@ const RESERVED: &[(RangeInclusive<u16>, &str)] = &[
     (0x605A..=0x605E, BRAKING),
     (0x6060..=0x6060, "the cell's control sets it"),
     (0x6065..=0x6065, "the cell's following_error sets it"),
-    (
-        0x6066..=0x6066,
-        "it would delay the fault of a following error",
-    ),
+    (0x6066..=0x6066, DELAY),
     (0x6071..=0x6071, COMMAND),
     (0x607A..=0x607A, COMMAND),
     (0x607C..=0x607C, REFERENCE),
-    (
-        0x607E..=0x607E,
-        "the cell's reversed sets the sense of rotation",
-    ),
+    (0x607E..=0x607E, SENSE),
     (0x6084..=0x6084, BRAKING),
     (0x6085..=0x6085, "the cell's max_acceleration sets it"),
     (0x6086..=0x6086, BRAKING),

@@ -11,4 +11,5 @@ mod mode_watch;
 mod other_controller;
 mod plausibility;
 mod reserved;
+mod stored;
 mod warnings;
