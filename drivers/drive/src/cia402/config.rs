@@ -15,6 +15,9 @@ use crate::scale::rpm_magnitude;
 /// How many of its own periods a heartbeat may be late before it counts as lost, in both directions.
 pub(super) const HEARTBEATS_TO_LOSE: u32 = 3;
 
+/// Least time of listening for another controller, whose periods are not known.
+const LISTENING_AT_LEAST: Duration = Duration::from_secs(1);
+
 /// What the drives of a group have in common.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GroupConfig {
@@ -256,10 +259,12 @@ impl GroupConfig {
         }
     }
 
-    /// How long the bus is listened to before the first frame is sent: three periods of the heartbeat and of SYNC. A
-    /// controller that is silent for that long has lost its drives, which have stopped by themselves.
+    /// How long the bus is listened to before the first frame is sent: three periods of the heartbeat and of SYNC, and a
+    /// second at least, since the other controller may have longer periods. A controller of the same periods that is
+    /// silent for that long has lost its drives, which have stopped by themselves.
     pub fn listening(&self) -> Duration {
-        self.heartbeat_period.max(self.period) * HEARTBEATS_TO_LOSE
+        let periods = self.heartbeat_period.max(self.period) * HEARTBEATS_TO_LOSE;
+        periods.max(LISTENING_AT_LEAST)
     }
 
     /// How long a heartbeat may stay away.
