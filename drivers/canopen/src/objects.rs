@@ -101,6 +101,8 @@ objects! {
     TORQUE_ACTUAL = 0x6077:0, "torque actual value";
     CURRENT_ACTUAL = 0x6078:0, "current actual value";
     TARGET_POSITION = 0x607A:0, "target position";
+    MIN_POSITION_RANGE = 0x607B:1, "position range limit, minimum";
+    MAX_POSITION_RANGE = 0x607B:2, "position range limit, maximum";
     HOME_OFFSET = 0x607C:0, "home offset";
     MIN_POSITION_LIMIT = 0x607D:1, "software position limit, minimum";
     MAX_POSITION_LIMIT = 0x607D:2, "software position limit, maximum";

@@ -34,7 +34,7 @@
 //! [`reserved`]: those belong to this driver, which writes and reads back its own part of them last, before operation:
 //! heartbeats (0x1016:01, 0x1017), reactions (0x1029:01, 0x6007, 0x605A to 0x605E), braking (0x6084 to 0x6086, and 0x60C5
 //! and 0x60C6 where they are smaller than the ramps), the interpolation period (0x60C2), the following error (0x6065,
-//! 0x6066), polarity (0x607E), event timers (0x1400:05, 0x1801:05), homing (0x6098, 0x6099, 0x609A, 0x607C and maxon's 0x30B0, 0x30B1), offsets (0x60B0 to
+//! 0x6066), the position range (0x607B), polarity (0x607E), event timers (0x1400:05, 0x1801:05), homing (0x6098, 0x6099, 0x609A, 0x607C and maxon's 0x30B0, 0x30B1), offsets (0x60B0 to
 //! 0x60B2), process data and the mode of operation (0x6060). Of the PDOs, RPDO 1, TPDO 1 and TPDO 2 are mapped and the
 //! others switched off.
 //!

@@ -174,6 +174,8 @@ pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
             Write::new(HALT_OPTION, BRAKE_ON_PROFILE),
             Write::new(FAULT_REACTION_OPTION, FAULT_ON_QUICK_STOP_RAMP),
             Write::new(FOLLOWING_ERROR_TIME_OUT, 0_u16),
+            Write::new(MIN_POSITION_RANGE, 0_i32),
+            Write::new(MAX_POSITION_RANGE, 0_i32),
             Write::new(POLARITY, 0_u8),
             Write::new(PROFILE_DECELERATION, units.quick_stop_deceleration),
             Write::new(MOTION_PROFILE_TYPE, 0_i16),

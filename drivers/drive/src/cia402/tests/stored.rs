@@ -7,7 +7,7 @@ use crate::cia402::*;
 
 /// Object, stored value that bring-up must not leave, and the driver's value. The quick stop of `axis_config` brakes
 /// with 6000 rpm/s.
-const STORED: [(u16, u8, &[u8], &[u8]); 12] = [
+const STORED: [(u16, u8, &[u8], &[u8]); 14] = [
     (0x1029, 1, &[0], &[1]),
     (0x1400, 5, &[1, 0], &[0, 0]),
     (0x1801, 5, &[1, 0], &[0, 0]),
@@ -16,6 +16,8 @@ const STORED: [(u16, u8, &[u8], &[u8]); 12] = [
     (0x605D, 0, &[2, 0], &[1, 0]),
     (0x605E, 0, &[0, 0], &[2, 0]),
     (0x6066, 0, &[0xFF, 0xFF], &[0, 0]),
+    (0x607B, 1, &[1, 0, 0, 0], &[0; 4]),
+    (0x607B, 2, &[1, 0, 0, 0], &[0; 4]),
     (0x607E, 0, &[0xC0], &[0]),
     (0x6084, 0, &[1, 0, 0, 0], &[0x70, 0x17, 0, 0]),
     (0x6086, 0, &[3, 0], &[0, 0]),
