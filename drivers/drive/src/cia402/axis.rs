@@ -549,6 +549,15 @@ impl Axis {
             return None;
         }
         let request = self.modes.next(self.wanted_mode())?;
+        let braking = self.goal == Goal::Stopped
+            && matches!(
+                self.statusword.power_state(),
+                PowerState::OperationEnabled | PowerState::QuickStopActive
+            );
+        // CiA 402 leaves open what a change of mode does to a drive that brakes.
+        if braking && matches!(request, ModeRequest::Tell(_)) {
+            return None;
+        }
         self.telling = matches!(request, ModeRequest::Tell(_));
         Some(Service::Mode(request))
     }
