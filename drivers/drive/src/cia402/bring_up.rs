@@ -8,6 +8,7 @@ use canopen::{NodeId, Object, nmt};
 
 use super::axis::Learnt;
 use super::config::{AxisConfig, ConfigError, GroupConfig, Setting};
+use super::process_data;
 use super::program::{Step, program};
 use crate::{BringUpError, Increments};
 
@@ -38,6 +39,8 @@ pub(super) struct NodeBringUp {
     value: Option<u32>,
     /// Whether the drive has the object of the last agreement, or its last limit suffices.
     agreed: bool,
+    /// Whether the drive cannot send its mode of operation by itself.
+    unwatched: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -74,6 +77,7 @@ impl NodeBringUp {
             learnt: Learnt::default(),
             value: None,
             agreed: false,
+            unwatched: false,
         })
     }
 
@@ -162,6 +166,7 @@ impl NodeBringUp {
                 if let Some(result) = sdo.poll() {
                     match result.and_then(|transfer| transfer.number::<u32>()) {
                         Ok(device_type) if device_type & 0xFFFF == PROFILE_402 => {
+                            self.unwatched = false;
                             self.phase = Phase::Configuring {
                                 step: 0,
                                 reading_back: false,
@@ -202,7 +207,9 @@ impl NodeBringUp {
                     self.phase = Phase::Configured;
                     return Ok(());
                 };
-                if !asked && self.agreed && current.instead() {
+                let left_out = self.agreed && current.instead()
+                    || self.unwatched && matches!(current, Step::Watch(_));
+                if !asked && left_out {
                     self.phase = Phase::Configuring {
                         step: step + 1,
                         reading_back: false,
@@ -284,6 +291,18 @@ impl NodeBringUp {
                 ..
             })
         );
+        let unmapped = !reading_back
+            && matches!(
+                result,
+                Err(SdoError::Aborted {
+                    code: AbortCode::NO_OBJECT
+                        | AbortCode::NO_SUBINDEX
+                        | AbortCode::NOT_MAPPABLE
+                        | AbortCode::READ_ONLY
+                        | AbortCode::ACCESS,
+                    ..
+                })
+            );
         let read_only = matches!(
             result,
             Err(SdoError::Aborted {
@@ -292,6 +311,11 @@ impl NodeBringUp {
             })
         );
         match step {
+            Step::Watch(write) if unmapped => {
+                // A drive that lacks a timer can map its mode all the same.
+                self.unwatched = !process_data::is_timer(write.object);
+                return Ok(Next::Step);
+            }
             Step::SetIfPresent(_) if absent => return Ok(Next::Step),
             Step::SetIfPresent(_) if read_only && !reading_back => return Ok(Next::ReadBack),
             Step::AtLeast(..) if absent => {
@@ -354,7 +378,9 @@ impl NodeBringUp {
             Step::AtLeast(_, least) => {
                 self.agreed = transfer.number::<u32>().map_err(error)? >= least;
             }
-            Step::Set(_) | Step::SetIfPresent(_) | Step::Raise(_) if !reading_back => {
+            Step::Set(_) | Step::SetIfPresent(_) | Step::Raise(_) | Step::Watch(_)
+                if !reading_back =>
+            {
                 return Ok(Next::ReadBack);
             }
             Step::Configure(_, number) if !reading_back => {
@@ -372,7 +398,10 @@ impl NodeBringUp {
                     transfer,
                 )?;
             }
-            Step::Set(write) | Step::SetIfPresent(write) | Step::Raise(write) => {
+            Step::Set(write)
+            | Step::SetIfPresent(write)
+            | Step::Raise(write)
+            | Step::Watch(write) => {
                 compare(self.node, write.object, write.data.data(), transfer)?;
             }
             Step::Shown(mode) => {

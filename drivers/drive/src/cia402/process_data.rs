@@ -104,11 +104,21 @@ pub(super) fn mapping_writes(node: NodeId, mode: CyclicMode) -> impl Iterator<It
         .chain(setups.into_iter().flat_map(|setup| remap(&setup)))
 }
 
-/// Whether a drive may lack this object of [`mapping_writes`]: an event timer, which is off where it is absent (CiA 301
-/// §7.5.2.35, §7.5.2.37).
+/// Whether a drive may lack this object of [`mapping_writes`]: an inhibit time or an event timer, which is off where the
+/// object is absent (CiA 301 §7.5.2.35, §7.5.2.37), or all of TPDO 2.
 pub(super) fn may_be_absent(object: Object) -> bool {
+    is_timer(object) || object == PdoKind::Tpdo.communication(PdoNumber::Two, 1)
+}
+
+/// Whether this is an inhibit time or an event timer.
+pub(super) fn is_timer(object: Object) -> bool {
     let communication = matches!(object.index, 0x1400..=0x15FF | 0x1800..=0x19FF);
-    communication && object.subindex == 5
+    communication && matches!(object.subindex, 3 | 5)
+}
+
+/// Whether this object of [`mapping_writes`] puts the mode of operation into TPDO 2, which not every drive can do.
+pub(super) fn maps_mode(object: Object) -> bool {
+    object.index == PdoKind::Tpdo.mapping(PdoNumber::Two, 0).index
 }
 
 /// TPDO 2; `None` for a payload of another length.

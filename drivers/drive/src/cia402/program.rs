@@ -46,6 +46,8 @@ pub(super) enum Step {
     AtLeast(Object, u32),
     /// Write the limit, and read it back.
     Raise(Write),
+    /// Write, and read back, for the watch of the mode of operation; a drive that cannot map its mode has no watch.
+    Watch(Write),
     /// Object 0x6061 must come to show this mode.
     Shown(ModeOfOperation),
     /// Object 0x6041.
@@ -65,7 +67,10 @@ impl Step {
             Self::Modes(_) => SUPPORTED_MODES,
             Self::Value(agreement) => agreement.object,
             Self::Agree(agreement) => agreement.divisor.unwrap_or(agreement.object),
-            Self::Set(write) | Self::SetIfPresent(write) | Self::Raise(write) => write.object,
+            Self::Set(write)
+            | Self::SetIfPresent(write)
+            | Self::Raise(write)
+            | Self::Watch(write) => write.object,
             Self::Shown(_) => MODE_OF_OPERATION_DISPLAY,
             Self::Statusword => STATUSWORD,
             Self::Position => POSITION_ACTUAL,
@@ -86,7 +91,10 @@ impl Step {
     /// The number it writes; `None` if it writes a setting, or only reads.
     pub(super) fn write(&self) -> Option<Write> {
         match self {
-            Self::Set(write) | Self::SetIfPresent(write) | Self::Raise(write) => Some(*write),
+            Self::Set(write)
+            | Self::SetIfPresent(write)
+            | Self::Raise(write)
+            | Self::Watch(write) => Some(*write),
             Self::Identity(..)
             | Self::AtLeast(..)
             | Self::Configure(..)
@@ -202,14 +210,16 @@ pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
         steps.extend(agreement.divisor.map(|_| Step::Value(agreement)));
         steps.push(Step::Agree(agreement));
     }
-    steps.extend(
-        process_data::mapping_writes(axis.node, axis.mode).map(|write| {
-            match process_data::may_be_absent(write.object) {
-                true => Step::SetIfPresent(write),
-                false => Step::Set(write),
-            }
-        }),
-    );
+    let mut maps_mode = false;
+    for write in process_data::mapping_writes(axis.node, axis.mode) {
+        maps_mode |= process_data::maps_mode(write.object);
+        steps.push(match process_data::may_be_absent(write.object) {
+            // All of TPDO 2 but its first write, which switches it off.
+            _ if maps_mode => Step::Watch(write),
+            true => Step::SetIfPresent(write),
+            false => Step::Set(write),
+        });
+    }
     steps.push(Step::Set(Write::new(MODE_OF_OPERATION, mode.raw())));
     steps.extend([
         Step::Shown(mode),
