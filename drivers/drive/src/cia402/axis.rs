@@ -14,7 +14,7 @@ use super::mode::{ModeRequest, ModeSwitch};
 use super::process_data::{self, Answer};
 use super::service::Service;
 use super::setup::Setup;
-use super::target::Target;
+use super::target::{Order, Target};
 use crate::{AxisCommand, AxisState, Fault, Increments, Permille, Power, Refusal};
 
 /// Answers until a word handed over in some cycle surely shows: it is latched at the next SYNC, acts
@@ -373,15 +373,14 @@ impl Axis {
         });
     }
 
-    /// Takes the command of this cycle. `setpoint` is what [`check`](Self::check) said; `hold` keeps the
-    /// target of the last cycle, because another axis refused its own.
-    pub(super) fn command(
-        &mut self,
-        command: AxisCommand,
-        setpoint: Option<Target>,
-        hold: bool,
-        now: Instant,
-    ) -> Frame {
+    /// Takes the command of this cycle.
+    pub(super) fn command(&mut self, order: Order, now: Instant) -> Frame {
+        let Order {
+            command,
+            setpoint,
+            hold,
+            watched,
+        } = order;
         if command == AxisCommand::ResetFault {
             self.reset();
         }
@@ -410,6 +409,10 @@ impl Axis {
                 if self.goal == Goal::Stopped =>
             {
                 cia402::Controlword::QUICK_STOP
+            }
+            // The drive would not miss us before it has heard us.
+            PowerState::SwitchedOn if self.goal == Goal::On && !watched => {
+                cia402::Controlword::SWITCH_ON
             }
             PowerState::OperationEnabled if self.goal == Goal::On => self
                 .search
