@@ -3,7 +3,7 @@
 use std::fmt;
 
 use anyhow::{Context, bail};
-use can::{Claim, ClaimError};
+use can::{Claim, ClaimError, Holder};
 use serial::service::Dialect;
 
 use crate::cell::{Cell, quoted};
@@ -17,6 +17,9 @@ const EPOS: [(&str, Dialect); 2] = [("epos2:", Dialect::Epos2), ("epos4:", Diale
 /// Speed of a tty whose name says none, which is that of service ports as delivered. Adapters and drives that are USB
 /// devices themselves do not look at it.
 const BAUD: u32 = 115_200;
+
+/// The part of an interface that its bus's controller plays.
+const CONTROLLER: &str = "controller";
 
 /// An interface by the name that options and cell files give it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -64,7 +67,15 @@ impl Interface {
     /// Claims the interface for the one controller that its bus may have; `None` for a tty, which one process opens at
     /// a time. A controller in another computer on the same bus does not show here, but by its frames.
     pub fn claim_as_controller(&self) -> anyhow::Result<Option<Claim>> {
-        self.claim("controller", "another controller is at work")
+        self.claim(CONTROLLER, "another controller is at work")
+    }
+
+    /// The process of this computer that is the controller of the interface's bus; `None` for a tty.
+    pub fn controller(&self) -> Result<Option<Holder>, ClaimError> {
+        match self {
+            Self::SocketCan(name) => Claim::player(name, CONTROLLER),
+            Self::Slcan { .. } | Self::Epos { .. } => Ok(None),
+        }
     }
 
     /// Claims the node `node` of the interface for the one emulator that it may have; `None` for a tty.
