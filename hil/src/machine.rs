@@ -55,8 +55,10 @@ pub enum MachineError {
         /// The other user.
         user: u32,
     },
-    /// Any user can replace files of the machine.
-    #[error("{directory} is one that any user can change, or lies in one: name another")]
+    /// Other users can put other files in the place of the machine's.
+    #[error(
+        "{directory}, or one above it, can be changed by other users: name another, or `chmod go-w` it"
+    )]
     Shared {
         /// The directory in question.
         directory: Directory,

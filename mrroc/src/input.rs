@@ -3,6 +3,7 @@
 //! Only a regular file is opened. A FIFO ends only when its writer closes it, and a device may never end. A file
 //! longer than its limit is refused after the limit was read.
 
+use std::ffi::c_int;
 use std::fs::{File, Metadata, OpenOptions};
 use std::io::{self, Read};
 use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt};
@@ -53,25 +54,29 @@ pub enum InputError {
 
 /// The bytes of the regular file at `path`, at most `limit`.
 pub fn read(path: &Path, limit: usize) -> Result<Vec<u8>, InputError> {
-    if let Some(kind) = irregular(&std::fs::metadata(path)?) {
+    let file = open(path, 0)?;
+    if let Some(kind) = irregular(&file.metadata()?) {
         return Err(InputError::NotRegular(kind));
     }
-    contents(File::open(path)?, limit)
+    contents(file, limit)
 }
 
-/// The bytes of the regular file at `path`, at most `limit`. The file must be writable only for the user of this
-/// process.
-pub fn read_own(path: &Path, limit: usize) -> Result<Vec<u8>, InputError> {
+/// Opens a file for examination. The file that is examined is the one that is read, whatever the path leads to by then.
+/// Neither opening nor reading it waits for another program.
+fn open(path: &Path, flags: c_int) -> io::Result<File> {
     let mut options = OpenOptions::new();
     options.read(true);
-    // The opened file is both checked and read, even if the path changes in between.
-    options.custom_flags(libc::O_NOFOLLOW | libc::O_NONBLOCK | libc::O_NOCTTY);
-    let file = options
-        .open(path)
-        .map_err(|error| match error.raw_os_error() {
-            Some(libc::ELOOP) => InputError::Link,
-            _ => error.into(),
-        })?;
+    options.custom_flags(flags | libc::O_NONBLOCK | libc::O_NOCTTY);
+    options.open(path)
+}
+
+/// The bytes of the regular file at `path`, at most `limit`, which nobody but the user of this process can have written.
+pub fn read_own(path: &Path, limit: usize) -> Result<Vec<u8>, InputError> {
+    let opened = open(path, libc::O_NOFOLLOW);
+    let file = opened.map_err(|error| match error.raw_os_error() {
+        Some(libc::ELOOP) => InputError::Link,
+        _ => error.into(),
+    })?;
     let status = std::fs::read_to_string("/proc/self/status")?;
     check_owner(
         &file.metadata()?,
@@ -130,6 +135,9 @@ mod tests {
     use std::fs::{self, Permissions};
     use std::os::unix::fs::{PermissionsExt, symlink};
     use std::process::Command;
+    use std::sync::mpsc;
+    use std::thread;
+    use std::time::Duration;
 
     use super::*;
 
@@ -157,6 +165,30 @@ mod tests {
         for device in ["/dev/zero", "/dev/tty"] {
             assert!(read_own(Path::new(device), 3).is_err(), "{device}");
         }
+    }
+
+    /// `stat` calls /proc/kmsg a regular file of no bytes; its reader waits for the kernel's next message.
+    #[test]
+    fn a_file_whose_reader_would_wait_is_not_waited_for() {
+        let (done, ended) = mpsc::channel();
+        thread::spawn(move || done.send(read(Path::new("/proc/kmsg"), 1 << 30).is_ok()));
+        // Empty, refused to this user, or read by another process: no end of the file is told.
+        let ended = ended.recv_timeout(Duration::from_secs(60));
+        assert_eq!(ended, Ok(false), "/proc/kmsg was waited for");
+    }
+
+    #[test]
+    fn a_fifo_is_refused_whenever_it_takes_the_place_of_a_file() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = |name: &str| directory.path().join(name);
+        fs::write(path("file"), "text").unwrap();
+        assert_eq!(read(&path("file"), 4).unwrap(), b"text");
+        symlink("file", path("link")).unwrap();
+        assert_eq!(read(&path("link"), 4).unwrap(), b"text");
+        let fifo = Command::new("mkfifo").arg(path("fifo")).status();
+        assert!(fifo.unwrap().success());
+        let refused = read(&path("fifo"), 4).unwrap_err().to_string();
+        assert!(refused.starts_with("is a FIFO"), "{refused}");
     }
 
     #[test]

@@ -5,11 +5,12 @@ use std::fmt::Display;
 use std::fs::{self, File, Metadata};
 use std::io::{self, ErrorKind, IsTerminal};
 use std::os::fd::{AsFd, BorrowedFd};
-use std::os::unix::fs::{FileTypeExt, MetadataExt};
+use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use clap::Args;
+use nix::fcntl::{FcntlArg, OFlag, fcntl};
 
 use crate::cell_file::CellFile;
 
@@ -147,7 +148,10 @@ impl Outputs {
     /// opening it creates the file.
     fn file(&self, path: &Path) -> anyhow::Result<(File, bool)> {
         let mut options = File::options();
-        options.write(true);
+        // A FIFO without a reader, or a line without a carrier, would be waited for, and no signal would end that.
+        options
+            .write(true)
+            .custom_flags(libc::O_NONBLOCK | libc::O_NOCTTY);
         match options.clone().create_new(true).open(path) {
             Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
             made => return Ok((made?, true)),
@@ -163,7 +167,16 @@ impl Outputs {
             Err(error) if error.kind() == ErrorKind::NotFound => made = true,
             _ => {}
         }
-        Ok((options.create(made).open(path)?, made))
+        match options.create(made).open(path) {
+            Err(error) if error.raw_os_error() == Some(libc::ENXIO) => bail!(
+                "the file is a FIFO that no program reads, or a device that is not there: start the reader first"
+            ),
+            opened => {
+                let file = opened?;
+                wait_for_room(&file)?;
+                Ok((file, made))
+            }
+        }
     }
 
     /// Starts the command: files are kept from now on, and files replaced by --force are emptied.
@@ -194,6 +207,13 @@ impl Drop for Outputs {
     }
 }
 
+/// Lets a write to a full pipe wait, as a write to a file does.
+fn wait_for_room(file: &File) -> io::Result<()> {
+    let flags = OFlag::from_bits_retain(fcntl(file, FcntlArg::F_GETFL)?);
+    fcntl(file, FcntlArg::F_SETFL(flags - OFlag::O_NONBLOCK))?;
+    Ok(())
+}
+
 fn identity(found: &Metadata) -> Identity {
     (found.dev(), found.ino())
 }
@@ -202,6 +222,10 @@ fn identity(found: &Metadata) -> Identity {
 mod tests {
     use std::io::{Read, Write};
     use std::os::unix::fs::symlink;
+    use std::process::Command;
+    use std::sync::mpsc;
+    use std::thread;
+    use std::time::Duration;
 
     use super::*;
 
@@ -262,6 +286,34 @@ mod tests {
             let _ = fs::remove_file(place("new"));
         }
         assert!(refusal(&mut Outputs::new(KEEP), &place("link")).contains("leads nowhere"));
+    }
+
+    #[test]
+    fn a_fifo_without_a_reader_is_refused_at_once() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("fifo");
+        let made = Command::new("mkfifo").arg(&path).status();
+        assert!(made.unwrap().success());
+        let (said, refused) = mpsc::channel();
+        let fifo = path.clone();
+        thread::spawn(move || said.send(refusal(&mut Outputs::new(FORCE), &fifo)));
+        let refused = refused.recv_timeout(Duration::from_secs(60));
+        let refused = refused.expect("the FIFO is not waited for");
+        assert!(
+            refused.contains("a FIFO that no program reads"),
+            "{refused}"
+        );
+        // With a reader, a writer waits for room.
+        let mut reader = File::options().read(true).write(true).open(&path).unwrap();
+        let mut outputs = Outputs::new(KEEP);
+        let mut file = outputs.open("--it", &path).unwrap();
+        let bytes = vec![b'x'; 1 << 20];
+        let length = bytes.len();
+        let writer = thread::spawn(move || file.write_all(&bytes));
+        let mut read = vec![0; length];
+        reader.read_exact(&mut read).unwrap();
+        assert!(writer.join().unwrap().is_ok());
+        assert!(read.iter().all(|byte| *byte == b'x'));
     }
 
     #[test]

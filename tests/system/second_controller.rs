@@ -64,6 +64,21 @@ fn a_second_controller_on_an_interface_is_refused_and_told_of_the_first() {
         let read = ["sdo", "read", "1", "0x1008", "--can", stage.interface];
         let read = mrroc(read);
         assert_eq!(read.status.code(), Some(0), "{read:?}");
+        // Not where they would take the drive's watch away.
+        let holder = format!("process {}", first.id());
+        for object in ["0x1016:1", "0x1010:1", "0x30B0"] {
+            let write = ["sdo", "write", "1", object, "0", "--type", "u32", "--can"];
+            let write = mrroc(write.iter().chain(&[stage.interface]));
+            refused(
+                &write,
+                &["belongs to the driver", &holder, "end that process"],
+            );
+        }
+        let tuning = [
+            "sdo", "write", "1", "0x6067", "4000", "--type", "u32", "--can",
+        ];
+        let tuning = mrroc(tuning.iter().chain(&[stage.interface]));
+        assert_eq!(tuning.status.code(), Some(0), "{tuning:?}");
         let first = first.output();
         assert_eq!(first.status.code(), Some(0), "{first:?}");
         assert_eq!(first.json()["faults"], json!([]), "{first:?}");

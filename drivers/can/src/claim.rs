@@ -4,7 +4,8 @@
 //! name to one socket at a time and frees the name when the process ends, however the process ends. No file is made,
 //! so that none is left behind and no link is followed. Abstract names belong to a network namespace, as interfaces do.
 //!
-//! A claim does not keep other programs off the interface, and another computer on the same bus does not see it.
+//! A claim does not keep other programs off the interface, and another computer on the same bus does not see it. Any user
+//! of this computer can take such a name; the part is then refused to every other process, and nothing else follows.
 //! Read [`Claim::take`] first.
 
 use std::fs;
@@ -50,8 +51,11 @@ pub enum ClaimError {
     },
 }
 
-struct Holder(Option<u32>);
+/// A process that plays a part; without its ID where the process hides it or ended meanwhile.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Holder(Option<u32>);
 
+/// As `process 4711`, or `another process`.
 impl std::fmt::Display for Holder {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self.0 {
@@ -64,15 +68,7 @@ impl std::fmt::Display for Holder {
 impl Claim {
     /// Claims `part` of `interface`, which may be up or down, by any of its names.
     pub fn take(interface: &str, part: &str) -> Result<Self, ClaimError> {
-        let name = InterfaceName::new(interface).ok_or(OpenError::BadName)?;
-        let index = match CanAddr::from_iface(interface) {
-            Ok(address) => address.as_ref().can_ifindex,
-            Err(_) => {
-                find(interface)?;
-                return Err(OpenError::Absent(name).into());
-            }
-        };
-        let part = format!("mrroc/can/{index}/{part}");
+        let (name, part) = full_name(interface, part)?;
         let claimed = bind(&part).map_err(|error| match error.raw_os_error() {
             Some(libc::EADDRINUSE) => ClaimError::Taken {
                 interface: name,
@@ -88,6 +84,36 @@ impl Claim {
             _holder: bind(&format!("{part}/{}", std::process::id())).ok(),
         })
     }
+
+    /// Who plays `part` of `interface` at this moment; `None` if no process does. Nothing is claimed.
+    pub fn player(interface: &str, part: &str) -> Result<Option<Holder>, ClaimError> {
+        let (name, part) = full_name(interface, part)?;
+        let played = || {
+            let address = SocketAddr::from_abstract_name(&part)?;
+            UnixDatagram::unbound()?.connect_addr(&address)
+        };
+        match played() {
+            Ok(()) => Ok(Some(Holder(holder(&part)))),
+            Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => Ok(None),
+            Err(error) => Err(ClaimError::Os {
+                interface: name,
+                errno: error.raw_os_error().unwrap_or(libc::EIO),
+            }),
+        }
+    }
+}
+
+/// The interface, and the abstract name of the socket that stands for `part` of it.
+fn full_name(interface: &str, part: &str) -> Result<(InterfaceName, String), ClaimError> {
+    let name = InterfaceName::new(interface).ok_or(OpenError::BadName)?;
+    let index = match CanAddr::from_iface(interface) {
+        Ok(address) => address.as_ref().can_ifindex,
+        Err(_) => {
+            find(interface)?;
+            return Err(OpenError::Absent(name).into());
+        }
+    };
+    Ok((name, format!("mrroc/can/{index}/{part}")))
 }
 
 /// A socket of this abstract name that takes no message.
@@ -137,6 +163,21 @@ mod tests {
         );
         drop(first);
         assert!(Claim::take(INTERFACE, &part).is_ok());
+    }
+
+    #[test]
+    fn a_player_is_known_without_a_claim() {
+        let part = part("known");
+        assert_eq!(Claim::player(INTERFACE, &part), Ok(None));
+        let claim = Claim::take(INTERFACE, &part).unwrap();
+        let player = Claim::player(INTERFACE, &part).unwrap().unwrap();
+        assert_eq!(
+            player.to_string(),
+            format!("process {}", std::process::id())
+        );
+        drop(claim);
+        assert_eq!(Claim::player(INTERFACE, &part), Ok(None));
+        assert!(Claim::player("nosuch0", &part).is_err());
     }
 
     #[test]

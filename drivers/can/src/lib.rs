@@ -21,7 +21,7 @@ mod tracer;
 mod virtual_port;
 
 pub use self::socketcan::{BATCH, OpenError, SocketCanOptions, SocketCanPort};
-pub use claim::{Claim, ClaimError};
+pub use claim::{Claim, ClaimError, Holder};
 pub use error_frame::{ControllerFlags, ErrorCounts, ErrorFrame};
 pub use frame::Frame;
 pub use id::{ExtendedId, Id, StandardId};

@@ -101,15 +101,19 @@ objects! {
     TORQUE_ACTUAL = 0x6077:0, "torque actual value";
     CURRENT_ACTUAL = 0x6078:0, "current actual value";
     TARGET_POSITION = 0x607A:0, "target position";
+    MIN_POSITION_RANGE = 0x607B:1, "position range limit, minimum";
+    MAX_POSITION_RANGE = 0x607B:2, "position range limit, maximum";
     HOME_OFFSET = 0x607C:0, "home offset";
     MIN_POSITION_LIMIT = 0x607D:1, "software position limit, minimum";
     MAX_POSITION_LIMIT = 0x607D:2, "software position limit, maximum";
+    POLARITY = 0x607E:0, "polarity";
     MAX_PROFILE_VELOCITY = 0x607F:0, "max profile velocity";
     MAX_MOTOR_SPEED = 0x6080:0, "max motor speed";
     PROFILE_VELOCITY = 0x6081:0, "profile velocity";
     PROFILE_ACCELERATION = 0x6083:0, "profile acceleration";
     PROFILE_DECELERATION = 0x6084:0, "profile deceleration";
     QUICK_STOP_DECELERATION = 0x6085:0, "quick stop deceleration";
+    MOTION_PROFILE_TYPE = 0x6086:0, "motion profile type";
     POSITION_ENCODER_INCREMENTS = 0x608F:1, "position encoder resolution, encoder increments";
     POSITION_ENCODER_REVOLUTIONS = 0x608F:2, "position encoder resolution, motor revolutions";
     GEAR_MOTOR_REVOLUTIONS = 0x6091:1, "gear ratio, motor revolutions";
@@ -127,6 +131,7 @@ objects! {
     INTERPOLATION_PERIOD_VALUE = 0x60C2:1, "interpolation time period value";
     INTERPOLATION_PERIOD_INDEX = 0x60C2:2, "interpolation time index";
     MAX_ACCELERATION = 0x60C5:0, "max acceleration";
+    MAX_DECELERATION = 0x60C6:0, "max deceleration";
     FOLLOWING_ERROR_ACTUAL = 0x60F4:0, "following error actual value";
     DIGITAL_INPUTS = 0x60FD:0, "digital inputs";
     DIGITAL_OUTPUTS = 0x60FE:1, "physical outputs";

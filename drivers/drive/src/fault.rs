@@ -54,6 +54,12 @@ pub enum Fault {
         /// Time since the last SYNC.
         waited: Duration,
     },
+    /// The port took no heartbeat of ours for longer than the drives wait for it: they have stopped by themselves.
+    #[error("bus: the host's heartbeat was not sent for {waited:.1?}")]
+    HeartbeatNotSent {
+        /// Time since the last one, or since bring-up.
+        waited: Duration,
+    },
     /// The node booted again, or left NMT state operational, during operation.
     #[error("node {node}: left operational state")]
     LeftOperational {

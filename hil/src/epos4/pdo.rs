@@ -173,7 +173,8 @@ impl Pdos {
                 let (before, now) = (self.received[at], Rpdo::read(number, objects));
                 let kept = Rpdo {
                     waiting: before.waiting,
-                    received: before.received,
+                    // A deadline that is switched on starts with the next reception (CiA 301 §7.5.2.35).
+                    received: before.received.filter(|_| !before.within.is_zero()),
                     ..now
                 };
                 self.received[at] = if before.id == now.id { kept } else { now };

@@ -3,7 +3,7 @@
 use std::fmt;
 
 use anyhow::{Context, bail};
-use can::{Claim, ClaimError};
+use can::{Claim, ClaimError, Holder};
 use serial::service::Dialect;
 
 use crate::cell::{Cell, quoted};
@@ -18,7 +18,10 @@ const EPOS: [(&str, Dialect); 2] = [("epos2:", Dialect::Epos2), ("epos4:", Diale
 /// of their own ignore the rate.
 const BAUD: u32 = 115_200;
 
-/// An interface, named as in options and cell files.
+/// The part of an interface that its bus's controller plays.
+const CONTROLLER: &str = "controller";
+
+/// An interface by the name that options and cell files give it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Interface {
     /// A SocketCAN interface, such as `can0`.
@@ -64,7 +67,15 @@ impl Interface {
     /// Claims the interface for the only controller of its bus; `None` for a tty, which only one process can open. A
     /// controller on another computer is detected by its frames only.
     pub fn claim_as_controller(&self) -> anyhow::Result<Option<Claim>> {
-        self.claim("controller", "another controller is at work")
+        self.claim(CONTROLLER, "another controller is at work")
+    }
+
+    /// The process of this computer that is the controller of the interface's bus; `None` for a tty.
+    pub fn controller(&self) -> Result<Option<Holder>, ClaimError> {
+        match self {
+            Self::SocketCan(name) => Claim::player(name, CONTROLLER),
+            Self::Slcan { .. } | Self::Epos { .. } => Ok(None),
+        }
     }
 
     /// Claims node `node` of the interface for its only emulator; `None` for a tty.

@@ -83,6 +83,13 @@ pub(super) const ROWS: &[Row] = &[
         deadline_waits,
     ),
     CIA_301.row(
+        "rpdo-deadline-configured",
+        "7.5.2.35",
+        ("Event timer of an RPDO", &[0x1402]),
+        "starts with the next reception after it is configured",
+        deadline_configured,
+    ),
+    CIA_301.row(
         "rpdo-deadlines",
         "7.5.2.35",
         ("Event timer of an RPDO", &[0x1402, 0x1403]),
@@ -315,6 +322,28 @@ fn deadline_waits(rig: &mut Rig) -> Verdict {
     ensure!(
         codes(rig, mark).is_empty(),
         "EMCY {:04X?}",
+        codes(rig, mark)
+    );
+    Ok(())
+}
+
+fn deadline_configured(rig: &mut Rig) -> Verdict {
+    with_deadlines(rig, 0, 0)?;
+    rig.send(RPDO[2], &COMMAND);
+    rig.pass(100);
+    let mark = rig.mark();
+    rig.write(0x1402, 5, 30, 2)?;
+    rig.pass(100);
+    ensure!(
+        codes(rig, mark).is_empty(),
+        "EMCY {:04X?} for an RPDO of before",
+        codes(rig, mark)
+    );
+    rig.send(RPDO[2], &COMMAND);
+    rig.pass(40);
+    ensure!(
+        codes(rig, mark) == [0x8250],
+        "EMCY {:04X?} after the next reception",
         codes(rig, mark)
     );
     Ok(())

@@ -10,7 +10,9 @@ use canopen::objects::{ERROR_CODE, ERROR_HISTORY_NEWEST, VENDOR_ID};
 use canopen::sdo::AbortCode;
 use canopen::{NodeId, Object};
 use clap::{Args, Subcommand};
+use drive::cia402::reserved;
 use master::sdo::{self, SdoError, StartError};
+use mrroc::bench::interfaces::Interface;
 use serde::Serialize;
 
 use super::data_sheet::DataSheet;
@@ -145,7 +147,35 @@ fn read(target: &Target, ty: Option<Type>) -> anyhow::Result<ExitCode> {
     }
 }
 
-/// Vendor of the node, if the object to read holds an error code.
+/// Refuses an object that belongs to the driver while a controller is at work, which would not notice the change.
+fn check_kept(channel: &mut Channel, target: &Target) -> anyhow::Result<()> {
+    let controller = match channel {
+        Channel::Bus(bus) => bus.interface.controller()?,
+        Channel::Drive(drive) => drive.cell.as_ref().and_then(|(file, bus)| {
+            let interface = Interface::parse(&file.cell.bus[*bus].interface);
+            // The bus may be on another interface, or on none.
+            interface.controller().ok().flatten()
+        }),
+    };
+    let Some(holder) = controller else {
+        return Ok(());
+    };
+    let Object { index, subindex } = target.object;
+    let kept = match reserved(0, index, subindex) {
+        None => {
+            let answer = transfer(channel, target, VENDOR_ID, None, None)?;
+            let vendor = answer.and_then(|answer| value::unsigned(&answer.ok()?));
+            vendor.and_then(|vendor| reserved(vendor as u32, index, subindex))
+        }
+        kept => kept,
+    };
+    match kept {
+        Some(kept) => bail!("{kept}; {holder} controls the drive: end that process first"),
+        None => Ok(()),
+    }
+}
+
+/// Whose error codes the node has, if it is an error code that is read.
 fn vendor(channel: &mut Channel, target: &Target) -> anyhow::Result<Option<u32>> {
     if !matches!(target.object, ERROR_CODE | ERROR_HISTORY_NEWEST) {
         return Ok(None);
@@ -175,6 +205,7 @@ fn write(
             .as_ref()
             .is_none_or(|sheet| sheet.check_read().is_ok());
     let mut channel = target.open()?;
+    check_kept(&mut channel, target)?;
     match transfer(&mut channel, target, target.object, Some(&data), Some(ty))? {
         None => return Ok(interrupted()),
         Some(Err(error)) => return Err(refusal(&channel, target, error)),

@@ -15,7 +15,7 @@ use super::mode::{ModeRequest, ModeSwitch};
 use super::process_data::{self, Answer};
 use super::service::Service;
 use super::setup::Setup;
-use super::target::Target;
+use super::target::{Order, Target};
 use crate::{AxisCommand, AxisState, Fault, Increments, Permille, Power, Refusal};
 
 /// Answers until a controlword surely has its effect in the statusword. The drive latches the word at the next SYNC
@@ -380,15 +380,14 @@ impl Axis {
         });
     }
 
-    /// Takes the command of this cycle and returns the RPDO. `setpoint` is the result of [`check`](Self::check).
-    /// `hold` keeps the target of the last cycle, because the set-point of another axis was refused.
-    pub(super) fn command(
-        &mut self,
-        command: AxisCommand,
-        setpoint: Option<Target>,
-        hold: bool,
-        now: Instant,
-    ) -> Frame {
+    /// Takes the command of this cycle.
+    pub(super) fn command(&mut self, order: Order, now: Instant) -> Frame {
+        let Order {
+            command,
+            setpoint,
+            hold,
+            watched,
+        } = order;
         if command == AxisCommand::ResetFault {
             self.reset();
         }
@@ -418,6 +417,8 @@ impl Axis {
             {
                 Controlword::QUICK_STOP
             }
+            // The drive would not miss us before it has heard us.
+            PowerState::SwitchedOn if self.goal == Goal::On && !watched => Controlword::SWITCH_ON,
             PowerState::OperationEnabled if self.goal == Goal::On => self
                 .search
                 .controlword(self.power.step(self.statusword, goal)),
@@ -556,6 +557,15 @@ impl Axis {
             return None;
         }
         let request = self.modes.next(self.wanted_mode())?;
+        let braking = self.goal == Goal::Stopped
+            && matches!(
+                self.statusword.power_state(),
+                PowerState::OperationEnabled | PowerState::QuickStopActive
+            );
+        // CiA 402 leaves open what a change of mode does to a drive that brakes.
+        if braking && matches!(request, ModeRequest::Tell(_)) {
+            return None;
+        }
         self.telling = matches!(request, ModeRequest::Tell(_));
         Some(Service::Mode(request))
     }

@@ -9,6 +9,7 @@ use master::sdo::{Client, SdoError, Transfer};
 
 use super::axis::Learnt;
 use super::config::{AxisConfig, ConfigError, GroupConfig, Setting};
+use super::process_data;
 use super::program::{Step, program};
 use crate::{BringUpError, Increments};
 
@@ -37,8 +38,10 @@ pub(super) struct NodeBringUp {
     learnt: Learnt,
     /// Value of the last agreement's object, kept while its divisor is read.
     value: Option<u32>,
-    /// Whether the drive has the object of the last agreement.
+    /// Whether the drive has the object of the last agreement, or its last limit suffices.
     agreed: bool,
+    /// Whether the drive cannot send its mode of operation by itself.
+    unwatched: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,6 +78,7 @@ impl NodeBringUp {
             learnt: Learnt::default(),
             value: None,
             agreed: false,
+            unwatched: false,
         })
     }
 
@@ -163,6 +167,7 @@ impl NodeBringUp {
                 if let Some(result) = sdo.poll() {
                     match result.and_then(|transfer| transfer.number::<u32>()) {
                         Ok(device_type) if device_type & 0xFFFF == PROFILE_402 => {
+                            self.unwatched = false;
                             self.phase = Phase::Configuring {
                                 step: 0,
                                 reading_back: false,
@@ -203,7 +208,9 @@ impl NodeBringUp {
                     self.phase = Phase::Configured;
                     return Ok(());
                 };
-                if !asked && self.agreed && current.instead() {
+                let left_out = self.agreed && current.instead()
+                    || self.unwatched && matches!(current, Step::Watch(_));
+                if !asked && left_out {
                     self.phase = Phase::Configuring {
                         step: step + 1,
                         reading_back: false,
@@ -285,8 +292,37 @@ impl NodeBringUp {
                 ..
             })
         );
+        let unmapped = !reading_back
+            && matches!(
+                result,
+                Err(SdoError::Aborted {
+                    code: AbortCode::NO_OBJECT
+                        | AbortCode::NO_SUBINDEX
+                        | AbortCode::NOT_MAPPABLE
+                        | AbortCode::READ_ONLY
+                        | AbortCode::ACCESS,
+                    ..
+                })
+            );
+        let read_only = matches!(
+            result,
+            Err(SdoError::Aborted {
+                code: AbortCode::READ_ONLY,
+                ..
+            })
+        );
         match step {
+            Step::Watch(write) if unmapped => {
+                // A drive that lacks a timer can map its mode all the same.
+                self.unwatched = !process_data::is_timer(write.object);
+                return Ok(Next::Step);
+            }
             Step::SetIfPresent(_) if absent => return Ok(Next::Step),
+            Step::SetIfPresent(_) if read_only && !reading_back => return Ok(Next::ReadBack),
+            Step::AtLeast(..) if absent => {
+                self.agreed = true;
+                return Ok(Next::Step);
+            }
             Step::Value(_) if absent => {
                 self.value = None;
                 return Ok(Next::Step);
@@ -340,7 +376,14 @@ impl NodeBringUp {
                     (Some(_), None) => {}
                 }
             }
-            Step::Set(_) | Step::SetIfPresent(_) if !reading_back => return Ok(Next::ReadBack),
+            Step::AtLeast(_, least) => {
+                self.agreed = transfer.number::<u32>().map_err(error)? >= least;
+            }
+            Step::Set(_) | Step::SetIfPresent(_) | Step::Raise(_) | Step::Watch(_)
+                if !reading_back =>
+            {
+                return Ok(Next::ReadBack);
+            }
             Step::Configure(_, number) if !reading_back => {
                 return Ok(if self.configuration[number].readable {
                     Next::ReadBack
@@ -356,7 +399,10 @@ impl NodeBringUp {
                     transfer,
                 )?;
             }
-            Step::Set(write) | Step::SetIfPresent(write) => {
+            Step::Set(write)
+            | Step::SetIfPresent(write)
+            | Step::Raise(write)
+            | Step::Watch(write) => {
                 compare(self.node, write.object, write.data.data(), transfer)?;
             }
             Step::Shown(mode) => {

@@ -15,7 +15,10 @@ use crate::scale::rpm_magnitude;
 /// Heartbeat periods without a heartbeat after which the other side counts as lost, in both directions.
 pub(super) const HEARTBEATS_TO_LOSE: u32 = 3;
 
-/// Settings common to all drives of a group.
+/// Least time of listening for another controller, whose periods are not known.
+const LISTENING_AT_LEAST: Duration = Duration::from_secs(1);
+
+/// What the drives of a group have in common.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GroupConfig {
     /// The SYNC period, equal to the servo period. An EPOS4 accepts whole milliseconds up to 100.
@@ -264,7 +267,8 @@ impl GroupConfig {
     /// whichever is longer. The drives of a controller silent for that long have detected its loss and stopped by
     /// themselves.
     pub fn listening(&self) -> Duration {
-        self.heartbeat_period.max(self.period) * HEARTBEATS_TO_LOSE
+        let periods = self.heartbeat_period.max(self.period) * HEARTBEATS_TO_LOSE;
+        periods.max(LISTENING_AT_LEAST)
     }
 
     /// Time without a heartbeat after which a drive counts as lost.

@@ -52,6 +52,7 @@ mod homing;
 mod measurement;
 mod mode;
 mod other_controller;
+mod own_heartbeat;
 mod process_data;
 mod program;
 mod recording;
@@ -93,9 +94,10 @@ use crate::{
 };
 use axis::Axis;
 use bring_up::NodeBringUp;
+use own_heartbeat::OwnHeartbeat;
 use process_data::Answer;
 use service::Service;
-use target::Target;
+use target::{Order, Target};
 
 /// Greatest number of SDO frames sent by one call of bring-up. A transmit queue of ten has room for them.
 const SDO_FRAMES_PER_CALL: usize = 8;
@@ -120,7 +122,7 @@ pub struct Cia402Group<P: Port> {
     /// Index of the node whose SDO client sent last.
     turn: usize,
     syncs: Syncs,
-    heartbeat_due: Instant,
+    heartbeat: OwnHeartbeat,
     counters: GroupCounters,
     warnings: Warnings,
     /// End of bring-up.
@@ -216,7 +218,7 @@ impl<P: Port> Cia402Group<P> {
             service: None,
             turn: 0,
             syncs: Syncs::default(),
-            heartbeat_due: Instant::ZERO,
+            heartbeat: OwnHeartbeat::due_at(Instant::ZERO),
             counters: GroupCounters::default(),
             warnings: Warnings::with_room(),
             up_since: Instant::ZERO,
@@ -423,7 +425,7 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
                 // Operation starts from the same state, whatever the timing of bring-up.
                 self.turn = 0;
                 self.syncs = Syncs::default();
-                self.heartbeat_due = now;
+                self.heartbeat = OwnHeartbeat::due_at(now);
                 self.up_since = now;
                 self.warnings.clear();
                 for node in &mut self.nodes {
@@ -460,10 +462,15 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
             attempted, sent, ..
         } = self.syncs;
         let alone = self.syncs.last.map(|last| now.since(last));
-        let alone = alone.filter(|waited| *waited > self.config.heartbeat_lost_after());
+        let lost_after = self.config.heartbeat_lost_after();
+        let alone = alone.filter(|waited| *waited > lost_after);
+        let unheard = self.heartbeat.missing(now, lost_after);
         for (node, state) in self.nodes.iter_mut().zip(states) {
             if let Some(waited) = alone {
                 node.axis.left_alone(waited);
+            }
+            if let Some(waited) = unheard {
+                node.axis.latch(Fault::HeartbeatNotSent { waited });
             }
             node.finish_service(now);
             let before = node.fault;
@@ -492,9 +499,15 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
         }
         self.batch.clear();
         self.batch.push(Sync::default().encode());
+        let watched = self.heartbeat.is_watched();
         for (node, &command) in self.nodes.iter_mut().zip(commands) {
-            self.batch
-                .push(node.axis.command(command, node.setpoint, refused, now));
+            let order = Order {
+                command,
+                setpoint: node.setpoint,
+                hold: refused,
+                watched,
+            };
+            self.batch.push(node.axis.command(order, now));
             node.start_service(now);
         }
     }
@@ -506,7 +519,7 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
             self.batch.push(Sync::default().encode());
         }
         let setpoints = self.batch.len() - 1;
-        let heartbeat = now >= self.heartbeat_due;
+        let heartbeat = self.heartbeat.is_due(now);
         if heartbeat {
             let (node, state) = (self.config.host_node, nmt::State::Operational);
             self.batch.push(Heartbeat { node, state }.encode());
@@ -529,8 +542,9 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
         }
         self.counters.dropped_syncs += u64::from(taken == 0);
         self.counters.dropped_setpoints += setpoints.saturating_sub(taken.saturating_sub(1)) as u64;
-        if heartbeat && taken > setpoints + 1 {
-            self.heartbeat_due = now + self.config.heartbeat_period;
+        if heartbeat {
+            let period = self.config.heartbeat_period;
+            self.heartbeat.offered(now, taken > setpoints + 1, period);
         }
         if taken == self.batch.len() {
             self.service = None;

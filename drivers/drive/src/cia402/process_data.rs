@@ -10,7 +10,7 @@ use canopen::objects::{
 };
 use canopen::pdo::{Entry, PdoCobId, PdoKind, PdoMapping, PdoNumber, TransmissionType};
 use canopen::sdo::Write;
-use canopen::{NodeId, cob};
+use canopen::{NodeId, Object, cob};
 use master::pdo::{PdoSetup, remap};
 
 use super::config::CyclicMode;
@@ -64,7 +64,7 @@ pub fn pdo_setups(node: NodeId, mode: CyclicMode) -> [PdoSetup; 3] {
         mapping: PdoMapping::new(request(mode)).expect("eight bytes fit"),
         transmission: TransmissionType::EVERY_SYNC,
         inhibit_time: None,
-        event_timer: None,
+        event_timer: Some(0),
     };
     let answer = PdoSetup {
         kind: PdoKind::Tpdo,
@@ -81,6 +81,7 @@ pub fn pdo_setups(node: NodeId, mode: CyclicMode) -> [PdoSetup; 3] {
         mapping: PdoMapping::new(&SHOWN).expect("one byte fits"),
         transmission: TransmissionType::EVENT_PROFILE,
         inhibit_time: Some((SHOWN_APART.as_micros() / 100) as u16),
+        event_timer: Some(0),
         ..answer
     };
     [request, answer, shown]
@@ -102,7 +103,24 @@ pub(super) fn mapping_writes(node: NodeId, mode: CyclicMode) -> impl Iterator<It
         .chain(setups.into_iter().flat_map(|setup| remap(&setup)))
 }
 
-/// Decodes TPDO 2; `None` for a payload of another length.
+/// Whether a drive may lack this object of [`mapping_writes`]: an inhibit time or an event timer, which is off where the
+/// object is absent (CiA 301 §7.5.2.35, §7.5.2.37), or all of TPDO 2.
+pub(super) fn may_be_absent(object: Object) -> bool {
+    is_timer(object) || object == PdoKind::Tpdo.communication(PdoNumber::Two, 1)
+}
+
+/// Whether this is an inhibit time or an event timer.
+pub(super) fn is_timer(object: Object) -> bool {
+    let communication = matches!(object.index, 0x1400..=0x15FF | 0x1800..=0x19FF);
+    communication && matches!(object.subindex, 3 | 5)
+}
+
+/// Whether this object of [`mapping_writes`] puts the mode of operation into TPDO 2, which not every drive can do.
+pub(super) fn maps_mode(object: Object) -> bool {
+    object.index == PdoKind::Tpdo.mapping(PdoNumber::Two, 0).index
+}
+
+/// TPDO 2; `None` for a payload of another length.
 pub(super) fn mode_shown(data: &[u8]) -> Option<ModeOfOperation> {
     let &[mode] = data else { return None };
     Some(ModeOfOperation::from_raw(mode as i8))

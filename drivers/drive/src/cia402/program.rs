@@ -18,6 +18,11 @@ const ABORT_CONNECTION_BY_QUICK_STOP: i16 = 3;
 const STAY_OPERATIONAL: u8 = 1;
 /// Object 0x605A: the quick stop brakes on its ramp, and the drive then holds the axis.
 const QUICK_STOP_RAMP_AND_HOLD: i16 = 6;
+/// Objects 0x605B to 0x605D: the drive brakes on its profile deceleration (0x6084) before it takes the torque away, and
+/// at a halt.
+const BRAKE_ON_PROFILE: i16 = 1;
+/// Object 0x605E: a fault brakes by the quick stop deceleration, where the fault lets the drive brake.
+const FAULT_ON_QUICK_STOP_RAMP: i16 = 2;
 
 /// One read or write of bring-up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,7 +41,13 @@ pub(super) enum Step {
     Set(Write),
     /// Writes and reads back. A drive without the object is accepted.
     SetIfPresent(Write),
-    /// Waits until object 0x6061 shows this mode.
+    /// Read a limit; a drive without it, or with at least this much, leaves out the next [`Raise`](Self::Raise).
+    AtLeast(Object, u32),
+    /// Write the limit, and read it back.
+    Raise(Write),
+    /// Write, and read back, for the watch of the mode of operation; a drive that cannot map its mode has no watch.
+    Watch(Write),
+    /// Object 0x6061 must come to show this mode.
     Shown(ModeOfOperation),
     /// Reads object 0x6041.
     Statusword,
@@ -49,11 +60,16 @@ pub(super) enum Step {
 impl Step {
     pub(super) fn object(&self) -> Object {
         match self {
-            Self::Identity(object, _) | Self::Configure(object, _) => *object,
+            Self::Identity(object, _) | Self::Configure(object, _) | Self::AtLeast(object, _) => {
+                *object
+            }
             Self::Modes(_) => SUPPORTED_MODES,
             Self::Value(agreement) => agreement.object,
             Self::Agree(agreement) => agreement.divisor.unwrap_or(agreement.object),
-            Self::Set(write) | Self::SetIfPresent(write) => write.object,
+            Self::Set(write)
+            | Self::SetIfPresent(write)
+            | Self::Raise(write)
+            | Self::Watch(write) => write.object,
             Self::Shown(_) => MODE_OF_OPERATION_DISPLAY,
             Self::Statusword => STATUSWORD,
             Self::Position => POSITION_ACTUAL,
@@ -63,14 +79,22 @@ impl Step {
 
     /// Whether the step is skipped if the drive has the object of the last agreement.
     pub(super) fn instead(&self) -> bool {
-        matches!(self, Self::Value(agreement) | Self::Agree(agreement) if agreement.instead)
+        match self {
+            Self::Value(agreement) | Self::Agree(agreement) => agreement.instead,
+            Self::Raise(_) => true,
+            _ => false,
+        }
     }
 
     /// The number to write; `None` for a setting or a read.
     pub(super) fn write(&self) -> Option<Write> {
         match self {
-            Self::Set(write) | Self::SetIfPresent(write) => Some(*write),
+            Self::Set(write)
+            | Self::SetIfPresent(write)
+            | Self::Raise(write)
+            | Self::Watch(write) => Some(*write),
             Self::Identity(..)
+            | Self::AtLeast(..)
             | Self::Configure(..)
             | Self::Modes(_)
             | Self::Value(_)
@@ -121,7 +145,12 @@ pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
             .filter_map(Parameter::write)
             .map(Step::Set),
     );
-    // After the cell's own objects, because writing those may change other objects in the drive.
+    // Behind the cell's own objects, whose writing may change others in the drive. First the limits of the ramps.
+    let ramp = units.quick_stop_deceleration.max(units.homing_acceleration);
+    for object in [MAX_ACCELERATION, MAX_DECELERATION] {
+        steps.push(Step::AtLeast(object, ramp));
+        steps.push(Step::Raise(Write::new(object, ramp)));
+    }
     steps.extend(
         [
             Write::new(PRODUCER_HEARTBEAT, heartbeat),
@@ -143,7 +172,23 @@ pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
         ERROR_BEHAVIOUR,
         STAY_OPERATIONAL,
     )));
-    // Offsets are added to every set-point. A previous host may have left offsets in the drive.
+    // What a drive has stored would decide how an axis brakes, when it faults and which way it turns.
+    steps.extend(
+        [
+            Write::new(SHUTDOWN_OPTION, BRAKE_ON_PROFILE),
+            Write::new(DISABLE_OPERATION_OPTION, BRAKE_ON_PROFILE),
+            Write::new(HALT_OPTION, BRAKE_ON_PROFILE),
+            Write::new(FAULT_REACTION_OPTION, FAULT_ON_QUICK_STOP_RAMP),
+            Write::new(FOLLOWING_ERROR_TIME_OUT, 0_u16),
+            Write::new(MIN_POSITION_RANGE, 0_i32),
+            Write::new(MAX_POSITION_RANGE, 0_i32),
+            Write::new(POLARITY, 0_u8),
+            Write::new(PROFILE_DECELERATION, units.quick_stop_deceleration),
+            Write::new(MOTION_PROFILE_TYPE, 0_i16),
+        ]
+        .map(Step::SetIfPresent),
+    );
+    // Offsets outlive a host that added them and died, and are added to every set-point.
     steps.extend([
         Step::SetIfPresent(Write::new(POSITION_OFFSET, 0_i32)),
         Step::SetIfPresent(Write::new(VELOCITY_OFFSET, 0_i32)),
@@ -163,7 +208,16 @@ pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
         steps.extend(agreement.divisor.map(|_| Step::Value(agreement)));
         steps.push(Step::Agree(agreement));
     }
-    steps.extend(process_data::mapping_writes(axis.node, axis.mode).map(Step::Set));
+    let mut maps_mode = false;
+    for write in process_data::mapping_writes(axis.node, axis.mode) {
+        maps_mode |= process_data::maps_mode(write.object);
+        steps.push(match process_data::may_be_absent(write.object) {
+            // All of TPDO 2 but its first write, which switches it off.
+            _ if maps_mode => Step::Watch(write),
+            true => Step::SetIfPresent(write),
+            false => Step::Set(write),
+        });
+    }
     steps.push(Step::Set(Write::new(MODE_OF_OPERATION, mode.raw())));
     steps.extend([
         Step::Shown(mode),

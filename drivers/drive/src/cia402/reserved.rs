@@ -15,11 +15,14 @@ use canopen::Object;
 
 use super::program::MAXON;
 
-const SILENCE: &str = "it decides whether the drive stops when its host falls silent";
-const BRAKING: &str = "it decides how the drive brakes";
+pub(super) const SILENCE: &str = "it decides whether the drive stops when its host falls silent";
+pub(super) const BRAKING: &str = "it decides how the drive brakes";
+pub(super) const DELAY: &str = "it would delay the fault of a following error";
+pub(super) const SENSE: &str = "the cell's reversed sets the sense of rotation";
 const COMMAND: &str = "it commands the drive";
 const HOMING: &str = "the cell's homing sets it";
 const REFERENCE: &str = "the homed counter must read zero at the reference";
+const RANGE: &str = "a position counter that wraps would leave the cell's limits";
 const OFFSET: &str = "it would be added to every set-point";
 const UNIT: &str = "set-points and ramps are sent in the units of the profile";
 const COMMUNICATION: &str = "the driver sets how the node communicates";
@@ -31,6 +34,10 @@ const IDENTITY: &str = "it would take the node off its bus or rename it";
 const RESERVED: &[(RangeInclusive<u16>, &str)] = &[
     (0x1005..=0x1007, SYNC),
     (0x1010..=0x1011, STORE),
+    (
+        0x1012..=0x1012,
+        "no drive may send TIME, nor under the identifier of another frame",
+    ),
     (
         0x1014..=0x1014,
         "the host reads EMCY under identifier 0x080 + node-ID",
@@ -47,17 +54,12 @@ const RESERVED: &[(RangeInclusive<u16>, &str)] = &[
     (0x605A..=0x605E, BRAKING),
     (0x6060..=0x6060, "the cell's control sets it"),
     (0x6065..=0x6065, "the cell's following_error sets it"),
-    (
-        0x6066..=0x6066,
-        "it would delay the fault of a following error",
-    ),
+    (0x6066..=0x6066, DELAY),
     (0x6071..=0x6071, COMMAND),
     (0x607A..=0x607A, COMMAND),
+    (0x607B..=0x607B, RANGE),
     (0x607C..=0x607C, REFERENCE),
-    (
-        0x607E..=0x607E,
-        "the cell's reversed sets the sense of rotation",
-    ),
+    (0x607E..=0x607E, SENSE),
     (0x6084..=0x6084, BRAKING),
     (0x6085..=0x6085, "the cell's max_acceleration sets it"),
     (0x6086..=0x6086, BRAKING),
@@ -71,18 +73,25 @@ const RESERVED: &[(RangeInclusive<u16>, &str)] = &[
     (0x60C1..=0x60C1, COMMAND),
     (0x60C2..=0x60C2, "the cell's period_us sets it"),
     (0x60C5..=0x60C6, BRAKING),
+    (
+        0x60FE..=0x60FE,
+        "it commands outputs, and the brake of the drive by bit 0",
+    ),
     (0x60FF..=0x60FF, COMMAND),
 ];
 
-/// Objects of the communication area that are free for tuning: the error history, which a write clears, TIME, the
-/// inhibit time of EMCY, and the date of a configuration.
-const FREE: [u16; 5] = [0x1003, 0x1012, 0x1013, 0x1015, 0x1020];
+/// Objects of the communication area that are for tuning: the error history, which a write clears, the high resolution
+/// time stamp, the inhibit time of EMCY, and the note of a configuration's date.
+const FREE: [u16; 4] = [0x1003, 0x1013, 0x1015, 0x1020];
 
 /// Reserved objects of maxon drives: node-ID and bit rate, home position and home offset.
 const OF_MAXON: &[(RangeInclusive<u16>, &str)] =
     &[(0x2000..=0x2001, IDENTITY), (0x30B0..=0x30B1, REFERENCE)];
 
-/// An object that belongs to the driver, and the reason.
+/// The same for single entries of maxon's records: bit 0 of the axis configuration is its polarity.
+const ENTRIES_OF_MAXON: &[(Object, &str)] = &[(Object::new(0x3000, 4), SENSE)];
+
+/// An object that belongs to the driver, and why.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reserved {
     object: Object,
@@ -118,9 +127,15 @@ pub fn reserved(vendor: u32, index: u16, subindex: u8) -> Option<Reserved> {
     if FREE.contains(&canonical) {
         return None;
     }
-    let of_vendor = if vendor == MAXON { OF_MAXON } else { &[] };
-    let mut rules = RESERVED.iter().chain(of_vendor);
-    let (_, why) = rules.find(|(range, _)| range.contains(&canonical))?;
     let object = Object::new(index, subindex);
+    let (of_vendor, entries) = match vendor {
+        MAXON => (OF_MAXON, ENTRIES_OF_MAXON),
+        _ => (&[][..], &[][..]),
+    };
+    let mut rules = RESERVED.iter().chain(of_vendor);
+    let rule = rules.find(|(range, _)| range.contains(&canonical));
+    let mut entries = entries.iter();
+    let entry = entries.find(|(reserved, _)| *reserved == object);
+    let why = rule.map(|(_, why)| why).or(entry.map(|(_, why)| why))?;
     Some(Reserved { object, why })
 }

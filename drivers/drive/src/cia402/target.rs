@@ -1,7 +1,7 @@
-//! Targets in the units of a drive.
+//! Targets in the units of a drive, and the command of a cycle.
 
 use super::config::CyclicMode;
-use crate::{Finite, Permille, Refusal, Scale, Setpoint};
+use crate::{AxisCommand, Finite, Permille, Refusal, Scale, Setpoint};
 
 /// Target of a drive, in the drive's units.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -10,6 +10,18 @@ pub(super) struct Target {
     pub(super) value: i32,
     /// Torque that the drive adds to the output of its loops.
     pub(super) torque: Permille,
+}
+
+/// The command of a cycle to one axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Order {
+    pub(super) command: AxisCommand,
+    /// What [`Axis::check`](super::axis::Axis::check) said.
+    pub(super) setpoint: Option<Target>,
+    /// The target of the last cycle is kept, because another axis refused its own.
+    pub(super) hold: bool,
+    /// The drives have been sent a heartbeat, whose absence they would notice.
+    pub(super) watched: bool,
 }
 
 impl Target {

@@ -131,7 +131,9 @@ pub(super) struct Store {
     pub(super) raw: u8,
     pub(super) objects: BTreeMap<(u16, u8), Vec<u8>>,
     pub(super) aborts: BTreeMap<(u16, u8), u32>,
-    /// Object whose writes are accepted but not stored.
+    /// Objects that cannot be written.
+    pub(super) read_only: Vec<(u16, u8)>,
+    /// Objects it takes and does not keep.
     pub(super) forgetful: Option<(u16, u8)>,
     /// An object whose writing sets another object to zero.
     pub(super) clears: Option<((u16, u8), (u16, u8))>,
@@ -159,9 +161,11 @@ impl Store {
         for i in 0..4 {
             put(0x1400 + i, 1, &[0; 4]);
             put(0x1400 + i, 2, &[255]);
+            put(0x1400 + i, 5, &[0, 0]);
             put(0x1800 + i, 1, &[0; 4]);
             put(0x1800 + i, 2, &[255]);
             put(0x1800 + i, 3, &[10, 0]);
+            put(0x1800 + i, 5, &[0, 0]);
         }
         for index in [0x1600, 0x1A00, 0x1A01] {
             put(index, 0, &[1]);
@@ -191,6 +195,7 @@ impl Store {
             raw,
             objects,
             aborts: BTreeMap::new(),
+            read_only: Vec::new(),
             forgetful: None,
             clears: None,
             mute: None,
@@ -258,6 +263,9 @@ impl Store {
         }
         if let Some(code) = self.aborts.get(&object) {
             return Some((0x80, code.to_le_bytes()));
+        }
+        if specifier != 0x40 && self.read_only.contains(&object) {
+            return Some((0x80, 0x0601_0002_u32.to_le_bytes()));
         }
         let Some(stored) = self.objects.get_mut(&object) else {
             return Some((0x80, 0x0602_0000_u32.to_le_bytes()));

@@ -39,13 +39,14 @@ const TOLD: &[&str] = &[
     "602#2303140102050080",
     "602#23021801820300C0",
     "602#23031801820400C0",
-    // RPDO 1: controlword and target position, at every SYNC.
+    // RPDO 1: controlword and target position, at every SYNC, without a deadline.
     "602#2300140102020080",
     "602#2F00160000000000",
     "602#2300160110004060",
     "602#2300160220007A60",
     "602#2F00160002000000",
     "602#2F00140201000000",
+    "602#2B00140500000000",
     "602#2300140102020000",
     // TPDO 1: statusword, position, torque, at every SYNC, not inhibited.
     "602#23001801820100C0",
@@ -64,6 +65,7 @@ const TOLD: &[&str] = &[
     "602#2F011A0001000000",
     "602#2F011802FF000000",
     "602#2B011803E8030000",
+    "602#2B01180500000000",
     "602#2301180182020040",
     // CSP.
     "602#2F60600008000000",
@@ -81,10 +83,24 @@ fn an_epos4_is_asked_and_told_this_frame_by_frame() {
     for told in TOLD {
         expected.push((*told).to_owned());
         expected.push(format!("602#40{}00000000", &told[6..12]));
+        if told.starts_with("602#230130") {
+            // Limits of the ramps, which this store lacks.
+            expected.extend(["C56000", "C66000"].map(|object| format!("602#40{object}00000000")));
+        }
         if told.starts_with("602#239A60") {
             // This store lacks the reaction to a lost connection and the offsets. An EPOS4 lacks the home offset.
             for lacking in [
                 "2F29100101000000",
+                "2B5B600001000000",
+                "2B5C600001000000",
+                "2B5D600001000000",
+                "2B5E600002000000",
+                "2B66600000000000",
+                "237B600100000000",
+                "237B600200000000",
+                "2F7E600000000000",
+                "2384600070170000",
+                "2B86600000000000",
                 "23B0600000000000",
                 "23B1600000000000",
                 "2BB2600000000000",

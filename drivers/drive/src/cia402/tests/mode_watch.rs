@@ -78,6 +78,33 @@ fn after_a_reset_the_drive_is_told_its_mode_again() {
     );
 }
 
+/// CiA 402 leaves open what a drive does that changes its mode while it brakes.
+#[test]
+fn a_drive_that_is_braked_is_told_no_mode() {
+    let mut bench = enabled();
+    for _ in 0..5 {
+        cycle(&mut bench, &[], HOME);
+    }
+    // Another controller's SYNC is a fault.
+    let mut sent = cycle(&mut bench, &["080#"], HOME);
+    assert!(bench.states[0].fault.is_some());
+    assert_eq!(sent[1], "202#0200E8030000");
+    for statusword in [0x0737, 0x0737, 0x0717, 0x0717, 0x0717] {
+        sent.extend(bench.cycle(&bench.answers(statusword, 1_000), HOME));
+    }
+    let told = sent.iter().filter(|frame| frame.starts_with("602#2F60"));
+    assert_eq!(told.count(), 0, "{sent:?}");
+    // Without torque it is told the cyclic mode.
+    let mut sent = Vec::new();
+    for statusword in [0x0717, 0x0740, 0x0740, 0x0740] {
+        sent.extend(bench.cycle(&bench.answers(statusword, 1_000), &[AxisCommand::Off]));
+    }
+    assert!(
+        sent.contains(&"602#2F60600008000000".to_owned()),
+        "{sent:?}"
+    );
+}
+
 #[test]
 fn the_groups_own_changes_of_mode_are_none_whenever_they_show() {
     // Frames before the drive has reported the mode to a service request: old mode, new mode, both, or none.

@@ -70,8 +70,15 @@ fn a_second_master_refuses_the_start() {
 }
 
 #[test]
-fn the_first_frame_waits_for_three_periods_of_the_heartbeat_and_of_sync() {
-    let table = [(2_000, 2, 6_000), (100, 2, 300), (1, 20, 60), (1, 1, 3)];
+fn the_first_frame_waits_for_three_periods_of_the_heartbeat_and_of_sync_and_for_a_second() {
+    let table = [
+        (2_000, 2, 6_000),
+        (334, 2, 1_002),
+        (100, 2, 1_000),
+        (1, 20, 1_000),
+        (5, 1, 1_000),
+        (1, 1, 1_000),
+    ];
     for (heartbeat, period, listening) in table {
         let config = GroupConfig {
             heartbeat_period: Duration::from_millis(heartbeat),

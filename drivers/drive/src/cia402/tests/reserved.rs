@@ -33,6 +33,7 @@ fn what_undoes_or_commands_is_reserved_and_tuning_is_not() {
     let reserved_ones = [
         (0x1005, 0),
         (0x1010, 1),
+        (0x1012, 0),
         (0x1011, 4),
         (0x1014, 0),
         (0x1016, 2),
@@ -47,11 +48,16 @@ fn what_undoes_or_commands_is_reserved_and_tuning_is_not() {
         (0x6066, 0),
         (0x6071, 0),
         (0x607A, 0),
+        (0x607B, 1),
+        (0x607B, 2),
         (0x607E, 0),
         (0x6084, 0),
         (0x60A9, 0),
         (0x60C5, 0),
         (0x60C6, 0),
+        // Bit 0 sets the brake.
+        (0x60FE, 1),
+        (0x60FE, 2),
         (0x60FF, 0),
         // The same object of a second axis behind the node-ID.
         (0x6840, 0),
@@ -66,6 +72,7 @@ fn what_undoes_or_commands_is_reserved_and_tuning_is_not() {
         (0x1003, 0),
         (0x1015, 0),
         (0x2FF0, 2),
+        (0x3000, 1),
         (0x3001, 1),
         (0x30B2, 0),
         (0x6067, 0),
@@ -81,15 +88,22 @@ fn what_undoes_or_commands_is_reserved_and_tuning_is_not() {
         (0x6091, 1),
         (0x6092, 1),
         (0x60E0, 0),
-        (0x60FE, 1),
         (0x6410, 1),
     ];
     for (index, subindex) in tuning {
         assert_eq!(reserved(MAXON, index, subindex), None);
     }
-    for index in [0x2000, 0x2001, 0x30B0, 0x30B1] {
-        assert!(reserved(MAXON, index, 0).is_some(), "{index:#06x}");
-        assert_eq!(reserved(0x1234, index, 0), None);
+    // Bit 0 of 0x3000:04 is the polarity of the axis.
+    for (index, subindex) in [
+        (0x2000, 0),
+        (0x2001, 0),
+        (0x3000, 4),
+        (0x30B0, 0),
+        (0x30B1, 0),
+    ] {
+        let found = reserved(MAXON, index, subindex);
+        assert!(found.is_some(), "{index:#06x}:{subindex:02x}");
+        assert_eq!(reserved(0x1234, index, subindex), None);
     }
     let text = "0x6885:00 belongs to the driver: the cell's max_acceleration sets it";
     assert_eq!(reserved(MAXON, 0x6885, 0).unwrap().to_string(), text);

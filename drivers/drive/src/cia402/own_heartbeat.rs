@@ -1,0 +1,52 @@
+//! The host's heartbeat: when it is due, and for how long the port has not taken it.
+
+use std::time::Duration;
+
+use can::Instant;
+
+/// The host's heartbeat in operation. A drive watches it from the first one on (CiA 301 §7.2.8.3.2.2).
+#[derive(Clone, Copy, Debug)]
+pub(super) struct OwnHeartbeat {
+    due: Instant,
+    /// When the port took the last one, or was offered the first one.
+    since: Option<Instant>,
+    /// The port took one.
+    heard: bool,
+}
+
+impl OwnHeartbeat {
+    /// None was sent, and the first one is due at `now`.
+    pub(super) fn due_at(now: Instant) -> Self {
+        Self {
+            due: now,
+            since: None,
+            heard: false,
+        }
+    }
+
+    pub(super) fn is_due(&self, now: Instant) -> bool {
+        now >= self.due
+    }
+
+    /// The port was offered a heartbeat; whether it was taken.
+    pub(super) fn offered(&mut self, now: Instant, taken: bool, period: Duration) {
+        if taken {
+            self.due = now + period;
+            self.since = Some(now);
+            self.heard = true;
+        } else {
+            self.since.get_or_insert(now);
+        }
+    }
+
+    /// How long the drives have heard none, if that is longer than `allowed`.
+    pub(super) fn missing(&self, now: Instant, allowed: Duration) -> Option<Duration> {
+        let waited = now.since(self.since?);
+        (waited > allowed).then_some(waited)
+    }
+
+    /// Whether the drives would notice that the host falls silent.
+    pub(super) fn is_watched(&self) -> bool {
+        self.heard
+    }
+}
