@@ -1,4 +1,4 @@
-//! Forward and inverse kinematics compared with an independent implementation, pinocchio, in one run.
+//! Computing times of forward and inverse kinematics compared with pinocchio in one run.
 //!
 //! `cargo bench -p mrroc-controller --bench peers` prints a table and one JSON object. pinocchio is the package `pin`
 //! of PyPI, which `tests/run` installs in `target/peers`. The times of pinocchio are times of calls from Python. One
@@ -6,14 +6,12 @@
 //! of pinocchio's inverse is spent in Python and NumPy.
 //!
 //! Inverse kinematics is a closed form here. With pinocchio it is Newton's method with damped least squares, to 1e-9.
-//! Both start from the same seeds, 0.1 away from the posture in every joint. Each time is the minimum of many rounds,
+//! Both get the same seed, 0.1 away from the posture in every joint: pinocchio as the start of the iteration, this
+//! project to choose the branch. Each time is the minimum of many rounds,
 //! which is the least disturbed measurement.
 
-#![allow(
-    clippy::disallowed_methods,
-    reason = "tests keep pace with other processes"
-)]
-#![expect(clippy::unwrap_used, reason = "in a benchmark it is a verdict")]
+#![allow(clippy::disallowed_methods, reason = "a benchmark reads the clock")]
+#![expect(clippy::unwrap_used, reason = "a benchmark may panic")]
 
 use std::hint::black_box;
 use std::io::Write as _;
@@ -164,7 +162,7 @@ impl Measured {
     }
 }
 
-/// Nanoseconds of one call in the fastest round.
+/// Shortest time of one call of `once`, ns.
 fn least(mut once: impl FnMut()) -> f64 {
     const ROUNDS: usize = 20_000;
     let round = |_| {

@@ -154,8 +154,8 @@ fn a_bit_rate_that_cannot_be_set_is_refused_and_doctor_puts_back_what_it_sets() 
             );
             let said = sh(&run);
             let refusal = format!(
-                "bus arm: {here}: setting the bit rate takes the capability CAP_NET_ADMIN: run as root, or set it \
-                 before with `ip link set {here} type can bitrate 1000000`"
+                "bus arm: {here}: setting the bit rate needs CAP_NET_ADMIN: run as root, or run `ip link set \
+                 {here} down` and `ip link set {here} up type can bitrate 1000000` before"
             );
             assert!(
                 said.contains(&refusal) && said.ends_with("exit 2\n"),

@@ -18,12 +18,12 @@ pub(super) struct Plan<const N: usize> {
     pub(super) macrosteps: u32,
     /// Trajectory seconds per macrostep.
     step: f64,
-    /// Trajectory seconds per second, at most 1.
+    /// Time scale of the slowed trajectory, at most 1.
     pace: f64,
 }
 
 impl<const N: usize> Plan<N> {
-    /// With room for this many positions on the way.
+    /// A plan with space for this many waypoints.
     pub(super) fn new(on_the_way: usize) -> Self {
         let mut trajectory = Trajectory::new(None);
         trajectory.reserve_sections(on_the_way + 1);
@@ -37,7 +37,8 @@ impl<const N: usize> Plan<N> {
         }
     }
 
-    /// Solves the plan; it lasts `given` seconds, or as short as the limits allow, and then to the end of a macrostep.
+    /// Solves the plan. The duration is `given`, s, or the shortest within the limits. The trajectory is slowed so that
+    /// the duration is a whole number of macrosteps.
     pub(super) fn solve(
         &mut self,
         given: Option<f64>,

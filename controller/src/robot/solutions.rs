@@ -49,7 +49,7 @@ impl Deref for Solutions {
     }
 }
 
-/// Conversion between the joints of a robot and its motors.
+/// Limits of the joints and motors of a robot, as the search for branches needs them.
 pub(super) trait Mechanism<const N: usize> {
     /// Refuses a joint position beyond its limit.
     fn check_joint(&self, axis: usize, joint: f64) -> Result<(), KinematicsError>;
@@ -57,7 +57,7 @@ pub(super) trait Mechanism<const N: usize> {
     /// Motor positions for joints. Both are checked against their limits.
     fn motors_from_joints(&self, joints: &[f64; N]) -> Result<[f64; N], KinematicsError>;
 
-    /// `angle` in the turn nearest to `near`, or in a turn within the limits if the nearest turn is beyond a limit.
+    /// `angle` plus the multiple of 2π that brings the sum nearest to `near` within the limits.
     fn turn(&self, axis: usize, angle: f64, joints: &[f64; N], near: f64) -> f64;
 }
 
@@ -149,12 +149,13 @@ impl<'a, const N: usize, M: Mechanism<N>> Search<'a, N, M> {
         self.margin = self.margin.min(margin);
     }
 
-    /// Records a reason for missing branches, which is reported if no branch exists beyond a limit.
+    /// Records why branches are missing. The reason is reported only if no branch was refused for a limit.
     pub(super) fn refuse(&mut self, error: KinematicsError) {
         self.refused.get_or_insert((f64::INFINITY, error));
     }
 
-    /// Adds a branch that lies within the limits. The distance of a branch is the largest joint travel from `near`.
+    /// Takes a branch. A branch within the limits is kept; of the others, the reason of the nearest is remembered. The
+    /// distance of a branch is the largest joint travel from `near`.
     pub(super) fn offer(&mut self, joints: [f64; N]) {
         let travel = joints.iter().zip(self.near).map(|(a, b)| (a - b).abs());
         // The numbers are finite, so the slower `f64::max` with its check for NaN is not needed.

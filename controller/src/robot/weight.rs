@@ -42,7 +42,7 @@ impl Mass {
 /// Links of a robot with their masses, for the torques that balance their weight.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Weight {
-    /// Links from base to flange, the last link with the load.
+    /// Links from base to flange, without the load.
     links: Vec<(Link, Mass)>,
     load: Mass,
     /// Direction against gravity, in the base frame.
@@ -52,7 +52,7 @@ pub struct Weight {
 /// Reasons why masses do not fit a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum WeightError {
-    /// The links of the robot are not known one by one.
+    /// The robot, a gripper or a conveyor, has no description of links.
     #[error("the robot has no links that weigh on its motors")]
     NoLinks,
     /// The number of masses differs from the number of links.
@@ -71,7 +71,7 @@ pub enum WeightError {
         /// Mass, kg.
         mass: f64,
     },
-    /// A centre is farther away than [`Mass::FARTHEST`], or not finite.
+    /// A coordinate of a centre of mass exceeds [`Mass::FARTHEST`], or is not finite.
     #[error(
         "a centre of mass at {coordinate} m is not within {} m of its frame",
         Mass::FARTHEST
@@ -99,7 +99,8 @@ impl WeightError {
 
 impl Weight {
     /// The weights of `robot`. There is one mass per link of [`Robot::links`]. The load is in the frame of the
-    /// flange. The upward direction is in the base frame and has any length.
+    /// flange. The upward direction is in the base frame and need not be a unit
+    /// vector.
     pub fn new(
         robot: &dyn Robot,
         masses: &[Mass],
@@ -133,7 +134,7 @@ impl Weight {
     /// Torques of the motors, N·m, that balance the weight of `robot` at these motor positions. All torques are
     /// finite. `robot` must be the robot for which the weights were made.
     ///
-    /// The torque of a motor is the derivative of the potential energy by its angle while the other motors stand.
+    /// The torque of a motor is the partial derivative of the potential energy with respect to its angle.
     /// This is the principle of virtual work. It holds for all gears, screws, couplings and parallel legs. Gears have
     /// no losses here. The potential energy of the links is computed twice per motor: some 5 µs for six axes.
     pub fn torque(

@@ -1,8 +1,7 @@
 //! Bit rate and state of a CAN card, read and set through netlink, as `ip link set can0 type can` does.
 //!
-//! This is the rim: it makes system calls and allocates, and is for setting up. The kernel answers at once.
-//! Read [`set_bitrate`] first; [`change`] is for what
-//! a person would do with `ip`.
+//! For set-up only: the functions make system calls and allocate. The kernel answers at once. Read [`set_bitrate`]
+//! first; [`change`] is what a person would do with `ip`.
 
 use socketcan::nl::CanState;
 use socketcan::{CanInterface, Error, NlError};
@@ -14,8 +13,7 @@ use crate::{InterfaceName, OpenError, socketcan::find};
 /// What a card says of itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Card {
-    /// Whether the interface is up: the interface has the bit rate of its bus and takes part in the traffic as
-    /// `state` says.
+    /// Whether the interface is up (IFF_UP). An interface that is up has a bit rate.
     pub up: bool,
     /// Bit rate, bit/s; `None` if it was never set.
     pub bitrate: Option<u32>,
@@ -23,14 +21,14 @@ pub struct Card {
     pub sample_point: Option<u32>,
     /// What its controller does.
     pub state: CardState,
-    /// How long it waits after bus-off before it takes part again, ms; zero is for ever.
+    /// Delay of the automatic restart after bus-off, ms; 0 disables the restart.
     pub restart_ms: u32,
 }
 
 /// What the controller of a card does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CardState {
-    /// It takes part: error-active, with few or many errors, or error-passive.
+    /// Error-active, error-warning or error-passive: the controller takes part in the traffic.
     Running,
     /// Nothing, until it is restarted: there were too many errors.
     BusOff,
@@ -47,10 +45,10 @@ pub enum CardError {
     /// It is a CAN interface without a bit rate.
     #[error("{0}: no CAN card: a virtual interface has no bit rate")]
     NotCard(InterfaceName),
-    /// We may not set it.
+    /// CAP_NET_ADMIN is missing.
     #[error(
-        "{interface}: setting the bit rate takes the capability CAP_NET_ADMIN: run as root, or set it before with \
-         `ip link set {interface} type can bitrate {bitrate}`"
+        "{interface}: setting the bit rate needs CAP_NET_ADMIN: run as root, or run `ip link set {interface} down` and \
+         `ip link set {interface} up type can bitrate {bitrate}` before"
     )]
     Denied {
         /// The interface.
@@ -69,7 +67,7 @@ pub enum CardError {
     /// The rate is set, and its driver does not bring it up.
     #[error("{0}: the card does not come up: `dmesg` may say why")]
     StaysDown(InterfaceName),
-    /// The kernel took the rate and made another of it.
+    /// The card runs at another rate than was set.
     #[error("{interface}: set to {wanted} bit/s, the card is at {found} bit/s")]
     Otherwise {
         /// The interface.
@@ -79,10 +77,10 @@ pub enum CardError {
         /// The rate it has, bit/s.
         found: u32,
     },
-    /// The kernel does not change it, and its reason does not come through.
+    /// The kernel refuses the change, and `socketcan` loses its reason.
     #[error(
-        "{0}: the kernel refuses: it takes the capability CAP_NET_ADMIN, a card needs a bit rate to come up, and not every \
-         card has every bit rate"
+        "{0}: the kernel refuses, and its reason is lost: CAP_NET_ADMIN is missing, no bit rate was set before the \
+         interface came up, or the card cannot reach this rate"
     )]
     Refused(InterfaceName),
     /// Anything else that the kernel said.
@@ -105,8 +103,9 @@ pub fn read(interface: &str) -> Result<Card, CardError> {
 /// Sets the card `interface` to `bitrate`, brings it up, and returns what it then says of itself.
 ///
 /// An interface that is up at this rate and takes part in the traffic is left unchanged. An interface at another rate
-/// is taken down first, which ends the traffic of its other users. If the new rate cannot be set, the interface is
-/// brought up again at the rate that it had.
+/// or in bus-off is taken down first, which ends the traffic of its other users. If the kernel refuses the new rate, an
+/// interface that was up comes up again at its old rate. If the card settles on another rate, the interface stays up at
+/// that rate.
 pub fn set_bitrate(interface: &str, bitrate: Bitrate) -> Result<Card, CardError> {
     let name = find(interface)?;
     let wanted = bitrate.kbps() * 1000;
@@ -155,7 +154,8 @@ pub fn is_up(interface: &str) -> Result<bool, CardError> {
 /// What is to be changed of an interface; what is `None` stays.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Change {
-    /// Bit rate, bit/s, and sample point, tenths of a percent; without one, the kernel's own choice.
+    /// Bit rate, bit/s, and sample point, tenths of a percent; the kernel chooses
+    /// the sample point if there is none or if the value is 1000 or more.
     pub timing: Option<(u32, Option<u32>)>,
     /// Time from bus-off to the restart, ms; zero for never.
     pub restart_ms: Option<u32>,

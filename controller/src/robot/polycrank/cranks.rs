@@ -1,4 +1,4 @@
-//! The two upper cranks of the Polycrank.
+//! Geometry of the Polycrank: upper cranks, forearm and tool, with their reach, facings and Jacobian.
 
 use std::f64::consts::PI;
 
@@ -75,7 +75,8 @@ pub(super) fn angles(
     if square < PARALLEL * PARALLEL {
         return ([(kept, bend), (kept, -bend)], bend_sin);
     }
-    // The first crank leads the point by half the bend if both cranks are equal, otherwise by Mollweide's formula.
+    // Angle between the first crank and the line to the point: half the bend for equal cranks, otherwise by the law of
+    // tangents.
     let lead = half - (difference * sin).atan2(sum * cos);
     let point = y.atan2(x);
     ([(point - lead, bend), (point + lead, -bend)], bend_sin)
@@ -208,8 +209,8 @@ impl Cranks {
         })
     }
 
-    /// The ring with a hole that opens early. The hole about the folded upper cranks opens abruptly as the arm moves
-    /// across, faster than the reach could move out of the way.
+    /// The ring with a hole that grows gradually over [`EARLY`] m. The true hole, where the upper cranks would fold,
+    /// appears faster than the reach can follow.
     pub(super) fn ahead_of_the_hole(&self, facing: &Facing, ring: Ring) -> Ring {
         let Facing { end, ahead, .. } = facing;
         let [inner, outer] = self.upper.map(f64::abs);
@@ -230,7 +231,7 @@ fn tool(ahead: &Vector3<f64>, psi: f64) -> (Vector3<f64>, Vector3<f64>) {
     (ahead * c + up * s, ahead * s - up * c)
 }
 
-/// Half the chord of a circle at a distance from its centre. Fails with the distance by which the chord misses the
+/// Half the chord of a circle at a distance from its centre. Fails with the distance by which the line misses the
 /// circle.
 fn half_chord(radius: f64, distance: f64) -> Result<f64, f64> {
     let distance = distance.abs();

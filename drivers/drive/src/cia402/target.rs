@@ -6,9 +6,9 @@ use crate::{AxisCommand, Finite, Permille, Refusal, Scale, Setpoint};
 /// Target of a drive, in the drive's units.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Target {
-    /// The target of the mode; a torque uses 16 bits.
+    /// Target position (increments), velocity (rpm) or torque (thousandths of the rated torque, within 16 bits).
     pub(super) value: i32,
-    /// Torque that the drive adds to the output of its loops.
+    /// Torque offset (0x60B2), which the drive adds to the torque demand.
     pub(super) torque: Permille,
 }
 
