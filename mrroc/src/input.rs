@@ -22,7 +22,7 @@ pub const RECORD: usize = 1 << 20;
 #[derive(Debug, Error)]
 pub enum InputError {
     /// The system reports an error.
-    #[error("{0}")]
+    #[error(transparent)]
     Os(#[from] io::Error),
     /// The file is not a regular file, and may have no end.
     #[error("is {0}, must be a regular file")]

@@ -53,7 +53,8 @@ use run::{Requests, RunOptions};
 /// The reason why a cell or a program was refused, as text.
 pub type Error = anyhow::Error;
 
-/// Rehearses `tasks`, runs them on `bench` and returns the report. Moves hardware on [`BenchKind::Card`].
+/// Rehearses `tasks`, runs them on `bench` and returns the report. A fault of the run is no error:
+/// [`RunReport::outcome`] has the outcome. Moves hardware on [`BenchKind::Card`].
 ///
 /// This function catches no signal. If a signal ends the process, only the drives' own watchdogs stop the robots.
 /// [`program`], and [`run::run`] with [`Requests`], brake first.
@@ -76,6 +77,6 @@ pub mod prelude {
     pub use crate::bench::BenchKind;
     pub use crate::cell_file::CellFile;
     pub use crate::motions::Motions;
-    pub use crate::report::{Outcome, RunReport};
+    pub use crate::report::{AxisReport, Deviation, FaultReport, Outcome, RobotReport, RunReport};
     pub use crate::tasks::Tasks;
 }

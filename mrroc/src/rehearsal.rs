@@ -197,8 +197,9 @@ fn of_task(file: &CellFile, robot: usize, instruction: usize, why: String) -> an
     let robot = &file.cell.robot[robot];
     let why = robot.naming_axes(why);
     anyhow!(
-        "robot {}: instruction {instruction} of its task: {why}",
-        robot.name
+        "robot {}: instruction {} of its task: {why}",
+        robot.name,
+        instruction + 1
     )
 }
 

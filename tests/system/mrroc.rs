@@ -50,6 +50,12 @@ pub(crate) fn planted() -> PathBuf {
     built("examples/planted", &of_package)
 }
 
+/// An example program of the library.
+pub(crate) fn example_program(name: &str) -> PathBuf {
+    let of_package = ["--package", "mrroc", "--example", name];
+    built(&format!("examples/{name}"), &of_package)
+}
+
 /// Builds a program of the workspace. `place` is its path in the directory of the profile, `of_package` selects it for
 /// cargo.
 fn built(place: &str, of_package: &[&str]) -> PathBuf {

@@ -1,9 +1,43 @@
-//! A program of a user that is no member of the workspace.
+//! Programs of users: the examples of the library, and a program that is no member of the workspace.
 
 use std::fs;
 use std::process::Command;
 
-use crate::mrroc::root;
+use crate::mrroc::{Directory, example_program, root};
+
+#[test]
+fn the_example_generator_swings_out_and_comes_back_to_where_it_began() {
+    let directory = Directory::new();
+    let record = directory.path("swing.csv");
+    let run = Command::new(example_program("own_generator"))
+        .args(["--bench", "lockstep", "--record"])
+        .arg(&record)
+        .current_dir(root())
+        .output()
+        .unwrap();
+    assert!(run.status.success(), "{run:?}");
+    let record = fs::read_to_string(record).unwrap();
+    let moving = record.lines().filter_map(|line| {
+        let fields: Vec<_> = line.split(',').collect();
+        let swings = fields[2] == "column" && fields[3] == "Moving";
+        swings.then(|| fields[5].parse::<f64>().unwrap())
+    });
+    let commanded: Vec<_> = moving.collect();
+    // 200 macrosteps of ten periods.
+    assert!(
+        (1990..=2000).contains(&commanded.len()),
+        "{}",
+        commanded.len()
+    );
+    let (first, last) = (commanded[0], commanded[commanded.len() - 1]);
+    assert!((first - last).abs() < 1e-3, "{first} {last}");
+    let farthest = commanded
+        .iter()
+        .map(|it| (it - first).abs())
+        .fold(0.0, f64::max);
+    // 0.5 rad of the joint, by a gear of 158.
+    assert!((70.0..90.0).contains(&farthest), "{farthest}");
+}
 
 #[test]
 fn a_program_outside_the_workspace_runs_its_own_generator_in_lockstep() {

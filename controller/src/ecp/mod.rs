@@ -121,6 +121,10 @@ pub struct Busy {
     pub instruction: usize,
 }
 
+/// Motor velocity, rad/s, below which a motor stands: a generator that computes its last velocity, such as by
+/// `sin(2.0 * PI)`, leaves a rounding error.
+const STILL: f64 = 1e-9;
+
 /// Current activity. Every activity except `Idle` ends by a report or at its deadline.
 enum Activity {
     Idle,
@@ -141,6 +145,8 @@ enum Activity {
     },
     /// The last macrostep, which ends at standstill, was sent.
     Arriving,
+    /// The last macrostep, which ends in motion, was sent. A stop follows once the servo reports from that macrostep.
+    RunningOut,
     /// A stop is offered (`since` is `None`) or sent. `outcome` is the result after the stop.
     Stopping {
         since: Option<Instant>,
@@ -444,7 +450,9 @@ impl Ecp {
                 let waited = now.since(since);
                 (waited > self.config.meeting).then_some(Err(EcpError::Unmet { waited }))
             }
-            Activity::Running { .. } | Activity::Arriving => self.advance_motion(now),
+            Activity::Running { .. } | Activity::Arriving | Activity::RunningOut => {
+                self.advance_motion(now)
+            }
             Activity::Stopping { since: None, .. } => {
                 let waited = now.since(self.heard);
                 (waited > self.config.switching)
@@ -476,8 +484,12 @@ impl Ecp {
         } else if waited > self.config.silence + self.config.macrostep() {
             self.brake(Err(EcpError::Silent { waited }));
         } else if matches!(self.activity, Activity::Arriving) {
-            let arrived = phase == Phase::Standing && self.executed.max(self.base) >= self.sent;
+            let arrived = phase == Phase::Standing && self.outstanding() == 0;
             return arrived.then_some(Ok(()));
+        } else if matches!(self.activity, Activity::RunningOut) {
+            if self.outstanding() == 0 {
+                self.brake(Ok(()));
+            }
         } else {
             for _ in 0..self.config.lead.max(1) {
                 self.step();
@@ -500,6 +512,7 @@ impl Ecp {
 
     /// Requests the next macrostep from the generator if the macrostep is due.
     fn step(&mut self) {
+        let outstanding = self.outstanding();
         let Activity::Running { run } = &mut self.activity else {
             return;
         };
@@ -508,7 +521,7 @@ impl Ecp {
         } else {
             1
         };
-        if self.sent - self.executed.max(self.base) >= lead {
+        if outstanding >= lead {
             return;
         }
         match run.next_step(&self.effector) {
@@ -518,7 +531,7 @@ impl Ecp {
                 }
             }
             Ok(Step::Ended) if self.effector.commanded.velocity.iter().any(|v| *v != 0.0) => {
-                self.brake(Ok(()));
+                self.activity = Activity::RunningOut;
             }
             Ok(Step::Ended) => self.activity = Activity::Arriving,
             Err(error) => self.brake(Err(EcpError::Generator {
@@ -528,6 +541,11 @@ impl Ecp {
         }
     }
 
+    /// Macrosteps that were sent and from which the servo has not reported.
+    fn outstanding(&self) -> u64 {
+        self.sent.saturating_sub(self.executed.max(self.base))
+    }
+
     /// Converts the generator's set-point to a macrostep and puts the macrostep into the outbox.
     fn command(&mut self, setpoint: Option<Setpoint>) -> Result<(), EcpError> {
         let step = self.sent - self.base;
@@ -535,7 +553,10 @@ impl Ecp {
             return Err(EcpError::NotFinite { step, axis });
         }
         let out_of_reach = |error| EcpError::OutOfReach { step, error };
-        let motors = self.effector.motors(setpoint).map_err(out_of_reach)?;
+        let mut motors = self.effector.motors(setpoint).map_err(out_of_reach)?;
+        for velocity in motors.velocity.iter_mut().filter(|it| it.abs() < STILL) {
+            *velocity = 0.0;
+        }
         let torque = self.effector.arm.torques(&motors.position);
         let torque = torque.map_err(out_of_reach)?;
         self.effector.commanded = motors;

@@ -1,5 +1,6 @@
 //! The ECP with a scripted servo, in virtual time.
 
+mod endings;
 mod failures;
 mod weight;
 

@@ -207,7 +207,7 @@ impl fmt::Display for FaultReport {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Outcome {
-    /// The program end to its end.
+    /// The programs ran to their end.
     Completed,
     /// Somebody stopped it.
     Stopped,
