@@ -152,6 +152,8 @@ fn completes(name: &str, directory: &Directory, change: impl FnOnce(&mut Cell)) 
 /// Runs the cell in `directory` once.
 fn run(directory: &Directory, cell: &Cell, interfaces: &Interfaces) -> Output {
     let ttys = directory.path("ttys");
+    // A killed emulator leaves its links behind.
+    let _ = std::fs::remove_dir_all(&ttys);
     let ends = |command: &str| {
         let mut arguments = vec![command.into(), directory.path("cell.toml").into()];
         arguments.extend(interfaces.options().map(OsString::from));

@@ -168,7 +168,7 @@ fn a_directory_that_other_users_can_change_is_refused() {
         let said = refused_out(&scratch, &place(out)).stderr;
         let said = String::from_utf8(said).unwrap();
         assert!(
-            said.contains("output directory") && said.contains("any user"),
+            said.contains("output directory") && said.contains("other users"),
             "{said}"
         );
     }
