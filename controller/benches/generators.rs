@@ -8,8 +8,8 @@ use std::time::Duration;
 use can::Instant;
 use criterion::{Criterion, criterion_group, criterion_main};
 use mrroc_controller::generator::{
-    Axes, AxesState, EffectorImage, EffectorState, Generator, JerkLimited, Line, LineLimits,
-    MotionLimits, Newsmooth, Next, Pose, SmoothPose,
+    Axes, AxesState, EffectorImage, EffectorState, Generator, JerkLimited, LineLimits,
+    MotionLimits, Newsmooth, Next, Pose, SmoothPose, StraightLine,
 };
 use mrroc_controller::robot::{Arm, Irp6, Irp6Parameters, Space};
 
@@ -95,7 +95,7 @@ fn generators(c: &mut Criterion) {
         max_angular_acceleration: 4.0,
         max_angular_jerk: 40.0,
     };
-    let line = Line::new(arm, target, line_limits, limits).expect("limits are positive");
+    let line = StraightLine::new(arm, target, line_limits, limits).expect("limits are positive");
     measure(c, "line of 187 mm", line, &e, &());
 }
 

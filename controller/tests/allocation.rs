@@ -9,14 +9,14 @@ use std::time::Duration;
 use can::Instant;
 use mrroc_controller::ecp::{Ecp, EcpConfig, Task};
 use mrroc_controller::generator::{
-    Axes, Generator, GeneratorError, JerkLimited, Line, LineLimits, MotionLimits, Newsmooth, Pose,
-    SmoothPose,
+    Axes, Generator, GeneratorError, JerkLimited, LineLimits, MotionLimits, Newsmooth, Pose,
+    SmoothPose, StraightLine,
 };
 use mrroc_controller::robot::{
     Arm, Irb6, Irb6Parameters, Irp6, Irp6Parameters, Irp6Track, Irp6TrackParameters, Joints, Mass,
     Polycrank, PolycrankParameters, Rnt, RntParameters, Robot, Space, Weight,
 };
-use servo::{EffectorLink, Order, Phase, Report};
+use servo::{EffectorLink, Order, Phase, ServoReport};
 
 /// The system's allocator, with a count of the allocations of each thread.
 struct Counting;
@@ -64,7 +64,7 @@ where
     let (orders, mut servo_orders) = rtrb::RingBuffer::new(16);
     let (mut servo_reports, reports) = rtrb::RingBuffer::new(16);
     let mut ecp = Ecp::new(arm(), EffectorLink { orders, reports }, EcpConfig::usual());
-    let mut report = Report {
+    let mut report = ServoReport {
         at: Instant::ZERO,
         phase: Phase::Standing,
         homed: true,
@@ -127,7 +127,7 @@ fn no_generator_allocates_once_it_was_made() {
         max_angular_jerk: 40.0,
     };
     assert_eq!(
-        allocations(Line::new(arm(), target, line_limits, limits)),
+        allocations(StraightLine::new(arm(), target, line_limits, limits)),
         (0, 0),
         "line"
     );

@@ -3,7 +3,9 @@
 use std::hint::black_box;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use mrroc_hil::{Axis, AxisConfig, Demand, Irp6Axis, Irp6TrackAxis, Mechanism, MechanismConfig};
+use mrroc_hil::{
+    AxisConfig, Demand, Irp6Axis, Irp6TrackAxis, Mechanism, MechanismConfig, PlantAxis,
+};
 
 /// Sub-steps in a servo period of 2 ms.
 const PERIOD: u32 = 20;
@@ -16,7 +18,7 @@ fn advance(c: &mut Criterion) {
         ("wut", AxisConfig::wut(Irp6Axis::Column)),
     ];
     for (name, config) in plants {
-        let mut axis = Axis::new(&config, 1);
+        let mut axis = PlantAxis::new(&config, 1);
         let mut target = 0.0;
         let mut period = 0_u32;
         group.bench_function(name, |b| {
@@ -69,9 +71,9 @@ fn mounted(c: &mut Criterion) {
         let axis = |number: usize| {
             let config = preset(number)?;
             let mount = mechanism.mount(number, config.index_angle)?;
-            Some(Axis::mounted(&config, number as u64, Some(&mount)))
+            Some(PlantAxis::mounted(&config, number as u64, Some(&mount)))
         };
-        let mut axes: Vec<Axis> = (0..mechanism.axes()).filter_map(axis).collect();
+        let mut axes: Vec<PlantAxis> = (0..mechanism.axes()).filter_map(axis).collect();
         let sub_steps = axes.len() as u64 * u64::from(PERIOD);
         group.throughput(Throughput::Elements(sub_steps));
         let mut period = 0_u32;

@@ -147,9 +147,9 @@ impl VirtualBus {
         while let Some((at, event)) = self.next().filter(|&(at, _)| at <= until) {
             self.now = self.now.max(at);
             match event {
-                Event::TimeOut => self.time_out(),
-                Event::FrameEnd => self.end_frame(),
-                Event::FrameStart => self.start_frame(),
+                BusEvent::TimeOut => self.time_out(),
+                BusEvent::FrameEnd => self.end_frame(),
+                BusEvent::FrameStart => self.start_frame(),
             }
         }
         if until > self.now {
@@ -164,23 +164,23 @@ impl VirtualBus {
         Some(at)
     }
 
-    fn next(&self) -> Option<(Instant, Event)> {
+    fn next(&self) -> Option<(Instant, BusEvent)> {
         let time_out = self
             .devices
             .iter()
             .filter_map(|attached| attached.time_out)
             .min();
         let wire = match self.on_wire {
-            Some(transmission) => Some((transmission.ends, Event::FrameEnd)),
+            Some(transmission) => Some((transmission.ends, BusEvent::FrameEnd)),
             None => self
                 .heads()
                 .map(|(_, head)| head.at)
                 .min()
-                .map(|at| (at.max(self.free_at), Event::FrameStart)),
+                .map(|at| (at.max(self.free_at), BusEvent::FrameStart)),
         };
         match (time_out, wire) {
-            (Some(at), Some((wire_at, _))) if at <= wire_at => Some((at, Event::TimeOut)),
-            (Some(at), None) => Some((at, Event::TimeOut)),
+            (Some(at), Some((wire_at, _))) if at <= wire_at => Some((at, BusEvent::TimeOut)),
+            (Some(at), None) => Some((at, BusEvent::TimeOut)),
             (_, wire) => wire,
         }
     }
@@ -277,7 +277,7 @@ impl VirtualBus {
     }
 }
 
-enum Event {
+enum BusEvent {
     TimeOut,
     FrameEnd,
     FrameStart,

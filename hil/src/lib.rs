@@ -35,8 +35,8 @@ pub use line::{LineFaults, LineStatistics, Stuck, WireFaults};
 pub use line_device::LineDevice;
 pub use outbox::Heard;
 pub use plant::{
-    Axis, AxisConfig, Demand, Feedback, Irp6Axis, Irp6TrackAxis, Mechanism, MechanismConfig, Mount,
-    PlantConfig, Trip,
+    AxisConfig, Demand, Feedback, Irp6Axis, Irp6TrackAxis, Mechanism, MechanismConfig, Mount,
+    PlantAxis, PlantConfig, Trip,
 };
 pub use pty::{Pty, PtyError};
 pub use slcan::{Acknowledge, SlcanConfig, SlcanCounts, SlcanDevice};

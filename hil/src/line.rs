@@ -169,7 +169,7 @@ impl Adapter {
 }
 
 #[derive(Clone, Copy, Debug)]
-enum Event {
+enum LineEvent {
     TimeOut,
     ToDevice,
     ToHost,
@@ -247,7 +247,7 @@ impl SerialLine {
         while let Some((at, event)) = self.next().filter(|&(at, _)| at <= until) {
             self.now = self.now.max(at);
             match event {
-                Event::TimeOut => {
+                LineEvent::TimeOut => {
                     self.device.handle_timeout(self.now);
                     self.collect();
                     // A device that requests time-outs without end must not stop time.
@@ -255,14 +255,14 @@ impl SerialLine {
                         self.time_out = Some(self.now + self.to_host.settings.line_time(1));
                     }
                 }
-                Event::ToDevice => {
+                LineEvent::ToDevice => {
                     for arrived in self.to_device.finish().into_iter().flatten() {
                         self.device.receive(arrived.byte, self.now);
                     }
                     self.take_from_host();
                     self.collect();
                 }
-                Event::ToHost => {
+                LineEvent::ToHost => {
                     // The timer may have expired, with no byte to deliver, while the byte was on its way.
                     self.run_adapter();
                     for arrived in self.to_host.finish().into_iter().flatten() {
@@ -274,7 +274,7 @@ impl SerialLine {
                     }
                     self.collect();
                 }
-                Event::Packet => self.run_adapter(),
+                LineEvent::Packet => self.run_adapter(),
             }
         }
         self.now = self.now.max(until);
@@ -286,7 +286,7 @@ impl SerialLine {
         Some(at)
     }
 
-    fn next(&self) -> Option<(Instant, Event)> {
+    fn next(&self) -> Option<(Instant, LineEvent)> {
         let on_wire = |direction: &Direction| direction.on_wire.map(|byte| byte.at);
         let offered = || {
             let byte = self.host.as_ref()?.peek()?;
@@ -299,16 +299,19 @@ impl SerialLine {
         };
         // Explicit comparisons: this code runs for each byte, and an iterator over pairs doubled the cost of a whole
         // cell.
-        let mut first = (Instant::FAR_FUTURE, Event::TimeOut);
+        let mut first = (Instant::FAR_FUTURE, LineEvent::TimeOut);
         let mut consider = |at: Option<Instant>, event| {
             if let Some(at) = at.filter(|&at| at < first.0) {
                 first = (at, event);
             }
         };
-        consider(self.time_out, Event::TimeOut);
-        consider(on_wire(&self.to_device).or_else(offered), Event::ToDevice);
-        consider(on_wire(&self.to_host), Event::ToHost);
-        consider(packet(), Event::Packet);
+        consider(self.time_out, LineEvent::TimeOut);
+        consider(
+            on_wire(&self.to_device).or_else(offered),
+            LineEvent::ToDevice,
+        );
+        consider(on_wire(&self.to_host), LineEvent::ToHost);
+        consider(packet(), LineEvent::Packet);
         (first.0 < Instant::FAR_FUTURE).then_some(first)
     }
 

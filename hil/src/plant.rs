@@ -1,6 +1,6 @@
 //! Plants: the physics behind an emulated axis controller, from motor windings to limit switches.
 //!
-//! Read [`Axis`] first: one motor with its load, its sensors and the inner loops of its drive, advanced in sub-steps
+//! Read [`PlantAxis`] first: one motor with its load, its sensors and the inner loops of its drive, advanced in sub-steps
 //! of 100 µs. An axis has one of two plants. [`Wut`] is the simple model with which the robots' own software emulated
 //! its hardware, and is kept as the regression model. [`MotorConfig`] is a motor with windings, friction, gravity,
 //! end stops and temperature. [`AxisConfig::irp6`] and its neighbours hold the parameters of the lab's robots. A
@@ -23,7 +23,7 @@ mod switch;
 mod thermal;
 mod wut;
 
-pub use axis::{Axis, AxisConfig, Demand, Feedback, PlantConfig, Trip};
+pub use axis::{AxisConfig, Demand, Feedback, PlantAxis, PlantConfig, Trip};
 pub use friction::FrictionConfig;
 pub use irp6::Irp6Axis;
 pub use lab::Irp6TrackAxis;
@@ -34,7 +34,7 @@ pub use switch::Switch;
 pub use thermal::ThermalConfig;
 pub use wut::{Wut, WutConfig};
 
-/// The integration step of every plant in an [`Axis`], s.
+/// The integration step of every plant in an [`PlantAxis`], s.
 ///
 /// Compared with a reference step of 10 µs, the error of an IRp-6 motor under its servo loop is 0.06 counts at this
 /// step. At the 2 ms of the servo period the error is 1.4 counts.

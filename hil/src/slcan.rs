@@ -18,7 +18,7 @@
 
 use std::collections::VecDeque;
 
-use can::slcan::{BusErrors, Command, Piece, Report, Splitter, StatusFlags};
+use can::slcan::{AdapterReport, BusErrors, Command, Piece, Splitter, StatusFlags};
 use can::timing::{Bitrate, Format};
 use can::{ControllerState, Frame, Id, Instant};
 
@@ -99,7 +99,7 @@ pub struct SlcanDevice {
     receive_errors: u16,
     transmit_errors: u16,
     to_bus: VecDeque<Frame>,
-    to_poll: VecDeque<Report>,
+    to_poll: VecDeque<AdapterReport>,
     to_host: VecDeque<u8>,
     counts: SlcanCounts,
 }
@@ -174,8 +174,8 @@ impl SlcanDevice {
                 None if self.splitter.dropped() != dropped => None,
                 None => continue,
             };
-            let answer = command.map_or(Report::Refused, |command| self.obey(command, now));
-            self.counts.refused += u64::from(answer == Report::Refused);
+            let answer = command.map_or(AdapterReport::Refused, |command| self.obey(command, now));
+            self.counts.refused += u64::from(answer == AdapterReport::Refused);
             if !self.say(&answer, TO_HOST) {
                 self.counts.unsaid += 1;
             }
@@ -222,7 +222,7 @@ impl SlcanDevice {
             self.to_bus.clear();
         }
         if self.state != before {
-            let state = Report::State {
+            let state = AdapterReport::State {
                 state: self.state,
                 receive,
                 transmit,
@@ -235,11 +235,11 @@ impl SlcanDevice {
     pub fn report_errors(&mut self, errors: BusErrors) {
         if self.channel != Channel::Closed {
             self.flags.0 |= StatusFlags::BUS_ERROR;
-            self.volunteer(&Report::Errors(errors));
+            self.volunteer(&AdapterReport::Errors(errors));
         }
     }
 
-    fn obey(&mut self, command: Command, now: Instant) -> Report {
+    fn obey(&mut self, command: Command, now: Instant) -> AdapterReport {
         let closed = self.channel == Channel::Closed;
         match command {
             Command::Empty | Command::LineSpeed(_) => {}
@@ -259,47 +259,47 @@ impl SlcanDevice {
             | Command::TimeStamps(_)
             | Command::AutoPoll(_)
             | Command::AcceptanceCode(_)
-            | Command::AcceptanceMask(_) => return Report::Refused,
+            | Command::AcceptanceMask(_) => return AdapterReport::Refused,
             Command::Open => return self.open(Channel::Open),
             Command::ListenOnly => return self.open(Channel::ListenOnly),
             Command::Loopback => return self.open(Channel::Loopback),
             Command::Close => self.close(),
             Command::Transmit(frame) => return self.transmit(frame, now),
             Command::Version => {
-                return Report::Version {
+                return AdapterReport::Version {
                     hardware: 0x10,
                     software: 0x10,
                 };
             }
-            Command::Firmware => return Report::Firmware { major: 1, minor: 0 },
-            Command::SerialNumber => return Report::SerialNumber(self.config.serial_number),
-            Command::Flags => return Report::Flags(std::mem::take(&mut self.flags)),
+            Command::Firmware => return AdapterReport::Firmware { major: 1, minor: 0 },
+            Command::SerialNumber => return AdapterReport::SerialNumber(self.config.serial_number),
+            Command::Flags => return AdapterReport::Flags(std::mem::take(&mut self.flags)),
             Command::Poll | Command::PollAll if closed || self.auto_poll => {
-                return Report::Refused;
+                return AdapterReport::Refused;
             }
-            Command::Poll => return self.to_poll.pop_front().unwrap_or(Report::Done),
+            Command::Poll => return self.to_poll.pop_front().unwrap_or(AdapterReport::Done),
             Command::PollAll => {
                 while let Some(&report) = self.to_poll.front()
                     && self.say(&report, TO_HOST - FOR_ANSWERS)
                 {
                     self.to_poll.pop_front();
                 }
-                return Report::PollEnd;
+                return AdapterReport::PollEnd;
             }
         }
-        Report::Done
+        AdapterReport::Done
     }
 
-    fn open(&mut self, how: Channel) -> Report {
+    fn open(&mut self, how: Channel) -> AdapterReport {
         match (self.channel, self.in_tune) {
             (Channel::Closed, Some(_)) => {
                 self.channel = how;
                 self.state = ControllerState::Active;
                 (self.receive_errors, self.transmit_errors) = (0, 0);
-                Report::Done
+                AdapterReport::Done
             }
-            (as_before, _) if as_before == how => Report::Done,
-            _ => Report::Refused,
+            (as_before, _) if as_before == how => AdapterReport::Done,
+            _ => AdapterReport::Refused,
         }
     }
 
@@ -309,10 +309,10 @@ impl SlcanDevice {
         self.to_poll.clear();
     }
 
-    fn transmit(&mut self, frame: Frame, now: Instant) -> Report {
+    fn transmit(&mut self, frame: Frame, now: Instant) -> AdapterReport {
         match self.channel {
-            _ if self.state == ControllerState::BusOff => return Report::Refused,
-            Channel::Closed | Channel::ListenOnly => return Report::Refused,
+            _ if self.state == ControllerState::BusOff => return AdapterReport::Refused,
+            Channel::Closed | Channel::ListenOnly => return AdapterReport::Refused,
             Channel::Loopback => self.report(frame, now),
             Channel::Open if self.in_tune == Some(false) => {
                 self.set_error_counters(self.receive_errors, 256);
@@ -321,11 +321,13 @@ impl SlcanDevice {
         }
         self.counts.sent += 1;
         match (self.config.acknowledge, frame.id()) {
-            (Acknowledge::Letter, Some(id)) if self.auto_poll => Report::Transmitted(match id {
-                Id::Standard(_) => Format::Standard,
-                Id::Extended(_) => Format::Extended,
-            }),
-            _ => Report::Done,
+            (Acknowledge::Letter, Some(id)) if self.auto_poll => {
+                AdapterReport::Transmitted(match id {
+                    Id::Standard(_) => Format::Standard,
+                    Id::Extended(_) => Format::Extended,
+                })
+            }
+            _ => AdapterReport::Done,
         }
     }
 
@@ -333,7 +335,7 @@ impl SlcanDevice {
     fn report(&mut self, frame: Frame, now: Instant) {
         let millis = now.as_nanos() / 1_000_000 % 60_000;
         let stamp = self.time_stamps.then_some(millis as u16);
-        let report = Report::Received { frame, stamp };
+        let report = AdapterReport::Received { frame, stamp };
         if self.auto_poll {
             if self.volunteer(&report) {
                 self.counts.received += 1;
@@ -348,7 +350,7 @@ impl SlcanDevice {
     }
 
     /// Sends an unsolicited report, if there is room.
-    fn volunteer(&mut self, report: &Report) -> bool {
+    fn volunteer(&mut self, report: &AdapterReport) -> bool {
         let said = self.say(report, TO_HOST - FOR_ANSWERS);
         if !said {
             self.flags.0 |= StatusFlags::DATA_OVERRUN;
@@ -357,7 +359,7 @@ impl SlcanDevice {
         said
     }
 
-    fn say(&mut self, report: &Report, room: usize) -> bool {
+    fn say(&mut self, report: &AdapterReport, room: usize) -> bool {
         // Encoding succeeds for each report of this device: a frame comes from the bus, and other reports fit into a
         // line.
         let Some(line) = report.encode() else {

@@ -38,12 +38,12 @@ pub struct Bundle {
     /// Baud rate of each line, bit/s.
     pub baud: u32,
     /// The lines of the bundle.
-    pub lines: Vec<Line>,
+    pub lines: Vec<LineBudget>,
 }
 
 /// The line of one axis.
 #[derive(Debug, Serialize)]
-pub struct Line {
+pub struct LineBudget {
     /// Name of the axis.
     pub axis: String,
     /// The tty.
@@ -141,7 +141,7 @@ fn check_lines(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
     let axes = file.cell.axes_on(file.cell.bus.len() + index);
     let line = |(robot, axis): (usize, usize)| {
         let axis = &file.cell.robot[robot].axis[axis];
-        Some(Line {
+        Some(LineBudget {
             axis: axis.name.clone(),
             line: axis.controller.as_ref()?.line.clone(),
             address: (bundle.protocol == Protocol::Nfv2).then_some(axis.node),

@@ -148,7 +148,7 @@ impl CheckReport {
                     protocol.name(),
                     self.period_us
                 )?;
-                for budget::Line {
+                for budget::LineBudget {
                     axis,
                     line,
                     address,

@@ -7,7 +7,7 @@ use crate::excitation::Playing;
 use crate::host_loop::Loop;
 use crate::search::Search;
 use crate::{
-    HomingFailure, Knot, PositionLoop, ServoAxisConfig, State, StopCause, TrackingError, limit,
+    HomingFailure, Knot, PositionLoop, ServoAxisConfig, ServoState, StopCause, TrackingError, limit,
 };
 
 /// Commands remembered per axis. A sample older than that is compared with the oldest command.
@@ -17,7 +17,7 @@ pub(crate) const REMEMBERED: usize = 16;
 const STILL: f64 = 0.01;
 
 /// An axis.
-pub(crate) struct Axis {
+pub(crate) struct ServoAxis {
     pub(crate) config: ServoAxisConfig,
     /// [`DriveGroup::delay`](drive::DriveGroup::delay) of its group.
     delay: usize,
@@ -47,7 +47,7 @@ pub(crate) struct Axis {
     search: Option<Search>,
 }
 
-impl Axis {
+impl ServoAxis {
     pub(crate) fn new(config: ServoAxisConfig, delay: usize) -> Self {
         Self {
             config,
@@ -97,14 +97,14 @@ impl Axis {
     }
 
     /// Counts the tracking error of a new sample, rad, while the effector is in `state`.
-    pub(crate) fn track(&mut self, error: f64, state: State) {
+    pub(crate) fn track(&mut self, error: f64, state: ServoState) {
         if self.state.age > 0 {
             return;
         }
-        if state == State::Moving {
+        if state == ServoState::Moving {
             self.tracking.record(error);
         }
-        let counts = matches!(state, State::Standing | State::Moving) && self.is_homed();
+        let counts = matches!(state, ServoState::Standing | ServoState::Moving) && self.is_homed();
         self.expected = counts.then_some(self.state.position + error);
     }
 

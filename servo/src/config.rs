@@ -12,7 +12,7 @@ use thiserror::Error;
 pub use host_homing::{Direction, HomingLeg, HostHoming};
 pub use loop_ranges::LoopBounds;
 pub use position_loop::{FeedForward, HostLoop, Law, Output, PositionLoop};
-pub use refusal::{Figure, Range, Reason, Refusal};
+pub use refusal::{Figure, KeyError, KeyProblem, Range};
 
 use crate::{AxisLimits, MAX_AXES};
 

@@ -8,14 +8,14 @@ use std::time::Duration;
 use can::Instant;
 use drive::{AxisCommand, AxisState, Power};
 
-use crate::axis::Axis;
+use crate::axis::ServoAxis;
 use crate::excitation::Playing;
 use crate::interpolate::Segment;
 use crate::servo::OpenGates;
 use crate::{
-    After, Answer, AxisRecord, Counters, EffectorConfig, EffectorLink, Event, Excitation,
-    ExcitationError, Knot, MAX_AXES, Order, Record, Report, ServoAxisConfig, ServoFault, State,
-    StopCause, StraightStop, TrackingError,
+    After, Answer, AxisRecord, Counters, EffectorConfig, EffectorLink, Excitation, ExcitationError,
+    Knot, MAX_AXES, Order, Record, ServoAxisConfig, ServoEvent, ServoFault, ServoReport,
+    ServoState, StopCause, StraightStop, TrackingError,
 };
 
 /// Longest wait for standstill after the last set-point of a stop. The power is then switched off.
@@ -51,14 +51,14 @@ pub(crate) struct Tick {
 /// State of one effector.
 pub(crate) struct Effector {
     index: u8,
-    axes: Vec<Axis>,
+    axes: Vec<ServoAxis>,
     enabling_timeout: Duration,
     homing_timeout: Duration,
     orders: rtrb::Consumer<Order>,
     /// Number of orders at the front of the queue that were checked and are neither stop nor disable.
     scanned: usize,
-    reports: rtrb::Producer<Report>,
-    state: State,
+    reports: rtrb::Producer<ServoReport>,
+    state: ServoState,
     /// Time at which `state` was entered.
     since: Instant,
     fault: Option<ServoFault>,
@@ -66,7 +66,7 @@ pub(crate) struct Effector {
     stop: StraightStop,
     /// The present stop was restarted because a bus refused its set-points.
     stop_restarted: bool,
-    /// While [`State::Halting`]: the drives have come to rest.
+    /// While [`ServoState::Halting`]: the drives have come to rest.
     halted: bool,
     /// Number of the last macrostep begun.
     macrostep: u64,
@@ -92,14 +92,14 @@ impl Effector {
             axes: config
                 .axes
                 .iter()
-                .map(|axis| Axis::new(*axis, delays[axis.group]))
+                .map(|axis| ServoAxis::new(*axis, delays[axis.group]))
                 .collect(),
             enabling_timeout: config.enabling_timeout,
             homing_timeout: config.homing_timeout,
             orders,
             scanned: 0,
             reports,
-            state: State::Off,
+            state: ServoState::Off,
             since: Instant::ZERO,
             fault: None,
             segment: None,
@@ -121,7 +121,7 @@ impl Effector {
         )
     }
 
-    pub(crate) fn state(&self) -> State {
+    pub(crate) fn state(&self) -> ServoState {
         self.state
     }
 
@@ -143,7 +143,7 @@ impl Effector {
     }
 
     pub(crate) fn homing_offsets(&self) -> impl Iterator<Item = Option<i64>> {
-        self.axes.iter().map(Axis::homing_offset)
+        self.axes.iter().map(ServoAxis::homing_offset)
     }
 
     pub(crate) fn tracking(&self) -> impl Iterator<Item = TrackingError> {
@@ -180,7 +180,8 @@ impl Effector {
 
     /// The command of each axis, with its group and its index within the group.
     pub(crate) fn commands(&self) -> impl Iterator<Item = (usize, usize, AxisCommand)> {
-        let command = |axis: &Axis| (axis.config.group, axis.config.index_in_group, axis.command);
+        let command =
+            |axis: &ServoAxis| (axis.config.group, axis.config.index_in_group, axis.command);
         self.axes.iter().map(command)
     }
 
@@ -196,7 +197,8 @@ impl Effector {
             self.advance(tick);
             self.command(tick);
         }
-        let due = self.state == State::Moving && self.segment.is_some_and(|s| s.is_at_report());
+        let due =
+            self.state == ServoState::Moving && self.segment.is_some_and(|s| s.is_at_report());
         if due || self.news {
             self.report(tick);
         }
@@ -204,7 +206,7 @@ impl Effector {
 
     /// Whether the set-points of the last cycle are repeated because a bus refused them.
     fn is_held(&mut self, tick: &Tick) -> bool {
-        if matches!(self.state, State::Braking(_)) && tick.refused > REFUSED_IN_STOP {
+        if matches!(self.state, ServoState::Braking(_)) && tick.refused > REFUSED_IN_STOP {
             // The drives receive no set-point and count as standing. The stop is restarted only once: a restart in
             // every cycle would never end while a motor is measured to move.
             if !self.stop_restarted {
@@ -216,7 +218,7 @@ impl Effector {
         }
         let follows = matches!(
             self.state,
-            State::Standing | State::Moving | State::Braking(_)
+            ServoState::Standing | ServoState::Moving | ServoState::Braking(_)
         );
         tick.refused > 0 && follows
     }
@@ -236,7 +238,7 @@ impl Effector {
         for index in 0..self.axes.len() {
             let axis = &mut self.axes[index];
             if let Some(fault) = axis.state.fault {
-                if self.state != State::Resetting {
+                if self.state != ServoState::Resetting {
                     self.fail(tick, index, StopCause::Drive(fault));
                 }
                 continue;
@@ -244,7 +246,7 @@ impl Effector {
             let (error, limit) = (axis.error(), axis.config.following_error);
             let commanding = matches!(
                 self.state,
-                State::Standing | State::Moving | State::Braking(_)
+                ServoState::Standing | ServoState::Moving | ServoState::Braking(_)
             );
             if !axis.is_watched() || !commanding && !axis.is_led() {
                 continue;
@@ -282,13 +284,13 @@ impl Effector {
     /// Latches the first fault and leaves the present state.
     fn fail(&mut self, tick: &Tick, axis: impl Into<Option<usize>>, cause: StopCause) {
         self.latch(axis.into(), cause);
-        self.apply(tick, Event::Fault);
+        self.apply(tick, ServoEvent::Fault);
     }
 
     /// Latches a fault of a position loop. Such a loop cannot brake, so the power is switched off at once.
     fn lose(&mut self, tick: &Tick, axis: usize, cause: StopCause) {
         self.latch(Some(axis), cause);
-        self.apply(tick, Event::ControlLost);
+        self.apply(tick, ServoEvent::ControlLost);
     }
 
     fn latch(&mut self, axis: Option<usize>, cause: StopCause) {
@@ -300,7 +302,7 @@ impl Effector {
     /// but motion, gates and homing among them are dropped.
     fn take_stops(&mut self, tick: &Tick) {
         if tick.stop {
-            self.apply(tick, Event::Disable);
+            self.apply(tick, ServoEvent::Disable);
         }
         let waiting = self.orders.slots();
         let Ok(chunk) = self.orders.read_chunk(waiting) else {
@@ -345,7 +347,7 @@ impl Effector {
                 Answer::To(next) => match order {
                     Order::Move(_) => return,
                     Order::Gate(gate) => {
-                        if self.state != State::Standing || !tick.open.contain(gate) {
+                        if self.state != ServoState::Standing || !tick.open.contain(gate) {
                             return;
                         }
                     }
@@ -360,7 +362,7 @@ impl Effector {
     }
 
     /// Changes the state by `event`; false if the event is refused.
-    fn apply(&mut self, tick: &Tick, event: Event) -> bool {
+    fn apply(&mut self, tick: &Tick, event: ServoEvent) -> bool {
         match self.state.next(event) {
             Answer::To(next) => self.enter(tick, next),
             Answer::Wait | Answer::Refuse => return false,
@@ -369,31 +371,32 @@ impl Effector {
     }
 
     /// Prepares and enters a state.
-    fn enter(&mut self, tick: &Tick, next: State) {
+    fn enter(&mut self, tick: &Tick, next: ServoState) {
         let last = self.state;
         if next == last {
             return;
         }
         self.state = next;
         // A failed reset returns to its previous phase, and is reported as well.
-        self.news |= next.phase() != last.phase() || last == State::Resetting;
+        self.news |= next.phase() != last.phase() || last == ServoState::Resetting;
         match (last, next) {
             // The stop continues; only the state after it changes.
-            (State::Braking(_), State::Braking(_)) | (State::Halting(_), State::Halting(_)) => {
+            (ServoState::Braking(_), ServoState::Braking(_))
+            | (ServoState::Halting(_), ServoState::Halting(_)) => {
                 return;
             }
-            (_, State::Braking(_)) => {
+            (_, ServoState::Braking(_)) => {
                 self.begin_stop(tick);
                 self.stop_restarted = false;
                 self.segment = None;
             }
-            (_, State::Halting(_)) => self.halted = false,
-            (_, State::Enabling) if !self.stands_as_commanded() => {
+            (_, ServoState::Halting(_)) => self.halted = false,
+            (_, ServoState::Enabling) if !self.stands_as_commanded() => {
                 // The arm was moved while it was off, so the old feed-forward torques are wrong.
                 self.axes.iter_mut().for_each(|axis| axis.torque = 0.0);
             }
-            (_, State::Homing) => self.axes.iter_mut().for_each(Axis::begin_homing),
-            (State::Resetting, State::Off) => self.fault = None,
+            (_, ServoState::Homing) => self.axes.iter_mut().for_each(ServoAxis::begin_homing),
+            (ServoState::Resetting, ServoState::Off) => self.fault = None,
             _ => {}
         }
         self.since = tick.now;
@@ -415,56 +418,56 @@ impl Effector {
     fn advance(&mut self, tick: &Tick) {
         let waited = tick.now.since(self.since);
         match self.state {
-            State::Off | State::Faulted => {}
-            State::Enabling => {
-                let on = |axis: &Axis| axis.state.power == Power::On;
+            ServoState::Off | ServoState::Faulted => {}
+            ServoState::Enabling => {
+                let on = |axis: &ServoAxis| axis.state.power == Power::On;
                 if self.axes.iter().all(on) && self.settle() {
-                    self.apply(tick, Event::Done);
+                    self.apply(tick, ServoEvent::Done);
                 } else if waited > self.enabling_timeout {
                     let late = self.first(|axis| !axis.follows());
                     self.fail(tick, late, StopCause::NotReady { waited });
                 }
             }
-            State::Standing => {
+            ServoState::Standing => {
                 if matches!(self.orders.peek(), Ok(Order::Move(_))) {
                     self.follow_macrosteps(tick);
                 }
             }
-            State::Homing => self.home(tick, waited),
-            State::Moving => self.follow_macrosteps(tick),
-            State::Braking(after) => {
+            ServoState::Homing => self.home(tick, waited),
+            ServoState::Moving => self.follow_macrosteps(tick),
+            ServoState::Braking(after) => {
                 if self.stop.advance() {
                     self.place_stop();
                     self.since = tick.now;
                 } else if after == After::Stand
                     || waited >= self.standstill_wait()
-                    || self.axes.iter().all(Axis::is_still)
+                    || self.axes.iter().all(ServoAxis::is_still)
                 {
-                    self.apply(tick, Event::Done);
+                    self.apply(tick, ServoEvent::Done);
                 }
             }
-            State::Halting(after) => {
+            ServoState::Halting(after) => {
                 let axes = self.axes.iter_mut();
                 axes.for_each(|axis| axis.brake_search(tick.dt));
                 // A search may reverse, so a short standstill does not prove its end.
-                let still = self.axes.iter().all(Axis::is_still);
+                let still = self.axes.iter().all(ServoAxis::is_still);
                 self.halted |= waited >= self.longest_stop() || still && waited >= STANDSTILL_WAIT;
                 if waited > self.longest_stop().saturating_add(self.enabling_timeout) {
                     let late = self.first(|axis| !axis.follows());
                     self.fail(tick, late, StopCause::NotReady { waited });
-                    self.apply(tick, Event::Done);
+                    self.apply(tick, ServoEvent::Done);
                 } else if after == After::Stand {
                     // Following restarts only after standstill.
                     if self.halted && self.settle() {
-                        self.apply(tick, Event::Done);
+                        self.apply(tick, ServoEvent::Done);
                     }
                 } else if self.halted {
-                    self.apply(tick, Event::Done);
+                    self.apply(tick, ServoEvent::Done);
                 }
             }
-            State::Resetting => {
+            ServoState::Resetting => {
                 if self.axes.iter().all(|axis| axis.state.fault.is_none()) {
-                    self.apply(tick, Event::Done);
+                    self.apply(tick, ServoEvent::Done);
                 } else if waited > self.enabling_timeout {
                     let late = self.first(|axis| axis.state.fault.is_some());
                     self.fail(tick, late, StopCause::NotReady { waited });
@@ -482,7 +485,7 @@ impl Effector {
     }
 
     /// The first axis for which `what` holds, or axis 0.
-    fn first(&self, what: impl Fn(&Axis) -> bool) -> usize {
+    fn first(&self, what: impl Fn(&ServoAxis) -> bool) -> usize {
         self.axes.iter().position(what).unwrap_or(0)
     }
 
@@ -515,22 +518,22 @@ impl Effector {
         let halted = self.halted;
         let on = self.axes.iter().all(|axis| axis.state.power == Power::On);
         let order = self.homing_order();
-        let macrostep = (self.state == State::Moving).then_some(self.macrostep);
+        let macrostep = (self.state == ServoState::Moving).then_some(self.macrostep);
         for axis in &mut self.axes {
             axis.excite(macrostep);
             let follow = match self.state {
-                State::Enabling => on,
-                State::Standing | State::Moving | State::Braking(_) => true,
-                State::Homing => order.is_none(),
-                State::Halting(after) => halted && after == After::Stand,
-                State::Off | State::Faulted | State::Resetting => false,
+                ServoState::Enabling => on,
+                ServoState::Standing | ServoState::Moving | ServoState::Braking(_) => true,
+                ServoState::Homing => order.is_none(),
+                ServoState::Halting(after) => halted && after == After::Stand,
+                ServoState::Off | ServoState::Faulted | ServoState::Resetting => false,
             };
             let command = match self.state {
-                State::Off | State::Faulted => AxisCommand::Off,
-                State::Resetting => AxisCommand::ResetFault,
+                ServoState::Off | ServoState::Faulted => AxisCommand::Off,
+                ServoState::Resetting => AxisCommand::ResetFault,
                 // With `Stand`, the group brakes a faulted axis if possible. `Off` would let the axis coast.
                 _ if axis.state.fault.is_some() => AxisCommand::Stand,
-                State::Homing if axis.homes_itself(order) => AxisCommand::Home,
+                ServoState::Homing if axis.homes_itself(order) => AxisCommand::Home,
                 _ if follow || axis.is_led() => axis.regulate(tick.dt),
                 _ => AxisCommand::Stand,
             };
@@ -539,10 +542,10 @@ impl Effector {
     }
 
     fn report(&mut self, tick: &Tick) {
-        let mut report = Report {
+        let mut report = ServoReport {
             at: tick.now,
             phase: self.state.phase(),
-            homed: self.axes.iter().all(Axis::is_homed),
+            homed: self.axes.iter().all(ServoAxis::is_homed),
             macrostep: self.macrostep,
             commanded: [0.0; MAX_AXES],
             measured: [0.0; MAX_AXES],
@@ -585,15 +588,15 @@ impl Effector {
 }
 
 impl Order {
-    fn event(&self) -> Event {
+    fn event(&self) -> ServoEvent {
         match self {
-            Self::Enable => Event::Enable,
-            Self::Home => Event::Home,
+            Self::Enable => ServoEvent::Enable,
+            Self::Home => ServoEvent::Home,
             // A gate is queued and refused in the same states as the motion behind it.
-            Self::Move(_) | Self::Gate(_) => Event::Move,
-            Self::Stop => Event::Stop,
-            Self::Disable => Event::Disable,
-            Self::ResetFault => Event::ResetFault,
+            Self::Move(_) | Self::Gate(_) => ServoEvent::Move,
+            Self::Stop => ServoEvent::Stop,
+            Self::Disable => ServoEvent::Disable,
+            Self::ResetFault => ServoEvent::ResetFault,
         }
     }
 }

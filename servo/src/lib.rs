@@ -9,7 +9,7 @@
 //!
 //! [`identify`] measures a loop: its frequency response, crossover and phase margin.
 //!
-//! Read [`Servo`] for the cycle, [`state`](State) for the states and orders of an effector, and [`thread`] for
+//! Read [`Servo`] for the cycle, [`state`](ServoState) for the states and orders of an effector, and [`thread`] for
 //! deadlines and the effect of a missed one. This crate works in motor positions only; joints, Cartesian poses and
 //! planning are outside.
 
@@ -41,18 +41,20 @@ mod timing;
 
 pub use brake::StraightStop;
 pub use config::{
-    Direction, EffectorConfig, FeedForward, Figure, HomingLeg, HostHoming, HostLoop, Law,
-    LoopBounds, Output, PositionLoop, Range, Reason, Refusal, ServoAxisConfig, ServoConfig,
+    Direction, EffectorConfig, FeedForward, Figure, HomingLeg, HostHoming, HostLoop, KeyError,
+    KeyProblem, Law, LoopBounds, Output, PositionLoop, Range, ServoAxisConfig, ServoConfig,
     ServoError,
 };
 pub use excitation::{Excitation, ExcitationError, most as greatest_excitation};
 pub use histogram::Histogram;
 pub use interpolate::{Knot, hermite};
 pub use limit::{AxisLimits, check};
-pub use link::{EffectorLink, MAX_AXES, Macrostep, Order, Phase, Report, ServoFault, StopCause};
+pub use link::{
+    EffectorLink, MAX_AXES, Macrostep, Order, Phase, ServoFault, ServoReport, StopCause,
+};
 pub use recorder::{AxisRecord, Record};
 pub use search::HomingFailure;
 pub use servo::{Gates, NotUp, Servo, StopRequest};
-pub use state::{After, Answer, Event, State};
+pub use state::{After, Answer, ServoEvent, ServoState};
 pub use statistics::{Counters, TrackingError};
 pub use timing::Timing;

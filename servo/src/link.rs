@@ -83,7 +83,7 @@ pub enum Phase {
 /// Report from the servo to the controller. The servo reports every change of phase, every order except a macrostep,
 /// and `report_at` of a macrostep. An effector sends at most one report per cycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Report {
+pub struct ServoReport {
     /// Time of the cycle.
     pub at: Instant,
     /// Phase of the effector.
@@ -219,5 +219,5 @@ pub struct EffectorLink {
     /// Orders to the servo. A full queue means that the controller is ahead; send again later.
     pub orders: rtrb::Producer<Order>,
     /// Reports from the servo. The servo drops and counts reports that do not fit.
-    pub reports: rtrb::Consumer<Report>,
+    pub reports: rtrb::Consumer<ServoReport>,
 }

@@ -12,7 +12,7 @@ use crate::effector::{Effector, Tick};
 use crate::recorder::Recorder;
 use crate::{
     Counters, EffectorLink, Excitation, ExcitationError, Record, ServoConfig, ServoError,
-    ServoFault, State, TrackingError,
+    ServoFault, ServoState, TrackingError,
 };
 
 /// Steps every effector of a cell on one tick grid.
@@ -355,7 +355,7 @@ impl Servo {
     }
 
     /// State of effector `index`; `None` if there is no such effector.
-    pub fn state(&self, index: usize) -> Option<State> {
+    pub fn state(&self, index: usize) -> Option<ServoState> {
         self.effectors.get(index).map(Effector::state)
     }
 
@@ -367,7 +367,8 @@ impl Servo {
     /// Whether every effector is off or faulted, and every drive reports that it has no power.
     pub fn is_off(&self) -> bool {
         self.effectors.iter().all(|effector| {
-            matches!(effector.state(), State::Off | State::Faulted) && !effector.has_power()
+            matches!(effector.state(), ServoState::Off | ServoState::Faulted)
+                && !effector.has_power()
         })
     }
 

@@ -6,8 +6,8 @@ use crate::Phase;
 ///
 /// An effector is off, on and still, or between the two. Motion begins from standing and returns to standing when the
 /// macrosteps end at rest. An order, a fault or a stop request that ends motion brakes first. The servo brakes motion
-/// that the servo commands ([`State::Braking`]); the drive brakes motion that the drive commands, homing
-/// ([`State::Halting`]). The state after braking is decided when braking begins and can only become stricter: stand,
+/// that the servo commands ([`ServoState::Braking`]); the drive brakes motion that the drive commands, homing
+/// ([`ServoState::Halting`]). The state after braking is decided when braking begins and can only become stricter: stand,
 /// then off, then faulted. A fault of an effector at rest takes its power at once. The loss of a loop that the servo
 /// closes takes the power at once in every state (category 0).
 ///
@@ -26,7 +26,7 @@ use crate::Phase;
 /// any state ──ControlLost──▶ Faulted
 /// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum State {
+pub enum ServoState {
     /// Drives off.
     #[default]
     Off,
@@ -61,7 +61,7 @@ pub enum After {
 
 /// Event at an effector.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Event {
+pub enum ServoEvent {
     /// [`Order::Enable`](crate::Order::Enable).
     Enable,
     /// [`Order::Home`](crate::Order::Home).
@@ -87,73 +87,84 @@ pub enum Event {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Answer {
     /// The event moves the machine to this state, which may be the current one.
-    To(State),
+    To(ServoState),
     /// The event waits in the queue until the state changes.
     Wait,
     /// The event has no meaning in this state and is dropped.
     Refuse,
 }
 
-impl State {
+impl ServoState {
     /// The only transition function.
-    pub fn next(self, event: Event) -> Answer {
+    pub fn next(self, event: ServoEvent) -> Answer {
         use Answer::{Refuse, To, Wait};
-        use State::{
+        use ServoState::{
             Braking, Enabling, Faulted, Halting, Homing, Moving, Off, Resetting, Standing,
         };
         match (self, event) {
-            (_, Event::ControlLost) => To(Faulted),
+            (_, ServoEvent::ControlLost) => To(Faulted),
 
-            (Off, Event::Enable) => To(Enabling),
-            (Off, Event::Stop | Event::Disable | Event::ResetFault) => To(Off),
-            (Off, Event::Home | Event::Move | Event::Done) => Refuse,
-            (Off | Enabling | Standing, Event::Fault) => To(Faulted),
+            (Off, ServoEvent::Enable) => To(Enabling),
+            (Off, ServoEvent::Stop | ServoEvent::Disable | ServoEvent::ResetFault) => To(Off),
+            (Off, ServoEvent::Home | ServoEvent::Move | ServoEvent::Done) => Refuse,
+            (Off | Enabling | Standing, ServoEvent::Fault) => To(Faulted),
 
-            (Enabling, Event::Done) => To(Standing),
-            (Enabling, Event::Enable | Event::Stop | Event::ResetFault) => To(Enabling),
-            (Enabling, Event::Home | Event::Move) => Wait,
-            (Enabling | Standing, Event::Disable) => To(Off),
+            (Enabling, ServoEvent::Done) => To(Standing),
+            (Enabling, ServoEvent::Enable | ServoEvent::Stop | ServoEvent::ResetFault) => {
+                To(Enabling)
+            }
+            (Enabling, ServoEvent::Home | ServoEvent::Move) => Wait,
+            (Enabling | Standing, ServoEvent::Disable) => To(Off),
 
-            (Standing, Event::Home) => To(Homing),
-            (Standing, Event::Move) => To(Moving),
-            (Standing, Event::Enable | Event::Stop | Event::ResetFault) => To(Standing),
-            (Standing, Event::Done) => Refuse,
+            (Standing, ServoEvent::Home) => To(Homing),
+            (Standing, ServoEvent::Move) => To(Moving),
+            (Standing, ServoEvent::Enable | ServoEvent::Stop | ServoEvent::ResetFault) => {
+                To(Standing)
+            }
+            (Standing, ServoEvent::Done) => Refuse,
 
-            (Homing, Event::Done) => To(Standing),
-            (Homing, Event::Enable | Event::ResetFault) => To(Homing),
-            (Homing, Event::Home | Event::Move) => Wait,
-            (Homing, Event::Stop) => To(Halting(After::Stand)),
-            (Homing, Event::Disable) => To(Halting(After::Off)),
-            (Homing, Event::Fault) => To(Halting(After::Fault)),
+            (Homing, ServoEvent::Done) => To(Standing),
+            (Homing, ServoEvent::Enable | ServoEvent::ResetFault) => To(Homing),
+            (Homing, ServoEvent::Home | ServoEvent::Move) => Wait,
+            (Homing, ServoEvent::Stop) => To(Halting(After::Stand)),
+            (Homing, ServoEvent::Disable) => To(Halting(After::Off)),
+            (Homing, ServoEvent::Fault) => To(Halting(After::Fault)),
 
-            (Moving, Event::Move | Event::Enable | Event::ResetFault) => To(Moving),
-            (Moving, Event::Home) => Wait,
-            (Moving, Event::Done) => To(Standing),
-            (Moving, Event::Stop) => To(Braking(After::Stand)),
-            (Moving, Event::Disable) => To(Braking(After::Off)),
-            (Moving, Event::Fault) => To(Braking(After::Fault)),
+            (Moving, ServoEvent::Move | ServoEvent::Enable | ServoEvent::ResetFault) => To(Moving),
+            (Moving, ServoEvent::Home) => Wait,
+            (Moving, ServoEvent::Done) => To(Standing),
+            (Moving, ServoEvent::Stop) => To(Braking(After::Stand)),
+            (Moving, ServoEvent::Disable) => To(Braking(After::Off)),
+            (Moving, ServoEvent::Fault) => To(Braking(After::Fault)),
 
-            (Braking(after) | Halting(after), Event::Done) => To(match after {
+            (Braking(after) | Halting(after), ServoEvent::Done) => To(match after {
                 After::Stand => Standing,
                 After::Off => Off,
                 After::Fault => Faulted,
             }),
-            (Braking(_) | Halting(_), Event::Enable | Event::Home | Event::Move) => Wait,
-            (Braking(_) | Halting(_), Event::ResetFault) => Refuse,
-            (Braking(_) | Halting(_), Event::Stop) => To(self),
-            (Braking(after), Event::Disable) => To(Braking(after.max(After::Off))),
-            (Halting(after), Event::Disable) => To(Halting(after.max(After::Off))),
-            (Braking(_), Event::Fault) => To(Braking(After::Fault)),
-            (Halting(_), Event::Fault) => To(Halting(After::Fault)),
+            (Braking(_) | Halting(_), ServoEvent::Enable | ServoEvent::Home | ServoEvent::Move) => {
+                Wait
+            }
+            (Braking(_) | Halting(_), ServoEvent::ResetFault) => Refuse,
+            (Braking(_) | Halting(_), ServoEvent::Stop) => To(self),
+            (Braking(after), ServoEvent::Disable) => To(Braking(after.max(After::Off))),
+            (Halting(after), ServoEvent::Disable) => To(Halting(after.max(After::Off))),
+            (Braking(_), ServoEvent::Fault) => To(Braking(After::Fault)),
+            (Halting(_), ServoEvent::Fault) => To(Halting(After::Fault)),
 
-            (Faulted, Event::ResetFault) => To(Resetting),
-            (Faulted, Event::Stop | Event::Disable | Event::Fault) => To(Faulted),
-            (Faulted, Event::Enable | Event::Home | Event::Move | Event::Done) => Refuse,
+            (Faulted, ServoEvent::ResetFault) => To(Resetting),
+            (Faulted, ServoEvent::Stop | ServoEvent::Disable | ServoEvent::Fault) => To(Faulted),
+            (
+                Faulted,
+                ServoEvent::Enable | ServoEvent::Home | ServoEvent::Move | ServoEvent::Done,
+            ) => Refuse,
 
-            (Resetting, Event::Done) => To(Off),
-            (Resetting, Event::Fault) => To(Faulted),
-            (Resetting, Event::Stop | Event::Disable | Event::ResetFault) => To(Resetting),
-            (Resetting, Event::Enable | Event::Home | Event::Move) => Wait,
+            (Resetting, ServoEvent::Done) => To(Off),
+            (Resetting, ServoEvent::Fault) => To(Faulted),
+            (Resetting, ServoEvent::Stop | ServoEvent::Disable | ServoEvent::ResetFault) => {
+                To(Resetting)
+            }
+            (Resetting, ServoEvent::Enable | ServoEvent::Home | ServoEvent::Move) => Wait,
         }
     }
 
@@ -177,7 +188,7 @@ mod tests {
 
     #[test]
     fn every_state_answers_every_event_as_the_table_says() {
-        use State::*;
+        use ServoState::*;
         // One letter per answer: the target state's, `.` for the same state, `w` wait, `-` refuse.
         let letter = |state| match state {
             Off => 'O',
@@ -195,15 +206,15 @@ mod tests {
             Resetting => 'R',
         };
         let events = [
-            Event::Enable,
-            Event::Home,
-            Event::Move,
-            Event::Stop,
-            Event::Disable,
-            Event::ResetFault,
-            Event::Done,
-            Event::Fault,
-            Event::ControlLost,
+            ServoEvent::Enable,
+            ServoEvent::Home,
+            ServoEvent::Move,
+            ServoEvent::Stop,
+            ServoEvent::Disable,
+            ServoEvent::ResetFault,
+            ServoEvent::Done,
+            ServoEvent::Fault,
+            ServoEvent::ControlLost,
         ];
         let table = [
             //                      Enable Home Move Stop Disable Reset Done Fault ControlLost

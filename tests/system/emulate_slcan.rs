@@ -6,7 +6,7 @@ use std::os::fd::AsFd;
 use std::path::Path;
 use std::time::Duration;
 
-use can::slcan::{Command, Report, Splitter};
+use can::slcan::{AdapterReport, Command, Splitter};
 use can::timing::Bitrate;
 use can::{Frame, Instant, clock};
 use canopen::sdo::{Expedited, Initiate, Request, Response};
@@ -24,7 +24,7 @@ const AGAIN: Duration = Duration::from_millis(200);
 struct Host {
     tty: File,
     splitter: Splitter,
-    reports: Vec<Report>,
+    reports: Vec<AdapterReport>,
 }
 
 impl Host {
@@ -48,7 +48,7 @@ impl Host {
     }
 
     /// Reads reports until `wanted` accepts one, or until `until`.
-    fn hear(&mut self, until: Instant, wanted: impl Fn(&Report) -> bool) -> bool {
+    fn hear(&mut self, until: Instant, wanted: impl Fn(&AdapterReport) -> bool) -> bool {
         loop {
             if let Some(at) = self.reports.iter().position(&wanted) {
                 self.reports.drain(..=at);
@@ -69,7 +69,7 @@ impl Host {
             let count = self.tty.read(&mut bytes).unwrap();
             for &byte in &bytes[..count] {
                 if let Some(piece) = self.splitter.push(byte) {
-                    self.reports.push(Report::parse(piece).unwrap());
+                    self.reports.push(AdapterReport::parse(piece).unwrap());
                 }
             }
         }
@@ -77,8 +77,7 @@ impl Host {
 
     /// Sends a frame repeatedly until `answer` is received.
     fn ask(&mut self, frame: Frame, answer: Frame) {
-        let answered =
-            |report: &Report| matches!(report, Report::Received { frame, .. } if *frame == answer);
+        let answered = |report: &AdapterReport| matches!(report, AdapterReport::Received { frame, .. } if *frame == answer);
         let end = clock::now() + DEADLINE;
         while clock::now() < end {
             self.say(Command::Transmit(frame));
@@ -109,7 +108,7 @@ fn drives_behind_an_adapter_answer_and_the_adapter_goes_with_its_emulator() {
         Command::Open,
     ] {
         host.say(command);
-        assert!(host.hear(soon, |report| *report == Report::Done));
+        assert!(host.hear(soon, |report| *report == AdapterReport::Done));
     }
     for number in 1..=5 {
         let node = NodeId::new(number).unwrap();
@@ -123,7 +122,7 @@ fn drives_behind_an_adapter_answer_and_the_adapter_goes_with_its_emulator() {
     // All nodes receive the command and boot.
     let reset = nmt::Command::ResetNode.to_all();
     host.say(Command::Transmit(reset.encode()));
-    let booted = |report: &Report| matches!(report, Report::Received { frame, .. } if frame.to_string() == "705#00");
+    let booted = |report: &AdapterReport| matches!(report, AdapterReport::Received { frame, .. } if frame.to_string() == "705#00");
     assert!(host.hear(soon, booted));
     emulator.signal("INT");
     let output = emulator.output();

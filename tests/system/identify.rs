@@ -91,7 +91,7 @@ fn seen_inside(kind: Irp6Axis) -> (f64, f64) {
     let config = AxisConfig::irp6(kind);
     let velocity = 20.0 * f64::from(config.counts_per_revolution) / TAU;
     let open = |frequency: f64| {
-        let mut axis = hil::Axis::new(&config, 1);
+        let mut axis = hil::PlantAxis::new(&config, 1);
         let (mut added, mut sums) = (0.0, [Complex::new(0.0, 0.0); 2]);
         for step in 0..STEPS {
             let time = f64::from(step) * SUB_STEP;

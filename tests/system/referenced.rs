@@ -5,7 +5,7 @@ use std::f64::consts::FRAC_PI_2;
 use std::fs;
 use std::path::Path;
 
-use ::mrroc::cell::{Cell, Instruction, JointGenerator, Joints, Line};
+use ::mrroc::cell::{Cell, Instruction, JointGenerator, Joints, LineInstruction};
 
 use crate::mrroc::{Directory, Output, mrroc, shorten};
 use crate::serial_cli::emulate;
@@ -34,7 +34,7 @@ fn joints(pose: [f64; 5]) -> Instruction {
 
 /// A line with the tool horizontal, in the plane of the arm at home.
 fn line() -> Instruction {
-    Instruction::Line(Line {
+    Instruction::Line(LineInstruction {
         position: [0.7, 0.0, 1.05],
         quaternion: None,
         velocity: 0.2,

@@ -110,7 +110,7 @@ fn a_master_in_another_computer_refuses_the_start_before_a_frame_is_sent() {
         let _emulators = stage.start_emulators();
         let host = Heartbeat {
             node: NodeId::new(stage.cell.bus[0].host_node).unwrap(),
-            state: nmt::State::Operational,
+            state: nmt::NmtState::Operational,
         };
         let heartbeat = Duration::from_millis(stage.cell.bus[0].heartbeat_ms.into());
         let cycle = Duration::from_micros(stage.cell.period_us.into());

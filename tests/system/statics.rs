@@ -4,7 +4,7 @@
 use ::mrroc::cell::{Model, Parameters};
 use controller::robot::{Joints, Mass, Motors, PolycrankParameters, Robot, Weight};
 use hil::AxisConfig;
-use hil::plant::{Axis, Irp6Axis, Mechanism, MechanismConfig};
+use hil::plant::{Irp6Axis, Mechanism, MechanismConfig, PlantAxis};
 
 /// Joint positions in the middle of their ranges, different for each `number`. All are within the range of every
 /// mechanism.
@@ -38,7 +38,7 @@ fn posed(config: MechanismConfig, motors: &[f64], zero: &Motors) -> Mechanism {
                 ..AxisConfig::wut(Irp6Axis::Column)
             };
             let mount = mechanism.mount(number, zero).unwrap();
-            Axis::mounted(&axis, 1, Some(&mount));
+            PlantAxis::mounted(&axis, 1, Some(&mount));
         }
     }
     mechanism

@@ -1,7 +1,7 @@
 //! The image of the effector in its control process, in motors, joints and pose.
 
 use can::Instant;
-use servo::Report;
+use servo::ServoReport;
 
 use crate::generator::{
     Axes, AxesState, EffectorImage, EffectorState, GeneratorError, ImageSource, Pose, Setpoint,
@@ -37,7 +37,7 @@ impl Effector {
         }
     }
 
-    pub(super) fn measure(&mut self, report: &Report) {
+    pub(super) fn measure(&mut self, report: &ServoReport) {
         self.at = report.at;
         self.macrostep = report.macrostep;
         self.measured = AxesState {

@@ -28,7 +28,7 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use can::Instant;
-use servo::{EffectorLink, Macrostep, Order, Phase, Report};
+use servo::{EffectorLink, Macrostep, Order, Phase, ServoReport};
 
 use crate::generator::{
     Axes, AxesState, EffectorImage, Execution, GeneratorError, ImageSource, Setpoint, Step,
@@ -89,7 +89,7 @@ impl EcpConfig {
 
 /// The end of an instruction.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Event {
+pub struct EcpEvent {
     /// Index of the instruction in the task.
     pub instruction: usize,
     /// Result of the instruction. After an error, the remaining instructions were dropped.
@@ -162,7 +162,7 @@ pub struct Ecp {
     task: Task,
     instruction: usize,
     activity: Activity,
-    report: Option<Report>,
+    report: Option<ServoReport>,
     /// The orders that wait for room in the queue.
     outbox: VecDeque<Order>,
     /// Numbers of the last macrostep made, of the last macrostep reported, and of the last macrostep before this
@@ -262,7 +262,7 @@ impl Ecp {
     /// Call the function again while it returns an event. A generator that reads the effector needs a call within the
     /// periods that `report_at` leaves of a macrostep. Other generators need a call within `lead` macrosteps. The
     /// servo brakes a moving effector that has no next macrostep.
-    pub fn poll(&mut self, now: Instant) -> Option<Event> {
+    pub fn poll(&mut self, now: Instant) -> Option<EcpEvent> {
         while let Ok(report) = self.link.reports.pop() {
             self.heard = now;
             self.executed = report.macrostep;
@@ -301,9 +301,9 @@ impl Ecp {
             .map_or(consequence, EcpError::Servo)
     }
 
-    fn end(&mut self, outcome: Result<(), EcpError>) -> Event {
+    fn end(&mut self, outcome: Result<(), EcpError>) -> EcpEvent {
         self.activity = Activity::Idle;
-        let event = Event {
+        let event = EcpEvent {
             instruction: self.instruction,
             outcome,
         };

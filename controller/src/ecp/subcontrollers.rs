@@ -2,7 +2,7 @@
 
 use can::Instant;
 
-use super::{Ecp, Event, Meetings, Status};
+use super::{Ecp, EcpEvent, Meetings, Status};
 
 /// The effector control processes of one cell, one per robot, and the meetings between them.
 pub struct Subcontrollers {
@@ -20,7 +20,7 @@ impl Subcontrollers {
     ///
     /// `ended` receives each ended instruction, with the index of its robot and the process. Returns whether any
     /// process still has an instruction. Call this function at macrostep rate or faster.
-    pub fn poll(&mut self, now: Instant, mut ended: impl FnMut(usize, &mut Ecp, Event)) -> bool {
+    pub fn poll(&mut self, now: Instant, mut ended: impl FnMut(usize, &mut Ecp, EcpEvent)) -> bool {
         for (robot, ecp) in self.ecps.iter_mut().enumerate() {
             while let Some(event) = ecp.poll(now) {
                 ended(robot, ecp, event);

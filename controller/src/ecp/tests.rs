@@ -97,8 +97,8 @@ fn beyond(axis: u8, value: f64, limit: f64) -> KinematicsError {
 /// The servo's end of the link: executes orders one period at a time, and jumps to the end of each macrostep.
 struct Script {
     orders: rtrb::Consumer<Order>,
-    reports: rtrb::Producer<Report>,
-    report: Report,
+    reports: rtrb::Producer<ServoReport>,
+    report: ServoReport,
     queue: VecDeque<Macrostep>,
     done: u16,
     moving: [f64; MAX_AXES],
@@ -228,7 +228,7 @@ impl Bench {
     fn of(arm: Arm, room: usize) -> Self {
         let (orders, servo_orders) = rtrb::RingBuffer::new(room);
         let (servo_reports, reports) = rtrb::RingBuffer::new(64);
-        let report = Report {
+        let report = ServoReport {
             at: Instant::ZERO,
             phase: Phase::Off,
             homed: false,
@@ -260,12 +260,12 @@ impl Bench {
     }
 
     /// Runs until the end of the task, 100 s at most, and returns its events.
-    fn run(&mut self, task: Task) -> Vec<Event> {
+    fn run(&mut self, task: Task) -> Vec<EcpEvent> {
         self.ecp.execute(task).unwrap();
         self.go_on(|_| {})
     }
 
-    fn go_on(&mut self, mut each_period: impl FnMut(&mut Self)) -> Vec<Event> {
+    fn go_on(&mut self, mut each_period: impl FnMut(&mut Self)) -> Vec<EcpEvent> {
         let mut events = Vec::new();
         for period in 0..50_000 {
             if period % self.poll_every == 0 {
@@ -290,17 +290,17 @@ impl Bench {
     }
 }
 
-fn finished(count: usize) -> Vec<Event> {
+fn finished(count: usize) -> Vec<EcpEvent> {
     (0..count)
-        .map(|instruction| Event {
+        .map(|instruction| EcpEvent {
             instruction,
             outcome: Ok(()),
         })
         .collect()
 }
 
-fn failed(error: EcpError) -> Vec<Event> {
-    vec![Event {
+fn failed(error: EcpError) -> Vec<EcpEvent> {
+    vec![EcpEvent {
         instruction: 0,
         outcome: Err(error),
     }]
@@ -572,7 +572,7 @@ fn who_waits_in_vain_at_a_meeting_fails_in_time() {
     bench.ecp.config = config;
     let events = bench.run(task);
     let [
-        Event {
+        EcpEvent {
             outcome: Err(EcpError::Unmet { waited }),
             ..
         },

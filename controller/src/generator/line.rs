@@ -84,7 +84,7 @@ impl PlannedStart {
 ///
 /// The first step computes two inverse kinematics per checked pose, each next step three. No step allocates.
 #[derive(Debug)]
-pub struct Line {
+pub struct StraightLine {
     arm: Arm,
     target: Pose,
     limits: LineLimits,
@@ -154,7 +154,7 @@ pub struct LineMemory {
     joints: Axes,
 }
 
-impl Line {
+impl StraightLine {
     /// A line from the effector's position to `target`, the pose of the tool in the base frame.
     pub fn new(
         arm: Arm,
@@ -335,7 +335,7 @@ impl Line {
     }
 }
 
-impl Generator for Line {
+impl Generator for StraightLine {
     type First = EffectorImage;
     type Every = ();
     type Memory = LineMemory;

@@ -97,7 +97,7 @@ pub(crate) use execution::Run;
 pub use execution::{Execution, Step};
 pub use image::{AxesState, EffectorImage, EffectorState, ImageSource, Images, Setpoint};
 pub use jerk_limited::JerkLimited;
-pub use line::{Line, LineLimits, LineMemory, PlannedStart};
+pub use line::{LineLimits, LineMemory, PlannedStart, StraightLine};
 pub use newsmooth::{Newsmooth, Progress, SmoothPose};
 pub use wait::Wait;
 

@@ -105,14 +105,14 @@ pub(super) enum Transmission {
 
 /// One axis of a drive train.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Axis {
+pub(super) struct TrainAxis {
     pub(super) transmission: Transmission,
     /// Axis of a lower index that carries this axis. The motor of this axis sits before that joint and acts across it
     /// through a differential. The motor of that axis therefore turns this axis one to one.
     pub(super) carried_by: Option<usize>,
 }
 
-impl Axis {
+impl TrainAxis {
     fn motor_at_home(&self) -> f64 {
         match &self.transmission {
             Transmission::Gear(gear) => gear.motor_at_home,
@@ -154,7 +154,7 @@ impl Axis {
         }
     }
 
-    /// The inverse of [`Axis::travel`]. Fails with the nearest travel that has a joint position.
+    /// The inverse of [`TrainAxis::travel`]. Fails with the nearest travel that has a joint position.
     fn joint(&self, travel: f64) -> Result<f64, f64> {
         match &self.transmission {
             Transmission::Gear(gear) => Ok(travel / gear.ratio + gear.joint_at_home),
@@ -168,7 +168,7 @@ impl Axis {
 /// All axes of a robot, between motors and joints.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct DriveTrain<const N: usize> {
-    axes: [Axis; N],
+    axes: [TrainAxis; N],
     joint_limits: [Limits; N],
     motor_limits: [Limits; N],
     /// Range of each joint within the limits of joint and motor, without the motion of carrying axes.
@@ -176,7 +176,7 @@ pub(super) struct DriveTrain<const N: usize> {
 }
 
 impl<const N: usize> DriveTrain<N> {
-    pub(super) fn new(axes: [Axis; N]) -> Self {
+    pub(super) fn new(axes: [TrainAxis; N]) -> Self {
         Self {
             ranges: axes.map(|axis| axis.range(0.0)),
             joint_limits: axes.map(|axis| axis.limits(Space::Joint)),

@@ -7,7 +7,7 @@ use thiserror::Error;
 use super::{
     GearAxis, Limits, ScrewAxis,
     arm::PITCH,
-    drive_train::{Axis, Transmission},
+    drive_train::{TrainAxis, Transmission},
     room,
 };
 
@@ -122,7 +122,7 @@ impl ArmParameters {
     }
 
     /// The first five axes of the drive train, after a check of every parameter.
-    pub(super) fn axes(&self) -> Result<[Axis; 5], ParameterError> {
+    pub(super) fn axes(&self) -> Result<[TrainAxis; 5], ParameterError> {
         finite("shoulder_height", self.shoulder_height)?;
         for (name, length) in [
             ("lower_arm_length", self.lower_arm_length),
@@ -136,7 +136,7 @@ impl ArmParameters {
             screw("lower_arm", &self.lower_arm)?,
             screw("upper_arm", &self.upper_arm)?,
             gear("pitch", &self.pitch)?,
-            Axis {
+            TrainAxis {
                 carried_by: Some(PITCH),
                 ..gear("roll", &self.roll)?
             },
@@ -233,7 +233,7 @@ pub enum ParameterError {
 }
 
 /// The axis of a gear, after a check of its parameters.
-pub(super) fn gear(name: &'static str, gear: &GearAxis) -> Result<Axis, ParameterError> {
+pub(super) fn gear(name: &'static str, gear: &GearAxis) -> Result<TrainAxis, ParameterError> {
     for value in [gear.ratio, gear.joint_at_home, gear.motor_at_home] {
         finite(name, value)?;
     }
@@ -244,14 +244,14 @@ pub(super) fn gear(name: &'static str, gear: &GearAxis) -> Result<Axis, Paramete
         room(name, gear.joint_limits)?;
     }
     room(name, gear.motor_limits)?;
-    Ok(Axis {
+    Ok(TrainAxis {
         transmission: Transmission::Gear(*gear),
         carried_by: None,
     })
 }
 
 /// The axis of a screw, after a check of its parameters.
-fn screw(name: &'static str, screw: &ScrewAxis) -> Result<Axis, ParameterError> {
+fn screw(name: &'static str, screw: &ScrewAxis) -> Result<TrainAxis, ParameterError> {
     let ScrewAxis {
         lead,
         squared,
@@ -272,7 +272,7 @@ fn screw(name: &'static str, screw: &ScrewAxis) -> Result<Axis, ParameterError> 
     if !screw.is_unambiguous() {
         return Err(ParameterError::AmbiguousScrew { name });
     }
-    Ok(Axis {
+    Ok(TrainAxis {
         transmission: Transmission::Screw(*screw),
         carried_by: None,
     })

@@ -14,7 +14,7 @@ use super::{
     GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, Links, Mass, Motors, ParameterError,
     Robot, RobotParameters, Solutions,
     arm::{self, PARALLEL},
-    drive_train::{Axis, DriveTrain},
+    drive_train::{DriveTrain, TrainAxis},
     free_parameter, parameters,
     solutions::Search,
 };
@@ -172,7 +172,7 @@ impl Polycrank {
         let mut drives = [None; AXES];
         for (axis, (drive, name)) in drives.iter_mut().zip(NAMES).enumerate() {
             let carried = coupled && matches!(axis, 1 | 2 | 4 | 5);
-            *drive = Some(Axis {
+            *drive = Some(TrainAxis {
                 carried_by: carried.then(|| axis - 1),
                 ..parameters::gear(name, &axes[axis])?
             });

@@ -12,7 +12,7 @@ use super::{
     GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, LinkKind, Links, Mass, Motors,
     ParameterError, Robot, RobotParameters, Solutions, Space,
     arm::{self, PARALLEL},
-    drive_train::{self, Axis, DriveTrain},
+    drive_train::{self, DriveTrain, TrainAxis},
     legs::{self, Gap, Legs, Posture},
     parameters,
     solutions::{Mechanism, Search},
@@ -467,7 +467,7 @@ impl LegAxis {
     }
 
     /// The leg as an axis whose joint is its length.
-    fn axis(&self) -> Result<Axis, ParameterError> {
+    fn axis(&self) -> Result<TrainAxis, ParameterError> {
         parameters::positive("length_limits of the legs", self.length_limits.low)?;
         if self.lead == 0.0 {
             return Err(ParameterError::NoRatio { name: "legs" });

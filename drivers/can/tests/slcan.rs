@@ -1,7 +1,7 @@
 //! Whatever comes over a serial line, reading it does not panic; what was written reads back.
 
 use can::slcan::{
-    BITRATES, BusErrors, Command, Dropped, LONGEST, Piece, Report, Splitter, StatusFlags,
+    AdapterReport, BITRATES, BusErrors, Command, Dropped, LONGEST, Piece, Splitter, StatusFlags,
 };
 use can::timing::Format;
 use can::{ControllerState, Frame};
@@ -34,25 +34,27 @@ fn commands() -> impl Strategy<Value = Command> {
     ]
 }
 
-fn reports() -> impl Strategy<Value = Report> {
+fn reports() -> impl Strategy<Value = AdapterReport> {
     use ControllerState::{Active, BusOff, Passive, Warning};
     let states = proptest::sample::select(&[Active, Warning, Passive, BusOff][..]);
     prop_oneof![
         (frames(), any::<Option<u16>>())
-            .prop_map(|(frame, stamp)| Report::Received { frame, stamp }),
-        (states, 0..=999_u16, 0..=999_u16).prop_map(|(state, receive, transmit)| Report::State {
-            state,
-            receive,
-            transmit,
+            .prop_map(|(frame, stamp)| AdapterReport::Received { frame, stamp }),
+        (states, 0..=999_u16, 0..=999_u16).prop_map(|(state, receive, transmit)| {
+            AdapterReport::State {
+                state,
+                receive,
+                transmit,
+            }
         }),
-        any::<u8>().prop_map(|flags| Report::Flags(StatusFlags(flags))),
+        any::<u8>().prop_map(|flags| AdapterReport::Flags(StatusFlags(flags))),
         "[0-9A-Za-z]{4}".prop_map(|number| {
-            Report::SerialNumber(number.into_bytes().try_into().expect("four letters"))
+            AdapterReport::SerialNumber(number.into_bytes().try_into().expect("four letters"))
         }),
-        Just(Report::Done),
-        Just(Report::Refused),
-        Just(Report::Transmitted(Format::Extended)),
-        Just(Report::Errors(BusErrors::STUFF | BusErrors::FORM)),
+        Just(AdapterReport::Done),
+        Just(AdapterReport::Refused),
+        Just(AdapterReport::Transmitted(Format::Extended)),
+        Just(AdapterReport::Errors(BusErrors::STUFF | BusErrors::FORM)),
     ]
 }
 
@@ -73,7 +75,7 @@ proptest! {
         for &byte in &bytes {
             ends += u64::from(matches!(byte, b'\r' | b'\n' | 0x07));
             if let Some(piece) = splitter.push(byte) {
-                let _ = Report::parse(piece);
+                let _ = AdapterReport::parse(piece);
                 if let Piece::Line(line) = piece {
                     let _ = Command::parse(line);
                     prop_assert!(line.len() <= LONGEST);
@@ -100,10 +102,10 @@ proptest! {
                 let again = command.encode().expect("it was a line");
                 prop_assert_eq!(Command::parse(&again[..again.len() - 1]), Ok(command));
             }
-            if let Ok(report) = Report::parse(piece) {
+            if let Ok(report) = AdapterReport::parse(piece) {
                 let again = report.encode().expect("it was a line");
                 let mut splitter = Splitter::default();
-                let found = again.iter().find_map(|&byte| splitter.push(byte).map(Report::parse));
+                let found = again.iter().find_map(|&byte| splitter.push(byte).map(AdapterReport::parse));
                 prop_assert_eq!(found, Some(Ok(report)));
             }
         }
@@ -136,7 +138,7 @@ proptest! {
         for report in &reports {
             for &byte in &*report.encode().expect("a line can say it") {
                 if let Some(piece) = splitter.push(byte) {
-                    read.push(Report::parse(piece).expect("as written"));
+                    read.push(AdapterReport::parse(piece).expect("as written"));
                 }
             }
         }

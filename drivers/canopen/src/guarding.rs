@@ -6,7 +6,7 @@
 
 use can::Frame;
 
-use crate::nmt::State;
+use crate::nmt::NmtState;
 use crate::{NodeId, cob, frame};
 
 /// One byte: the NMT state and a bit that alternates from answer to answer. A heartbeat is the same frame with the bit
@@ -18,7 +18,7 @@ pub struct Response {
     /// Bit 7. `false` in the first answer after a boot or a reset of the communication.
     pub toggle: bool,
     /// The NMT state of the node, bits 0 to 6.
-    pub state: State,
+    pub state: NmtState,
 }
 
 impl Response {
@@ -29,7 +29,7 @@ impl Response {
     }
 
     /// `None` for other frames, remote frames and lengths other than one byte. A boot-up frame decodes to
-    /// [`State::Initialising`].
+    /// [`NmtState::Initialising`].
     pub fn decode(frame: &Frame) -> Option<Self> {
         let cob::Function::Heartbeat(node) = cob::Function::of(frame.standard_data_id()?)? else {
             return None;
@@ -38,7 +38,7 @@ impl Response {
         Some(Self {
             node,
             toggle: byte & 0x80 != 0,
-            state: State::from_raw(byte & 0x7F),
+            state: NmtState::from_raw(byte & 0x7F),
         })
     }
 }
@@ -53,11 +53,11 @@ mod tests {
     #[test]
     fn an_answer_is_a_state_and_a_toggle_bit() {
         let table = [
-            (false, State::Operational, "702#05"),
-            (true, State::Operational, "702#85"),
-            (true, State::PreOperational, "702#FF"),
-            (false, State::Stopped, "702#04"),
-            (false, State::Initialising, "702#00"),
+            (false, NmtState::Operational, "702#05"),
+            (true, NmtState::Operational, "702#85"),
+            (true, NmtState::PreOperational, "702#FF"),
+            (false, NmtState::Stopped, "702#04"),
+            (false, NmtState::Initialising, "702#00"),
         ];
         for (toggle, state, bytes) in table {
             let response = Response {
@@ -71,7 +71,7 @@ mod tests {
         let beyond = Response {
             node: NODE,
             toggle: false,
-            state: State::Unknown(0x85),
+            state: NmtState::Unknown(0x85),
         };
         assert_eq!(beyond.encode().to_string(), "702#05");
         assert_eq!(Response::decode(&parse("702#R1")), None);

@@ -4,16 +4,16 @@
 
 use can::Frame;
 
-use crate::nmt::State;
+use crate::nmt::NmtState;
 use crate::{NodeId, cob, frame};
 
-/// A heartbeat frame, `700 + node#state`. The boot-up frame is a heartbeat with [`State::Initialising`].
+/// A heartbeat frame, `700 + node#state`. The boot-up frame is a heartbeat with [`NmtState::Initialising`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Heartbeat {
     /// The sender.
     pub node: NodeId,
     /// The NMT state of the sender.
-    pub state: State,
+    pub state: NmtState,
 }
 
 impl Heartbeat {
@@ -30,7 +30,7 @@ impl Heartbeat {
         let &[state] = frame.data() else { return None };
         Some(Self {
             node,
-            state: State::from_raw(state),
+            state: NmtState::from_raw(state),
         })
     }
 }
@@ -46,11 +46,11 @@ mod tests {
     #[test]
     fn heartbeats_are_one_byte_on_0x700_plus_node() {
         let table = [
-            (State::Initialising, "702#00"),
-            (State::Stopped, "702#04"),
-            (State::Operational, "702#05"),
-            (State::PreOperational, "702#7F"),
-            (State::Unknown(0x85), "702#85"),
+            (NmtState::Initialising, "702#00"),
+            (NmtState::Stopped, "702#04"),
+            (NmtState::Operational, "702#05"),
+            (NmtState::PreOperational, "702#7F"),
+            (NmtState::Unknown(0x85), "702#85"),
         ];
         for (state, bytes) in table {
             let heartbeat = Heartbeat {

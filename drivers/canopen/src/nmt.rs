@@ -116,7 +116,7 @@ impl Request {
 
 /// The NMT state a node reports in its heartbeat.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum State {
+pub enum NmtState {
     /// The node has just booted: the value of the boot-up frame.
     Initialising,
     /// Only NMT and error control work.
@@ -129,7 +129,7 @@ pub enum State {
     Unknown(u8),
 }
 
-impl State {
+impl NmtState {
     /// As in byte 0 of a heartbeat.
     pub const fn raw(self) -> u8 {
         match self {
@@ -153,7 +153,7 @@ impl State {
     }
 }
 
-impl fmt::Display for State {
+impl fmt::Display for NmtState {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Initialising => f.write_str("initialising"),
@@ -216,7 +216,7 @@ mod tests {
     #[test]
     fn every_state_byte_survives_the_round_trip() {
         for raw in 0..=u8::MAX {
-            assert_eq!(State::from_raw(raw).raw(), raw);
+            assert_eq!(NmtState::from_raw(raw).raw(), raw);
         }
     }
 }

@@ -24,7 +24,7 @@ mod scan;
 /// with its node-ID. All slaves in configuration mode obey at the same time: only one slave may be in this mode.
 #[derive(Clone, Debug)]
 pub struct Master {
-    state: State,
+    state: ServiceState,
     timeout: Duration,
     request: Option<Request>,
     started: Instant,
@@ -32,7 +32,7 @@ pub struct Master {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum State {
+enum ServiceState {
     Idle,
     /// Of fastscans, `scan` is the question asked; of `InquireIdentity`, `identity` is what was
     /// answered before `part`; of `SwitchSelective`, `part` is the one sent last; of `IdentifyUnconfigured`,
@@ -176,7 +176,7 @@ impl fmt::Display for Service {
 impl Default for Master {
     fn default() -> Self {
         Self {
-            state: State::Idle,
+            state: ServiceState::Idle,
             timeout: Duration::ZERO,
             request: None,
             started: Instant::ZERO,
@@ -194,15 +194,15 @@ impl Master {
     /// Starts a service.
     pub fn start(&mut self, service: Service, timeout: Duration, now: Instant) -> Result<(), Busy> {
         match self.state {
-            State::Idle => {}
-            State::Busy { service, .. } => return Err(Busy { service }),
-            State::Finished(_) => return Err(Busy { service }),
+            ServiceState::Idle => {}
+            ServiceState::Busy { service, .. } => return Err(Busy { service }),
+            ServiceState::Finished(_) => return Err(Busy { service }),
         }
         let scan = match service {
             Service::FastscanAbove(identity) => Scan::above(identity),
             _ => Scan::new(),
         };
-        self.state = State::Busy {
+        self.state = ServiceState::Busy {
             service,
             part: Part::Vendor,
             identity: Identity::default(),
@@ -238,7 +238,7 @@ impl Master {
         let (Some(response), None) = (Response::decode(frame), self.request) else {
             return;
         };
-        let State::Busy {
+        let ServiceState::Busy {
             service,
             part,
             identity,
@@ -287,16 +287,16 @@ impl Master {
             }
             _ => return,
         };
-        self.state = State::Finished(result);
+        self.state = ServiceState::Finished(result);
     }
 
     /// The next frame to send, if any.
     pub fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
         let request = self.request.take()?;
         self.deadline = now + self.timeout;
-        if let State::Busy { service, part, .. } = &mut self.state {
+        if let ServiceState::Busy { service, part, .. } = &mut self.state {
             match *service {
-                Service::SwitchGlobal(_) => self.state = State::Finished(Ok(Answer::Done)),
+                Service::SwitchGlobal(_) => self.state = ServiceState::Finished(Ok(Answer::Done)),
                 Service::ActivateBitTiming { delay_ms } => {
                     self.deadline = now + 2 * Duration::from_millis(delay_ms.into());
                 }
@@ -314,12 +314,12 @@ impl Master {
 
     /// When an answer is due, or the time is over that all have to answer.
     pub fn poll_timeout(&self) -> Option<Instant> {
-        matches!(self.state, State::Busy { .. }).then_some(self.deadline)
+        matches!(self.state, ServiceState::Busy { .. }).then_some(self.deadline)
     }
 
     /// Goes on or gives up if it is time at `now`.
     pub fn handle_timeout(&mut self, now: Instant) {
-        let State::Busy {
+        let ServiceState::Busy {
             service,
             scan,
             scanning,
@@ -355,15 +355,15 @@ impl Master {
             }),
         };
         self.request = None;
-        self.state = State::Finished(result);
+        self.state = ServiceState::Finished(result);
     }
 
     /// What came of the service, once; then the next may be started.
     pub fn poll(&mut self) -> Option<Result<Answer, LssError>> {
-        let State::Finished(result) = self.state else {
+        let ServiceState::Finished(result) = self.state else {
             return None;
         };
-        self.state = State::Idle;
+        self.state = ServiceState::Idle;
         Some(result)
     }
 

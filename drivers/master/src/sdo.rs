@@ -55,7 +55,7 @@ pub struct Client {
     node: NodeId,
     timeout: Duration,
     retries: u8,
-    state: State,
+    state: TransferState,
     start: Start,
     object: Object,
     capacity: usize,
@@ -83,7 +83,7 @@ enum Start {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum State {
+enum TransferState {
     Idle,
     UploadInitiated,
     /// `toggle` is that of the segment asked for, `announced` the size the server gave.
@@ -97,7 +97,7 @@ enum State {
         toggle: bool,
         sent: usize,
     },
-    Block(block::State),
+    Block(block::BlockState),
     Finished(Result<(), SdoError>),
 }
 
@@ -113,7 +113,7 @@ impl Client {
             node,
             timeout,
             retries,
-            state: State::Idle,
+            state: TransferState::Idle,
             start: Start::Upload,
             object: Object::new(0, 0),
             capacity,
@@ -175,7 +175,7 @@ impl Client {
 
     /// Drops the transfer in progress and sends no abort: the server has booted.
     pub fn reset(&mut self) {
-        self.state = State::Idle;
+        self.state = TransferState::Idle;
         self.ending = None;
         self.request = None;
     }
@@ -183,8 +183,8 @@ impl Client {
     /// Takes a frame from the bus; frames of other nodes are ignored.
     pub fn handle(&mut self, frame: &Frame, now: Instant) {
         match (self.state, Response::decode(frame, self.node)) {
-            (State::Idle | State::Finished(_), _) => {}
-            (State::Block(state), _) => self.handle_block(state, frame, now),
+            (TransferState::Idle | TransferState::Finished(_), _) => {}
+            (TransferState::Block(state), _) => self.handle_block(state, frame, now),
             (_, Some(response)) => self.handle_response(response, now),
             (_, None) => {}
         }
@@ -201,12 +201,12 @@ impl Client {
     /// When the answer is due that it waits for, or the next segment of a sub-block is to be sent.
     pub fn poll_timeout(&self) -> Option<Instant> {
         match self.state {
-            State::Idle | State::Finished(_) => None,
-            State::UploadInitiated
-            | State::UploadSegments { .. }
-            | State::DownloadInitiated
-            | State::DownloadSegments { .. }
-            | State::Block(_) => Some(self.deadline),
+            TransferState::Idle | TransferState::Finished(_) => None,
+            TransferState::UploadInitiated
+            | TransferState::UploadSegments { .. }
+            | TransferState::DownloadInitiated
+            | TransferState::DownloadSegments { .. }
+            | TransferState::Block(_) => Some(self.deadline),
         }
     }
 
@@ -215,7 +215,7 @@ impl Client {
         if self.poll_timeout().is_none_or(|deadline| now < deadline) {
             return;
         }
-        if let State::Block(block::State::Upload(receiving)) = self.state
+        if let TransferState::Block(block::BlockState::Upload(receiving)) = self.state
             && self.acknowledge_overdue(receiving, now)
         {
             return;
@@ -225,10 +225,10 @@ impl Client {
 
     /// The result of the transfer, once; then the next may be started.
     pub fn poll(&mut self) -> Option<Result<Transfer<'_>, SdoError>> {
-        let State::Finished(result) = self.state else {
+        let TransferState::Finished(result) = self.state else {
             return None;
         };
-        self.state = State::Idle;
+        self.state = TransferState::Idle;
         Some(result.map(|()| Transfer {
             object: self.object,
             data: &self.buffer[..self.length],
@@ -243,7 +243,7 @@ impl Client {
         data: &[u8],
         now: Instant,
     ) -> Result<(), StartError> {
-        if self.state != State::Idle {
+        if self.state != TransferState::Idle {
             return Err(StartError::Busy {
                 object: self.object,
             });
@@ -272,7 +272,7 @@ impl Client {
         match self.start {
             Start::Upload => {
                 self.length = 0;
-                self.state = State::UploadInitiated;
+                self.state = TransferState::UploadInitiated;
                 self.send(Request::InitiateUpload { object }, now);
             }
             Start::Download => {
@@ -282,7 +282,7 @@ impl Client {
                         size: u32::try_from(self.length).ok(),
                     },
                 };
-                self.state = State::DownloadInitiated;
+                self.state = TransferState::DownloadInitiated;
                 self.send(Request::InitiateDownload { object, initiate }, now);
             }
             Start::BlockUpload => self.initiate_block_upload(now),
@@ -310,15 +310,18 @@ impl Client {
                 let (object, specifier) = (self.object, response.specifier());
                 self.fail(SdoError::Specifier { object, specifier });
             }
-            (State::UploadInitiated, Response::InitiateUpload { object, initiate })
+            (TransferState::UploadInitiated, Response::InitiateUpload { object, initiate })
                 if object == self.object =>
             {
                 self.upload_initiated(initiate, now);
             }
-            (State::UploadSegments { toggle, announced }, Response::UploadSegment(segment)) => {
+            (
+                TransferState::UploadSegments { toggle, announced },
+                Response::UploadSegment(segment),
+            ) => {
                 self.segment_received(&segment, toggle, announced, now);
             }
-            (State::DownloadInitiated, Response::InitiateDownload { object })
+            (TransferState::DownloadInitiated, Response::InitiateDownload { object })
                 if object == self.object =>
             {
                 if self.expedited().is_some() {
@@ -328,7 +331,7 @@ impl Client {
                 }
             }
             (
-                State::DownloadSegments { toggle, sent },
+                TransferState::DownloadSegments { toggle, sent },
                 Response::DownloadSegment { toggle: taken },
             ) => {
                 if taken != toggle {
@@ -343,13 +346,13 @@ impl Client {
             }
             // A late answer to an earlier request.
             (
-                State::Idle
-                | State::UploadInitiated
-                | State::UploadSegments { .. }
-                | State::DownloadInitiated
-                | State::DownloadSegments { .. }
-                | State::Block(_)
-                | State::Finished(_),
+                TransferState::Idle
+                | TransferState::UploadInitiated
+                | TransferState::UploadSegments { .. }
+                | TransferState::DownloadInitiated
+                | TransferState::DownloadSegments { .. }
+                | TransferState::Block(_)
+                | TransferState::Finished(_),
                 _,
             ) => {}
         }
@@ -370,7 +373,7 @@ impl Client {
             Initiate::Expedited(data) => self.too_large(data.data().len()),
             Initiate::Segmented { size } => {
                 if let Ok(announced) = self.announced(size) {
-                    self.state = State::UploadSegments {
+                    self.state = TransferState::UploadSegments {
                         toggle: false,
                         announced,
                     };
@@ -420,7 +423,7 @@ impl Client {
             if segment.last {
                 self.finish(Ok(()));
             } else {
-                self.state = State::UploadSegments {
+                self.state = TransferState::UploadSegments {
                     toggle: !toggle,
                     announced,
                 };
@@ -433,7 +436,7 @@ impl Client {
     fn send_segment(&mut self, from: usize, toggle: bool, now: Instant) {
         let sent = self.length.min(from + SEGMENT);
         let segment = Segment::new(&self.buffer[from..sent], toggle, sent == self.length);
-        self.state = State::DownloadSegments { toggle, sent };
+        self.state = TransferState::DownloadSegments { toggle, sent };
         self.send(
             Request::DownloadSegment(segment.expect("at most 7 bytes were taken")),
             now,
@@ -471,7 +474,7 @@ impl Client {
 
     fn finish(&mut self, result: Result<(), SdoError>) {
         self.request = None;
-        self.state = State::Finished(result);
+        self.state = TransferState::Finished(result);
     }
 }
 

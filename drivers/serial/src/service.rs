@@ -57,7 +57,7 @@ pub enum Reply<'a> {
 pub struct Client {
     config: Config,
     wire: Wire,
-    state: State,
+    state: ExchangeState,
     operation: Operation,
     step: Step,
     /// Data to write in segments, or data read so far; never longer than the capacity.
@@ -80,7 +80,7 @@ pub struct Client {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum State {
+enum ExchangeState {
     Idle,
     Waiting,
     Exchanging,
@@ -121,7 +121,7 @@ impl Client {
         Self {
             config,
             wire: Wire::new(config.dialect),
-            state: State::Idle,
+            state: ExchangeState::Idle,
             operation: Operation::Nmt {
                 node: 0,
                 command: 0,
@@ -187,14 +187,14 @@ impl Client {
 
     /// The last acknowledgement must also have been sent.
     fn check_idle(&self) -> Result<(), StartError> {
-        let idle = self.state == State::Idle && self.bytes().is_empty();
+        let idle = self.state == ExchangeState::Idle && self.bytes().is_empty();
         if idle { Ok(()) } else { Err(StartError::Busy) }
     }
 
     fn start(&mut self, operation: Operation, now: Instant) -> Result<(), StartError> {
         self.check_idle()?;
         self.operation = operation;
-        self.state = State::Waiting;
+        self.state = ExchangeState::Waiting;
         self.retries_left = self.config.retries;
         self.started = now;
         self.handle_timeout(now);
@@ -234,7 +234,7 @@ impl Client {
             self.traffic = self.traffic.max(now);
             // The other side must not send while the client sends. Bytes that arrive then belong to an earlier
             // exchange.
-            if self.state != State::Exchanging || !self.bytes().is_empty() {
+            if self.state != ExchangeState::Exchanging || !self.bytes().is_empty() {
                 continue;
             }
             match &mut self.wire {
@@ -396,7 +396,7 @@ impl Client {
 
     /// Starts the request, or repeats it, on a quiet line.
     fn begin(&mut self, now: Instant) {
-        self.state = State::Exchanging;
+        self.state = ExchangeState::Exchanging;
         self.step = Step::Start;
         if self.retries_left == self.config.retries {
             self.begun = now;
@@ -468,7 +468,7 @@ impl Client {
         self.quiet_until = self.traffic + self.config.time_out;
         if self.retries_left > 0 {
             self.retries_left -= 1;
-            self.state = State::Waiting;
+            self.state = ExchangeState::Waiting;
         } else {
             self.finish(Err(error), now);
         }
@@ -482,38 +482,41 @@ impl Client {
             let as_long = now.since(self.begun).min(longest);
             self.quiet_until = self.quiet_until.max(now + as_long);
         }
-        self.state = State::Finished(result);
+        self.state = ExchangeState::Finished(result);
     }
 
     /// Time at which [`handle_timeout`](Client::handle_timeout) is due; `None` if the client is idle.
     pub fn poll_timeout(&self) -> Option<Instant> {
         match self.state {
-            State::Idle | State::Finished(_) => None,
-            State::Waiting => Some(self.quiet_until),
-            State::Exchanging => Some(self.deadline),
+            ExchangeState::Idle | ExchangeState::Finished(_) => None,
+            ExchangeState::Waiting => Some(self.quiet_until),
+            ExchangeState::Exchanging => Some(self.deadline),
         }
     }
 
     /// Processes deadlines that have passed at `now`.
     pub fn handle_timeout(&mut self, now: Instant) {
         match self.state {
-            State::Waiting if now >= self.quiet_until => self.begin(now),
-            State::Exchanging if now >= self.deadline => {
+            ExchangeState::Waiting if now >= self.quiet_until => self.begin(now),
+            ExchangeState::Exchanging if now >= self.deadline => {
                 // Bytes that the line did not accept by the deadline are discarded.
                 self.taken = self.filled;
                 let waited = now.since(self.started);
                 self.fail(ServiceError::TimedOut { waited }, now);
             }
-            State::Idle | State::Waiting | State::Exchanging | State::Finished(_) => {}
+            ExchangeState::Idle
+            | ExchangeState::Waiting
+            | ExchangeState::Exchanging
+            | ExchangeState::Finished(_) => {}
         }
     }
 
     /// Result of the request, returned once.
     pub fn poll(&mut self) -> Option<Result<Reply<'_>, ServiceError>> {
-        let State::Finished(result) = self.state else {
+        let ExchangeState::Finished(result) = self.state else {
             return None;
         };
-        self.state = State::Idle;
+        self.state = ExchangeState::Idle;
         Some(result.map(|brought| match brought {
             Brought::Value(value) => Reply::Value(value),
             Brought::Object => Reply::Object(&self.object),

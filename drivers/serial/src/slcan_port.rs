@@ -3,7 +3,7 @@
 use std::task::Poll;
 use std::time::Duration;
 
-use can::slcan::{BITRATES, BusErrors, Command, LONGEST, Piece, Report, Splitter};
+use can::slcan::{AdapterReport, BITRATES, BusErrors, Command, LONGEST, Piece, Splitter};
 use can::timing::Bitrate;
 use can::{ControllerState, Counters, Frame, Instant, Port, PortError, Received};
 use thiserror::Error;
@@ -202,7 +202,7 @@ impl<L: Line> SlcanPort<L> {
             };
             // The format of the version line depends on the firmware. A line that echoes the command is not an adapter.
             let echo = matches!(piece, Piece::Line(b"V"));
-            let report = Report::parse(piece).ok();
+            let report = AdapterReport::parse(piece).ok();
             if !echo {
                 self.answered(report, now)?;
             }
@@ -214,16 +214,21 @@ impl<L: Line> SlcanPort<L> {
     }
 
     /// Processes a report of the adapter during the opening.
-    fn answered(&mut self, report: Option<Report>, now: Instant) -> Result<(), SlcanError> {
+    fn answered(&mut self, report: Option<AdapterReport>, now: Instant) -> Result<(), SlcanError> {
         let kbps = self.bitrate.kbps();
         match (self.stage, report) {
-            (Stage::SettingUp { .. }, Some(Report::Refused)) => {
+            (Stage::SettingUp { .. }, Some(AdapterReport::Refused)) => {
                 return Err(SlcanError::BitrateRefused { kbps });
             }
-            (Stage::Opening { .. }, Some(Report::Refused)) => return Err(SlcanError::OpenRefused),
-            (Stage::SettingUp { .. }, Some(Report::Done)) => self.accept_all(now)?,
+            (Stage::Opening { .. }, Some(AdapterReport::Refused)) => {
+                return Err(SlcanError::OpenRefused);
+            }
+            (Stage::SettingUp { .. }, Some(AdapterReport::Done)) => self.accept_all(now)?,
             // Both commands are answered, possibly by a bell.
-            (Stage::AcceptingAll { until, answers }, Some(Report::Done | Report::Refused)) => {
+            (
+                Stage::AcceptingAll { until, answers },
+                Some(AdapterReport::Done | AdapterReport::Refused),
+            ) => {
                 let answers = answers + 1;
                 self.stage = Stage::AcceptingAll { until, answers };
                 if answers == 2 {
@@ -233,7 +238,11 @@ impl<L: Line> SlcanPort<L> {
             // A frame, a state line or a version line shows an open channel.
             (
                 Stage::Opening { .. },
-                Some(Report::Done | Report::Received { .. } | Report::State { .. }),
+                Some(
+                    AdapterReport::Done
+                    | AdapterReport::Received { .. }
+                    | AdapterReport::State { .. },
+                ),
             )
             | (Stage::Probing { .. }, _) => self.stage = Stage::Open,
             // Answers to earlier commands, and frames from before the opening.
@@ -325,22 +334,22 @@ impl<L: Line> SlcanPort<L> {
     fn next_frame(&mut self) -> Option<Frame> {
         while let Some(byte) = self.next_byte() {
             let spoilt = self.splitter.dropped().lines;
-            let report = self.splitter.push(byte).map(Report::parse);
+            let report = self.splitter.push(byte).map(AdapterReport::parse);
             self.counters.dropped += self.splitter.dropped().lines - spoilt;
             match report {
-                Some(Ok(Report::Received { frame, .. })) => return Some(frame),
-                Some(Ok(Report::State { state, .. })) => self.state = state,
-                Some(Ok(Report::Errors(errors))) => self.count(errors),
-                Some(Ok(Report::Refused)) => self.counters.refused += 1,
+                Some(Ok(AdapterReport::Received { frame, .. })) => return Some(frame),
+                Some(Ok(AdapterReport::State { state, .. })) => self.state = state,
+                Some(Ok(AdapterReport::Errors(errors))) => self.count(errors),
+                Some(Ok(AdapterReport::Refused)) => self.counters.refused += 1,
                 Some(Err(_)) => self.counters.dropped += 1,
                 Some(Ok(
-                    Report::Done
-                    | Report::Transmitted(_)
-                    | Report::Version { .. }
-                    | Report::Firmware { .. }
-                    | Report::SerialNumber(_)
-                    | Report::Flags(_)
-                    | Report::PollEnd,
+                    AdapterReport::Done
+                    | AdapterReport::Transmitted(_)
+                    | AdapterReport::Version { .. }
+                    | AdapterReport::Firmware { .. }
+                    | AdapterReport::SerialNumber(_)
+                    | AdapterReport::Flags(_)
+                    | AdapterReport::PollEnd,
                 ))
                 | None => {}
             }

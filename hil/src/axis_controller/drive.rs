@@ -6,7 +6,7 @@ use can::Instant;
 use serial::nfv2::Gains;
 
 use super::{AxisControllerConfig, Cabinet};
-use crate::{Axis, Demand, Feedback};
+use crate::{Demand, Feedback, PlantAxis};
 
 const SUB_STEP: Duration = Duration::from_micros(100);
 /// Number of sub-steps between checks of the switches and the index pulse: 1 ms.
@@ -63,7 +63,7 @@ pub(super) struct Sample {
 }
 
 pub(super) struct Drive {
-    axis: Axis,
+    axis: PlantAxis,
     feedback: Feedback,
     /// Time up to which the axis has been simulated.
     inner: Instant,
@@ -86,7 +86,7 @@ impl Drive {
     pub(super) fn new(config: &AxisControllerConfig) -> Self {
         let mut settings = config.axis;
         settings.amplifier.max_voltage = config.supply;
-        let axis = Axis::mounted(&settings, config.seed, config.mount.as_ref());
+        let axis = PlantAxis::mounted(&settings, config.seed, config.mount.as_ref());
         let mut drive = Self {
             feedback: axis.feedback(),
             axis,
@@ -107,7 +107,7 @@ impl Drive {
         drive
     }
 
-    pub(super) fn axis(&self) -> &Axis {
+    pub(super) fn axis(&self) -> &PlantAxis {
         &self.axis
     }
 

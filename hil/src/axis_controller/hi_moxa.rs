@@ -9,7 +9,7 @@ use super::drive::{Drive, Mode, Sample};
 use super::unit::Unit;
 use super::{AxisControllerConfig, GAP};
 use crate::outbox::Heard;
-use crate::{Axis, LineDevice};
+use crate::{LineDevice, PlantAxis};
 
 /// First byte of an answer. No source documents its value.
 const START: u8 = 0x23;
@@ -41,7 +41,7 @@ impl HiMoxaAxisController {
     }
 
     /// The simulated axis, including state that no drive can measure.
-    pub fn axis(&self) -> &Axis {
+    pub fn axis(&self) -> &PlantAxis {
         self.unit.drive.axis()
     }
 

@@ -9,7 +9,7 @@ use super::drive::{Drive, Mode, Sample};
 use super::unit::Unit;
 use super::{AxisControllerConfig, GAP};
 use crate::outbox::Heard;
-use crate::{Axis, LineDevice};
+use crate::{LineDevice, PlantAxis};
 
 /// A serial axis controller with NFv2 telegrams.
 ///
@@ -33,7 +33,7 @@ impl Nfv2AxisController {
     }
 
     /// The simulated axis, including state that no drive can measure.
-    pub fn axis(&self) -> &Axis {
+    pub fn axis(&self) -> &PlantAxis {
         self.unit.drive.axis()
     }
 

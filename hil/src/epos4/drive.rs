@@ -29,7 +29,7 @@ use super::objects::Objects;
 use super::power::{Brake, Options, Transition, on_command, on_fault};
 use super::profile::Motion;
 use crate::plant::SUB_STEP;
-use crate::{Axis, AxisConfig, Demand, Feedback, Mount, Trip};
+use crate::{AxisConfig, Demand, Feedback, Mount, PlantAxis, Trip};
 use slots::*;
 use standstill::Standstill;
 
@@ -39,7 +39,7 @@ pub(super) const CHUNK: u32 = 10;
 /// The drive.
 #[derive(Clone, Debug)]
 pub(super) struct Drive {
-    axis: Axis,
+    axis: PlantAxis,
     counts_per_turn: f64,
     cyclic_status: CyclicStatus,
     /// Bits set in every statusword.
@@ -95,7 +95,7 @@ impl Drive {
         cyclic_status: CyclicStatus,
         vendor_bits: u16,
     ) -> Self {
-        let axis = Axis::mounted(config, seed, mount);
+        let axis = PlantAxis::mounted(config, seed, mount);
         Self {
             feedback: axis.feedback(),
             axis,
@@ -119,7 +119,7 @@ impl Drive {
         }
     }
 
-    pub(super) fn axis(&self) -> &Axis {
+    pub(super) fn axis(&self) -> &PlantAxis {
         &self.axis
     }
 

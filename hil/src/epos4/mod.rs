@@ -1,6 +1,6 @@
 //! An EPOS4-class axis controller: CiA 301 and CiA 402 as a maxon EPOS4 speaks them on CAN.
 //!
-//! [`Epos4`] is a [`Device`] with an [`Axis`] and its physics. The device has LSS, boot-up, NMT, an SDO server,
+//! [`Epos4`] is a [`Device`] with an [`PlantAxis`] and its physics. The device has LSS, boot-up, NMT, an SDO server,
 //! heartbeat producer and consumer, EMCY, and four PDOs each way with strict re-mapping. The drive has power states
 //! with their option codes and the modes PP, PV, HM, CSP, CSV and CST. The object dictionary is one table.
 //!
@@ -44,7 +44,7 @@ use canopen::heartbeat::Heartbeat;
 use canopen::pdo::{PdoKind, PdoNumber};
 use canopen::{NodeId, cob, nmt, objects as named, sdo};
 
-use crate::{Axis, Device, PlantConfig};
+use crate::{Device, PlantAxis, PlantConfig};
 pub use config::{CyclicStatus, Epos4Config, SyncLoss};
 use drive::{CHUNK, Drive, interpolation_period};
 use errors::Errors;
@@ -164,7 +164,7 @@ impl Epos4 {
     }
 
     /// The simulated axis, including state that no drive can measure.
-    pub fn axis(&self) -> &Axis {
+    pub fn axis(&self) -> &PlantAxis {
         self.drive.axis()
     }
 
@@ -199,20 +199,20 @@ impl Epos4 {
     fn serving(&self) -> bool {
         matches!(
             self.objects.nmt,
-            nmt::State::PreOperational | nmt::State::Operational
+            nmt::NmtState::PreOperational | nmt::NmtState::Operational
         )
     }
 
-    fn enter(&mut self, state: nmt::State, now: Instant) {
+    fn enter(&mut self, state: nmt::NmtState, now: Instant) {
         if self.objects.nmt == state {
             return;
         }
         self.objects.nmt = state;
         self.pdos = match state {
-            nmt::State::Operational => Pdos::read(&self.objects),
+            nmt::NmtState::Operational => Pdos::read(&self.objects),
             _ => Pdos::NONE,
         };
-        if state == nmt::State::Stopped {
+        if state == nmt::NmtState::Stopped {
             self.server.reset();
             self.answer = None;
             self.end_connection();
@@ -224,9 +224,9 @@ impl Epos4 {
 
     fn manage(&mut self, command: nmt::Command, now: Instant) {
         match command {
-            nmt::Command::Start => self.enter(nmt::State::Operational, now),
-            nmt::Command::Stop => self.enter(nmt::State::Stopped, now),
-            nmt::Command::EnterPreOperational => self.enter(nmt::State::PreOperational, now),
+            nmt::Command::Start => self.enter(nmt::NmtState::Operational, now),
+            nmt::Command::Stop => self.enter(nmt::NmtState::Stopped, now),
+            nmt::Command::EnterPreOperational => self.enter(nmt::NmtState::PreOperational, now),
             nmt::Command::ResetNode => {
                 self.lss.restart();
                 self.drive.restart();
@@ -246,7 +246,7 @@ impl Epos4 {
             self.objects.rename(node);
         }
         self.objects.reset(all);
-        self.objects.nmt = nmt::State::Initialising;
+        self.objects.nmt = nmt::NmtState::Initialising;
         // A drive in fault keeps its errors until a fault reset.
         if !self.drive.faulted() {
             self.errors.clear(&mut self.objects, |_| true);
@@ -269,16 +269,16 @@ impl Epos4 {
             // Without a node-ID the device stays in initialisation, where only LSS works.
             return;
         }
-        self.objects.nmt = nmt::State::PreOperational;
+        self.objects.nmt = nmt::NmtState::PreOperational;
         self.drive.started(&mut self.objects);
-        self.send_heartbeat(nmt::State::Initialising);
+        self.send_heartbeat(nmt::NmtState::Initialising);
         // The boot-up message counts as the first heartbeat (CiA 301).
         self.heartbeat_at = self.heartbeat_period().map(|period| now + period);
         self.consumers.read(&self.objects);
         self.announce();
     }
 
-    fn send_heartbeat(&mut self, state: nmt::State) {
+    fn send_heartbeat(&mut self, state: nmt::NmtState) {
         if let Some(node) = self.node {
             self.send(Heartbeat { node, state }.encode());
         }
@@ -287,7 +287,7 @@ impl Epos4 {
     fn synchronise(&mut self, now: Instant) {
         self.catch_up(now, true);
         self.last_sync = Some(now);
-        if self.objects.nmt != nmt::State::Operational {
+        if self.objects.nmt != nmt::NmtState::Operational {
             return;
         }
         let queue = &mut self.queue;
@@ -302,7 +302,7 @@ impl Epos4 {
     }
 
     fn send_events(&mut self, now: Instant) {
-        if self.objects.nmt != nmt::State::Operational {
+        if self.objects.nmt != nmt::NmtState::Operational {
             return;
         }
         let queue = &mut self.queue;

@@ -46,7 +46,7 @@ pub(super) struct Objects {
     factory: Box<[u32; ROWS]>,
     /// The only object of type DOMAIN.
     domain: Vec<u8>,
-    pub(super) nmt: nmt::State,
+    pub(super) nmt: nmt::NmtState,
     pub(super) changes: Changes,
 }
 
@@ -68,7 +68,7 @@ impl Objects {
             values: factory,
             stored: Box::new(factory),
             factory: Box::new(factory),
-            nmt: nmt::State::Initialising,
+            nmt: nmt::NmtState::Initialising,
             changes: Changes::default(),
         }
     }
@@ -254,7 +254,7 @@ impl Objects {
                 return Err(AbortCode::DEVICE_STATE);
             }
             Place::Communication(_) => {}
-            Place::Mapping(_) if existing.is_valid() || self.nmt == nmt::State::Operational => {
+            Place::Mapping(_) if existing.is_valid() || self.nmt == nmt::NmtState::Operational => {
                 return Err(AbortCode::DEVICE_STATE);
             }
             // Every object takes at least one byte.

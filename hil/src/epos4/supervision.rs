@@ -38,8 +38,8 @@ impl Epos4 {
     pub(super) fn lose_contact(&mut self, error: Error, now: Instant) {
         self.fail(error);
         let to = match self.objects.u(Slot::of(named::ERROR_BEHAVIOUR)) {
-            0 if self.objects.nmt == nmt::State::Operational => nmt::State::PreOperational,
-            2 => nmt::State::Stopped,
+            0 if self.objects.nmt == nmt::NmtState::Operational => nmt::NmtState::PreOperational,
+            2 => nmt::NmtState::Stopped,
             _ => return,
         };
         self.enter(to, now);
@@ -148,7 +148,7 @@ impl Epos4 {
     /// Applies a write to a parameter of a PDO. The errors of an RPDO end when the RPDO or its event timer is
     /// switched off.
     pub(super) fn update_pdo(&mut self, kind: PdoKind, number: PdoNumber) {
-        if self.objects.nmt == nmt::State::Operational {
+        if self.objects.nmt == nmt::NmtState::Operational {
             self.pdos.update(kind, number, &self.objects);
         }
         if kind == PdoKind::Rpdo {

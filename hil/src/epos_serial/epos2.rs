@@ -23,13 +23,13 @@ use crate::{Epos4, LineDevice};
 /// Idle. While the port has bytes to send, it ignores received bytes.
 pub struct Epos2Serial {
     service: Service,
-    state: State,
+    state: TelegramState,
     body: [u8; body_length(MAX_WORDS)],
     last: Instant,
 }
 
 #[derive(Clone, Copy)]
-enum State {
+enum TelegramState {
     Idle,
     /// Number of bytes received after this opcode.
     Body {
@@ -46,7 +46,7 @@ impl Epos2Serial {
     /// A port after power-on, with its device.
     pub fn new(config: EposSerialConfig) -> Self {
         Self {
-            state: State::Idle,
+            state: TelegramState::Idle,
             body: [0; body_length(MAX_WORDS)],
             last: config.epos.power_on,
             service: Service::new(config),
@@ -63,44 +63,44 @@ impl Epos2Serial {
         self.service.heard
     }
 
-    fn take(&mut self, byte: u8, now: Instant) -> State {
+    fn take(&mut self, byte: u8, now: Instant) -> TelegramState {
         match self.state {
-            State::Idle => {
+            TelegramState::Idle => {
                 self.service.send(&[Acknowledge::Okay.byte()], now);
-                State::Body {
+                TelegramState::Body {
                     opcode: byte,
                     count: 0,
                 }
             }
-            State::Body { opcode, count } => {
+            TelegramState::Body { opcode, count } => {
                 self.body[count] = byte;
                 let count = count + 1;
                 if count < body_length(usize::from(self.body[0]) + 1) {
-                    State::Body { opcode, count }
+                    TelegramState::Body { opcode, count }
                 } else {
                     self.finish(opcode, count, now)
                 }
             }
-            State::Answering(telegram) => {
+            TelegramState::Answering(telegram) => {
                 if Acknowledge::from_byte(byte) == Some(Acknowledge::Okay) {
                     self.service.send(telegram.body(), now);
-                    State::Ending
+                    TelegramState::Ending
                 } else {
                     self.service.heard.skipped += 1;
-                    State::Idle
+                    TelegramState::Idle
                 }
             }
-            State::Ending => State::Idle,
+            TelegramState::Ending => TelegramState::Idle,
         }
     }
 
     /// Processes a complete telegram.
-    fn finish(&mut self, opcode: u8, count: usize, now: Instant) -> State {
+    fn finish(&mut self, opcode: u8, count: usize, now: Instant) -> TelegramState {
         let request = Request::decode(opcode, &self.body[..count]);
         if request == Err(Malformed::Damaged) {
             self.service.heard.damaged += 1;
             self.service.send(&[Acknowledge::Failed.byte()], now);
-            return State::Idle;
+            return TelegramState::Idle;
         }
         let answer = match request {
             Ok(request) => {
@@ -120,10 +120,10 @@ impl Epos2Serial {
         };
         let Some(answer) = answer else {
             self.service.send(&[Acknowledge::Okay.byte()], now);
-            return State::Idle;
+            return TelegramState::Idle;
         };
         self.service.send(&[Acknowledge::Okay.byte(), ANSWER], now);
-        State::Answering(answer)
+        TelegramState::Answering(answer)
     }
 
     fn obey(&mut self, request: Request, now: Instant) -> Result<Answer, AbortCode> {
@@ -166,10 +166,10 @@ impl LineDevice for Epos2Serial {
     fn receive(&mut self, byte: u8, now: Instant) {
         self.service.run(now);
         if now.since(self.last) > self.service.config.time_out {
-            if let State::Body { count, .. } = self.state {
+            if let TelegramState::Body { count, .. } = self.state {
                 self.service.heard.skipped += count as u64 + 1;
             }
-            self.state = State::Idle;
+            self.state = TelegramState::Idle;
         }
         self.last = now;
         if !self.service.listens() {

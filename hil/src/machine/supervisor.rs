@@ -12,10 +12,10 @@ const SUPERVISE: &str = include_str!("../supervise.sh");
 
 /// Ends a test machine from another thread, for example after a signal. Serves one machine at a time.
 #[derive(Clone, Debug, Default)]
-pub struct Cancellation(Arc<Mutex<State>>);
+pub struct Cancellation(Arc<Mutex<CancelState>>);
 
 #[derive(Debug, Default)]
-struct State {
+struct CancelState {
     requested: bool,
     /// Closing this pipe ends the machine.
     pipe: Option<PipeWriter>,
@@ -34,7 +34,7 @@ impl Cancellation {
         self.state().requested
     }
 
-    fn state(&self) -> MutexGuard<'_, State> {
+    fn state(&self) -> MutexGuard<'_, CancelState> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

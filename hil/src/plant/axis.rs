@@ -78,7 +78,7 @@ pub struct Feedback {
     pub torque: f64,
     /// Measured current, A.
     pub current: f64,
-    /// Count of the last index pulse since [`Axis::take_index`].
+    /// Count of the last index pulse since [`PlantAxis::take_index`].
     pub index: Option<i32>,
     /// Whether the home switch is closed.
     pub home_switch: bool,
@@ -103,9 +103,9 @@ pub enum Trip {
 
 /// One motor with its load, its sensors and the inner loops of its drive.
 ///
-/// The caller decides when to call [`Axis::advance`]. Simulated time is the number of sub-steps advanced.
+/// The caller decides when to call [`PlantAxis::advance`]. Simulated time is the number of sub-steps advanced.
 #[derive(Clone, Debug)]
-pub struct Axis {
+pub struct PlantAxis {
     plant: Plant,
     mount: Option<Mount>,
     amplifier: Amplifier,
@@ -126,7 +126,7 @@ enum Plant {
     Physical(Box<Motor>),
 }
 
-impl Axis {
+impl PlantAxis {
     /// An axis at standstill at its start angle. `seed` determines ripple, jitter and bounce.
     pub fn new(config: &AxisConfig, seed: u64) -> Self {
         Self::mounted(config, seed, None)

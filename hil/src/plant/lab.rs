@@ -304,7 +304,7 @@ impl AxisConfig {
 #[cfg(test)]
 mod tests {
     use super::{AxisConfig, Irp6TrackAxis};
-    use crate::plant::{Axis, Demand};
+    use crate::plant::{Demand, PlantAxis};
     use std::f64::consts::TAU;
 
     /// Presets by name, with the lowest and the highest start angle relative to home.
@@ -344,7 +344,7 @@ mod tests {
                     edge_jitter: 0.0,
                     ..config
                 };
-                let closed = Axis::new(&config, 1).feedback().home_switch;
+                let closed = PlantAxis::new(&config, 1).feedback().home_switch;
                 // The only edge lies half a motor turn below home. The switch tells on which side of the edge the
                 // axis is.
                 assert_eq!(closed, begin <= -TAU / 2.0, "{name} at {begin}");
@@ -352,7 +352,7 @@ mod tests {
             let mut config = config;
             config.start_angle = home - TAU;
             let per_radian = f64::from(config.counts_per_revolution) / TAU;
-            let mut axis = Axis::new(&config, 1);
+            let mut axis = PlantAxis::new(&config, 1);
             let up = Demand::Velocity(3.0 * per_radian);
             while axis.feedback().home_switch {
                 axis.advance(10, up);
@@ -372,7 +372,7 @@ mod tests {
             start_angle: 0.0,
             ..AxisConfig::polycrank(0).expect("it has the axis")
         };
-        let mut axis = Axis::new(&config, 1);
+        let mut axis = PlantAxis::new(&config, 1);
         let mut changes = Vec::new();
         let mut before = axis.feedback().home_switch;
         for _ in 0..10_000 {
@@ -395,7 +395,7 @@ mod tests {
     #[test]
     fn renamed_home_changes_names_and_nothing_else() {
         let run = |config: AxisConfig| {
-            let mut axis = Axis::new(&config, 4);
+            let mut axis = PlantAxis::new(&config, 4);
             let mut seen = Vec::new();
             for velocity in [-20_000.0, 30_000.0] {
                 for _ in 0..20 {
@@ -420,7 +420,7 @@ mod tests {
     #[test]
     fn gripper_opens_and_closes_and_is_stopped_at_its_ends() {
         let per_radian = 128.0 / TAU;
-        let mut axis = Axis::new(&AxisConfig::gripper(), 1);
+        let mut axis = PlantAxis::new(&AxisConfig::gripper(), 1);
         let mut from = 0.0;
         for k in 0..3000 {
             let to = -100.0 * (1.0 - (f64::from(k + 1) * 2e-3).cos()) * per_radian;
@@ -450,7 +450,7 @@ mod tests {
 
     #[test]
     fn conveyor_runs_on_and_on() {
-        let mut axis = Axis::new(&AxisConfig::conveyor(), 1);
+        let mut axis = PlantAxis::new(&AxisConfig::conveyor(), 1);
         // 0.15 m/s.
         let speed = 337.5 * 4000.0 / TAU;
         axis.advance(20_000, Demand::Velocity(speed));

@@ -2,7 +2,9 @@
 
 use std::f64::consts::TAU;
 
-use super::{Axis, AxisConfig, Demand, Gravity, Irp6Axis, MotorConfig, PlantConfig, Switch, Trip};
+use super::{
+    AxisConfig, Demand, Gravity, Irp6Axis, MotorConfig, PlantAxis, PlantConfig, Switch, Trip,
+};
 
 const TORQUE_CONSTANT: f64 = 0.105;
 
@@ -31,7 +33,7 @@ fn trapezoid(t: f64) -> f64 {
 /// Largest and last following error, counts. Set-points are whole counts each `period` sub-steps, between which the
 /// drive interpolates.
 fn following_error(config: &AxisConfig, period: u32) -> (i32, i32) {
-    let mut axis = Axis::new(config, 1);
+    let mut axis = PlantAxis::new(config, 1);
     axis.advance(
         5_000,
         Demand::Position {
@@ -105,7 +107,7 @@ fn every_axis_follows_the_trapezoid_within_few_counts() {
 fn loops_stay_stable_with_up_to_four_times_the_inertia() {
     for axis in Irp6Axis::ALL {
         for factor in [0.4, 1.0, 2.0, 3.0, 4.0] {
-            let mut axis_at_work = Axis::new(&irp6(axis, |motor| motor.inertia *= factor), 1);
+            let mut axis_at_work = PlantAxis::new(&irp6(axis, |motor| motor.inertia *= factor), 1);
             let errors: Vec<i32> = (0..1000)
                 .map(|_| {
                     axis_at_work.advance(
@@ -139,7 +141,7 @@ fn loops_stay_stable_with_up_to_four_times_the_inertia() {
 #[test]
 fn velocity_and_torque_demands_are_met() {
     for axis in Irp6Axis::ALL {
-        let mut axis_at_work = Axis::new(&AxisConfig::irp6(axis), 1);
+        let mut axis_at_work = PlantAxis::new(&AxisConfig::irp6(axis), 1);
         axis_at_work.advance(10_000, Demand::Velocity(-20_000.0));
         let before = axis_at_work.feedback().counts;
         axis_at_work.advance(10_000, Demand::Velocity(-20_000.0));
@@ -150,7 +152,7 @@ fn velocity_and_torque_demands_are_met() {
             "{axis:?}: {moved} counts in a second"
         );
     }
-    let mut axis = Axis::new(&AxisConfig::irp6(Irp6Axis::Column), 1);
+    let mut axis = PlantAxis::new(&AxisConfig::irp6(Irp6Axis::Column), 1);
     axis.advance(50, Demand::Torque(-0.5));
     assert!(
         (axis.feedback().torque + 0.5).abs() < 0.005,
@@ -188,7 +190,7 @@ fn standing_axis_does_not_creep() {
             edge_jitter: 0.0,
             ..config
         };
-        let mut axis = Axis::new(&config, 1);
+        let mut axis = PlantAxis::new(&config, 1);
         axis.advance(100_000, demand);
         let stayed = axis.angle() == config.start_angle;
         assert_eq!(
@@ -203,7 +205,7 @@ fn standing_axis_does_not_creep() {
 #[test]
 fn powered_axis_settles_on_its_count_under_its_weight() {
     for axis in Irp6Axis::ALL {
-        let mut axis_at_work = Axis::new(
+        let mut axis_at_work = PlantAxis::new(
             &AxisConfig {
                 edge_jitter: 0.0,
                 ..AxisConfig::irp6(axis)
@@ -223,7 +225,7 @@ fn powered_axis_settles_on_its_count_under_its_weight() {
 }
 
 /// Largest deviation, counts, of an axis that is told to hold its present position.
-fn bump(mut axis: Axis) -> i32 {
+fn bump(mut axis: PlantAxis) -> i32 {
     let here = axis.feedback().counts;
     let hold = Demand::Position {
         counts: f64::from(here),
@@ -246,12 +248,12 @@ fn position_loop_takes_over_without_a_bump() {
             phase: 0.0,
         };
     });
-    let mut axis = Axis::new(&config, 1);
+    let mut axis = PlantAxis::new(&config, 1);
     axis.advance(1_000, Demand::Torque(-0.4));
     assert!(bump(axis) <= 1);
     // The position loop takes over at high torque or speed.
     for work in [Demand::Torque(2.0), Demand::Velocity(20_000.0)] {
-        let mut axis = Axis::new(&AxisConfig::irp6(Irp6Axis::Column), 1);
+        let mut axis = PlantAxis::new(&AxisConfig::irp6(Irp6Axis::Column), 1);
         axis.advance(100, Demand::Velocity(0.0));
         axis.advance(20, work);
         axis.advance(1_000, Demand::Off);
@@ -272,7 +274,7 @@ fn index_marks_home_and_the_switch_is_closed_below_it() {
         let Some(Switch { to, .. }) = config.home_switch else {
             unreachable!("the preset has one")
         };
-        let mut axis_at_work = Axis::new(&config, 1);
+        let mut axis_at_work = PlantAxis::new(&config, 1);
         let (mut indices, mut edge) = (Vec::new(), None);
         for _ in 0..4_000 {
             axis_at_work.advance(10, Demand::Velocity(-15.0 * per_radian));
@@ -305,8 +307,8 @@ fn index_marks_home_and_the_switch_is_closed_below_it() {
 }
 
 /// Runs into an end stop at 30 rad/s and continues to push with full torque.
-fn stalled(axis: Irp6Axis, direction: f64) -> (Axis, Demand) {
-    let mut axis_at_work = Axis::new(&AxisConfig::irp6(axis), 1);
+fn stalled(axis: Irp6Axis, direction: f64) -> (PlantAxis, Demand) {
+    let mut axis_at_work = PlantAxis::new(&AxisConfig::irp6(axis), 1);
     axis_at_work.advance(100_000, Demand::Velocity(19_000.0 * direction));
     (axis_at_work, Demand::Torque(100.0 * direction))
 }
@@ -340,7 +342,7 @@ fn current_and_voltage_have_their_limits() {
         motor.end_stops = None;
         motor.torque_ripple = 0.0;
     });
-    let mut axis = Axis::new(&free, 1);
+    let mut axis = PlantAxis::new(&free, 1);
     let mut most = 0.0_f64;
     for _ in 0..10_000 {
         axis.advance(1, Demand::Torque(100.0));
@@ -364,7 +366,7 @@ fn current_and_voltage_have_their_limits() {
 fn over_current_trips_until_power_is_taken_off() {
     let mut config = AxisConfig::irp6(Irp6Axis::Column);
     config.amplifier.trip_current = 5.0;
-    let mut axis = Axis::new(&config, 1);
+    let mut axis = PlantAxis::new(&config, 1);
     axis.advance(10, Demand::Torque(0.4));
     assert_eq!(axis.feedback().trip, None);
     axis.advance(50, Demand::Torque(1.0));
@@ -413,7 +415,7 @@ fn wander(seed: u64, chunks: &[u32]) -> (u64, i32) {
         to: 450.0,
         bounce: 50,
     });
-    let mut axis = Axis::new(&config, seed);
+    let mut axis = PlantAxis::new(&config, seed);
     for velocity in [-20_000.0, 10_000.0, -30_000.0] {
         for chunk in chunks {
             axis.advance(*chunk, Demand::Velocity(velocity));
@@ -434,7 +436,7 @@ fn ripple_and_jitter_are_what_seeds_differ_in() {
         let config = irp6(Irp6Axis::Column, |motor| {
             motor.torque_ripple = torque_ripple;
         });
-        let mut axis = Axis::new(
+        let mut axis = PlantAxis::new(
             &AxisConfig {
                 edge_jitter,
                 ..config
@@ -458,7 +460,7 @@ fn how_time_is_cut_up_changes_nothing() {
     let mut config = AxisConfig::irp6(Irp6Axis::Column);
     config.start_angle = 0.0;
     let run = |chunks: &[u32]| {
-        let mut axis = Axis::new(&config, 5);
+        let mut axis = PlantAxis::new(&config, 5);
         for chunk in chunks {
             axis.advance(*chunk, Demand::Velocity(31_000.0));
         }
@@ -479,7 +481,7 @@ fn voltages_and_currents_act_from_their_first_sub_step() {
     config.amplifier.max_voltage = 48.0;
     config.amplifier.trip_current = 100.0;
     for phase in 0..10 {
-        let mut axis = Axis::new(&config, 1);
+        let mut axis = PlantAxis::new(&config, 1);
         axis.advance(phase, Demand::Off);
         for k in 1..=20 {
             axis.advance(1, Demand::Duty(0.25));
@@ -506,7 +508,7 @@ fn an_axis_trips_beyond_the_current_it_was_set_to() {
         AxisConfig::wut(Irp6Axis::Column),
     ] {
         for (limit, trips) in [(4.0, true), (6.0, false)] {
-            let mut axis = Axis::new(&config, 1);
+            let mut axis = PlantAxis::new(&config, 1);
             axis.set_trip_current(limit);
             axis.advance(100, Demand::Current(5.0));
             let trip = axis.feedback().trip;

@@ -10,7 +10,7 @@ mod program;
 mod robots;
 mod weight;
 
-use servo::{Reason, Refusal};
+use servo::{KeyError, KeyProblem};
 
 use super::error::Problem;
 use super::locate::Path;
@@ -50,15 +50,15 @@ pub(super) fn check(cell: &Cell) -> Checked {
 }
 
 /// What the servo refuses of a table at `path`.
-fn by_servo(path: &Path, refusal: Refusal) -> (Path, Problem) {
+fn by_servo(path: &Path, refusal: KeyError) -> (Path, Problem) {
     let path = refusal
         .key
         .split('.')
         .fold(path.clone(), |path, key| path.then(key));
     let problem = match refusal.reason {
-        Reason::OutOfRange { value, range } => Problem::OutOfRange { value, range },
-        Reason::NoEffect { because } => Problem::NoEffect { because },
-        Reason::Conflict(why) => Problem::Refused(why.into()),
+        KeyProblem::OutOfRange { value, range } => Problem::OutOfRange { value, range },
+        KeyProblem::NoEffect { because } => Problem::NoEffect { because },
+        KeyProblem::Conflict(why) => Problem::Refused(why.into()),
     };
     (path, problem)
 }

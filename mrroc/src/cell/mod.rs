@@ -371,7 +371,7 @@ pub enum Instruction {
     /// Move through joint poses.
     Joints(Joints),
     /// Move the tool along a straight line.
-    Line(Line),
+    Line(LineInstruction),
     /// Stand until every robot whose program names this meeting has come to it. All of them then continue in the same
     /// servo cycle. A repeated name is another meeting of the same robots.
     Meet(#[schemars(schema_with = "name_schema")] String),
@@ -417,7 +417,7 @@ pub enum JointGenerator {
 /// A straight line of the tool from its present position.
 #[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Line {
+pub struct LineInstruction {
     /// Target position of the tool, m, in the robot's base frame.
     pub position: [f64; 3],
     /// Target orientation of the tool as w, x, y, z; unchanged where absent.

@@ -7,7 +7,7 @@ use nalgebra::{Quaternion, Translation3, UnitQuaternion};
 use servo::MAX_AXES;
 use thiserror::Error;
 
-use super::{Cell, Instruction, JointGenerator, Joints, Line, Meeting, Path, Robot};
+use super::{Cell, Instruction, JointGenerator, Joints, LineInstruction, Meeting, Path, Robot};
 use controller::ecp::Task;
 use controller::generator::{
     self, Axes, GeneratorError, JerkLimited, LineLimits, MotionLimits, Newsmooth, PlannedStart,
@@ -186,7 +186,7 @@ impl Robot {
     fn line(
         &self,
         arm: &Arm,
-        line: &Line,
+        line: &LineInstruction,
         from: &Axes,
         start: Option<PlannedStart>,
         task: Task,
@@ -205,7 +205,8 @@ impl Robot {
             max_angular_acceleration: line.acceleration * TURN_PER_METRE,
             max_angular_jerk: line.acceleration * TURN_PER_METRE / LINE_RISE,
         };
-        let generator = generator::Line::new(arm.clone(), target, limits, self.motion_limits(arm))?;
+        let generator =
+            generator::StraightLine::new(arm.clone(), target, limits, self.motion_limits(arm))?;
         let generator = match start {
             Some(start) => generator.beginning_at(start),
             None => generator,

@@ -41,7 +41,7 @@ pub(super) fn read<'de, T: Deserialize<'de>>(
 
 /// A problem and its location.
 #[derive(Debug)]
-struct Refusal {
+struct ValueError {
     /// The key, its last step first.
     steps: Vec<Step>,
     /// Offset in the text.
@@ -55,7 +55,7 @@ enum Step {
     At(usize),
 }
 
-impl Refusal {
+impl ValueError {
     fn new(problem: Problem) -> Self {
         Self {
             steps: Vec::new(),
@@ -97,15 +97,15 @@ impl Refusal {
     }
 }
 
-impl fmt::Display for Refusal {
+impl fmt::Display for ValueError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.problem.fmt(f)
     }
 }
 
-impl std::error::Error for Refusal {}
+impl std::error::Error for ValueError {}
 
-impl Error for Refusal {
+impl Error for ValueError {
     fn custom<T: fmt::Display>(message: T) -> Self {
         Self::shape(message.to_string())
     }
@@ -129,9 +129,9 @@ struct Table<'de> {
 }
 
 impl<'de> Deserializer<'de> for Table<'de> {
-    type Error = Refusal;
+    type Error = ValueError;
 
-    fn deserialize_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Refusal> {
+    fn deserialize_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, ValueError> {
         let entries = Entries {
             left: self.table.iter(),
             value: None,
@@ -165,23 +165,26 @@ where
         ),
     >,
 {
-    type Error = Refusal;
+    type Error = ValueError;
 
     fn next_key_seed<K: DeserializeSeed<'de>>(
         &mut self,
         seed: K,
-    ) -> Result<Option<K::Value>, Refusal> {
+    ) -> Result<Option<K::Value>, ValueError> {
         let Some((key, value)) = self.left.next() else {
             return Ok(None);
         };
         self.value = Some((key.get_ref(), value));
-        let name: StrDeserializer<'_, Refusal> = key.get_ref().as_ref().into_deserializer();
+        let name: StrDeserializer<'_, ValueError> = key.get_ref().as_ref().into_deserializer();
         seed.deserialize(name)
             .map(Some)
             .map_err(|error| error.from(key.span().start))
     }
 
-    fn next_value_seed<S: DeserializeSeed<'de>>(&mut self, seed: S) -> Result<S::Value, Refusal> {
+    fn next_value_seed<S: DeserializeSeed<'de>>(
+        &mut self,
+        seed: S,
+    ) -> Result<S::Value, ValueError> {
         let (key, value) = self
             .value
             .take()
@@ -210,7 +213,7 @@ impl<'de> Value<'de> {
     }
 
     /// The refusal of a value that differs from `expected`.
-    fn wrong(&self, expected: impl fmt::Display) -> Refusal {
+    fn wrong(&self, expected: impl fmt::Display) -> ValueError {
         let found = match self.value {
             DeValue::String(text) => quoted(text),
             DeValue::Integer(number) => excerpt(&number.to_string()),
@@ -220,10 +223,10 @@ impl<'de> Value<'de> {
             DeValue::Array(_) => "an array".into(),
             DeValue::Table(_) => "a table".into(),
         };
-        Refusal::shape(format!("is {found}, must be {expected}")).from(self.offset)
+        ValueError::shape(format!("is {found}, must be {expected}")).from(self.offset)
     }
 
-    fn integer(&self, low: i128, high: i128) -> Result<i128, Refusal> {
+    fn integer(&self, low: i128, high: i128) -> Result<i128, ValueError> {
         let number = match self.value {
             DeValue::Integer(number) => i128::from_str_radix(number.as_str(), number.radix()).ok(),
             _ => None,
@@ -239,7 +242,7 @@ impl<'de> Value<'de> {
             })
     }
 
-    fn number(&self) -> Result<f64, Refusal> {
+    fn number(&self) -> Result<f64, ValueError> {
         let number = match self.value {
             DeValue::Float(number) => number.as_str().parse().ok(),
             DeValue::Integer(number) if number.radix() == 10 => number.as_str().parse().ok(),
@@ -253,21 +256,21 @@ impl<'de> Value<'de> {
             Some(value) if MOST.has(value) => Ok(value),
             Some(value) if f64::is_finite(value) => {
                 let range = MOST;
-                Err(Refusal::new(Problem::OutOfRange { value, range }).from(self.offset))
+                Err(ValueError::new(Problem::OutOfRange { value, range }).from(self.offset))
             }
-            Some(_) => Err(Refusal::new(Problem::NotFinite).from(self.offset)),
+            Some(_) => Err(ValueError::new(Problem::NotFinite).from(self.offset)),
             None => Err(self.wrong("a number")),
         }
     }
 
-    fn text(&self) -> Result<&'de str, Refusal> {
+    fn text(&self) -> Result<&'de str, ValueError> {
         match self.value {
             DeValue::String(text) => Ok(text),
             _ => Err(self.wrong("a string in quotes")),
         }
     }
 
-    fn table(&self) -> Result<Table<'de>, Refusal> {
+    fn table(&self) -> Result<Table<'de>, ValueError> {
         match self.value {
             DeValue::Table(table) => Ok(Table {
                 table,
@@ -282,7 +285,7 @@ impl<'de> Value<'de> {
         &self,
         length: Option<usize>,
         visitor: V,
-    ) -> Result<V::Value, Refusal> {
+    ) -> Result<V::Value, ValueError> {
         let DeValue::Array(array) = self.value else {
             return Err(match length {
                 Some(length) => self.wrong(format!("an array of {length} elements")),
@@ -291,7 +294,7 @@ impl<'de> Value<'de> {
         };
         let count = |expected| {
             let (found, what) = (array.len(), "elements");
-            Refusal::new(Problem::Count {
+            ValueError::new(Problem::Count {
                 found,
                 expected,
                 what,
@@ -316,7 +319,7 @@ impl<'de> Value<'de> {
 
 macro_rules! integers {
     ($($method:ident $visit:ident $type:ty),* $(,)?) => {$(
-        fn $method<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Refusal> {
+        fn $method<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, ValueError> {
             let (low, high) = (i128::from(<$type>::MIN), i128::from(<$type>::MAX));
             visitor.$visit(self.integer(low, high)? as $type)
         }
@@ -324,7 +327,7 @@ macro_rules! integers {
 }
 
 impl<'de> Deserializer<'de> for Value<'de> {
-    type Error = Refusal;
+    type Error = ValueError;
 
     integers! {
         deserialize_u8 visit_u8 u8, deserialize_u16 visit_u16 u16, deserialize_u32 visit_u32 u32,
@@ -332,7 +335,7 @@ impl<'de> Deserializer<'de> for Value<'de> {
         deserialize_i32 visit_i32 i32, deserialize_i64 visit_i64 i64,
     }
 
-    fn deserialize_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Refusal> {
+    fn deserialize_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, ValueError> {
         match self.value {
             DeValue::String(text) => visitor.visit_borrowed_str(text),
             DeValue::Integer(_) => self.deserialize_i64(visitor),
@@ -344,26 +347,26 @@ impl<'de> Deserializer<'de> for Value<'de> {
         }
     }
 
-    fn deserialize_bool<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Refusal> {
+    fn deserialize_bool<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, ValueError> {
         match self.value {
             DeValue::Boolean(truth) => visitor.visit_bool(*truth),
             _ => Err(self.wrong("true or false")),
         }
     }
 
-    fn deserialize_f64<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Refusal> {
+    fn deserialize_f64<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, ValueError> {
         visitor.visit_f64(self.number()?)
     }
 
-    fn deserialize_str<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Refusal> {
+    fn deserialize_str<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, ValueError> {
         visitor.visit_borrowed_str(self.text()?)
     }
 
-    fn deserialize_string<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Refusal> {
+    fn deserialize_string<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, ValueError> {
         self.deserialize_str(visitor)
     }
 
-    fn deserialize_option<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Refusal> {
+    fn deserialize_option<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, ValueError> {
         visitor.visit_some(self)
     }
 
@@ -371,11 +374,11 @@ impl<'de> Deserializer<'de> for Value<'de> {
         self,
         _name: &'static str,
         visitor: V,
-    ) -> Result<V::Value, Refusal> {
+    ) -> Result<V::Value, ValueError> {
         visitor.visit_newtype_struct(self)
     }
 
-    fn deserialize_seq<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Refusal> {
+    fn deserialize_seq<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, ValueError> {
         self.array(None, visitor)
     }
 
@@ -383,11 +386,11 @@ impl<'de> Deserializer<'de> for Value<'de> {
         self,
         length: usize,
         visitor: V,
-    ) -> Result<V::Value, Refusal> {
+    ) -> Result<V::Value, ValueError> {
         self.array(Some(length), visitor)
     }
 
-    fn deserialize_map<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Refusal> {
+    fn deserialize_map<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, ValueError> {
         self.table()?.deserialize_any(visitor)
     }
 
@@ -396,7 +399,7 @@ impl<'de> Deserializer<'de> for Value<'de> {
         _name: &'static str,
         _fields: &'static [&'static str],
         visitor: V,
-    ) -> Result<V::Value, Refusal> {
+    ) -> Result<V::Value, ValueError> {
         self.table()?.deserialize_any(visitor)
     }
 
@@ -405,7 +408,7 @@ impl<'de> Deserializer<'de> for Value<'de> {
         _name: &'static str,
         variants: &'static [&'static str],
         visitor: V,
-    ) -> Result<V::Value, Refusal> {
+    ) -> Result<V::Value, ValueError> {
         match self.value {
             DeValue::String(text) if variants.contains(&text.as_ref()) => {
                 let chosen = Variant {
@@ -420,11 +423,11 @@ impl<'de> Deserializer<'de> for Value<'de> {
                 let (Some((key, content)), None) = (entries.next(), entries.next()) else {
                     let found = table.len();
                     let problem = format!("has {found} keys, must have one: {}", one_of(variants));
-                    return Err(Refusal::shape(problem).from(self.offset));
+                    return Err(ValueError::shape(problem).from(self.offset));
                 };
                 let name = key.get_ref().as_ref();
                 if !variants.contains(&name) {
-                    let unknown = <Refusal as Error>::unknown_field(name, variants);
+                    let unknown = <ValueError as Error>::unknown_field(name, variants);
                     return Err(unknown.from(key.span().start));
                 }
                 let chosen = Variant {
@@ -452,12 +455,12 @@ struct Elements<'de> {
 }
 
 impl<'de> SeqAccess<'de> for &mut Elements<'de> {
-    type Error = Refusal;
+    type Error = ValueError;
 
     fn next_element_seed<S: DeserializeSeed<'de>>(
         &mut self,
         seed: S,
-    ) -> Result<Option<S::Value>, Refusal> {
+    ) -> Result<Option<S::Value>, ValueError> {
         let Some(value) = self.array.get(self.next) else {
             return Ok(None);
         };
@@ -477,26 +480,32 @@ struct Variant<'de> {
 }
 
 impl<'de> EnumAccess<'de> for Variant<'de> {
-    type Error = Refusal;
+    type Error = ValueError;
     type Variant = Self;
 
-    fn variant_seed<S: DeserializeSeed<'de>>(self, seed: S) -> Result<(S::Value, Self), Refusal> {
-        let name: StrDeserializer<'_, Refusal> = self.name.into_deserializer();
+    fn variant_seed<S: DeserializeSeed<'de>>(
+        self,
+        seed: S,
+    ) -> Result<(S::Value, Self), ValueError> {
+        let name: StrDeserializer<'_, ValueError> = self.name.into_deserializer();
         Ok((seed.deserialize(name)?, self))
     }
 }
 
 impl<'de> VariantAccess<'de> for Variant<'de> {
-    type Error = Refusal;
+    type Error = ValueError;
 
-    fn unit_variant(self) -> Result<(), Refusal> {
+    fn unit_variant(self) -> Result<(), ValueError> {
         match self.content {
             None => Ok(()),
             Some(_) => Err(self.whole.wrong(format!("the string {:?}", self.name))),
         }
     }
 
-    fn newtype_variant_seed<S: DeserializeSeed<'de>>(self, seed: S) -> Result<S::Value, Refusal> {
+    fn newtype_variant_seed<S: DeserializeSeed<'de>>(
+        self,
+        seed: S,
+    ) -> Result<S::Value, ValueError> {
         match self.content {
             Some(content) => seed
                 .deserialize(content)
@@ -511,7 +520,7 @@ impl<'de> VariantAccess<'de> for Variant<'de> {
         self,
         length: usize,
         visitor: V,
-    ) -> Result<V::Value, Refusal> {
+    ) -> Result<V::Value, ValueError> {
         match self.content {
             Some(content) => content.array(Some(length), visitor),
             None => Err(self
@@ -524,7 +533,7 @@ impl<'de> VariantAccess<'de> for Variant<'de> {
         self,
         _fields: &'static [&'static str],
         visitor: V,
-    ) -> Result<V::Value, Refusal> {
+    ) -> Result<V::Value, ValueError> {
         match self.content {
             Some(content) => content.table()?.deserialize_any(visitor),
             None => Err(self

@@ -7,7 +7,7 @@
 use std::f64::consts::TAU;
 use std::time::Duration;
 
-use super::refusal::{Range, Refusal, conflict, no_effect, within};
+use super::refusal::{KeyError, Range, conflict, no_effect, within};
 use super::{FeedForward, Law};
 
 /// Share of the greatest output that a limit of it may be at the least.
@@ -48,7 +48,7 @@ pub struct LoopBounds {
 
 impl Law {
     /// Refuses what no sampled loop can be. Keys are those of a cell file below `law`.
-    pub fn check(&self, bounds: &LoopBounds) -> Result<(), Refusal> {
+    pub fn check(&self, bounds: &LoopBounds) -> Result<(), KeyError> {
         let limited = |key, limit| {
             let range = Range::new(LEAST_LIMIT * bounds.most, bounds.most, bounds.of);
             within(key, limit, range)
@@ -99,7 +99,7 @@ impl Law {
 
 impl FeedForward {
     /// Refuses what would exceed the `limit` of the law. Keys are those of a cell file below `feed_forward`.
-    pub fn check(&self, limit: f64, bounds: &LoopBounds) -> Result<(), Refusal> {
+    pub fn check(&self, limit: f64, bounds: &LoopBounds) -> Result<(), KeyError> {
         let up_to = |most: f64, of| Range::new(0.0, most, of);
         let of = "limit / max_velocity at the most";
         let velocity = up_to(limit / bounds.max_velocity, of);

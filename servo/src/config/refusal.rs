@@ -7,16 +7,16 @@ use thiserror::Error;
 /// A refused configuration.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 #[error("{key}: {reason}")]
-pub struct Refusal {
+pub struct KeyError {
     /// The key below the checked table, with dots.
     pub key: &'static str,
     /// The reason.
-    pub reason: Reason,
+    pub reason: KeyProblem,
 }
 
 /// Why a configuration is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
-pub enum Reason {
+pub enum KeyProblem {
     /// A number outside its range.
     #[error("is {}, must be {range}", Figure(*value))]
     OutOfRange {
@@ -37,12 +37,12 @@ pub enum Reason {
 }
 
 /// Refuses `value` outside `range`.
-pub(crate) fn within(key: &'static str, value: f64, range: Range) -> Result<(), Refusal> {
+pub(crate) fn within(key: &'static str, value: f64, range: Range) -> Result<(), KeyError> {
     if range.has(value) {
         return Ok(());
     }
-    let reason = Reason::OutOfRange { value, range };
-    Err(Refusal { key, reason })
+    let reason = KeyProblem::OutOfRange { value, range };
+    Err(KeyError { key, reason })
 }
 
 /// Refuses a key that is given where it means nothing.
@@ -50,18 +50,18 @@ pub(crate) fn no_effect(
     key: &'static str,
     given: bool,
     because: &'static str,
-) -> Result<(), Refusal> {
+) -> Result<(), KeyError> {
     if !given {
         return Ok(());
     }
-    let reason = Reason::NoEffect { because };
-    Err(Refusal { key, reason })
+    let reason = KeyProblem::NoEffect { because };
+    Err(KeyError { key, reason })
 }
 
 /// Refuses a key that contradicts or lacks another.
-pub(crate) fn conflict(key: &'static str, why: &'static str) -> Result<(), Refusal> {
-    let reason = Reason::Conflict(why);
-    Err(Refusal { key, reason })
+pub(crate) fn conflict(key: &'static str, why: &'static str) -> Result<(), KeyError> {
+    let reason = KeyProblem::Conflict(why);
+    Err(KeyError { key, reason })
 }
 
 /// A number as a message shows it: 1000001, 0.25, 1e300.

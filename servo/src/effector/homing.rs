@@ -5,8 +5,8 @@ use std::time::Duration;
 use drive::Homing;
 
 use super::{Effector, Tick};
-use crate::axis::Axis;
-use crate::{Event, StopCause};
+use crate::axis::ServoAxis;
+use crate::{ServoEvent, StopCause};
 
 impl Effector {
     /// Monitors homing by drives and advances homing by the servo, until success, failure or time-out.
@@ -32,7 +32,7 @@ impl Effector {
         if let Some((axis, cause)) = failed {
             self.fail(tick, axis, cause);
         } else if self.homing_order().is_none() && self.settle() {
-            self.apply(tick, Event::Done);
+            self.apply(tick, ServoEvent::Done);
         } else if waited > self.homing_timeout {
             let late = self.first(|axis| {
                 axis.needs_homing() && order.is_none_or(|order| axis.config.homing_order == order)
@@ -59,6 +59,8 @@ impl Effector {
     /// The homing order whose turn it is; `None` once all axes are homed.
     pub(super) fn homing_order(&self) -> Option<u8> {
         let missing = self.axes.iter().filter(|axis| axis.needs_homing());
-        missing.map(|axis: &Axis| axis.config.homing_order).min()
+        missing
+            .map(|axis: &ServoAxis| axis.config.homing_order)
+            .min()
     }
 }

@@ -2,14 +2,14 @@
 
 use super::{Effector, Tick};
 use crate::interpolate::Segment;
-use crate::{Event, Knot, MAX_AXES, Macrostep, Order, State, StopCause};
+use crate::{Knot, MAX_AXES, Macrostep, Order, ServoEvent, ServoState, StopCause};
 
 impl Effector {
     /// Interpolates, starts the next macrostep at the end of each one, and brakes on an error.
     pub(super) fn follow_macrosteps(&mut self, tick: &Tick) {
         if let Err((axis, cause)) = self.try_follow(tick) {
             self.fail(tick, axis, cause);
-            if matches!(self.state, State::Braking(_)) && self.stop.advance() {
+            if matches!(self.state, ServoState::Braking(_)) && self.stop.advance() {
                 self.place_stop();
             }
         }
@@ -57,7 +57,7 @@ impl Effector {
                 axis.vet(axis.knot.position, tick.dt)
                     .map_err(|cause| (Some(index), cause))?;
             }
-            self.apply(tick, Event::Done);
+            self.apply(tick, ServoEvent::Done);
             return Ok(None);
         }
         let Some(Order::Move(macrostep)) = self.pop() else {
@@ -65,12 +65,12 @@ impl Effector {
         };
         self.admit(&macrostep)?;
         let told = macrostep.torque.iter().any(|torque| *torque != 0.0);
-        if told && self.state == State::Standing {
+        if told && self.state == ServoState::Standing {
             // Bumpless transfer: the torque that loops hold since homing or since a stop moves into the feed-forward.
             let axes = self.axes.iter_mut().zip(macrostep.torque);
             axes.for_each(|(axis, torque)| axis.hand_over(torque));
         }
-        self.apply(tick, Event::Move);
+        self.apply(tick, ServoEvent::Move);
         self.macrostep = macrostep.number;
         self.counters.macrosteps += 1;
         let mut from = [Knot::default(); MAX_AXES];

@@ -18,7 +18,7 @@ use proptest::prelude::*;
 
 use crate::scripted::{self, FAULT, MAX_ACCELERATION, MAX_VELOCITY, PERIOD, World};
 use crate::{
-    EffectorLink, MAX_AXES, Macrostep, Order, Phase, Report, Servo, ServoConfig, StopCause,
+    EffectorLink, MAX_AXES, Macrostep, Order, Phase, Servo, ServoConfig, ServoReport, StopCause,
 };
 
 const DT: f64 = 1e-3;
@@ -99,7 +99,7 @@ impl Rig {
         self.servo.fault(0).map(|fault| fault.cause)
     }
 
-    fn reports(&mut self) -> Vec<Report> {
+    fn reports(&mut self) -> Vec<ServoReport> {
         std::iter::from_fn(|| self.link.reports.pop().ok()).collect()
     }
 

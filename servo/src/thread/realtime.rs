@@ -5,7 +5,7 @@ use std::time::Duration;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::config::refusal::{Range, Refusal, conflict, no_effect, within};
+use crate::config::refusal::{KeyError, Range, conflict, no_effect, within};
 
 /// What the servo thread asks of the host.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
@@ -95,7 +95,7 @@ impl Realtime {
     }
 
     /// Refuses numbers outside their ranges and keys that contradict each other, for a servo of this period.
-    pub fn check(&self, period: Duration) -> Result<(), Refusal> {
+    pub fn check(&self, period: Duration) -> Result<(), KeyError> {
         let priority = Range::new(1.0, 99.0, "");
         within("priority", f64::from(self.priority), priority)?;
         if self.scheduler == Scheduler::Deadline && self.cpu.is_some() {

@@ -7,7 +7,7 @@ use drive::Power;
 
 use super::*;
 use crate::scripted::{self, PERIOD, World};
-use crate::{EffectorLink, Order, State};
+use crate::{EffectorLink, Order, ServoState};
 
 /// A servo ordered to switch its drives on. The host of a test may be very late.
 fn rig() -> (Servo, EffectorLink, Arc<Mutex<World>>) {
@@ -21,7 +21,7 @@ fn rig() -> (Servo, EffectorLink, Arc<Mutex<World>>) {
 }
 
 fn is_standing(servo: &Servo) -> bool {
-    servo.state(0) == Some(State::Standing)
+    servo.state(0) == Some(ServoState::Standing)
 }
 
 fn has_power(world: &Arc<Mutex<World>>) -> bool {

@@ -26,7 +26,7 @@ struct Latching {
 }
 
 struct Latch {
-    axis: plant::Axis,
+    axis: plant::PlantAxis,
     counts: f64,
     /// Motor position at the reference, rad, and the counter value there after homing.
     home: f64,
@@ -87,7 +87,7 @@ impl DriveGroup for Latching {
 impl Latch {
     fn new(config: &AxisConfig, seed: u64) -> Self {
         Self {
-            axis: plant::Axis::new(config, seed),
+            axis: plant::PlantAxis::new(config, seed),
             counts: f64::from(config.counts_per_revolution),
             home: config.index_angle,
             reference: None,

@@ -68,11 +68,11 @@ fn axis_config(axis: Irp6Axis) -> AxisConfig {
 }
 
 /// The physical axis with a drive that controls its current.
-pub(super) struct ByCurrent(plant::Axis);
+pub(super) struct ByCurrent(plant::PlantAxis);
 
 impl ByCurrent {
     pub(super) fn new(axis: Irp6Axis) -> Self {
-        Self(plant::Axis::new(&axis_config(axis), 7))
+        Self(plant::PlantAxis::new(&axis_config(axis), 7))
     }
 
     /// The axis at `angle`, rad, with the load of the arm's links.
@@ -83,7 +83,7 @@ impl ByCurrent {
         };
         let mount = arm.mount(axis as usize, config.index_angle);
         let seed = 7 + axis as u64;
-        Self(plant::Axis::mounted(&config, seed, mount.as_ref()))
+        Self(plant::PlantAxis::mounted(&config, seed, mount.as_ref()))
     }
 
     /// The axis at `angle`, rad, without weight and dry friction.
@@ -98,7 +98,7 @@ impl ByCurrent {
             start_angle: angle,
             ..AxisConfig::irp6(axis)
         };
-        Self(plant::Axis::new(&config, 7 + axis as u64))
+        Self(plant::PlantAxis::new(&config, 7 + axis as u64))
     }
 }
 

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use can::{Frame, Instant, Port, Received, SocketCanOptions, SocketCanPort, clock};
 use canopen::heartbeat::Heartbeat;
-use canopen::nmt::{Command, State};
+use canopen::nmt::{Command, NmtState};
 use canopen::sdo::{AbortCode, Write};
 use canopen::sync::Sync;
 use canopen::{NodeId, Object};
@@ -28,7 +28,7 @@ pub(super) struct Host {
     /// Received frames that were not examined yet, the latest at the end.
     frames: VecDeque<Frame>,
     /// The states that the node showed and nobody looked at, the last at the end.
-    states: VecDeque<State>,
+    states: VecDeque<NmtState>,
     /// The last frames in words, for whoever looks into a failure.
     last: VecDeque<String>,
 }
@@ -125,7 +125,7 @@ impl Host {
     }
 
     /// Waits for a heartbeat or boot-up of the node with this state, and forgets those before.
-    pub(super) fn hears(&mut self, state: State) {
+    pub(super) fn hears(&mut self, state: NmtState) {
         self.until(&format!("{state}"), |host| {
             std::iter::from_fn(|| host.states.pop_front()).find(|it| *it == state)
         });

@@ -1,6 +1,6 @@
 //! python-canopen as a drive, commanded by this project's SDO client, NMT master and drive group.
 
-use canopen::nmt::{Command, State};
+use canopen::nmt::{Command, NmtState};
 use canopen::objects::{
     DEVICE_NAME, DEVICE_TYPE, PRODUCER_HEARTBEAT, PROFILE_VELOCITY, STATUSWORD,
 };
@@ -23,7 +23,7 @@ fn beside_a_local_node(test: &str, body: impl FnOnce(&Stage, Host)) {
         let bus = Bus::socketcan(stage.interface);
         let mut script = bus.script(&python, "slave.py");
         let _slave = Script::start(script.args(["--node", &NODE.raw().to_string()]));
-        host.hears(State::Initialising);
+        host.hears(NmtState::Initialising);
         body(stage, host);
     });
 }
@@ -71,9 +71,9 @@ fn a_local_node_obeys_network_commands() {
         let heartbeat = 20_u16.to_le_bytes();
         assert_eq!(host.download(PRODUCER_HEARTBEAT, &heartbeat), Ok(()));
         for (command, state) in [
-            (Command::Start, State::Operational),
-            (Command::Stop, State::Stopped),
-            (Command::EnterPreOperational, State::PreOperational),
+            (Command::Start, NmtState::Operational),
+            (Command::Stop, NmtState::Stopped),
+            (Command::EnterPreOperational, NmtState::PreOperational),
         ] {
             host.command(command);
             host.hears(state);
@@ -81,7 +81,7 @@ fn a_local_node_obeys_network_commands() {
         for reset in [Command::ResetNode, Command::ResetCommunication] {
             assert_eq!(host.download(PRODUCER_HEARTBEAT, &heartbeat), Ok(()));
             host.command(reset);
-            host.hears(State::Initialising);
+            host.hears(NmtState::Initialising);
             assert_eq!(host.upload(PRODUCER_HEARTBEAT).as_deref(), Ok(&[0, 0][..]));
         }
     });

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 
-use ::mrroc::cell::{Cell, Instruction, JointGenerator, Joints, Line, Parameters};
+use ::mrroc::cell::{Cell, Instruction, JointGenerator, Joints, LineInstruction, Parameters};
 use controller::robot::Irb6Parameters;
 
 use super::draw::Draw;
@@ -23,7 +23,7 @@ fn one_line(example: &str, draw: &mut Draw, position: [f64; 3]) -> String {
         let start = axis.emulator.start.expect("a shortened cell has starts");
         axis.emulator.start = Some(start + draw.within(-12.5, 17.5));
     }
-    robot.program = vec![Instruction::Line(Line {
+    robot.program = vec![Instruction::Line(LineInstruction {
         position,
         quaternion: None,
         velocity: draw.within(0.1, 0.3),
@@ -238,7 +238,7 @@ fn an_arm_that_is_homed_at_the_end_of_its_range_leaves_it_by_every_motion() {
         } else {
             -sign * draw.within(0.0, 0.3)
         };
-        let line = Instruction::Line(Line {
+        let line = Instruction::Line(LineInstruction {
             position: [0.7, 0.0, 1.1],
             quaternion: None,
             velocity: 0.2,

@@ -1,6 +1,8 @@
 //! Random programs from random start positions, on the robots of the example cells.
 
-use ::mrroc::cell::{Cell, EmulatedPayload, Instruction, JointGenerator, Joints, Line, Robot};
+use ::mrroc::cell::{
+    Cell, EmulatedPayload, Instruction, JointGenerator, Joints, LineInstruction, Robot,
+};
 use controller::generator::Axes;
 use controller::robot::Arm;
 use controller::robot::Limits;
@@ -142,7 +144,7 @@ fn line(draw: &mut Draw, arm: &Arm, here: &mut Axes) -> Instruction {
         [q.w, q.i, q.j, q.k]
     };
     *here = there;
-    Instruction::Line(Line {
+    Instruction::Line(LineInstruction {
         position: pose.translation.vector.into(),
         quaternion: turned.then(|| kept(&pose)),
         velocity: draw.within(0.05, 0.5),

@@ -1,8 +1,8 @@
 //! Example cells with short programs, and with every key that a cell file can have.
 
 use ::mrroc::cell::{
-    Cell, Direction, DriveControl, EmulatedPayload, Instruction, JointGenerator, Joints, Law, Line,
-    Parameter, Parameters, Protocol, Weights,
+    Cell, Direction, DriveControl, EmulatedPayload, Instruction, JointGenerator, Joints, Law,
+    LineInstruction, Parameter, Parameters, Protocol, Weights,
 };
 use controller::robot::Mass;
 use hil::plant::Irp6Axis;
@@ -87,7 +87,7 @@ fn on_can(cell: &mut Cell) {
     let there = [0.0, -1.6, 0.01, 0.01, 0.01, 0.0, 0.0, 0.0];
     let pose = arm.forward(&there).expect("a posture has a pose");
     let rotation = pose.rotation.quaternion();
-    robot.program.push(Instruction::Line(Line {
+    robot.program.push(Instruction::Line(LineInstruction {
         position: pose.translation.vector.into(),
         quaternion: Some([rotation.w, rotation.i, rotation.j, rotation.k]),
         velocity: 0.2,

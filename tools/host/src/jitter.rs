@@ -50,7 +50,7 @@ use interval::{Ledger, recording};
 use load::Load;
 use plan::Plan;
 use probe::{Turn, Wakeups};
-use report::{Report, Setting, Side};
+use report::{JitterReport, Setting, Side};
 
 use crate::doctor::stolen_ticks;
 use mrroc::cell_file::CellFile;
@@ -353,7 +353,7 @@ pub fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
     };
     let ended_early = setting.ended_early;
     let said = setting.to_string();
-    let report = Report::of(
+    let report = JitterReport::of(
         setting,
         match &cell {
             None => Side::of(&ledger.total, Some(ours.missed), Some(waiter.report())),

@@ -5,7 +5,7 @@ use mrroc::charts::{
     titled,
 };
 
-use super::report::{PointReport, Report};
+use super::report::{IdentifyReport, PointReport};
 
 /// Size of the picture, px.
 const SIZE: [u32; 2] = [960, 720];
@@ -14,7 +14,7 @@ const CURVE: RGBColor = COLOURS[0];
 const MARK: RGBColor = COLOURS[1];
 
 /// The chart of a report.
-pub(super) fn chart(report: &Report) -> Result<String, ChartError> {
+pub(super) fn chart(report: &IdentifyReport) -> Result<String, ChartError> {
     let points = &report.points;
     let first = points.first().map_or(1.0, |it| it.frequency_hz);
     let last = points.last().map_or(10.0, |it| it.frequency_hz);

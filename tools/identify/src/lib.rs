@@ -32,7 +32,7 @@ use mrroc::cell_file::CellFile;
 use mrroc::outputs::{Outputs, Replacement};
 use mrroc::signals::Motion;
 use mrroc::{setup, signals};
-use report::Report;
+use report::IdentifyReport;
 use session::Session;
 
 /// Capacity of the queue of records from the servo, per effector: some seconds.
@@ -209,7 +209,14 @@ pub fn identify(options: &Options) -> anyhow::Result<ExitCode> {
             .response(&run, &axis, delay, &lines)
             .ok_or_else(|| Unmeasured::Stopped("the measurement was broken off".into()))?;
         let bench = options.bench.name();
-        Ok(Report::of(name.clone(), bench, &axis, &run, kind, &points))
+        Ok(IdentifyReport::of(
+            name.clone(),
+            bench,
+            &axis,
+            &run,
+            kind,
+            &points,
+        ))
     });
     // The axis has moved, so a refusal would be too late.
     let told = match report {
@@ -251,7 +258,7 @@ impl BodeFiles {
         })
     }
 
-    fn write(mut self, report: &Report) -> anyhow::Result<()> {
+    fn write(mut self, report: &IdentifyReport) -> anyhow::Result<()> {
         let drawn = bode::chart(report).context("bode.svg")?;
         let chart = self.chart.write_all(drawn.as_bytes());
         chart.context("bode.svg cannot be written")?;

@@ -11,7 +11,7 @@ const SURE: f64 = 0.9;
 
 /// The report of one axis.
 #[derive(Debug, Serialize)]
-pub(crate) struct Report {
+pub(crate) struct IdentifyReport {
     /// ROBOT/AXIS.
     pub axis: String,
     /// The bench of the measurement.
@@ -50,7 +50,7 @@ pub(crate) struct PointReport {
     pub coherence: f64,
 }
 
-impl Report {
+impl IdentifyReport {
     pub(crate) fn of(
         axis: String,
         bench: &'static str,
@@ -151,7 +151,7 @@ impl PointReport {
     }
 }
 
-impl fmt::Display for Report {
+impl fmt::Display for IdentifyReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "{}: {}", self.axis, self.setting())?;
         let what = if self.open_loop {

@@ -15,7 +15,7 @@ use can::{Frame, Instant};
 use canopen::cia402::FaultTable;
 use canopen::emcy::Emergency;
 use canopen::guarding;
-use canopen::nmt::{Command, Request as NmtRequest, State, Target};
+use canopen::nmt::{Command, NmtState, Request as NmtRequest, Target};
 use canopen::pdo::{Entry, PdoKind};
 use canopen::sdo::{Initiate, Request, Response, Segment};
 use canopen::sync::Sync;
@@ -391,7 +391,7 @@ fn heartbeat(frame: &Frame) -> Option<String> {
     // An answer to node guarding is a heartbeat with a toggle bit. The bit is 0 in a heartbeat proper.
     let said = guarding::Response::decode(frame)?;
     Some(match (said.state, said.toggle) {
-        (State::Initialising, false) => "booted".to_owned(),
+        (NmtState::Initialising, false) => "booted".to_owned(),
         (state, false) => state.to_string(),
         (state, true) => format!("{state}, toggle bit set"),
     })

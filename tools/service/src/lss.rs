@@ -8,7 +8,7 @@ use can::{Frame, Instant};
 use canopen::NodeId;
 use canopen::heartbeat::Heartbeat;
 use canopen::lss::{Identity, Mode, Part, Request};
-use canopen::nmt::State;
+use canopen::nmt::NmtState;
 use clap::{Args, Subcommand};
 use master::lss::{Answer, LssError, Master, Service};
 use serde::Serialize;
@@ -482,7 +482,7 @@ impl Dialogue {
 impl Conversation for Dialogue {
     fn handle(&mut self, frame: &Frame, now: Instant) {
         self.master.handle(frame, now);
-        let boot = Heartbeat::decode(frame).filter(|said| said.state == State::Initialising);
+        let boot = Heartbeat::decode(frame).filter(|said| said.state == NmtState::Initialising);
         if boot.is_some_and(|said| Some(said.node) == self.expected) {
             self.booted = true;
             if let Ending::Booting { .. } = self.ending {

@@ -150,7 +150,7 @@ fn watch(bus: &mut Bus, decoder: &mut Decoder, options: &Options) -> anyhow::Res
                 continue;
             }
             left -= 1;
-            let shown = Line {
+            let shown = MonitorLine {
                 bus,
                 at: at.since(began),
                 frame,
@@ -205,7 +205,7 @@ fn loss(interface: &Interface, count: u64) -> String {
     }
 }
 
-struct Line<'a> {
+struct MonitorLine<'a> {
     bus: &'a Bus,
     at: Duration,
     frame: &'a Frame,
@@ -222,7 +222,7 @@ struct JsonLine<'a> {
     text: &'a str,
 }
 
-impl Line<'_> {
+impl MonitorLine<'_> {
     fn to_json(&self) -> JsonLine<'_> {
         JsonLine {
             at_s: self.at.as_secs_f64(),
@@ -234,7 +234,7 @@ impl Line<'_> {
     }
 }
 
-impl std::fmt::Display for Line<'_> {
+impl std::fmt::Display for MonitorLine<'_> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let (at, frame) = (self.at.as_secs_f64(), self.frame.to_string());
         write!(f, "{at:12.6}  {frame:<20}  ")?;

@@ -6,7 +6,7 @@ use std::time::Duration;
 use anyhow::{Context, bail};
 use can::{Frame, Instant};
 use canopen::guarding::Response;
-use canopen::nmt::{Command, Request, State, Target};
+use canopen::nmt::{Command, NmtState, Request, Target};
 use canopen::objects::PRODUCER_HEARTBEAT;
 use canopen::{NodeId, Object};
 use clap::{Args, ValueEnum};
@@ -23,7 +23,7 @@ const ASKED: Object = PRODUCER_HEARTBEAT;
 
 /// NMT commands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Order {
+enum CommandName {
     /// Enter operational: PDOs are exchanged.
     Start,
     /// Enter stopped.
@@ -43,7 +43,7 @@ pub struct Options {
     bus: BusArgs,
     /// The command.
     #[arg(value_enum)]
-    order: Order,
+    order: CommandName,
     /// The node-ID, or `all`.
     #[arg(value_name = "NODE", value_parser = target)]
     target: Whom,
@@ -63,7 +63,7 @@ fn target(text: &str) -> Result<Whom, String> {
     node_id(text).map(|node| Whom(Target::Node(node)))
 }
 
-impl Order {
+impl CommandName {
     fn command(self) -> Command {
         match self {
             Self::Start => Command::Start,
@@ -123,12 +123,12 @@ fn tell(drive: &mut Drive, request: Request) -> anyhow::Result<ExitCode> {
 pub(super) struct Told {
     request: Request,
     /// NMT state that the command leads to.
-    wanted: State,
+    wanted: NmtState,
     frame: Option<Frame>,
     deadline: Instant,
     over: bool,
     /// Last NMT state of each node since the command, or its boot-up message.
-    heard: [Option<State>; 128],
+    heard: [Option<NmtState>; 128],
     /// Reads the heartbeat period of a single node, because a node without a heartbeat can be seen by SDO only.
     client: Option<sdo::Client>,
     answer: Option<Result<u16, SdoError>>,
@@ -136,10 +136,10 @@ pub(super) struct Told {
 
 /// Result of a command.
 #[derive(Debug, PartialEq, Eq)]
-pub(super) struct Report {
-    pub(super) wanted: State,
+pub(super) struct NodeReport {
+    pub(super) wanted: NmtState,
     /// Nodes that sent heartbeats, and their states.
-    pub(super) heard: Vec<(NodeId, State)>,
+    pub(super) heard: Vec<(NodeId, NmtState)>,
     /// Node that sent no heartbeat, and its answer to the SDO request for its heartbeat period.
     pub(super) silent: Option<(NodeId, Option<Result<u16, SdoError>>)>,
 }
@@ -148,14 +148,14 @@ impl Told {
     /// Sends the command at once, and listens for `patience`.
     pub(super) fn new(request: Request, patience: Duration, now: Instant) -> Self {
         let wanted = match request.command {
-            Command::Start => State::Operational,
-            Command::Stop => State::Stopped,
-            Command::EnterPreOperational => State::PreOperational,
-            Command::ResetNode | Command::ResetCommunication => State::Initialising,
+            Command::Start => NmtState::Operational,
+            Command::Stop => NmtState::Stopped,
+            Command::EnterPreOperational => NmtState::PreOperational,
+            Command::ResetNode | Command::ResetCommunication => NmtState::Initialising,
         };
         let client = match (request.target, wanted) {
             // A reset ends with a boot-up message.
-            (Target::All, _) | (_, State::Initialising) => None,
+            (Target::All, _) | (_, NmtState::Initialising) => None,
             (Target::Node(node), _) => {
                 let mut client = sdo::Client::new(node, ANSWER, 1);
                 let started = client.upload(ASKED, now);
@@ -190,7 +190,7 @@ impl Told {
         }
     }
 
-    pub(super) fn report(self) -> Report {
+    pub(super) fn report(self) -> NodeReport {
         let heard = |node: NodeId| Some((node, self.heard[usize::from(node.raw())]?));
         let heard: Vec<_> = NodeId::all()
             .filter(|node| self.request.concerns(*node))
@@ -200,7 +200,7 @@ impl Told {
             Target::Node(node) if heard.is_empty() => Some((node, self.answer)),
             Target::Node(_) | Target::All => None,
         };
-        Report {
+        NodeReport {
             wanted: self.wanted,
             heard,
             silent,
@@ -218,7 +218,7 @@ impl Conversation for Told {
         if let Some(Response { node, state, .. }) = Response::decode(frame) {
             let heard = &mut self.heard[usize::from(node.raw())];
             // A heartbeat after the boot-up message must not hide the boot-up message.
-            if *heard != Some(self.wanted) || self.wanted != State::Initialising {
+            if *heard != Some(self.wanted) || self.wanted != NmtState::Initialising {
                 *heard = Some(state);
             }
             let is_it = self.request.target == Target::Node(node);
@@ -252,25 +252,25 @@ impl Conversation for Told {
     }
 }
 
-impl Report {
+impl NodeReport {
     /// Whether at least one node was heard and every heard node obeyed. A node without heartbeat that answers SDO is
     /// not stopped; its state is otherwise unknown.
     pub(super) fn confirmed(&self) -> bool {
         match self.silent {
-            Some((_, Some(Ok(0)))) => self.wanted != State::Stopped,
+            Some((_, Some(Ok(0)))) => self.wanted != NmtState::Stopped,
             Some(_) => false,
             None => {
-                let obeyed = |(_, state): &(NodeId, State)| *state == self.wanted;
+                let obeyed = |(_, state): &(NodeId, NmtState)| *state == self.wanted;
                 !self.heard.is_empty() && self.heard.iter().all(obeyed)
             }
         }
     }
 
     fn lines(&self, bus: &Bus) -> Vec<String> {
-        let said = |(node, state): &(NodeId, State)| {
+        let said = |(node, state): &(NodeId, NmtState)| {
             let name = bus.name_of(*node);
             match (*state, *state == self.wanted) {
-                (State::Initialising, true) => format!("{name}: booted"),
+                (NmtState::Initialising, true) => format!("{name}: booted"),
                 (state, true) => format!("{name}: {state}"),
                 (state, false) => format!("{name}: is {state}, and did not obey"),
             }
@@ -278,8 +278,8 @@ impl Report {
         let mut lines: Vec<_> = self.heard.iter().map(said).collect();
         if let Some((node, answer)) = &self.silent {
             let what = match (answer, self.wanted) {
-                (_, State::Initialising) => "told, and did not boot".to_owned(),
-                (Some(Ok(0)), State::Stopped) => {
+                (_, NmtState::Initialising) => "told, and did not boot".to_owned(),
+                (Some(Ok(0)), NmtState::Stopped) => {
                     "told, and still answers SDO, so it did not stop".to_owned()
                 }
                 (Some(Ok(0)), _) => {
@@ -287,7 +287,7 @@ impl Report {
                         .to_owned()
                 }
                 (Some(Ok(ms)), _) => format!("told, and its heartbeat of {ms} ms was not heard"),
-                (Some(Err(_)) | None, State::Stopped) => {
+                (Some(Err(_)) | None, NmtState::Stopped) => {
                     "told; neither heartbeat nor SDO answer: stopped, or not there".to_owned()
                 }
                 (Some(Err(_)) | None, _) => format!(

@@ -199,14 +199,14 @@ struct Identity {
     silent: bool,
     numbers: [Option<u32>; ASKED.len()],
     name: Option<String>,
-    state: Option<nmt::State>,
+    state: Option<nmt::NmtState>,
     heard: Option<Instant>,
     /// Time between the last two heartbeats.
     interval: Option<Duration>,
 }
 
 impl Identity {
-    fn heard(&mut self, state: nmt::State, now: Instant) {
+    fn heard(&mut self, state: nmt::NmtState, now: Instant) {
         self.interval = self.heard.map(|before| now.since(before));
         self.heard = Some(now);
         self.state = Some(state);

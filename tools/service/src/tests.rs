@@ -5,7 +5,7 @@ use std::time::Duration;
 use can::timing::Bitrate;
 use can::{Frame, Instant, Port, Received, StandardId, VirtualPort};
 use canopen::lss::Identity;
-use canopen::nmt::{Command, Request, State};
+use canopen::nmt::{Command, NmtState, Request};
 use canopen::objects::{DEVICE_NAME, PRODUCER_HEARTBEAT, STATUSWORD};
 use canopen::sdo::AbortCode;
 use canopen::sync::Sync;
@@ -16,7 +16,7 @@ use master::lss::{Answer, Service};
 use master::sdo::SdoError;
 
 use super::lss::Dialogue;
-use super::nmt::{Report, Told};
+use super::nmt::{NodeReport, Told};
 use super::pdo_map::MappingQuestions;
 use super::scan::Scan;
 use super::sdo::Transfer;
@@ -138,7 +138,7 @@ impl Stage {
         transfer.result.unwrap()
     }
 
-    fn tell(&mut self, request: Request) -> Report {
+    fn tell(&mut self, request: Request) -> NodeReport {
         let mut told = Told::new(request, Duration::from_secs(2), self.now);
         self.hold(&mut told);
         told.report()
@@ -241,17 +241,17 @@ fn commands_are_confirmed_by_what_the_node_says_next() {
     assert!(!told.confirmed(), "{told:?}");
     let told = stage.tell(Command::ResetNode.to(node(3)));
     assert!(told.confirmed(), "{told:?}");
-    assert_eq!(told.heard, [(node(3), State::Initialising)]);
+    assert_eq!(told.heard, [(node(3), NmtState::Initialising)]);
 
     stage.pass(Duration::from_secs(1));
     stage
         .transfer(5, PRODUCER_HEARTBEAT, Some(&100_u16.to_le_bytes()))
         .unwrap();
     let cases = [
-        (Command::Start, State::Operational),
-        (Command::Stop, State::Stopped),
-        (Command::EnterPreOperational, State::PreOperational),
-        (Command::ResetCommunication, State::Initialising),
+        (Command::Start, NmtState::Operational),
+        (Command::Stop, NmtState::Stopped),
+        (Command::EnterPreOperational, NmtState::PreOperational),
+        (Command::ResetCommunication, NmtState::Initialising),
     ];
     for (command, state) in cases {
         let told = stage.tell(command.to(node(5)));
@@ -268,7 +268,7 @@ fn a_node_that_another_master_guards_is_read_by_its_state_without_the_toggle_bit
     told.handle(&parse("703#85"), now);
     let report = told.report();
     assert!(report.confirmed(), "{report:?}");
-    assert_eq!(report.heard, [(node(3), State::Operational)]);
+    assert_eq!(report.heard, [(node(3), NmtState::Operational)]);
 
     let mut scan = Scan::new(TIMEOUT, now);
     scan.handle(&parse("703#FF"), now);
@@ -278,8 +278,8 @@ fn a_node_that_another_master_guards_is_read_by_its_state_without_the_toggle_bit
 
 #[test]
 fn a_node_that_still_answers_sdo_did_not_stop() {
-    let told = Report {
-        wanted: State::Stopped,
+    let told = NodeReport {
+        wanted: NmtState::Stopped,
         heard: Vec::new(),
         silent: Some((node(3), Some(Ok(0)))),
     };
@@ -327,8 +327,8 @@ fn all_nodes_are_told_at_once_and_each_is_heard() {
     let told = stage.tell(Command::ResetNode.to_all());
     assert!(told.confirmed(), "{told:?}");
     let booted = [
-        (node(3), State::Initialising),
-        (node(5), State::Initialising),
+        (node(3), NmtState::Initialising),
+        (node(5), NmtState::Initialising),
     ];
     assert_eq!(told.heard, booted);
 }

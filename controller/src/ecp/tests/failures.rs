@@ -195,7 +195,7 @@ fn a_servo_that_takes_no_orders_is_reported_in_time() {
     assert!(
         matches!(
             events[..],
-            [Event {
+            [EcpEvent {
                 instruction: 0,
                 outcome: Err(EcpError::Silent { .. })
             }]
@@ -217,11 +217,11 @@ fn homing_that_takes_too_long_is_stopped() {
     assert_eq!(
         events,
         [
-            Event {
+            EcpEvent {
                 instruction: 0,
                 outcome: Ok(())
             },
-            Event {
+            EcpEvent {
                 instruction: 1,
                 outcome
             }
@@ -245,7 +245,7 @@ fn homing_that_the_servo_broke_off_is_not_waited_for() {
     let outcome = Err(EcpError::BrokenOff { phase: Phase::Off });
     assert_eq!(
         events.last().copied(),
-        Some(Event {
+        Some(EcpEvent {
             instruction: 1,
             outcome
         })

@@ -111,7 +111,7 @@ fn a_line_is_straight_turns_the_shortest_way_and_ends_exactly() {
         Vector3::new(0.0, 0.0, 0.4),
     );
     let states = walk(
-        Line::new(arm.clone(), target, LIMITS, joint_limits()).unwrap(),
+        StraightLine::new(arm.clone(), target, LIMITS, joint_limits()).unwrap(),
         &start,
     )
     .unwrap();
@@ -162,7 +162,7 @@ fn joints_never_exceed_their_limits_on_a_line_and_motors_leave_it_by_nanometres(
         };
         let target = beside(&start.1, direction() * 0.3, direction() * 0.4);
         match walk(
-            Line::new(arm.clone(), target, LIMITS, weak).unwrap(),
+            StraightLine::new(arm.clone(), target, LIMITS, weak).unwrap(),
             &start,
         ) {
             Ok(states) => {
@@ -192,7 +192,7 @@ fn a_line_past_a_singular_wrist_is_walked_slower() {
         let start = standing(&arm, joints);
         let target = beside(&start.1, Vector3::new(0.0, 0.1, 0.05), Vector3::zeros());
         walk(
-            Line::new(arm.clone(), target, LIMITS, joint_limits()).unwrap(),
+            StraightLine::new(arm.clone(), target, LIMITS, joint_limits()).unwrap(),
             &start,
         )
         .unwrap()
@@ -209,7 +209,7 @@ fn what_lies_out_of_reach_is_found_before_the_motion_begins() {
     let start = standing(&arm, BENT);
     let plan = |target: Pose| {
         walk(
-            Line::new(arm.clone(), target, LIMITS, joint_limits()).unwrap(),
+            StraightLine::new(arm.clone(), target, LIMITS, joint_limits()).unwrap(),
             &start,
         )
     };
@@ -235,7 +235,7 @@ fn five_axes_walk_a_line_with_the_tool_down_and_refuse_one_with_it_aslant() {
     let across = |start: &Standing| {
         let target = beside(&start.1, Vector3::new(-0.1, 0.2, 0.05), Vector3::zeros());
         walk(
-            Line::new(irb6(), target, LIMITS, joint_limits()).unwrap(),
+            StraightLine::new(irb6(), target, LIMITS, joint_limits()).unwrap(),
             start,
         )
     };
@@ -260,7 +260,7 @@ fn a_line_to_where_the_tool_is_ends_at_once() {
     let arm = irp6();
     let start = standing(&arm, BENT);
     let states = walk(
-        Line::new(arm, start.1, LIMITS, joint_limits()).unwrap(),
+        StraightLine::new(arm, start.1, LIMITS, joint_limits()).unwrap(),
         &start,
     )
     .unwrap();
@@ -269,7 +269,8 @@ fn a_line_to_where_the_tool_is_ends_at_once() {
 
 #[test]
 fn lines_with_senseless_limits_are_refused() {
-    let new = |target, limits| Line::new(irp6(), target, limits, joint_limits()).map(|_| ());
+    let new =
+        |target, limits| StraightLine::new(irp6(), target, limits, joint_limits()).map(|_| ());
     let still = LineLimits {
         max_velocity: 0.0,
         ..LIMITS

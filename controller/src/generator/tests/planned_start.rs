@@ -86,13 +86,13 @@ fn from_home(arm: &Arm, by: [f64; 3]) -> Pose {
     pose
 }
 
-fn line(arm: &Arm, target: Pose) -> Line {
+fn line(arm: &Arm, target: Pose) -> StraightLine {
     let joint_limits = MotionLimits::uniform(1.5, 7.0, 70.0);
-    Line::new(arm.clone(), target, LIMITS, joint_limits).unwrap()
+    StraightLine::new(arm.clone(), target, LIMITS, joint_limits).unwrap()
 }
 
 /// The joints at all macrostep ends, beginning with the start.
-fn walk(line: Line, start: &AtMotors) -> Result<Vec<AxesState>, GeneratorError> {
+fn walk(line: StraightLine, start: &AtMotors) -> Result<Vec<AxesState>, GeneratorError> {
     let mut run = Run::new(line);
     let mut states = vec![start.0.joints];
     run.first_step(start, MACROSTEP)?;

@@ -3,7 +3,7 @@
 use crate::Frame;
 use crate::timing::Bitrate;
 
-use super::text::{Line, LineError, Rest};
+use super::text::{LineError, Rest, TextLine};
 
 /// What `S0` to `S8` stand for, as Linux's driver has it.
 ///
@@ -44,13 +44,13 @@ pub enum Command {
     Close,
     /// `t`, `T`, `r`, `R`: sends a frame. An error frame cannot be sent.
     Transmit(Frame),
-    /// `V`: asks for [`Report::Version`](super::Report::Version).
+    /// `V`: asks for [`AdapterReport::Version`](super::AdapterReport::Version).
     Version,
-    /// `v`: asks for [`Report::Firmware`](super::Report::Firmware).
+    /// `v`: asks for [`AdapterReport::Firmware`](super::AdapterReport::Firmware).
     Firmware,
-    /// `N`: asks for [`Report::SerialNumber`](super::Report::SerialNumber).
+    /// `N`: asks for [`AdapterReport::SerialNumber`](super::AdapterReport::SerialNumber).
     SerialNumber,
-    /// `F`: asks for [`Report::Flags`](super::Report::Flags) and clears them.
+    /// `F`: asks for [`AdapterReport::Flags`](super::AdapterReport::Flags) and clears them.
     Flags,
     /// `Z0`, `Z1`: whether received frames carry a time stamp.
     TimeStamps(bool),
@@ -64,40 +64,40 @@ pub enum Command {
     AutoPoll(bool),
     /// `P`: asks for one received frame.
     Poll,
-    /// `A`: asks for all received frames and a [`Report::PollEnd`](super::Report::PollEnd).
+    /// `A`: asks for all received frames and a [`AdapterReport::PollEnd`](super::AdapterReport::PollEnd).
     PollAll,
 }
 
 impl Command {
     /// The line that says it; `None` for what no line can say: an error frame, a bit rate that is
     /// none of [`BITRATES`], a line speed above 6.
-    pub fn encode(&self) -> Option<Line> {
+    pub fn encode(&self) -> Option<TextLine> {
         let line = match *self {
-            Self::Empty => Line::new(b""),
+            Self::Empty => TextLine::new(b""),
             Self::Bitrate(bitrate) => {
                 let number = BITRATES.iter().position(|&known| known == bitrate)?;
-                Line::new(b"S").hex(number as u32, 1)
+                TextLine::new(b"S").hex(number as u32, 1)
             }
-            Self::BitTiming { btr0, btr1 } => Line::new(b"s")
+            Self::BitTiming { btr0, btr1 } => TextLine::new(b"s")
                 .hex(u32::from(btr0), 2)
                 .hex(u32::from(btr1), 2),
-            Self::Open => Line::new(b"O"),
-            Self::ListenOnly => Line::new(b"L"),
-            Self::Loopback => Line::new(b"l"),
-            Self::Close => Line::new(b"C"),
-            Self::Transmit(frame) => Line::frame(&frame)?,
-            Self::Version => Line::new(b"V"),
-            Self::Firmware => Line::new(b"v"),
-            Self::SerialNumber => Line::new(b"N"),
-            Self::Flags => Line::new(b"F"),
-            Self::TimeStamps(on) => Line::new(b"Z").hex(u32::from(on), 1),
-            Self::AcceptanceCode(code) => Line::new(b"M").hex(code, 8),
-            Self::AcceptanceMask(mask) => Line::new(b"m").hex(mask, 8),
+            Self::Open => TextLine::new(b"O"),
+            Self::ListenOnly => TextLine::new(b"L"),
+            Self::Loopback => TextLine::new(b"l"),
+            Self::Close => TextLine::new(b"C"),
+            Self::Transmit(frame) => TextLine::frame(&frame)?,
+            Self::Version => TextLine::new(b"V"),
+            Self::Firmware => TextLine::new(b"v"),
+            Self::SerialNumber => TextLine::new(b"N"),
+            Self::Flags => TextLine::new(b"F"),
+            Self::TimeStamps(on) => TextLine::new(b"Z").hex(u32::from(on), 1),
+            Self::AcceptanceCode(code) => TextLine::new(b"M").hex(code, 8),
+            Self::AcceptanceMask(mask) => TextLine::new(b"m").hex(mask, 8),
             Self::LineSpeed(speed) if speed > 6 => return None,
-            Self::LineSpeed(speed) => Line::new(b"U").hex(u32::from(speed), 1),
-            Self::AutoPoll(on) => Line::new(b"X").hex(u32::from(on), 1),
-            Self::Poll => Line::new(b"P"),
-            Self::PollAll => Line::new(b"A"),
+            Self::LineSpeed(speed) => TextLine::new(b"U").hex(u32::from(speed), 1),
+            Self::AutoPoll(on) => TextLine::new(b"X").hex(u32::from(on), 1),
+            Self::Poll => TextLine::new(b"P"),
+            Self::PollAll => TextLine::new(b"A"),
         };
         Some(line.end())
     }

@@ -1,7 +1,7 @@
 //! The text that CAN adapters on serial lines speak (slcan, after Lawicel's CAN232): both ways, no I/O.
 //!
-//! A [`Command`] goes from host to adapter, a [`Report`] from adapter to host; each encodes to a
-//! [`Line`] and parses from what a [`Splitter`] cuts out of the stream. Lines end with a carriage
+//! A [`Command`] goes from host to adapter, a [`AdapterReport`] from adapter to host; each encodes to a
+//! [`TextLine`] and parses from what a [`Splitter`] cuts out of the stream. Lines end with a carriage
 //! return; the adapter's refusal is a bell without one. Numbers are hexadecimal, written in capitals
 //! and read in either case, but for the decimal counters of a state line.
 //!
@@ -22,6 +22,6 @@ mod splitter;
 mod text;
 
 pub use command::{BITRATES, Command};
-pub use report::{BusErrors, Report, StatusFlags};
+pub use report::{AdapterReport, BusErrors, StatusFlags};
 pub use splitter::{Dropped, Piece, Splitter};
-pub use text::{LONGEST, Line, LineError};
+pub use text::{LONGEST, LineError, TextLine};

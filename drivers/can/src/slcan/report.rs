@@ -4,16 +4,16 @@ use crate::timing::Format;
 use crate::{ControllerState, Frame};
 
 use super::splitter::Piece;
-use super::text::{Line, LineError, Rest};
+use super::text::{LineError, Rest, TextLine};
 
 /// What an adapter says to its host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Report {
+pub enum AdapterReport {
     /// An empty line: a command was done.
     Done,
     /// A bell: a command was refused.
     Refused,
-    /// `z`, `Z`: a frame of that format was taken for sending; some adapters say [`Report::Done`].
+    /// `z`, `Z`: a frame of that format was taken for sending; some adapters say [`AdapterReport::Done`].
     Transmitted(Format),
     /// `t`, `T`, `r`, `R`: a frame came from the bus.
     Received {
@@ -55,18 +55,18 @@ pub enum Report {
     PollEnd,
 }
 
-impl Report {
+impl AdapterReport {
     /// The line that says it; `None` for what no line can say: an error frame, or a serial number
     /// of other than letters and digits.
-    pub fn encode(&self) -> Option<Line> {
+    pub fn encode(&self) -> Option<TextLine> {
         let line = match *self {
-            Self::Done => Line::new(b""),
-            Self::Refused => return Some(Line::new(b"\x07")),
-            Self::Transmitted(Format::Standard) => Line::new(b"z"),
-            Self::Transmitted(Format::Extended) => Line::new(b"Z"),
+            Self::Done => TextLine::new(b""),
+            Self::Refused => return Some(TextLine::new(b"\x07")),
+            Self::Transmitted(Format::Standard) => TextLine::new(b"z"),
+            Self::Transmitted(Format::Extended) => TextLine::new(b"Z"),
             Self::Received { frame, stamp } => match stamp {
-                Some(stamp) => Line::frame(&frame)?.hex(u32::from(stamp), 4),
-                None => Line::frame(&frame)?,
+                Some(stamp) => TextLine::frame(&frame)?.hex(u32::from(stamp), 4),
+                None => TextLine::frame(&frame)?,
             },
             Self::State {
                 state,
@@ -75,17 +75,17 @@ impl Report {
             } => {
                 let [a, b, c] = decimals(receive);
                 let [d, e, f] = decimals(transmit);
-                Line::new(&[b's', state_letter(state), a, b, c, d, e, f])
+                TextLine::new(&[b's', state_letter(state), a, b, c, d, e, f])
             }
             Self::Errors(errors) => {
-                let mut line = Line::new(b"e").hex(errors.letters().count() as u32, 1);
+                let mut line = TextLine::new(b"e").hex(errors.letters().count() as u32, 1);
                 errors.letters().for_each(|letter| line.push(letter));
                 line
             }
-            Self::Version { hardware, software } => Line::new(b"V")
+            Self::Version { hardware, software } => TextLine::new(b"V")
                 .hex(u32::from(hardware), 2)
                 .hex(u32::from(software), 2),
-            Self::Firmware { major, minor } => Line::new(b"v")
+            Self::Firmware { major, minor } => TextLine::new(b"v")
                 .hex(u32::from(major), 2)
                 .hex(u32::from(minor), 2),
             Self::SerialNumber(number) => {
@@ -93,10 +93,10 @@ impl Report {
                     return None;
                 }
                 let [a, b, c, d] = number;
-                Line::new(&[b'N', a, b, c, d])
+                TextLine::new(&[b'N', a, b, c, d])
             }
-            Self::Flags(flags) => Line::new(b"F").hex(u32::from(flags.0), 2),
-            Self::PollEnd => Line::new(b"A"),
+            Self::Flags(flags) => TextLine::new(b"F").hex(u32::from(flags.0), 2),
+            Self::PollEnd => TextLine::new(b"A"),
         };
         Some(line.end())
     }
@@ -229,7 +229,7 @@ impl std::ops::BitOr for BusErrors {
     }
 }
 
-/// The flags of [`Report::Flags`], those of an SJA1000.
+/// The flags of [`AdapterReport::Flags`], those of an SJA1000.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StatusFlags(pub u8);
 
@@ -251,21 +251,21 @@ mod tests {
     use super::*;
     use crate::{ExtendedId, StandardId};
 
-    fn parse(text: &str) -> Result<Report, LineError> {
+    fn parse(text: &str) -> Result<AdapterReport, LineError> {
         match text.strip_suffix('\r') {
-            Some(line) => Report::parse(Piece::Line(line.as_bytes())),
-            None => Report::parse(Piece::Bell),
+            Some(line) => AdapterReport::parse(Piece::Line(line.as_bytes())),
+            None => AdapterReport::parse(Piece::Bell),
         }
     }
 
     #[test]
     fn reports_are_written_and_read_as_on_the_line() {
         use ControllerState::{Active, BusOff, Passive, Warning};
-        let received = |frame: Option<Frame>, stamp| Report::Received {
+        let received = |frame: Option<Frame>, stamp| AdapterReport::Received {
             frame: frame.unwrap(),
             stamp,
         };
-        let state = |state, receive, transmit| Report::State {
+        let state = |state, receive, transmit| AdapterReport::State {
             state,
             receive,
             transmit,
@@ -273,17 +273,17 @@ mod tests {
         let standard = |raw| StandardId::new(raw).unwrap();
         let extended = |raw| ExtendedId::new(raw).unwrap();
         let full = [0x11, 0x22, 0x33, 0x44, 0x55, 0x66, 0x77, 0x88];
-        let version = Report::Version {
+        let version = AdapterReport::Version {
             hardware: 0x10,
             software: 0x13,
         };
-        let firmware = Report::Firmware { major: 1, minor: 8 };
+        let firmware = AdapterReport::Firmware { major: 1, minor: 8 };
         let three = BusErrors::BIT_0 | BusErrors::CRC | BusErrors::TRANSMIT_OVERRUN;
         let cases = [
-            (Report::Done, "\r"),
-            (Report::Refused, "\x07"),
-            (Report::Transmitted(Format::Standard), "z\r"),
-            (Report::Transmitted(Format::Extended), "Z\r"),
+            (AdapterReport::Done, "\r"),
+            (AdapterReport::Refused, "\x07"),
+            (AdapterReport::Transmitted(Format::Standard), "z\r"),
+            (AdapterReport::Transmitted(Format::Extended), "Z\r"),
             (
                 received(Frame::new(standard(0x701), &[0x7F]), None),
                 "t70117F\r",
@@ -308,14 +308,14 @@ mod tests {
             (state(Warning, 0, 96), "sw000096\r"),
             (state(Passive, 128, 0), "sp128000\r"),
             (state(BusOff, 256, 256), "sb256256\r"),
-            (Report::Errors(BusErrors::ACKNOWLEDGE), "e1a\r"),
-            (Report::Errors(three), "e3bcO\r"),
-            (Report::Errors(BusErrors(0xFF)), "e8abBcfoOs\r"),
+            (AdapterReport::Errors(BusErrors::ACKNOWLEDGE), "e1a\r"),
+            (AdapterReport::Errors(three), "e3bcO\r"),
+            (AdapterReport::Errors(BusErrors(0xFF)), "e8abBcfoOs\r"),
             (version, "V1013\r"),
             (firmware, "v0108\r"),
-            (Report::SerialNumber(*b"A123"), "NA123\r"),
-            (Report::Flags(StatusFlags(0xA4)), "FA4\r"),
-            (Report::PollEnd, "A\r"),
+            (AdapterReport::SerialNumber(*b"A123"), "NA123\r"),
+            (AdapterReport::Flags(StatusFlags(0xA4)), "FA4\r"),
+            (AdapterReport::PollEnd, "A\r"),
         ];
         for (report, text) in cases {
             let line = report.encode().unwrap();
@@ -326,7 +326,7 @@ mod tests {
 
     #[test]
     fn counters_above_999_are_written_as_999() {
-        let state = Report::State {
+        let state = AdapterReport::State {
             state: ControllerState::BusOff,
             receive: 1000,
             transmit: u16::MAX,
@@ -336,14 +336,14 @@ mod tests {
 
     #[test]
     fn an_error_named_twice_is_read_once() {
-        assert_eq!(parse("e3aba\r"), Ok(Report::Errors(BusErrors(0x03))));
+        assert_eq!(parse("e3aba\r"), Ok(AdapterReport::Errors(BusErrors(0x03))));
     }
 
     #[test]
     fn what_no_line_can_say_is_not_encoded() {
         let frame = Frame::from_raw(0x2000_0004, 8, [0; 8]).unwrap();
-        let error = Report::Received { frame, stamp: None };
-        for report in [error, Report::SerialNumber(*b"A\r23")] {
+        let error = AdapterReport::Received { frame, stamp: None };
+        for report in [error, AdapterReport::SerialNumber(*b"A\r23")] {
             assert_eq!(report.encode(), None, "{report:?}");
         }
     }

@@ -12,13 +12,13 @@ pub const LONGEST: usize = 1 + 8 + 1 + 16 + 4 + 1;
 
 /// An encoded line as it goes over the wire, its end included; reads as `[u8]`.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub struct Line {
+pub struct TextLine {
     bytes: [u8; LONGEST],
     len: u8,
 }
 
-impl Line {
-    /// A line that begins with `text`, to be ended by [`Line::end`].
+impl TextLine {
+    /// A line that begins with `text`, to be ended by [`TextLine::end`].
     pub(super) fn new(text: &[u8]) -> Self {
         let mut line = Self {
             bytes: [0; LONGEST],
@@ -62,7 +62,7 @@ impl Line {
     }
 }
 
-impl Deref for Line {
+impl Deref for TextLine {
     type Target = [u8];
 
     fn deref(&self) -> &[u8] {
@@ -70,7 +70,7 @@ impl Deref for Line {
     }
 }
 
-impl fmt::Debug for Line {
+impl fmt::Debug for TextLine {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "\"{}\"", self.escape_ascii())
     }

@@ -8,10 +8,10 @@ use super::AxisCounters;
 use super::config::{AxisConfig, Control, GroupConfig};
 use super::exchange::Exchange;
 use super::fault::{AxisControllerFault, FaultLatch};
-use super::phase::{Acknowledgement, Event, Phase};
+use super::phase::{Acknowledgement, Phase, PhaseEvent};
 use super::plausibility::{FreezeCheck, PositionCheck, Verdict};
 use super::stream::{Answer, Stream};
-use super::telegram::{Aim, Dialect, Telegram};
+use super::telegram::{ControllerMode, Dialect, Telegram};
 use crate::{
     AxisCommand, AxisState, Homing, Milliamperes, Power, Refusal, Scale, Setpoint, Switches,
 };
@@ -36,7 +36,7 @@ const LIMITED: u16 = Status::UPPER_LIMIT
 /// [`check`](Self::check) for all axes; [`command`](Self::command), [`telegram`](Self::telegram) and
 /// [`handed_over`](Self::handed_over).
 #[derive(Clone, Debug)]
-pub(super) struct Axis {
+pub(super) struct SerialAxis {
     setup: Setup,
     phase: Phase,
     acknowledgement: Acknowledgement,
@@ -98,7 +98,7 @@ pub(super) struct Learnt {
     pub(super) stream: Stream,
 }
 
-impl Axis {
+impl SerialAxis {
     pub(super) fn new(group: &GroupConfig, config: &AxisConfig, line: u8) -> Self {
         let limit = config.limit().map_or(0, |Milliamperes(limit)| limit);
         let dialect = Dialect {
@@ -186,7 +186,8 @@ impl Axis {
             self.counters.implausible += 1;
             return;
         }
-        let may_index = self.phase.aim() == Aim::Index || self.acknowledgement.may_index();
+        let may_index =
+            self.phase.mode() == ControllerMode::Index || self.acknowledgement.may_index();
         let sent_at = self.exchange.sent_at();
         match self.position_check.judge(answer, sent_at, may_index) {
             Verdict::Plausible => {}
@@ -226,7 +227,7 @@ impl Axis {
         // A faulted drive is not told its mode any more.
         let answers = self.setup.dialect.answers_to_switch_on();
         if !self.faults.is_latched() && self.acknowledgement.answers >= answers {
-            self.phase = self.phase.next(Event::SwitchedOn);
+            self.phase = self.phase.next(PhaseEvent::SwitchedOn);
         }
         if self.loses_reference(self.status.confirmed) {
             self.reference = Reference::Unknown;
@@ -365,9 +366,9 @@ impl Axis {
             Reference::Invalid if !self.status.may_be(Status::SYNCHRONIZED) => Reference::Unknown,
             unchanged => unchanged,
         };
-        let mode_changes = self.phase.aim() != before.aim();
+        let mode_changes = self.phase.mode() != before.mode();
         if mode_changes {
-            self.acknowledgement = Acknowledgement::pending(before.aim());
+            self.acknowledgement = Acknowledgement::pending(before.mode());
         }
         self.discards_unsent = mode_changes && self.phase.rests();
         self.setpoint = match setpoint {
@@ -380,37 +381,37 @@ impl Axis {
     }
 
     /// What a command means to an axis with these faults and this reference.
-    fn event(&self, command: AxisCommand) -> Event {
+    fn event(&self, command: AxisCommand) -> PhaseEvent {
         match command {
-            AxisCommand::ResetFault => Event::Off,
-            _ if self.faults.is_emergency_stop() => Event::EmergencyStop,
-            AxisCommand::Off => Event::Off,
-            _ if self.faults.is_latched() => Event::Fault,
-            AxisCommand::Seek(_) => Event::Seek {
+            AxisCommand::ResetFault => PhaseEvent::Off,
+            _ if self.faults.is_emergency_stop() => PhaseEvent::EmergencyStop,
+            AxisCommand::Off => PhaseEvent::Off,
+            _ if self.faults.is_latched() => PhaseEvent::Fault,
+            AxisCommand::Seek(_) => PhaseEvent::Seek {
                 drive_referenced: self.status.may_be(Status::SYNCHRONIZED),
                 index_found: self.reference == Reference::Known,
             },
-            AxisCommand::Follow(_) | AxisCommand::Stand | AxisCommand::Home => Event::Follow,
+            AxisCommand::Follow(_) | AxisCommand::Stand | AxisCommand::Home => PhaseEvent::Follow,
         }
     }
 
     fn encode(&self) -> Telegram {
-        let (dialect, aim) = (self.setup.dialect, self.phase.aim());
+        let (dialect, mode) = (self.setup.dialect, self.phase.mode());
         let Acknowledgement {
             telegrams, answers, ..
         } = self.acknowledgement;
         let tell = !self.acknowledgement.is_complete();
         match self.phase {
             Phase::Off | Phase::EmergencyStop => {
-                dialect.rest(aim, telegrams, self.reference == Reference::Invalid)
+                dialect.rest(mode, telegrams, self.reference == Reference::Invalid)
             }
             Phase::SwitchingOn => dialect.switch_on(answers),
             Phase::Unreferencing { cycles } => {
                 let unreference = dialect.may_unreference(cycles);
-                dialect.follow(aim, self.setpoint, tell, unreference)
+                dialect.follow(mode, self.setpoint, tell, unreference)
             }
             Phase::Following | Phase::SearchingIndex | Phase::IndexFound => {
-                dialect.follow(aim, self.setpoint, tell, false)
+                dialect.follow(mode, self.setpoint, tell, false)
             }
             Phase::FaultReaction(_) => dialect.zero(),
         }
@@ -457,13 +458,13 @@ impl Axis {
 
     /// The last telegram to a drive whose group ends.
     pub(super) fn farewell(&self) -> Telegram {
-        let aim = if self.faults.is_emergency_stop() {
-            Aim::Error
+        let mode = if self.faults.is_emergency_stop() {
+            ControllerMode::Error
         } else {
-            Aim::Manual
+            ControllerMode::Manual
         };
         let dialect = self.setup.dialect;
-        dialect.farewell(aim, self.reference == Reference::Invalid)
+        dialect.farewell(mode, self.reference == Reference::Invalid)
     }
 
     /// Clears the latched faults. The next reading latches again what the drive and the line still show.

@@ -10,7 +10,7 @@ use super::config::{AxisConfig, CurrentGains, GroupConfig, Protocol};
 use super::fault::AxisControllerError;
 use super::plausibility::{PositionCheck, Verdict};
 use super::stream::{Answer, Stream, speaks};
-use super::telegram::{Aim, Dialect, Setting, Telegram};
+use super::telegram::{ControllerMode, Dialect, Setting, Telegram};
 use super::{AxisCounters, axis::Learnt};
 
 /// Last address of the search for a drive: the IRp-6's drives have 0 to 15.
@@ -71,7 +71,7 @@ enum Stage {
 
 impl BringUp {
     pub(super) fn new(group: &GroupConfig, config: &AxisConfig, dialect: Dialect) -> Self {
-        let manual = dialect.rest(Aim::Manual, 1, false);
+        let manual = dialect.rest(ControllerMode::Manual, 1, false);
         let mut script = vec![dialect.opening(), manual, manual];
         let limit = config.limit().map(|limit| Setting::MaxCurrent(limit.0));
         let gains = config.current_gains.and_then(CurrentGains::raw);

@@ -86,7 +86,7 @@ pub use fault::{AxisControllerError, AxisControllerFault};
 #[cfg(doc)]
 use crate::Power;
 use crate::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters};
-use axis::Axis;
+use axis::SerialAxis;
 use bring_up::BringUp;
 
 /// Bytes of one reading: the whole buffer of the tty layer of Linux, so that no old bytes stay behind.
@@ -110,7 +110,7 @@ pub struct AxisControllerGroup<L: Line> {
 /// One drive and its line.
 struct Controller<L> {
     line: L,
-    axis: Axis,
+    axis: SerialAxis,
     bring_up: BringUp,
     begun: bool,
     setpoint: Option<i16>,
@@ -151,7 +151,7 @@ impl<L: Line> AxisControllerGroup<L> {
         config.check(axes, lines.len())?;
         let controllers = lines.into_iter().zip(axes).zip(0..);
         let controllers = controllers.map(|((line, config_of_axis), index)| {
-            let axis = Axis::new(&config, config_of_axis, index);
+            let axis = SerialAxis::new(&config, config_of_axis, index);
             let bring_up = BringUp::new(&config, config_of_axis, axis.dialect());
             Controller {
                 line,

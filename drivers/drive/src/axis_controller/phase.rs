@@ -1,6 +1,6 @@
 //! Phases of an axis controller during operation, and the transitions between them.
 //!
-//! Each cycle feeds one command event to [`Phase::next`]. The answers of the drive feed [`Event::SwitchedOn`].
+//! Each cycle feeds one command event to [`Phase::next`]. The answers of the drive feed [`PhaseEvent::SwitchedOn`].
 //!
 //! ```text
 //!  Off ──Follow, Seek──► SwitchingOn ──SwitchedOn──► Following
@@ -28,7 +28,7 @@
 //! Three things are independent of the phase and have types of their own: the acknowledgement of a mode by the drive
 //! ([`Acknowledgement`]), missing answers (`exchange`), and the plausibility of answers (`plausibility`).
 
-use super::telegram::{ANSWERS_TO_EFFECT, Aim};
+use super::telegram::{ANSWERS_TO_EFFECT, ControllerMode};
 
 /// Phase of an axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -67,7 +67,7 @@ pub(super) enum Interrupted {
 
 /// What moves an axis from phase to phase.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Event {
+pub(super) enum PhaseEvent {
     /// Off is commanded without an emergency stop, or a reset.
     Off,
     /// A fault that requires an emergency stop is latched.
@@ -89,24 +89,24 @@ pub(super) enum Event {
 
 impl Phase {
     /// The phase after an event, which may be the same.
-    pub(super) fn next(self, event: Event) -> Self {
+    pub(super) fn next(self, event: PhaseEvent) -> Self {
         match (self, event) {
-            (_, Event::Off) => Self::Off,
-            (_, Event::EmergencyStop) => Self::EmergencyStop,
+            (_, PhaseEvent::Off) => Self::Off,
+            (_, PhaseEvent::EmergencyStop) => Self::EmergencyStop,
 
-            (Self::Off, Event::Follow | Event::Seek { .. }) => Self::SwitchingOn,
-            (Self::SwitchingOn, Event::SwitchedOn) => Self::Following,
+            (Self::Off, PhaseEvent::Follow | PhaseEvent::Seek { .. }) => Self::SwitchingOn,
+            (Self::SwitchingOn, PhaseEvent::SwitchedOn) => Self::Following,
             (
                 Self::Following
                 | Self::Unreferencing { .. }
                 | Self::SearchingIndex
                 | Self::IndexFound,
-                Event::Follow,
+                PhaseEvent::Follow,
             ) => Self::Following,
 
             (
                 Self::Following,
-                Event::Seek {
+                PhaseEvent::Seek {
                     drive_referenced, ..
                 },
             ) => match drive_referenced {
@@ -115,51 +115,56 @@ impl Phase {
             },
             (
                 Self::Unreferencing { cycles },
-                Event::Seek {
+                PhaseEvent::Seek {
                     drive_referenced: true,
                     ..
                 },
             ) => Self::Unreferencing { cycles: cycles + 1 },
             (
                 Self::Unreferencing { .. } | Self::SearchingIndex | Self::IndexFound,
-                Event::Seek { index_found, .. },
+                PhaseEvent::Seek { index_found, .. },
             ) => match index_found {
                 true => Self::IndexFound,
                 false => Self::SearchingIndex,
             },
 
-            (Self::SwitchingOn, Event::Fault) => Self::FaultReaction(Interrupted::SwitchingOn),
-            (Self::Following | Self::Unreferencing { .. } | Self::IndexFound, Event::Fault) => {
-                Self::FaultReaction(Interrupted::Following)
-            }
-            (Self::SearchingIndex, Event::Fault) => {
+            (Self::SwitchingOn, PhaseEvent::Fault) => Self::FaultReaction(Interrupted::SwitchingOn),
+            (
+                Self::Following | Self::Unreferencing { .. } | Self::IndexFound,
+                PhaseEvent::Fault,
+            ) => Self::FaultReaction(Interrupted::Following),
+            (Self::SearchingIndex, PhaseEvent::Fault) => {
                 Self::FaultReaction(Interrupted::SearchingIndex)
             }
 
             (Self::FaultReaction(_) | Self::EmergencyStop, _)
-            | (Self::Off, Event::Fault | Event::SwitchedOn)
-            | (Self::SwitchingOn, Event::Follow | Event::Seek { .. })
+            | (Self::Off, PhaseEvent::Fault | PhaseEvent::SwitchedOn)
+            | (Self::SwitchingOn, PhaseEvent::Follow | PhaseEvent::Seek { .. })
             | (
                 Self::Following
                 | Self::Unreferencing { .. }
                 | Self::SearchingIndex
                 | Self::IndexFound,
-                Event::SwitchedOn,
+                PhaseEvent::SwitchedOn,
             ) => self,
         }
     }
 
     /// The mode that the drive is told.
-    pub(super) fn aim(self) -> Aim {
+    pub(super) fn mode(self) -> ControllerMode {
         match self {
-            Self::Off => Aim::Manual,
-            Self::EmergencyStop => Aim::Error,
-            Self::SearchingIndex | Self::FaultReaction(Interrupted::SearchingIndex) => Aim::Index,
+            Self::Off => ControllerMode::Manual,
+            Self::EmergencyStop => ControllerMode::Error,
+            Self::SearchingIndex | Self::FaultReaction(Interrupted::SearchingIndex) => {
+                ControllerMode::Index
+            }
             Self::SwitchingOn
             | Self::Following
             | Self::Unreferencing { .. }
             | Self::IndexFound
-            | Self::FaultReaction(Interrupted::SwitchingOn | Interrupted::Following) => Aim::Drive,
+            | Self::FaultReaction(Interrupted::SwitchingOn | Interrupted::Following) => {
+                ControllerMode::Drive
+            }
         }
     }
 
@@ -211,11 +216,11 @@ impl Acknowledgement {
     };
 
     /// For a new mode that takes the place of `before`.
-    pub(super) fn pending(before: Aim) -> Self {
+    pub(super) fn pending(before: ControllerMode) -> Self {
         Self {
             telegrams: 0,
             answers: 0,
-            after_index: before == Aim::Index,
+            after_index: before == ControllerMode::Index,
         }
     }
 
@@ -254,23 +259,23 @@ mod tests {
     const REACT_IDX: Phase = Phase::FaultReaction(Interrupted::SearchingIndex);
     const STOP: Phase = Phase::EmergencyStop;
 
-    const fn seek(drive_referenced: bool, index_found: bool) -> Event {
-        Event::Seek {
+    const fn seek(drive_referenced: bool, index_found: bool) -> PhaseEvent {
+        PhaseEvent::Seek {
             drive_referenced,
             index_found,
         }
     }
 
-    const EVENTS: [Event; 9] = [
-        Event::Off,
-        Event::EmergencyStop,
-        Event::Fault,
-        Event::Follow,
+    const EVENTS: [PhaseEvent; 9] = [
+        PhaseEvent::Off,
+        PhaseEvent::EmergencyStop,
+        PhaseEvent::Fault,
+        PhaseEvent::Follow,
         seek(false, false),
         seek(true, false),
         seek(false, true),
         seek(true, true),
-        Event::SwitchedOn,
+        PhaseEvent::SwitchedOn,
     ];
 
     /// Phases with what each of [`EVENTS`] makes of them.
@@ -320,13 +325,13 @@ mod tests {
         for (phase, _) in TABLE {
             assert!(!phase.follows() || phase.has_torque(), "{phase:?}");
             assert!(!phase.rests() || !phase.has_torque(), "{phase:?}");
-            let faulted = phase.next(Event::Fault);
+            let faulted = phase.next(PhaseEvent::Fault);
             assert!(!faulted.follows(), "{phase:?}");
             assert_eq!(
-                faulted.aim(),
+                faulted.mode(),
                 match phase {
-                    Phase::Unreferencing { .. } | Phase::IndexFound => Aim::Drive,
-                    unchanged => unchanged.aim(),
+                    Phase::Unreferencing { .. } | Phase::IndexFound => ControllerMode::Drive,
+                    unchanged => unchanged.mode(),
                 }
             );
             assert_eq!(faulted.has_torque(), phase.has_torque(), "{phase:?}");

@@ -15,7 +15,7 @@ pub(super) const ANSWERS_TO_EFFECT: u32 = 2;
 
 /// The mode that a drive is told, in either protocol.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) enum Aim {
+pub(super) enum ControllerMode {
     /// No torque; the drive clears its latched errors.
     #[default]
     Manual,
@@ -73,7 +73,13 @@ impl Dialect {
     ///
     /// One NFv2 frame carries all of them. In the older protocol a flag of every set-point carries the mode. A parameter
     /// has a telegram of its own there, so the drive follows its last set-point meanwhile.
-    pub(super) fn follow(self, aim: Aim, setpoint: i16, tell: bool, unreference: bool) -> Telegram {
+    pub(super) fn follow(
+        self,
+        mode: ControllerMode,
+        setpoint: i16,
+        tell: bool,
+        unreference: bool,
+    ) -> Telegram {
         match self.protocol {
             Protocol::Nfv2 => {
                 let mut frame = self.frame(setpoint);
@@ -81,12 +87,12 @@ impl Dialect {
                     frame = frame.command(Command::SetMisc(Command::RESET_SYNCHRONIZED));
                 }
                 if tell {
-                    frame = frame.command(Command::SetMode(self.mode(aim)));
+                    frame = frame.command(Command::SetMode(self.mode(mode)));
                 }
                 read(frame)
             }
             Protocol::HiMoxa if unreference => set(Parameter::Synchronized(false)),
-            Protocol::HiMoxa => moxa_setpoint(setpoint, aim == Aim::Index),
+            Protocol::HiMoxa => moxa_setpoint(setpoint, mode == ControllerMode::Index),
         }
     }
 
@@ -106,14 +112,14 @@ impl Dialect {
 
     /// A zero set-point without a mode.
     pub(super) fn zero(self) -> Telegram {
-        self.follow(Aim::Drive, 0, false, false)
+        self.follow(ControllerMode::Drive, 0, false, false)
     }
 
     /// Gives a drive torque; `answers` counts the answers to such telegrams. The zero set-point goes before the mode, so
     /// that no mode begins with an old set-point.
     pub(super) fn switch_on(self, answers: u32) -> Telegram {
         match self.protocol {
-            Protocol::Nfv2 => self.follow(Aim::Drive, 0, true, false),
+            Protocol::Nfv2 => self.follow(ControllerMode::Drive, 0, true, false),
             Protocol::HiMoxa if answers < ANSWERS_TO_EFFECT => self.zero(),
             Protocol::HiMoxa => set(Parameter::DriverMode(DriverMode::Pwm)),
         }
@@ -127,27 +133,29 @@ impl Dialect {
         }
     }
 
-    /// Takes torque away by a zero set-point and the mode [`Aim::Manual`] or [`Aim::Error`]; `told` counts such
+    /// Takes torque away by a zero set-point and the mode [`ControllerMode::Manual`] or [`ControllerMode::Error`]; `told` counts such
     /// telegrams. In the older protocol the set-point goes first, except before an error state. `unreference` tells the
     /// drive to forget its reference too, in every other telegram of the older protocol.
-    pub(super) fn rest(self, aim: Aim, told: u32, unreference: bool) -> Telegram {
-        match (self.protocol, aim) {
-            (Protocol::Nfv2, _) => prefixed(self.follow(aim, 0, true, unreference)),
+    pub(super) fn rest(self, mode: ControllerMode, told: u32, unreference: bool) -> Telegram {
+        match (self.protocol, mode) {
+            (Protocol::Nfv2, _) => prefixed(self.follow(mode, 0, true, unreference)),
             (Protocol::HiMoxa, _) if unreference && told % 2 == 1 => {
                 set(Parameter::Synchronized(false))
             }
-            (Protocol::HiMoxa, Aim::Error) => set(Parameter::DriverMode(DriverMode::Error)),
+            (Protocol::HiMoxa, ControllerMode::Error) => {
+                set(Parameter::DriverMode(DriverMode::Error))
+            }
             (Protocol::HiMoxa, _) if told == 0 => self.zero(),
             (Protocol::HiMoxa, _) => set(Parameter::DriverMode(DriverMode::Manual)),
         }
     }
 
     /// All of [`rest`](Self::rest) at once, for a drive whose answers are not read any more.
-    pub(super) fn farewell(self, aim: Aim, unreference: bool) -> Telegram {
+    pub(super) fn farewell(self, mode: ControllerMode, unreference: bool) -> Telegram {
         match self.protocol {
-            Protocol::Nfv2 => self.rest(aim, 0, unreference),
+            Protocol::Nfv2 => self.rest(mode, 0, unreference),
             Protocol::HiMoxa => {
-                let off = self.zero().append(self.rest(aim, 1, false).bytes());
+                let off = self.zero().append(self.rest(mode, 1, false).bytes());
                 if unreference {
                     off.append(set(Parameter::Synchronized(false)).bytes())
                 } else {
@@ -168,7 +176,9 @@ impl Dialect {
             )),
             (Protocol::HiMoxa, Setting::MaxCurrent(current)) => set(Parameter::MaxCurrent(current)),
             // Unreachable: the configuration refuses gains in this protocol.
-            (Protocol::HiMoxa, Setting::CurrentGains(_)) => self.rest(Aim::Manual, 1, false),
+            (Protocol::HiMoxa, Setting::CurrentGains(_)) => {
+                self.rest(ControllerMode::Manual, 1, false)
+            }
         }
     }
 
@@ -177,7 +187,7 @@ impl Dialect {
     /// take the frame for a set-point.
     pub(super) fn opening(self) -> Telegram {
         match self.protocol {
-            Protocol::Nfv2 => self.follow(Aim::Manual, 0, true, false),
+            Protocol::Nfv2 => self.follow(ControllerMode::Manual, 0, true, false),
             Protocol::HiMoxa => self.zero(),
         }
     }
@@ -191,7 +201,7 @@ impl Dialect {
         };
         match protocol {
             Protocol::Nfv2 => dialect.opening(),
-            Protocol::HiMoxa => dialect.rest(Aim::Manual, 1, false),
+            Protocol::HiMoxa => dialect.rest(ControllerMode::Manual, 1, false),
         }
     }
 
@@ -202,14 +212,14 @@ impl Dialect {
         })
     }
 
-    fn mode(self, aim: Aim) -> Mode {
-        match (aim, self.control) {
-            (Aim::Manual, _) => Mode::Manual,
-            (Aim::Error, _) => Mode::Error,
-            (Aim::Drive, Control::Current) => Mode::Current,
-            (Aim::Drive, Control::Pwm) => Mode::Pwm,
-            (Aim::Index, Control::Current) => Mode::SyncCurrent,
-            (Aim::Index, Control::Pwm) => Mode::SyncPwm,
+    fn mode(self, mode: ControllerMode) -> Mode {
+        match (mode, self.control) {
+            (ControllerMode::Manual, _) => Mode::Manual,
+            (ControllerMode::Error, _) => Mode::Error,
+            (ControllerMode::Drive, Control::Current) => Mode::Current,
+            (ControllerMode::Drive, Control::Pwm) => Mode::Pwm,
+            (ControllerMode::Index, Control::Current) => Mode::SyncCurrent,
+            (ControllerMode::Index, Control::Pwm) => Mode::SyncPwm,
         }
     }
 }
@@ -262,30 +272,30 @@ mod tests {
         let moxa = dialect(Protocol::HiMoxa, Control::Pwm);
         let cases: [(Telegram, &[u8]); 8] = [
             (
-                nfv2.follow(Aim::Drive, 100, false, false),
+                nfv2.follow(ControllerMode::Drive, 100, false, false),
                 &[
                     0x23, 0x0E, 0xF1, 0x08, 0x14, 0x02, 0x64, 0x00, 0x1A, 0x00, 0x1B, 0x00, 0x1F,
                     0x00, 0xE0,
                 ],
             ),
             (
-                moxa.follow(Aim::Drive, 745, true, false),
+                moxa.follow(ControllerMode::Drive, 745, true, false),
                 &[0, 0, 0, 0, 0x23, 0x00, 0xE9, 0x02, 0, 0, 0x20, 0x20],
             ),
             (
-                moxa.follow(Aim::Index, -1, true, false),
+                moxa.follow(ControllerMode::Index, -1, true, false),
                 &[0, 0, 0, 0, 0x23, 0x10, 0xFF, 0xFF, 0, 0, 0x20, 0x20],
             ),
             (
-                moxa.follow(Aim::Drive, 5, true, true),
+                moxa.follow(ControllerMode::Drive, 5, true, true),
                 &[0, 0, 0, 0, 0x23, 0x1F, 0x00, 0x00, 0, 0],
             ),
             (
-                moxa.rest(Aim::Manual, 1, false),
+                moxa.rest(ControllerMode::Manual, 1, false),
                 &[0, 0, 0, 0, 0x23, 0x9F, 0x00, 0x00, 0, 0],
             ),
             (
-                moxa.rest(Aim::Error, 0, false),
+                moxa.rest(ControllerMode::Error, 0, false),
                 &[0, 0, 0, 0, 0x23, 0x9F, 0x04, 0x00, 0, 0],
             ),
             (
@@ -293,7 +303,7 @@ mod tests {
                 &[0, 0, 0, 0, 0x23, 0x9F, 0x03, 0x00, 0, 0],
             ),
             (
-                moxa.farewell(Aim::Manual, false),
+                moxa.farewell(ControllerMode::Manual, false),
                 &[
                     0, 0, 0, 0, 0x23, 0x00, 0, 0, 0, 0, 0x20, 0x20, 0, 0, 0, 0, 0x23, 0x9F, 0, 0,
                     0, 0,
@@ -306,7 +316,7 @@ mod tests {
         for first in [
             moxa.switch_on(0),
             moxa.switch_on(1),
-            moxa.rest(Aim::Manual, 0, false),
+            moxa.rest(ControllerMode::Manual, 0, false),
         ] {
             assert_eq!(first.bytes(), moxa.zero().bytes());
         }
@@ -322,13 +332,13 @@ mod tests {
         };
         // 12 set-point, 1E forget the reference, 10 mode, then the reads.
         assert_eq!(
-            items(nfv2.follow(Aim::Index, -250, true, true)),
+            items(nfv2.follow(ControllerMode::Index, -250, true, true)),
             [
                 0x12, 2, 0x06, 0xFF, 0x1E, 4, 2, 0, 0, 0, 0x10, 1, 0x11, 0x1A, 0, 0x1B, 0, 0x1F, 0
             ]
         );
         let off = [0x12, 2, 0, 0, 0x10, 1, 0x01, 0x1A, 0, 0x1B, 0, 0x1F, 0];
-        assert_eq!(items(nfv2.rest(Aim::Manual, 0, false)), off);
-        assert_eq!(items(nfv2.farewell(Aim::Manual, false)), off);
+        assert_eq!(items(nfv2.rest(ControllerMode::Manual, 0, false)), off);
+        assert_eq!(items(nfv2.farewell(ControllerMode::Manual, false)), off);
     }
 }

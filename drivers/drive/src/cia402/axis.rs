@@ -15,7 +15,7 @@ use super::mode::{ModeRequest, ModeSwitch};
 use super::process_data::{self, Answer};
 use super::service::Service;
 use super::setup::Setup;
-use super::target::{Order, Target};
+use super::target::{Target, TargetOrder};
 use crate::{AxisCommand, AxisState, Fault, Increments, Permille, Power, Refusal};
 
 /// Answers until a controlword surely has its effect in the statusword. The drive latches the word at the next SYNC
@@ -31,7 +31,7 @@ pub(super) const ANSWERS_TO_EFFECT: u32 = 4;
 /// 3. [`check`](Self::check) of every axis;
 /// 4. [`command`](Self::command) and [`handed_over`](Self::handed_over).
 #[derive(Clone, Debug)]
-pub(super) struct Axis {
+pub(super) struct CanAxis {
     setup: Setup,
 
     state: AxisState,
@@ -89,7 +89,7 @@ pub(super) struct Learnt {
     pub(super) mode_shown: Option<ModeOfOperation>,
 }
 
-impl Axis {
+impl CanAxis {
     pub(super) fn new(group: &GroupConfig, axis: &AxisConfig) -> Self {
         let setup = Setup::of(group, axis);
         Self::started(setup, Instant::ZERO, Learnt::default())
@@ -225,10 +225,10 @@ impl Axis {
     }
 
     /// Takes a heartbeat or boot-up received at `at`.
-    pub(super) fn heard(&mut self, state: nmt::State, at: Instant) {
+    pub(super) fn heard(&mut self, state: nmt::NmtState, at: Instant) {
         self.heartbeat = Some(at);
-        self.operational = state == nmt::State::Operational;
-        if state == nmt::State::Initialising {
+        self.operational = state == nmt::NmtState::Operational;
+        if state == nmt::NmtState::Initialising {
             self.booted = true;
             self.search.forget();
         }
@@ -381,8 +381,8 @@ impl Axis {
     }
 
     /// Takes the command of this cycle.
-    pub(super) fn command(&mut self, order: Order, now: Instant) -> Frame {
-        let Order {
+    pub(super) fn command(&mut self, order: TargetOrder, now: Instant) -> Frame {
+        let TargetOrder {
             command,
             setpoint,
             hold,

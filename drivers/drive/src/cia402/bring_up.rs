@@ -118,14 +118,14 @@ impl NodeBringUp {
     }
 
     /// Takes a heartbeat or boot-up message. A boot-up resets the client `sdo`.
-    pub(super) fn heard(&mut self, state: nmt::State, sdo: &mut Client, now: Instant) {
+    pub(super) fn heard(&mut self, state: nmt::NmtState, sdo: &mut Client, now: Instant) {
         match (self.phase, state) {
-            (Phase::Starting { .. }, nmt::State::Operational) => self.phase = Phase::Operational,
+            (Phase::Starting { .. }, nmt::NmtState::Operational) => self.phase = Phase::Operational,
             // A node that left operational may have lost its configuration. The boot time-out ends the start.
-            (Phase::Operational, state) if state != nmt::State::Operational => {
+            (Phase::Operational, state) if state != nmt::NmtState::Operational => {
                 self.phase = Phase::Starting { since: now };
             }
-            (Phase::Booting { since, .. }, nmt::State::Initialising) => {
+            (Phase::Booting { since, .. }, nmt::NmtState::Initialising) => {
                 sdo.reset();
                 self.phase = Phase::Booting {
                     since,
@@ -133,7 +133,7 @@ impl NodeBringUp {
                     asked: false,
                 };
             }
-            (Phase::Configuring { .. } | Phase::Configured, nmt::State::Initialising) => {
+            (Phase::Configuring { .. } | Phase::Configured, nmt::NmtState::Initialising) => {
                 sdo.reset();
                 self.boots += 1;
                 self.phase = Phase::Booting {

@@ -92,12 +92,12 @@ use crate::Power;
 use crate::{
     AxisCommand, AxisState, BringUpError, DriveGroup, Fault, GroupCounters, Warning, Warnings,
 };
-use axis::Axis;
+use axis::CanAxis;
 use bring_up::NodeBringUp;
 use own_heartbeat::OwnHeartbeat;
 use process_data::Answer;
 use service::Service;
-use target::{Order, Target};
+use target::{Target, TargetOrder};
 
 /// Greatest number of SDO frames sent by one call of bring-up. A transmit queue of ten has room for them.
 const SDO_FRAMES_PER_CALL: usize = 8;
@@ -132,7 +132,7 @@ pub struct Cia402Group<P: Port> {
 /// One drive: its bring-up, its operation, and the SDO client of both.
 struct Node {
     bring_up: NodeBringUp,
-    axis: Axis,
+    axis: CanAxis,
     sdo: Client,
     service: Option<Service>,
     setpoint: Option<Target>,
@@ -192,7 +192,7 @@ impl<P: Port> Cia402Group<P> {
             index[usize::from(axis.node.raw())] = Some(i as u8);
             let bring_up = NodeBringUp::new(&config, axis)?;
             let sdo = bring_up.client();
-            let axis = Axis::new(&config, axis);
+            let axis = CanAxis::new(&config, axis);
             nodes.push(Node {
                 bring_up,
                 axis,
@@ -501,7 +501,7 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
         self.batch.push(Sync::default().encode());
         let watched = self.heartbeat.is_watched();
         for (node, &command) in self.nodes.iter_mut().zip(commands) {
-            let order = Order {
+            let order = TargetOrder {
                 command,
                 setpoint: node.setpoint,
                 hold: refused,
@@ -521,7 +521,7 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
         let setpoints = self.batch.len() - 1;
         let heartbeat = self.heartbeat.is_due(now);
         if heartbeat {
-            let (node, state) = (self.config.host_node, nmt::State::Operational);
+            let (node, state) = (self.config.host_node, nmt::NmtState::Operational);
             self.batch.push(Heartbeat { node, state }.encode());
         }
         if self.service.is_none() {

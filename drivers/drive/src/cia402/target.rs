@@ -14,9 +14,9 @@ pub(super) struct Target {
 
 /// The command of a cycle to one axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Order {
+pub(super) struct TargetOrder {
     pub(super) command: AxisCommand,
-    /// What [`Axis::check`](super::axis::Axis::check) said.
+    /// What [`CanAxis::check`](super::axis::CanAxis::check) said.
     pub(super) setpoint: Option<Target>,
     /// The target of the last cycle is kept, because another axis refused its own.
     pub(super) hold: bool,

@@ -74,7 +74,7 @@ fn the_last_thing_a_drive_hears_is_to_be_off() {
 #[test]
 fn no_old_set_point_goes_before_what_takes_torque_away() {
     for protocol in BOTH {
-        // Switched off, by a panic, and when the group is dropped.
+        // Switched off, by an emergency stop, and when the group is dropped.
         for (cycles, command) in [
             (2, Some(AxisCommand::Off)),
             (8, Some(AxisCommand::Stand)),

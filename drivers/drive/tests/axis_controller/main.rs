@@ -4,8 +4,8 @@
 mod belief;
 mod bring_up;
 mod commands;
+mod emergency_stops;
 mod faults;
-mod panics;
 #[path = "../scripted/mod.rs"]
 mod scripted;
 

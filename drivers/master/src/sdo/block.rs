@@ -20,7 +20,7 @@ pub(super) const THRESHOLD: usize = 4 * SEGMENT;
 ///   DownloadInitiated ──► Download ◄─► (sub-blocks) ──► DownloadEnd
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum State {
+pub(super) enum BlockState {
     UploadInitiated,
     Upload(Receiving),
     /// All segments came; the checksum is due.
@@ -70,7 +70,7 @@ impl Client {
     /// Sends the first frame of an upload.
     pub(super) fn initiate_block_upload(&mut self, now: Instant) {
         self.length = 0;
-        self.state = super::State::Block(State::UploadInitiated);
+        self.state = super::TransferState::Block(BlockState::UploadInitiated);
         let request = Request::InitiateUpload {
             object: self.object,
             crc: true,
@@ -82,7 +82,7 @@ impl Client {
 
     /// Sends the first frame of a download.
     pub(super) fn initiate_block_download(&mut self, now: Instant) {
-        self.state = super::State::Block(State::DownloadInitiated);
+        self.state = super::TransferState::Block(BlockState::DownloadInitiated);
         let request = Request::InitiateDownload {
             object: self.object,
             crc: true,
@@ -95,8 +95,8 @@ impl Client {
     ///
     /// Frames of other transfers and unknown specifiers are ignored: after a restart, segments of the abandoned
     /// sub-block may still arrive.
-    pub(super) fn handle_block(&mut self, state: State, frame: &Frame, now: Instant) {
-        if let State::Upload(receiving) = state
+    pub(super) fn handle_block(&mut self, state: BlockState, frame: &Frame, now: Instant) {
+        if let BlockState::Upload(receiving) = state
             && let Some(segment) = Segment::decode(frame, cob::sdo_response(self.node))
         {
             return self.block_segment_received(receiving, segment, now);
@@ -105,9 +105,10 @@ impl Client {
             (_, Some(sdo::Response::Abort { object, code })) if object == self.object => {
                 self.aborted(state, code, now);
             }
-            (State::UploadInitiated, Some(sdo::Response::InitiateUpload { object, initiate }))
-                if object == self.object =>
-            {
+            (
+                BlockState::UploadInitiated,
+                Some(sdo::Response::InitiateUpload { object, initiate }),
+            ) if object == self.object => {
                 self.upload_initiated(initiate, now);
             }
             _ => {
@@ -120,16 +121,19 @@ impl Client {
 
     /// Falls back to segmented transfer if the server refuses block transfer. Repeats the request if the server
     /// missed an abort and took the request for a segment of the abandoned sub-block.
-    fn aborted(&mut self, state: State, code: AbortCode, now: Instant) {
+    fn aborted(&mut self, state: BlockState, code: AbortCode, now: Instant) {
         let object = self.object;
         match (state, code) {
-            (State::UploadInitiated, AbortCode::COMMAND_SPECIFIER) => self.start = Start::Upload,
-            (State::DownloadInitiated, AbortCode::COMMAND_SPECIFIER) => {
+            (BlockState::UploadInitiated, AbortCode::COMMAND_SPECIFIER) => {
+                self.start = Start::Upload
+            }
+            (BlockState::DownloadInitiated, AbortCode::COMMAND_SPECIFIER) => {
                 self.start = Start::Download;
             }
-            (State::UploadInitiated | State::DownloadInitiated, AbortCode::SEQUENCE_NUMBER)
-                if self.retries_left > 0 =>
-            {
+            (
+                BlockState::UploadInitiated | BlockState::DownloadInitiated,
+                AbortCode::SEQUENCE_NUMBER,
+            ) if self.retries_left > 0 => {
                 self.retries_left -= 1;
             }
             _ => return self.finish(Err(SdoError::Aborted { object, code })),
@@ -137,13 +141,13 @@ impl Client {
         self.initiate(now);
     }
 
-    fn handle_block_response(&mut self, state: State, response: Response, now: Instant) {
+    fn handle_block_response(&mut self, state: BlockState, response: Response, now: Instant) {
         match (state, response) {
-            (State::UploadInitiated, Response::InitiateUpload { object, crc, size })
+            (BlockState::UploadInitiated, Response::InitiateUpload { object, crc, size })
                 if object == self.object =>
             {
                 if let Ok(announced) = self.announced(size) {
-                    self.state = super::State::Block(State::Upload(Receiving {
+                    self.state = super::TransferState::Block(BlockState::Upload(Receiving {
                         crc,
                         announced,
                         block_size: MAX_BLOCK_SIZE,
@@ -154,11 +158,11 @@ impl Client {
                     self.send_block(Request::StartUpload, now);
                 }
             }
-            (State::UploadEnd { crc, announced }, Response::EndUpload(end)) => {
+            (BlockState::UploadEnd { crc, announced }, Response::EndUpload(end)) => {
                 self.block_upload_ended(crc, announced, end);
             }
             (
-                State::DownloadInitiated,
+                BlockState::DownloadInitiated,
                 Response::InitiateDownload {
                     object,
                     crc,
@@ -174,18 +178,20 @@ impl Client {
                 };
                 self.send_sub_block(sending, now);
             }
-            (State::Download(sending), Response::Acknowledge(acknowledge)) if sending.sent > 0 => {
+            (BlockState::Download(sending), Response::Acknowledge(acknowledge))
+                if sending.sent > 0 =>
+            {
                 self.sub_block_acknowledged(sending, acknowledge, now);
             }
-            (State::DownloadEnd, Response::EndDownload) => self.finish(Ok(())),
+            (BlockState::DownloadEnd, Response::EndDownload) => self.finish(Ok(())),
             // A late answer to an earlier request.
             (
-                State::UploadInitiated
-                | State::Upload(_)
-                | State::UploadEnd { .. }
-                | State::DownloadInitiated
-                | State::Download(_)
-                | State::DownloadEnd,
+                BlockState::UploadInitiated
+                | BlockState::Upload(_)
+                | BlockState::UploadEnd { .. }
+                | BlockState::DownloadInitiated
+                | BlockState::Download(_)
+                | BlockState::DownloadEnd,
                 _,
             ) => {}
         }
@@ -219,7 +225,7 @@ impl Client {
             receiving.highest = receiving.highest.max(sequence);
             self.deadline = now + self.timeout;
         }
-        self.state = super::State::Block(State::Upload(receiving));
+        self.state = super::TransferState::Block(BlockState::Upload(receiving));
         if segment.last || sequence == receiving.block_size {
             self.sub_block_received(receiving, in_order && segment.last, now);
         }
@@ -238,7 +244,7 @@ impl Client {
         self.acknowledge(receiving, lost, now);
         if complete {
             let Receiving { crc, announced, .. } = receiving;
-            self.state = super::State::Block(State::UploadEnd { crc, announced });
+            self.state = super::TransferState::Block(BlockState::UploadEnd { crc, announced });
         }
     }
 
@@ -259,7 +265,7 @@ impl Client {
         } else {
             receiving.block_size
         };
-        self.state = super::State::Block(State::Upload(Receiving {
+        self.state = super::TransferState::Block(BlockState::Upload(Receiving {
             block_size,
             in_order: 0,
             highest: 0,
@@ -300,7 +306,7 @@ impl Client {
     fn send_sub_block(&mut self, sending: Sending, now: Instant) {
         let (object, block_size) = (self.object, sending.block_size);
         if (1..=MAX_BLOCK_SIZE).contains(&block_size) {
-            self.state = super::State::Block(State::Download(sending));
+            self.state = super::TransferState::Block(BlockState::Download(sending));
             self.deadline = now + self.timeout;
         } else {
             self.fail(SdoError::BlockSize { object, block_size });
@@ -309,7 +315,7 @@ impl Client {
 
     /// The next segment of the sub-block that is being sent.
     pub(super) fn next_block_segment(&mut self, now: Instant) -> Option<Frame> {
-        let super::State::Block(State::Download(sending)) = &mut self.state else {
+        let super::TransferState::Block(BlockState::Download(sending)) = &mut self.state else {
             return None;
         };
         let from = sending.from + SEGMENT * usize::from(sending.sent);
@@ -341,7 +347,7 @@ impl Client {
         } else if from >= self.length {
             let data = &self.buffer[..self.length];
             let crc = if sending.crc { checksum(data) } else { 0 };
-            self.state = super::State::Block(State::DownloadEnd);
+            self.state = super::TransferState::Block(BlockState::DownloadEnd);
             self.send_block(Request::EndDownload(End::of(self.length, crc)), now);
         } else if sequence > 0 || sending.stalls < self.retries {
             let stalls = if sequence > 0 { 0 } else { sending.stalls + 1 };

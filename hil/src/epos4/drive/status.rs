@@ -59,7 +59,7 @@ impl Drive {
 
     fn statusword(&self, objects: &Objects) -> u16 {
         use ModeOfOperation as M;
-        let operational = objects.nmt == canopen::nmt::State::Operational;
+        let operational = objects.nmt == canopen::nmt::NmtState::Operational;
         let state = self.power.bits().unwrap_or_default();
         let limit = self.feedback.negative_limit || self.feedback.positive_limit;
         let word = state

@@ -4,7 +4,7 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 
 use super::{Loaded, Mechanism, MechanismConfig};
 use crate::plant::{
-    Axis, AxisConfig, Demand, FrictionConfig, Irp6Axis, MotorConfig, Noise, PlantConfig,
+    AxisConfig, Demand, FrictionConfig, Irp6Axis, MotorConfig, Noise, PlantAxis, PlantConfig,
 };
 
 const G: f64 = 9.81;
@@ -311,7 +311,7 @@ fn falling_arm_turns_its_height_into_speed() {
         )
     };
     let mount = mechanism.mount(1, 0.0);
-    let mut axis = Axis::mounted(&config, 1, mount.as_ref());
+    let mut axis = PlantAxis::mounted(&config, 1, mount.as_ref());
     // Heights of the masses. The angle is searched for by means of the published constants.
     let height = |motor: f64| {
         let (mut low, mut high) = (-FRAC_PI_2, 0.0);
@@ -376,7 +376,7 @@ fn payload_taken_up_is_held_with_the_torque_it_weighs() {
         ..smooth(AxisConfig::irp6(Irp6Axis::UpperArm), |_| {})
     };
     let mount = mechanism.mount(2, home);
-    let mut axis = Axis::mounted(&config, 1, mount.as_ref());
+    let mut axis = PlantAxis::mounted(&config, 1, mount.as_ref());
     let mut held = |mass| {
         mechanism.set_payload(mass, [0.0, 0.0, 0.1]);
         let hold = Demand::Position {
@@ -403,14 +403,14 @@ fn payload_taken_up_is_held_with_the_torque_it_weighs() {
 }
 
 /// All axes of a robot with its presets, mounted.
-fn axes(config: MechanismConfig, seed: u64) -> (Mechanism, Vec<AxisConfig>, Vec<Axis>) {
+fn axes(config: MechanismConfig, seed: u64) -> (Mechanism, Vec<AxisConfig>, Vec<PlantAxis>) {
     let mechanism = Mechanism::new(config);
     let configs: Vec<_> = (0..mechanism.axes())
         .filter_map(|number| preset(config, number))
         .collect();
     let mounted = configs.iter().enumerate().map(|(number, config)| {
         let mount = mechanism.mount(number, config.index_angle);
-        Axis::mounted(config, seed + number as u64, mount.as_ref())
+        PlantAxis::mounted(config, seed + number as u64, mount.as_ref())
     });
     let mounted = mounted.collect();
     (mechanism, configs, mounted)
@@ -525,8 +525,8 @@ fn regression_model_feels_nothing_and_is_felt() {
     let mechanism = Mechanism::new(MechanismConfig::Irp6);
     let config = AxisConfig::wut(Irp6Axis::Pitch);
     let mount = mechanism.mount(3, config.start_angle);
-    let mut mounted = Axis::mounted(&config, 1, mount.as_ref());
-    let mut alone = Axis::new(&config, 1);
+    let mut mounted = PlantAxis::mounted(&config, 1, mount.as_ref());
+    let mut alone = PlantAxis::new(&config, 1);
     let before = mechanism.load(4).torque;
     for axis in [&mut mounted, &mut alone] {
         axis.advance(10_000, Demand::Velocity(30_000.0));

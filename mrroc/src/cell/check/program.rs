@@ -3,7 +3,7 @@
 use super::{Checked, name, refused, some, within};
 use crate::cell::Range;
 use crate::cell::error::Problem;
-use crate::cell::{Instruction, JointGenerator, Joints, Line, Path, Robot};
+use crate::cell::{Instruction, JointGenerator, Joints, LineInstruction, Path, Robot};
 
 /// Greatest number of instructions of a program, and of poses of an instruction.
 const MOST: usize = 10_000;
@@ -61,7 +61,7 @@ fn check_joints(path: &Path, joints: &Joints, robot: &Robot) -> Checked {
     within(&path, duration, Range::new(1e-3, 86_400.0, "s"))
 }
 
-fn check_line(path: &Path, line: &Line) -> Checked {
+fn check_line(path: &Path, line: &LineInstruction) -> Checked {
     for (number, part) in line.position.into_iter().enumerate() {
         within(&path.then("position").then(number), part, FARTHEST)?;
     }

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::regulator::IncrementalConfig;
-use crate::{HostLoop, Law, PositionLoop, State};
+use crate::{HostLoop, Law, PositionLoop, ServoState};
 
 /// Both laws for the scripted motor. The incremental one is a lead filter with an integrator at 1 ms.
 pub(super) fn laws(axes: usize) -> [ServoConfig; 2] {
@@ -157,7 +157,7 @@ fn a_loop_of_the_wrong_sign_loses_power_at_once() {
                 break;
             }
         }
-        assert_eq!(rig.servo.state(0), Some(State::Faulted), "no braking");
+        assert_eq!(rig.servo.state(0), Some(ServoState::Faulted), "no braking");
         let Some(StopCause::Runaway { velocity, limit }) = rig.cause() else {
             panic!("{:?}", rig.cause());
         };
@@ -183,7 +183,7 @@ fn lost_feedback_takes_power_at_once_and_a_nan_does_too() {
                     break;
                 }
             }
-            assert_eq!(rig.servo.state(0), Some(State::Faulted));
+            assert_eq!(rig.servo.state(0), Some(ServoState::Faulted));
             assert_eq!(rig.last_sent(), [AxisCommand::Off; 2]);
             assert!(rig.torques(0).iter().all(|torque| torque.is_finite()));
         }

@@ -2,7 +2,7 @@
 
 use super::host_loops::laws;
 use super::*;
-use crate::State;
+use crate::ServoState;
 
 /// Two axes at 50 rad/s in `sense`. A limit switch of axis 1 is 2 rad ahead.
 fn cruising(config: &ServoConfig, sense: f64) -> Rig {
@@ -51,7 +51,7 @@ fn a_limit_switch_brakes_the_effector_and_is_named_and_can_be_left() {
             // The other axis brakes under its loop, 50 rad/s at 1000 rad/s². The power is switched off only
             // afterwards.
             let mut cycles = 0;
-            while rig.servo.state(0) != Some(State::Faulted) {
+            while rig.servo.state(0) != Some(ServoState::Faulted) {
                 assert!(matches!(rig.last_sent()[0], AxisCommand::Follow(_)));
                 rig.run(1);
                 cycles += 1;

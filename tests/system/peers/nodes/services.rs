@@ -2,7 +2,7 @@
 
 use canopen::Object;
 use canopen::emcy::Emergency;
-use canopen::nmt::{Command, State};
+use canopen::nmt::{Command, NmtState};
 use canopen::objects::{DEVICE_NAME, DEVICE_TYPE, PRODUCER_HEARTBEAT, VENDOR_ID};
 use canopen::sdo::AbortCode;
 
@@ -51,10 +51,10 @@ fn network_management(host: &mut Host, peer: &Peer) {
         None => assert_eq!(host.download(PRODUCER_HEARTBEAT, &heartbeat), Ok(())),
     }
     for (order, state) in [
-        (Command::Start, State::Operational),
-        (Command::Stop, State::Stopped),
-        (Command::EnterPreOperational, State::PreOperational),
-        (Command::Start, State::Operational),
+        (Command::Start, NmtState::Operational),
+        (Command::Stop, NmtState::Stopped),
+        (Command::EnterPreOperational, NmtState::PreOperational),
+        (Command::Start, NmtState::Operational),
     ] {
         host.command(order);
         host.hears(state);

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::process::Command;
 
 use canopen::NodeId;
-use canopen::nmt::State;
+use canopen::nmt::NmtState;
 use canopen::sdo::AbortCode;
 
 use super::super::{PATIENCE, Script, python, rust};
@@ -20,7 +20,7 @@ pub(super) struct Peer {
     pub(super) serial: u32,
     /// State in the first message after a boot; CiA 301: initialising. zencan sends that message only if a heartbeat is
     /// due at that moment.
-    pub(super) boots_as: State,
+    pub(super) boots_as: NmtState,
     /// Heartbeat time of a peer whose object 0x1017 is a constant, ms; CiA 301: rw.
     pub(super) constant_heartbeat: Option<u16>,
     /// Whether a reset restores the power-on value of object 0x1017; CiA 301: yes.
@@ -51,7 +51,7 @@ pub(super) static PEERS: [Peer; 3] = [
         identity: [0x7A65_6E63, 0x1000_0002, 0x8000_0001],
         device_type: 0,
         serial: 0x5A00_0001,
-        boots_as: State::PreOperational,
+        boots_as: NmtState::PreOperational,
         constant_heartbeat: Some(5),
         restores: true,
         no_subindex: AbortCode::NO_SUBINDEX,
@@ -69,7 +69,7 @@ pub(super) static PEERS: [Peer; 3] = [
         identity: [0x0000_0C05, 0x0061_0001, 0x0000_0601],
         device_type: 0x0002_0192,
         serial: 0x0000_0002,
-        boots_as: State::Initialising,
+        boots_as: NmtState::Initialising,
         constant_heartbeat: None,
         restores: true,
         no_subindex: AbortCode::NO_OBJECT,
@@ -87,7 +87,7 @@ pub(super) static PEERS: [Peer; 3] = [
         identity: [0x0000_0D0D, 0x0050_0000, 0x0000_0005],
         device_type: 0x0002_0192,
         serial: 0xFFFF_FFFF,
-        boots_as: State::Initialising,
+        boots_as: NmtState::Initialising,
         constant_heartbeat: None,
         restores: false,
         no_subindex: AbortCode::NO_SUBINDEX,
@@ -104,7 +104,7 @@ pub(super) static PEERS: [Peer; 3] = [
 impl Peer {
     /// Whether a boot-up message is sure to come. No host sees the reset of a peer that sends none.
     pub(super) fn boots(&self) -> bool {
-        self.boots_as == State::Initialising
+        self.boots_as == NmtState::Initialising
     }
 
     /// Time to wait for the boot-up message, ms.

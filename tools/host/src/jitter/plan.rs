@@ -166,14 +166,14 @@ mod tests {
     use super::*;
 
     #[derive(Parser)]
-    struct Line {
+    struct CommandLine {
         #[command(flatten)]
         options: Options,
     }
 
     fn plan(line: &str) -> Result<Plan, String> {
         let words = std::iter::once("jitter").chain(line.split_whitespace());
-        let line = Line::try_parse_from(words).map_err(|e| e.to_string())?;
+        let line = CommandLine::try_parse_from(words).map_err(|e| e.to_string())?;
         Plan::of(&line.options, None).map_err(|e| e.to_string())
     }
 

@@ -76,7 +76,7 @@ impl fmt::Display for Setting {
 
 /// The report.
 #[derive(Debug, Serialize)]
-pub(super) struct Report {
+pub(super) struct JitterReport {
     #[serde(flatten)]
     setting: Setting,
     /// Measurements of the cycle of the cell, if a cell was measured. The latency of our side then runs from the
@@ -151,7 +151,7 @@ pub(super) struct Late {
     cause: &'static str,
 }
 
-impl Report {
+impl JitterReport {
     /// Evaluates the measurements.
     pub(super) fn of(
         setting: Setting,
@@ -191,7 +191,7 @@ impl Report {
     }
 }
 
-impl fmt::Display for Report {
+impl fmt::Display for JitterReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             f,

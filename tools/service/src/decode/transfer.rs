@@ -55,7 +55,7 @@ enum Side {
 }
 
 #[derive(Clone, Copy, Debug)]
-enum State {
+enum SessionState {
     /// A transfer whose start was not seen may be under way. Holds the last frame.
     Unknown(Option<(Side, Frame)>),
     Idle,
@@ -102,7 +102,7 @@ enum Stage {
 #[derive(Clone, Debug)]
 pub(super) struct Channel {
     node: NodeId,
-    state: State,
+    state: SessionState,
     /// Time of the last frame, or of the start of listening.
     last: Instant,
 }
@@ -112,7 +112,7 @@ impl Channel {
     pub(super) fn idle(node: NodeId) -> Self {
         Self {
             node,
-            state: State::Idle,
+            state: SessionState::Idle,
             last: Instant::ZERO,
         }
     }
@@ -121,7 +121,7 @@ impl Channel {
     pub(super) fn listened_to_since(node: NodeId, began: Instant) -> Self {
         Self {
             node,
-            state: State::Unknown(None),
+            state: SessionState::Unknown(None),
             last: began,
         }
     }
@@ -130,13 +130,13 @@ impl Channel {
     pub(super) fn request(&mut self, frame: &Frame, at: Instant) -> Reading {
         let quiet = self.passed(at);
         if first(frame) == ABORT {
-            self.state = State::Idle;
+            self.state = SessionState::Idle;
             return Reading::Command(None);
         }
         self.resolve(Side::Client, frame, quiet);
         match self.state {
-            State::Unknown(_) => self.unknown(Side::Client, frame),
-            State::Block(block) if block.expects(Way::Download) => {
+            SessionState::Unknown(_) => self.unknown(Side::Client, frame),
+            SessionState::Block(block) if block.expects(Way::Download) => {
                 let other = Asked::of(frame, self.node).filter(|_| quiet);
                 match other {
                     Some(asked) if !block.is_next(frame) => self.ask(asked),
@@ -151,13 +151,13 @@ impl Channel {
     pub(super) fn response(&mut self, frame: &Frame, at: Instant) -> Reading {
         let quiet = self.passed(at);
         if first(frame) == ABORT {
-            self.state = State::Idle;
+            self.state = SessionState::Idle;
             return Reading::Command(None);
         }
         self.resolve(Side::Server, frame, quiet);
         match self.state {
-            State::Unknown(_) => self.unknown(Side::Server, frame),
-            State::Block(block) if block.expects(Way::Upload) => {
+            SessionState::Unknown(_) => self.unknown(Side::Server, frame),
+            SessionState::Block(block) if block.expects(Way::Upload) => {
                 self.segment(block, Side::Server, frame, quiet)
             }
             state => self.answer(state, frame),
@@ -174,11 +174,11 @@ impl Channel {
     /// Leaves the unknown state as soon as the present state is certain: after a silence, or after two frames that fit
     /// only one kind of transfer.
     fn resolve(&mut self, side: Side, frame: &Frame, quiet: bool) {
-        let State::Unknown(before) = self.state else {
+        let SessionState::Unknown(before) = self.state else {
             return;
         };
         let resolved = if quiet {
-            Some(State::Idle)
+            Some(SessionState::Idle)
         } else {
             before.and_then(|before| match (before, side) {
                 ((Side::Client, request), Side::Server) => self.answered(&request, frame),
@@ -192,12 +192,12 @@ impl Channel {
     }
 
     /// State after `response` has answered `request`, if exactly one state is possible.
-    fn answered(&self, request: &Frame, response: &Frame) -> Option<State> {
+    fn answered(&self, request: &Frame, response: &Frame) -> Option<SessionState> {
         let asked = Asked::of(request, self.node);
         if let Some(asked) = asked.filter(|asked| asked.is_answered(response, self.node)) {
-            return Some(State::Asked(asked));
+            return Some(SessionState::Asked(asked));
         }
-        let segments = |way, last| State::Segments {
+        let segments = |way, last| SessionState::Segments {
             way,
             object: None,
             last,
@@ -208,12 +208,12 @@ impl Channel {
             }
             (0x60 | 0x70, 0x00..=0x1F) => Some(segments(Way::Upload, false)),
             (_, ACKNOWLEDGE) => Block::complete(Way::Download, request, response),
-            (0xA3, 0x01 | 0x81) => Some(State::Block(Block {
+            (0xA3, 0x01 | 0x81) => Some(SessionState::Block(Block {
                 stage: Stage::Segments,
                 size: MAX_BLOCK_SIZE,
                 ..Block::new(Way::Upload, None)
             })),
-            (end, 0xA1) if is_end(end) => Some(State::Block(Block {
+            (end, 0xA1) if is_end(end) => Some(SessionState::Block(Block {
                 stage: Stage::Ended,
                 ..Block::new(Way::Download, None)
             })),
@@ -222,7 +222,7 @@ impl Channel {
     }
 
     fn unknown(&mut self, side: Side, frame: &Frame) -> Reading {
-        self.state = State::Unknown(Some((side, *frame)));
+        self.state = SessionState::Unknown(Some((side, *frame)));
         // The segments of a block transfer are numbered from 1.
         if first(frame) == 0 {
             Reading::Command(None)
@@ -241,22 +241,22 @@ impl Channel {
         if block.last || block.sent == block.size {
             block.stage = Stage::Acknowledge;
         }
-        self.state = State::Block(block);
+        self.state = SessionState::Block(block);
         Reading::BlockSegment(block.object)
     }
 
     fn ask(&mut self, asked: Asked) -> Reading {
-        self.state = State::Asked(asked);
+        self.state = SessionState::Asked(asked);
         Reading::Command(None)
     }
 
     /// Processes a frame of the client that is not a segment of a block transfer.
-    fn command(&mut self, state: State, frame: &Frame) -> Reading {
+    fn command(&mut self, state: SessionState, frame: &Frame) -> Reading {
         if let Some(asked) = Asked::of(frame, self.node) {
             return match state {
                 // The server may still be sending the sub-block of the previous transfer.
-                State::Block(block) if block.expects(Way::Upload) => {
-                    self.state = State::Unknown(Some((Side::Client, *frame)));
+                SessionState::Block(block) if block.expects(Way::Upload) => {
+                    self.state = SessionState::Unknown(Some((Side::Client, *frame)));
                     Reading::Command(None)
                 }
                 _ => self.ask(asked),
@@ -264,52 +264,54 @@ impl Channel {
         }
         match (state, first(frame)) {
             (
-                State::Segments {
+                SessionState::Segments {
                     way: Way::Download,
                     object,
                     ..
                 },
                 0x00..=0x1F,
             ) => {
-                self.state = State::Segments {
+                self.state = SessionState::Segments {
                     way: Way::Download,
                     object,
                     last: is_last_of_segments(frame),
                 };
                 Reading::Command(object)
             }
-            (State::Segments { object, .. }, _) => Reading::Command(object),
-            (State::Block(block), specifier) => {
+            (SessionState::Segments { object, .. }, _) => Reading::Command(object),
+            (SessionState::Block(block), specifier) => {
                 let Some(state) = block.commanded(specifier, frame) else {
                     return self.unknown(Side::Client, frame);
                 };
                 self.state = state;
                 Reading::Command(block.object)
             }
-            (State::Unknown(_) | State::Idle | State::Asked(_), _) => Reading::Command(None),
+            (SessionState::Unknown(_) | SessionState::Idle | SessionState::Asked(_), _) => {
+                Reading::Command(None)
+            }
         }
     }
 
     /// Processes a frame of the server that is not a segment of a block transfer.
-    fn answer(&mut self, state: State, frame: &Frame) -> Reading {
+    fn answer(&mut self, state: SessionState, frame: &Frame) -> Reading {
         match (state, first(frame)) {
-            (State::Asked(asked), _) if asked.is_answered(frame, self.node) => {
+            (SessionState::Asked(asked), _) if asked.is_answered(frame, self.node) => {
                 self.state = asked.begun(frame, self.node);
                 Reading::Command(None)
             }
             (
-                State::Segments {
+                SessionState::Segments {
                     way: Way::Download,
                     object,
                     last: true,
                 },
                 0x20 | 0x30,
             ) => {
-                self.state = State::Idle;
+                self.state = SessionState::Idle;
                 Reading::Command(object)
             }
             (
-                State::Segments {
+                SessionState::Segments {
                     way: Way::Upload,
                     object,
                     ..
@@ -317,17 +319,19 @@ impl Channel {
                 0x00..=0x1F,
             ) => {
                 if is_last_of_segments(frame) {
-                    self.state = State::Idle;
+                    self.state = SessionState::Idle;
                 }
                 Reading::Command(object)
             }
-            (State::Segments { object, .. }, _) => Reading::Command(object),
-            (State::Block(block), specifier) => {
+            (SessionState::Segments { object, .. }, _) => Reading::Command(object),
+            (SessionState::Block(block), specifier) => {
                 self.state = block.answered(specifier, frame).unwrap_or(state);
                 Reading::Command(block.object)
             }
             // An answer to a client that has already given up.
-            (State::Unknown(_) | State::Idle | State::Asked(_), _) => Reading::Command(None),
+            (SessionState::Unknown(_) | SessionState::Idle | SessionState::Asked(_), _) => {
+                Reading::Command(None)
+            }
         }
     }
 }
@@ -355,7 +359,7 @@ impl Block {
     }
 
     /// State after `segment` and `answer`, if either acknowledges the other.
-    fn complete(way: Way, segment: &Frame, answer: &Frame) -> Option<State> {
+    fn complete(way: Way, segment: &Frame, answer: &Frame) -> Option<SessionState> {
         let [_, sequence, size, rest @ ..] = answer.data() else {
             return None;
         };
@@ -367,53 +371,55 @@ impl Block {
             last: first(segment) & LAST != 0,
             ..Self::new(way, None)
         };
-        fits.then_some(State::Block(block))
+        fits.then_some(SessionState::Block(block))
     }
 
     /// State after a command of the client; `None` if no command is due.
-    fn commanded(self, specifier: u8, frame: &Frame) -> Option<State> {
-        let to = |stage| State::Block(Self { stage, ..self });
+    fn commanded(self, specifier: u8, frame: &Frame) -> Option<SessionState> {
+        let to = |stage| SessionState::Block(Self { stage, ..self });
         match (self.way, self.stage, specifier) {
             (Way::Upload, Stage::Start, 0xA3) => Some(to(Stage::Segments)),
             (Way::Upload, Stage::Segments | Stage::Acknowledge, ACKNOWLEDGE) => {
                 Some(self.acknowledged(frame))
             }
-            (Way::Upload, Stage::End | Stage::Ended, 0xA1) => Some(State::Idle),
+            (Way::Upload, Stage::End | Stage::Ended, 0xA1) => Some(SessionState::Idle),
             (Way::Download, Stage::End, specifier) if is_end(specifier) => Some(to(Stage::Ended)),
             _ => None,
         }
     }
 
     /// State after an answer of the server; `None` if no answer is due.
-    fn answered(self, specifier: u8, frame: &Frame) -> Option<State> {
+    fn answered(self, specifier: u8, frame: &Frame) -> Option<SessionState> {
         match (self.way, self.stage, specifier) {
             (Way::Download, Stage::Segments | Stage::Acknowledge, ACKNOWLEDGE) => {
                 Some(self.acknowledged(frame))
             }
-            (Way::Download, Stage::Ended, 0xA1) => Some(State::Idle),
-            (Way::Upload, Stage::End, specifier) if is_end(specifier) => Some(State::Block(Self {
-                stage: Stage::Ended,
-                ..self
-            })),
+            (Way::Download, Stage::Ended, 0xA1) => Some(SessionState::Idle),
+            (Way::Upload, Stage::End, specifier) if is_end(specifier) => {
+                Some(SessionState::Block(Self {
+                    stage: Stage::Ended,
+                    ..self
+                }))
+            }
             _ => None,
         }
     }
 
     /// State after the receiver of a sub-block has acknowledged it.
-    fn acknowledged(self, frame: &Frame) -> State {
+    fn acknowledged(self, frame: &Frame) -> SessionState {
         let [_, sequence, size, ..] = *frame.data() else {
-            return State::Unknown(None);
+            return SessionState::Unknown(None);
         };
         if sequence == self.sent && self.last {
-            return State::Block(Self {
+            return SessionState::Block(Self {
                 stage: Stage::End,
                 ..self
             });
         }
         if sequence > self.sent || !(1..=MAX_BLOCK_SIZE).contains(&size) {
-            return State::Unknown(None);
+            return SessionState::Unknown(None);
         }
-        State::Block(Self {
+        SessionState::Block(Self {
             stage: Stage::Segments,
             size,
             sent: 0,
@@ -424,10 +430,10 @@ impl Block {
 }
 
 /// State after `request` has acknowledged `response`, if exactly one state is possible.
-fn acknowledged(response: &Frame, request: &Frame) -> Option<State> {
+fn acknowledged(response: &Frame, request: &Frame) -> Option<SessionState> {
     match (first(response), first(request)) {
         (_, ACKNOWLEDGE) => Block::complete(Way::Upload, response, request),
-        (end, 0xA1) if is_end(end) => Some(State::Block(Block {
+        (end, 0xA1) if is_end(end) => Some(SessionState::Block(Block {
             stage: Stage::Ended,
             ..Block::new(Way::Upload, None)
         })),

@@ -5,7 +5,7 @@ use canopen::sdo::block::{self, MAX_BLOCK_SIZE};
 use canopen::sdo::{Initiate, Request, Response};
 use canopen::{NodeId, Object};
 
-use super::{Block, Stage, State, Way};
+use super::{Block, SessionState, Stage, Way};
 
 /// Transfer that a client requests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -89,10 +89,10 @@ impl Asked {
     }
 
     /// State of the channel after the server has answered the request with `answer`.
-    pub(super) fn begun(self, answer: &Frame, node: NodeId) -> State {
+    pub(super) fn begun(self, answer: &Frame, node: NodeId) -> SessionState {
         let object = Some(self.object());
         match (self, block::Response::decode(answer, node)) {
-            (Self::Segments(Way::Download, _), _) => State::Segments {
+            (Self::Segments(Way::Download, _), _) => SessionState::Segments {
                 way: Way::Download,
                 object,
                 last: false,
@@ -100,19 +100,19 @@ impl Asked {
             (
                 Self::BlockDownload(_),
                 Some(block::Response::InitiateDownload { block_size, .. }),
-            ) if (1..=MAX_BLOCK_SIZE).contains(&block_size) => State::Block(Block {
+            ) if (1..=MAX_BLOCK_SIZE).contains(&block_size) => SessionState::Block(Block {
                 stage: Stage::Segments,
                 size: block_size,
                 ..Block::new(Way::Download, object)
             }),
-            (Self::BlockUpload { size, .. }, Some(_)) => State::Block(Block {
+            (Self::BlockUpload { size, .. }, Some(_)) => SessionState::Block(Block {
                 size,
                 ..Block::new(Way::Upload, object)
             }),
             (Self::Segments(Way::Upload, _) | Self::BlockUpload { .. }, None)
                 if is_segmented(answer, node) =>
             {
-                State::Segments {
+                SessionState::Segments {
                     way: Way::Upload,
                     object,
                     last: false,
@@ -125,7 +125,7 @@ impl Asked {
                 | Self::BlockDownload(_)
                 | Self::BlockUpload { .. },
                 _,
-            ) => State::Idle,
+            ) => SessionState::Idle,
         }
     }
 }

@@ -1,9 +1,9 @@
-//! Panics, which stop all axes of a cabinet.
+//! Faults that stop all axes of a cabinet through its emergency-stop circuit.
 
 use super::*;
 
 #[test]
-fn missing_answers_are_ridden_through_and_then_are_a_panic() {
+fn missing_answers_are_ridden_through_and_then_stop_the_cabinet() {
     for protocol in BOTH {
         let mut rig = Rig::on(Drive::new(protocol, 8));
         rig.drive().mute = 2;
@@ -19,7 +19,7 @@ fn missing_answers_are_ridden_through_and_then_are_a_panic() {
         assert_eq!(
             rig.drive().mode,
             Mode::Error,
-            "a panic ends by a reset alone"
+            "an emergency stop ends by a reset alone"
         );
         rig.run(6, AxisCommand::ResetFault);
         assert_eq!((rig.drive().mode, rig.fault()), (Mode::Manual, None));
@@ -27,7 +27,7 @@ fn missing_answers_are_ridden_through_and_then_are_a_panic() {
 }
 
 #[test]
-fn a_panic_of_one_axis_tells_every_drive_to_open_the_cabinet() {
+fn an_emergency_stop_of_one_axis_tells_every_drive_to_open_the_cabinet() {
     type Break = fn(&mut Drive);
     let breaks: [(&str, Break); 4] = [
         ("silent", |drive| drive.mute = u32::MAX),
@@ -96,7 +96,7 @@ fn a_panic_of_one_axis_tells_every_drive_to_open_the_cabinet() {
 }
 
 #[test]
-fn a_reset_ends_a_panic_of_the_group() {
+fn a_reset_ends_an_emergency_stop_of_the_group() {
     for protocol in BOTH {
         let drives = (0..2).map(|_| Drive::new(protocol, 8)).collect();
         let mut rig = Rig::with(GroupConfig::new(protocol), &[axis(protocol); 2], drives);
@@ -136,7 +136,7 @@ fn a_set_point_that_the_line_does_not_take_is_counted_and_then_a_fault() {
 }
 
 #[test]
-fn a_counter_that_jumps_is_a_panic_and_never_followed() {
+fn a_counter_that_jumps_stops_the_cabinet_and_is_never_followed() {
     for protocol in BOTH {
         let mut rig = Rig::on(Drive::new(protocol, 8));
         rig.drive().position = 90_000;
@@ -178,7 +178,7 @@ fn a_counter_that_jumped_is_no_reference_for_whoever_comes_after() {
 }
 
 #[test]
-fn answers_that_never_change_while_set_points_do_are_a_panic() {
+fn answers_that_never_change_while_set_points_do_stop_the_cabinet() {
     for protocol in BOTH {
         let follow = |value| AxisCommand::Follow(raw(protocol, value));
         let mut rig = Rig::on(Drive::new(protocol, 8));
@@ -214,7 +214,7 @@ fn a_line_that_is_gone_is_said_at_once() {
 }
 
 #[test]
-fn a_counter_that_is_set_anew_without_being_asked_to_is_a_panic() {
+fn a_counter_that_is_set_anew_without_being_asked_to_stops_the_cabinet() {
     for protocol in BOTH {
         // A jump to zero with a reference, while following; and a jump to another position while seeking.
         for (position, seeks) in [(0, false), (50_000, true)] {
