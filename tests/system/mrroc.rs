@@ -41,24 +41,22 @@ pub(crate) fn example(name: &str) -> PathBuf {
 /// can be built, it is the command that the host built before.
 pub(crate) fn binary() -> &'static Path {
     static BINARY: OnceLock<PathBuf> = OnceLock::new();
-    BINARY.get_or_init(|| built("mrroc", &["--package", "mrroc-console"]))
+    BINARY.get_or_init(|| built("mrroc"))
 }
 
 /// The example `planted` of this package, which only the host runs.
 pub(crate) fn planted() -> PathBuf {
-    let of_package = ["--package", "mrroc-tests", "--example", "planted"];
-    built("examples/planted", &of_package)
+    built("examples/planted")
 }
 
 /// An example program of the library.
 pub(crate) fn example_program(name: &str) -> PathBuf {
-    let of_package = ["--package", "mrroc", "--example", name];
-    built(&format!("examples/{name}"), &of_package)
+    built(&format!("examples/{name}"))
 }
 
-/// Builds a program of the workspace. `place` is its path in the directory of the profile, `of_package` selects it for
-/// cargo.
-fn built(place: &str, of_package: &[&str]) -> PathBuf {
+/// A program of the workspace. `place` is its path in the directory of the profile. The first call builds all programs,
+/// from the same libraries as the tests of the whole workspace.
+fn built(place: &str) -> PathBuf {
     let test = std::env::current_exe().expect("a test binary knows its own path");
     let profile = test
         .ancestors()
@@ -73,17 +71,19 @@ fn built(place: &str, of_package: &[&str]) -> PathBuf {
         Some(name) => name,
     };
     let target = profile.parent().expect("a profile is in a directory");
-    let built = Command::new(env!("CARGO"))
-        .args(["build", "--quiet", "--locked", "--profile", name])
-        .args(of_package)
-        .arg("--target-dir")
-        .arg(target)
-        .current_dir(root())
-        .status();
-    assert!(
-        built.expect("cargo runs").success(),
-        "{place} does not build"
-    );
+    static BUILT: OnceLock<()> = OnceLock::new();
+    BUILT.get_or_init(|| {
+        let built = Command::new(env!("CARGO"))
+            .args(["build", "--quiet", "--locked", "--profile", name])
+            .args(["--workspace", "--bins", "--examples", "--target-dir"])
+            .arg(target)
+            .current_dir(root())
+            .status();
+        assert!(
+            built.expect("cargo runs").success(),
+            "the programs do not build"
+        );
+    });
     program
 }
 

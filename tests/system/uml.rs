@@ -105,22 +105,27 @@ fn a_machine_out_of_time_is_killed_with_all_its_processes() {
         return;
     }
     let scratch = Scratch::new("timeout");
-    let timeout = Duration::from_secs(8);
-    let options = Options {
-        output: Some(scratch.0.clone()),
-        // Memory size of this machine. Its processes are found by this size, because no other machine of these tests
-        // has it.
-        memory_mib: 259,
-        timeout,
-        ..shell("echo begun; sleep 1000 & sleep 1000")
+    let timed_out = |seconds| {
+        let timeout = Duration::from_secs(seconds);
+        let options = Options {
+            output: Some(scratch.0.clone()),
+            // Memory size of this machine. Its processes are found by this size, because no other machine of these
+            // tests has it.
+            memory_mib: 259,
+            timeout,
+            ..shell("echo begun; sleep 1000 & sleep 1000")
+        };
+        let mut output = Vec::new();
+        assert_eq!(
+            run(&options, &mut output),
+            Err(MachineError::TimedOut(timeout).into())
+        );
+        assert_eq!(processes_of("mem=259M"), 0);
+        String::from_utf8(output).unwrap()
     };
-    let mut output = Vec::new();
-    assert_eq!(
-        run(&options, &mut output),
-        Err(MachineError::TimedOut(timeout).into())
-    );
-    assert_eq!(String::from_utf8(output).unwrap(), "begun\n");
-    assert_eq!(processes_of("mem=259M"), 0);
+    // On a busy host the boot alone takes longer than the first limits.
+    let begun = [8, 20, 60].into_iter().map(timed_out).find(|output| !output.is_empty());
+    assert_eq!(begun.as_deref(), Some("begun\n"));
     assert!(scratch.names().is_empty());
 }
 

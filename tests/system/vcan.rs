@@ -98,7 +98,8 @@ impl Stage<'_> {
     pub(crate) fn start_candump(&self) -> Recorder {
         let log = File::create(self.directory.path("bus.log")).unwrap();
         let mut candump = Command::new("candump");
-        candump.args(["-L", self.interface]);
+        // The buffer holds what arrives while candump waits for the processor.
+        candump.args(["-L", "-r", "8388608", self.interface]);
         started(|| Recorder(candump.stdout(log).stdin(Stdio::null()).spawn().unwrap()))
     }
 

@@ -50,7 +50,7 @@ impl Host {
         Self {
             port: port.unwrap(),
             node,
-            client: Client::with_capacity(node, Duration::from_secs(1), 0, CAPACITY),
+            client: Client::with_capacity(node, Duration::from_secs(3), 0, CAPACITY),
             frames: VecDeque::new(),
             states: VecDeque::new(),
             last: VecDeque::new(),
@@ -144,6 +144,14 @@ impl Host {
 
     pub(super) fn upload(&mut self, object: Object) -> Result<Vec<u8>, SdoError> {
         self.transfer(|client, now| client.upload(object, now))
+    }
+
+    /// Uploads after a reset of the node. durand opens its SDO server some time after the boot-up message, and loses
+    /// requests until then.
+    pub(super) fn upload_after_reset(&mut self, object: Object) -> Result<Vec<u8>, SdoError> {
+        let lost = |result: &Result<_, _>| matches!(result, Err(SdoError::TimedOut { .. }));
+        let first = self.upload(object);
+        if lost(&first) { self.upload(object) } else { first }
     }
 
     pub(super) fn download(&mut self, object: Object, data: &[u8]) -> Result<(), SdoError> {

@@ -67,7 +67,7 @@ fn network_management(host: &mut Host, peer: &Peer) {
             (None, true) => [0, 0],
             (None, false) => heartbeat,
         };
-        assert_eq!(host.upload(PRODUCER_HEARTBEAT), Ok(left.into()));
+        assert_eq!(host.upload_after_reset(PRODUCER_HEARTBEAT), Ok(left.into()));
     }
 }
 
