@@ -1,10 +1,11 @@
-//! The commands that the README shows.
+//! The commands that the README shows, and the excerpts of cell files in the book. `tests/readme` runs the commands.
 
+use std::fs;
 use std::process::Command;
 
 use serde_json::{Value, json};
 
-use crate::mrroc::root;
+use crate::mrroc::{Directory, example, mrroc, root};
 
 /// The programs of the workspace according to `cargo metadata`.
 fn programs(metadata: &Value) -> Vec<&Value> {
@@ -33,4 +34,29 @@ fn cargo_run_has_one_program_to_choose_from() {
         .unwrap();
     let metadata: Value = serde_json::from_slice(&metadata.stdout).unwrap();
     assert_eq!(programs(&metadata), ["mrroc"]);
+}
+
+/// Excerpts of cell files in a page of the book.
+fn excerpts(page: &str) -> Vec<&str> {
+    let blocks = page.split("```toml\n").skip(1);
+    let blocks = blocks.map(|rest| rest.split("```").next().unwrap());
+    // Excerpts of a Cargo.toml are no cell files.
+    blocks.filter(|it| !it.starts_with("[dependencies]")).collect()
+}
+
+#[test]
+fn excerpts_of_cell_files_in_the_book_are_accepted() {
+    let directory = Directory::new();
+    let irb6 = fs::read_to_string(example("irb6")).unwrap();
+    let mut count = 0;
+    for page in fs::read_dir(root().join("book/src")).unwrap() {
+        let page = page.unwrap().path();
+        for excerpt in excerpts(&fs::read_to_string(&page).unwrap()) {
+            let cell = directory.write("cell.toml", &format!("{irb6}\n{excerpt}"));
+            let check = mrroc(["check".as_ref(), cell.as_os_str()]);
+            assert_eq!(check.status.code(), Some(0), "{page:?}: {excerpt}{check:?}");
+            count += 1;
+        }
+    }
+    assert!(count >= 2, "{count} excerpts");
 }

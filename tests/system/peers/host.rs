@@ -12,7 +12,7 @@ use canopen::{NodeId, Object};
 use master::sdo::{Client, SdoError, StartError};
 
 /// Upper bound for the duration of every step.
-pub(super) const PATIENCE: Duration = Duration::from_secs(10);
+pub(super) const PATIENCE: Duration = Duration::from_secs(30);
 /// The longest object that is transferred, bytes.
 const CAPACITY: usize = 1024;
 /// Number of stored frames.
