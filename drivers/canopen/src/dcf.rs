@@ -1,4 +1,4 @@
-//! Download of a DCF (CiA 306): the values that a DCF states for its device, in the order of their writes.
+//! Download of a DCF (CiA 306-1 §7): the values that a DCF states for its device, in the order of their writes.
 //!
 //! Read [`crate::eds`] first, then [`download`].
 
@@ -17,7 +17,7 @@ pub struct Download {
     /// The writes, in their order on the bus.
     pub writes: Vec<ObjectWrite>,
     /// Number of stated values that are not written. These are the identity (object 0x1018) and objects with bit 0 of
-    /// `ObjFlags`. Tools that store all values of a device set this bit.
+    /// `ObjFlags` (CiA 306-1 §6.6.3.3). Tools that store all values of a device set this bit.
     pub left_out: usize,
 }
 
@@ -81,7 +81,7 @@ impl DownloadError {
 ///
 /// Objects are written in ascending order, PDOs last. A PDO with any stated value is switched off (COB-ID with bit
 /// 31), and its mapping is cleared, filled and counted. Its other parameters follow, and its COB-ID last (CiA 301
-/// §7.5.2). Entries beyond the count have no effect and are not written.
+/// §7.5.2.36, §7.5.2.38). Entries beyond the count have no effect and are not written.
 pub fn download(dcf: &Eds, node: NodeId) -> Result<Download, DownloadError> {
     let mut download = Download::default();
     let mut pdos: BTreeMap<u16, BTreeMap<Object, ObjectWrite>> = BTreeMap::new();

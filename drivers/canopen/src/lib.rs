@@ -8,7 +8,8 @@
 //!
 //! No layout and no server allocates. The files that describe devices, [`eds`] and [`dcf`], are read on the heap.
 //!
-//! Section numbers are those of CiA 301 version 4.2.0 and CiA 305 version 3.0.0.
+//! Section numbers are those of CiA 301 version 4.2.0, CiA 305 version 3.0.0, CiA 306-1 version 1.4.0 and CiA 402-2
+//! version 3.0.0.
 //!
 //! Left out: PDO mappings whose entries are not whole bytes. Read [`cob`] and [`sdo`] first, then [`cia402`].
 

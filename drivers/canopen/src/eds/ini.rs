@@ -34,7 +34,8 @@ impl<'a> Section<'a> {
     }
 }
 
-/// UTF-8 where the bytes are that, else ISO 8859-1, the character set of CiA 306.
+/// Valid UTF-8 is decoded as UTF-8, other bytes as ISO 8859-1. Both contain ISO 646, the only character set of the
+/// standard (CiA 306-1 §6.2).
 pub(super) fn decode(bytes: &[u8]) -> Cow<'_, str> {
     let bytes = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
     match std::str::from_utf8(bytes) {

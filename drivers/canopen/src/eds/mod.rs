@@ -1,20 +1,21 @@
-//! Electronic data sheets: EDS and DCF files (CiA 306).
+//! Electronic data sheets: EDS and DCF files (CiA 306-1).
 //!
-//! An EDS lists the objects of a kind of device. A DCF is the EDS of one device with the values for that device
-//! (`ParameterValue`) and its place on the network (`DeviceComissioning`, the standard's spelling). [`Eds::read`]
-//! reads and checks the bytes of both. `Display` of [`Eds`] writes a file that this reader and other readers understand.
-//! [`crate::dcf`] makes a download of a DCF.
+//! An EDS lists the objects of a kind of device (CiA 306-1 §6). A DCF (§7) is the EDS of one device with the values for
+//! that device (`ParameterValue`) and its place on the network (`DeviceComissioning`, the standard's spelling).
+//! [`Eds::read`] reads and checks the bytes of both. `Display` of [`Eds`] writes a file that this reader and other
+//! readers understand. [`crate::dcf`] makes a download of a DCF.
 //!
 //! The reader understands:
 //! - any case of names and keys;
 //! - `\n` and `\r\n`, UTF-8 and ISO 8859-1;
 //! - comments behind `;`;
 //! - empty values, which count as absent keys;
-//! - `$NODEID`;
-//! - `CompactSubObj` with its `[1003Name]` and `[1003Value]`;
+//! - `$NODEID` (CiA 306-1 §6.3);
+//! - `CompactSubObj` with its `[1003Name]` (§6.6.3.4) and `[1003Value]` (§7.3.4.3);
 //! - objects that no list mentions.
 //!
-//! The reader ignores sections of tools and modules, denotations and object links, since no object depends on them.
+//! The reader ignores sections of tools and modules (§8), denotations and object links, since no object depends on
+//! them.
 
 mod error;
 mod ini;
@@ -38,15 +39,15 @@ pub const MAX_SECTIONS: usize = 110_000;
 /// One EDS or DCF.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Eds {
-    /// Section `[FileInfo]`.
+    /// Section `[FileInfo]` (CiA 306-1 §6.4).
     pub file: FileInfo,
-    /// Section `[DeviceInfo]`.
+    /// Section `[DeviceInfo]` (CiA 306-1 §6.5).
     pub device: DeviceInfo,
-    /// Section `[DeviceComissioning]` of a DCF.
+    /// Section `[DeviceComissioning]` of a DCF (CiA 306-1 §7.3.5).
     pub commissioning: Option<Commissioning>,
-    /// Section `[Comments]`, line by line.
+    /// Section `[Comments]`, line by line (CiA 306-1 §6.6.5).
     pub comments: Vec<String>,
-    /// Section `[DummyUsage]`: whether objects 0x0001 to 0x0007 can be mapped as fillers.
+    /// Section `[DummyUsage]`: whether objects 0x0001 to 0x0007 can be mapped as fillers (CiA 306-1 §6.6.2).
     pub dummies: [bool; 7],
     /// The objects by index.
     pub objects: BTreeMap<u16, Entry>,
@@ -154,9 +155,9 @@ pub struct Variable {
     pub high: Option<Value>,
     /// Whether PDOs can carry it.
     pub pdo_mapping: bool,
-    /// Whether a download leaves it out (`ObjFlags`, bit 0).
+    /// Whether a download leaves it out (`ObjFlags`, bit 0; CiA 306-1 §6.6.3.3).
     pub refuses_download: bool,
-    /// Whether a scan leaves it out (`ObjFlags`, bit 1).
+    /// Whether a scan leaves it out (`ObjFlags`, bit 1; CiA 306-1 §6.6.3.3).
     pub refuses_scan: bool,
     /// What it is to be given.
     pub parameter: Option<Parameter>,
@@ -176,11 +177,11 @@ pub struct Parameter {
 pub enum ParameterValue {
     /// Here (`ParameterValue`).
     Value(Value),
-    /// By the name of a file whose contents are the value (`DownloadFile`).
+    /// By the name of a file whose contents are the value (`DownloadFile`; CiA 306-1 table 10).
     File(String),
 }
 
-/// The shape of an object.
+/// The shape of an object (CiA 301 §7.4.3, CiA 306-1 §6.6.3.2).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum ObjectType {
@@ -217,7 +218,7 @@ impl ObjectType {
     }
 }
 
-/// Who may do what with a variable.
+/// Who may do what with a variable (CiA 306-1 §6.6.3.2).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Access {
     /// Read only.
@@ -257,7 +258,7 @@ impl Access {
 
 macro_rules! data_types {
     ($($name:ident = $code:literal, $bytes:expr, $text:literal;)*) => {
-        /// The type of a variable (CiA 301, objects 0x0001 to 0x001B).
+        /// The type of a variable: objects 0x0001 to 0x001B (CiA 301 §7.4.7).
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum DataType {
             $(#[doc = $text] $name,)*

@@ -14,9 +14,9 @@ use crate::NodeId;
 enum Kind {
     Object(u16),
     Sub(u16, u8),
-    /// `[1003Name]`: names of a compact array.
+    /// `[1003Name]`: names of a compact array (CiA 306-1 §6.6.3.4).
     Names(u16),
-    /// `[1003Value]`: parameter values of a compact array.
+    /// `[1003Value]`: parameter values of a compact array (CiA 306-1 §7.3.4.3).
     Values(u16),
     Other,
 }
@@ -244,7 +244,7 @@ fn count_variable(count: u8) -> Variable {
     }
 }
 
-/// The variable that a section describes. A domain need not say its type and access.
+/// The variable that a section describes. A domain need not say its type and access (CiA 306-1 table 7).
 fn variable(section: &Section<'_>) -> Result<Variable, EdsError> {
     let domain = section.number("ObjectType", u32::MAX.into())? == Some(ObjectType::Domain as u32);
     let missing = |key| EdsError::Missing {
@@ -322,7 +322,8 @@ fn parameter(variable: &Variable, text: Text<'_>) -> Result<Parameter, EdsError>
     Ok(Parameter { value, line })
 }
 
-/// Whether `SubNumber` counts the sub-indices; 0xFF, which says what type the object has, does not count.
+/// Whether `SubNumber` counts the sub-indices; 0xFF, which says what type the object has, does not count (CiA 306-1
+/// §6.6.3.2).
 fn sub_number(section: &Section<'_>, entry: &Entry) -> Result<(), EdsError> {
     let described = entry.variables.keys().filter(|&&subindex| subindex != 0xFF);
     let has_subindices = entry.object_type.has_subindices();
@@ -393,8 +394,8 @@ fn compact_variable(eds: &mut Eds, index: u16, subindex: u8) -> &mut Variable {
     variable.expect("every sub-index of a compact array was made with it")
 }
 
-/// The indices of a list of objects, each with its line. `SupportedObjects` is their count. Files of vendors that
-/// every tool reads are off by one, and nothing depends on the count.
+/// The indices of a list of objects (CiA 306-1 §6.6.3.1), each with its line. `SupportedObjects` is their count. Files
+/// of vendors that every tool reads are off by one, and nothing depends on the count.
 fn listed(section: &Section<'_>) -> Result<Vec<(u32, u16)>, EdsError> {
     let index = |text: Text<'_>| Ok((text.line, unsigned(text, u16::MAX.into())?));
     section.numbered().map(|(_, text)| index(text)).collect()

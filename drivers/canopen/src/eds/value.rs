@@ -109,7 +109,7 @@ impl fmt::Display for Value {
     }
 }
 
-/// A number as CiA 306 writes it, with a sign in front if it is below zero.
+/// A decimal, hexadecimal or octal number (CiA 306-1 §6.3), with a sign in front if it is below zero.
 pub(super) fn number(text: &str) -> Option<i128> {
     let (negative, digits) = match text.strip_prefix('-') {
         Some(digits) => (true, digits),
@@ -156,7 +156,8 @@ fn integer((low, high): (i128, i128), line: u32, text: &str) -> Result<Value, Ed
     }
 }
 
-/// What is left of `$NODEID+0x80` or `0x80+$NODEID`, and whether it was one; `None` if it stands elsewhere.
+/// What is left of `$NODEID+0x80` or `0x80+$NODEID`, and whether it was one; `None` if it stands elsewhere. The
+/// standard has the first form only (CiA 306-1 §6.3).
 fn without_node_id(text: &str) -> Option<(&str, bool)> {
     const NODE_ID: &str = "$NODEID";
     let at = |from: usize| text.get(from..from + NODE_ID.len());
@@ -195,6 +196,7 @@ fn real(data_type: DataType, text: &str) -> Option<f64> {
     fits.then_some(value)
 }
 
+/// Pairs of hexadecimal digits without a prefix (CiA 306-1 §6.3). Spaces between the digits are ignored.
 fn bytes(text: &str) -> Option<Vec<u8>> {
     let digits: Vec<u8> = text
         .bytes()

@@ -48,7 +48,7 @@ impl Display for Eds {
     }
 }
 
-/// The list that an object belongs to.
+/// The list that an object belongs to (CiA 306-1 §6.6.3.1).
 fn list_of(index: u16) -> &'static str {
     match index {
         0x1000 | 0x1001 | 0x1018 => "MandatoryObjects",
