@@ -14,7 +14,8 @@ pub struct Increments(pub i32);
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Rpm(pub(crate) i32);
 
-/// A torque in the unit of CiA 402: thousandths of the motor's rated torque, positive towards a rising counter.
+/// A torque in the unit of CiA 402-2 §15.5.1: thousandths of the motor's rated torque, positive towards a rising
+/// counter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Permille(pub(crate) i16);
 

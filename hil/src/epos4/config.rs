@@ -72,7 +72,7 @@ impl Epos4Config {
 /// Bits 10 and 12 of the statusword in CSP, CSV and CST. EPOS4's documents do not define them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum CyclicStatus {
-    /// Bit 12 is set while set-points are followed, as in CiA 402.
+    /// Bit 12 is set while set-points are followed (CiA 402-2 §17.3, §18.4, §19.4).
     #[default]
     FollowsCommand,
     /// Neither bit 10 nor bit 12 is set.

@@ -1,4 +1,4 @@
-//! The search for a reference: direction, events, and conditions of failure.
+//! The search for a reference (CiA 402-2 §11.3): direction, events, and conditions of failure.
 //!
 //! A search is a sequence of phases, each of which a method may leave out:
 //!

@@ -1,4 +1,4 @@
-//! The power state machine of CiA 402, the device's side.
+//! The power state machine (CiA 402-2 §8.2), the device's side.
 //!
 //! ```text
 //!  switch on disabled ──2──▶ ready to switch on ──3──▶ switched on ──4──▶ operation enabled
@@ -28,7 +28,7 @@ pub(super) enum Brake {
     AtLimits,
 }
 
-/// Option codes 0x605A to 0x605E.
+/// Option codes 0x605A to 0x605E (CiA 402-2 §8.4.5 to §8.4.9).
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Options {
     pub(super) quick_stop: i32,
@@ -58,7 +58,7 @@ impl Transition {
     }
 }
 
-/// The transition for a controlword's command, if any.
+/// The transition for a controlword's command (CiA 402-2 §8.4.1), if any.
 pub(super) fn on_command(
     state: PowerState,
     command: PowerCommand,

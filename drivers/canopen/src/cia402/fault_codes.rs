@@ -4,7 +4,7 @@
 /// and to some other codes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum FaultTable {
-    /// CiA 402 and the communication codes of CiA 301.
+    /// CiA 402-2 §7.1 and the communication codes of CiA 301 §7.2.7.1.
     #[default]
     Cia402,
     /// maxon EPOS2.
@@ -47,7 +47,7 @@ fn find(table: &[(u16, &'static str)], code: u16) -> Option<&'static str> {
     Some(table[at].1)
 }
 
-/// The error classes of EMCY (CiA 301 §7.2.7).
+/// The error classes of EMCY (CiA 301 §7.2.7.1).
 const fn class(code: u16) -> &'static str {
     match code {
         0x0000..=0x00FF => "no error",

@@ -1,10 +1,11 @@
-//! Homing methods of CiA 402.
+//! Homing: methods and status (CiA 402-2 §11).
 
 use std::fmt;
 
 use super::Statusword;
 
-/// Object 0x6098: the method by which a drive searches its reference. The position grows in the positive direction.
+/// Object 0x6098: the method by which a drive searches its reference (CiA 402-2 §11.3). The position grows in the
+/// positive direction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct HomingMethod(pub i8);
 
@@ -54,7 +55,7 @@ impl HomingMethod {
     pub const INDEX_NEGATIVE: Self = Self(33);
     /// The next index in the positive direction.
     pub const INDEX_POSITIVE: Self = Self(34);
-    /// Where the axis stands; EPOS2 and older drives.
+    /// Where the axis stands; EPOS2 and older drives (CiA 402-2 §11.3.10).
     pub const ACTUAL_POSITION_OLD: Self = Self(35);
     /// Where the axis stands; EPOS4.
     pub const ACTUAL_POSITION: Self = Self(37);

@@ -1,4 +1,4 @@
-//! Modes of operation of CiA 402.
+//! Modes of operation (CiA 402-2 §8.4.10 to §8.4.12).
 
 use std::fmt;
 
@@ -83,7 +83,7 @@ impl fmt::Display for ModeOfOperation {
     }
 }
 
-/// Object 0x6502: the modes that a drive supports.
+/// Object 0x6502: the modes that a drive supports (CiA 402-2 §8.4.12).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SupportedModes(pub u32);
 

@@ -1,10 +1,10 @@
-//! Controlword and statusword of CiA 402.
+//! Controlword and statusword (CiA 402-2 §8.4.1, §8.4.2).
 
 use std::fmt;
 
 use super::HomingStatus;
 
-/// Power state of a drive by its statusword (CiA 402-2).
+/// Power state of a drive by its statusword (CiA 402-2 §8.2).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum PowerState {
     /// Self-test after power-on.
@@ -97,7 +97,7 @@ impl Statusword {
     /// EPOS2 and EPOS4: the position is referenced to home (bit 15).
     pub const EPOS_REFERENCED: u16 = 1 << 15;
 
-    /// The power state, by the masks of CiA 402.
+    /// The power state, by the masks of CiA 402-2 §8.4.2.
     ///
     /// The masks leave out bits 4, 8, 14 and 15, so EPOS2's words on the way from switched on to
     /// operation enabled (0x4123 and 0x4133, bit 14 set during refresh) are switched on.
@@ -161,7 +161,7 @@ pub struct Controlword(pub u16);
 impl Controlword {
     /// Bit 1 clear: power off at once, from any state but the faults.
     pub const DISABLE_VOLTAGE: Self = Self(0x0000);
-    /// Bit 2 clear: brake by option 0x605A.
+    /// Bit 2 clear: brake by option 0x605A (CiA 402-2 §8.4.5).
     pub const QUICK_STOP: Self = Self(0x0002);
     /// To ready to switch on.
     pub const SHUTDOWN: Self = Self(0x0006);
@@ -180,7 +180,7 @@ impl Controlword {
     pub const RELATIVE: u16 = 1 << 6;
     /// Bit 7: fault reset.
     pub const RESET: u16 = 1 << 7;
-    /// Bit 8: stop by option 0x605D.
+    /// Bit 8: stop by option 0x605D (CiA 402-2 §8.4.8).
     pub const HALT: u16 = 1 << 8;
 
     /// Whether all bits of `mask` are set.
@@ -207,7 +207,7 @@ impl Controlword {
     }
 }
 
-/// Command to the power state machine in the low bits of a controlword.
+/// Command to the power state machine in the low bits of a controlword (CiA 402-2 §8.4.1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum PowerCommand {
     /// Bit 1 is clear.

@@ -56,10 +56,11 @@ impl Agreement {
 
 /// All agreements that the dictionary of an axis's drive is checked for.
 ///
-/// Position units per motor revolution are feed constant (0x6092) / gear ratio (0x6091). According to manuals of CiA
-/// 402 drives, the drive converts position units to encoder increments by encoder resolution (0x608F) * gear ratio /
-/// feed constant. The encoder may therefore be finer than the position units. A drive without a feed constant counts
-/// increments of its encoder. Object 0x60A8, the SI unit of position, is not read: its use differs between vendors.
+/// Position units per motor revolution are feed constant (0x6092) / gear ratio (0x6091), both of the factor group (CiA
+/// 402-2 §9). According to manuals of CiA 402 drives, the drive converts position units to encoder increments by
+/// encoder resolution (0x608F) * gear ratio / feed constant. The encoder may therefore be finer than the position
+/// units. A drive without a feed constant counts increments of its encoder. Object 0x60A8, the SI unit of position, is
+/// not read: its use differs between vendors.
 ///
 /// EPOS4 has none of these ratios. The position unit of an EPOS4 is an increment of the main sensor, and object
 /// 0x3000:05 is the resolution of that sensor in quadrature counts.

@@ -90,8 +90,8 @@ pub enum CyclicMode {
     /// The drive closes the position loop.
     Csp,
     /// The drive closes the position loop and adds a torque to the output of its loops. The torque arrives with each
-    /// position (object 0x60B2; torque feed-forward in CiA 402-2). EPOS4's default PDO of this mode maps the torque
-    /// beside the position.
+    /// position (object 0x60B2; torque feed-forward in CiA 402-2 §17.4). EPOS4's default PDO of this mode maps the
+    /// torque beside the position.
     CspWithTorque,
     /// The drive closes the velocity loop.
     Csv,

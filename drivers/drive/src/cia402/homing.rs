@@ -1,4 +1,4 @@
-//! Homing of one CiA 402 drive.
+//! Homing of one CiA 402 drive (CiA 402-2 §11).
 
 use canopen::cia402::{Controlword, HomingStatus, Statusword};
 

@@ -1,4 +1,4 @@
-//! CiA 402 drives on one CAN bus in the cyclic synchronous modes, as the EPOS4 implements them.
+//! CiA 402 drives on one CAN bus in the cyclic synchronous modes (CiA 402-2 §17 to §19), as the EPOS4 implements them.
 //!
 //! [`Cia402Group`] brings its drives up and exchanges one RPDO and one TPDO with each drive per SYNC. The group leads
 //! the drives through the power states and through homing. The group monitors answers, heartbeats, EMCY and

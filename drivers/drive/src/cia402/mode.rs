@@ -15,9 +15,9 @@ pub(super) struct ModeSwitch {
 /// A service request of the mode switch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum ModeRequest {
-    /// Write object 0x6060.
+    /// Write object 0x6060 (CiA 402-2 §8.4.10).
     Tell(ModeOfOperation),
-    /// Read object 0x6061.
+    /// Read object 0x6061 (CiA 402-2 §8.4.11).
     Look,
 }
 

@@ -16,12 +16,13 @@ const ABORT_CONNECTION_BY_QUICK_STOP: i16 = 3;
 /// Object 0x1029:1: the NMT state stays as it is when the connection is lost. In pre-operational, the drive would hold
 /// its axis under torque and receive no controlword to remove the torque.
 const STAY_OPERATIONAL: u8 = 1;
-/// Object 0x605A: the quick stop brakes on its ramp, and the drive then holds the axis.
+/// Object 0x605A (CiA 402-2 §8.4.5): the quick stop brakes on its ramp, and the drive then holds the axis.
 const QUICK_STOP_RAMP_AND_HOLD: i16 = 6;
-/// Objects 0x605B to 0x605D: the drive brakes on its profile deceleration (0x6084) before it takes the torque away, and
-/// at a halt.
+/// Objects 0x605B to 0x605D (CiA 402-2 §8.4.6 to §8.4.8): the drive brakes on its profile deceleration (0x6084) before
+/// it takes the torque away, and at a halt.
 const BRAKE_ON_PROFILE: i16 = 1;
-/// Object 0x605E: a fault brakes by the quick stop deceleration, where the fault lets the drive brake.
+/// Object 0x605E (CiA 402-2 §8.4.9): a fault brakes by the quick stop deceleration, where the fault lets the drive
+/// brake.
 const FAULT_ON_QUICK_STOP_RAMP: i16 = 2;
 
 /// One read or write of bring-up.
@@ -188,7 +189,7 @@ pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
         ]
         .map(Step::SetIfPresent),
     );
-    // Offsets outlive a host that added them and died, and are added to every set-point.
+    // Offsets outlive a host that added them and died, and are added to every set-point (CiA 402-2 §17.4).
     steps.extend([
         Step::SetIfPresent(Write::new(POSITION_OFFSET, 0_i32)),
         Step::SetIfPresent(Write::new(VELOCITY_OFFSET, 0_i32)),

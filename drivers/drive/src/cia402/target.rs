@@ -8,7 +8,7 @@ use crate::{AxisCommand, Finite, Permille, Refusal, Scale, Setpoint};
 pub(super) struct Target {
     /// Target position (increments), velocity (rpm) or torque (thousandths of the rated torque, within 16 bits).
     pub(super) value: i32,
-    /// Torque offset (0x60B2), which the drive adds to the torque demand.
+    /// Torque offset (0x60B2), which the drive adds to the torque demand (CiA 402-2 §17.4).
     pub(super) torque: Permille,
 }
 

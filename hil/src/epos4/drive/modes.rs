@@ -54,7 +54,7 @@ impl Drive {
     }
 
     /// Whether the position has been in its window for the window time. A window of 0xFFFF_FFFF disables the check
-    /// (CiA 402-2).
+    /// (CiA 402-2 §12).
     pub(super) fn settled(&self, objects: &Objects) -> bool {
         let time = objects.f(POSITION_WINDOW_TIME);
         objects.u(POSITION_WINDOW) == u32::MAX
@@ -214,8 +214,8 @@ impl Drive {
         }
     }
 
-    /// The torque that object 0x60B2 adds to the output of the velocity loop, N·m: in CSP and CSV (CiA 402-2,
-    /// 0x60B2). EPOS4 maps the object next to the target in its own default PDO of either mode. In CST the target
+    /// The torque that object 0x60B2 adds to the output of the velocity loop, N·m: in CSP and CSV (CiA 402-2
+    /// §17.4). EPOS4 maps the object next to the target in its own default PDO of either mode. In CST the target
     /// includes the offset.
     pub(super) fn torque_offset(&self, objects: &Objects) -> f64 {
         use ModeOfOperation as M;
@@ -301,8 +301,8 @@ impl Drive {
     }
 
     /// Sets the reference: the switch, stop or index is at `counts` of the raw counter. The zero position lies the
-    /// home offset (0x607C) away from there (CiA 402-2). The axis moves to the zero position, where the counter reads
-    /// the home position (0x30B0).
+    /// home offset (0x607C) away from there (CiA 402-2 §11.5). The axis moves to the zero position, where the counter
+    /// reads the home position (0x30B0).
     pub(super) fn reference(&mut self, counts: i32, objects: &Objects) {
         if matches!(self.homing, Homing::Searching(search) if search.feels_for_stop()) {
             // The stop held the axis back, so that the demanded position is far ahead of the actual position.
@@ -322,7 +322,7 @@ impl Drive {
 
 const POWERS_OF_TEN: [f64; 7] = [1.0, 1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6];
 
-/// The interpolation period 0x60C2, s; zero disables interpolation.
+/// The interpolation period 0x60C2 (CiA 402-2 §13.5.3), s; zero disables interpolation.
 pub(in crate::epos4) fn interpolation_period(objects: &Objects) -> f64 {
     let index = objects.i(INTERPOLATION_PERIOD_INDEX).unsigned_abs();
     objects.f(INTERPOLATION_PERIOD_VALUE) * POWERS_OF_TEN[(index as usize).min(6)]

@@ -1,8 +1,9 @@
 //! Standstill of the axis, which bit 12 of the statusword shows in profile velocity mode.
 //!
-//! An EPOS4 has object 0x30E0 where CiA 402 has 0x606F and 0x6070: a window about zero, a time and a time-out.
+//! An EPOS4 has object 0x30E0 where CiA 402-2 §14 has 0x606F and 0x6070: a window about zero, a time and a time-out.
 //! Standstill begins when the velocity has been within the window for the time. Standstill ends when the velocity has
-//! been outside the window for the time (CiA 402). The maxon documents at hand do not define the end of standstill.
+//! been outside the window for the time (CiA 402-2 §14). The maxon documents at hand do not define the end of
+//! standstill.
 
 /// Object 0x30E0, in s and counts/s.
 #[derive(Clone, Copy, Debug)]
