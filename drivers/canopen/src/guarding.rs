@@ -1,4 +1,4 @@
-//! Answers of node guarding (CiA 301 v4.2.0 §7.2.8.3.2.1): the NMT state of an old device and a toggle bit.
+//! Answers of node guarding (CiA 301 §7.2.8.3.2.1): the NMT state of an old device and a toggle bit.
 //!
 //! A guarding master asks by remote frames. No program of this project asks. Its listeners understand the answers,
 //! because another master on the bus may ask. A device whose producer heartbeat time (object 0x1017) is not 0 sends

@@ -89,7 +89,7 @@ impl PdoCobId {
         self.0 & Self::INVALID == 0
     }
 
-    /// Whether the frame has an 11-bit identifier and bits 11 to 28 are zero (CiA 301).
+    /// Whether the frame has an 11-bit identifier and bits 11 to 28 are zero (CiA 301 §7.5.2.35, §7.5.2.37).
     pub const fn is_standard(self) -> bool {
         self.0 & (Self::EXTENDED | 0x1FFF_F800) == 0
     }

@@ -4,7 +4,7 @@ use can::Frame;
 
 use crate::{cob, frame, payload};
 
-/// Days since 1984-01-01 and milliseconds after midnight (CiA 301 TIME_OF_DAY).
+/// Days since 1984-01-01 and milliseconds after midnight (TIME_OF_DAY, CiA 301 §7.1.6.5).
 ///
 /// The standard leaves the time zone and leap seconds to the users.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

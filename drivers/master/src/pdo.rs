@@ -23,8 +23,8 @@ pub struct PdoSetup {
     pub event_timer: Option<u16>,
 }
 
-/// Writes in the order of CiA 301 §7.5.2.36: switch the PDO off, clear the mapping, fill it, set its count, write the
-/// communication parameters, switch the PDO on.
+/// Writes in the order of CiA 301 §7.5.2.36 and §7.5.2.38: switch the PDO off, clear the mapping, fill it, set its
+/// count, write the communication parameters, switch the PDO on.
 ///
 /// Devices abort writes in another order.
 pub fn remap(setup: &PdoSetup) -> impl Iterator<Item = Write> + use<> {

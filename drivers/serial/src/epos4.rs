@@ -95,7 +95,7 @@ pub enum Request<'a> {
     Nmt {
         /// Node-ID, 0 for all nodes.
         node: u16,
-        /// Command specifier (CiA 301 §7.2.8.2.1).
+        /// Command specifier (CiA 301 §7.2.8.3.1).
         command: u16,
     },
 }

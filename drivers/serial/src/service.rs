@@ -170,7 +170,7 @@ impl Client {
         self.start(Operation::WriteSegmented(address), now)
     }
 
-    /// Sends an NMT command specifier (CiA 301 §7.2.8.2.1) to a node, 0 for all nodes. [`Reply::Done`] means that the
+    /// Sends an NMT command specifier (CiA 301 §7.2.8.3.1) to a node, 0 for all nodes. [`Reply::Done`] means that the
     /// device on the line has accepted the command. The reply does not confirm that the nodes obey.
     pub fn nmt(&mut self, node: u8, command: u8, now: Instant) -> Result<(), StartError> {
         self.start(Operation::Nmt { node, command }, now)

@@ -1,7 +1,7 @@
 //! Errors: their table, the error register (0x1001), the history (0x1003) and EMCY.
 //!
 //! EMCY announces an error once: when the error occurs, or later when the node may send EMCY. EMCY 0x0000 announces
-//! the end of the last error (CiA 301, error states of the emergency service).
+//! the end of the last error (CiA 301 §7.2.7).
 
 use can::Frame;
 use canopen::emcy::{Emergency, ErrorRegister};

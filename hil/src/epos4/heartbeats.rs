@@ -1,8 +1,8 @@
 //! The heartbeat consumer: monitors the heartbeats of other nodes, object 0x1016.
 //!
-//! Monitoring by an entry begins with the first heartbeat of its node (CiA 301). CiA 301 does not define the effect
-//! of a new time for the same node. Here monitoring continues: the time counts from the last heartbeat, and a lost
-//! node stays lost until its next heartbeat.
+//! Monitoring by an entry begins with the first heartbeat of its node (CiA 301 §7.5.2.19). CiA 301 does not define
+//! the effect of a new time for the same node. Here monitoring continues: the time counts from the last heartbeat, and
+//! a lost node stays lost until its next heartbeat.
 
 use std::time::Duration;
 

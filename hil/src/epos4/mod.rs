@@ -272,7 +272,7 @@ impl Epos4 {
         self.objects.nmt = nmt::NmtState::PreOperational;
         self.drive.started(&mut self.objects);
         self.send_heartbeat(nmt::NmtState::Initialising);
-        // The boot-up message counts as the first heartbeat (CiA 301).
+        // The boot-up message counts as the first heartbeat (CiA 301 §7.2.8.3.2.2).
         self.heartbeat_at = self.heartbeat_period().map(|period| now + period);
         self.consumers.read(&self.objects);
         self.announce();

@@ -1,8 +1,8 @@
 //! The values of the object dictionary, their storage, and the rules of writing.
 //!
 //! A write records its consequences for the rest of the device in [`Changes`]. The device evaluates the changes after
-//! each request and each PDO. The rules of re-mapping a PDO are enforced here: COB-ID off (bit 31), count to 0,
-//! entries, count, COB-ID on. Stored values live as long as the emulator.
+//! each request and each PDO. The rules of re-mapping a PDO (CiA 301 §7.5.2.36, §7.5.2.38) are enforced here:
+//! COB-ID off (bit 31), count to 0, entries, count, COB-ID on. Stored values live as long as the emulator.
 
 use canopen::cia402::{HomingMethod, ModeOfOperation, SupportedModes};
 use canopen::objects as named;
@@ -194,7 +194,7 @@ impl Objects {
         }
     }
 
-    /// Two entries must not monitor the same node (CiA 301, object 0x1016).
+    /// Two entries must not monitor the same node (CiA 301 §7.5.2.19).
     fn refuse_consumer(&self, slot: Slot, value: u32) -> Result<(), AbortCode> {
         let Some((node, _)) = watched(value) else {
             return Ok(());

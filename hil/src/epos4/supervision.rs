@@ -81,7 +81,7 @@ impl Epos4 {
         (!period.is_zero()).then_some(period)
     }
 
-    /// Applies a write to object 0x1017: heartbeats begin at once (CiA 301), or end.
+    /// Applies a write to object 0x1017: heartbeats begin at once (CiA 301 §7.2.8.3.2.2), or end.
     pub(super) fn start_heartbeat(&mut self, now: Instant) {
         self.heartbeat_at = self.heartbeat_period().map(|_| now);
         self.produce_heartbeat(now);
@@ -108,7 +108,7 @@ impl Epos4 {
         }
     }
 
-    /// A SYNC has no data, since there is no object 0x1019 (CiA 301).
+    /// A SYNC has no data, since there is no object 0x1019 (CiA 301 §7.5.2.22).
     pub(super) fn hear_sync(&mut self, frame: &Frame, now: Instant) {
         if frame.data().is_empty() {
             self.regain(errors::SYNC_LENGTH);

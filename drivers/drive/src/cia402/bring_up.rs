@@ -16,7 +16,7 @@ use crate::{BringUpError, Increments};
 /// Greatest number of boots of a node in one bring-up. A node that boots again has failed to boot.
 const BOOTS: u8 = 3;
 
-/// Device profile of a drive, in the low half of object 0x1000.
+/// Device profile of a drive, in the low half of object 0x1000 (CiA 301 §7.5.2.1).
 const PROFILE_402: u32 = 402;
 
 /// Brings one node from any state to configured, and then to operational.

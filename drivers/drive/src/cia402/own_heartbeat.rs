@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use can::Instant;
 
-/// The host's heartbeat in operation. A drive watches it from the first one on (CiA 301 §7.2.8.3.2.2).
+/// The host's heartbeat in operation. A drive watches it from the first one on (CiA 301 §7.5.2.19).
 #[derive(Clone, Copy, Debug)]
 pub(super) struct OwnHeartbeat {
     due: Instant,
