@@ -13,12 +13,12 @@ use crate::cia402::Sign;
 /// A latched condition of one axis, cleared by [`AxisCommand::ResetFault`](crate::AxisCommand::ResetFault).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum Fault {
-    /// The drive reported a fault (EMCY and object 0x603F of CiA 402).
+    /// The drive reported a fault (EMCY and object 0x603F, CiA 402-2 §8.4.3).
     #[error("node {node}: drive fault {code:#06x} ({text})", text = FaultTable::Epos4.text(*.code))]
     Drive {
         /// Node-ID.
         node: u8,
-        /// Error code of CiA 402 or of the vendor.
+        /// Error code of CiA 402-2 §7.1 or of the vendor.
         code: u16,
     },
     /// Answers were missing for more cycles than the cell tolerates.

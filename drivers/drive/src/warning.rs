@@ -16,7 +16,7 @@ pub struct Warning {
     pub after: Duration,
     /// Node-ID.
     pub node: u8,
-    /// Error code of CiA 402 or of the vendor.
+    /// Error code of CiA 402-2 §7.1 or of the vendor.
     pub code: u16,
     /// Object 0x1001.
     pub register: u8,

@@ -1,4 +1,4 @@
-//! The host's end of the power state machine of drives (CiA 402-2).
+//! The host's end of the power state machine of drives (CiA 402-2 §8.2).
 //!
 //! ```text
 //!                       power-on                                    any state
