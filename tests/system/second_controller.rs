@@ -42,7 +42,7 @@ fn a_second_controller_on_an_interface_is_refused_and_told_of_the_first() {
         // Motion that outlasts all commands below.
         stage.change(|cell| {
             let program = &mut cell.robot[0].program;
-            *program = program.repeat(20);
+            *program = vec![program.clone(); 6].concat();
         });
         let (_emulators, first) = stage.start_moving();
         let cell = stage.directory.path("cell.toml").display().to_string();
