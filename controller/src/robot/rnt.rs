@@ -243,28 +243,6 @@ impl Rnt {
         Ok(self.legs.lengths(&[alpha, beta, rho]))
     }
 
-    /// Joints for these motor positions as in [`Robot::joints_from_motors`], with alpha, beta and rho of `near` as
-    /// start of the search. Newton's method takes 3 to 5 steps from the middle of the workspace, 2 steps from within
-    /// 10 mm and 10 mrad, and 20 steps at most.
-    pub fn joints_from_motors_near(
-        &self,
-        motors: &Motors,
-        near: &Joints,
-    ) -> Result<Joints, KinematicsError> {
-        let &[alpha, beta, rho, ..] = near.exactly::<AXES>()?;
-        self.joints(motors, &[alpha, beta, rho])
-    }
-
-    fn joints(&self, motors: &Motors, near: &Posture) -> Result<Joints, KinematicsError> {
-        let mut joints = self.drive_train.joints_from_motors(motors.exactly()?)?;
-        let [first, second, third, ..] = joints;
-        let open = |Gap { leg, residual }| KinematicsError::Open { leg, residual };
-        let lengths = [first, second, third];
-        let closure = self.legs.close(&lengths, near).map_err(open)?;
-        joints[..3].copy_from_slice(&closure.posture);
-        Ok(joints.into())
-    }
-
     #[cfg(test)]
     pub(super) fn legs(&self) -> &Legs {
         &self.legs
@@ -398,9 +376,16 @@ impl Robot for Rnt {
         Mechanism::motors_from_joints(self, joints.exactly()?).map(Motors::from)
     }
 
-    /// Legs that cannot close are [`KinematicsError::Open`]. The search starts in the middle of the workspace.
+    /// Legs that cannot close are [`KinematicsError::Open`]. Newton's method starts in the middle of the workspace and
+    /// takes 3 to 5 steps, 20 steps at most.
     fn joints_from_motors(&self, motors: &Motors) -> Result<Joints, KinematicsError> {
-        self.joints(motors, &self.middle())
+        let mut joints = self.drive_train.joints_from_motors(motors.exactly()?)?;
+        let [first, second, third, ..] = joints;
+        let open = |Gap { leg, residual }| KinematicsError::Open { leg, residual };
+        let lengths = [first, second, third];
+        let closure = self.legs.close(&lengths, &self.middle()).map_err(open)?;
+        joints[..3].copy_from_slice(&closure.posture);
+        Ok(joints.into())
     }
 
     fn jacobian(&self, joints: &Joints) -> Result<Jacobian, KinematicsError> {
