@@ -89,11 +89,6 @@ impl JerkLimited {
             ..self
         }
     }
-
-    /// Number of macrosteps of the planned motion; 0 before its first step.
-    pub const fn macrosteps(&self) -> u32 {
-        self.plan.macrosteps
-    }
 }
 
 fn masked(position: &Axes, axes: usize) -> Axes {

@@ -216,11 +216,6 @@ impl StraightLine {
         }
     }
 
-    /// Number of macrosteps of the planned line; 0 before its first step.
-    pub const fn macrosteps(&self) -> u32 {
-        self.plan.macrosteps
-    }
-
     /// Sets the path, from the planned start if the arm stands there. Returns the joint positions at the start of the
     /// path.
     fn lay(&mut self, e: &EffectorImage) -> Result<Axes, GeneratorError> {

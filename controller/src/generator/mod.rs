@@ -178,11 +178,6 @@ pub trait Generator {
     ) -> Result<Next<Self::Memory>, GeneratorError>;
 }
 
-/// The class of a generator, *q* = `e` + 2 `V` + 4 `a0`, 0 to 7.
-pub const fn class<G: Generator>() -> u8 {
-    G::First::CLASS | G::Every::CLASS
-}
-
 /// Result of one step, committed as a whole.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]

@@ -139,14 +139,6 @@ impl Newsmooth {
         })
     }
 
-    /// Number of macrosteps of the planned motion; 0 before its first step.
-    pub fn macrosteps(&self) -> u64 {
-        self.segments
-            .iter()
-            .map(|segment| u64::from(segment.macrosteps))
-            .sum()
-    }
-
     /// Signed distance of one axis in the segment to pose `index`; zero beyond the last pose.
     fn distance(&self, start: &Axes, index: usize, axis: usize) -> f64 {
         let Some(pose) = self.poses.get(index) else {
