@@ -206,10 +206,6 @@ impl Conveyor {
 }
 
 impl Robot for Gripper {
-    fn axes(&self) -> usize {
-        1
-    }
-
     fn joint_limits(&self) -> &[Limits] {
         std::slice::from_ref(&self.openings)
     }
@@ -254,10 +250,6 @@ impl Robot for Gripper {
 }
 
 impl Robot for Conveyor {
-    fn axes(&self) -> usize {
-        1
-    }
-
     fn joint_limits(&self) -> &[Limits] {
         &[Limits::CONTINUOUS]
     }

@@ -113,10 +113,6 @@ impl Irp6 {
 }
 
 impl Robot for Irp6 {
-    fn axes(&self) -> usize {
-        AXES
-    }
-
     fn joint_limits(&self) -> &[Limits] {
         self.drive_train.joint_limits()
     }
@@ -126,7 +122,7 @@ impl Robot for Irp6 {
     }
 
     fn home(&self) -> Motors {
-        self.drive_train.home().into()
+        self.drive_train.home()
     }
 
     fn forward(&self, joints: &Joints) -> Result<Isometry3<f64>, KinematicsError> {
@@ -190,15 +186,11 @@ impl Robot for Irp6 {
     }
 
     fn motors_from_joints(&self, joints: &Joints) -> Result<Motors, KinematicsError> {
-        self.drive_train
-            .motors_from_joints(joints.exactly()?)
-            .map(Motors::from)
+        self.drive_train.motors_from_joints(joints.exactly()?)
     }
 
     fn joints_from_motors(&self, motors: &Motors) -> Result<Joints, KinematicsError> {
-        self.drive_train
-            .joints_from_motors(motors.exactly()?)
-            .map(Joints::from)
+        self.drive_train.joints_from_motors(motors.exactly()?)
     }
 
     fn jacobian(&self, joints: &Joints) -> Result<Jacobian, KinematicsError> {

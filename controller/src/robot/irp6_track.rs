@@ -207,10 +207,6 @@ impl Irp6Track {
 }
 
 impl Robot for Irp6Track {
-    fn axes(&self) -> usize {
-        AXES
-    }
-
     fn joint_limits(&self) -> &[Limits] {
         &self.joint_limits
     }
@@ -220,8 +216,7 @@ impl Robot for Irp6Track {
     }
 
     fn home(&self) -> Motors {
-        let [track] = self.track.home();
-        joined(track, &self.robot.home())
+        joined(self.track.home()[0], &self.robot.home())
     }
 
     fn forward(&self, joints: &Joints) -> Result<Isometry3<f64>, KinematicsError> {
@@ -269,16 +264,16 @@ impl Robot for Irp6Track {
 
     fn motors_from_joints(&self, joints: &Joints) -> Result<Motors, KinematicsError> {
         let (carriage, arm) = parted(joints)?;
-        let [track] = self.track.motors_from_joints(&[carriage])?;
+        let track = self.track.motors_from_joints(&[carriage])?;
         let motors = self.robot.motors_from_joints(&arm).map_err(on_carriage)?;
-        Ok(joined(track, &motors))
+        Ok(joined(track[0], &motors))
     }
 
     fn joints_from_motors(&self, motors: &Motors) -> Result<Joints, KinematicsError> {
         let (track, arm) = parted(motors)?;
-        let [carriage] = self.track.joints_from_motors(&[track])?;
+        let carriage = self.track.joints_from_motors(&[track])?;
         let joints = self.robot.joints_from_motors(&arm).map_err(on_carriage)?;
-        Ok(joined(carriage, &joints))
+        Ok(joined(carriage[0], &joints))
     }
 
     fn jacobian(&self, joints: &Joints) -> Result<Jacobian, KinematicsError> {
@@ -326,31 +321,12 @@ fn joined<S>(carriage: f64, arm: &super::Vector<S>) -> super::Vector<S> {
 }
 
 /// An error of the arm, with its axis counted from the track.
-fn on_carriage(error: KinematicsError) -> KinematicsError {
-    match error {
-        KinematicsError::Singular { axis, margin } => KinematicsError::Singular {
-            axis: axis + 1,
-            margin,
-        },
-        KinematicsError::BeyondLimit {
-            space,
-            axis,
-            value,
-            limit,
-        } => KinematicsError::BeyondLimit {
-            space,
-            axis: axis + 1,
-            value,
-            limit,
-        },
-        KinematicsError::NotFinite
-        | KinematicsError::AxisCount { .. }
-        | KinematicsError::Unreachable { .. }
-        | KinematicsError::Open { .. }
-        | KinematicsError::LegLimit { .. }
-        | KinematicsError::OffAxis { .. }
-        | KinematicsError::ToolPlane { .. } => error,
+fn on_carriage(mut error: KinematicsError) -> KinematicsError {
+    use KinematicsError::{BeyondLimit, Singular};
+    if let Singular { axis, .. } | BeyondLimit { axis, .. } = &mut error {
+        *axis += 1;
     }
+    error
 }
 
 impl Mass {

@@ -122,7 +122,9 @@ pub trait RobotParameters: Copy {
 /// are not finite ([`KinematicsError::NotFinite`]).
 pub trait Robot: fmt::Debug + Send + Sync {
     /// Number of axes, at most [`MAX_AXES`]. All vectors of the robot have this length.
-    fn axes(&self) -> usize;
+    fn axes(&self) -> usize {
+        self.joint_limits().len()
+    }
 
     /// Range of each joint, rad (m for a linear joint). [`Limits::CONTINUOUS`] marks an endless joint. The position
     /// of an endless joint counts its turns: 0 and 2π are two positions, and an interpolation passes all positions

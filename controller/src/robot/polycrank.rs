@@ -225,10 +225,6 @@ impl Polycrank {
 }
 
 impl Robot for Polycrank {
-    fn axes(&self) -> usize {
-        AXES
-    }
-
     fn joint_limits(&self) -> &[Limits] {
         self.drive_train.joint_limits()
     }
@@ -238,7 +234,7 @@ impl Robot for Polycrank {
     }
 
     fn home(&self) -> Motors {
-        self.drive_train.home().into()
+        self.drive_train.home()
     }
 
     fn forward(&self, joints: &Joints) -> Result<Isometry3<f64>, KinematicsError> {
@@ -274,15 +270,11 @@ impl Robot for Polycrank {
     }
 
     fn motors_from_joints(&self, joints: &Joints) -> Result<Motors, KinematicsError> {
-        self.drive_train
-            .motors_from_joints(joints.exactly()?)
-            .map(Motors::from)
+        self.drive_train.motors_from_joints(joints.exactly()?)
     }
 
     fn joints_from_motors(&self, motors: &Motors) -> Result<Joints, KinematicsError> {
-        self.drive_train
-            .joints_from_motors(motors.exactly()?)
-            .map(Joints::from)
+        self.drive_train.joints_from_motors(motors.exactly()?)
     }
 
     fn jacobian(&self, joints: &Joints) -> Result<Jacobian, KinematicsError> {

@@ -15,7 +15,7 @@ use super::{
     drive_train::{self, DriveTrain, TrainAxis},
     legs::{self, Gap, Legs, Posture},
     parameters,
-    solutions::{Mechanism, Search},
+    solutions::Search,
 };
 
 const AXES: usize = 6;
@@ -261,7 +261,7 @@ impl Rnt {
     fn driven(&self, joints: &[f64; AXES]) -> Result<[f64; AXES], KinematicsError> {
         let mut driven = *joints;
         for (axis, &joint) in joints.iter().enumerate().take(3) {
-            self.check_joint(axis, joint)?;
+            drive_train::check(&self.joint_limits[axis], joint, axis, Space::Joint)?;
         }
         let [alpha, beta, rho, ..] = *joints;
         let lengths = self.legs.lengths(&[alpha, beta, rho]);
@@ -278,6 +278,11 @@ impl Rnt {
         Ok(driven)
     }
 
+    /// Motor positions for joints. Both are checked against their limits.
+    fn motors(&self, joints: &[f64; AXES]) -> Result<Motors, KinematicsError> {
+        self.drive_train.motors_from_joints(&self.driven(joints)?)
+    }
+
     /// Position of the wrist centre at these joints.
     fn wrist_centre(&self, joints: &[f64; AXES]) -> Vector3<f64> {
         let reach = joints[RHO] + self.parameters.wrist_offset;
@@ -285,25 +290,7 @@ impl Rnt {
     }
 }
 
-impl Mechanism<AXES> for Rnt {
-    fn check_joint(&self, axis: usize, joint: f64) -> Result<(), KinematicsError> {
-        drive_train::check(&self.joint_limits[axis], joint, axis, Space::Joint)
-    }
-
-    fn motors_from_joints(&self, joints: &[f64; AXES]) -> Result<[f64; AXES], KinematicsError> {
-        self.drive_train.motors_from_joints(&self.driven(joints)?)
-    }
-
-    fn turn(&self, axis: usize, angle: f64, joints: &[f64; AXES], near: f64) -> f64 {
-        self.drive_train.turn(axis, angle, joints, near)
-    }
-}
-
 impl Robot for Rnt {
-    fn axes(&self) -> usize {
-        AXES
-    }
-
     fn joint_limits(&self) -> &[Limits] {
         &self.joint_limits
     }
@@ -313,7 +300,7 @@ impl Robot for Rnt {
     }
 
     fn home(&self) -> Motors {
-        self.drive_train.home().into()
+        self.drive_train.home()
     }
 
     fn forward(&self, joints: &Joints) -> Result<Isometry3<f64>, KinematicsError> {
@@ -358,7 +345,7 @@ impl Robot for Rnt {
                 margin: lean,
             });
         }
-        Search::run(self, near, |search| {
+        Search::run(&self.drive_train, near, |search| {
             for side in [1.0, -1.0] {
                 let mut joints = posture;
                 let (sin, cos) = (side * wrist[(1, 2)] / lean, side * wrist[(0, 2)] / lean);
@@ -367,25 +354,24 @@ impl Robot for Rnt {
                 let across = |column| cos * wrist[(1, column)] - sin * wrist[(0, column)];
                 let spin = across(0).atan2(across(1));
                 search.turn(&mut joints, ROLL, [sin.atan2(cos), pitch, spin]);
-                search.offer(joints);
+                search.take(joints, self.motors(&joints).err());
             }
         })
     }
 
     fn motors_from_joints(&self, joints: &Joints) -> Result<Motors, KinematicsError> {
-        Mechanism::motors_from_joints(self, joints.exactly()?).map(Motors::from)
+        self.motors(joints.exactly()?)
     }
 
     /// Legs that cannot close are [`KinematicsError::Open`]. Newton's method starts in the middle of the workspace and
     /// takes 3 to 5 steps, 20 steps at most.
     fn joints_from_motors(&self, motors: &Motors) -> Result<Joints, KinematicsError> {
         let mut joints = self.drive_train.joints_from_motors(motors.exactly()?)?;
-        let [first, second, third, ..] = joints;
+        let lengths = [joints[0], joints[1], joints[2]];
         let open = |Gap { leg, residual }| KinematicsError::Open { leg, residual };
-        let lengths = [first, second, third];
         let closure = self.legs.close(&lengths, &self.middle()).map_err(open)?;
         joints[..3].copy_from_slice(&closure.posture);
-        Ok(joints.into())
+        Ok(joints)
     }
 
     fn jacobian(&self, joints: &Joints) -> Result<Jacobian, KinematicsError> {
