@@ -50,14 +50,8 @@ impl GripperParameters {
             linear: 1.451_910_074e-5,
             constant: 0.074,
             motor_at_home: 4830.0,
-            motor_limits: Limits {
-                low: -2000.0,
-                high: 5000.0,
-            },
-            opening_limits: Limits {
-                low: 0.053,
-                high: 0.091,
-            },
+            motor_limits: Limits::new(-2000.0, 5000.0),
+            opening_limits: Limits::new(0.053, 0.091),
         }
     }
 
@@ -106,10 +100,7 @@ impl ConveyorParameters {
         Self {
             ratio: 2250.0,
             motor_at_home: 0.0,
-            motor_limits: Limits {
-                low: -3.35e6,
-                high: 3.35e6,
-            },
+            motor_limits: Limits::new(-3.35e6, 3.35e6),
         }
     }
 
@@ -165,12 +156,8 @@ impl Gripper {
             motors.low = motors.low.max(vertex);
         }
         room(name, motors)?;
-        let ends =
-            [motors.low, motors.high].map(|motor| (square * motor + linear) * motor + constant);
-        let openings = Limits {
-            low: opening_limits.low.max(ends[0].min(ends[1])),
-            high: opening_limits.high.min(ends[0].max(ends[1])),
-        };
+        let openings =
+            opening_limits.within(motors.map(|motor| (square * motor + linear) * motor + constant));
         room(name, openings)?;
         Ok(Self {
             parameters: GripperParameters {
@@ -354,12 +341,10 @@ impl RobotParameters for GripperParameters {
 
     fn with_room_at_home(mut self, motors: &[f64]) -> Self {
         let motor = room_at_home(motors, 0);
-        if let Ok(home) = self.opening(self.motor_at_home) {
-            let ends = [-motor, motor].map(|by| self.opening(self.motor_at_home + by));
-            let ways = ends.into_iter().flatten().map(|end| (end - home).abs());
-            let opening = ways.fold(0.0, f64::max);
-            self.opening_limits = self.opening_limits.with_room(home, opening);
-        }
+        let opening = |motor| self.opening(motor).ok();
+        self.opening_limits =
+            self.opening_limits
+                .with_room_through(opening, self.motor_at_home, motor);
         self.motor_limits = self.motor_limits.with_room(self.motor_at_home, motor);
         self
     }

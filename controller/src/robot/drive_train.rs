@@ -137,11 +137,7 @@ impl TrainAxis {
         };
         let joint =
             |motor| (motor - gear.motor_at_home - carried) / gear.ratio + gear.joint_at_home;
-        let (a, b) = (joint(gear.motor_limits.low), joint(gear.motor_limits.high));
-        Limits {
-            low: gear.joint_limits.low.max(a.min(b)),
-            high: gear.joint_limits.high.min(a.max(b)),
-        }
+        gear.joint_limits.within(gear.motor_limits.map(joint))
     }
 
     /// Motor angle from home for this joint position, without the motion of carrying axes, rad.

@@ -42,14 +42,8 @@ impl Irp6Parameters {
                 ratio: 288.8845,
                 joint_at_home: 0.0,
                 motor_at_home: 791.0,
-                joint_limits: Limits {
-                    low: -2.88,
-                    high: 2.93,
-                },
-                motor_limits: Limits {
-                    low: -1000.0,
-                    high: 3000.0,
-                },
+                joint_limits: Limits::new(-2.88, 2.93),
+                motor_limits: Limits::new(-1000.0, 3000.0),
             },
         }
     }

@@ -66,14 +66,8 @@ impl Irp6TrackParameters {
                 ratio: 500.0 * std::f64::consts::PI,
                 joint_at_home: 0.0,
                 motor_at_home: 0.0,
-                joint_limits: Limits {
-                    low: -0.125,
-                    high: 1.21,
-                },
-                motor_limits: Limits {
-                    low: -200.0,
-                    high: 1900.0,
-                },
+                joint_limits: Limits::new(-0.125, 1.21),
+                motor_limits: Limits::new(-200.0, 1900.0),
             },
             robot,
         }
@@ -168,17 +162,11 @@ impl Irp6Track {
 
     /// Range of the carriage that joint and motor both allow, m.
     fn travel(&self) -> Limits {
-        let Limits { low, high } = self.motor_limits[0];
-        let ends = [low, high].map(|motor| {
-            self.track
-                .joints_from_motors(&[motor])
-                .map_or(0.0, |[joint]| joint)
-        });
-        let joint = self.joint_limits[0];
-        Limits {
-            low: joint.low.max(ends[0].min(ends[1])),
-            high: joint.high.min(ends[0].max(ends[1])),
-        }
+        let joint = |motor| {
+            let joints = self.track.joints_from_motors(&[motor]);
+            joints.map_or(0.0, |joints| joints[0])
+        };
+        self.joint_limits[0].within(self.motor_limits[0].map(joint))
     }
 
     /// The most comfortable position of the carriage for a pose, m.

@@ -44,15 +44,12 @@ impl Link {
         joint_limits: &[Limits],
     ) -> Self {
         let mut factors = [0.0; MAX_AXES];
-        let mut limits = Limits {
-            low: 0.0,
-            high: 0.0,
-        };
+        let mut limits = Limits::new(0.0, 0.0);
         for &(axis, factor) in coupling {
             factors[axis] = factor;
-            let ends = [joint_limits[axis].low, joint_limits[axis].high].map(|end| factor * end);
-            limits.low += ends[0].min(ends[1]);
-            limits.high += ends[0].max(ends[1]);
+            let range = joint_limits[axis].map(|end| factor * end);
+            limits.low += range.low;
+            limits.high += range.high;
         }
         Self {
             name,

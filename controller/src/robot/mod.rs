@@ -191,10 +191,22 @@ impl Limits {
     const SLACK: f64 = 1e-9;
 
     /// No limit: an endless joint.
-    pub const CONTINUOUS: Self = Self {
-        low: f64::NEG_INFINITY,
-        high: f64::INFINITY,
-    };
+    pub const CONTINUOUS: Self = Self::new(f64::NEG_INFINITY, f64::INFINITY);
+
+    const fn new(low: f64, high: f64) -> Self {
+        Self { low, high }
+    }
+
+    /// The range of a monotonic function over this range.
+    fn map(self, function: impl Fn(f64) -> f64) -> Self {
+        let [a, b] = [self.low, self.high].map(function);
+        Self::new(a.min(b), a.max(b))
+    }
+
+    /// The positions that both ranges include.
+    fn within(self, other: Self) -> Self {
+        Self::new(self.low.max(other.low), self.high.min(other.high))
+    }
 
     /// Whether neither side has a limit.
     pub const fn is_continuous(&self) -> bool {

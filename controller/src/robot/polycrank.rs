@@ -82,10 +82,7 @@ impl PolycrankParameters {
                 joint_at_home,
                 motor_at_home: 0.0,
                 joint_limits: Limits::CONTINUOUS,
-                motor_limits: Limits {
-                    low: -3.35e6,
-                    high: 3.35e6,
-                },
+                motor_limits: Limits::new(-3.35e6, 3.35e6),
             }
         }
         let right = FRAC_PI_2;

@@ -78,10 +78,7 @@ impl RntParameters {
             lead: 0.005,
             length_at_home: 0.75,
             motor_at_home: 0.0,
-            length_limits: Limits {
-                low: 0.55,
-                high: 1.38,
-            },
+            length_limits: Limits::new(0.55, 1.38),
         };
         let tilt = parameters::degrees(-30.0, 30.0);
         Self {
@@ -91,10 +88,7 @@ impl RntParameters {
             legs: [leg; 3],
             alpha: tilt,
             beta: tilt,
-            extension: Limits {
-                low: 0.70,
-                high: 1.20,
-            },
+            extension: Limits::new(0.70, 1.20),
             roll: wrist(180.0),
             pitch: wrist(110.0),
             spin: wrist(180.0),
@@ -122,10 +116,7 @@ const fn wrist(range: f64) -> GearAxis {
         joint_at_home: 0.0,
         motor_at_home: 0.0,
         joint_limits: limits,
-        motor_limits: Limits {
-            low: RATIO * limits.low,
-            high: RATIO * limits.high,
-        },
+        motor_limits: Limits::new(RATIO * limits.low, RATIO * limits.high),
     }
 }
 
@@ -443,18 +434,12 @@ impl LegAxis {
         if self.lead == 0.0 {
             return Err(ParameterError::NoRatio { name: "legs" });
         }
-        let ratio = TAU / self.lead;
-        let Limits { low, high } = self.length_limits;
-        let ends = [self.motor(low), self.motor(high)];
         let gear = GearAxis {
-            ratio,
+            ratio: TAU / self.lead,
             joint_at_home: self.length_at_home,
             motor_at_home: self.motor_at_home,
             joint_limits: self.length_limits,
-            motor_limits: Limits {
-                low: ends[0].min(ends[1]),
-                high: ends[0].max(ends[1]),
-            },
+            motor_limits: self.length_limits.map(|length| self.motor(length)),
         };
         parameters::gear("legs", &gear)
     }
