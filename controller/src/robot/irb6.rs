@@ -162,17 +162,6 @@ impl Robot for Irb6 {
     }
 }
 
-impl Mass {
-    /// Nominal masses of the links of [`Irb6`](Irb6) with a gripper along its roll axis.
-    pub const IRB6: [Self; 5] = [
-        Self::new(45.0, [0.0; 3]),
-        Self::new(12.0, [0.20, 0.0, 0.0]),
-        Self::new(14.0, [0.25, 0.0, 0.0]),
-        Self::new(4.0, [0.0475, 0.0, 0.0]),
-        Self::new(1.35, [0.0, 0.0, 0.15]),
-    ];
-}
-
 impl RobotParameters for Irb6Parameters {
     const AXES: usize = 5;
 
@@ -187,7 +176,16 @@ impl RobotParameters for Irb6Parameters {
         }
     }
 
+    // With a gripper along the roll axis.
     fn masses(&self) -> &'static [Mass] {
-        &Mass::IRB6
+        const {
+            &[
+                Mass::new(45.0, [0.0; 3]),
+                Mass::new(12.0, [0.20, 0.0, 0.0]),
+                Mass::new(14.0, [0.25, 0.0, 0.0]),
+                Mass::new(4.0, [0.0475, 0.0, 0.0]),
+                Mass::new(1.35, [0.0, 0.0, 0.15]),
+            ]
+        }
     }
 }

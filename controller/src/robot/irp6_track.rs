@@ -317,15 +317,6 @@ fn on_carriage(mut error: KinematicsError) -> KinematicsError {
     error
 }
 
-impl Mass {
-    /// Nominal masses of the links of [`Irp6Track`](Irp6Track), which carries the same on a carriage.
-    pub const IRP6_TRACK: [Self; 7] = {
-        let [column, lower_arm, upper_arm, pitch, roll, hand] = Self::IRP6;
-        let carriage = Self::new(60.0, [0.0; 3]);
-        [carriage, column, lower_arm, upper_arm, pitch, roll, hand]
-    };
-}
-
 impl RobotParameters for Irp6TrackParameters {
     const AXES: usize = 7;
 
@@ -341,6 +332,11 @@ impl RobotParameters for Irp6TrackParameters {
     }
 
     fn masses(&self) -> &'static [Mass] {
-        &Mass::IRP6_TRACK
+        const MASSES: [Mass; AXES] = {
+            let [column, lower_arm, upper_arm, pitch, roll, hand] = Mass::IRP6;
+            let carriage = Mass::new(60.0, [0.0; 3]);
+            [carriage, column, lower_arm, upper_arm, pitch, roll, hand]
+        };
+        &MASSES
     }
 }

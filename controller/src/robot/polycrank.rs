@@ -305,19 +305,6 @@ impl Robot for Polycrank {
     }
 }
 
-impl Mass {
-    /// Nominal masses of the links of [`Polycrank`](Polycrank): rods from joint to joint.
-    pub const POLYCRANK: [Self; 7] = [
-        Self::new(12.0, [-0.1495, 0.0, 0.110]),
-        Self::new(9.0, [0.090, 0.0, 0.076]),
-        Self::new(7.0, [0.0, 0.0, 0.1675]),
-        Self::new(4.0, [0.0755, 0.0, 0.060]),
-        Self::new(3.5, [0.0755, 0.0, 0.058]),
-        Self::new(1.5, [0.0, 0.0, 0.030]),
-        Self::new(0.6, [0.0, 0.0, -0.0215]),
-    ];
-}
-
 impl RobotParameters for PolycrankParameters {
     const AXES: usize = 7;
 
@@ -334,8 +321,19 @@ impl RobotParameters for PolycrankParameters {
         self
     }
 
+    // Rods from joint to joint.
     fn masses(&self) -> &'static [Mass] {
-        &Mass::POLYCRANK
+        const {
+            &[
+                Mass::new(12.0, [-0.1495, 0.0, 0.110]),
+                Mass::new(9.0, [0.090, 0.0, 0.076]),
+                Mass::new(7.0, [0.0, 0.0, 0.1675]),
+                Mass::new(4.0, [0.0755, 0.0, 0.060]),
+                Mass::new(3.5, [0.0755, 0.0, 0.058]),
+                Mass::new(1.5, [0.0, 0.0, 0.030]),
+                Mass::new(0.6, [0.0, 0.0, -0.0215]),
+            ]
+        }
     }
 
     // Of the two directions that the level axis 1 leaves open x is taken (nominal).

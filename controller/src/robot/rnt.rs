@@ -445,19 +445,6 @@ impl LegAxis {
     }
 }
 
-impl Mass {
-    /// Nominal masses of the links of [`Rnt`](Rnt): the platform with its share of the legs, then its wrist. The frames of alpha and beta
-    /// stand.
-    pub const RNT: [Self; 6] = [
-        Self::new(0.0, [0.0; 3]),
-        Self::new(0.0, [0.0; 3]),
-        Self::new(30.0, [0.0; 3]),
-        Self::new(5.0, [0.0; 3]),
-        Self::new(4.0, [0.0, 0.0, 0.05]),
-        Self::new(3.0, [0.0, 0.0, 0.175]),
-    ];
-}
-
 impl RobotParameters for RntParameters {
     const AXES: usize = 6;
 
@@ -484,8 +471,18 @@ impl RobotParameters for RntParameters {
         }
     }
 
+    // The platform with its share of the legs, then the wrist. The frames of alpha and beta stand.
     fn masses(&self) -> &'static [Mass] {
-        &Mass::RNT
+        const {
+            &[
+                Mass::new(0.0, [0.0; 3]),
+                Mass::new(0.0, [0.0; 3]),
+                Mass::new(30.0, [0.0; 3]),
+                Mass::new(5.0, [0.0; 3]),
+                Mass::new(4.0, [0.0, 0.0, 0.05]),
+                Mass::new(3.0, [0.0, 0.0, 0.175]),
+            ]
+        }
     }
 
     // It hangs.
