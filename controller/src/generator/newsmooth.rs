@@ -99,16 +99,10 @@ impl Newsmooth {
         limits: MotionLimits,
         poses: Vec<SmoothPose>,
     ) -> Result<Self, GeneratorError> {
-        if axes == 0 || axes > MAX_AXES {
-            return Err(GeneratorError::Axes {
-                axes,
-                max: MAX_AXES,
-            });
-        }
+        limits.check(axes)?;
         if poses.is_empty() {
             return Err(GeneratorError::NoPoses);
         }
-        limits.check(axes)?;
         for (index, pose) in poses.iter().enumerate() {
             for axis in 0..axes {
                 if !pose.position[axis].is_finite() {
@@ -270,9 +264,6 @@ impl Generator for Newsmooth {
         e: &EffectorImage,
         macrostep: Duration,
     ) -> Result<Next<Progress>, GeneratorError> {
-        if macrostep.is_zero() {
-            return Err(GeneratorError::NoMacrostep);
-        }
         self.macrostep = macrostep.as_secs_f64();
         self.plan(&self.space.commanded(e).position)?;
         Ok(Next::remember(Progress::default()))
