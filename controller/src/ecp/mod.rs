@@ -18,7 +18,6 @@
 
 mod error;
 mod image;
-mod meetings;
 mod subcontrollers;
 mod task;
 #[cfg(test)]
@@ -35,8 +34,7 @@ use crate::robot::Arm;
 
 pub use error::EcpError;
 use image::Effector;
-pub use meetings::Meetings;
-pub use subcontrollers::Subcontrollers;
+pub use subcontrollers::{Meetings, Subcontrollers};
 use task::Instruction;
 pub use task::Task;
 
