@@ -58,23 +58,17 @@ impl Irb6Parameters {
 /// limits.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Irb6 {
-    arm: ArmParameters,
-    tool_plane_tolerance: f64,
+    parameters: Irb6Parameters,
     drive_train: DriveTrain<AXES>,
 }
 
 impl Irb6 {
     /// A robot with these parameters. Fails if a parameter is invalid.
     pub fn new(parameters: &Irb6Parameters) -> Result<Self, ParameterError> {
-        let &Irb6Parameters {
-            arm,
-            tool_plane_tolerance,
-        } = parameters;
-        let drive_train = DriveTrain::new(arm.axes()?);
-        parameters::positive("tool_plane_tolerance", tool_plane_tolerance)?;
+        let drive_train = DriveTrain::new(parameters.arm.axes()?);
+        parameters::positive("tool_plane_tolerance", parameters.tool_plane_tolerance)?;
         Ok(Self {
-            arm,
-            tool_plane_tolerance,
+            parameters: *parameters,
             drive_train,
         })
     }
@@ -105,7 +99,7 @@ impl Robot for Irb6 {
             along.into_owned(),
         ];
         Ok(arm::pose(
-            self.arm.origin(&posture),
+            self.parameters.arm.origin(&posture),
             Matrix3::from_columns(&axes),
         ))
     }
@@ -120,7 +114,7 @@ impl Robot for Irb6 {
         let (normal, approach) = (axes.column(0), axes.column(2));
         let radius = arm::radius(&origin)?;
         let residual = (origin.x * approach.y - origin.y * approach.x) / radius;
-        if residual.abs() > self.tool_plane_tolerance {
+        if residual.abs() > self.parameters.tool_plane_tolerance {
             return Err(KinematicsError::ToolPlane { residual });
         }
         Search::run(&self.drive_train, near, |search| {
@@ -135,12 +129,14 @@ impl Robot for Irb6 {
                     reach: facing * radius,
                     height: origin.z,
                 };
-                self.arm.branches(search, &at, |search, joints, wrist| {
-                    let roll = normal
-                        .dot(&wrist.column(1))
-                        .atan2(normal.dot(&wrist.column(0)));
-                    search.turn(joints, ROLL, [roll]);
-                });
+                self.parameters
+                    .arm
+                    .branches(search, &at, |search, joints, wrist| {
+                        let roll = normal
+                            .dot(&wrist.column(1))
+                            .atan2(normal.dot(&wrist.column(0)));
+                        search.turn(joints, ROLL, [roll]);
+                    });
             }
         })
     }
@@ -155,10 +151,13 @@ impl Robot for Irb6 {
 
     fn jacobian(&self, joints: &Joints) -> Result<Jacobian, KinematicsError> {
         let &[th1, th2, th3, th4, _] = joints.exactly()?;
-        Ok(self.arm.jacobian(&Posture::new(th1, th2, th3, th4)))
+        Ok(self
+            .parameters
+            .arm
+            .jacobian(&Posture::new(th1, th2, th3, th4)))
     }
     fn links(&self) -> Option<Links> {
-        Some(Links(self.arm.links(self.joint_limits())))
+        Some(Links(self.parameters.arm.links(self.joint_limits())))
     }
 }
 

@@ -85,7 +85,6 @@ impl PolycrankParameters {
                 motor_limits: Limits::new(-3.35e6, 3.35e6),
             }
         }
-        let right = FRAC_PI_2;
         Self {
             upper_cranks: [-0.299, 0.180],
             upper_offsets: [0.220, 0.152, 0.335],
@@ -95,14 +94,19 @@ impl PolycrankParameters {
             coupled: false,
             axes: [
                 drive(0.0),
-                drive(right),
-                drive(-right),
+                drive(FRAC_PI_2),
+                drive(-FRAC_PI_2),
                 drive(0.0),
-                drive(right),
+                drive(FRAC_PI_2),
                 drive(0.0),
                 drive(0.0),
             ],
         }
+    }
+
+    /// The axis through whose crank the motor of `axis` acts, if the motor is fixed.
+    fn carrier(&self, axis: usize) -> Option<usize> {
+        (self.coupled && matches!(axis, 1 | 2 | 4 | 5)).then(|| axis - 1)
     }
 }
 
@@ -132,46 +136,37 @@ pub struct Polycrank {
 impl Polycrank {
     /// A robot with these parameters. Fails if a parameter is invalid.
     pub fn new(parameters: &PolycrankParameters) -> Result<Self, ParameterError> {
-        let &PolycrankParameters {
-            upper_cranks,
-            upper_offsets,
-            forearm_crank,
-            forearm_offsets,
-            flange_offset,
-            coupled,
-            ref axes,
-        } = parameters;
-        for length in upper_cranks {
+        for length in parameters.upper_cranks {
             parameters::positive("upper_cranks", length.abs())?;
         }
-        parameters::positive("forearm_crank", forearm_crank)?;
+        parameters::positive("forearm_crank", parameters.forearm_crank)?;
         for (name, offsets) in [
-            ("upper_offsets", upper_offsets),
-            ("forearm_offsets", forearm_offsets),
-            ("flange_offset", [flange_offset; 3]),
+            ("upper_offsets", parameters.upper_offsets),
+            ("forearm_offsets", parameters.forearm_offsets),
+            ("flange_offset", [parameters.flange_offset; 3]),
         ] {
             for offset in offsets {
                 parameters::finite(name, offset)?;
             }
         }
-        let mut drives = [None; AXES];
-        for (axis, (drive, name)) in drives.iter_mut().zip(NAMES).enumerate() {
-            let carried = coupled && matches!(axis, 1 | 2 | 4 | 5);
-            *drive = Some(TrainAxis {
-                carried_by: carried.then(|| axis - 1),
-                ..parameters::gear(name, &axes[axis])?
+        let mut drives = Vec::with_capacity(AXES);
+        for (axis, (gear, name)) in parameters.axes.iter().zip(NAMES).enumerate() {
+            drives.push(TrainAxis {
+                carried_by: parameters.carrier(axis),
+                ..parameters::gear(name, gear)?
             });
         }
+        let drives = drives.try_into().expect("every axis has a drive");
         Ok(Self {
             parameters: *parameters,
             cranks: Cranks {
-                upper: upper_cranks,
-                upper_offset: upper_offsets.iter().sum(),
-                forearm: forearm_crank,
-                forearm_offset: forearm_offsets.iter().sum(),
-                flange_offset,
+                upper: parameters.upper_cranks,
+                upper_offset: parameters.upper_offsets.iter().sum(),
+                forearm: parameters.forearm_crank,
+                forearm_offset: parameters.forearm_offsets.iter().sum(),
+                flange_offset: parameters.flange_offset,
             },
-            drive_train: DriveTrain::new(drives.map(|drive| drive.expect("every axis was set"))),
+            drive_train: DriveTrain::new(drives),
         })
     }
 
@@ -313,10 +308,9 @@ impl RobotParameters for PolycrankParameters {
     }
 
     fn with_room_at_home(mut self, motors: &[f64]) -> Self {
-        for (axis, gear) in self.axes.iter_mut().enumerate() {
-            let carried = self.coupled && matches!(axis, 1 | 2 | 4 | 5);
-            let carried = if carried { room(motors, axis - 1) } else { 0.0 };
-            *gear = gear.with_room(room(motors, axis), carried);
+        for axis in 0..AXES {
+            let carried = self.carrier(axis).map_or(0.0, |by| room(motors, by));
+            self.axes[axis] = self.axes[axis].with_room(room(motors, axis), carried);
         }
         self
     }

@@ -94,9 +94,7 @@ impl RntParameters {
             spin: wrist(180.0),
         }
     }
-}
 
-impl RntParameters {
     /// End points of each leg, in the base frame and in the platform's frame, m.
     pub fn leg_ends(&self) -> [[Vector3<f64>; 2]; 3] {
         self.geometry().ends()
@@ -142,31 +140,23 @@ pub struct Rnt {
 impl Rnt {
     /// A robot with these parameters. Fails if a parameter is invalid.
     pub fn new(parameters: &RntParameters) -> Result<Self, ParameterError> {
-        let RntParameters {
-            base_radius,
-            platform_radius,
-            wrist_offset,
-            alpha,
-            beta,
-            extension,
-            ..
-        } = *parameters;
-        parameters::positive("base_radius", base_radius)?;
-        parameters::positive("platform_radius", platform_radius)?;
-        parameters::finite("wrist_offset", wrist_offset)?;
-        for (name, tilt) in [("alpha", alpha), ("beta", beta)] {
-            parameters::room(name, tilt)?;
-            let steepest = tilt.high.max(-tilt.low);
-            if steepest > legs::STEEPEST {
-                return Err(ParameterError::TooSteep {
-                    name,
-                    tilt: steepest,
-                });
+        parameters::positive("base_radius", parameters.base_radius)?;
+        parameters::positive("platform_radius", parameters.platform_radius)?;
+        parameters::finite("wrist_offset", parameters.wrist_offset)?;
+        for (name, range) in [("alpha", parameters.alpha), ("beta", parameters.beta)] {
+            parameters::room(name, range)?;
+            let tilt = range.high.max(-range.low);
+            if tilt > legs::STEEPEST {
+                return Err(ParameterError::TooSteep { name, tilt });
             }
         }
+        let extension = parameters.extension;
         parameters::room("extension", extension)?;
         parameters::positive("extension", extension.low)?;
-        parameters::positive("extension with wrist_offset", extension.low + wrist_offset)?;
+        parameters::positive(
+            "extension with wrist_offset",
+            extension.low + parameters.wrist_offset,
+        )?;
         let [first, second, third] = parameters.legs;
         let axes = [
             first.axis()?,
@@ -178,7 +168,7 @@ impl Rnt {
         ];
         let drive_train = DriveTrain::new(axes);
         let mut joint_limits = *drive_train.joint_limits();
-        joint_limits[..3].copy_from_slice(&[alpha, beta, extension]);
+        joint_limits[..3].copy_from_slice(&[parameters.alpha, parameters.beta, extension]);
         let robot = Self {
             parameters: *parameters,
             legs: parameters.geometry(),
@@ -225,9 +215,7 @@ impl Rnt {
         }
         Ok(())
     }
-}
 
-impl Rnt {
     /// Lengths of the three legs at these joints, m. No limit is checked.
     pub fn leg_lengths(&self, joints: &Joints) -> Result<[f64; 3], KinematicsError> {
         let &[alpha, beta, rho, ..] = joints.exactly::<AXES>()?;
@@ -455,13 +443,8 @@ impl RobotParameters for RntParameters {
     // The ranges of alpha, beta and rho stay as they are: no home position of theirs is a parameter.
     fn with_room_at_home(mut self, motors: &[f64]) -> Self {
         for (axis, leg) in self.legs.iter_mut().enumerate() {
-            let LegAxis {
-                lead,
-                length_at_home,
-                ..
-            } = *leg;
-            let length = room(motors, axis) * lead.abs() / TAU;
-            leg.length_limits = leg.length_limits.with_room(length_at_home, length);
+            let length = room(motors, axis) * leg.lead.abs() / TAU;
+            leg.length_limits = leg.length_limits.with_room(leg.length_at_home, length);
         }
         Self {
             roll: self.roll.with_room(room(motors, 3), 0.0),
