@@ -129,14 +129,13 @@ impl Robot for Irb6 {
                     reach: facing * radius,
                     height: origin.z,
                 };
-                self.parameters
-                    .arm
-                    .branches(search, &at, |search, joints, wrist| {
-                        let roll = normal
-                            .dot(&wrist.column(1))
-                            .atan2(normal.dot(&wrist.column(0)));
-                        search.turn(joints, ROLL, [roll]);
-                    });
+                let arm = &self.parameters.arm;
+                arm.branches(search, &at, |search, joints, wrist| {
+                    let roll = normal
+                        .dot(&wrist.column(1))
+                        .atan2(normal.dot(&wrist.column(0)));
+                    search.turn(joints, ROLL, [roll]);
+                });
             }
         })
     }

@@ -21,19 +21,6 @@
 //! | RNT | [`Rnt`] | `rnt.rs`, `legs.rs` | closed loops of legs, by Newton's method, and a wrist |
 //! | gripper, conveyor | [`Gripper`], [`Conveyor`] | `axis_map.rs` | one motor each |
 //!
-//! Shared files:
-//!
-//! * `arm.rs`: the arm of IRb-6 and IRp-6.
-//! * `parameters.rs`: the parameters of that arm, and the errors of all parameters.
-//! * `drive_train.rs`: gears, screws and couplings between motors and joints.
-//! * `solutions.rs`: collects branches within the limits, nearest first.
-//! * `free_parameter.rs`: the choice of the free parameter of a redundant robot.
-//! * `links.rs`: a robot link by link, for description files and figures.
-//! * `singularity.rs`: the distance of the arm from a singularity.
-//! * `weight.rs`: torques of the motors against the weight of the links.
-//! * `room.rs`: extends ranges that end at home.
-//! * `vector.rs`: positions, one per axis.
-//!
 //! Figures and every parameter with its source are in `docs/robots` of the repository. Read [`Robot`] first, then
 //! `irp6.rs` as a complete example of a robot.
 //!
