@@ -254,10 +254,6 @@ impl Ecp {
         self.report.is_some_and(|report| report.homed)
     }
 
-    fn fault(&self) -> EcpError {
-        self.cause_of(EcpError::Faulted)
-    }
-
     /// The fault that began a stop, or `consequence` if there is none. The cause is reported rather than its
     /// consequences.
     fn cause_of(&self, consequence: EcpError) -> EcpError {
@@ -315,7 +311,7 @@ impl Ecp {
         let order = match instruction {
             Instruction::ResetFault if phase != Phase::Faulted => return Some(Ok(())),
             Instruction::ResetFault => Order::ResetFault,
-            _ if phase == Phase::Faulted => return Some(Err(self.fault())),
+            _ if phase == Phase::Faulted => return Some(Err(self.cause_of(EcpError::Faulted))),
             Instruction::Disable => Order::Disable,
             Instruction::Enable => Order::Enable,
             _ if phase != Phase::Standing => return Some(Err(EcpError::NotStanding { phase })),
@@ -377,7 +373,7 @@ impl Ecp {
         );
         if phase == Phase::Faulted && !clearing {
             self.clear_outbox();
-            return Some(Err(self.fault()));
+            return Some(Err(self.cause_of(EcpError::Faulted)));
         }
         match self.activity {
             Activity::Idle => None,

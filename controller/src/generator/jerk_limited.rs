@@ -124,9 +124,10 @@ impl Generator for JerkLimited {
             ));
         }
         let (position, velocity) = self.plan.at(done);
-        let mut state = AxesState::default();
-        state.position[..self.axes].copy_from_slice(&position[..self.axes]);
-        state.velocity[..self.axes].copy_from_slice(&velocity[..self.axes]);
+        let state = AxesState {
+            position: masked(&position, self.axes),
+            velocity: masked(&velocity, self.axes),
+        };
         Ok(Next::command(self.space.setpoint(state), done))
     }
 }

@@ -289,7 +289,7 @@ impl Generator for Newsmooth {
             } else {
                 from + direction * distance
             };
-            state.velocity[axis] = direction * if last { profile.end_velocity() } else { speed };
+            state.velocity[axis] = direction * if last { profile.end_velocity } else { speed };
         }
         let progress = if last {
             Progress {

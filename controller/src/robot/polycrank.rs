@@ -172,16 +172,14 @@ impl Polycrank {
 
     /// Offers the four branches of one facing and one reach of the forearm.
     fn branches(&self, search: &mut Search<'_, AXES>, facing: &Facing, reach: f64) {
-        let near = search.near();
+        let near = search.near;
         let Facing { end, ahead, .. } = facing;
         let elbow = [self.cranks.forearm; 2];
         let (forearm, bend) = cranks::angles(elbow, (reach, end.z), near[FOREARM]);
         let shoulder = (end.x - reach * ahead.x, end.y - reach * ahead.y);
         let (upper, upper_bend) = cranks::angles(self.cranks.upper, shoulder, near[UPPER]);
-        let margin = bend.max(upper_bend);
-        if margin < STRETCHED {
-            let axis = ELBOW as u8;
-            return search.refuse(KinematicsError::Singular { axis, margin });
+        if let Err(error) = arm::regular(ELBOW, bend.max(upper_bend), STRETCHED) {
+            return search.refuse(error);
         }
         let mut joints = *near;
         search.turn(&mut joints, ROLL, [facing.roll]);
@@ -244,12 +242,7 @@ impl Robot for Polycrank {
         let (origin, axes) = arm::parts(base_from_flange)?;
         let approach = axes.column(2);
         let tilt = approach.xy().norm();
-        if tilt < PARALLEL {
-            return Err(KinematicsError::Singular {
-                axis: PLANE as u8,
-                margin: tilt,
-            });
-        }
+        arm::regular(PLANE, tilt, PARALLEL)?;
         let facings = self.cranks.facings(&origin, &axes, tilt);
         Search::run(&self.drive_train, near, |search| {
             for facing in &facings {

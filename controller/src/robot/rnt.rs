@@ -304,12 +304,7 @@ impl Robot for Rnt {
         let near = near.exactly::<AXES>()?;
         let (centre, axes) = arm::parts(base_from_flange)?;
         let reach = centre.norm();
-        if reach < PARALLEL {
-            return Err(KinematicsError::Singular {
-                axis: ALPHA as u8,
-                margin: reach,
-            });
-        }
+        arm::regular(ALPHA, reach, PARALLEL)?;
         let alpha = (-centre.y).atan2(centre.z);
         let beta = (centre.x / reach).asin();
         let rho = reach - self.parameters.wrist_offset;
@@ -318,12 +313,7 @@ impl Robot for Rnt {
         self.driven(&posture)?;
         let wrist = legs::central(alpha, beta).transpose() * axes;
         let lean = Vector2::new(wrist[(0, 2)], wrist[(1, 2)]).norm();
-        if lean < STRAIGHT {
-            return Err(KinematicsError::Singular {
-                axis: ROLL as u8,
-                margin: lean,
-            });
-        }
+        arm::regular(ROLL, lean, STRAIGHT)?;
         Search::run(&self.drive_train, near, |search| {
             for side in [1.0, -1.0] {
                 let mut joints = posture;

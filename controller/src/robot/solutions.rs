@@ -51,7 +51,8 @@ impl Deref for Solutions {
 /// none.
 pub(super) struct Search<'a, const N: usize> {
     drive_train: &'a DriveTrain<N>,
-    near: &'a [f64; N],
+    /// The present posture.
+    pub(super) near: &'a [f64; N],
     /// Whether a branch is abandoned at the first joint beyond its limit.
     hasty: bool,
     found: Solutions,
@@ -92,11 +93,6 @@ impl<'a, const N: usize> Search<'a, N> {
             margin: search.margin,
         };
         Err(search.refused.map_or(unreachable, |(_, error)| error))
-    }
-
-    /// The present posture.
-    pub(super) const fn near(&self) -> &'a [f64; N] {
-        self.near
     }
 
     /// Sets the joints of a branch from `first` on, each in the turn nearest to the present posture.
