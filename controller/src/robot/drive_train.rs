@@ -165,8 +165,8 @@ impl TrainAxis {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct DriveTrain<const N: usize> {
     axes: [TrainAxis; N],
-    joint_limits: [Limits; N],
-    motor_limits: [Limits; N],
+    pub(super) joint_limits: [Limits; N],
+    pub(super) motor_limits: [Limits; N],
     /// Range of each joint within the limits of joint and motor, without the motion of carrying axes.
     ranges: [Limits; N],
 }
@@ -179,14 +179,6 @@ impl<const N: usize> DriveTrain<N> {
             motor_limits: axes.map(|axis| axis.limits(Space::Motor)),
             axes,
         }
-    }
-
-    pub(super) fn joint_limits(&self) -> &[Limits; N] {
-        &self.joint_limits
-    }
-
-    pub(super) fn motor_limits(&self) -> &[Limits; N] {
-        &self.motor_limits
     }
 
     pub(super) fn home(&self) -> Motors {

@@ -76,11 +76,11 @@ impl Irb6 {
 
 impl Robot for Irb6 {
     fn joint_limits(&self) -> &[Limits] {
-        self.drive_train.joint_limits()
+        &self.drive_train.joint_limits
     }
 
     fn motor_limits(&self) -> &[Limits] {
-        self.drive_train.motor_limits()
+        &self.drive_train.motor_limits
     }
 
     fn home(&self) -> Motors {

@@ -108,11 +108,11 @@ impl Irp6 {
 
 impl Robot for Irp6 {
     fn joint_limits(&self) -> &[Limits] {
-        self.drive_train.joint_limits()
+        &self.drive_train.joint_limits
     }
 
     fn motor_limits(&self) -> &[Limits] {
-        self.drive_train.motor_limits()
+        &self.drive_train.motor_limits
     }
 
     fn home(&self) -> Motors {

@@ -134,8 +134,8 @@ impl Irp6Track {
             std::array::from_fn(|axis| if axis == 0 { track[0] } else { robot[axis - 1] })
         };
         Ok(Self {
-            joint_limits: both(track.joint_limits(), robot.joint_limits()),
-            motor_limits: both(track.motor_limits(), robot.motor_limits()),
+            joint_limits: both(&track.joint_limits, robot.joint_limits()),
+            motor_limits: both(&track.motor_limits, robot.motor_limits()),
             robot,
             track,
         })

@@ -216,11 +216,11 @@ impl Polycrank {
 
 impl Robot for Polycrank {
     fn joint_limits(&self) -> &[Limits] {
-        self.drive_train.joint_limits()
+        &self.drive_train.joint_limits
     }
 
     fn motor_limits(&self) -> &[Limits] {
-        self.drive_train.motor_limits()
+        &self.drive_train.motor_limits
     }
 
     fn home(&self) -> Motors {

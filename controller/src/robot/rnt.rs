@@ -167,7 +167,7 @@ impl Rnt {
             parameters::gear("spin", &parameters.spin)?,
         ];
         let drive_train = DriveTrain::new(axes);
-        let mut joint_limits = *drive_train.joint_limits();
+        let mut joint_limits = drive_train.joint_limits;
         joint_limits[..3].copy_from_slice(&[parameters.alpha, parameters.beta, extension]);
         let robot = Self {
             parameters: *parameters,
@@ -275,7 +275,7 @@ impl Robot for Rnt {
     }
 
     fn motor_limits(&self) -> &[Limits] {
-        self.drive_train.motor_limits()
+        &self.drive_train.motor_limits
     }
 
     fn home(&self) -> Motors {
