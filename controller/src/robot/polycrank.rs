@@ -39,6 +39,17 @@ const STRETCHED: f64 = 1e-5;
 /// Distance from the ends of its range, m, within which the forearm's reach is moved back as the arm moves.
 const BAND: f64 = 0.04;
 
+/// Number of points at which the most dexterous branch is sought before its refinement.
+const SAMPLES: usize = 64;
+
+/// Number of steps of the golden section. Each step is 0.618 of the previous step, down to 1e-4 of the distance
+/// between two samples.
+const REFINEMENTS: usize = 20;
+const GOLDEN: f64 = 0.618_033_988_749_895;
+
+/// Tolerance for rounding errors of a given reach outside its range, m.
+const REACH_SLACK: f64 = 1e-9;
+
 /// Parameters of one Polycrank.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -121,7 +132,8 @@ impl PolycrankParameters {
 /// to axis 1. [`Robot::inverse`] takes the reach from `near` and returns the four or eight branches with that reach.
 /// Near an end of the range that the pose admits, the reach moves back as the arm moves, by at most twice the travel
 /// of the arm. For a pose far from `near` the reach is 0.04 m inside its range. The reach avoids folded upper cranks
-/// from a distance of 0.1 m on.
+/// from a distance of 0.1 m on. [`Polycrank::inverse_at`] takes the reach from the caller.
+/// [`Polycrank::most_dexterous`] searches for the best reach.
 ///
 /// Two singular poses are refused with [`KinematicsError::Singular`], whose axis counts from 0. Axis 2: the tool axis
 /// is parallel to axis 1 within 1e-10. Axis 4: both pairs of cranks are stretched or folded at once, with bends
@@ -170,6 +182,96 @@ impl Polycrank {
         })
     }
 
+    /// The forearm's reach at these joints, m: the distance of axis 6 from axis 4 perpendicular to axis 1.
+    pub fn reach(&self, joints: &Joints) -> Result<f64, KinematicsError> {
+        Ok(self.cranks.stand(joints.exactly()?).reach)
+    }
+
+    /// The branches of a pose for a given reach of the forearm, m, nearest to `near` first.
+    pub fn inverse_at(
+        &self,
+        base_from_flange: &Isometry3<f64>,
+        near: &Joints,
+        reach: f64,
+    ) -> Result<Solutions, KinematicsError> {
+        if !reach.is_finite() {
+            return Err(KinematicsError::NotFinite);
+        }
+        self.solve(base_from_flange, near.exactly()?, |facing| {
+            let nearest = self.cranks.reaches(facing, 0.0)?.nearest(reach)?;
+            let missing = (nearest - reach).abs();
+            if missing > REACH_SLACK {
+                return Err(missing);
+            }
+            Ok(nearest)
+        })
+    }
+
+    /// The branches of a pose, nearest to `near` first, for the reach of the forearm at which one branch is farthest
+    /// from a singularity. The reach is the best of 64 samples, refined by golden section. The call takes about a
+    /// millisecond, and is meant for the time before a motion.
+    pub fn most_dexterous(
+        &self,
+        base_from_flange: &Isometry3<f64>,
+        near: &Joints,
+    ) -> Result<Solutions, KinematicsError> {
+        // The reach of `inverse` is also a candidate: a range may be narrower than the distance of the samples.
+        let own = self.reach(self.inverse(base_from_flange, near)?.preferred())?;
+        let margin = |reach| {
+            let solutions = self.inverse_at(base_from_flange, near, reach);
+            solutions.map_or(f64::NEG_INFINITY, |solutions| {
+                let margins = solutions.iter().map(|joints| self.singularity(joints));
+                margins
+                    .flatten()
+                    .map(|singularity| singularity.margin)
+                    .fold(0.0, f64::max)
+            })
+        };
+        let longest = 2.0 * self.cranks.forearm;
+        let step = 2.0 * longest / SAMPLES as f64;
+        let samples = (0..SAMPLES).map(|sample| (sample as f64 + 0.5) * step - longest);
+        let better = |a: (f64, f64), b: (f64, f64)| if b.1 > a.1 { b } else { a };
+        let mut best = samples
+            .map(|reach| (reach, margin(reach)))
+            .fold((own, margin(own)), better);
+        let (mut low, mut high) = (best.0 - step, best.0 + step);
+        for _ in 0..REFINEMENTS {
+            let part = (high - low) * GOLDEN;
+            let (left, right) = (high - part, low + part);
+            let (at_left, at_right) = (margin(left), margin(right));
+            best = better(better(best, (left, at_left)), (right, at_right));
+            if at_left > at_right {
+                high = right;
+            } else {
+                low = left;
+            }
+        }
+        self.inverse_at(base_from_flange, near, best.0)
+    }
+
+    /// The branches of a pose with the reach that `choose` returns for each of the two facings. Fails with the
+    /// missing distance, m.
+    fn solve(
+        &self,
+        base_from_flange: &Isometry3<f64>,
+        near: &[f64; AXES],
+        choose: impl Fn(&Facing) -> Result<f64, f64>,
+    ) -> Result<Solutions, KinematicsError> {
+        let (origin, axes) = arm::parts(base_from_flange)?;
+        let approach = axes.column(2);
+        let tilt = approach.xy().norm();
+        arm::regular(PLANE, tilt, PARALLEL)?;
+        let facings = self.cranks.facings(&origin, &axes, tilt);
+        Search::run(&self.drive_train, near, |search| {
+            for facing in &facings {
+                match choose(facing) {
+                    Ok(reach) => self.branches(search, facing, reach),
+                    Err(margin) => search.out_of_reach(margin),
+                }
+            }
+        })
+    }
+
     /// Offers the four branches of one facing and one reach of the forearm.
     fn branches(&self, search: &mut Search<'_, AXES>, facing: &Facing, reach: f64) {
         let near = search.near;
@@ -192,7 +294,7 @@ impl Polycrank {
         }
     }
 
-    /// The reach for one facing of a pose. `here` is the present state of the arm. Fails with the missing distance, m.
+    /// The reach for one facing of a pose. `here` is the present state of the arm.
     fn choose(&self, facing: &Facing, here: &Stand) -> Result<f64, f64> {
         let admitted = self.cranks.reaches(facing, 0.0)?;
         let nearest = admitted.nearest(here.reach)?;
@@ -239,19 +341,7 @@ impl Robot for Polycrank {
     ) -> Result<Solutions, KinematicsError> {
         let near = near.exactly()?;
         let here = self.cranks.stand(near);
-        let (origin, axes) = arm::parts(base_from_flange)?;
-        let approach = axes.column(2);
-        let tilt = approach.xy().norm();
-        arm::regular(PLANE, tilt, PARALLEL)?;
-        let facings = self.cranks.facings(&origin, &axes, tilt);
-        Search::run(&self.drive_train, near, |search| {
-            for facing in &facings {
-                match self.choose(facing, &here) {
-                    Ok(reach) => self.branches(search, facing, reach),
-                    Err(margin) => search.out_of_reach(margin),
-                }
-            }
-        })
+        self.solve(base_from_flange, near, |facing| self.choose(facing, &here))
     }
 
     fn motors_from_joints(&self, joints: &Joints) -> Result<Motors, KinematicsError> {

@@ -52,8 +52,10 @@ fn inverse_with_the_robots_own_reach_has_its_joints_among_four_or_eight_branches
     let mut eight = 0;
     for _ in 0..20_000 {
         let joints = random.joints(&robot);
+        let near = random.joints(&robot);
         let pose = robot.forward(&joints).unwrap();
-        let solutions = robot.inverse(&pose, &joints).unwrap();
+        let reach = robot.reach(&joints).unwrap();
+        let solutions = robot.inverse_at(&pose, &near, reach).unwrap();
         assert!(matches!(solutions.len(), 4 | 8), "{joints:?}");
         eight += usize::from(solutions.len() == 8);
         let turned = |solution: &Joints| {
@@ -66,7 +68,12 @@ fn inverse_with_the_robots_own_reach_has_its_joints_among_four_or_eight_branches
         for solution in solutions.iter() {
             let (distance, angle) = apart(&robot.forward(solution).unwrap(), &pose);
             assert!(distance < 1e-9 && angle < 1e-9, "{joints:?} {solution:?}");
+            assert!((robot.reach(solution).unwrap() - reach).abs() < 1e-9);
+            let far = largest_difference(solution, &near);
+            assert!(far < PI + 1e-9, "{solution:?} is turns away from {near:?}");
         }
+        let travels = solutions.iter().map(|s| largest_difference(s, &near));
+        assert!(travels.is_sorted(), "{solutions:?}");
     }
     assert!(eight > 2_000 && eight < 8_000, "{eight}");
 }
@@ -79,15 +86,10 @@ fn inverse_chooses_a_reach_for_every_pose_of_the_workspace() {
         let joints = random.joints(&robot);
         let near = random.joints(&robot);
         let pose = robot.forward(&joints).unwrap();
-        let solutions = robot.inverse(&pose, &near).unwrap();
-        for solution in solutions.iter() {
+        for solution in robot.inverse(&pose, &near).unwrap().iter() {
             let (distance, angle) = apart(&robot.forward(solution).unwrap(), &pose);
             assert!(distance < 1e-9 && angle < 1e-9, "{joints:?} {solution:?}");
-            let far = largest_difference(solution, &near);
-            assert!(far < PI + 1e-9, "{solution:?} is turns away from {near:?}");
         }
-        let travels = solutions.iter().map(|s| largest_difference(s, &near));
-        assert!(travels.is_sorted(), "{solutions:?}");
     }
 }
 
@@ -196,6 +198,31 @@ fn cumulative_cranks_add_the_motors_of_their_group() {
 }
 
 #[test]
+fn the_most_dexterous_reach_is_no_worse_than_any_other() {
+    let robot = polycrank();
+    let mut random = Random(SEED);
+    let best = |solutions: &Solutions| {
+        let margins = solutions
+            .iter()
+            .map(|s| robot.singularity(s).unwrap().margin);
+        margins.fold(0.0, f64::max)
+    };
+    for _ in 0..20 {
+        let joints = random.joints(&robot);
+        let near = random.joints(&robot);
+        let pose = robot.forward(&joints).unwrap();
+        let found = best(&robot.most_dexterous(&pose, &near).unwrap());
+        for sample in -300..=300 {
+            let reach = 0.001 * f64::from(sample);
+            let Ok(other) = robot.inverse_at(&pose, &near, reach) else {
+                continue;
+            };
+            assert!(best(&other) < 1.02 * found, "{joints:?} {reach}");
+        }
+    }
+}
+
+#[test]
 fn what_no_branch_reaches_and_what_every_branch_leaves_open_is_refused() {
     let robot = polycrank();
     let near = robot.joints_from_motors(&robot.home()).unwrap();
@@ -209,6 +236,15 @@ fn what_no_branch_reaches_and_what_every_branch_leaves_open_is_refused() {
         }
         other => panic!("{other:?}"),
     }
+    let reach = robot.reach(&near).unwrap();
+    match robot.inverse_at(&level, &near, 0.4) {
+        Err(KinematicsError::Unreachable { margin }) => assert!(margin > 0.05, "{margin}"),
+        other => panic!("{other:?}"),
+    }
+    assert!(robot.inverse_at(&level, &near, reach).is_ok());
+    let spoilt = robot.inverse_at(&level, &near, f64::NAN);
+    assert_eq!(spoilt, Err(KinematicsError::NotFinite));
+
     // psi = 0; psi = 180°; both pairs of cranks stretched; one pair folded.
     for (joints, axis, within) in [
         ([0.3, 1.0, 0.2, 0.4, 1.0, -1.4, 0.0], 2, 1e-10),
@@ -220,7 +256,7 @@ fn what_no_branch_reaches_and_what_every_branch_leaves_open_is_refused() {
         let pose = robot.forward(&joints).unwrap();
         let measured = robot.singularity(&joints).unwrap();
         assert!(measured.margin < 1e-9, "{joints:?} {measured:?}");
-        match robot.inverse(&pose, &joints) {
+        match robot.inverse_at(&pose, &joints, robot.reach(&joints).unwrap()) {
             Err(KinematicsError::Singular {
                 axis: named,
                 margin,
