@@ -63,7 +63,17 @@ where
     let motors = arm().motors(&START).expect("the arm stands there");
     let (orders, mut servo_orders) = rtrb::RingBuffer::new(16);
     let (mut servo_reports, reports) = rtrb::RingBuffer::new(16);
-    let mut ecp = Ecp::new(arm(), EffectorLink { orders, reports }, EcpConfig::usual());
+    let config = EcpConfig {
+        period: Duration::from_millis(2),
+        steps: 10,
+        report_at: 8,
+        lead: 4,
+        silence: Duration::from_millis(500),
+        switching: Duration::from_secs(5),
+        homing: Duration::from_secs(120),
+        meeting: Duration::from_secs(600),
+    };
+    let mut ecp = Ecp::new(arm(), EffectorLink { orders, reports }, config);
     let mut report = ServoReport {
         at: Instant::ZERO,
         phase: Phase::Standing,

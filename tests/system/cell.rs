@@ -551,8 +551,10 @@ impl Rig {
             steps: self.cell.macrostep,
             report_at: self.cell.macrostep - 2,
             lead: LEAD,
+            silence: Duration::from_millis(500),
+            switching: Duration::from_secs(5),
             homing: HOMING,
-            ..EcpConfig::usual()
+            meeting: Duration::from_secs(600),
         };
         let mut ecp = Ecp::new(self.arm.clone(), link, config);
         ecp.execute(task).expect("a new process is idle");

@@ -6,8 +6,7 @@ use servo::ServoReport;
 use crate::generator::{
     Axes, AxesState, EffectorImage, EffectorState, GeneratorError, ImageSource, Pose, Setpoint,
 };
-use crate::robot::Arm;
-use crate::robot::KinematicsError;
+use crate::robot::{Arm, KinematicsError};
 
 /// Step of the finite differences that convert velocities in drive trains and kinematics, rad or m of the fastest
 /// axis.
@@ -63,15 +62,9 @@ impl Effector {
             Some(Setpoint::Motors(motors)) => return Ok(motors),
             Some(Setpoint::Joints(joints)) => joints,
             Some(Setpoint::JointsBy(by)) => {
-                let position = moved(
-                    &self.arm.joints(&self.commanded.position)?,
-                    &by.position,
-                    1.0,
-                );
-                AxesState {
-                    position,
-                    velocity: by.velocity,
-                }
+                let here = self.arm.joints(&self.commanded.position)?;
+                let position = moved(&here, &by.position, 1.0);
+                AxesState { position, ..by }
             }
             Some(Setpoint::Pose {
                 pose,
@@ -115,10 +108,8 @@ fn slope(
     value: &Axes,
     map: impl Fn(&Axes) -> Result<Axes, KinematicsError>,
 ) -> Result<Axes, KinematicsError> {
-    let fastest = from
-        .velocity
-        .iter()
-        .fold(0.0_f64, |fastest, v| fastest.max(v.abs()));
+    let speeds = from.velocity.map(f64::abs);
+    let fastest = speeds.into_iter().fold(0.0, f64::max);
     difference(fastest, value, |t| {
         map(&moved(&from.position, &from.velocity, t))
     })

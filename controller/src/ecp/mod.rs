@@ -18,7 +18,6 @@
 
 mod error;
 mod image;
-mod meetings;
 mod subcontrollers;
 mod task;
 #[cfg(test)]
@@ -30,15 +29,12 @@ use std::time::Duration;
 use can::Instant;
 use servo::{EffectorLink, Macrostep, Order, Phase, ServoReport};
 
-use crate::generator::{
-    Axes, AxesState, EffectorImage, Execution, GeneratorError, ImageSource, Setpoint, Step,
-};
+use crate::generator::{Axes, AxesState, Execution, Setpoint, Step};
 use crate::robot::Arm;
 
 pub use error::EcpError;
 use image::Effector;
-pub use meetings::Meetings;
-pub use subcontrollers::Subcontrollers;
+pub use subcontrollers::{Meetings, Subcontrollers};
 use task::Instruction;
 pub use task::Task;
 
@@ -67,20 +63,6 @@ pub struct EcpConfig {
 }
 
 impl EcpConfig {
-    /// 10 periods of 2 ms, reported 2 periods before their end, 4 macrosteps ahead.
-    pub const fn usual() -> Self {
-        Self {
-            period: Duration::from_millis(2),
-            steps: 10,
-            report_at: 8,
-            lead: 4,
-            silence: Duration::from_millis(500),
-            switching: Duration::from_secs(5),
-            homing: Duration::from_secs(120),
-            meeting: Duration::from_secs(600),
-        }
-    }
-
     /// Duration of a macrostep.
     pub fn macrostep(&self) -> Duration {
         self.period * u32::from(self.steps)
@@ -101,16 +83,8 @@ pub struct EcpEvent {
 pub struct Status {
     /// Phase of the effector in the last report; `Off` before any report.
     pub phase: Phase,
-    /// Whether every axis is homed.
-    pub homed: bool,
     /// Index of the current instruction, if any.
     pub instruction: Option<usize>,
-    /// Number of instructions that wait behind the current instruction.
-    pub waiting: usize,
-    /// Number of the last macrostep sent.
-    pub sent: u64,
-    /// Number of the last macrostep reported.
-    pub executed: u64,
 }
 
 /// A task was passed to an ECP that still executes another task.
@@ -217,11 +191,7 @@ impl Ecp {
         let busy = !matches!(self.activity, Activity::Idle) || !self.task.is_empty();
         Status {
             phase: self.phase(),
-            homed: self.homed(),
             instruction: busy.then_some(self.instruction),
-            waiting: self.task.len(),
-            sent: self.sent,
-            executed: self.executed,
         }
     }
 
@@ -244,11 +214,6 @@ impl Ecp {
     /// Whether the process has left a meeting and has sent all its pending orders.
     fn has_left(&self, meeting: u8) -> bool {
         self.meeting() != Some(meeting) && self.outbox.is_empty()
-    }
-
-    /// The effector's image, as generators see it.
-    pub fn image(&self) -> Result<EffectorImage, GeneratorError> {
-        self.effector.effector()
     }
 
     /// Commanded motor positions in the last report, rad; `None` before any report.
@@ -287,10 +252,6 @@ impl Ecp {
 
     fn homed(&self) -> bool {
         self.report.is_some_and(|report| report.homed)
-    }
-
-    fn fault(&self) -> EcpError {
-        self.cause_of(EcpError::Faulted)
     }
 
     /// The fault that began a stop, or `consequence` if there is none. The cause is reported rather than its
@@ -350,7 +311,7 @@ impl Ecp {
         let order = match instruction {
             Instruction::ResetFault if phase != Phase::Faulted => return Some(Ok(())),
             Instruction::ResetFault => Order::ResetFault,
-            _ if phase == Phase::Faulted => return Some(Err(self.fault())),
+            _ if phase == Phase::Faulted => return Some(Err(self.cause_of(EcpError::Faulted))),
             Instruction::Disable => Order::Disable,
             Instruction::Enable => Order::Enable,
             _ if phase != Phase::Standing => return Some(Err(EcpError::NotStanding { phase })),
@@ -412,7 +373,7 @@ impl Ecp {
         );
         if phase == Phase::Faulted && !clearing {
             self.clear_outbox();
-            return Some(Err(self.fault()));
+            return Some(Err(self.cause_of(EcpError::Faulted)));
         }
         match self.activity {
             Activity::Idle => None,
@@ -501,8 +462,7 @@ impl Ecp {
     /// Ends an instruction that the servo has ended, as soon as the effector stands.
     fn break_off(&mut self, now: Instant) {
         let phase = self.phase();
-        let fault = self.report.and_then(|report| report.fault);
-        let outcome = Err(fault.map_or(EcpError::BrokenOff { phase }, EcpError::Servo));
+        let outcome = Err(self.cause_of(EcpError::BrokenOff { phase }));
         self.clear_outbox();
         self.activity = Activity::Stopping {
             since: Some(now),

@@ -1,8 +1,9 @@
-//! The subcontrollers C1 to Cn of one cell, polled in a fixed order.
+//! The subcontrollers C1 to Cn of one cell, polled in a fixed order, and the meetings between them.
 
 use can::Instant;
+use servo::Gates;
 
-use super::{Ecp, EcpEvent, Meetings, Status};
+use super::{Ecp, EcpEvent, Status};
 
 /// The effector control processes of one cell, one per robot, and the meetings between them.
 pub struct Subcontrollers {
@@ -33,5 +34,64 @@ impl Subcontrollers {
     /// Status of each process, robot by robot.
     pub fn statuses(&self) -> impl Iterator<Item = Status> {
         self.ecps.iter().map(Ecp::status)
+    }
+}
+
+/// The meetings of a cell's effector control processes. Each meeting is held once, when all its partners have come.
+///
+/// All partners continue in the same servo cycle. When all have come, they are admitted. The next orders of each
+/// partner are queued at its servo behind a gate. When all partners have sent these orders, the gate opens for all at
+/// once. The calling thread may lose the processor in between without effect on the result.
+#[derive(Debug)]
+pub struct Meetings {
+    meetings: Vec<Meeting>,
+    gates: Gates,
+}
+
+#[derive(Debug)]
+struct Meeting {
+    /// Indices of the partners' processes.
+    partners: Vec<usize>,
+    progress: Progress,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Progress {
+    Gathering,
+    Admitted,
+    Held,
+}
+
+impl Meetings {
+    /// Meetings of partners, at most [`Gates::COUNT`]. Partners are given by the indices of their processes.
+    pub fn new(partners: impl IntoIterator<Item = Vec<usize>>, gates: Gates) -> Self {
+        let meeting = |partners| Meeting {
+            partners,
+            progress: Progress::Gathering,
+        };
+        Self {
+            meetings: partners.into_iter().map(meeting).collect(),
+            gates,
+        }
+    }
+
+    /// Holds the meetings whose partners have all come. The processes were polled until they returned no more events.
+    pub(super) fn poll(&mut self, ecps: &mut [Ecp]) {
+        for (meeting, number) in self.meetings.iter_mut().zip(0..) {
+            let mut partners = meeting.partners.iter();
+            match meeting.progress {
+                Progress::Gathering if partners.all(|&at| ecps[at].meeting() == Some(number)) => {
+                    for &at in &meeting.partners {
+                        ecps[at].admit();
+                    }
+                    meeting.progress = Progress::Admitted;
+                }
+                Progress::Admitted if partners.all(|&at| ecps[at].has_left(number)) => {
+                    self.gates.open(number);
+                    meeting.progress = Progress::Held;
+                }
+                Progress::Gathering | Progress::Admitted | Progress::Held => {}
+            }
+        }
     }
 }

@@ -12,7 +12,8 @@ use servo::{Gates, MAX_AXES, ServoFault, StopCause};
 
 use super::*;
 use crate::generator::{
-    Axes, Generator, JerkLimited, MotionLimits, Newsmooth, Next, Pose, SmoothPose, Wait,
+    EffectorImage, Generator, GeneratorError, ImageSource, JerkLimited, MotionLimits, Newsmooth,
+    Next, Pose, SmoothPose, Wait,
 };
 use crate::robot::{
     Arm, Jacobian, Joints, KinematicsError, Limits, Links, Motors, Robot, Solutions, Space,
@@ -20,8 +21,14 @@ use crate::robot::{
 
 const PERIOD: Duration = Duration::from_millis(2);
 const CONFIG: EcpConfig = EcpConfig {
+    period: PERIOD,
+    steps: 10,
+    report_at: 8,
+    lead: 4,
+    silence: Duration::from_millis(500),
+    switching: Duration::from_secs(5),
     homing: Duration::from_secs(10),
-    ..EcpConfig::usual()
+    meeting: Duration::from_secs(600),
 };
 
 /// Three linear joints along x, y and z with motors geared 100:1. The second joint is driven by a bent lever.
@@ -440,8 +447,7 @@ fn nothing_is_sent_further_ahead_than_the_lead() {
         .unwrap();
     let mut most = 0;
     let events = bench.go_on(|bench| {
-        let Status { sent, executed, .. } = bench.ecp.status();
-        most = most.max(sent - executed);
+        most = most.max(bench.ecp.sent - bench.ecp.executed);
     });
     assert_eq!(events, finished(1));
     assert_eq!(most, 4);
@@ -456,8 +462,7 @@ fn a_generator_that_reads_the_effector_gets_one_macrostep_per_report_and_stops_o
         .unwrap();
     let mut most = 0;
     let events = bench.go_on(|bench| {
-        let Status { sent, executed, .. } = bench.ecp.status();
-        most = most.max(sent - executed);
+        most = most.max(bench.ecp.sent - bench.ecp.executed);
     });
     assert_eq!(events, finished(1));
     assert_eq!(most, 1);
@@ -466,7 +471,14 @@ fn a_generator_that_reads_the_effector_gets_one_macrostep_per_report_and_stops_o
         Some(&Order::Stop),
         "it ended in motion, so it was braked"
     );
-    let measured = bench.ecp.image().unwrap().measured.joints.position[0];
+    let measured = bench
+        .ecp
+        .effector
+        .effector()
+        .unwrap()
+        .measured
+        .joints
+        .position[0];
     assert!((0.1..0.13).contains(&measured), "{measured}");
 }
 

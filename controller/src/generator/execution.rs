@@ -52,6 +52,9 @@ impl<G: Generator> Execution for Run<G> {
         macrostep: Duration,
     ) -> Result<Step, GeneratorError> {
         let images = G::First::fetch(source)?;
+        if macrostep.is_zero() {
+            return Err(GeneratorError::NoMacrostep);
+        }
         let next = self.generator.first_step(&images, macrostep)?;
         self.memory = Some(next.memory);
         Ok(Step::Continue(next.effector))

@@ -36,16 +36,10 @@ impl JerkLimited {
         limits: MotionLimits,
         poses: &[Axes],
     ) -> Result<Self, GeneratorError> {
-        if axes == 0 || axes > MAX_AXES {
-            return Err(GeneratorError::Axes {
-                axes,
-                max: MAX_AXES,
-            });
-        }
+        limits.check(axes)?;
         let Some((&target, on_the_way)) = poses.split_last() else {
             return Err(GeneratorError::NoPoses);
         };
-        limits.check(axes)?;
         for (pose, position) in poses.iter().enumerate() {
             if let Some(axis) = position[..axes].iter().position(|p| !p.is_finite()) {
                 return Err(GeneratorError::NotFinite {
@@ -89,11 +83,6 @@ impl JerkLimited {
             ..self
         }
     }
-
-    /// Number of macrosteps of the planned motion; 0 before its first step.
-    pub const fn macrosteps(&self) -> u32 {
-        self.plan.macrosteps
-    }
 }
 
 fn masked(position: &Axes, axes: usize) -> Axes {
@@ -113,9 +102,6 @@ impl Generator for JerkLimited {
         e: &EffectorImage,
         macrostep: Duration,
     ) -> Result<Next<u32>, GeneratorError> {
-        if macrostep.is_zero() {
-            return Err(GeneratorError::NoMacrostep);
-        }
         let from = self.space.commanded(e);
         for axis in 0..self.axes {
             self.plan.input.current_position[axis] = from.position[axis];
@@ -138,9 +124,10 @@ impl Generator for JerkLimited {
             ));
         }
         let (position, velocity) = self.plan.at(done);
-        let mut state = AxesState::default();
-        state.position[..self.axes].copy_from_slice(&position[..self.axes]);
-        state.velocity[..self.axes].copy_from_slice(&velocity[..self.axes]);
+        let state = AxesState {
+            position: masked(&position, self.axes),
+            velocity: masked(&velocity, self.axes),
+        };
         Ok(Next::command(self.space.setpoint(state), done))
     }
 }

@@ -7,7 +7,7 @@ use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use super::plan::Plan;
 use super::{
     Axes, AxesState, EffectorImage, EffectorState, Generator, GeneratorError, MotionLimits, Next,
-    Pose, Setpoint,
+    Pose, Setpoint, is_limit,
 };
 use crate::robot::Arm;
 
@@ -163,32 +163,20 @@ impl StraightLine {
         joint_limits: MotionLimits,
     ) -> Result<Self, GeneratorError> {
         joint_limits.check(arm.axes())?;
-        let LineLimits {
-            max_velocity,
-            max_acceleration,
-            max_jerk,
-            max_angular_velocity,
-            max_angular_acceleration,
-            max_angular_jerk,
-        } = limits;
-        for limit in [
-            max_velocity,
-            max_acceleration,
-            max_jerk,
-            max_angular_velocity,
-            max_angular_acceleration,
-            max_angular_jerk,
-        ] {
-            if !(limit.is_finite() && limit > 0.0) {
-                return Err(GeneratorError::PathLimit);
-            }
+        let rates = [
+            limits.max_velocity,
+            limits.max_acceleration,
+            limits.max_jerk,
+            limits.max_angular_velocity,
+            limits.max_angular_acceleration,
+            limits.max_angular_jerk,
+        ];
+        if !rates.into_iter().all(is_limit) {
+            return Err(GeneratorError::PathLimit);
         }
-        let coordinates = target
-            .translation
-            .vector
-            .iter()
-            .chain(target.rotation.coords.iter());
-        if let Some(axis) = coordinates.into_iter().position(|c| !c.is_finite()) {
+        let position = target.translation.vector.iter();
+        let mut coordinates = position.chain(target.rotation.coords.iter());
+        if let Some(axis) = coordinates.position(|c| !c.is_finite()) {
             return Err(GeneratorError::NotFinite {
                 pose: 0,
                 axis: axis as u8,
@@ -214,11 +202,6 @@ impl StraightLine {
             start: Some(start),
             ..self
         }
-    }
-
-    /// Number of macrosteps of the planned line; 0 before its first step.
-    pub const fn macrosteps(&self) -> u32 {
-        self.plan.macrosteps
     }
 
     /// Sets the path, from the planned start if the arm stands there. Returns the joint positions at the start of the
@@ -345,9 +328,6 @@ impl Generator for StraightLine {
         e: &EffectorImage,
         macrostep: Duration,
     ) -> Result<Next<LineMemory>, GeneratorError> {
-        if macrostep.is_zero() {
-            return Err(GeneratorError::NoMacrostep);
-        }
         let memory = LineMemory {
             done: 0,
             joints: self.lay(e)?,

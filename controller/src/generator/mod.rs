@@ -91,6 +91,8 @@ mod wait;
 
 use std::time::Duration;
 
+use servo::MAX_AXES;
+
 pub use crate::robot::{Axes, Pose};
 pub use error::GeneratorError;
 pub(crate) use execution::Run;
@@ -121,29 +123,33 @@ impl MotionLimits {
     /// The same limits for every axis.
     pub const fn uniform(max_velocity: f64, max_acceleration: f64, max_jerk: f64) -> Self {
         Self {
-            max_velocity: [max_velocity; servo::MAX_AXES],
-            max_acceleration: [max_acceleration; servo::MAX_AXES],
-            max_jerk: [max_jerk; servo::MAX_AXES],
+            max_velocity: [max_velocity; MAX_AXES],
+            max_acceleration: [max_acceleration; MAX_AXES],
+            max_jerk: [max_jerk; MAX_AXES],
         }
     }
 
-    /// Refuses limits that are not positive and finite for one of the first `axes` axes.
+    /// Refuses an impossible number of axes, and limits that are not positive and finite for one of these axes.
     fn check(&self, axes: usize) -> Result<(), GeneratorError> {
-        let positive = |v: f64| v.is_finite() && v > 0.0;
+        if axes == 0 || axes > MAX_AXES {
+            return Err(GeneratorError::Axes {
+                axes,
+                max: MAX_AXES,
+            });
+        }
         for axis in 0..axes {
-            if ![
-                self.max_velocity[axis],
-                self.max_acceleration[axis],
-                self.max_jerk[axis],
-            ]
-            .iter()
-            .all(|&v| positive(v))
-            {
+            let limits = [self.max_velocity, self.max_acceleration, self.max_jerk];
+            if !limits.iter().all(|limits| is_limit(limits[axis])) {
                 return Err(GeneratorError::Limit { axis: axis as u8 });
             }
         }
         Ok(())
     }
+}
+
+/// Whether a limit is positive and finite.
+fn is_limit(value: f64) -> bool {
+    value.is_finite() && value > 0.0
 }
 
 /// The functions (5) to (8) and the terminal condition of one motion instruction.
@@ -159,8 +165,8 @@ pub trait Generator {
     /// Type of the generator's own memory, `c`.
     type Memory: Copy;
 
-    /// Plans the motion and returns the first outputs and memory. The effector stands. Only this function may take
-    /// longer than a macrostep.
+    /// Plans the motion and returns the first outputs and memory. The effector stands. The macrostep is not zero. Only
+    /// this function may take longer than a macrostep.
     fn first_step(
         &mut self,
         images: &Self::First,
@@ -176,11 +182,6 @@ pub trait Generator {
         memory: &Self::Memory,
         images: &Self::Every,
     ) -> Result<Next<Self::Memory>, GeneratorError>;
-}
-
-/// The class of a generator, *q* = `e` + 2 `V` + 4 `a0`, 0 to 7.
-pub const fn class<G: Generator>() -> u8 {
-    G::First::CLASS | G::Every::CLASS
 }
 
 /// Result of one step, committed as a whole.

@@ -99,16 +99,10 @@ impl Newsmooth {
         limits: MotionLimits,
         poses: Vec<SmoothPose>,
     ) -> Result<Self, GeneratorError> {
-        if axes == 0 || axes > MAX_AXES {
-            return Err(GeneratorError::Axes {
-                axes,
-                max: MAX_AXES,
-            });
-        }
+        limits.check(axes)?;
         if poses.is_empty() {
             return Err(GeneratorError::NoPoses);
         }
-        limits.check(axes)?;
         for (index, pose) in poses.iter().enumerate() {
             for axis in 0..axes {
                 if !pose.position[axis].is_finite() {
@@ -137,14 +131,6 @@ impl Newsmooth {
             macrostep: 0.0,
             segments,
         })
-    }
-
-    /// Number of macrosteps of the planned motion; 0 before its first step.
-    pub fn macrosteps(&self) -> u64 {
-        self.segments
-            .iter()
-            .map(|segment| u64::from(segment.macrosteps))
-            .sum()
     }
 
     /// Signed distance of one axis in the segment to pose `index`; zero beyond the last pose.
@@ -278,9 +264,6 @@ impl Generator for Newsmooth {
         e: &EffectorImage,
         macrostep: Duration,
     ) -> Result<Next<Progress>, GeneratorError> {
-        if macrostep.is_zero() {
-            return Err(GeneratorError::NoMacrostep);
-        }
         self.macrostep = macrostep.as_secs_f64();
         self.plan(&self.space.commanded(e).position)?;
         Ok(Next::remember(Progress::default()))
@@ -306,7 +289,7 @@ impl Generator for Newsmooth {
             } else {
                 from + direction * distance
             };
-            state.velocity[axis] = direction * if last { profile.end_velocity() } else { speed };
+            state.velocity[axis] = direction * if last { profile.end_velocity } else { speed };
         }
         let progress = if last {
             Progress {

@@ -11,7 +11,7 @@ pub(super) struct Trapezoid {
     distance: f64,
     start_velocity: f64,
     cruise: f64,
-    end_velocity: f64,
+    pub(super) end_velocity: f64,
     /// Durations of the three phases, s.
     first: f64,
     middle: f64,
@@ -136,10 +136,5 @@ impl Trapezoid {
             let ramp = self.first * (self.start_velocity + self.cruise) / 2.0;
             (ramp + self.cruise * (t - self.first), self.cruise)
         }
-    }
-
-    /// Velocity at the segment's end.
-    pub(super) const fn end_velocity(&self) -> f64 {
-        self.end_velocity
     }
 }

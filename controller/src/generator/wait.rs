@@ -19,9 +19,6 @@ impl Generator for Wait {
     type Memory = u64;
 
     fn first_step(&mut self, _: &(), macrostep: Duration) -> Result<Next<u64>, GeneratorError> {
-        if macrostep.is_zero() {
-            return Err(GeneratorError::NoMacrostep);
-        }
         let steps = self.duration.as_nanos().div_ceil(macrostep.as_nanos());
         Ok(Next::remember(u64::try_from(steps).unwrap_or(u64::MAX)))
     }

@@ -66,13 +66,17 @@ pub(super) struct Facing {
 /// Distance of the flange origin from the column axis, m. Fails on the column axis, where th1 is undetermined.
 pub(super) fn radius(origin: &Vector3<f64>) -> Result<f64, KinematicsError> {
     let radius = (origin.x * origin.x + origin.y * origin.y).sqrt();
-    if radius < PARALLEL {
-        return Err(KinematicsError::Singular {
-            axis: COLUMN as u8,
-            margin: radius,
-        });
-    }
+    regular(COLUMN, radius, PARALLEL)?;
     Ok(radius)
+}
+
+/// Refuses a pose that is less than `least` from a pose that leaves `axis` undetermined.
+pub(super) fn regular(axis: usize, margin: f64, least: f64) -> Result<(), KinematicsError> {
+    if margin < least {
+        let axis = axis as u8;
+        return Err(KinematicsError::Singular { axis, margin });
+    }
+    Ok(())
 }
 
 /// A pose given by the axes of its frame as columns.
@@ -170,7 +174,7 @@ impl ArmParameters {
         set_wrist: impl Fn(&Search<'_, N>, &mut [f64; N], &Matrix3<f64>),
     ) {
         let (s4, c4) = at.pitch;
-        let mut joints = *search.near();
+        let mut joints = *search.near;
         search.turn(&mut joints, PITCH, [s4.atan2(c4)]);
         if !search.follows(&joints, PITCH) {
             return;

@@ -1,20 +1,18 @@
 //! Devices of one axis: gripper and conveyor.
 
-use std::sync::Arc;
+use std::{fmt, sync::Arc};
 
 use nalgebra::Isometry3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::drive_train::check;
 use super::parameters::{finite as finite_parameter, room};
 use super::room::room as room_at_home;
 use super::{
     Jacobian, Joints, KinematicsError, Limits, Motors, ParameterError, Robot, RobotParameters,
-    Solutions, Space, Vector,
+    Solutions, Space,
 };
-
-/// The only axis of the devices here.
-const AXIS: u8 = 0;
 
 /// Tolerance for rounding errors in the distance of a pose from the path of such a device, m and rad.
 const OFF_AXIS: f64 = 1e-9;
@@ -50,26 +48,19 @@ impl GripperParameters {
             linear: 1.451_910_074e-5,
             constant: 0.074,
             motor_at_home: 4830.0,
-            motor_limits: Limits {
-                low: -2000.0,
-                high: 5000.0,
-            },
-            opening_limits: Limits {
-                low: 0.053,
-                high: 0.091,
-            },
+            motor_limits: Limits::new(-2000.0, 5000.0),
+            opening_limits: Limits::new(0.053, 0.091),
         }
     }
 
-    /// Opening of the jaws, m, at a motor position, rad. No limit is checked, so that measured positions can be
-    /// converted.
-    pub fn opening(&self, motor: f64) -> Result<f64, KinematicsError> {
+    /// Opening of the jaws, m, at a motor position, rad. No limit is checked.
+    fn opening(&self, motor: f64) -> Result<f64, KinematicsError> {
         finite((self.square * motor + self.linear) * motor + self.constant)
     }
 
     /// Motor position, rad, for an opening of the jaws, m, both within their limits. Of the two positions with this
     /// opening the one nearer to `near` is returned.
-    pub fn motor(&self, opening: f64, near: f64) -> Result<f64, KinematicsError> {
+    fn motor(&self, opening: f64, near: f64) -> Result<f64, KinematicsError> {
         within(&self.opening_limits, opening, Space::Joint)?;
         finite(near)?;
         let excess = opening - self.constant;
@@ -106,21 +97,8 @@ impl ConveyorParameters {
         Self {
             ratio: 2250.0,
             motor_at_home: 0.0,
-            motor_limits: Limits {
-                low: -3.35e6,
-                high: 3.35e6,
-            },
+            motor_limits: Limits::new(-3.35e6, 3.35e6),
         }
-    }
-
-    /// Position of the belt, m, at a motor position, rad.
-    pub fn belt_position(&self, motor: f64) -> Result<f64, KinematicsError> {
-        finite(motor / self.ratio)
-    }
-
-    /// Motor position, rad, for a position of the belt, m.
-    pub fn motor(&self, belt: f64) -> Result<f64, KinematicsError> {
-        finite(belt * self.ratio)
     }
 }
 
@@ -132,9 +110,9 @@ impl ConveyorParameters {
 /// the range of that side.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Gripper {
+    /// The parameters, with the range of the motor on the side of its home.
     parameters: GripperParameters,
     openings: Limits,
-    motors: Limits,
 }
 
 impl Gripper {
@@ -165,12 +143,8 @@ impl Gripper {
             motors.low = motors.low.max(vertex);
         }
         room(name, motors)?;
-        let ends =
-            [motors.low, motors.high].map(|motor| (square * motor + linear) * motor + constant);
-        let openings = Limits {
-            low: opening_limits.low.max(ends[0].min(ends[1])),
-            high: opening_limits.high.min(ends[0].max(ends[1])),
-        };
+        let openings =
+            opening_limits.within(motors.map(|motor| (square * motor + linear) * motor + constant));
         room(name, openings)?;
         Ok(Self {
             parameters: GripperParameters {
@@ -178,7 +152,6 @@ impl Gripper {
                 ..*parameters
             },
             openings,
-            motors,
         })
     }
 }
@@ -205,73 +178,82 @@ impl Conveyor {
     }
 }
 
-impl Robot for Gripper {
-    fn axes(&self) -> usize {
-        1
+/// A device whose flange moves along x by the position of its joint.
+trait AxisMap: fmt::Debug + Send + Sync {
+    fn joint_limits(&self) -> &Limits;
+    fn motor_limits(&self) -> &Limits;
+    /// Motor position at home, rad.
+    fn motor_at_home(&self) -> f64;
+    /// Motor position, rad, for a position of the joint, m. Both are checked against their limits.
+    fn motor(&self, joint: f64) -> Result<f64, KinematicsError>;
+    /// Position of the joint, m, at a motor position, rad. No limit is checked.
+    fn joint(&self, motor: f64) -> Result<f64, KinematicsError>;
+}
+
+impl AxisMap for Gripper {
+    fn joint_limits(&self) -> &Limits {
+        &self.openings
     }
 
-    fn joint_limits(&self) -> &[Limits] {
-        std::slice::from_ref(&self.openings)
+    fn motor_limits(&self) -> &Limits {
+        &self.parameters.motor_limits
     }
 
-    fn motor_limits(&self) -> &[Limits] {
-        std::slice::from_ref(&self.motors)
+    fn motor_at_home(&self) -> f64 {
+        self.parameters.motor_at_home
     }
 
-    fn home(&self) -> Motors {
-        one(self.parameters.motor_at_home)
-    }
-
-    fn forward(&self, joints: &Joints) -> Result<Isometry3<f64>, KinematicsError> {
-        along_x(joints)
-    }
-
-    fn inverse(
-        &self,
-        base_from_flange: &Isometry3<f64>,
-        near: &Joints,
-    ) -> Result<Solutions, KinematicsError> {
-        from_x(self, base_from_flange, near)
-    }
-
-    fn motors_from_joints(&self, joints: &Joints) -> Result<Motors, KinematicsError> {
-        let [opening] = *joints.exactly::<1>()?;
+    fn motor(&self, opening: f64) -> Result<f64, KinematicsError> {
         within(&self.openings, opening, Space::Joint)?;
-        let motor = self
-            .parameters
-            .motor(opening, self.parameters.motor_at_home)?;
-        Ok(one(motor))
+        self.parameters
+            .motor(opening, self.parameters.motor_at_home)
     }
 
-    fn joints_from_motors(&self, motors: &Motors) -> Result<Joints, KinematicsError> {
-        let [motor] = *motors.exactly::<1>()?;
-        Ok(one(self.parameters.opening(motor)?))
-    }
-
-    fn jacobian(&self, joints: &Joints) -> Result<Jacobian, KinematicsError> {
-        unit_x(joints)
+    fn joint(&self, motor: f64) -> Result<f64, KinematicsError> {
+        self.parameters.opening(motor)
     }
 }
 
-impl Robot for Conveyor {
-    fn axes(&self) -> usize {
-        1
+impl AxisMap for Conveyor {
+    fn joint_limits(&self) -> &Limits {
+        &Limits::CONTINUOUS
     }
 
+    fn motor_limits(&self) -> &Limits {
+        &self.parameters.motor_limits
+    }
+
+    fn motor_at_home(&self) -> f64 {
+        self.parameters.motor_at_home
+    }
+
+    fn motor(&self, belt: f64) -> Result<f64, KinematicsError> {
+        let motor = belt * self.parameters.ratio;
+        within(&self.parameters.motor_limits, motor, Space::Motor)?;
+        Ok(motor)
+    }
+
+    fn joint(&self, motor: f64) -> Result<f64, KinematicsError> {
+        finite(motor / self.parameters.ratio)
+    }
+}
+
+impl<Device: AxisMap> Robot for Device {
     fn joint_limits(&self) -> &[Limits] {
-        &[Limits::CONTINUOUS]
+        std::slice::from_ref(AxisMap::joint_limits(self))
     }
 
     fn motor_limits(&self) -> &[Limits] {
-        std::slice::from_ref(&self.parameters.motor_limits)
+        std::slice::from_ref(AxisMap::motor_limits(self))
     }
 
     fn home(&self) -> Motors {
-        one(self.parameters.motor_at_home)
+        Motors::from([self.motor_at_home()])
     }
 
     fn forward(&self, joints: &Joints) -> Result<Isometry3<f64>, KinematicsError> {
-        along_x(joints)
+        let [x] = *joints.exactly::<1>()?;
+        Ok(Isometry3::translation(x, 0.0, 0.0))
     }
 
     fn inverse(
@@ -279,58 +261,34 @@ impl Robot for Conveyor {
         base_from_flange: &Isometry3<f64>,
         near: &Joints,
     ) -> Result<Solutions, KinematicsError> {
-        from_x(self, base_from_flange, near)
+        near.exactly::<1>()?;
+        let at = base_from_flange.translation.vector;
+        let x = finite(at.x)?;
+        let distance = finite(at.y.hypot(at.z))?;
+        let angle = finite(base_from_flange.rotation.angle())?;
+        if distance > OFF_AXIS || angle > OFF_AXIS {
+            return Err(KinematicsError::OffAxis { distance, angle });
+        }
+        self.motor(x)?;
+        Ok(Joints::from([x]).into())
     }
 
     fn motors_from_joints(&self, joints: &Joints) -> Result<Motors, KinematicsError> {
-        let [belt] = *joints.exactly::<1>()?;
-        let motor = self.parameters.motor(belt)?;
-        within(&self.parameters.motor_limits, motor, Space::Motor)?;
-        Ok(one(motor))
+        let [joint] = *joints.exactly::<1>()?;
+        Ok([self.motor(joint)?].into())
     }
 
     fn joints_from_motors(&self, motors: &Motors) -> Result<Joints, KinematicsError> {
         let [motor] = *motors.exactly::<1>()?;
-        Ok(one(self.parameters.belt_position(motor)?))
+        Ok([self.joint(motor)?].into())
     }
 
     fn jacobian(&self, joints: &Joints) -> Result<Jacobian, KinematicsError> {
-        unit_x(joints)
+        joints.exactly::<1>()?;
+        let mut jacobian = Jacobian::zeros();
+        jacobian[(0, 0)] = 1.0;
+        Ok(jacobian)
     }
-}
-
-fn one<Of>(value: f64) -> Vector<Of> {
-    Vector::new(&[value]).expect("one axis is few enough")
-}
-
-fn along_x(joints: &Joints) -> Result<Isometry3<f64>, KinematicsError> {
-    let [x] = *joints.exactly::<1>()?;
-    Ok(Isometry3::translation(x, 0.0, 0.0))
-}
-
-fn from_x(
-    robot: &impl Robot,
-    base_from_flange: &Isometry3<f64>,
-    near: &Joints,
-) -> Result<Solutions, KinematicsError> {
-    near.exactly::<1>()?;
-    let at = base_from_flange.translation.vector;
-    let x = finite(at.x)?;
-    let distance = finite(at.y.hypot(at.z))?;
-    let angle = finite(base_from_flange.rotation.angle())?;
-    if distance > OFF_AXIS || angle > OFF_AXIS {
-        return Err(KinematicsError::OffAxis { distance, angle });
-    }
-    let joints = one(x);
-    robot.motors_from_joints(&joints)?;
-    Ok(joints.into())
-}
-
-fn unit_x(joints: &Joints) -> Result<Jacobian, KinematicsError> {
-    joints.exactly::<1>()?;
-    let mut jacobian = Jacobian::zeros();
-    jacobian[(0, 0)] = 1.0;
-    Ok(jacobian)
 }
 
 fn finite(value: f64) -> Result<f64, KinematicsError> {
@@ -342,15 +300,7 @@ fn finite(value: f64) -> Result<f64, KinematicsError> {
 }
 
 fn within(limits: &Limits, value: f64, space: Space) -> Result<(), KinematicsError> {
-    match limits.exceeded_by(finite(value)?) {
-        Some(limit) => Err(KinematicsError::BeyondLimit {
-            space,
-            axis: AXIS,
-            value,
-            limit,
-        }),
-        None => Ok(()),
-    }
+    check(limits, finite(value)?, 0, space)
 }
 
 impl RobotParameters for GripperParameters {
@@ -362,12 +312,10 @@ impl RobotParameters for GripperParameters {
 
     fn with_room_at_home(mut self, motors: &[f64]) -> Self {
         let motor = room_at_home(motors, 0);
-        if let Ok(home) = self.opening(self.motor_at_home) {
-            let ends = [-motor, motor].map(|by| self.opening(self.motor_at_home + by));
-            let ways = ends.into_iter().flatten().map(|end| (end - home).abs());
-            let opening = ways.fold(0.0, f64::max);
-            self.opening_limits = self.opening_limits.with_room(home, opening);
-        }
+        let opening = |motor| self.opening(motor).ok();
+        self.opening_limits =
+            self.opening_limits
+                .with_room_through(opening, self.motor_at_home, motor);
         self.motor_limits = self.motor_limits.with_room(self.motor_at_home, motor);
         self
     }
@@ -434,9 +382,9 @@ mod tests {
 
     #[test]
     fn belt_moves_a_metre_in_2250_rad() {
-        let belt = ConveyorParameters::belt();
+        let belt = Conveyor::new(&ConveyorParameters::belt()).unwrap();
         assert!((belt.motor(0.4).unwrap() - 900.0).abs() < 1e-9);
-        assert!((belt.belt_position(900.0).unwrap() - 0.4).abs() < 1e-12);
+        assert!((belt.joint(900.0).unwrap() - 0.4).abs() < 1e-12);
         assert_eq!(belt.motor(f64::NAN), Err(KinematicsError::NotFinite));
     }
 
@@ -449,20 +397,24 @@ mod tests {
         let pose = gripper.forward(&home).unwrap();
         assert_eq!(*gripper.inverse(&pose, &home).unwrap().preferred(), home);
         // Only motor positions on the other side of the vertex have this opening.
-        let narrow = gripper.motors_from_joints(&one(0.06)).unwrap_err();
+        let narrow = gripper
+            .motors_from_joints(&Joints::from([0.06]))
+            .unwrap_err();
         assert_eq!(narrow.axis(), Some(0));
         let mut other = GripperParameters::two_finger();
         other.motor_at_home = 0.0;
-        let motors = Gripper::new(&other).unwrap().motors_from_joints(&one(0.06));
+        let motors = Gripper::new(&other)
+            .unwrap()
+            .motors_from_joints(&Joints::from([0.06]));
         assert!(motors.unwrap()[0] < 0.0);
     }
 
     #[test]
     fn a_pose_off_the_way_of_the_belt_is_refused() {
         let belt = Conveyor::new(&ConveyorParameters::belt()).unwrap();
-        let near = one(0.0);
+        let near = Joints::from([0.0]);
         let there = belt.inverse(&Isometry3::translation(12.5, 0.0, 0.0), &near);
-        assert_eq!(*there.unwrap().preferred(), one(12.5));
+        assert_eq!(*there.unwrap().preferred(), Joints::from([12.5]));
         let turned = Isometry3::rotation(nalgebra::Vector3::z() * 0.1);
         for (pose, off) in [
             (Isometry3::translation(0.5, 0.3, 0.4), (0.5, 0.0)),
@@ -476,6 +428,6 @@ mod tests {
         }
         let far = Isometry3::translation(1490.0, 0.0, 0.0);
         assert_eq!(belt.inverse(&far, &near).unwrap_err().axis(), Some(0));
-        assert!(belt.motors_from_joints(&one(f64::NAN)).is_err());
+        assert!(belt.motors_from_joints(&Joints::from([f64::NAN])).is_err());
     }
 }

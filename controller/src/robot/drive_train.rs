@@ -5,7 +5,7 @@ use std::f64::consts::{PI, TAU};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{KinematicsError, Limits, Space};
+use super::{Joints, KinematicsError, Limits, Motors, Space};
 
 /// An axis behind a gear of constant ratio.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -137,11 +137,7 @@ impl TrainAxis {
         };
         let joint =
             |motor| (motor - gear.motor_at_home - carried) / gear.ratio + gear.joint_at_home;
-        let (a, b) = (joint(gear.motor_limits.low), joint(gear.motor_limits.high));
-        Limits {
-            low: gear.joint_limits.low.max(a.min(b)),
-            high: gear.joint_limits.high.min(a.max(b)),
-        }
+        gear.joint_limits.within(gear.motor_limits.map(joint))
     }
 
     /// Motor angle from home for this joint position, without the motion of carrying axes, rad.
@@ -169,8 +165,8 @@ impl TrainAxis {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct DriveTrain<const N: usize> {
     axes: [TrainAxis; N],
-    joint_limits: [Limits; N],
-    motor_limits: [Limits; N],
+    pub(super) joint_limits: [Limits; N],
+    pub(super) motor_limits: [Limits; N],
     /// Range of each joint within the limits of joint and motor, without the motion of carrying axes.
     ranges: [Limits; N],
 }
@@ -185,16 +181,8 @@ impl<const N: usize> DriveTrain<N> {
         }
     }
 
-    pub(super) fn joint_limits(&self) -> &[Limits; N] {
-        &self.joint_limits
-    }
-
-    pub(super) fn motor_limits(&self) -> &[Limits; N] {
-        &self.motor_limits
-    }
-
-    pub(super) fn home(&self) -> [f64; N] {
-        self.axes.map(|axis| axis.motor_at_home())
+    pub(super) fn home(&self) -> Motors {
+        self.axes.map(|axis| axis.motor_at_home()).into()
     }
 
     /// Refuses a joint position beyond its limit.
@@ -203,10 +191,7 @@ impl<const N: usize> DriveTrain<N> {
     }
 
     /// Motor positions for joints. Both are checked against their limits.
-    pub(super) fn motors_from_joints(
-        &self,
-        joints: &[f64; N],
-    ) -> Result<[f64; N], KinematicsError> {
+    pub(super) fn motors_from_joints(&self, joints: &[f64; N]) -> Result<Motors, KinematicsError> {
         for (axis, &joint) in joints.iter().enumerate() {
             self.check_joint(axis, joint)?;
         }
@@ -220,14 +205,11 @@ impl<const N: usize> DriveTrain<N> {
         for (axis, &motor) in motors.iter().enumerate() {
             check(&self.motor_limits[axis], motor, axis, Space::Motor)?;
         }
-        Ok(motors)
+        Ok(motors.into())
     }
 
     /// Joints for motor positions. Only positions that the mechanism cannot take are refused.
-    pub(super) fn joints_from_motors(
-        &self,
-        motors: &[f64; N],
-    ) -> Result<[f64; N], KinematicsError> {
+    pub(super) fn joints_from_motors(&self, motors: &[f64; N]) -> Result<Joints, KinematicsError> {
         let mut joints = [0.0; N];
         for (index, axis) in self.axes.iter().enumerate() {
             let carried = axis
@@ -244,7 +226,7 @@ impl<const N: usize> DriveTrain<N> {
                 }
             })?;
         }
-        Ok(joints)
+        Ok(joints.into())
     }
 
     /// `angle` plus the whole turns that bring a geared joint nearest to `near`. Turns within the limits of joint and

@@ -55,18 +55,13 @@ impl Ring {
     }
 
     /// The part of the ring on the same side of its centre as `point`.
-    pub(super) fn half(self, point: f64) -> Self {
+    pub(super) fn half(mut self, point: f64) -> Self {
         if point > self.centre {
-            Self {
-                low: self.low.max(self.centre),
-                ..self
-            }
+            self.low = self.low.max(self.centre);
         } else {
-            Self {
-                high: self.high.min(self.centre),
-                ..self
-            }
+            self.high = self.high.min(self.centre);
         }
+        self
     }
 
     /// The middle of the piece that contains `point`.

@@ -58,43 +58,33 @@ impl Irb6Parameters {
 /// limits.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Irb6 {
-    arm: ArmParameters,
-    tool_plane_tolerance: f64,
+    parameters: Irb6Parameters,
     drive_train: DriveTrain<AXES>,
 }
 
 impl Irb6 {
     /// A robot with these parameters. Fails if a parameter is invalid.
     pub fn new(parameters: &Irb6Parameters) -> Result<Self, ParameterError> {
-        let &Irb6Parameters {
-            arm,
-            tool_plane_tolerance,
-        } = parameters;
-        let drive_train = DriveTrain::new(arm.axes()?);
-        parameters::positive("tool_plane_tolerance", tool_plane_tolerance)?;
+        let drive_train = DriveTrain::new(parameters.arm.axes()?);
+        parameters::positive("tool_plane_tolerance", parameters.tool_plane_tolerance)?;
         Ok(Self {
-            arm,
-            tool_plane_tolerance,
+            parameters: *parameters,
             drive_train,
         })
     }
 }
 
 impl Robot for Irb6 {
-    fn axes(&self) -> usize {
-        AXES
-    }
-
     fn joint_limits(&self) -> &[Limits] {
-        self.drive_train.joint_limits()
+        &self.drive_train.joint_limits
     }
 
     fn motor_limits(&self) -> &[Limits] {
-        self.drive_train.motor_limits()
+        &self.drive_train.motor_limits
     }
 
     fn home(&self) -> Motors {
-        self.drive_train.home().into()
+        self.drive_train.home()
     }
 
     fn forward(&self, joints: &Joints) -> Result<Isometry3<f64>, KinematicsError> {
@@ -109,7 +99,7 @@ impl Robot for Irb6 {
             along.into_owned(),
         ];
         Ok(arm::pose(
-            self.arm.origin(&posture),
+            self.parameters.arm.origin(&posture),
             Matrix3::from_columns(&axes),
         ))
     }
@@ -124,7 +114,7 @@ impl Robot for Irb6 {
         let (normal, approach) = (axes.column(0), axes.column(2));
         let radius = arm::radius(&origin)?;
         let residual = (origin.x * approach.y - origin.y * approach.x) / radius;
-        if residual.abs() > self.tool_plane_tolerance {
+        if residual.abs() > self.parameters.tool_plane_tolerance {
             return Err(KinematicsError::ToolPlane { residual });
         }
         Search::run(&self.drive_train, near, |search| {
@@ -139,7 +129,8 @@ impl Robot for Irb6 {
                     reach: facing * radius,
                     height: origin.z,
                 };
-                self.arm.branches(search, &at, |search, joints, wrist| {
+                let arm = &self.parameters.arm;
+                arm.branches(search, &at, |search, joints, wrist| {
                     let roll = normal
                         .dot(&wrist.column(1))
                         .atan2(normal.dot(&wrist.column(0)));
@@ -150,35 +141,23 @@ impl Robot for Irb6 {
     }
 
     fn motors_from_joints(&self, joints: &Joints) -> Result<Motors, KinematicsError> {
-        self.drive_train
-            .motors_from_joints(joints.exactly()?)
-            .map(Motors::from)
+        self.drive_train.motors_from_joints(joints.exactly()?)
     }
 
     fn joints_from_motors(&self, motors: &Motors) -> Result<Joints, KinematicsError> {
-        self.drive_train
-            .joints_from_motors(motors.exactly()?)
-            .map(Joints::from)
+        self.drive_train.joints_from_motors(motors.exactly()?)
     }
 
     fn jacobian(&self, joints: &Joints) -> Result<Jacobian, KinematicsError> {
         let &[th1, th2, th3, th4, _] = joints.exactly()?;
-        Ok(self.arm.jacobian(&Posture::new(th1, th2, th3, th4)))
+        Ok(self
+            .parameters
+            .arm
+            .jacobian(&Posture::new(th1, th2, th3, th4)))
     }
     fn links(&self) -> Option<Links> {
-        Some(Links(self.arm.links(self.joint_limits())))
+        Some(Links(self.parameters.arm.links(self.joint_limits())))
     }
-}
-
-impl Mass {
-    /// Nominal masses of the links of [`Irb6`](Irb6) with a gripper along its roll axis.
-    pub const IRB6: [Self; 5] = [
-        Self::new(45.0, [0.0; 3]),
-        Self::new(12.0, [0.20, 0.0, 0.0]),
-        Self::new(14.0, [0.25, 0.0, 0.0]),
-        Self::new(4.0, [0.0475, 0.0, 0.0]),
-        Self::new(1.35, [0.0, 0.0, 0.15]),
-    ];
 }
 
 impl RobotParameters for Irb6Parameters {
@@ -195,7 +174,16 @@ impl RobotParameters for Irb6Parameters {
         }
     }
 
+    // With a gripper along the roll axis.
     fn masses(&self) -> &'static [Mass] {
-        &Mass::IRB6
+        const {
+            &[
+                Mass::new(45.0, [0.0; 3]),
+                Mass::new(12.0, [0.20, 0.0, 0.0]),
+                Mass::new(14.0, [0.25, 0.0, 0.0]),
+                Mass::new(4.0, [0.0475, 0.0, 0.0]),
+                Mass::new(1.35, [0.0, 0.0, 0.15]),
+            ]
+        }
     }
 }

@@ -42,14 +42,8 @@ impl Irp6Parameters {
                 ratio: 288.8845,
                 joint_at_home: 0.0,
                 motor_at_home: 791.0,
-                joint_limits: Limits {
-                    low: -2.88,
-                    high: 2.93,
-                },
-                motor_limits: Limits {
-                    low: -1000.0,
-                    high: 3000.0,
-                },
+                joint_limits: Limits::new(-2.88, 2.93),
+                motor_limits: Limits::new(-1000.0, 3000.0),
             },
         }
     }
@@ -113,20 +107,16 @@ impl Irp6 {
 }
 
 impl Robot for Irp6 {
-    fn axes(&self) -> usize {
-        AXES
-    }
-
     fn joint_limits(&self) -> &[Limits] {
-        self.drive_train.joint_limits()
+        &self.drive_train.joint_limits
     }
 
     fn motor_limits(&self) -> &[Limits] {
-        self.drive_train.motor_limits()
+        &self.drive_train.motor_limits
     }
 
     fn home(&self) -> Motors {
-        self.drive_train.home().into()
+        self.drive_train.home()
     }
 
     fn forward(&self, joints: &Joints) -> Result<Isometry3<f64>, KinematicsError> {
@@ -190,15 +180,11 @@ impl Robot for Irp6 {
     }
 
     fn motors_from_joints(&self, joints: &Joints) -> Result<Motors, KinematicsError> {
-        self.drive_train
-            .motors_from_joints(joints.exactly()?)
-            .map(Motors::from)
+        self.drive_train.motors_from_joints(joints.exactly()?)
     }
 
     fn joints_from_motors(&self, motors: &Motors) -> Result<Joints, KinematicsError> {
-        self.drive_train
-            .joints_from_motors(motors.exactly()?)
-            .map(Joints::from)
+        self.drive_train.joints_from_motors(motors.exactly()?)
     }
 
     fn jacobian(&self, joints: &Joints) -> Result<Jacobian, KinematicsError> {

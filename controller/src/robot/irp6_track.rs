@@ -66,14 +66,8 @@ impl Irp6TrackParameters {
                 ratio: 500.0 * std::f64::consts::PI,
                 joint_at_home: 0.0,
                 motor_at_home: 0.0,
-                joint_limits: Limits {
-                    low: -0.125,
-                    high: 1.21,
-                },
-                motor_limits: Limits {
-                    low: -200.0,
-                    high: 1900.0,
-                },
+                joint_limits: Limits::new(-0.125, 1.21),
+                motor_limits: Limits::new(-200.0, 1900.0),
             },
             robot,
         }
@@ -140,8 +134,8 @@ impl Irp6Track {
             std::array::from_fn(|axis| if axis == 0 { track[0] } else { robot[axis - 1] })
         };
         Ok(Self {
-            joint_limits: both(track.joint_limits(), robot.joint_limits()),
-            motor_limits: both(track.motor_limits(), robot.motor_limits()),
+            joint_limits: both(&track.joint_limits, robot.joint_limits()),
+            motor_limits: both(&track.motor_limits, robot.motor_limits()),
             robot,
             track,
         })
@@ -168,17 +162,11 @@ impl Irp6Track {
 
     /// Range of the carriage that joint and motor both allow, m.
     fn travel(&self) -> Limits {
-        let Limits { low, high } = self.motor_limits[0];
-        let ends = [low, high].map(|motor| {
-            self.track
-                .joints_from_motors(&[motor])
-                .map_or(0.0, |[joint]| joint)
-        });
-        let joint = self.joint_limits[0];
-        Limits {
-            low: joint.low.max(ends[0].min(ends[1])),
-            high: joint.high.min(ends[0].max(ends[1])),
-        }
+        let joint = |motor| {
+            let joints = self.track.joints_from_motors(&[motor]);
+            joints.map_or(0.0, |joints| joints[0])
+        };
+        self.joint_limits[0].within(self.motor_limits[0].map(joint))
     }
 
     /// The most comfortable position of the carriage for a pose, m.
@@ -207,10 +195,6 @@ impl Irp6Track {
 }
 
 impl Robot for Irp6Track {
-    fn axes(&self) -> usize {
-        AXES
-    }
-
     fn joint_limits(&self) -> &[Limits] {
         &self.joint_limits
     }
@@ -220,8 +204,7 @@ impl Robot for Irp6Track {
     }
 
     fn home(&self) -> Motors {
-        let [track] = self.track.home();
-        joined(track, &self.robot.home())
+        joined(self.track.home()[0], &self.robot.home())
     }
 
     fn forward(&self, joints: &Joints) -> Result<Isometry3<f64>, KinematicsError> {
@@ -269,16 +252,16 @@ impl Robot for Irp6Track {
 
     fn motors_from_joints(&self, joints: &Joints) -> Result<Motors, KinematicsError> {
         let (carriage, arm) = parted(joints)?;
-        let [track] = self.track.motors_from_joints(&[carriage])?;
+        let track = self.track.motors_from_joints(&[carriage])?;
         let motors = self.robot.motors_from_joints(&arm).map_err(on_carriage)?;
-        Ok(joined(track, &motors))
+        Ok(joined(track[0], &motors))
     }
 
     fn joints_from_motors(&self, motors: &Motors) -> Result<Joints, KinematicsError> {
         let (track, arm) = parted(motors)?;
-        let [carriage] = self.track.joints_from_motors(&[track])?;
+        let carriage = self.track.joints_from_motors(&[track])?;
         let joints = self.robot.joints_from_motors(&arm).map_err(on_carriage)?;
-        Ok(joined(carriage, &joints))
+        Ok(joined(carriage[0], &joints))
     }
 
     fn jacobian(&self, joints: &Joints) -> Result<Jacobian, KinematicsError> {
@@ -326,40 +309,12 @@ fn joined<S>(carriage: f64, arm: &super::Vector<S>) -> super::Vector<S> {
 }
 
 /// An error of the arm, with its axis counted from the track.
-fn on_carriage(error: KinematicsError) -> KinematicsError {
-    match error {
-        KinematicsError::Singular { axis, margin } => KinematicsError::Singular {
-            axis: axis + 1,
-            margin,
-        },
-        KinematicsError::BeyondLimit {
-            space,
-            axis,
-            value,
-            limit,
-        } => KinematicsError::BeyondLimit {
-            space,
-            axis: axis + 1,
-            value,
-            limit,
-        },
-        KinematicsError::NotFinite
-        | KinematicsError::AxisCount { .. }
-        | KinematicsError::Unreachable { .. }
-        | KinematicsError::Open { .. }
-        | KinematicsError::LegLimit { .. }
-        | KinematicsError::OffAxis { .. }
-        | KinematicsError::ToolPlane { .. } => error,
+fn on_carriage(mut error: KinematicsError) -> KinematicsError {
+    use KinematicsError::{BeyondLimit, Singular};
+    if let Singular { axis, .. } | BeyondLimit { axis, .. } = &mut error {
+        *axis += 1;
     }
-}
-
-impl Mass {
-    /// Nominal masses of the links of [`Irp6Track`](Irp6Track), which carries the same on a carriage.
-    pub const IRP6_TRACK: [Self; 7] = {
-        let [column, lower_arm, upper_arm, pitch, roll, hand] = Self::IRP6;
-        let carriage = Self::new(60.0, [0.0; 3]);
-        [carriage, column, lower_arm, upper_arm, pitch, roll, hand]
-    };
+    error
 }
 
 impl RobotParameters for Irp6TrackParameters {
@@ -377,6 +332,11 @@ impl RobotParameters for Irp6TrackParameters {
     }
 
     fn masses(&self) -> &'static [Mass] {
-        &Mass::IRP6_TRACK
+        const MASSES: [Mass; AXES] = {
+            let [column, lower_arm, upper_arm, pitch, roll, hand] = Mass::IRP6;
+            let carriage = Mass::new(60.0, [0.0; 3]);
+            [carriage, column, lower_arm, upper_arm, pitch, roll, hand]
+        };
+        &MASSES
     }
 }

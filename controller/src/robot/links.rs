@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
 use servo::MAX_AXES;
 
-use super::{Joints, KinematicsError, Limits};
+use super::{Joints, Limits};
 
 /// Motion of a link relative to the previous link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,15 +44,12 @@ impl Link {
         joint_limits: &[Limits],
     ) -> Self {
         let mut factors = [0.0; MAX_AXES];
-        let mut limits = Limits {
-            low: 0.0,
-            high: 0.0,
-        };
+        let mut limits = Limits::new(0.0, 0.0);
         for &(axis, factor) in coupling {
             factors[axis] = factor;
-            let ends = [joint_limits[axis].low, joint_limits[axis].high].map(|end| factor * end);
-            limits.low += ends[0].min(ends[1]);
-            limits.high += ends[0].max(ends[1]);
+            let range = joint_limits[axis].map(|end| factor * end);
+            limits.low += range.low;
+            limits.high += range.high;
         }
         Self {
             name,
@@ -82,17 +79,7 @@ impl Link {
     }
 }
 
-/// The links of a serial arm from base to flange. The last link's frame is the flange.
+/// The links of a serial arm from base to flange. The last link's frame is the flange. The product of the links,
+/// each [placed](Link::placed), equals [`super::Robot::forward`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Links(pub Vec<Link>);
-
-impl Links {
-    /// `base_from_flange`, the product of the links. The result equals [`super::Robot::forward`].
-    pub fn forward(&self, joints: &Joints) -> Result<Isometry3<f64>, KinematicsError> {
-        if !joints.iter().all(|joint| joint.is_finite()) {
-            return Err(KinematicsError::NotFinite);
-        }
-        let links = self.0.iter().map(|link| link.placed(joints));
-        Ok(links.fold(Isometry3::identity(), |base, link| base * link))
-    }
-}

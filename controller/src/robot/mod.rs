@@ -21,19 +21,6 @@
 //! | RNT | [`Rnt`] | `rnt.rs`, `legs.rs` | closed loops of legs, by Newton's method, and a wrist |
 //! | gripper, conveyor | [`Gripper`], [`Conveyor`] | `axis_map.rs` | one motor each |
 //!
-//! Shared files:
-//!
-//! * `arm.rs`: the arm of IRb-6 and IRp-6.
-//! * `parameters.rs`: the parameters of that arm, and the errors of all parameters.
-//! * `drive_train.rs`: gears, screws and couplings between motors and joints.
-//! * `solutions.rs`: collects branches within the limits, nearest first.
-//! * `free_parameter.rs`: the choice of the free parameter of a redundant robot.
-//! * `links.rs`: a robot link by link, for description files and figures.
-//! * `singularity.rs`: the distance of the arm from a singularity.
-//! * `weight.rs`: torques of the motors against the weight of the links.
-//! * `room.rs`: extends ranges that end at home.
-//! * `vector.rs`: positions, one per axis.
-//!
 //! Figures and every parameter with its source are in `docs/robots` of the repository. Read [`Robot`] first, then
 //! `irp6.rs` as a complete example of a robot.
 //!
@@ -122,7 +109,9 @@ pub trait RobotParameters: Copy {
 /// are not finite ([`KinematicsError::NotFinite`]).
 pub trait Robot: fmt::Debug + Send + Sync {
     /// Number of axes, at most [`MAX_AXES`]. All vectors of the robot have this length.
-    fn axes(&self) -> usize;
+    fn axes(&self) -> usize {
+        self.joint_limits().len()
+    }
 
     /// Range of each joint, rad (m for a linear joint). [`Limits::CONTINUOUS`] marks an endless joint. The position
     /// of an endless joint counts its turns: 0 and 2π are two positions, and an interpolation passes all positions
@@ -189,10 +178,22 @@ impl Limits {
     const SLACK: f64 = 1e-9;
 
     /// No limit: an endless joint.
-    pub const CONTINUOUS: Self = Self {
-        low: f64::NEG_INFINITY,
-        high: f64::INFINITY,
-    };
+    pub const CONTINUOUS: Self = Self::new(f64::NEG_INFINITY, f64::INFINITY);
+
+    const fn new(low: f64, high: f64) -> Self {
+        Self { low, high }
+    }
+
+    /// The range of a monotonic function over this range.
+    fn map(self, function: impl Fn(f64) -> f64) -> Self {
+        let [a, b] = [self.low, self.high].map(function);
+        Self::new(a.min(b), a.max(b))
+    }
+
+    /// The positions that both ranges include.
+    fn within(self, other: Self) -> Self {
+        Self::new(self.low.max(other.low), self.high.min(other.high))
+    }
 
     /// Whether neither side has a limit.
     pub const fn is_continuous(&self) -> bool {

@@ -63,10 +63,7 @@ impl ArmParameters {
                 joint_at_home: 0.0,
                 motor_at_home: -15.9,
                 joint_limits: degrees(-170.0, 170.0),
-                motor_limits: Limits {
-                    low: -470.0,
-                    high: 450.0,
-                },
+                motor_limits: Limits::new(-470.0, 450.0),
             },
             lower_arm: ScrewAxis {
                 lead: 0.005,
@@ -76,10 +73,7 @@ impl ArmParameters {
                 length_at_home: 0.220_337_4,
                 motor_at_home: -5.0,
                 joint_limits: degrees(-130.0, -50.0),
-                motor_limits: Limits {
-                    low: -110.0,
-                    high: 100.0,
-                },
+                motor_limits: Limits::new(-110.0, 100.0),
             },
             upper_arm: ScrewAxis {
                 lead: 0.005,
@@ -89,34 +83,22 @@ impl ArmParameters {
                 length_at_home: 0.183_834_8,
                 motor_at_home: -8.527,
                 joint_limits: degrees(-25.0, 40.0),
-                motor_limits: Limits {
-                    low: -80.0,
-                    high: 100.0,
-                },
+                motor_limits: Limits::new(-80.0, 100.0),
             },
             pitch: GearAxis {
                 ratio: -128.0,
                 joint_at_home: 0.0,
                 motor_at_home: 151.31,
                 joint_limits: degrees(-90.0, 92.0),
-                motor_limits: Limits {
-                    low: -70.0,
-                    high: 380.0,
-                },
+                motor_limits: Limits::new(-70.0, 380.0),
             },
             // The bevel gear behind the harmonic drive of 128 multiplies the ratio by 0.6.
             roll: GearAxis {
                 ratio: -76.8,
                 joint_at_home: 0.0,
                 motor_at_home: 435.25,
-                joint_limits: Limits {
-                    low: -10.0,
-                    high: 10.0,
-                },
-                motor_limits: Limits {
-                    low: -80.0,
-                    high: 490.0,
-                },
+                joint_limits: Limits::new(-10.0, 10.0),
+                motor_limits: Limits::new(-80.0, 490.0),
             },
         }
     }
@@ -309,10 +291,7 @@ pub(super) fn room(name: &'static str, Limits { low, high }: Limits) -> Result<(
 }
 
 pub(super) const fn degrees(low: f64, high: f64) -> Limits {
-    Limits {
-        low: low.to_radians(),
-        high: high.to_radians(),
-    }
+    Limits::new(low.to_radians(), high.to_radians())
 }
 
 impl ArmParameters {

@@ -93,13 +93,9 @@ impl PolycrankParameters {
                 joint_at_home,
                 motor_at_home: 0.0,
                 joint_limits: Limits::CONTINUOUS,
-                motor_limits: Limits {
-                    low: -3.35e6,
-                    high: 3.35e6,
-                },
+                motor_limits: Limits::new(-3.35e6, 3.35e6),
             }
         }
-        let right = FRAC_PI_2;
         Self {
             upper_cranks: [-0.299, 0.180],
             upper_offsets: [0.220, 0.152, 0.335],
@@ -109,14 +105,19 @@ impl PolycrankParameters {
             coupled: false,
             axes: [
                 drive(0.0),
-                drive(right),
-                drive(-right),
+                drive(FRAC_PI_2),
+                drive(-FRAC_PI_2),
                 drive(0.0),
-                drive(right),
+                drive(FRAC_PI_2),
                 drive(0.0),
                 drive(0.0),
             ],
         }
+    }
+
+    /// The axis through whose crank the motor of `axis` acts, if the motor is fixed.
+    fn carrier(&self, axis: usize) -> Option<usize> {
+        (self.coupled && matches!(axis, 1 | 2 | 4 | 5)).then(|| axis - 1)
     }
 }
 
@@ -147,46 +148,37 @@ pub struct Polycrank {
 impl Polycrank {
     /// A robot with these parameters. Fails if a parameter is invalid.
     pub fn new(parameters: &PolycrankParameters) -> Result<Self, ParameterError> {
-        let &PolycrankParameters {
-            upper_cranks,
-            upper_offsets,
-            forearm_crank,
-            forearm_offsets,
-            flange_offset,
-            coupled,
-            ref axes,
-        } = parameters;
-        for length in upper_cranks {
+        for length in parameters.upper_cranks {
             parameters::positive("upper_cranks", length.abs())?;
         }
-        parameters::positive("forearm_crank", forearm_crank)?;
+        parameters::positive("forearm_crank", parameters.forearm_crank)?;
         for (name, offsets) in [
-            ("upper_offsets", upper_offsets),
-            ("forearm_offsets", forearm_offsets),
-            ("flange_offset", [flange_offset; 3]),
+            ("upper_offsets", parameters.upper_offsets),
+            ("forearm_offsets", parameters.forearm_offsets),
+            ("flange_offset", [parameters.flange_offset; 3]),
         ] {
             for offset in offsets {
                 parameters::finite(name, offset)?;
             }
         }
-        let mut drives = [None; AXES];
-        for (axis, (drive, name)) in drives.iter_mut().zip(NAMES).enumerate() {
-            let carried = coupled && matches!(axis, 1 | 2 | 4 | 5);
-            *drive = Some(TrainAxis {
-                carried_by: carried.then(|| axis - 1),
-                ..parameters::gear(name, &axes[axis])?
+        let mut drives = Vec::with_capacity(AXES);
+        for (axis, (gear, name)) in parameters.axes.iter().zip(NAMES).enumerate() {
+            drives.push(TrainAxis {
+                carried_by: parameters.carrier(axis),
+                ..parameters::gear(name, gear)?
             });
         }
+        let drives = drives.try_into().expect("every axis has a drive");
         Ok(Self {
             parameters: *parameters,
             cranks: Cranks {
-                upper: upper_cranks,
-                upper_offset: upper_offsets.iter().sum(),
-                forearm: forearm_crank,
-                forearm_offset: forearm_offsets.iter().sum(),
-                flange_offset,
+                upper: parameters.upper_cranks,
+                upper_offset: parameters.upper_offsets.iter().sum(),
+                forearm: parameters.forearm_crank,
+                forearm_offset: parameters.forearm_offsets.iter().sum(),
+                flange_offset: parameters.flange_offset,
             },
-            drive_train: DriveTrain::new(drives.map(|drive| drive.expect("every axis was set"))),
+            drive_train: DriveTrain::new(drives),
         })
     }
 
@@ -268,12 +260,7 @@ impl Polycrank {
         let (origin, axes) = arm::parts(base_from_flange)?;
         let approach = axes.column(2);
         let tilt = approach.xy().norm();
-        if tilt < PARALLEL {
-            return Err(KinematicsError::Singular {
-                axis: PLANE as u8,
-                margin: tilt,
-            });
-        }
+        arm::regular(PLANE, tilt, PARALLEL)?;
         let facings = self.cranks.facings(&origin, &axes, tilt);
         Search::run(&self.drive_train, near, |search| {
             for facing in &facings {
@@ -287,16 +274,14 @@ impl Polycrank {
 
     /// Offers the four branches of one facing and one reach of the forearm.
     fn branches(&self, search: &mut Search<'_, AXES>, facing: &Facing, reach: f64) {
-        let near = search.near();
+        let near = search.near;
         let Facing { end, ahead, .. } = facing;
         let elbow = [self.cranks.forearm; 2];
         let (forearm, bend) = cranks::angles(elbow, (reach, end.z), near[FOREARM]);
         let shoulder = (end.x - reach * ahead.x, end.y - reach * ahead.y);
         let (upper, upper_bend) = cranks::angles(self.cranks.upper, shoulder, near[UPPER]);
-        let margin = bend.max(upper_bend);
-        if margin < STRETCHED {
-            let axis = ELBOW as u8;
-            return search.refuse(KinematicsError::Singular { axis, margin });
+        if let Err(error) = arm::regular(ELBOW, bend.max(upper_bend), STRETCHED) {
+            return search.refuse(error);
         }
         let mut joints = *near;
         search.turn(&mut joints, ROLL, [facing.roll]);
@@ -332,20 +317,16 @@ impl Polycrank {
 }
 
 impl Robot for Polycrank {
-    fn axes(&self) -> usize {
-        AXES
-    }
-
     fn joint_limits(&self) -> &[Limits] {
-        self.drive_train.joint_limits()
+        &self.drive_train.joint_limits
     }
 
     fn motor_limits(&self) -> &[Limits] {
-        self.drive_train.motor_limits()
+        &self.drive_train.motor_limits
     }
 
     fn home(&self) -> Motors {
-        self.drive_train.home().into()
+        self.drive_train.home()
     }
 
     fn forward(&self, joints: &Joints) -> Result<Isometry3<f64>, KinematicsError> {
@@ -364,15 +345,11 @@ impl Robot for Polycrank {
     }
 
     fn motors_from_joints(&self, joints: &Joints) -> Result<Motors, KinematicsError> {
-        self.drive_train
-            .motors_from_joints(joints.exactly()?)
-            .map(Motors::from)
+        self.drive_train.motors_from_joints(joints.exactly()?)
     }
 
     fn joints_from_motors(&self, motors: &Motors) -> Result<Joints, KinematicsError> {
-        self.drive_train
-            .joints_from_motors(motors.exactly()?)
-            .map(Joints::from)
+        self.drive_train.joints_from_motors(motors.exactly()?)
     }
 
     fn jacobian(&self, joints: &Joints) -> Result<Jacobian, KinematicsError> {
@@ -406,19 +383,6 @@ impl Robot for Polycrank {
     }
 }
 
-impl Mass {
-    /// Nominal masses of the links of [`Polycrank`](Polycrank): rods from joint to joint.
-    pub const POLYCRANK: [Self; 7] = [
-        Self::new(12.0, [-0.1495, 0.0, 0.110]),
-        Self::new(9.0, [0.090, 0.0, 0.076]),
-        Self::new(7.0, [0.0, 0.0, 0.1675]),
-        Self::new(4.0, [0.0755, 0.0, 0.060]),
-        Self::new(3.5, [0.0755, 0.0, 0.058]),
-        Self::new(1.5, [0.0, 0.0, 0.030]),
-        Self::new(0.6, [0.0, 0.0, -0.0215]),
-    ];
-}
-
 impl RobotParameters for PolycrankParameters {
     const AXES: usize = 7;
 
@@ -427,16 +391,26 @@ impl RobotParameters for PolycrankParameters {
     }
 
     fn with_room_at_home(mut self, motors: &[f64]) -> Self {
-        for (axis, gear) in self.axes.iter_mut().enumerate() {
-            let carried = self.coupled && matches!(axis, 1 | 2 | 4 | 5);
-            let carried = if carried { room(motors, axis - 1) } else { 0.0 };
-            *gear = gear.with_room(room(motors, axis), carried);
+        for axis in 0..AXES {
+            let carried = self.carrier(axis).map_or(0.0, |by| room(motors, by));
+            self.axes[axis] = self.axes[axis].with_room(room(motors, axis), carried);
         }
         self
     }
 
+    // Rods from joint to joint.
     fn masses(&self) -> &'static [Mass] {
-        &Mass::POLYCRANK
+        const {
+            &[
+                Mass::new(12.0, [-0.1495, 0.0, 0.110]),
+                Mass::new(9.0, [0.090, 0.0, 0.076]),
+                Mass::new(7.0, [0.0, 0.0, 0.1675]),
+                Mass::new(4.0, [0.0755, 0.0, 0.060]),
+                Mass::new(3.5, [0.0755, 0.0, 0.058]),
+                Mass::new(1.5, [0.0, 0.0, 0.030]),
+                Mass::new(0.6, [0.0, 0.0, -0.0215]),
+            ]
+        }
     }
 
     // Of the two directions that the level axis 1 leaves open x is taken (nominal).

@@ -15,7 +15,7 @@ use super::{
     drive_train::{self, DriveTrain, TrainAxis},
     legs::{self, Gap, Legs, Posture},
     parameters,
-    solutions::{Mechanism, Search},
+    solutions::Search,
 };
 
 const AXES: usize = 6;
@@ -78,10 +78,7 @@ impl RntParameters {
             lead: 0.005,
             length_at_home: 0.75,
             motor_at_home: 0.0,
-            length_limits: Limits {
-                low: 0.55,
-                high: 1.38,
-            },
+            length_limits: Limits::new(0.55, 1.38),
         };
         let tilt = parameters::degrees(-30.0, 30.0);
         Self {
@@ -91,18 +88,13 @@ impl RntParameters {
             legs: [leg; 3],
             alpha: tilt,
             beta: tilt,
-            extension: Limits {
-                low: 0.70,
-                high: 1.20,
-            },
+            extension: Limits::new(0.70, 1.20),
             roll: wrist(180.0),
             pitch: wrist(110.0),
             spin: wrist(180.0),
         }
     }
-}
 
-impl RntParameters {
     /// End points of each leg, in the base frame and in the platform's frame, m.
     pub fn leg_ends(&self) -> [[Vector3<f64>; 2]; 3] {
         self.geometry().ends()
@@ -122,10 +114,7 @@ const fn wrist(range: f64) -> GearAxis {
         joint_at_home: 0.0,
         motor_at_home: 0.0,
         joint_limits: limits,
-        motor_limits: Limits {
-            low: RATIO * limits.low,
-            high: RATIO * limits.high,
-        },
+        motor_limits: Limits::new(RATIO * limits.low, RATIO * limits.high),
     }
 }
 
@@ -151,31 +140,23 @@ pub struct Rnt {
 impl Rnt {
     /// A robot with these parameters. Fails if a parameter is invalid.
     pub fn new(parameters: &RntParameters) -> Result<Self, ParameterError> {
-        let RntParameters {
-            base_radius,
-            platform_radius,
-            wrist_offset,
-            alpha,
-            beta,
-            extension,
-            ..
-        } = *parameters;
-        parameters::positive("base_radius", base_radius)?;
-        parameters::positive("platform_radius", platform_radius)?;
-        parameters::finite("wrist_offset", wrist_offset)?;
-        for (name, tilt) in [("alpha", alpha), ("beta", beta)] {
-            parameters::room(name, tilt)?;
-            let steepest = tilt.high.max(-tilt.low);
-            if steepest > legs::STEEPEST {
-                return Err(ParameterError::TooSteep {
-                    name,
-                    tilt: steepest,
-                });
+        parameters::positive("base_radius", parameters.base_radius)?;
+        parameters::positive("platform_radius", parameters.platform_radius)?;
+        parameters::finite("wrist_offset", parameters.wrist_offset)?;
+        for (name, range) in [("alpha", parameters.alpha), ("beta", parameters.beta)] {
+            parameters::room(name, range)?;
+            let tilt = range.high.max(-range.low);
+            if tilt > legs::STEEPEST {
+                return Err(ParameterError::TooSteep { name, tilt });
             }
         }
+        let extension = parameters.extension;
         parameters::room("extension", extension)?;
         parameters::positive("extension", extension.low)?;
-        parameters::positive("extension with wrist_offset", extension.low + wrist_offset)?;
+        parameters::positive(
+            "extension with wrist_offset",
+            extension.low + parameters.wrist_offset,
+        )?;
         let [first, second, third] = parameters.legs;
         let axes = [
             first.axis()?,
@@ -186,8 +167,8 @@ impl Rnt {
             parameters::gear("spin", &parameters.spin)?,
         ];
         let drive_train = DriveTrain::new(axes);
-        let mut joint_limits = *drive_train.joint_limits();
-        joint_limits[..3].copy_from_slice(&[alpha, beta, extension]);
+        let mut joint_limits = drive_train.joint_limits;
+        joint_limits[..3].copy_from_slice(&[parameters.alpha, parameters.beta, extension]);
         let robot = Self {
             parameters: *parameters,
             legs: parameters.geometry(),
@@ -234,35 +215,11 @@ impl Rnt {
         }
         Ok(())
     }
-}
 
-impl Rnt {
     /// Lengths of the three legs at these joints, m. No limit is checked.
     pub fn leg_lengths(&self, joints: &Joints) -> Result<[f64; 3], KinematicsError> {
         let &[alpha, beta, rho, ..] = joints.exactly::<AXES>()?;
         Ok(self.legs.lengths(&[alpha, beta, rho]))
-    }
-
-    /// Joints for these motor positions as in [`Robot::joints_from_motors`], with alpha, beta and rho of `near` as
-    /// start of the search. Newton's method takes 3 to 5 steps from the middle of the workspace, 2 steps from within
-    /// 10 mm and 10 mrad, and 20 steps at most.
-    pub fn joints_from_motors_near(
-        &self,
-        motors: &Motors,
-        near: &Joints,
-    ) -> Result<Joints, KinematicsError> {
-        let &[alpha, beta, rho, ..] = near.exactly::<AXES>()?;
-        self.joints(motors, &[alpha, beta, rho])
-    }
-
-    fn joints(&self, motors: &Motors, near: &Posture) -> Result<Joints, KinematicsError> {
-        let mut joints = self.drive_train.joints_from_motors(motors.exactly()?)?;
-        let [first, second, third, ..] = joints;
-        let open = |Gap { leg, residual }| KinematicsError::Open { leg, residual };
-        let lengths = [first, second, third];
-        let closure = self.legs.close(&lengths, near).map_err(open)?;
-        joints[..3].copy_from_slice(&closure.posture);
-        Ok(joints.into())
     }
 
     #[cfg(test)]
@@ -283,7 +240,7 @@ impl Rnt {
     fn driven(&self, joints: &[f64; AXES]) -> Result<[f64; AXES], KinematicsError> {
         let mut driven = *joints;
         for (axis, &joint) in joints.iter().enumerate().take(3) {
-            self.check_joint(axis, joint)?;
+            drive_train::check(&self.joint_limits[axis], joint, axis, Space::Joint)?;
         }
         let [alpha, beta, rho, ..] = *joints;
         let lengths = self.legs.lengths(&[alpha, beta, rho]);
@@ -300,6 +257,11 @@ impl Rnt {
         Ok(driven)
     }
 
+    /// Motor positions for joints. Both are checked against their limits.
+    fn motors(&self, joints: &[f64; AXES]) -> Result<Motors, KinematicsError> {
+        self.drive_train.motors_from_joints(&self.driven(joints)?)
+    }
+
     /// Position of the wrist centre at these joints.
     fn wrist_centre(&self, joints: &[f64; AXES]) -> Vector3<f64> {
         let reach = joints[RHO] + self.parameters.wrist_offset;
@@ -307,35 +269,17 @@ impl Rnt {
     }
 }
 
-impl Mechanism<AXES> for Rnt {
-    fn check_joint(&self, axis: usize, joint: f64) -> Result<(), KinematicsError> {
-        drive_train::check(&self.joint_limits[axis], joint, axis, Space::Joint)
-    }
-
-    fn motors_from_joints(&self, joints: &[f64; AXES]) -> Result<[f64; AXES], KinematicsError> {
-        self.drive_train.motors_from_joints(&self.driven(joints)?)
-    }
-
-    fn turn(&self, axis: usize, angle: f64, joints: &[f64; AXES], near: f64) -> f64 {
-        self.drive_train.turn(axis, angle, joints, near)
-    }
-}
-
 impl Robot for Rnt {
-    fn axes(&self) -> usize {
-        AXES
-    }
-
     fn joint_limits(&self) -> &[Limits] {
         &self.joint_limits
     }
 
     fn motor_limits(&self) -> &[Limits] {
-        self.drive_train.motor_limits()
+        &self.drive_train.motor_limits
     }
 
     fn home(&self) -> Motors {
-        self.drive_train.home().into()
+        self.drive_train.home()
     }
 
     fn forward(&self, joints: &Joints) -> Result<Isometry3<f64>, KinematicsError> {
@@ -360,12 +304,7 @@ impl Robot for Rnt {
         let near = near.exactly::<AXES>()?;
         let (centre, axes) = arm::parts(base_from_flange)?;
         let reach = centre.norm();
-        if reach < PARALLEL {
-            return Err(KinematicsError::Singular {
-                axis: ALPHA as u8,
-                margin: reach,
-            });
-        }
+        arm::regular(ALPHA, reach, PARALLEL)?;
         let alpha = (-centre.y).atan2(centre.z);
         let beta = (centre.x / reach).asin();
         let rho = reach - self.parameters.wrist_offset;
@@ -374,13 +313,8 @@ impl Robot for Rnt {
         self.driven(&posture)?;
         let wrist = legs::central(alpha, beta).transpose() * axes;
         let lean = Vector2::new(wrist[(0, 2)], wrist[(1, 2)]).norm();
-        if lean < STRAIGHT {
-            return Err(KinematicsError::Singular {
-                axis: ROLL as u8,
-                margin: lean,
-            });
-        }
-        Search::run(self, near, |search| {
+        arm::regular(ROLL, lean, STRAIGHT)?;
+        Search::run(&self.drive_train, near, |search| {
             for side in [1.0, -1.0] {
                 let mut joints = posture;
                 let (sin, cos) = (side * wrist[(1, 2)] / lean, side * wrist[(0, 2)] / lean);
@@ -389,18 +323,24 @@ impl Robot for Rnt {
                 let across = |column| cos * wrist[(1, column)] - sin * wrist[(0, column)];
                 let spin = across(0).atan2(across(1));
                 search.turn(&mut joints, ROLL, [sin.atan2(cos), pitch, spin]);
-                search.offer(joints);
+                search.take(joints, self.motors(&joints).err());
             }
         })
     }
 
     fn motors_from_joints(&self, joints: &Joints) -> Result<Motors, KinematicsError> {
-        Mechanism::motors_from_joints(self, joints.exactly()?).map(Motors::from)
+        self.motors(joints.exactly()?)
     }
 
-    /// Legs that cannot close are [`KinematicsError::Open`]. The search starts in the middle of the workspace.
+    /// Legs that cannot close are [`KinematicsError::Open`]. Newton's method starts in the middle of the workspace and
+    /// takes 3 to 5 steps, 20 steps at most.
     fn joints_from_motors(&self, motors: &Motors) -> Result<Joints, KinematicsError> {
-        self.joints(motors, &self.middle())
+        let mut joints = self.drive_train.joints_from_motors(motors.exactly()?)?;
+        let lengths = [joints[0], joints[1], joints[2]];
+        let open = |Gap { leg, residual }| KinematicsError::Open { leg, residual };
+        let closure = self.legs.close(&lengths, &self.middle()).map_err(open)?;
+        joints[..3].copy_from_slice(&closure.posture);
+        Ok(joints)
     }
 
     fn jacobian(&self, joints: &Joints) -> Result<Jacobian, KinematicsError> {
@@ -472,34 +412,15 @@ impl LegAxis {
         if self.lead == 0.0 {
             return Err(ParameterError::NoRatio { name: "legs" });
         }
-        let ratio = TAU / self.lead;
-        let Limits { low, high } = self.length_limits;
-        let ends = [self.motor(low), self.motor(high)];
         let gear = GearAxis {
-            ratio,
+            ratio: TAU / self.lead,
             joint_at_home: self.length_at_home,
             motor_at_home: self.motor_at_home,
             joint_limits: self.length_limits,
-            motor_limits: Limits {
-                low: ends[0].min(ends[1]),
-                high: ends[0].max(ends[1]),
-            },
+            motor_limits: self.length_limits.map(|length| self.motor(length)),
         };
         parameters::gear("legs", &gear)
     }
-}
-
-impl Mass {
-    /// Nominal masses of the links of [`Rnt`](Rnt): the platform with its share of the legs, then its wrist. The frames of alpha and beta
-    /// stand.
-    pub const RNT: [Self; 6] = [
-        Self::new(0.0, [0.0; 3]),
-        Self::new(0.0, [0.0; 3]),
-        Self::new(30.0, [0.0; 3]),
-        Self::new(5.0, [0.0; 3]),
-        Self::new(4.0, [0.0, 0.0, 0.05]),
-        Self::new(3.0, [0.0, 0.0, 0.175]),
-    ];
 }
 
 impl RobotParameters for RntParameters {
@@ -512,13 +433,8 @@ impl RobotParameters for RntParameters {
     // The ranges of alpha, beta and rho stay as they are: no home position of theirs is a parameter.
     fn with_room_at_home(mut self, motors: &[f64]) -> Self {
         for (axis, leg) in self.legs.iter_mut().enumerate() {
-            let LegAxis {
-                lead,
-                length_at_home,
-                ..
-            } = *leg;
-            let length = room(motors, axis) * lead.abs() / TAU;
-            leg.length_limits = leg.length_limits.with_room(length_at_home, length);
+            let length = room(motors, axis) * leg.lead.abs() / TAU;
+            leg.length_limits = leg.length_limits.with_room(leg.length_at_home, length);
         }
         Self {
             roll: self.roll.with_room(room(motors, 3), 0.0),
@@ -528,8 +444,18 @@ impl RobotParameters for RntParameters {
         }
     }
 
+    // The platform with its share of the legs, then the wrist. The frames of alpha and beta stand.
     fn masses(&self) -> &'static [Mass] {
-        &Mass::RNT
+        const {
+            &[
+                Mass::new(0.0, [0.0; 3]),
+                Mass::new(0.0, [0.0; 3]),
+                Mass::new(30.0, [0.0; 3]),
+                Mass::new(5.0, [0.0; 3]),
+                Mass::new(4.0, [0.0, 0.0, 0.05]),
+                Mass::new(3.0, [0.0, 0.0, 0.175]),
+            ]
+        }
     }
 
     // It hangs.

@@ -17,10 +17,22 @@ impl Limits {
         if self.exceeded_by(home).is_some() {
             return self;
         }
-        Self {
-            low: self.low.min(home - by),
-            high: self.high.max(home + by),
-        }
+        Self::new(self.low.min(home - by), self.high.max(home + by))
+    }
+
+    /// With room for the values of `function` up to `by` beside `home`. Where `function` has no value, no room is added.
+    pub(super) fn with_room_through(
+        self,
+        function: impl Fn(f64) -> Option<f64>,
+        home: f64,
+        by: f64,
+    ) -> Self {
+        let Some(value) = function(home) else {
+            return self;
+        };
+        let ends = [-by, by].map(|by| function(home + by));
+        let ways = ends.into_iter().flatten().map(|end| (end - value).abs());
+        self.with_room(value, ways.fold(0.0, f64::max))
     }
 }
 
@@ -42,13 +54,10 @@ impl GearAxis {
 impl ScrewAxis {
     pub(super) fn with_room(mut self, motor: f64) -> Self {
         let screw = motor * self.lead / TAU;
-        let at = |length| self.joint(length).ok();
-        if let Some(home) = at(self.length_at_home) {
-            let ends = [-screw, screw].map(|by| at(self.length_at_home + by));
-            let ways = ends.into_iter().flatten().map(|end| (end - home).abs());
-            let joint = ways.fold(0.0, f64::max);
-            self.joint_limits = self.joint_limits.with_room(home, joint);
-        }
+        let joint = |length| self.joint(length).ok();
+        self.joint_limits = self
+            .joint_limits
+            .with_room_through(joint, self.length_at_home, screw);
         self.motor_limits = self.motor_limits.with_room(self.motor_at_home, motor);
         self
     }

@@ -19,9 +19,7 @@ impl Solutions {
     pub fn preferred(&self) -> &Joints {
         &self.joints[0]
     }
-}
 
-impl Solutions {
     /// The same solutions, each converted by `joints` for a robot with other axes.
     pub(super) fn map(mut self, joints: impl Fn(&Joints) -> Joints) -> Self {
         for solution in &mut self.joints[..self.count] {
@@ -49,37 +47,12 @@ impl Deref for Solutions {
     }
 }
 
-/// Limits of the joints and motors of a robot, as the search for branches needs them.
-pub(super) trait Mechanism<const N: usize> {
-    /// Refuses a joint position beyond its limit.
-    fn check_joint(&self, axis: usize, joint: f64) -> Result<(), KinematicsError>;
-
-    /// Motor positions for joints. Both are checked against their limits.
-    fn motors_from_joints(&self, joints: &[f64; N]) -> Result<[f64; N], KinematicsError>;
-
-    /// `angle` plus the multiple of 2π that brings the sum nearest to `near` within the limits.
-    fn turn(&self, axis: usize, angle: f64, joints: &[f64; N], near: f64) -> f64;
-}
-
-impl<const N: usize> Mechanism<N> for DriveTrain<N> {
-    fn check_joint(&self, axis: usize, joint: f64) -> Result<(), KinematicsError> {
-        self.check_joint(axis, joint)
-    }
-
-    fn motors_from_joints(&self, joints: &[f64; N]) -> Result<[f64; N], KinematicsError> {
-        self.motors_from_joints(joints)
-    }
-
-    fn turn(&self, axis: usize, angle: f64, joints: &[f64; N], near: f64) -> f64 {
-        self.turn(axis, angle, joints, near)
-    }
-}
-
 /// Collects the branches of one inverse problem: those within all limits, nearest first, or the reason why there are
 /// none.
-pub(super) struct Search<'a, const N: usize, M = DriveTrain<N>> {
-    mechanism: &'a M,
-    near: &'a [f64; N],
+pub(super) struct Search<'a, const N: usize> {
+    drive_train: &'a DriveTrain<N>,
+    /// The present posture.
+    pub(super) near: &'a [f64; N],
     /// Whether a branch is abandoned at the first joint beyond its limit.
     hasty: bool,
     found: Solutions,
@@ -88,16 +61,16 @@ pub(super) struct Search<'a, const N: usize, M = DriveTrain<N>> {
     margin: f64,
 }
 
-impl<'a, const N: usize, M: Mechanism<N>> Search<'a, N, M> {
+impl<'a, const N: usize> Search<'a, N> {
     /// The solutions among the branches that `visit` offers. `visit` must offer the same branches in each call. If
     /// there is no solution, a second call follows every branch to its end to find the reason.
     pub(super) fn run(
-        mechanism: &'a M,
+        drive_train: &'a DriveTrain<N>,
         near: &'a [f64; N],
         visit: impl Fn(&mut Self),
     ) -> Result<Solutions, KinematicsError> {
         let mut search = Self {
-            mechanism,
+            drive_train,
             near,
             hasty: true,
             found: Solutions {
@@ -122,11 +95,6 @@ impl<'a, const N: usize, M: Mechanism<N>> Search<'a, N, M> {
         Err(search.refused.map_or(unreachable, |(_, error)| error))
     }
 
-    /// The present posture.
-    pub(super) const fn near(&self) -> &'a [f64; N] {
-        self.near
-    }
-
     /// Sets the joints of a branch from `first` on, each in the turn nearest to the present posture.
     pub(super) fn turn<const K: usize>(
         &self,
@@ -135,13 +103,13 @@ impl<'a, const N: usize, M: Mechanism<N>> Search<'a, N, M> {
         angles: [f64; K],
     ) {
         for (axis, angle) in (first..).zip(angles) {
-            joints[axis] = self.mechanism.turn(axis, angle, joints, self.near[axis]);
+            joints[axis] = self.drive_train.turn(axis, angle, joints, self.near[axis]);
         }
     }
 
     /// Whether a branch with this joint of `axis` is to be followed further.
     pub(super) fn follows(&self, joints: &[f64; N], axis: usize) -> bool {
-        !self.hasty || self.mechanism.check_joint(axis, joints[axis]).is_ok()
+        !self.hasty || self.drive_train.check_joint(axis, joints[axis]).is_ok()
     }
 
     /// Records the distance, m, by which a pair of branches is out of reach.
@@ -154,13 +122,19 @@ impl<'a, const N: usize, M: Mechanism<N>> Search<'a, N, M> {
         self.refused.get_or_insert((f64::INFINITY, error));
     }
 
-    /// Takes a branch. A branch within the limits is kept; of the others, the reason of the nearest is remembered. The
-    /// distance of a branch is the largest joint travel from `near`.
+    /// Takes a branch, whose limits are those of the drive train.
     pub(super) fn offer(&mut self, joints: [f64; N]) {
+        let refusal = self.drive_train.motors_from_joints(&joints).err();
+        self.take(joints, refusal);
+    }
+
+    /// Takes a branch. A branch without a refusal is kept; of the others, the refusal of the nearest is remembered. The
+    /// distance of a branch is the largest joint travel from `near`.
+    pub(super) fn take(&mut self, joints: [f64; N], refusal: Option<KinematicsError>) {
         let travel = joints.iter().zip(self.near).map(|(a, b)| (a - b).abs());
         // The numbers are finite, so the slower `f64::max` with its check for NaN is not needed.
         let distance = travel.fold(0.0, |most, way| if way > most { way } else { most });
-        if let Err(error) = self.mechanism.motors_from_joints(&joints) {
+        if let Some(error) = refusal {
             if self.refused.is_none_or(|(nearest, _)| distance < nearest) {
                 self.refused = Some((distance, error));
             }

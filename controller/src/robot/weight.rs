@@ -87,16 +87,6 @@ pub enum WeightError {
     Up,
 }
 
-impl WeightError {
-    /// The link of the error; one more than the last for the load.
-    pub fn link(&self) -> Option<usize> {
-        match *self {
-            Self::Mass { link, .. } | Self::Centre { link, .. } => Some(link),
-            Self::NoLinks | Self::Count { .. } | Self::Up => None,
-        }
-    }
-}
-
 impl Weight {
     /// The weights of `robot`. There is one mass per link of [`Robot::links`]. The load is in the frame of the
     /// flange. The upward direction is in the base frame and need not be a unit

@@ -27,6 +27,7 @@ use servo::{
 };
 
 use mrroc::bench::clockwork;
+use mrroc::bench::emulation::Emulation;
 use mrroc::bench::{Bench, BenchKind, Places};
 use mrroc::cell_file::CellFile;
 use mrroc::outputs::{Outputs, Replacement};
@@ -172,7 +173,7 @@ pub fn identify(options: &Options) -> anyhow::Result<ExitCode> {
     let mut outputs = Outputs::new(options.replacement);
     outputs.reads(&file);
     let files = options.out.as_deref();
-    let files = files.map(|directory| BodeFiles::open(&mut outputs, directory));
+    let files = files.map(|directory| open(&mut outputs, directory));
     let files = files.transpose()?;
     let Bench {
         ports,
@@ -186,7 +187,7 @@ pub fn identify(options: &Options) -> anyhow::Result<ExitCode> {
     let plan = excite(&mut servo, place, plan, options.amplitude.is_some())?;
     let records = servo.record(RECORDS * file.cell.robot.len());
     let session = Session::new(
-        place,
+        place.0,
         plan,
         axis,
         links.swap_remove(place.0),
@@ -223,7 +224,7 @@ pub fn identify(options: &Options) -> anyhow::Result<ExitCode> {
         Err(Unmeasured::Refused(why)) => return Err(why.context(name)),
         Err(Unmeasured::Stopped(why)) => Err(anyhow!("{name}: {why}")),
         Ok(report) => {
-            let written = files.map_or(Ok(()), |files| files.write(&report));
+            let written = files.map_or(Ok(()), |files| write(files, &report));
             written.and(mrroc::streams::answer(&report, options.json).map(|_| ()))
         }
     };
@@ -244,27 +245,18 @@ enum Unmeasured {
     Stopped(String),
 }
 
-/// Files of `--out`, opened before any motion.
-struct BodeFiles {
-    chart: File,
-    table: File,
+/// Opens the files of `--out`, before any motion: the chart and the table.
+fn open(outputs: &mut Outputs, directory: &Path) -> anyhow::Result<[File; 2]> {
+    let mut open = |name| outputs.open_in("--out", directory, name);
+    Ok([open("bode.svg")?, open("bode.csv")?])
 }
 
-impl BodeFiles {
-    fn open(outputs: &mut Outputs, directory: &Path) -> anyhow::Result<Self> {
-        Ok(Self {
-            chart: outputs.open_in("--out", directory, "bode.svg")?,
-            table: outputs.open_in("--out", directory, "bode.csv")?,
-        })
-    }
-
-    fn write(mut self, report: &IdentifyReport) -> anyhow::Result<()> {
-        let drawn = bode::chart(report).context("bode.svg")?;
-        let chart = self.chart.write_all(drawn.as_bytes());
-        chart.context("bode.svg cannot be written")?;
-        let table = self.table.write_all(report.csv().as_bytes());
-        table.context("bode.csv cannot be written")
-    }
+fn write([mut chart, mut table]: [File; 2], report: &IdentifyReport) -> anyhow::Result<()> {
+    let drawn = bode::chart(report).context("bode.svg")?;
+    let written = chart.write_all(drawn.as_bytes());
+    written.context("bode.svg cannot be written")?;
+    let written = table.write_all(report.csv().as_bytes());
+    written.context("bode.csv cannot be written")
 }
 
 /// Finds the axis with this name: ROBOT/AXIS, or an axis name that is unique in the cell.
@@ -439,7 +431,7 @@ fn not_up(error: NotUp) -> Unmeasured {
 fn in_lockstep(
     mut servo: Servo,
     session: Session,
-    emulation: Option<mrroc::bench::emulation::Emulation>,
+    emulation: Option<Emulation>,
 ) -> Result<Session, Unmeasured> {
     let emulation = RefCell::new(emulation.expect("lockstep has emulated drives"));
     let between = |next| emulation.borrow_mut().advance(next);
@@ -469,7 +461,7 @@ fn by_the_clock(
     file: &CellFile,
     mut servo: Servo,
     mut session: Session,
-    mut emulation: Option<mrroc::bench::emulation::Emulation>,
+    mut emulation: Option<Emulation>,
 ) -> Result<Session, Unmeasured> {
     let done = Arc::new(AtomicBool::new(false));
     let finished = done.clone();

@@ -10,7 +10,6 @@ use super::{Unmeasured, direct};
 /// Orders of one measurement: enable, home if allowed, and move. Also collects the recorded samples.
 pub(super) struct Session {
     effector: usize,
-    axis: usize,
     run: Run,
     link: EffectorLink,
     records: Consumer<Record>,
@@ -40,7 +39,7 @@ enum Stage {
 
 impl Session {
     pub(super) fn new(
-        (effector, axis): (usize, usize),
+        effector: usize,
         run: Run,
         config: ServoAxisConfig,
         link: EffectorLink,
@@ -49,7 +48,6 @@ impl Session {
     ) -> Self {
         Self {
             effector,
-            axis,
             run,
             link,
             records,
@@ -71,7 +69,7 @@ impl Session {
     pub(super) fn poll(&mut self) {
         while let Ok(record) = self.records.pop() {
             if usize::from(record.effector) == self.effector {
-                self.trace.take(&record, self.axis);
+                self.trace.take(&record, self.run.axis);
             }
         }
         if self.stage == Stage::Begin {
@@ -105,7 +103,7 @@ impl Session {
                 {
                     self.stage = Stage::Done;
                 }
-                (Stage::Enabling | Stage::Homing, Phase::Off) | (Stage::Moving, Phase::Off) => {
+                (Stage::Enabling | Stage::Homing | Stage::Moving, Phase::Off) => {
                     self.stage = Stage::Stopped;
                 }
                 _ => {}
@@ -124,7 +122,7 @@ impl Session {
     /// Starts the run from the present position.
     fn begin(&mut self, start: [f64; servo::MAX_AXES]) {
         self.run.start = start;
-        match direct(&self.run, &self.config, start[self.axis]) {
+        match direct(&self.run, &self.config, start[self.run.axis]) {
             Ok(velocity) => {
                 self.run.velocity = velocity;
                 self.stage = Stage::Moving;

@@ -81,7 +81,7 @@ fn a_servo_fault_ends_the_task_and_is_passed_on() {
         .execute(Task::new().run(to(1.0, 0.0, 0.0)).run(to(0.0, 0.0, 0.0)))
         .unwrap();
     let events = bench.go_on(|bench| {
-        if bench.ecp.status().executed == 10 {
+        if bench.ecp.executed == 10 {
             bench.servo.fault.get_or_insert(fault);
         }
     });
@@ -112,7 +112,7 @@ fn a_stop_that_does_not_end_is_reported_by_the_fault_that_began_it() {
     bench.ecp.execute(task).unwrap();
     let mut told = false;
     let events = bench.go_on(|bench| {
-        if bench.ecp.status().executed == 10 && !told {
+        if bench.ecp.executed == 10 && !told {
             told = true;
             bench.servo.queue.clear();
             (bench.servo.moving, bench.servo.done) = ([0.0; MAX_AXES], 0);
@@ -131,7 +131,7 @@ fn stop_brakes_and_drops_the_rest() {
         .execute(Task::new().run(to(1.0, 0.0, 0.0)).run(to(0.0, 0.0, 0.0)))
         .unwrap();
     let events = bench.go_on(|bench| {
-        if bench.ecp.status().executed == 10 {
+        if bench.ecp.executed == 10 {
             bench.ecp.stop();
         }
     });

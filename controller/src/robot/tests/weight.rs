@@ -119,7 +119,7 @@ fn masses_of_no_such_robot_are_refused() {
     }
     let count = WeightError::Count { links: 6, given: 5 };
     assert_eq!(
-        Weight::new(&robot, &Mass::IRB6, Mass::default(), UP),
+        Weight::new(&robot, &Mass::IRP6[..5], Mass::default(), UP),
         Err(count)
     );
     let belt = Conveyor::new(&ConveyorParameters::belt()).unwrap();
