@@ -7,13 +7,30 @@
 //! The variable for tests of cards is `HIL_CARDS=can0,can1`, which names two cards on one bus. Without it, these tests
 //! run in a PC that QEMU emulates; `MRROC_LEAVE_OUT=qemu` permits leaving them out.
 
-use std::env;
 use std::fmt::{Debug, Display};
+use std::process::{Command, Stdio};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
+use std::{env, fs};
 
 use hil::{qemu, uml};
 
 use crate::mrroc;
+
+/// The turn of a test by the clock, which one test at a time holds. Its programs miss deadlines while they wait for a
+/// processor, and therefore precede those of other tests, which only root may arrange. Builds the programs before.
+pub(crate) fn turn() -> MutexGuard<'static, ()> {
+    static TURN: Mutex<()> = Mutex::new(());
+    mrroc::binary();
+    let turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+    // Programs inherit the priority of the thread that starts them, which is this test's own.
+    let thread = fs::read_link("/proc/thread-self").expect("Linux");
+    let thread = thread.file_name().expect("PID/task/TID");
+    let mut renice = Command::new("renice");
+    let renice = renice.args(["-n", "-15", "-p"]).arg(thread);
+    let _ = renice.stdout(Stdio::null()).stderr(Stdio::null()).status();
+    turn
+}
 
 /// Runs `body` on a SocketCAN interface. `body` receives the name of the interface.
 ///

@@ -11,7 +11,7 @@ use ::mrroc::cell::Cell;
 use can::card::{self, CardError, CardState};
 use can::timing::Bitrate;
 
-use crate::bench::{on_cards, on_vcan};
+use crate::bench::{on_cards, on_vcan, turn};
 use crate::doctor::{self, Attached};
 use crate::mrroc::{self, Directory, Running};
 use crate::slcan::Adapters;
@@ -82,6 +82,7 @@ fn sh(command: &str) -> String {
 
 #[test]
 fn an_arm_on_a_card_stops_when_its_interface_goes_down_and_moves_again_when_it_is_up() {
+    let _turn = turn();
     on_cards(
         "card::an_arm_on_a_card_stops_when_its_interface_goes_down_and_moves_again_when_it_is_up",
         |here, there| {
@@ -182,6 +183,7 @@ fn a_bit_rate_that_cannot_be_set_is_refused_and_doctor_puts_back_what_it_sets() 
 /// Independent of the name of the bench.
 #[test]
 fn an_arm_behind_a_card_is_not_moved_unasked() {
+    let _turn = turn();
     on_cards(
         "card::an_arm_behind_a_card_is_not_moved_unasked",
         |here, _| {

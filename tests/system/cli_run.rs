@@ -7,6 +7,7 @@ use std::process::Command;
 use ::mrroc::cell::{Cell, Plant};
 use serde_json::Value;
 
+use crate::bench::turn;
 use crate::mrroc::{
     CELLS, Directory, Output, Running, enables, example, mrroc, shorten, text, trace,
 };
@@ -108,6 +109,7 @@ fn check_axes(name: &str, reports: &[Value]) {
 
 #[test]
 fn the_wall_clock_bench_completes_without_a_fault() {
+    let _turn = turn();
     let run = mrroc([
         "run".as_ref(),
         example("irp6").as_os_str(),
@@ -149,16 +151,19 @@ fn the_table_names_every_axis_and_the_outcome() {
 
 #[test]
 fn ctrl_c_in_motion_brakes_the_arm() {
+    let _turn = turn();
     stops_in_motion("INT");
 }
 
 #[test]
 fn sigterm_in_motion_brakes_the_arm() {
+    let _turn = turn();
     stops_in_motion("TERM");
 }
 
 #[test]
 fn ctrl_c_while_homing_ends_the_run_at_once() {
+    let _turn = turn();
     let (run, record) = interrupted("INT", |_| {}, "Homing", 200);
     stopped(&run);
     let last = record.lines().last().unwrap();
@@ -172,6 +177,7 @@ fn ctrl_c_while_homing_ends_the_run_at_once() {
 
 #[test]
 fn a_record_that_cannot_be_written_stops_the_arm() {
+    let _turn = turn();
     for bench in ["lockstep", "emulated"] {
         let run = mrroc([
             "run".as_ref(),
@@ -199,6 +205,7 @@ fn a_record_that_cannot_be_written_stops_the_arm() {
 
 #[test]
 fn a_stalled_trace_does_not_hold_up_a_stop() {
+    let _turn = turn();
     let directory = Directory::new();
     let [trace, record] = ["trace", "axes.csv"].map(|name| directory.path(name));
     let made = Command::new("mkfifo").arg(&trace).status();

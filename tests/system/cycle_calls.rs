@@ -23,6 +23,7 @@ use std::path::Path;
 
 use serde_json::Value;
 
+use crate::bench::turn;
 use crate::mrroc::{self, Directory, Output, Running, shorten, text};
 use crate::vcan::on_stage;
 
@@ -213,6 +214,7 @@ fn run(directory: &Directory, cell: &Path, more: &[&str]) -> (std::path::PathBuf
 /// The emulated drives are simulated in the servo thread, between cycles, and make no system calls either.
 #[test]
 fn a_cycle_on_an_emulated_bus_makes_no_call_but_the_wait() {
+    let _turn = turn();
     let directory = Directory::new();
     for wait in ["plain", "hybrid"] {
         let cell = text("irb6").replace(
@@ -227,6 +229,7 @@ fn a_cycle_on_an_emulated_bus_makes_no_call_but_the_wait() {
 
 #[test]
 fn a_cycle_on_serial_lines_makes_one_call_each_way_per_line_and_the_wait() {
+    let _turn = turn();
     let directory = Directory::new();
     let cell = directory.cell("irb6-serial", |cell| {
         shorten(cell);

@@ -12,6 +12,7 @@ use hil::{AxisConfig, Demand, Irp6Axis};
 use nalgebra::Complex;
 use serde_json::Value;
 
+use crate::bench::turn;
 use crate::cli_refusals::refused;
 use crate::host_closed::closed_by_host;
 use crate::mrroc::{self, Directory, Output, Running, example, mrroc, shorten};
@@ -219,6 +220,7 @@ fn is_serial_column(report: &Value) -> bool {
 /// moved.
 #[test]
 fn a_loop_is_measured_over_the_ttys_of_another_process() {
+    let _turn = turn();
     let directory = Directory::new();
     let cell = directory.cell("irb6-serial", |cell| {
         shorten(cell);
@@ -364,6 +366,7 @@ fn a_place_that_cannot_be_written_to_is_refused_before_anything_moves() {
 
 #[test]
 fn a_measurement_that_is_stopped_ends_with_status_1_and_brakes() {
+    let _turn = turn();
     let directory = Directory::new();
     let cell = directory.cell("irb6-serial", shorten);
     let out = directory.path("out");

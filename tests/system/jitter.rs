@@ -4,7 +4,7 @@ use std::process::{Command, Stdio};
 
 use serde_json::Value;
 
-use crate::bench::on_vcan;
+use crate::bench::{on_vcan, turn};
 use crate::cli_refusals::refused;
 use crate::doctor::Attached;
 use crate::mrroc::{Directory, Output, Running, binary, example, mrroc};
@@ -23,6 +23,7 @@ fn measured(arguments: &[&str]) -> Value {
 
 #[test]
 fn a_measurement_ends_with_one_object_that_compares_both_sides() {
+    let _turn = turn();
     let report = measured(&["--against", "plain", "--load", "cpu,memory,fork,io"]);
     for side in ["ours", "peer"] {
         let cycles = report[side]["cycles"].as_u64().unwrap();
@@ -76,6 +77,7 @@ fn numbers_are_in_microseconds() {
 
 #[test]
 fn the_cycle_of_a_cell_is_measured_with_its_drives_on() {
+    let _turn = turn();
     let cell = example("irb6");
     let words = [
         "jitter",
@@ -172,7 +174,7 @@ fn what_is_no_cell_to_measure_is_refused() {
 
 #[test]
 fn a_cell_is_measured_on_a_virtual_interface_and_never_on_a_card() {
-    binary();
+    let _turn = turn();
     on_vcan(
         "jitter::a_cell_is_measured_on_a_virtual_interface_and_never_on_a_card",
         |interface| {
@@ -245,6 +247,7 @@ fn an_interrupt_ends_it_early_with_what_was_measured() {
 /// A million cycles at the highest allowed rate: the memory does not grow with the number of cycles.
 #[test]
 fn a_long_measurement_keeps_no_more_than_a_short_one() {
+    let _turn = turn();
     let resident = |duration: &str| {
         let scratch = Directory::new();
         let directory = scratch.path("out");

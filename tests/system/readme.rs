@@ -41,7 +41,9 @@ fn excerpts(page: &str) -> Vec<&str> {
     let blocks = page.split("```toml\n").skip(1);
     let blocks = blocks.map(|rest| rest.split("```").next().unwrap());
     // Excerpts of a Cargo.toml are no cell files.
-    blocks.filter(|it| !it.starts_with("[dependencies]")).collect()
+    blocks
+        .filter(|it| !it.starts_with("[dependencies]"))
+        .collect()
 }
 
 #[test]

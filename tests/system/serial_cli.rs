@@ -9,6 +9,7 @@ use std::time::Duration;
 use ::mrroc::cell::Cell;
 use serde_json::Value;
 
+use crate::bench::turn;
 use crate::mrroc::{Directory, Output, Running, SERIAL_CELLS, example, mrroc, shorten, text};
 
 /// Largest following error in a run of an example cell, rad.
@@ -69,6 +70,7 @@ fn serial_cells_run_in_lockstep_the_same_bit_for_bit() {
 
 #[test]
 fn serial_cells_run_by_the_wall_clock_on_pseudo_terminals() {
+    let _turn = turn();
     let directory = Directory::new();
     for name in SERIAL_CELLS {
         let cell = directory.cell(name, shorten);
@@ -145,6 +147,7 @@ fn rows(record: &Path) -> Vec<(String, f64)> {
 /// A run is ended by Ctrl-C, and further runs follow.
 #[test]
 fn an_emulator_in_another_process_outlives_runs() {
+    let _turn = turn();
     // Without a checksum, answers that a loaded machine delivers together count as damaged.
     let name = "irb6-serial";
     let directory = Directory::new();

@@ -16,6 +16,7 @@ use hil::pty::{self, Interest};
 use serde_json::Value;
 use serial::{Line, Settings, Tty};
 
+use crate::bench::turn;
 use crate::mrroc::{Directory, Running, SERIAL_CELLS};
 use crate::serial_cli::{emulate, emulated, patient, run_arguments, run_on};
 
@@ -151,6 +152,7 @@ fn ended_by_the_cause(report: &Value, record: &Path) -> String {
 
 #[test]
 fn one_line_that_hangs_up_in_motion_is_the_cause_and_the_stop_ends_in_time() {
+    let _turn = turn();
     for name in SERIAL_CELLS {
         let directory = Directory::new();
         let cell = directory.cell(name, cell_of);
@@ -179,6 +181,7 @@ fn one_line_that_hangs_up_in_motion_is_the_cause_and_the_stop_ends_in_time() {
 
 #[test]
 fn an_emulator_that_is_killed_in_motion_is_the_cause_and_the_stop_ends_in_time() {
+    let _turn = turn();
     let directory = Directory::new();
     let cell = directory.cell("irb6-serial", cell_of);
     let ttys = directory.path("ttys");
@@ -194,6 +197,7 @@ fn an_emulator_that_is_killed_in_motion_is_the_cause_and_the_stop_ends_in_time()
 /// A killed run leaves its ttys to the emulator. A killed emulator leaves its links, whose terminals get new owners.
 #[test]
 fn an_unprivileged_user_goes_on_after_a_run_and_an_emulator_were_killed() {
+    let _turn = turn();
     let directory = Directory::new();
     let cell = directory.cell("irb6-serial", cell_of);
     let ttys = directory.path("ttys");

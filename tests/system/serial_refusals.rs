@@ -7,6 +7,7 @@ use std::os::unix::fs::symlink;
 use hil::Pty;
 use serial::{Settings, Tty};
 
+use crate::bench::turn;
 use crate::cli_refusals::refused;
 use crate::mrroc::{Directory, mrroc, text};
 
@@ -128,6 +129,7 @@ fn a_wrong_serial_cell_or_drive_is_refused_and_nothing_is_enabled() {
 
 #[test]
 fn an_adapter_with_a_latency_of_eight_periods_is_named() {
+    let _turn = turn();
     for name in crate::mrroc::SERIAL_CELLS {
         let directory = Directory::new();
         let cell = directory.cell(name, |cell| cell.serial[0].emulated_latency_ms = Some(16));

@@ -4,6 +4,7 @@ use std::fs::{self, File};
 use std::io::{self, Write};
 use std::process::Command;
 
+use crate::bench::turn;
 use crate::cli_run::{interrupted, stopped, stops_in_motion};
 use crate::mrroc::{Directory, Running, example, shorten};
 
@@ -16,6 +17,7 @@ const ENDING: [&str; 19] = [
 
 #[test]
 fn every_signal_that_would_end_or_suspend_a_run_brakes_the_arm() {
+    let _turn = turn();
     for signal in ENDING {
         println!("SIG{signal}");
         stops_in_motion(signal);
@@ -26,6 +28,7 @@ fn every_signal_that_would_end_or_suspend_a_run_brakes_the_arm() {
 /// background process that reads.
 #[test]
 fn a_run_in_the_background_is_not_suspended_by_its_terminal() {
+    let _turn = turn();
     let directory = Directory::new();
     let cell = directory.cell("irb6", shorten);
     let record = directory.path("axes.csv");
@@ -49,6 +52,7 @@ fn a_run_in_the_background_is_not_suspended_by_its_terminal() {
 
 #[test]
 fn ctrl_z_while_homing_ends_the_run() {
+    let _turn = turn();
     let (run, record) = interrupted("TSTP", |_| {}, "Homing", 200);
     stopped(&run);
     assert!(record.lines().last().unwrap().contains(",Off,"));
@@ -84,6 +88,7 @@ fn the_third_request_ends_a_run_in_lockstep_whose_trace_takes_nothing() {
 
 #[test]
 fn the_third_request_ends_an_emulated_run_whose_report_nobody_reads() {
+    let _turn = turn();
     let directory = Directory::new();
     let cell = directory.cell("irb6", |cell| {
         shorten(cell);

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use serde_json::Value;
 
+use crate::bench::turn;
 use crate::cli_refusals::refused;
 use crate::cycle_calls::emulate;
 use crate::mrroc::{Directory, Running, example, mrroc, shorten};
@@ -54,6 +55,7 @@ fn processes(file: &Path) -> Vec<String> {
 /// SIGSTOP delays a cycle by a large amount.
 #[test]
 fn a_late_cycle_of_a_run_and_one_that_is_asked_for_are_in_the_file() {
+    let _turn = turn();
     let directory = Directory::new();
     let cell = directory.cell("irb6", shorten);
     let [file, record] = ["spikes.json", "states.csv"].map(|name| directory.path(name));
@@ -93,6 +95,7 @@ fn a_late_cycle_of_a_run_and_one_that_is_asked_for_are_in_the_file() {
 /// The process at the other end of the lines is stopped, so that the drives cannot come up before the request.
 #[test]
 fn cycles_that_are_asked_for_before_the_drives_are_up_are_the_first() {
+    let _turn = turn();
     let directory = Directory::new();
     let cell = directory.cell("irb6-serial", |cell| {
         shorten(cell);
@@ -126,6 +129,7 @@ fn cycles_that_are_asked_for_before_the_drives_are_up_are_the_first() {
 
 #[test]
 fn a_measurement_shows_its_late_wake_ups() {
+    let _turn = turn();
     let directory = Directory::new();
     let file = directory.path("spikes.json");
     let cell = example("irb6");

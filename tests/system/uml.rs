@@ -124,7 +124,10 @@ fn a_machine_out_of_time_is_killed_with_all_its_processes() {
         String::from_utf8(output).unwrap()
     };
     // On a busy host the boot alone takes longer than the first limits.
-    let begun = [8, 20, 60].into_iter().map(timed_out).find(|output| !output.is_empty());
+    let begun = [8, 20, 60]
+        .into_iter()
+        .map(timed_out)
+        .find(|output| !output.is_empty());
     assert_eq!(begun.as_deref(), Some("begun\n"));
     assert!(scratch.names().is_empty());
 }

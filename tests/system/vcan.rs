@@ -10,7 +10,6 @@ use std::fs::{self, File};
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::task::Poll;
 use std::time::Duration;
 
@@ -25,7 +24,7 @@ use canopen::{NodeId, Object, cob};
 use drive::cia402::{AxisConfig, Cia402Group, GroupConfig, Recording};
 use drive::{AxisCommand, AxisState, DriveGroup, Finite, Homing, Increments, Setpoint};
 
-use crate::bench::on_vcan;
+use crate::bench::{on_vcan, turn};
 use crate::mrroc::{self, Directory, Output, Running};
 use crate::wire;
 
@@ -45,7 +44,6 @@ pub(crate) struct Stage<'a> {
 /// Runs `body` if `test` has an interface, with the program built before.
 pub(crate) fn on_stage(test: &str, body: impl FnOnce(&mut Stage)) {
     let _turn = turn();
-    mrroc::binary();
     on_vcan(test, |interface| {
         let directory = Directory::new();
         let mut stage = Stage {
@@ -56,12 +54,6 @@ pub(crate) fn on_stage(test: &str, body: impl FnOnce(&mut Stage)) {
         stage.change(shorten);
         body(&mut stage);
     });
-}
-
-/// Tests run one at a time, because a machine that waits for its processor misses deadlines.
-pub(crate) fn turn() -> MutexGuard<'static, ()> {
-    static TURN: Mutex<()> = Mutex::new(());
-    TURN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// A longer period and longer time limits.

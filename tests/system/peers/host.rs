@@ -151,7 +151,11 @@ impl Host {
     pub(super) fn upload_after_reset(&mut self, object: Object) -> Result<Vec<u8>, SdoError> {
         let lost = |result: &Result<_, _>| matches!(result, Err(SdoError::TimedOut { .. }));
         let first = self.upload(object);
-        if lost(&first) { self.upload(object) } else { first }
+        if lost(&first) {
+            self.upload(object)
+        } else {
+            first
+        }
     }
 
     pub(super) fn download(&mut self, object: Object, data: &[u8]) -> Result<(), SdoError> {

@@ -194,10 +194,10 @@ pub fn identify(options: &Options) -> anyhow::Result<ExitCode> {
         records,
         !hardware,
     );
-    outputs.begin()?;
     let motion = Motion::on(options.bench);
     let stop = servo.stop_request();
     signals::on_ending_of_motion(motion.clone(), move |_| stop.request())?;
+    outputs.begin()?;
     let ended = match options.bench {
         BenchKind::Lockstep => in_lockstep(servo, session, emulation),
         _ => by_the_clock(&file, servo, session, emulation),
