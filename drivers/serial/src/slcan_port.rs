@@ -333,9 +333,9 @@ impl<L: Line> SlcanPort<L> {
     /// Returns the next frame of the bytes read. Other lines are counted.
     fn next_frame(&mut self) -> Option<Frame> {
         while let Some(byte) = self.next_byte() {
-            let spoilt = self.splitter.dropped().lines;
+            let spoilt = self.splitter.dropped();
             let report = self.splitter.push(byte).map(AdapterReport::parse);
-            self.counters.dropped += self.splitter.dropped().lines - spoilt;
+            self.counters.dropped += self.splitter.dropped() - spoilt;
             match report {
                 Some(Ok(AdapterReport::Received { frame, .. })) => return Some(frame),
                 Some(Ok(AdapterReport::State { state, .. })) => self.state = state,
