@@ -57,6 +57,8 @@ pub struct SlcanPort<L: Line> {
     /// Command that opens the channel.
     how: Command,
     stage: Stage,
+    /// Time at which the present stage of the opening ends without an answer.
+    until: Instant,
     splitter: Splitter,
     /// Bytes read but not yet processed: `input[read_from..read_to]`.
     input: Box<[u8; READ]>,
@@ -74,11 +76,11 @@ pub struct SlcanPort<L: Line> {
 /// Progress of the opening.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stage {
-    Settling { until: Instant },
-    SettingUp { until: Instant },
-    AcceptingAll { until: Instant, answers: u8 },
-    Opening { until: Instant },
-    Probing { until: Instant },
+    Settling,
+    SettingUp,
+    AcceptingAll { answers: u8 },
+    Opening,
+    Probing,
     Open,
     Refused(SlcanError),
 }
@@ -137,9 +139,8 @@ impl<L: Line> SlcanPort<L> {
             line,
             bitrate,
             how,
-            stage: Stage::Settling {
-                until: now + SETTLING,
-            },
+            stage: Stage::Settling,
+            until: now + SETTLING,
             splitter: Splitter::default(),
             input: Box::new([0; READ]),
             read_from: 0,
@@ -165,24 +166,18 @@ impl<L: Line> SlcanPort<L> {
         match self.stage {
             Stage::Open => Poll::Ready(Ok(())),
             Stage::Refused(error) => Poll::Ready(Err(error)),
-            Stage::Settling { .. }
-            | Stage::SettingUp { .. }
+            Stage::Settling
+            | Stage::SettingUp
             | Stage::AcceptingAll { .. }
-            | Stage::Opening { .. }
-            | Stage::Probing { .. } => Poll::Pending,
+            | Stage::Opening
+            | Stage::Probing => Poll::Pending,
         }
     }
 
     /// Time at which the opening continues without an answer; `None` after the opening.
     pub fn poll_timeout(&self) -> Option<Instant> {
-        match self.stage {
-            Stage::Settling { until }
-            | Stage::SettingUp { until }
-            | Stage::AcceptingAll { until, .. }
-            | Stage::Opening { until }
-            | Stage::Probing { until } => Some(until),
-            Stage::Open | Stage::Refused(_) => None,
-        }
+        let ended = matches!(self.stage, Stage::Open | Stage::Refused(_));
+        (!ended).then_some(self.until)
     }
 
     /// The line, for loops that wait until it is readable.
@@ -217,43 +212,42 @@ impl<L: Line> SlcanPort<L> {
     fn answered(&mut self, report: Option<AdapterReport>, now: Instant) -> Result<(), SlcanError> {
         let kbps = self.bitrate.kbps();
         match (self.stage, report) {
-            (Stage::SettingUp { .. }, Some(AdapterReport::Refused)) => {
+            (Stage::SettingUp, Some(AdapterReport::Refused)) => {
                 return Err(SlcanError::BitrateRefused { kbps });
             }
-            (Stage::Opening { .. }, Some(AdapterReport::Refused)) => {
-                return Err(SlcanError::OpenRefused);
-            }
-            (Stage::SettingUp { .. }, Some(AdapterReport::Done)) => self.accept_all(now)?,
+            (Stage::Opening, Some(AdapterReport::Refused)) => return Err(SlcanError::OpenRefused),
+            (Stage::SettingUp, Some(AdapterReport::Done)) => self.accept_all(now)?,
             // Both commands are answered, possibly by a bell.
             (
-                Stage::AcceptingAll { until, answers },
+                Stage::AcceptingAll { answers },
                 Some(AdapterReport::Done | AdapterReport::Refused),
             ) => {
                 let answers = answers + 1;
-                self.stage = Stage::AcceptingAll { until, answers };
+                self.stage = Stage::AcceptingAll { answers };
                 if answers == 2 {
                     self.open_channel(now)?;
                 }
             }
             // A frame, a state line or a version line shows an open channel.
             (
-                Stage::Opening { .. },
+                Stage::Opening,
                 Some(
                     AdapterReport::Done
                     | AdapterReport::Received { .. }
                     | AdapterReport::State { .. },
                 ),
             )
-            | (Stage::Probing { .. }, _) => self.stage = Stage::Open,
+            | (Stage::Probing, _) => self.stage = Stage::Open,
             // Answers to earlier commands, and frames from before the opening.
             (
-                Stage::Settling { .. }
-                | Stage::SettingUp { .. }
+                Stage::Settling
+                | Stage::SettingUp
                 | Stage::AcceptingAll { .. }
-                | Stage::Opening { .. },
+                | Stage::Opening
+                | Stage::Open
+                | Stage::Refused(_),
                 _,
             ) => {}
-            (Stage::Open | Stage::Refused(_), _) => {}
         }
         Ok(())
     }
@@ -261,42 +255,37 @@ impl<L: Line> SlcanPort<L> {
     /// Handles the time-out of a command during the opening.
     fn silence(&mut self, now: Instant) -> Result<(), SlcanError> {
         match self.stage {
-            Stage::Settling { .. } => {
+            Stage::Settling => {
                 self.say(Command::Bitrate(self.bitrate));
-                self.stage = Stage::SettingUp {
-                    until: now + ANSWER,
-                };
+                Ok(self.enter(Stage::SettingUp, now)?)
             }
-            Stage::SettingUp { .. } => return self.accept_all(now),
-            Stage::AcceptingAll { .. } => return self.open_channel(now),
-            Stage::Opening { .. } => {
+            Stage::SettingUp => Ok(self.accept_all(now)?),
+            Stage::AcceptingAll { .. } => Ok(self.open_channel(now)?),
+            Stage::Opening => {
                 self.say(Command::Version);
-                self.stage = Stage::Probing {
-                    until: now + ANSWER,
-                };
+                Ok(self.enter(Stage::Probing, now)?)
             }
-            Stage::Probing { .. } => return Err(SlcanError::Silent),
-            Stage::Open | Stage::Refused(_) => {}
+            Stage::Probing => Err(SlcanError::Silent),
+            Stage::Open | Stage::Refused(_) => Ok(()),
         }
-        Ok(self.flush(now)?)
     }
 
-    fn accept_all(&mut self, now: Instant) -> Result<(), SlcanError> {
+    fn accept_all(&mut self, now: Instant) -> Result<(), LineError> {
         self.say(Command::AcceptanceCode(0));
         self.say(Command::AcceptanceMask(u32::MAX));
-        self.stage = Stage::AcceptingAll {
-            until: now + ANSWER,
-            answers: 0,
-        };
-        Ok(self.flush(now)?)
+        self.enter(Stage::AcceptingAll { answers: 0 }, now)
     }
 
-    fn open_channel(&mut self, now: Instant) -> Result<(), SlcanError> {
+    fn open_channel(&mut self, now: Instant) -> Result<(), LineError> {
         self.say(self.how);
-        self.stage = Stage::Opening {
-            until: now + ANSWER,
-        };
-        Ok(self.flush(now)?)
+        self.enter(Stage::Opening, now)
+    }
+
+    /// Sends what was said, and waits for the answer.
+    fn enter(&mut self, stage: Stage, now: Instant) -> Result<(), LineError> {
+        self.stage = stage;
+        self.until = now + ANSWER;
+        self.flush(now)
     }
 
     fn say(&mut self, command: Command) {
