@@ -413,28 +413,8 @@ impl Client {
         match self.config.dialect {
             Dialect::Epos2 => {
                 let telegram = match request {
-                    Request::Read(Address {
-                        node,
-                        index,
-                        subindex,
-                    }) => epos2::Request::Read {
-                        node,
-                        index,
-                        subindex,
-                    },
-                    Request::Write(
-                        Address {
-                            node,
-                            index,
-                            subindex,
-                        },
-                        value,
-                    ) => epos2::Request::Write {
-                        node,
-                        index,
-                        subindex,
-                        value,
-                    },
+                    Request::Read(address) => epos2::Request::Read(address),
+                    Request::Write(address, value) => epos2::Request::Write(address, value),
                     Request::Nmt { node, command } => epos2::Request::Nmt { node, command },
                     Request::InitiateSegmentedRead(_)
                     | Request::SegmentRead { .. }

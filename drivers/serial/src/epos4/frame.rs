@@ -1,14 +1,10 @@
 //! Frames of an EPOS4 service port.
 
 use super::{DLE, LONGEST, MAX_WORDS, STX};
-use crate::epos2::crc16;
+use crate::epos2;
 
 fn crc(opcode: u8, data: &[u8]) -> u16 {
-    let head = crc16(crc16(0, (data.len() / 2) as u8), opcode);
-    let (words, _) = data.as_chunks::<2>();
-    words
-        .iter()
-        .fold(head, |crc, &[low, high]| crc16(crc16(crc, high), low))
+    epos2::crc([(data.len() / 2) as u8, opcode], data)
 }
 
 /// A frame without byte stuffing: an opcode and up to [`MAX_WORDS`] data words.
