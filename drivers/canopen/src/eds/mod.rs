@@ -324,33 +324,11 @@ data_types! {
 impl DataType {
     /// The least and the greatest number of an integer type or BOOLEAN; `None` of all others.
     pub const fn range(self) -> Option<(i128, i128)> {
-        let signed = match self {
-            Self::Boolean => return Some((0, 1)),
-            Self::Integer8
-            | Self::Integer16
-            | Self::Integer24
-            | Self::Integer32
-            | Self::Integer40
-            | Self::Integer48
-            | Self::Integer56
-            | Self::Integer64 => true,
-            Self::Unsigned8
-            | Self::Unsigned16
-            | Self::Unsigned24
-            | Self::Unsigned32
-            | Self::Unsigned40
-            | Self::Unsigned48
-            | Self::Unsigned56
-            | Self::Unsigned64 => false,
-            Self::Real32
-            | Self::Real64
-            | Self::VisibleString
-            | Self::OctetString
-            | Self::UnicodeString
-            | Self::TimeOfDay
-            | Self::TimeDifference
-            | Self::Domain
-            | Self::Other(_) => return None,
+        let signed = match self.code() {
+            0x01 => return Some((0, 1)),
+            0x02..=0x04 | 0x10 | 0x12..=0x15 => true,
+            0x05..=0x07 | 0x16..=0x1B => false,
+            _ => return None,
         };
         let Some(bytes) = self.size() else {
             return None;
