@@ -28,7 +28,7 @@ pub enum Request {
     ConfigureBitTiming {
         /// [`super::CIA_TABLE`], or a table of the vendor.
         table: u8,
-        /// See [`super::BitRate::index`].
+        /// See [`super::BitRate::from_index`].
         index: u8,
     },
     /// Be silent for the delay, change to the configured bit rate, and be silent for the delay again. Not
