@@ -30,12 +30,7 @@ pub struct Identity {
 impl Identity {
     /// One of the four numbers.
     pub const fn get(&self, part: Part) -> u32 {
-        match part {
-            Part::Vendor => self.vendor,
-            Part::Product => self.product,
-            Part::Revision => self.revision,
-            Part::Serial => self.serial,
-        }
+        [self.vendor, self.product, self.revision, self.serial][part as usize]
     }
 
     /// One of the four numbers, to write it.
