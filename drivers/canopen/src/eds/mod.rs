@@ -14,7 +14,8 @@
 //! - `CompactSubObj` with its `[1003Name]` and `[1003Value]`;
 //! - objects that no list mentions.
 //!
-//! The reader ignores sections of tools and modules, denotations and object links, since no object depends on them.
+//! The reader ignores sections of tools and modules, denotations, object links, and the keys that no field here has,
+//! since no object depends on them.
 
 mod error;
 mod ini;
@@ -64,9 +65,6 @@ pub struct FileInfo {
     pub creation_time: String,
     pub creation_date: String,
     pub created_by: String,
-    pub modification_time: String,
-    pub modification_date: String,
-    pub modified_by: String,
 }
 
 /// Section `[DeviceInfo]`.
@@ -112,14 +110,10 @@ pub const BAUD_RATES: [u16; 8] = [10, 20, 50, 125, 250, 500, 800, 1000];
 pub struct Commissioning {
     /// Its node-ID.
     pub node: Option<NodeId>,
-    /// Its name.
-    pub node_name: String,
     /// Bit rate of its bus, kbit/s; `None` if 0.
     pub baud_rate: Option<u16>,
     /// Number of its network.
     pub net_number: Option<u32>,
-    /// Name of its network.
-    pub network_name: String,
     /// Whether it is the manager of its network.
     pub manager: bool,
     /// Serial number, object 0x1018:04; `None` if 0.

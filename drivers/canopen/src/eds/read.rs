@@ -392,9 +392,6 @@ fn file_info(section: &Section<'_>) -> FileInfo {
         creation_time: section.text("CreationTime"),
         creation_date: section.text("CreationDate"),
         created_by: section.text("CreatedBy"),
-        modification_time: section.text("ModificationTime"),
-        modification_date: section.text("ModificationDate"),
-        modified_by: section.text("ModifiedBy"),
     }
 }
 
@@ -438,12 +435,10 @@ fn commissioning(section: &Section<'_>) -> Result<Commissioning, EdsError> {
     let stated = |number: &u32| *number != 0;
     Ok(Commissioning {
         node: node.transpose()?,
-        node_name: section.text("NodeName"),
         baud_rate: section
             .number("Baudrate", u16::MAX.into())?
             .filter(|rate| *rate != 0),
         net_number: section.number("NetNumber", u32::MAX.into())?,
-        network_name: section.text("NetworkName"),
         manager: section.flag("CANopenManager")?,
         serial_number: section
             .number("LSS_SerialNumber", u32::MAX.into())?

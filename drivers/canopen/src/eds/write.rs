@@ -96,10 +96,7 @@ impl FileInfo {
         text(f, "Description", &self.description)?;
         text(f, "CreationTime", &self.creation_time)?;
         text(f, "CreationDate", &self.creation_date)?;
-        text(f, "CreatedBy", &self.created_by)?;
-        text(f, "ModificationTime", &self.modification_time)?;
-        text(f, "ModificationDate", &self.modification_date)?;
-        text(f, "ModifiedBy", &self.modified_by)
+        text(f, "CreatedBy", &self.created_by)
     }
 }
 
@@ -133,14 +130,12 @@ impl Commissioning {
         if let Some(node) = self.node {
             key(f, "NodeID", node)?;
         }
-        text(f, "NodeName", &self.node_name)?;
         if let Some(rate) = self.baud_rate {
             key(f, "Baudrate", rate)?;
         }
         if let Some(net) = self.net_number {
             key(f, "NetNumber", net)?;
         }
-        text(f, "NetworkName", &self.network_name)?;
         flag(f, "CANopenManager", self.manager)?;
         number(f, "LSS_SerialNumber", self.serial_number)
     }
