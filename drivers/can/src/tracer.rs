@@ -45,11 +45,14 @@ impl<P: Port> Tracer<P> {
         (Self { port, trace, lost }, reader)
     }
 
-    fn record(&mut self, frames: impl Iterator<Item = Traced>) {
-        for traced in frames {
-            if self.trace.push(traced).is_err() {
-                self.lost.fetch_add(1, Ordering::Relaxed);
-            }
+    fn record(&mut self, at: Instant, frame: Frame, direction: Direction) {
+        let traced = Traced {
+            at,
+            frame,
+            direction,
+        };
+        if self.trace.push(traced).is_err() {
+            self.lost.fetch_add(1, Ordering::Relaxed);
         }
     }
 }
@@ -57,23 +60,17 @@ impl<P: Port> Tracer<P> {
 impl<P: Port> Port for Tracer<P> {
     fn send(&mut self, now: Instant, frames: &[Frame]) -> Result<usize, PortError> {
         let taken = self.port.send(now, frames)?;
-        let direction = Direction::Sent;
-        self.record(frames[..taken].iter().map(|&frame| Traced {
-            at: now,
-            frame,
-            direction,
-        }));
+        for &frame in &frames[..taken] {
+            self.record(now, frame, Direction::Sent);
+        }
         Ok(taken)
     }
 
     fn receive(&mut self, now: Instant, into: &mut [Received]) -> Result<usize, PortError> {
         let count = self.port.receive(now, into)?;
-        let direction = Direction::Received;
-        self.record(into[..count].iter().map(|&Received { at, frame }| Traced {
-            at,
-            frame,
-            direction,
-        }));
+        for &Received { frame, at } in &into[..count] {
+            self.record(at, frame, Direction::Received);
+        }
         Ok(count)
     }
 

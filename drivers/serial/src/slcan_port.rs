@@ -392,7 +392,7 @@ impl<L: Line> Port for SlcanPort<L> {
         let again = taken == 0 && !frames.is_empty() && self.untaken == frames.first().copied();
         self.counters.refused += (frames.len() - taken - usize::from(again)) as u64;
         self.untaken = frames.get(taken).copied();
-        result.map(|_| taken).map_err(of_line)
+        Ok(result.map(|_| taken)?)
     }
 
     /// Reads once. Writes first if a frame is partly on the line.
@@ -400,14 +400,14 @@ impl<L: Line> Port for SlcanPort<L> {
         if self.stage != Stage::Open {
             return Ok(0);
         }
-        self.flush(now).map_err(of_line)?;
+        self.flush(now)?;
         let mut count = 0;
         for fresh in [false, true] {
             if fresh && count < into.len() {
                 match self.read_more(now) {
                     // Frames received before the line was lost are delivered first.
                     Err(_) if count > 0 => {}
-                    read => read.map_err(of_line)?,
+                    read => read?,
                 }
             }
             while count < into.len()
@@ -442,10 +442,12 @@ impl<L: Line> Drop for SlcanPort<L> {
     }
 }
 
-fn of_line(error: LineError) -> PortError {
-    match error {
-        LineError::Gone => PortError::Gone,
-        LineError::Os(errno) => PortError::Os(errno),
+impl From<LineError> for PortError {
+    fn from(error: LineError) -> Self {
+        match error {
+            LineError::Gone => Self::Gone,
+            LineError::Os(errno) => Self::Os(errno),
+        }
     }
 }
 
