@@ -63,6 +63,7 @@ const FRAME_CHARGE: usize = 768;
 
 /// Why a port could not be opened, and what to do about it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum OpenError {
     /// No interface can have such a name.
     #[error("an interface name has 1 to 15 bytes, none of them blank or a slash")]
@@ -88,17 +89,13 @@ pub enum OpenError {
     /// More identifiers to accept than the kernel filters.
     #[error("{interface}: {given} identifiers to accept, the kernel takes 512")]
     TooManyFilters {
-        /// The interface.
         interface: InterfaceName,
-        /// How many identifiers were to be accepted.
         given: usize,
     },
     /// Anything else the operating system said.
     #[error("{interface}: errno {errno}")]
     Os {
-        /// The interface.
         interface: InterfaceName,
-        /// Its answer.
         errno: i32,
     },
 }

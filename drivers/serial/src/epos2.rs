@@ -109,18 +109,14 @@ impl Telegram {
 
 /// Reason why a telegram cannot be decoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum Malformed {
     /// The telegram was damaged. [`Acknowledge::Failed`] is the answer to it.
     #[error("crc or length is wrong")]
     Damaged,
     /// The telegram is intact but has no meaning here.
     #[error("opcode {opcode:#04x} with {words} words is not understood")]
-    Unknown {
-        /// Opcode of the telegram.
-        opcode: u8,
-        /// Number of data words.
-        words: usize,
-    },
+    Unknown { opcode: u8, words: usize },
 }
 
 /// Data words of an intact telegram. `body` holds the length byte, the words and the CRC.

@@ -87,19 +87,14 @@ enum Stage {
 
 /// Reason why an adapter was not opened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum SlcanError {
     /// The bit rate is not one of the nine bit rates of slcan.
     #[error("slcan has no {kbps} kbit/s: 10, 20, 50, 100, 125, 250, 500, 800 or 1000")]
-    NoSuchBitrate {
-        /// The requested bit rate, kbit/s.
-        kbps: u32,
-    },
+    NoSuchBitrate { kbps: u32 },
     /// The adapter refused the bit rate.
     #[error("the adapter refuses {kbps} kbit/s")]
-    BitrateRefused {
-        /// The requested bit rate, kbit/s.
-        kbps: u32,
-    },
+    BitrateRefused { kbps: u32 },
     /// The adapter refused to open the channel.
     #[error("the adapter refuses to open its channel: unplug it and plug it in again")]
     OpenRefused,

@@ -24,6 +24,7 @@ use crate::{Line, LineCounters, LineError, Settings};
 
 /// Reason why a tty could not be opened, and the remedy.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum OpenError {
     /// The file or the device behind it does not exist.
     #[error(
@@ -44,21 +45,13 @@ pub enum OpenError {
     /// The device cannot run at the requested baud rate.
     #[error("{path}: cannot do {asked} baud, the nearest is {nearest}")]
     Baud {
-        /// The tty.
         path: Box<Path>,
-        /// The requested baud rate, bit/s.
         asked: u32,
-        /// The nearest possible baud rate, bit/s.
         nearest: u32,
     },
     /// Any other error of the operating system.
     #[error("{path}: errno {errno}")]
-    Os {
-        /// The tty.
-        path: Box<Path>,
-        /// Error number.
-        errno: i32,
-    },
+    Os { path: Box<Path>, errno: i32 },
 }
 
 /// A tty in raw mode, for exclusive use.
