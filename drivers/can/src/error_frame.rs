@@ -2,8 +2,7 @@
 //!
 //! An error frame is made by the kernel and never was on the wire. Its identifier is a set of
 //! classes, several at once being normal, and its data says more about each
-//! (Linux, `include/uapi/linux/can/error.h`). [`ErrorFrame::state_after`] is the transition function
-//! of a port's [`ControllerState`].
+//! (Linux, `include/uapi/linux/can/error.h`).
 
 use crate::{ControllerState, Frame};
 
@@ -16,55 +15,37 @@ const WARNING: u8 = 0x0C;
 const PASSIVE: u8 = 0x30;
 const ACTIVE: u8 = 0x40;
 
-/// A decoded error frame: what it says of the controller's state.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ErrorFrame {
-    classes: u32,
-    /// Zero unless the class [`CONTROLLER`] is among the classes.
-    controller: u8,
-}
-
-impl ErrorFrame {
-    /// `None` unless the kernel made `frame` to report an error.
-    ///
-    /// Other classes are ignored; data that is not there reads as zero.
-    pub fn parse(frame: &Frame) -> Option<Self> {
-        let classes = frame.raw_id();
-        let controller = frame.data().get(1).copied();
-        frame.is_error().then_some(Self {
-            classes,
-            controller: controller
-                .filter(|_| classes & CONTROLLER != 0)
-                .unwrap_or(0),
-        })
+/// The state of a port's controller once an error frame was seen; `None` unless the kernel made `frame` to report an
+/// error.
+///
+/// An error frame with a state has the whole state. The state before matters only for a frame without a state. Of
+/// several statements in one frame the worst holds. Other classes are ignored; data that is not there reads as zero.
+pub(crate) fn state_after(frame: &Frame, before: ControllerState) -> Option<ControllerState> {
+    if !frame.is_error() {
+        return None;
     }
-
-    /// The controller's state once this frame was seen.
-    ///
-    /// An error frame with a state has the whole state. The state before matters only for a frame without a state. Of
-    /// several statements in one frame the worst holds.
-    pub fn state_after(&self, before: ControllerState) -> ControllerState {
-        if self.classes & BUS_OFF != 0 {
-            ControllerState::BusOff
-        } else if self.controller & PASSIVE != 0 {
-            ControllerState::Passive
-        } else if self.controller & WARNING != 0 {
-            ControllerState::Warning
-        } else if self.classes & RESTARTED != 0 || self.controller & ACTIVE != 0 {
-            ControllerState::Active
-        } else {
-            before
-        }
-    }
+    let has = |class| frame.raw_id() & class != 0;
+    let flags = frame.data().get(1).filter(|_| has(CONTROLLER));
+    let says = |flag| flags.is_some_and(|flags| flags & flag != 0);
+    Some(if has(BUS_OFF) {
+        ControllerState::BusOff
+    } else if says(PASSIVE) {
+        ControllerState::Passive
+    } else if says(WARNING) {
+        ControllerState::Warning
+    } else if has(RESTARTED) || says(ACTIVE) {
+        ControllerState::Active
+    } else {
+        before
+    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn error(classes: u32, data: [u8; 8]) -> ErrorFrame {
-        let frame = Frame::from_raw(0x2000_0000 | classes, 8, data).unwrap();
-        ErrorFrame::parse(&frame).unwrap()
+    fn error(classes: u32, data: [u8; 8]) -> Frame {
+        Frame::from_raw(0x2000_0000 | classes, 8, data).unwrap()
     }
 
     #[test]
@@ -90,8 +71,8 @@ mod tests {
         for (classes, flags, before, after) in cases {
             let frame = error(classes, [0, flags, 0, 0, 0, 0, 0, 0]);
             assert_eq!(
-                frame.state_after(before),
-                after,
+                state_after(&frame, before),
+                Some(after),
                 "{classes:#05x}, {flags:#04x}"
             );
         }
@@ -101,14 +82,14 @@ mod tests {
     fn the_kernel_of_a_serial_adapter_reports_a_warning_so() {
         let frame = error(0x204, [0, 0x0C, 0, 0, 0, 0, 96, 0]);
         assert_eq!(
-            frame.state_after(ControllerState::Active),
-            ControllerState::Warning
+            state_after(&frame, ControllerState::Active),
+            Some(ControllerState::Warning)
         );
     }
 
     #[test]
     fn a_frame_from_the_bus_is_no_error_frame() {
         let frame = Frame::from_raw(0x004, 8, [0; 8]).unwrap();
-        assert_eq!(ErrorFrame::parse(&frame), None);
+        assert_eq!(state_after(&frame, ControllerState::Active), None);
     }
 }

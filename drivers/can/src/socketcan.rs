@@ -18,9 +18,10 @@ use batch::Batch;
 use socketcan::{CanAddr, CanFilter, CanSocket, Socket, SocketOptions};
 use thiserror::Error;
 
+use crate::error_frame::state_after;
 use crate::{
-    ControllerState, Counters, ErrorFrame, Frame, Instant, InterfaceName, Port, PortError,
-    Received, StandardId, clock,
+    ControllerState, Counters, Frame, Instant, InterfaceName, Port, PortError, Received,
+    StandardId, clock,
 };
 
 /// Frames that one system call moves at most. The rest of a longer send is refused.
@@ -218,9 +219,9 @@ impl SocketCanPort {
                 self.counters.dropped += 1;
                 continue;
             };
-            if let Some(error) = ErrorFrame::parse(&frame) {
+            if let Some(state) = state_after(&frame, self.state) {
                 self.counters.errors += 1;
-                self.state = error.state_after(self.state);
+                self.state = state;
                 continue;
             }
             // The stamp is of CLOCK_REALTIME, which may have been set since it was taken.

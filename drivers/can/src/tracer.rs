@@ -11,7 +11,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use rtrb::{Consumer, Producer, RingBuffer};
 
 use crate::candump::Direction;
-use crate::{ControllerState, Counters, ErrorFrame, Frame, Instant, Port, PortError, Received};
+use crate::error_frame::state_after;
+use crate::{ControllerState, Counters, Frame, Instant, Port, PortError, Received};
 
 /// A frame that passed through a port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -139,9 +140,9 @@ impl Port for ReplayPort {
                 break;
             }
             self.next += 1;
-            if let Some(error) = ErrorFrame::parse(&received.frame) {
+            if let Some(state) = state_after(&received.frame, self.state) {
                 self.counters.errors += 1;
-                self.state = error.state_after(self.state);
+                self.state = state;
                 continue;
             }
             into[count] = received;
