@@ -18,13 +18,7 @@ pub struct Frame {
 impl Frame {
     /// A frame with these data; `None` if the data are too long. A zero byte fills the last word if necessary.
     pub fn new(opcode: u8, data: &[u8]) -> Option<Self> {
-        let mut padded = [0; 2 * MAX_WORDS];
-        padded.get_mut(..data.len())?.copy_from_slice(data);
-        Some(Self {
-            opcode,
-            data: padded,
-            length: data.len().next_multiple_of(2),
-        })
+        (data.len() <= 2 * MAX_WORDS).then(|| Self::of(opcode, &[data]))
     }
 
     pub(super) fn of(opcode: u8, parts: &[&[u8]]) -> Self {
