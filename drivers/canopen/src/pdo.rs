@@ -52,11 +52,8 @@ impl PdoKind {
 
     /// Sub-index `subindex` of the mapping parameter: 0 count, then the entries.
     pub const fn mapping(self, number: PdoNumber, subindex: u8) -> Object {
-        let base = match self {
-            Self::Rpdo => 0x1600,
-            Self::Tpdo => 0x1A00,
-        };
-        Object::new(base + number.offset(), subindex)
+        let communication = self.communication(number, 0);
+        Object::new(communication.index + 0x200, subindex)
     }
 }
 

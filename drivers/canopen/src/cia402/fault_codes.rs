@@ -18,6 +18,7 @@ impl FaultTable {
             Self::Cia402 => None,
             Self::Epos4 => find(EPOS4, code).or(match code {
                 0x1080..=0x1088 => Some("generic initialisation error"),
+                0x5480..=0x5483 => Some("hardware error"),
                 0x6180..=0x61F0 => Some("internal software error"),
                 _ => None,
             }),
@@ -188,10 +189,6 @@ const EPOS4: &[(u16, &str)] = &[
         "hardware incompatible; maxon knows of units built from 03/2025 to 04/2026",
     ),
     (0x5282, "STO card not detected"),
-    (0x5480, "hardware error"),
-    (0x5481, "hardware error"),
-    (0x5482, "hardware error"),
-    (0x5483, "hardware error"),
     (0x6080, "sign of life error"),
     (0x6081, "watchdog of extension 1"),
     (0x6320, "software parameter error"),
