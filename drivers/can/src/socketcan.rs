@@ -12,7 +12,7 @@
 mod batch;
 
 use std::io;
-use std::os::fd::{AsFd, BorrowedFd};
+use std::os::fd::AsFd;
 
 use batch::Batch;
 use socketcan::{CanAddr, CanFilter, CanSocket, Socket, SocketOptions};
@@ -284,13 +284,6 @@ impl Port for SocketCanPort {
 
     fn state(&self) -> ControllerState {
         self.state
-    }
-}
-
-/// For loops that wait on several things at once.
-impl AsFd for SocketCanPort {
-    fn as_fd(&self) -> BorrowedFd<'_> {
-        self.socket.as_fd()
     }
 }
 
