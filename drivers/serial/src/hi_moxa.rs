@@ -92,6 +92,10 @@ impl DriverMode {
     const ALL: [Self; 3] = [Self::Manual, Self::Pwm, Self::Error];
 }
 
+impl Mode {
+    const ALL: [Self; 3] = [Self::Pwm, Self::Current, Self::Position];
+}
+
 impl Gain {
     const ALL: [Self; 3] = [Self::P, Self::I, Self::D];
 }
@@ -142,12 +146,7 @@ impl Request {
         };
         let value = i16::from_le_bytes([low, high]);
         if code & 0x0F != SET_PARAMETER {
-            let mode = match code & 0x0F {
-                0 => Mode::Pwm,
-                1 => Mode::Current,
-                2 => Mode::Position,
-                _ => return None,
-            };
+            let mode = *Mode::ALL.get(usize::from(code & 0x0F))?;
             return (code & 0xF0 & !LATCH_INDEX == 0).then_some(Self::Drive {
                 mode,
                 value,

@@ -117,13 +117,8 @@ impl Part {
     }
 
     /// The one sent after it.
-    pub const fn next(self) -> Option<Self> {
-        match self {
-            Self::Vendor => Some(Self::Product),
-            Self::Product => Some(Self::Revision),
-            Self::Revision => Some(Self::Serial),
-            Self::Serial => None,
-        }
+    pub fn next(self) -> Option<Self> {
+        Self::ALL.get(self as usize + 1).copied()
     }
 }
 
