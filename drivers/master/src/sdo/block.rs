@@ -125,7 +125,7 @@ impl Client {
         let object = self.object;
         match (state, code) {
             (BlockState::UploadInitiated, AbortCode::COMMAND_SPECIFIER) => {
-                self.start = Start::Upload
+                self.start = Start::Upload;
             }
             (BlockState::DownloadInitiated, AbortCode::COMMAND_SPECIFIER) => {
                 self.start = Start::Download;
