@@ -16,7 +16,7 @@ pub(crate) struct FrameLog {
     readers: Vec<TraceReader>,
     /// What the log calls each bus.
     names: Vec<can::InterfaceName>,
-    writer: candump::Writer<BufWriter<File>>,
+    writer: BufWriter<File>,
 }
 
 impl FrameLog {
@@ -35,7 +35,7 @@ impl FrameLog {
         Ok(Self {
             readers,
             names,
-            writer: candump::Writer::new(BufWriter::new(file)),
+            writer: BufWriter::new(file),
         })
     }
 
@@ -44,12 +44,13 @@ impl FrameLog {
         for (reader, name) in self.readers.iter_mut().zip(&self.names) {
             while let Some(traced) = reader.read() {
                 let (at, frame) = (traced.at, traced.frame);
-                self.writer.write(&candump::Entry {
+                let entry = candump::Entry {
                     at,
                     interface: *name,
                     frame,
                     direction: None,
-                })?;
+                };
+                writeln!(self.writer, "{entry}")?;
             }
         }
         Ok(())
@@ -58,7 +59,7 @@ impl FrameLog {
     /// Writes the rest and returns how many frames were lost because the file was too slow.
     pub(crate) fn finish(mut self) -> io::Result<u64> {
         self.drain()?;
-        self.writer.into_inner().flush()?;
+        self.writer.flush()?;
         Ok(self.readers.iter().map(TraceReader::lost).sum())
     }
 }

@@ -14,7 +14,7 @@ use std::task::Poll;
 use std::time::Duration;
 
 use ::mrroc::cell::{Axis, Cell, Wait};
-use can::candump::Reader;
+use can::candump::Entry;
 use can::{Frame, Instant, Port, Received, SocketCanOptions, SocketCanPort, Tracer, clock};
 use canopen::cia402::{PowerState, Statusword};
 use canopen::emcy::{Emergency, ErrorRegister};
@@ -178,7 +178,9 @@ pub(crate) fn frames_of(path: &Path) -> Vec<Received> {
     let mut file = BufReader::new(File::open(path).unwrap());
     while file.read_line(&mut whole).unwrap() > 0 {}
     whole.truncate(whole.rfind('\n').map_or(0, |end| end + 1));
-    let entries = Reader::new(whole.as_bytes()).map(Result::unwrap);
+    let entries = whole
+        .lines()
+        .map(|line| Entry::parse(line.as_bytes()).unwrap());
     let received = entries.map(|entry| Received {
         frame: entry.frame,
         at: entry.at,

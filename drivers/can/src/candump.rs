@@ -5,19 +5,15 @@
 //! (1795242630.522153) vcan0 581#4F41600000000000 R
 //! ```
 //!
-//! [`Writer`] and [`Reader`] stream: neither holds more than a line. Times keep their microseconds and
-//! lose the nanoseconds. A frame that was written reads back the same, error frames included. CAN FD
-//! frames and raw length codes above 8 (`_9` to `_F`) are left out: reading one is an error.
+//! An [`Entry`] is one line. Times keep their microseconds and lose the nanoseconds. A frame that was
+//! written reads back the same, error frames included. CAN FD frames and raw length codes above 8
+//! (`_9` to `_F`) are left out: reading one is an error.
 
 use std::fmt;
-use std::io::{self, BufRead, Read, Write};
 
 use thiserror::Error;
 
 use crate::{ExtendedId, Frame, Id, Instant, InterfaceName, StandardId};
-
-/// A longer line is an error; a frame needs 80 bytes at most.
-const LONGEST_LINE: usize = 128;
 
 /// Which way a frame went, seen from the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -101,115 +97,6 @@ pub enum LineError {
     /// Something behind the frame that is no direction.
     #[error("expected nothing, T or R behind the frame")]
     Direction,
-    /// Longer than any frame needs.
-    #[error("longer than {LONGEST_LINE} bytes")]
-    TooLong,
-}
-
-/// Why a recording could not be read on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-pub enum ReadError {
-    /// A line is wrong; the lines behind it can still be read.
-    #[error("line {line}: {error}")]
-    Line {
-        /// Counted from 1.
-        line: u64,
-        /// What is wrong with it.
-        error: LineError,
-    },
-    /// The source failed.
-    #[error("line {line}: {kind}")]
-    Source {
-        /// The line that was being read, counted from 1.
-        line: u64,
-        /// How it failed.
-        kind: io::ErrorKind,
-    },
-}
-
-/// Writes a recording, a line at a time, into a buffered sink.
-pub struct Writer<W> {
-    sink: W,
-}
-
-impl<W: Write> Writer<W> {
-    /// Writes to `sink`, which should be buffered.
-    pub fn new(sink: W) -> Self {
-        Self { sink }
-    }
-
-    /// Appends a line.
-    pub fn write(&mut self, entry: &Entry) -> io::Result<()> {
-        writeln!(self.sink, "{entry}")
-    }
-
-    /// Hands back the sink, which was not flushed.
-    pub fn into_inner(self) -> W {
-        self.sink
-    }
-}
-
-/// Reads a recording, a line at a time; blank lines are skipped.
-pub struct Reader<R> {
-    source: R,
-    line: u64,
-    buffer: Vec<u8>,
-    failed: bool,
-}
-
-impl<R: BufRead> Reader<R> {
-    /// Reads from `source`.
-    pub fn new(source: R) -> Self {
-        Self {
-            source,
-            line: 0,
-            buffer: Vec::with_capacity(LONGEST_LINE),
-            failed: false,
-        }
-    }
-
-    /// Reads the next line into the buffer; `None` at the end.
-    fn next_line(&mut self) -> io::Result<Option<Result<(), LineError>>> {
-        self.buffer.clear();
-        let limit = LONGEST_LINE as u64;
-        self.source
-            .by_ref()
-            .take(limit)
-            .read_until(b'\n', &mut self.buffer)?;
-        if self.buffer.is_empty() {
-            return Ok(None);
-        }
-        if self.buffer.len() < LONGEST_LINE || self.buffer.ends_with(b"\n") {
-            return Ok(Some(Ok(())));
-        }
-        self.source.skip_until(b'\n')?;
-        Ok(Some(Err(LineError::TooLong)))
-    }
-}
-
-impl<R: BufRead> Iterator for Reader<R> {
-    type Item = Result<Entry, ReadError>;
-
-    fn next(&mut self) -> Option<Self::Item> {
-        while !self.failed {
-            self.line += 1;
-            let line = self.line;
-            match self.next_line() {
-                Ok(None) => return None,
-                Ok(Some(Ok(()))) if self.buffer.trim_ascii().is_empty() => {}
-                Ok(Some(whole)) => {
-                    let entry = whole.and_then(|()| Entry::parse(&self.buffer));
-                    return Some(entry.map_err(|error| ReadError::Line { line, error }));
-                }
-                Err(error) => {
-                    self.failed = true;
-                    let kind = error.kind();
-                    return Some(Err(ReadError::Source { line, kind }));
-                }
-            }
-        }
-        None
-    }
 }
 
 fn parse_time(text: &[u8]) -> Option<Instant> {
@@ -385,50 +272,5 @@ mod tests {
         for (line, error) in cases {
             assert_eq!(Entry::parse(line.as_bytes()), Err(error), "{line}");
         }
-    }
-
-    #[test]
-    fn reading_goes_on_behind_a_wrong_line() {
-        let long = format!("(1.000000) can0 080#{}\n", "0".repeat(1000));
-        let text = format!("\n(1.000000) can0 081#\n{long}\nnonsense\n(2.000000) can0 082#01");
-        let entries: Vec<_> = Reader::new(text.as_bytes()).collect();
-        let wrong = |line, error| Err(ReadError::Line { line, error });
-        assert_eq!(entries[0].unwrap().to_string(), "(1.000000) can0 081#");
-        assert_eq!(entries[1], wrong(3, LineError::TooLong));
-        assert_eq!(entries[2], wrong(5, LineError::Interface));
-        assert_eq!(entries[3].unwrap().to_string(), "(2.000000) can0 082#01");
-        assert_eq!(entries.len(), 4);
-    }
-
-    #[test]
-    fn a_failing_source_ends_the_recording() {
-        struct Failing;
-        impl Read for Failing {
-            fn read(&mut self, _: &mut [u8]) -> io::Result<usize> {
-                Err(io::ErrorKind::TimedOut.into())
-            }
-        }
-        let mut reader = Reader::new(io::BufReader::new(Failing));
-        let kind = io::ErrorKind::TimedOut;
-        assert_eq!(
-            reader.next(),
-            Some(Err(ReadError::Source { line: 1, kind }))
-        );
-        assert_eq!(reader.next(), None);
-    }
-
-    #[test]
-    fn a_written_recording_reads_back() {
-        let mut writer = Writer::new(Vec::new());
-        let entries = [0x080, 0x181, 0x281].map(|raw| {
-            let frame = Frame::new(StandardId::new(raw).unwrap(), &[1, 2]).unwrap();
-            entry(frame, Some(Direction::Received))
-        });
-        for entry in &entries {
-            writer.write(entry).unwrap();
-        }
-        let text = writer.into_inner();
-        let read: Result<Vec<_>, _> = Reader::new(text.as_slice()).collect();
-        assert_eq!(read.unwrap(), entries);
     }
 }

@@ -38,6 +38,7 @@ pub enum CardState {
 
 /// Why a card could not be read or set, and what to do about it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum CardError {
     /// There is no such CAN interface.
     #[error(transparent)]
@@ -51,17 +52,13 @@ pub enum CardError {
          `ip link set {interface} up type can bitrate {bitrate}` before"
     )]
     Denied {
-        /// The interface.
         interface: InterfaceName,
-        /// The rate, bit/s.
         bitrate: u32,
     },
     /// The card's clock cannot be divided to this rate.
     #[error("{interface}: the card cannot be set to {bitrate} bit/s")]
     Unreachable {
-        /// The interface.
         interface: InterfaceName,
-        /// The rate, bit/s.
         bitrate: u32,
     },
     /// The rate is set, and its driver does not bring it up.
@@ -70,11 +67,8 @@ pub enum CardError {
     /// The card runs at another rate than was set.
     #[error("{interface}: set to {wanted} bit/s, the card is at {found} bit/s")]
     Otherwise {
-        /// The interface.
         interface: InterfaceName,
-        /// The rate it was set to, bit/s.
         wanted: u32,
-        /// The rate it has, bit/s.
         found: u32,
     },
     /// The kernel refuses the change, and `socketcan` loses its reason.
@@ -86,9 +80,7 @@ pub enum CardError {
     /// Anything else that the kernel said.
     #[error("{interface}: netlink says errno {errno}")]
     Os {
-        /// The interface.
         interface: InterfaceName,
-        /// Its answer.
         errno: i32,
     },
 }

@@ -22,7 +22,6 @@ mod virtual_port;
 
 pub use self::socketcan::{BATCH, OpenError, SocketCanOptions, SocketCanPort};
 pub use claim::{Claim, ClaimError, Holder};
-pub use error_frame::{ControllerFlags, ErrorCounts, ErrorFrame};
 pub use frame::Frame;
 pub use id::{ExtendedId, Id, StandardId};
 pub use instant::Instant;

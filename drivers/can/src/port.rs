@@ -88,20 +88,19 @@ impl Counters {
     /// Counts frames taken for sending.
     pub fn count_sent(&mut self, frames: &[Frame]) {
         self.sent += frames.len() as u64;
-        self.bits += frames
-            .iter()
-            .map(|frame| u64::from(bits_on_wire(frame)))
-            .sum::<u64>();
+        self.bits += frames.iter().map(bits).sum::<u64>();
     }
 
     /// Counts frames received.
     pub fn count_received(&mut self, received: &[Received]) {
         self.received += received.len() as u64;
-        let bits = received
-            .iter()
-            .map(|received| u64::from(bits_on_wire(&received.frame)));
-        self.bits += bits.sum::<u64>();
+        let frames = received.iter().map(|received| &received.frame);
+        self.bits += frames.map(bits).sum::<u64>();
     }
+}
+
+fn bits(frame: &Frame) -> u64 {
+    bits_on_wire(frame).into()
 }
 
 /// The fault confinement state of a CAN controller (ISO 11898-1, fault confinement).

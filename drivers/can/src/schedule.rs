@@ -90,22 +90,20 @@ pub fn analyse(bitrate: Bitrate, cycle: Duration, messages: &[Message]) -> Analy
 /// The message at `index` and the messages that can leave before it.
 fn before(messages: &[Message], index: usize) -> impl Iterator<Item = &Message> {
     let own = messages[index];
-    let queued =
-        move |position: usize, message: &Message| message.sender == own.sender && position <= index;
     // A message queued before must win arbitration first, so messages that can overtake the queued one count too.
-    let weakest = messages
+    let queued = messages[..=index]
         .iter()
-        .enumerate()
-        .filter(|(position, message)| queued(*position, message))
-        .map(|(_, message)| message.id)
-        .max();
-    let weakest = weakest.unwrap_or(own.id);
-    let wins = move |message: &Message| message.sender != own.sender && message.id < weakest;
-    messages
-        .iter()
-        .enumerate()
-        .filter(move |(position, message)| queued(*position, message) || wins(message))
-        .map(|(_, message)| message)
+        .filter(|message| message.sender == own.sender);
+    let weakest = queued.map(|message| message.id).max().unwrap_or(own.id);
+    let before = move |(position, message): &(usize, &Message)| {
+        if message.sender == own.sender {
+            *position <= index
+        } else {
+            message.id < weakest
+        }
+    };
+    let messages = messages.iter().enumerate().filter(before);
+    messages.map(|(_, message)| message)
 }
 
 /// The longest frame that may be on the wire when the message at `index` becomes ready.

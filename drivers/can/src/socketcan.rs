@@ -12,15 +12,16 @@
 mod batch;
 
 use std::io;
-use std::os::fd::{AsFd, BorrowedFd};
+use std::os::fd::AsFd;
 
 use batch::Batch;
 use socketcan::{CanAddr, CanFilter, CanSocket, Socket, SocketOptions};
 use thiserror::Error;
 
+use crate::error_frame::state_after;
 use crate::{
-    ControllerState, Counters, ErrorFrame, Frame, Instant, InterfaceName, Port, PortError,
-    Received, StandardId, clock,
+    ControllerState, Counters, Frame, Instant, InterfaceName, Port, PortError, Received,
+    StandardId, clock,
 };
 
 /// Frames that one system call moves at most. The rest of a longer send is refused.
@@ -63,6 +64,7 @@ const FRAME_CHARGE: usize = 768;
 
 /// Why a port could not be opened, and what to do about it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum OpenError {
     /// No interface can have such a name.
     #[error("an interface name has 1 to 15 bytes, none of them blank or a slash")]
@@ -88,17 +90,13 @@ pub enum OpenError {
     /// More identifiers to accept than the kernel filters.
     #[error("{interface}: {given} identifiers to accept, the kernel takes 512")]
     TooManyFilters {
-        /// The interface.
         interface: InterfaceName,
-        /// How many identifiers were to be accepted.
         given: usize,
     },
     /// Anything else the operating system said.
     #[error("{interface}: errno {errno}")]
     Os {
-        /// The interface.
         interface: InterfaceName,
-        /// Its answer.
         errno: i32,
     },
 }
@@ -221,9 +219,9 @@ impl SocketCanPort {
                 self.counters.dropped += 1;
                 continue;
             };
-            if let Some(error) = ErrorFrame::parse(&frame) {
+            if let Some(state) = state_after(&frame, self.state) {
                 self.counters.errors += 1;
-                self.state = error.state_after(self.state);
+                self.state = state;
                 continue;
             }
             // The stamp is of CLOCK_REALTIME, which may have been set since it was taken.
@@ -286,13 +284,6 @@ impl Port for SocketCanPort {
 
     fn state(&self) -> ControllerState {
         self.state
-    }
-}
-
-/// For loops that wait on several things at once.
-impl AsFd for SocketCanPort {
-    fn as_fd(&self) -> BorrowedFd<'_> {
-        self.socket.as_fd()
     }
 }
 

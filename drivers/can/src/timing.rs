@@ -11,6 +11,8 @@
 
 use std::time::Duration;
 
+use crc::{CRC_15_CAN, Crc};
+
 use crate::{Frame, Id};
 
 /// Recessive bits between two frames, part of every count of bits here.
@@ -89,16 +91,11 @@ impl Format {
     }
 }
 
-/// Bits of a data frame of `len` bytes without any stuff bit: 47 + 8·`len` for a standard frame.
-pub const fn unstuffed_bits(format: Format, len: u8) -> u32 {
-    format.stuffable() + 8 * len as u32 + TAIL
-}
-
 /// Bits of a data frame of `len` bytes with the greatest possible number of stuff bits: one after the first five bits
 /// and one after every four more.
 pub const fn worst_case_bits(format: Format, len: u8) -> u32 {
     let stuffed = format.stuffable() + 8 * len as u32;
-    unstuffed_bits(format, len) + (stuffed - 1) / 4
+    stuffed + TAIL + (stuffed - 1) / 4
 }
 
 /// Bits that `frame` takes on the wire, stuff bits counted from its content and its CRC.
@@ -130,12 +127,9 @@ pub fn bits_on_wire(frame: &Frame) -> u32 {
 
 /// The CRC of the last `bits` of `content`, first bit highest, the rest being zero.
 fn crc15(content: u128, bits: u32) -> u16 {
+    static TABLE: Crc<u16> = Crc::<u16>::new(&CRC_15_CAN);
     // The register starts at zero, so the zeros that fill up the first byte leave no trace.
-    let mut crc = 0;
-    for byte in bytes(content, bits) {
-        crc = (crc << 8 & 0x7FFF) ^ CRC_OF_BYTE[usize::from((crc >> 7) as u8 ^ byte)];
-    }
-    crc
+    TABLE.checksum(bytes(&content.to_be_bytes(), bits))
 }
 
 /// How many stuff bits the last `bits` of `content` need, the rest being zero.
@@ -145,7 +139,7 @@ fn stuff_bits(content: u128, bits: u32) -> u32 {
     let padded = content | 0x5555_5555_5555_5555_5555_5555_5555_5555 << bits;
     let mut run = Run { ones: true, len: 1 }.index();
     let mut count = 0;
-    for byte in bytes(padded, bits) {
+    for &byte in bytes(&padded.to_be_bytes(), bits) {
         let (stuffed, next) = STUFFING[run][usize::from(byte)];
         count += u32::from(stuffed);
         run = usize::from(next);
@@ -153,30 +147,10 @@ fn stuff_bits(content: u128, bits: u32) -> u32 {
     count
 }
 
-fn bytes(content: u128, bits: u32) -> impl Iterator<Item = u8> {
-    let skip = 16 - bits.div_ceil(8) as usize;
-    content.to_be_bytes().into_iter().skip(skip)
+/// The bytes of a big-endian number that hold its last `bits`.
+fn bytes(content: &[u8; 16], bits: u32) -> &[u8] {
+    &content[16 - bits.div_ceil(8) as usize..]
 }
-
-/// The polynomial x¹⁵ + x¹⁴ + x¹⁰ + x⁸ + x⁷ + x⁴ + x³ + 1 without its highest term.
-const POLYNOMIAL: u16 = 0x4599;
-
-const CRC_OF_BYTE: [u16; 256] = {
-    let mut table = [0; 256];
-    let mut byte = 0;
-    while byte < 256 {
-        let mut crc = (byte as u16) << 7;
-        let mut bit = 0;
-        while bit < 8 {
-            let carry = crc & 0x4000 != 0;
-            crc = crc << 1 & 0x7FFF ^ if carry { POLYNOMIAL } else { 0 };
-            bit += 1;
-        }
-        table[byte] = crc;
-        byte += 1;
-    }
-    table
-};
 
 /// What the stuffing rule remembers between bits: the last bit sent, and how many equal ones ended
 /// with it, 1 to 4. The fifth calls for a stuff bit, which begins a run of its own.
@@ -234,20 +208,11 @@ mod tests {
 
     #[test]
     fn frame_lengths_are_those_of_the_format() {
-        // Payload, bits without stuffing, bits with the most stuffing.
-        let standard = [
-            (0, 47, 55),
-            (2, 63, 75),
-            (4, 79, 95),
-            (6, 95, 115),
-            (8, 111, 135),
-        ];
-        for (len, unstuffed, worst) in standard {
-            assert_eq!(unstuffed_bits(Format::Standard, len), unstuffed);
+        // Payload, bits with the most stuffing.
+        for (len, worst) in [(0, 55), (2, 75), (4, 95), (6, 115), (8, 135)] {
             assert_eq!(worst_case_bits(Format::Standard, len), worst);
         }
-        for (len, unstuffed, worst) in [(0, 67, 80), (8, 131, 160)] {
-            assert_eq!(unstuffed_bits(Format::Extended, len), unstuffed);
+        for (len, worst) in [(0, 80), (8, 160)] {
             assert_eq!(worst_case_bits(Format::Extended, len), worst);
         }
     }
@@ -294,7 +259,10 @@ mod tests {
             let (format, payload) = (format_of(&frame), frame.data().len() as u8);
             let bits = bits_on_wire(&frame);
             assert_eq!(bits, reference_bits(&frame), "round {round}: {frame}");
-            assert!(bits >= unstuffed_bits(format, payload), "{frame}");
+            assert!(
+                bits >= format.stuffable() + 8 * u32::from(payload) + TAIL,
+                "{frame}"
+            );
             assert!(bits <= worst_case_bits(format, payload), "{frame}");
         }
     }

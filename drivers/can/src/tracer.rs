@@ -11,7 +11,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use rtrb::{Consumer, Producer, RingBuffer};
 
 use crate::candump::Direction;
-use crate::{ControllerState, Counters, ErrorFrame, Frame, Instant, Port, PortError, Received};
+use crate::error_frame::state_after;
+use crate::{ControllerState, Counters, Frame, Instant, Port, PortError, Received};
 
 /// A frame that passed through a port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -45,11 +46,14 @@ impl<P: Port> Tracer<P> {
         (Self { port, trace, lost }, reader)
     }
 
-    fn record(&mut self, frames: impl Iterator<Item = Traced>) {
-        for traced in frames {
-            if self.trace.push(traced).is_err() {
-                self.lost.fetch_add(1, Ordering::Relaxed);
-            }
+    fn record(&mut self, at: Instant, frame: Frame, direction: Direction) {
+        let traced = Traced {
+            at,
+            frame,
+            direction,
+        };
+        if self.trace.push(traced).is_err() {
+            self.lost.fetch_add(1, Ordering::Relaxed);
         }
     }
 }
@@ -57,23 +61,17 @@ impl<P: Port> Tracer<P> {
 impl<P: Port> Port for Tracer<P> {
     fn send(&mut self, now: Instant, frames: &[Frame]) -> Result<usize, PortError> {
         let taken = self.port.send(now, frames)?;
-        let direction = Direction::Sent;
-        self.record(frames[..taken].iter().map(|&frame| Traced {
-            at: now,
-            frame,
-            direction,
-        }));
+        for &frame in &frames[..taken] {
+            self.record(now, frame, Direction::Sent);
+        }
         Ok(taken)
     }
 
     fn receive(&mut self, now: Instant, into: &mut [Received]) -> Result<usize, PortError> {
         let count = self.port.receive(now, into)?;
-        let direction = Direction::Received;
-        self.record(into[..count].iter().map(|&Received { at, frame }| Traced {
-            at,
-            frame,
-            direction,
-        }));
+        for &Received { frame, at } in &into[..count] {
+            self.record(at, frame, Direction::Received);
+        }
         Ok(count)
     }
 
@@ -142,9 +140,9 @@ impl Port for ReplayPort {
                 break;
             }
             self.next += 1;
-            if let Some(error) = ErrorFrame::parse(&received.frame) {
+            if let Some(state) = state_after(&received.frame, self.state) {
                 self.counters.errors += 1;
-                self.state = error.state_after(self.state);
+                self.state = state;
                 continue;
             }
             into[count] = received;

@@ -9,7 +9,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use rtrb::{Consumer, Producer, RingBuffer};
 
-use crate::{ControllerState, Counters, ErrorFrame, Frame, Instant, Port, PortError, Received};
+use crate::error_frame::state_after;
+use crate::{ControllerState, Counters, Frame, Instant, Port, PortError, Received};
 
 /// Both ends of a virtual port, with room for `capacity` frames each way.
 ///
@@ -86,9 +87,9 @@ impl Port for VirtualPort {
                 break;
             }
             self.received.pop().expect("one was peeked");
-            if let Some(error) = ErrorFrame::parse(&received.frame) {
+            if let Some(state) = state_after(&received.frame, self.state) {
                 self.counters.errors += 1;
-                self.state = error.state_after(self.state);
+                self.state = state;
                 continue;
             }
             into[count] = received;

@@ -64,18 +64,6 @@ pub enum DownloadError {
     NoPdoState { line: u32, object: Object },
 }
 
-impl DownloadError {
-    /// The line, from 1.
-    pub const fn line(self) -> u32 {
-        match self {
-            Self::ReadOnly { line, .. }
-            | Self::DataType { line, .. }
-            | Self::File { line, .. }
-            | Self::NoPdoState { line, .. } => line,
-        }
-    }
-}
-
 /// The stated values of `dcf` for a device with this node-ID. A value equal to the default is written as well, since the
 /// device may have stored another value.
 ///
@@ -375,7 +363,6 @@ AccessType=rw
         let (line, object) = (line_of("[1019]"), Object::new(0x1019, 0));
         let error = DownloadError::ReadOnly { line, object };
         assert_eq!(writes(&["1019=1"]), Err(error));
-        assert_eq!(error.line(), line);
         let (line, object) = (line_of("[7000]"), Object::new(0x7000, 0));
         let error = DownloadError::DataType {
             line,

@@ -8,42 +8,30 @@ use can::Frame;
 
 use crate::{NodeId, cob, frame, payload};
 
-/// A command of the master.
+/// A command of the master, by its specifier.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
 pub enum Command {
     /// Enter operational: all services work.
-    Start,
+    Start = 0x01,
     /// Enter stopped: only NMT and error control work.
-    Stop,
+    Stop = 0x02,
     /// Enter pre-operational: all services but PDOs work.
-    EnterPreOperational,
+    EnterPreOperational = 0x80,
     /// Reset the node with its application.
-    ResetNode,
+    ResetNode = 0x81,
     /// Reset its communication (objects 0x1000 ..= 0x1FFF) to stored values.
-    ResetCommunication,
+    ResetCommunication = 0x82,
 }
 
 impl Command {
-    const fn specifier(self) -> u8 {
-        match self {
-            Self::Start => 0x01,
-            Self::Stop => 0x02,
-            Self::EnterPreOperational => 0x80,
-            Self::ResetNode => 0x81,
-            Self::ResetCommunication => 0x82,
-        }
-    }
-
-    const fn from_specifier(raw: u8) -> Option<Self> {
-        Some(match raw {
-            0x01 => Self::Start,
-            0x02 => Self::Stop,
-            0x80 => Self::EnterPreOperational,
-            0x81 => Self::ResetNode,
-            0x82 => Self::ResetCommunication,
-            _ => return None,
-        })
-    }
+    const ALL: [Self; 5] = [
+        Self::Start,
+        Self::Stop,
+        Self::EnterPreOperational,
+        Self::ResetNode,
+        Self::ResetCommunication,
+    ];
 
     /// To all nodes.
     pub const fn to_all(self) -> Request {
@@ -95,7 +83,7 @@ impl Request {
             Target::All => 0,
             Target::Node(node) => node.raw(),
         };
-        frame(cob::NMT, [self.command.specifier(), target])
+        frame(cob::NMT, [self.command as u8, target])
     }
 
     /// `None` for other frames, unknown commands and node-IDs above 127: nodes ignore them.
@@ -107,8 +95,9 @@ impl Request {
             0 => Target::All,
             raw => Target::Node(NodeId::new(raw)?),
         };
+        let mut commands = Command::ALL.into_iter();
         Some(Self {
-            command: Command::from_specifier(specifier)?,
+            command: commands.find(|command| *command as u8 == specifier)?,
             target,
         })
     }

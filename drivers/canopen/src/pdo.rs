@@ -52,11 +52,8 @@ impl PdoKind {
 
     /// Sub-index `subindex` of the mapping parameter: 0 count, then the entries.
     pub const fn mapping(self, number: PdoNumber, subindex: u8) -> Object {
-        let base = match self {
-            Self::Rpdo => 0x1600,
-            Self::Tpdo => 0x1A00,
-        };
-        Object::new(base + number.offset(), subindex)
+        let communication = self.communication(number, 0);
+        Object::new(communication.index + 0x200, subindex)
     }
 }
 
@@ -159,27 +156,17 @@ impl Entry {
 
 /// Reason that entries are no mapping.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum MappingError {
     /// More entries than bytes.
     #[error("{found} entries, at most 8 fit")]
-    TooMany {
-        /// Entries given.
-        found: usize,
-    },
+    TooMany { found: usize },
     /// An entry that does not take whole bytes.
     #[error("{object} takes {bits} bits, which are not whole bytes")]
-    NotBytes {
-        /// The entry's object.
-        object: Object,
-        /// The entry's size.
-        bits: u8,
-    },
+    NotBytes { object: Object, bits: u8 },
     /// More than 64 bits together.
     #[error("{bits} bits, at most 64 fit")]
-    TooLong {
-        /// Bits of all entries.
-        bits: u32,
-    },
+    TooLong { bits: u32 },
 }
 
 /// What a PDO carries: up to 8 entries of whole bytes, 64 bits at most.

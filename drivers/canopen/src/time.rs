@@ -9,36 +9,18 @@ use crate::{cob, frame, payload};
 /// The standard leaves the time zone and leap seconds to the users.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct TimeOfDay {
-    days: u16,
-    millis: u32,
+    /// Days since 1984-01-01.
+    pub days: u16,
+    /// Milliseconds after midnight, of which the frame has 28 bits; a day has 86_400_000.
+    pub millis: u32,
 }
 
+const MILLIS: u32 = 0x0FFF_FFFF;
+
 impl TimeOfDay {
-    /// The largest number of milliseconds that 28 bits hold; a day has 86_400_000.
-    pub const MAX_MILLIS: u32 = 0x0FFF_FFFF;
-
-    /// `None` above [`TimeOfDay::MAX_MILLIS`].
-    pub const fn new(days: u16, millis: u32) -> Option<Self> {
-        if millis <= Self::MAX_MILLIS {
-            Some(Self { days, millis })
-        } else {
-            None
-        }
-    }
-
-    /// Days since 1984-01-01.
-    pub const fn days(self) -> u16 {
-        self.days
-    }
-
-    /// Milliseconds after midnight.
-    pub const fn millis(self) -> u32 {
-        self.millis
-    }
-
     /// The frame.
     pub fn encode(self) -> Frame {
-        let [a, b, c, d] = self.millis.to_le_bytes();
+        let [a, b, c, d] = (self.millis & MILLIS).to_le_bytes();
         let [low, high] = self.days.to_le_bytes();
         frame(cob::TIME, [a, b, c, d, low, high])
     }
@@ -48,8 +30,10 @@ impl TimeOfDay {
         let &[a, b, c, d, low, high] = payload(frame, cob::TIME)? else {
             return None;
         };
-        let millis = u32::from_le_bytes([a, b, c, d]) & Self::MAX_MILLIS;
-        Self::new(u16::from_le_bytes([low, high]), millis)
+        Some(Self {
+            days: u16::from_le_bytes([low, high]),
+            millis: u32::from_le_bytes([a, b, c, d]) & MILLIS,
+        })
     }
 }
 
@@ -64,20 +48,18 @@ mod tests {
             (0, 0, "100#000000000000"),
             (1, 86_399_999, "100#FF5B26050100"),
             (0x3D1F, 0x0123_4567, "100#674523011F3D"),
-            (u16::MAX, TimeOfDay::MAX_MILLIS, "100#FFFFFF0FFFFF"),
+            (u16::MAX, MILLIS, "100#FFFFFF0FFFFF"),
         ];
         for (days, millis, bytes) in table {
-            let time = TimeOfDay::new(days, millis).unwrap();
+            let time = TimeOfDay { days, millis };
             assert_eq!(time.encode().to_string(), bytes);
             assert_eq!(TimeOfDay::decode(&parse(bytes)), Some(time));
-            assert_eq!((time.days(), time.millis()), (days, millis));
         }
-        assert_eq!(TimeOfDay::new(0, TimeOfDay::MAX_MILLIS + 1), None);
     }
 
     #[test]
     fn reserved_bits_are_ignored_and_other_frames_refused() {
-        let time = TimeOfDay::new(1, 2);
+        let time = Some(TimeOfDay { days: 1, millis: 2 });
         assert_eq!(TimeOfDay::decode(&parse("100#020000F00100")), time);
         for text in ["100#0200000001", "100#02000000010000", "080#020000000100"] {
             assert_eq!(TimeOfDay::decode(&parse(text)), None, "{text}");

@@ -5,7 +5,7 @@
 //! | [`sdo`] | reads and writes the objects of a node |
 //! | [`pdo`] | configures a PDO of a node |
 //! | [`power`] | leads a drive of CiA 402 through its power states |
-//! | [`lss`] | gives node-IDs and bit rates to nodes, and finds nodes that have no node-ID |
+//! | [`lss`] | gives node-IDs to nodes, and finds nodes that have none |
 //!
 //! The caller owns the port and the clock. It gives each received frame to `handle`, sends the frames of
 //! `poll_transmit`, calls `handle_timeout` at the time of `poll_timeout`, and takes results from `poll`. Memory is

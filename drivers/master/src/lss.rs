@@ -7,14 +7,12 @@ use can::{Frame, Instant};
 use thiserror::Error;
 
 use canopen::NodeId;
-use canopen::lss::{
-    BitRate, CIA_TABLE, Identity, Mode, Outcome, Part, Request, Response, UNCONFIGURED,
-};
+use canopen::lss::{Identity, Mode, Outcome, Part, Request, Response, UNCONFIGURED};
 use scan::{Next, Scan};
 
 mod scan;
 
-/// Gives nodes their node-IDs and bit rates, one service at a time.
+/// Gives nodes their node-IDs, one service at a time.
 ///
 /// The deadline of each answer is `timeout` after its request. No request is repeated; a service that timed out may be
 /// started again. Answers to other requests are ignored.
@@ -22,7 +20,7 @@ mod scan;
 /// A node without a node-ID gets one in four steps. [`Service::Fastscan`] finds the node and puts it into configuration
 /// mode. [`Service::ConfigureNodeId`] and [`Service::Store`] follow. After a switch to [`Mode::Waiting`] the node boots
 /// with its node-ID. All slaves in configuration mode obey at the same time: only one slave may be in this mode.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Master {
     state: ServiceState,
     timeout: Duration,
@@ -31,8 +29,9 @@ pub struct Master {
     deadline: Instant,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum ServiceState {
+    #[default]
     Idle,
     /// Of fastscans, `scan` is the question asked; of `InquireIdentity`, `identity` is what was
     /// answered before `part`; of `SwitchSelective`, `part` is the one sent last; of `IdentifyUnconfigured`,
@@ -58,15 +57,7 @@ pub enum Service {
     SwitchSelective(Identity),
     /// Give the slave in configuration mode a node-ID; none takes it away.
     ConfigureNodeId(Option<NodeId>),
-    /// Give it a bit rate, for when it is activated.
-    ConfigureBitTiming(BitRate),
-    /// Have all slaves in configuration mode change to their new bit rate. Not answered: done after twice the delay,
-    /// ms. No node may send during the switch. The host changes its own bit rate after the first delay.
-    ActivateBitTiming {
-        /// ms.
-        delay_ms: u16,
-    },
-    /// Have the slave in configuration mode keep both over power-off. May take it a second.
+    /// Have the slave in configuration mode keep its node-ID over power-off. May take it a second.
     Store,
     /// Ask the slave in configuration mode who it is.
     InquireIdentity,
@@ -112,43 +103,26 @@ pub struct Busy {
 
 /// Reason that a service failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum LssError {
     /// No answer.
     #[error(
         "no slave answered {service} for {waited:?}; is the one meant on the bus, and alone in configuration mode?"
     )]
-    TimedOut {
-        /// The service.
-        service: Service,
-        /// Since it was started.
-        waited: Duration,
-    },
+    TimedOut { service: Service, waited: Duration },
     /// The slave did not do it.
     #[error(
         "the slave refused {service}: error {}, vendor code {}",
         outcome.error,
         outcome.specific
     )]
-    Refused {
-        /// The service.
-        service: Service,
-        /// Why.
-        outcome: Outcome,
-    },
+    Refused { service: Service, outcome: Outcome },
     /// The slave says it has a node-ID that cannot be.
     #[error("the slave says that its node-ID is {node_id}")]
-    NodeId {
-        /// What it says.
-        node_id: u8,
-    },
+    NodeId { node_id: u8 },
     /// No slave has the number that the answers to a fastscan make.
     #[error("no slave has the {part} {number:#010x} that the scan found; try a longer time-out")]
-    Vanished {
-        /// Which number.
-        part: Part,
-        /// The number.
-        number: u32,
-    },
+    Vanished { part: Part, number: u32 },
     /// A slave answers questions that exclude each other.
     #[error(
         "a slave answers every question of a fastscan, so that no other slave can be found: take it off the bus, or give it a node-ID"
@@ -162,26 +136,12 @@ impl fmt::Display for Service {
             Self::SwitchGlobal(_) => "switch mode global",
             Self::SwitchSelective(_) => "switch mode selective",
             Self::ConfigureNodeId(_) => "configure node-ID",
-            Self::ConfigureBitTiming(_) => "configure bit timing",
-            Self::ActivateBitTiming { .. } => "activate bit timing",
             Self::Store => "store configuration",
             Self::InquireIdentity => "inquire identity",
             Self::InquireNodeId => "inquire node-ID",
             Self::IdentifyUnconfigured => "identify non-configured",
             Self::Fastscan | Self::FastscanAbove(_) => "fastscan",
         })
-    }
-}
-
-impl Default for Master {
-    fn default() -> Self {
-        Self {
-            state: ServiceState::Idle,
-            timeout: Duration::ZERO,
-            request: None,
-            started: Instant::ZERO,
-            deadline: Instant::FAR_FUTURE,
-        }
     }
 }
 
@@ -218,11 +178,6 @@ impl Master {
             Service::ConfigureNodeId(node) => Request::ConfigureNodeId {
                 node_id: node.map_or(UNCONFIGURED, NodeId::raw),
             },
-            Service::ConfigureBitTiming(rate) => Request::ConfigureBitTiming {
-                table: CIA_TABLE,
-                index: rate.index(),
-            },
-            Service::ActivateBitTiming { delay_ms } => Request::ActivateBitTiming { delay_ms },
             Service::Store => Request::Store,
             Service::InquireIdentity => Request::Inquire(Part::Vendor),
             Service::InquireNodeId => Request::InquireNodeId,
@@ -252,7 +207,6 @@ impl Master {
         let result = match (service, response) {
             (Service::SwitchSelective(_), Response::Selected) => Ok(Answer::Done),
             (Service::ConfigureNodeId(_), Response::NodeIdConfigured(outcome))
-            | (Service::ConfigureBitTiming(_), Response::BitTimingConfigured(outcome))
             | (Service::Store, Response::Stored(outcome)) => {
                 if outcome.error == Outcome::SUCCESS {
                     Ok(Answer::Done)
@@ -297,9 +251,6 @@ impl Master {
         if let ServiceState::Busy { service, part, .. } = &mut self.state {
             match *service {
                 Service::SwitchGlobal(_) => self.state = ServiceState::Finished(Ok(Answer::Done)),
-                Service::ActivateBitTiming { delay_ms } => {
-                    self.deadline = now + 2 * Duration::from_millis(delay_ms.into());
-                }
                 Service::SwitchSelective(identity) => {
                     if let Some(next) = part.next() {
                         *part = next;
@@ -334,7 +285,6 @@ impl Master {
         }
         let (service, sent) = (*service, self.request.is_none());
         let result = match service {
-            Service::ActivateBitTiming { .. } if sent => Ok(Answer::Done),
             Service::IdentifyUnconfigured if sent && !*heard && !*scanning => {
                 *scanning = true;
                 let question = scan.question();

@@ -15,24 +15,24 @@
 //! Layouts only. Not implemented, because no source describes them: segmented transfer (0x12 to 0x15), LSS (0x30, 0x31)
 //! and frames through the gateway to CAN (0x20, 0x21). On USB, EPOS2 uses other frames.
 
-use std::time::Duration;
+use crc::{CRC_16_XMODEM, Crc};
+
+use crate::epos4::Address;
 
 /// Ready acknowledgement and end acknowledgement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
 pub enum Acknowledge {
     /// `O`.
-    Okay,
+    Okay = b'O',
     /// `F`: not ready, or the CRC was wrong.
-    Failed,
+    Failed = b'F',
 }
 
 impl Acknowledge {
     /// The byte on the line.
     pub const fn byte(self) -> u8 {
-        match self {
-            Self::Okay => b'O',
-            Self::Failed => b'F',
-        }
+        self as u8
     }
 
     /// Decodes a byte; `None` for any other byte.
@@ -44,9 +44,6 @@ impl Acknowledge {
         }
     }
 }
-
-/// Factory setting of the frame time-out (object 0x2005).
-pub const TIME_OUT: Duration = Duration::from_millis(500);
 
 /// Opcode of every answer.
 pub const ANSWER: u8 = 0x00;
@@ -60,27 +57,17 @@ pub const fn body_length(words: usize) -> usize {
     1 + 2 * words + 2
 }
 
-/// Adds a byte to a CRC-16 with polynomial 0x1021 and initial value 0, most significant bit first.
-pub(crate) fn crc16(crc: u16, byte: u8) -> u16 {
-    (0..8).fold(crc ^ u16::from(byte) << 8, |crc, _| {
-        if crc & 0x8000 != 0 {
-            crc << 1 ^ 0x1021
-        } else {
-            crc << 1
-        }
-    })
-}
-
-/// CRC over opcode, length byte and words; the high byte of each word comes first.
-fn crc(opcode: u8, body: &[u8]) -> u16 {
-    let [count, words @ ..] = body else {
-        return 0;
-    };
-    let head = crc16(crc16(0, opcode), *count);
+/// CRC-16 with polynomial 0x1021 and initial value 0 over two bytes and data words; the high byte of each word comes
+/// first.
+pub(crate) fn crc(head: [u8; 2], words: &[u8]) -> u16 {
+    static TABLE: Crc<u16> = Crc::<u16>::new(&CRC_16_XMODEM);
+    let mut digest = TABLE.digest();
+    digest.update(&head);
     let (words, _) = words.as_chunks::<2>();
     words
         .iter()
-        .fold(head, |crc, &[low, high]| crc16(crc16(crc, high), low))
+        .for_each(|&[low, high]| digest.update(&[high, low]));
+    digest.finalize()
 }
 
 /// A telegram in wire format, without acknowledgements.
@@ -100,7 +87,7 @@ impl Telegram {
         let mut body = [0; Self::LONGEST];
         body[0] = (data.len() / 2 - 1) as u8;
         body[1..=data.len()].copy_from_slice(data);
-        let crc = crc(opcode, &body[..=data.len()]).to_le_bytes();
+        let crc = crc([opcode, body[0]], data).to_le_bytes();
         body[data.len() + 1..data.len() + 3].copy_from_slice(&crc);
         Self {
             opcode,
@@ -122,30 +109,25 @@ impl Telegram {
 
 /// Reason why a telegram cannot be decoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum Malformed {
     /// The telegram was damaged. [`Acknowledge::Failed`] is the answer to it.
     #[error("crc or length is wrong")]
     Damaged,
     /// The telegram is intact but has no meaning here.
     #[error("opcode {opcode:#04x} with {words} words is not understood")]
-    Unknown {
-        /// Opcode of the telegram.
-        opcode: u8,
-        /// Number of data words.
-        words: usize,
-    },
+    Unknown { opcode: u8, words: usize },
 }
 
 /// Data words of an intact telegram. `body` holds the length byte, the words and the CRC.
 fn data(opcode: u8, body: &[u8]) -> Result<&[u8], Malformed> {
-    match body {
-        [count, .., low, high]
-            if body.len() == body_length(usize::from(*count) + 1)
-                && crc(opcode, &body[..body.len() - 2]) == u16::from_le_bytes([*low, *high]) =>
-        {
-            Ok(&body[1..body.len() - 2])
-        }
-        _ => Err(Malformed::Damaged),
+    if let [count, words @ .., low, high] = body
+        && body.len() == body_length(usize::from(*count) + 1)
+        && crc([opcode, *count], words) == u16::from_le_bytes([*low, *high])
+    {
+        Ok(words)
+    } else {
+        Err(Malformed::Damaged)
     }
 }
 
@@ -153,25 +135,9 @@ fn data(opcode: u8, body: &[u8]) -> Result<&[u8], Malformed> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Request {
     /// Reads an object of up to four bytes.
-    Read {
-        /// Node-ID.
-        node: u8,
-        /// Index of the object.
-        index: u16,
-        /// Sub-index of the object.
-        subindex: u8,
-    },
-    /// Writes an object of up to four bytes.
-    Write {
-        /// Node-ID.
-        node: u8,
-        /// Index of the object.
-        index: u16,
-        /// Sub-index of the object.
-        subindex: u8,
-        /// The value, in as many low bytes as the object has.
-        value: u32,
-    },
+    Read(Address),
+    /// Writes an object of up to four bytes, given by the low bytes of the value.
+    Write(Address, u32),
     /// Sends an NMT command, which is not answered.
     Nmt {
         /// Node-ID, 0 for all nodes.
@@ -185,23 +151,10 @@ impl Request {
     /// The request in wire format.
     pub fn encode(self) -> Telegram {
         match self {
-            Self::Read {
-                node,
-                index,
-                subindex,
-            } => {
-                let [low, high] = index.to_le_bytes();
-                Telegram::new(0x10, &[low, high, subindex, node])
-            }
-            Self::Write {
-                node,
-                index,
-                subindex,
-                value,
-            } => {
-                let [low, high] = index.to_le_bytes();
-                let [a, b, c, d] = value.to_le_bytes();
-                Telegram::new(0x11, &[low, high, subindex, node, a, b, c, d])
+            Self::Read(address) => Telegram::new(0x10, &encode(address)),
+            Self::Write(address, value) => {
+                let ([i, j, k, l], [a, b, c, d]) = (encode(address), value.to_le_bytes());
+                Telegram::new(0x11, &[i, j, k, l, a, b, c, d])
             }
             Self::Nmt { node, command } => {
                 let ([n0, n1], [c0, c1]) = (node.to_le_bytes(), command.to_le_bytes());
@@ -213,17 +166,11 @@ impl Request {
     /// Decodes a request from an opcode and the bytes after the ready acknowledgement of the device.
     pub fn decode(opcode: u8, body: &[u8]) -> Result<Self, Malformed> {
         match (opcode, data(opcode, body)?) {
-            (0x10, &[low, high, subindex, node]) => Ok(Self::Read {
-                node,
-                index: u16::from_le_bytes([low, high]),
-                subindex,
-            }),
-            (0x11, &[low, high, subindex, node, a, b, c, d]) => Ok(Self::Write {
-                node,
-                index: u16::from_le_bytes([low, high]),
-                subindex,
-                value: u32::from_le_bytes([a, b, c, d]),
-            }),
+            (0x10, &[i, j, k, l]) => Ok(Self::Read(decode([i, j, k, l]))),
+            (0x11, &[i, j, k, l, a, b, c, d]) => Ok(Self::Write(
+                decode([i, j, k, l]),
+                u32::from_le_bytes([a, b, c, d]),
+            )),
             (0x0E, &[n0, n1, c0, c1]) => Ok(Self::Nmt {
                 node: u16::from_le_bytes([n0, n1]),
                 command: u16::from_le_bytes([c0, c1]),
@@ -238,6 +185,19 @@ impl Request {
     /// Whether the device answers the request with a telegram.
     pub const fn is_answered(self) -> bool {
         !matches!(self, Self::Nmt { .. })
+    }
+}
+
+fn encode(address: Address) -> [u8; 4] {
+    let [low, high] = address.index.to_le_bytes();
+    [low, high, address.subindex, address.node]
+}
+
+fn decode([low, high, subindex, node]: [u8; 4]) -> Address {
+    Address {
+        node,
+        index: u16::from_le_bytes([low, high]),
+        subindex,
     }
 }
 
@@ -286,18 +246,10 @@ impl Answer {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::epos4::tests::{CONTROLWORD, STATUSWORD};
 
-    const READ: Request = Request::Read {
-        node: 1,
-        index: 0x6041,
-        subindex: 0,
-    };
-    const WRITE: Request = Request::Write {
-        node: 1,
-        index: 0x6040,
-        subindex: 0,
-        value: 0x000F,
-    };
+    const READ: Request = Request::Read(STATUSWORD);
+    const WRITE: Request = Request::Write(CONTROLWORD, 0x000F);
 
     #[test]
     fn requests_are_the_bytes_of_the_line() {

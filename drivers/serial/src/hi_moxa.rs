@@ -76,34 +76,24 @@ pub enum Gain {
     D,
 }
 
-/// Requested state of a drive.
+/// Requested state of a drive, by its code.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
 pub enum DriverMode {
     /// Manual: power off, latched errors cleared.
-    Manual,
+    Manual = 0,
     /// Follows pulse widths.
-    Pwm,
+    Pwm = 3,
     /// Opens the power stage and with it the emergency stop of the cabinet.
-    Error,
+    Error = 4,
 }
 
 impl DriverMode {
-    const fn raw(self) -> u8 {
-        match self {
-            Self::Manual => 0,
-            Self::Pwm => 3,
-            Self::Error => 4,
-        }
-    }
+    const ALL: [Self; 3] = [Self::Manual, Self::Pwm, Self::Error];
+}
 
-    const fn from_raw(raw: u8) -> Option<Self> {
-        match raw {
-            0 => Some(Self::Manual),
-            3 => Some(Self::Pwm),
-            4 => Some(Self::Error),
-            _ => None,
-        }
-    }
+impl Mode {
+    const ALL: [Self; 3] = [Self::Pwm, Self::Current, Self::Position];
 }
 
 impl Gain {
@@ -132,7 +122,7 @@ impl Request {
                     Parameter::CurrentGain(gain, value) => {
                         (0x60 + 0x10 * gain as u8, value.to_le_bytes())
                     }
-                    Parameter::DriverMode(mode) => (0x90, [mode.raw(), 0]),
+                    Parameter::DriverMode(mode) => (0x90, [mode as u8, 0]),
                 };
                 (id | SET_PARAMETER, data)
             }
@@ -151,18 +141,12 @@ impl Request {
     ///
     /// The last two bytes are ignored, because the original host left them uninitialised.
     pub fn decode(bytes: &[u8; REQUEST]) -> Option<Self> {
-        let [p0, p1, p2, p3, p4, code, low, high, ..] = *bytes;
-        if [p0, p1, p2, p3, p4] != PREAMBLE {
+        let [0, 0, 0, 0, 0x23, code, low, high, ..] = *bytes else {
             return None;
-        }
+        };
         let value = i16::from_le_bytes([low, high]);
         if code & 0x0F != SET_PARAMETER {
-            let mode = match code & 0x0F {
-                0 => Mode::Pwm,
-                1 => Mode::Current,
-                2 => Mode::Position,
-                _ => return None,
-            };
+            let mode = *Mode::ALL.get(usize::from(code & 0x0F))?;
             return (code & 0xF0 & !LATCH_INDEX == 0).then_some(Self::Drive {
                 mode,
                 value,
@@ -175,7 +159,10 @@ impl Request {
             2 => Parameter::MaxCurrent(value),
             3..=5 => Parameter::PositionGain(gain(3), value),
             6..=8 => Parameter::CurrentGain(gain(6), value),
-            9 => Parameter::DriverMode(DriverMode::from_raw(low)?),
+            9 => {
+                let mut modes = DriverMode::ALL.into_iter();
+                Parameter::DriverMode(modes.find(|mode| *mode as u8 == low)?)
+            }
             _ => return None,
         }))
     }

@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use can::Instant;
 use thiserror::Error;
+pub use tokio_serial::StopBits;
 
 /// One end of a serial line: a tty, or an end of a virtual line.
 ///
@@ -76,15 +77,6 @@ pub struct Settings {
     pub baud: u32,
     /// Stop bits of a byte.
     pub stop_bits: StopBits,
-}
-
-/// Stop bits of a byte.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum StopBits {
-    /// As in 8N1.
-    One,
-    /// As in 8N2.
-    Two,
 }
 
 impl Settings {

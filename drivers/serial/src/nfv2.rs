@@ -9,6 +9,8 @@
 //! the reader must check the plausibility of the contents. Layouts only, for the codes that an axis needs. Not
 //! implemented: RC servos, digital and analogue inputs, displays, and other boards of the family.
 
+use crc::{Algorithm, Crc};
+
 /// First byte of a frame.
 pub const START: u8 = 0x23;
 
@@ -28,82 +30,60 @@ pub const BROADCAST: u8 = 0xFF;
 pub const FULL_PWM: i16 = 1000;
 
 /// CRC-8, polynomial 0xD8, initial 0, most significant bit first, neither reflected nor inverted.
-pub const fn crc8(bytes: &[u8]) -> u8 {
-    let mut crc = 0;
-    let mut index = 0;
-    while index < bytes.len() {
-        crc = CRC_TABLE[(crc ^ bytes[index]) as usize];
-        index += 1;
-    }
-    crc
+pub fn crc8(bytes: &[u8]) -> u8 {
+    static TABLE: Crc<u8> = Crc::<u8>::new(&Algorithm {
+        width: 8,
+        poly: 0xD8,
+        init: 0,
+        refin: false,
+        refout: false,
+        xorout: 0,
+        check: 0xF8,
+        residue: 0,
+    });
+    TABLE.checksum(bytes)
 }
 
-const CRC_TABLE: [u8; 256] = {
-    let mut table = [0; 256];
-    let mut index = 0;
-    while index < 256 {
-        let mut crc = index as u8;
-        let mut bit = 0;
-        while bit < 8 {
-            crc = if crc & 0x80 != 0 {
-                (crc << 1) ^ 0xD8
-            } else {
-                crc << 1
-            };
-            bit += 1;
-        }
-        table[index] = crc;
-        index += 1;
-    }
-    table
-};
-
-/// Operating mode of a drive, and state of its power stage.
+/// Operating mode of a drive, and state of its power stage, by the code on the line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
 pub enum Mode {
     /// Error: power stage and emergency stop of the cabinet are open.
-    Error,
+    Error = 0,
     /// Manual: power off, latched errors cleared.
-    Manual,
+    Manual = 1,
     /// Speed control.
-    Speed,
+    Speed = 2,
     /// Current control.
-    Current,
+    Current = 3,
     /// Position control.
-    Position,
+    Position = 4,
     /// Pulse-width control.
-    Pwm,
+    Pwm = 5,
     /// As [`Mode::Pwm`]. The next index pulse also zeroes the position counter and sets [`Status::SYNCHRONIZED`].
-    SyncPwm,
+    SyncPwm = 0x10,
     /// As [`Mode::Current`], with the same effect of the next index pulse.
-    SyncCurrent,
+    SyncCurrent = 0x11,
     /// As [`Mode::Position`], with the same effect of the next index pulse.
-    SyncPosition,
+    SyncPosition = 0x12,
 }
 
 impl Mode {
-    const ALL: [(Self, u8); 9] = [
-        (Self::Error, 0),
-        (Self::Manual, 1),
-        (Self::Speed, 2),
-        (Self::Current, 3),
-        (Self::Position, 4),
-        (Self::Pwm, 5),
-        (Self::SyncPwm, 0x10),
-        (Self::SyncCurrent, 0x11),
-        (Self::SyncPosition, 0x12),
+    const ALL: [Self; 9] = [
+        Self::Error,
+        Self::Manual,
+        Self::Speed,
+        Self::Current,
+        Self::Position,
+        Self::Pwm,
+        Self::SyncPwm,
+        Self::SyncCurrent,
+        Self::SyncPosition,
     ];
-
-    /// Code on the line.
-    pub fn raw(self) -> u8 {
-        let (_, raw) = Self::ALL[self as usize];
-        raw
-    }
 
     /// Decodes a code; `None` for an unknown code.
     pub fn from_raw(raw: u8) -> Option<Self> {
-        let found = Self::ALL.into_iter().find(|(_, code)| *code == raw);
-        found.map(|(mode, _)| mode)
+        Self::ALL.into_iter().find(|mode| *mode as u8 == raw)
     }
 }
 
@@ -233,7 +213,7 @@ impl FrameBuilder {
     /// Appends a command of the host.
     pub fn command(self, command: Command) -> Self {
         match command {
-            Command::SetMode(mode) => self.item(0x10, &[mode.raw()]),
+            Command::SetMode(mode) => self.item(0x10, &[mode as u8]),
             Command::SetSpeed(speed) => self.item(0x11, &speed.to_le_bytes()),
             Command::SetCurrent(current) => self.item(0x12, &current.to_le_bytes()),
             Command::SetPosition(position) => self.item(0x13, &position.to_le_bytes()),

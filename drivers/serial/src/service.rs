@@ -12,7 +12,6 @@
 //! exists for EPOS4 only, because no layout of it is known for EPOS2. The codes of refusals are SDO abort codes and
 //! codes of maxon.
 
-mod config;
 mod error;
 #[cfg(test)]
 mod tests;
@@ -23,14 +22,50 @@ use std::time::Duration;
 use can::Instant;
 
 use crate::epos4::{Address, Answer, LONGEST, MAX_SEGMENT, Request};
-use crate::{epos2, epos4};
+use crate::{Settings, epos2, epos4};
 use wire::{Seen, Wire};
 
-pub use config::{Config, Dialect};
 pub use error::{ServiceError, StartError};
 
 /// Factory setting of the frame time-out of both devices.
 pub const TIME_OUT: Duration = epos4::TIME_OUT;
+
+/// Device on the line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Dialect {
+    /// An EPOS2 on RS-232: [`epos2`].
+    Epos2,
+    /// An EPOS4 on USB or RS-232: [`epos4`].
+    Epos4,
+}
+
+/// Configuration of a client.
+#[derive(Clone, Copy, Debug)]
+pub struct Config {
+    /// Device on the line.
+    pub dialect: Dialect,
+    /// Settings of the line, which give the transmission time of bytes.
+    pub settings: Settings,
+    /// Time to wait for an answer; at least the frame time-out of the device. The factory setting is [`TIME_OUT`].
+    pub time_out: Duration,
+    /// Number of repetitions of a request that failed on the line.
+    pub retries: u8,
+    /// Longest object of a segmented transfer, bytes.
+    pub capacity: usize,
+}
+
+impl Config {
+    /// Time-out of the factory setting, one repetition, and objects of up to 4096 bytes.
+    pub const fn new(dialect: Dialect, settings: Settings) -> Self {
+        Self {
+            dialect,
+            settings,
+            time_out: TIME_OUT,
+            retries: 1,
+            capacity: 4096,
+        }
+    }
+}
 
 /// Code with which an EPOS4 refuses a damaged frame.
 const CRC: u32 = 0x0504_0004;
@@ -413,28 +448,8 @@ impl Client {
         match self.config.dialect {
             Dialect::Epos2 => {
                 let telegram = match request {
-                    Request::Read(Address {
-                        node,
-                        index,
-                        subindex,
-                    }) => epos2::Request::Read {
-                        node,
-                        index,
-                        subindex,
-                    },
-                    Request::Write(
-                        Address {
-                            node,
-                            index,
-                            subindex,
-                        },
-                        value,
-                    ) => epos2::Request::Write {
-                        node,
-                        index,
-                        subindex,
-                        value,
-                    },
+                    Request::Read(address) => epos2::Request::Read(address),
+                    Request::Write(address, value) => epos2::Request::Write(address, value),
                     Request::Nmt { node, command } => epos2::Request::Nmt { node, command },
                     Request::InitiateSegmentedRead(_)
                     | Request::SegmentRead { .. }

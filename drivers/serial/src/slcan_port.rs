@@ -57,6 +57,8 @@ pub struct SlcanPort<L: Line> {
     /// Command that opens the channel.
     how: Command,
     stage: Stage,
+    /// Time at which the present stage of the opening ends without an answer.
+    until: Instant,
     splitter: Splitter,
     /// Bytes read but not yet processed: `input[read_from..read_to]`.
     input: Box<[u8; READ]>,
@@ -74,30 +76,25 @@ pub struct SlcanPort<L: Line> {
 /// Progress of the opening.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stage {
-    Settling { until: Instant },
-    SettingUp { until: Instant },
-    AcceptingAll { until: Instant, answers: u8 },
-    Opening { until: Instant },
-    Probing { until: Instant },
+    Settling,
+    SettingUp,
+    AcceptingAll { answers: u8 },
+    Opening,
+    Probing,
     Open,
     Refused(SlcanError),
 }
 
 /// Reason why an adapter was not opened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum SlcanError {
     /// The bit rate is not one of the nine bit rates of slcan.
     #[error("slcan has no {kbps} kbit/s: 10, 20, 50, 100, 125, 250, 500, 800 or 1000")]
-    NoSuchBitrate {
-        /// The requested bit rate, kbit/s.
-        kbps: u32,
-    },
+    NoSuchBitrate { kbps: u32 },
     /// The adapter refused the bit rate.
     #[error("the adapter refuses {kbps} kbit/s")]
-    BitrateRefused {
-        /// The requested bit rate, kbit/s.
-        kbps: u32,
-    },
+    BitrateRefused { kbps: u32 },
     /// The adapter refused to open the channel.
     #[error("the adapter refuses to open its channel: unplug it and plug it in again")]
     OpenRefused,
@@ -137,9 +134,8 @@ impl<L: Line> SlcanPort<L> {
             line,
             bitrate,
             how,
-            stage: Stage::Settling {
-                until: now + SETTLING,
-            },
+            stage: Stage::Settling,
+            until: now + SETTLING,
             splitter: Splitter::default(),
             input: Box::new([0; READ]),
             read_from: 0,
@@ -165,24 +161,18 @@ impl<L: Line> SlcanPort<L> {
         match self.stage {
             Stage::Open => Poll::Ready(Ok(())),
             Stage::Refused(error) => Poll::Ready(Err(error)),
-            Stage::Settling { .. }
-            | Stage::SettingUp { .. }
+            Stage::Settling
+            | Stage::SettingUp
             | Stage::AcceptingAll { .. }
-            | Stage::Opening { .. }
-            | Stage::Probing { .. } => Poll::Pending,
+            | Stage::Opening
+            | Stage::Probing => Poll::Pending,
         }
     }
 
     /// Time at which the opening continues without an answer; `None` after the opening.
     pub fn poll_timeout(&self) -> Option<Instant> {
-        match self.stage {
-            Stage::Settling { until }
-            | Stage::SettingUp { until }
-            | Stage::AcceptingAll { until, .. }
-            | Stage::Opening { until }
-            | Stage::Probing { until } => Some(until),
-            Stage::Open | Stage::Refused(_) => None,
-        }
+        let ended = matches!(self.stage, Stage::Open | Stage::Refused(_));
+        (!ended).then_some(self.until)
     }
 
     /// The line, for loops that wait until it is readable.
@@ -217,43 +207,42 @@ impl<L: Line> SlcanPort<L> {
     fn answered(&mut self, report: Option<AdapterReport>, now: Instant) -> Result<(), SlcanError> {
         let kbps = self.bitrate.kbps();
         match (self.stage, report) {
-            (Stage::SettingUp { .. }, Some(AdapterReport::Refused)) => {
+            (Stage::SettingUp, Some(AdapterReport::Refused)) => {
                 return Err(SlcanError::BitrateRefused { kbps });
             }
-            (Stage::Opening { .. }, Some(AdapterReport::Refused)) => {
-                return Err(SlcanError::OpenRefused);
-            }
-            (Stage::SettingUp { .. }, Some(AdapterReport::Done)) => self.accept_all(now)?,
+            (Stage::Opening, Some(AdapterReport::Refused)) => return Err(SlcanError::OpenRefused),
+            (Stage::SettingUp, Some(AdapterReport::Done)) => self.accept_all(now)?,
             // Both commands are answered, possibly by a bell.
             (
-                Stage::AcceptingAll { until, answers },
+                Stage::AcceptingAll { answers },
                 Some(AdapterReport::Done | AdapterReport::Refused),
             ) => {
                 let answers = answers + 1;
-                self.stage = Stage::AcceptingAll { until, answers };
+                self.stage = Stage::AcceptingAll { answers };
                 if answers == 2 {
                     self.open_channel(now)?;
                 }
             }
             // A frame, a state line or a version line shows an open channel.
             (
-                Stage::Opening { .. },
+                Stage::Opening,
                 Some(
                     AdapterReport::Done
                     | AdapterReport::Received { .. }
                     | AdapterReport::State { .. },
                 ),
             )
-            | (Stage::Probing { .. }, _) => self.stage = Stage::Open,
+            | (Stage::Probing, _) => self.stage = Stage::Open,
             // Answers to earlier commands, and frames from before the opening.
             (
-                Stage::Settling { .. }
-                | Stage::SettingUp { .. }
+                Stage::Settling
+                | Stage::SettingUp
                 | Stage::AcceptingAll { .. }
-                | Stage::Opening { .. },
+                | Stage::Opening
+                | Stage::Open
+                | Stage::Refused(_),
                 _,
             ) => {}
-            (Stage::Open | Stage::Refused(_), _) => {}
         }
         Ok(())
     }
@@ -261,42 +250,37 @@ impl<L: Line> SlcanPort<L> {
     /// Handles the time-out of a command during the opening.
     fn silence(&mut self, now: Instant) -> Result<(), SlcanError> {
         match self.stage {
-            Stage::Settling { .. } => {
+            Stage::Settling => {
                 self.say(Command::Bitrate(self.bitrate));
-                self.stage = Stage::SettingUp {
-                    until: now + ANSWER,
-                };
+                Ok(self.enter(Stage::SettingUp, now)?)
             }
-            Stage::SettingUp { .. } => return self.accept_all(now),
-            Stage::AcceptingAll { .. } => return self.open_channel(now),
-            Stage::Opening { .. } => {
+            Stage::SettingUp => Ok(self.accept_all(now)?),
+            Stage::AcceptingAll { .. } => Ok(self.open_channel(now)?),
+            Stage::Opening => {
                 self.say(Command::Version);
-                self.stage = Stage::Probing {
-                    until: now + ANSWER,
-                };
+                Ok(self.enter(Stage::Probing, now)?)
             }
-            Stage::Probing { .. } => return Err(SlcanError::Silent),
-            Stage::Open | Stage::Refused(_) => {}
+            Stage::Probing => Err(SlcanError::Silent),
+            Stage::Open | Stage::Refused(_) => Ok(()),
         }
-        Ok(self.flush(now)?)
     }
 
-    fn accept_all(&mut self, now: Instant) -> Result<(), SlcanError> {
+    fn accept_all(&mut self, now: Instant) -> Result<(), LineError> {
         self.say(Command::AcceptanceCode(0));
         self.say(Command::AcceptanceMask(u32::MAX));
-        self.stage = Stage::AcceptingAll {
-            until: now + ANSWER,
-            answers: 0,
-        };
-        Ok(self.flush(now)?)
+        self.enter(Stage::AcceptingAll { answers: 0 }, now)
     }
 
-    fn open_channel(&mut self, now: Instant) -> Result<(), SlcanError> {
+    fn open_channel(&mut self, now: Instant) -> Result<(), LineError> {
         self.say(self.how);
-        self.stage = Stage::Opening {
-            until: now + ANSWER,
-        };
-        Ok(self.flush(now)?)
+        self.enter(Stage::Opening, now)
+    }
+
+    /// Sends what was said, and waits for the answer.
+    fn enter(&mut self, stage: Stage, now: Instant) -> Result<(), LineError> {
+        self.stage = stage;
+        self.until = now + ANSWER;
+        self.flush(now)
     }
 
     fn say(&mut self, command: Command) {
@@ -333,9 +317,9 @@ impl<L: Line> SlcanPort<L> {
     /// Returns the next frame of the bytes read. Other lines are counted.
     fn next_frame(&mut self) -> Option<Frame> {
         while let Some(byte) = self.next_byte() {
-            let spoilt = self.splitter.dropped().lines;
+            let spoilt = self.splitter.dropped();
             let report = self.splitter.push(byte).map(AdapterReport::parse);
-            self.counters.dropped += self.splitter.dropped().lines - spoilt;
+            self.counters.dropped += self.splitter.dropped() - spoilt;
             match report {
                 Some(Ok(AdapterReport::Received { frame, .. })) => return Some(frame),
                 Some(Ok(AdapterReport::State { state, .. })) => self.state = state,
@@ -403,7 +387,7 @@ impl<L: Line> Port for SlcanPort<L> {
         let again = taken == 0 && !frames.is_empty() && self.untaken == frames.first().copied();
         self.counters.refused += (frames.len() - taken - usize::from(again)) as u64;
         self.untaken = frames.get(taken).copied();
-        result.map(|_| taken).map_err(of_line)
+        Ok(result.map(|_| taken)?)
     }
 
     /// Reads once. Writes first if a frame is partly on the line.
@@ -411,14 +395,14 @@ impl<L: Line> Port for SlcanPort<L> {
         if self.stage != Stage::Open {
             return Ok(0);
         }
-        self.flush(now).map_err(of_line)?;
+        self.flush(now)?;
         let mut count = 0;
         for fresh in [false, true] {
             if fresh && count < into.len() {
                 match self.read_more(now) {
                     // Frames received before the line was lost are delivered first.
                     Err(_) if count > 0 => {}
-                    read => read.map_err(of_line)?,
+                    read => read?,
                 }
             }
             while count < into.len()
@@ -453,10 +437,12 @@ impl<L: Line> Drop for SlcanPort<L> {
     }
 }
 
-fn of_line(error: LineError) -> PortError {
-    match error {
-        LineError::Gone => PortError::Gone,
-        LineError::Os(errno) => PortError::Os(errno),
+impl From<LineError> for PortError {
+    fn from(error: LineError) -> Self {
+        match error {
+            LineError::Gone => Self::Gone,
+            LineError::Os(errno) => Self::Os(errno),
+        }
     }
 }
 

@@ -9,21 +9,22 @@
     reason = "system calls that no safe wrapper offers without a second one before them"
 )]
 
-use std::fs::OpenOptions;
-use std::io;
+use std::fs::{File, OpenOptions};
+use std::io::{self, Read, Write};
 use std::mem;
-use std::os::fd::{AsFd, AsRawFd, BorrowedFd, FromRawFd, IntoRawFd, OwnedFd};
-use std::os::unix::fs::OpenOptionsExt;
+use std::os::fd::{AsFd, AsRawFd, BorrowedFd, FromRawFd, IntoRawFd};
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::Path;
 
 use can::Instant;
 use thiserror::Error;
 use tokio_serial::{DataBits, FlowControl, Parity, SerialPort};
 
-use crate::{Line, LineCounters, LineError, Settings, StopBits};
+use crate::{Line, LineCounters, LineError, Settings};
 
 /// Reason why a tty could not be opened, and the remedy.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum OpenError {
     /// The file or the device behind it does not exist.
     #[error(
@@ -44,21 +45,13 @@ pub enum OpenError {
     /// The device cannot run at the requested baud rate.
     #[error("{path}: cannot do {asked} baud, the nearest is {nearest}")]
     Baud {
-        /// The tty.
         path: Box<Path>,
-        /// The requested baud rate, bit/s.
         asked: u32,
-        /// The nearest possible baud rate, bit/s.
         nearest: u32,
     },
     /// Any other error of the operating system.
     #[error("{path}: errno {errno}")]
-    Os {
-        /// The tty.
-        path: Box<Path>,
-        /// Error number.
-        errno: i32,
-    },
+    Os { path: Box<Path>, errno: i32 },
 }
 
 /// A tty in raw mode, for exclusive use.
@@ -68,7 +61,7 @@ pub enum OpenError {
 /// pseudo-terminal has the lock only. Its exclusive flag lasts until the last process closes the terminal, for example
 /// an emulator. The flag would therefore outlive a host that is killed, whereas the lock ends with the host.
 pub struct Tty {
-    device: OwnedFd,
+    device: File,
     gone: bool,
     counters: LineCounters,
 }
@@ -78,20 +71,16 @@ impl Tty {
     /// from before the opening are discarded.
     pub fn open(path: impl AsRef<Path>, settings: Settings) -> Result<Self, OpenError> {
         let path = path.as_ref();
-        let stop_bits = match settings.stop_bits {
-            StopBits::One => tokio_serial::StopBits::One,
-            StopBits::Two => tokio_serial::StopBits::Two,
-        };
         let port = tokio_serial::new(path.to_string_lossy(), settings.baud)
             .data_bits(DataBits::Eight)
             .parity(Parity::None)
-            .stop_bits(stop_bits)
+            .stop_bits(settings.stop_bits)
             .flow_control(FlowControl::None)
             .open_native()
             .map_err(|error| why_not_opened(path, &error))?;
         let os = |error: &io::Error| OpenError::Os {
             path: path.into(),
-            errno: error.raw_os_error().unwrap_or(libc::EIO),
+            errno: errno(error),
         };
         let nearest = port.baud_rate().map_err(|error| os(&error.into()))?;
         // A receiver that samples in the middle of a bit tolerates a deviation of 4 % over ten bits.
@@ -104,9 +93,9 @@ impl Tty {
             });
         }
         // SAFETY: the port released the descriptor, which has no other owner.
-        let device = unsafe { OwnedFd::from_raw_fd(port.into_raw_fd()) };
+        let device = unsafe { File::from_raw_fd(port.into_raw_fd()) };
         let fd = device.as_raw_fd();
-        if is_pseudo_terminal(fd) {
+        if is_pseudo_terminal(&device) {
             // SAFETY: the descriptor is open, and the call takes nothing.
             unsafe { libc::ioctl(fd, libc::TIOCNXCL) };
         }
@@ -126,32 +115,27 @@ impl Tty {
         })
     }
 
-    fn failed(&mut self, errno: i32) -> LineError {
-        match errno {
+    /// Number of bytes that a call moved.
+    fn moved(&mut self, result: io::Result<usize>) -> Result<usize, LineError> {
+        result.or_else(|error| match errno(&error) {
+            libc::EAGAIN | libc::EINTR => Ok(0),
             libc::EIO | libc::ENXIO | libc::ENODEV | libc::EBADF => {
                 self.gone = true;
-                LineError::Gone
+                Err(LineError::Gone)
             }
-            other => LineError::Os(other),
-        }
+            other => Err(LineError::Os(other)),
+        })
     }
 }
 
 impl Line for Tty {
     /// `now` is ignored, because the kernel sends at once.
     fn write(&mut self, _now: Instant, bytes: &[u8]) -> Result<usize, LineError> {
-        let written = if self.gone {
-            Err(libc::EIO)
+        let result = if self.gone {
+            Err(LineError::Gone)
         } else {
-            // SAFETY: the pointer and length are of one slice, which the call only reads.
-            let result =
-                unsafe { libc::write(self.device.as_raw_fd(), bytes.as_ptr().cast(), bytes.len()) };
-            usize::try_from(result).map_err(|_| errno())
-        };
-        let result = match written {
-            Err(libc::EAGAIN | libc::EINTR) => Ok(0),
-            Err(errno) => Err(self.failed(errno)),
-            Ok(count) => Ok(count),
+            let written = self.device.write(bytes);
+            self.moved(written)
         };
         let taken = result.unwrap_or(0);
         self.counters.sent += taken as u64;
@@ -167,24 +151,15 @@ impl Line for Tty {
         if into.is_empty() {
             return Ok(0);
         }
-        // SAFETY: the pointer and length are of one slice that is ours alone.
-        let result = unsafe {
-            libc::read(
-                self.device.as_raw_fd(),
-                into.as_mut_ptr().cast(),
-                into.len(),
-            )
-        };
-        match usize::try_from(result).map_err(|_| errno()) {
-            // A raw tty without received bytes returns EAGAIN (VMIN is 1). Zero bytes mean a hang-up.
-            Ok(0) => Err(self.failed(libc::EIO)),
-            Ok(count) => {
-                self.counters.received += count as u64;
-                Ok(count)
-            }
-            Err(libc::EAGAIN | libc::EINTR) => Ok(0),
-            Err(errno) => Err(self.failed(errno)),
+        let read = self.device.read(into);
+        // A raw tty without received bytes returns EAGAIN (VMIN is 1). Zero bytes mean a hang-up.
+        if matches!(read, Ok(0)) {
+            self.gone = true;
+            return Err(LineError::Gone);
         }
+        let count = self.moved(read)?;
+        self.counters.received += count as u64;
+        Ok(count)
     }
 
     /// Bytes in the buffer of an adapter cannot be discarded.
@@ -214,10 +189,8 @@ impl Drop for Tty {
     }
 }
 
-fn errno() -> i32 {
-    io::Error::last_os_error()
-        .raw_os_error()
-        .unwrap_or(libc::EIO)
+fn errno(error: &io::Error) -> i32 {
+    error.raw_os_error().unwrap_or(libc::EIO)
 }
 
 /// The opener does not return an error number, so this function repeats the call to obtain it.
@@ -228,15 +201,15 @@ fn why_not_opened(path: &Path, error: &tokio_serial::Error) -> OpenError {
         .write(true)
         .custom_flags(libc::O_NOCTTY | libc::O_NONBLOCK)
         .open(path);
-    let errno = match again {
+    let reason = match again {
         // SAFETY: the descriptor is open.
         Ok(file) if unsafe { libc::isatty(file.as_raw_fd()) } == 0 => libc::ENOTTY,
         Ok(_) if error.kind == ErrorKind::NoDevice => libc::EBUSY,
         Ok(_) => libc::EIO,
-        Err(error) => error.raw_os_error().unwrap_or(libc::EIO),
+        Err(error) => errno(&error),
     };
     let path = path.into();
-    match errno {
+    match reason {
         libc::ENOENT | libc::ENOTDIR | libc::ENXIO | libc::ENODEV => OpenError::Absent(path),
         libc::EACCES | libc::EPERM => OpenError::Denied(path),
         libc::EBUSY => OpenError::Busy(path),
@@ -245,13 +218,10 @@ fn why_not_opened(path: &Path, error: &tokio_serial::Error) -> OpenError {
     }
 }
 
-/// Whether a descriptor is the host's end of a pseudo-terminal: major numbers 136 to 143 (Linux, `devices.txt`).
-fn is_pseudo_terminal(fd: libc::c_int) -> bool {
-    // SAFETY: plain integers, for all of which zero is a value.
-    let mut stat: libc::stat = unsafe { mem::zeroed() };
-    // SAFETY: the call fills a structure that is as large as it expects.
-    let known = unsafe { libc::fstat(fd, &raw mut stat) } == 0;
-    known && (136..=143).contains(&libc::major(stat.st_rdev))
+/// Whether a tty is the host's end of a pseudo-terminal: major numbers 136 to 143 (Linux, `devices.txt`).
+fn is_pseudo_terminal(tty: &File) -> bool {
+    let device = tty.metadata().map(|found| libc::major(found.rdev()));
+    device.is_ok_and(|major| (136..=143).contains(&major))
 }
 
 /// `struct serial_struct` of `linux/serial.h`.
@@ -296,9 +266,6 @@ fn ask_for_low_latency(fd: libc::c_int) {
 
 #[cfg(test)]
 mod tests {
-    use std::fs::File;
-    use std::io::{Read, Write};
-    use std::os::fd::FromRawFd;
     use std::path::PathBuf;
 
     use super::*;

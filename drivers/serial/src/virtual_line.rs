@@ -122,11 +122,6 @@ impl VirtualLinePeer {
             self.dropped.fetch_add(1, Ordering::Relaxed);
         }
     }
-
-    /// Whether the host has dropped its end.
-    pub fn is_abandoned(&self) -> bool {
-        self.written.is_abandoned()
-    }
 }
 
 #[cfg(test)]

@@ -130,7 +130,7 @@ impl Lss {
             }
             Request::ConfigureBitTiming { table, index } if configures => {
                 let rate = BitRate::from_index(index).filter(|_| table == CIA_TABLE);
-                let known = rate.is_some_and(|rate| rate != BitRate::Kbps10);
+                let known = rate.is_some_and(|rate| rate != BitRate::Kbps(10));
                 Some(Response::BitTimingConfigured(outcome(known)))
             }
             Request::Store if configures => {

@@ -128,22 +128,17 @@ impl Epos2Serial {
 
     fn obey(&mut self, request: Request, now: Instant) -> Result<Answer, AbortCode> {
         match request {
-            Request::Read {
-                node,
-                index,
-                subindex,
-            } => {
-                let value = self.service.read(node, Object::new(index, subindex), now)?;
-                Ok(Answer::Value(value))
+            Request::Read(address) => {
+                let object = Object::new(address.index, address.subindex);
+                Ok(Answer::Value(self.service.read(
+                    address.node,
+                    object,
+                    now,
+                )?))
             }
-            Request::Write {
-                node,
-                index,
-                subindex,
-                value,
-            } => {
-                let object = Object::new(index, subindex);
-                self.service.write(node, object, value, now)?;
+            Request::Write(address, value) => {
+                let object = Object::new(address.index, address.subindex);
+                self.service.write(address.node, object, value, now)?;
                 Ok(Answer::Done)
             }
             Request::Nmt { node, command } => {

@@ -157,11 +157,11 @@ fn epos2_exchanges_are_the_bytes_of_the_line() {
     assert_eq!(rig.send(b"O"), [0_u8; 0]);
     // An object that does not exist.
     assert_eq!(rig.send(&[0x10]), b"O");
-    let missing = epos2::Request::Read {
+    let missing = epos2::Request::Read(Address {
         node: 1,
         index: 0x5FFF,
         subindex: 0,
-    };
+    });
     assert_eq!(rig.send(missing.encode().body()), b"O\x00");
     let refused = [0x03, 0, 0, 0x02, 0x06, 0, 0, 0, 0, 0x26, 0xE4];
     assert_eq!(rig.send(b"O"), refused);
@@ -188,11 +188,11 @@ fn an_answer_takes_its_turn_around_and_its_line_time() {
 fn an_object_over_rs232_costs_an_epos2_more_than_two_milliseconds() {
     let mut rig = Rig::epos2(config());
     let begin = rig.now;
-    let telegram = epos2::Request::Read {
+    let telegram = epos2::Request::Read(Address {
         node: 0,
         index: 0x6041,
         subindex: 0,
-    }
+    })
     .encode();
     let steps: [(&[u8], usize); 3] = [(&[telegram.opcode()], 1), (telegram.body(), 2), (b"O", 11)];
     for (bytes, answer) in steps {
@@ -245,20 +245,22 @@ fn both_ports_enable_and_move_the_axis() {
 
     let mut rig = Rig::epos2(config());
     for (index, value) in writes {
-        let written = rig.epos2_exchange(epos2::Request::Write {
-            node: 0,
-            index,
-            subindex: 0,
+        let written = rig.epos2_exchange(epos2::Request::Write(
+            Address {
+                node: 0,
+                index,
+                subindex: 0,
+            },
             value,
-        });
+        ));
         assert_eq!(written, Some(epos2::Answer::Done));
     }
     let position = |rig: &mut Rig| {
-        let read = rig.epos2_exchange(epos2::Request::Read {
+        let read = rig.epos2_exchange(epos2::Request::Read(Address {
             node: 0,
             index: 0x6064,
             subindex: 0,
-        });
+        }));
         match read {
             Some(epos2::Answer::Value(value)) => value as i32,
             other => panic!("{other:?}"),
@@ -339,11 +341,11 @@ fn nmt_commands_are_obeyed_and_a_stopped_node_refuses_its_objects() {
         command: 2,
     };
     assert_eq!(rig.epos2_exchange(stop), None);
-    let read = epos2::Request::Read {
+    let read = epos2::Request::Read(Address {
         node: 0,
         index: 0x6041,
         subindex: 0,
-    };
+    });
     let refused = epos2::Answer::Refused(0x0F00_FFC0);
     assert_eq!(rig.epos2_exchange(read), Some(refused));
 }
@@ -411,11 +413,11 @@ fn objects_are_read_and_written_in_segments() {
 
 #[test]
 fn after_the_frame_time_out_a_torn_exchange_is_over() {
-    let read = epos2::Request::Read {
+    let read = epos2::Request::Read(Address {
         node: 0,
         index: 0x6041,
         subindex: 0,
-    };
+    });
     let telegram = read.encode();
     // Points at which the host stops sending: after the opcode, within the telegram, before its acknowledgements.
     let body = telegram.body();
@@ -462,11 +464,11 @@ fn a_damaged_telegram_is_acknowledged_as_failed_and_not_obeyed() {
         0x03, 0x40, 0x60, 0x00, 0x01, 0x0F, 0x00, 0x00, 0x00, 0x52, 0xEE,
     ];
     assert_eq!(rig.send(&damaged), b"F");
-    let read = epos2::Request::Read {
+    let read = epos2::Request::Read(Address {
         node: 0,
         index: 0x6040,
         subindex: 0,
-    };
+    });
     assert_eq!(rig.epos2_exchange(read), Some(epos2::Answer::Value(0)));
     let device: &Epos2Serial = rig.world.line_device(rig.line).unwrap();
     assert_eq!(device.heard().damaged, 1);
@@ -491,11 +493,11 @@ fn what_comes_before_the_answer_is_not_heard() {
 #[test]
 fn after_any_noise_and_the_time_out_a_port_works() {
     let read = [0x90, 0x02, 0x60, 0x02, 0x01, 0x41, 0x60, 0x00, 0x22, 0xD1];
-    let statusword = epos2::Request::Read {
+    let statusword = epos2::Request::Read(Address {
         node: 0,
         index: 0x6041,
         subindex: 0,
-    };
+    });
     for seed in 0..50 {
         let mut noise = crate::plant::Noise::new(seed);
         // Random bytes with many opcodes, stuffing bytes and acknowledgements.

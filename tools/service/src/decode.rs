@@ -403,14 +403,14 @@ fn unmapped(name: &str, offset: u16, data: &[u8]) -> String {
 
 fn time(frame: &Frame) -> Option<String> {
     let time = TimeOfDay::decode(frame)?;
-    let (year, month, day) = date(time.days());
-    let seconds = time.millis() / 1000;
+    let (year, month, day) = date(time.days);
+    let seconds = time.millis / 1000;
     Some(format!(
         "TIME {year}-{month:02}-{day:02} {:02}:{:02}:{:02}.{:03}",
         seconds / 3600,
         seconds / 60 % 60,
         seconds % 60,
-        time.millis() % 1000
+        time.millis % 1000
     ))
 }
 

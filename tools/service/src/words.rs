@@ -138,9 +138,9 @@ pub(super) fn meaning(object: Object, raw: u64, faults: FaultTable) -> Option<St
 fn statusword(word: Statusword) -> String {
     let mut text = word.power_state().to_string();
     let bits = [
-        (word.warning(), "warning"),
+        (word.has(Statusword::WARNING), "warning"),
         (word.target_reached(), "target reached"),
-        (word.internal_limit(), "internal limit"),
+        (word.has(Statusword::INTERNAL_LIMIT), "internal limit"),
     ];
     for (_, name) in bits.iter().filter(|(set, _)| *set) {
         text += ", ";

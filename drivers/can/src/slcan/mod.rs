@@ -23,5 +23,5 @@ mod text;
 
 pub use command::{BITRATES, Command};
 pub use report::{AdapterReport, BusErrors, StatusFlags};
-pub use splitter::{Dropped, Piece, Splitter};
+pub use splitter::{Piece, Splitter};
 pub use text::{LONGEST, LineError, TextLine};

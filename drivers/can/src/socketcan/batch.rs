@@ -19,18 +19,8 @@ use crate::Frame;
 pub(super) struct Batch {
     headers: [libc::mmsghdr; BATCH],
     slices: [libc::iovec; BATCH],
-    frames: [RawFrame; BATCH],
+    frames: [libc::can_frame; BATCH],
     controls: [Control; BATCH],
-}
-
-/// `struct can_frame`.
-#[derive(Clone, Copy)]
-#[repr(C, align(8))]
-struct RawFrame {
-    id_and_flags: u32,
-    len: u8,
-    padding: [u8; 3],
-    data: [u8; 8],
 }
 
 /// Room for the kernel's time stamp (32 bytes with its header), the card's (64 bytes) and a count of dropped frames
@@ -86,7 +76,7 @@ impl Batch {
         let count = limit.min(BATCH);
         for index in 0..count {
             self.slices[index].iov_base = ptr::from_mut(&mut self.frames[index]).cast();
-            self.slices[index].iov_len = size_of::<RawFrame>();
+            self.slices[index].iov_len = size_of::<libc::can_frame>();
             let header = &mut self.headers[index].msg_hdr;
             header.msg_iov = &mut self.slices[index];
             header.msg_iovlen = 1;
@@ -109,11 +99,11 @@ impl Batch {
 
     /// `None` for what is no frame of classical CAN.
     pub(super) fn frame(&self, index: usize) -> Option<Frame> {
-        if self.headers[index].msg_len as usize != size_of::<RawFrame>() {
+        if self.headers[index].msg_len as usize != size_of::<libc::can_frame>() {
             return None;
         }
         let raw = self.frames[index];
-        Frame::from_raw(raw.id_and_flags, raw.len, raw.data)
+        Frame::from_raw(raw.can_id, raw.can_dlc, raw.data)
     }
 
     pub(super) fn ancillary(&self, index: usize) -> Ancillary {
@@ -275,7 +265,7 @@ mod tests {
     #[test]
     fn a_datagram_of_another_length_than_a_frame_is_none() {
         let mut batch = Batch::new();
-        batch.frames[0].len = 8;
+        batch.frames[0].can_dlc = 8;
         for (length, is_frame) in [(0, false), (15, false), (16, true), (72, false)] {
             batch.headers[0].msg_len = length;
             assert_eq!(batch.frame(0).is_some(), is_frame, "{length} bytes");

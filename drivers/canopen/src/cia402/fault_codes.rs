@@ -7,8 +7,6 @@ pub enum FaultTable {
     /// CiA 402-2 §7.1 and the communication codes of CiA 301 §7.2.7.1.
     #[default]
     Cia402,
-    /// maxon EPOS2.
-    Epos2,
     /// maxon EPOS4.
     Epos4,
 }
@@ -18,9 +16,9 @@ impl FaultTable {
     pub fn text(self, code: u16) -> &'static str {
         let vendor = match self {
             Self::Cia402 => None,
-            Self::Epos2 => find(EPOS2, code),
             Self::Epos4 => find(EPOS4, code).or(match code {
                 0x1080..=0x1088 => Some("generic initialisation error"),
+                0x5480..=0x5483 => Some("hardware error"),
                 0x6180..=0x61F0 => Some("internal software error"),
                 _ => None,
             }),
@@ -28,15 +26,6 @@ impl FaultTable {
         vendor
             .or_else(|| find(CIA, code))
             .unwrap_or_else(|| class(code))
-    }
-
-    /// Every code the table itself lists by number, in ascending order, with its text.
-    pub const fn codes(self) -> &'static [(u16, &'static str)] {
-        match self {
-            Self::Cia402 => CIA,
-            Self::Epos2 => EPOS2,
-            Self::Epos4 => EPOS4,
-        }
     }
 }
 
@@ -184,49 +173,8 @@ const CIA: &[(u16, &str)] = &[
     (0xF004, "control"),
 ];
 
-const EPOS2: &[(u16, &str)] = &[
-    (0x0000, "no error"),
-    (0x1000, "generic error"),
-    (0x2310, "over-current"),
-    (0x3210, "over-voltage"),
-    (0x3220, "under-voltage"),
-    (0x4210, "over-temperature"),
-    (0x5113, "5 V logic supply too low"),
-    (0x5114, "output stage supply too low"),
-    (0x6100, "internal software error"),
-    (0x6320, "software parameter error"),
-    (0x7320, "position sensor error"),
-    (0x8110, "CAN overrun, frames lost"),
-    (0x8111, "CAN overrun"),
-    (0x8120, "CAN in error passive mode"),
-    (0x8130, "CAN life guard error"),
-    (0x8150, "CAN transmit COB-ID collision"),
-    (0x81FD, "CAN bus-off"),
-    (0x81FE, "CAN receive queue overrun"),
-    (0x81FF, "CAN transmit queue overrun"),
-    (0x8210, "CAN PDO length error"),
-    (0x8611, "following error"),
-    (0xFF01, "hall sensor error"),
-    (0xFF02, "encoder index error"),
-    (0xFF03, "encoder resolution error"),
-    (0xFF04, "hall sensor not found"),
-    (0xFF06, "negative limit switch"),
-    (0xFF07, "positive limit switch"),
-    (0xFF08, "hall angle detection error"),
-    (0xFF09, "software position limit"),
-    (0xFF0A, "position sensor breach"),
-    (0xFF0B, "system overloaded"),
-    (0xFF0C, "interpolated position mode error"),
-    (0xFF0D, "auto-tuning error"),
-    (0xFF0F, "gear scaling factor error"),
-    (0xFF10, "controller gain error"),
-    (0xFF11, "main sensor direction error"),
-    (0xFF12, "auxiliary sensor direction error"),
-];
-
+/// Codes whose meaning is not that of CiA.
 const EPOS4: &[(u16, &str)] = &[
-    (0x0000, "no error"),
-    (0x1000, "generic error"),
     (0x1090, "firmware of an extension is incompatible"),
     (0x2310, "over-current"),
     (0x2320, "power stage protection"),
@@ -241,10 +189,6 @@ const EPOS4: &[(u16, &str)] = &[
         "hardware incompatible; maxon knows of units built from 03/2025 to 04/2026",
     ),
     (0x5282, "STO card not detected"),
-    (0x5480, "hardware error"),
-    (0x5481, "hardware error"),
-    (0x5482, "hardware error"),
-    (0x5483, "hardware error"),
     (0x6080, "sign of life error"),
     (0x6081, "watchdog of extension 1"),
     (0x6320, "software parameter error"),
@@ -261,9 +205,7 @@ const EPOS4: &[(u16, &str)] = &[
     (0x7390, "main sensor missing"),
     (0x7391, "commutation sensor missing"),
     (0x7392, "main sensor direction error"),
-    (0x8110, "CAN overrun, frames lost"),
     (0x8111, "CAN overrun"),
-    (0x8120, "CAN in error passive mode"),
     (0x8130, "CAN heartbeat error"),
     (0x8150, "collision of PDO COB-IDs"),
     (0x8180, "EtherCAT communication"),
@@ -274,10 +216,8 @@ const EPOS4: &[(u16, &str)] = &[
     (0x81FE, "CAN receive queue overflow"),
     (0x81FF, "CAN transmit queue overflow"),
     (0x8210, "CAN PDO length error"),
-    (0x8250, "RPDO time-out"),
     (0x8280, "EtherCAT PDO communication"),
     (0x8281, "EtherCAT SDO communication"),
-    (0x8611, "following error"),
     (0x8A80, "negative limit switch"),
     (0x8A81, "positive limit switch"),
     (0x8A82, "software position limit"),
@@ -310,9 +250,9 @@ mod tests {
 
     #[test]
     fn tables_ascend_without_doubles() {
-        for table in [FaultTable::Cia402, FaultTable::Epos2, FaultTable::Epos4] {
-            for pair in table.codes().windows(2) {
-                assert!(pair[0].0 < pair[1].0, "{table:?} {:#06x}", pair[1].0);
+        for table in [CIA, EPOS4] {
+            for pair in table.windows(2) {
+                assert!(pair[0].0 < pair[1].0, "{:#06x}", pair[1].0);
             }
         }
     }
@@ -321,12 +261,10 @@ mod tests {
     fn vendors_name_the_same_code_differently() {
         let table = [
             (FaultTable::Cia402, 0x8611, "following error"),
-            (FaultTable::Epos2, 0xFF0B, "system overloaded"),
             (FaultTable::Epos4, 0xFF0B, "system peak overloaded"),
             (FaultTable::Cia402, 0xFF0B, "device specific"),
-            (FaultTable::Epos2, 0xFF01, "hall sensor error"),
             (FaultTable::Epos4, 0xFF01, "system overloaded"),
-            (FaultTable::Epos2, 0x7121, "motor blocked"),
+            (FaultTable::Epos4, 0x7121, "motor blocked"),
             (FaultTable::Epos4, 0x6185, "internal software error"),
             (FaultTable::Epos4, 0x1083, "generic initialisation error"),
             (FaultTable::Cia402, 0x6185, "software"),

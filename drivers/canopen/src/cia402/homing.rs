@@ -1,7 +1,5 @@
 //! Homing: methods and status (CiA 402-2 §11).
 
-use std::fmt;
-
 use super::Statusword;
 
 /// Object 0x6098: the method by which a drive searches its reference (CiA 402-2 §11.3). The position grows in the
@@ -173,20 +171,6 @@ impl HomingStatus {
             Self::ErrorStanding => ERROR | REACHED,
             Self::Reserved => ERROR | ATTAINED,
         }
-    }
-}
-
-impl fmt::Display for HomingStatus {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::InProgress => "homing in progress",
-            Self::Interrupted => "homing interrupted or not started",
-            Self::Attained => "homing attained, still moving",
-            Self::Done => "homing done",
-            Self::ErrorMoving => "homing error, still moving",
-            Self::ErrorStanding => "homing error",
-            Self::Reserved => "homing attained and failed at once",
-        })
     }
 }
 

@@ -28,19 +28,6 @@ pub enum PowerState {
 }
 
 impl PowerState {
-    /// Every state.
-    pub const ALL: [Self; 9] = [
-        Self::NotReadyToSwitchOn,
-        Self::SwitchOnDisabled,
-        Self::ReadyToSwitchOn,
-        Self::SwitchedOn,
-        Self::OperationEnabled,
-        Self::QuickStopActive,
-        Self::FaultReactionActive,
-        Self::Fault,
-        Self::Unknown,
-    ];
-
     /// The state bits of the statusword, bits 0 to 3, 5 and 6; `None` for the unknown state.
     ///
     /// Bit 4 (voltage enabled) and the rest are the device's to add.
@@ -128,19 +115,9 @@ impl Statusword {
         Self(if set { self.0 | mask } else { self.0 & !mask })
     }
 
-    /// Whether a warning is present.
-    pub const fn warning(self) -> bool {
-        self.has(Self::WARNING)
-    }
-
     /// Whether the target is reached; in homing mode read [`Self::homing`] instead.
     pub const fn target_reached(self) -> bool {
         self.has(Self::TARGET_REACHED)
-    }
-
-    /// Whether a limit inside the drive is in force.
-    pub const fn internal_limit(self) -> bool {
-        self.has(Self::INTERNAL_LIMIT)
     }
 
     /// EPOS2 and EPOS4: whether the position is referenced to home.
@@ -261,12 +238,21 @@ mod tests {
 
     #[test]
     fn every_known_state_encodes_to_bits_that_decode_to_it() {
-        for state in PowerState::ALL {
-            match state.bits() {
-                Some(word) => assert_eq!(word.power_state(), state),
-                None => assert_eq!(state, PowerState::Unknown),
-            }
+        use PowerState::*;
+        let known = [
+            NotReadyToSwitchOn,
+            SwitchOnDisabled,
+            ReadyToSwitchOn,
+            SwitchedOn,
+            OperationEnabled,
+            QuickStopActive,
+            FaultReactionActive,
+            Fault,
+        ];
+        for state in known {
+            assert_eq!(state.bits().map(Statusword::power_state), Some(state));
         }
+        assert_eq!(Unknown.bits(), None);
     }
 
     #[test]

@@ -76,29 +76,3 @@ pub enum EdsError {
     #[error("{line}: more than {MAX_SECTIONS} sections; split the file")]
     TooManySections { line: u32 },
 }
-
-impl EdsError {
-    /// The line, from 1.
-    pub const fn line(self) -> u32 {
-        match self {
-            Self::Line { line }
-            | Self::NoSection { line }
-            | Self::DuplicateSection { line, .. }
-            | Self::DuplicateKey { line, .. }
-            | Self::NotAnObject { line }
-            | Self::Orphan { line, .. }
-            | Self::Missing { line, .. }
-            | Self::Undescribed { line, .. }
-            | Self::Count { line, .. }
-            | Self::Number { line }
-            | Self::Real { line }
-            | Self::Bytes { line }
-            | Self::Range { line, .. }
-            | Self::Limits { line, .. }
-            | Self::Access { line }
-            | Self::ObjectType { line, .. }
-            | Self::TooMany { line }
-            | Self::TooManySections { line } => line,
-        }
-    }
-}

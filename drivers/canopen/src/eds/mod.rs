@@ -14,8 +14,8 @@
 //! - `CompactSubObj` with its `[1003Name]` (§6.6.3.4) and `[1003Value]` (§7.3.4.3);
 //! - objects that no list mentions.
 //!
-//! The reader ignores sections of tools and modules (§8), denotations and object links, since no object depends on
-//! them.
+//! The reader ignores sections of tools and modules (§8), denotations, object links, and the keys that no field here
+//! has, since no object depends on them.
 
 mod error;
 mod ini;
@@ -65,9 +65,6 @@ pub struct FileInfo {
     pub creation_time: String,
     pub creation_date: String,
     pub created_by: String,
-    pub modification_time: String,
-    pub modification_date: String,
-    pub modified_by: String,
 }
 
 /// Section `[DeviceInfo]`.
@@ -113,14 +110,10 @@ pub const BAUD_RATES: [u16; 8] = [10, 20, 50, 125, 250, 500, 800, 1000];
 pub struct Commissioning {
     /// Its node-ID.
     pub node: Option<NodeId>,
-    /// Its name.
-    pub node_name: String,
     /// Bit rate of its bus, kbit/s; `None` if 0.
     pub baud_rate: Option<u16>,
     /// Number of its network.
     pub net_number: Option<u32>,
-    /// Name of its network.
-    pub network_name: String,
     /// Whether it is the manager of its network.
     pub manager: bool,
     /// Serial number, object 0x1018:04; `None` if 0.
@@ -325,33 +318,11 @@ data_types! {
 impl DataType {
     /// The least and the greatest number of an integer type or BOOLEAN; `None` of all others.
     pub const fn range(self) -> Option<(i128, i128)> {
-        let signed = match self {
-            Self::Boolean => return Some((0, 1)),
-            Self::Integer8
-            | Self::Integer16
-            | Self::Integer24
-            | Self::Integer32
-            | Self::Integer40
-            | Self::Integer48
-            | Self::Integer56
-            | Self::Integer64 => true,
-            Self::Unsigned8
-            | Self::Unsigned16
-            | Self::Unsigned24
-            | Self::Unsigned32
-            | Self::Unsigned40
-            | Self::Unsigned48
-            | Self::Unsigned56
-            | Self::Unsigned64 => false,
-            Self::Real32
-            | Self::Real64
-            | Self::VisibleString
-            | Self::OctetString
-            | Self::UnicodeString
-            | Self::TimeOfDay
-            | Self::TimeDifference
-            | Self::Domain
-            | Self::Other(_) => return None,
+        let signed = match self.code() {
+            0x01 => return Some((0, 1)),
+            0x02..=0x04 | 0x10 | 0x12..=0x15 => true,
+            0x05..=0x07 | 0x16..=0x1B => false,
+            _ => return None,
         };
         let Some(bytes) = self.size() else {
             return None;

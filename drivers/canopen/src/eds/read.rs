@@ -114,8 +114,18 @@ pub(super) fn read(text: &str) -> Result<Eds, EdsError> {
             Kind::Object(index) if !compact.contains_key(&index) => {
                 sub_number(section, &eds.objects[&index])?;
             }
-            Kind::Names(index) => compact_names(section, index, &compact, &mut eds)?,
-            Kind::Values(index) => compact_values(section, index, &compact, &mut eds)?,
+            Kind::Names(index) => {
+                for (subindex, text) in compact_lines(section, index, &compact)? {
+                    text.text
+                        .clone_into(&mut compact_variable(&mut eds, index, subindex).name);
+                }
+            }
+            Kind::Values(index) => {
+                for (subindex, text) in compact_lines(section, index, &compact)? {
+                    let variable = compact_variable(&mut eds, index, subindex);
+                    variable.parameter = Some(parameter(variable, text)?);
+                }
+            }
             Kind::Object(_) | Kind::Sub(..) | Kind::Other => {}
         }
     }
@@ -333,7 +343,7 @@ fn sub_number(section: &Section<'_>, entry: &Entry) -> Result<(), EdsError> {
     )
 }
 
-/// The numbered lines of `[1003Name]` or `[1003Value]`, by sub-index.
+/// The numbered lines of `[1003Name]` or `[1003Value]` that are not empty, by sub-index.
 fn compact_lines<'a>(
     section: &Section<'a>,
     index: u16,
@@ -355,37 +365,9 @@ fn compact_lines<'a>(
         };
         Ok((known.ok_or(range)?, text))
     };
-    lines.into_iter().map(subindex).collect()
-}
-
-fn compact_names(
-    section: &Section<'_>,
-    index: u16,
-    compact: &BTreeMap<u16, u8>,
-    eds: &mut Eds,
-) -> Result<(), EdsError> {
-    for (subindex, text) in compact_lines(section, index, compact)? {
-        if !text.text.is_empty() {
-            text.text
-                .clone_into(&mut compact_variable(eds, index, subindex).name);
-        }
-    }
-    Ok(())
-}
-
-fn compact_values(
-    section: &Section<'_>,
-    index: u16,
-    compact: &BTreeMap<u16, u8>,
-    eds: &mut Eds,
-) -> Result<(), EdsError> {
-    for (subindex, text) in compact_lines(section, index, compact)? {
-        if !text.text.is_empty() {
-            let variable = compact_variable(eds, index, subindex);
-            variable.parameter = Some(parameter(variable, text)?);
-        }
-    }
-    Ok(())
+    let mut lines: Vec<_> = lines.into_iter().map(subindex).collect::<Result<_, _>>()?;
+    lines.retain(|(_, text)| !text.text.is_empty());
+    Ok(lines)
 }
 
 fn compact_variable(eds: &mut Eds, index: u16, subindex: u8) -> &mut Variable {
@@ -411,9 +393,6 @@ fn file_info(section: &Section<'_>) -> FileInfo {
         creation_time: section.text("CreationTime"),
         creation_date: section.text("CreationDate"),
         created_by: section.text("CreatedBy"),
-        modification_time: section.text("ModificationTime"),
-        modification_date: section.text("ModificationDate"),
-        modified_by: section.text("ModifiedBy"),
     }
 }
 
@@ -457,12 +436,10 @@ fn commissioning(section: &Section<'_>) -> Result<Commissioning, EdsError> {
     let stated = |number: &u32| *number != 0;
     Ok(Commissioning {
         node: node.transpose()?,
-        node_name: section.text("NodeName"),
         baud_rate: section
             .number("Baudrate", u16::MAX.into())?
             .filter(|rate| *rate != 0),
         net_number: section.number("NetNumber", u32::MAX.into())?,
-        network_name: section.text("NetworkName"),
         manager: section.flag("CANopenManager")?,
         serial_number: section
             .number("LSS_SerialNumber", u32::MAX.into())?

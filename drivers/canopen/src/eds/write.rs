@@ -22,7 +22,7 @@ impl Display for Eds {
         writeln!(f)?;
         section(f, "DummyUsage")?;
         for (dummy, number) in self.dummies.iter().zip(1..) {
-            key(f, format_args!("Dummy{number:04}"), u8::from(*dummy))?;
+            flag(f, format_args!("Dummy{number:04}"), *dummy)?;
         }
         writeln!(f)?;
         section(f, "Comments")?;
@@ -65,6 +65,10 @@ fn key(f: &mut Formatter<'_>, key: impl Display, value: impl Display) -> fmt::Re
     writeln!(f, "{key}={value}")
 }
 
+fn flag(f: &mut Formatter<'_>, name: impl Display, set: bool) -> fmt::Result {
+    key(f, name, u8::from(set))
+}
+
 fn number(f: &mut Formatter<'_>, name: &str, value: Option<u32>) -> fmt::Result {
     value.map_or(Ok(()), |value| key(f, name, format_args!("{value:#010x}")))
 }
@@ -92,10 +96,7 @@ impl FileInfo {
         text(f, "Description", &self.description)?;
         text(f, "CreationTime", &self.creation_time)?;
         text(f, "CreationDate", &self.creation_date)?;
-        text(f, "CreatedBy", &self.created_by)?;
-        text(f, "ModificationTime", &self.modification_time)?;
-        text(f, "ModificationDate", &self.modification_date)?;
-        text(f, "ModifiedBy", &self.modified_by)
+        text(f, "CreatedBy", &self.created_by)
     }
 }
 
@@ -110,24 +111,16 @@ impl DeviceInfo {
         text(f, "OrderCode", &self.order_code)?;
         for rate in BAUD_RATES {
             let can = self.baud_rates.contains(&rate);
-            key(f, format_args!("BaudRate_{rate}"), u8::from(can))?;
+            flag(f, format_args!("BaudRate_{rate}"), can)?;
         }
-        key(
-            f,
-            "SimpleBootUpMaster",
-            u8::from(self.simple_boot_up_master),
-        )?;
-        key(f, "SimpleBootUpSlave", u8::from(self.simple_boot_up_slave))?;
+        flag(f, "SimpleBootUpMaster", self.simple_boot_up_master)?;
+        flag(f, "SimpleBootUpSlave", self.simple_boot_up_slave)?;
         key(f, "Granularity", self.granularity)?;
-        key(
-            f,
-            "DynamicChannelsSupported",
-            u8::from(self.dynamic_channels),
-        )?;
-        key(f, "GroupMessaging", u8::from(self.group_messaging))?;
+        flag(f, "DynamicChannelsSupported", self.dynamic_channels)?;
+        flag(f, "GroupMessaging", self.group_messaging)?;
         key(f, "NrOfRXPDO", self.rpdos)?;
         key(f, "NrOfTXPDO", self.tpdos)?;
-        key(f, "LSS_Supported", u8::from(self.lss))
+        flag(f, "LSS_Supported", self.lss)
     }
 }
 
@@ -137,15 +130,13 @@ impl Commissioning {
         if let Some(node) = self.node {
             key(f, "NodeID", node)?;
         }
-        text(f, "NodeName", &self.node_name)?;
         if let Some(rate) = self.baud_rate {
             key(f, "Baudrate", rate)?;
         }
         if let Some(net) = self.net_number {
             key(f, "NetNumber", net)?;
         }
-        text(f, "NetworkName", &self.network_name)?;
-        key(f, "CANopenManager", u8::from(self.manager))?;
+        flag(f, "CANopenManager", self.manager)?;
         number(f, "LSS_SerialNumber", self.serial_number)
     }
 }
@@ -187,11 +178,8 @@ fn head(f: &mut Formatter<'_>, name: &str, address: &str, object_type: ObjectTyp
 impl Variable {
     fn write(&self, f: &mut Formatter<'_>, address: &str, object_type: ObjectType) -> fmt::Result {
         head(f, &self.name, address, object_type)?;
-        key(
-            f,
-            "DataType",
-            format_args!("{:#06x}", self.data_type.code()),
-        )?;
+        let code = self.data_type.code();
+        key(f, "DataType", format_args!("{code:#06x}"))?;
         key(f, "AccessType", self.access.name())?;
         let values = [
             ("DefaultValue", &self.default),
@@ -203,7 +191,7 @@ impl Variable {
                 text(f, name, &value.to_string())?;
             }
         }
-        key(f, "PDOMapping", u8::from(self.pdo_mapping))?;
+        flag(f, "PDOMapping", self.pdo_mapping)?;
         let flags = u8::from(self.refuses_download) | u8::from(self.refuses_scan) << 1;
         if flags != 0 {
             key(f, "ObjFlags", flags)?;

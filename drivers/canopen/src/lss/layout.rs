@@ -28,7 +28,7 @@ pub enum Request {
     ConfigureBitTiming {
         /// [`super::CIA_TABLE`], or a table of the vendor.
         table: u8,
-        /// See [`super::BitRate::index`].
+        /// See [`super::BitRate::from_index`].
         index: u8,
     },
     /// Be silent for the delay, change to the configured bit rate, and be silent for the delay again. Not
@@ -117,13 +117,8 @@ impl Part {
     }
 
     /// The one sent after it.
-    pub const fn next(self) -> Option<Self> {
-        match self {
-            Self::Vendor => Some(Self::Product),
-            Self::Product => Some(Self::Revision),
-            Self::Revision => Some(Self::Serial),
-            Self::Serial => None,
-        }
+    pub fn next(self) -> Option<Self> {
+        Self::ALL.get(self as usize + 1).copied()
     }
 }
 

@@ -11,7 +11,7 @@ pub use layout::{Bound, FASTSCAN_RESET, Fastscan, Mode, Outcome, Part, Request, 
 /// The node-ID of a node that has none.
 pub const UNCONFIGURED: u8 = 0xFF;
 
-/// The bit timing table of CiA (CiA 305 §6.4.3). [`BitRate::index`] returns its indices.
+/// The bit timing table of CiA (CiA 305 §6.4.3). [`BitRate::from_index`] has its indices.
 pub const CIA_TABLE: u8 = 0;
 
 /// The LSS address of a node, unique among all nodes of CANopen: object 0x1018 (CiA 301 §7.5.2.21).
@@ -30,12 +30,7 @@ pub struct Identity {
 impl Identity {
     /// One of the four numbers.
     pub const fn get(&self, part: Part) -> u32 {
-        match part {
-            Part::Vendor => self.vendor,
-            Part::Product => self.product,
-            Part::Revision => self.revision,
-            Part::Serial => self.serial,
-        }
+        [self.vendor, self.product, self.revision, self.serial][part as usize]
     }
 
     /// One of the four numbers, to write it.
@@ -50,75 +45,29 @@ impl Identity {
 }
 
 /// A bit rate of the [`CIA_TABLE`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BitRate {
-    /// 10 kbit/s.
-    Kbps10,
-    /// 20 kbit/s.
-    Kbps20,
-    /// 50 kbit/s.
-    Kbps50,
-    /// 125 kbit/s.
-    Kbps125,
-    /// 250 kbit/s.
-    Kbps250,
-    /// 500 kbit/s.
-    Kbps500,
-    /// 800 kbit/s.
-    Kbps800,
-    /// 1 Mbit/s.
-    Kbps1000,
+    /// kbit/s.
+    Kbps(u16),
     /// The node detects the bit rate of the bus.
     Automatic,
 }
 
 impl BitRate {
-    /// All of them.
-    pub const ALL: [Self; 9] = [
-        Self::Kbps10,
-        Self::Kbps20,
-        Self::Kbps50,
-        Self::Kbps125,
-        Self::Kbps250,
-        Self::Kbps500,
-        Self::Kbps800,
-        Self::Kbps1000,
-        Self::Automatic,
-    ];
-
-    /// Its index in the table; 5 is reserved.
-    pub const fn index(self) -> u8 {
-        match self {
-            Self::Kbps1000 => 0,
-            Self::Kbps800 => 1,
-            Self::Kbps500 => 2,
-            Self::Kbps250 => 3,
-            Self::Kbps125 => 4,
-            Self::Kbps50 => 6,
-            Self::Kbps20 => 7,
-            Self::Kbps10 => 8,
-            Self::Automatic => 9,
-        }
-    }
-
-    /// `None` for an index that the table does not have.
-    pub fn from_index(index: u8) -> Option<Self> {
-        Self::ALL.into_iter().find(|rate| rate.index() == index)
-    }
-
-    /// kbit/s; `None` if the node detects it.
-    pub const fn kbps(self) -> Option<u16> {
-        Some(match self {
-            Self::Kbps10 => 10,
-            Self::Kbps20 => 20,
-            Self::Kbps50 => 50,
-            Self::Kbps125 => 125,
-            Self::Kbps250 => 250,
-            Self::Kbps500 => 500,
-            Self::Kbps800 => 800,
-            Self::Kbps1000 => 1000,
-            Self::Automatic => return None,
-        })
+    /// `None` for an index that the table does not have; 5 is reserved.
+    pub const fn from_index(index: u8) -> Option<Self> {
+        Some(Self::Kbps(match index {
+            0 => 1000,
+            1 => 800,
+            2 => 500,
+            3 => 250,
+            4 => 125,
+            6 => 50,
+            7 => 20,
+            8 => 10,
+            9 => return Some(Self::Automatic),
+            _ => return None,
+        }))
     }
 }
 
@@ -128,22 +77,12 @@ mod tests {
 
     #[test]
     fn bit_rates_have_the_indices_of_the_table() {
-        let table = [
-            (0, Some(1000)),
-            (1, Some(800)),
-            (2, Some(500)),
-            (3, Some(250)),
-            (4, Some(125)),
-            (6, Some(50)),
-            (7, Some(20)),
-            (8, Some(10)),
-            (9, None),
-        ];
-        for (index, kbps) in table {
-            let rate = BitRate::from_index(index).unwrap();
-            assert_eq!((rate.index(), rate.kbps()), (index, kbps));
+        let rates = [1000, 800, 500, 250, 125, 0, 50, 20, 10].map(BitRate::Kbps);
+        for (rate, index) in rates.into_iter().chain([BitRate::Automatic]).zip(0..) {
+            let expected = Some(rate).filter(|_| index != 5);
+            assert_eq!(BitRate::from_index(index), expected);
         }
-        for index in [5, 10, 255] {
+        for index in [10, 255] {
             assert_eq!(BitRate::from_index(index), None);
         }
     }

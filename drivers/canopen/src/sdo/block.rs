@@ -120,15 +120,6 @@ pub struct End {
 }
 
 impl End {
-    /// `None` if more than the 7 bytes of the last segment are `unused`.
-    pub const fn new(unused: u8, crc: u16) -> Option<Self> {
-        if unused <= 7 {
-            Some(Self { unused, crc })
-        } else {
-            None
-        }
-    }
-
     /// The end of `size` bytes. No bytes at all travel as one segment that is all unused.
     pub const fn of(size: usize, crc: u16) -> Self {
         let used = size % SEGMENT;
@@ -230,21 +221,18 @@ impl Request {
     /// transfer. In the middle of a sub-block of a download it may be a [`Segment`] all the same.
     pub fn decode(frame: &Frame, node: NodeId) -> Option<Self> {
         let bytes: [u8; 8] = payload(frame, cob::sdo_request(node))?.try_into().ok()?;
+        let (object, crc, size) = (object(bytes), has_crc(bytes), size(bytes));
         Some(match bytes[0] {
             0xA0 | 0xA4 => Self::InitiateUpload {
-                object: object(bytes),
-                crc: has_crc(bytes),
+                object,
+                crc,
                 block_size: bytes[4],
                 threshold: bytes[5],
             },
             0xA1 => Self::EndUpload,
             0xA2 => Self::Acknowledge(Acknowledge::decode(bytes)),
             0xA3 => Self::StartUpload,
-            0xC0 | 0xC2 | 0xC4 | 0xC6 => Self::InitiateDownload {
-                object: object(bytes),
-                crc: has_crc(bytes),
-                size: size(bytes),
-            },
+            0xC0 | 0xC2 | 0xC4 | 0xC6 => Self::InitiateDownload { object, crc, size },
             first if is_end(first) => Self::EndDownload(End::decode(bytes)),
             _ => return None,
         })
@@ -272,19 +260,16 @@ impl Response {
     /// transfer. In the middle of a sub-block of an upload it may be a [`Segment`] all the same.
     pub fn decode(frame: &Frame, node: NodeId) -> Option<Self> {
         let bytes: [u8; 8] = payload(frame, cob::sdo_response(node))?.try_into().ok()?;
+        let (object, crc, size) = (object(bytes), has_crc(bytes), size(bytes));
         Some(match bytes[0] {
             0xA0 | 0xA4 => Self::InitiateDownload {
-                object: object(bytes),
-                crc: has_crc(bytes),
+                object,
+                crc,
                 block_size: bytes[4],
             },
             0xA1 => Self::EndDownload,
             0xA2 => Self::Acknowledge(Acknowledge::decode(bytes)),
-            0xC0 | 0xC2 | 0xC4 | 0xC6 => Self::InitiateUpload {
-                object: object(bytes),
-                crc: has_crc(bytes),
-                size: size(bytes),
-            },
+            0xC0 | 0xC2 | 0xC4 | 0xC6 => Self::InitiateUpload { object, crc, size },
             first if is_end(first) => Self::EndUpload(End::decode(bytes)),
             _ => return None,
         })
@@ -346,7 +331,10 @@ mod tests {
     };
 
     fn end(unused: u8) -> End {
-        End::new(unused, 0x31C3).unwrap()
+        End {
+            unused,
+            crc: 0x31C3,
+        }
     }
 
     fn download(crc: bool, size: Option<u32>) -> Request {
@@ -494,7 +482,6 @@ mod tests {
         for (size, unused) in table {
             assert_eq!(End::of(size, 0).unused(), unused, "{size} bytes");
         }
-        assert_eq!(End::new(8, 0), None);
     }
 
     #[test]

@@ -231,22 +231,14 @@ impl Request {
     /// `None` unless it is a frame of 8 bytes to the server `node`.
     pub fn decode(frame: &Frame, node: NodeId) -> Option<Self> {
         let bytes: [u8; 8] = payload(frame, cob::sdo_request(node))?.try_into().ok()?;
+        let (object, initiate) = (object(bytes), Initiate::decode(bytes));
+        let (toggle, code) = (toggled(bytes[0]), abort_code(bytes));
         Some(match bytes[0] {
             0x00..=0x1F => Self::DownloadSegment(Segment::decode(bytes)),
-            0x20..=0x2F => Self::InitiateDownload {
-                object: object(bytes),
-                initiate: Initiate::decode(bytes),
-            },
-            0x40 => Self::InitiateUpload {
-                object: object(bytes),
-            },
-            0x60 | 0x70 => Self::UploadSegment {
-                toggle: toggled(bytes[0]),
-            },
-            0x80 => Self::Abort {
-                object: object(bytes),
-                code: abort_code(bytes),
-            },
+            0x20..=0x2F => Self::InitiateDownload { object, initiate },
+            0x40 => Self::InitiateUpload { object },
+            0x60 | 0x70 => Self::UploadSegment { toggle },
+            0x80 => Self::Abort { object, code },
             _ => Self::Unsupported(Unsupported(bytes)),
         })
     }
@@ -269,22 +261,14 @@ impl Response {
     /// `None` unless it is a frame of 8 bytes from the server `node`.
     pub fn decode(frame: &Frame, node: NodeId) -> Option<Self> {
         let bytes: [u8; 8] = payload(frame, cob::sdo_response(node))?.try_into().ok()?;
+        let (object, initiate) = (object(bytes), Initiate::decode(bytes));
+        let (toggle, code) = (toggled(bytes[0]), abort_code(bytes));
         Some(match bytes[0] {
             0x00..=0x1F => Self::UploadSegment(Segment::decode(bytes)),
-            0x20 | 0x30 => Self::DownloadSegment {
-                toggle: toggled(bytes[0]),
-            },
-            0x40..=0x4F => Self::InitiateUpload {
-                object: object(bytes),
-                initiate: Initiate::decode(bytes),
-            },
-            0x60 => Self::InitiateDownload {
-                object: object(bytes),
-            },
-            0x80 => Self::Abort {
-                object: object(bytes),
-                code: abort_code(bytes),
-            },
+            0x20 | 0x30 => Self::DownloadSegment { toggle },
+            0x40..=0x4F => Self::InitiateUpload { object, initiate },
+            0x60 => Self::InitiateDownload { object },
+            0x80 => Self::Abort { object, code },
             _ => Self::Unsupported(Unsupported(bytes)),
         })
     }

@@ -103,10 +103,9 @@ impl Scan {
                 sub: Part::Serial.index(),
                 next: Part::Serial.index(),
             },
-            Step::Same => ask(found, 0, confirmed),
             Step::Greater(bit) => ask(greater(found, bit), bit, sub),
             Step::Bit(bit) => ask(found, bit, sub),
-            Step::Confirm => ask(found, 0, confirmed),
+            Step::Same | Step::Confirm => ask(found, 0, confirmed),
         }
     }
 
@@ -157,10 +156,7 @@ impl Scan {
     /// Every slave waits for questions about the vendor-ID.
     fn begin(&mut self) -> Next {
         match self.above {
-            None => {
-                self.step = Step::Bit(31);
-                Next::Ask(self.question())
-            }
+            None => self.ask(Step::Bit(31)),
             Some(_) => self.go_up(),
         }
     }
@@ -174,35 +170,34 @@ impl Scan {
         if self.part == part {
             return self.raise(0);
         }
-        self.step = Step::Same;
-        Next::Ask(self.question())
+        self.ask(Step::Same)
     }
 
     /// Asks for a greater part: from `bit` upwards, the lowest bit that is 0.
     fn raise(&mut self, bit: u8) -> Next {
         let number = self.found.get(self.part);
         match (bit..32).find(|bit| number >> bit & 1 == 0) {
-            Some(bit) => {
-                self.step = Step::Greater(bit);
-                Next::Ask(self.question())
-            }
+            Some(bit) => self.ask(Step::Greater(bit)),
             None => self.shorten(),
         }
     }
 
     /// No slave has a greater part: the part before is to be greater.
     fn shorten(&mut self) -> Next {
-        let before = |above: &Above| above.part.index().checked_sub(1);
-        let Some((above, index)) = self.above.as_mut().and_then(|above| {
-            let index = before(above)?;
-            Some((above, index))
-        }) else {
+        let Some(above) = &mut self.above else {
+            return Next::Found(None);
+        };
+        let Some(index) = above.part.index().checked_sub(1) else {
             return Next::Found(None);
         };
         above.part = Part::ALL[usize::from(index)];
         self.part = Part::Vendor;
         self.found = Identity::default();
-        self.step = Step::Reset { first: false };
+        self.ask(Step::Reset { first: false })
+    }
+
+    fn ask(&mut self, step: Step) -> Next {
+        self.step = step;
         Next::Ask(self.question())
     }
 }

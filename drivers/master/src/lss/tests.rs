@@ -61,11 +61,6 @@ fn each_service_sends_these_frames_and_takes_these_answers() {
             Answer::Done,
         ),
         (
-            Service::ConfigureBitTiming(BitRate::Kbps500),
-            "7E5#1300020000000000 7E4#1300000000000000",
-            Answer::Done,
-        ),
-        (
             Service::Store,
             "7E5#1700000000000000 7E4#1700000000000000",
             Answer::Done,
@@ -104,12 +99,7 @@ fn refusals_say_why() {
     };
     let table = [
         (Service::ConfigureNodeId(None), "7E4#1101000000000000", 1, 0),
-        (
-            Service::ConfigureBitTiming(BitRate::Kbps10),
-            "7E4#13FF070000000000",
-            0xFF,
-            7,
-        ),
+        (Service::Store, "7E4#17FF070000000000", 0xFF, 7),
         (Service::Store, "7E4#1702000000000000", 2, 0),
     ];
     for (service, answer, error, specific) in table {
@@ -136,7 +126,6 @@ fn an_answer_that_does_not_come_in_time_fails_the_service() {
     let table = [
         (Service::SwitchSelective(IDENTITY), 4),
         (Service::ConfigureNodeId(None), 1),
-        (Service::ConfigureBitTiming(BitRate::Kbps10), 1),
         (Service::Store, 1),
         (Service::InquireIdentity, 1),
         (Service::InquireNodeId, 1),
@@ -149,7 +138,6 @@ fn an_answer_that_does_not_come_in_time_fails_the_service() {
         let own = match service {
             Service::SwitchSelective(_) => "7E4#44",
             Service::ConfigureNodeId(_) => "7E4#11",
-            Service::ConfigureBitTiming(_) => "7E4#13",
             Service::Store => "7E4#17",
             Service::InquireIdentity => "7E4#5A",
             _ => "7E4#5E",
@@ -179,7 +167,6 @@ fn an_answer_that_does_not_come_in_time_fails_the_service() {
 fn a_request_that_was_never_sent_times_out_and_is_not_sent_later() {
     for service in [
         Service::SwitchGlobal(Mode::Waiting),
-        Service::ActivateBitTiming { delay_ms: 1 },
         Service::IdentifyUnconfigured,
         Service::Fastscan,
         Service::FastscanAbove(IDENTITY),
@@ -195,17 +182,6 @@ fn a_request_that_was_never_sent_times_out_and_is_not_sent_later() {
         );
         assert_eq!(master.poll_transmit(at(100)), None);
     }
-}
-
-#[test]
-fn a_new_bit_rate_is_active_after_twice_the_delay() {
-    let mut master = started(Service::ActivateBitTiming { delay_ms: 300 });
-    play(&mut master, at(10), "7E5#152C010000000000");
-    assert_eq!(master.poll_timeout(), Some(at(610)));
-    master.handle_timeout(at(609));
-    assert_eq!(master.poll(), None);
-    master.handle_timeout(at(610));
-    assert_eq!(master.poll(), Some(Ok(Answer::Done)));
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use can::{Frame, Instant};
 
-use super::{Client, SdoError, Start};
+use super::{Client, SdoError, Start, TransferState};
 use canopen::cob;
 use canopen::sdo::block::{
     Acknowledge, End, MAX_BLOCK_SIZE, Request, Response, SEGMENT, Segment, checksum,
@@ -70,7 +70,7 @@ impl Client {
     /// Sends the first frame of an upload.
     pub(super) fn initiate_block_upload(&mut self, now: Instant) {
         self.length = 0;
-        self.state = super::TransferState::Block(BlockState::UploadInitiated);
+        self.state = TransferState::Block(BlockState::UploadInitiated);
         let request = Request::InitiateUpload {
             object: self.object,
             crc: true,
@@ -82,7 +82,7 @@ impl Client {
 
     /// Sends the first frame of a download.
     pub(super) fn initiate_block_download(&mut self, now: Instant) {
-        self.state = super::TransferState::Block(BlockState::DownloadInitiated);
+        self.state = TransferState::Block(BlockState::DownloadInitiated);
         let request = Request::InitiateDownload {
             object: self.object,
             crc: true,
@@ -125,7 +125,7 @@ impl Client {
         let object = self.object;
         match (state, code) {
             (BlockState::UploadInitiated, AbortCode::COMMAND_SPECIFIER) => {
-                self.start = Start::Upload
+                self.start = Start::Upload;
             }
             (BlockState::DownloadInitiated, AbortCode::COMMAND_SPECIFIER) => {
                 self.start = Start::Download;
@@ -147,7 +147,7 @@ impl Client {
                 if object == self.object =>
             {
                 if let Ok(announced) = self.announced(size) {
-                    self.state = super::TransferState::Block(BlockState::Upload(Receiving {
+                    self.state = TransferState::Block(BlockState::Upload(Receiving {
                         crc,
                         announced,
                         block_size: MAX_BLOCK_SIZE,
@@ -225,7 +225,7 @@ impl Client {
             receiving.highest = receiving.highest.max(sequence);
             self.deadline = now + self.timeout;
         }
-        self.state = super::TransferState::Block(BlockState::Upload(receiving));
+        self.state = TransferState::Block(BlockState::Upload(receiving));
         if segment.last || sequence == receiving.block_size {
             self.sub_block_received(receiving, in_order && segment.last, now);
         }
@@ -244,7 +244,7 @@ impl Client {
         self.acknowledge(receiving, lost, now);
         if complete {
             let Receiving { crc, announced, .. } = receiving;
-            self.state = super::TransferState::Block(BlockState::UploadEnd { crc, announced });
+            self.state = TransferState::Block(BlockState::UploadEnd { crc, announced });
         }
     }
 
@@ -265,7 +265,7 @@ impl Client {
         } else {
             receiving.block_size
         };
-        self.state = super::TransferState::Block(BlockState::Upload(Receiving {
+        self.state = TransferState::Block(BlockState::Upload(Receiving {
             block_size,
             in_order: 0,
             highest: 0,
@@ -306,7 +306,7 @@ impl Client {
     fn send_sub_block(&mut self, sending: Sending, now: Instant) {
         let (object, block_size) = (self.object, sending.block_size);
         if (1..=MAX_BLOCK_SIZE).contains(&block_size) {
-            self.state = super::TransferState::Block(BlockState::Download(sending));
+            self.state = TransferState::Block(BlockState::Download(sending));
             self.deadline = now + self.timeout;
         } else {
             self.fail(SdoError::BlockSize { object, block_size });
@@ -315,7 +315,7 @@ impl Client {
 
     /// The next segment of the sub-block that is being sent.
     pub(super) fn next_block_segment(&mut self, now: Instant) -> Option<Frame> {
-        let super::TransferState::Block(BlockState::Download(sending)) = &mut self.state else {
+        let TransferState::Block(BlockState::Download(sending)) = &mut self.state else {
             return None;
         };
         let from = sending.from + SEGMENT * usize::from(sending.sent);
@@ -347,7 +347,7 @@ impl Client {
         } else if from >= self.length {
             let data = &self.buffer[..self.length];
             let crc = if sending.crc { checksum(data) } else { 0 };
-            self.state = super::TransferState::Block(BlockState::DownloadEnd);
+            self.state = TransferState::Block(BlockState::DownloadEnd);
             self.send_block(Request::EndDownload(End::of(self.length, crc)), now);
         } else if sequence > 0 || sending.stalls < self.retries {
             let stalls = if sequence > 0 { 0 } else { sending.stalls + 1 };

@@ -9,112 +9,70 @@ use canopen::sdo::AbortCode;
 
 /// Why a transfer was not started.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum StartError {
     /// A transfer is under way, or its result was not taken.
     #[error("{object} is being transferred")]
-    Busy {
-        /// The object of that transfer.
-        object: Object,
-    },
+    Busy { object: Object },
     /// More data than the client has room for.
     #[error("{object} would take {size} bytes, at most {capacity} are transferred")]
     TooLarge {
-        /// The object to write.
         object: Object,
-        /// Bytes given.
         size: usize,
-        /// Bytes that the client transfers.
         capacity: usize,
     },
 }
 
 /// Why a transfer failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum SdoError {
     /// The server aborted.
     #[error("{object} aborted by the server: {code}")]
-    Aborted {
-        /// The object.
-        object: Object,
-        /// Why.
-        code: AbortCode,
-    },
+    Aborted { object: Object, code: AbortCode },
     /// No answer, or none that brought the transfer on, for all the retries.
     #[error("{object} timed out after {waited:.1?}")]
-    TimedOut {
-        /// The object.
-        object: Object,
-        /// Since the transfer was started.
-        waited: Duration,
-    },
+    TimedOut { object: Object, waited: Duration },
     /// A segment came or was confirmed twice, or one is missing.
     #[error("{object}: toggle bit did not alternate")]
-    Toggle {
-        /// The object.
-        object: Object,
-    },
+    Toggle { object: Object },
     /// A segment without data that is not the last, so that the transfer might never end.
     #[error("{object}: empty segment")]
-    EmptySegment {
-        /// The object.
-        object: Object,
-    },
+    EmptySegment { object: Object },
     /// An answer that is none of expedited and segmented transfer.
     #[error("{object}: unexpected command specifier {specifier:#04x}")]
-    Specifier {
-        /// The object.
-        object: Object,
-        /// Byte 0 of the answer.
-        specifier: u8,
-    },
+    Specifier { object: Object, specifier: u8 },
     /// The object is longer than the client has room for.
     #[error("{object} has at least {size} bytes, at most {capacity} are transferred")]
     TooLarge {
-        /// The object.
         object: Object,
-        /// Bytes known of.
         size: usize,
-        /// Bytes that the client transfers.
         capacity: usize,
     },
     /// The server sent more or fewer bytes than it announced, or than the reader's type has.
     #[error("{object} has {found} bytes, expected {expected}")]
     Length {
-        /// The object.
         object: Object,
-        /// Bytes announced, or of the type asked for.
         expected: usize,
-        /// Bytes received.
         found: usize,
     },
     /// The acknowledgement of a segment that was not sent.
     #[error("{object}: segment {sequence} acknowledged, {sent} of the sub-block were sent")]
     Sequence {
-        /// The object.
         object: Object,
-        /// The segment.
         sequence: u8,
-        /// The last segment sent.
         sent: u8,
     },
     /// A sub-block of no segments, or of more than 127.
     #[error(
         "{object}: the server asks for a sub-block of {block_size} segments, 1 to 127 are possible"
     )]
-    BlockSize {
-        /// The object.
-        object: Object,
-        /// What the server asks for.
-        block_size: u8,
-    },
+    BlockSize { object: Object, block_size: u8 },
     /// The data were corrupted on their way.
     #[error("{object}: checksum {found:#06x}, the server says {expected:#06x}")]
     Crc {
-        /// The object.
         object: Object,
-        /// The server's.
         expected: u16,
-        /// That of the data received.
         found: u16,
     },
 }

@@ -1,14 +1,10 @@
 //! Frames of an EPOS4 service port.
 
 use super::{DLE, LONGEST, MAX_WORDS, STX};
-use crate::epos2::crc16;
+use crate::epos2;
 
 fn crc(opcode: u8, data: &[u8]) -> u16 {
-    let head = crc16(crc16(0, (data.len() / 2) as u8), opcode);
-    let (words, _) = data.as_chunks::<2>();
-    words
-        .iter()
-        .fold(head, |crc, &[low, high]| crc16(crc16(crc, high), low))
+    epos2::crc([(data.len() / 2) as u8, opcode], data)
 }
 
 /// A frame without byte stuffing: an opcode and up to [`MAX_WORDS`] data words.
@@ -22,13 +18,7 @@ pub struct Frame {
 impl Frame {
     /// A frame with these data; `None` if the data are too long. A zero byte fills the last word if necessary.
     pub fn new(opcode: u8, data: &[u8]) -> Option<Self> {
-        let mut padded = [0; 2 * MAX_WORDS];
-        padded.get_mut(..data.len())?.copy_from_slice(data);
-        Some(Self {
-            opcode,
-            data: padded,
-            length: data.len().next_multiple_of(2),
-        })
+        (data.len() <= 2 * MAX_WORDS).then(|| Self::of(opcode, &[data]))
     }
 
     pub(super) fn of(opcode: u8, parts: &[&[u8]]) -> Self {
@@ -192,70 +182,5 @@ impl Deframer {
         } else {
             Err(FrameError::Crc)
         })
-    }
-}
-
-#[cfg(test)]
-pub(super) mod tests {
-    use super::*;
-
-    /// Read 6041:00 of node 1.
-    const READ: &[u8] = &[0x90, 0x02, 0x60, 0x02, 0x01, 0x41, 0x60, 0x00, 0x22, 0xD1];
-
-    pub(crate) fn encoded(frame: &Frame) -> Vec<u8> {
-        let mut into = [0; LONGEST];
-        let length = frame.encode(&mut into);
-        into[..length].to_vec()
-    }
-
-    pub(in super::super) fn frames(bytes: &[u8]) -> Vec<Result<Frame, FrameError>> {
-        let mut deframer = Deframer::new();
-        bytes
-            .iter()
-            .filter_map(|&byte| deframer.take(byte))
-            .collect()
-    }
-
-    #[test]
-    fn a_frame_full_of_starts_has_each_of_them_doubled() {
-        let frame = Frame::new(DLE, &[DLE; 2 * MAX_WORDS]).unwrap();
-        let bytes = encoded(&frame);
-        assert!(bytes.len() <= LONGEST);
-        assert_eq!(frames(&bytes), [Ok(frame)]);
-        assert_eq!(Frame::new(0, &[0; 2 * MAX_WORDS + 1]), None);
-    }
-
-    #[test]
-    fn a_torn_frame_does_not_cost_the_one_behind_it() {
-        let bytes =
-            encoded(&Frame::new(0x68, &[1, 0x40, 0x60, 0, 0x90, 0x02, 0x02, 0x90]).unwrap());
-        for offset in 2..bytes.len() {
-            let found = frames(&[&bytes[..offset], &bytes].concat());
-            let whole = found.iter().filter(|frame| frame.is_ok()).count();
-            // If a frame is torn within a doubled 0x90, the next start looks like the second half of the pair.
-            let half = bytes[..offset]
-                .iter()
-                .rev()
-                .take_while(|&&b| b == DLE)
-                .count()
-                % 2
-                == 1;
-            assert_eq!(whole, usize::from(!half), "torn at {offset}: {found:?}");
-        }
-    }
-
-    #[test]
-    fn a_damaged_frame_is_none() {
-        let bytes = READ;
-        for (index, bit) in (2..bytes.len()).flat_map(|index| (0..8).map(move |bit| (index, bit))) {
-            let mut damaged = bytes.to_vec();
-            damaged[index] ^= 1 << bit;
-            assert!(
-                frames(&damaged).iter().all(Result::is_err),
-                "bit {bit} of byte {index}"
-            );
-        }
-        let long = [DLE, STX, 0x60, 145];
-        assert_eq!(frames(&long), [Err(FrameError::TooLong(145))]);
     }
 }

@@ -6,6 +6,7 @@ use thiserror::Error;
 
 /// Reason why a request did not start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum StartError {
     /// Another request is under way.
     #[error("an earlier request is not over")]
@@ -15,26 +16,19 @@ pub enum StartError {
     NoSegments,
     /// The object is longer than the capacity of the client.
     #[error("{size} bytes are too many, at most {capacity} are transferred")]
-    TooLarge {
-        /// Length of the object, bytes.
-        size: usize,
-        /// Capacity of the client, bytes.
-        capacity: usize,
-    },
+    TooLarge { size: usize, capacity: usize },
 }
 
 /// Reason why a request failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum ServiceError {
     /// The device refused the request with the code of an SDO abort or a code of maxon, 0x0F00_FFxx.
     #[error("refused with code {0:#010x}")]
     Refused(u32),
     /// No answer, or an incomplete answer.
     #[error("timed out after {waited:?}")]
-    TimedOut {
-        /// Time since the request.
-        waited: Duration,
-    },
+    TimedOut { waited: Duration },
     /// An EPOS2 was not ready, or received damaged bytes.
     #[error("the device did not accept the request: it was busy, or heard it damaged")]
     NotAcknowledged,
@@ -46,10 +40,5 @@ pub enum ServiceError {
     Unexpected,
     /// The object is longer than the capacity of the client.
     #[error("the object has {size} bytes, at most {capacity} are transferred")]
-    TooLarge {
-        /// Announced length, bytes.
-        size: usize,
-        /// Capacity of the client, bytes.
-        capacity: usize,
-    },
+    TooLarge { size: usize, capacity: usize },
 }

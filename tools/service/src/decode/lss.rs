@@ -18,9 +18,9 @@ pub(super) fn request(frame: &Frame) -> Option<String> {
         lss::Request::ConfigureNodeId { node_id } => format!("configure node-ID {node_id}"),
         lss::Request::ConfigureBitTiming { table, index } => {
             let rate = BitRate::from_index(index).filter(|_| table == lss::CIA_TABLE);
-            match rate.map(BitRate::kbps) {
-                Some(Some(kbps)) => format!("configure {kbps} kbit/s"),
-                Some(None) => "configure automatic bit rate".to_owned(),
+            match rate {
+                Some(BitRate::Kbps(kbps)) => format!("configure {kbps} kbit/s"),
+                Some(BitRate::Automatic) => "configure automatic bit rate".to_owned(),
                 None => format!("configure bit timing {index} of table {table}"),
             }
         }

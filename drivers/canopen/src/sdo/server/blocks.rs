@@ -102,7 +102,7 @@ impl Server {
         let (object, answer) = match request {
             block::Request::InitiateDownload { object, crc, size } => {
                 let answer = self.begin_download(object, crc, size, dictionary, now);
-                (object, answer.map(|answer| Some(answer.encode(node))))
+                (object, answer.map(Some))
             }
             block::Request::InitiateUpload {
                 object,
@@ -118,24 +118,21 @@ impl Server {
                     phase: Phase::Offered,
                 };
                 let answer = self.begin_upload(object, upload, threshold, node, dictionary, now);
-                (object, answer.map(Some))
+                return Some(answer.unwrap_or_else(|code| self.abort(object, code, node)));
             }
             block::Request::EndDownload(end) => {
-                let answer = self.end_download(end, dictionary);
-                (
-                    self.object(),
-                    answer.map(|answer| Some(answer.encode(node))),
-                )
+                (self.object(), self.end_download(end, dictionary).map(Some))
             }
             block::Request::StartUpload => (self.object(), self.start_upload(now).map(|()| None)),
             block::Request::Acknowledge(acknowledge) => {
-                let answer = self.acknowledged(acknowledge, now);
-                let answer = answer.map(|answer| answer.map(|answer| answer.encode(node)));
-                (self.object(), answer)
+                (self.object(), self.acknowledged(acknowledge, now))
             }
             block::Request::EndUpload => (self.object(), self.end_upload().map(|()| None)),
         };
-        answer.unwrap_or_else(|code| Some(self.abort(object, code, node)))
+        match answer {
+            Ok(answer) => Some(answer?.encode(node)),
+            Err(code) => Some(self.abort(object, code, node)),
+        }
     }
 
     fn abort(&mut self, object: Object, code: AbortCode, node: NodeId) -> Frame {
@@ -301,11 +298,8 @@ impl Server {
         }
         upload.phase = Phase::Ended;
         let (size, checked) = (upload.size, upload.crc);
-        let crc = if checked {
-            block::checksum(&self.buffer[..size])
-        } else {
-            0
-        };
+        let sum = checked.then(|| block::checksum(&self.buffer[..size]));
+        let crc = sum.unwrap_or(0);
         Ok(Some(block::Response::EndUpload(End::of(size, crc))))
     }
 
