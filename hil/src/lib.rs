@@ -24,16 +24,13 @@ pub mod uml;
 mod world;
 
 pub use amplifier::AmplifierConfig;
-pub use axis_controller::{
-    AxisControllerConfig, Cabinet, HiMoxaAxisController, Nfv2AxisController,
-};
+pub use axis_controller::{AxisController, AxisControllerConfig, Cabinet};
 pub use bus::BusStatistics;
 pub use device::Device;
-pub use epos_serial::{Epos2Serial, Epos4Serial, EposSerialConfig};
+pub use epos_serial::{EposSerial, EposSerialConfig};
 pub use epos4::{Epos4, Epos4Config};
 pub use line::{LineFaults, LineStatistics, Stuck, WireFaults};
 pub use line_device::LineDevice;
-pub use outbox::Heard;
 pub use plant::{
     AxisConfig, Demand, Feedback, Irp6Axis, Irp6TrackAxis, Mechanism, MechanismConfig, Mount,
     PlantAxis, PlantConfig, Trip,
