@@ -25,7 +25,6 @@ mod world;
 
 pub use amplifier::AmplifierConfig;
 pub use axis_controller::{AxisController, AxisControllerConfig, Cabinet};
-pub use bus::BusStatistics;
 pub use device::Device;
 pub use epos_serial::{EposSerial, EposSerialConfig};
 pub use epos4::{Epos4, Epos4Config};

@@ -32,9 +32,6 @@ pub const USB_PACKET: usize = 62;
 /// Default latency timer of an FTDI adapter.
 pub const FTDI_LATENCY: Duration = Duration::from_millis(16);
 
-/// Latency timer of an FTDI adapter with the low-latency flag set.
-pub const FTDI_LOW_LATENCY: Duration = Duration::from_millis(1);
-
 /// A line with a device at one end. The host's end can be attached and detached.
 pub struct SerialLine {
     device: Box<dyn LineDevice>,
@@ -213,11 +210,6 @@ impl SerialLine {
     /// The device on the line.
     pub fn device(&self) -> &dyn LineDevice {
         self.device.as_ref()
-    }
-
-    /// The device on the line, for changes by a test.
-    pub fn device_mut(&mut self) -> &mut dyn LineDevice {
-        self.device.as_mut()
     }
 
     /// Sets the faults from now on. The same faults damage the same bytes in the same way.
