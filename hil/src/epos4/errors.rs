@@ -77,15 +77,13 @@ pub(super) const RPDO_TIME_OUT: Error = error(
     ErrorRegister::COMMUNICATION,
     Reaction::AbortConnection,
 );
-/// No SYNC for the configured number of periods. Causes 0 to 3 are the RPDOs.
-pub(super) const SYNC_TIME_OUT: Error = RPDO_TIME_OUT.of(4);
 pub(super) const FOLLOWING: Error = error(0x8611, ErrorRegister::VENDOR, Reaction::Fault);
 pub(super) const NEGATIVE_LIMIT: Error = error(0x8A80, ErrorRegister::VENDOR, Reaction::Fault);
 pub(super) const POSITIVE_LIMIT: Error = error(0x8A81, ErrorRegister::VENDOR, Reaction::Fault);
 pub(super) const SOFTWARE_LIMIT: Error = error(0x8A82, ErrorRegister::VENDOR, Reaction::Fault);
 
-/// Maximum number of simultaneous errors: nine with one cause, two heartbeats, two kinds for each of four RPDOs.
-const PRESENT: usize = 9 + 2 + 2 * 4;
+/// Maximum number of simultaneous errors: eight with one cause, two heartbeats, two kinds for each of four RPDOs.
+const PRESENT: usize = 8 + 2 + 2 * 4;
 
 /// An error that is present.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
