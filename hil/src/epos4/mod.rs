@@ -135,7 +135,7 @@ impl Epos4 {
             lss: Lss::new(config.node, address),
             objects: Objects::new(config.node, &identity(&config)),
             drive: Drive::new(&config),
-            errors: Errors::new(),
+            errors: Errors::default(),
             pdos: Pdos::NONE,
             server: sdo::Server::new(SDO_TIME_OUT),
             answer: None,
@@ -183,9 +183,7 @@ impl Epos4 {
     }
 
     fn send(&mut self, frame: Frame) {
-        if self.queue.len() < QUEUE {
-            self.queue.push_back(frame);
-        }
+        append(&mut self.queue, frame);
     }
 
     /// Whether the device provides services other than NMT and error control.
@@ -284,11 +282,8 @@ impl Epos4 {
             return;
         }
         let queue = &mut self.queue;
-        self.pdos.sample(&self.objects, now, |frame| {
-            if queue.len() < QUEUE {
-                queue.push_back(frame);
-            }
-        });
+        self.pdos
+            .sample(&self.objects, now, |frame| append(queue, frame));
         self.pdos.take_effect(&mut self.objects);
         self.objects.changes.setpoint = true;
         self.settle(now);
@@ -299,11 +294,8 @@ impl Epos4 {
             return;
         }
         let queue = &mut self.queue;
-        self.pdos.events(&self.objects, now, |frame| {
-            if queue.len() < QUEUE {
-                queue.push_back(frame);
-            }
-        });
+        self.pdos
+            .events(&self.objects, now, |frame| append(queue, frame));
     }
 
     /// Applies the last writes to the dictionary.
@@ -387,6 +379,13 @@ impl Epos4 {
             .chain(self.pdos.poll_timeout())
             .chain([self.next_control()])
             .min();
+    }
+}
+
+/// Adds a frame to a transmit queue, unless the queue is full.
+fn append(queue: &mut VecDeque<Frame>, frame: Frame) {
+    if queue.len() < QUEUE {
+        queue.push_back(frame);
     }
 }
 
