@@ -1,8 +1,8 @@
 //! The inner loops of a drive: position over velocity over current, as in a drive of the EPOS4 class.
 //!
 //! The current loop runs each sub-step of 100 µs, the outer loops every tenth sub-step. [`Gains::new`] derives all
-//! gains from the motor's data and one parameter: the bandwidth `ωv` of the velocity loop. The drive reads its
-//! encoder and its current sensor, and has no other access to the plant.
+//! gains from the motor's data and the bandwidth `ωv` of the velocity loop. The drive reads its encoder and its
+//! current sensor, and has no other access to the plant.
 
 use std::f64::consts::TAU;
 
@@ -19,13 +19,11 @@ pub struct AmplifierConfig {
     pub max_voltage: f64,
     /// Inertia for which the loops are tuned, kg·m².
     pub inertia: f64,
-    /// Bandwidth of the velocity loop over that inertia, rad/s.
-    pub velocity_bandwidth: f64,
 }
 
 impl AmplifierConfig {
-    /// 45 Hz: a fifth of the bandwidth of the encoder observer. The observer's bandwidth is a fifth of the loop's 1
-    /// kHz rate.
+    /// Bandwidth of the velocity loop, rad/s. 45 Hz: a fifth of the bandwidth of the encoder observer. The observer's
+    /// bandwidth is a fifth of the loop's 1 kHz rate.
     pub const VELOCITY_BANDWIDTH: f64 = 45.0 * TAU;
 }
 
@@ -67,11 +65,8 @@ struct Gains {
 
 impl Gains {
     fn new(config: &AmplifierConfig, plant: &PlantConfig) -> Self {
-        let AmplifierConfig {
-            inertia,
-            velocity_bandwidth: bandwidth,
-            ..
-        } = *config;
+        let inertia = config.inertia;
+        let bandwidth = AmplifierConfig::VELOCITY_BANDWIDTH;
         let (viscous, current, current_integral) = match plant {
             PlantConfig::Wut(wut) => (wut.viscous, 0.0, 0.0),
             PlantConfig::Physical(motor) => {
