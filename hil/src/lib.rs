@@ -35,5 +35,5 @@ pub use plant::{
     PlantAxis, PlantConfig, Trip,
 };
 pub use pty::{Pty, PtyError};
-pub use slcan::{Acknowledge, SlcanConfig, SlcanCounts, SlcanDevice};
+pub use slcan::{SlcanCounts, SlcanDevice};
 pub use world::{BusId, DeviceId, LineId, World};

@@ -86,6 +86,10 @@ impl Rig {
         let answer = self.exchange(&request.encode_cyclic());
         hi_moxa::Answer::decode(answer.try_into().expect("one answer"))
     }
+
+    fn device(&self) -> &AxisController {
+        self.world.line_device(self.line).expect("it is one")
+    }
 }
 
 #[derive(Clone, Copy, Debug)]

@@ -2,6 +2,7 @@
 
 use super::*;
 use can::{ExtendedId, Port, StandardId, VirtualPort, virtual_port};
+use std::time::Duration;
 
 fn standard(id: u16, data: &[u8]) -> Frame {
     Frame::new(StandardId::new(id).unwrap(), data).unwrap()
