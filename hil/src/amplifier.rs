@@ -94,7 +94,7 @@ impl Gains {
 /// State of the loops.
 #[derive(Clone, Debug)]
 pub(crate) struct Amplifier {
-    config: AmplifierConfig,
+    pub(crate) config: AmplifierConfig,
     gains: Gains,
     torque_constant: f64,
     radians_per_count: f64,
@@ -102,7 +102,7 @@ pub(crate) struct Amplifier {
     counts: i32,
     ahead: f64,
     /// Observed velocity, counts/s.
-    observed_velocity: f64,
+    pub(crate) observed_velocity: f64,
     /// Whether the velocity loop was closed in the previous outer step.
     closed: bool,
     /// Feed-forward velocity of the previous outer step, rad/s, and its filtered rate of change, rad/s².
@@ -111,13 +111,13 @@ pub(crate) struct Amplifier {
     /// Integral part of the velocity loop, N·m.
     torque_integral: f64,
     /// Set-point of the current loop, A.
-    current: f64,
+    pub(crate) current: f64,
     /// Integral part of the current loop, V.
     voltage_integral: f64,
     /// Fixed output voltage in place of the current loop, V.
     fixed: Option<f64>,
     /// Torque added to the output of the velocity loop, N·m.
-    torque_offset: f64,
+    pub(crate) torque_offset: f64,
 }
 
 impl Amplifier {
@@ -146,15 +146,6 @@ impl Amplifier {
             fixed: None,
             torque_offset: 0.0,
         }
-    }
-
-    /// Sets the torque, N·m, that is added to the output of the velocity loop. The offset stays until the next call.
-    pub(crate) fn set_torque_offset(&mut self, torque: f64) {
-        self.torque_offset = torque;
-    }
-
-    pub(crate) fn set_trip_current(&mut self, current: f64) {
-        self.config.trip_current = current;
     }
 
     pub(crate) fn set_current_gains(&mut self, proportional: f64, integral: f64) {
@@ -277,11 +268,6 @@ impl Amplifier {
         self.current
     }
 
-    /// Set-point of the current loop from the outer loops, A.
-    pub(crate) fn current(&self) -> f64 {
-        self.current
-    }
-
     /// Whether a measured current exceeds the over-current threshold.
     pub(crate) fn overloaded(&self, measured: f64) -> bool {
         measured.abs() > self.config.trip_current
@@ -290,10 +276,5 @@ impl Amplifier {
     /// The drive's torque estimate for a measured current, N·m.
     pub(crate) fn torque(&self, measured: f64) -> f64 {
         measured * self.torque_constant
-    }
-
-    /// Observed velocity, counts/s.
-    pub(crate) fn observed_velocity(&self) -> f64 {
-        self.observed_velocity
     }
 }

@@ -9,11 +9,10 @@ use serial::epos4::{Address, Answer, Deframer, LONGEST, Request};
 use serial::{Line, Settings, VirtualLine};
 
 use super::{EposSerial, EposSerialConfig};
-use crate::{AxisConfig, Epos4Config, Irp6Axis, LineDevice, LineId, World};
+use crate::{AxisConfig, Epos4Config, Irp6Axis, LineDevice, World};
 
 struct Rig {
     world: World,
-    line: LineId,
     host: VirtualLine,
     now: Instant,
 }
@@ -34,7 +33,6 @@ impl Rig {
         world.advance(now);
         Self {
             world,
-            line,
             host,
             now,
         }

@@ -29,7 +29,7 @@ const TURNING_TRACK: f64 = 4.5e-4;
 
 #[derive(Clone, Debug)]
 pub(super) struct Irp6 {
-    chain: Chain<6>,
+    pub(super) chain: Chain<6>,
     lower: Screw,
     upper: Screw,
     /// Number of the first axis of the arm: 1 on the track, otherwise 0.
@@ -84,10 +84,6 @@ impl Irp6 {
         let wrist = Body::point(4.0, [0.0, 0.0, -0.0475]);
         arm.chain.links[4] = Link::new(0.095, 0.0, 0, wrist);
         arm
-    }
-
-    pub(super) fn set_payload(&mut self, payload: Body) {
-        self.chain.payload = payload;
     }
 
     pub(super) fn load(&mut self, number: usize, motors: &[f64; AXES]) -> Loaded {

@@ -12,7 +12,7 @@ const UP: [f64; 3] = [1.0, 0.0, 0.0];
 
 #[derive(Clone, Debug)]
 pub(super) struct Polycrank {
-    chain: Chain<7>,
+    pub(super) chain: Chain<7>,
     /// Whether motors stand at the base and set absolute angles within each group of three.
     coupled: bool,
     /// Joint angles, rad.
@@ -38,10 +38,6 @@ impl Polycrank {
             coupled,
             at_home,
         }
-    }
-
-    pub(super) fn set_payload(&mut self, payload: Body) {
-        self.chain.payload = payload;
     }
 
     pub(super) fn load(&mut self, number: usize, motors: &[f64; AXES]) -> Loaded {

@@ -25,7 +25,7 @@ const UP: Vector = [0.0, 0.0, -1.0];
 pub(super) struct Rnt {
     /// The platform with the more mobile half of each leg, in the axes of the platform.
     platform: [Body; 2],
-    wrist: Chain<3>,
+    pub(super) wrist: Chain<3>,
     /// Length of each leg when its own motor is at home, m.
     home_lengths: [f64; 3],
     pose: Pose,
@@ -76,10 +76,6 @@ impl Rnt {
         };
         rnt.settle(&[0.0; AXES]);
         rnt
-    }
-
-    pub(super) fn set_payload(&mut self, payload: Body) {
-        self.wrist.payload = payload;
     }
 
     /// Length of a leg, m.
