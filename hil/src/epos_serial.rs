@@ -21,8 +21,6 @@ mod tests;
 use std::time::Duration;
 
 use can::Instant;
-use canopen::Object;
-use canopen::sdo::{AbortCode, MAX_SIZE};
 
 use crate::outbox::Outbox;
 use crate::{Device, Epos4, Epos4Config, LineDevice};
@@ -155,56 +153,5 @@ impl Service {
             self.epos.handle_timeout(now);
         }
         while self.epos.poll_transmit(now).is_some() {}
-    }
-
-    /// Reads an object of up to four bytes.
-    fn read(&mut self, node: u8, object: Object, now: Instant) -> Result<u32, AbortCode> {
-        let mut bytes = [0; MAX_SIZE];
-        match self.read_whole(node, object, &mut bytes, now)? {
-            0..=4 => Ok(u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]])),
-            _ => Err(AbortCode::LENGTH_MISMATCH),
-        }
-    }
-
-    fn read_whole(
-        &mut self,
-        node: u8,
-        object: Object,
-        into: &mut [u8; MAX_SIZE],
-        now: Instant,
-    ) -> Result<usize, AbortCode> {
-        self.check_node(node)?;
-        self.epos.read(object, into, now)
-    }
-
-    /// Writes the low bytes of `value`. The size of the object determines their number.
-    fn write(
-        &mut self,
-        node: u8,
-        object: Object,
-        value: u32,
-        now: Instant,
-    ) -> Result<(), AbortCode> {
-        let size = self.epos.size(object).map_or(4, |size| size.min(4));
-        self.write_whole(node, object, &value.to_le_bytes()[..size], now)
-    }
-
-    fn write_whole(
-        &mut self,
-        node: u8,
-        object: Object,
-        data: &[u8],
-        now: Instant,
-    ) -> Result<(), AbortCode> {
-        self.check_node(node)?;
-        self.epos.write(object, data, now)
-    }
-
-    fn check_node(&self, node: u8) -> Result<(), AbortCode> {
-        if self.epos.is_node(node) {
-            Ok(())
-        } else {
-            Err(AbortCode::MAXON_NODE_ID)
-        }
     }
 }

@@ -126,14 +126,20 @@ fn obey(request: Request, service: &mut Service, now: Instant) -> Result<Answer,
             node,
             index,
             subindex,
-        } => Answer::Value(service.read(node, Object::new(index, subindex), now)?),
+        } => Answer::Value(
+            service
+                .epos
+                .read_value(node, Object::new(index, subindex), now)?,
+        ),
         Request::Write {
             node,
             index,
             subindex,
             value,
         } => {
-            service.write(node, Object::new(index, subindex), value, now)?;
+            service
+                .epos
+                .write_value(node, Object::new(index, subindex), value, now)?;
             Answer::Done
         }
         Request::Nmt { node, command } => {

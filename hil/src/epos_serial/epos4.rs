@@ -78,11 +78,15 @@ impl Frames {
         let object = |address: Address| Object::new(address.index, address.subindex);
         match request {
             Request::Read(address) => {
-                let value = service.read(address.node, object(address), now)?;
+                let value = service
+                    .epos
+                    .read_value(address.node, object(address), now)?;
                 Ok(Answer::Value(value))
             }
             Request::Write(address, value) => {
-                service.write(address.node, object(address), value, now)?;
+                service
+                    .epos
+                    .write_value(address.node, object(address), value, now)?;
                 Ok(Answer::Done)
             }
             Request::Nmt { node, command } => {
@@ -92,7 +96,7 @@ impl Frames {
             Request::InitiateSegmentedRead(address) => {
                 let mut transfer = Transfer::new(address, false);
                 let (node, into) = (address.node, &mut transfer.object);
-                transfer.size = service.read_whole(node, object(address), into, now)?;
+                transfer.size = service.epos.read(node, object(address), into, now)?;
                 let first = transfer.take(self.segment, segment);
                 let size = transfer.size as u32;
                 self.transfer = Some(transfer).filter(|transfer| !transfer.is_complete());
@@ -127,7 +131,9 @@ impl Frames {
                         return Err(AbortCode::LENGTH_MISMATCH);
                     }
                     let (address, data) = (transfer.address, &transfer.object[..transfer.size]);
-                    service.write_whole(address.node, object(address), data, now)?;
+                    service
+                        .epos
+                        .write(address.node, object(address), data, now)?;
                 }
                 Ok(Answer::Taken {
                     toggle,

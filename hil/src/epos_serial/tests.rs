@@ -31,11 +31,7 @@ impl Rig {
         let host = world.host_line(line, 1024);
         let now = Instant::from_nanos(100_000_000);
         world.advance(now);
-        Self {
-            world,
-            host,
-            now,
-        }
+        Self { world, host, now }
     }
 
     fn epos2(config: EposSerialConfig) -> Self {
