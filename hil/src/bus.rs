@@ -200,27 +200,22 @@ impl VirtualBus {
     }
 
     fn end_frame(&mut self) {
-        let Some(Transmission {
-            frame,
-            sender,
-            ends,
-            bits,
-        }) = self.on_wire.take()
-        else {
+        let Some(ended) = self.on_wire.take() else {
             return;
         };
-        self.remove(sender);
-        for (at, host) in self.hosts.iter_mut().enumerate() {
-            if sender != End::Host(at) {
+        self.remove(ended.sender);
+        let (frame, at) = (ended.frame, ended.ends);
+        for (number, host) in self.hosts.iter_mut().enumerate() {
+            if ended.sender != End::Host(number) {
                 // A host with a full queue loses the frame and counts the loss, as the driver of a CAN card does.
-                host.deliver(Received { frame, at: ends }, bits);
+                host.deliver(Received { frame, at }, ended.bits);
             }
         }
-        for (at, attached) in self.devices.iter_mut().enumerate() {
-            if sender != End::Device(at) {
-                attached.device.handle(&frame, ends);
+        for (number, attached) in self.devices.iter_mut().enumerate() {
+            if ended.sender != End::Device(number) {
+                attached.device.handle(&frame, at);
             }
-            attached.collect(ends);
+            attached.collect(at);
         }
     }
 

@@ -13,7 +13,6 @@ mod device;
 pub mod epos4;
 pub mod epos_serial;
 pub mod line;
-mod line_device;
 mod machine;
 mod outbox;
 pub mod plant;
@@ -25,14 +24,13 @@ mod world;
 
 pub use amplifier::AmplifierConfig;
 pub use axis_controller::{AxisController, AxisControllerConfig, Cabinet};
-pub use device::Device;
+pub use device::{Device, LineDevice};
 pub use epos_serial::{EposSerial, EposSerialConfig};
 pub use epos4::{Epos4, Epos4Config};
 pub use line::{LineFaults, LineStatistics, Stuck, WireFaults};
-pub use line_device::LineDevice;
 pub use plant::{
-    AxisConfig, Demand, Feedback, Irp6Axis, Irp6TrackAxis, Mechanism, MechanismConfig, Mount,
-    PlantAxis, PlantConfig, Trip,
+    AxisConfig, Demand, Feedback, Irp6Axis, Mechanism, MechanismConfig, Mount, PlantAxis,
+    PlantConfig, Trip,
 };
 pub use pty::{Pty, PtyError};
 pub use slcan::{SlcanCounts, SlcanDevice};

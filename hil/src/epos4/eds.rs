@@ -10,7 +10,7 @@ use canopen::objects as named;
 use super::conformity::STATEMENTS;
 use super::objects::DUMMIES;
 use super::table::{self, Kind, TABLE};
-use super::{Epos4Config, identity};
+use super::{Epos4, Epos4Config, identity};
 
 /// Names of objects, at sub-index 0, and of their sub-indices, as far as [`named::TABLE`] does not give them.
 const NAMES: &[(u16, u8, &str)] = &[
@@ -88,52 +88,54 @@ const COMMUNICATION: [&str; 5] = [
     "Event timer",
 ];
 
-/// The data sheet of a unit. Units of one kind differ only in the ratings of the motor.
-pub(super) fn eds(config: &Epos4Config) -> Eds {
-    let identity = identity(config);
-    let mut eds = Eds {
-        file: FileInfo {
-            file_name: "epos4-emulated.eds".into(),
-            file_version: "1".into(),
-            file_revision: "0".into(),
-            eds_version: "4.0".into(),
-            description: "Emulated EPOS4".into(),
-            creation_time: "12:00PM".into(),
-            creation_date: "11-21-2026".into(),
-            created_by: "mrroc".into(),
-            ..FileInfo::default()
-        },
-        device: DeviceInfo {
-            vendor_name: "mrroc, in place of maxon".into(),
-            vendor_number: Some(config.vendor),
-            product_name: "EPOS4 (emulated)".into(),
-            product_number: Some(config.product),
-            revision_number: Some(config.revision),
-            order_code: "0".into(),
-            baud_rates: vec![20, 50, 125, 250, 500, 800, 1000],
-            simple_boot_up_slave: true,
-            granularity: 8,
-            rpdos: 4,
-            tpdos: 4,
-            lss: true,
-            ..DeviceInfo::default()
-        },
-        comments: STATEMENTS.iter().map(|&line| line.to_owned()).collect(),
-        dummies: DUMMIES.map(|bits| bits > 0),
-        ..Eds::default()
-    };
-    for (row, entry) in TABLE.iter().enumerate() {
-        let index = entry.object.index;
-        let object = eds.objects.entry(index).or_insert_with(|| Entry {
-            name: object_name(entry),
-            object_type: object_type(index),
-            variables: BTreeMap::new(),
-        });
-        let stated = identity.iter().find(|(slot, _)| slot.row() == row);
-        let variable = variable(entry, stated.map(|(_, value)| *value));
-        object.variables.insert(entry.object.subindex, variable);
+impl Epos4 {
+    /// The electronic data sheet of a unit. Units of one kind differ only in the ratings of the motor.
+    pub fn eds(config: &Epos4Config) -> Eds {
+        let identity = identity(config);
+        let mut eds = Eds {
+            file: FileInfo {
+                file_name: "epos4-emulated.eds".into(),
+                file_version: "1".into(),
+                file_revision: "0".into(),
+                eds_version: "4.0".into(),
+                description: "Emulated EPOS4".into(),
+                creation_time: "12:00PM".into(),
+                creation_date: "11-21-2026".into(),
+                created_by: "mrroc".into(),
+                ..FileInfo::default()
+            },
+            device: DeviceInfo {
+                vendor_name: "mrroc, in place of maxon".into(),
+                vendor_number: Some(config.vendor),
+                product_name: "EPOS4 (emulated)".into(),
+                product_number: Some(config.product),
+                revision_number: Some(config.revision),
+                order_code: "0".into(),
+                baud_rates: vec![20, 50, 125, 250, 500, 800, 1000],
+                simple_boot_up_slave: true,
+                granularity: 8,
+                rpdos: 4,
+                tpdos: 4,
+                lss: true,
+                ..DeviceInfo::default()
+            },
+            comments: STATEMENTS.iter().map(|&line| line.to_owned()).collect(),
+            dummies: DUMMIES.map(|bits| bits > 0),
+            ..Eds::default()
+        };
+        for (row, entry) in TABLE.iter().enumerate() {
+            let index = entry.object.index;
+            let object = eds.objects.entry(index).or_insert_with(|| Entry {
+                name: object_name(entry),
+                object_type: object_type(index),
+                variables: BTreeMap::new(),
+            });
+            let stated = identity.iter().find(|(slot, _)| slot.row() == row);
+            let variable = variable(entry, stated.map(|(_, value)| *value));
+            object.variables.insert(entry.object.subindex, variable);
+        }
+        eds
     }
-    eds
 }
 
 fn known(index: u16, subindex: u8) -> Option<&'static str> {
@@ -219,7 +221,7 @@ fn variable(entry: &table::Entry, stated: Option<u32>) -> Variable {
     let stored = stated.unwrap_or(entry.default);
     let number = |value: i64| Value::number(value.into());
     // A measured value has no default. The data that differ from unit to unit have none either.
-    let measured = !writable && entry.mappable.transmit
+    let measured = !writable && entry.transmit
         || matches!(
             entry.object,
             named::SERIAL_NUMBER | named::MOTOR_RATED_TORQUE
@@ -243,7 +245,7 @@ fn variable(entry: &table::Entry, stated: Option<u32>) -> Variable {
             Kind::Text(_) => DataType::VisibleString,
             Kind::Domain => DataType::Domain,
         },
-        access: match (writable, entry.mappable.receive, entry.mappable.transmit) {
+        access: match (writable, entry.receive, entry.transmit) {
             (false, ..) => Access::ReadOnly,
             (true, true, false) => Access::ReadWriteOutput,
             (true, false, true) => Access::ReadWriteInput,
@@ -252,7 +254,7 @@ fn variable(entry: &table::Entry, stated: Option<u32>) -> Variable {
         default: (!measured && entry.kind != Kind::Domain).then_some(default),
         low: (entry.min != i64::MIN).then(|| number(entry.min)),
         high: (entry.max != i64::MAX).then(|| number(entry.max)),
-        pdo_mapping: entry.mappable.receive || entry.mappable.transmit,
+        pdo_mapping: entry.receive || entry.transmit,
         refuses_download: entry.volatile,
         refuses_scan: false,
         parameter: None,

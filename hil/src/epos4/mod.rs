@@ -151,11 +151,6 @@ impl Epos4 {
         }
     }
 
-    /// The electronic data sheet of such a unit.
-    pub fn eds(config: &Epos4Config) -> canopen::eds::Eds {
-        eds::eds(config)
-    }
-
     /// The simulated axis, including state that no drive can measure.
     pub fn axis(&self) -> &PlantAxis {
         self.drive.axis()
@@ -232,7 +227,7 @@ impl Epos4 {
 
     fn reset(&mut self, all: bool, now: Instant) {
         self.lss.wait();
-        self.node = self.lss.pending();
+        self.node = self.lss.pending;
         if let Some(node) = self.node {
             self.objects.rename(node);
         }
@@ -353,7 +348,7 @@ impl Epos4 {
         if let Some(answer) = self.lss.handle(request, self.node) {
             self.send(answer.encode());
         }
-        if self.node.is_none() && self.lss.given() {
+        if self.node.is_none() && self.lss.given {
             self.reset(false, now);
         }
     }

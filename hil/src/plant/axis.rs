@@ -4,7 +4,7 @@ use thiserror::Error;
 
 use super::SUB_STEP;
 use super::encoder::Encoder;
-use super::mechanism::{Mechanism, Mount};
+use super::mechanism::Mount;
 use super::motor::{Motor, MotorConfig};
 use super::noise::Noise;
 use super::switch::{Contact, Switch};
@@ -278,11 +278,6 @@ impl PlantAxis {
     /// Returns the index latch and arms it again.
     pub fn take_index(&mut self) -> Option<i32> {
         self.encoder.latched.take()
-    }
-
-    /// The mechanism of a mounted axis.
-    pub fn mechanism(&self) -> Option<&Mechanism> {
-        self.mount.as_ref().map(Mount::mechanism)
     }
 
     /// The true angle of the motor shaft, rad, which no drive can measure.

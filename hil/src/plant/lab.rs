@@ -9,28 +9,6 @@ use super::switch::Switch;
 use super::thermal::ThermalConfig;
 use crate::amplifier::AmplifierConfig;
 
-/// The axes of the IRp-6 on a track, in the order of its software.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Irp6TrackAxis {
-    /// Axis 0, along the track.
-    Track,
-    /// An axis of the arm.
-    Arm(Irp6Axis),
-}
-
-impl Irp6TrackAxis {
-    /// All axes, in order.
-    pub const ALL: [Self; 7] = [
-        Self::Track,
-        Self::Arm(Irp6Axis::Column),
-        Self::Arm(Irp6Axis::LowerArm),
-        Self::Arm(Irp6Axis::UpperArm),
-        Self::Arm(Irp6Axis::Pitch),
-        Self::Arm(Irp6Axis::Roll),
-        Self::Arm(Irp6Axis::Flange),
-    ];
-}
-
 /// Motor angles of the synchronisation position of the arm on the track, rad (public code).
 const TRACK_ARM_HOMES: [f64; 6] = [-10.819, -4.012, -6.219, 158.997, 479.5, 769.7];
 
@@ -157,7 +135,8 @@ impl AxisConfig {
         self
     }
 
-    /// An axis of the IRp-6 on its track, to be mounted on [`MechanismConfig::Irp6OnTrack`].
+    /// An axis of the IRp-6 on its track, to be mounted on [`MechanismConfig::Irp6OnTrack`]: 0 is the track, 1 to 6 are
+    /// the arm. `None` for a higher number.
     ///
     /// The arm equals [`AxisConfig::irp6`] with the home positions of this robot (public code). Travel and switches
     /// are as far from home as on the pedestal (nominal).
@@ -165,24 +144,25 @@ impl AxisConfig {
     /// Public data of the track: 1570.8 rad/m (screw of 8 mm, belt 2:1), home at 0, travel -200 to 1900 rad, 4000
     /// counts, over-current at 25 A. Nominal data of the track: carriage of 60 kg in addition to the arm's 76 kg,
     /// friction, winding, switches.
-    pub fn irp6_track(axis: Irp6TrackAxis) -> Self {
-        match axis {
-            Irp6TrackAxis::Arm(axis) => Self::irp6(axis).with_home(TRACK_ARM_HOMES[axis as usize]),
-            Irp6TrackAxis::Track => MotorData {
-                home: 0.0,
-                travel: Some((-200.0, 1900.0)),
-                counts: 4000,
-                torque_constant: TORQUE_CONSTANT,
-                winding: (0.6, 0.5e-3),
-                inertia: inertia(MechanismConfig::Irp6OnTrack, 0),
-                friction: (1e-3, 0.15, 0.22),
-                max_current: 20.0,
-                trip_current: 25.0,
-                max_voltage: MAX_VOLTAGE,
-                brake: 5.0,
-            }
-            .config(f64::NEG_INFINITY),
+    pub fn irp6_track(number: usize) -> Option<Self> {
+        if let Some(arm) = number.checked_sub(1) {
+            let axis = *Irp6Axis::ALL.get(arm)?;
+            return Some(Self::irp6(axis).with_home(TRACK_ARM_HOMES[arm]));
         }
+        let track = MotorData {
+            home: 0.0,
+            travel: Some((-200.0, 1900.0)),
+            counts: 4000,
+            torque_constant: TORQUE_CONSTANT,
+            winding: (0.6, 0.5e-3),
+            inertia: inertia(MechanismConfig::Irp6OnTrack, 0),
+            friction: (1e-3, 0.15, 0.22),
+            max_current: 20.0,
+            trip_current: 25.0,
+            max_voltage: MAX_VOLTAGE,
+            brake: 5.0,
+        };
+        Some(track.config(f64::NEG_INFINITY))
     }
 
     /// Length of RNT's legs at home between their universal joints, m (nominal).
@@ -320,7 +300,7 @@ impl AxisConfig {
 
 #[cfg(test)]
 mod tests {
-    use super::{AxisConfig, Irp6TrackAxis};
+    use super::AxisConfig;
     use crate::plant::{Demand, PlantAxis};
     use std::f64::consts::TAU;
 
@@ -336,7 +316,7 @@ mod tests {
             };
             presets.push((name, config, low, high));
         };
-        let track = AxisConfig::irp6_track(Irp6TrackAxis::Track);
+        let track = AxisConfig::irp6_track(0).expect("the track");
         add("track".into(), track, 0.0);
         for number in 0..7 {
             if let Some(config) = AxisConfig::rnt(number) {

@@ -188,11 +188,6 @@ impl Mechanism {
 }
 
 impl Mount {
-    /// The mechanism to which the mount belongs.
-    pub fn mechanism(&self) -> &Mechanism {
-        &self.mechanism
-    }
-
     /// Sets the motor to `angle`, rad, from any angle, and moves the links accordingly.
     pub(super) fn place(&self, angle: f64) {
         let mut robot = self.mechanism.lock();

@@ -447,11 +447,7 @@ fn payload_handed_over_in_a_world_is_felt_by_the_drive_that_holds_it() {
     });
     bench.enable(1);
     let mut held = |mass: f64| {
-        let take = |drive: &mut Epos4| {
-            let mechanism = drive.axis().mechanism().expect("it is mounted");
-            mechanism.set_payload(mass, [0.0; 3]);
-        };
-        bench.world.change(bench.device, bench.now, take).unwrap();
+        mechanism.set_payload(mass, [0.0; 3]);
         bench.run(500);
         let drive: &Epos4 = bench.world.device(bench.device).unwrap();
         drive.axis().feedback().torque

@@ -3,7 +3,7 @@
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
-use super::chain::{Body, Chain, Link, Load, Motion};
+use super::chain::{Body, Chain, Link, Motion};
 use super::screw::Screw;
 use super::{AXES, Loaded};
 
@@ -133,12 +133,8 @@ impl Irp6 {
                 TURNING[axis.min(5)]
             }
         };
-        let Load { torque, inertia } = self.chain.load(&base, &angles, &rates);
-        Loaded {
-            torque,
-            reflected: inertia,
-            turning,
-            ratio,
-        }
+        self.chain
+            .load(&base, &angles, &rates)
+            .behind(ratio, turning)
     }
 }

@@ -1,6 +1,6 @@
 //! Polycrank: two planar cranks of three parallel axes each, and a tool roll, on a horizontal first axis.
 
-use super::chain::{Body, Chain, Link, Load, Motion};
+use super::chain::{Body, Chain, Link, Motion};
 use super::{AXES, Loaded};
 
 /// Motor angle per joint angle (nominal).
@@ -57,12 +57,7 @@ impl Polycrank {
         for (angle, at_home) in angles.iter_mut().zip(self.at_home) {
             *angle += at_home;
         }
-        let Load { torque, inertia } = self.chain.load(&Motion::standing(UP), &angles, &rates);
-        Loaded {
-            torque,
-            reflected: inertia,
-            turning: TURNING,
-            ratio: 1.0,
-        }
+        let load = self.chain.load(&Motion::standing(UP), &angles, &rates);
+        load.behind(1.0, TURNING)
     }
 }

@@ -119,24 +119,19 @@ impl Rnt {
         let mut base = Motion::standing(self.pose.into_platform(UP));
         let mut rates = [0.0; 3];
         let angles = [3, 4, 5].map(|axis| motors[axis] / GEAR);
-        let (turning, mut load) = if number < 3 {
+        let (turning, load) = if number < 3 {
             let (_, rate) = self.pose.legs()[number];
             base = self.pose.motion(&rate.map(|x| x / LEG), base.up);
-            let load = self.platform.map(|body| body.load(&base));
+            let halves = self.platform.map(|body| body.load(&base));
             // The base of the wrist's chain moves with the wrist centre.
             base.velocity = add(base.velocity, WRIST, cross(base.spin, [0.0, 0.0, 1.0]));
-            (TURNING.0, load[0].and(load[1]))
+            (TURNING.0, halves[0].and(halves[1]))
         } else {
             rates[number - 3] = 1.0 / GEAR;
             (TURNING.1, Load::default())
         };
-        load = load.and(self.wrist.load(&base, &angles, &rates));
-        Loaded {
-            torque: load.torque,
-            reflected: load.inertia,
-            turning,
-            ratio: 1.0,
-        }
+        load.and(self.wrist.load(&base, &angles, &rates))
+            .behind(1.0, turning)
     }
 }
 
