@@ -94,7 +94,7 @@ impl AxisController {
 
     /// The simulated axis, including state that no drive can measure.
     pub fn axis(&self) -> &PlantAxis {
-        self.drive.axis()
+        &self.drive.axis
     }
 }
 

@@ -89,11 +89,6 @@ impl EposSerial {
             last: Instant::ZERO,
         }
     }
-
-    /// The device.
-    pub fn epos(&self) -> &Epos4 {
-        &self.service.epos
-    }
 }
 
 impl LineDevice for EposSerial {

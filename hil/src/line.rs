@@ -29,9 +29,6 @@ use faults::Wire;
 /// Bytes of the line in a full packet of a USB adapter. Two more bytes of the packet carry the state of the adapter.
 pub const USB_PACKET: usize = 62;
 
-/// Default latency timer of an FTDI adapter.
-pub const FTDI_LATENCY: Duration = Duration::from_millis(16);
-
 /// A line with a device at one end. The host's end can be attached and detached.
 pub struct SerialLine {
     device: Box<dyn LineDevice>,

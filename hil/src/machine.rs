@@ -11,7 +11,7 @@ use std::fs::{self, File, Permissions};
 use std::io::{self, PipeReader};
 use std::os::fd::OwnedFd;
 use std::os::unix::ffi::OsStrExt;
-use std::os::unix::fs::{MetadataExt, PermissionsExt, symlink};
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::thread;
@@ -203,11 +203,6 @@ impl Control {
             output,
             _directory: directory,
         })
-    }
-
-    /// Makes a symbolic link to `directory`, with a path free of such characters.
-    pub(crate) fn link(&self, name: &str, directory: &Path) -> io::Result<()> {
-        symlink(directory, self.path.join(name))
     }
 }
 

@@ -17,7 +17,7 @@ use std::ffi::OsString;
 use std::fs;
 use std::io::{self, BufRead, BufReader, PipeReader, Write};
 use std::os::unix::ffi::OsStrExt;
-use std::os::unix::fs::PermissionsExt;
+use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::Path;
 
 use thiserror::Error;
@@ -107,8 +107,8 @@ fn mark(control: &Control) -> Vec<u8> {
 fn mount_script(control: &Control, options: &Options) -> io::Result<Vec<u8>> {
     let mut script = Vec::new();
     let mut mount = |name: &str, place: &Path, access: &str| {
-        control.link(name, place)?;
         let link = control.path.join(name);
+        symlink(place, &link)?;
         let place = quoted(place.as_os_str());
         write!(script, "mkdir -p ")?;
         script.write_all(&place)?;

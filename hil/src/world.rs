@@ -83,7 +83,7 @@ impl World {
     }
 
     /// Adds a serial line with a device at its end. `latency` inserts a USB adapter with such a latency timer towards
-    /// the host, for example [`FTDI_LATENCY`](crate::line::FTDI_LATENCY).
+    /// the host, for example the 16 ms of an FTDI adapter.
     pub fn add_line(
         &mut self,
         settings: Settings,

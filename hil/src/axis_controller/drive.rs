@@ -63,7 +63,7 @@ pub(super) struct Sample {
 }
 
 pub(super) struct Drive {
-    axis: PlantAxis,
+    pub(super) axis: PlantAxis,
     feedback: Feedback,
     /// Time up to which the axis has been simulated.
     inner: Instant,
@@ -99,10 +99,6 @@ impl Drive {
         };
         drive.set_current_gains(Gains::POWER_ON);
         drive
-    }
-
-    pub(super) fn axis(&self) -> &PlantAxis {
-        &self.axis
     }
 
     /// Advances the axis to the last sub-step before `now`.

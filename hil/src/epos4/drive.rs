@@ -37,7 +37,7 @@ pub(super) const CHUNK: u32 = 10;
 /// The drive.
 #[derive(Clone, Debug)]
 pub(super) struct Drive {
-    axis: PlantAxis,
+    pub(super) axis: PlantAxis,
     counts_per_turn: f64,
     /// Bits set in every statusword.
     vendor_bits: u16,
@@ -107,10 +107,6 @@ impl Drive {
             in_window: None,
             average_current: 0.0,
         }
-    }
-
-    pub(super) fn axis(&self) -> &PlantAxis {
-        &self.axis
     }
 
     /// The device restarts: no power, no reference, and the counter begins at zero.

@@ -153,7 +153,7 @@ impl Epos4 {
 
     /// The simulated axis, including state that no drive can measure.
     pub fn axis(&self) -> &PlantAxis {
-        self.drive.axis()
+        &self.drive.axis
     }
 
     /// Advances the axis to `now` in whole chunks. With `exact` the remaining sub-steps are simulated as well.

@@ -240,7 +240,7 @@ impl PlantAxis {
             Plant::Physical(motor) => {
                 let voltage = on.then(|| self.amplifier.voltage(motor.current));
                 motor.step(voltage, brake);
-                self.trip = if motor.overheated() {
+                self.trip = if motor.thermal.tripped {
                     Some(Trip::OverTemperature)
                 } else if self.amplifier.overloaded(motor.current) {
                     Some(Trip::OverCurrent)

@@ -103,7 +103,7 @@ pub(crate) struct Motor {
     /// Mount of the motor, if any, and the last load at the mount.
     mounted: Option<(Mount, Loaded)>,
     friction: Friction,
-    thermal: Thermal,
+    pub(super) thermal: Thermal,
     noise: Noise,
     /// Angle, rad.
     pub(super) angle: f64,
@@ -206,11 +206,6 @@ impl Motor {
             0.0
         };
         self.torque_per_current = self.torque_constant * (1.0 + ripple);
-    }
-
-    /// Whether the temperature of the winding exceeds the drive's limit.
-    pub(crate) fn overheated(&self) -> bool {
-        self.thermal.tripped
     }
 }
 

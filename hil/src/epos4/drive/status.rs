@@ -84,7 +84,7 @@ impl Drive {
                 let target = objects.f(TARGET_VELOCITY) * self.counts_per_velocity(objects);
                 let arrived = (self.motion.velocity - target).abs() < 0.5;
                 word.with(REACHED, if halted { standing } else { arrived })
-                    .with(BIT_12, self.standstill.reached())
+                    .with(BIT_12, self.standstill.reached)
             }
             M::Homing => {
                 let halted = self.controlword.has(Controlword::HALT);
