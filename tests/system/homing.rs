@@ -2,8 +2,8 @@
 
 use std::f64::consts::TAU;
 
-use hil::plant::Switch;
 use hil::AxisConfig;
+use hil::plant::Switch;
 
 use crate::cell::Setup;
 

@@ -53,7 +53,7 @@ const fn error(code: u16, register: ErrorRegister, reaction: Reaction) -> Error 
 }
 
 /// An error of communication, to which the abort connection option applies.
-const fn lost(code: u16) -> Error {
+const fn communication(code: u16) -> Error {
     error(
         code,
         ErrorRegister::COMMUNICATION,
@@ -65,11 +65,11 @@ pub(super) const OVER_CURRENT: Error = error(0x2310, ErrorRegister::CURRENT, Rea
 pub(super) const MOTOR_TEMPERATURE: Error =
     error(0x4380, ErrorRegister::TEMPERATURE, Reaction::Disable);
 /// NMT stop or a reset of the communication, if object 0x6007 makes a fault of either.
-pub(super) const CONNECTION_ENDED: Error = lost(0x8100);
-pub(super) const HEARTBEAT: Error = lost(0x8130);
-pub(super) const PDO_LENGTH: Error = lost(0x8210);
+pub(super) const CONNECTION_ENDED: Error = communication(0x8100);
+pub(super) const HEARTBEAT: Error = communication(0x8130);
+pub(super) const PDO_LENGTH: Error = communication(0x8210);
 pub(super) const SYNC_LENGTH: Error = error(0x8240, ErrorRegister::COMMUNICATION, Reaction::None);
-pub(super) const RPDO_TIME_OUT: Error = lost(0x8250);
+pub(super) const RPDO_TIME_OUT: Error = communication(0x8250);
 pub(super) const FOLLOWING: Error = error(0x8611, ErrorRegister::VENDOR, Reaction::Fault);
 pub(super) const NEGATIVE_LIMIT: Error = error(0x8A80, ErrorRegister::VENDOR, Reaction::Fault);
 pub(super) const POSITIVE_LIMIT: Error = error(0x8A81, ErrorRegister::VENDOR, Reaction::Fault);
