@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use can::Instant;
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use mrroc_hil::{AxisConfig, AxisControllerConfig, Irp6Axis, Nfv2AxisController, World};
+use mrroc_hil::{AxisConfig, AxisController, AxisControllerConfig, Irp6Axis, World};
 use serial::nfv2::{Command, FrameBuilder, Mode};
 use serial::{Line, Settings, VirtualLine};
 
@@ -31,7 +31,7 @@ impl Robot {
         let mut world = World::new();
         let hosts = (0..).zip(Irp6Axis::ALL).map(|(address, which)| {
             let config = AxisControllerConfig::new(axis(which));
-            let device = Nfv2AxisController::new(address, config);
+            let device = AxisController::nfv2(address, &config);
             let line = world.add_line(Settings::AXIS_CONTROLLER, None, Box::new(device));
             world.host_line(line, 256)
         });

@@ -3,9 +3,7 @@
 use std::hint::black_box;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use mrroc_hil::{
-    AxisConfig, Demand, Irp6Axis, Irp6TrackAxis, Mechanism, MechanismConfig, PlantAxis,
-};
+use mrroc_hil::{AxisConfig, Demand, Irp6Axis, Mechanism, MechanismConfig, PlantAxis};
 
 /// Sub-steps in a servo period of 2 ms.
 const PERIOD: u32 = 20;
@@ -58,11 +56,14 @@ fn mounted(c: &mut Criterion) {
         coupled: false,
         at_home: [0.0; 7],
     };
-    let track: Preset = |axis| Some(AxisConfig::irp6_track(Irp6TrackAxis::ALL[axis]));
     let pedestal: Preset = |axis| Some(AxisConfig::irp6(Irp6Axis::ALL[axis]));
     let robots: [(&str, MechanismConfig, Preset); 4] = [
         ("irp6", MechanismConfig::Irp6, pedestal),
-        ("irp6 on track", MechanismConfig::Irp6OnTrack, track),
+        (
+            "irp6 on track",
+            MechanismConfig::Irp6OnTrack,
+            AxisConfig::irp6_track,
+        ),
         ("rnt", rnt, AxisConfig::rnt),
         ("polycrank", polycrank, AxisConfig::polycrank),
     ];

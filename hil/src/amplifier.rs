@@ -1,8 +1,8 @@
 //! The inner loops of a drive: position over velocity over current, as in a drive of the EPOS4 class.
 //!
 //! The current loop runs each sub-step of 100 µs, the outer loops every tenth sub-step. [`Gains::new`] derives all
-//! gains from the motor's data and one parameter: the bandwidth `ωv` of the velocity loop. The drive reads its
-//! encoder and its current sensor, and has no other access to the plant.
+//! gains from the motor's data and the bandwidth `ωv` of the velocity loop. The drive reads its encoder and its
+//! current sensor, and has no other access to the plant.
 
 use std::f64::consts::TAU;
 
@@ -19,13 +19,11 @@ pub struct AmplifierConfig {
     pub max_voltage: f64,
     /// Inertia for which the loops are tuned, kg·m².
     pub inertia: f64,
-    /// Bandwidth of the velocity loop over that inertia, rad/s.
-    pub velocity_bandwidth: f64,
 }
 
 impl AmplifierConfig {
-    /// 45 Hz: a fifth of the bandwidth of the encoder observer. The observer's bandwidth is a fifth of the loop's 1
-    /// kHz rate.
+    /// Bandwidth of the velocity loop, rad/s. 45 Hz: a fifth of the bandwidth of the encoder observer. The observer's
+    /// bandwidth is a fifth of the loop's 1 kHz rate.
     pub const VELOCITY_BANDWIDTH: f64 = 45.0 * TAU;
 }
 
@@ -67,11 +65,8 @@ struct Gains {
 
 impl Gains {
     fn new(config: &AmplifierConfig, plant: &PlantConfig) -> Self {
-        let AmplifierConfig {
-            inertia,
-            velocity_bandwidth: bandwidth,
-            ..
-        } = *config;
+        let inertia = config.inertia;
+        let bandwidth = AmplifierConfig::VELOCITY_BANDWIDTH;
         let (viscous, current, current_integral) = match plant {
             PlantConfig::Wut(wut) => (wut.viscous, 0.0, 0.0),
             PlantConfig::Physical(motor) => {
@@ -99,7 +94,7 @@ impl Gains {
 /// State of the loops.
 #[derive(Clone, Debug)]
 pub(crate) struct Amplifier {
-    config: AmplifierConfig,
+    pub(crate) config: AmplifierConfig,
     gains: Gains,
     torque_constant: f64,
     radians_per_count: f64,
@@ -107,7 +102,7 @@ pub(crate) struct Amplifier {
     counts: i32,
     ahead: f64,
     /// Observed velocity, counts/s.
-    observed_velocity: f64,
+    pub(crate) observed_velocity: f64,
     /// Whether the velocity loop was closed in the previous outer step.
     closed: bool,
     /// Feed-forward velocity of the previous outer step, rad/s, and its filtered rate of change, rad/s².
@@ -116,13 +111,13 @@ pub(crate) struct Amplifier {
     /// Integral part of the velocity loop, N·m.
     torque_integral: f64,
     /// Set-point of the current loop, A.
-    current: f64,
+    pub(crate) current: f64,
     /// Integral part of the current loop, V.
     voltage_integral: f64,
     /// Fixed output voltage in place of the current loop, V.
     fixed: Option<f64>,
     /// Torque added to the output of the velocity loop, N·m.
-    torque_offset: f64,
+    pub(crate) torque_offset: f64,
 }
 
 impl Amplifier {
@@ -151,15 +146,6 @@ impl Amplifier {
             fixed: None,
             torque_offset: 0.0,
         }
-    }
-
-    /// Sets the torque, N·m, that is added to the output of the velocity loop. The offset stays until the next call.
-    pub(crate) fn set_torque_offset(&mut self, torque: f64) {
-        self.torque_offset = torque;
-    }
-
-    pub(crate) fn set_trip_current(&mut self, current: f64) {
-        self.config.trip_current = current;
     }
 
     pub(crate) fn set_current_gains(&mut self, proportional: f64, integral: f64) {
@@ -282,11 +268,6 @@ impl Amplifier {
         self.current
     }
 
-    /// Set-point of the current loop from the outer loops, A.
-    pub(crate) fn current(&self) -> f64 {
-        self.current
-    }
-
     /// Whether a measured current exceeds the over-current threshold.
     pub(crate) fn overloaded(&self, measured: f64) -> bool {
         measured.abs() > self.config.trip_current
@@ -295,10 +276,5 @@ impl Amplifier {
     /// The drive's torque estimate for a measured current, N·m.
     pub(crate) fn torque(&self, measured: f64) -> f64 {
         measured * self.torque_constant
-    }
-
-    /// Observed velocity, counts/s.
-    pub(crate) fn observed_velocity(&self) -> f64 {
-        self.observed_velocity
     }
 }

@@ -1,7 +1,7 @@
 //! The serial axis controllers of the IRb-6 and IRp-6, one drive per line, with either of their telegrams.
 //!
-//! [`Nfv2AxisController`] speaks [`serial::nfv2`], [`HiMoxaAxisController`] the older [`serial::hi_moxa`]. Both share
-//! one drive. The drive has a power stage on 48 V, a position counter and protections. The power stage follows pulse
+//! An [`AxisController`] speaks [`serial::nfv2`] or the older [`serial::hi_moxa`], with the same drive behind either.
+//! The drive has a power stage on 48 V, a position counter and protections. The power stage follows pulse
 //! widths, or currents by its own loop. An index pulse can zero the position counter. The protections against
 //! over-current and at the limit switches act without the host. The host closes all other loops. A set-point stays
 //! until the next set-point, for any time. The drive keeps counter and reference while it has power, even when its
@@ -36,17 +36,96 @@ mod hi_moxa;
 mod nfv2;
 #[cfg(test)]
 mod tests;
-mod unit;
 
 pub use cabinet::Cabinet;
-pub use hi_moxa::HiMoxaAxisController;
-pub use nfv2::Nfv2AxisController;
 
 use std::time::Duration;
 
 use can::Instant;
 
+use crate::outbox::Outbox;
 use crate::plant::{AxisConfig, Mount};
+use crate::{LineDevice, PlantAxis};
+use drive::Drive;
+use hi_moxa::HiMoxa;
+use nfv2::Nfv2;
+
+/// A serial axis controller with its drive.
+pub struct AxisController {
+    drive: Drive,
+    telegrams: Telegrams,
+    outbox: Outbox,
+    answer_delay: Duration,
+}
+
+enum Telegrams {
+    Nfv2(Nfv2),
+    HiMoxa(HiMoxa),
+}
+
+impl AxisController {
+    /// A controller with NFv2 telegrams after power-on, in manual mode.
+    ///
+    /// A frame is executed whole or not at all, in the order of its commands. A frame that contains a read is
+    /// answered. A broadcast frame is executed and not answered. After bytes that form no valid frame, reception
+    /// resumes at the next `#` that begins a frame.
+    pub fn nfv2(address: u8, config: &AxisControllerConfig) -> Self {
+        Self::new(Telegrams::Nfv2(Nfv2::new(address)), config)
+    }
+
+    /// A controller with the older hi_moxa telegrams after power-on, in manual mode.
+    ///
+    /// A request is ten bytes from a preamble on. Bytes between requests are skipped. A preamble within a request
+    /// begins a new request. The telegram has neither length nor checksum. Bytes that follow a torn request without a
+    /// pause can therefore be taken for the rest of that request. Gains are accepted without effect, since no source
+    /// gives their scale.
+    pub fn hi_moxa(config: &AxisControllerConfig) -> Self {
+        Self::new(Telegrams::HiMoxa(HiMoxa::new()), config)
+    }
+
+    fn new(telegrams: Telegrams, config: &AxisControllerConfig) -> Self {
+        Self {
+            drive: Drive::new(config),
+            telegrams,
+            outbox: Outbox::new(),
+            answer_delay: config.answer_delay,
+        }
+    }
+
+    /// The simulated axis, including state that no drive can measure.
+    pub fn axis(&self) -> &PlantAxis {
+        &self.drive.axis
+    }
+}
+
+impl LineDevice for AxisController {
+    fn receive(&mut self, byte: u8, now: Instant) {
+        self.outbox.run(now);
+        let drive = &mut self.drive;
+        let answer = |bytes: &[u8]| self.outbox.put(now + self.answer_delay, bytes);
+        match &mut self.telegrams {
+            Telegrams::Nfv2(nfv2) => nfv2.receive(byte, now, drive, answer),
+            Telegrams::HiMoxa(hi_moxa) => hi_moxa.receive(byte, now, drive, answer),
+        }
+    }
+
+    fn poll_transmit(&mut self, now: Instant) -> Option<u8> {
+        self.outbox.poll_transmit(now)
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        let moves = self.drive.poll_timeout();
+        let answers = self.outbox.poll_timeout();
+        Some(answers.map_or(moves, |at| at.min(moves)))
+    }
+
+    fn handle_timeout(&mut self, now: Instant) {
+        self.outbox.run(now);
+        if self.drive.poll_timeout() <= now {
+            self.drive.catch_up(now);
+        }
+    }
+}
 
 /// A request interrupted for this long is discarded.
 pub const GAP: Duration = Duration::from_micros(500);
@@ -71,15 +150,12 @@ pub struct AxisControllerConfig {
     pub counter: i32,
     /// Whether that counter is referenced.
     pub synchronized: bool,
-    /// The drive replaces the set-point by zero after this time without a new set-point. The real drives have no such
-    /// watchdog.
-    pub watchdog: Option<Duration>,
     /// The cabinet of the drive. A clone of this configuration shares the cabinet.
     pub cabinet: Cabinet,
 }
 
 impl AxisControllerConfig {
-    /// A drive after power-on, with a short answer delay, no watchdog and a cabinet of its own.
+    /// A drive after power-on, with a short answer delay and a cabinet of its own.
     pub fn new(axis: AxisConfig) -> Self {
         Self {
             power_on: Instant::ZERO,
@@ -90,7 +166,6 @@ impl AxisControllerConfig {
             answer_delay: Duration::from_micros(100),
             counter: 0,
             synchronized: false,
-            watchdog: None,
             cabinet: Cabinet::default(),
         }
     }

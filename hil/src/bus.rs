@@ -13,7 +13,6 @@
 //! Nothing allocates once the queues have reached their working size. Read [`VirtualBus::advance`] first.
 
 use std::collections::VecDeque;
-use std::time::Duration;
 
 use can::timing::{Bitrate, INTERMISSION, bits_on_wire};
 use can::{Frame, Id, Instant, Received, VirtualPeer};
@@ -32,7 +31,6 @@ pub struct VirtualBus {
     /// End of the intermission after the last frame.
     free_at: Instant,
     on_wire: Option<Transmission>,
-    statistics: BusStatistics,
 }
 
 struct Attached {
@@ -46,7 +44,6 @@ struct Attached {
 struct Transmission {
     frame: Frame,
     sender: End,
-    pending_since: Instant,
     ends: Instant,
     bits: u32,
 }
@@ -55,30 +52,6 @@ struct Transmission {
 enum End {
     Host(usize),
     Device(usize),
-}
-
-/// Counters of a bus.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct BusStatistics {
-    /// Completed frames.
-    pub frames: u64,
-    /// Time for which the bus was occupied, intermissions included.
-    pub busy: Duration,
-    /// Longest time from a frame's entry into the sender's queue to the frame's last bit.
-    pub max_latency: Duration,
-    /// Age of the bus.
-    pub elapsed: Duration,
-}
-
-impl BusStatistics {
-    /// Bus load: the fraction of time for which the bus was occupied, 0 to 1.
-    pub fn load(&self) -> f64 {
-        if self.elapsed.is_zero() {
-            0.0
-        } else {
-            self.busy.as_secs_f64() / self.elapsed.as_secs_f64()
-        }
-    }
 }
 
 impl VirtualBus {
@@ -91,7 +64,6 @@ impl VirtualBus {
             now: Instant::ZERO,
             free_at: Instant::ZERO,
             on_wire: None,
-            statistics: BusStatistics::default(),
         }
     }
 
@@ -134,11 +106,6 @@ impl VirtualBus {
         Some(result)
     }
 
-    /// Counters up to the last [`VirtualBus::advance`].
-    pub fn statistics(&self) -> BusStatistics {
-        self.statistics
-    }
-
     /// Processes all events up to and including `until`. A frame that lasts longer stays on the wire.
     ///
     /// May be called ahead of time if the host sends nothing before `until`. A frame sent for a past instant becomes
@@ -152,10 +119,7 @@ impl VirtualBus {
                 BusEvent::FrameStart => self.start_frame(),
             }
         }
-        if until > self.now {
-            self.now = until;
-        }
-        self.statistics.elapsed = self.now.since(Instant::ZERO);
+        self.now = self.now.max(until);
     }
 
     /// Time of the next event known now: the instant up to which a waiting test bench can advance.
@@ -227,41 +191,31 @@ impl VirtualBus {
         }
         let ends = self.now + self.bitrate.duration(bits - INTERMISSION);
         self.free_at = self.now + self.bitrate.duration(bits);
-        self.statistics.busy += self.bitrate.duration(bits);
         self.on_wire = Some(Transmission {
             frame: head.frame,
             sender,
-            pending_since: head.at,
             ends,
             bits,
         });
     }
 
     fn end_frame(&mut self) {
-        let Some(Transmission {
-            frame,
-            sender,
-            pending_since,
-            ends,
-            bits,
-        }) = self.on_wire.take()
-        else {
+        let Some(ended) = self.on_wire.take() else {
             return;
         };
-        self.remove(sender);
-        self.statistics.frames += 1;
-        self.statistics.max_latency = self.statistics.max_latency.max(ends.since(pending_since));
-        for (at, host) in self.hosts.iter_mut().enumerate() {
-            if sender != End::Host(at) {
+        self.remove(ended.sender);
+        let (frame, at) = (ended.frame, ended.ends);
+        for (number, host) in self.hosts.iter_mut().enumerate() {
+            if ended.sender != End::Host(number) {
                 // A host with a full queue loses the frame and counts the loss, as the driver of a CAN card does.
-                host.deliver(Received { frame, at: ends }, bits);
+                host.deliver(Received { frame, at }, ended.bits);
             }
         }
-        for (at, attached) in self.devices.iter_mut().enumerate() {
-            if sender != End::Device(at) {
-                attached.device.handle(&frame, ends);
+        for (number, attached) in self.devices.iter_mut().enumerate() {
+            if ended.sender != End::Device(number) {
+                attached.device.handle(&frame, at);
             }
-            attached.collect(ends);
+            attached.collect(at);
         }
     }
 

@@ -1,4 +1,4 @@
-//! The contract of an emulated device on a bus.
+//! The contracts of emulated devices: on a bus, and on a serial line.
 
 use std::any::Any;
 
@@ -16,6 +16,25 @@ pub trait Device: Any + Send {
     fn poll_transmit(&mut self, now: Instant) -> Option<Frame>;
 
     /// Time of the next [`handle_timeout`](Device::handle_timeout) that the device requests, if any.
+    fn poll_timeout(&self) -> Option<Instant>;
+
+    /// Advances the device's internal time to `now`.
+    fn handle_timeout(&mut self, now: Instant);
+}
+
+/// A device on a serial line, as a function of (bytes, now): no thread, no clock, no tty.
+///
+/// The line guarantees two things: `now` never decreases, and [`handle_timeout`](LineDevice::handle_timeout) is
+/// called before any later byte is handed in.
+pub trait LineDevice: Any + Send {
+    /// Takes a byte whose last stop bit ended at `now`.
+    fn receive(&mut self, byte: u8, now: Instant);
+
+    /// The next byte to send. The line asks whenever its direction towards the host becomes free. After `None`, the
+    /// line asks again when the device has received a byte or a time-out.
+    fn poll_transmit(&mut self, now: Instant) -> Option<u8>;
+
+    /// Time of the next [`handle_timeout`](LineDevice::handle_timeout) that the device requests, if any.
     fn poll_timeout(&self) -> Option<Instant>;
 
     /// Advances the device's internal time to `now`.

@@ -1,7 +1,7 @@
 //! The service port of maxon's axis controllers: the object dictionary of an emulated EPOS over a serial line.
 //!
-//! [`Epos4Serial`] speaks [`serial::epos4`], [`Epos2Serial`] speaks [`serial::epos2`]. Each port has an [`Epos4`]
-//! with an axis of its own, which is connected to no CAN bus. The dictionary served is always that of the EPOS4. The
+//! An [`EposSerial`] speaks [`serial::epos4`] or [`serial::epos2`]. Each port has an [`Epos4`] with an axis of its
+//! own, which is connected to no CAN bus. The dictionary served is always that of the EPOS4. The
 //! dictionary of a real EPOS2 differs, but shares the objects of CiA 301 and CiA 402.
 //!
 //! The maxon documents that were read leave the following open. The behaviour is chosen here:
@@ -18,75 +18,127 @@ mod epos4;
 #[cfg(test)]
 mod tests;
 
-pub use epos2::Epos2Serial;
-pub use epos4::Epos4Serial;
-
 use std::time::Duration;
 
 use can::Instant;
-use canopen::Object;
-use canopen::sdo::{AbortCode, MAX_SIZE};
 
-use crate::outbox::{Heard, Outbox};
-use crate::{Device, Epos4, Epos4Config};
+use crate::outbox::Outbox;
+use crate::{Device, Epos4, Epos4Config, LineDevice};
+use epos2::Exchange;
+use epos4::Frames;
+
+/// Time from the last received byte to the first byte of the answer or acknowledgement.
+const TURN_AROUND: Duration = Duration::from_micros(100);
 
 /// Configuration of the port of one unit.
 #[derive(Clone, Debug)]
 pub struct EposSerialConfig {
     /// The device.
     pub epos: Epos4Config,
-    /// Time from the last received byte to the first byte of the answer or acknowledgement.
-    pub turn_around: Duration,
-    /// A frame or exchange is abandoned after a pause of this length (objects 0x2005, 0x2006).
-    pub time_out: Duration,
     /// Maximum length of a segment that an EPOS4 sends, bytes, 1 to [`serial::epos4::MAX_SEGMENT`].
     pub segment: u8,
 }
 
 impl EposSerialConfig {
-    /// A short turn-around, and maxon's frame time-out.
+    /// A port that sends segments of the maximum length.
     pub fn new(epos: Epos4Config) -> Self {
         Self {
             epos,
-            turn_around: Duration::from_micros(100),
-            time_out: serial::epos4::TIME_OUT,
             segment: serial::epos4::MAX_SEGMENT as u8,
         }
     }
 }
 
-/// The device behind a port, and the bytes on their way to the host.
-struct Service {
-    config: EposSerialConfig,
-    epos: Epos4,
-    outbox: Outbox,
-    heard: Heard,
+/// The service port of an axis controller, with its device.
+pub struct EposSerial {
+    service: Service,
+    port: Port,
+    last: Instant,
 }
 
-impl Service {
-    fn new(config: EposSerialConfig) -> Self {
-        Self {
-            epos: Epos4::new(config.epos.clone()),
+enum Port {
+    Epos4(Frames),
+    Epos2(Exchange),
+}
+
+impl EposSerial {
+    /// The USB or RS-232 port of an EPOS4 after power-on.
+    ///
+    /// Every complete frame is answered, an invalid frame with an error code. A torn frame is not answered. A new
+    /// initiation replaces a segmented transfer in progress. Any error ends the transfer.
+    pub fn epos4(config: EposSerialConfig) -> Self {
+        Self::new(Port::Epos4(Frames::new(config.segment)), config.epos)
+    }
+
+    /// The RS-232 port of an EPOS2 after power-on.
+    ///
+    /// An unknown opcode is received to its end and refused with 0x0F00_FFBF. While the port has bytes to send, it
+    /// ignores received bytes.
+    pub fn epos2(config: EposSerialConfig) -> Self {
+        Self::new(Port::Epos2(Exchange::new()), config.epos)
+    }
+
+    fn new(port: Port, config: Epos4Config) -> Self {
+        let service = Service {
+            epos: Epos4::new(config),
             outbox: Outbox::new(),
-            heard: Heard::default(),
-            config,
+        };
+        Self {
+            service,
+            port,
+            last: Instant::ZERO,
+        }
+    }
+}
+
+impl LineDevice for EposSerial {
+    fn receive(&mut self, byte: u8, now: Instant) {
+        self.service.run(now);
+        // A pause ends a frame or exchange (objects 0x2005, 0x2006).
+        let paused = now.since(self.last) > serial::epos4::TIME_OUT;
+        self.last = now;
+        match &mut self.port {
+            Port::Epos4(frames) if paused => frames.reset(),
+            Port::Epos2(exchange) if paused => exchange.reset(),
+            Port::Epos4(_) | Port::Epos2(_) => {}
+        }
+        if self.service.listens() {
+            match &mut self.port {
+                Port::Epos4(frames) => frames.receive(byte, &mut self.service, now),
+                Port::Epos2(exchange) => exchange.receive(byte, &mut self.service, now),
+            }
         }
     }
 
+    fn poll_transmit(&mut self, now: Instant) -> Option<u8> {
+        self.service.outbox.poll_transmit(now)
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        let answers = self.service.outbox.poll_timeout().into_iter();
+        answers.chain(self.service.epos.poll_timeout()).min()
+    }
+
+    fn handle_timeout(&mut self, now: Instant) {
+        self.service.run(now);
+    }
+}
+
+/// The device behind a port, and the bytes on their way to the host.
+struct Service {
+    epos: Epos4,
+    outbox: Outbox,
+}
+
+impl Service {
     /// Sends `bytes` after the turn-around.
     fn send(&mut self, bytes: &[u8], now: Instant) {
-        let at = now + self.config.turn_around;
-        self.heard.overrun += self.outbox.put(at, bytes) as u64;
+        self.outbox.put(now + TURN_AROUND, bytes);
     }
 
     /// Whether received bytes are accepted. The port ignores bytes during boot and while an answer is being sent.
     fn listens(&self) -> bool {
         self.epos.has_booted() && self.outbox.is_empty()
-    }
-
-    fn poll_timeout(&self) -> Option<Instant> {
-        let answers = self.outbox.poll_timeout().into_iter();
-        answers.chain(self.epos.poll_timeout()).min()
     }
 
     /// Runs the device to `now`. Its CAN frames are dropped.
@@ -96,56 +148,5 @@ impl Service {
             self.epos.handle_timeout(now);
         }
         while self.epos.poll_transmit(now).is_some() {}
-    }
-
-    /// Reads an object of up to four bytes.
-    fn read(&mut self, node: u8, object: Object, now: Instant) -> Result<u32, AbortCode> {
-        let mut bytes = [0; MAX_SIZE];
-        match self.read_whole(node, object, &mut bytes, now)? {
-            0..=4 => Ok(u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]])),
-            _ => Err(AbortCode::LENGTH_MISMATCH),
-        }
-    }
-
-    fn read_whole(
-        &mut self,
-        node: u8,
-        object: Object,
-        into: &mut [u8; MAX_SIZE],
-        now: Instant,
-    ) -> Result<usize, AbortCode> {
-        self.check_node(node)?;
-        self.epos.read(object, into, now)
-    }
-
-    /// Writes the low bytes of `value`. The size of the object determines their number.
-    fn write(
-        &mut self,
-        node: u8,
-        object: Object,
-        value: u32,
-        now: Instant,
-    ) -> Result<(), AbortCode> {
-        let size = self.epos.size(object).map_or(4, |size| size.min(4));
-        self.write_whole(node, object, &value.to_le_bytes()[..size], now)
-    }
-
-    fn write_whole(
-        &mut self,
-        node: u8,
-        object: Object,
-        data: &[u8],
-        now: Instant,
-    ) -> Result<(), AbortCode> {
-        self.check_node(node)?;
-        self.epos.write(object, data, now)
-    }
-
-    fn check_node(&self, node: u8) -> Result<(), AbortCode> {
-        if self.epos.is_node(node) {
-            Ok(())
-        } else {
-            Err(AbortCode::MAXON_NODE_ID)
-        }
     }
 }

@@ -13,7 +13,6 @@ mod device;
 pub mod epos4;
 pub mod epos_serial;
 pub mod line;
-mod line_device;
 mod machine;
 mod outbox;
 pub mod plant;
@@ -24,20 +23,15 @@ pub mod uml;
 mod world;
 
 pub use amplifier::AmplifierConfig;
-pub use axis_controller::{
-    AxisControllerConfig, Cabinet, HiMoxaAxisController, Nfv2AxisController,
-};
-pub use bus::BusStatistics;
-pub use device::Device;
-pub use epos_serial::{Epos2Serial, Epos4Serial, EposSerialConfig};
+pub use axis_controller::{AxisController, AxisControllerConfig, Cabinet};
+pub use device::{Device, LineDevice};
+pub use epos_serial::{EposSerial, EposSerialConfig};
 pub use epos4::{Epos4, Epos4Config};
 pub use line::{LineFaults, LineStatistics, Stuck, WireFaults};
-pub use line_device::LineDevice;
-pub use outbox::Heard;
 pub use plant::{
-    AxisConfig, Demand, Feedback, Irp6Axis, Irp6TrackAxis, Mechanism, MechanismConfig, Mount,
-    PlantAxis, PlantConfig, Trip,
+    AxisConfig, Demand, Feedback, Irp6Axis, Mechanism, MechanismConfig, Mount, PlantAxis,
+    PlantConfig, Trip,
 };
 pub use pty::{Pty, PtyError};
-pub use slcan::{Acknowledge, SlcanConfig, SlcanCounts, SlcanDevice};
+pub use slcan::{SlcanCounts, SlcanDevice};
 pub use world::{BusId, DeviceId, LineId, World};

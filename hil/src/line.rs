@@ -29,12 +29,6 @@ use faults::Wire;
 /// Bytes of the line in a full packet of a USB adapter. Two more bytes of the packet carry the state of the adapter.
 pub const USB_PACKET: usize = 62;
 
-/// Default latency timer of an FTDI adapter.
-pub const FTDI_LATENCY: Duration = Duration::from_millis(16);
-
-/// Latency timer of an FTDI adapter with the low-latency flag set.
-pub const FTDI_LOW_LATENCY: Duration = Duration::from_millis(1);
-
 /// A line with a device at one end. The host's end can be attached and detached.
 pub struct SerialLine {
     device: Box<dyn LineDevice>,
@@ -213,11 +207,6 @@ impl SerialLine {
     /// The device on the line.
     pub fn device(&self) -> &dyn LineDevice {
         self.device.as_ref()
-    }
-
-    /// The device on the line, for changes by a test.
-    pub fn device_mut(&mut self) -> &mut dyn LineDevice {
-        self.device.as_mut()
     }
 
     /// Sets the faults from now on. The same faults damage the same bytes in the same way.

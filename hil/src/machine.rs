@@ -7,13 +7,14 @@ mod trust;
 
 use std::ffi::{OsStr, OsString};
 use std::fmt;
-use std::fs::{self, Permissions};
-use std::io;
+use std::fs::{self, File, Permissions};
+use std::io::{self, PipeReader};
 use std::os::fd::OwnedFd;
 use std::os::unix::ffi::OsStrExt;
-use std::os::unix::fs::{MetadataExt, PermissionsExt, symlink};
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
+use std::thread;
 use std::time::Duration;
 
 use can::clock;
@@ -26,6 +27,9 @@ use trust::Distrust;
 
 /// Paths at which a machine has file systems of its own.
 const HIDDEN: [&str; 4] = ["/tmp", "/var/tmp", "/run", "/dev"];
+
+/// Capacity of the queue of output pieces. A full queue stops the machine's writer.
+const OUTPUT_PIECES: usize = 256;
 
 /// Time allowed for the output of a killed machine to end.
 const GRACE: Duration = Duration::from_secs(5);
@@ -167,8 +171,10 @@ impl Options {
 /// The machine's own directory. No other user can read the directory, and it is removed with its content. The exit
 /// status of the command goes to its file `status`.
 pub(crate) struct Control {
-    path: PathBuf,
-    output: PathBuf,
+    /// The path of the directory. The path contains no character that is special in a command line or a mount option.
+    pub(crate) path: PathBuf,
+    /// The output directory.
+    pub(crate) output: PathBuf,
     _directory: TempDir,
 }
 
@@ -198,33 +204,6 @@ impl Control {
             _directory: directory,
         })
     }
-
-    /// The path of the directory. The path contains no character that is special in a command line or a mount option.
-    pub(crate) fn path(&self) -> &Path {
-        &self.path
-    }
-
-    /// The output directory.
-    pub(crate) fn output(&self) -> &Path {
-        &self.output
-    }
-
-    /// Makes a symbolic link to `directory`, with a path free of such characters.
-    pub(crate) fn link(&self, name: &str, directory: &Path) -> io::Result<()> {
-        symlink(directory, self.path.join(name))
-    }
-
-    /// Exit status of the command, once the machine has ended. Without a status, the error depends on whether the command
-    /// `began`.
-    fn result(&self, began: bool) -> Result<u8, MachineError> {
-        let status = fs::read_to_string(self.path.join("status")).ok();
-        let status = status.and_then(|status| status.trim().parse().ok());
-        status.ok_or(if began {
-            MachineError::Died
-        } else {
-            MachineError::BootFailed
-        })
-    }
 }
 
 /// A machine and its directory. Dropping the value ends the machine and removes the directory.
@@ -232,31 +211,43 @@ pub(crate) struct Machine {
     // Dropped first, since the machine writes to the directory.
     supervisor: Supervisor,
     pub(crate) control: Control,
+    output: Receiver<Vec<u8>>,
     cancellation: Cancellation,
 }
 
 impl Machine {
-    /// Prepares a machine that `command` will start and that writes to `stdout` and `stderr`. From now on the
-    /// directory is removed even if this program is killed.
+    /// Prepares a machine that `command` will start. The machine writes to a pipe and to `errors`; `None` is the same
+    /// pipe. A thread runs `read`, which passes pieces of the output on until its argument returns `false`. From now
+    /// on the directory is removed even if this program is killed.
     pub(crate) fn new(
         control: Control,
         command: impl IntoIterator<Item = OsString>,
-        stdout: impl Into<OwnedFd>,
-        stderr: impl Into<OwnedFd>,
+        errors: Option<File>,
+        read: fn(PipeReader, &mut dyn FnMut(Vec<u8>) -> bool),
         cancellation: &Cancellation,
     ) -> io::Result<Self> {
-        let supervisor = Supervisor::new(&control.path, command, stdout, stderr, cancellation)?;
+        let (reader, writer) = io::pipe()?;
+        let errors = match errors {
+            Some(file) => OwnedFd::from(file),
+            None => writer.try_clone()?.into(),
+        };
+        let supervisor = Supervisor::new(&control.path, command, writer, errors, cancellation)?;
+        let (pieces, output) = sync_channel(OUTPUT_PIECES);
+        let read = move || read(reader, &mut |piece| pieces.send(piece).is_ok());
+        thread::Builder::new()
+            .name("machine output".into())
+            .spawn(read)?;
         Ok(Self {
             supervisor,
             control,
+            output,
             cancellation: cancellation.clone(),
         })
     }
 
-    /// Starts the machine and shows its `output` until the machine ends. After `timeout` the machine is killed.
+    /// Starts the machine and shows its output until the machine ends. After `timeout` the machine is killed.
     pub(crate) fn run(
         &self,
-        output: &Receiver<Vec<u8>>,
         timeout: Duration,
         mut show: impl FnMut(&[u8]),
     ) -> Result<(), MachineError> {
@@ -265,7 +256,7 @@ impl Machine {
             .start()
             .map_err(host("start the test machine"))?;
         loop {
-            match output.recv_timeout(deadline.since(clock::now())) {
+            match self.output.recv_timeout(deadline.since(clock::now())) {
                 Ok(piece) => show(&piece),
                 Err(RecvTimeoutError::Disconnected) => return Ok(()),
                 Err(RecvTimeoutError::Timeout) => break,
@@ -273,7 +264,7 @@ impl Machine {
         }
         self.supervisor.kill();
         // The output just before the end is the best clue to a hang. The output ends with the last process.
-        while let Ok(piece) = output.recv_timeout(GRACE) {
+        while let Ok(piece) = self.output.recv_timeout(GRACE) {
             show(&piece);
         }
         Err(MachineError::TimedOut(timeout))
@@ -282,10 +273,14 @@ impl Machine {
     /// Exit status of the command, once the machine has ended. Without a status, the error depends on whether the command
     /// `began`.
     pub(crate) fn result(&self, began: bool) -> Result<u8, MachineError> {
-        let result = self.control.result(began);
-        result.map_err(|error| match self.cancellation.is_requested() {
-            true => MachineError::Cancelled,
-            false => error,
+        let status = fs::read_to_string(self.control.path.join("status")).ok();
+        let status = status.and_then(|status| status.trim().parse().ok());
+        status.ok_or(if self.cancellation.is_requested() {
+            MachineError::Cancelled
+        } else if began {
+            MachineError::Died
+        } else {
+            MachineError::BootFailed
         })
     }
 }

@@ -1,25 +1,8 @@
-//! Bytes that an emulated device receives and sends.
+//! Bytes that an emulated device sends.
 
 use std::collections::VecDeque;
 
 use can::Instant;
-
-/// Receive counters of a device. Counters only grow.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Heard {
-    /// Requests executed.
-    pub obeyed: u64,
-    /// Requests to other addresses.
-    pub foreign: u64,
-    /// Requests that were valid but unknown, or that the drive does not support.
-    pub refused: u64,
-    /// Frames whose checksum was wrong.
-    pub damaged: u64,
-    /// Bytes that belonged to no request.
-    pub skipped: u64,
-    /// Bytes of answers that found no room in the transmit buffer.
-    pub overrun: u64,
-}
 
 /// Bytes to be sent by a device, each with its earliest time.
 #[derive(Clone, Debug)]
@@ -39,12 +22,11 @@ impl Outbox {
         }
     }
 
-    /// Adds the bytes for which there is room, and returns the number of the others. `at` must not decrease.
-    pub(crate) fn put(&mut self, at: Instant, bytes: &[u8]) -> usize {
-        let fit = bytes.len().min(Self::CAPACITY - self.bytes.len());
+    /// Adds the bytes for which there is room. The others are lost. `at` must not decrease.
+    pub(crate) fn put(&mut self, at: Instant, bytes: &[u8]) {
+        let room = Self::CAPACITY - self.bytes.len();
         self.bytes
-            .extend(bytes[..fit].iter().map(|&byte| (at, byte)));
-        bytes.len() - fit
+            .extend(bytes.iter().take(room).map(|&byte| (at, byte)));
     }
 
     pub(crate) fn poll_transmit(&mut self, now: Instant) -> Option<u8> {

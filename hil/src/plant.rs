@@ -26,7 +26,6 @@ mod wut;
 pub use axis::{AxisConfig, Demand, Feedback, PlantAxis, PlantConfig, Trip};
 pub use friction::FrictionConfig;
 pub use irp6::Irp6Axis;
-pub use lab::Irp6TrackAxis;
 pub use mechanism::{Load, Mechanism, MechanismConfig, Mount};
 pub use motor::{EndStops, Gravity, MotorConfig};
 pub use noise::Noise;

@@ -11,11 +11,9 @@
 
 use std::ffi::OsString;
 use std::fs::{self, File};
-use std::io::{self, Read, Write};
+use std::io::{self, PipeReader, Read, Write};
 use std::os::unix::ffi::{OsStrExt, OsStringExt};
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, sync_channel};
-use std::thread;
 
 use thiserror::Error;
 
@@ -46,8 +44,6 @@ const MODULES: [&str; 17] = [
     "drivers/net/can/sja1000/sja1000",
     "drivers/net/can/sja1000/kvaser_pci",
 ];
-/// Capacity of the queue of output pieces. A full queue stops the machine's writer.
-const OUTPUT_PIECES: usize = 64;
 
 /// Reasons why a test machine did not deliver the exit status of its command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
@@ -128,17 +124,16 @@ impl Kernel {
 /// `stdout`.
 pub fn run(kernel: &Kernel, options: &Options, stdout: &mut dyn Write) -> Result<u8, QemuError> {
     let control = Control::new("qemu", options.output.as_deref())?;
-    let (machine, output) =
-        machine(control, kernel, options).map_err(host("start the test machine"))?;
+    let machine = machine(control, kernel, options).map_err(host("start the test machine"))?;
     let control = &machine.control;
     let initramfs = initramfs(kernel, options, control).map_err(host("read the kernel"))?;
-    fs::write(control.path().join("initramfs"), initramfs)
+    fs::write(control.path.join("initramfs"), initramfs)
         .map_err(host("write the machine's directory"))?;
-    machine.run(&output, options.timeout, |piece| {
+    machine.run(options.timeout, |piece| {
         // The command continues even if its output cannot be written.
         let _ = stdout.write_all(piece).and_then(|()| stdout.flush());
     })?;
-    let result = machine.result(control.path().join("began").exists());
+    let result = machine.result(control.path.join("began").exists());
     if result == Err(MachineError::BootFailed) {
         // The boot error is returned. A failure to write the log is ignored.
         if let Ok(log) = fs::read(boot_log(control)) {
@@ -150,7 +145,7 @@ pub fn run(kernel: &Kernel, options: &Options, stdout: &mut dyn Write) -> Result
 
 /// Messages of the kernel, of `qemu-init.sh` and of QEMU itself.
 fn boot_log(control: &Control) -> PathBuf {
-    control.path().join("boot.log")
+    control.path.join("boot.log")
 }
 
 /// A setting of QEMU that ends with a path. A comma separates settings; a double comma stands for a comma.
@@ -161,12 +156,8 @@ fn setting(before: &str, path: &Path, behind: &str) -> OsString {
     OsString::from_vec(words.concat())
 }
 
-/// The machine, not started yet, and the receiver of its output.
-fn machine(
-    control: Control,
-    kernel: &Kernel,
-    options: &Options,
-) -> io::Result<(Machine, Receiver<Vec<u8>>)> {
+/// The machine, not started yet.
+fn machine(control: Control, kernel: &Kernel, options: &Options) -> io::Result<Machine> {
     let shared = |path, tag, access| {
         let behind = format!(",mount_tag={tag},security_model=none,{access}multidevs=remap");
         setting("local,path=", path, &behind)
@@ -175,7 +166,7 @@ fn machine(
     let words = |words: &str| words.split(' ').map(OsString::from).collect::<Vec<_>>();
     let option = |name: &str, value: OsString| vec![name.into(), value];
     let image = kernel.image.clone().into_os_string();
-    let initramfs = control.path().join("initramfs").into_os_string();
+    let initramfs = control.path.join("initramfs").into_os_string();
     let kernel_command = "console=ttyS0 quiet panic=-1 mitigations=off";
     let command = [
         vec![QEMU.into()],
@@ -189,22 +180,16 @@ fn machine(
         words("-serial chardev:log -chardev stdio,id=output,signal=off"),
         words("-device virtio-serial-pci -device virtconsole,chardev=output"),
         option("-virtfs", shared(Path::new("/"), "host", "readonly=on,")),
-        option("-virtfs", shared(control.output(), "output", "")),
-        option("-virtfs", shared(control.path(), "control", "")),
+        option("-virtfs", shared(&control.output, "output", "")),
+        option("-virtfs", shared(&control.path, "control", "")),
     ]
     .concat();
-    let (console, output) = io::pipe()?;
     let log = File::options().create(true).append(true).open(&log)?;
-    let machine = Machine::new(control, command, output, log, &options.cancellation)?;
-    let (pieces, received) = sync_channel(OUTPUT_PIECES);
-    let read = move || read_pieces(console, |piece| pieces.send(piece).is_ok());
-    thread::Builder::new()
-        .name("qemu output".into())
-        .spawn(read)?;
-    Ok((machine, received))
+    let cancellation = &options.cancellation;
+    Machine::new(control, command, Some(log), read_pieces, cancellation)
 }
 
-fn read_pieces(mut output: impl Read, mut take: impl FnMut(Vec<u8>) -> bool) {
+fn read_pieces(mut output: PipeReader, take: &mut dyn FnMut(Vec<u8>) -> bool) {
     let mut piece = [0; 4096];
     while let Ok(count @ 1..) = output.read(&mut piece) {
         if !take(piece[..count].to_vec()) {
@@ -219,8 +204,8 @@ fn initramfs(kernel: &Kernel, options: &Options, control: &Control) -> io::Resul
     archive.add("init", 0o755, INIT.as_bytes());
     archive.add("busybox", 0o755, &fs::read(BUSYBOX)?);
     archive.add("settings", 0o644, &settings(control));
-    archive.add("mounts", 0o644, &mount_script(options, control.output()));
-    archive.add("command", 0o644, &command_script(options, control.output()));
+    archive.add("mounts", 0o644, &mount_script(options, &control.output));
+    archive.add("command", 0o644, &command_script(options, &control.output));
     for (number, module) in MODULES.iter().enumerate() {
         let name = format!("{number:02}.ko");
         archive.add(&name, 0o644, &fs::read(kernel.module(module))?);
@@ -229,7 +214,7 @@ fn initramfs(kernel: &Kernel, options: &Options, control: &Control) -> io::Resul
 }
 
 fn settings(control: &Control) -> Vec<u8> {
-    let control = quoted(control.path().as_os_str());
+    let control = quoted(control.path.as_os_str());
     [b"control=", &*control, b"\n"].concat()
 }
 

@@ -19,7 +19,7 @@
 use std::collections::VecDeque;
 
 use can::slcan::{AdapterReport, BusErrors, Command, Piece, Splitter, StatusFlags};
-use can::timing::{Bitrate, Format};
+use can::timing::Bitrate;
 use can::{ControllerState, Frame, Id, Instant};
 
 use crate::Device;
@@ -34,37 +34,6 @@ const TO_POLL: usize = 64;
 const TO_HOST: usize = 4096;
 /// Part of [`TO_HOST`] that is reserved for the answers to commands.
 const FOR_ANSWERS: usize = 256;
-
-/// Configuration of one adapter.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SlcanConfig {
-    /// The bit rate of the connected bus.
-    pub bus: Bitrate,
-    /// Acknowledgement of a frame from the host.
-    pub acknowledge: Acknowledge,
-    /// Serial number, of letters and digits.
-    pub serial_number: [u8; 4],
-}
-
-impl SlcanConfig {
-    /// An adapter that acknowledges with an empty line.
-    pub fn new(bus: Bitrate) -> Self {
-        Self {
-            bus,
-            acknowledge: Acknowledge::Line,
-            serial_number: *b"HIL1",
-        }
-    }
-}
-
-/// Answer of an adapter to an accepted frame from the host.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Acknowledge {
-    /// An empty line.
-    Line,
-    /// `z` or `Z` by the frame's format while received frames are reported automatically, otherwise an empty line.
-    Letter,
-}
 
 /// Counters of an adapter. Counters only grow.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -85,7 +54,8 @@ pub struct SlcanCounts {
 
 /// An emulated adapter.
 pub struct SlcanDevice {
-    config: SlcanConfig,
+    /// The bit rate of the connected bus.
+    bus: Bitrate,
     from_host: VecDeque<u8>,
     splitter: Splitter,
     channel: Channel,
@@ -121,10 +91,10 @@ struct Acceptance {
 }
 
 impl SlcanDevice {
-    /// An adapter with a closed channel.
-    pub fn new(config: SlcanConfig) -> Self {
+    /// An adapter with a closed channel on a bus of this bit rate.
+    pub fn new(bus: Bitrate) -> Self {
         Self {
-            config,
+            bus,
             from_host: VecDeque::with_capacity(FROM_HOST),
             splitter: Splitter::default(),
             channel: Channel::Closed,
@@ -244,11 +214,10 @@ impl SlcanDevice {
         match command {
             Command::Empty | Command::LineSpeed(_) => {}
             Command::Bitrate(bitrate) if closed => {
-                self.in_tune = Some(bitrate == self.config.bus);
+                self.in_tune = Some(bitrate == self.bus);
             }
             Command::BitTiming { btr0, btr1 } if closed => {
-                self.in_tune =
-                    Some(nanos_per_bit(btr0, btr1) == 1_000_000 / self.config.bus.kbps());
+                self.in_tune = Some(nanos_per_bit(btr0, btr1) == 1_000_000 / self.bus.kbps());
             }
             Command::TimeStamps(on) if closed => self.time_stamps = on,
             Command::AutoPoll(on) if closed => self.auto_poll = on,
@@ -272,7 +241,7 @@ impl SlcanDevice {
                 };
             }
             Command::Firmware => return AdapterReport::Firmware { major: 1, minor: 0 },
-            Command::SerialNumber => return AdapterReport::SerialNumber(self.config.serial_number),
+            Command::SerialNumber => return AdapterReport::SerialNumber(*b"HIL1"),
             Command::Flags => return AdapterReport::Flags(std::mem::take(&mut self.flags)),
             Command::Poll | Command::PollAll if closed || self.auto_poll => {
                 return AdapterReport::Refused;
@@ -320,15 +289,7 @@ impl SlcanDevice {
             Channel::Open => self.to_bus.push_back(frame),
         }
         self.counts.sent += 1;
-        match (self.config.acknowledge, frame.id()) {
-            (Acknowledge::Letter, Some(id)) if self.auto_poll => {
-                AdapterReport::Transmitted(match id {
-                    Id::Standard(_) => Format::Standard,
-                    Id::Extended(_) => Format::Extended,
-                })
-            }
-            _ => AdapterReport::Done,
-        }
+        AdapterReport::Done
     }
 
     /// Reports a frame to the host, or queues the frame for polling.

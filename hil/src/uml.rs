@@ -17,10 +17,8 @@ use std::ffi::OsString;
 use std::fs;
 use std::io::{self, BufRead, BufReader, PipeReader, Write};
 use std::os::unix::ffi::OsStrExt;
-use std::os::unix::fs::PermissionsExt;
+use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::Path;
-use std::sync::mpsc::{Receiver, sync_channel};
-use std::thread;
 
 use thiserror::Error;
 
@@ -31,8 +29,6 @@ use crate::machine::{Control, Machine, command_script, host, quoted};
 const KERNEL: &str = "/usr/bin/linux.uml";
 const MODULES: &str = "/usr/lib/uml/modules";
 const INIT: &str = include_str!("uml-init.sh");
-/// Capacity of the queue of lines from the console. A full queue stops the machine's writer.
-const CONSOLE_LINES: usize = 256;
 /// Maximum size of the stored boot messages, which are shown if the boot fails.
 const BOOT_LOG_BYTES: usize = 64 << 10;
 
@@ -75,15 +71,15 @@ fn installed_in(kernel: &Path, modules: &Path) -> Result<(), UmlError> {
 pub fn run(options: &Options, stdout: &mut dyn Write) -> Result<u8, UmlError> {
     installed()?;
     let control = Control::new("uml", options.output.as_deref())?;
-    let (machine, console) = machine(control, options).map_err(host("start the test machine"))?;
+    let machine = machine(control, options).map_err(host("start the test machine"))?;
     write(&machine.control, options).map_err(host("write the machine's directory"))?;
     let mut screen = Screen::new(mark(&machine.control));
-    machine.run(&console, options.timeout, |line| screen.show(line, stdout))?;
+    machine.run(options.timeout, |line| screen.show(line, stdout))?;
     let result = machine.result(screen.part != Part::Boot);
     if result == Err(MachineError::BootFailed) {
         // The boot error is returned. A failure to write the log is ignored.
         let _ = stdout.write_all(&screen.boot_log);
-        if let Ok(step) = fs::read_to_string(machine.control.path().join("failed")) {
+        if let Ok(step) = fs::read_to_string(machine.control.path.join("failed")) {
             let _ = writeln!(stdout, "the boot failed at: {}", step.trim_end());
         }
     }
@@ -92,16 +88,16 @@ pub fn run(options: &Options, stdout: &mut dyn Write) -> Result<u8, UmlError> {
 
 /// Writes the files that the machine's first process reads.
 fn write(control: &Control, options: &Options) -> io::Result<()> {
-    let file = |name| control.path().join(name);
+    let file = |name| control.path.join(name);
     fs::write(file("init"), INIT)?;
     fs::set_permissions(file("init"), fs::Permissions::from_mode(0o755))?;
     fs::write(file("mounts"), mount_script(control, options)?)?;
-    fs::write(file("command"), command_script(options, control.output()))
+    fs::write(file("command"), command_script(options, &control.output))
 }
 
 /// The line before and behind the command's output. The mark differs from run to run.
 fn mark(control: &Control) -> Vec<u8> {
-    let name = control.path().file_name().expect("made with a name");
+    let name = control.path.file_name().expect("made with a name");
     [name.as_bytes(), b"\n"].concat()
 }
 
@@ -111,8 +107,8 @@ fn mark(control: &Control) -> Vec<u8> {
 fn mount_script(control: &Control, options: &Options) -> io::Result<Vec<u8>> {
     let mut script = Vec::new();
     let mut mount = |name: &str, place: &Path, access: &str| {
-        control.link(name, place)?;
-        let link = control.path().join(name);
+        let link = control.path.join(name);
+        symlink(place, &link)?;
         let place = quoted(place.as_os_str());
         write!(script, "mkdir -p ")?;
         script.write_all(&place)?;
@@ -127,14 +123,13 @@ fn mount_script(control: &Control, options: &Options) -> io::Result<Vec<u8>> {
     for (number, place) in options.hidden().iter().enumerate() {
         mount(&format!("visible-{number}"), place, "ro")?;
     }
-    mount("writable", control.output(), "rw")?;
+    mount("writable", &control.output, "rw")?;
     Ok(script)
 }
 
-/// The machine, not started yet, and the receiver of its console lines.
-fn machine(control: Control, options: &Options) -> io::Result<(Machine, Receiver<Vec<u8>>)> {
-    let (console, output) = io::pipe()?;
-    let directory = control.path().display();
+/// The machine, not started yet.
+fn machine(control: Control, options: &Options) -> io::Result<Machine> {
+    let directory = control.path.display();
     let command = [
         KERNEL,
         "root=/dev/root",
@@ -149,17 +144,10 @@ fn machine(control: Control, options: &Options) -> io::Result<(Machine, Receiver
         &format!("init={directory}/init"),
     ]
     .map(OsString::from);
-    let both = output.try_clone()?;
-    let machine = Machine::new(control, command, output, both, &options.cancellation)?;
-    let (lines, received) = sync_channel(CONSOLE_LINES);
-    let read = move || read_lines(console, |line| lines.send(line).is_ok());
-    thread::Builder::new()
-        .name("uml console".into())
-        .spawn(read)?;
-    Ok((machine, received))
+    Machine::new(control, command, None, read_lines, &options.cancellation)
 }
 
-fn read_lines(console: PipeReader, mut take: impl FnMut(Vec<u8>) -> bool) {
+fn read_lines(console: PipeReader, take: &mut dyn FnMut(Vec<u8>) -> bool) {
     let mut console = BufReader::new(console);
     loop {
         let mut line = Vec::new();
@@ -230,7 +218,7 @@ mod tests {
             let script = String::from_utf8(mount_script(&control, &options).unwrap()).unwrap();
             let mut lines = script.lines();
             let mut mounted = |name: &str, place: &Path, access: &str| {
-                let link = control.path().join(name);
+                let link = control.path.join(name);
                 assert_eq!(fs::read_link(&link).unwrap(), place);
                 let (link, place) = (link.display(), place.display());
                 let expected = format!(
@@ -241,7 +229,7 @@ mod tests {
             for (number, place) in hidden.iter().enumerate() {
                 mounted(&format!("visible-{number}"), Path::new(place), "ro");
             }
-            mounted("writable", control.output(), "rw");
+            mounted("writable", &control.output, "rw");
             assert_eq!(lines.next(), None);
         };
         check("/", "/tmpfs", "sh", &[]);

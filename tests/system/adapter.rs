@@ -13,7 +13,7 @@ use std::time::Duration;
 use can::timing::Bitrate;
 use can::{Frame, Instant, clock};
 use hil::pty::{self, Interest};
-use hil::{Device, Pty, SlcanConfig, SlcanDevice};
+use hil::{Device, Pty, SlcanDevice};
 
 pub(crate) struct Adapter {
     pub(crate) pty: Pty,
@@ -25,7 +25,7 @@ impl Adapter {
     pub(crate) fn new(behind: Option<Box<dyn Device>>) -> Self {
         Self {
             pty: Pty::open().unwrap(),
-            device: SlcanDevice::new(SlcanConfig::new(Bitrate::KBPS_1000)),
+            device: SlcanDevice::new(Bitrate::KBPS_1000),
             behind,
         }
     }

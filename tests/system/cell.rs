@@ -19,8 +19,8 @@ use drive::cia402::Cia402Group;
 use drive::{DriveGroup, Scale};
 use hil::plant::Switch;
 use hil::{
-    AxisControllerConfig, Cabinet, Device, DeviceId, Epos4, Epos4Config, HiMoxaAxisController,
-    Irp6Axis, LineDevice, LineFaults, LineId, Mechanism, Nfv2AxisController, World,
+    AxisController, AxisControllerConfig, Cabinet, Device, DeviceId, Epos4, Epos4Config, Irp6Axis,
+    LineDevice, LineFaults, LineId, Mechanism, World,
 };
 use servo::{EffectorConfig, EffectorLink, Order, Phase, Record, Servo, ServoConfig, ServoFault};
 
@@ -180,8 +180,8 @@ impl Setup {
             ..AxisControllerConfig::new(plant)
         };
         match self.cell.serial[0].protocol {
-            Protocol::Nfv2 => Box::new(Nfv2AxisController::new(self.axis(number).node, config)),
-            Protocol::HiMoxa => Box::new(HiMoxaAxisController::new(config)),
+            Protocol::Nfv2 => Box::new(AxisController::nfv2(self.axis(number).node, &config)),
+            Protocol::HiMoxa => Box::new(AxisController::hi_moxa(&config)),
         }
     }
 
@@ -408,10 +408,7 @@ impl Rig {
                 let socket: Option<&Socket> = world.device(id);
                 socket.map(|socket| socket.drive.axis())
             }
-            DriveId::Line(id) => match self.cell.serial[0].protocol {
-                Protocol::Nfv2 => world.line_device(id).map(Nfv2AxisController::axis),
-                Protocol::HiMoxa => world.line_device(id).map(HiMoxaAxisController::axis),
-            },
+            DriveId::Line(id) => world.line_device(id).map(AxisController::axis),
         }
         .expect("a drive")
         .angle()

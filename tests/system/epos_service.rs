@@ -7,8 +7,8 @@ use can::Instant;
 use canopen::NodeId;
 use hil::epos4::Epos4Config;
 use hil::{
-    AxisConfig, Epos2Serial, Epos4Serial, EposSerialConfig, Irp6Axis, LineDevice, LineFaults,
-    LineId, Pty, WireFaults, World,
+    AxisConfig, EposSerial, EposSerialConfig, Irp6Axis, LineDevice, LineFaults, LineId, Pty,
+    WireFaults, World,
 };
 use serial::epos4::Address;
 use serial::service::{Client, Config, Dialect, Reply, ServiceError, StartError, TIME_OUT};
@@ -50,8 +50,8 @@ impl Stage {
         let mut config = EposSerialConfig::new(Epos4Config::new(node, axis));
         config.segment = 3;
         let device: Box<dyn LineDevice> = match dialect {
-            Dialect::Epos2 => Box::new(Epos2Serial::new(config)),
-            Dialect::Epos4 => Box::new(Epos4Serial::new(config)),
+            Dialect::Epos2 => Box::new(EposSerial::epos2(config)),
+            Dialect::Epos4 => Box::new(EposSerial::epos4(config)),
         };
         let mut world = World::new();
         let line = world.add_line(Settings::EPOS, None, device);

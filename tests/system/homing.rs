@@ -2,8 +2,8 @@
 
 use std::f64::consts::TAU;
 
+use hil::AxisConfig;
 use hil::plant::Switch;
-use hil::{AxisConfig, Irp6TrackAxis};
 
 use crate::cell::Setup;
 
@@ -84,9 +84,7 @@ type Preset = fn(usize) -> Option<AxisConfig>;
 /// The robots of the laboratory with axes that are homed by a switch, the number of these axes, and their plants.
 const ROBOTS: [(&str, usize, Preset); 5] = [
     ("irb6", 5, |_| None),
-    ("irp6-track", 7, |axis| {
-        Some(AxisConfig::irp6_track(Irp6TrackAxis::ALL[axis]))
-    }),
+    ("irp6-track", 7, AxisConfig::irp6_track),
     ("rnt", 6, AxisConfig::rnt),
     ("polycrank", 7, AxisConfig::polycrank),
     ("gripper", 1, |_| Some(AxisConfig::gripper())),

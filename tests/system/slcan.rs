@@ -11,7 +11,7 @@ use can::{Instant, clock};
 use canopen::NodeId;
 use hil::epos4::{Epos4, Epos4Config};
 use hil::pty::{self, Interest, Pty};
-use hil::{AxisConfig, DeviceId, Irp6Axis, SlcanConfig, SlcanCounts, SlcanDevice, World};
+use hil::{AxisConfig, DeviceId, Irp6Axis, SlcanCounts, SlcanDevice, World};
 
 use crate::mrroc::{self, Directory, Output, Running, mrroc};
 
@@ -78,7 +78,7 @@ fn serve(mut ptys: Vec<Pty>, nodes: &[u8], unplugged: &AtomicBool) -> Vec<SlcanC
         };
         world.add_device(bus, Box::new(Epos4::new(config)));
     }
-    let adapter = || Box::new(SlcanDevice::new(SlcanConfig::new(Bitrate::KBPS_1000)));
+    let adapter = || Box::new(SlcanDevice::new(Bitrate::KBPS_1000));
     let adapters: Vec<_> = ptys
         .iter()
         .map(|_| world.add_device(bus, adapter()))

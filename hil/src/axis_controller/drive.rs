@@ -63,12 +63,11 @@ pub(super) struct Sample {
 }
 
 pub(super) struct Drive {
-    axis: PlantAxis,
+    pub(super) axis: PlantAxis,
     feedback: Feedback,
     /// Time up to which the axis has been simulated.
     inner: Instant,
     supply: f64,
-    supplied: bool,
     mode: Mode,
     /// Set-point of the current mode: pulse width, or mA.
     set_point: f64,
@@ -77,8 +76,6 @@ pub(super) struct Drive {
     offset: i32,
     synchronized: bool,
     faults: Faults,
-    watchdog: Option<Duration>,
-    commanded_at: Instant,
     cabinet: Cabinet,
 }
 
@@ -92,23 +89,16 @@ impl Drive {
             axis,
             inner: config.power_on,
             supply: config.supply,
-            supplied: true,
             mode: Mode::Manual,
             set_point: 0.0,
             search: Search::Off,
             offset: config.counter,
             synchronized: config.synchronized,
             faults: Faults::default(),
-            watchdog: config.watchdog,
-            commanded_at: config.power_on,
             cabinet: config.cabinet.clone(),
         };
         drive.set_current_gains(Gains::POWER_ON);
         drive
-    }
-
-    pub(super) fn axis(&self) -> &PlantAxis {
-        &self.axis
     }
 
     /// Advances the axis to the last sub-step before `now`.
@@ -149,14 +139,11 @@ impl Drive {
         if self.faults != Faults::default() {
             return Demand::Off;
         }
-        let overdue = self
-            .watchdog
-            .is_some_and(|within| self.inner.since(self.commanded_at) >= within);
         let into_switch = self.set_point > 0.0 && self.feedback.positive_limit
             || self.set_point < 0.0 && self.feedback.negative_limit;
         match self.mode {
             Mode::Manual | Mode::Error => Demand::Off,
-            Mode::Pwm | Mode::Current if overdue || into_switch => Demand::Duty(0.0),
+            Mode::Pwm | Mode::Current if into_switch => Demand::Duty(0.0),
             Mode::Pwm => Demand::Duty(self.set_point / FULL),
             Mode::Current => Demand::Current(self.set_point * 1e-3),
         }
@@ -168,10 +155,7 @@ impl Drive {
             return;
         }
         if mode == Mode::Manual {
-            self.faults = Faults {
-                over_current: false,
-                power_stage: !self.supplied,
-            };
+            self.faults = Faults::default();
         }
         if mode != self.mode {
             match (self.mode, mode) {
@@ -181,12 +165,11 @@ impl Drive {
             }
             self.mode = mode;
             self.set_point = 0.0;
-            self.commanded_at = self.inner;
         }
     }
 
     /// Sets a pulse width or a current, mA, for the mode that follows it.
-    pub(super) fn set_point(&mut self, mode: Mode, value: i16, now: Instant) {
+    pub(super) fn set_point(&mut self, mode: Mode, value: i16) {
         if mode == self.mode {
             let value = f64::from(value);
             self.set_point = match mode {
@@ -194,7 +177,6 @@ impl Drive {
                 Mode::Current => value,
                 Mode::Manual | Mode::Error => 0.0,
             };
-            self.commanded_at = now;
         }
     }
 
@@ -226,12 +208,6 @@ impl Drive {
         // The integral of the axis's loop lags by one sub-step. Adding the integral gain to the proportional gain
         // compensates.
         self.axis.set_current_gains(p + i, i);
-    }
-
-    /// Switches the supply of the power stage.
-    pub(super) fn set_supply(&mut self, on: bool) {
-        self.supplied = on;
-        self.faults.power_stage |= !on;
     }
 
     pub(super) fn sample(&self) -> Sample {

@@ -1,95 +1,54 @@
-//! Emulated axis controller with NFv2 telegrams.
+//! NFv2 telegrams of an emulated axis controller.
 
 use can::Instant;
 use serial::nfv2::{
     Answer, BROADCAST, Command, Frame, FrameBuilder, LONGEST, Malformed, START, Status,
 };
 
+use super::GAP;
 use super::drive::{Drive, Mode, Sample};
-use super::unit::Unit;
-use super::{AxisControllerConfig, GAP};
-use crate::outbox::Heard;
-use crate::{LineDevice, PlantAxis};
 
-/// A serial axis controller with NFv2 telegrams.
-///
-/// A frame is executed whole or not at all, in the order of its commands. A frame that contains a read is answered. A
-/// broadcast frame is executed and not answered. After bytes that form no valid frame, reception resumes at the next
-/// `#` that begins a frame.
-pub struct Nfv2AxisController {
+/// The telegrams of one controller.
+pub(super) struct Nfv2 {
     address: u8,
-    unit: Unit,
     stream: Stream,
 }
 
-impl Nfv2AxisController {
-    /// A controller after power-on, in manual mode.
-    pub fn new(address: u8, config: AxisControllerConfig) -> Self {
-        Self {
-            address,
-            unit: Unit::new(config),
-            stream: Stream::new(),
-        }
+impl Nfv2 {
+    pub(super) fn new(address: u8) -> Self {
+        let stream = Stream {
+            bytes: [0; LONGEST],
+            count: 0,
+            used: 0,
+            last: Instant::ZERO,
+        };
+        Self { address, stream }
     }
 
-    /// The simulated axis, including state that no drive can measure.
-    pub fn axis(&self) -> &PlantAxis {
-        self.unit.drive.axis()
-    }
-
-    /// Receive counters.
-    pub fn heard(&self) -> Heard {
-        let stream = &self.stream;
-        Heard {
-            damaged: stream.damaged,
-            skipped: stream.skipped,
-            ..self.unit.heard
-        }
-    }
-
-    /// Switches the supply of the power stage, as a mains switch of its own would.
-    pub fn set_supply(&mut self, on: bool) {
-        self.unit.drive.set_supply(on);
-    }
-}
-
-impl LineDevice for Nfv2AxisController {
-    fn receive(&mut self, byte: u8, now: Instant) {
-        self.unit.outbox.run(now);
+    /// Takes a byte. Executes the frame that ends with the byte, and passes the answer on.
+    pub(super) fn receive(
+        &mut self,
+        byte: u8,
+        now: Instant,
+        drive: &mut Drive,
+        mut send: impl FnMut(&[u8]),
+    ) {
         self.stream.push(byte, now);
         while let Some(frame) = self.stream.next() {
-            if frame.address != self.address && frame.address != BROADCAST {
-                self.unit.heard.foreign += 1;
+            let own = frame.address == self.address;
+            let concerned = own || frame.address == BROADCAST;
+            if !concerned || !frame.commands().all(|command| command.is_ok_and(possible)) {
                 continue;
             }
-            if !frame.commands().all(|command| command.is_ok_and(possible)) {
-                self.unit.heard.refused += 1;
-                continue;
-            }
-            self.unit.heard.obeyed += 1;
-            self.unit.drive.catch_up(now);
+            drive.catch_up(now);
             let mut answer = FrameBuilder::new(self.address);
             for command in frame.commands().filter_map(Result::<_, Malformed>::ok) {
-                answer = obey(&mut self.unit.drive, command, answer, now);
+                answer = obey(drive, command, answer);
             }
-            if frame.address == self.address
-                && let Some(bytes) = answer.finish()
-            {
-                self.unit.answer(bytes, now);
+            if own && let Some(bytes) = answer.finish() {
+                send(bytes);
             }
         }
-    }
-
-    fn poll_transmit(&mut self, now: Instant) -> Option<u8> {
-        self.unit.outbox.poll_transmit(now)
-    }
-
-    fn poll_timeout(&self) -> Option<Instant> {
-        self.unit.poll_timeout()
-    }
-
-    fn handle_timeout(&mut self, now: Instant) {
-        self.unit.handle_timeout(now);
     }
 }
 
@@ -104,7 +63,7 @@ fn possible(command: Command) -> bool {
     )
 }
 
-fn obey(drive: &mut Drive, command: Command, answer: FrameBuilder, now: Instant) -> FrameBuilder {
+fn obey(drive: &mut Drive, command: Command, answer: FrameBuilder) -> FrameBuilder {
     use serial::nfv2::Mode as M;
     match command {
         Command::SetMode(mode) => {
@@ -117,8 +76,8 @@ fn obey(drive: &mut Drive, command: Command, answer: FrameBuilder, now: Instant)
             }
             drive.search_index(matches!(mode, M::SyncPwm | M::SyncCurrent));
         }
-        Command::SetPwm(value) => drive.set_point(Mode::Pwm, value, now),
-        Command::SetCurrent(value) => drive.set_point(Mode::Current, value, now),
+        Command::SetPwm(value) => drive.set_point(Mode::Pwm, value),
+        Command::SetCurrent(value) => drive.set_point(Mode::Current, value),
         Command::SetSpeed(_) | Command::SetPosition(_) => {}
         Command::SetMaxCurrent(current) => drive.set_max_current(current),
         Command::SetMisc(bits) => {
@@ -159,26 +118,12 @@ struct Stream {
     /// Bytes of the last returned frame, which are still at the front of the buffer.
     used: usize,
     last: Instant,
-    damaged: u64,
-    skipped: u64,
 }
 
 impl Stream {
-    fn new() -> Self {
-        Self {
-            bytes: [0; LONGEST],
-            count: 0,
-            used: 0,
-            last: Instant::ZERO,
-            damaged: 0,
-            skipped: 0,
-        }
-    }
-
     /// Takes a byte. The buffer has room after [`Stream::next`] has returned `None`.
     fn push(&mut self, byte: u8, now: Instant) {
         if self.count > 0 && now.since(self.last) > GAP {
-            self.skipped += self.count as u64;
             self.count = 0;
         }
         self.last = now;
@@ -200,9 +145,7 @@ impl Stream {
         loop {
             let bytes = &self.bytes[..self.count];
             let start = bytes.iter().position(|&byte| byte == START);
-            let before = start.unwrap_or(self.count);
-            self.skipped += before as u64;
-            self.remove(before);
+            self.remove(start.unwrap_or(self.count));
             if self.count < 3 {
                 return None;
             }
@@ -211,11 +154,8 @@ impl Stream {
                 Some(length) if Frame::parse(&self.bytes[..length]).is_some() => {
                     return Some(length);
                 }
-                Some(_) => self.damaged += 1,
-                None => {}
+                _ => self.remove(1),
             }
-            self.skipped += 1;
-            self.remove(1);
         }
     }
 

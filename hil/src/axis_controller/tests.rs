@@ -10,7 +10,7 @@ use can::Instant;
 use serial::nfv2::{Answer, Command, Frame, FrameBuilder, Mode, Status};
 use serial::{Line, Settings, VirtualLine, hi_moxa};
 
-use super::{AxisControllerConfig, Cabinet, GAP, HiMoxaAxisController, Nfv2AxisController};
+use super::{AxisController, AxisControllerConfig, Cabinet, GAP};
 use crate::{AxisConfig, Irp6Axis, LineDevice, LineId, World};
 
 const PERIOD: Duration = Duration::from_millis(2);
@@ -42,11 +42,11 @@ impl Rig {
     }
 
     fn nfv2(config: AxisControllerConfig) -> Self {
-        Self::new(Box::new(Nfv2AxisController::new(ADDRESS, config)))
+        Self::new(Box::new(AxisController::nfv2(ADDRESS, &config)))
     }
 
     fn hi_moxa(config: AxisControllerConfig) -> Self {
-        Self::new(Box::new(HiMoxaAxisController::new(config)))
+        Self::new(Box::new(AxisController::hi_moxa(&config)))
     }
 
     /// Writes now, and returns the bytes received one period later.
@@ -87,7 +87,7 @@ impl Rig {
         hi_moxa::Answer::decode(answer.try_into().expect("one answer"))
     }
 
-    fn device(&self) -> &Nfv2AxisController {
+    fn device(&self) -> &AxisController {
         self.world.line_device(self.line).expect("it is one")
     }
 }

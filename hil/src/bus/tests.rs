@@ -2,6 +2,7 @@
 
 use super::*;
 use can::{ExtendedId, Port, StandardId, VirtualPort, virtual_port};
+use std::time::Duration;
 
 fn standard(id: u16, data: &[u8]) -> Frame {
     Frame::new(StandardId::new(id).unwrap(), data).unwrap()
@@ -81,11 +82,6 @@ fn frames_end_after_exactly_their_bits_and_follow_each_other_without_a_gap() {
     // No node receives its own frames.
     assert_eq!(heard(&mut ports[0]), expected[1..]);
     assert_eq!(heard(&mut ports[1]), expected[..1]);
-    let statistics = bus.statistics();
-    assert_eq!(statistics.frames, 2);
-    assert_eq!(statistics.busy, Duration::from_micros(123 + 51));
-    assert_eq!(statistics.max_latency, Duration::from_micros(171 - 50));
-    assert!((statistics.load() - 0.174).abs() < 1e-12);
 }
 
 #[test]
@@ -220,5 +216,5 @@ fn a_device_that_is_never_content_does_not_stop_time() {
     let mut bus = VirtualBus::new(Bitrate::KBPS_1000);
     bus.attach_device(Box::new(Restless));
     bus.advance(at(1000));
-    assert_eq!(bus.statistics().elapsed, Duration::from_millis(1));
+    assert!(bus.next_event() > Some(at(1000)));
 }

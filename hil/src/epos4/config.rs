@@ -26,10 +26,6 @@ pub struct Epos4Config {
     pub boot_delay: Duration,
     /// Delay from an SDO request to its answer.
     pub answer_delay: Duration,
-    /// Bits 10 and 12 in the cyclic modes.
-    pub cyclic_status: CyclicStatus,
-    /// Reaction to missing SYNCs.
-    pub sync_loss: SyncLoss,
     /// Object 0x3000:05, quadrature counts per revolution. `None`: the counts of the axis's encoder.
     pub main_sensor_resolution: Option<u32>,
     /// Object 0x6076, N·m, from which the nominal current (0x3001:01) is calculated. `None`: the torque at the
@@ -57,8 +53,6 @@ impl Epos4Config {
             power_on: Instant::ZERO,
             boot_delay: Duration::from_millis(50),
             answer_delay: Duration::from_micros(300),
-            cyclic_status: CyclicStatus::FollowsCommand,
-            sync_loss: SyncLoss::Hold,
             main_sensor_resolution: None,
             rated_torque: None,
             vendor_bits: 0,
@@ -67,27 +61,4 @@ impl Epos4Config {
             mount: None,
         }
     }
-}
-
-/// Bits 10 and 12 of the statusword in CSP, CSV and CST. EPOS4's documents do not define them.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum CyclicStatus {
-    /// Bit 12 is set while set-points are followed (CiA 402-2 §17.3, §18.4, §19.4).
-    #[default]
-    FollowsCommand,
-    /// Neither bit 10 nor bit 12 is set.
-    Silent,
-}
-
-/// Reaction of a drive that follows cyclic set-points to missing SYNCs.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum SyncLoss {
-    /// The position stays at the last set-point. Velocity and torque continue.
-    #[default]
-    Hold,
-    /// Error 0x8250 after this many interpolation periods (0x60C2) without SYNC.
-    Fault {
-        /// Number of periods, at least 1.
-        periods: u32,
-    },
 }

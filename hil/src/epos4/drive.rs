@@ -10,26 +10,24 @@
 //! * After braking in a velocity or torque mode, the axis holds its position.
 //! * Software limits and set-point checks apply only to a referenced axis.
 //! * Cyclic modes ignore halt.
-//! * [`CyclicStatus`] chooses bits 10 and 12 in the cyclic modes.
 
 mod modes;
 mod slots;
 mod standstill;
 mod status;
 
-pub(super) use modes::interpolation_period;
 pub(super) use slots::ABORT_CONNECTION_OPTION;
 
 use canopen::cia402::{Controlword, ModeOfOperation, PowerCommand, PowerState};
 
-use super::CyclicStatus;
+use super::Epos4Config;
 use super::errors::{self, Error, Reaction};
 use super::homing::Search;
 use super::objects::Objects;
 use super::power::{Brake, Options, Transition, on_command, on_fault};
 use super::profile::Motion;
 use crate::plant::SUB_STEP;
-use crate::{AxisConfig, Demand, Feedback, Mount, PlantAxis, Trip};
+use crate::{Demand, Feedback, PlantAxis, Trip};
 use slots::*;
 use standstill::Standstill;
 
@@ -39,9 +37,8 @@ pub(super) const CHUNK: u32 = 10;
 /// The drive.
 #[derive(Clone, Debug)]
 pub(super) struct Drive {
-    axis: PlantAxis,
+    pub(super) axis: PlantAxis,
     counts_per_turn: f64,
-    cyclic_status: CyclicStatus,
     /// Bits set in every statusword.
     vendor_bits: u16,
     feedback: Feedback,
@@ -88,20 +85,13 @@ enum Homing {
 }
 
 impl Drive {
-    pub(super) fn new(
-        config: &AxisConfig,
-        mount: Option<&Mount>,
-        seed: u64,
-        cyclic_status: CyclicStatus,
-        vendor_bits: u16,
-    ) -> Self {
-        let axis = PlantAxis::mounted(config, seed, mount);
+    pub(super) fn new(config: &Epos4Config) -> Self {
+        let axis = PlantAxis::mounted(&config.axis, config.seed, config.mount.as_ref());
         Self {
             feedback: axis.feedback(),
             axis,
-            counts_per_turn: f64::from(config.counts_per_revolution),
-            cyclic_status,
-            vendor_bits,
+            counts_per_turn: f64::from(config.axis.counts_per_revolution),
+            vendor_bits: config.vendor_bits,
             offset: 0,
             referenced: false,
             power: PowerState::NotReadyToSwitchOn,
@@ -117,10 +107,6 @@ impl Drive {
             in_window: None,
             average_current: 0.0,
         }
-    }
-
-    pub(super) fn axis(&self) -> &PlantAxis {
-        &self.axis
     }
 
     /// The device restarts: no power, no reference, and the counter begins at zero.
@@ -309,7 +295,7 @@ impl Drive {
         if self.beyond_limits(target, objects) {
             return Some(errors::SOFTWARE_LIMIT);
         }
-        self.segment = (target, interpolation_period(objects));
+        self.segment = (target, modes::interpolation_period(objects));
         None
     }
 

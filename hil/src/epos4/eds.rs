@@ -10,151 +10,73 @@ use canopen::objects as named;
 use super::conformity::STATEMENTS;
 use super::objects::DUMMIES;
 use super::table::{self, Kind, TABLE};
-use super::{Epos4Config, identity};
+use super::{Epos4, Epos4Config, identity};
 
-/// Object types and names of the objects that are not single variables or that have no name in [`named::TABLE`]. The
-/// name of the object comes first, then the names of its sub-indices from 1.
-const NAMES: &[(u16, ObjectType, &str, &[&str])] = &[
-    (0x1003, ObjectType::Array, "Error history", &[]),
-    (
-        0x1010,
-        ObjectType::Array,
-        "Store parameters",
-        &["Save all parameters"],
-    ),
-    (
-        0x1011,
-        ObjectType::Array,
-        "Restore default parameters",
-        &["Restore all default parameters"],
-    ),
-    (
-        0x1016,
-        ObjectType::Array,
-        "Consumer heartbeat time",
-        &["Consumer 1 heartbeat time", "Consumer 2 heartbeat time"],
-    ),
-    (
-        0x1018,
-        ObjectType::Record,
-        "Identity object",
-        &[
-            "Vendor ID",
-            "Product code",
-            "Revision number",
-            "Serial number",
-        ],
-    ),
-    (
-        0x1029,
-        ObjectType::Array,
-        "Error behavior",
-        &["Communication error"],
-    ),
-    (
-        0x1200,
-        ObjectType::Record,
-        "SDO server parameter",
-        &["COB-ID SDO client to server", "COB-ID SDO server to client"],
-    ),
-    (
-        0x2200,
-        ObjectType::Record,
-        "Power supply",
-        &["Power supply voltage"],
-    ),
-    (
-        0x2FF0,
-        ObjectType::Record,
-        "Record of the emulator",
-        &["Text of the emulator", "Bytes for the emulator"],
-    ),
-    (
-        0x3000,
-        ObjectType::Record,
-        "Axis configuration",
-        &[
-            "Sensors configuration",
-            "Control structure",
-            "Commutation sensors",
-            "Axis configuration miscellaneous",
-            "Main sensor resolution",
-        ],
-    ),
-    (
-        0x3001,
-        ObjectType::Record,
-        "Motor data",
-        &[
-            "Nominal current",
-            "Output current limit",
-            "Number of pole pairs",
-            "Thermal time constant winding",
-            "Torque constant",
-        ],
-    ),
-    (
-        0x30B2,
-        ObjectType::Variable,
-        "Current threshold for homing mode",
-        &[],
-    ),
-    (
-        0x30D1,
-        ObjectType::Record,
-        "Current actual values",
-        &["Current actual value averaged", "Current actual value"],
-    ),
-    (
-        0x30E0,
-        ObjectType::Record,
-        "Standstill window configuration",
-        &[
-            "Standstill window",
-            "Standstill window time",
-            "Standstill window timeout",
-        ],
-    ),
-    (
-        0x3141,
-        ObjectType::Record,
-        "Digital input properties",
-        &["Digital inputs logic state"],
-    ),
-    (0x6062, ObjectType::Variable, "Position demand value", &[]),
-    (0x6067, ObjectType::Variable, "Position window", &[]),
-    (0x6068, ObjectType::Variable, "Position window time", &[]),
-    (0x606B, ObjectType::Variable, "Velocity demand value", &[]),
-    (
-        0x607D,
-        ObjectType::Array,
-        "Software position limit",
-        &["Min position limit", "Max position limit"],
-    ),
-    (0x6086, ObjectType::Variable, "Motion profile type", &[]),
-    (
-        0x6099,
-        ObjectType::Array,
-        "Homing speeds",
-        &["Speed for switch search", "Speed for zero search"],
-    ),
-    (0x60A8, ObjectType::Variable, "SI unit position", &[]),
-    (0x60AA, ObjectType::Variable, "SI unit acceleration", &[]),
-    (
-        0x60C2,
-        ObjectType::Record,
-        "Interpolation time period",
-        &[
-            "Interpolation time period value",
-            "Interpolation time index",
-        ],
-    ),
-    (
-        0x60FE,
-        ObjectType::Array,
-        "Digital outputs",
-        &["Physical outputs", "Bit mask"],
-    ),
+/// Names of objects, at sub-index 0, and of their sub-indices, as far as [`named::TABLE`] does not give them.
+const NAMES: &[(u16, u8, &str)] = &[
+    (0x1003, 0, "Error history"),
+    (0x1010, 0, "Store parameters"),
+    (0x1010, 1, "Save all parameters"),
+    (0x1011, 0, "Restore default parameters"),
+    (0x1011, 1, "Restore all default parameters"),
+    (0x1016, 0, "Consumer heartbeat time"),
+    (0x1016, 1, "Consumer 1 heartbeat time"),
+    (0x1016, 2, "Consumer 2 heartbeat time"),
+    (0x1018, 0, "Identity object"),
+    (0x1018, 1, "Vendor ID"),
+    (0x1018, 2, "Product code"),
+    (0x1018, 3, "Revision number"),
+    (0x1018, 4, "Serial number"),
+    (0x1029, 0, "Error behavior"),
+    (0x1029, 1, "Communication error"),
+    (0x1200, 0, "SDO server parameter"),
+    (0x1200, 1, "COB-ID SDO client to server"),
+    (0x1200, 2, "COB-ID SDO server to client"),
+    (0x2200, 0, "Power supply"),
+    (0x2200, 1, "Power supply voltage"),
+    (0x2FF0, 0, "Record of the emulator"),
+    (0x2FF0, 1, "Text of the emulator"),
+    (0x2FF0, 2, "Bytes for the emulator"),
+    (0x3000, 0, "Axis configuration"),
+    (0x3000, 5, "Main sensor resolution"),
+    (0x3001, 0, "Motor data"),
+    (0x3001, 1, "Nominal current"),
+    (0x3001, 2, "Output current limit"),
+    (0x3001, 5, "Torque constant"),
+    (0x30B2, 0, "Current threshold for homing mode"),
+    (0x30D1, 0, "Current actual values"),
+    (0x30D1, 1, "Current actual value averaged"),
+    (0x30D1, 2, "Current actual value"),
+    (0x30E0, 0, "Standstill window configuration"),
+    (0x30E0, 1, "Standstill window"),
+    (0x30E0, 2, "Standstill window time"),
+    (0x30E0, 3, "Standstill window timeout"),
+    (0x3141, 0, "Digital input properties"),
+    (0x3141, 1, "Digital inputs logic state"),
+    (0x6062, 0, "Position demand value"),
+    (0x6067, 0, "Position window"),
+    (0x6068, 0, "Position window time"),
+    (0x606B, 0, "Velocity demand value"),
+    (0x607D, 0, "Software position limit"),
+    (0x607D, 1, "Min position limit"),
+    (0x607D, 2, "Max position limit"),
+    (0x6086, 0, "Motion profile type"),
+    (0x6099, 0, "Homing speeds"),
+    (0x6099, 1, "Speed for switch search"),
+    (0x6099, 2, "Speed for zero search"),
+    (0x60A8, 0, "SI unit position"),
+    (0x60AA, 0, "SI unit acceleration"),
+    (0x60C2, 0, "Interpolation time period"),
+    (0x60C2, 1, "Interpolation time period value"),
+    (0x60C2, 2, "Interpolation time index"),
+    (0x60FE, 0, "Digital outputs"),
+    (0x60FE, 1, "Physical outputs"),
+    (0x60FE, 2, "Bit mask"),
+];
+
+/// Objects of type RECORD apart from the parameters of PDOs. Any other object with sub-indices is an ARRAY.
+const RECORDS: [u16; 10] = [
+    0x1018, 0x1200, 0x2200, 0x2FF0, 0x3000, 0x3001, 0x30D1, 0x30E0, 0x3141, 0x60C2,
 ];
 
 /// The names of a PDO's communication parameters, from sub-index 1.
@@ -166,69 +88,72 @@ const COMMUNICATION: [&str; 5] = [
     "Event timer",
 ];
 
-/// The data sheet of a unit. Units of one kind differ only in the ratings of the motor.
-pub(super) fn eds(config: &Epos4Config) -> Eds {
-    let identity = identity(config);
-    let mut eds = Eds {
-        file: FileInfo {
-            file_name: "epos4-emulated.eds".into(),
-            file_version: "1".into(),
-            file_revision: "0".into(),
-            eds_version: "4.0".into(),
-            description: "Emulated EPOS4".into(),
-            creation_time: "12:00PM".into(),
-            creation_date: "11-21-2026".into(),
-            created_by: "mrroc".into(),
-        },
-        device: DeviceInfo {
-            vendor_name: "mrroc, in place of maxon".into(),
-            vendor_number: Some(config.vendor),
-            product_name: "EPOS4 (emulated)".into(),
-            product_number: Some(config.product),
-            revision_number: Some(config.revision),
-            order_code: "0".into(),
-            baud_rates: vec![20, 50, 125, 250, 500, 800, 1000],
-            simple_boot_up_slave: true,
-            granularity: 8,
-            rpdos: 4,
-            tpdos: 4,
-            lss: true,
-            ..DeviceInfo::default()
-        },
-        comments: STATEMENTS.iter().map(|&line| line.to_owned()).collect(),
-        dummies: DUMMIES.map(|bits| bits > 0),
-        ..Eds::default()
-    };
-    for (row, entry) in TABLE.iter().enumerate() {
-        let index = entry.object.index;
-        let object = eds.objects.entry(index).or_insert_with(|| Entry {
-            name: object_name(entry),
-            object_type: object_type(index),
-            variables: BTreeMap::new(),
-        });
-        let stated = identity.iter().find(|(slot, _)| slot.row() == row);
-        let variable = variable(entry, stated.map(|(_, value)| *value));
-        object.variables.insert(entry.object.subindex, variable);
+impl Epos4 {
+    /// The electronic data sheet of a unit. Units of one kind differ only in the ratings of the motor.
+    pub fn eds(config: &Epos4Config) -> Eds {
+        let identity = identity(config);
+        let mut eds = Eds {
+            file: FileInfo {
+                file_name: "epos4-emulated.eds".into(),
+                file_version: "1".into(),
+                file_revision: "0".into(),
+                eds_version: "4.0".into(),
+                description: "Emulated EPOS4".into(),
+                creation_time: "12:00PM".into(),
+                creation_date: "11-21-2026".into(),
+                created_by: "mrroc".into(),
+                ..FileInfo::default()
+            },
+            device: DeviceInfo {
+                vendor_name: "mrroc, in place of maxon".into(),
+                vendor_number: Some(config.vendor),
+                product_name: "EPOS4 (emulated)".into(),
+                product_number: Some(config.product),
+                revision_number: Some(config.revision),
+                order_code: "0".into(),
+                baud_rates: vec![20, 50, 125, 250, 500, 800, 1000],
+                simple_boot_up_slave: true,
+                granularity: 8,
+                rpdos: 4,
+                tpdos: 4,
+                lss: true,
+                ..DeviceInfo::default()
+            },
+            comments: STATEMENTS.iter().map(|&line| line.to_owned()).collect(),
+            dummies: DUMMIES.map(|bits| bits > 0),
+            ..Eds::default()
+        };
+        for (row, entry) in TABLE.iter().enumerate() {
+            let index = entry.object.index;
+            let object = eds.objects.entry(index).or_insert_with(|| Entry {
+                name: object_name(entry),
+                object_type: object_type(index),
+                variables: BTreeMap::new(),
+            });
+            let stated = identity.iter().find(|(slot, _)| slot.row() == row);
+            let variable = variable(entry, stated.map(|(_, value)| *value));
+            object.variables.insert(entry.object.subindex, variable);
+        }
+        eds
     }
-    eds
 }
 
-fn known(index: u16) -> Option<&'static (u16, ObjectType, &'static str, &'static [&'static str])> {
-    NAMES.iter().find(|(known, ..)| *known == index)
+fn known(index: u16, subindex: u8) -> Option<&'static str> {
+    let known = NAMES
+        .iter()
+        .find(|known| (known.0, known.1) == (index, subindex))?;
+    Some(known.2)
 }
 
 fn object_type(index: u16) -> ObjectType {
-    match known(index) {
-        Some((_, object_type, ..)) => *object_type,
-        None if pdo(index).is_some() => ObjectType::Record,
-        None if subindices(index) => ObjectType::Array,
-        None => ObjectType::Variable,
+    let mut objects = TABLE.iter().map(|entry| entry.object);
+    if !objects.any(|object| object.index == index && object.subindex > 0) {
+        ObjectType::Variable
+    } else if RECORDS.contains(&index) || pdo(index).is_some() {
+        ObjectType::Record
+    } else {
+        ObjectType::Array
     }
-}
-
-fn subindices(index: u16) -> bool {
-    let mut entries = TABLE.iter().map(|entry| entry.object);
-    entries.any(|object| object.index == index && object.subindex > 0)
 }
 
 /// Direction, number from 1, and whether the index is that of the mapping.
@@ -245,8 +170,8 @@ fn pdo(index: u16) -> Option<(&'static str, u16, bool)> {
 
 fn object_name(entry: &table::Entry) -> String {
     let index = entry.object.index;
-    match (known(index), pdo(index)) {
-        (Some((_, _, name, _)), _) => (*name).to_owned(),
+    match (known(index, 0), pdo(index)) {
+        (Some(name), _) => name.to_owned(),
         (None, Some((kind, number, mapping))) => {
             let way = if kind == "Rx" { "Receive" } else { "Transmit" };
             let what = if mapping { "mapping" } else { "parameter" };
@@ -282,12 +207,10 @@ fn variable_name(entry: &table::Entry) -> String {
             (true, _) => format!("Mapped object {subindex} in {kind}PDO {number}"),
         };
     }
-    let names = known(index).map_or::<&[&str], _>(&[], |(.., names)| names);
-    let name = usize::from(subindex).checked_sub(1);
-    match (entry.object, name.and_then(|at| names.get(at))) {
-        (_, Some(name)) => (*name).to_owned(),
-        (named::ERROR_HISTORY_COUNT, None) => "Number of errors".to_owned(),
-        (_, None) if subindex == 0 => "Highest sub-index supported".to_owned(),
+    match (entry.object, known(index, subindex)) {
+        (named::ERROR_HISTORY_COUNT, _) => "Number of errors".to_owned(),
+        _ if subindex == 0 => "Highest sub-index supported".to_owned(),
+        (_, Some(name)) => name.to_owned(),
         (_, None) => format!("{} {subindex}", object_name(entry)),
     }
 }
@@ -298,7 +221,7 @@ fn variable(entry: &table::Entry, stated: Option<u32>) -> Variable {
     let stored = stated.unwrap_or(entry.default);
     let number = |value: i64| Value::number(value.into());
     // A measured value has no default. The data that differ from unit to unit have none either.
-    let measured = !writable && entry.mappable.transmit
+    let measured = !writable && entry.transmit
         || matches!(
             entry.object,
             named::SERIAL_NUMBER | named::MOTOR_RATED_TORQUE
@@ -322,7 +245,7 @@ fn variable(entry: &table::Entry, stated: Option<u32>) -> Variable {
             Kind::Text(_) => DataType::VisibleString,
             Kind::Domain => DataType::Domain,
         },
-        access: match (writable, entry.mappable.receive, entry.mappable.transmit) {
+        access: match (writable, entry.receive, entry.transmit) {
             (false, ..) => Access::ReadOnly,
             (true, true, false) => Access::ReadWriteOutput,
             (true, false, true) => Access::ReadWriteInput,
@@ -331,7 +254,7 @@ fn variable(entry: &table::Entry, stated: Option<u32>) -> Variable {
         default: (!measured && entry.kind != Kind::Domain).then_some(default),
         low: (entry.min != i64::MIN).then(|| number(entry.min)),
         high: (entry.max != i64::MAX).then(|| number(entry.max)),
-        pdo_mapping: entry.mappable.receive || entry.mappable.transmit,
+        pdo_mapping: entry.receive || entry.transmit,
         refuses_download: entry.volatile,
         refuses_scan: false,
         parameter: None,

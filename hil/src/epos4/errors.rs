@@ -52,40 +52,31 @@ const fn error(code: u16, register: ErrorRegister, reaction: Reaction) -> Error 
     }
 }
 
+/// An error of communication, to which the abort connection option applies.
+const fn communication(code: u16) -> Error {
+    error(
+        code,
+        ErrorRegister::COMMUNICATION,
+        Reaction::AbortConnection,
+    )
+}
+
 pub(super) const OVER_CURRENT: Error = error(0x2310, ErrorRegister::CURRENT, Reaction::Disable);
 pub(super) const MOTOR_TEMPERATURE: Error =
     error(0x4380, ErrorRegister::TEMPERATURE, Reaction::Disable);
 /// NMT stop or a reset of the communication, if object 0x6007 makes a fault of either.
-pub(super) const CONNECTION_ENDED: Error = error(
-    0x8100,
-    ErrorRegister::COMMUNICATION,
-    Reaction::AbortConnection,
-);
-pub(super) const HEARTBEAT: Error = error(
-    0x8130,
-    ErrorRegister::COMMUNICATION,
-    Reaction::AbortConnection,
-);
-pub(super) const PDO_LENGTH: Error = error(
-    0x8210,
-    ErrorRegister::COMMUNICATION,
-    Reaction::AbortConnection,
-);
+pub(super) const CONNECTION_ENDED: Error = communication(0x8100);
+pub(super) const HEARTBEAT: Error = communication(0x8130);
+pub(super) const PDO_LENGTH: Error = communication(0x8210);
 pub(super) const SYNC_LENGTH: Error = error(0x8240, ErrorRegister::COMMUNICATION, Reaction::None);
-pub(super) const RPDO_TIME_OUT: Error = error(
-    0x8250,
-    ErrorRegister::COMMUNICATION,
-    Reaction::AbortConnection,
-);
-/// No SYNC for the configured number of periods. Causes 0 to 3 are the RPDOs.
-pub(super) const SYNC_TIME_OUT: Error = RPDO_TIME_OUT.of(4);
+pub(super) const RPDO_TIME_OUT: Error = communication(0x8250);
 pub(super) const FOLLOWING: Error = error(0x8611, ErrorRegister::VENDOR, Reaction::Fault);
 pub(super) const NEGATIVE_LIMIT: Error = error(0x8A80, ErrorRegister::VENDOR, Reaction::Fault);
 pub(super) const POSITIVE_LIMIT: Error = error(0x8A81, ErrorRegister::VENDOR, Reaction::Fault);
 pub(super) const SOFTWARE_LIMIT: Error = error(0x8A82, ErrorRegister::VENDOR, Reaction::Fault);
 
-/// Maximum number of simultaneous errors: nine with one cause, two heartbeats, two kinds for each of four RPDOs.
-const PRESENT: usize = 9 + 2 + 2 * 4;
+/// Maximum number of simultaneous errors: eight with one cause, two heartbeats, two kinds for each of four RPDOs.
+const PRESENT: usize = 8 + 2 + 2 * 4;
 
 /// An error that is present.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -96,7 +87,7 @@ struct Present {
 }
 
 /// The present errors, and their announcement by EMCY.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Errors {
     present: [Option<Present>; PRESENT],
     /// Whether an error was announced since the last EMCY 0x0000.
@@ -107,13 +98,6 @@ const REGISTER: Slot = Slot::of(named::ERROR_REGISTER);
 const LAST_CODE: Slot = Slot::of(named::ERROR_CODE);
 
 impl Errors {
-    pub(super) fn new() -> Self {
-        Self {
-            present: [None; PRESENT],
-            announced: false,
-        }
-    }
-
     /// Adds an error, unless the error is already present.
     pub(super) fn raise(&mut self, error: Error, objects: &mut Objects) {
         if self.errors().any(|present| present == error) {

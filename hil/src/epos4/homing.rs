@@ -74,6 +74,16 @@ enum Phase {
     Here,
 }
 
+impl Phase {
+    fn seek(direction: f64) -> Self {
+        Self::Seek {
+            direction,
+            turned: false,
+            pressing: 0.0,
+        }
+    }
+}
+
 /// Inputs of a search in addition to the sensors.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Surroundings {
@@ -115,11 +125,7 @@ impl Search {
                 direction: initial,
                 begun_at: None,
             },
-            _ => Phase::Seek {
-                direction: initial,
-                turned: false,
-                pressing: 0.0,
-            },
+            _ => Phase::seek(initial),
         };
         Some(Self {
             sought,
@@ -198,11 +204,7 @@ impl Search {
                 }
                 if *open_for >= SETTLING {
                     // The axis turned round on the edge of the switch.
-                    self.phase = Phase::Seek {
-                        direction: self.initial,
-                        turned: false,
-                        pressing: 0.0,
-                    };
+                    self.phase = Phase::seek(self.initial);
                     Progress::Fast(self.initial)
                 } else if leaving && limit_ahead(feedback, direction) {
                     Progress::Failed

@@ -25,7 +25,7 @@ pub(super) struct Lss {
     identity: Identity,
     mode: Mode,
     /// The node-ID after the next reset of the communication.
-    pending: Option<NodeId>,
+    pub(super) pending: Option<NodeId>,
     /// The node-ID after the next reset of the node.
     stored: Option<NodeId>,
     /// Number of matching identity numbers in the present switch selective, in their order.
@@ -34,8 +34,9 @@ pub(super) struct Lss {
     identified: u8,
     /// Identity number that the fastscan examines.
     scanned: u8,
-    /// Whether a unit without a node-ID was assigned a node-ID and has gone back to waiting.
-    given: bool,
+    /// Whether a unit without a node-ID was assigned a node-ID and has gone back to waiting. The unit must then start
+    /// with the pending node-ID.
+    pub(super) given: bool,
 }
 
 impl Lss {
@@ -50,16 +51,6 @@ impl Lss {
             scanned: 0,
             given: false,
         }
-    }
-
-    /// The node-ID after the next reset of the communication.
-    pub(super) fn pending(&self) -> Option<NodeId> {
-        self.pending
-    }
-
-    /// Whether a unit without a node-ID must start with the pending node-ID.
-    pub(super) fn given(&self) -> bool {
-        self.given
     }
 
     /// Handles a reset of the communication.
@@ -96,19 +87,14 @@ impl Lss {
                 })
             }
             Request::Identify { bound, value } => {
-                let Identity {
-                    vendor,
-                    product,
-                    revision,
-                    serial,
-                } = self.identity;
+                let own = &self.identity;
                 let holds = match bound {
-                    Bound::Vendor => vendor == value,
-                    Bound::Product => product == value,
-                    Bound::RevisionLow => revision >= value,
-                    Bound::RevisionHigh => revision <= value,
-                    Bound::SerialLow => serial >= value,
-                    Bound::SerialHigh => serial <= value,
+                    Bound::Vendor => own.vendor == value,
+                    Bound::Product => own.product == value,
+                    Bound::RevisionLow => own.revision >= value,
+                    Bound::RevisionHigh => own.revision <= value,
+                    Bound::SerialLow => own.serial >= value,
+                    Bound::SerialHigh => own.serial <= value,
                 };
                 self.identified = in_order(self.identified, bound as u8, holds);
                 (self.identified == Bound::ALL.len() as u8).then_some(Response::Identified)

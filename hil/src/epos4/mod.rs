@@ -8,8 +8,8 @@
 //! documents, and the emulator chooses the rest. The comments of its data sheet ([`Epos4::eds`], `mrroc eds`) list
 //! the choices. Further choices:
 //!
-//! * [`CyclicStatus`] sets bits 10 and 12 in the cyclic modes.
-//! * [`SyncLoss`] sets the reaction to a missing SYNC.
+//! * In the cyclic modes, bit 12 of the statusword is set while set-points are followed, as in CiA 402.
+//! * When SYNCs are missing, the position stays at the last set-point. Velocity and torque continue.
 //! * An error of communication ends when the missing frame is received again.
 //! * Within a SYNC, TPDOs are sampled before RPDOs take effect.
 //!
@@ -45,8 +45,8 @@ use canopen::pdo::{PdoKind, PdoNumber};
 use canopen::{NodeId, cob, nmt, objects as named, sdo};
 
 use crate::{Device, PlantAxis, PlantConfig};
-pub use config::{CyclicStatus, Epos4Config, SyncLoss};
-use drive::{CHUNK, Drive, interpolation_period};
+pub use config::Epos4Config;
+use drive::{CHUNK, Drive};
 use errors::Errors;
 use heartbeats::Consumers;
 use lss::Lss;
@@ -123,13 +123,6 @@ pub struct Epos4 {
 impl Epos4 {
     /// A device switched on at [`Epos4Config::power_on`].
     pub fn new(config: Epos4Config) -> Self {
-        let drive = Drive::new(
-            &config.axis,
-            config.mount.as_ref(),
-            config.seed,
-            config.cyclic_status,
-            config.vendor_bits,
-        );
         let boots_at = config.power_on + config.boot_delay;
         let address = lss::Identity {
             vendor: config.vendor,
@@ -141,8 +134,8 @@ impl Epos4 {
             node: config.node,
             lss: Lss::new(config.node, address),
             objects: Objects::new(config.node, &identity(&config)),
-            drive,
-            errors: Errors::new(),
+            drive: Drive::new(&config),
+            errors: Errors::default(),
             pdos: Pdos::NONE,
             server: sdo::Server::new(SDO_TIME_OUT),
             answer: None,
@@ -158,14 +151,9 @@ impl Epos4 {
         }
     }
 
-    /// The electronic data sheet of such a unit.
-    pub fn eds(config: &Epos4Config) -> canopen::eds::Eds {
-        eds::eds(config)
-    }
-
     /// The simulated axis, including state that no drive can measure.
     pub fn axis(&self) -> &PlantAxis {
-        self.drive.axis()
+        &self.drive.axis
     }
 
     /// Advances the axis to `now` in whole chunks. With `exact` the remaining sub-steps are simulated as well.
@@ -190,9 +178,7 @@ impl Epos4 {
     }
 
     fn send(&mut self, frame: Frame) {
-        if self.queue.len() < QUEUE {
-            self.queue.push_back(frame);
-        }
+        append(&mut self.queue, frame);
     }
 
     /// Whether the device provides services other than NMT and error control.
@@ -241,7 +227,7 @@ impl Epos4 {
 
     fn reset(&mut self, all: bool, now: Instant) {
         self.lss.wait();
-        self.node = self.lss.pending();
+        self.node = self.lss.pending;
         if let Some(node) = self.node {
             self.objects.rename(node);
         }
@@ -291,11 +277,8 @@ impl Epos4 {
             return;
         }
         let queue = &mut self.queue;
-        self.pdos.sample(&self.objects, now, |frame| {
-            if queue.len() < QUEUE {
-                queue.push_back(frame);
-            }
-        });
+        self.pdos
+            .sample(&self.objects, now, |frame| append(queue, frame));
         self.pdos.take_effect(&mut self.objects);
         self.objects.changes.setpoint = true;
         self.settle(now);
@@ -306,11 +289,8 @@ impl Epos4 {
             return;
         }
         let queue = &mut self.queue;
-        self.pdos.events(&self.objects, now, |frame| {
-            if queue.len() < QUEUE {
-                queue.push_back(frame);
-            }
-        });
+        self.pdos
+            .events(&self.objects, now, |frame| append(queue, frame));
     }
 
     /// Applies the last writes to the dictionary.
@@ -368,7 +348,7 @@ impl Epos4 {
         if let Some(answer) = self.lss.handle(request, self.node) {
             self.send(answer.encode());
         }
-        if self.node.is_none() && self.lss.given() {
+        if self.node.is_none() && self.lss.given {
             self.reset(false, now);
         }
     }
@@ -382,16 +362,6 @@ impl Epos4 {
         self.inner + if alone { CHUNK * SUB_STEP } else { LAZIEST }
     }
 
-    /// Time at which a missing SYNC becomes an error; `None` if SYNC is not monitored.
-    fn sync_deadline(&self) -> Option<Instant> {
-        let SyncLoss::Fault { periods } = self.config.sync_loss else {
-            return None;
-        };
-        let period = Duration::from_secs_f64(interpolation_period(&self.objects));
-        let watched = self.drive.follows() && !period.is_zero();
-        Some(self.last_sync.filter(|_| watched)? + periods * period)
-    }
-
     fn schedule(&mut self) {
         let consumers = self.consumers.poll_timeout();
         self.wake_at = consumers
@@ -402,9 +372,15 @@ impl Epos4 {
             .chain(self.block_at)
             .chain(self.server.poll_timeout())
             .chain(self.pdos.poll_timeout())
-            .chain(self.sync_deadline())
             .chain([self.next_control()])
             .min();
+    }
+}
+
+/// Adds a frame to a transmit queue, unless the queue is full.
+fn append(queue: &mut VecDeque<Frame>, frame: Frame) {
+    if queue.len() < QUEUE {
+        queue.push_back(frame);
     }
 }
 
@@ -488,10 +464,6 @@ impl Device for Epos4 {
         }
         while let Some(number) = self.pdos.overdue(now) {
             self.fail(errors::RPDO_TIME_OUT.of(number));
-        }
-        if self.sync_deadline().is_some_and(|at| at <= now) {
-            self.last_sync = None;
-            self.fail(errors::SYNC_TIME_OUT);
         }
         self.send_events(now);
         self.schedule();

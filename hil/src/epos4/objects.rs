@@ -187,7 +187,7 @@ impl Objects {
             {
                 Err(AbortCode::VALUE_RANGE)
             }
-            _ => match PdoParameter::of(object) {
+            _ => match pdo_parameter(object) {
                 Some(parameter) => self.refuse_pdo(parameter, slot, value),
                 None => Ok(()),
             },
@@ -226,12 +226,12 @@ impl Objects {
         Ok(())
     }
 
-    fn refuse_pdo(&self, parameter: PdoParameter, slot: Slot, value: u32) -> Result<(), AbortCode> {
-        let PdoParameter {
-            kind,
-            number,
-            place,
-        } = parameter;
+    fn refuse_pdo(
+        &self,
+        (kind, number, place): (PdoKind, PdoNumber, Place),
+        slot: Slot,
+        value: u32,
+    ) -> Result<(), AbortCode> {
         let existing = PdoCobId(self.u(cob_id(kind, number)));
         let count = self.u(map(kind, number, 0)) as u16;
         match place {
@@ -320,8 +320,8 @@ pub(super) fn mappable(kind: PdoKind, entry: MapEntry) -> Result<Option<Slot>, A
     let slot = Slot::find(entry.object).ok_or(AbortCode::NO_OBJECT)?;
     let row = slot.entry();
     let allowed = match kind {
-        PdoKind::Rpdo => row.mappable.receive,
-        PdoKind::Tpdo => row.mappable.transmit,
+        PdoKind::Rpdo => row.receive,
+        PdoKind::Tpdo => row.transmit,
     };
     if allowed && usize::from(entry.bits) == 8 * row.kind.size() {
         Ok(Some(slot))
@@ -340,33 +340,21 @@ fn supported(mode: u32) -> bool {
 }
 
 /// A sub-index of a PDO's parameters.
-struct PdoParameter {
-    kind: PdoKind,
-    number: PdoNumber,
-    place: Place,
-}
-
 enum Place {
     Communication(u8),
     Mapping(u8),
 }
 
-impl PdoParameter {
-    fn of(object: Object) -> Option<Self> {
-        let number = *PdoNumber::ALL.get(usize::from(object.index & 0xFF))?;
-        let sub = object.subindex;
-        let (kind, place) = match object.index & 0xFF00 {
-            0x1400 => (PdoKind::Rpdo, Place::Communication(sub)),
-            0x1600 => (PdoKind::Rpdo, Place::Mapping(sub)),
-            0x1800 => (PdoKind::Tpdo, Place::Communication(sub)),
-            0x1A00 => (PdoKind::Tpdo, Place::Mapping(sub)),
-            _ => return None,
-        };
-        Some(Self {
-            kind,
-            number,
-            place,
-        })
+/// The parameter of a PDO that an object holds, if any.
+fn pdo_parameter(object: Object) -> Option<(PdoKind, PdoNumber, Place)> {
+    let number = *PdoNumber::ALL.get(usize::from(object.index & 0xFF))?;
+    let sub = object.subindex;
+    match object.index & 0xFF00 {
+        0x1400 => Some((PdoKind::Rpdo, number, Place::Communication(sub))),
+        0x1600 => Some((PdoKind::Rpdo, number, Place::Mapping(sub))),
+        0x1800 => Some((PdoKind::Tpdo, number, Place::Communication(sub))),
+        0x1A00 => Some((PdoKind::Tpdo, number, Place::Mapping(sub))),
+        _ => None,
     }
 }
 

@@ -80,14 +80,14 @@ fn identifier(kind: PdoKind, number: PdoNumber, objects: &Objects) -> Option<Sta
 pub(super) fn watched(number: PdoNumber, objects: &Objects) -> (bool, bool) {
     let rpdo = Rpdo::read(number, objects);
     (
-        rpdo.id.is_some(),
-        rpdo.id.is_some() && !rpdo.within.is_zero(),
+        rpdo.is_some(),
+        rpdo.is_some_and(|rpdo| !rpdo.within.is_zero()),
     )
 }
 
 #[derive(Clone, Copy, Debug)]
 struct Rpdo {
-    id: Option<StandardId>,
+    id: StandardId,
     synchronous: bool,
     mapping: Mapping,
     /// Event timer; zero disables the timer.
@@ -100,7 +100,7 @@ struct Rpdo {
 
 #[derive(Clone, Copy, Debug)]
 struct Tpdo {
-    id: Option<StandardId>,
+    id: StandardId,
     transmission: TransmissionType,
     mapping: Mapping,
     inhibit: Duration,
@@ -126,34 +126,18 @@ pub(super) enum Reception {
     TooShort(usize),
 }
 
-/// The eight PDOs.
+/// The eight PDOs; `None` for a PDO that is switched off.
 #[derive(Clone, Debug)]
 pub(super) struct Pdos {
-    received: [Rpdo; 4],
-    transmitted: [Tpdo; 4],
+    received: [Option<Rpdo>; 4],
+    transmitted: [Option<Tpdo>; 4],
 }
 
 impl Pdos {
     /// All PDOs switched off.
     pub(super) const NONE: Self = Self {
-        received: [Rpdo {
-            id: None,
-            synchronous: false,
-            mapping: Mapping::EMPTY,
-            within: Duration::ZERO,
-            waiting: None,
-            received: None,
-        }; 4],
-        transmitted: [Tpdo {
-            id: None,
-            transmission: TransmissionType::EVENT_PROFILE,
-            mapping: Mapping::EMPTY,
-            inhibit: Duration::ZERO,
-            period: Duration::ZERO,
-            syncs: 0,
-            sent: None,
-            inhibited: false,
-        }; 4],
+        received: [None; 4],
+        transmitted: [None; 4],
     };
 
     /// PDOs with the parameters of the dictionary, without waiting data and before the first transmission.
@@ -170,24 +154,28 @@ impl Pdos {
         let at = usize::from(number.offset());
         match kind {
             PdoKind::Rpdo => {
-                let (before, now) = (self.received[at], Rpdo::read(number, objects));
-                let kept = Rpdo {
-                    waiting: before.waiting,
-                    // A deadline that is switched on starts with the next reception (CiA 301 §7.5.2.35).
-                    received: before.received.filter(|_| !before.within.is_zero()),
-                    ..now
+                let rpdo = Rpdo::read(number, objects);
+                self.received[at] = match (self.received[at], rpdo) {
+                    (Some(before), Some(now)) if before.id == now.id => Some(Rpdo {
+                        waiting: before.waiting,
+                        // A deadline that is switched on starts with the next reception (CiA 301 §7.5.2.35).
+                        received: before.received.filter(|_| !before.within.is_zero()),
+                        ..now
+                    }),
+                    _ => rpdo,
                 };
-                self.received[at] = if before.id == now.id { kept } else { now };
             }
             PdoKind::Tpdo => {
-                let (before, now) = (self.transmitted[at], Tpdo::read(number, objects));
-                let kept = Tpdo {
-                    syncs: before.syncs,
-                    sent: before.sent,
-                    inhibited: before.inhibited,
-                    ..now
+                let tpdo = Tpdo::read(number, objects);
+                self.transmitted[at] = match (self.transmitted[at], tpdo) {
+                    (Some(before), Some(now)) if before.id == now.id => Some(Tpdo {
+                        syncs: before.syncs,
+                        sent: before.sent,
+                        inhibited: before.inhibited,
+                        ..now
+                    }),
+                    _ => tpdo,
                 };
-                self.transmitted[at] = if before.id == now.id { kept } else { now };
             }
         }
     }
@@ -200,8 +188,7 @@ impl Pdos {
         objects: &mut Objects,
         now: Instant,
     ) -> Reception {
-        let mut received = self.received.iter_mut().enumerate();
-        let Some((number, rpdo)) = received.find(|(_, rpdo)| rpdo.id == Some(id)) else {
+        let Some((number, rpdo)) = self.rpdos().find(|(_, rpdo)| rpdo.id == id) else {
             return Reception::Foreign;
         };
         if data.len() < rpdo.mapping.bytes {
@@ -220,10 +207,8 @@ impl Pdos {
 
     /// SYNC, first half: sends the synchronous TPDOs that are due.
     pub(super) fn sample(&mut self, objects: &Objects, now: Instant, mut send: impl FnMut(Frame)) {
-        for tpdo in &mut self.transmitted {
-            let Some(id) = tpdo.id.filter(|_| tpdo.transmission.is_synchronous()) else {
-                continue;
-            };
+        let transmitted = self.transmitted.iter_mut().flatten();
+        for tpdo in transmitted.filter(|tpdo| tpdo.transmission.is_synchronous()) {
             tpdo.syncs = tpdo.syncs.saturating_add(1);
             let data = tpdo.mapping.compose(objects);
             let due = match tpdo.transmission.cycle() {
@@ -232,14 +217,14 @@ impl Pdos {
             };
             if due {
                 tpdo.syncs = 0;
-                tpdo.send(id, data, now, &mut send);
+                tpdo.send(data, now, &mut send);
             }
         }
     }
 
     /// SYNC, second half: waiting RPDOs take effect.
     pub(super) fn take_effect(&mut self, objects: &mut Objects) {
-        for rpdo in &mut self.received {
+        for rpdo in self.received.iter_mut().flatten() {
             if let Some(data) = rpdo.waiting.take() {
                 rpdo.mapping.spread(&data, objects);
             }
@@ -248,10 +233,8 @@ impl Pdos {
 
     /// Sends the event-driven TPDOs whose content changed or whose timer expired, except during the inhibit time.
     pub(super) fn events(&mut self, objects: &Objects, now: Instant, mut send: impl FnMut(Frame)) {
-        for tpdo in &mut self.transmitted {
-            let Some(id) = tpdo.id.filter(|_| !tpdo.transmission.is_synchronous()) else {
-                continue;
-            };
+        let transmitted = self.transmitted.iter_mut().flatten();
+        for tpdo in transmitted.filter(|tpdo| !tpdo.transmission.is_synchronous()) {
             let data = tpdo.mapping.compose(objects);
             let due = match tpdo.sent {
                 None => true,
@@ -261,50 +244,57 @@ impl Pdos {
                 }
             };
             if due {
-                tpdo.send(id, data, now, &mut send);
+                tpdo.send(data, now, &mut send);
             }
         }
     }
 
     /// Whether any TPDO is event-driven.
     pub(super) fn event_driven(&self) -> bool {
-        self.transmitted
-            .iter()
-            .any(|tpdo| tpdo.id.is_some() && !tpdo.transmission.is_synchronous())
+        self.event_driven_tpdos().next().is_some()
     }
 
     /// Time at which an event timer of either direction expires, or an inhibit time that delays a change.
     pub(super) fn poll_timeout(&self) -> Option<Instant> {
-        let deadlines = self.received.iter().filter_map(Rpdo::deadline);
-        let events = self.transmitted.iter().filter_map(|tpdo| {
-            let alone = tpdo.id.is_some() && !tpdo.transmission.is_synchronous();
-            let (_, at) = tpdo.sent.filter(|_| alone)?;
+        let deadlines = self.received.iter().flatten().filter_map(Rpdo::deadline);
+        let events = self.event_driven_tpdos().filter_map(|tpdo| {
+            let (_, at) = tpdo.sent?;
             tpdo.due(at)
         });
         deadlines.chain(events).min()
+    }
+
+    fn event_driven_tpdos(&self) -> impl Iterator<Item = &Tpdo> {
+        let transmitted = self.transmitted.iter().flatten();
+        transmitted.filter(|tpdo| !tpdo.transmission.is_synchronous())
     }
 
     /// Number of an overdue RPDO, from 0. Called until the result is `None`. The timer of an overdue RPDO restarts
     /// with the next reception.
     pub(super) fn overdue(&mut self, now: Instant) -> Option<usize> {
         let overdue = |rpdo: &Rpdo| rpdo.deadline().is_some_and(|at| at <= now);
-        let number = self.received.iter().position(overdue)?;
-        self.received[number].received = None;
+        let (number, rpdo) = self.rpdos().find(|(_, rpdo)| overdue(rpdo))?;
+        rpdo.received = None;
         Some(number)
+    }
+
+    fn rpdos(&mut self) -> impl Iterator<Item = (usize, &mut Rpdo)> {
+        let received = self.received.iter_mut().enumerate();
+        received.filter_map(|(number, rpdo)| Some((number, rpdo.as_mut()?)))
     }
 }
 
 impl Rpdo {
-    fn read(number: PdoNumber, objects: &Objects) -> Self {
+    fn read(number: PdoNumber, objects: &Objects) -> Option<Self> {
         let cob = cob_id(PdoKind::Rpdo, number);
-        Self {
-            id: identifier(PdoKind::Rpdo, number, objects),
+        Some(Self {
+            id: identifier(PdoKind::Rpdo, number, objects)?,
             synchronous: TransmissionType(objects.u(cob.plus(1)) as u8).is_synchronous(),
             mapping: Mapping::read(PdoKind::Rpdo, number, objects),
             within: Duration::from_millis(u64::from(objects.u(cob.plus(2)))),
             waiting: None,
             received: None,
-        }
+        })
     }
 
     fn deadline(&self) -> Option<Instant> {
@@ -314,10 +304,10 @@ impl Rpdo {
 }
 
 impl Tpdo {
-    fn read(number: PdoNumber, objects: &Objects) -> Self {
+    fn read(number: PdoNumber, objects: &Objects) -> Option<Self> {
         let cob = cob_id(PdoKind::Tpdo, number);
-        Self {
-            id: identifier(PdoKind::Tpdo, number, objects),
+        Some(Self {
+            id: identifier(PdoKind::Tpdo, number, objects)?,
             transmission: TransmissionType(objects.u(cob.plus(1)) as u8),
             mapping: Mapping::read(PdoKind::Tpdo, number, objects),
             inhibit: Duration::from_micros(100 * u64::from(objects.u(cob.plus(2)))),
@@ -325,7 +315,7 @@ impl Tpdo {
             syncs: 0,
             sent: None,
             inhibited: false,
-        }
+        })
     }
 
     /// Due time of the PDO, last sent `at`: after a change or by the event timer, and never within the inhibit time.
@@ -339,10 +329,10 @@ impl Tpdo {
         Some(at + event?.max(self.inhibit))
     }
 
-    fn send(&mut self, id: StandardId, data: [u8; 8], now: Instant, send: &mut impl FnMut(Frame)) {
+    fn send(&mut self, data: [u8; 8], now: Instant, send: &mut impl FnMut(Frame)) {
         self.sent = Some((data, now));
         self.inhibited = false;
-        let frame = Frame::new(id, &data[..self.mapping.bytes.min(8)]);
+        let frame = Frame::new(self.id, &data[..self.mapping.bytes.min(8)]);
         send(frame.expect("a mapping has at most 8 bytes"));
     }
 }

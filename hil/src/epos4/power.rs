@@ -56,6 +56,14 @@ impl Transition {
             then: state,
         }
     }
+
+    const fn braking(now: PowerState, brake: Brake, then: PowerState) -> Self {
+        Self {
+            now,
+            brake: Some(brake),
+            then,
+        }
+    }
 }
 
 /// The transition for a controlword's command (CiA 402-2 §8.4.1), if any.
@@ -77,35 +85,20 @@ pub(super) fn on_command(
             Transition::to(OperationEnabled)
         }
         (OperationEnabled, PowerCommand::Shutdown) => match options.shutdown {
-            1 => Transition {
-                now: OperationEnabled,
-                brake: Some(Brake::SlowDown),
-                then: ReadyToSwitchOn,
-            },
+            1 => Transition::braking(OperationEnabled, Brake::SlowDown, ReadyToSwitchOn),
             _ => Transition::to(ReadyToSwitchOn),
         },
         (OperationEnabled, PowerCommand::SwitchOn) => match options.disable_operation {
-            1 => Transition {
-                now: OperationEnabled,
-                brake: Some(Brake::SlowDown),
-                then: SwitchedOn,
-            },
+            1 => Transition::braking(OperationEnabled, Brake::SlowDown, SwitchedOn),
             _ => Transition::to(SwitchedOn),
         },
         (OperationEnabled, PowerCommand::QuickStop) => match options.quick_stop {
-            1..=8 => Transition {
-                now: QuickStopActive,
-                brake: Some(match options.quick_stop {
-                    1 | 5 => Brake::SlowDown,
-                    2 | 6 => Brake::QuickStop,
-                    _ => Brake::AtLimits,
-                }),
-                then: if options.quick_stop >= 5 {
-                    QuickStopActive
-                } else {
-                    SwitchOnDisabled
-                },
-            },
+            1 => Transition::braking(QuickStopActive, Brake::SlowDown, SwitchOnDisabled),
+            2 => Transition::braking(QuickStopActive, Brake::QuickStop, SwitchOnDisabled),
+            3 | 4 => Transition::braking(QuickStopActive, Brake::AtLimits, SwitchOnDisabled),
+            5 => Transition::braking(QuickStopActive, Brake::SlowDown, QuickStopActive),
+            6 => Transition::braking(QuickStopActive, Brake::QuickStop, QuickStopActive),
+            7 | 8 => Transition::braking(QuickStopActive, Brake::AtLimits, QuickStopActive),
             _ => disabled,
         },
         (QuickStopActive, PowerCommand::EnableOperation) if options.quick_stop >= 5 => {
@@ -121,22 +114,15 @@ pub(super) fn on_fault(state: PowerState, at_once: bool, options: &Options) -> T
         1 => Brake::SlowDown,
         _ => Brake::QuickStop,
     };
-    match state {
-        PowerState::OperationEnabled | PowerState::QuickStopActive
-            if !at_once && options.fault_reaction != 0 =>
-        {
-            Transition {
-                now: PowerState::FaultReactionActive,
-                brake: Some(brake),
-                then: PowerState::Fault,
-            }
-        }
-        PowerState::FaultReactionActive if !at_once => Transition {
-            now: PowerState::FaultReactionActive,
-            brake: Some(brake),
-            then: PowerState::Fault,
-        },
-        _ => Transition::to(PowerState::Fault),
+    let braking = match state {
+        PowerState::OperationEnabled | PowerState::QuickStopActive => options.fault_reaction != 0,
+        PowerState::FaultReactionActive => true,
+        _ => false,
+    };
+    if braking && !at_once {
+        Transition::braking(PowerState::FaultReactionActive, brake, PowerState::Fault)
+    } else {
+        Transition::to(PowerState::Fault)
     }
 }
 

@@ -5,6 +5,7 @@ use canopen::sdo::{AbortCode, Dictionary, MAX_SIZE};
 use canopen::{Object, cob, nmt};
 
 use super::Epos4;
+use super::objects::Objects;
 
 impl Epos4 {
     /// Whether the device has booted and answers requests.
@@ -12,39 +13,73 @@ impl Epos4 {
         self.boots_at.is_none()
     }
 
-    /// The size of an object in bytes; `None` if there is no such object.
-    pub(crate) fn size(&self, object: Object) -> Option<usize> {
-        self.objects.size(object)
-    }
-
     /// Reads an object to the front of `into`, and returns the size of the object in bytes.
     pub(crate) fn read(
         &mut self,
+        node: u8,
         object: Object,
         into: &mut [u8; MAX_SIZE],
         now: Instant,
     ) -> Result<usize, AbortCode> {
-        self.check_state()?;
-        self.catch_up(now, false);
-        let read = self.objects.read(object, into);
-        self.settle(now);
-        self.schedule();
-        read
+        self.access(node, now, |objects| objects.read(object, into))
+    }
+
+    /// Reads an object of up to four bytes.
+    pub(crate) fn read_value(
+        &mut self,
+        node: u8,
+        object: Object,
+        now: Instant,
+    ) -> Result<u32, AbortCode> {
+        let mut bytes = [0; MAX_SIZE];
+        match self.read(node, object, &mut bytes, now)? {
+            0..=4 => Ok(u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]])),
+            _ => Err(AbortCode::LENGTH_MISMATCH),
+        }
     }
 
     /// Writes a whole object and applies the change.
     pub(crate) fn write(
         &mut self,
+        node: u8,
         object: Object,
         data: &[u8],
         now: Instant,
     ) -> Result<(), AbortCode> {
-        self.check_state()?;
+        self.access(node, now, |objects| objects.write(object, data))
+    }
+
+    /// Writes the low bytes of `value`. The size of the object determines their number.
+    pub(crate) fn write_value(
+        &mut self,
+        node: u8,
+        object: Object,
+        value: u32,
+        now: Instant,
+    ) -> Result<(), AbortCode> {
+        let size = self.objects.size(object).map_or(4, |size| size.min(4));
+        self.write(node, object, &value.to_le_bytes()[..size], now)
+    }
+
+    /// Accesses the dictionary if `node` addresses this device: by its node-ID, or by 0, which addresses the device at
+    /// the end of the line.
+    fn access<R>(
+        &mut self,
+        node: u8,
+        now: Instant,
+        access: impl FnOnce(&mut Objects) -> Result<R, AbortCode>,
+    ) -> Result<R, AbortCode> {
+        if node != 0 && self.node.is_none_or(|own| own.raw() != node) {
+            return Err(AbortCode::MAXON_NODE_ID);
+        }
+        if !self.serving() {
+            return Err(AbortCode::MAXON_NMT_STATE);
+        }
         self.catch_up(now, false);
-        let written = self.objects.write(object, data);
+        let result = access(&mut self.objects);
         self.settle(now);
         self.schedule();
-        written
+        result
     }
 
     /// Executes an NMT command for this node or for all nodes. Ignores other bytes.
@@ -66,19 +101,5 @@ impl Epos4 {
         self.manage(request.command, now);
         self.schedule();
         Ok(())
-    }
-
-    /// Whether `node` addresses this device: by its node-ID, or by 0, which addresses the device at the end of the
-    /// line.
-    pub(crate) fn is_node(&self, node: u8) -> bool {
-        node == 0 || self.node.is_some_and(|own| own.raw() == node)
-    }
-
-    fn check_state(&self) -> Result<(), AbortCode> {
-        if self.serving() {
-            Ok(())
-        } else {
-            Err(AbortCode::MAXON_NMT_STATE)
-        }
     }
 }

@@ -112,7 +112,6 @@ impl Epos4 {
     pub(super) fn hear_sync(&mut self, frame: &Frame, now: Instant) {
         if frame.data().is_empty() {
             self.regain(errors::SYNC_LENGTH);
-            self.regain(errors::SYNC_TIME_OUT);
             self.synchronise(now);
         } else {
             self.catch_up(now, false);

@@ -64,13 +64,6 @@ pub(super) enum Access {
     Write,
 }
 
-/// The PDOs to which an object can be mapped.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Mappable {
-    pub(super) receive: bool,
-    pub(super) transmit: bool,
-}
-
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Entry {
     pub(super) object: Object,
@@ -80,7 +73,9 @@ pub(super) struct Entry {
     pub(super) default: u32,
     /// Whether the node-ID is added to the default.
     pub(super) plus_node: bool,
-    pub(super) mappable: Mappable,
+    /// Whether the object can be mapped to RPDOs, and to TPDOs.
+    pub(super) receive: bool,
+    pub(super) transmit: bool,
     /// Marks commands, set-points and the error history. "save" does not store them, and the data sheet excludes them
     /// from downloads.
     pub(super) volatile: bool,
@@ -96,10 +91,8 @@ impl Entry {
             access,
             default: default as u32,
             plus_node: false,
-            mappable: Mappable {
-                receive: false,
-                transmit: false,
-            },
+            receive: false,
+            transmit: false,
             volatile: false,
             min: i64::MIN,
             max: i64::MAX,
@@ -123,12 +116,12 @@ impl Entry {
     }
 
     const fn tx(mut self) -> Self {
-        self.mappable.transmit = true;
+        self.transmit = true;
         self
     }
 
     const fn rx(mut self) -> Self {
-        self.mappable.receive = true;
+        self.receive = true;
         self
     }
 }

@@ -1,23 +1,18 @@
-//! Emulated USB or RS-232 port of an EPOS4.
+//! Frames of the emulated USB or RS-232 port of an EPOS4.
 
 use can::Instant;
 use canopen::Object;
 use canopen::sdo::{AbortCode, MAX_SIZE};
 use serial::epos4::{Address, Answer, Deframer, Frame, FrameError, LONGEST, MAX_SEGMENT, Request};
 
-use super::{EposSerialConfig, Service};
-use crate::outbox::Heard;
-use crate::{Epos4, LineDevice};
+use super::Service;
 
-/// The USB or RS-232 port of an EPOS4.
-///
-/// Every complete frame is answered, an invalid frame with an error code. A torn frame is not answered. A new
-/// initiation replaces a segmented transfer in progress. Any error ends the transfer.
-pub struct Epos4Serial {
-    service: Service,
+/// The protocol of an EPOS4's port.
+pub(super) struct Frames {
     deframer: Deframer,
     transfer: Option<Transfer>,
-    last: Instant,
+    /// Maximum length of a segment sent, bytes.
+    segment: u8,
 }
 
 /// A segmented transfer in progress.
@@ -31,57 +26,42 @@ struct Transfer {
     toggle: bool,
 }
 
-impl Epos4Serial {
-    /// A port after power-on, with its device.
-    pub fn new(config: EposSerialConfig) -> Self {
+impl Frames {
+    pub(super) fn new(segment: u8) -> Self {
         Self {
             deframer: Deframer::new(),
             transfer: None,
-            last: config.epos.power_on,
-            service: Service::new(config),
+            segment,
         }
     }
 
-    /// The device.
-    pub fn epos(&self) -> &Epos4 {
-        &self.service.epos
+    /// Abandons a frame in progress.
+    pub(super) fn reset(&mut self) {
+        self.deframer.reset();
     }
 
-    /// Receive counters.
-    pub fn heard(&self) -> Heard {
-        self.service.heard
-    }
-
-    fn answer(&mut self, found: Result<Frame, FrameError>, now: Instant) {
-        let answer = match found {
-            Ok(frame) => self.serve(&frame, now),
-            Err(FrameError::Torn) => {
-                self.service.heard.damaged += 1;
-                return;
-            }
-            Err(FrameError::Crc | FrameError::TooLong(_)) => {
-                self.service.heard.damaged += 1;
+    pub(super) fn receive(&mut self, byte: u8, service: &mut Service, now: Instant) {
+        let answer = match self.deframer.take(byte) {
+            Some(Ok(frame)) => self.serve(&frame, service, now),
+            Some(Err(FrameError::Crc | FrameError::TooLong(_))) => {
                 Answer::Refused(AbortCode::CRC.0).encode()
             }
+            Some(Err(FrameError::Torn)) | None => return,
         };
         let mut bytes = [0; LONGEST];
         let length = answer.encode(&mut bytes);
-        self.service.send(&bytes[..length], now);
+        service.send(&bytes[..length], now);
     }
 
-    fn serve(&mut self, frame: &Frame, now: Instant) -> Frame {
+    fn serve(&mut self, frame: &Frame, service: &mut Service, now: Instant) -> Frame {
         let mut segment = [0; MAX_SEGMENT];
         let obeyed = match Request::decode(frame) {
-            Some(request) => self.obey(request, &mut segment, now),
+            Some(request) => self.obey(request, &mut segment, service, now),
             None => Err(AbortCode::MAXON_ILLEGAL_COMMAND),
         };
         match obeyed {
-            Ok(answer) => {
-                self.service.heard.obeyed += 1;
-                answer.encode()
-            }
+            Ok(answer) => answer.encode(),
             Err(code) => {
-                self.service.heard.refused += 1;
                 self.transfer = None;
                 Answer::Refused(code.0).encode()
             }
@@ -92,17 +72,21 @@ impl Epos4Serial {
         &mut self,
         request: Request,
         segment: &'s mut [u8; MAX_SEGMENT],
+        service: &mut Service,
         now: Instant,
     ) -> Result<Answer<'s>, AbortCode> {
         let object = |address: Address| Object::new(address.index, address.subindex);
-        let service = &mut self.service;
         match request {
             Request::Read(address) => {
-                let value = service.read(address.node, object(address), now)?;
+                let value = service
+                    .epos
+                    .read_value(address.node, object(address), now)?;
                 Ok(Answer::Value(value))
             }
             Request::Write(address, value) => {
-                service.write(address.node, object(address), value, now)?;
+                service
+                    .epos
+                    .write_value(address.node, object(address), value, now)?;
                 Ok(Answer::Done)
             }
             Request::Nmt { node, command } => {
@@ -112,8 +96,8 @@ impl Epos4Serial {
             Request::InitiateSegmentedRead(address) => {
                 let mut transfer = Transfer::new(address, false);
                 let (node, into) = (address.node, &mut transfer.object);
-                transfer.size = service.read_whole(node, object(address), into, now)?;
-                let first = transfer.take(self.service.config.segment, segment);
+                transfer.size = service.epos.read(node, object(address), into, now)?;
+                let first = transfer.take(self.segment, segment);
                 let size = transfer.size as u32;
                 self.transfer = Some(transfer).filter(|transfer| !transfer.is_complete());
                 Ok(Answer::Started(size, first))
@@ -121,9 +105,8 @@ impl Epos4Serial {
             Request::SegmentRead { toggle } => {
                 let transfer = self.continued(toggle, false)?;
                 transfer.toggle = !toggle;
-                let limit = self.service.config.segment;
                 let transfer = self.transfer.as_mut().expect("it was continued");
-                let data = transfer.take(limit, segment);
+                let data = transfer.take(self.segment, segment);
                 let last = transfer.is_complete();
                 self.transfer.take_if(|_| last);
                 Ok(Answer::Segment { toggle, last, data })
@@ -144,7 +127,13 @@ impl Epos4Serial {
                 transfer.put(data)?;
                 if last {
                     let transfer = self.transfer.take().expect("it was continued");
-                    self.write_transferred(&transfer, now)?;
+                    if !transfer.is_complete() {
+                        return Err(AbortCode::LENGTH_MISMATCH);
+                    }
+                    let (address, data) = (transfer.address, &transfer.object[..transfer.size]);
+                    service
+                        .epos
+                        .write(address.node, object(address), data, now)?;
                 }
                 Ok(Answer::Taken {
                     toggle,
@@ -152,20 +141,6 @@ impl Epos4Serial {
                 })
             }
         }
-    }
-
-    fn write_transferred(&mut self, transfer: &Transfer, now: Instant) -> Result<(), AbortCode> {
-        if !transfer.is_complete() {
-            return Err(AbortCode::LENGTH_MISMATCH);
-        }
-        let Address {
-            node,
-            index,
-            subindex,
-        } = transfer.address;
-        let data = &transfer.object[..transfer.size];
-        self.service
-            .write_whole(node, Object::new(index, subindex), data, now)
     }
 
     fn continued(&mut self, toggle: bool, writing: bool) -> Result<&mut Transfer, AbortCode> {
@@ -215,37 +190,5 @@ impl Transfer {
         self.object[self.done..self.done + data.len()].copy_from_slice(data);
         self.done += data.len();
         Ok(())
-    }
-}
-
-impl LineDevice for Epos4Serial {
-    fn receive(&mut self, byte: u8, now: Instant) {
-        self.service.run(now);
-        if self.deframer.is_inside() && now.since(self.last) > self.service.config.time_out {
-            self.deframer.reset();
-            self.service.heard.damaged += 1;
-        }
-        self.last = now;
-        if !self.service.listens() {
-            self.service.heard.skipped += 1;
-            return;
-        }
-        match self.deframer.take(byte) {
-            Some(found) => self.answer(found, now),
-            None if self.deframer.is_inside() => {}
-            None => self.service.heard.skipped += 1,
-        }
-    }
-
-    fn poll_transmit(&mut self, now: Instant) -> Option<u8> {
-        self.service.outbox.poll_transmit(now)
-    }
-
-    fn poll_timeout(&self) -> Option<Instant> {
-        self.service.poll_timeout()
-    }
-
-    fn handle_timeout(&mut self, now: Instant) {
-        self.service.run(now);
     }
 }

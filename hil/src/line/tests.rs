@@ -149,7 +149,7 @@ fn an_adapter_hands_over_when_its_timer_runs_out_or_a_packet_is_full() {
         ),
     ];
     for (micros, count, expected) in cases {
-        let mut rig = rig(Some(FTDI_LATENCY), Duration::ZERO);
+        let mut rig = rig(Some(Duration::from_millis(16)), Duration::ZERO);
         rig.host.write(at(micros), &vec![5; count]).unwrap();
         let reads = rig.reads(at(100_000));
         assert_eq!(reads.len(), expected.len(), "{reads:?}");
@@ -162,7 +162,7 @@ fn an_adapter_hands_over_when_its_timer_runs_out_or_a_packet_is_full() {
 
 #[test]
 fn a_low_latency_adapter_is_sixteen_times_as_quick() {
-    let mut rig = rig(Some(FTDI_LOW_LATENCY), Duration::ZERO);
+    let mut rig = rig(Some(Duration::from_millis(1)), Duration::ZERO);
     rig.host.write(at(100), &[1, 2, 3]).unwrap();
     assert_eq!(rig.reads(at(100_000)), [(1_000_000, 3)]);
 }

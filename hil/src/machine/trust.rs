@@ -51,7 +51,9 @@ fn resolve_within(path: &Path, user: u32, links: &mut u32) -> Result<PathBuf, Di
                 let found = fs::symlink_metadata(&next)?;
                 let_pass(&found, user)?;
                 if found.is_symlink() {
-                    *links = links.checked_sub(1).ok_or_else(endless)?;
+                    *links = links
+                        .checked_sub(1)
+                        .ok_or_else(|| io::Error::from_raw_os_error(libc::ELOOP))?;
                     let target = reached.join(fs::read_link(&next)?);
                     reached = resolve_within(&target, user, links)?;
                 } else {
@@ -63,11 +65,6 @@ fn resolve_within(path: &Path, user: u32, links: &mut u32) -> Result<PathBuf, Di
         }
     }
     Ok(reached)
-}
-
-/// Error of a path with too many links.
-fn endless() -> io::Error {
-    io::Error::from_raw_os_error(libc::ELOOP)
 }
 
 /// Checks that only `user` and the superuser can replace a directory or link of a path.
@@ -227,7 +224,10 @@ mod tests {
         assert_eq!(resolve(&top.join("link"), user), Ok(top.join("there")));
         let made = own(&top.join("link/a/b"), user);
         assert_eq!(made, Ok(top.join("there/a/b")));
-        assert_eq!(resolve(&top.join("loop"), user), Err(endless().into()));
+        assert_eq!(
+            resolve(&top.join("loop"), user),
+            Err(io::Error::from_raw_os_error(libc::ELOOP).into())
+        );
 
         fs::set_permissions(top.join("there"), Permissions::from_mode(0o1777)).unwrap();
         assert_eq!(own(&top.join("link"), user), Err(Distrust::Shared));

@@ -4,7 +4,7 @@ use thiserror::Error;
 
 use super::SUB_STEP;
 use super::encoder::Encoder;
-use super::mechanism::{Mechanism, Mount};
+use super::mechanism::Mount;
 use super::motor::{Motor, MotorConfig};
 use super::noise::Noise;
 use super::switch::{Contact, Switch};
@@ -173,13 +173,13 @@ impl PlantAxis {
 
     /// Sets another over-current threshold than the configured one, A.
     pub fn set_trip_current(&mut self, current: f64) {
-        self.amplifier.set_trip_current(current);
+        self.amplifier.config.trip_current = current;
     }
 
     /// Sets the torque, N·m, that is added to the output of the velocity loop from now on, under [`Demand::Position`]
     /// and [`Demand::Velocity`].
     pub fn set_torque_offset(&mut self, torque: f64) {
-        self.amplifier.set_torque_offset(torque);
+        self.amplifier.torque_offset = torque;
     }
 
     /// Replaces the gains of the current loop that follow from the motor: voltage per current error, Ω, and voltage
@@ -235,14 +235,14 @@ impl PlantAxis {
                     self.trip = Some(Trip::OverCurrent);
                     self.amplifier.release();
                 }
-                wut.step_braked(self.amplifier.current(), SUB_STEP, brake);
+                wut.step_braked(self.amplifier.current, SUB_STEP, brake);
             }
             Plant::Physical(motor) => {
-                let voltage = on.then(|| self.amplifier.voltage(motor.current()));
+                let voltage = on.then(|| self.amplifier.voltage(motor.current));
                 motor.step(voltage, brake);
-                self.trip = if motor.overheated() {
+                self.trip = if motor.thermal.tripped {
                     Some(Trip::OverTemperature)
-                } else if self.amplifier.overloaded(motor.current()) {
+                } else if self.amplifier.overloaded(motor.current) {
                     Some(Trip::OverCurrent)
                 } else {
                     self.trip.filter(|trip| *trip != Trip::OverTemperature)
@@ -256,17 +256,18 @@ impl PlantAxis {
 
     /// Sensor readings after the last sub-step.
     pub fn feedback(&self) -> Feedback {
-        let closed = |contact: &Option<Contact>| contact.as_ref().is_some_and(Contact::closed);
+        let closed =
+            |contact: &Option<Contact>| contact.as_ref().is_some_and(|contact| contact.closed);
         let current = match &self.plant {
-            Plant::Wut(_) => self.amplifier.current(),
-            Plant::Physical(motor) => motor.current(),
+            Plant::Wut(_) => self.amplifier.current,
+            Plant::Physical(motor) => motor.current,
         };
         Feedback {
             counts: self.encoder.counts(),
-            velocity: self.amplifier.observed_velocity(),
+            velocity: self.amplifier.observed_velocity,
             torque: self.amplifier.torque(current),
             current,
-            index: self.encoder.index(),
+            index: self.encoder.latched,
             home_switch: closed(&self.home_switch),
             negative_limit: closed(&self.negative_limit),
             positive_limit: closed(&self.positive_limit),
@@ -276,12 +277,7 @@ impl PlantAxis {
 
     /// Returns the index latch and arms it again.
     pub fn take_index(&mut self) -> Option<i32> {
-        self.encoder.take_index()
-    }
-
-    /// The mechanism of a mounted axis.
-    pub fn mechanism(&self) -> Option<&Mechanism> {
-        self.mount.as_ref().map(Mount::mechanism)
+        self.encoder.latched.take()
     }
 
     /// The true angle of the motor shaft, rad, which no drive can measure.
@@ -294,7 +290,7 @@ impl Plant {
     fn angle(&self) -> f64 {
         match self {
             Self::Wut(wut) => wut.angle(),
-            Self::Physical(motor) => motor.angle(),
+            Self::Physical(motor) => motor.angle,
         }
     }
 }

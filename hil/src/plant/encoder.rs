@@ -22,7 +22,8 @@ pub(crate) struct Encoder {
     counts: i64,
     /// The nearest index at or below `counts`.
     index_below: i64,
-    latched: Option<i32>,
+    /// The counter at the last index pulse since the latch was armed.
+    pub(super) latched: Option<i32>,
 }
 
 impl Encoder {
@@ -81,15 +82,6 @@ impl Encoder {
     /// The counter, which wraps at 32 bits.
     pub(crate) fn counts(&self) -> i32 {
         (self.counts - self.at_power_on) as i32
-    }
-
-    /// The counter at the last index pulse, if there was a pulse since the last call of `take_index`.
-    pub(crate) fn index(&self) -> Option<i32> {
-        self.latched
-    }
-
-    pub(crate) fn take_index(&mut self) -> Option<i32> {
-        self.latched.take()
     }
 }
 
@@ -199,7 +191,7 @@ mod tests {
             for count in *path {
                 encoder.read(middle(*count), &mut Noise::new(0));
             }
-            assert_eq!(encoder.index(), *expected, "{path:?}");
+            assert_eq!(encoder.latched, *expected, "{path:?}");
         }
     }
 
@@ -208,7 +200,7 @@ mod tests {
         let mut noise = Noise::new(0);
         let mut encoder = Encoder::new(4000, middle(10), 0.0, middle(10));
         assert_eq!(
-            encoder.take_index(),
+            encoder.latched.take(),
             None,
             "standing on the index at power-on is no passing"
         );
@@ -223,7 +215,7 @@ mod tests {
         ];
         for (count, expected) in steps {
             encoder.read(middle(count), &mut noise);
-            assert_eq!(encoder.take_index(), expected, "at {count}");
+            assert_eq!(encoder.latched.take(), expected, "at {count}");
         }
     }
 }

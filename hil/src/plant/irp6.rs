@@ -2,11 +2,9 @@
 
 use super::axis::{AxisConfig, PlantConfig};
 use super::friction::FrictionConfig;
-use super::motor::{EndStops, Gravity, MotorConfig};
-use super::switch::Switch;
-use super::thermal::ThermalConfig;
+use super::lab::MotorData;
+use super::motor::Gravity;
 use super::wut::WutConfig;
-use crate::amplifier::AmplifierConfig;
 
 /// The axes of the IRp-6 robot on a pedestal, in the order of its software. The robot is an IRb-6 with a sixth axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -142,20 +140,10 @@ const ROWS: [Row; 6] = [
 ];
 
 /// Torque per current of every motor of the arm, N·m/A (public code).
-const TORQUE_CONSTANT: f64 = 0.105;
+pub(super) const TORQUE_CONSTANT: f64 = 0.105;
 
 /// Maximum output of the control cards on their supply of 48 V, V (public code: pulse widths up to 190 of 255).
-const MAX_VOLTAGE: f64 = 48.0 * 190.0 / 255.0;
-
-/// Nominal values.
-pub(super) const THERMAL: ThermalConfig = ThermalConfig {
-    winding_to_housing: 1.0,
-    housing_to_air: 2.0,
-    winding_capacity: 60.0,
-    housing_capacity: 800.0,
-    air: 25.0,
-    trip: 155.0,
-};
+pub(super) const MAX_VOLTAGE: f64 = 48.0 * 190.0 / 255.0;
 
 impl AxisConfig {
     /// An axis of the IRp-6 as a motor with load, friction, gravity and switches.
@@ -170,45 +158,26 @@ impl AxisConfig {
     /// 5, 6, 14, 12, 10 and 7 counts for the axes in order.
     pub fn irp6(axis: Irp6Axis) -> Self {
         let row = &ROWS[axis as usize];
-        let (viscous, coulomb, stiction) = row.friction;
         let (amplitude, ratio, at_home) = row.gravity;
-        let inertia = row.wut.0 + row.load;
-        let stiffness = inertia * BUFFER_FREQUENCY * BUFFER_FREQUENCY;
-        let motor = MotorConfig {
-            torque_constant: TORQUE_CONSTANT,
-            resistance: row.winding.0,
-            inductance: row.winding.1,
-            inertia,
-            viscous,
-            friction: FrictionConfig {
-                coulomb,
-                stiction,
-                stribeck_velocity: 5.0,
-            },
-            gravity: Gravity {
-                amplitude,
-                ratio,
-                phase: at_home - row.home / ratio,
-            },
-            end_stops: Some(EndStops {
-                negative: row.travel.0 - 3.0,
-                positive: row.travel.1 + 3.0,
-                stiffness,
-                damping: inertia * BUFFER_FREQUENCY,
-            }),
-            thermal: THERMAL,
-            torque_ripple: 0.01,
+        let gravity = Gravity {
+            amplitude,
+            ratio,
+            phase: at_home - row.home / ratio,
         };
-        let unloaded = Self::wut(axis);
-        Self {
-            plant: PlantConfig::Physical(motor),
-            amplifier: AmplifierConfig {
-                inertia,
-                ..unloaded.amplifier
-            },
-            edge_jitter: 0.02,
-            ..unloaded
-        }
+        let motor = MotorData {
+            home: row.home,
+            travel: Some(row.travel),
+            counts: row.counts,
+            torque_constant: TORQUE_CONSTANT,
+            winding: row.winding,
+            inertia: row.wut.0 + row.load,
+            friction: row.friction,
+            max_current: row.max_current,
+            trip_current: row.trip_current,
+            max_voltage: MAX_VOLTAGE,
+            brake: 5.0,
+        };
+        motor.axis(gravity, (row.home - 20.0, row.home - 2.0), 0)
     }
 
     /// An axis of the IRp-6 as the robot's own software emulates it. The sensors are the same. The motor has no
@@ -216,47 +185,19 @@ impl AxisConfig {
     pub fn wut(axis: Irp6Axis) -> Self {
         let row = &ROWS[axis as usize];
         let (inertia, viscous) = row.wut;
-        Self {
-            plant: PlantConfig::Wut(WutConfig {
-                torque_constant: TORQUE_CONSTANT,
-                inertia,
-                viscous,
-                friction: FrictionConfig::NONE,
-                resistance: row.winding.0,
-            }),
-            amplifier: AmplifierConfig {
-                max_current: row.max_current,
-                trip_current: row.trip_current,
-                max_voltage: MAX_VOLTAGE,
-                inertia,
-                velocity_bandwidth: AmplifierConfig::VELOCITY_BANDWIDTH,
-            },
-            counts_per_revolution: row.counts,
-            edge_jitter: 0.0,
-            index_angle: row.home,
-            start_angle: row.home + 20.0,
-            brake: 5.0,
-            home_switch: Some(Switch {
-                from: row.home - 20.0,
-                to: row.home - 2.0,
-                bounce: 0,
-            }),
-            negative_limit: Some(Switch {
-                from: f64::NEG_INFINITY,
-                to: row.travel.0,
-                bounce: 0,
-            }),
-            positive_limit: Some(Switch {
-                from: row.travel.1,
-                to: f64::INFINITY,
-                bounce: 0,
-            }),
-        }
+        let mut config = Self::irp6(axis);
+        config.plant = PlantConfig::Wut(WutConfig {
+            torque_constant: TORQUE_CONSTANT,
+            inertia,
+            viscous,
+            friction: FrictionConfig::NONE,
+            resistance: row.winding.0,
+        });
+        config.amplifier.inertia = inertia;
+        config.edge_jitter = 0.0;
+        config
     }
 }
-
-/// Natural frequency of an axis in its buffers, rad/s. The damping ratio is one half.
-const BUFFER_FREQUENCY: f64 = 300.0;
 
 #[cfg(test)]
 mod tests {

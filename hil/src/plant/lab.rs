@@ -2,54 +2,43 @@
 
 use super::axis::{AxisConfig, PlantConfig};
 use super::friction::FrictionConfig;
-use super::irp6::{Irp6Axis, THERMAL};
+use super::irp6::{Irp6Axis, MAX_VOLTAGE, TORQUE_CONSTANT};
 use super::mechanism::{Mechanism, MechanismConfig};
 use super::motor::{EndStops, Gravity, MotorConfig};
 use super::switch::Switch;
+use super::thermal::ThermalConfig;
 use crate::amplifier::AmplifierConfig;
-
-/// The axes of the IRp-6 on a track, in the order of its software.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Irp6TrackAxis {
-    /// Axis 0, along the track.
-    Track,
-    /// An axis of the arm.
-    Arm(Irp6Axis),
-}
-
-impl Irp6TrackAxis {
-    /// All axes, in order.
-    pub const ALL: [Self; 7] = [
-        Self::Track,
-        Self::Arm(Irp6Axis::Column),
-        Self::Arm(Irp6Axis::LowerArm),
-        Self::Arm(Irp6Axis::UpperArm),
-        Self::Arm(Irp6Axis::Pitch),
-        Self::Arm(Irp6Axis::Roll),
-        Self::Arm(Irp6Axis::Flange),
-    ];
-}
 
 /// Motor angles of the synchronisation position of the arm on the track, rad (public code).
 const TRACK_ARM_HOMES: [f64; 6] = [-10.819, -4.012, -6.219, 158.997, 479.5, 769.7];
 
+/// Nominal values.
+const THERMAL: ThermalConfig = ThermalConfig {
+    winding_to_housing: 1.0,
+    housing_to_air: 2.0,
+    winding_capacity: 60.0,
+    housing_capacity: 800.0,
+    air: 25.0,
+    trip: 155.0,
+};
+
 /// Parameters of a motor and its drive, at the motor shaft.
-struct Row {
-    home: f64,
+pub(super) struct MotorData {
+    pub(super) home: f64,
     /// Angles at which the limit switches close, rad; `None` for an endless axis.
-    travel: Option<(f64, f64)>,
-    counts: u32,
-    torque_constant: f64,
+    pub(super) travel: Option<(f64, f64)>,
+    pub(super) counts: u32,
+    pub(super) torque_constant: f64,
     /// Winding: resistance, Ω, and inductance, H.
-    winding: (f64, f64),
+    pub(super) winding: (f64, f64),
     /// Inertia of rotor and load, kg·m².
-    inertia: f64,
+    pub(super) inertia: f64,
     /// Viscous friction, N·m·s/rad, Coulomb and static friction, N·m.
-    friction: (f64, f64, f64),
-    max_current: f64,
-    trip_current: f64,
-    max_voltage: f64,
-    brake: f64,
+    pub(super) friction: (f64, f64, f64),
+    pub(super) max_current: f64,
+    pub(super) trip_current: f64,
+    pub(super) max_voltage: f64,
+    pub(super) brake: f64,
 }
 
 /// Natural frequency of an axis in its buffers, rad/s. The damping ratio is one half.
@@ -59,14 +48,21 @@ const BOUNCE: u32 = 20;
 /// Distance from the home index down to the edge of the home switch, rad: half the distance between two index pulses.
 const EDGE: f64 = std::f64::consts::PI;
 
-impl Row {
+impl MotorData {
+    /// An axis with the edge of its home switch half a motor turn below home.
     fn config(&self, home_from: f64) -> AxisConfig {
+        self.axis(Gravity::NONE, (home_from, self.home - EDGE), BOUNCE)
+    }
+
+    /// An axis with a home switch that is closed over `home_switch`, rad. Contacts bounce for `bounce` sub-steps.
+    pub(super) fn axis(
+        &self,
+        gravity: Gravity,
+        home_switch: (f64, f64),
+        bounce: u32,
+    ) -> AxisConfig {
         let (viscous, coulomb, stiction) = self.friction;
-        let switch = |from, to| Switch {
-            from,
-            to,
-            bounce: BOUNCE,
-        };
+        let switch = |from, to| Switch { from, to, bounce };
         AxisConfig {
             plant: PlantConfig::Physical(MotorConfig {
                 torque_constant: self.torque_constant,
@@ -79,7 +75,7 @@ impl Row {
                     stiction,
                     stribeck_velocity: 5.0,
                 },
-                gravity: Gravity::NONE,
+                gravity,
                 end_stops: self.travel.map(|(negative, positive)| EndStops {
                     negative: negative - 3.0,
                     positive: positive + 3.0,
@@ -94,14 +90,13 @@ impl Row {
                 trip_current: self.trip_current,
                 max_voltage: self.max_voltage,
                 inertia: self.inertia,
-                velocity_bandwidth: AmplifierConfig::VELOCITY_BANDWIDTH,
             },
             counts_per_revolution: self.counts,
             edge_jitter: 0.02,
             index_angle: self.home,
             start_angle: self.home + 20.0,
             brake: self.brake,
-            home_switch: Some(switch(home_from, self.home - EDGE)),
+            home_switch: Some(switch(home_switch.0, home_switch.1)),
             negative_limit: self.travel.map(|(to, _)| switch(f64::NEG_INFINITY, to)),
             positive_limit: self.travel.map(|(_, from)| switch(from, f64::INFINITY)),
         }
@@ -140,7 +135,8 @@ impl AxisConfig {
         self
     }
 
-    /// An axis of the IRp-6 on its track, to be mounted on [`MechanismConfig::Irp6OnTrack`].
+    /// An axis of the IRp-6 on its track, to be mounted on [`MechanismConfig::Irp6OnTrack`]: 0 is the track, 1 to 6 are
+    /// the arm. `None` for a higher number.
     ///
     /// The arm equals [`AxisConfig::irp6`] with the home positions of this robot (public code). Travel and switches
     /// are as far from home as on the pedestal (nominal).
@@ -148,24 +144,25 @@ impl AxisConfig {
     /// Public data of the track: 1570.8 rad/m (screw of 8 mm, belt 2:1), home at 0, travel -200 to 1900 rad, 4000
     /// counts, over-current at 25 A. Nominal data of the track: carriage of 60 kg in addition to the arm's 76 kg,
     /// friction, winding, switches.
-    pub fn irp6_track(axis: Irp6TrackAxis) -> Self {
-        match axis {
-            Irp6TrackAxis::Arm(axis) => Self::irp6(axis).with_home(TRACK_ARM_HOMES[axis as usize]),
-            Irp6TrackAxis::Track => Row {
-                home: 0.0,
-                travel: Some((-200.0, 1900.0)),
-                counts: 4000,
-                torque_constant: 0.105,
-                winding: (0.6, 0.5e-3),
-                inertia: inertia(MechanismConfig::Irp6OnTrack, 0),
-                friction: (1e-3, 0.15, 0.22),
-                max_current: 20.0,
-                trip_current: 25.0,
-                max_voltage: 48.0 * 190.0 / 255.0,
-                brake: 5.0,
-            }
-            .config(f64::NEG_INFINITY),
+    pub fn irp6_track(number: usize) -> Option<Self> {
+        if let Some(arm) = number.checked_sub(1) {
+            let axis = *Irp6Axis::ALL.get(arm)?;
+            return Some(Self::irp6(axis).with_home(TRACK_ARM_HOMES[arm]));
         }
+        let track = MotorData {
+            home: 0.0,
+            travel: Some((-200.0, 1900.0)),
+            counts: 4000,
+            torque_constant: TORQUE_CONSTANT,
+            winding: (0.6, 0.5e-3),
+            inertia: inertia(MechanismConfig::Irp6OnTrack, 0),
+            friction: (1e-3, 0.15, 0.22),
+            max_current: 20.0,
+            trip_current: 25.0,
+            max_voltage: MAX_VOLTAGE,
+            brake: 5.0,
+        };
+        Some(track.config(f64::NEG_INFINITY))
     }
 
     /// Length of RNT's legs at home between their universal joints, m (nominal).
@@ -190,7 +187,7 @@ impl AxisConfig {
             _ => return None,
         };
         let is_leg = number < 3;
-        let row = Row {
+        let row = MotorData {
             home: 0.0,
             travel: Some(travel),
             counts: 4000,
@@ -230,7 +227,7 @@ impl AxisConfig {
             6 => (0.2, (2.0, 4.0e-3), 4.0),
             _ => return None,
         };
-        let row = Row {
+        let row = MotorData {
             home: 0.0,
             travel: None,
             counts: 4000,
@@ -259,17 +256,17 @@ impl AxisConfig {
     /// 128 counts, home at 4830 rad, travel -2000 to 5000 rad, 60 mA, over-current at 0.2 A. Nominal data: the torque
     /// per current of the arm's motors, winding, dry friction, switches.
     pub fn gripper() -> Self {
-        Row {
+        MotorData {
             home: 4830.0,
             travel: Some((-2000.0, 5000.0)),
             counts: 128,
-            torque_constant: 0.105,
+            torque_constant: TORQUE_CONSTANT,
             winding: (30.0, 10e-3),
             inertia: 5e-7,
             friction: (2e-6, 5e-4, 8e-4),
             max_current: 0.06,
             trip_current: 0.2,
-            max_voltage: 48.0 * 190.0 / 255.0,
+            max_voltage: MAX_VOLTAGE,
             brake: 0.0,
         }
         .config(f64::NEG_INFINITY)
@@ -280,11 +277,11 @@ impl AxisConfig {
     /// friction. The 0.01 N·m·s/rad of its own emulator would take 21 A at 0.1 m/s and burn a real winding. As with
     /// the arm's motors, a tenth of that friction is used here.
     pub fn conveyor() -> Self {
-        let row = Row {
+        let row = MotorData {
             home: 0.0,
             travel: None,
             counts: 4000,
-            torque_constant: 0.105,
+            torque_constant: TORQUE_CONSTANT,
             winding: (0.6, 0.5e-3),
             inertia: 1.5e-4,
             friction: (1e-3, 0.05, 0.08),
@@ -303,7 +300,7 @@ impl AxisConfig {
 
 #[cfg(test)]
 mod tests {
-    use super::{AxisConfig, Irp6TrackAxis};
+    use super::AxisConfig;
     use crate::plant::{Demand, PlantAxis};
     use std::f64::consts::TAU;
 
@@ -319,7 +316,7 @@ mod tests {
             };
             presets.push((name, config, low, high));
         };
-        let track = AxisConfig::irp6_track(Irp6TrackAxis::Track);
+        let track = AxisConfig::irp6_track(0).expect("the track");
         add("track".into(), track, 0.0);
         for number in 0..7 {
             if let Some(config) = AxisConfig::rnt(number) {

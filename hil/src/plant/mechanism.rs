@@ -159,12 +159,13 @@ impl Mechanism {
     /// * RNT: 100 mm beyond the wrist centre.
     /// * Polycrank: the frame of the last joint.
     pub fn set_payload(&self, mass: f64, centre: [f64; 3]) {
-        let payload = Body::point(mass, centre);
-        match &mut self.lock().links {
-            Links::Irp6(irp6) => irp6.set_payload(payload),
-            Links::Rnt(rnt) => rnt.set_payload(payload),
-            Links::Polycrank(polycrank) => polycrank.set_payload(payload),
-        }
+        let mut robot = self.lock();
+        let payload = match &mut robot.links {
+            Links::Irp6(irp6) => &mut irp6.chain.payload,
+            Links::Rnt(rnt) => &mut rnt.wrist.payload,
+            Links::Polycrank(polycrank) => &mut polycrank.chain.payload,
+        };
+        *payload = Body::point(mass, centre);
     }
 
     /// Load on the motor of axis `number` in the present pose; zero for an absent axis.
@@ -187,11 +188,6 @@ impl Mechanism {
 }
 
 impl Mount {
-    /// The mechanism to which the mount belongs.
-    pub fn mechanism(&self) -> &Mechanism {
-        &self.mechanism
-    }
-
     /// Sets the motor to `angle`, rad, from any angle, and moves the links accordingly.
     pub(super) fn place(&self, angle: f64) {
         let mut robot = self.mechanism.lock();

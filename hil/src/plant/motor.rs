@@ -103,11 +103,13 @@ pub(crate) struct Motor {
     /// Mount of the motor, if any, and the last load at the mount.
     mounted: Option<(Mount, Loaded)>,
     friction: Friction,
-    thermal: Thermal,
+    pub(super) thermal: Thermal,
     noise: Noise,
-    angle: f64,
+    /// Angle, rad.
+    pub(super) angle: f64,
     velocity: f64,
-    current: f64,
+    /// Current, A.
+    pub(super) current: f64,
     /// Sub-step over inertia.
     gain: f64,
     sub_step: u32,
@@ -179,14 +181,14 @@ impl Motor {
         if self.sub_step == 0 {
             let seconds = f64::from(SLOW) * SUB_STEP;
             let resistance =
-                self.config.resistance * (1.0 + COPPER * (self.thermal.winding() - 25.0));
+                self.config.resistance * (1.0 + COPPER * (self.thermal.winding - 25.0));
             self.thermal
                 .step(resistance * self.heat / f64::from(SLOW), seconds);
             self.heat = 0.0;
             self.conductance = 1.0 / resistance;
             self.decay = (-resistance * SUB_STEP / self.config.inductance).exp();
             self.torque_constant =
-                self.config.torque_constant * (1.0 - FERRITE * (self.thermal.housing() - 25.0));
+                self.config.torque_constant * (1.0 - FERRITE * (self.thermal.housing - 25.0));
         }
         self.gravity = match &mut self.mounted {
             None => self.config.gravity.torque(self.angle),
@@ -204,21 +206,6 @@ impl Motor {
             0.0
         };
         self.torque_per_current = self.torque_constant * (1.0 + ripple);
-    }
-
-    /// Angle, rad.
-    pub(crate) fn angle(&self) -> f64 {
-        self.angle
-    }
-
-    /// Current, A.
-    pub(crate) fn current(&self) -> f64 {
-        self.current
-    }
-
-    /// Whether the temperature of the winding exceeds the drive's limit.
-    pub(crate) fn overheated(&self) -> bool {
-        self.thermal.tripped()
     }
 }
 
@@ -364,10 +351,7 @@ mod tests {
         for _ in 0..2_000_000 {
             motor.step(Some(6.0), 100.0);
         }
-        let (winding, housing) = (
-            motor.thermal.winding() - 25.0,
-            motor.thermal.housing() - 25.0,
-        );
+        let (winding, housing) = (motor.thermal.winding - 25.0, motor.thermal.housing - 25.0);
         assert!(winding > 50.0 && housing > 8.0, "{winding} K, {housing} K");
         let current = 10.0 / (1.0 + 0.0039 * winding);
         assert!(

@@ -19,7 +19,7 @@ pub(crate) struct Contact {
     switch: Switch,
     pressed: bool,
     chatter: u32,
-    closed: bool,
+    pub(super) closed: bool,
 }
 
 impl Contact {
@@ -48,10 +48,6 @@ impl Contact {
             self.pressed
         };
     }
-
-    pub(crate) fn closed(&self) -> bool {
-        self.closed
-    }
 }
 
 #[cfg(test)]
@@ -75,12 +71,9 @@ mod tests {
             (2.001, false),
         ] {
             contact.advance(angle, 10, &mut Noise::new(0));
-            assert_eq!(contact.closed(), closed, "at {angle}");
+            assert_eq!(contact.closed, closed, "at {angle}");
         }
-        assert!(
-            Contact::new(&switch, 1.0).closed(),
-            "power-on on the switch"
-        );
+        assert!(Contact::new(&switch, 1.0).closed, "power-on on the switch");
     }
 
     #[test]
@@ -95,7 +88,7 @@ mod tests {
         let readings: Vec<bool> = (0..60)
             .map(|_| {
                 contact.advance(0.5, 1, &mut noise);
-                contact.closed()
+                contact.closed
             })
             .collect();
         assert!(
@@ -119,7 +112,7 @@ mod tests {
                 for _ in 0..=30_u32.div_ceil(elapsed) {
                     contact.advance(0.5, elapsed, &mut noise);
                 }
-                contact.closed()
+                contact.closed
             };
             assert!((0..20).all(settled), "every {elapsed} sub-steps");
         }

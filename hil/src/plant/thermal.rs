@@ -21,9 +21,12 @@ pub struct ThermalConfig {
 #[derive(Clone, Debug)]
 pub(crate) struct Thermal {
     config: ThermalConfig,
-    winding: f64,
-    housing: f64,
-    tripped: bool,
+    /// Temperature of the winding, °C.
+    pub(super) winding: f64,
+    /// Temperature of the housing, °C.
+    pub(super) housing: f64,
+    /// Whether the winding is too hot. The state lasts until the winding is 5 K below the trip temperature.
+    pub(super) tripped: bool,
 }
 
 /// Temperature drop of the winding that clears a trip, K.
@@ -48,21 +51,6 @@ impl Thermal {
         self.housing += (inward - outward) / self.config.housing_capacity * dt;
         let limit = self.config.trip - if self.tripped { HYSTERESIS } else { 0.0 };
         self.tripped = self.winding >= limit;
-    }
-
-    /// Temperature of the winding, °C.
-    pub(crate) fn winding(&self) -> f64 {
-        self.winding
-    }
-
-    /// Temperature of the housing, °C.
-    pub(crate) fn housing(&self) -> f64 {
-        self.housing
-    }
-
-    /// Whether the winding is too hot. The state lasts until the winding is 5 K below the trip temperature.
-    pub(crate) fn tripped(&self) -> bool {
-        self.tripped
     }
 }
 
@@ -89,28 +77,20 @@ mod tests {
     fn steady_loss_settles_at_the_sum_of_resistances() {
         let mut thermal = Thermal::new(&CONFIG);
         after(&mut thermal, 20.0, 20_000.0);
-        assert!(
-            (thermal.winding() - 85.0).abs() < 0.1,
-            "{}",
-            thermal.winding()
-        );
-        assert!(
-            (thermal.housing() - 65.0).abs() < 0.1,
-            "{}",
-            thermal.housing()
-        );
+        assert!((thermal.winding - 85.0).abs() < 0.1, "{}", thermal.winding);
+        assert!((thermal.housing - 65.0).abs() < 0.1, "{}", thermal.housing);
     }
 
     #[test]
     fn winding_warms_first() {
         let mut thermal = Thermal::new(&CONFIG);
         after(&mut thermal, 50.0, 60.0);
-        let rise = (thermal.winding() - 25.0) / 50.0;
+        let rise = (thermal.winding - 25.0) / 50.0;
         assert!(
             (0.6..0.66).contains(&rise),
             "{rise} of the final rise over the housing"
         );
-        assert!(thermal.housing() < 27.5);
+        assert!(thermal.housing < 27.5);
     }
 
     #[test]
@@ -119,15 +99,15 @@ mod tests {
         let (mut trips, mut clears) = (Vec::new(), Vec::new());
         let mut was = false;
         for tick in 0..20_000 {
-            let loss = if thermal.tripped() { 0.0 } else { 200.0 };
+            let loss = if thermal.tripped { 0.0 } else { 200.0 };
             thermal.step(loss, 0.01);
-            match (was, thermal.tripped()) {
-                (false, true) => trips.push(thermal.winding()),
-                (true, false) => clears.push(thermal.winding()),
+            match (was, thermal.tripped) {
+                (false, true) => trips.push(thermal.winding),
+                (true, false) => clears.push(thermal.winding),
                 _ => {}
             }
-            was = thermal.tripped();
-            assert!(thermal.winding() < 155.1, "at tick {tick}");
+            was = thermal.tripped;
+            assert!(thermal.winding < 155.1, "at tick {tick}");
         }
         assert!(
             trips.len() > 1 && trips.iter().all(|t| *t >= 155.0),

@@ -29,11 +29,8 @@ pub struct WutConfig {
 /// angle · counts / 2π.
 #[derive(Clone, Debug)]
 pub struct Wut {
-    torque_constant: f64,
-    inertia: f64,
-    viscous: f64,
+    config: WutConfig,
     friction: Friction,
-    resistance: f64,
     angle: f64,
     velocity: f64,
 }
@@ -42,11 +39,8 @@ impl Wut {
     /// A motor at standstill at `angle`, rad.
     pub fn new(config: &WutConfig, angle: f64) -> Self {
         Self {
-            torque_constant: config.torque_constant,
-            inertia: config.inertia,
-            viscous: config.viscous,
+            config: *config,
             friction: Friction::new(&config.friction),
-            resistance: config.resistance,
             angle,
             velocity: 0.0,
         }
@@ -59,8 +53,8 @@ impl Wut {
 
     /// As [`Wut::step`], with a brake that resists by up to `brake` N·m.
     pub(crate) fn step_braked(&mut self, current: f64, dt: f64, brake: f64) {
-        let torque = self.torque_constant * current - self.viscous * self.velocity;
-        let gain = dt / self.inertia;
+        let torque = self.config.torque_constant * current - self.config.viscous * self.velocity;
+        let gain = dt / self.config.inertia;
         self.velocity =
             self.friction
                 .apply(self.velocity, self.velocity + torque * gain, gain, brake);
@@ -69,7 +63,7 @@ impl Wut {
 
     /// The current that a voltage drives at the present speed, A.
     pub(crate) fn static_current(&self, voltage: f64) -> f64 {
-        (voltage - self.torque_constant * self.velocity) / self.resistance
+        (voltage - self.config.torque_constant * self.velocity) / self.config.resistance
     }
 
     /// Angle, rad.

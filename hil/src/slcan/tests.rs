@@ -7,7 +7,7 @@ use can::{ExtendedId, Port, Received, StandardId};
 const BUS: Bitrate = Bitrate::KBPS_1000;
 
 fn adapter() -> SlcanDevice {
-    SlcanDevice::new(SlcanConfig::new(BUS))
+    SlcanDevice::new(BUS)
 }
 
 fn at(millis: u64) -> Instant {
@@ -134,19 +134,6 @@ fn time_stamps_are_milliseconds_of_a_minute() {
         device.handle(&standard(0x080, &[]), at(millis));
     }
     assert_eq!(said(&mut device), "t08000000.t0800EA5F.t08000000.");
-}
-
-#[test]
-fn frames_are_acknowledged_by_letter_if_so_configured() {
-    let mut device = SlcanDevice::new(SlcanConfig {
-        acknowledge: Acknowledge::Letter,
-        ..SlcanConfig::new(BUS)
-    });
-    assert_eq!(
-        tell(&mut device, "S8.O.t0800.r0800.T000000010."),
-        "..z.z.Z."
-    );
-    assert_eq!(tell(&mut device, "C.X0.O.t0800."), "....");
 }
 
 #[test]

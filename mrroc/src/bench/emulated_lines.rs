@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use can::{Instant, clock};
 use hil::pty::{self, Interest};
-use hil::{Cabinet, DeviceId, Pty, SlcanConfig, SlcanDevice, World};
+use hil::{Cabinet, DeviceId, Pty, SlcanDevice, World};
 use serial::{Line, VirtualLine};
 use servo::thread::set_fifo;
 
@@ -60,8 +60,7 @@ impl EmulatedLines {
     /// Adds CAN bus `index` of a cell, behind an slcan adapter on `pty`.
     pub fn add_bus(&mut self, file: &CellFile, mechanisms: &Mechanisms, index: usize, pty: Pty) {
         let bus = emulation::add_bus(&mut self.world, file, mechanisms, index);
-        let config = SlcanConfig::new(emulation::bitrate(file, index));
-        let adapter = Box::new(SlcanDevice::new(config));
+        let adapter = Box::new(SlcanDevice::new(emulation::bitrate(file, index)));
         let end = End::Adapter(self.world.add_device(bus, adapter));
         self.add(pty, end);
     }

@@ -7,8 +7,8 @@ use can::timing::Bitrate;
 use can::{Frame, Instant, StandardId, VirtualPort};
 use canopen::NodeId;
 use hil::{
-    AxisControllerConfig, BusId, Cabinet, Device, Epos4, Epos4Config, Epos4Serial,
-    EposSerialConfig, HiMoxaAxisController, LineDevice, Nfv2AxisController, World,
+    AxisController, AxisControllerConfig, BusId, Cabinet, Device, Epos4, Epos4Config, EposSerial,
+    EposSerialConfig, LineDevice, World,
 };
 use serial::{Settings, VirtualLine};
 
@@ -193,7 +193,7 @@ pub fn add_service_port(
     (robot, number): (usize, usize),
 ) -> VirtualLine {
     let config = EposSerialConfig::new(config(file, robot, number, Instant::ZERO));
-    let device = Box::new(Epos4Serial::new(config));
+    let device = Box::new(EposSerial::epos4(config));
     let line = world.add_line(Settings::EPOS, None, device);
     world.host_line(line, LINE)
 }
@@ -218,9 +218,9 @@ fn axis_controller(
     match axis.emulator.protocol.unwrap_or(protocol) {
         Protocol::Nfv2 => {
             let address = axis.emulator.address.unwrap_or(axis.node);
-            Box::new(Nfv2AxisController::new(address, config))
+            Box::new(AxisController::nfv2(address, &config))
         }
-        Protocol::HiMoxa => Box::new(HiMoxaAxisController::new(config)),
+        Protocol::HiMoxa => Box::new(AxisController::hi_moxa(&config)),
     }
 }
 

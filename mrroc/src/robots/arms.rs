@@ -2,9 +2,9 @@
 
 use controller::robot::{Irb6Parameters, Irp6Parameters, Irp6TrackParameters};
 use hil::plant::Switch;
-use hil::{AxisConfig, Irp6Axis, Irp6TrackAxis, MechanismConfig};
+use hil::{AxisConfig, Irp6Axis, MechanismConfig};
 
-use super::Emulated;
+use super::{AS_MANY, Emulated};
 use crate::cell::Plant;
 
 impl Emulated for Irb6Parameters {
@@ -41,7 +41,9 @@ impl Emulated for Irp6TrackParameters {
     }
 
     fn plant(&self, _: Plant, number: usize, home: f64) -> AxisConfig {
-        AxisConfig::irp6_track(Irp6TrackAxis::ALL[number]).with_home(home)
+        AxisConfig::irp6_track(number)
+            .expect(AS_MANY)
+            .with_home(home)
     }
 }
 

@@ -52,7 +52,6 @@ fn nfv2_answers_are_the_bytes_of_the_line() {
         expected.push(with_crc(answer));
         assert_eq!(rig.exchange(&request), expected, "{request:02x?}");
     }
-    assert_eq!(rig.device().heard().obeyed, 4);
 }
 
 #[test]
@@ -123,8 +122,6 @@ fn several_requests_at_once_are_answered_in_order() {
     assert_eq!(answer.len(), 2 * 19);
     assert_eq!(answer[16..18], [0x10, 0x00]);
     assert_eq!(answer[35..37], [0x10, 0xC0], "the broadcast was obeyed");
-    let heard = rig.device().heard();
-    assert_eq!((heard.obeyed, heard.foreign, heard.skipped), (3, 1, 0));
 }
 
 #[test]
@@ -158,9 +155,6 @@ fn what_it_does_not_understand_it_does_not_answer() {
         rig.now += 3 * PERIOD;
         assert_eq!(rig.exchange(&good).len(), 19, "after {what}");
     }
-    let heard = rig.device().heard();
-    assert_eq!((heard.refused, heard.foreign, heard.damaged), (3, 1, 1));
-    assert!(heard.skipped >= 600);
 }
 
 #[test]
@@ -188,7 +182,6 @@ fn a_torn_request_does_not_cost_the_one_behind_it() {
         assert_eq!(rig.exchange(&torn).len(), 19, "at once, torn at {offset}");
         assert_eq!(rig.exchange(&request[..offset]), [0_u8; 0]);
         assert_eq!(rig.exchange(&request).len(), 19, "torn at {offset}");
-        assert_eq!(rig.device().heard().obeyed, 2);
         // The end of a frame alone is no frame.
         if offset > 0 {
             assert_eq!(rig.exchange(&request[offset..]), [0_u8; 0]);
@@ -219,7 +212,6 @@ fn a_pause_ends_a_request_whose_length_is_wrong() {
     assert_eq!(rig.exchange(&[0x23, 0xFF, 0x00, ADDRESS]), [0_u8; 0]);
     assert!(PERIOD > GAP);
     assert_eq!(rig.cycle(&[]).position, 0);
-    assert_eq!(rig.device().heard().skipped, 4);
 }
 
 #[test]
@@ -256,8 +248,6 @@ fn the_older_drive_does_not_answer_what_is_no_request() {
         assert_eq!(rig.exchange(bytes), [0_u8; 0], "{what}");
         assert_eq!(rig.exchange(&good).len(), 8, "after {what}");
     }
-    let device: &HiMoxaAxisController = rig.world.line_device(rig.line).unwrap();
-    assert_eq!((device.heard().obeyed, device.heard().refused), (6, 3));
 }
 
 #[test]
@@ -282,10 +272,6 @@ fn a_bad_line_costs_telegrams_and_not_the_drive() {
             .count();
         // 21 bytes of 8 bits in each of two directions: about a third of the exchanges is lost.
         assert!((500..800).contains(&answered), "seed {seed}: {answered}");
-        let heard = rig.device().heard();
-        assert!(heard.damaged > 50 && heard.skipped > 1000, "{heard:?}");
-        // The CRC has five effective bits, so one of 32 damaged frames passes.
-        assert!(heard.obeyed - answered as u64 <= 20, "{heard:?}");
         rig.world.set_line_faults(rig.line, &LineFaults::default());
         for _ in 0..10 {
             assert_eq!(rig.exchange(&request).len(), 19, "seed {seed}");
@@ -316,7 +302,6 @@ fn a_stuck_line_is_silence() {
                 _ => vec![],
             };
             assert_eq!(answer, expected, "{faults:?}");
-            assert_eq!(rig.device().heard().obeyed, u64::from(!to_device));
         }
     }
 }

@@ -323,7 +323,7 @@ impl Drive {
 const POWERS_OF_TEN: [f64; 7] = [1.0, 1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6];
 
 /// The interpolation period 0x60C2 (CiA 402-2 §13.5.3), s; zero disables interpolation.
-pub(in crate::epos4) fn interpolation_period(objects: &Objects) -> f64 {
+pub(super) fn interpolation_period(objects: &Objects) -> f64 {
     let index = objects.i(INTERPOLATION_PERIOD_INDEX).unsigned_abs();
     objects.f(INTERPOLATION_PERIOD_VALUE) * POWERS_OF_TEN[(index as usize).min(6)]
 }

@@ -19,7 +19,8 @@ pub(super) struct Window {
 /// Standstill detection.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Standstill {
-    reached: bool,
+    /// Whether the axis stands.
+    pub(super) reached: bool,
     /// Time for which the velocity has contradicted the present result, s.
     contradicted: f64,
     /// Time for which the demanded velocity has been zero, s.
@@ -33,11 +34,6 @@ impl Standstill {
         contradicted: 0.0,
         told: 0.0,
     };
-
-    /// Whether the axis stands.
-    pub(super) const fn reached(&self) -> bool {
-        self.reached
-    }
 
     /// Advances by `dt`, s, at a velocity in counts/s. `told`: the demanded velocity is zero.
     pub(super) fn advance(&mut self, velocity: f64, told: bool, window: &Window, dt: f64) {
@@ -73,7 +69,7 @@ mod tests {
             .iter()
             .map(|&velocity| {
                 standstill.advance(velocity, told, &WINDOW, 1.0);
-                if standstill.reached() { '0' } else { '1' }
+                if standstill.reached { '0' } else { '1' }
             })
             .collect();
         assert_eq!(found, expected, "{velocities:?}");

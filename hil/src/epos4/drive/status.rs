@@ -7,7 +7,6 @@ use super::modes::rated_torque;
 use super::slots::*;
 use super::standstill::Window;
 use super::{Drive, Homing};
-use crate::epos4::CyclicStatus;
 use crate::epos4::objects::Objects;
 use crate::epos4::table::Slot;
 
@@ -85,7 +84,7 @@ impl Drive {
                 let target = objects.f(TARGET_VELOCITY) * self.counts_per_velocity(objects);
                 let arrived = (self.motion.velocity - target).abs() < 0.5;
                 word.with(REACHED, if halted { standing } else { arrived })
-                    .with(BIT_12, self.standstill.reached())
+                    .with(BIT_12, self.standstill.reached)
             }
             M::Homing => {
                 let halted = self.controlword.has(Controlword::HALT);
@@ -104,10 +103,7 @@ impl Drive {
             }
             M::CyclicSynchronousPosition
             | M::CyclicSynchronousVelocity
-            | M::CyclicSynchronousTorque => {
-                let shown = self.cyclic_status == CyclicStatus::FollowsCommand;
-                word.with(BIT_12, shown && self.follows())
-            }
+            | M::CyclicSynchronousTorque => word.with(BIT_12, self.follows()),
             _ => word,
         };
         word.0

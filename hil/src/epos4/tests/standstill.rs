@@ -1,7 +1,6 @@
 //! Silence at standstill: unsolicited frames of a standing drive, and bit 12 of profile velocity mode.
 
 use super::*;
-use crate::Irp6TrackAxis;
 
 /// Each kind of axis, by its name.
 fn axes() -> Vec<(String, AxisConfig)> {
@@ -9,7 +8,7 @@ fn axes() -> Vec<(String, AxisConfig)> {
         .map(|which| (format!("{which:?}"), AxisConfig::irp6(which)))
         .to_vec();
     axes.extend(Irp6Axis::ALL.map(|which| (format!("WUT {which:?}"), AxisConfig::wut(which))));
-    let track = AxisConfig::irp6_track(Irp6TrackAxis::Track);
+    let track = AxisConfig::irp6_track(0).unwrap();
     axes.push(("track".into(), track));
     axes.extend((0..6).map(|number| (format!("RNT {number}"), AxisConfig::rnt(number).unwrap())));
     axes.extend((0..7).map(|number| {

@@ -3,7 +3,7 @@
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
-use super::chain::{Body, Chain, Link, Load, Motion};
+use super::chain::{Body, Chain, Link, Motion};
 use super::screw::Screw;
 use super::{AXES, Loaded};
 
@@ -29,7 +29,7 @@ const TURNING_TRACK: f64 = 4.5e-4;
 
 #[derive(Clone, Debug)]
 pub(super) struct Irp6 {
-    chain: Chain<6>,
+    pub(super) chain: Chain<6>,
     lower: Screw,
     upper: Screw,
     /// Number of the first axis of the arm: 1 on the track, otherwise 0.
@@ -86,10 +86,6 @@ impl Irp6 {
         arm
     }
 
-    pub(super) fn set_payload(&mut self, payload: Body) {
-        self.chain.payload = payload;
-    }
-
     pub(super) fn load(&mut self, number: usize, motors: &[f64; AXES]) -> Loaded {
         let arm = |axis: usize| motors[self.first + axis];
         let (lower, lower_gear) = self.lower.joint(arm(1));
@@ -137,12 +133,8 @@ impl Irp6 {
                 TURNING[axis.min(5)]
             }
         };
-        let Load { torque, inertia } = self.chain.load(&base, &angles, &rates);
-        Loaded {
-            torque,
-            reflected: inertia,
-            turning,
-            ratio,
-        }
+        self.chain
+            .load(&base, &angles, &rates)
+            .behind(ratio, turning)
     }
 }

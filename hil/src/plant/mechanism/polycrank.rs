@@ -1,6 +1,6 @@
 //! Polycrank: two planar cranks of three parallel axes each, and a tool roll, on a horizontal first axis.
 
-use super::chain::{Body, Chain, Link, Load, Motion};
+use super::chain::{Body, Chain, Link, Motion};
 use super::{AXES, Loaded};
 
 /// Motor angle per joint angle (nominal).
@@ -12,7 +12,7 @@ const UP: [f64; 3] = [1.0, 0.0, 0.0];
 
 #[derive(Clone, Debug)]
 pub(super) struct Polycrank {
-    chain: Chain<7>,
+    pub(super) chain: Chain<7>,
     /// Whether motors stand at the base and set absolute angles within each group of three.
     coupled: bool,
     /// Joint angles, rad.
@@ -40,10 +40,6 @@ impl Polycrank {
         }
     }
 
-    pub(super) fn set_payload(&mut self, payload: Body) {
-        self.chain.payload = payload;
-    }
-
     pub(super) fn load(&mut self, number: usize, motors: &[f64; AXES]) -> Loaded {
         let mut angles = motors.map(|motor| motor / RATIO);
         let mut rates = [0.0; AXES];
@@ -61,12 +57,7 @@ impl Polycrank {
         for (angle, at_home) in angles.iter_mut().zip(self.at_home) {
             *angle += at_home;
         }
-        let Load { torque, inertia } = self.chain.load(&Motion::standing(UP), &angles, &rates);
-        Loaded {
-            torque,
-            reflected: inertia,
-            turning: TURNING,
-            ratio: 1.0,
-        }
+        let load = self.chain.load(&Motion::standing(UP), &angles, &rates);
+        load.behind(1.0, TURNING)
     }
 }

@@ -25,7 +25,7 @@ const UP: Vector = [0.0, 0.0, -1.0];
 pub(super) struct Rnt {
     /// The platform with the more mobile half of each leg, in the axes of the platform.
     platform: [Body; 2],
-    wrist: Chain<3>,
+    pub(super) wrist: Chain<3>,
     /// Length of each leg when its own motor is at home, m.
     home_lengths: [f64; 3],
     pose: Pose,
@@ -78,10 +78,6 @@ impl Rnt {
         rnt
     }
 
-    pub(super) fn set_payload(&mut self, payload: Body) {
-        self.wrist.payload = payload;
-    }
-
     /// Length of a leg, m.
     fn length(&self, leg: usize, motors: &[f64; AXES]) -> f64 {
         self.home_lengths[leg] + motors[leg] / LEG
@@ -123,24 +119,19 @@ impl Rnt {
         let mut base = Motion::standing(self.pose.into_platform(UP));
         let mut rates = [0.0; 3];
         let angles = [3, 4, 5].map(|axis| motors[axis] / GEAR);
-        let (turning, mut load) = if number < 3 {
+        let (turning, load) = if number < 3 {
             let (_, rate) = self.pose.legs()[number];
             base = self.pose.motion(&rate.map(|x| x / LEG), base.up);
-            let load = self.platform.map(|body| body.load(&base));
+            let halves = self.platform.map(|body| body.load(&base));
             // The base of the wrist's chain moves with the wrist centre.
             base.velocity = add(base.velocity, WRIST, cross(base.spin, [0.0, 0.0, 1.0]));
-            (TURNING.0, load[0].and(load[1]))
+            (TURNING.0, halves[0].and(halves[1]))
         } else {
             rates[number - 3] = 1.0 / GEAR;
             (TURNING.1, Load::default())
         };
-        load = load.and(self.wrist.load(&base, &angles, &rates));
-        Loaded {
-            torque: load.torque,
-            reflected: load.inertia,
-            turning,
-            ratio: 1.0,
-        }
+        load.and(self.wrist.load(&base, &angles, &rates))
+            .behind(1.0, turning)
     }
 }
 

@@ -421,9 +421,7 @@ fn preset(config: MechanismConfig, number: usize) -> Option<AxisConfig> {
         MechanismConfig::Irb6 | MechanismConfig::Irp6 => {
             Some(AxisConfig::irp6(Irp6Axis::ALL[number]))
         }
-        MechanismConfig::Irp6OnTrack => {
-            Some(AxisConfig::irp6_track(crate::Irp6TrackAxis::ALL[number]))
-        }
+        MechanismConfig::Irp6OnTrack => AxisConfig::irp6_track(number),
         MechanismConfig::Rnt { .. } => AxisConfig::rnt(number),
         MechanismConfig::Polycrank { .. } => AxisConfig::polycrank(number),
     }
@@ -533,5 +531,4 @@ fn regression_model_feels_nothing_and_is_felt() {
     }
     assert_eq!(mounted.angle().to_bits(), alone.angle().to_bits());
     assert!(mechanism.load(4).torque < 0.9 * before);
-    assert!(alone.mechanism().is_none() && mounted.mechanism().is_some());
 }
