@@ -193,7 +193,6 @@ impl Axis {
                 controller.plausible_acceleration,
                 20.0 * self.max_acceleration,
             ),
-            current_gains: None,
         }
     }
 

@@ -80,7 +80,7 @@ use serial::{Line, LineCounters, LineError};
 
 pub use serial::{Settings, StopBits};
 
-pub use config::{AxisConfig, ConfigError, Control, CurrentGains, GroupConfig, Protocol, Quantity};
+pub use config::{AxisConfig, ConfigError, Control, GroupConfig, Protocol, Quantity};
 pub use fault::{AxisControllerError, AxisControllerFault};
 
 #[cfg(doc)]
