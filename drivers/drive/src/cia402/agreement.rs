@@ -43,8 +43,7 @@ impl Agreement {
         }
         Err(BringUpError::WrongScale {
             node,
-            index: self.object.index,
-            subindex: self.object.subindex,
+            object: self.object,
             found,
             per,
             expected: self.expected,

@@ -5,17 +5,16 @@ use std::time::Duration;
 use can::{Frame, Instant};
 use canopen::cia402::{Controlword, ModeOfOperation, PowerState, Statusword};
 use canopen::emcy::Emergency;
-use canopen::{NodeId, Object, nmt};
+use canopen::{NodeId, nmt};
 use master::power::{self, PowerStateMachine};
 
 use super::config::{AxisConfig, CyclicMode, GroupConfig};
 use super::homing::Search;
 use super::measurement::{Jump, Measurement};
-use super::mode::{ModeRequest, ModeSwitch};
 use super::process_data::{self, Answer};
-use super::service::Service;
+use super::service::{ModeSwitch, Service};
 use super::setup::Setup;
-use super::target::{Target, TargetOrder};
+use super::target::Target;
 use crate::{AxisCommand, AxisState, Fault, Increments, Permille, Power, Refusal};
 
 /// Answers until a controlword surely has its effect in the statusword. The drive latches the word at the next SYNC
@@ -380,14 +379,17 @@ impl CanAxis {
         });
     }
 
-    /// Takes the command of this cycle.
-    pub(super) fn command(&mut self, order: TargetOrder, now: Instant) -> Frame {
-        let TargetOrder {
-            command,
-            setpoint,
-            hold,
-            watched,
-        } = order;
+    /// Takes the command of this cycle. `setpoint` is the result of [`check`](Self::check). `hold` keeps the target of
+    /// the last cycle, because another axis refused its own. `watched` says that the drives have been sent a heartbeat,
+    /// whose absence they would notice.
+    pub(super) fn command(
+        &mut self,
+        command: AxisCommand,
+        setpoint: Option<Target>,
+        hold: bool,
+        watched: bool,
+        now: Instant,
+    ) -> Frame {
         if command == AxisCommand::ResetFault {
             self.reset();
         }
@@ -557,36 +559,35 @@ impl CanAxis {
             return None;
         }
         let request = self.modes.next(self.wanted_mode())?;
+        let tells = matches!(request, Service::Tell(_));
         let braking = self.goal == Goal::Stopped
             && matches!(
                 self.statusword.power_state(),
                 PowerState::OperationEnabled | PowerState::QuickStopActive
             );
         // CiA 402 leaves open what a change of mode does to a drive that brakes.
-        if braking && matches!(request, ModeRequest::Tell(_)) {
+        if braking && tells {
             return None;
         }
-        self.telling = matches!(request, ModeRequest::Tell(_));
-        Some(Service::Mode(request))
+        self.telling = tells;
+        Some(request)
     }
 
     /// Takes the answer to a service request: the value of the object, or the abort code.
     pub(super) fn served(&mut self, service: Service, result: Result<u32, u32>) {
         match (service, result) {
-            (Service::Mode(ModeRequest::Tell(mode)), Ok(_)) => self.modes.taken(mode),
-            (Service::Mode(ModeRequest::Look), Ok(value)) => {
+            (Service::Tell(mode), Ok(_)) => self.modes.taken(mode),
+            (Service::Look, Ok(value)) => {
                 self.modes.seen(ModeOfOperation::from_raw(value as i8));
             }
             (Service::ErrorCode, Ok(code @ 1..)) => self.name_fault(code as u16),
             // The drive has a fault but reports no error code.
             (Service::ErrorCode, Ok(0)) => self.unserved = true,
-            (Service::Mode(_) | Service::ErrorCode, Err(code)) => {
-                let Object { index, subindex } = service.object();
+            (_, Err(code)) => {
                 self.unserved = true;
                 self.latch(Fault::Aborted {
                     node: self.setup.node.raw(),
-                    index,
-                    subindex,
+                    object: service.object(),
                     code,
                 });
             }

@@ -50,7 +50,6 @@ mod bring_up;
 mod config;
 mod homing;
 mod measurement;
-mod mode;
 mod other_controller;
 mod own_heartbeat;
 mod process_data;
@@ -97,7 +96,7 @@ use bring_up::NodeBringUp;
 use own_heartbeat::OwnHeartbeat;
 use process_data::Answer;
 use service::Service;
-use target::{Target, TargetOrder};
+use target::Target;
 
 /// Greatest number of SDO frames sent by one call of bring-up. A transmit queue of ten has room for them.
 const SDO_FRAMES_PER_CALL: usize = 8;
@@ -429,7 +428,7 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
                 self.up_since = now;
                 self.warnings.clear();
                 for node in &mut self.nodes {
-                    node.axis.begin(now, node.bring_up.learnt());
+                    node.axis.begin(now, node.bring_up.learnt);
                     node.fault = None;
                 }
                 Poll::Ready(Ok(()))
@@ -501,13 +500,10 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
         self.batch.push(Sync::default().encode());
         let watched = self.heartbeat.is_watched();
         for (node, &command) in self.nodes.iter_mut().zip(commands) {
-            let order = TargetOrder {
-                command,
-                setpoint: node.setpoint,
-                hold: refused,
-                watched,
-            };
-            self.batch.push(node.axis.command(order, now));
+            let frame = node
+                .axis
+                .command(command, node.setpoint, refused, watched, now);
+            self.batch.push(frame);
             node.start_service(now);
         }
     }
@@ -587,7 +583,7 @@ impl Node {
         };
         let value = result
             .map(|transfer| bring_up::number(transfer.data))
-            .map_err(|error| bring_up::abort_code(error).1.0);
+            .map_err(|error| error.abort_code().0);
         self.axis.served(service, value);
     }
 }

@@ -1,7 +1,7 @@
-//! Targets in the units of a drive, and the command of a cycle.
+//! Targets in the units of a drive.
 
 use super::config::CyclicMode;
-use crate::{AxisCommand, Finite, Permille, Refusal, Scale, Setpoint};
+use crate::{Finite, Permille, Refusal, Scale, Setpoint};
 
 /// Target of a drive, in the drive's units.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -10,18 +10,6 @@ pub(super) struct Target {
     pub(super) value: i32,
     /// Torque offset (0x60B2), which the drive adds to the torque demand.
     pub(super) torque: Permille,
-}
-
-/// The command of a cycle to one axis.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct TargetOrder {
-    pub(super) command: AxisCommand,
-    /// What [`CanAxis::check`](super::axis::CanAxis::check) said.
-    pub(super) setpoint: Option<Target>,
-    /// The target of the last cycle is kept, because another axis refused its own.
-    pub(super) hold: bool,
-    /// The drives have been sent a heartbeat, whose absence they would notice.
-    pub(super) watched: bool,
 }
 
 impl Target {
