@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use can::Instant;
 
-use super::setup::Setup;
+use super::config::{AxisConfig, GroupConfig};
 use crate::{AxisState, Increments, Scale};
 
 /// Greatest error of a displacement from rounding both positions, increments.
@@ -25,8 +25,8 @@ pub(super) struct Measurement {
     /// Shortest time that the check allows for a displacement.
     shortest: Duration,
     increments: Increments,
-    /// The last reported position, plausible or not.
-    reported: Increments,
+    /// The last position as the drive counts it, plausible or not.
+    pub(super) reported: Increments,
     velocity: f64,
     /// Time at which the SYNC of that sample was sent.
     sampled: Option<Instant>,
@@ -45,12 +45,12 @@ pub(super) struct Jump {
 
 impl Measurement {
     /// A motor at `increments` before the first answer.
-    pub(super) fn new(setup: &Setup, increments: Increments) -> Self {
-        let Setup { scale, period, .. } = *setup;
+    pub(super) fn new(group: &GroupConfig, axis: &AxisConfig, increments: Increments) -> Self {
+        let scale = axis.scale;
         Self {
             scale,
-            fastest: setup.plausible_velocity * scale.increments_per_radian().abs(),
-            shortest: SHORTEST * period,
+            fastest: axis.plausible_velocity * scale.increments_per_radian().abs(),
+            shortest: SHORTEST * group.period,
             increments,
             reported: increments,
             velocity: 0.0,
@@ -100,11 +100,6 @@ impl Measurement {
         self.sampled = Some(sampled);
         self.increments = position;
         Ok(())
-    }
-
-    /// The position as the drive counts it, even after a jump.
-    pub(super) fn reported(&self) -> Increments {
-        self.reported
     }
 
     /// Copies position and velocity to `state`.

@@ -57,7 +57,6 @@ mod program;
 mod recording;
 mod reserved;
 mod service;
-mod setup;
 mod target;
 mod traffic;
 
@@ -84,7 +83,7 @@ pub use other_controller::Sign;
 pub use process_data::pdo_setups;
 pub use recording::Recording;
 pub use reserved::{Reserved, reserved};
-pub use traffic::Traffic;
+pub use traffic::{Traffic, traffic};
 
 #[cfg(doc)]
 use crate::Power;
@@ -222,11 +221,6 @@ impl<P: Port> Cia402Group<P> {
             warnings: Warnings::with_room(),
             up_since: Instant::ZERO,
         })
-    }
-
-    /// Frames that a group of this configuration exchanges on its bus during operation.
-    pub fn traffic(config: &GroupConfig, axes: &[AxisConfig]) -> Vec<Traffic> {
-        traffic::of(config, axes)
     }
 
     fn node(&mut self, node: NodeId) -> Option<&mut Node> {

@@ -82,11 +82,6 @@ impl ModeSwitch {
         self.shown.filter(|shown| *shown == self.told)
     }
 
-    /// Notes that another controller changed the mode.
-    pub(super) fn overruled(&mut self, mode: ModeOfOperation) {
-        *self = Self::settled(mode);
-    }
-
     /// Notes the value read from object 0x6061.
     pub(super) fn seen(&mut self, mode: ModeOfOperation) {
         self.shown = Some(mode);
