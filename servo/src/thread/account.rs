@@ -34,7 +34,8 @@ pub struct Account {
     /// Wake-up latencies of the quiet cycles since then: an upper bound of their delays.
     quiet: Duration,
     cycles: u32,
-    reads: AccountReads,
+    /// Number of readings in cycles.
+    pub(super) reads: AccountReads,
 }
 
 impl Account {
@@ -49,11 +50,6 @@ impl Account {
         };
         account.begin();
         account
-    }
-
-    /// Number of readings in cycles.
-    pub(super) fn reads(&self) -> AccountReads {
-        self.reads
     }
 
     /// Drops the counts up to now.
