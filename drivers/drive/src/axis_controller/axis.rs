@@ -304,20 +304,15 @@ impl SerialAxis {
             AxisCommand::Follow(setpoint) | AxisCommand::Seek(setpoint) => setpoint,
             AxisCommand::Off | AxisCommand::ResetFault | AxisCommand::Stand => return Ok(None),
         };
-        let Setup {
-            dialect,
-            scale,
-            torque_constant,
-            full_scale,
-            ..
-        } = &self.setup;
-        let raw = match (dialect.control, setpoint) {
-            (Control::Current, Setpoint::Torque(torque)) => scale
-                .milliamperes(torque.get(), *torque_constant)
+        let setup = &self.setup;
+        let raw = match (setup.dialect.control, setpoint) {
+            (Control::Current, Setpoint::Torque(torque)) => setup
+                .scale
+                .milliamperes(torque.get(), setup.torque_constant)
                 .map(|current| current.0)
-                .filter(|current| current.unsigned_abs() <= full_scale.unsigned_abs()),
+                .filter(|current| current.unsigned_abs() <= setup.full_scale.unsigned_abs()),
             (Control::Pwm, Setpoint::Duty(duty)) => {
-                scale.pulse_width(duty.get()).map(|width| width.0)
+                setup.scale.pulse_width(duty.get()).map(|width| width.0)
             }
             (
                 Control::Current | Control::Pwm,

@@ -76,7 +76,7 @@ mod telegram;
 use std::task::Poll;
 
 use can::{Counters, Instant};
-use serial::{Line, LineCounters, LineError};
+use serial::{Line, LineError};
 
 pub use serial::{Settings, StopBits};
 
@@ -311,12 +311,7 @@ impl<L: Line> DriveGroup for AxisControllerGroup<L> {
         let bits_per_byte = self.config.settings.bits_per_byte();
         for Controller { line, axis, .. } in &self.controllers {
             let axis = axis.counters;
-            let LineCounters {
-                sent,
-                received,
-                dropped,
-                ..
-            } = line.counters();
+            let line = line.counters();
             let refused = axis.implausible + axis.damaged + axis.foreign + axis.late + axis.surplus;
             counters.unexpected += refused;
             let port = &mut counters.port;
@@ -324,9 +319,9 @@ impl<L: Line> DriveGroup for AxisControllerGroup<L> {
                 sent: port.sent + axis.sent,
                 received: port.received + axis.accepted,
                 refused: port.refused + axis.refused,
-                dropped: port.dropped + dropped,
+                dropped: port.dropped + line.dropped,
                 errors: port.errors + refused,
-                bits: port.bits + bits_per_byte * (sent + received),
+                bits: port.bits + bits_per_byte * (line.sent + line.received),
             };
         }
         counters

@@ -10,7 +10,7 @@ use master::power::{self, PowerStateMachine};
 
 use super::config::{AxisConfig, CyclicMode, GroupConfig};
 use super::homing::Search;
-use super::measurement::{Jump, Measurement};
+use super::measurement::Measurement;
 use super::process_data::{self, Answer};
 use super::program::MAXON;
 use super::service::{ModeSwitch, Service};
@@ -183,20 +183,9 @@ impl CanAxis {
         let search_speed = search.then_some(self.config.homing.search_speed);
         let position = answer.position;
         let taken = self.measurement.take(position, sampled, at, search_speed);
-        if let Err(Jump {
-            moved,
-            most,
-            within,
-        }) = taken
-        {
+        if let Err(jump) = taken {
             self.search.doubted = true;
-            let node = self.config.node.raw();
-            self.latch(Fault::Implausible {
-                node,
-                moved,
-                most,
-                within,
-            });
+            self.latch(jump);
         }
         self.measurement.tell(&mut self.state);
         self.state.at = at;
@@ -366,13 +355,7 @@ impl CanAxis {
         if self.state.fault.is_some() {
             return Ok(None);
         }
-        let AxisConfig {
-            mode,
-            scale,
-            rated_torque,
-            ..
-        } = &self.config;
-        let target = Target::of(setpoint, *mode, scale, *rated_torque)?;
+        let target = Target::of(setpoint, &self.config)?;
         if self.state.power != Power::On {
             return Err(Refusal::NotOn);
         }

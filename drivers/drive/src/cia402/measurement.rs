@@ -5,7 +5,7 @@ use std::time::Duration;
 use can::Instant;
 
 use super::config::{AxisConfig, GroupConfig};
-use crate::{AxisState, Increments, Scale};
+use crate::{AxisState, Fault, Increments, Scale};
 
 /// Greatest error of a displacement from rounding both positions, increments.
 const ROUNDING: f64 = 2.0;
@@ -19,6 +19,8 @@ const SHORTEST: u32 = 2;
 /// Position and velocity of the last plausible sample.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Measurement {
+    /// Node-ID of the drive.
+    node: u8,
     scale: Scale,
     /// Greatest possible speed of the motor, increments/s.
     fastest: f64,
@@ -32,22 +34,12 @@ pub(super) struct Measurement {
     sampled: Option<Instant>,
 }
 
-/// An impossible change of position.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Jump {
-    /// Increments from the last plausible position.
-    pub(super) moved: i32,
-    /// Greatest possible displacement of the motor, increments.
-    pub(super) most: u32,
-    /// Longest time that may have passed for the motor.
-    pub(super) within: Duration,
-}
-
 impl Measurement {
     /// A motor at `increments` before the first answer.
     pub(super) fn new(group: &GroupConfig, axis: &AxisConfig, increments: Increments) -> Self {
         let scale = axis.scale;
         Self {
+            node: axis.node.raw(),
             scale,
             fastest: axis.plausible_velocity * scale.increments_per_radian().abs(),
             shortest: SHORTEST * group.period,
@@ -59,7 +51,7 @@ impl Measurement {
     }
 
     /// Takes the position sampled by the SYNC sent at `sampled` and received at `at`. `search_speed` is given during a
-    /// search for the reference. A jump is refused: position and velocity keep their values.
+    /// search for the reference. A jump is refused and returned as a fault: position and velocity keep their values.
     ///
     /// Velocity is the difference of two positions over the time between the SYNCs that sampled them. That time is
     /// longer than a period where an answer or a cycle was missed. The resolution is one increment per period.
@@ -73,7 +65,7 @@ impl Measurement {
         sampled: Instant,
         at: Instant,
         search_speed: Option<f64>,
-    ) -> Result<(), Jump> {
+    ) -> Result<(), Fault> {
         self.reported = position;
         if let Some(before) = self.sampled {
             let moved = position.0.wrapping_sub(self.increments.0);
@@ -82,10 +74,10 @@ impl Measurement {
             let most = self.fastest * within.as_secs_f64() + ROUNDING;
             // During a search, the drive sets the counter.
             if search_speed.is_none() && f64::from(moved).abs() > most {
-                let most = most as u32;
-                return Err(Jump {
+                return Err(Fault::Implausible {
+                    node: self.node,
                     moved,
-                    most,
+                    most: most as u32,
                     within,
                 });
             }

@@ -451,9 +451,6 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
         if self.port.state() == ControllerState::BusOff {
             self.latch_all(Fault::BusOff);
         }
-        let Syncs {
-            attempted, sent, ..
-        } = self.syncs;
         let alone = self.syncs.last.map(|last| now.since(last));
         let lost_after = self.config.heartbeat_lost_after();
         let alone = alone.filter(|waited| *waited > lost_after);
@@ -467,13 +464,13 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
             }
             node.finish_service(now);
             let before = node.fault;
-            let (read, missing) = node.axis.end_of_read(now, attempted);
+            let (read, missing) = node.axis.end_of_read(now, self.syncs.attempted);
             *state = read;
             node.fault = read.fault;
             if let Some(Fault::Drive { node, code }) = read.fault.filter(|_| read.fault != before) {
                 self.warnings.explain(node, code);
             }
-            self.counters.missed_answers += u64::from(missing && sent);
+            self.counters.missed_answers += u64::from(missing && self.syncs.sent);
         }
         self.syncs.attempted = false;
     }

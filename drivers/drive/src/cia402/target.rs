@@ -1,7 +1,7 @@
 //! Targets in the units of a drive.
 
-use super::config::CyclicMode;
-use crate::{Finite, Permille, Refusal, Scale, Setpoint};
+use super::config::{AxisConfig, CyclicMode};
+use crate::{Finite, Permille, Refusal, Setpoint};
 
 /// Target of a drive, in the drive's units.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -13,15 +13,11 @@ pub(super) struct Target {
 }
 
 impl Target {
-    /// Converts a set-point to the target of a drive in a mode; `None` beyond the drive's range.
-    pub(super) fn of(
-        setpoint: Setpoint,
-        mode: CyclicMode,
-        scale: &Scale,
-        rated_torque: f64,
-    ) -> Result<Option<Self>, Refusal> {
+    /// Converts a set-point to the target of the drive of `axis`; `None` beyond the drive's range.
+    pub(super) fn of(setpoint: Setpoint, axis: &AxisConfig) -> Result<Option<Self>, Refusal> {
+        let AxisConfig { mode, scale, .. } = axis;
         let at = |position: Finite| scale.increments(position.get());
-        let permille = |torque: Finite| scale.permille(torque.get(), rated_torque);
+        let permille = |torque: Finite| scale.permille(torque.get(), axis.rated_torque);
         Ok(match (mode, setpoint) {
             (CyclicMode::Csp | CyclicMode::CspWithTorque, Setpoint::Position(position)) => {
                 at(position).map(|increments| increments.0.into())
