@@ -9,13 +9,11 @@ use can::Instant;
 use drive::{AxisCommand, AxisState, Power};
 
 use crate::axis::ServoAxis;
-use crate::excitation::Playing;
 use crate::interpolate::Segment;
 use crate::servo::OpenGates;
 use crate::{
-    After, Answer, AxisRecord, Counters, EffectorConfig, EffectorLink, Excitation, ExcitationError,
-    MAX_AXES, Order, Record, ServoAxisConfig, ServoEvent, ServoFault, ServoReport, ServoState,
-    StopCause, StraightStop,
+    After, Answer, AxisRecord, Counters, EffectorConfig, EffectorLink, MAX_AXES, Order, Record,
+    ServoAxisConfig, ServoEvent, ServoFault, ServoReport, ServoState, StopCause, StraightStop,
 };
 
 /// Longest wait for standstill after the last set-point of a stop. The power is then switched off.
@@ -124,21 +122,6 @@ impl Effector {
     /// Duration of the slowest stop, including the wait for standstill.
     pub(crate) fn longest_stop(&self) -> Duration {
         self.stopping_time.saturating_add(STANDSTILL_WAIT)
-    }
-
-    /// Starts an excitation of axis `axis`, if the axis exists.
-    pub(crate) fn excite(
-        &mut self,
-        axis: usize,
-        excitation: Excitation,
-        dt: f64,
-    ) -> Result<(), ExcitationError> {
-        let effector = usize::from(self.index);
-        let found = self.axes.get_mut(axis);
-        let found = found.ok_or(ExcitationError::NoSuchAxis { effector, axis })?;
-        excitation.check(&found.config, dt)?;
-        found.playing = Some(Playing::new(excitation));
-        Ok(())
     }
 
     /// Takes the states of the drives, by group and index within the group.

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use can::Instant;
-use drive::{AxisState, Homing, Switches};
+use drive::{AxisState, Homing};
 use thiserror::Error;
 
 use crate::{Direction, HomingLeg, HostHoming, Knot};
@@ -242,16 +242,12 @@ impl Search {
 
     /// Takes the switches of a sample. True once the state of every switch is known.
     fn look(&mut self, state: &AxisState) -> bool {
-        let Switches {
-            home,
-            lower_limit,
-            upper_limit,
-        } = state.switches;
+        let switches = state.switches;
         let enough = self.config.debounce;
         if state.age == 0 {
-            self.home.take(home, enough);
-            self.lower.take(lower_limit, enough);
-            self.upper.take(upper_limit, enough);
+            self.home.take(switches.home, enough);
+            self.lower.take(switches.lower_limit, enough);
+            self.upper.take(switches.upper_limit, enough);
         }
         self.home.known && self.lower.known && self.upper.known
     }

@@ -10,6 +10,7 @@ use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Pow
 
 use crate::axis::ServoAxis;
 use crate::effector::{Effector, Tick};
+use crate::excitation::Playing;
 use crate::recorder::Recorder;
 use crate::{
     Counters, EffectorLink, Excitation, ExcitationError, Record, ServoConfig, ServoError,
@@ -335,10 +336,12 @@ impl Servo {
         axis: usize,
         excitation: Excitation,
     ) -> Result<(), ExcitationError> {
-        let dt = self.period.as_secs_f64();
         let found = self.effectors.get_mut(effector);
+        let found = found.and_then(|effector| effector.axes.get_mut(axis));
         let found = found.ok_or(ExcitationError::NoSuchAxis { effector, axis })?;
-        found.excite(axis, excitation, dt)
+        excitation.check(&found.config, self.period.as_secs_f64())?;
+        found.playing = Some(Playing::new(excitation));
+        Ok(())
     }
 
     /// A handle to open the gates that effectors wait at.

@@ -293,12 +293,7 @@ impl Run {
             account: Account::open(),
             tracer: Tracer::new(request),
             usual: LearntQuantile::new(Duration::ZERO, period / 2),
-            before: Before {
-                sync: Instant::ZERO,
-                done: Instant::ZERO,
-                called: Instant::ZERO,
-                late: Duration::ZERO,
-            },
+            before: Before::default(),
             skipped: None,
         }
     }

@@ -26,7 +26,7 @@ pub struct AccountReads {
 }
 
 /// Counts of the kernel for one thread since the last reading.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Account {
     /// `/proc/thread-self/schedstat`, opened before the first cycle; none where the kernel has none.
     schedstat: Option<File>,
@@ -43,10 +43,7 @@ impl Account {
     pub fn open() -> Self {
         let mut account = Self {
             schedstat: File::open("/proc/thread-self/schedstat").ok(),
-            last: Usage::default(),
-            quiet: Duration::ZERO,
-            cycles: 0,
-            reads: AccountReads::default(),
+            ..Self::default()
         };
         account.begin();
         account
